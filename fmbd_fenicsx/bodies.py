@@ -1,0 +1,202 @@
+"""Bodies as a user describes them: data and checks, no computation.
+
+Every body has a ``name``, a dimension ``dim`` and can be attached to joints and forces. An elastic body is attached by its
+named surfaces, a rigid body by any point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from .errors import InputError, near, require
+from .fields import ElasticForms
+from .rotations import Array, motions
+
+Vector = Sequence[float] | Array
+
+
+def _vector(value: Vector | None, size: int, what: str) -> Array:
+    out = np.zeros(size) if value is None else np.asarray(value, dtype=float)
+    require(
+        out.shape == (size,) and bool(np.isfinite(out).all()),
+        f"{what} must be {size} finite numbers, found {value!r}.",
+    )
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBody:
+    """A rigid body, placed by x = r + R X with X from the centre of mass.
+
+    Args:
+        name: what messages and sensors call it.
+        mass: kg, positive.
+        inertia: about the centre of mass in body axes, kg m^2: a number (plane), or (3,) principal values or (3, 3) (space).
+        position: centre of mass at the start, world axes, m, (d,).
+        rotation: attitude at the start: an angle (rad) in the plane, a matrix (3, 3) or quaternion (scalar last) in space.
+        velocity: of the centre of mass at the start, m/s, (d,).
+        angular_velocity: at the start, body axes, rad/s: a number or (3,).
+        locked: True keeps the body where it is; it then has no unknowns.
+    """
+
+    name: str
+    mass: float
+    inertia: Any
+    position: Vector = (0.0, 0.0, 0.0)
+    rotation: Any = None
+    velocity: Vector | None = None
+    angular_velocity: Any = None
+    locked: bool = False
+    dim: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        J = np.asarray(self.inertia, dtype=float)
+        object.__setattr__(self, "dim", 2 if J.ndim == 0 else 3)
+        require(
+            np.isfinite(self.mass) and self.mass > 0,
+            f'Body "{self.name}": mass {self.mass} kg must be positive.',
+        )
+        if self.dim == 2:
+            require(bool(J > 0), f'Body "{self.name}": inertia {J} kg m^2 must be positive.')
+            return
+        J = np.diag(J) if J.shape == (3,) else J
+        require(J.shape == (3, 3), f'Body "{self.name}": inertia must have shape (3,) or (3, 3), found {J.shape}.')
+        if not np.allclose(J, J.T, rtol=1e-12, atol=1e-12 * np.abs(J).max()):
+            raise InputError(f'Body "{self.name}": inertia is not symmetric: {J.tolist()}.')
+        p = np.linalg.eigvalsh(J)
+        require(p[0] > 0, f'Body "{self.name}": principal inertias {p} must be positive.')
+        require(
+            p[0] + p[1] >= p[2] * (1 - 1e-9),
+            f'Body "{self.name}": principal inertias {p} violate J1 + J2 >= J3; no mass distribution has them.',
+        )
+
+    @property
+    def inertia_matrix(self) -> Array:
+        """(n_rot, n_rot)."""
+        J = np.asarray(self.inertia, dtype=float)
+        return J.reshape(1, 1) if J.ndim == 0 else np.diag(J) if J.ndim == 1 else J
+
+    def start_pose(self) -> Array:
+        """Pose at the start, (n_pose,)."""
+        position = np.asarray(self.position, dtype=float)[: self.dim]
+        return motions(self.dim).pose(_vector(position, self.dim, f'Body "{self.name}": position'), self.rotation)
+
+    def start_twist(self) -> Array:
+        """Twist at the start, (n_twist,)."""
+        m = motions(self.dim)
+        v = None if self.velocity is None else np.asarray(self.velocity, dtype=float)[: self.dim]
+        w = None if self.angular_velocity is None else np.atleast_1d(np.asarray(self.angular_velocity, dtype=float))
+        return np.concatenate(
+            (
+                _vector(v, m.dim, f'Body "{self.name}": velocity'),
+                _vector(w, m.n_rot, f'Body "{self.name}": angular_velocity'),
+            )
+        )
+
+
+@dataclass(frozen=True)
+class MeanAxis:
+    """Tisserand frame: int rho u = 0 and int rho X x u = 0, so the frame follows the body's mean motion."""
+
+
+@dataclass(frozen=True)
+class Attached:
+    """A frame in which the named surface does not move, on average."""
+
+    surface: str
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A named surface of an elastic body: what joints, forces and sensors attach to."""
+
+    body: Any
+    name: str
+
+    @property
+    def dim(self) -> int:
+        """Space dimension of the body."""
+        return int(self.body.dim)
+
+    def __repr__(self) -> str:
+        return f'surface "{self.name}" of "{self.body.name}"'
+
+
+@dataclass(frozen=True, eq=False)
+class FloatingBody:
+    """An elastic body in a floating frame: x = r + R (X + u), u small, in V_h.
+
+    Args:
+        name: what messages and sensors call it.
+        mesh: from :func:`fmbd_fenicsx.read_gmsh`, in world coordinates of the start.
+        degree: of the Lagrange displacements (2 by default: P1 is far too stiff in bending).
+        density: kg/m^3 (in the plane: kg/m^2 of the sheet).
+        elastic: the elastic form a(u, v, dx) in UFL, symmetric and bilinear.
+        frame: :class:`MeanAxis` (default) or :class:`Attached`.
+        velocity, angular_velocity: of the rigid motion at the start; the latter is world axes = body axes, rad/s.
+        displacement, displacement_rate: initial u(x), u'(x): functions of the coordinates (d, n) -> (d, n) in m, m/s.
+        mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
+    """
+
+    name: str
+    mesh: Any
+    degree: int = 2
+    density: float = 1.0
+    elastic: Callable[[Any, Any, Any], Any] = None  # type: ignore[assignment]
+    frame: MeanAxis | Attached = MeanAxis()
+    velocity: Vector | None = None
+    angular_velocity: Any = None
+    displacement: Callable[[Array], Array] | None = None
+    displacement_rate: Callable[[Array], Array] | None = None
+    mass_damping: float = 0.0
+    stiffness_damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = self.name
+        require(callable(self.elastic), f'Body "{n}": elastic must be a function (u, v, dx) -> UFL form.')
+        require(
+            bool(np.isfinite(self.density)) and self.density > 0,
+            f'Body "{n}": density {self.density} must be positive.',
+        )
+        require(self.degree in (1, 2, 3), f'Body "{n}": degree {self.degree} must be 1, 2 or 3.')
+        require(
+            self.mass_damping >= 0 and self.stiffness_damping >= 0,
+            f'Body "{n}": damping coefficients must not be negative.',
+        )
+        if isinstance(self.frame, Attached):
+            self.surface(self.frame.surface)
+
+    @property
+    def dim(self) -> int:
+        """Space dimension, from the mesh."""
+        return int(self.mesh.dim)
+
+    def surface(self, name: str) -> Surface:
+        """The named surface of the mesh."""
+        known = self.mesh.surface_names
+        if name not in known:
+            raise InputError(f'Body "{self.name}": no surface "{name}" in {self.mesh.label}. {near(name, known)}')
+        return Surface(self, name)
+
+    def forms(self) -> ElasticForms:
+        """What the field needs to know."""
+        return ElasticForms(self.elastic, self.density, self.degree, self.mass_damping, self.stiffness_damping)
+
+    def start_twist(self) -> Array:
+        """Rigid velocity of the centre of mass and angular velocity at the start, (n_twist,)."""
+        stand_in = RigidBody(
+            self.name,
+            1.0,
+            1.0 if self.dim == 2 else (1.0, 1.0, 1.0),
+            velocity=self.velocity,
+            angular_velocity=self.angular_velocity,
+        )
+        return stand_in.start_twist()
+
+    def with_(self, **changes: Any) -> FloatingBody:
+        """A copy with some arguments changed."""
+        return replace(self, **changes)

@@ -1,0 +1,63 @@
+"""The only place where versions of DOLFINx differ (0.9, 0.10, 0.11), and the checks of what was found."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .errors import FmbdError
+
+OLDEST = (0, 9)
+JIT_OPTIONS: dict[str, Any] = {"timeout": 600}  # wait for another process that compiles the same form
+
+
+def check_versions() -> None:
+    """Refuse a DOLFINx older than 0.9 and a complex PETSc, on all ranks alike."""
+    import dolfinx
+    from petsc4py import PETSc
+
+    refuse_unusable(dolfinx.__version__, np.dtype(PETSc.ScalarType).kind)
+
+
+def refuse_unusable(version: str, scalar_kind: str) -> None:
+    """Raise unless the DOLFINx version string and the kind of PETSc's scalars ("f" or "c") can be used."""
+    numbers = tuple(int(p) for p in version.split(".")[:2])
+    if numbers < OLDEST:
+        raise FmbdError(f"DOLFINx {version} is too old: fmbd_fenicsx needs 0.9 or newer. Use ./with-dolfinx.")
+    if scalar_kind != "f":
+        raise FmbdError(
+            "PETSc was built with complex numbers: fmbd_fenicsx needs the real build. "
+            "Set PETSC_DIR to a real build (Debian: python3-petsc4py-real), or use ./with-dolfinx."
+        )
+
+
+def model_to_mesh(model: Any, comm: Any, dim: int) -> tuple[Any, Any, Any]:
+    """Distribute the gmsh model of rank 0: mesh, cell tags, facet tags (None without facet groups); collective."""
+    from dolfinx import mesh
+
+    try:
+        from dolfinx.io import gmsh as reader
+    except ImportError:
+        from dolfinx.io import gmshio as reader
+    try:
+        partitioner = mesh.create_cell_partitioner(mesh.GhostMode.shared_facet)
+    except TypeError:
+        partitioner = mesh.create_cell_partitioner(mesh.GhostMode.shared_facet, 2)
+    msh, cells, facets = reader.model_to_mesh(model, comm, 0, gdim=dim, partitioner=partitioner)[:3]
+    if facets is not None and comm.allreduce(len(facets.values)) == 0:
+        facets = None
+    return msh, cells, facets
+
+
+def geometry_dofmap(msh: Any) -> np.ndarray:
+    """Cell-to-node map of the mesh geometry, (n_cells, n_nodes)."""
+    g = msh.geometry
+    return np.asarray(g.dofmaps[0] if hasattr(g, "dofmaps") else g.dofmap)
+
+
+def form(ufl_form: Any) -> Any:
+    """Compile a UFL form; collective. Waits for other processes that compile the same form."""
+    from dolfinx import fem
+
+    return fem.form(ufl_form, jit_options=dict(JIT_OPTIONS))

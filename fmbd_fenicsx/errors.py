@@ -1,0 +1,62 @@
+"""Errors of the package.
+
+Each message says what happened, where (body, joint, time), what was found and what to do about it.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class FmbdError(Exception):
+    """Any error that this package raises on purpose."""
+
+    exit_code = 70
+
+
+class InputError(FmbdError, ValueError):
+    """A value that a user passed cannot be right."""
+
+    exit_code = 2
+
+
+class MeshError(InputError):
+    """A mesh file, a physical group or a cell is not usable."""
+
+
+class ConstraintError(FmbdError):
+    """Constraints contradict each other, are redundant, or cannot be assembled."""
+
+    exit_code = 71
+
+
+class LinearSolveError(FmbdError):
+    """A linear solve failed its residual test."""
+
+    exit_code = 71
+
+
+class ConvergenceError(FmbdError):
+    """Newton's iteration or the step control gave up."""
+
+    exit_code = 71
+
+
+class CallbackError(InputError):
+    """A function given by the user returned something unusable."""
+
+
+def near(name: str, known: Iterable[str]) -> str:
+    """A sentence with the known names, the closest first: ``Did you mean "pin"? Known: "pin", "tip".``"""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    hint = f'Did you mean "{close[0]}"? ' if close else ""
+    listed = ", ".join(f'"{k}"' for k in known) or "none"
+    return f"{hint}Known: {listed}."
+
+
+def require(condition: bool, message: str) -> None:
+    """Raise :class:`InputError` with the message unless the condition holds."""
+    if not condition:
+        raise InputError(message)

@@ -1,0 +1,193 @@
+"""Displacement fields of elastic bodies: UFL forms in, constant matrices and nodal arrays out.
+
+For displacements u in V_h (Lagrange, any degree) with nodal values U and material points X, in body axes,
+
+    M_ij = int rho phi_i phi_j,   K = elastic form a(u, v),   Q = [M 1_k, M (e_k x X)]                       (1)
+
+and, for every surface in use, the moments b_0, b_k of :mod:`.frames` as rows T of weights on its nodes. All of it is
+assembled once. Arrays hold the nodes that this rank owns; sums over all ranks are made in a fixed order, so that
+replicated numbers are equal on all ranks to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from .errors import InputError
+from .log import together
+from .rotations import Array, motions
+from .surfaces import Moments
+
+
+def rank_sum(comm: Any, x: Array) -> Array:
+    """Sum over ranks in the order of ranks: the same bits everywhere; collective."""
+    if comm.size == 1:
+        return x
+    return np.sum(comm.allgather(x), axis=0)
+
+
+@dataclass(frozen=True)
+class ElasticForms:
+    """What a user says of an elastic body: the bilinear elastic form a(u, v, dx), density, degree, Rayleigh damping."""
+
+    elastic: Callable[[Any, Any, Any], Any]
+    density: float
+    degree: int
+    mass_damping: float = 0.0  # 1/s
+    stiffness_damping: float = 0.0  # s
+
+
+class Field:
+    """Matrices and nodal data of one displacement field on one mesh; collective to build.
+
+    Attributes: ``X`` (n, d) owned nodes (m, relative to the centre of mass), ``mass_total`` (kg), ``center`` (d,),
+    ``inertia`` (n_rot, n_rot) about the centre of mass, ``Q`` (n d, n_twist), ``n`` owned nodes.
+    """
+
+    def __init__(self, name: str, mesh: Any, forms: ElasticForms) -> None:
+        import dolfinx.fem.petsc as fp
+        import ufl
+        from dolfinx import fem
+
+        from . import dolfinx_compat as compat
+
+        compat.check_versions()
+        self.name, self.forms, self.mesh = name, forms, mesh
+        msh = mesh.dolfinx
+        self.comm = msh.comm
+        self.dim = d = mesh.dim
+        self.motions = motions(d)
+        self.space = fem.functionspace(msh, ("Lagrange", forms.degree, (d,)))
+        scalar = fem.functionspace(msh, ("Lagrange", forms.degree))
+        same = np.array_equal(self.space.dofmap.list, scalar.dofmap.list)
+        together(self.comm, None if same else RuntimeError("DOLFINx numbered scalar and vector spaces differently"))
+        dx = ufl.Measure("dx", domain=msh)
+        p, q = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
+        rho = fem.Constant(msh, float(forms.density))
+        self.M = fp.assemble_matrix(compat.form(rho * p * q * dx))
+        self.M.assemble()
+        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        try:
+            a = forms.elastic(u, v, dx)
+            self._stiffness_form = compat.form(a)
+        except Exception as error:
+            raise InputError(
+                f'Body "{name}": elastic(u, v, dx) did not give a bilinear UFL form: {type(error).__name__}: {error}'
+            ) from error
+        self.K = fp.create_matrix(self._stiffness_form, "baij")
+        fp.assemble_matrix(self.K, self._stiffness_form)
+        self.K.assemble()
+        self._mass_form = compat.form(rho * ufl.inner(u, v) * dx)
+        self.n = self.space.dofmap.index_map.size_local
+        self.n_global = self.space.dofmap.index_map.size_global * d
+        self._work = [self.M.createVecRight(), self.M.createVecLeft()]
+        self._big = [self.K.createVecRight(), self.K.createVecLeft()]
+        self._rigid_properties()
+        self._check_stiffness()
+
+    # -- products -----------------------------------------------------------------------------------------------
+    def mass(self, A: Array) -> Array:
+        """M A for nodal vectors, (n, d) -> (n, d)."""
+        x, y = self._work
+        out = np.empty_like(A)
+        for k in range(self.dim):
+            x.array[:] = A[:, k]
+            self.M.mult(x, y)
+            out[:, k] = y.array
+        return out
+
+    def stiffness(self, U: Array) -> Array:
+        """K U, (n d,) -> (n d,)."""
+        x, y = self._big
+        x.array[:] = U
+        self.K.mult(x, y)
+        return y.array.copy()
+
+    def total(self, x: Array) -> Array:
+        """Sum of a rank-local contribution over the ranks."""
+        return rank_sum(self.comm, x)
+
+    def points(self, U: Array) -> Array:
+        """P = X + U, (n, d)."""
+        return self.X + U.reshape(-1, self.dim)
+
+    def combination(self, cm: float, ck: float) -> Any:
+        """The PETSc matrix cm M + ck K (symmetric, aij); collective. The caller destroys it."""
+        import dolfinx.fem.petsc as fp
+
+        E = fp.create_matrix(self._stiffness_form)
+        E.zeroEntries()
+        fp.assemble_matrix(E, self._mass_form)
+        E.assemble()
+        E.scale(cm / ck)
+        fp.assemble_matrix(E, self._stiffness_form)
+        E.assemble()
+        E.scale(ck)
+        return E
+
+    # -- constants ----------------------------------------------------------------------------------------------
+    def _rigid_properties(self) -> None:
+        d, m = self.dim, self.motions
+        x = self.space.tabulate_dof_coordinates()[: self.n, :d]
+        one = self.mass(np.ones((self.n, d)))
+        self.mass_total = float(self.total(np.array(one[:, 0].sum())))
+        self.center = self.total((one * x).sum(0)) / self.mass_total
+        self.X = x - self.center
+        self.X_world = x
+        low = self.comm.allgather(x.min(0) if self.n else np.full(d, np.inf))
+        high = self.comm.allgather(x.max(0) if self.n else np.full(d, -np.inf))
+        self.size = float(np.linalg.norm(np.max(high, axis=0) - np.min(low, axis=0)))
+        Q = np.zeros((self.n, d, m.n_twist))
+        for k in range(d):
+            Q[:, k, k] = one[:, 0]
+        for k in range(m.n_rot):
+            w = np.zeros((1, m.n_rot))
+            w[0, k] = 1.0
+            Q[:, :, d + k] = self.mass(m.spin(w, self.X))
+        self.Q = Q.reshape(self.n * d, m.n_twist)
+        J = np.empty((m.n_rot, m.n_rot))
+        for k in range(m.n_rot):
+            J[:, k] = m.moment(self.X, Q[:, :, d + k]).sum(0)
+        self.inertia = self.total(J)
+
+    def _check_stiffness(self) -> None:
+        """Symmetry of the elastic form, and its energy under rigid displacements, by random products."""
+        rng = np.random.default_rng(7 + self.comm.rank)
+        u, v = rng.standard_normal((2, self.n * self.dim))
+        Ku, Kv = self.stiffness(u), self.stiffness(v)
+        vKu, uKv, scale = self.total(np.array([v @ Ku, u @ Kv, np.abs(v) @ np.abs(Ku)]))
+        if not np.isfinite(vKu):
+            raise InputError(f'Body "{self.name}": the elastic form has entries that are not finite.')
+        if abs(vKu - uKv) > 1e-9 * scale:
+            raise InputError(
+                f'Body "{self.name}": the elastic form is not symmetric: a(u, v) - a(v, u) = {vKu - uKv:.2e} for random '
+                f"u, v of size a = {scale:.2e}. Write the stress with the symmetric gradient of u and pair it with that of v."
+            )
+        uKu, vKv = self.total(np.array([u @ Ku, v @ Kv]))
+        if uKu <= 0 or vKv <= 0:
+            raise InputError(
+                f'Body "{self.name}": the elastic form is not positive (a(u, u) = {min(uKu, vKv):.2e}). '
+                "Check the signs of the moduli (E > 0, -1 < nu < 0.5)."
+            )
+
+    @cached_property
+    def moments(self) -> Callable[[str], Moments]:
+        """Moments of a named surface, assembled at first use: ``field.moments("pin")``; collective."""
+        cache: dict[str, Moments] = {}
+
+        def of(surface: str) -> Moments:
+            if surface not in cache:
+                cache[surface] = Moments(self.space, self.mesh, surface, self.center, self.n)
+            return cache[surface]
+
+        return of
+
+    def destroy(self) -> None:
+        """Free the PETSc objects; collective."""
+        for x in (self.M, self.K, *self._work, *self._big):
+            x.destroy()

@@ -1,0 +1,189 @@
+"""The solver of a constrained step: elastic blocks by their own factors, the rest by a Schur complement on the core.
+
+With E = cm M + ck K of a field, H = [Q, ports] its constant columns and S(q) the small matrix that couples them to the core
+unknowns x = (frames, multipliers), the step's system and its solution are
+
+    [ E      H S ] [ dU ]   [ b_u ]        z = E^-1 b_u,   (A - S^T W S) x = b_x - S^T H^T z,   dU = z - Y S x
+    [ S^T H^T  A ] [ x  ] = [ b_x ]        Y = E^-1 H,     W = H^T Y                                            (1)
+
+E is factored, Y and W are computed once for a ratio cm : ck. One step costs one back-solve per iteration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..rotations import Array
+from ..system import Evaluation, System
+from .core import CoreSolver
+from .residual import Judge
+from .spd import CholeskyFactor, MassInverse
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The step's matrix is cm M + cd C + ck K."""
+
+    cm: float
+    cd: float
+    ck: float
+
+
+@dataclass
+class Block:
+    """Factor and constant columns of one field for one ratio cm : ck."""
+
+    factor: Any
+    used: np.ndarray  # port numbers that have a column
+    Y: Array  # (n d, n_twist + len(used))
+    W: Array
+
+
+class StepSolver:
+    """Solves cm M + cd C + ck K with the constraints of a system; one object for a whole run; collective."""
+
+    def __init__(self, system: System, redundant: bool = False) -> None:
+        self.system = system
+        self.core = CoreSolver(Judge("the core of the system"), redundant)
+        self.factorisations = 0
+        self._blocks: dict[tuple[float, float], list[Block]] = {}
+        self._retired: list[Any] = []
+        self._key: tuple[float, float] | None = None
+
+    @property
+    def back_solves(self) -> int:
+        """Right-hand sides solved with elastic factors so far."""
+        live = [b.factor for blocks in self._blocks.values() for b in blocks]
+        return sum(f.judge.solves for f in live) + sum(self._retired)
+
+    @property
+    def worst_residual(self) -> float:
+        """Largest relative residual of any accepted solve."""
+        worst = [b.factor.judge.worst for blocks in self._blocks.values() for b in blocks]
+        return max([self.core.judge.worst, *worst])
+
+    def prepare(self, ev: Evaluation, weights: Weights, stiffness: Any = None) -> None:
+        """Set up (1) for a configuration; elastic factors are kept from earlier calls with the same weights.
+
+        ``stiffness``: extra core matrix (n_core, n_core), already weighted (springs, geometric terms), or None.
+        """
+        s = self.system
+        w = self.weights = weights
+        G = ev.jacobian
+        A = self._core_matrix(ev, w)
+        if stiffness is not None:
+            A = A + stiffness
+        if not s.fields:
+            self._G = G
+            self.core.factor(A, G.core)
+            return
+        self._ev, self._G = ev, G
+        self.blocks = self._elastic(G, w)
+        n, m = s.n_core, s.n_lam
+        A = A.toarray() if sp.issparse(A) else A.copy()
+        core_G = G.core.toarray() if sp.issparse(G.core) else G.core.copy()
+        C = np.zeros((m, m))
+        self._S = []
+        for k, (f, block) in enumerate(zip(s.fields, self.blocks, strict=True)):
+            S = self._coupling(ev, k, block, w.cm)
+            self._S.append(S)
+            WS = S.T @ block.W @ S
+            A -= WS[:n, :n]
+            core_G = core_G - WS[n:, :n]
+            C -= WS[n:, n:]
+        self.core.factor(A, core_G, C)
+
+    def _core_matrix(self, ev: Evaluation, w: Weights) -> Any:
+        """cm times the mass of rigid bodies and of the frames of elastic ones (at U = 0)."""
+        s, n = self.system, self.system.motions.n_twist
+        M = np.zeros((s.n_frames, n, n))
+        if s.rigid is not None:
+            M[s.rigid.frame] = w.cm * s.rigid.matrices()
+        for f in s.fields:
+            M[f.frame] = w.cm * f.frame_mass()
+        if s.n_core**2 > 10 * 20_000 or sp.issparse(ev.jacobian.core):
+            index = np.arange(s.n_frames)
+            return sp.bsr_matrix((M, index, np.arange(s.n_frames + 1)), shape=(s.n_core, s.n_core)).tocsr()
+        out = np.zeros((s.n_frames, n, s.n_frames, n))
+        out[range(s.n_frames), :, range(s.n_frames)] = M
+        return out.reshape(s.n_core, s.n_core)
+
+    def _elastic(self, G: Any, w: Weights) -> list[Block]:
+        """Factors and constant columns of all fields, from the cache or new."""
+        key = (w.cm, w.ck)
+        if key in self._blocks:
+            return self._blocks[key]
+        s = self.system
+        blocks = []
+        for k, f in enumerate(s.fields):
+            forms = f.field.forms
+            cm, ck = w.cm + w.cd * forms.mass_damping, w.ck + w.cd * forms.stiffness_damping
+            factor: Any = MassInverse(f.field, cm) if ck == 0 else CholeskyFactor(f.field, cm, ck)
+            self.factorisations += ck != 0
+            active = np.abs(G.port[:, s.port_slice(k)]).max(axis=0) > 0
+            if f.mean_axis:
+                active[: f.n_frame_rows] = False  # the same columns as Q
+            used = np.flatnonzero(active)
+            H = np.concatenate((f.field.Q, f.port_columns(used)), axis=1)
+            Y = factor.solve_columns(H)
+            W = f.field.total(H.T @ Y)
+            blocks.append(Block(factor, used, Y, 0.5 * (W + W.T)))
+        self._drop(keep=1)
+        self._blocks[key] = blocks
+        return blocks
+
+    def _drop(self, keep: int) -> None:
+        """Free all but the newest ``keep`` sets of factors."""
+        while len(self._blocks) > keep:
+            old = self._blocks.pop(next(iter(self._blocks)))
+            for b in old:
+                self._retired.append(b.factor.judge.solves)
+                b.factor.destroy()
+
+    def _coupling(self, ev: Evaluation, k: int, block: Block, cm: float) -> Array:
+        """S of field k: (n_twist + used, n_core + n_lam)."""
+        s = self.system
+        f, n, d = s.fields[k], s.motions.n_twist, s.motions.dim
+        S = np.zeros((n + len(block.used), s.n_core + s.n_lam))
+        at = f.frame * n
+        S[:d, at : at + d] = cm * ev.rotation[f.frame].T
+        S[d:n, at + d : at + n] = cm * np.eye(n - d)
+        if f.mean_axis:
+            rows = s.frame_rows[k]
+            S[:n, s.n_core + rows.start : s.n_core + rows.stop] = np.eye(n)
+        S[n:, s.n_core :] = self._G.port[:, s.port_slice(k).start + block.used].T
+        return S
+
+    def _project(self, k: int, block: Block, z: Array) -> Array:
+        """H^T z of field k."""
+        f = self.system.fields[k]
+        ports = f.ports_of(z)
+        q = ports[: f.n_frame_rows] if f.mean_axis else f.field.total(f.field.Q.T @ z)
+        return np.concatenate((q, ports[block.used]))
+
+    def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """Increment like v and multiplier increment (n_lam,) for right-hand sides b (like v) and c (n_lam,)."""
+        s = self.system
+        if not s.fields:
+            return self.core.solve(b, c)
+        n = s.n_core
+        rhs = np.concatenate((b[:n], c))
+        zs = []
+        for k, block in enumerate(self.blocks):
+            z = block.factor.solve(s.local_v(b, k))
+            rhs -= self._S[k].T @ self._project(k, block, z)
+            zs.append(z)
+        x = np.concatenate(self.core.solve(rhs[:n], rhs[n:]))
+        parts = [x[:n]]
+        for k, (block, z) in enumerate(zip(self.blocks, zs, strict=True)):
+            parts.append(z - block.Y @ (self._S[k] @ x))
+        return np.concatenate(parts), x[n:]
+
+    def destroy(self) -> None:
+        """Free all factors; collective."""
+        self._drop(keep=0)
+

@@ -1,0 +1,206 @@
+"""Checked reading of gmsh meshes: named volumes and surfaces, one clear error on all ranks when something is wrong.
+
+A mesh script is a Python file with a function ``build(gmsh, **parameters)`` that makes a model with named physical groups;
+a ``.msh`` file (format 2 or 4) works as well. Everything is checked on rank 0 and the outcome is sent to all ranks before
+the mesh is distributed.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import dolfinx_compat as compat
+from .errors import MeshError, near
+from .log import together
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A distributed mesh of one body with named surfaces.
+
+    Attributes: ``dolfinx`` the mesh, ``facet_tags`` its MeshTags, ``surfaces`` name -> tag, ``volume`` name of the solid group,
+    ``label`` what messages call it.
+    """
+
+    dolfinx: Any
+    facet_tags: Any
+    surfaces: dict[str, int]
+    volume: str
+    label: str
+
+    @property
+    def dim(self) -> int:
+        """Space dimension, equal to the cells' dimension."""
+        return int(self.dolfinx.geometry.dim)
+
+    @property
+    def surface_names(self) -> list[str]:
+        """Names of the surfaces, sorted."""
+        return sorted(self.surfaces)
+
+    def surface_tag(self, name: str) -> int:
+        """Tag of a named surface."""
+        if name not in self.surfaces:
+            raise MeshError(f'No surface "{name}" in {self.label}. {near(name, self.surfaces)}')
+        return self.surfaces[name]
+
+
+def read_gmsh(source: str | Path, *, volume: str | None = None, comm: Any = None, **parameters: Any) -> Mesh:
+    """Read one body from a mesh script (``.py``) or a ``.msh`` file; collective over ``comm`` (default COMM_WORLD).
+
+    Args:
+        source: path of the script or file.
+        volume: name of the solid's physical group; needed when the file holds several.
+        parameters: passed to the script's ``build`` (say ``h=0.05``, ``dim=2``).
+
+    Raises:
+        MeshError: file missing, no or duplicated or unnamed groups, only surfaces meshed, cells inverted or degenerate.
+    """
+    import gmsh
+    from mpi4py import MPI
+
+    compat.check_versions()
+    comm = MPI.COMM_WORLD if comm is None else comm
+    path = Path(source)
+    error, found = None, None
+    if comm.rank == 0:
+        try:
+            found = _load(gmsh, path, parameters, volume)
+        except Exception as exc:  # sent to all ranks
+            error = exc if isinstance(exc, MeshError) else MeshError(f"{path}: {type(exc).__name__}: {exc}")
+    try:
+        together(comm, error)
+        dim, name, groups, label = comm.bcast(found)
+        if not gmsh.isInitialized():
+            gmsh.initialize(interruptible=False)
+        msh, _, facets = compat.model_to_mesh(gmsh.model, comm, dim)
+    finally:
+        if gmsh.isInitialized():
+            gmsh.finalize()
+    msh.topology.create_connectivity(dim - 1, dim)
+    return Mesh(msh, facets, groups, name, label)
+
+
+def _load(gmsh: Any, path: Path, parameters: dict[str, Any], volume: str | None) -> tuple[int, str, dict[str, int], str]:
+    """Rank 0: build or open the model, check it, keep one body; returns dimension, volume name, surface tags, label."""
+    if not path.is_file():
+        raise MeshError(f"Mesh file {path} does not exist (looked in {Path.cwd()}).")
+    gmsh.initialize(interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    if path.suffix == ".py":
+        spec = importlib.util.spec_from_file_location(f"fmbd_mesh_{path.stem}", path)
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        if not hasattr(module, "build"):
+            raise MeshError(f"Mesh script {path} has no function build(gmsh, **parameters).")
+        module.build(gmsh, **parameters)
+    else:
+        if parameters:
+            raise MeshError(f"{path} is a finished mesh: parameters {sorted(parameters)} have no meaning for it.")
+        gmsh.open(str(path))
+    return check_model(gmsh.model, str(path), volume)
+
+
+def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, dict[str, int], str]:
+    """Check physical groups and cells of a meshed gmsh model; drop the groups of other bodies. Rank 0 only."""
+    groups = [(dim, tag, model.getPhysicalName(dim, tag)) for dim, tag in model.getPhysicalGroups()]
+    if not groups:
+        raise MeshError(f"{label}: no physical groups. Name the solid and its surfaces with addPhysicalGroup(..., name=...).")
+    dim = max(g[0] for g in groups)
+    listing = ", ".join(f'"{n}" (dim {k})' for k, _, n in groups)
+    unnamed = [(k, t) for k, t, n in groups if not n and k >= dim - 1]
+    if unnamed:
+        raise MeshError(f"{label}: physical groups {unnamed} (dim, tag) have no name. Named groups: {listing}.")
+    names = [(k, n) for k, _, n in groups]
+    twice = sorted({n for k, n in names if names.count((k, n)) > 1})
+    if twice:
+        raise MeshError(f"{label}: several physical groups are called {twice}. Give each group its own name.")
+    geometry = max((k for k, _ in model.getEntities()), default=dim)
+    if dim < 2 or dim < geometry:
+        raise MeshError(
+            f"{label}: the geometry has dimension {geometry} but the highest physical group has dimension {dim} ({listing}). "
+            "Put the solid into a physical group, else only its surface mesh arrives."
+        )
+    solids = [(t, n) for k, t, n in groups if k == dim]
+    if volume is not None and volume not in [n for _, n in solids]:
+        raise MeshError(f'{label}: no volume "{volume}". {near(volume, [n for _, n in solids])}')
+    if volume is None and len(solids) > 1:
+        raise MeshError(f"{label} holds several volumes: {[n for _, n in solids]}. Choose one with volume=...")
+    tag, name = next((t, n) for t, n in solids if volume in (None, n))
+    for t, n in solids:
+        if n != name:
+            model.removePhysicalGroups([(dim, t)])
+    entities = [int(e) for e in model.getEntitiesForPhysicalGroup(dim, tag)]
+    _check_cells(model, dim, entities, label, name)
+    own = {abs(int(t)) for e in entities for _, t in model.getBoundary([(dim, e)], oriented=False)}
+    surfaces = {}
+    for k, t, n in groups:
+        if k != dim - 1:
+            continue
+        parts = [int(e) for e in model.getEntitiesForPhysicalGroup(k, t)]
+        if own and not own.intersection(parts):
+            model.removePhysicalGroups([(k, t)])
+            continue
+        if not any(len(x) for e in parts for x in model.mesh.getElements(k, e)[1]):
+            raise MeshError(f'{label}: surface "{n}" has no facets. Mesh it, or remove the group.')
+        surfaces[n] = t
+    return dim, name, surfaces, label
+
+
+def _check_cells(model: Any, dim: int, entities: list[int], label: str, name: str) -> None:
+    """One sign of the Jacobian determinant in all cells, no zero volumes, one connected part."""
+    number, signs, first, links = 0, set(), None, []
+    bad = 0
+    reference = 0.0
+    for entity in entities:
+        types, tags, nodes = model.mesh.getElements(dim, entity)
+        for kind, cells, cell_nodes in zip(types, tags, nodes, strict=True):
+            points, _ = model.mesh.getIntegrationPoints(kind, "Gauss2")
+            _, det, x = model.mesh.getJacobians(kind, points, tag=entity)
+            per = len(points) // 3
+            det = np.asarray(det).reshape(-1, per)
+            x = np.asarray(x).reshape(-1, per, 3)
+            if not np.isfinite(det).all():
+                raise MeshError(f'{label}: volume "{name}" has cells with coordinates that are not finite.')
+            reference = reference or float(np.sign(np.median(det)))
+            wrong = np.flatnonzero((det * reference).min(axis=1) <= 1e-14 * np.abs(det).max())
+            if wrong.size and first is None:
+                first = (int(cells[wrong[0]]), x[wrong[0]].mean(0).round(6).tolist())
+            bad += wrong.size
+            signs.update(np.sign(det).ravel())
+            number += len(cells)
+            links.append(np.asarray(cell_nodes, dtype=np.int64).reshape(len(cells), -1))
+    if number == 0:
+        raise MeshError(f'{label}: volume "{name}" has no cells. Call gmsh.model.mesh.generate({dim}).')
+    if bad:
+        raise MeshError(
+            f'{label}: {bad} of {number} cells of volume "{name}" are inverted or degenerate (first: cell {first[0]} '  # type: ignore[index]
+            f"at {first[1]}). Remesh, or check the orientation of the geometry."  # type: ignore[index]
+        )
+    _check_connected(links, label, name)
+
+
+def _check_connected(links: list[np.ndarray], label: str, name: str) -> None:
+    """A body is one piece: cells joined through nodes."""
+    import scipy.sparse as sp
+    from scipy.sparse.csgraph import connected_components
+
+    top = max(int(c.max()) for c in links) + 1
+    rows = np.concatenate([np.repeat(c[:, 0], c.shape[1] - 1) for c in links])
+    cols = np.concatenate([c[:, 1:].ravel() for c in links])
+    graph = sp.coo_matrix((np.ones(len(rows)), (rows, cols)), shape=(top, top))
+    used = np.unique(np.concatenate([c.ravel() for c in links]))
+    count, part = connected_components(graph, directed=False)
+    parts = np.unique(part[used])
+    if len(parts) > 1:
+        sizes = [int((part[used] == p).sum()) for p in parts]
+        raise MeshError(
+            f'{label}: volume "{name}" consists of {len(parts)} separate parts ({sizes} nodes). '
+            "Fuse them in gmsh, or give each its own physical group and body."
+        )

@@ -1,0 +1,50 @@
+"""The plan of a scene: what exists, what is constant, what was left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .scene import Scene
+from .system import System
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Lists of what a run has (name, size), what stays constant during it, and what it does without."""
+
+    unknowns: tuple[tuple[str, int], ...]
+    constant: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+    def __str__(self) -> str:
+        width = max((len(n) for n, _ in self.unknowns), default=0)
+        lines = ["plan"]
+        lines += [f"  {n:<{width}}  {k:>9}" for n, k in self.unknowns]
+        lines += [f"  constant: {', '.join(self.constant)}", f"  left out: {', '.join(self.left_out)}"]
+        return "\n".join(lines)
+
+
+def make_plan(scene: Scene, system: System) -> Plan:
+    """Derive the plan from the scene and its system; no computation."""
+    unknowns = [("frames", system.n_core)]
+    unknowns += [(f"{f.name}.u", f.field.n_global) for f in system.fields]
+    unknowns += [(b.name, b.rows.stop - b.rows.start) for b in system.blocks]
+    constant, left = [], []
+    if system.fields:
+        constant += ["mass and stiffness", "trace weights", "one factor of cm M + ck K for each field and step size"]
+    if system.rigid is not None:
+        constant.append("masses and inertias of rigid bodies")
+    else:
+        left.append("rigid bodies")
+    if not system.fields:
+        left.append("elastic fields (no mesh library, no PETSc, no MPI)")
+    elif system.comm.size == 1:
+        left.append("communication between ranks")
+    if not scene.joints:
+        left.append("joints")
+    if not scene.forces:
+        left.append("applied forces")
+    if scene.gravity is None:
+        left.append("gravity")
+    left += ["contact", "modal reduction", "field multipliers"]
+    return Plan(tuple(unknowns), tuple(constant), tuple(left))

@@ -1,0 +1,322 @@
+"""The scene: what a user builds, and how it becomes a :class:`~fmbd_fenicsx.system.System`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from .bodies import Attached, FloatingBody, RigidBody, Surface
+from .constraints import Batch, Pair
+from .errors import CallbackError, InputError, near, require
+from .forces import Force
+from .frames import Markers
+from .joints import Joint, ground
+from .rotations import Array, Motions, motions
+from .sensors import Sensor
+from .system import RowBlock, State, System
+
+
+def smooth_step(t: float, duration: float) -> float:
+    """1 after ``duration``, 0 before 0, and 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 between: three continuous derivatives."""
+    if t >= duration:
+        return 1.0
+    s = max(t / duration, 0.0)
+    return s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
+
+
+@dataclass
+class Scene:
+    """Bodies, joints, forces and sensors under gravity.
+
+    Args:
+        name: what messages call the scene.
+        gravity: acceleration in m/s^2, world axes, (d,) or (3,); None for no gravity.
+        gravity_ramp: duration (s) of a smooth switch-on of gravity; 0 for gravity from the start.
+    """
+
+    name: str
+    gravity: Sequence[float] | None = None
+    gravity_ramp: float = 0.0
+    bodies: dict[str, Any] = field(default_factory=dict)
+    joints: dict[str, Joint] = field(default_factory=dict)
+    forces: dict[str, Force] = field(default_factory=dict)
+    sensors: dict[str, Sensor] = field(default_factory=dict)
+
+    def add(self, *parts: Any) -> None:
+        """Add bodies, joints and forces; names must be unique among each."""
+        for part in parts:
+            if isinstance(part, RigidBody | FloatingBody):
+                self._put(self.bodies, part, "body")
+            elif isinstance(part, Joint):
+                self._put(self.joints, part, "joint")
+            elif isinstance(part, Force):
+                self._put(self.forces, part, "force")
+            else:
+                raise InputError(f"A scene takes bodies, joints and forces; found {part!r}.")
+
+    def sensor(self, name: str, quantity: Sensor) -> str:
+        """Record a quantity in every run, say ``scene.sensor("tip", fmbd.position(rod.surface("tip")))``; returns the name."""
+        require(name not in self.sensors, f'Two sensors are called "{name}".')
+        require(isinstance(quantity, Sensor), f'Sensor "{name}": expected a quantity such as fmbd.position(...).')
+        self.sensors[name] = quantity
+        return name
+
+    def _put(self, where: dict[str, Any], part: Any, what: str) -> None:
+        require(part.name not in where and part.name != "ground", f'Two {what}s are called "{part.name}".')
+        where[part.name] = part
+
+    def build(self) -> tuple[System, State, dict[str, int]]:
+        """The system, its state as given (not yet consistent), and the marker of each sensor; collective."""
+        return _Builder(self).build()
+
+    @property
+    def dim(self) -> int:
+        """Space dimension of all bodies."""
+        dims = {b.dim for b in self.bodies.values()}
+        require(bool(dims), f'Scene "{self.name}" has no body.')
+        require(len(dims) == 1, f'Scene "{self.name}" mixes bodies of dimensions {sorted(dims)}.')
+        return int(dims.pop())
+
+
+class _Builder:
+    """Turns a scene into arrays; lives only during :meth:`Scene.build`."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.m: Motions = motions(scene.dim)
+        self.frame_of: dict[str, int] = {}
+        self.poses: list[Array] = []
+        self.twists: list[Array] = []
+        self.part_of: dict[str, int] = {}
+        self.fields: list[Any] = []
+        self.keys: list[tuple[int, Array, Array, Any]] = []  # markers: frame, position, rotation, surface or None
+
+    def build(self) -> tuple[System, State, dict[str, int]]:
+        scene = self.scene
+        self._check()
+        moving = [b for b in scene.bodies.values() if not getattr(b, "locked", False)]
+        elastic = [b for b in moving if isinstance(b, FloatingBody)]
+        for body in moving:
+            self.frame_of[body.name] = len(self.poses)
+            self.poses.append(np.zeros(0))
+            self.twists.append(body.start_twist())
+        used = self._surfaces_in_use()
+        for body in elastic:
+            self._add_field(body, used[body.name])
+        rigid = [b for b in moving if isinstance(b, RigidBody)]
+        for body in rigid:
+            self.poses[self.frame_of[body.name]] = body.start_pose()
+        batches, blocks = self._constraints()
+        forces = tuple((f, *self._force_markers(f)) for f in scene.forces.values())
+        sensor_markers = {n: self._sensor_marker(s) for n, s in scene.sensors.items()}
+        markers = self._markers()
+        system = System(
+            motions=self.m,
+            frame_names=tuple(b.name for b in moving),
+            rigid=self._rigid_block(rigid),
+            fields=tuple(self.fields),
+            markers=markers,
+            batches=tuple(batches),
+            forces=forces,
+            gravity=self._gravity(),
+            blocks=tuple(blocks),
+            length=self._length(),
+            mass=sum(b.mass for b in rigid) + sum(f.field.mass_total for f in self.fields),
+            ground=self.m.identity[None],
+        )
+        return system, self._state(system, elastic), sensor_markers
+
+    # -- checks -------------------------------------------------------------------------------------------------
+    def _check(self) -> None:
+        scene = self.scene
+        for joint in scene.joints.values():
+            for side in (joint.a, joint.b):
+                self._known(side, f'Joint "{joint.name}"')
+        for force in scene.forces.values():
+            for side in (force.a, force.b):
+                if side is not None:
+                    self._known(side, f'Force "{force.name}"')
+        for body in scene.bodies.values():
+            if isinstance(body, FloatingBody) and body.frame is None:
+                raise InputError(
+                    f'Body "{body.name}" has no frame: its rigid motion is not determined. Use frame=MeanAxis() or Attached(...).'
+                )
+
+    def _known(self, side: Any, what: str) -> None:
+        if side is ground:
+            return
+        body = side.body if isinstance(side, Surface) else side
+        found = self.scene.bodies.get(getattr(body, "name", ""))
+        if found is not body:
+            raise InputError(
+                f"{what} refers to {side!r}, which is not in the scene. {near(getattr(body, 'name', ''), self.scene.bodies)}"
+            )
+        if isinstance(side, FloatingBody):
+            raise InputError(
+                f'{what}: attach to a surface of the elastic body "{body.name}", say {body.name}.surface("...").'
+            )
+
+    def _surfaces_in_use(self) -> dict[str, list[str]]:
+        used: dict[str, list[str]] = {n: [] for n in self.scene.bodies}
+        sides = [s for j in self.scene.joints.values() for s in (j.a, j.b)]
+        sides += [s for f in self.scene.forces.values() for s in (f.a, f.b)]
+        sides += [s.on for s in self.scene.sensors.values()]
+        for side in sides:
+            if isinstance(side, Surface) and side.name not in used[side.body.name]:
+                used[side.body.name].append(side.name)
+        return used
+
+    # -- bodies -------------------------------------------------------------------------------------------------
+    def _add_field(self, body: FloatingBody, surfaces: list[str]) -> None:
+        from .fields import Field
+        from .placements import FloatingField
+
+        attached = body.frame.surface if isinstance(body.frame, Attached) else None
+        field_ = Field(body.name, body.mesh, body.forms())
+        frame = self.frame_of[body.name]
+        self.part_of[body.name] = len(self.fields)
+        self.fields.append(FloatingField(field_, frame, surfaces, attached))
+        self.poses[frame] = self.m.pose(field_.center)
+
+    def _rigid_block(self, rigid: list[RigidBody]) -> Any:
+        from .placements import RigidBlock
+
+        if not rigid:
+            return None
+        return RigidBlock(
+            self.m,
+            np.array([self.frame_of[b.name] for b in rigid]),
+            np.array([float(b.mass) for b in rigid]),
+            np.array([b.inertia_matrix for b in rigid]),
+        )
+
+    def _length(self) -> float:
+        points = [q[: self.m.dim] for q in self.poses]
+        points += [x for j in self.scene.joints.values() for x in (j.center_a, j.center_b) if x is not None]
+        spread = np.ptp(np.array(points), axis=0)
+        return max([float(np.linalg.norm(spread)), *(f.field.size for f in self.fields)]) or 1.0
+
+    def _gravity(self) -> Callable[[float], Array]:
+        d, ramp = self.m.dim, self.scene.gravity_ramp
+        g = np.zeros(d) if self.scene.gravity is None else np.asarray(self.scene.gravity, dtype=float)[:d]
+        require(
+            g.shape == (d,) and bool(np.isfinite(g).all()),
+            f'Scene "{self.scene.name}": gravity {self.scene.gravity} must be {d} finite numbers.',
+        )
+        require(ramp >= 0, f'Scene "{self.scene.name}": gravity_ramp {ramp} s must not be negative.')
+        if ramp == 0:
+            return lambda t: g
+        return lambda t: g * smooth_step(t, ramp)
+
+    # -- markers ------------------------------------------------------------------------------------------------
+    def _marker(self, side: Any, point: Array | None) -> int:
+        """Number of a new marker on an attachment at a world point (None: centroid or origin); world axes at the start."""
+        d = self.m.dim
+        if isinstance(side, Surface):
+            part = self.fields[self.part_of[side.body.name]]
+            moments = part.field.moments(side.name)
+            lever = np.zeros(d) if point is None else np.asarray(point)[:d] - moments.center
+            self.keys.append((part.frame, lever, np.eye(d), side))
+        elif side is ground:
+            self.keys.append((len(self.poses), np.zeros(d) if point is None else np.asarray(point)[:d], np.eye(d), None))
+        else:
+            locked = getattr(side, "locked", False)
+            pose = side.start_pose()
+            R = self.m.matrix(pose)
+            where = pose[:d] if point is None else np.asarray(point)[:d]
+            if locked:
+                self.keys.append((len(self.poses), where, np.eye(d), None))
+            else:
+                self.keys.append((self.frame_of[side.name], R.T @ (where - pose[:d]), R.T, None))
+        return len(self.keys) - 1
+
+    def _default_point(self, joint: Joint) -> Array | None:
+        """Where a joint without a center sits: the centroid of a surface, else the origin of its moving body."""
+        for side in (joint.a, joint.b):
+            if isinstance(side, Surface):
+                return self.fields[self.part_of[side.body.name]].field.moments(side.name).center
+        for side in (joint.b, joint.a):
+            if isinstance(side, RigidBody):
+                return side.start_pose()[: self.m.dim]
+        return None
+
+    def _markers(self) -> Markers:
+        d = self.m.dim
+        surface = [i for i, k in enumerate(self.keys) if k[3] is not None]
+        ports = []
+        for i in surface:
+            side = self.keys[i][3]
+            k = self.part_of[side.body.name]
+            part = self.fields[k]
+            start = sum(f.n_port for f in self.fields[:k]) + part.n_frame_rows
+            names = self._surfaces_in_use()[side.body.name]
+            per = d * (1 + d)
+            start += names.index(side.name) * per
+            ports.append(np.arange(start, start + per))
+        n = len(self.keys)
+        return Markers(
+            self.m,
+            np.array([k[0] for k in self.keys], dtype=int),
+            np.array([k[1] for k in self.keys]).reshape(n, d),
+            np.array([k[2] for k in self.keys]).reshape(n, d, d),
+            np.array(surface, dtype=int),
+            np.array(ports, dtype=int).reshape(len(surface), d * (1 + d)),
+        )
+
+    def _force_markers(self, f: Force) -> tuple[int, int]:
+        a = self._marker(f.a, None if f.point_a is None else np.asarray(f.point_a, dtype=float))
+        b = a if f.b is None else self._marker(f.b, None if f.point_b is None else np.asarray(f.point_b, dtype=float))
+        return a, b
+
+    def _sensor_marker(self, s: Sensor) -> int:
+        if s.on is None:
+            return -1
+        self._known(s.on, "A sensor")
+        return self._marker(s.on, None if s.point is None else np.asarray(s.point, dtype=float))
+
+    # -- constraints ----------------------------------------------------------------------------------------------
+    def _constraints(self) -> tuple[list[tuple[Batch, np.ndarray]], list[RowBlock]]:
+        kinds: dict[type[Batch], tuple[list[Pair], list[int]]] = {}
+        blocks, row = [], 0
+        for joint in self.scene.joints.values():
+            default = self._default_point(joint)
+            a = self._marker(joint.a, default if joint.center_a is None else joint.center_a)
+            b = self._marker(joint.b, default if joint.center_b is None else joint.center_b)
+            first = row
+            for r in joint.rows:
+                pairs, rows = kinds.setdefault(r.kind, ([], []))
+                pairs.append(Pair(r.kind, a, b, r.direction, r.other, joint.length, r.motion, r.axis))
+                rows.append(row)
+                row += 1
+            blocks.append(RowBlock(joint.name, slice(first, row), joint.kind))
+        for part in self.fields:
+            blocks.append(RowBlock(f"frame of {part.name}", slice(row, row + part.n_frame_rows), "frame"))
+            row += part.n_frame_rows
+        return [(kind(self.m, p), np.array(r)) for kind, (p, r) in kinds.items()], blocks
+
+    # -- start ----------------------------------------------------------------------------------------------------
+    def _state(self, system: System, elastic: list[FloatingBody]) -> State:
+        q, v = [p for p in self.poses], [w for w in self.twists]
+        for body in elastic:
+            part = self.fields[self.part_of[body.name]]
+            q.append(_initial(body, body.displacement, part.field, "displacement"))
+            v.append(_initial(body, body.displacement_rate, part.field, "displacement_rate"))
+        zero = np.zeros(system.n_v)
+        return State(0.0, np.concatenate(q), np.concatenate(v), zero, np.zeros(system.n_lam))
+
+
+def _initial(body: FloatingBody, function: Callable[[Array], Array] | None, field_: Any, what: str) -> Array:
+    """Nodal values of an initial field given as a function of world coordinates (d, n) -> (d, n)."""
+    if function is None:
+        return np.zeros(field_.n * field_.dim)
+    found = np.asarray(function(field_.X_world.T), dtype=float)
+    if found.shape != (field_.dim, field_.n):
+        raise CallbackError(
+            f'Body "{body.name}": {what} returned shape {found.shape}, expected ({field_.dim}, {field_.n}).'
+        )
+    if not np.isfinite(found).all():
+        raise CallbackError(f'Body "{body.name}": {what} returned values that are not finite.')
+    return found.T.ravel().copy()

@@ -1,0 +1,147 @@
+"""Generalized-alpha on a Lie group, index-3 form.
+
+    q_n+1 = q_n o exp(h v_n + h^2 ((1/2 - beta) A_n + beta A_n+1))                                        (1)
+    v_n+1 = v_n + h ((1 - gamma) A_n + gamma A_n+1)                                                       (2)
+    (1 - alpha_m) A_n+1 + alpha_m A_n = (1 - alpha_f) a_n+1 + alpha_f a_n                                 (3)
+    M a + h + G^T lambda = 0,   g = 0     at t_n+1                                                        (4)
+
+A is the algorithmic acceleration; the alphas weight the *old* value. alpha_m = (2 rho - 1) / (rho + 1), alpha_f = rho / (rho + 1),
+gamma = 1/2 + alpha_f - alpha_m, beta = (gamma + 1/2)^2 / 4 with rho the spectral radius at infinite frequency. Newton solves for
+increments of q with the balance (4) multiplied by s = beta h^2 (1 - alpha_f) / (1 - alpha_m): the matrix is M + .. + s K and
+the multiplier s lambda, so its condition does not depend on h (Bottasso, Dopico and Trainelli, doi:10.1007/s11044-007-9051-9).
+
+Sources: Chung and Hulbert, doi:10.1115/1.2900803; Bruels, Cardona and Arnold, doi:10.1016/j.mechmachtheory.2011.07.017;
+Arnold and Bruels, doi:10.1007/s11044-007-9084-0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import ConvergenceError, require
+from ..linear.schur import StepSolver, Weights
+from ..newton import Newton
+from ..rotations import Array
+from ..system import State, System
+from .start import worst_block
+
+
+@dataclass(frozen=True)
+class GeneralizedAlpha:
+    """Scheme data: ``rho_inf`` in [0, 1), 1 is no damping at high frequencies, 0 the most.
+
+    rho_inf = 1 is refused: with index-3 constraints it is weakly unstable, roundoff in the multipliers grows until the run
+    fails (Cardona and Geradin, doi:10.1016/0045-7949(89)90050-9).
+    """
+
+    rho_inf: float = 0.8
+
+    def __post_init__(self) -> None:
+        require(
+            0.0 <= self.rho_inf < 1.0,
+            f"rho_inf = {self.rho_inf} is not usable: it must lie in [0, 1). At 1 the index-3 multipliers are weakly unstable "
+            "and grow until the run fails; 0.9 damps little.",
+        )
+
+    order = 2
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+        return f"generalized-alpha(rho_inf={self.rho_inf:g})"
+
+    @property
+    def parameters(self) -> tuple[float, float, float, float]:
+        """alpha_m, alpha_f, gamma, beta."""
+        rho = self.rho_inf
+        am, af = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
+        gamma = 0.5 + af - am
+        return am, af, gamma, 0.25 * (gamma + 0.5) ** 2
+
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+        """A run's worker, from a consistent state."""
+        return Stepper(self, system, solver, newton, state)
+
+
+class Stepper:
+    """Advances a consistent state; holds the algorithmic acceleration and the history of the predictor."""
+
+    def __init__(self, scheme: GeneralizedAlpha, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
+        self.state = state
+        self.A = self._first_algorithmic(state)
+        self._past: list[tuple[float, Array, Array]] = []
+        self.local_error = 0.0
+
+    def _first_algorithmic(self, state: State) -> Array:
+        return state.a.copy()
+
+    def _predict(self, h: float) -> tuple[Array, Array]:
+        """a and lambda extrapolated by the parabola through the last steps (less at the start)."""
+        s = self.state
+        t = s.t + h
+        points = [(s.t, s.a, s.lam), *self._past]
+        a, lam = np.zeros_like(s.a), np.zeros_like(s.lam)
+        for i, (ti, ai, li) in enumerate(points):
+            w = float(np.prod([(t - tj) / (ti - tj) for j, (tj, _, _) in enumerate(points) if j != i]))
+            a += w * ai
+            lam += w * li
+        return a, lam
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
+        system, s = self.system, self.state
+        am, af, gamma, beta = self.scheme.parameters
+        t = s.t + h
+        a, lam = self._predict(h)
+        scale = beta * h * h * (1 - af) / (1 - am)  # dq = scale da
+        fixed_a, fixed_v = h * s.v + h * h * (0.5 - beta) * self.A, s.v + h * (1 - gamma) * self.A
+
+        A = ((1 - af) * a + af * s.a - am * self.A) / (1 - am)
+        xi = fixed_a + h * h * beta * A
+        tolerance = self._tolerance(scale, a)
+        prepared = False
+        last = np.zeros(0)
+
+        def increment() -> float:
+            nonlocal a, lam, A, xi, prepared, last
+            q = system.compose(s.q, xi)
+            v = fixed_v + h * gamma * A
+            ev = system.at(t, q, v)
+            if not prepared:
+                self.solver.prepare(ev, Weights(1.0, h * gamma * (1 - af) / (1 - am), scale))
+                prepared = True
+            g = ev.constraint()
+            r = ev.balance(a, lam)
+            dq, dlam = self.solver.solve(-scale * r, -g)
+            lam = lam + dlam / scale
+            d_xi = system.rate(xi, dq)
+            xi = xi + d_xi
+            A = A + d_xi / (h * h * beta)
+            a = a + d_xi / scale
+            last = g
+            return system.max_abs(dq) / tolerance
+
+        converged, history = self.newton.solve(increment)
+        if not converged:
+            raise ConvergenceError(
+                f"Newton stopped at t = {t:.6g} s (h = {h:.3g} s): increments over tolerance "
+                + " -> ".join(f"{x:.1e}" for x in history)
+                + (f"; the largest open constraint is {worst_block(system, last)}" if last.size else "")
+                + f". Try a smaller dt{', or a smaller rho_inf' if self.scheme.rho_inf > 0.8 else ''}."
+            )
+        self.local_error = h * h * abs(beta - 1.0 / 6.0) * system.max_abs(A - self.A)
+        self._past = [(s.t, s.a, s.lam), *self._past][:2]
+        self.A = A
+        self.state = State(t, system.compose(s.q, xi), fixed_v + h * gamma * A, a, lam)
+        return self.state
+
+    def _tolerance(self, scale: float, a: Array) -> float:
+        """Size of a position increment that changes accelerations by Newton's relative tolerance, above roundoff."""
+        s = self.system
+        n = s.n_core
+        typical = float(np.abs(a[:n]).max(initial=0.0)) if n else s.max_abs(a)
+        floor = 64 * np.finfo(float).eps * s.length
+        return max(self.newton.tolerance * scale * max(typical, 1e-12 * s.length), floor)

@@ -1,0 +1,82 @@
+"""Sensors: named quantities recorded in every run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .bodies import Surface
+from .rotations import Array
+from .system import Evaluation, State
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """A quantity of one instant. ``on`` is the attachment whose marker it reads (None: none), ``unit`` labels axes."""
+
+    on: Any
+    unit: str
+    point: Sequence[float] | None = None
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """The value, a flat array; collective."""
+        raise NotImplementedError
+
+
+class Position(Sensor):
+    """World position of a point or of a surface's mean, (d,)."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        return ev.kin.x[marker].copy()
+
+
+class Velocity(Sensor):
+    """World velocity of a point or of a surface's mean, (d,)."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        assert ev.kin.twist is not None
+        return ev.kin.twist[marker, : ev.kin.x.shape[1]].copy()
+
+
+class Rotation(Sensor):
+    """Rotation since the start: the angle (plane, in (-pi, pi]) or the matrix row by row (space)."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        R = ev.kin.R[marker]
+        return np.array([np.arctan2(R[1, 0], R[0, 0])]) if R.shape[0] == 2 else R.ravel().copy()
+
+
+@dataclass(frozen=True, eq=False)
+class Reaction(Sensor):
+    """Multipliers of a joint: force (and torque) components on the first body, one a row of the joint."""
+
+    joint: str = ""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        for block in ev.system.blocks:
+            if block.name == self.joint:
+                return state.lam[block.rows].copy()
+        raise KeyError(self.joint)
+
+
+def position(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
+    """World position (m) of a point of a rigid body (world coordinates at the start), or of a surface's mean."""
+    return Position(on, "m", point)
+
+
+def velocity(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
+    """World velocity (m/s), as :func:`position`."""
+    return Velocity(on, "m/s", point)
+
+
+def rotation(on: Any | Surface) -> Sensor:
+    """Rotation of a body or surface since the start: angle (rad) in the plane, matrix (9 numbers) in space."""
+    return Rotation(on, "rad")
+
+
+def reaction(joint: Any) -> Sensor:
+    """Multipliers of a joint, (rows,): the force by the joint on its first body in the rows' directions (N, N m)."""
+    return Reaction(None, "N", None, joint if isinstance(joint, str) else joint.name)
