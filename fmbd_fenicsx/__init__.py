@@ -1,7 +1,7 @@
 """Computational flexible multibody dynamics on FEniCSx, by the differential-algebraic approach."""
 
 from . import errors, materials
-from .bodies import Attached, FloatingBody, MeanAxis, RigidBody, Surface
+from .bodies import Attached, CoordinateBody, FloatingBody, MeanAxis, RigidBody, Surface
 from .forces import Spring, force, torque
 from .joints import (
     cylindrical,
@@ -20,7 +20,7 @@ from .joints import (
 from .newton import Newton
 from .scene import Scene
 from .schemes.generalized_alpha import GeneralizedAlpha
-from .sensors import position, reaction, rotation, velocity
+from .sensors import coordinates, position, reaction, rotation, velocity
 from .solve import Output, Run, solve
 
 __version__ = "0.1.0"

@@ -200,3 +200,39 @@ class FloatingBody:
     def with_(self, **changes: Any) -> FloatingBody:
         """A copy with some arguments changed."""
         return replace(self, **changes)
+
+
+@dataclass(frozen=True, eq=False)
+class CoordinateBody:
+    """A body or mechanism given by its own equations: M(q) q'' = f(q, q', t) - G^T lambda, 0 = g(q, t).
+
+    Args:
+        name: what messages and sensors call it.
+        mass: M, (n, n), or a function q -> M(q).
+        force: f(q, v, t) -> (n,).
+        start, start_rate: q and q' at the start, (n,).
+        constraint: g(q, t) -> (m,), or None.
+        jacobian, gamma: dg/dq (q, t) -> (m, n), and the part of g'' without q'' (q, v, t) -> (m,); by complex-step
+            differences where missing.
+        potential: q -> J, for the energy balance; None counts as zero.
+    """
+
+    name: str
+    mass: Any
+    force: Callable[[Array, Array, float], Any]
+    start: Vector
+    start_rate: Vector | None = None
+    constraint: Callable[[Any, float], Any] | None = None
+    jacobian: Callable[[Array, float], Array] | None = None
+    gamma: Callable[[Array, Array, float], Array] | None = None
+    potential: Callable[[Array], float] | None = None
+    dim: int | None = None  # fits scenes of any dimension
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.start))
+        object.__setattr__(self, "start", _vector(self.start, n, f'Body "{self.name}": start'))
+        object.__setattr__(self, "start_rate", _vector(self.start_rate, n, f'Body "{self.name}": start_rate'))
+        M = np.asarray(self.mass(self.start) if callable(self.mass) else self.mass, dtype=float)
+        require(M.shape == (n, n), f'Body "{self.name}": mass has shape {M.shape}, expected ({n}, {n}).')
+        if np.abs(M - M.T).max(initial=0.0) > 1e-10 * np.abs(M).max(initial=0.0):
+            raise InputError(f'Body "{self.name}": the mass matrix is not symmetric.')

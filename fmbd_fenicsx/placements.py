@@ -14,11 +14,62 @@ sums taken once: m (r'' - g) and J w' + w x J w.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
 from .fields import Field
 from .rotations import Array, Motions, motions
+
+
+@dataclass(frozen=True)
+class FrameMotion:
+    """What a part needs of its frame: time (s), rotation (d, d), twist and its rate (n_twist,), gravity (d,), world axes."""
+
+    t: float
+    R: Array
+    twist: Array
+    accel: Array | None
+    gravity: Array
+
+
+class Part(Protocol):
+    """A block of local coordinates u of one body, beside the twist of its frame (the ground for absolute placements).
+
+    ``ports`` are linear functions of u that joints, forces and sensors see. ``distributed`` parts hold this rank's share of
+    a field; others are replicated and give their matrices to the core.
+    """
+
+    name: str
+    frame: int
+    n: int
+    n_port: int
+    n_frame_rows: int
+    distributed: bool
+    reference: Array
+    comm: Any
+    port_matrix: Array  # (n_port, n), replicated parts only
+
+    def ports_of(self, w: Array) -> Array:
+        """Ports of local coordinates, without the reference part; collective."""
+
+    def port_force(self, f: Array) -> Array:
+        """Transpose of ``ports_of``."""
+
+    def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """Rows of the frame (n_twist,) and of the local coordinates (n,) of M a + h; collective."""
+
+    def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
+        """Kinetic, elastic and weight energy, J; collective."""
+
+    def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Linear and angular momentum about the world origin; collective."""
+
+    def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
+        """Mass blocks (frame, frame), (local, frame), (local, local); the last two for replicated parts only."""
+
+    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Stiffness and damping of the local coordinates, (n, n) each; replicated parts only."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +127,10 @@ class FloatingField:
     """
 
     distributed = True
+    port_matrix = np.zeros((0, 0))
 
     def __init__(self, field: Field, frame: int, surfaces: list[str], attached: str | None) -> None:
-        self.field, self.frame, self.name = field, frame, field.name
+        self.field, self.frame, self.name, self.comm = field, frame, field.name, field.comm
         self.motions = motions(field.dim)
         self.n = field.n * field.dim
         self.surfaces = [field.moments(s) for s in surfaces]
@@ -132,13 +184,14 @@ class FloatingField:
         return out
 
     # -- mechanics ----------------------------------------------------------------------------------------------
-    def force(self, R: Array, twist: Array, accel: Array, local: tuple[Array, Array, Array], gravity: Array) -> tuple[Array, Array]:
+    def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of (2): the frame's (n_twist,), world translation and body rotation, and the field's (n d,); collective."""
-        m, d = self.motions, self.field.dim
+        m, d, R, accel = self.motions, self.field.dim, motion.R, motion.accel
+        assert accel is not None
         U, Ud, Udd = (x.reshape(-1, d) for x in local)
         P = self.field.X + U
-        w = twist[None, d:]
-        a = R.T @ (accel[:d] - gravity)
+        w = motion.twist[None, d:]
+        a = R.T @ (accel[:d] - motion.gravity)
         A = Udd + a + m.spin(accel[None, d:], P) + m.spin(w, m.spin(w, P) + 2.0 * Ud)
         F = self.field.mass(A)
         sums = self.field.total(np.concatenate((F.sum(0), m.moment(P, F).sum(0))))
@@ -153,35 +206,38 @@ class FloatingField:
         beta = self.field.forms.stiffness_damping
         return self.field.stiffness(U + beta * Ud if beta else U)
 
-    def frame_mass(self) -> Array:
-        """Mass block of the frame at U = 0: blockdiag(m 1, J)."""
+    def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
+        """Mass block of the frame at U = 0, blockdiag(m 1, J); the field's own blocks stay with its factor."""
         d, n = self.field.dim, self.motions.n_twist
         M = np.zeros((n, n))
         M[range(d), range(d)] = self.field.mass_total
         M[d:, d:] = self.field.inertia
-        return M
+        return M, np.zeros((0, n)), np.zeros((0, 0))
 
-    def energies(self, R: Array, pose: Array, twist: Array, local: tuple[Array, Array], gravity: Array) -> tuple[float, float, float]:
+    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """None in the core."""
+        return np.zeros((0, 0)), np.zeros((0, 0))
+
+    def _velocity(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        """Points P, nodal velocities W in body axes and M W."""
+        d = self.field.dim
+        P = self.field.points(local[0])
+        W = motion.R.T @ motion.twist[:d] + self.motions.spin(motion.twist[None, d:], P) + local[1].reshape(-1, d)
+        return P, W, self.field.mass(W)
+
+    def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic, elastic and weight energy, J; collective."""
-        m, d = self.motions, self.field.dim
-        U, Ud = local
-        P = self.field.points(U)
-        W = R.T @ twist[:d] + m.spin(twist[None, d:], P) + Ud.reshape(-1, d)
-        MW = self.field.mass(W)
-        MP = self.field.mass(P)
-        sums = self.field.total(
-            np.concatenate(([0.5 * float((W * MW).sum()), 0.5 * float(U @ self.field.stiffness(U))], MP.sum(0)))
-        )
-        weight = -float(gravity @ (self.field.mass_total * pose[:d] + R @ sums[2:]))
+        d, U = self.field.dim, local[0]
+        P, W, MW = self._velocity(motion, local)
+        kinetic, elastic = 0.5 * float((W * MW).sum()), 0.5 * float(U @ self.field.stiffness(U))
+        sums = self.field.total(np.concatenate(([kinetic, elastic], self.field.mass(P).sum(0))))
+        weight = -float(motion.gravity @ (self.field.mass_total * pose[:d] + motion.R @ sums[2:]))
         return float(sums[0]), float(sums[1]), weight
 
-    def momenta(self, R: Array, pose: Array, twist: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
+    def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
         """Linear and angular momentum about the world origin, world axes; collective."""
         m, d = self.motions, self.field.dim
-        U, Ud = local
-        P = self.field.points(U)
-        W = R.T @ twist[:d] + m.spin(twist[None, d:], P) + Ud.reshape(-1, d)
-        MW = self.field.mass(W)
+        P, _, MW = self._velocity(motion, local)
         sums = self.field.total(np.concatenate((MW.sum(0), m.moment(P, MW).sum(0))))
-        p = R @ sums[:d]
-        return p, m.moment(pose[:d], p) + m.turn(R, sums[d:])
+        p = motion.R @ sums[:d]
+        return p, m.moment(pose[:d], p) + m.turn(motion.R, sums[d:])

@@ -27,7 +27,7 @@ class Plan:
 def make_plan(scene: Scene, system: System) -> Plan:
     """Derive the plan from the scene and its system; no computation."""
     unknowns = [("frames", system.n_core)]
-    unknowns += [(f"{f.name}.u", f.field.n_global) for f in system.fields]
+    unknowns += [(f"{f.name}.u", f.field.n_global) for _, f in system.fields]
     unknowns += [(b.name, b.rows.stop - b.rows.start) for b in system.blocks]
     constant, left = [], []
     if system.fields:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from .bodies import Attached, FloatingBody, RigidBody, Surface
+from .bodies import Attached, CoordinateBody, FloatingBody, RigidBody, Surface
+from .coordinates import CoordinatePart, PortConstraint
 from .constraints import Batch, Pair
 from .errors import CallbackError, InputError, near, require
 from .forces import Force
@@ -48,7 +49,7 @@ class Scene:
     def add(self, *parts: Any) -> None:
         """Add bodies, joints and forces; names must be unique among each."""
         for part in parts:
-            if isinstance(part, RigidBody | FloatingBody):
+            if isinstance(part, RigidBody | FloatingBody | CoordinateBody):
                 self._put(self.bodies, part, "body")
             elif isinstance(part, Joint):
                 self._put(self.joints, part, "joint")
@@ -75,8 +76,8 @@ class Scene:
     @property
     def dim(self) -> int:
         """Space dimension of all bodies."""
-        dims = {b.dim for b in self.bodies.values()}
-        require(bool(dims), f'Scene "{self.name}" has no body.')
+        require(bool(self.bodies), f'Scene "{self.name}" has no body.')
+        dims = {b.dim for b in self.bodies.values() if b.dim is not None} or {2}
         require(len(dims) == 1, f'Scene "{self.name}" mixes bodies of dimensions {sorted(dims)}.')
         return int(dims.pop())
 
@@ -98,33 +99,39 @@ class _Builder:
         scene = self.scene
         self._check()
         moving = [b for b in scene.bodies.values() if not getattr(b, "locked", False)]
+        framed = [b for b in moving if not isinstance(b, CoordinateBody)]
         elastic = [b for b in moving if isinstance(b, FloatingBody)]
-        for body in moving:
+        own = [b for b in moving if isinstance(b, CoordinateBody)]
+        for body in framed:
             self.frame_of[body.name] = len(self.poses)
             self.poses.append(np.zeros(0))
             self.twists.append(body.start_twist())
         used = self._surfaces_in_use()
+        for body in own:
+            self.part_of[body.name] = len(self.fields)
+            self.fields.append(CoordinatePart(body, len(framed)))
         for body in elastic:
             self._add_field(body, used[body.name])
         rigid = [b for b in moving if isinstance(b, RigidBody)]
         for body in rigid:
             self.poses[self.frame_of[body.name]] = body.start_pose()
-        batches, blocks = self._constraints()
+        batches, port_rows, blocks = self._constraints()
         forces = tuple((f, *self._force_markers(f)) for f in scene.forces.values())
         sensor_markers = {n: self._sensor_marker(s) for n, s in scene.sensors.items()}
         markers = self._markers()
         system = System(
             motions=self.m,
-            frame_names=tuple(b.name for b in moving),
+            frame_names=tuple(b.name for b in framed),
             rigid=self._rigid_block(rigid),
-            fields=tuple(self.fields),
+            parts=tuple(self.fields),
             markers=markers,
             batches=tuple(batches),
+            port_constraints=tuple(port_rows),
             forces=forces,
             gravity=self._gravity(),
             blocks=tuple(blocks),
             length=self._length(),
-            mass=sum(b.mass for b in rigid) + sum(f.field.mass_total for f in self.fields),
+            mass=self._mass(rigid),
             ground=self.m.identity[None],
         )
         return system, self._state(system, elastic), sensor_markers
@@ -193,11 +200,16 @@ class _Builder:
             np.array([b.inertia_matrix for b in rigid]),
         )
 
+    def _mass(self, rigid: list[RigidBody]) -> float:
+        return sum(b.mass for b in rigid) + sum(p.field.mass_total for p in self.fields if hasattr(p, "field"))
+
     def _length(self) -> float:
+        if not self.poses:
+            return 1.0
         points = [q[: self.m.dim] for q in self.poses]
         points += [x for j in self.scene.joints.values() for x in (j.center_a, j.center_b) if x is not None]
         spread = np.ptp(np.array(points), axis=0)
-        return max([float(np.linalg.norm(spread)), *(f.field.size for f in self.fields)]) or 1.0
+        return max([float(np.linalg.norm(spread)), *(p.field.size for p in self.fields if hasattr(p, "field"))]) or 1.0
 
     def _gravity(self) -> Callable[[float], Array]:
         d, ramp = self.m.dim, self.scene.gravity_ramp
@@ -278,7 +290,9 @@ class _Builder:
         return self._marker(s.on, None if s.point is None else np.asarray(s.point, dtype=float))
 
     # -- constraints ----------------------------------------------------------------------------------------------
-    def _constraints(self) -> tuple[list[tuple[Batch, np.ndarray]], list[RowBlock]]:
+    def _constraints(
+        self,
+    ) -> tuple[list[tuple[Batch, np.ndarray]], list[tuple[PortConstraint, slice]], list[RowBlock]]:
         kinds: dict[type[Batch], tuple[list[Pair], list[int]]] = {}
         blocks, row = [], 0
         for joint in self.scene.joints.values():
@@ -292,14 +306,28 @@ class _Builder:
                 rows.append(row)
                 row += 1
             blocks.append(RowBlock(joint.name, slice(first, row), joint.kind))
+        own = []
+        for k, part in enumerate(self.fields):
+            body = getattr(part, "body", None)
+            if isinstance(body, CoordinateBody) and body.constraint is not None:
+                law = PortConstraint(body.name, k, body.constraint, body.jacobian, body.gamma)
+                m = len(law.values(np.asarray(body.start), 0.0))
+                own.append((law, slice(row, row + m)))
+                blocks.append(RowBlock(body.name, slice(row, row + m), "constraint"))
+                row += m
         for part in self.fields:
-            blocks.append(RowBlock(f"frame of {part.name}", slice(row, row + part.n_frame_rows), "frame"))
-            row += part.n_frame_rows
-        return [(kind(self.m, p), np.array(r)) for kind, (p, r) in kinds.items()], blocks
+            if part.n_frame_rows:
+                blocks.append(RowBlock(f"frame of {part.name}", slice(row, row + part.n_frame_rows), "frame"))
+                row += part.n_frame_rows
+        return [(kind(self.m, p), np.array(r)) for kind, (p, r) in kinds.items()], own, blocks
 
     # -- start ----------------------------------------------------------------------------------------------------
     def _state(self, system: System, elastic: list[FloatingBody]) -> State:
         q, v = [p for p in self.poses], [w for w in self.twists]
+        for part in self.fields:
+            if isinstance(part, CoordinatePart):
+                q.append(np.array(part.body.start, dtype=float))
+                v.append(np.array(part.body.start_rate, dtype=float))
         for body in elastic:
             part = self.fields[self.part_of[body.name]]
             q.append(_initial(body, body.displacement, part.field, "displacement"))

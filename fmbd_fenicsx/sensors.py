@@ -62,6 +62,27 @@ class Reaction(Sensor):
         raise KeyError(self.joint)
 
 
+@dataclass(frozen=True, eq=False)
+class Coordinates(Sensor):
+    """Coordinates of a :class:`~fmbd_fenicsx.CoordinateBody` (level 0), their rates (1) or second rates (2)."""
+
+    body: str = ""
+    level: int = 0
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        for k, part in enumerate(ev.system.parts):
+            if part.name == self.body:
+                if self.level == 0:
+                    return ev.system.local_q(state.q, k).copy()
+                return ev.system.local_v(state.v if self.level == 1 else state.a, k).copy()
+        raise KeyError(self.body)
+
+
+def coordinates(body: Any, *, level: int = 0) -> Sensor:
+    """Coordinates of a body with equations of its own, or their first or second rates, (n,)."""
+    return Coordinates(None, "-", None, body if isinstance(body, str) else body.name, level)
+
+
 def position(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
     """World position (m) of a point of a rigid body (world coordinates at the start), or of a surface's mean."""
     return Position(on, "m", point)

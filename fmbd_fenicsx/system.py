@@ -3,10 +3,11 @@
     balance      M(q) a + h(q, v, t) + G(q, t)^T lambda = 0                                     (1)
     constraints  g(q, t) = 0,    G v + g_t = 0,    G a + gamma(q, v, t) = 0                     (2)
 
-A state is four flat arrays: configuration q, velocity v, acceleration a, multipliers lambda. v and a hold the twists of all
-frames (replicated on every rank), then the local coordinates of each elastic field (this rank's nodes); q holds poses
-instead of twists. lambda holds the rows of the joints, then the frame conditions of the elastic bodies; it is replicated.
-Velocities are quasi-velocities: angular velocities in body axes.
+A state is four flat arrays: configuration q, velocity v, acceleration a, multipliers lambda. v and a hold the *core*, equal on
+every rank (the twists of all frames, then the coordinates of small parts such as reduced bodies), then the local
+coordinates of each elastic field (this rank's nodes); q holds poses instead of twists. lambda holds the rows of the joints,
+then the frame conditions of the elastic bodies; it is replicated. Velocities are quasi-velocities: angular velocities in
+body axes.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from .constraints import Batch
+from .coordinates import PortConstraint
 from .errors import CallbackError
+from .fields import rank_sum
 from .forces import Force
 from .frames import Kinematics, Markers
-from .placements import FloatingField, RigidBlock
+from .placements import FrameMotion, Part, RigidBlock
 from .rotations import Array, Motions
 
 DENSE_LIMIT = 20_000  # entries of G up to which it is kept dense
@@ -59,9 +62,10 @@ class System:
     motions: Motions
     frame_names: tuple[str, ...]
     rigid: RigidBlock | None
-    fields: tuple[FloatingField, ...]
+    parts: tuple[Part, ...]  # those in the core first, then the distributed ones
     markers: Markers
     batches: tuple[tuple[Batch, np.ndarray], ...]
+    port_constraints: tuple[tuple[PortConstraint, slice], ...]
     forces: tuple[tuple[Force, int, int], ...]
     gravity: Callable[[float], Array]
     blocks: tuple[RowBlock, ...]
@@ -76,52 +80,62 @@ class System:
         return len(self.frame_names)
 
     @cached_property
-    def n_core(self) -> int:
-        """Replicated velocity components."""
-        return self.n_frames * self.motions.n_twist
+    def fields(self) -> tuple[tuple[int, Part], ...]:
+        """Distributed parts with their numbers."""
+        return tuple((k, p) for k, p in enumerate(self.parts) if p.distributed)
 
     @cached_property
-    def _field_slices(self) -> tuple[list[slice], list[slice], list[slice]]:
-        """Slices of each field in q, in v, and in the ports."""
-        q, v, p = self.n_frames * self.motions.n_pose, self.n_core, 0
+    def core_parts(self) -> tuple[tuple[int, Part], ...]:
+        """Replicated parts with their numbers."""
+        return tuple((k, p) for k, p in enumerate(self.parts) if not p.distributed)
+
+    @cached_property
+    def n_core(self) -> int:
+        """Replicated velocity components: frames and replicated parts."""
+        return self.n_frames * self.motions.n_twist + sum(p.n for _, p in self.core_parts)
+
+    @cached_property
+    def slices(self) -> tuple[list[slice], list[slice], list[slice]]:
+        """Slices of each part in q, in v, and in the ports."""
+        q, v, p = self.n_frames * self.motions.n_pose, self.n_frames * self.motions.n_twist, 0
         in_q, in_v, in_p = [], [], []
-        for f in self.fields:
-            in_q.append(slice(q, q + f.n))
-            in_v.append(slice(v, v + f.n))
-            in_p.append(slice(p, p + f.n_port))
-            q, v, p = q + f.n, v + f.n, p + f.n_port
+        for part in self.parts:
+            in_q.append(slice(q, q + part.n))
+            in_v.append(slice(v, v + part.n))
+            in_p.append(slice(p, p + part.n_port))
+            q, v, p = q + part.n, v + part.n, p + part.n_port
         return in_q, in_v, in_p
 
     @cached_property
     def n_q(self) -> int:
         """Length of q on this rank."""
-        return self.n_frames * self.motions.n_pose + sum(f.n for f in self.fields)
+        return self.n_frames * self.motions.n_pose + sum(p.n for p in self.parts)
 
     @cached_property
     def n_v(self) -> int:
         """Length of v and a on this rank."""
-        return self.n_core + sum(f.n for f in self.fields)
+        return self.n_frames * self.motions.n_twist + sum(p.n for p in self.parts)
 
     @cached_property
     def n_port(self) -> int:
-        """Ports of all fields."""
-        return sum(f.n_port for f in self.fields)
+        """Ports of all parts."""
+        return sum(p.n_port for p in self.parts)
 
     @cached_property
     def n_rows(self) -> int:
         """Rows of joints."""
-        return sum(len(r) for _, r in self.batches)
+        return sum(len(r) for _, r in self.batches) + sum(r.stop - r.start for _, r in self.port_constraints)
 
     @cached_property
     def n_lam(self) -> int:
         """Multipliers: joint rows and frame conditions."""
-        return self.n_rows + sum(f.n_frame_rows for f in self.fields)
+        return self.n_rows + sum(p.n_frame_rows for p in self.parts)
 
     @cached_property
     def frame_rows(self) -> list[slice]:
-        """Rows of the frame conditions of each field."""
+        """Rows of the frame conditions of each part."""
         out, k = [], self.n_rows
-        for f in self.fields:
+        for f in self.parts:
             out.append(slice(k, k + f.n_frame_rows))
             k += f.n_frame_rows
         return out
@@ -129,7 +143,7 @@ class System:
     @cached_property
     def comm(self) -> Any:
         """Communicator of the elastic fields, None when there are none."""
-        return self.fields[0].field.comm if self.fields else None
+        return self.fields[0][1].comm if self.fields else None
 
     # -- parts of the arrays --------------------------------------------------------------------------------------
     def poses(self, q: Array) -> Array:
@@ -140,38 +154,36 @@ class System:
     def twists(self, v: Array) -> Array:
         """Twists (or their rates) of all frames, the ground last, (n_frames + 1, n_twist)."""
         out = np.zeros((self.n_frames + 1, self.motions.n_twist))
-        out[:-1] = v[: self.n_core].reshape(-1, self.motions.n_twist)
+        out[:-1] = v[: self.n_frames * self.motions.n_twist].reshape(-1, self.motions.n_twist)
         return out
 
     def local_q(self, q: Array, k: int) -> Array:
-        """Local coordinates of field k in q."""
-        return q[self._field_slices[0][k]]
+        """Local coordinates of part k in q."""
+        return q[self.slices[0][k]]
 
     def local_v(self, v: Array, k: int) -> Array:
-        """Local coordinates of field k in v or a."""
-        return v[self._field_slices[1][k]]
+        """Local coordinates of part k in v or a."""
+        return v[self.slices[1][k]]
 
     def ports(self, x: Array, slices: list[slice], reference: bool) -> Array:
-        """Port values of all fields for an array like q (reference added) or v; collective."""
+        """Port values of all parts for an array like q (reference added) or v; collective."""
         out = np.zeros(self.n_port)
-        for f, s, p in zip(self.fields, slices, self._field_slices[2], strict=True):
+        for f, s, p in zip(self.parts, slices, self.slices[2], strict=True):
             out[p] = f.ports_of(x[s])
             if reference:
                 out[p] += f.reference
         return out
 
     def port_slice(self, k: int) -> slice:
-        """Ports of field k."""
-        return self._field_slices[2][k]
+        """Ports of part k."""
+        return self.slices[2][k]
 
     # -- geometry of the configuration space ---------------------------------------------------------------------
     def compose(self, q: Array, xi: Array) -> Array:
         """Configuration after the increment xi (as v: body-axes rotation increments), q o exp(xi)."""
-        n = self.n_frames * self.motions.n_pose
-        frames = self.motions.compose(
-            q[:n].reshape(-1, self.motions.n_pose), xi[: self.n_core].reshape(-1, self.motions.n_twist)
-        )
-        return np.concatenate((frames.ravel(), q[n:] + xi[self.n_core :]))
+        m, n, k = self.motions, self.n_frames * self.motions.n_pose, self.n_frames * self.motions.n_twist
+        frames = m.compose(q[:n].reshape(-1, m.n_pose), xi[:k].reshape(-1, m.n_twist))
+        return np.concatenate((frames.ravel(), q[n:] + xi[k:])) if self.parts else frames.ravel()
 
     def difference(self, q0: Array, q1: Array) -> Array:
         """The increment xi with compose(q0, xi) = q1."""
@@ -181,9 +193,11 @@ class System:
 
     def rate(self, xi: Array, v: Array) -> Array:
         """d(xi)/dt of local coordinates q o exp(xi) for the velocity v."""
-        n = self.motions.n_twist
-        frames = self.motions.rate(xi[: self.n_core].reshape(-1, n), v[: self.n_core].reshape(-1, n))
-        return np.concatenate((frames.ravel(), v[self.n_core :]))
+        m, k = self.motions, self.n_frames * self.motions.n_twist
+        if m.dim == 2:
+            return v
+        frames = m.rate(xi[:k].reshape(-1, m.n_twist), v[:k].reshape(-1, m.n_twist))
+        return np.concatenate((frames.ravel(), v[k:])) if self.parts else frames.ravel()
 
     # -- inner products over all ranks -----------------------------------------------------------------------------
     def dot(self, x: Array, y: Array) -> float:
@@ -191,7 +205,7 @@ class System:
         core = float(x[: self.n_core] @ y[: self.n_core])
         if not self.fields:
             return core
-        return core + float(self.fields[0].field.total(np.array(x[self.n_core :] @ y[self.n_core :])))
+        return core + float(rank_sum(self.comm, np.array(x[self.n_core :] @ y[self.n_core :])))
 
     def max_abs(self, x: Array) -> float:
         """Largest absolute entry of an array like v; collective."""
@@ -209,7 +223,7 @@ class Evaluation:
     def __init__(self, system: System, t: float, q: Array, v: Array | None) -> None:
         self.system, self.t, self.q, self.v = system, t, q, v
         self.pose = system.poses(q)
-        in_q, in_v, _ = system._field_slices
+        in_q, in_v, _ = system.slices
         port = system.ports(q, in_q, True)
         self.port = port
         if v is None:
@@ -231,8 +245,10 @@ class Evaluation:
         g = np.zeros(s.n_lam)
         for batch, rows in s.batches:
             g[rows] = batch.values(self.kin, self.t)
+        for law, span in s.port_constraints:
+            g[span] = law.values(self.port[s.port_slice(law.part)], self.t)
         for k, rows in enumerate(s.frame_rows):
-            g[rows] = self.port[s.port_slice(k)][: s.fields[k].n_frame_rows]
+            g[rows] = self.port[s.port_slice(k)][: s.parts[k].n_frame_rows]
         return g
 
     @cached_property
@@ -245,6 +261,8 @@ class Evaluation:
         g = np.zeros(self.system.n_lam)
         for batch, rows in self.system.batches:
             g[rows] = batch.rate(self.kin, self.t)
+        for law, span in self.system.port_constraints:
+            g[span] = law.rate(self.port[self.system.port_slice(law.part)], self.t)
         return g
 
     def gamma(self) -> Array:
@@ -255,6 +273,9 @@ class Evaluation:
             ra, rb = batch.rows(self.kin, self.t)
             bias = self.kin.bias
             g[rows] = batch.gamma(self.kin, self.t) + (ra * bias[batch.a] + rb * bias[batch.b]).sum(1)
+        for law, span in self.system.port_constraints:
+            k = self.system.port_slice(law.part)
+            g[span] = law.gamma(self.port[k], self.port_rate[k], self.t)
         return g
 
     # -- balance ----------------------------------------------------------------------------------------------------
@@ -279,12 +300,11 @@ class Evaluation:
         return self.gather(core[:-1].ravel(), port)
 
     def gather(self, core: Array, port: Array) -> Array:
-        """An array like v from its replicated part and from forces on the ports."""
+        """An array like v from forces on the frames and on the ports."""
         s = self.system
-        parts = [core]
-        for k, f in enumerate(s.fields):
-            parts.append(f.port_force(port[s.port_slice(k)]))
-        return np.concatenate(parts) if s.fields else core
+        if not s.parts:
+            return core
+        return np.concatenate((core, *(p.port_force(port[s.port_slice(k)]) for k, p in enumerate(s.parts))))
 
     def balance(self, a: Array, lam: Array | None = None) -> Array:
         """M a + h + G^T lambda (lambda left out when None), like v."""
@@ -294,13 +314,14 @@ class Evaluation:
         core = np.zeros((s.n_frames + 1, n))
         if s.rigid is not None:
             core[s.rigid.frame] += s.rigid.force(self.twist, accel, g)
-        fields = []
-        for k, f in enumerate(s.fields):
+        local_rows = []
+        for k, p in enumerate(s.parts):
             local = (s.local_q(self.q, k), s.local_v(self.v, k), s.local_v(a, k))
-            sums, rows = f.force(self.rotation[f.frame], self.twist[f.frame], accel[f.frame], local, g)
-            core[f.frame] += sums
-            fields.append(rows)
-        out = np.concatenate((core[:-1].ravel(), *fields))
+            motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], accel[p.frame], g)
+            sums, rows = p.force(motion, local)
+            core[p.frame] += sums
+            local_rows.append(rows)
+        out = np.concatenate((core[:-1].ravel(), *local_rows)) if s.parts else core[:-1].ravel()
         if s.forces:
             out -= self.spread(self.wrenches())
         if lam is not None and s.n_lam:
@@ -318,14 +339,9 @@ class Evaluation:
         kinetic, elastic, weight = 0.0, 0.0, 0.0
         if s.rigid is not None:
             kinetic, weight = s.rigid.energies(self.pose, self.twist, g)
-        for k, f in enumerate(s.fields):
-            T, E, W = f.energies(
-                self.rotation[f.frame],
-                self.pose[f.frame],
-                self.twist[f.frame],
-                (s.local_q(self.q, k), s.local_v(self.v, k)),
-                g,
-            )
+        for k, p in enumerate(s.parts):
+            motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], None, g)
+            T, E, W = p.energies(motion, self.pose[p.frame], (s.local_q(self.q, k), s.local_v(self.v, k)))
             kinetic, elastic, weight = kinetic + T, elastic + E, weight + W
         springs = sum(f.energy(self.kin, a, b, self.t) for f, a, b in s.forces)
         return {"kinetic": kinetic, "elastic": elastic, "weight": weight, "springs": springs}
@@ -338,27 +354,25 @@ class Evaluation:
         if s.rigid is not None:
             dp, dL = s.rigid.momenta(self.pose, self.twist)
             p, L = p + dp, L + dL
-        for k, f in enumerate(s.fields):
-            dp, dL = f.momenta(
-                self.rotation[f.frame],
-                self.pose[f.frame],
-                self.twist[f.frame],
-                (s.local_q(self.q, k), s.local_v(self.v, k)),
-            )
+        for k, part in enumerate(s.parts):
+            motion = FrameMotion(self.t, self.rotation[part.frame], self.twist[part.frame], None, np.zeros(s.motions.dim))
+            dp, dL = part.momenta(motion, self.pose[part.frame], (s.local_q(self.q, k), s.local_v(self.v, k)))
             p, L = p + dp, L + dL
         return p, L
 
 
 class Jacobian:
-    """G in two pieces: ``core`` (n_lam, n_core) on the frames, ``port`` (n_lam, n_port) on the ports of the fields."""
+    """G in two pieces: ``core`` (n_lam, n_core), dense or sparse, and ``port`` (n_lam, n_port) on the ports of the parts.
+
+    Ports of replicated parts are folded into ``core``; products take both pieces into account.
+    """
 
     def __init__(self, ev: Evaluation) -> None:
-        s, kin, m = ev.system, ev.kin, ev.system.markers
-        self.ev = ev
-        n = s.motions.n_twist
+        s = self.system = ev.system
+        kin, m, n = ev.kin, s.markers, s.motions.n_twist
         slot = np.full(len(m.frame), -1)
         slot[m.surface] = np.arange(len(m.surface))
-        rows_, cols_, data_ = [], [], []
+        rows_, cols_, data_ = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
         self.port = np.zeros((s.n_lam, s.n_port))
         for batch, rows in s.batches:
             for marker, side in zip((batch.a, batch.b), batch.rows(kin, ev.t), strict=True):
@@ -372,25 +386,37 @@ class Jacobian:
                 if on.size:
                     k = slot[marker[on]]
                     self.port[rows[on, None], m.port[k]] += (side[on, None, :] @ kin.jac_port[k])[:, 0]
+        for laws, rows in s.port_constraints:
+            self.port[rows, s.port_slice(laws.part)] += laws.jacobian(ev.port[s.port_slice(laws.part)], ev.t)
         for k, r in enumerate(s.frame_rows):
             start = s.port_slice(k).start
-            self.port[r, start : start + s.fields[k].n_frame_rows] = np.eye(s.fields[k].n_frame_rows)
+            self.port[r, start : start + s.parts[k].n_frame_rows] = np.eye(s.parts[k].n_frame_rows)
         shape = (s.n_lam, s.n_core)
-        if rows_:
-            entries = (np.concatenate(data_), (np.concatenate(rows_), np.concatenate(cols_)))
-            core = sp.csr_matrix(entries, shape=shape)
-        else:
-            core = sp.csr_matrix(shape)
+        core = sp.csr_matrix((np.concatenate(data_), (np.concatenate(rows_), np.concatenate(cols_))), shape=shape)
         self.core: Any = core.toarray() if shape[0] * shape[1] <= DENSE_LIMIT else core
+        for k, p in s.core_parts:
+            if p.n_port and isinstance(self.core, np.ndarray):
+                self.core[:, s.slices[1][k]] += self.port[:, s.port_slice(k)] @ p.port_matrix
+            elif p.n_port:
+                wide = sp.csr_matrix(self.port[:, s.port_slice(k)] @ p.port_matrix)
+                before = s.slices[1][k].start
+                after = s.n_core - s.slices[1][k].stop
+                left, right = sp.csr_matrix((s.n_lam, before)), sp.csr_matrix((s.n_lam, after))
+                self.core = (self.core + sp.hstack([left, wide, right])).tocsr()
 
     def times(self, v: Array) -> Array:
         """G v, (n_lam,); collective."""
-        s = self.ev.system
+        s = self.system
         out = np.asarray(self.core @ v[: s.n_core])
-        if s.n_port:
-            out = out + self.port @ s.ports(v, s._field_slices[1], False)
+        for k, p in s.fields:
+            out = out + self.port[:, s.port_slice(k)] @ p.ports_of(s.local_v(v, k))
         return out
 
     def transposed(self, lam: Array) -> Array:
         """G^T lambda, like v."""
-        return self.ev.gather(np.asarray(self.core.T @ lam), self.port.T @ lam)
+        s = self.system
+        core = np.asarray(self.core.T @ lam)
+        if not s.fields:
+            return core
+        forces = [p.port_force(self.port[:, s.port_slice(k)].T @ lam) for k, p in s.fields]
+        return np.concatenate((core, *forces))

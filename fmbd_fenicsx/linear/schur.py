@@ -19,6 +19,7 @@ import scipy.sparse as sp
 
 from ..rotations import Array
 from ..system import Evaluation, System
+from ..placements import FrameMotion
 from .core import CoreSolver
 from .residual import Judge
 from .spd import CholeskyFactor, MassInverse
@@ -88,7 +89,7 @@ class StepSolver:
         core_G = G.core.toarray() if sp.issparse(G.core) else G.core.copy()
         C = np.zeros((m, m))
         self._S = []
-        for k, (f, block) in enumerate(zip(s.fields, self.blocks, strict=True)):
+        for (k, _), block in zip(s.fields, self.blocks, strict=True):
             S = self._coupling(ev, k, block, w.cm)
             self._S.append(S)
             WS = S.T @ block.W @ S
@@ -98,19 +99,36 @@ class StepSolver:
         self.core.factor(A, core_G, C)
 
     def _core_matrix(self, ev: Evaluation, w: Weights) -> Any:
-        """cm times the mass of rigid bodies and of the frames of elastic ones (at U = 0)."""
+        """cm M + cd C + ck K of the core: rigid bodies, frames of elastic ones (at U = 0), replicated parts."""
         s, n = self.system, self.system.motions.n_twist
-        M = np.zeros((s.n_frames, n, n))
+        M = np.zeros((s.n_frames + 1, n, n))
         if s.rigid is not None:
-            M[s.rigid.frame] = w.cm * s.rigid.matrices()
-        for f in s.fields:
-            M[f.frame] = w.cm * f.frame_mass()
-        if s.n_core**2 > 10 * 20_000 or sp.issparse(ev.jacobian.core):
-            index = np.arange(s.n_frames)
-            return sp.bsr_matrix((M, index, np.arange(s.n_frames + 1)), shape=(s.n_core, s.n_core)).tocsr()
-        out = np.zeros((s.n_frames, n, s.n_frames, n))
-        out[range(s.n_frames), :, range(s.n_frames)] = M
-        return out.reshape(s.n_core, s.n_core)
+            M[s.rigid.frame] = s.rigid.matrices()
+        blocks = []
+        for k, p in enumerate(s.parts):
+            u, ud = s.local_q(ev.q, k), np.zeros(p.n) if ev.v is None else s.local_v(ev.v, k)
+            motion = FrameMotion(ev.t, ev.rotation[p.frame], np.zeros(n), None, s.gravity(ev.t))
+            Mff, Mlf, Mll = p.mass_blocks(motion, u)
+            M[p.frame] += Mff
+            if not p.distributed:
+                K, C = p.stiffness_blocks(motion, (u, ud)) if w.ck or w.cd else (0.0, 0.0)
+                blocks.append((k, p, w.cm * Mlf, w.cm * Mll + w.cd * C + w.ck * K))
+        M *= w.cm
+        if not isinstance(ev.jacobian.core, np.ndarray):
+            frames = sp.bsr_matrix((M[:-1], np.arange(s.n_frames), np.arange(s.n_frames + 1)))
+            if not blocks:
+                return frames.tocsr()
+            frames = frames.toarray()
+        out = np.zeros((s.n_core, s.n_core))
+        view = out[: s.n_frames * n, : s.n_frames * n].reshape(s.n_frames, n, s.n_frames, n)
+        view[range(s.n_frames), :, range(s.n_frames)] = M[:-1]
+        for k, p, lf, ll in blocks:
+            at = s.slices[1][k]
+            out[at, at] = ll
+            if p.frame < s.n_frames:
+                cols = slice(p.frame * n, (p.frame + 1) * n)
+                out[at, cols], out[cols, at] = lf, lf.T
+        return out
 
     def _elastic(self, G: Any, w: Weights) -> list[Block]:
         """Factors and constant columns of all fields, from the cache or new."""
@@ -119,7 +137,7 @@ class StepSolver:
             return self._blocks[key]
         s = self.system
         blocks = []
-        for k, f in enumerate(s.fields):
+        for k, f in s.fields:
             forms = f.field.forms
             cm, ck = w.cm + w.cd * forms.mass_damping, w.ck + w.cd * forms.stiffness_damping
             factor: Any = MassInverse(f.field, cm) if ck == 0 else CholeskyFactor(f.field, cm, ck)
@@ -147,7 +165,7 @@ class StepSolver:
     def _coupling(self, ev: Evaluation, k: int, block: Block, cm: float) -> Array:
         """S of field k: (n_twist + used, n_core + n_lam)."""
         s = self.system
-        f, n, d = s.fields[k], s.motions.n_twist, s.motions.dim
+        f, n, d = s.parts[k], s.motions.n_twist, s.motions.dim
         S = np.zeros((n + len(block.used), s.n_core + s.n_lam))
         at = f.frame * n
         S[:d, at : at + d] = cm * ev.rotation[f.frame].T
@@ -160,7 +178,7 @@ class StepSolver:
 
     def _project(self, k: int, block: Block, z: Array) -> Array:
         """H^T z of field k."""
-        f = self.system.fields[k]
+        f = self.system.parts[k]
         ports = f.ports_of(z)
         q = ports[: f.n_frame_rows] if f.mean_axis else f.field.total(f.field.Q.T @ z)
         return np.concatenate((q, ports[block.used]))
@@ -173,14 +191,14 @@ class StepSolver:
         n = s.n_core
         rhs = np.concatenate((b[:n], c))
         zs = []
-        for k, block in enumerate(self.blocks):
+        for i, ((k, _), block) in enumerate(zip(s.fields, self.blocks, strict=True)):
             z = block.factor.solve(s.local_v(b, k))
-            rhs -= self._S[k].T @ self._project(k, block, z)
+            rhs -= self._S[i].T @ self._project(k, block, z)
             zs.append(z)
         x = np.concatenate(self.core.solve(rhs[:n], rhs[n:]))
         parts = [x[:n]]
-        for k, (block, z) in enumerate(zip(self.blocks, zs, strict=True)):
-            parts.append(z - block.Y @ (self._S[k] @ x))
+        for S, block, z in zip(self._S, self.blocks, zs, strict=True):
+            parts.append(z - block.Y @ (S @ x))
         return np.concatenate(parts), x[n:]
 
     def destroy(self) -> None:
