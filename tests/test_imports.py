@@ -1,0 +1,74 @@
+"""What an import and a rigid scene load: nothing that they do not need."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+pytestmark = pytest.mark.serial
+
+RIGID = """
+import numpy as np
+import fmbd_fenicsx as fmbd
+scene = fmbd.Scene("pendulum", gravity=(0, -9.81))
+arm = fmbd.RigidBody("arm", 1.0, 0.1, position=(0.5, 0.0))
+scene.add(arm, fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0)))
+scene.sensor("tip", fmbd.position(arm))
+run = fmbd.solve(scene, t_end=0.02, dt=0.01)
+run.report()
+"""
+
+
+def loaded(code: str) -> dict[str, float]:
+    """Top-level modules that a fresh interpreter has loaded after ``code``, and its seconds."""
+    tail = (
+        "\nimport sys, json\nprint(json.dumps({'seconds': time.perf_counter() - t0, 'modules': "
+        "sorted({m.split('.')[0] for m in sys.modules})}))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", "import time; t0 = time.perf_counter()\n" + code + tail],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_package_loads_no_mesh_picture_or_eigenvalue_library() -> None:
+    modules = set(loaded("import fmbd_fenicsx")["modules"])
+    assert not modules & {"gmsh", "pyvista", "vtkmodules", "matplotlib", "slepc4py"}
+    assert not modules & {"dolfinx", "petsc4py", "mpi4py", "ufl"}
+
+
+def test_rigid_scene_loads_no_finite_elements_and_no_mpi() -> None:
+    modules = set(loaded(RIGID)["modules"])
+    assert not modules & {
+        "dolfinx",
+        "petsc4py",
+        "mpi4py",
+        "ufl",
+        "basix",
+        "gmsh",
+        "pyvista",
+        "matplotlib",
+        "slepc4py",
+    }
+
+
+def test_elastic_body_loads_no_pictures() -> None:
+    modules = set(loaded("import fmbd_fenicsx as f; f.read_gmsh('meshes/rod.py', h=0.5)")["modules"])
+    assert "dolfinx" in modules  # the probe sees what is there
+    assert not modules & {"pyvista", "matplotlib", "slepc4py"}
+
+
+def test_package_imports_faster_than_dolfinx() -> None:
+    own = min(loaded("import fmbd_fenicsx")["seconds"] for _ in range(2))
+    other = min(loaded("import dolfinx.fem")["seconds"] for _ in range(2))
+    assert own < other
