@@ -1,0 +1,60 @@
+"""Support of demo scripts: flags, check lines, JSON, exit code; and no MPI for rigid demos."""
+
+import json
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from fmbd_fenicsx import demo
+from fmbd_fenicsx.demo import Check
+
+RUN = SimpleNamespace(counters={"steps": 3}, seconds={"total": 0.5})
+
+
+def parse(monkeypatch, *words, own=None):
+    monkeypatch.setattr(sys, "argv", ["demo.py", *words])
+    return demo.arguments("A demo.", own)
+
+
+def test_check_passes_within_its_tolerance_only():
+    assert Check("x", 1.09, 1.0, 0.1).ok
+    assert not Check("x", 1.11, 1.0, 0.1).ok
+    assert not Check("x", float("nan"), 1.0, 0.1).ok
+    assert not Check("x", float("inf"), float("inf"), 1.0).ok
+    assert Check.relative("x", 101.0, 100.0, 0.011).ok and not Check.relative("x", -101.0, -100.0, 0.009).ok
+
+
+def test_flags_have_types_choices_and_defaults(monkeypatch):
+    own = {"--study": False, "--dim": (2, 3), "--dt": 0.1}
+    args = parse(monkeypatch, "--dim", "3", "--json", "a.json", own=own)
+    assert (args.dim, args.study, args.dt, args.fast, args.picture) == (3, False, 0.1, False, None)
+    assert parse(monkeypatch, "--fast", "--study", own=own).study
+    with pytest.raises(SystemExit) as stop:
+        parse(monkeypatch, "--dim", "4", own=own)
+    assert stop.value.code == 2
+
+
+def test_finish_prints_writes_and_passes(monkeypatch, tmp_path, capsys):
+    args = parse(monkeypatch, "--json", str(tmp_path / "r.json"))
+    demo.finish([Check("length", 2.0, 2.0, 1e-9)], RUN, args)
+    assert capsys.readouterr().out.splitlines() == ["check length: 2, reference 2 +- 1e-09: ok"]
+    found = json.loads((tmp_path / "r.json").read_text())
+    entry = {"name": "length", "value": 2.0, "reference": 2.0, "tolerance": 1e-9, "ok": True}
+    assert found == {"check": [entry], "counters": {"steps": 3.0}, "seconds": {"total": 0.5}}
+
+
+def test_finish_exits_with_1_when_a_check_fails_and_still_writes(monkeypatch, tmp_path, capsys):
+    args = parse(monkeypatch, "--json", str(tmp_path / "r.json"))
+    with pytest.raises(SystemExit) as stop:
+        demo.finish([Check("a", 1.0, 1.0, 0.1), Check("b", 2.0, 1.0, 0.1)], None, args)
+    assert stop.value.code == 1
+    assert "check b: 2, reference 1 +- 0.1: FAILED" in capsys.readouterr().out
+    assert [c["ok"] for c in json.loads((tmp_path / "r.json").read_text())["check"]] == [True, False]
+
+
+def test_demo_support_loads_neither_mpi_nor_dolfinx():
+    code = "import sys; import fmbd_fenicsx.demo; print([m for m in ('mpi4py', 'dolfinx', 'petsc4py') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
