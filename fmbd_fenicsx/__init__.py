@@ -17,11 +17,13 @@ from .joints import (
     spherical,
     universal,
 )
+from .log import say
 from .newton import Newton
+from .output import Output
 from .scene import Scene
 from .schemes.generalized_alpha import GeneralizedAlpha
 from .sensors import coordinates, position, reaction, rotation, velocity
-from .solve import Output, Run, solve
+from .solve import Run, solve
 
 __version__ = "0.1.0"
 

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .log import world_rank
+from .log import say, world_rank
 
-STOPPED = 130  # exit code after Ctrl-C
+__all__ = ["Check", "arguments", "finish", "say"]
 
 
 @dataclass(frozen=True)
@@ -82,12 +82,6 @@ def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> 
         return parser.parse_args()
     with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
         return parser.parse_args()  # --help and mistakes are printed once
-
-
-def say(text: Any = "") -> None:
-    """Print on rank 0 only."""
-    if world_rank() == 0:
-        print(text, flush=True)
 
 
 def finish(checks: Sequence[Check], run: Any, args: argparse.Namespace) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 
 class FmbdError(Exception):
@@ -45,6 +46,16 @@ class ConvergenceError(FmbdError):
 
 class CallbackError(InputError):
     """A function given by the user returned something unusable."""
+
+
+class Stopped(KeyboardInterrupt):
+    """Ctrl-C ended a serial run; ``run`` holds what was computed until then. Uncaught: report and exit code 130."""
+
+    exit_code = 130
+
+    def __init__(self, run: Any) -> None:
+        super().__init__(f"stopped on request at t = {run.state.t:g} s")
+        self.run = run
 
 
 def near(name: str, known: Iterable[str]) -> str:

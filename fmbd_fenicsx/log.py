@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import logging
 import os
+import resource
+import signal
 import sys
+import threading
 from types import TracebackType
 from typing import Any
 
@@ -34,29 +37,80 @@ def world_rank() -> int:
     return int(MPI.COMM_WORLD.rank)
 
 
-def install_abort_hook() -> None:
-    """End all ranks when an exception reaches the top of one of them (once; only under mpirun).
+def say(text: Any = "") -> None:
+    """Print on rank 0 only."""
+    if world_rank() == 0:
+        print(text, flush=True)
 
-    An error that all ranks raise together is printed by rank 0 only. An error on one rank is printed by that rank.
-    The exit code is the error's own.
+
+def install_hooks() -> None:
+    """Decide what happens when an exception reaches the top of the program (once; a hook set by others is left alone).
+
+    Serial: after Ctrl-C the report so far is printed and the exit code is 130. Under mpirun: one failing rank ends all ranks.
+    The message of the lowest failing rank is printed, the exit code is the error's own.
     """
-    if world_size() == 1 or sys.excepthook is not sys.__excepthook__:
+    if sys.excepthook is sys.__excepthook__:
+        sys.excepthook = _top if world_size() == 1 else _top_of_many
+
+
+def _top(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    run = getattr(error, "run", None)
+    if not issubclass(kind, KeyboardInterrupt) or run is None:
+        sys.__excepthook__(kind, error, trace)
         return
+    print(run.report(), flush=True)
+    raise SystemExit(getattr(error, "exit_code", 130))
 
-    def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        import time
 
-        from mpi4py import MPI
+def _top_of_many(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    import time
 
-        common = getattr(error, "common", None)
-        if common is None or MPI.COMM_WORLD.rank == 0:
-            sys.__excepthook__(kind, error, trace)
-            sys.stderr.flush()
-        else:
-            time.sleep(1.0)  # rank 0 prints before the abort
-        MPI.COMM_WORLD.Abort(int(getattr(error, "exit_code", 1)))
+    from mpi4py import MPI
 
-    sys.excepthook = hook
+    rank = MPI.COMM_WORLD.rank
+    if getattr(error, "common", False) and rank > 0:
+        time.sleep(30.0)  # rank 0 has the same error: it prints, and ends this rank
+    else:
+        time.sleep(0.25 * min(rank, 20))  # the lowest failing rank prints first, and ends the others
+        sys.stdout.flush()
+        sys.__excepthook__(kind, error, trace)
+        sys.stderr.flush()
+    MPI.COMM_WORLD.Abort(int(getattr(error, "exit_code", 1)))
+
+
+class stop_requests:
+    """Context in which the first Ctrl-C only sets ``asked``, so that the step under way is completed; the second interrupts.
+
+    Only in serial runs, in the main thread, and where Python's own handler is in place.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._mine = False
+
+    def __enter__(self) -> stop_requests:
+        if (
+            world_size() == 1
+            and threading.current_thread() is threading.main_thread()
+            and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        ):
+            self._mine = True
+            signal.signal(signal.SIGINT, self._ask)
+        return self
+
+    def _ask(self, number: int, frame: Any) -> None:
+        self.asked = True
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def __exit__(self, *exc: object) -> None:
+        if self._mine:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def peak_memory(comm: Any) -> float:
+    """Peak resident memory of the largest rank, bytes; collective over ``comm`` (None: this process)."""
+    own = float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) * (1.0 if sys.platform == "darwin" else 1024.0)
+    return own if comm is None else max(comm.allgather(own))
 
 
 def together(comm: Any, error: BaseException | None) -> None:

@@ -1,19 +1,19 @@
-"""The one time loop: consistent start, steps, recording, report; one answer on all ranks."""
+"""The one time loop: consistent start, steps, recording, error estimate; one answer on all ranks."""
 
 from __future__ import annotations
 
-import sys
 import time as clock
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .errors import ConvergenceError, InputError, require
+from .errors import ConvergenceError, InputError, Stopped, near, require
 from .linear.schur import StepSolver
-from .log import install_abort_hook, log, world_rank
+from .log import install_hooks, log, peak_memory, stop_requests
 from .newton import Newton
+from .output import Output, Progress, Recorder
 from .plan import Plan, make_plan
 from .rotations import Array
 from .scene import Scene
@@ -24,14 +24,18 @@ from .system import State, System
 
 @dataclass
 class Run:
-    """What a run left behind.
+    """What a run left behind; equal on all ranks but for the field values in ``state`` and ``snapshots``.
 
     Attributes:
         scene, scheme, plan: what was solved, how, and what existed.
-        times: (n,) s; ``series``: sensor name -> (n, size) values; ``energy``: name -> (n,) J.
+        dt: step size used, s (``t_end`` divided by a whole number of steps).
+        times: (n,) s; ``series``: sensor name -> (n, size) values; ``energy``: kind -> (n,) J.
         state, system: the last state and its system. ``snapshots``: states kept for pictures.
-        counters: steps, newton iterations, factorisations, back-solves. ``seconds``: by phase.
+        counters: steps, Newton iterations, factorisations, back-solves. ``seconds``: by phase.
         drift: largest position constraint (m) and velocity constraint (m/s) residual seen.
+        local_error: the scheme's own indicator of the error of one step, largest over the run (m, rad).
+        error_estimate: sensor name -> estimated time-discretisation error, in the sensor's unit; empty when not asked for.
+        memory: peak memory of the largest rank, bytes.
         status: "finished", or "stopped" after Ctrl-C.
     """
 
@@ -51,40 +55,56 @@ class Run:
     correction: Correction
     local_error: float
     error_estimate: dict[str, float] = field(default_factory=dict)
+    memory: float = 0.0
     status: str = "finished"
 
     def __getitem__(self, sensor: str) -> Array:
         """Series of a sensor, (n, size)."""
         if sensor not in self.series:
-            from .errors import near
-
             raise InputError(f'No sensor "{sensor}". {near(sensor, self.series)}')
         return self.series[sensor]
 
     def report(self) -> str:
-        """Steps, iterations, error estimate, drift, energy, seconds by phase, and the plan, as text."""
+        """Steps, iterations, error estimate, drift, energy, seconds by phase, and the plan, as text; not collective."""
         from .report import run_report
 
         return run_report(self)
 
-    def plot(self, *sensors: str, file: str) -> None:
-        """Write a figure of sensor series (matplotlib); collective, rank 0 writes."""
+    def plot(self, *sensors: str, file: str | Path) -> None:
+        """Write a figure of sensor series over time (matplotlib); rank 0 writes."""
         from .plot import plot_series
 
-        plot_series(self, list(sensors), file)
+        plot_series(self, sensors, file)
+
+    def picture(self, file: str | Path, *, sensor: str | None = None) -> None:
+        """Write a picture of the snapshots (pyvista), with the history of a sensor beside it; collective, rank 0 writes."""
+        from .plot import picture
+
+        picture(self, file, sensor=sensor)
 
 
 @dataclass(frozen=True)
-class Output:
-    """What a run records: sensors and energies every ``every`` steps, ``snapshots`` states for pictures, a progress bar.
+class _Problem:
+    """A consistent start and what a march from it needs."""
 
-    ``progress``: None shows a bar on rank 0 when standard error is a terminal.
-    """
+    scene: Scene
+    system: System
+    markers: dict[str, int]
+    start: State
+    scheme: Any
+    newton: Newton
 
-    every: int = 1
-    snapshots: int = 0
-    energy: bool = True
-    progress: bool | None = None
+
+@dataclass(frozen=True)
+class _March:
+    """What a march of a scheme over all steps left: recorder, last state, largest local error, first step's back-solves."""
+
+    recorder: Recorder
+    state: State
+    local_error: float
+    done: int
+    first: int
+    status: str
 
 
 def solve(
@@ -96,149 +116,140 @@ def solve(
     newton: Newton | None = None,
     output: Output | None = None,
 ) -> Run:
-    """Integrate a scene from t = 0 to ``t_end`` (s) with steps ``dt`` (s); collective.
+    """Integrate a scene from t = 0 to ``t_end`` (s) with steps of at most ``dt`` (s); collective.
 
     Args:
         scheme: a scheme object; :class:`GeneralizedAlpha` with rho_inf = 0.8 by default.
         newton: tolerance and limits of Newton's iteration.
-        output: what is recorded how often.
-
-    Returns:
-        The run. Ctrl-C in a serial run ends it after the current step with status "stopped".
+        output: what is recorded how often, and whether the time-discretisation error is estimated.
 
     Raises:
         InputError: unusable arguments. ConstraintError: the bodies do not fit. ConvergenceError: a step failed.
+        Stopped: Ctrl-C in a serial run; ``run`` of the exception holds the run up to the step that was under way.
     """
-    install_abort_hook()
+    install_hooks()
     scheme = GeneralizedAlpha() if scheme is None else scheme
     output = Output() if output is None else output
-    _check_times(t_end, dt)
+    newton = Newton() if newton is None else Newton(newton.tolerance, newton.max_iterations, newton.slow)
+    steps = _number_of_steps(t_end, dt, output.estimate_error)
     begin = clock.perf_counter()
-    system, state, markers = scene.build()
+    system, given, markers = scene.build()
     built = clock.perf_counter()
     solver = StepSolver(system)
-    newton = Newton() if newton is None else Newton(newton.tolerance, newton.max_iterations, newton.slow)
-    state, correction = consistent(system, state, solver)
-    started = clock.perf_counter()
-    steps = max(1, round(t_end / dt))
-    if abs(steps * dt - t_end) > 1e-9 * t_end:
-        steps = int(np.ceil(t_end / dt))
-    h = t_end / steps
-    stepper = scheme.stepper(system, solver, newton, state)
-    recorder = _Recorder(scene, system, markers, output, steps)
-    recorder.take(0, state)
-    bar = _Progress(scene.name, steps, output.progress)
-    status, n = "finished", 0
-    local_error = 0.0
     try:
-        for n in range(1, steps + 1):
-            state = stepper.advance(h)
-            local_error = max(local_error, stepper.local_error)
-            recorder.take(n, state)
-            bar.update(state.t)
-    except KeyboardInterrupt:
-        status = "stopped"
-        log.warning("stopped on request at t = %g s", stepper.state.t)
-    except ConvergenceError as error:
-        raise ConvergenceError(f'Scene "{scene.name}", step {n} of {steps}: {error}') from error
+        start, correction = consistent(system, given, solver)
+        started = clock.perf_counter()
+        problem = _Problem(scene, system, markers, start, scheme, newton)
+        march = _march(problem, solver, t_end / steps, steps, output)
+        ended = clock.perf_counter()
+        counters = _counters(march, newton, solver)
     finally:
-        bar.close()
-    ended = clock.perf_counter()
+        solver.destroy()
     run = Run(
         scene=scene,
         scheme=scheme,
         plan=make_plan(scene, system),
         system=system,
-        state=stepper.state,
-        dt=h,
-        times=np.array(recorder.times),
-        series={k: np.array(x) for k, x in recorder.series.items()},
-        energy={k: np.array(x) for k, x in recorder.energy.items()},
-        snapshots=recorder.snapshots,
-        counters={
-            "steps": n,
-            "newton_iterations": newton.iterations,
-            "factorisations": solver.factorisations,
-            "back_solves": solver.back_solves,
-            "core_factorisations": solver.core.factorisations,
-            "worst_linear_residual": solver.worst_residual,
-        },
+        state=march.state,
+        dt=t_end / steps,
+        times=np.array(march.recorder.times),
+        series=march.recorder.series,
+        energy=march.recorder.energy,
+        snapshots=march.recorder.snapshots,
+        counters=counters,
         seconds={
             "set-up": built - begin,
             "start": started - built,
-            "steps": ended - started - recorder.seconds,
-            "recording": recorder.seconds,
+            "steps": ended - started - march.recorder.seconds,
+            "recording": march.recorder.seconds,
             "total": ended - begin,
         },
-        drift=(recorder.gap, recorder.slip),
+        drift=(march.recorder.gap, march.recorder.slip),
         correction=correction,
-        local_error=local_error,
-        status=status,
+        local_error=march.local_error,
+        memory=peak_memory(system.comm),
+        status=march.status,
     )
-    solver.destroy()
+    if run.status == "stopped":
+        raise Stopped(run)
+    if output.estimate_error:
+        run.error_estimate = _estimate(problem, march.recorder, t_end, steps)
+        run.seconds["error estimate"] = clock.perf_counter() - ended
     return run
 
 
-def _check_times(t_end: float, dt: float) -> None:
+def _number_of_steps(t_end: float, dt: float, even: bool) -> int:
+    """Steps of equal size, none above dt (but for roundoff); an even number where asked."""
     require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
     require(bool(np.isfinite(t_end)) and t_end > 0, f"End time t_end = {t_end} s must be positive.")
     require(dt <= t_end * (1 + 1e-12), f"Step dt = {dt} s is larger than the whole run, t_end = {t_end} s.")
     require(t_end + dt > t_end, f"Step dt = {dt} s is below the roundoff of t_end = {t_end} s: t + h == t.")
+    steps = max(1, round(t_end / dt))
+    if abs(steps * dt - t_end) > 1e-9 * t_end:
+        steps = int(np.ceil(t_end / dt))
+    return steps + steps % 2 if even else steps
 
 
-class _Recorder:
-    """Series of sensors and energies, snapshots, and the drift of the constraints."""
-
-    def __init__(self, scene: Scene, system: System, markers: dict[str, int], output: Output, steps: int) -> None:
-        self.scene, self.system, self.markers, self.output, self.steps = scene, system, markers, output, steps
-        self.times: list[float] = []
-        self.series: dict[str, list[Array]] = {n: [] for n in scene.sensors}
-        self.energy: dict[str, list[float]] = {}
-        self.snapshots: list[State] = []
-        self.gap = self.slip = self.seconds = 0.0
-        self._keep = set(np.linspace(0, steps, output.snapshots).round().astype(int)) if output.snapshots else set()
-
-    def take(self, n: int, state: State) -> None:
-        """Record step n when it is due; collective."""
-        if n in self._keep:
-            self.snapshots.append(state)
-        if n % self.output.every and n != self.steps:
-            return
-        begin = clock.perf_counter()
-        ev = self.system.at(state.t, state.q, state.v)
-        self.times.append(state.t)
-        for name, sensor in self.scene.sensors.items():
-            self.series[name].append(sensor.read(ev, state, self.markers[name]))
-        if self.system.n_lam:
-            self.gap = max(self.gap, float(np.abs(ev.constraint()).max()))
-            rate = ev.jacobian.times(state.v) + ev.constraint_rate()
-            self.slip = max(self.slip, float(np.abs(rate).max()))
-        if self.output.energy:
-            for name, value in ev.energies().items():
-                self.energy.setdefault(name, []).append(value)
-        self.seconds += clock.perf_counter() - begin
+def _march(problem: _Problem, solver: StepSolver, h: float, steps: int, output: Output) -> _March:
+    """All steps of one size from a consistent start; collective."""
+    stepper = problem.scheme.stepper(problem.system, solver, problem.newton, problem.start)
+    recorder = Recorder(problem.scene, problem.system, problem.markers, output, steps)
+    recorder.take(0, problem.start)
+    bar = Progress(problem.scene.name, steps, output.progress)
+    local_error, done, first = 0.0, 0, 0
+    try:
+        with stop_requests() as stop:
+            for n in range(1, steps + 1):
+                state = stepper.advance(h)
+                local_error = max(local_error, stepper.local_error)
+                recorder.take(n, state)
+                bar.update()
+                done = n
+                first = first or solver.back_solves
+                if stop.asked:
+                    log.warning("stopped on request at t = %g s", state.t)
+                    break
+    except ConvergenceError as error:
+        raise ConvergenceError(f'Scene "{problem.scene.name}", step {done + 1} of {steps}: {error}') from error
+    finally:
+        bar.close()
+    status = "finished" if done == steps else "stopped"
+    return _March(recorder, stepper.state, local_error, done, first, status)
 
 
-class _Progress:
-    """A bar with the time left, on rank 0 of a terminal; a log line every 30 s elsewhere."""
+def _counters(march: _March, newton: Newton, solver: StepSolver) -> dict[str, float]:
+    """Counts of a run; back-solves per step without those of the first step, which also solves the constant columns."""
+    later = solver.back_solves - march.first
+    return {
+        "steps": march.done,
+        "newton_iterations": newton.iterations,
+        "factorisations": solver.factorisations,
+        "back_solves": solver.back_solves,
+        "back_solves_per_step": later / (march.done - 1) if march.done > 1 else 0.0,
+        "core_factorisations": solver.core.factorisations,
+        "worst_linear_residual": solver.worst_residual,
+    }
 
-    def __init__(self, name: str, steps: int, wanted: bool | None) -> None:
-        self.bar: Callable[..., Any] | None = None
-        show = sys.stderr.isatty() if wanted is None else wanted
-        if not show or world_rank() != 0:
-            return
-        try:
-            from tqdm import tqdm
-        except ImportError:
-            return
-        self.bar = tqdm(total=steps, desc=name, unit="step", file=sys.stderr, mininterval=0.2)
 
-    def update(self, t: float) -> None:
-        """One step done."""
-        if self.bar is not None:
-            self.bar.update(1)
+def _estimate(problem: _Problem, fine: Recorder, t_end: float, steps: int) -> dict[str, float]:
+    """Error of each sensor by Richardson's extrapolation from a second run with step 2 h, max over time; collective.
 
-    def close(self) -> None:
-        """Remove the bar's hold on the terminal."""
-        if self.bar is not None:
-            self.bar.close()
+        |x_h - x| ~ |x_h - x_2h| / (2^p - 1),   p the scheme's order                                          (1)
+
+    True as far as both runs are in the range where the error behaves like h^p: motion that the step does not resolve (fast
+    elastic modes that the scheme damps) is missing in both. Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.4.
+    """
+    newton = replace(problem.newton, iterations=0, theta=0.5)
+    solver = StepSolver(problem.system)
+    try:
+        wanted = Output(energy=False, progress=False)
+        coarse = _march(replace(problem, newton=newton), solver, 2 * t_end / steps, steps // 2, wanted).recorder
+    finally:
+        solver.destroy()
+    rows = [k for k, n in enumerate(fine.indices) if n % 2 == 0]
+    half = [fine.indices[k] // 2 for k in rows]
+    factor = 1.0 / (2.0**problem.scheme.order - 1.0)
+    found = {}
+    for name, x in fine.series.items():
+        found[name] = factor * float(np.abs(x[rows] - coarse.series[name][half]).max(initial=0.0))
+    return found
