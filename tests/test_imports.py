@@ -30,7 +30,7 @@ def loaded(code: str) -> dict[str, float]:
         "\nimport sys, json\nprint(json.dumps({'seconds': time.perf_counter() - t0, 'modules': "
         "sorted({m.split('.')[0] for m in sys.modules})}))"
     )
-    done = subprocess.run(
+    done = subprocess.run(  # noqa: PLW1510
         [sys.executable, "-c", "import time; t0 = time.perf_counter()\n" + code + tail],
         capture_output=True,
         text=True,

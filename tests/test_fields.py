@@ -1,0 +1,150 @@
+"""Displacement fields: mass and stiffness of known shapes, symmetric and positive forms, the Cholesky factor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from motion import elastic_rod
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import CallbackError, InputError
+from fmbd_fenicsx.fields import Field
+
+pytestmark = pytest.mark.mpi
+
+
+def field_of(mesh: Any, **options: Any) -> Field:
+    """The field of a rod on a mesh."""
+    return Field("rod", mesh, elastic_rod(mesh, **options).forms())
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_mass_centre_and_inertia_of_a_box(dim: int, degree: int, rod_mesh: Callable[..., Any]) -> None:
+    L, H, rho = 1.0, 0.4, 1000.0
+    f = field_of(rod_mesh(dim=dim, h=0.5, height=H), degree=degree)
+    m = rho * L * H ** (dim - 1)
+    assert abs(f.mass_total / m - 1) < 1e-13
+    assert np.abs(f.center - [0.5, 0, 0][:dim]).max() < 1e-13
+    if degree == 1:
+        return  # X x X is quadratic: exact from degree 2
+    J = m / 12 * np.array([2 * H * H, L * L + H * H, L * L + H * H])
+    expected = J[2:].reshape(1, 1) if dim == 2 else np.diag(J)
+    assert np.abs(f.inertia - expected).max() < 1e-12 * m
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_rigid_displacements_have_no_elastic_force(dim: int, rod_mesh: Callable[..., Any]) -> None:
+    f = field_of(rod_mesh(dim=dim, h=0.5, height=0.4))
+    for k in range(f.motions.n_twist):
+        if k < dim:
+            U = np.tile(np.eye(dim)[k], (f.n, 1))
+        else:
+            U = f.motions.spin(np.eye(f.motions.n_rot)[k - dim][None], f.X)
+        force = f.total(np.array(np.abs(f.stiffness(U.ravel())).max(initial=0.0)))
+        assert force < 1e-9 * 5e6
+
+
+def test_columns_of_rigid_momentum(rod_mesh: Callable[..., Any]) -> None:
+    """Q^T of a rigid velocity is (m v, J w)."""
+    f = field_of(rod_mesh(dim=3, h=0.5, height=0.4))
+    v, w = np.array([1.0, -2.0, 0.5]), np.array([0.3, 0.7, -1.1])
+    U = v + np.cross(w, f.X)
+    found = f.total(f.Q.T @ U.ravel())
+    assert np.abs(found - np.concatenate((f.mass_total * v, f.inertia @ w))).max() < 1e-11
+
+
+def test_uniaxial_strain_has_the_energy_of_the_continuum(rod_mesh: Callable[..., Any]) -> None:
+    L, H, e = 1.0, 0.4, 1e-3
+    f = field_of(rod_mesh(dim=3, h=0.5, height=H))
+    U = np.zeros((f.n, 3))
+    U[:, 0] = e * f.X[:, 0]
+    mu, lmbda = fmbd.materials.lame(5e6, 0.3)
+    energy = float(f.total(np.array(0.5 * U.ravel() @ f.stiffness(U.ravel()))))
+    assert abs(energy / (0.5 * (2 * mu + lmbda) * e * e * L * H * H) - 1) < 1e-11
+
+
+def test_combination_is_the_sum(rod_mesh: Callable[..., Any]) -> None:
+    f = field_of(rod_mesh(dim=2, h=0.5, height=0.4))
+    E = f.combination(3.0, 1e-6)
+    U = np.random.default_rng(f.comm.rank).standard_normal((f.n, 2))
+    x, y = E.createVecs()
+    x.array[:] = U.ravel()
+    E.mult(x, y)
+    expected = 3.0 * f.mass(U).ravel() + 1e-6 * f.stiffness(U.ravel())
+    assert np.abs(y.array - expected).max(initial=0.0) < 1e-12 * f.mass_total
+    for thing in (E, x, y):
+        thing.destroy()
+
+
+# -- input ------------------------------------------------------------------------------------------------------------
+def unsymmetric(u: Any, v: Any, dx: Any) -> Any:
+    """A form whose stress is not that of a symmetric gradient."""
+    from ufl import grad, inner
+
+    return inner(grad(u)[0, 1], grad(v)[1, 1]) * dx + inner(grad(u), grad(v)) * dx
+
+
+def negative(u: Any, v: Any, dx: Any) -> Any:
+    """A form of negative energy."""
+    from ufl import grad, inner
+
+    return -inner(grad(u), grad(v)) * dx
+
+
+@pytest.mark.parametrize(
+    "elastic, words",
+    [
+        (unsymmetric, "not symmetric"),
+        (negative, "not positive"),
+        (lambda u, v, dx: 1.0, "bilinear"),
+        (lambda u, v, dx: u[0] * dx, "bilinear"),
+        (lambda u, v, dx: None, "bilinear"),
+        (lambda u, v: None, "bilinear"),
+    ],
+)
+def test_unusable_elastic_forms_are_refused(elastic: Any, words: str, rod_mesh: Callable[..., Any]) -> None:
+    with pytest.raises(InputError, match=f'"rod".*{words}'):
+        field_of(rod_mesh(dim=2, h=0.5, height=0.4), elastic=elastic)
+
+
+@pytest.mark.parametrize("density", [0.0, -1.0, np.nan, np.inf])
+def test_density_must_be_positive(density: float, rod_mesh: Callable[..., Any]) -> None:
+    with pytest.raises(InputError, match='"rod".*density.*positive'):
+        elastic_rod(rod_mesh(dim=2, h=0.5, height=0.4), density=density)
+
+
+@pytest.mark.parametrize(
+    "E, nu, words",
+    [
+        (0.0, 0.3, "Young"),
+        (-5e6, 0.3, "Young"),
+        (np.nan, 0.3, "Young"),
+        (5e6, 0.5, "Poisson"),
+        (5e6, 0.7, "Poisson"),
+        (5e6, -1.0, "Poisson"),
+        (5e6, np.nan, "Poisson"),
+    ],
+)
+@pytest.mark.parametrize("form", [fmbd.materials.linear_elastic, fmbd.materials.plane_stress])
+def test_moduli_out_of_range_are_refused(form: Any, E: float, nu: float, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        form(E, nu)
+
+
+@pytest.mark.parametrize(
+    "function, words",
+    [(lambda x: np.zeros(3), "shape"), (lambda x: np.full_like(x, np.nan), "finite")],
+)
+@pytest.mark.parametrize("what", ["displacement", "displacement_rate"])
+def test_unusable_initial_fields_are_named(
+    what: str, function: Any, words: str, rod_mesh: Callable[..., Any]
+) -> None:
+    rod = elastic_rod(rod_mesh(dim=2, h=0.5, height=0.4), **{what: function})
+    scene = fmbd.Scene("start")
+    scene.add(rod)
+    with pytest.raises(CallbackError, match=f'"rod".*{what}.*{words}'):
+        scene.build()
