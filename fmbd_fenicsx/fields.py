@@ -74,6 +74,8 @@ class Field:
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
         try:
             a = forms.elastic(u, v, dx)
+            if not isinstance(a, ufl.Form) or len(a.arguments()) != 2:
+                raise TypeError(f"found {a!r:.80}; integrate over dx, once linear in u and once in v")
             self._stiffness_form = compat.form(a)
         except Exception as error:
             raise InputError(
