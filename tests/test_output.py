@@ -1,0 +1,63 @@
+"""What a run records, and its estimate of the time-discretisation error."""
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+
+
+def pendulum():
+    """A rigid pendulum released from the horizontal."""
+    bob = fmbd.RigidBody("bob", 1.0, 0.1, position=(1.0, 0.0))
+    scene = fmbd.Scene("swing", gravity=(0, -9.81))
+    scene.add(bob, fmbd.revolute("pin", fmbd.ground, bob, center=(0, 0)))
+    scene.sensor("bob", fmbd.position(bob))
+    scene.sensor("force", fmbd.reaction("pin"))
+    return scene
+
+
+def solve(dt, **output):
+    return fmbd.solve(pendulum(), t_end=1.0, dt=dt, output=fmbd.Output(**output))
+
+
+def test_every_and_snapshots_keep_first_and_last():
+    run = solve(0.01, every=30, snapshots=3)
+    assert np.allclose(run.times, [0, 0.3, 0.6, 0.9, 1.0])
+    assert [round(s.t, 9) for s in run.snapshots] == [0.0, 0.5, 1.0]
+    assert run["bob"].shape == (5, 2) and run.energy["kinetic"].shape == (5,)
+
+
+def test_without_energy_no_energy_is_recorded():
+    assert solve(0.1, energy=False).energy == {}
+
+
+@pytest.mark.parametrize("bad", [{"every": 0}, {"snapshots": -1}])
+def test_impossible_output_is_refused(bad):
+    with pytest.raises(fmbd.errors.InputError):
+        fmbd.Output(**bad)
+
+
+@pytest.fixture(scope="module")
+def fine():
+    return solve(2e-4, energy=False)
+
+
+@pytest.mark.parametrize("every", [1, 7])
+def test_estimate_is_the_error_to_30_percent(every, fine):
+    run = solve(0.01, every=every, estimate_error=True)
+    rows = np.rint(run.times / 2e-4).astype(int)
+    for name in ("bob", "force"):
+        error = np.abs(run[name] - fine[name][rows]).max()
+        assert 0.7 < run.error_estimate[name] / error < 1.3, name
+
+
+def test_estimate_falls_with_the_square_of_the_step_and_costs_apart():
+    coarse, fine = (solve(dt, estimate_error=True) for dt in (0.01, 0.005))
+    assert coarse.error_estimate["bob"] / fine.error_estimate["bob"] == pytest.approx(4.0, rel=0.1)
+    assert fine.counters == solve(0.005).counters
+    assert "error estimate" in fine.seconds
+
+
+def test_an_odd_number_of_steps_becomes_even_for_the_estimate():
+    run = fmbd.solve(pendulum(), t_end=0.9, dt=0.1, output=fmbd.Output(estimate_error=True))
+    assert run.counters["steps"] == 10 and run.dt == pytest.approx(0.09)
