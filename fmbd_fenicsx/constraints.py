@@ -18,7 +18,7 @@ on the first marker: a row of ``Coincident`` has force +lambda n on a, -lambda n
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,9 @@ from .rotations import Array, Motions
 
 Motion = Callable[[float], tuple[float, float, float]]
 """A prescribed motion: t -> (s, s', s'')."""
+
+
+Sides = Sequence[tuple[np.ndarray, np.ndarray, Array]]
 
 
 def standstill(t: float) -> tuple[float, float, float]:
@@ -84,6 +87,12 @@ class Batch:
     def gamma(self, kin: Kinematics, t: float) -> Array:
         """g'' at zero marker accelerations (the markers' twist bias not included), (m,)."""
         raise NotImplementedError
+
+    def sides(self, kin: Kinematics, t: float) -> Sides:
+        """The rows by marker: (numbers of the constraints, markers, rows (k, d + n_rot))."""
+        ra, rb = self.rows(kin, t)
+        every = np.arange(len(self.a))
+        return ((every, self.a, ra), (every, self.b, rb))
 
     def _join(self, linear: Array, turning: Array) -> Array:
         return np.concatenate((linear, turning), axis=1)

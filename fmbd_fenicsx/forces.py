@@ -1,6 +1,14 @@
-"""Applied forces between markers: each force law returns wrenches in world axes, evaluated once a residual.
+"""Applied forces as a user describes them; :mod:`.laws` evaluates all of one kind at a time.
 
-A user's law is checked on every call: the result must have the right shape and be finite, else the error names the force.
+====================  ====================================================================================
+:func:`force`         a force law(t) at a point, space axes or body axes (``follower``)
+:func:`torque`        a torque law(t), space axes or body axes
+:class:`Spring`       spring and damper between two points, linear or law(s, s', t)
+:func:`joint_spring`  spring and damper on a joint coordinate (angle or displacement), linear or law(s, s', t)
+:func:`effort`        prescribed drive torque or force law(t) on a joint coordinate
+:class:`Tyre`         radial spring and damper between a wheel and a road profile
+:func:`own_force`     any law of the motions of one or two points
+====================  ====================================================================================
 """
 
 from __future__ import annotations
@@ -11,44 +19,34 @@ from typing import Any
 
 import numpy as np
 
-from .errors import CallbackError, InputError, require
-from .frames import Kinematics
+from .drives import JointCoordinate
+from .errors import require
+from .laws import Loads, OwnLoads, ScalarLoads, TimeLoads, TyreLoads
 from .rotations import Array
 
 Law = Callable[..., Any]
+Point = Sequence[float] | Array | None
 
 
 @dataclass(frozen=True, eq=False)
 class Force:
-    """A force (and torque) on one or two attachments. ``evaluate(kin, marker_a, marker_b, t)`` adds to the wrenches.
+    """A force (and torque) on one or two attachments: ``a``, ``b`` (None: one-sided), points in world axes at the start.
 
-    Subclasses hold the attachments ``a``, ``b`` (None for one-sided) and their points in world coordinates at the start.
+    ``batch`` is the class of :mod:`.laws` that evaluates all forces of this kind.
     """
 
     name: str
     a: Any
     b: Any = None
-    point_a: Sequence[float] | None = None
-    point_b: Sequence[float] | None = None
+    point_a: Point = None
+    point_b: Point = None
 
-    def wrench(self, kin: Kinematics, a: int, b: int, t: float) -> tuple[Array, Array]:
-        """Wrenches (force, torque) on markers a and b in world axes, each (d + n_rot,)."""
-        raise NotImplementedError
+    batch = Loads
 
-    def energy(self, kin: Kinematics, a: int, b: int, t: float) -> float:
-        """Potential energy, J (0 for forces without one)."""
-        return 0.0
-
-    def checked(self, value: Any, size: int, t: float) -> Array:
-        """A user's result as an array of the right size, or an error that names this force."""
-        found = np.asarray(value, dtype=float)
-        if found.shape != (size,):
-            raise CallbackError(
-                f'Force "{self.name}": the law returned shape {found.shape} at t = {t:g} s, expected ({size},).'
-            )
-        if not np.isfinite(found).all():
-            raise CallbackError(f'Force "{self.name}": the law returned {found} at t = {t:g} s.')
-        return found
+    @property
+    def coordinate(self) -> JointCoordinate | None:
+        """The joint coordinate that it acts on, if any."""
+        return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +56,7 @@ class PointForce(Force):
     law: Law = None  # type: ignore[assignment]
     follower: bool = False
 
-    def wrench(self, kin: Kinematics, a: int, b: int, t: float) -> tuple[Array, Array]:
-        d = kin.x.shape[1]
-        out = np.zeros(kin.jac_frame.shape[1])
-        f = self.checked(self.law(t), d, t)
-        out[:d] = kin.R[a] @ f if self.follower else f
-        return out, np.zeros_like(out)
+    batch, turns = TimeLoads, False
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +66,7 @@ class Torque(Force):
     law: Law = None  # type: ignore[assignment]
     follower: bool = False
 
-    def wrench(self, kin: Kinematics, a: int, b: int, t: float) -> tuple[Array, Array]:
-        d = kin.x.shape[1]
-        out = np.zeros(kin.jac_frame.shape[1])
-        n = len(out) - d
-        torque = self.checked(np.atleast_1d(self.law(t)), n, t)
-        out[d:] = kin.R[a] @ torque if self.follower and n == 3 else torque
-        return out, np.zeros_like(out)
+    batch, turns = TimeLoads, True
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,34 +81,74 @@ class Spring(Force):
     length: float = 0.0  # m, unstressed
     law: Law | None = None
 
-    def _line(self, kin: Kinematics, a: int, b: int) -> tuple[Array, float]:
-        d = kin.x[b] - kin.x[a]
-        length = float(np.linalg.norm(d))
-        if length == 0.0:
-            raise InputError(f'Spring "{self.name}": its two points coincide, so it has no direction.')
-        return d / length, length - self.length
+    batch = ScalarLoads
 
-    def wrench(self, kin: Kinematics, a: int, b: int, t: float) -> tuple[Array, Array]:
-        assert kin.twist is not None
-        dim = kin.x.shape[1]
-        n, s = self._line(kin, a, b)
-        rate = float(n @ (kin.twist[b, :dim] - kin.twist[a, :dim]))
-        if self.law is None:
-            tension = self.stiffness * s + self.damping * rate
-        else:
-            tension = float(self.checked(np.atleast_1d(self.law(s, rate, t)), 1, t)[0])
-        out = np.zeros(kin.jac_frame.shape[1])
-        out[:dim] = tension * n
-        return out, -out
-
-    def energy(self, kin: Kinematics, a: int, b: int, t: float) -> float:
-        if self.law is not None:
-            return 0.0
-        return 0.5 * self.stiffness * self._line(kin, a, b)[1] ** 2
+    def __post_init__(self) -> None:
+        _constants(self.name, self.stiffness, self.damping, self.length)
 
 
-def force(name: str, on: Any, law: Law, *, point: Sequence[float] | None = None, follower: bool = False) -> PointForce:
-    """A force law(t) -> (d,) N on a rigid body's point (world, initial configuration) or on an elastic surface."""
+@dataclass(frozen=True, eq=False)
+class CoordinateForce(Force):
+    """A restoring effort N(s - length, s', t) on a joint coordinate s, N or N m; ``length`` is its unstressed value."""
+
+    on: JointCoordinate = None  # type: ignore[assignment]
+    stiffness: float = 0.0
+    damping: float = 0.0
+    length: float = 0.0
+    law: Law | None = None
+
+    batch = ScalarLoads
+
+    @property
+    def coordinate(self) -> JointCoordinate:
+        return self.on
+
+
+@dataclass(frozen=True, eq=False)
+class Tyre(Force):
+    """A wheel on a road: N = stiffness c + damping c' along ``up`` while the compression c > 0, never pulling.
+
+    c = radius + road(x) - up . x with x the world position (d,) of the wheel centre ``point_a``; road(x) is the height of the
+    road along ``up`` under that point, smooth. The force acts at the centre; there is no friction.
+    """
+
+    road: Law = None  # type: ignore[assignment]
+    radius: float = 0.3  # m
+    stiffness: float = 0.0  # N/m
+    damping: float = 0.0  # N s/m
+    up: Sequence[float] = (0.0, 1.0, 0.0)
+
+    batch = TyreLoads
+
+    def __post_init__(self) -> None:
+        require(callable(self.road), f'Tyre "{self.name}": road must be a function of the position, found {self.road!r}.')
+        require(self.radius > 0, f'Tyre "{self.name}": radius {self.radius} m must be positive.')
+        size = float(np.linalg.norm(np.asarray(self.up, dtype=float)))
+        require(abs(size - 1.0) < 1e-9, f'Tyre "{self.name}": up {self.up} must be a unit vector.')
+        _constants(self.name, self.stiffness, self.damping, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class OwnForce(Force):
+    """A law of the user's own, see :func:`own_force`."""
+
+    law: Law = None  # type: ignore[assignment]
+    jacobian: Law | None = None
+
+    batch = OwnLoads
+
+
+def _constants(name: str, stiffness: float, damping: float, length: float) -> None:
+    for what, value in (("stiffness", stiffness), ("damping", damping), ("length", length)):
+        require(bool(np.isfinite(value)), f'Spring "{name}": {what} {value} must be finite.')
+    require(damping >= 0, f'Spring "{name}": damping {damping} must not be negative.')
+
+
+def force(name: str, on: Any, law: Law, *, point: Point = None, follower: bool = False) -> PointForce:
+    """A force law(t) -> (d,) N on a rigid body's point (world, initial configuration) or on an elastic surface.
+
+    World axes, or the body's axes as they were turned since the start (``follower``).
+    """
     require(callable(law), f'Force "{name}": law must be a function of time, found {law!r}.')
     return PointForce(name, on, None, point, None, law, follower)
 
@@ -130,3 +157,42 @@ def torque(name: str, on: Any, law: Law, *, follower: bool = False) -> Torque:
     """A torque law(t) in N m on a body or an elastic surface; world axes, or the body's with ``follower``."""
     require(callable(law), f'Torque "{name}": law must be a function of time, found {law!r}.')
     return Torque(name, on, None, None, None, law, follower)
+
+
+def joint_spring(
+    name: str,
+    on: JointCoordinate,
+    *,
+    stiffness: float = 0.0,
+    damping: float = 0.0,
+    free: float = 0.0,
+    law: Law | None = None,
+) -> CoordinateForce:
+    """Spring and damper on a joint coordinate s: restoring effort stiffness (s - free) + damping s', or law(s - free, s', t)."""
+    _coordinate(name, on)
+    _constants(name, stiffness, damping, free)
+    return CoordinateForce(name, on.joint.a, on.joint.b, None, None, on, stiffness, damping, free, law)
+
+
+def effort(name: str, on: JointCoordinate, law: Law) -> CoordinateForce:
+    """Prescribed effort law(t) of a drive on a joint coordinate: torque (N m) or force (N), positive where s increases."""
+    _coordinate(name, on)
+    require(callable(law), f'Effort "{name}": law must be a function of time, found {law!r}.')
+    return CoordinateForce(name, on.joint.a, on.joint.b, None, None, on, law=lambda s, rate, t: -np.asarray(law(t)))
+
+
+def _coordinate(name: str, on: JointCoordinate) -> None:
+    require(isinstance(on, JointCoordinate), f'Force "{name}": expected fmbd.angle(...) or fmbd.displacement(...), found {on!r}.')
+
+
+def own_force(
+    name: str, a: Any, b: Any, law: Law, *, points: tuple[Point, Point] = (None, None), jacobian: Law | None = None
+) -> OwnForce:
+    """Any force: law(t, a) -> (force, torque) on a (b None), or law(t, a, b) -> (force, torque) on b, the reaction on a.
+
+    a and b are :class:`~fmbd_fenicsx.laws.MarkerMotion` (x, R, v, w) of the two points; force (d,) N and torque N m in world
+    axes. ``jacobian``(t, a, b) -> (K, D), each (2 n, 2 n): minus the derivatives of the wrenches on (a, b) with respect to
+    displacements and velocities of the markers, n = d + n_rot; by differences where missing.
+    """
+    require(callable(law), f'Force "{name}": law must be a function, found {law!r}.')
+    return OwnForce(name, a, b, points[0], points[1], law, jacobian)

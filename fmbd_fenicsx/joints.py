@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 
 from . import constraints as ct
+from .couplings import smooth_motion
 from .errors import InputError, require
 from .rotations import Array
 
@@ -70,10 +71,17 @@ class Joint:
     center_b: Array | None = None
     length: float = 1.0
     kind: str = field(default="joint")
+    axis: Array | None = None  # of the joint's angle and displacement, unit vector, world, initial configuration
 
     def __post_init__(self) -> None:
         require(bool(self.name), "A joint needs a name.")
-        require(self.a is not self.b, f'Joint "{self.name}" connects {self.a!r} with itself.')
+        for side in (self.a, self.b):
+            if side is not ground and not hasattr(side, "dim"):
+                raise InputError(
+                    f'Joint "{self.name}" connects {side!r}; expected a body, a surface of an elastic body, or fmbd.ground.'
+                )
+        same = self.a is self.b or getattr(self.a, "body", 1) is getattr(self.b, "body", 2)
+        require(not same, f'Joint "{self.name}" connects {getattr(self.a, "name", self.a)!r} with itself.')
         moving = [x for x in (self.a, self.b) if x is not ground]
         require(bool(moving), f'Joint "{self.name}" connects the ground with the ground.')
 
@@ -112,9 +120,21 @@ def _point(center: Vector | None, dim: int, name: str) -> Array | None:
     return c[:dim]
 
 
-def _joint(name: str, kind: str, a: Any, b: Any, center: Vector | None, rows: list[Row]) -> Joint:
+def _joint(joint: tuple[str, str, Any, Any], center: Vector | None, rows: list[Row], axis: Array | None = None) -> Joint:
+    """A joint from (name, kind, a, b), its point, rows and axis."""
+    name, kind, a, b = joint
     c = _point(center, dimension(a, b), name)
-    return Joint(name, a, b, tuple(rows), c, c, kind=kind)
+    return Joint(name, a, b, tuple(rows), c, c, kind=kind, axis=axis)
+
+
+def direction(axis: Vector, dim: int, name: str) -> Array:
+    """Unit vector (dim,) along an axis given by dim or three finite numbers, not all zero."""
+    n = np.asarray(axis, dtype=float)
+    require(
+        n.shape in ((dim,), (3,)) and bool(np.isfinite(n).all()) and float(np.linalg.norm(n[:dim])) > 0,
+        f'Joint "{name}": axis {axis} must be {dim} finite numbers, not all zero.',
+    )
+    return np.asarray(n[:dim] / np.linalg.norm(n[:dim]))
 
 
 def _meet(dim: int) -> list[Row]:
@@ -132,7 +152,7 @@ def fixed(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
     e = np.eye(dim)
     turn = [(0, 1)] if dim == 2 else [(0, 1), (1, 2), (2, 0)]
     rows = _meet(dim) + [Row(ct.Perpendicular, e[i], e[j]) for i, j in turn]
-    return _joint(name, "fixed", a, b, center, rows)
+    return _joint((name, "fixed", a, b), center, rows)
 
 
 def revolute(
@@ -140,13 +160,13 @@ def revolute(
 ) -> Joint:
     """Hinge: the markers coincide at ``center`` (m); in space the body axes along ``axis`` stay parallel."""
     dim = dimension(a, b)
-    rows = _meet(dim) + (_upright(basis(axis, name)) if dim == 3 else [])
-    return _joint(name, "revolute", a, b, center, rows)
+    E = basis(axis, name)
+    return _joint((name, "revolute", a, b), center, _meet(dim) + (_upright(E) if dim == 3 else []), E[2])
 
 
 def spherical(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
     """Ball and socket: the markers coincide at ``center`` (m), all rotations are free."""
-    return _joint(name, "spherical", a, b, center, _meet(dimension(a, b)))
+    return _joint((name, "spherical", a, b), center, _meet(dimension(a, b)))
 
 
 def universal(
@@ -163,9 +183,8 @@ def universal(
     require(
         abs(float(ea @ eb)) < 1e-9, f'Joint "{name}": axis_a {axis_a} and axis_b {axis_b} must be perpendicular.'
     )
-    return _joint(
-        name, "universal", a, b, center, [*_meet(dimension(a, b)), Row(ct.Perpendicular, ea, eb)]
-    )
+    rows = [*_meet(dimension(a, b)), Row(ct.Perpendicular, ea, eb)]
+    return _joint((name, "universal", a, b), center, rows)
 
 
 def prismatic(
@@ -174,42 +193,38 @@ def prismatic(
     """Slider: b translates along ``axis`` (fixed in a), without rotation."""
     dim = dimension(a, b)
     if dim == 2:
-        n = np.asarray(axis, dtype=float)[:2]
-        require(float(np.linalg.norm(n)) > 0, f'Joint "{name}": axis {axis} must not be zero.')
-        n = n / np.linalg.norm(n)
+        n = direction(axis, 2, name)
         cross = np.array([-n[1], n[0]])
         rows = [Row(ct.Along, cross), Row(ct.Perpendicular, cross, n)]
     else:
         E = basis(axis, name)
         rows = [Row(ct.Along, E[0]), Row(ct.Along, E[1]), *_upright(E), Row(ct.Perpendicular, E[0], E[1])]
-    return _joint(name, "prismatic", a, b, center, rows)
+    return _joint((name, "prismatic", a, b), center, rows, n if dim == 2 else E[2])
 
 
 def cylindrical(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None = None) -> Joint:
     """b translates along and turns about ``axis`` (fixed in a)."""
     E = basis(axis, name)
     rows = [Row(ct.Along, E[0]), Row(ct.Along, E[1]), *_upright(E)]
-    return _joint(name, "cylindrical", a, b, center, rows)
+    return _joint((name, "cylindrical", a, b), center, rows, E[2])
 
 
 def planar(name: str, a: Any, b: Any, *, normal: Vector, center: Vector | None = None) -> Joint:
     """b slides and turns in the plane through ``center`` with the given normal (fixed in a)."""
     E = basis(normal, name)
-    return _joint(name, "planar", a, b, center, [Row(ct.Along, E[2]), *_upright(E)])
+    return _joint((name, "planar", a, b), center, [Row(ct.Along, E[2]), *_upright(E)], E[2])
 
 
 def point_on_line(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None = None) -> Joint:
     """A point of b stays on a line of a along ``axis``; b turns freely."""
     dim = dimension(a, b)
     if dim == 2:
-        n = np.asarray(axis, dtype=float)[:2]
-        require(float(np.linalg.norm(n)) > 0, f'Joint "{name}": axis {axis} must not be zero.')
-        n = n / np.linalg.norm(n)
+        n = direction(axis, 2, name)
         rows = [Row(ct.Along, np.array([-n[1], n[0]]))]
     else:
         E = basis(axis, name)
         rows = [Row(ct.Along, E[0]), Row(ct.Along, E[1])]
-    return _joint(name, "point on line", a, b, center, rows)
+    return _joint((name, "point on line", a, b), center, rows, n if dim == 2 else E[2])
 
 
 def distance(
@@ -225,21 +240,20 @@ def distance(
 def drive_rotation(
     name: str, a: Any, b: Any, motion: ct.Motion, *, axis: Vector = (0.0, 0.0, 1.0)
 ) -> Joint:
-    """Prescribe the rotation of b against a about ``axis`` (fixed in a): motion(t) = (angle, rate, acceleration)."""
+    """Prescribe the rotation of b against a about ``axis`` (fixed in a): motion(t) = angle or (angle, rate, acceleration)."""
     dim = dimension(a, b)
     if dim == 2:
-        row = Row(ct.Perpendicular, np.array([0.0, 1.0]), np.array([1.0, 0.0]), motion)
+        row = Row(ct.Perpendicular, np.array([0.0, 1.0]), np.array([1.0, 0.0]), smooth_motion(name, motion))
     else:
         E = basis(axis, name)
-        row = Row(ct.Perpendicular, E[1], E[0], motion, E[2])
-    return _joint(name, "drive", a, b, None, [row])
+        row = Row(ct.Perpendicular, E[1], E[0], smooth_motion(name, motion), E[2])
+    return _joint((name, "drive", a, b), None, [row], None if dim == 2 else E[2])
 
 
 def drive_translation(
     name: str, a: Any, b: Any, motion: ct.Motion, *, axis: Vector, center: Vector | None = None
 ) -> Joint:
-    """Prescribe the displacement of b against a along ``axis`` (fixed in a): motion(t) = (s, s', s'')."""
+    """Prescribe the displacement of b against a along ``axis`` (fixed in a): motion(t) = s or (s, s', s'')."""
     dim = dimension(a, b)
-    n = np.asarray(axis, dtype=float)[:dim]
-    require(float(np.linalg.norm(n)) > 0, f'Joint "{name}": axis {axis} must not be zero.')
-    return _joint(name, "drive", a, b, center, [Row(ct.Along, n / np.linalg.norm(n), motion=motion)])
+    n = direction(axis, dim, name)
+    return _joint((name, "drive", a, b), center, [Row(ct.Along, n, motion=smooth_motion(name, motion))], n)

@@ -10,12 +10,13 @@ import numpy as np
 
 from .bodies import Attached, CoordinateBody, FloatingBody, RigidBody, Surface
 from .coordinates import CoordinatePart, PortConstraint
-from .constraints import Batch, Pair
+from .constraints import Batch
 from .errors import CallbackError, InputError, near, require
 from .forces import Force
 from .frames import Markers
 from .joints import Joint, ground
 from .rotations import Array, Motions, motions
+from .scene_joints import JointRows
 from .sensors import Sensor
 from .system import RowBlock, State, System
 
@@ -293,19 +294,13 @@ class _Builder:
     def _constraints(
         self,
     ) -> tuple[list[tuple[Batch, np.ndarray]], list[tuple[PortConstraint, slice]], list[RowBlock]]:
-        kinds: dict[type[Batch], tuple[list[Pair], list[int]]] = {}
-        blocks, row = [], 0
+        collected = JointRows(self.m)
         for joint in self.scene.joints.values():
             default = self._default_point(joint)
             a = self._marker(joint.a, default if joint.center_a is None else joint.center_a)
             b = self._marker(joint.b, default if joint.center_b is None else joint.center_b)
-            first = row
-            for r in joint.rows:
-                pairs, rows = kinds.setdefault(r.kind, ([], []))
-                pairs.append(Pair(r.kind, a, b, r.direction, r.other, joint.length, r.motion, r.axis))
-                rows.append(row)
-                row += 1
-            blocks.append(RowBlock(joint.name, slice(first, row), joint.kind))
+            collected.add(joint, (a, b))
+        row, blocks = collected.row, collected.blocks
         own = []
         for k, part in enumerate(self.fields):
             body = getattr(part, "body", None)
@@ -319,7 +314,7 @@ class _Builder:
             if part.n_frame_rows:
                 blocks.append(RowBlock(f"frame of {part.name}", slice(row, row + part.n_frame_rows), "frame"))
                 row += part.n_frame_rows
-        return [(kind(self.m, p), np.array(r)) for kind, (p, r) in kinds.items()], own, blocks
+        return collected.batches(), own, blocks
 
     # -- start ----------------------------------------------------------------------------------------------------
     def _state(self, system: System, elastic: list[FloatingBody]) -> State:

@@ -45,11 +45,13 @@ class State:
 
 @dataclass(frozen=True)
 class RowBlock:
-    """Names a block of constraint rows: the joint (or body frame) it comes from."""
+    """Names a block of constraint rows: the joint (or body frame) it comes from, and the joint's two markers."""
 
     name: str
     rows: slice
     kind: str
+    a: int = -1
+    b: int = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,9 +272,10 @@ class Evaluation:
         assert self.v is not None and self.kin.bias is not None
         g = np.zeros(self.system.n_lam)
         for batch, rows in self.system.batches:
-            ra, rb = batch.rows(self.kin, self.t)
-            bias = self.kin.bias
-            g[rows] = batch.gamma(self.kin, self.t) + (ra * bias[batch.a] + rb * bias[batch.b]).sum(1)
+            value = batch.gamma(self.kin, self.t)
+            for number, marker, side in batch.sides(self.kin, self.t):
+                value += np.bincount(number, (side * self.kin.bias[marker]).sum(1), len(rows))
+            g[rows] = value
         for law, span in self.system.port_constraints:
             k = self.system.port_slice(law.part)
             g[span] = law.gamma(self.port[k], self.port_rate[k], self.t)
@@ -375,17 +378,18 @@ class Jacobian:
         rows_, cols_, data_ = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
         self.port = np.zeros((s.n_lam, s.n_port))
         for batch, rows in s.batches:
-            for marker, side in zip((batch.a, batch.b), batch.rows(kin, ev.t), strict=True):
+            for number, marker, side in batch.sides(kin, ev.t):
                 block = (side[:, None, :] @ kin.jac_frame[marker])[:, 0]
                 frame = m.frame[marker]
                 keep = frame < s.n_frames
-                rows_.append(np.repeat(rows[keep], n))
+                at = rows[number]
+                rows_.append(np.repeat(at[keep], n))
                 cols_.append((frame[keep, None] * n + np.arange(n)).ravel())
                 data_.append(block[keep].ravel())
                 on = np.flatnonzero(slot[marker] >= 0)
                 if on.size:
                     k = slot[marker[on]]
-                    self.port[rows[on, None], m.port[k]] += (side[on, None, :] @ kin.jac_port[k])[:, 0]
+                    self.port[at[on, None], m.port[k]] += (side[on, None, :] @ kin.jac_port[k])[:, 0]
         for laws, rows in s.port_constraints:
             self.port[rows, s.port_slice(laws.part)] += laws.jacobian(ev.port[s.port_slice(laws.part)], ev.t)
         for k, r in enumerate(s.frame_rows):

@@ -12,7 +12,7 @@ FLOORS = [
     {"errors", "log", "rotations", "dolfinx_compat", "mesh", "materials"},
     {"surfaces", "fields", "traces", "mortar"},
     {"bodies", "placements", "ports", "frames", "constraints", "joints", "forces", "coordinates", "contact", "beams",
-     "reduction", "tables"},
+     "reduction", "tables", "relative", "couplings", "drives", "laws"},
     {"scene", "plan", "system", "sensors"},
     {"newton", "linear"},
     {"schemes"},
