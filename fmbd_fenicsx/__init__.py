@@ -2,7 +2,8 @@
 
 from . import errors, materials
 from .bodies import Attached, CoordinateBody, FloatingBody, MeanAxis, RigidBody, Surface
-from .forces import Spring, force, torque
+from .drives import angle, displacement, drive, gear, own_joint, screw
+from .forces import Spring, Tyre, effort, force, joint_spring, own_force, torque
 from .joints import (
     cylindrical,
     distance,
@@ -22,7 +23,16 @@ from .newton import Newton
 from .output import Output
 from .scene import Scene
 from .schemes.generalized_alpha import GeneralizedAlpha
-from .sensors import coordinates, position, reaction, rotation, velocity
+from .sensors import (
+    coordinates,
+    joint_rate,
+    position,
+    reaction,
+    reaction_force,
+    reaction_torque,
+    rotation,
+    velocity,
+)
 from .solve import Run, solve
 
 __version__ = "0.1.0"

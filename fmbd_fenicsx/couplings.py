@@ -33,7 +33,9 @@ def smooth_motion(name: str, function: Callable[[float], Any]) -> Motion:
     def checked(value: Any, t: float) -> Array:
         found = np.asarray(value, dtype=float).ravel()
         if found.shape not in ((1,), (3,)) or not np.isfinite(found).all():
-            raise CallbackError(f'Joint "{name}": the motion returned {value!r} at t = {t:g} s, expected s or (s, s\', s\'\').')
+            raise CallbackError(
+                f"Joint \"{name}\": the motion returned {value!r} at t = {t:g} s, expected s or (s, s', s'')."
+            )
         return found
 
     if len(checked(function(0.0), 0.0)) == 3:
@@ -102,7 +104,9 @@ class CouplingBatch(Batch):
 class OwnBatch(Batch):
     """Rows (2) of one joint of the user's own, between markers a and b."""
 
-    def __init__(self, motions: Motions, name: str, function: Callable[..., Any], markers: tuple[int, int]) -> None:
+    def __init__(
+        self, motions: Motions, name: str, function: Callable[..., Any], markers: tuple[int, int]
+    ) -> None:
         self.motions, self.name, self.function = motions, name, function
         self.markers = np.array(markers)
         self.driven: list[tuple[int, Motion]] = []
@@ -110,7 +114,9 @@ class OwnBatch(Batch):
     def _checked(self, value: Any, t: float) -> Any:
         found = np.atleast_1d(np.asarray(value))
         if found.ndim != 1 or not np.isfinite(found).all():
-            raise CallbackError(f'Joint "{self.name}": its function returned {value!r} at t = {t:g} s, expected finite numbers.')
+            raise CallbackError(
+                f'Joint "{self.name}": its function returned {value!r} at t = {t:g} s, expected finite numbers.'
+            )
         return found
 
     def _at(self, x: Array, R: Array, t: float) -> Any:
@@ -148,7 +154,10 @@ class OwnBatch(Batch):
         n = self.motions.dim + self.motions.n_rot
         J = self._derivative(*self._poses(kin), t)
         rows = np.arange(len(J))
-        return [(rows, np.full(len(J), marker), J[:, i * n : (i + 1) * n]) for i, marker in enumerate(self.markers)]
+        return [
+            (rows, np.full(len(J), marker), J[:, i * n : (i + 1) * n])
+            for i, marker in enumerate(self.markers)
+        ]
 
     def gamma(self, kin: Kinematics, t: float) -> Array:
         assert kin.twist is not None
@@ -176,6 +185,3 @@ class OwnBatch(Batch):
 def lead_ratio(lead: float) -> float:
     """Displacement per angle of a screw that advances ``lead`` (m) in one turn, m/rad."""
     return lead / (2 * math.pi)
-
-
-

@@ -40,7 +40,9 @@ class JointCoordinate:
 def angle(joint: Joint) -> JointCoordinate:
     """The angle of a revolute, cylindrical or planar joint about its axis (rad), counted over revolutions."""
     if joint.kind not in ("revolute", "cylindrical", "planar", "drive"):
-        raise InputError(f'Joint "{joint.name}" ({joint.kind}) has no angle about an axis; revolute, cylindrical and planar do.')
+        raise InputError(
+            f'Joint "{joint.name}" ({joint.kind}) has no angle about an axis; revolute, cylindrical and planar do.'
+        )
     return JointCoordinate(joint, Turn)
 
 
@@ -63,13 +65,27 @@ class Coupling(Joint):
     motion: Motion | None = None
 
 
-def _coupling(name: str, kind: str, terms: list[tuple[JointCoordinate, float]], motion: Motion | None = None) -> Coupling:
+def _coupling(
+    name: str, kind: str, terms: list[tuple[JointCoordinate, float]], motion: Motion | None = None
+) -> Coupling:
     first = terms[0][0].joint
     for s, c in terms:
-        require(isinstance(s, JointCoordinate), f'Joint "{name}": expected fmbd.angle(...) or fmbd.displacement(...), found {s!r}.')
+        require(
+            isinstance(s, JointCoordinate),
+            f'Joint "{name}": expected fmbd.angle(...) or fmbd.displacement(...), found {s!r}.',
+        )
         require(bool(np.isfinite(c)) and c != 0, f'Joint "{name}": ratio {c} must be finite and not zero.')
     return Coupling(
-        name, first.a, first.b, (), first.center_a, first.center_b, kind=kind, axis=first.axis, terms=tuple(terms), motion=motion
+        name,
+        first.a,
+        first.b,
+        (),
+        first.center_a,
+        first.center_b,
+        kind=kind,
+        axis=first.axis,
+        terms=tuple(terms),
+        motion=motion,
     )
 
 
@@ -87,14 +103,21 @@ def gear(name: str, driving: JointCoordinate, driven: JointCoordinate, *, ratio:
 
     The two joints should have the same first body (the housing): only then is the pair free of a bearing force of its own.
     """
-    require(bool(np.isfinite(ratio)) and ratio != 0, f'Joint "{name}": ratio {ratio} must be finite and not zero.')
-    require(driving.joint is not driven.joint or driving.kind is not driven.kind, f'Joint "{name}" couples a coordinate with itself.')
+    require(
+        bool(np.isfinite(ratio)) and ratio != 0, f'Joint "{name}": ratio {ratio} must be finite and not zero.'
+    )
+    require(
+        driving.joint is not driven.joint or driving.kind is not driven.kind,
+        f'Joint "{name}" couples a coordinate with itself.',
+    )
     return _coupling(name, "gear", [(driven, 1.0), (driving, -float(ratio))])
 
 
 def screw(name: str, joint: Joint, *, lead: float) -> Coupling:
     """The displacement of a cylindrical joint advances ``lead`` (m) in one turn of its angle."""
-    require(bool(np.isfinite(lead)) and lead != 0, f'Joint "{name}": lead {lead} m must be finite and not zero.')
+    require(
+        bool(np.isfinite(lead)) and lead != 0, f'Joint "{name}": lead {lead} m must be finite and not zero.'
+    )
     return _coupling(name, "screw", [(displacement(joint), 1.0), (angle(joint), -lead_ratio(lead))])
 
 
@@ -106,7 +129,13 @@ class OwnJoint(Joint):
 
 
 def own_joint(
-    name: str, a: Any, b: Any, function: Callable[..., Any], *, center: Vector | None = None, axis: Vector | None = None
+    name: str,
+    a: Any,
+    b: Any,
+    function: Callable[..., Any],
+    *,
+    center: Vector | None = None,
+    axis: Vector | None = None,
 ) -> OwnJoint:
     """A joint of your own: function(x_a, R_a, x_b, R_b, t) -> (m,) numbers that are zero when the joint is closed.
 
@@ -114,6 +143,18 @@ def own_joint(
     m, angles in rad, so that the checks can judge residuals. Write it with NumPy operations (no ``abs``, no ``float``) and
     its derivatives are exact. See docs/own_joint.md.
     """
-    require(callable(function), f'Joint "{name}": function must take (x_a, R_a, x_b, R_b, t), found {function!r}.')
+    require(
+        callable(function), f'Joint "{name}": function must take (x_a, R_a, x_b, R_b, t), found {function!r}.'
+    )
     c = _point(center, dimension(a, b), name)
-    return OwnJoint(name, a, b, (), c, c, kind="own", axis=None if axis is None else np.asarray(axis, float), function=function)
+    return OwnJoint(
+        name,
+        a,
+        b,
+        (),
+        c,
+        c,
+        kind="own",
+        axis=None if axis is None else np.asarray(axis, float),
+        function=function,
+    )

@@ -121,7 +121,10 @@ class Tyre(Force):
     batch = TyreLoads
 
     def __post_init__(self) -> None:
-        require(callable(self.road), f'Tyre "{self.name}": road must be a function of the position, found {self.road!r}.')
+        require(
+            callable(self.road),
+            f'Tyre "{self.name}": road must be a function of the position, found {self.road!r}.',
+        )
         require(self.radius > 0, f'Tyre "{self.name}": radius {self.radius} m must be positive.')
         size = float(np.linalg.norm(np.asarray(self.up, dtype=float)))
         require(abs(size - 1.0) < 1e-9, f'Tyre "{self.name}": up {self.up} must be a unit vector.')
@@ -178,15 +181,26 @@ def effort(name: str, on: JointCoordinate, law: Law) -> CoordinateForce:
     """Prescribed effort law(t) of a drive on a joint coordinate: torque (N m) or force (N), positive where s increases."""
     _coordinate(name, on)
     require(callable(law), f'Effort "{name}": law must be a function of time, found {law!r}.')
-    return CoordinateForce(name, on.joint.a, on.joint.b, None, None, on, law=lambda s, rate, t: -np.asarray(law(t)))
+    return CoordinateForce(
+        name, on.joint.a, on.joint.b, None, None, on, law=lambda s, rate, t: -np.asarray(law(t))
+    )
 
 
 def _coordinate(name: str, on: JointCoordinate) -> None:
-    require(isinstance(on, JointCoordinate), f'Force "{name}": expected fmbd.angle(...) or fmbd.displacement(...), found {on!r}.')
+    require(
+        isinstance(on, JointCoordinate),
+        f'Force "{name}": expected fmbd.angle(...) or fmbd.displacement(...), found {on!r}.',
+    )
 
 
 def own_force(
-    name: str, a: Any, b: Any, law: Law, *, points: tuple[Point, Point] = (None, None), jacobian: Law | None = None
+    name: str,
+    a: Any,
+    b: Any,
+    law: Law,
+    *,
+    points: tuple[Point, Point] = (None, None),
+    jacobian: Law | None = None,
 ) -> OwnForce:
     """Any force: law(t, a) -> (force, torque) on a (b None), or law(t, a, b) -> (force, torque) on b, the reaction on a.
 

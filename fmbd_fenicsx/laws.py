@@ -45,7 +45,9 @@ def checked(name: str, value: Any, size: int, t: float) -> Array:
     """A user's result as an array of the right size, or an error that names the force."""
     found = np.atleast_1d(np.asarray(value, dtype=float))
     if found.shape != (size,):
-        raise CallbackError(f'Force "{name}": the law returned shape {found.shape} at t = {t:g} s, expected ({size},).')
+        raise CallbackError(
+            f'Force "{name}": the law returned shape {found.shape} at t = {t:g} s, expected ({size},).'
+        )
     if not np.isfinite(found).all():
         raise CallbackError(f'Force "{name}": the law returned {found} at t = {t:g} s.')
     return found
@@ -91,7 +93,9 @@ class TimeLoads(Loads):
 class ScalarLoads(Loads):
     """Efforts N on relative coordinates, (1): linear springs and dampers, and laws of the user's own."""
 
-    def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]], relative: Relative) -> None:
+    def __init__(
+        self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]], relative: Relative
+    ) -> None:
         super().__init__(motions, forces, markers)
         self.relative = relative
         self.k = np.array([f.stiffness for f in forces], dtype=float)
@@ -103,7 +107,9 @@ class ScalarLoads(Loads):
         assert kin.twist is not None
         s = self.relative.values(kin)
         if isinstance(self.relative, Separation) and not s.all():
-            raise InputError(f'Spring "{self.forces[int(np.argmin(s))].name}": its two points coincide, so it has no direction.')
+            raise InputError(
+                f'Spring "{self.forces[int(np.argmin(s))].name}": its two points coincide, so it has no direction.'
+            )
         ra, rb = self.relative.rows(kin)
         return s - self.free, (ra * kin.twist[self.a] + rb * kin.twist[self.b]).sum(1), ra, rb
 
@@ -170,7 +176,9 @@ class TyreLoads(Loads):
         c, rate, up = self._compression(kin, t)
         k, damping = self._constants()
         out = self._zero()
-        out[:, : self.motions.dim] = np.where(c > 0, np.maximum(k * c + damping * rate, 0.0), 0.0)[:, None] * up
+        out[:, : self.motions.dim] = (
+            np.where(c > 0, np.maximum(k * c + damping * rate, 0.0), 0.0)[:, None] * up
+        )
         return out, self._zero()
 
     def energy(self, kin: Kinematics, t: float) -> float:
@@ -207,7 +215,10 @@ class OwnLoads(Loads):
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         assert kin.twist is not None
         n = self.motions.dim + self.motions.n_rot
-        found = [self._one(f, kin, kin.twist, t, (a, b)) for f, a, b in zip(self.forces, self.a, self.b, strict=True)]
+        found = [
+            self._one(f, kin, kin.twist, t, (a, b))
+            for f, a, b in zip(self.forces, self.a, self.b, strict=True)
+        ]
         both = np.array(found)
         return both[:, :n], both[:, n:]
 
@@ -218,7 +229,10 @@ class OwnLoads(Loads):
         for i, f in enumerate(self.forces):
             markers = (int(self.a[i]), int(self.b[i]))
             if f.jacobian is not None:
-                K[i], D[i] = f.jacobian(t, *(MarkerMotion(kin.x[j], kin.R[j], kin.twist[j, :d], kin.twist[j, d:]) for j in markers))
+                K[i], D[i] = f.jacobian(
+                    t,
+                    *(MarkerMotion(kin.x[j], kin.R[j], kin.twist[j, :d], kin.twist[j, d:]) for j in markers),
+                )
                 continue
             base = self._one(f, kin, kin.twist, t, markers)
             for c in range(n if f.b is None else 2 * n):

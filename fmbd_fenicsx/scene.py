@@ -11,13 +11,16 @@ import numpy as np
 from .bodies import Attached, CoordinateBody, FloatingBody, RigidBody, Surface
 from .coordinates import CoordinatePart, PortConstraint
 from .constraints import Batch
+from .drives import JointCoordinate
 from .errors import CallbackError, InputError, near, require
 from .forces import Force
 from .frames import Markers
 from .joints import Joint, ground
+from .laws import Loads, ScalarLoads
+from .relative import Relative, Separation
 from .rotations import Array, Motions, motions
-from .scene_joints import JointRows
-from .sensors import Sensor
+from .scene_joints import JointRows, relative_of
+from .sensors import JointReading, Sensor
 from .system import RowBlock, State, System
 
 
@@ -59,9 +62,11 @@ class Scene:
             else:
                 raise InputError(f"A scene takes bodies, joints and forces; found {part!r}.")
 
-    def sensor(self, name: str, quantity: Sensor) -> str:
+    def sensor(self, name: str, quantity: Sensor | JointCoordinate) -> str:
         """Record a quantity in every run, say ``scene.sensor("tip", fmbd.position(rod.surface("tip")))``; returns the name."""
         require(name not in self.sensors, f'Two sensors are called "{name}".')
+        if isinstance(quantity, JointCoordinate):
+            quantity = JointReading(None, quantity.unit, coordinate=quantity)
         require(isinstance(quantity, Sensor), f'Sensor "{name}": expected a quantity such as fmbd.position(...).')
         self.sensors[name] = quantity
         return name
@@ -94,6 +99,7 @@ class _Builder:
         self.twists: list[Array] = []
         self.part_of: dict[str, int] = {}
         self.fields: list[Any] = []
+        self.joint_markers: dict[str, tuple[int, int]] = {}
         self.keys: list[tuple[int, Array, Array, Any]] = []  # markers: frame, position, rotation, surface or None
 
     def build(self) -> tuple[System, State, dict[str, int]]:
@@ -117,7 +123,7 @@ class _Builder:
         for body in rigid:
             self.poses[self.frame_of[body.name]] = body.start_pose()
         batches, port_rows, blocks = self._constraints()
-        forces = tuple((f, *self._force_markers(f)) for f in scene.forces.values())
+        forces = self._loads()
         sensor_markers = {n: self._sensor_marker(s) for n, s in scene.sensors.items()}
         markers = self._markers()
         system = System(
@@ -279,6 +285,33 @@ class _Builder:
             np.array(ports, dtype=int).reshape(len(surface), d * (1 + d)),
         )
 
+    def _loads(self) -> tuple[Loads, ...]:
+        """The forces of the scene in batches of one kind."""
+        groups: dict[Any, list[tuple[Force, tuple[int, int]]]] = {}
+        for f in self.scene.forces.values():
+            s = f.coordinate
+            if s is not None and s.joint.name not in self.joint_markers:
+                raise InputError(
+                    f'Force "{f.name}" acts on joint "{s.joint.name}", which is not in the scene. {near(s.joint.name, self.joint_markers)}'
+                )
+            kind = Separation if s is None else s.kind
+            markers = self._force_markers(f) if s is None else self.joint_markers[s.joint.name]
+            groups.setdefault((f.batch, kind), []).append((f, markers))
+        out: list[Loads] = []
+        for (batch, kind), found in groups.items():
+            fs, ms = [f for f, _ in found], [m for _, m in found]
+            if batch is ScalarLoads:
+                out.append(ScalarLoads(self.m, fs, ms, self._relative(kind, fs, ms)))
+            else:
+                out.append(batch(self.m, fs, ms))
+        return tuple(out)
+
+    def _relative(self, kind: type[Relative], fs: list[Force], ms: list[tuple[int, int]]) -> Relative:
+        if fs[0].coordinate is not None:
+            return relative_of(self.m, kind, [(f.coordinate, a, b) for f, (a, b) in zip(fs, ms, strict=True) if f.coordinate])
+        markers = np.array(ms)
+        return kind(self.m, markers[:, 0], markers[:, 1], np.zeros((len(fs), self.m.dim)))
+
     def _force_markers(self, f: Force) -> tuple[int, int]:
         a = self._marker(f.a, None if f.point_a is None else np.asarray(f.point_a, dtype=float))
         b = a if f.b is None else self._marker(f.b, None if f.point_b is None else np.asarray(f.point_b, dtype=float))
@@ -300,7 +333,7 @@ class _Builder:
             a = self._marker(joint.a, default if joint.center_a is None else joint.center_a)
             b = self._marker(joint.b, default if joint.center_b is None else joint.center_b)
             collected.add(joint, (a, b))
-        row, blocks = collected.row, collected.blocks
+        row, blocks, self.joint_markers = collected.row, collected.blocks, collected.markers
         own = []
         for k, part in enumerate(self.fields):
             body = getattr(part, "body", None)

@@ -31,6 +31,8 @@ class JointRows:
 
     def add(self, joint: Joint, markers: tuple[int, int]) -> None:
         """Append the rows of one joint with its markers."""
+        if isinstance(joint, Coupling):
+            markers = self.markers.get(joint.terms[0][0].joint.name, markers)
         self.markers[joint.name] = markers
         first, (a, b) = self.row, markers
         for r in joint.rows:
@@ -57,12 +59,17 @@ class JointRows:
             raise InputError(
                 f'Joint "{joint.name}": its function failed on (x_a, R_a, x_b, R_b, t): {type(error).__name__}: {error}'
             ) from error
-        require(found.ndim == 1 and found.size > 0, f'Joint "{joint.name}": its function returned {found!r}, expected (m,) numbers.')
+        require(
+            found.ndim == 1 and found.size > 0,
+            f'Joint "{joint.name}": its function returned {found!r}, expected (m,) numbers.',
+        )
         return found.size
 
     def batches(self) -> list[tuple[Batch, np.ndarray]]:
         """All batches with the numbers of their rows."""
-        out: list[tuple[Batch, np.ndarray]] = [(kind(self.motions, p), np.array(r)) for kind, (p, r) in self._kinds.items()]
+        out: list[tuple[Batch, np.ndarray]] = [
+            (kind(self.motions, p), np.array(r)) for kind, (p, r) in self._kinds.items()
+        ]
         if self._couplings:
             out.append((self._coupling_batch(), np.array([row for _, row in self._couplings])))
         for joint, first, size in self._own:
@@ -82,15 +89,28 @@ class JointRows:
                 found.setdefault(s.kind, []).append((s, i, c))
         terms = []
         for kind, entries in found.items():
-            relative = relative_of(self.motions, kind, [(s, *self.markers[s.joint.name]) for s, _, _ in entries])
-            terms.append((relative, np.array([i for _, i, _ in entries]), np.array([c for *_, c in entries], dtype=float)))
+            relative = relative_of(
+                self.motions, kind, [(s, *self.markers[s.joint.name]) for s, _, _ in entries]
+            )
+            terms.append(
+                (
+                    relative,
+                    np.array([i for _, i, _ in entries]),
+                    np.array([c for *_, c in entries], dtype=float),
+                )
+            )
         return CouplingBatch(terms, [joint.motion for joint, _ in self._couplings])
 
 
-def relative_of(m: Motions, kind: type[Relative], entries: Iterable[tuple[JointCoordinate, int, int]]) -> Relative:
+def relative_of(
+    m: Motions, kind: type[Relative], entries: Iterable[tuple[JointCoordinate, int, int]]
+) -> Relative:
     """The batch of joint coordinates of one kind from (coordinate, marker a, marker b)."""
     found = list(entries)
-    e = [np.zeros(m.dim) if s.joint.axis is None or (kind is Turn and m.dim == 2) else s.joint.axis for s, _, _ in found]
+    e = [
+        np.zeros(m.dim) if s.joint.axis is None or (kind is Turn and m.dim == 2) else s.joint.axis
+        for s, _, _ in found
+    ]
     if kind is Separation:
         e = [np.zeros(m.dim)] * len(found)
     return kind(m, np.array([a for _, a, _ in found]), np.array([b for _, _, b in found]), np.array(e))

@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 
 from .bodies import Surface
+from .drives import JointCoordinate
+from .relative import Relative
 from .rotations import Array
+from .scene_joints import relative_of
 from .system import Evaluation, State
 
 
@@ -63,6 +66,44 @@ class Reaction(Sensor):
 
 
 @dataclass(frozen=True, eq=False)
+class ReactionWrench(Sensor):
+    """Force (N) or torque (N m) of a joint on its first body, world axes, at the joint's point of that body."""
+
+    joint: str = ""
+    torque: bool = False
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        block = ev.system.block(self.joint)
+        d = ev.system.motions.dim
+        wrench = np.zeros(d + ev.system.motions.n_rot)
+        for batch, rows in ev.system.batches:
+            inside = (rows >= block.rows.start) & (rows < block.rows.stop)
+            if not inside.any():
+                continue
+            for number, markers, side in batch.sides(ev.kin, ev.t):
+                at = inside[number] & (markers == block.a)
+                wrench -= state.lam[rows[number[at]]] @ side[at]
+        return wrench[d:] if self.torque else wrench[:d]
+
+
+@dataclass(frozen=True, eq=False)
+class JointReading(Sensor):
+    """A joint coordinate (level 0) or its rate (1), see :func:`fmbd_fenicsx.angle` and ``displacement``."""
+
+    coordinate: JointCoordinate = None  # type: ignore[assignment]
+    level: int = 0
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        s = ev.system
+        key = ("reading", id(self))
+        if key not in s.cache:
+            block = s.block(self.coordinate.joint.name)
+            s.cache[key] = relative_of(s.motions, self.coordinate.kind, [(self.coordinate, block.a, block.b)])
+        relative: Relative = s.cache[key]
+        return relative.rates(ev.kin) if self.level else relative.values(ev.kin)
+
+
+@dataclass(frozen=True, eq=False)
 class Coordinates(Sensor):
     """Coordinates of a :class:`~fmbd_fenicsx.CoordinateBody` (level 0), their rates (1) or second rates (2)."""
 
@@ -81,6 +122,21 @@ class Coordinates(Sensor):
 def coordinates(body: Any, *, level: int = 0) -> Sensor:
     """Coordinates of a body with equations of its own, or their first or second rates, (n,)."""
     return Coordinates(None, "-", None, body if isinstance(body, str) else body.name, level)
+
+
+def joint_rate(coordinate: JointCoordinate) -> Sensor:
+    """Rate of a joint coordinate (rad/s or m/s), (1,); the coordinate itself is a sensor too."""
+    return JointReading(None, coordinate.unit + "/s", coordinate=coordinate, level=1)
+
+
+def reaction_force(joint: Any) -> Sensor:
+    """Force (N) that a joint exerts on its first body, world axes, (d,)."""
+    return ReactionWrench(None, "N", None, joint if isinstance(joint, str) else joint.name)
+
+
+def reaction_torque(joint: Any) -> Sensor:
+    """Torque (N m) that a joint exerts on its first body about the joint's point of that body, world axes, (n_rot,)."""
+    return ReactionWrench(None, "N m", None, joint if isinstance(joint, str) else joint.name, True)
 
 
 def position(on: Any, *, point: Sequence[float] | None = None) -> Sensor:

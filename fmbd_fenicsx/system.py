@@ -18,18 +18,16 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from .constraints import Batch
 from .coordinates import PortConstraint
-from .errors import CallbackError
+from .errors import CallbackError, InputError, near
 from .fields import rank_sum
-from .forces import Force
 from .frames import Kinematics, Markers
+from .laws import Loads
 from .placements import FrameMotion, Part, RigidBlock
 from .rotations import Array, Motions
-
-DENSE_LIMIT = 20_000  # entries of G up to which it is kept dense
+from .system_jacobian import Jacobian, force_tangent
 
 
 @dataclass(frozen=True)
@@ -68,12 +66,20 @@ class System:
     markers: Markers
     batches: tuple[tuple[Batch, np.ndarray], ...]
     port_constraints: tuple[tuple[PortConstraint, slice], ...]
-    forces: tuple[tuple[Force, int, int], ...]
+    forces: tuple[Loads, ...]
     gravity: Callable[[float], Array]
     blocks: tuple[RowBlock, ...]
     length: float  # characteristic length of the model, m
     mass: float  # total mass, kg
     ground: Array = field(repr=False, default=None)  # type: ignore[assignment]  # (1, n_pose)
+    cache: dict[str, Any] = field(repr=False, default_factory=dict)  # patterns found at first use
+
+    def block(self, name: str) -> RowBlock:
+        """The rows of the named joint."""
+        for block in self.blocks:
+            if block.name == name:
+                return block
+        raise InputError(f'No joint "{name}". {near(name, [b.name for b in self.blocks])}')
 
     # -- sizes --------------------------------------------------------------------------------------------------
     @property
@@ -286,11 +292,14 @@ class Evaluation:
         """Applied wrenches on all markers in world axes, (n_markers, d + n_rot)."""
         s = self.system
         out = np.zeros(self.kin.jac_frame.shape[:2])
-        for force, a, b in s.forces:
-            wa, wb = force.wrench(self.kin, a, b, self.t)
-            out[a] += wa
-            out[b] += wb
+        for loads in s.forces:
+            for marker, wrench in zip((loads.a, loads.b), loads.wrenches(self.kin, self.t), strict=True):
+                np.add.at(out, marker, wrench)
         return out
+
+    def force_tangent(self, cd: float, ck: float) -> Any:
+        """cd D + ck K of the applied forces in the core, (n_core, n_core); None without such forces."""
+        return force_tangent(self, cd, ck) if self.system.forces and self.v is not None else None
 
     def spread(self, wrench: Array) -> Array:
         """Generalised forces of wrenches on the markers: the transpose of the marker Jacobians, like v."""
@@ -346,7 +355,7 @@ class Evaluation:
             motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], None, g)
             T, E, W = p.energies(motion, self.pose[p.frame], (s.local_q(self.q, k), s.local_v(self.v, k)))
             kinetic, elastic, weight = kinetic + T, elastic + E, weight + W
-        springs = sum(f.energy(self.kin, a, b, self.t) for f, a, b in s.forces)
+        springs = sum(f.energy(self.kin, self.t) for f in s.forces)
         return {"kinetic": kinetic, "elastic": elastic, "weight": weight, "springs": springs}
 
     def momenta(self) -> tuple[Array, Array]:
@@ -362,65 +371,3 @@ class Evaluation:
             dp, dL = part.momenta(motion, self.pose[part.frame], (s.local_q(self.q, k), s.local_v(self.v, k)))
             p, L = p + dp, L + dL
         return p, L
-
-
-class Jacobian:
-    """G in two pieces: ``core`` (n_lam, n_core), dense or sparse, and ``port`` (n_lam, n_port) on the ports of the parts.
-
-    Ports of replicated parts are folded into ``core``; products take both pieces into account.
-    """
-
-    def __init__(self, ev: Evaluation) -> None:
-        s = self.system = ev.system
-        kin, m, n = ev.kin, s.markers, s.motions.n_twist
-        slot = np.full(len(m.frame), -1)
-        slot[m.surface] = np.arange(len(m.surface))
-        rows_, cols_, data_ = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
-        self.port = np.zeros((s.n_lam, s.n_port))
-        for batch, rows in s.batches:
-            for number, marker, side in batch.sides(kin, ev.t):
-                block = (side[:, None, :] @ kin.jac_frame[marker])[:, 0]
-                frame = m.frame[marker]
-                keep = frame < s.n_frames
-                at = rows[number]
-                rows_.append(np.repeat(at[keep], n))
-                cols_.append((frame[keep, None] * n + np.arange(n)).ravel())
-                data_.append(block[keep].ravel())
-                on = np.flatnonzero(slot[marker] >= 0)
-                if on.size:
-                    k = slot[marker[on]]
-                    self.port[at[on, None], m.port[k]] += (side[on, None, :] @ kin.jac_port[k])[:, 0]
-        for laws, rows in s.port_constraints:
-            self.port[rows, s.port_slice(laws.part)] += laws.jacobian(ev.port[s.port_slice(laws.part)], ev.t)
-        for k, r in enumerate(s.frame_rows):
-            start = s.port_slice(k).start
-            self.port[r, start : start + s.parts[k].n_frame_rows] = np.eye(s.parts[k].n_frame_rows)
-        shape = (s.n_lam, s.n_core)
-        core = sp.csr_matrix((np.concatenate(data_), (np.concatenate(rows_), np.concatenate(cols_))), shape=shape)
-        self.core: Any = core.toarray() if shape[0] * shape[1] <= DENSE_LIMIT else core
-        for k, p in s.core_parts:
-            if p.n_port and isinstance(self.core, np.ndarray):
-                self.core[:, s.slices[1][k]] += self.port[:, s.port_slice(k)] @ p.port_matrix
-            elif p.n_port:
-                wide = sp.csr_matrix(self.port[:, s.port_slice(k)] @ p.port_matrix)
-                before = s.slices[1][k].start
-                after = s.n_core - s.slices[1][k].stop
-                left, right = sp.csr_matrix((s.n_lam, before)), sp.csr_matrix((s.n_lam, after))
-                self.core = (self.core + sp.hstack([left, wide, right])).tocsr()
-
-    def times(self, v: Array) -> Array:
-        """G v, (n_lam,); collective."""
-        s = self.system
-        out = np.asarray(self.core @ v[: s.n_core])
-        for k, p in s.fields:
-            out = out + self.port[:, s.port_slice(k)] @ p.ports_of(s.local_v(v, k))
-        return out
-
-    def transposed(self, lam: Array) -> Array:
-        """G^T lambda, like v."""
-        s = self.system
-        core = np.asarray(self.core.T @ lam)
-        if not s.fields:
-            return core
-        forces = [p.port_force(self.port[:, s.port_slice(k)].T @ lam) for k, p in s.fields]
-        return np.concatenate((core, *forces))

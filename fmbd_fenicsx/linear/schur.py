@@ -76,8 +76,10 @@ class StepSolver:
         w = self.weights = weights
         G = ev.jacobian
         A = self._core_matrix(ev, w)
-        if stiffness is not None:
-            A = A + stiffness
+        applied = ev.force_tangent(w.cd, w.ck) if w.cd or w.ck else None
+        for extra in (applied, stiffness):
+            if extra is not None:
+                A = A + extra
         if not s.fields:
             self._G = G
             self.core.factor(A, G.core)
