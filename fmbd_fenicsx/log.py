@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 log = logging.getLogger("fmbd_fenicsx")
 log.addHandler(logging.NullHandler())
@@ -88,7 +88,7 @@ class stop_requests:
         self.asked = False
         self._mine = False
 
-    def __enter__(self) -> stop_requests:
+    def __enter__(self) -> Self:
         if (
             world_size() == 1
             and threading.current_thread() is threading.main_thread()

@@ -1,0 +1,104 @@
+"""Observed orders and work-precision: right on made-up errors, on an exact solution, with failures listed."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError, InputError
+from fmbd_fenicsx.study import Configuration, orders, work_precision
+
+SYSTEM = SimpleNamespace(n_q=1, n_lam=0)
+
+
+def made_up(order, size=1.0):
+    """Runs of x' = 1 from 0 to 1 whose series has the error size h^order sin(t)."""
+
+    def run(h):
+        t = np.linspace(0, 1, round(1 / h) + 1)
+        series = {"x": (t + size * h**order * np.sin(t))[:, None]}
+        return SimpleNamespace(times=t, series=series, system=SYSTEM, seconds={"steps": 1 / h}, counters={"steps": 1 / h})
+
+    return run
+
+
+EXACT = {"x": lambda t: t}
+
+
+def free_fall_pendulum(h, rho_inf=0.8):
+    bob = fmbd.RigidBody("bob", 1.0, 0.1, position=(1.0, 0.0))
+    scene = fmbd.Scene("swing", gravity=(0, -9.81))
+    scene.add(bob, fmbd.revolute("pin", fmbd.ground, bob, center=(0, 0)))
+    scene.sensor("bob", fmbd.position(bob))
+    return fmbd.solve(scene, t_end=0.8, dt=h, scheme=fmbd.GeneralizedAlpha(rho_inf), output=fmbd.Output(energy=False))
+
+
+@pytest.mark.parametrize("order", [1.0, 2.0, 3.5])
+def test_made_up_order_is_found_exactly(order):
+    table = orders(made_up(order), [0.1, 0.05, 0.02, 0.01], reference=EXACT)
+    assert table.pairwise("x") == pytest.approx([order] * 3)
+    assert table.order("x") == pytest.approx(order)
+    assert table.errors["x"][-1] == pytest.approx(0.01**order * np.sin(1.0))
+    table.assert_order("x", order)
+    with pytest.raises(AssertionError, match="finest three"):
+        table.assert_order("x", order + 0.2)
+
+
+def test_orders_of_a_pendulum_for_positions_velocities_and_multipliers():
+    table = orders(free_fall_pendulum, [0.04, 0.02, 0.01, 0.005], reference=free_fall_pendulum(0.0005))
+    assert list(table.errors) == ["bob", "q", "v", "lam"]
+    for name in table.errors:
+        table.assert_order(name, 2.0)
+        assert table.order(name) < 2.2
+
+
+def test_table_as_text_and_markdown():
+    table = orders(made_up(2.0), [0.1, 0.05], reference=EXACT)
+    lines = str(table).splitlines()
+    assert lines[0].split() == ["h", "x", "order"] and lines[2].split()[-1] == "2.00"
+    assert table.markdown().splitlines()[1] == "| --- | ---: | ---: |"
+
+
+def test_unusable_studies_are_refused():
+    with pytest.raises(InputError, match="fall"):
+        orders(made_up(2), [0.1, 0.2], reference=EXACT)
+    with pytest.raises(InputError, match='Did you mean "x"'):
+        orders(made_up(2), [0.2, 0.1], reference=EXACT, names=["xx"])
+    with pytest.raises(InputError, match="no sensor in common"):
+        orders(made_up(2), [0.2, 0.1], reference={"y": lambda t: t})
+
+
+def test_work_precision_lists_failures_and_takes_medians(tmp_path):
+    seconds = iter([9.0, 1.0, 3.0, 2.0])  # one run to warm up, three repeats
+
+    def timed(h):
+        run = made_up(2)(h)
+        run.seconds = {"steps": next(seconds)}
+        return run
+
+    def broken(h):
+        raise ConvergenceError("Newton stopped")
+
+    found = work_precision(
+        [Configuration("a", timed, [0.1]), Configuration("b", broken, [0.1, 0.05])], reference=EXACT
+    )
+    assert found.points[0].seconds == 2.0
+    assert found.points[0].errors["x"] == pytest.approx(0.01 * np.sin(1.0))
+    assert [p.label for p in found.failures] == ["b", "b"]
+    assert "failed: b at 0.05: ConvergenceError: Newton stopped" in str(found)
+    found.json(tmp_path / "wp.json")
+    assert json.loads((tmp_path / "wp.json").read_text())[0]["label"] == "a"
+    with pytest.raises(InputError):
+        work_precision([Configuration("c", lambda h: free_fall_pendulum(-h), [0.1])], reference=EXACT)
+
+
+def test_work_precision_of_two_damping_parameters():
+    configurations = [
+        Configuration(f"rho {r}", lambda h, r=r: free_fall_pendulum(h, r), [0.02, 0.01]) for r in (0.9, 0.0)
+    ]
+    found = work_precision(configurations, reference=free_fall_pendulum(0.0005), repeats=1)
+    e = {(p.label, p.value): p.errors["bob"] for p in found.points}
+    assert e["rho 0.0", 0.01] > e["rho 0.9", 0.01] > 0
+    assert all(p.counters["steps"] == round(0.8 / p.value) for p in found.points)
