@@ -2,9 +2,9 @@
 
     PYTHON env/native.py VENV
 
-Nothing is changed in PYTHON's own installation: VENV is a venv on top of it, with only those pure extras from PyPI that
-are missing.  DOLFINx, PETSc and MPI are never fetched.  VENV/found is written last and tells `with-dolfinx` three things:
-the folder of DOLFINx, the folder of PYTHON, and the major version of Open MPI (empty: another MPI).
+Nothing is changed in PYTHON's own installation: VENV is a venv on top of it, with only those extras from PyPI
+that are missing.  DOLFINx, PETSc and MPI are never fetched.  VENV/found is written last and tells `with-dolfinx`
+three things: the folder of DOLFINx, the folder of PYTHON, and the major version of Open MPI (empty: another MPI).
 """
 
 import importlib.util
@@ -31,6 +31,7 @@ EXTRAS = {  # module: name on PyPI
 
 
 def say(text):
+    """Tell what goes on, where it does not mix with the command's output."""
     print("with-dolfinx:", text, file=sys.stderr, flush=True)
 
 
@@ -49,6 +50,7 @@ def check():
 
 
 def make_venv(venv, numpy_version):
+    """Make the venv on top of this python, with what is missing; what cannot be had is told and left out."""
     shutil.rmtree(venv, ignore_errors=True)
     subprocess.run(
         [sys.executable, "-m", "venv", "--system-site-packages", "--without-pip", venv], check=True
