@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 log = logging.getLogger("fmbd_fenicsx")
 log.addHandler(logging.NullHandler())
@@ -78,7 +78,7 @@ def _top_of_many(kind: type[BaseException], error: BaseException, trace: Traceba
     MPI.COMM_WORLD.Abort(int(getattr(error, "exit_code", 1)))
 
 
-class stop_requests:
+class StopRequests:
     """Context in which the first Ctrl-C only sets ``asked``, so that the step under way is completed; the second interrupts.
 
     Only in serial runs, in the main thread, and where Python's own handler is in place.
@@ -88,7 +88,7 @@ class stop_requests:
         self.asked = False
         self._mine = False
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> StopRequests:
         if (
             world_size() == 1
             and threading.current_thread() is threading.main_thread()

@@ -11,7 +11,7 @@ import numpy as np
 
 from .errors import ConvergenceError, InputError, Stopped, near, require
 from .linear.schur import StepSolver
-from .log import install_hooks, log, peak_memory, stop_requests
+from .log import install_hooks, log, peak_memory, StopRequests
 from .newton import Newton
 from .output import Output, Progress, Recorder
 from .plan import Plan, make_plan
@@ -198,7 +198,7 @@ def _march(problem: _Problem, solver: StepSolver, h: float, steps: int, output: 
     bar = Progress(problem.scene.name, steps, output.progress)
     local_error, done, first = 0.0, 0, 0
     try:
-        with stop_requests() as stop:
+        with StopRequests() as stop:
             for n in range(1, steps + 1):
                 state = stepper.advance(h)
                 local_error = max(local_error, stepper.local_error)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from fmbd_fenicsx.errors import ConstraintError
-from fmbd_fenicsx.log import stop_requests
+from fmbd_fenicsx.log import StopRequests
 
 ROOT = Path(__file__).resolve().parents[1]
 PENDULUM = """
@@ -48,7 +48,7 @@ def test_ctrl_c_prints_the_report_so_far_and_exits_with_130():
 
 
 def test_first_ctrl_c_asks_and_the_second_interrupts():
-    with stop_requests() as stop:
+    with StopRequests() as stop:
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(0.01)
         assert stop.asked
