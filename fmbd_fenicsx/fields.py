@@ -33,13 +33,19 @@ def rank_sum(comm: Any, x: Array) -> Array:
 
 @dataclass(frozen=True)
 class ElasticForms:
-    """What a user says of an elastic body: the bilinear elastic form a(u, v, dx), density, degree, Rayleigh damping."""
+    """What a user says of an elastic body: density, degree, Rayleigh damping, and its elasticity.
 
-    elastic: Callable[[Any, Any, Any], Any]
+    Either the bilinear form ``elastic(u, v, dx)``, or an ``energy(u, dx)`` in J, not quadratic in general. ``quadrature`` is the
+    degree of the quadrature of both (None: what UFL estimates).
+    """
+
+    elastic: Callable[[Any, Any, Any], Any] | None
     density: float
     degree: int
     mass_damping: float = 0.0  # 1/s
     stiffness_damping: float = 0.0  # s
+    energy: Callable[[Any, Any], Any] | None = None
+    quadrature: int | None = None
 
 
 class Field:
@@ -63,6 +69,7 @@ class Field:
         self.dim = d = mesh.dim
         self.motions = motions(d)
         self.space = fem.functionspace(msh, ("Lagrange", forms.degree, (d,)))
+        self.n = self.space.dofmap.index_map.size_local
         scalar = fem.functionspace(msh, ("Lagrange", forms.degree))
         same = np.array_equal(self.space.dofmap.list, scalar.dofmap.list)
         together(self.comm, None if same else RuntimeError("DOLFINx numbered scalar and vector spaces differently"))
@@ -71,26 +78,67 @@ class Field:
         rho = fem.Constant(msh, float(forms.density))
         self.M = fp.assemble_matrix(compat.form(rho * p * q * dx))
         self.M.assemble()
-        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        try:
-            a = forms.elastic(u, v, dx)
-            if not isinstance(a, ufl.Form) or len(a.arguments()) != 2:
-                raise TypeError(f"found {a!r:.80}; integrate over dx, once linear in u and once in v")
-            self._stiffness_form = compat.form(a)
-        except Exception as error:
-            raise InputError(
-                f'Body "{name}": elastic(u, v, dx) did not give a bilinear UFL form: {type(error).__name__}: {error}'
-            ) from error
+        self._elastic_form(dx if forms.quadrature is None else dx(metadata={"quadrature_degree": forms.quadrature}))
         self.K = fp.create_matrix(self._stiffness_form, "baij")
-        fp.assemble_matrix(self.K, self._stiffness_form)
-        self.K.assemble()
+        self.tangents = -1
+        self.linearise(None)
+        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
         self._mass_form = compat.form(rho * ufl.inner(u, v) * dx)
-        self.n = self.space.dofmap.index_map.size_local
         self.n_global = self.space.dofmap.index_map.size_global * d
         self._work = [self.M.createVecRight(), self.M.createVecLeft()]
         self._big = [self.K.createVecRight(), self.K.createVecLeft()]
         self._rigid_properties()
         self._check_stiffness()
+
+    @property
+    def nonlinear(self) -> bool:
+        """Whether the internal forces come from an energy."""
+        return self.forms.energy is not None
+
+    def _elastic_form(self, dx: Any) -> None:
+        """Compile the stiffness form, and for an energy Pi(u) the residual dPi/du and Pi itself."""
+        import ufl
+        from dolfinx import fem
+
+        from . import dolfinx_compat as compat
+
+        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        what = "elastic(u, v, dx) did not give a bilinear UFL form"
+        try:
+            if self.forms.energy is None:
+                assert self.forms.elastic is not None
+                a = self.forms.elastic(u, v, dx)
+                if not isinstance(a, ufl.Form) or len(a.arguments()) != 2:
+                    raise TypeError(f"found {a!r:.80}; integrate over dx, once linear in u and once in v")
+                self._stiffness_form = compat.form(a)
+                return
+            what = "energy(u, dx) did not give a UFL form of rank 0"
+            self._w = fem.Function(self.space)
+            energy = self.forms.energy(self._w, dx)
+            if not isinstance(energy, ufl.Form) or len(energy.arguments()) != 0:
+                raise TypeError(f"found {energy!r:.80}; integrate an energy density over dx")
+            residual = ufl.derivative(energy, self._w, v)
+            self._energy_form, self._residual_form = compat.form(energy), compat.form(residual)
+            self._stiffness_form = compat.form(ufl.derivative(residual, self._w, u))
+        except Exception as error:
+            raise InputError(f'Body "{self.name}": {what}: {type(error).__name__}: {error}') from error
+
+    def linearise(self, U: Array | None) -> None:
+        """Assemble K, for an energy at the displacements U (n d,) (None: zero); collective."""
+        import dolfinx.fem.petsc as fp
+
+        if self.nonlinear:
+            self._place(np.zeros(self.n * self.dim) if U is None else U)
+        self.K.zeroEntries()
+        fp.assemble_matrix(self.K, self._stiffness_form)
+        self.K.assemble()
+        self._linearised = U
+        self.tangents += 1
+
+    def _place(self, U: Array) -> None:
+        """Nodal values of the energy's argument, ghosts included; collective."""
+        self._w.x.array[: len(U)] = U
+        self._w.x.scatter_forward()
 
     # -- products -----------------------------------------------------------------------------------------------
     def mass(self, A: Array) -> Array:
@@ -110,6 +158,26 @@ class Field:
         self.K.mult(x, y)
         return y.array.copy()
 
+    def internal(self, U: Array) -> Array:
+        """Internal forces K U, or dPi/du, (n d,) -> (n d,); collective."""
+        if not self.nonlinear:
+            return self.stiffness(U)
+        from dolfinx import fem, la
+
+        self._place(U)
+        b = fem.assemble_vector(self._residual_form)
+        b.scatter_reverse(la.InsertMode.add)
+        return b.array[: self.n * self.dim].copy()
+
+    def energy(self, U: Array) -> float:
+        """Elastic energy in J; collective."""
+        if not self.nonlinear:
+            return float(self.total(np.array(0.5 * U @ self.stiffness(U))))
+        from dolfinx import fem
+
+        self._place(U)
+        return float(self.total(np.array(fem.assemble_scalar(self._energy_form))))
+
     def total(self, x: Array) -> Array:
         """Sum of a rank-local contribution over the ranks."""
         return rank_sum(self.comm, x)
@@ -122,6 +190,8 @@ class Field:
         """The PETSc matrix cm M + ck K (symmetric, aij); collective. The caller destroys it."""
         import dolfinx.fem.petsc as fp
 
+        if self.nonlinear:
+            self._place(np.zeros(self.n * self.dim) if self._linearised is None else self._linearised)
         E = fp.create_matrix(self._stiffness_form)
         E.zeroEntries()
         fp.assemble_matrix(E, self._mass_form)

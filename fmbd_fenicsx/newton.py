@@ -7,6 +7,7 @@ step has one increment only.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -18,6 +19,8 @@ class Newton:
     tolerance: float = 1e-6
     max_iterations: int = 12
     slow: float = 0.9  # a rate above this counts as divergence
+    patience: float = 4.0  # a new tangent is taken when more than this many further iterations are to be expected
+    refresh: Callable[[], bool] | None = field(default=None, repr=False)  # takes a new tangent where one can change
     iterations: int = 0
     theta: float = field(default=0.5)
 
@@ -27,6 +30,7 @@ class Newton:
         Returns whether it converged, and the history of norms.
         """
         history: list[float] = []
+        refreshed = 0
         for _ in range(self.max_iterations):
             size = increment()
             self.iterations += 1
@@ -36,9 +40,14 @@ class Newton:
             if len(history) > 1:
                 theta = size / history[-2] if history[-2] > 0 else 0.0
                 self.theta = max(min(theta, 0.999), 1e-4)
+                left = self.theta / (1 - self.theta) * size
+                if left > 1.0 and refreshed < 4 and -math.log(left) / math.log(self.theta) > self.patience:
+                    refreshed += 1
+                    if self.refresh is not None and self.refresh():
+                        self.theta = 0.1
+                        continue
                 if theta > self.slow and size > 1.0 and len(history) > 3:
                     return False, history
-                left = self.theta / (1 - self.theta) * size
             else:
                 left = max(self.theta, 0.02) / (1 - min(max(self.theta, 0.02), 0.9)) * size
             if left <= 1.0 or size <= 1e-3:

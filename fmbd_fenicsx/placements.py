@@ -1,14 +1,7 @@
-"""Placements: how the points of a body move, and the inertia that follows from it.
+"""Placements: how the points of a body move. What every part of a system offers, and all rigid bodies at once.
 
-A flexible body in a moving frame has x = r + R P, P = X + U. Its nodal accelerations and inertia forces in body axes are
-
-    a = R^T (r'' - g) + w' x P + w x (w x P) + 2 w x U' + U'',     F = M a                                   (1)
-
-    translation:  R sum_n F_n        rotation:  sum_n P_n x F_n      field:  F + K U + D U'                  (2)
-
-and nothing else: no inertia shape integrals, no gyroscopic terms by hand, because constants and linear functions lie
-in V_h and M commutes with node-wise rotations (Galerkin mass, unlumped). A rigid body is the same with U = 0 and the
-sums taken once: m (r'' - g) and J w' + w x J w.
+A rigid body has x = r + R X and the inertia m (r'' - g), J w' + w x J w. Elastic placements have files of their own:
+:mod:`.floating` x = r + R (X + u), :mod:`.absolute` x = X + u, :mod:`.reduced` x = r + R (X + Phi eta).
 """
 
 from __future__ import annotations
@@ -18,8 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from .fields import Field
-from .rotations import Array, Motions, motions
+from .rotations import Array, Motions
 
 
 @dataclass(frozen=True)
@@ -117,127 +109,3 @@ class RigidBlock:
         p = self.mass[:, None] * v[:, :d]
         spin = m.turn(m.matrix(q), (self.inertia @ v[:, d:, None])[..., 0])
         return p.sum(0), (m.moment(q[:, :d], p) + spin).sum(0)
-
-
-class FloatingField:
-    """A displacement field in a floating frame; equations (1), (2). One per body.
-
-    ``frame`` is the index of its frame. Local coordinates are the owned nodal displacements. Its ports are the frame
-    conditions (n_twist numbers C^T U, zero by constraint) followed by the moments of each surface in use.
-    """
-
-    distributed = True
-    port_matrix = np.zeros((0, 0))
-
-    def __init__(self, field: Field, frame: int, surfaces: list[str], attached: str | None) -> None:
-        self.field, self.frame, self.name, self.comm = field, frame, field.name, field.comm
-        self.motions = motions(field.dim)
-        self.n = field.n * field.dim
-        self.surfaces = [field.moments(s) for s in surfaces]
-        self.n_frame_rows = self.motions.n_twist
-        self.conditions = field.Q if attached is None else self._attachment(field.moments(attached))
-        self.mean_axis = attached is None
-        per = field.dim * (1 + field.dim)
-        self.n_port = self.n_frame_rows + per * len(self.surfaces)
-        self.reference = np.concatenate([np.zeros(self.n_frame_rows), *(s.reference.ravel() for s in self.surfaces)])
-
-    def _attachment(self, moments: object) -> Array:
-        """Columns of the linear conditions "the surface does not move in the frame, on average"."""
-        from .surfaces import Moments
-
-        assert isinstance(moments, Moments)
-        m, d = self.motions, self.field.dim
-        b = moments.reference[1:]  # (k, d)
-        C = np.zeros((self.field.n, d, m.n_twist))
-        C[moments.nodes[:, None], range(d), range(d)] = moments.weights[:, :1]
-        for c in range(d):
-            unit = np.eye(d)[c]
-            turn = m.moment(b, unit)  # (k, n_rot): b_k x e_c
-            C[moments.nodes, c, d:] = moments.weights[:, 1:] @ turn
-        return C.reshape(self.n, m.n_twist) * self.field.mass_total
-
-    # -- ports --------------------------------------------------------------------------------------------------
-    def ports_of(self, w: Array) -> Array:
-        """Port values of a nodal vector without its reference part, (n d,) -> (n_port,); collective."""
-        d = self.field.dim
-        W = w.reshape(-1, d)
-        parts = [self.conditions.T @ w] + [(s.weights.T @ W[s.nodes]).ravel() for s in self.surfaces]
-        return self.field.total(np.concatenate(parts))
-
-    def port_force(self, f: Array) -> Array:
-        """Nodal forces of port forces, the transpose of :meth:`ports_of`; (n_port,) -> (n d,)."""
-        d, k = self.field.dim, self.n_frame_rows
-        out = (self.conditions @ f[:k]).reshape(-1, d)
-        for s in self.surfaces:
-            block = f[k : k + d * (1 + d)].reshape(1 + d, d)
-            out[s.nodes] += s.weights @ block
-            k += d * (1 + d)
-        return out.ravel()
-
-    def port_columns(self, used: np.ndarray) -> Array:
-        """Dense columns (n d, count) of :meth:`port_force` for the port numbers ``used``."""
-        out = np.empty((self.n, len(used)))
-        for i, p in enumerate(used):
-            e = np.zeros(self.n_port)
-            e[p] = 1.0
-            out[:, i] = self.port_force(e)
-        return out
-
-    # -- mechanics ----------------------------------------------------------------------------------------------
-    def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        """Rows of (2): the frame's (n_twist,), world translation and body rotation, and the field's (n d,); collective."""
-        m, d, R, accel = self.motions, self.field.dim, motion.R, motion.accel
-        assert accel is not None
-        U, Ud, Udd = (x.reshape(-1, d) for x in local)
-        P = self.field.X + U
-        w = motion.twist[None, d:]
-        a = R.T @ (accel[:d] - motion.gravity)
-        A = Udd + a + m.spin(accel[None, d:], P) + m.spin(w, m.spin(w, P) + 2.0 * Ud)
-        F = self.field.mass(A)
-        sums = self.field.total(np.concatenate((F.sum(0), m.moment(P, F).sum(0))))
-        sums[:d] = R @ sums[:d]
-        rows = F.ravel() + self.internal(local[0], local[1])
-        if self.field.forms.mass_damping:
-            rows += self.field.forms.mass_damping * self.field.mass(Ud).ravel()
-        return sums, rows
-
-    def internal(self, U: Array, Ud: Array) -> Array:
-        """K (U + beta U'), (n d,)."""
-        beta = self.field.forms.stiffness_damping
-        return self.field.stiffness(U + beta * Ud if beta else U)
-
-    def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
-        """Mass block of the frame at U = 0, blockdiag(m 1, J); the field's own blocks stay with its factor."""
-        d, n = self.field.dim, self.motions.n_twist
-        M = np.zeros((n, n))
-        M[range(d), range(d)] = self.field.mass_total
-        M[d:, d:] = self.field.inertia
-        return M, np.zeros((0, n)), np.zeros((0, 0))
-
-    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
-        """None in the core."""
-        return np.zeros((0, 0)), np.zeros((0, 0))
-
-    def _velocity(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array, Array]:
-        """Points P, nodal velocities W in body axes and M W."""
-        d = self.field.dim
-        P = self.field.points(local[0])
-        W = motion.R.T @ motion.twist[:d] + self.motions.spin(motion.twist[None, d:], P) + local[1].reshape(-1, d)
-        return P, W, self.field.mass(W)
-
-    def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
-        """Kinetic, elastic and weight energy, J; collective."""
-        d, U = self.field.dim, local[0]
-        P, W, MW = self._velocity(motion, local)
-        kinetic, elastic = 0.5 * float((W * MW).sum()), 0.5 * float(U @ self.field.stiffness(U))
-        sums = self.field.total(np.concatenate(([kinetic, elastic], self.field.mass(P).sum(0))))
-        weight = -float(motion.gravity @ (self.field.mass_total * pose[:d] + motion.R @ sums[2:]))
-        return float(sums[0]), float(sums[1]), weight
-
-    def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Linear and angular momentum about the world origin, world axes; collective."""
-        m, d = self.motions, self.field.dim
-        P, _, MW = self._velocity(motion, local)
-        sums = self.field.total(np.concatenate((MW.sum(0), m.moment(P, MW).sum(0))))
-        p = motion.R @ sums[:d]
-        return p, m.moment(pose[:d], p) + m.turn(motion.R, sums[d:])

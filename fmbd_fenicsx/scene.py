@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .bodies import Attached, CoordinateBody, FloatingBody, RigidBody, Surface
+from .bodies import AbsoluteBody, Attached, CoordinateBody, FloatingBody, RigidBody, Surface
 from .coordinates import CoordinatePart, PortConstraint
 from .constraints import Batch
 from .drives import JointCoordinate
@@ -53,7 +53,7 @@ class Scene:
     def add(self, *parts: Any) -> None:
         """Add bodies, joints and forces; names must be unique among each."""
         for part in parts:
-            if isinstance(part, RigidBody | FloatingBody | CoordinateBody):
+            if isinstance(part, RigidBody | FloatingBody | AbsoluteBody | CoordinateBody):
                 self._put(self.bodies, part, "body")
             elif isinstance(part, Joint):
                 self._put(self.joints, part, "joint")
@@ -100,14 +100,15 @@ class _Builder:
         self.part_of: dict[str, int] = {}
         self.fields: list[Any] = []
         self.joint_markers: dict[str, tuple[int, int]] = {}
+        self.starts: list[tuple[Array, Array]] = []
         self.keys: list[tuple[int, Array, Array, Any]] = []  # markers: frame, position, rotation, surface or None
 
     def build(self) -> tuple[System, State, dict[str, int]]:
         scene = self.scene
         self._check()
         moving = [b for b in scene.bodies.values() if not getattr(b, "locked", False)]
-        framed = [b for b in moving if not isinstance(b, CoordinateBody)]
-        elastic = [b for b in moving if isinstance(b, FloatingBody)]
+        framed = [b for b in moving if not isinstance(b, CoordinateBody | AbsoluteBody)]
+        elastic = [b for b in moving if isinstance(b, FloatingBody | AbsoluteBody)]
         own = [b for b in moving if isinstance(b, CoordinateBody)]
         for body in framed:
             self.frame_of[body.name] = len(self.poses)
@@ -115,10 +116,9 @@ class _Builder:
             self.twists.append(body.start_twist())
         used = self._surfaces_in_use()
         for body in own:
-            self.part_of[body.name] = len(self.fields)
-            self.fields.append(CoordinatePart(body, len(framed)))
+            self._put_part(CoordinatePart(body, len(framed)), np.array(body.start), np.array(body.start_rate))
         for body in elastic:
-            self._add_field(body, used[body.name])
+            self._add_field(body, used[body.name], len(framed))
         rigid = [b for b in moving if isinstance(b, RigidBody)]
         for body in rigid:
             self.poses[self.frame_of[body.name]] = body.start_pose()
@@ -141,7 +141,7 @@ class _Builder:
             mass=self._mass(rigid),
             ground=self.m.identity[None],
         )
-        return system, self._state(system, elastic), sensor_markers
+        return system, self._state(system), sensor_markers
 
     # -- checks -------------------------------------------------------------------------------------------------
     def _check(self) -> None:
@@ -168,7 +168,7 @@ class _Builder:
             raise InputError(
                 f"{what} refers to {side!r}, which is not in the scene. {near(getattr(body, 'name', ''), self.scene.bodies)}"
             )
-        if isinstance(side, FloatingBody):
+        if isinstance(side, FloatingBody | AbsoluteBody):
             raise InputError(
                 f'{what}: attach to a surface of the elastic body "{body.name}", say {body.name}.surface("...").'
             )
@@ -184,15 +184,29 @@ class _Builder:
         return used
 
     # -- bodies -------------------------------------------------------------------------------------------------
-    def _add_field(self, body: FloatingBody, surfaces: list[str]) -> None:
-        from .fields import Field
-        from .placements import FloatingField
+    def _put_part(self, part: Any, q: Array, v: Array) -> None:
+        """Add a part with its local coordinates and rates at the start; parts in the core come first."""
+        self.part_of[part.name] = len(self.fields)
+        self.fields.append(part)
+        self.starts.append((q, v))
 
-        attached = body.frame.surface if isinstance(body.frame, Attached) else None
+    def _add_field(self, body: FloatingBody | AbsoluteBody, surfaces: list[str], ground_frame: int) -> None:
+        from .absolute import AbsoluteField
+        from .fields import Field
+        from .floating import FloatingField
+
         field_ = Field(body.name, body.mesh, body.forms())
+        U = _initial(body, body.displacement, field_, "displacement")
+        Ud = _initial(body, body.displacement_rate, field_, "displacement_rate")
+        if isinstance(body, AbsoluteBody):
+            d, twist = self.m.dim, body.start_twist()
+            arm = field_.X + U.reshape(-1, d)
+            Ud = Ud + (twist[:d] + self.m.spin(twist[None, d:], arm)).ravel()
+            self._put_part(AbsoluteField(field_, ground_frame, surfaces), U, Ud)
+            return
+        attached = body.frame.surface if isinstance(body.frame, Attached) else None
         frame = self.frame_of[body.name]
-        self.part_of[body.name] = len(self.fields)
-        self.fields.append(FloatingField(field_, frame, surfaces, attached))
+        self._put_part(FloatingField(field_, frame, surfaces, attached), U, Ud)
         self.poses[frame] = self.m.pose(field_.center)
 
     def _rigid_block(self, rigid: list[RigidBody]) -> Any:
@@ -211,11 +225,9 @@ class _Builder:
         return sum(b.mass for b in rigid) + sum(p.field.mass_total for p in self.fields if hasattr(p, "field"))
 
     def _length(self) -> float:
-        if not self.poses:
-            return 1.0
         points = [q[: self.m.dim] for q in self.poses]
         points += [x for j in self.scene.joints.values() for x in (j.center_a, j.center_b) if x is not None]
-        spread = np.ptp(np.array(points), axis=0)
+        spread = np.ptp(np.array(points), axis=0) if points else np.zeros(1)
         return max([float(np.linalg.norm(spread)), *(p.field.size for p in self.fields if hasattr(p, "field"))]) or 1.0
 
     def _gravity(self) -> Callable[[float], Array]:
@@ -350,21 +362,13 @@ class _Builder:
         return collected.batches(), own, blocks
 
     # -- start ----------------------------------------------------------------------------------------------------
-    def _state(self, system: System, elastic: list[FloatingBody]) -> State:
-        q, v = [p for p in self.poses], [w for w in self.twists]
-        for part in self.fields:
-            if isinstance(part, CoordinatePart):
-                q.append(np.array(part.body.start, dtype=float))
-                v.append(np.array(part.body.start_rate, dtype=float))
-        for body in elastic:
-            part = self.fields[self.part_of[body.name]]
-            q.append(_initial(body, body.displacement, part.field, "displacement"))
-            v.append(_initial(body, body.displacement_rate, part.field, "displacement_rate"))
-        zero = np.zeros(system.n_v)
-        return State(0.0, np.concatenate(q), np.concatenate(v), zero, np.zeros(system.n_lam))
+    def _state(self, system: System) -> State:
+        q = [*self.poses, *(u for u, _ in self.starts)]
+        v = [*self.twists, *(ud for _, ud in self.starts)]
+        return State(0.0, np.concatenate(q), np.concatenate(v), np.zeros(system.n_v), np.zeros(system.n_lam))
 
 
-def _initial(body: FloatingBody, function: Callable[[Array], Array] | None, field_: Any, what: str) -> Array:
+def _initial(body: FloatingBody | AbsoluteBody, function: Callable[[Array], Array] | None, field_: Any, what: str) -> Array:
     """Nodal values of an initial field given as a function of world coordinates (d, n) -> (d, n)."""
     if function is None:
         return np.zeros(field_.n * field_.dim)

@@ -130,12 +130,13 @@ def solve(
     install_hooks()
     scheme = GeneralizedAlpha() if scheme is None else scheme
     output = Output() if output is None else output
-    newton = Newton() if newton is None else Newton(newton.tolerance, newton.max_iterations, newton.slow)
+    newton = Newton() if newton is None else replace(newton, iterations=0, theta=0.5)
     steps = _number_of_steps(t_end, dt, output.estimate_error)
     begin = clock.perf_counter()
     system, given, markers = scene.build()
     built = clock.perf_counter()
     solver = StepSolver(system)
+    newton.refresh = solver.refresh
     try:
         start, correction = consistent(system, given, solver)
         started = clock.perf_counter()

@@ -11,8 +11,8 @@ PACKAGE = Path(__file__).resolve().parents[1] / "fmbd_fenicsx"
 FLOORS = [
     {"errors", "log", "rotations", "dolfinx_compat", "mesh", "materials"},
     {"surfaces", "fields", "traces", "mortar"},
-    {"bodies", "placements", "ports", "frames", "constraints", "joints", "forces", "coordinates", "contact", "beams",
-     "reduction", "tables", "relative", "couplings", "drives", "laws"},
+    {"bodies", "placements", "field_part", "floating", "absolute", "reduced", "ports", "frames", "constraints", "joints", "forces", "coordinates", "contact", "beams",
+     "reduction", "modes", "loads", "tables", "relative", "couplings", "drives", "laws"},
     {"scene", "plan", "system", "sensors"},
     {"newton", "linear"},
     {"schemes"},

@@ -6,7 +6,9 @@ unknowns x = (frames, multipliers), the step's system and its solution are
     [ E      H S ] [ dU ]   [ b_u ]        z = E^-1 b_u,   (A - S^T W S) x = b_x - S^T H^T z,   dU = z - Y S x
     [ S^T H^T  A ] [ x  ] = [ b_x ]        Y = E^-1 H,     W = H^T Y                                            (1)
 
-E is factored, Y and W are computed once for a ratio cm : ck. One step costs one back-solve per iteration.
+E is factored, Y and W are computed once for a ratio cm : ck. One step costs one back-solve per iteration. A nonlinear
+absolute body turns: with its mean rotation T, E is T E_0 T^T to the order of the strain, ports turn alike, and the factor of
+E_0 serves all attitudes; new tangents are taken only when Newton's rate asks for them (:meth:`StepSolver.refresh`).
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ class Block:
 
     factor: Any
     used: np.ndarray  # port numbers that have a column
-    Y: Array  # (n d, n_twist + len(used))
+    Y: Array  # (n d, k + len(used)), k columns of inertia
     W: Array
 
 
@@ -51,9 +53,8 @@ class StepSolver:
         self.system = system
         self.core = CoreSolver(Judge("the core of the system"), redundant)
         self.factorisations = 0
-        self._blocks: dict[tuple[float, float], list[Block]] = {}
+        self._blocks: dict[tuple[float | int, ...], list[Block]] = {}
         self._retired: list[Any] = []
-        self._key: tuple[float, float] | None = None
 
     @property
     def back_solves(self) -> int:
@@ -74,6 +75,7 @@ class StepSolver:
         """
         s = self.system
         w = self.weights = weights
+        self._ev, self._stiffness = ev, stiffness
         G = ev.jacobian
         A = self._core_matrix(ev, w)
         applied = ev.force_tangent(w.cd, w.ck) if w.cd or w.ck else None
@@ -84,15 +86,16 @@ class StepSolver:
             self._G = G
             self.core.factor(A, G.core)
             return
-        self._ev, self._G = ev, G
+        self._G = G
+        self._turns = [f.turn(s.local_q(ev.q, k)) for k, f in s.fields]
         self.blocks = self._elastic(G, w)
         n, m = s.n_core, s.n_lam
         A = A.toarray() if sp.issparse(A) else A.copy()
         core_G = G.core.toarray() if sp.issparse(G.core) else G.core.copy()
         C = np.zeros((m, m))
         self._S = []
-        for (k, _), block in zip(s.fields, self.blocks, strict=True):
-            S = self._coupling(ev, k, block, w.cm)
+        for i, block in enumerate(self.blocks):
+            S = self._coupling(ev, i, w.cm)
             self._S.append(S)
             WS = S.T @ block.W @ S
             A -= WS[:n, :n]
@@ -134,7 +137,7 @@ class StepSolver:
 
     def _elastic(self, G: Any, w: Weights) -> list[Block]:
         """Factors and constant columns of all fields, from the cache or new."""
-        key = (w.cm, w.ck)
+        key = (w.cm, w.ck, *(f.tangent_version for _, f in self.system.fields))
         if key in self._blocks:
             return self._blocks[key]
         s = self.system
@@ -144,11 +147,15 @@ class StepSolver:
             cm, ck = w.cm + w.cd * forms.mass_damping, w.ck + w.cd * forms.stiffness_damping
             factor: Any = MassInverse(f.field, cm) if ck == 0 else CholeskyFactor(f.field, cm, ck)
             self.factorisations += ck != 0
-            active = np.abs(G.port[:, s.port_slice(k)]).max(axis=0) > 0
+            H_inertia = f.inertia_columns
+            active = np.abs(G.port[:, s.port_slice(k)]).max(axis=0, initial=0.0) > 0
+            first = f.n_frame_rows
             if f.mean_axis:
-                active[: f.n_frame_rows] = False  # the same columns as Q
+                active[:first] = False  # the same columns as those of inertia
+            points = active[first:].reshape(-1, s.motions.dim)
+            points[:] = points.any(axis=1)[:, None]  # whole vectors b_k, so that they can be turned
             used = np.flatnonzero(active)
-            H = np.concatenate((f.field.Q, f.port_columns(used)), axis=1)
+            H = np.concatenate((H_inertia, f.port_columns(used)), axis=1)
             Y = factor.solve_columns(H)
             W = f.field.total(H.T @ Y)
             blocks.append(Block(factor, used, Y, 0.5 * (W + W.T)))
@@ -164,25 +171,31 @@ class StepSolver:
                 self._retired.append(b.factor.judge.solves)
                 b.factor.destroy()
 
-    def _coupling(self, ev: Evaluation, k: int, block: Block, cm: float) -> Array:
-        """S of field k: (n_twist + used, n_core + n_lam)."""
-        s = self.system
-        f, n, d = s.parts[k], s.motions.n_twist, s.motions.dim
-        S = np.zeros((n + len(block.used), s.n_core + s.n_lam))
-        at = f.frame * n
-        S[:d, at : at + d] = cm * ev.rotation[f.frame].T
-        S[d:n, at + d : at + n] = cm * np.eye(n - d)
+    def _coupling(self, ev: Evaluation, i: int, cm: float) -> Array:
+        """S of distributed part i: (inertia columns + used ports, n_core + n_lam)."""
+        s, block = self.system, self.blocks[i]
+        k, f = s.fields[i]
+        c, d = f.inertia_columns.shape[1], s.motions.dim
+        S = np.zeros((c + len(block.used), s.n_core + s.n_lam))
+        if c:
+            at = f.frame * c
+            S[:d, at : at + d] = cm * ev.rotation[f.frame].T
+            S[d:c, at + d : at + c] = cm * np.eye(c - d)
         if f.mean_axis:
             rows = s.frame_rows[k]
-            S[:n, s.n_core + rows.start : s.n_core + rows.stop] = np.eye(n)
-        S[n:, s.n_core :] = self._G.port[:, s.port_slice(k).start + block.used].T
+            S[:c, s.n_core + rows.start : s.n_core + rows.stop] = np.eye(c)
+        S[c:, s.n_core :] = self._G.port[:, s.port_slice(k).start + block.used].T
+        turn = self._turns[i]
+        if turn is not None:
+            rows_of = S[c:].reshape(-1, d, S.shape[1])
+            S[c:] = (turn.T @ rows_of).reshape(-1, S.shape[1])
         return S
 
     def _project(self, k: int, block: Block, z: Array) -> Array:
         """H^T z of field k."""
         f = self.system.parts[k]
         ports = f.ports_of(z)
-        q = ports[: f.n_frame_rows] if f.mean_axis else f.field.total(f.field.Q.T @ z)
+        q = ports[: f.n_frame_rows] if f.mean_axis else f.field.total(f.inertia_columns.T @ z)
         return np.concatenate((q, ports[block.used]))
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
@@ -194,16 +207,30 @@ class StepSolver:
         rhs = np.concatenate((b[:n], c))
         zs = []
         for i, ((k, _), block) in enumerate(zip(s.fields, self.blocks, strict=True)):
-            z = block.factor.solve(s.local_v(b, k))
+            z = block.factor.solve(_turned(s.local_v(b, k), self._turns[i], back=True))
             rhs -= self._S[i].T @ self._project(k, block, z)
             zs.append(z)
         x = np.concatenate(self.core.solve(rhs[:n], rhs[n:]))
         parts = [x[:n]]
-        for S, block, z in zip(self._S, self.blocks, zs, strict=True):
-            parts.append(z - block.Y @ (S @ x))
+        for S, block, z, turn in zip(self._S, self.blocks, zs, self._turns, strict=True):
+            parts.append(_turned(z - block.Y @ (S @ x), turn))
         return np.concatenate(parts), x[n:]
+
+    def refresh(self) -> bool:
+        """New tangents of nonlinear parts at the configuration evaluated last; False when all are constant. Collective."""
+        changed = [f.relinearise() for _, f in self.system.fields]
+        if any(changed):
+            self.prepare(self._ev, self.weights, self._stiffness)
+        return any(changed)
 
     def destroy(self) -> None:
         """Free all factors; collective."""
         self._drop(keep=0)
+
+
+def _turned(x: Array, R: Array | None, back: bool = False) -> Array:
+    """Nodal vectors x (n d,) turned by R (d, d), or back by R^T; x itself without a rotation."""
+    if R is None:
+        return x
+    return (x.reshape(-1, len(R)) @ (R if back else R.T)).ravel()
 

@@ -1,0 +1,114 @@
+"""Elastic bodies in a floating frame.
+
+A flexible body in a moving frame has x = r + R P, P = X + U. Its nodal accelerations and inertia forces in body axes are
+
+    a = R^T (r'' - g) + w' x P + w x (w x P) + 2 w x U' + U'',     F = M a                                   (1)
+
+    translation:  R sum_n F_n        rotation:  sum_n P_n x F_n      field:  F + K U + D U'                  (2)
+
+and nothing else: no inertia shape integrals, no gyroscopic terms by hand, because constants and linear functions lie
+in V_h and M commutes with node-wise rotations (Galerkin mass, unlumped).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .field_part import FieldPart
+from .fields import Field
+from .placements import FrameMotion
+from .rotations import Array, motions
+
+
+class FloatingField(FieldPart):
+    """A displacement field in a floating frame; equations (1), (2). One per body.
+
+    ``frame`` is the index of its frame; ``attached`` a surface that does not move in it on average, None: mean axes.
+    """
+
+    def __init__(self, field: Field, frame: int, surfaces: list[str], attached: str | None) -> None:
+        super().__init__(field, frame, surfaces, field.Q if attached is None else _attachment(field, attached))
+        self.mean_axis = attached is None
+        self.inertia_columns = field.Q
+        self._last = np.zeros(self.n)
+
+    # -- mechanics ----------------------------------------------------------------------------------------------
+    def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """Rows of (2): the frame's (n_twist,), world translation and body rotation, and the field's (n d,); collective."""
+        m, d, R, accel = self.motions, self.field.dim, motion.R, motion.accel
+        assert accel is not None
+        U, Ud, Udd = (x.reshape(-1, d) for x in local)
+        P = self.field.X + U
+        w = motion.twist[None, d:]
+        a = R.T @ (accel[:d] - motion.gravity)
+        A = Udd + a + m.spin(accel[None, d:], P) + m.spin(w, m.spin(w, P) + 2.0 * Ud)
+        F = self.field.mass(A)
+        sums = self.field.total(np.concatenate((F.sum(0), m.moment(P, F).sum(0))))
+        sums[:d] = R @ sums[:d]
+        rows = F.ravel() + self.internal(local[0], local[1])
+        if self.field.forms.mass_damping:
+            rows += self.field.forms.mass_damping * self.field.mass(Ud).ravel()
+        return sums, rows
+
+    def internal(self, U: Array, Ud: Array) -> Array:
+        """f_int(U) + beta K U', (n d,)."""
+        beta = self.field.forms.stiffness_damping
+        if not self.field.nonlinear:
+            return self.field.stiffness(U + beta * Ud if beta else U)
+        self._last = U
+        f = self.field.internal(U)
+        return f + beta * self.field.stiffness(Ud) if beta else f
+
+    @property
+    def tangent_version(self) -> int:
+        """Number of tangents taken so far."""
+        return self.field.tangents
+
+    def relinearise(self) -> bool:
+        """Take the tangent at the configuration whose forces were evaluated last; collective."""
+        if self.field.nonlinear:
+            self.field.linearise(self._last)
+        return self.field.nonlinear
+
+    def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
+        """Mass block of the frame at U = 0, blockdiag(m 1, J); the field's own blocks stay with its factor."""
+        d, n = self.field.dim, self.motions.n_twist
+        M = np.zeros((n, n))
+        M[range(d), range(d)] = self.field.mass_total
+        M[d:, d:] = self.field.inertia
+        return M, np.zeros((0, n)), np.zeros((0, 0))
+
+    def _velocity(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        """Points P, nodal velocities W in body axes and M W."""
+        d = self.field.dim
+        P = self.field.points(local[0])
+        W = motion.R.T @ motion.twist[:d] + self.motions.spin(motion.twist[None, d:], P) + local[1].reshape(-1, d)
+        return P, W, self.field.mass(W)
+
+    def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
+        """Kinetic, elastic and weight energy, J; collective."""
+        d, U = self.field.dim, local[0]
+        P, W, MW = self._velocity(motion, local)
+        sums = self.field.total(np.concatenate(([0.5 * float((W * MW).sum())], self.field.mass(P).sum(0))))
+        weight = -float(motion.gravity @ (self.field.mass_total * pose[:d] + motion.R @ sums[1:]))
+        return float(sums[0]), self.field.energy(U), weight
+
+    def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Linear and angular momentum about the world origin, world axes; collective."""
+        m, d = self.motions, self.field.dim
+        P, _, MW = self._velocity(motion, local)
+        sums = self.field.total(np.concatenate((MW.sum(0), m.moment(P, MW).sum(0))))
+        p = motion.R @ sums[:d]
+        return p, m.moment(pose[:d], p) + m.turn(motion.R, sums[d:])
+
+
+def _attachment(field: Field, surface: str) -> Array:
+    """Columns of the linear conditions "the surface does not move in the frame, on average"."""
+    m, d, moments = motions(field.dim), field.dim, field.moments(surface)
+    b = moments.reference[1:]  # (k, d)
+    C = np.zeros((field.n, d, m.n_twist))
+    C[moments.nodes[:, None], range(d), range(d)] = moments.weights[:, :1]
+    for c in range(d):
+        turn = m.moment(b, np.eye(d)[c])  # (k, n_rot): b_k x e_c
+        C[moments.nodes, c, d:] = moments.weights[:, 1:] @ turn
+    return C.reshape(-1, m.n_twist) * field.mass_total
