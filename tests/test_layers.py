@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "fmbd_fenicsx"
 FLOORS = [
     {"errors", "log", "rotations", "dolfinx_compat", "mesh", "materials"},
-    {"surfaces", "fields", "traces", "mortar"},
+    {"surfaces", "fields", "traces", "multipliers", "mortar", "stability"},
     {"bodies", "placements", "field_part", "floating", "absolute", "reduced", "ports", "frames", "constraints", "joints", "forces", "coordinates", "contact", "beams",
      "reduction", "modes", "loads", "tables", "relative", "couplings", "drives", "laws"},
     {"scene", "plan", "system", "sensors"},
