@@ -58,8 +58,7 @@ class Recorder:
 
     def __post_init__(self) -> None:
         self.values: dict[str, list[Array]] = {n: [] for n in self.scene.sensors}
-        kept = np.linspace(0, self.steps, self.output.snapshots).round() if self.output.snapshots else []
-        self._kept = {int(n) for n in kept}
+        self._kept = {round(n) for n in np.linspace(0, self.steps, self.output.snapshots)}
 
     def take(self, n: int, state: State) -> None:
         """Record step n when it is due; collective."""

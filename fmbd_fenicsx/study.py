@@ -272,7 +272,8 @@ def work_precision(
     _attempt(configurations[0].run, configurations[0].values[0])
     done = [(c, value, *_trials(c.run, value, repeats)) for c in configurations for value in c.values]
     traces = [trace for _, _, trace, _ in done if isinstance(trace, _Trace)]
-    times, kept = np.zeros(0), []
+    times: Array = np.zeros(0)
+    kept: list[str] = []
     if traces:
         times = _common_times([*traces, against] if isinstance(against, _Trace) else traces)
         kept = _names(traces, against, names)

@@ -1,0 +1,95 @@
+"""Geometry that pictures are made of, on any number of ranks, and what they show."""
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.fields import ElasticForms, Field
+from fmbd_fenicsx.picture import gather, moment, render, skin
+
+STEEL = fmbd.materials.linear_elastic(5e6, 0.3)
+
+
+def area(x, triangles):
+    a, b, c = (np.pad(x[triangles[:, k]], ((0, 0), (0, 3 - x.shape[1]))) for k in range(3))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+
+
+def everywhere(field):
+    """Nodes of all ranks in global order."""
+    return np.concatenate(field.comm.allgather(field.X))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (2, 3), (3, 1), (3, 2)])
+def test_skin_has_the_area_and_the_edges_of_the_body(rod_mesh, dim, degree):
+    field = Field("rod", rod_mesh(dim, 0.2), ElasticForms(STEEL, 1000.0, degree))
+    s, x = skin(field), everywhere(field)
+    assert area(x, s.triangles) == pytest.approx(0.1 if dim == 2 else 4 * 0.1 + 2 * 0.01)
+    if dim == 2:
+        length = np.linalg.norm(x[s.edges[:, 0]] - x[s.edges[:, 1]], axis=1).sum()
+        assert length == pytest.approx(2.2)
+
+
+def swing(rod_mesh, snapshots=3):
+    rod = fmbd.FloatingBody("rod", rod_mesh(), degree=2, density=1e3, elastic=STEEL)
+    bob = fmbd.RigidBody("bob", 1.0, 0.1, position=(1.5, 0))
+    scene = fmbd.Scene("swing", gravity=(0, -9.81))
+    scene.add(rod, bob, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
+    scene.add(fmbd.revolute("link", rod.surface("tip"), bob, center=(1, 0)))
+    scene.sensor("tip", fmbd.position(rod.surface("tip")))
+    return fmbd.solve(scene, t_end=0.4, dt=0.02, output=fmbd.Output(snapshots=snapshots))
+
+
+@pytest.mark.mpi
+def test_nodes_are_placed_where_the_sensors_say(rod_mesh):
+    run = swing(rod_mesh)
+    last = moment(run, run.state)
+    comm = run.system.comm
+    assert len(last.bars) == 1 and len(last.masses) == 1 and len(last.joints) == 4
+    if comm.rank == 0:
+        x = last.nodes[0]
+        near = np.linalg.norm(x[:, :2] - run["tip"][-1], axis=1).min()
+        assert near < 0.02, "a node lies beside the mean of the tip surface"
+        assert x.shape[1] == 3 and np.all(x[:, 2] == 0)
+
+
+@pytest.mark.serial
+def test_picture_shows_each_snapshot_in_its_colour(rod_mesh):
+    pytest.importorskip("pyvista")
+    run = swing(rod_mesh)
+    colors = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
+    view = render(run, gather(run), colors, width=600)
+    x0, x1, y0, y1 = view.extent
+    rows, columns = view.image.shape[:2]
+    for color, state in zip(colors, run.snapshots, strict=True):
+        center = state.q[:2]  # of mass of the rod
+        row, column = int((y1 - center[1]) / (y1 - y0) * rows), int((center[0] - x0) / (x1 - x0) * columns)
+        pixel = view.image[row, column].astype(float)
+        assert np.argmax(pixel) == np.argmax(color) and pixel.max() > 2 * np.sort(pixel)[1]
+
+
+@pytest.mark.mpi
+def test_files_are_written_by_rank_0(rod_mesh, shared_tmp):
+    pytest.importorskip("pyvista")
+    run = swing(rod_mesh)
+    for name, write in {
+        "a.png": lambda f: run.picture(f, sensor="tip"),
+        "b.pdf": lambda f: run.picture(f),
+        "c.png": lambda f: run.plot(file=f),
+    }.items():
+        write(shared_tmp / name)
+        run.system.comm.barrier()
+        assert (shared_tmp / name).stat().st_size > 5000
+
+
+@pytest.mark.mpi
+def test_mistakes_are_told_on_all_ranks(rod_mesh, shared_tmp):
+    run = swing(rod_mesh, snapshots=0)
+    with pytest.raises(InputError, match="snapshots"):
+        run.picture(shared_tmp / "a.png")
+    with pytest.raises(InputError, match='Did you mean "tip"'):
+        run.plot("tipp", file=shared_tmp / "a.png")
+    with pytest.raises((OSError, RuntimeError)):
+        run.plot("tip", file=shared_tmp / "missing folder" / "a.png")
