@@ -44,8 +44,8 @@ class Pattern:
         """G's core part from the entries of all sides, (count, n_twist)."""
         data = entries[self.keep].ravel()
         if self.dense:
-            return np.bincount(self.slot, data, self.shape[0] * self.shape[1]).reshape(self.shape)
-        values = np.bincount(self.slot, data, len(self.indices))
+            return np.bincount(self.slot, data, self.shape[0] * self.shape[1]).astype(float, copy=False).reshape(self.shape)
+        values = np.bincount(self.slot, data, len(self.indices)).astype(float, copy=False)
         return sp.csr_matrix((values, self.indices, self.indptr), shape=self.shape)
 
 

@@ -1,0 +1,111 @@
+"""The slider crank with an elastic connecting rod of the IVP test set, as one body with its own equations.
+
+Coordinates (phi1, phi2, x3, q1, q2, q3, q4): crank and rod angle (rad), slider position (m), two lateral sine modes, axial
+displacement of the rod's middle and end (quadratic ansatz), m; all in the frame of the rod's undeformed axis.
+
+Source: B. Simeon, "Modelling a flexible slider crank mechanism by a mixed system of DAEs and PDEs",
+Mathematical Modelling of Systems 2 (1996) 1-18, doi:10.1080/13873959608837026.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import fmbd_fenicsx as fmbd
+
+PI = 3.1415927  # as printed in the test set
+M1, M2, M3, L1, L2, J1, J2 = 0.36, 0.151104, 0.075552, 0.15, 0.30, 0.002727, 0.0045339259
+E, B, H, RHO, OMEGA = 2.0e11, 0.008, 0.008, 7870.0, 150.0
+F = B * H * L2
+
+
+@dataclass(frozen=True)
+class Rod:
+    """Variants: ``consistent_mass`` scales the printed axial mass block by 1/15; ``nonlinear`` adds (EA/2) int u' w'^2."""
+
+    consistent_mass: bool = False
+    nonlinear: bool = False
+    damped: bool = False
+
+    @property
+    def mass(self) -> np.ndarray:
+        """M_q, kg."""
+        out = 0.5 * np.eye(4)
+        out[2:, 2:] = np.array([[8.0, 1.0], [1.0, 2.0]]) * (1 / 15 if self.consistent_mass else 1.0)
+        return RHO * F * out
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """K_q, N/m."""
+        out = np.diag([PI**4 / 24 * (H / L2) ** 2, PI**4 * 2 / 3 * (H / L2) ** 2, 0.0, 0.0])
+        out[2:, 2:] = [[16 / 3, -8 / 3], [-8 / 3, 7 / 3]]
+        return E * B * H / L2 * out
+
+    @property
+    def damping(self) -> np.ndarray:
+        """D_q, N s/m: about 0.5 per cent."""
+        out = np.diag([5.0, 25.0, 0.0, 0.0])
+        out[2:, 2:] = [[115.41877276323955, -131.3442439960265], [-131.3442439960263, 210.8710918578409]]
+        return out if self.damped else 0.0 * out
+
+
+# shape integrals: of u, v, x u, x v, and of u_i v_j - v_i u_j over the rod
+C1, C2 = F * np.array([0, 0, 2 / 3, 1 / 6]), F * np.array([2 / PI, 0, 0, 0])
+C12, C21 = L2 * F * np.array([0, 0, 1 / 3, 1 / 6]), L2 * F * np.array([1 / PI, -1 / (2 * PI), 0, 0])
+BQ = np.zeros((4, 4))
+BQ[0, 2], BQ[0, 3], BQ[1, 3] = -16 / PI**3, 8 / PI**3 - 1 / PI, 1 / (2 * PI)
+BQ = F * (BQ - BQ.T)
+
+
+def mass_matrix(rod: Rod, y: np.ndarray) -> np.ndarray:
+    """M(y), (7, 7)."""
+    s, c, q, Mq = np.sin(y[0] - y[1]), np.cos(y[0] - y[1]), y[3:], rod.mass
+    M = np.zeros((7, 7), dtype=y.dtype)
+    M[0, 0] = J1 + M2 * L1**2
+    M[0, 1] = M[1, 0] = 0.5 * L1 * L2 * M2 * c + RHO * L1 * (s * (C2 @ q) + c * (C1 @ q))
+    M[1, 1], M[2, 2] = J2 + q @ Mq @ q + 2 * RHO * (C12 @ q), M3
+    M[0, 3:] = M[3:, 0] = RHO * L1 * (-s * C1 + c * C2)
+    M[1, 3:] = M[3:, 1] = RHO * C21 + RHO * (q @ BQ)
+    M[3:, 3:] = Mq
+    return M
+
+
+def forces(rod: Rod, y: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """f(y, y'), (7,): velocity terms, elastic and damping forces."""
+    s, c, q, w1, w2, qd = np.sin(y[0] - y[1]), np.cos(y[0] - y[1]), y[3:], v[0], v[1], v[3:]
+    c1, c2, c1d, c2d, Mq = C1 @ q, C2 @ q, C1 @ qd, C2 @ qd, rod.mass
+    f = np.zeros(7, dtype=np.result_type(y, v))
+    f[0] = -0.5 * L1 * L2 * M2 * w2**2 * s + RHO * L1 * w2 * (w2 * (-s * c1 + c * c2) - 2 * (c * c1d + s * c2d))
+    f[1] = 0.5 * L1 * L2 * M2 * w1**2 * s + RHO * L1 * w1**2 * (s * c1 - c * c2)
+    f[1] -= 2 * RHO * w2 * (C12 @ qd) + 2 * w2 * (qd @ Mq @ q) + RHO * (qd @ BQ @ qd)
+    f[3:] = w2**2 * (Mq @ q) + RHO * (w2**2 * C12 + L1 * w1**2 * (c * C1 + s * C2) + 2 * w2 * (BQ @ qd))
+    f[3:] -= rod.stiffness @ q + rod.damping @ qd
+    if rod.nonlinear:
+        kappa, beta, d = E * B * H * PI**2 / (2 * L2**2), 80 / (9 * PI**2), 2 * q[3] - 4 * q[2]
+        f[3] -= kappa * (q[0] * q[3] - beta * q[1] * d)
+        f[4] -= kappa * (4 * q[1] * q[3] - beta * q[0] * d)
+        f[5] -= 4 * kappa * beta * q[0] * q[1]
+        f[6] -= kappa * (q[0] ** 2 / 2 + 2 * q[1] ** 2 - 2 * beta * q[0] * q[1])
+    return f
+
+
+def constraints(y: np.ndarray, t: float) -> np.ndarray:
+    """Rod end on the slide, slider at the rod end, crank angle = OMEGA t."""
+    reach = L2 + y[6]
+    across = L1 * np.sin(y[0]) + reach * np.sin(y[1])
+    along = y[2] - L1 * np.cos(y[0]) - reach * np.cos(y[1])
+    return np.array([across, along, y[0] - OMEGA * t])
+
+
+def crank(rod: Rod, start: np.ndarray) -> fmbd.CoordinateBody:
+    """The mechanism; ``start`` holds the seven coordinates and their rates."""
+    return fmbd.CoordinateBody(
+        "crank",
+        lambda y: mass_matrix(rod, y),
+        lambda y, v, t: forces(rod, y, v),
+        start[:7],
+        start[7:14],
+        constraints,
+    )
