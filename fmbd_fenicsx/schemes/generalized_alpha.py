@@ -10,6 +10,13 @@ gamma = 1/2 + alpha_f - alpha_m, beta = (gamma + 1/2)^2 / 4 with rho the spectra
 increments of q with the balance (4) multiplied by s = beta h^2 (1 - alpha_f) / (1 - alpha_m): the matrix is M + .. + s K and
 the multiplier s lambda, so its condition does not depend on h (Bottasso, Dopico and Trainelli, doi:10.1007/s11044-007-9051-9).
 
+The smooth solution of (1)..(3) along a constrained motion has A_n = a(t_n + (alpha_m - alpha_f) h) and velocities that miss
+the velocity constraints by h^2 G (c v'' + v x v' / 12) with c = 1/6 - beta - (alpha_m - alpha_f) / 2 (the product acts on
+rotations in space). Starting with exact values instead excites a transient that leaves q and v of second order but makes
+lambda of first order until rho^n is small. The first step therefore starts from A_0 = a_0 + (alpha_m - alpha_f) h a'_0 and
+from v_0 + dv with M dv + G^T mu = 0 and G dv equal to that expression (Arnold, Bruels and Cardona, doi:10.1007/s00211-014-0633-1). The recorded state at the start
+stays exact.
+
 Sources: Chung and Hulbert, doi:10.1115/1.2900803; Bruels, Cardona and Arnold, doi:10.1016/j.mechmachtheory.2011.07.017;
 Arnold and Bruels, doi:10.1007/s11044-007-9084-0.
 """
@@ -25,7 +32,7 @@ from ..linear.schur import StepSolver, Weights
 from ..newton import Newton
 from ..rotations import Array
 from ..system import State, System
-from .start import worst_block
+from .start import jerk, spin_of_acceleration, worst_block
 
 
 @dataclass(frozen=True)
@@ -71,12 +78,10 @@ class Stepper:
     def __init__(self, scheme: GeneralizedAlpha, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
         self.state = state
-        self.A = self._first_algorithmic(state)
+        self.A = state.a.copy()
+        self.fresh = True  # the next step is the first after a consistent start
         self._past: list[tuple[float, Array, Array]] = []
         self.local_error = 0.0
-
-    def _first_algorithmic(self, state: State) -> Array:
-        return state.a.copy()
 
     def _predict(self, h: float) -> tuple[Array, Array]:
         """a and lambda extrapolated by the parabola through the last steps (less at the start)."""
@@ -90,16 +95,32 @@ class Stepper:
             lam += w * li
         return a, lam
 
+    def _first(self, h: float, weights: Weights) -> tuple[Array, Array, Array, Array]:
+        """v_0 and A_0 without a transient (see the module), and a, lambda predicted for the end of the first step."""
+        system, s = self.system, self.state
+        am, af, _, beta = self.scheme.parameters
+        rate, lam_rate = jerk(system, s, self.solver, weights, h)
+        v = s.v
+        if system.n_lam:
+            c = 1 / 6 - beta - 0.5 * (am - af)
+            miss = h * h * (c * rate + spin_of_acceleration(system, s.v, s.a) / 12)
+            v = v + self.solver.solve(np.zeros(system.n_v), system.at(s.t, s.q).jacobian.times(miss))[0]
+        return v, s.a + (am - af) * h * rate, s.a + h * rate, s.lam + h * lam_rate
+
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
         system, s = self.system, self.state
         am, af, gamma, beta = self.scheme.parameters
         t = s.t + h
-        a, lam = self._predict(h)
         scale = beta * h * h * (1 - af) / (1 - am)  # dq = scale da
-        fixed_a, fixed_v = h * s.v + h * h * (0.5 - beta) * self.A, s.v + h * (1 - gamma) * self.A
+        weights = Weights(1.0, h * gamma * (1 - af) / (1 - am), scale)
+        if self.fresh:
+            v0, A0, a, lam = self._first(h, weights)
+        else:
+            v0, A0, (a, lam) = s.v, self.A, self._predict(h)
+        fixed_a, fixed_v = h * v0 + h * h * (0.5 - beta) * A0, v0 + h * (1 - gamma) * A0
 
-        A = ((1 - af) * a + af * s.a - am * self.A) / (1 - am)
+        A = ((1 - af) * a + af * s.a - am * A0) / (1 - am)
         xi = fixed_a + h * h * beta * A
         tolerance = self._tolerance(scale, a)
         prepared = False
@@ -111,7 +132,7 @@ class Stepper:
             v = fixed_v + h * gamma * A
             ev = system.at(t, q, v)
             if not prepared:
-                self.solver.prepare(ev, Weights(1.0, h * gamma * (1 - af) / (1 - am), scale))
+                self.solver.prepare(ev, weights)
                 prepared = True
             g = ev.constraint()
             r = ev.balance(a, lam)
@@ -132,9 +153,9 @@ class Stepper:
                 + (f"; the largest open constraint is {worst_block(system, last)}" if last.size else "")
                 + f". Try a smaller dt{', or a smaller rho_inf' if self.scheme.rho_inf > 0.8 else ''}."
             )
-        self.local_error = h * h * abs(beta - 1.0 / 6.0) * system.max_abs(A - self.A)
+        self.local_error = h * h * abs(beta - 1.0 / 6.0) * system.max_abs(A - A0)
         self._past = [(s.t, s.a, s.lam), *self._past][:2]
-        self.A = A
+        self.A, self.fresh = A, False
         self.state = State(t, system.compose(s.q, xi), fixed_v + h * gamma * A, a, lam)
         return self.state
 

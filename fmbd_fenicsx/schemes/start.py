@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import ConstraintError, FmbdError
 from ..linear.schur import StepSolver, Weights
+from ..rotations import Array, cross3
 from ..system import State, System
 
 REFUSED = 1e-3  # a position correction above this share of the model's length is wrong input, not roundoff
@@ -97,3 +98,33 @@ def worst_block(system: System, g: np.ndarray) -> str:
         if block.rows.start <= row < block.rows.stop:
             return block.name if block.kind == "frame" else f'joint "{block.name}" ({block.kind})'
     return "a constraint"
+
+
+def jerk(system: System, state: State, solver: StepSolver, weights: Weights, h: float) -> tuple[Array, Array]:
+    """Rates a' and lambda' of accelerations and multipliers along the motion of a consistent state; collective.
+
+    M a' + G^T lambda' = -d/dt (M a + h + G^T lambda) at fixed a, lambda;   G a' = -d/dt (G a + gamma) at fixed a      (2)
+
+    The right-hand sides are one-sided differences of second order over h/50. With the matrix of a time step as ``weights``
+    vibrations that the step h does not resolve are left out of a'.
+    """
+    ev = system.at(state.t, state.q, state.v)
+    d = 0.02 * h
+
+    def defects(s: float) -> tuple[Array, Array]:
+        q, v = system.compose(state.q, s * state.v + 0.5 * s * s * state.a), state.v + s * state.a
+        at = ev if s == 0.0 else system.at(state.t + s, q, v)
+        return at.balance(state.a, state.lam), at.jacobian.times(state.a) + at.gamma()
+
+    (r0, c0), (r1, c1), (r2, c2) = defects(0.0), defects(d), defects(2 * d)
+    solver.prepare(ev, weights)
+    return solver.solve((3 * r0 - 4 * r1 + r2) / (2 * d), (3 * c0 - 4 * c1 + c2) / (2 * d))
+
+
+def spin_of_acceleration(system: System, v: Array, a: Array) -> Array:
+    """v x a in the rotations of space, zero elsewhere: what a third derivative of local coordinates has beyond v''."""
+    out = np.zeros_like(v)
+    if system.motions.dim == 3:
+        k = system.n_frames * system.motions.n_twist
+        out[:k].reshape(-1, 6)[:, 3:] = cross3(v[:k].reshape(-1, 6)[:, 3:], a[:k].reshape(-1, 6)[:, 3:])
+    return out

@@ -1,0 +1,192 @@
+"""Generalized-alpha: order two in positions, velocities and multipliers from the first step on, energy, damping, refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from motion import elastic_rod
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError, InputError
+
+RHOS = [0.9, 0.8, 0.5, 0.0]
+TIGHT = fmbd.Newton(tolerance=1e-9)
+
+
+def swinging(dim: int) -> fmbd.Scene:
+    """A rigid pendulum that starts with speed, so that its reactions change from the first step on."""
+    if dim == 2:
+        angle, w = 1.0, 1.0
+        c = np.array([np.sin(angle), -np.cos(angle)])
+        turn: Any = angle
+        body = fmbd.RigidBody("bob", 1.0, 0.1, c, turn, w * np.array([-c[1], c[0]]), w)
+        joint = fmbd.revolute("pin", body, fmbd.ground, center=(0, 0))
+    else:
+        c, omega = np.array([0.3, 0.2, -0.9]), np.array([1.0, -2.0, 3.0])
+        body = fmbd.RigidBody("bob", 1.0, (0.1, 0.2, 0.25), c, None, np.cross(omega, c), omega)
+        joint = fmbd.spherical("pin", body, fmbd.ground, center=(0, 0, 0))
+    scene = fmbd.Scene("swing", gravity=(0, -9.81) if dim == 2 else (0, 0, -9.81))
+    scene.add(body, joint)
+    scene.sensor("x", fmbd.position(body))
+    scene.sensor("v", fmbd.velocity(body))
+    scene.sensor("lambda", fmbd.reaction("pin"))
+    return scene
+
+
+def elastic(mesh: Any, frame: Any = fmbd.MeanAxis()) -> fmbd.Scene:  # noqa: B008
+    """An elastic pendulum from rest; gravity comes on smoothly over the whole run."""
+    d = mesh.dim
+    rod = elastic_rod(mesh, degree=1, elastic=fmbd.materials.linear_elastic(1e7, 0.3), frame=frame)
+    scene = fmbd.Scene("soft", gravity=(0, -9.81, 3.0)[:d], gravity_ramp=0.4)
+    joint = fmbd.revolute if d == 2 else fmbd.spherical
+    scene.add(rod, joint("pin", rod.surface("pin"), fmbd.ground, center=(0, 0, 0)[:d]))
+    scene.sensor("x", fmbd.position(rod.surface("tip")))
+    scene.sensor("v", fmbd.velocity(rod.surface("tip")))
+    scene.sensor("lambda", fmbd.reaction("pin"))
+    return scene
+
+
+def march(scene: fmbd.Scene, h: float, t_end: float, rho: float) -> fmbd.Run:
+    """One run with tight Newton."""
+    return fmbd.solve(scene, t_end=t_end, dt=h, scheme=fmbd.GeneralizedAlpha(rho), newton=TIGHT)
+
+
+def orders(runs: list[fmbd.Run], reference: fmbd.Run, sensor: str) -> tuple[np.ndarray, np.ndarray]:
+    """Largest errors over the whole interval, and the orders between successive runs."""
+    errors = []
+    for run in runs:
+        stride = round(run.dt / reference.dt)
+        errors.append(float(np.abs(run[sensor] - reference[sensor][::stride]).max()))
+    e = np.array(errors)
+    return e, np.log2(e[:-1] / e[1:])
+
+
+@pytest.fixture(scope="module")
+def references() -> dict[int, fmbd.Run]:
+    """Fine runs of the rigid pendulums."""
+    return {d: march(swinging(d), 0.02 / 64, 0.48, 0.6) for d in (2, 3)}
+
+
+@pytest.mark.parametrize("rho", RHOS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_second_order_of_a_rigid_pendulum(dim: int, rho: float, references: dict[int, fmbd.Run]) -> None:
+    runs = [march(swinging(dim), 0.02 / 2**k, 0.48, rho) for k in range(4)]
+    for sensor in ("x", "v", "lambda"):
+        errors, order = orders(runs, references[dim], sensor)
+        assert order[-1] > 1.9, f"{sensor}: errors {errors}, orders {order}"
+        assert order.min() > 1.65, f"{sensor}: errors {errors}, orders {order}"
+
+
+@pytest.mark.parametrize("rho", RHOS)
+def test_energy_error_is_of_second_order(rho: float) -> None:
+    """No load, no damping: what is lost or gained comes from the scheme."""
+    errors = []
+    for k in range(3):
+        E = sum(march(swinging(2), 0.02 / 2**k, 0.48, rho).energy.values())
+        errors.append(float(np.abs(E - E[0]).max()))
+    assert np.log2(errors[-2] / errors[-1]) > 1.9, errors
+
+
+FRAMES = {"mean axis": fmbd.MeanAxis(), "attached": fmbd.Attached("pin")}
+
+
+@pytest.fixture(scope="module")
+def soft(rod_mesh: Callable[..., Any]) -> dict[str, tuple[fmbd.Scene, fmbd.Run]]:
+    """Elastic pendulums with a fine run each."""
+    scenes = {n: elastic(rod_mesh(dim=2, h=0.25, height=0.2), f) for n, f in FRAMES.items()}
+    return {n: (s, march(s, 0.005 / 32, 0.4, 0.6)) for n, s in scenes.items()}
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("rho", RHOS)
+def test_second_order_of_an_elastic_pendulum(rho: float, frame: str, soft: dict[str, Any]) -> None:
+    scene, reference = soft[frame]
+    runs = [march(scene, 0.005 / 2**k, 0.4, rho) for k in range(3)]
+    for sensor in ("x", "v", "lambda"):
+        errors, order = orders(runs, reference, sensor)
+        assert order[-1] > 1.9, f"{sensor}: errors {errors}, orders {order}"
+    final = [sum(e[-1] for e in r.energy.values()) for r in (*runs, reference)]
+    error = np.abs(np.array(final[:3]) - final[3])
+    assert np.log2(error[1] / error[2]) > 1.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rho", [0.8, 0.0])
+def test_second_order_of_an_elastic_pendulum_in_space(rho: float, rod_mesh: Callable[..., Any]) -> None:
+    scene = elastic(rod_mesh(dim=3, h=0.5, height=0.3))
+    runs = [march(scene, 0.005 / 2**k, 0.4, rho) for k in range(3)]
+    reference = march(scene, 0.005 / 32, 0.4, 0.6)
+    for sensor in ("x", "v", "lambda"):
+        errors, order = orders(runs, reference, sensor)
+        assert order[-1] > 1.9, f"{sensor}: errors {errors}, orders {order}"
+
+
+@pytest.mark.parametrize("rho", [1.0, 1.2, -0.1, np.nan, np.inf])
+def test_unusable_rho_is_refused(rho: float) -> None:
+    with pytest.raises(InputError, match=r"\[0, 1\)"):
+        fmbd.GeneralizedAlpha(rho)
+
+
+def test_refusal_of_no_damping_says_why() -> None:
+    with pytest.raises(InputError, match="multipliers.*unstable"):
+        fmbd.GeneralizedAlpha(rho_inf=1.0)
+
+
+def oscillator(omega: float) -> fmbd.Scene:
+    """q'' = -omega^2 q from q = 1."""
+    scene = fmbd.Scene("oscillator")
+    scene.add(fmbd.CoordinateBody("mass", np.eye(1), lambda q, v, t: -(omega**2) * q, (1.0,)))
+    scene.sensor("q", fmbd.coordinates("mass"))
+    return scene
+
+
+@pytest.mark.parametrize(
+    "z, rho, expected",
+    [
+        (1e3, 0.9, 0.9066),
+        (1e3, 0.8, 0.8077),
+        (1e3, 0.5, 0.5078),
+        (1e6, 0.8, 0.8),
+        (1e6, 0.5, 0.5),
+        (0.1, 0.5, 1.0),
+    ],
+)
+def test_spectral_radius(z: float, rho: float, expected: float) -> None:
+    """Decay per step of a vibration with omega h = z, from the amplitude of the state (q, h v, h^2 A).
+
+    The figures for omega h = 1000 are eigenvalues of the 3 x 3 amplification matrix.
+    """
+    am, af, gamma, beta = fmbd.GeneralizedAlpha(rho).parameters
+    left = np.array([[1, 0, -beta], [0, 1, -gamma], [(1 - af) * z * z, 0, 1 - am]])
+    right = np.array([[1, 1, 0.5 - beta], [0, 1, 1 - gamma], [-af * z * z, 0, -am]])
+    amplification = np.linalg.solve(left, right)
+    assert abs(np.abs(np.linalg.eigvals(amplification)).max() - expected) < 1e-3
+    if z > 1e5:
+        return  # q decays below roundoff of the stiff force: the matrix alone is compared
+    steps = 6
+    run = fmbd.solve(
+        oscillator(z), t_end=steps * 1.0, dt=1.0, scheme=fmbd.GeneralizedAlpha(rho), newton=TIGHT
+    )
+    q = run["q"][:, 0]
+    # the characteristic polynomial of the matrix annihilates the computed sequence
+    c = np.poly(amplification)
+    defect = [c[0] * q[n + 3] + c[1] * q[n + 2] + c[2] * q[n + 1] + c[3] * q[n] for n in range(1, steps - 2)]
+    assert np.abs(defect).max() < 1e-6 * np.abs(q).max()
+
+
+def test_failed_newton_names_scene_step_and_time() -> None:
+    """Too few iterations: the error tells where, and the history of the iteration."""
+    with pytest.raises(ConvergenceError, match=r'"swing", step 1 of 10: Newton stopped at t = 0.01 .*dt'):
+        fmbd.solve(swinging(2), t_end=0.1, dt=0.01, newton=fmbd.Newton(tolerance=1e-12, max_iterations=1))
+
+
+def test_newton_count_does_not_depend_on_the_step() -> None:
+    """T9: h = 1e-8 takes no more iterations than h = 1e-2."""
+    counts = []
+    for h in (1e-2, 1e-4, 1e-6, 1e-8):
+        run = fmbd.solve(swinging(3), t_end=5 * h, dt=h)
+        counts.append(run.counters["newton_iterations"])
+    assert max(counts) <= counts[0]
