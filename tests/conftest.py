@@ -1,8 +1,4 @@
-"""Shared fixtures: meshes built once a session, one temporary folder for all ranks, collective teardown.
-
-Markers: ``slow`` (left out of the default run), ``mpi`` (also meant for several ranks), ``serial`` (one rank only),
-``smoke`` (the few tests that any new version of DOLFINx is tried with).
-"""
+"""Shared fixtures: meshes built once a session, one temporary folder for all ranks, collective teardown."""
 
 from __future__ import annotations
 
@@ -17,18 +13,10 @@ import pytest
 from fmbd_fenicsx.log import world_size
 
 ROOT = Path(__file__).resolve().parents[1]
-MARKERS = {
-    "slow": "takes long; run with -m slow",
-    "mpi": "worth running on several ranks too: mpirun -n 2 pytest -m mpi",
-    "serial": "for one rank only; skipped under mpirun",
-    "smoke": "the first tests for a new version of a library",
-}
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the markers, and one deterministic hypothesis profile: the same examples on all ranks."""
-    for name, text in MARKERS.items():
-        config.addinivalue_line("markers", f"{name}: {text}")
+    """One deterministic hypothesis profile: the same examples on all ranks."""
     try:
         from hypothesis import settings
     except ImportError:
@@ -41,17 +29,6 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     """Tests that start programs of their own or count processes make no sense under mpirun."""
     if world_size() > 1 and item.get_closest_marker("serial") is not None:
         pytest.skip("for one rank only")
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out slow tests unless a marker expression or a single test asks for them."""
-    if config.option.markexpr or any("::" in a for a in config.args):
-        return
-    keep, left = [], []
-    for item in items:
-        (left if item.get_closest_marker("slow") else keep).append(item)
-    config.hook.pytest_deselected(items=left)
-    items[:] = keep
 
 
 @pytest.fixture(autouse=True)

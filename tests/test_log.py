@@ -29,7 +29,11 @@ print("never", flush=True)
 def ranks(code: str, n: int) -> subprocess.CompletedProcess[str]:
     """Run a program on n ranks; both streams, exit code."""
     return subprocess.run(
-        ["mpirun", "-n", str(n), sys.executable, "-c", code], capture_output=True, text=True, timeout=60, cwd=ROOT
+        ["mpirun", "-n", str(n), sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        cwd=ROOT,
     )
 
 

@@ -9,7 +9,15 @@ from test_traces import make
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends, Linear, default_space
 
-SPACES = [Continuous(), Continuous(1), Dual(), Discontinuous(0), Discontinuous(1), Aggregated(), Continuous(ends=Ends.KEPT)]
+SPACES = [
+    Continuous(),
+    Continuous(1),
+    Dual(),
+    Discontinuous(0),
+    Discontinuous(1),
+    Aggregated(),
+    Continuous(ends=Ends.KEPT),
+]
 
 
 @pytest.mark.parametrize("dim, degree", [(2, 1), (2, 2), (3, 1)])

@@ -54,7 +54,9 @@ def test_loss_is_only_called_numerical_where_it_is():
 
 @pytest.mark.mpi
 def test_report_of_an_elastic_run_names_factorisations_and_the_field(rod_mesh):
-    rod = fmbd.FloatingBody("rod", rod_mesh(), degree=1, density=1e3, elastic=fmbd.materials.linear_elastic(5e6, 0.3))
+    rod = fmbd.FloatingBody(
+        "rod", rod_mesh(), degree=1, density=1e3, elastic=fmbd.materials.linear_elastic(5e6, 0.3)
+    )
     scene = fmbd.Scene("elastic", gravity=(0, -9.81))
     scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
     run = fmbd.solve(scene, t_end=0.02, dt=0.005)

@@ -40,15 +40,21 @@ def squares():
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("degree, space, free, clamped, zero", TABLE, ids=lambda v: str(v) if not isinstance(v, tuple) else "")
+@pytest.mark.parametrize(
+    "degree, space, free, clamped, zero", TABLE, ids=lambda v: str(v) if not isinstance(v, tuple) else ""
+)
 def test_table(squares, degree: int, space, free, clamped, zero: int) -> None:
     for n, wanted, held in zip((4, 8), free, clamped, strict=True):
         reference = (squares(4 * n), 2)
         a = infsup((squares(n), "bottom"), space, degree=degree, reference=reference)
         assert a.constant == pytest.approx(wanted, abs=1.5e-3) and a.zero_modes == 0
-        b = infsup((squares(n), "bottom"), space, degree=degree, clamped=("left", "right"), reference=reference)
+        b = infsup(
+            (squares(n), "bottom"), space, degree=degree, clamped=("left", "right"), reference=reference
+        )
         assert b.constant == pytest.approx(held, abs=1.5e-3) and b.zero_modes == zero
-        assert infsup((squares(n), "bottom"), space, degree=degree).constant == pytest.approx(a.constant, abs=0.02)
+        assert infsup((squares(n), "bottom"), space, degree=degree).constant == pytest.approx(
+            a.constant, abs=0.02
+        )
 
 
 def test_half_norms_of_a_cosine() -> None:
@@ -59,7 +65,9 @@ def test_half_norms_of_a_cosine() -> None:
     fine, _, _ = refined(t, 5, 2)
     k = 2 * np.pi
     for s in (-0.5, 0.0, 0.5, 1.0):
-        assert half_norm(fine, np.cos(k * fine.points[:, 0]), order=s) == pytest.approx(np.sqrt((1 + k * k) ** s / 2), rel=1e-4)
+        assert half_norm(fine, np.cos(k * fine.points[:, 0]), order=s) == pytest.approx(
+            np.sqrt((1 + k * k) ** s / 2), rel=1e-4
+        )
 
 
 def test_dual_norm_of_a_constant() -> None:

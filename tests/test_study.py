@@ -19,7 +19,9 @@ def made_up(order, size=1.0):
     def run(h):
         t = np.linspace(0, 1, round(1 / h) + 1)
         series = {"x": (t + size * h**order * np.sin(t))[:, None]}
-        return SimpleNamespace(times=t, series=series, system=SYSTEM, seconds={"steps": 1 / h}, counters={"steps": 1 / h})
+        return SimpleNamespace(
+            times=t, series=series, system=SYSTEM, seconds={"steps": 1 / h}, counters={"steps": 1 / h}
+        )
 
     return run
 
@@ -32,7 +34,9 @@ def free_fall_pendulum(h, rho_inf=0.8):
     scene = fmbd.Scene("swing", gravity=(0, -9.81))
     scene.add(bob, fmbd.revolute("pin", fmbd.ground, bob, center=(0, 0)))
     scene.sensor("bob", fmbd.position(bob))
-    return fmbd.solve(scene, t_end=0.8, dt=h, scheme=fmbd.GeneralizedAlpha(rho_inf), output=fmbd.Output(energy=False))
+    return fmbd.solve(
+        scene, t_end=0.8, dt=h, scheme=fmbd.GeneralizedAlpha(rho_inf), output=fmbd.Output(energy=False)
+    )
 
 
 @pytest.mark.parametrize("order", [1.0, 2.0, 3.5])
