@@ -41,7 +41,7 @@ class Check:
     @property
     def ok(self) -> bool:
         """Whether the figure is finite and within its tolerance."""
-        return math.isfinite(self.value) and abs(self.value - self.reference) <= self.tolerance
+        return math.isfinite(self.value) and bool(abs(self.value - self.reference) <= self.tolerance)
 
     def __str__(self) -> str:
         verdict = "ok" if self.ok else "FAILED"

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from fmbd_fenicsx import demo
@@ -38,7 +39,7 @@ def test_flags_have_types_choices_and_defaults(monkeypatch):
 
 def test_finish_prints_writes_and_passes(monkeypatch, tmp_path, capsys):
     args = parse(monkeypatch, "--json", str(tmp_path / "r.json"))
-    demo.finish([Check("length", 2.0, 2.0, 1e-9)], RUN, args)
+    demo.finish([Check("length", np.float64(2.0), 2.0, np.float64(1e-9))], RUN, args)
     assert capsys.readouterr().out.splitlines() == ["check length: 2, reference 2 +- 1e-09: ok"]
     found = json.loads((tmp_path / "r.json").read_text())
     entry = {"name": "length", "value": 2.0, "reference": 2.0, "tolerance": 1e-9, "ok": True}
