@@ -38,8 +38,24 @@ from .solve import Run, solve
 __version__ = "0.1.0"
 
 
+_CONTACT = {
+    "contact": ("contact", "ball", "corners", "cylinder_end"),
+    "contact_shapes": ("Box", "Cylinder", "HalfSpace", "Obstacle", "SignedDistance", "Sphere"),
+    "sensors_contact": ("contact_force", "contact_gap", "contact_impulse", "contact_pressure", "contact_work"),
+    "schemes.contact_midpoint": ("ContactMidpoint",),
+    "schemes.moreau": ("Moreau",),
+}
+
+
 def __getattr__(name: str) -> object:
-    """The mesh reader is loaded at first use: rigid scenes need no mesh library."""
+    """The mesh reader and everything of contact are loaded at first use: other scenes do not need them."""
+    from importlib import import_module
+
+    for module, names in _CONTACT.items():
+        if name in names:
+            found = getattr(import_module(f".{module}", __name__), name)
+            globals()[name] = found  # the module of the same name must not hide the function
+            return found
     if name in ("read_gmsh", "Mesh"):
         from . import mesh
 

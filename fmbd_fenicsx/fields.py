@@ -64,6 +64,7 @@ class Field:
 
         compat.check_versions()
         self.name, self.forms, self.mesh = name, forms, mesh
+        self.redistributed = False
         msh = mesh.dolfinx
         self.comm = msh.comm
         self.dim = d = mesh.dim
@@ -194,12 +195,41 @@ class Field:
             self._place(np.zeros(self.n * self.dim) if self._linearised is None else self._linearised)
         E = fp.create_matrix(self._stiffness_form)
         E.zeroEntries()
+        if self.redistributed:
+            return self._with_own_mass(E, cm, ck)
         fp.assemble_matrix(E, self._mass_form)
         E.assemble()
         E.scale(cm / ck)
         fp.assemble_matrix(E, self._stiffness_form)
         E.assemble()
         E.scale(ck)
+        return E
+
+    def replace_mass(self, M: Any) -> None:
+        """Use another scalar mass matrix with the same layout from now on (see :mod:`.contact_mass`); collective."""
+        self.M.destroy()
+        self.M, self.redistributed = M, True
+        self._rigid_properties()
+
+    def _with_own_mass(self, E: Any, cm: float, ck: float) -> Any:
+        """cm M + ck K for a mass matrix that is not the form's: each scalar entry acts on all components."""
+        import dolfinx.fem.petsc as fp
+        from petsc4py import PETSc
+
+        fp.assemble_matrix(E, self._stiffness_form)
+        E.assemble()
+        E.scale(ck)
+        d, (low, high) = self.dim, self.M.getOwnershipRange()
+        start, cols, values = self.M.getValuesCSR()
+        big = PETSc.Mat().createAIJ(E.getSizes(), nnz=int(np.diff(start).max(initial=1)), comm=self.comm)
+        big.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+        for k in range(d):
+            indptr = np.zeros((high - low) * d + 1, dtype=PETSc.IntType)
+            indptr[1:][k::d] = np.diff(start)
+            big.setValuesCSR(np.cumsum(indptr).astype(PETSc.IntType), (cols * d + k).astype(PETSc.IntType), values)
+        big.assemble()
+        E.axpy(cm, big, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        big.destroy()
         return E
 
     # -- constants ----------------------------------------------------------------------------------------------

@@ -46,5 +46,12 @@ def make_plan(scene: Scene, system: System) -> Plan:
         left.append("applied forces")
     if scene.gravity is None:
         left.append("gravity")
-    left += ["contact", "modal reduction", "field multipliers"]
+    if system.contacts is None:
+        left.append("contact")
+    else:
+        unknowns += [(f'contact "{p.name}"', p.count) for p in system.contacts.pairs]
+        constant.append("compliance of the contact nodes for each step size")
+        if not system.contacts.frictional:
+            left.append("friction")
+    left += ["modal reduction", "field multipliers"]
     return Plan(tuple(unknowns), tuple(constant), tuple(left))

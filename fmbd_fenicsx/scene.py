@@ -49,9 +49,10 @@ class Scene:
     joints: dict[str, Joint] = field(default_factory=dict)
     forces: dict[str, Force] = field(default_factory=dict)
     sensors: dict[str, Sensor] = field(default_factory=dict)
+    contacts: dict[str, Any] = field(default_factory=dict)
 
     def add(self, *parts: Any) -> None:
-        """Add bodies, joints and forces; names must be unique among each."""
+        """Add bodies, joints, forces and contacts; names must be unique among each."""
         for part in parts:
             if isinstance(part, RigidBody | FloatingBody | AbsoluteBody | CoordinateBody):
                 self._put(self.bodies, part, "body")
@@ -59,8 +60,10 @@ class Scene:
                 self._put(self.joints, part, "joint")
             elif isinstance(part, Force):
                 self._put(self.forces, part, "force")
+            elif hasattr(part, "slave") and hasattr(part, "master"):  # a Contact, without loading its module
+                self._put(self.contacts, part, "contact")
             else:
-                raise InputError(f"A scene takes bodies, joints and forces; found {part!r}.")
+                raise InputError(f"A scene takes bodies, joints, forces and contacts; found {part!r}.")
 
     def sensor(self, name: str, quantity: Sensor | JointCoordinate) -> str:
         """Record a quantity in every run, say ``scene.sensor("tip", fmbd.position(rod.surface("tip")))``; returns the name."""
@@ -140,12 +143,25 @@ class _Builder:
             length=self._length(),
             mass=self._mass(rigid),
             ground=self.m.identity[None],
+            contacts=self._contacts(),
         )
         return system, self._state(system), sensor_markers
+
+    def _contacts(self) -> Any:
+        """The contact set, None for a scene without contact."""
+        if not self.scene.contacts:
+            return None
+        from .scene_contact import build_contacts
+
+        return build_contacts(self.scene, self.m, self.frame_of, self.fields)
 
     # -- checks -------------------------------------------------------------------------------------------------
     def _check(self) -> None:
         scene = self.scene
+        if scene.contacts:
+            from .scene_contact import check_contacts
+
+            check_contacts(scene)
         for joint in scene.joints.values():
             for side in (joint.a, joint.b):
                 self._known(side, f'Joint "{joint.name}"')
@@ -196,6 +212,10 @@ class _Builder:
         from .floating import FloatingField
 
         field_ = Field(body.name, body.mesh, body.forms())
+        if self.scene.contacts:
+            from .scene_contact import make_massless
+
+            make_massless(self.scene, body, field_)
         U = _initial(body, body.displacement, field_, "displacement")
         Ud = _initial(body, body.displacement_rate, field_, "displacement_rate")
         if isinstance(body, AbsoluteBody):

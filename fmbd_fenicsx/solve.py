@@ -105,6 +105,7 @@ class _March:
     done: int
     first: int
     status: str
+    counters: dict[str, float]
 
 
 def solve(
@@ -119,7 +120,7 @@ def solve(
     """Integrate a scene from t = 0 to ``t_end`` (s) with steps of at most ``dt`` (s); collective.
 
     Args:
-        scheme: a scheme object; :class:`GeneralizedAlpha` with rho_inf = 0.8 by default.
+        scheme: a scheme object; :class:`GeneralizedAlpha` with rho_inf = 0.8 by default, ``ContactMidpoint`` with contact.
         newton: tolerance and limits of Newton's iteration.
         output: what is recorded how often, and whether the time-discretisation error is estimated.
 
@@ -128,7 +129,7 @@ def solve(
         Stopped: Ctrl-C in a serial run; ``run`` of the exception holds the run up to the step that was under way.
     """
     install_hooks()
-    scheme = GeneralizedAlpha() if scheme is None else scheme
+    scheme = _default_scheme(scene) if scheme is None else scheme
     output = Output() if output is None else output
     newton = Newton() if newton is None else replace(newton, iterations=0, theta=0.5)
     steps = _number_of_steps(t_end, dt, output.estimate_error)
@@ -138,7 +139,11 @@ def solve(
     solver = StepSolver(system)
     newton.refresh = solver.refresh
     try:
-        start, correction = consistent(system, given, solver)
+        if hasattr(scheme, "start"):
+            start, correction = scheme.start(system, given, solver, t_end / steps)
+        else:
+            require(system.contacts is None, f"{scheme.name} does not treat contact. Use fmbd.ContactMidpoint() or fmbd.Moreau().")
+            start, correction = consistent(system, given, solver)
         started = clock.perf_counter()
         problem = _Problem(scene, system, markers, start, scheme, newton)
         march = _march(problem, solver, t_end / steps, steps, output)
@@ -179,6 +184,15 @@ def solve(
     return run
 
 
+def _default_scheme(scene: Scene) -> Any:
+    """Generalized-alpha; the contact-implicit midpoint rule for a scene with contact."""
+    if not scene.contacts:
+        return GeneralizedAlpha()
+    from .schemes.contact_midpoint import ContactMidpoint
+
+    return ContactMidpoint()
+
+
 def _number_of_steps(t_end: float, dt: float, even: bool) -> int:
     """Steps of equal size, none above dt (but for roundoff); an even number where asked."""
     require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
@@ -195,7 +209,7 @@ def _march(problem: _Problem, solver: StepSolver, h: float, steps: int, output: 
     """All steps of one size from a consistent start; collective."""
     stepper = problem.scheme.stepper(problem.system, solver, problem.newton, problem.start)
     recorder = Recorder(problem.scene, problem.system, problem.markers, output, steps)
-    recorder.take(0, problem.start)
+    recorder.take(0, stepper.state)
     bar = Progress(problem.scene.name, steps, output.progress)
     local_error, done, first = 0.0, 0, 0
     try:
@@ -215,7 +229,7 @@ def _march(problem: _Problem, solver: StepSolver, h: float, steps: int, output: 
     finally:
         bar.close()
     status = "finished" if done == steps else "stopped"
-    return _March(recorder, stepper.state, local_error, done, first, status)
+    return _March(recorder, stepper.state, local_error, done, first, status, getattr(stepper, "counters", {}))
 
 
 def _counters(march: _March, newton: Newton, solver: StepSolver) -> dict[str, float]:
@@ -229,6 +243,7 @@ def _counters(march: _March, newton: Newton, solver: StepSolver) -> dict[str, fl
         "back_solves_per_step": later / (march.done - 1) if march.done > 1 else 0.0,
         "core_factorisations": solver.core.factorisations,
         "worst_linear_residual": solver.worst_residual,
+        **march.counters,
     }
 
 

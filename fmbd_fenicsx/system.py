@@ -72,6 +72,7 @@ class System:
     length: float  # characteristic length of the model, m
     mass: float  # total mass, kg
     ground: Array = field(repr=False, default=None)  # type: ignore[assignment]  # (1, n_pose)
+    contacts: Any = None  # ContactSet of a scene with contact
     cache: dict[str, Any] = field(repr=False, default_factory=dict)  # patterns found at first use
 
     def block(self, name: str) -> RowBlock:

@@ -1,4 +1,4 @@
-"""A rectangle or box with its faces as surfaces, cut into a regular grid of simplices.
+"""A rectangle or box with its faces as surfaces, cut into a regular grid of simplices (or of quadrilaterals).
 
 Surfaces "left", "right" (x), "bottom", "top" (y), and in space "back", "front" (z). ``cells`` is the number of cells along x; the
 others follow from the lengths unless ``counts`` gives them all.
@@ -15,8 +15,9 @@ def build(
     cells: int = 4,
     counts: tuple[int, ...] | None = None,
     origin: tuple[float, ...] = (0.0, 0.0, 0.0),
+    quads: bool = False,
 ) -> None:
-    """Model of a block with edges ``size`` (m) from ``origin`` (m)."""
+    """Model of a block with edges ``size`` (m) from ``origin`` (m); ``quads``: quadrilaterals or hexahedra."""
     gmsh.model.add("block")
     occ, dim = gmsh.model.occ, len(size)
     o = (*origin, 0.0, 0.0)[:3]
@@ -29,6 +30,8 @@ def build(
         gmsh.model.mesh.setTransfiniteCurve(line, n[axis] + 1)
     for _, face in gmsh.model.getEntities(2):
         gmsh.model.mesh.setTransfiniteSurface(face)
+        if quads:
+            gmsh.model.mesh.setRecombine(2, face)
     if dim == 3:
         gmsh.model.mesh.setTransfiniteVolume(body)
     gmsh.model.addPhysicalGroup(dim, [body], name="block")

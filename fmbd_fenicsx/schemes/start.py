@@ -28,13 +28,17 @@ class Correction:
     iterations: int
 
 
-def consistent(system: System, state: State, solver: StepSolver) -> tuple[State, Correction]:
+def consistent(
+    system: System, state: State, solver: StepSolver, *, metric: Weights | None = None, accelerated: bool = True
+) -> tuple[State, Correction]:
     """The consistent state nearest to ``state``; equations (1). Collective.
+
+    ``metric`` replaces the mass matrix; without ``accelerated`` the accelerations and multipliers stay as they are.
 
     Raises:
         ConstraintError: the bodies do not fit together (correction above 1e-3 of the model's length), naming the joint.
     """
-    mass = Weights(1.0, 0.0, 0.0)
+    mass = Weights(1.0, 0.0, 0.0) if metric is None else metric
     q, moved, n_it = state.q, 0.0, 0
     zero = np.zeros(system.n_v)
     first = system.at(state.t, q).constraint() if system.n_lam else np.zeros(0)
@@ -69,6 +73,8 @@ def consistent(system: System, state: State, solver: StepSolver) -> tuple[State,
         slip = system.max_abs(dv)
         v = v + dv
     made = replace(state, q=q, v=v)
+    if not accelerated:
+        return made, Correction(moved, slip, n_it)
     return accelerations(system, made, solver), Correction(moved, slip, n_it)
 
 
