@@ -37,7 +37,7 @@ class Trace:
     """All contact nodes of one elastic part; collective to build.
 
     Attributes: ``part`` its number, ``own`` owned node numbers of this rank, ``first`` where they start in the common list,
-    ``X`` (n, d) reference positions in the body's axes, ``n``, ``dim``, ``surfaces``.
+    ``X`` (n, d) reference positions in the body's axes (the world's without a ``moving`` frame), ``n``, ``dim``, ``surfaces``.
     """
 
     def __init__(self, part: int, body: Any, surfaces: list[str], moving: bool) -> None:
@@ -50,8 +50,7 @@ class Trace:
         self.own = (used[(used >= low) & (used < high)] - low).astype(int)
         self.first = int(np.searchsorted(used, low))
         self.n = len(used)
-        reference = getattr(body, "material", None)
-        reference = field.X if reference is None else reference
+        reference = field.X if moving else field.X_world
         self.X = np.concatenate(self.comm.allgather(reference[self.own])).reshape(self.n, self.dim)
         self.surfaces = {s: self._surface(s, np.searchsorted(used, f), w) for s, (f, w) in lists.items()}
 

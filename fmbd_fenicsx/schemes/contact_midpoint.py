@@ -196,6 +196,7 @@ class _Step:
         self.force = stepper.force[near]
         self.rows: Rows | None = None
         self.W: Array | None = None
+        self._blocks: Any = None
         self.scale = h * h / 2
         self.q = s.q
         self.g = np.zeros(0)
@@ -234,8 +235,9 @@ class _Step:
         L = components(rows) if d > 1 else rows.N
         r = r - p.contacts.transposed(system, L, self.force.ravel())
         z, dl = solver.solve(-self.scale * r, -self.g)
-        if self.W is None:
-            self.W = self.scale * p.compliance.matrix(L)
+        blocks = getattr(solver, "blocks", None)
+        if self.W is None or blocks is not self._blocks:  # also after Newton asked for a new tangent
+            self.W, self._blocks = self.scale * p.compliance.matrix(L), blocks
         u = p.contacts.times(system, L, z).reshape(-1, d)
         u[:, 0] += gap
         if d > 1:
