@@ -35,6 +35,8 @@ class CoreSolver:
         """Factor for A (n, n) and rows G (m, n), both dense or both sparse; C (m, m) stands for the 0 where given."""
         self.A, self.G, self.C = A, G, C
         self.n, self.m = A.shape[0], G.shape[0]
+        if self.n + self.m == 0:  # absolute bodies without joints: nothing replicated
+            return
         self.factorisations += 1
         D, E = _scales(A, G, C)
         self.scale = np.concatenate((D, E))
@@ -82,6 +84,8 @@ class CoreSolver:
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """x (n,) and y (m,) for right-hand sides b, c; judged by the true residual (rows of A only when redundant)."""
         n = self.n
+        if self.n + self.m == 0:
+            return b, c
         rhs = self.scale * np.concatenate((b, c))
         z = self.scale * self._solve(rhs)
         x, y = z[:n], z[n:]
