@@ -8,6 +8,7 @@ numbers (NumPy functions do), else from central differences.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -26,13 +27,21 @@ def derivative(function: Callable[[Any], Any], x: Array) -> Array:
     n = len(x)
     try:
         columns = []
-        for k in range(n):
-            z = x.astype(complex)
-            z[k] += 1j * _STEP
-            columns.append(np.imag(np.asarray(function(z), dtype=complex)) / _STEP)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", np.exceptions.ComplexWarning)  # an imaginary part dropped on the way
+            for k in range(n):
+                z = x.astype(complex)
+                z[k] += 1j * _STEP
+                columns.append(np.imag(np.asarray(function(z), dtype=complex)) / _STEP)
         return np.stack(columns, axis=-1) if n else np.zeros((np.size(function(x)), 0))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, np.exceptions.ComplexWarning):
         pass
+    return differences(function, x)
+
+
+def differences(function: Callable[[Any], Any], x: Array) -> Array:
+    """d function / d x, (m, n), by central differences of fourth order."""
+    n = len(x)
     columns = []
     for k in range(n):
         h = 1e-3 * max(1.0, abs(float(x[k])))
@@ -43,7 +52,7 @@ def derivative(function: Callable[[Any], Any], x: Array) -> Array:
             return np.asarray(function(x + s * e), dtype=float)
 
         columns.append((8 * (at(1.0) - at(-1.0)) - (at(2.0) - at(-2.0))) / (12 * h))
-    return np.stack(columns, axis=-1)
+    return np.stack(columns, axis=-1) if n else np.zeros((np.size(function(x)), 0))
 
 
 @dataclass(frozen=True, eq=False)

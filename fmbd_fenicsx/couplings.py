@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from .constraints import Batch, Motion, Sides
-from .coordinates import derivative
+from .coordinates import derivative, differences
 from .errors import CallbackError
 from .frames import Kinematics
+from .log import log
 from .relative import Relative
 from .rotations import Array, Motions, hat
 
@@ -110,6 +111,7 @@ class OwnBatch(Batch):
         self.motions, self.name, self.function = motions, name, function
         self.markers = np.array(markers)
         self.driven: list[tuple[int, Motion]] = []
+        self.by_differences: bool | None = None  # decided at the first derivative
 
     def _checked(self, value: Any, t: float) -> Any:
         found = np.atleast_1d(np.asarray(value))
@@ -139,7 +141,12 @@ class OwnBatch(Batch):
         def g(z: Any) -> Any:
             return self._at(*self._moved(x, R, z.reshape(2, n)), t)
 
-        return derivative(g, np.zeros(2 * n))
+        if self.by_differences is None:  # abs() and the like drop the imaginary part without a word
+            exact, rough = derivative(g, np.zeros(2 * n)), differences(g, np.zeros(2 * n))
+            self.by_differences = bool(np.abs(exact - rough).max() > 1e-5 * max(1.0, np.abs(rough).max()))
+            if self.by_differences:
+                log.warning('joint "%s": complex steps fail in its function (abs, float?); using differences', self.name)
+        return differences(g, np.zeros(2 * n)) if self.by_differences else derivative(g, np.zeros(2 * n))
 
     def _time(self, x: Array, R: Array, t: float) -> Array:
         return derivative(lambda s: self._at(x, R, s[0]), np.array([t]))[:, 0]

@@ -155,30 +155,27 @@ class ScalarLoads(Loads):
 class TyreLoads(Loads):
     """Radial springs between a wheel centre and a road: N = k c + d c' while c = radius - height over the road > 0, N >= 0."""
 
-    def _compression(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array]:
+    def _compression(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array, Array]:
+        """c, c', the directions up, and -dc/dx: up minus the slope of the road."""
         assert kin.twist is not None
         d = self.motions.dim
-        c, rate = np.zeros(len(self.forces)), np.zeros(len(self.forces))
         up = np.array([f.up[:d] for f in self.forces], dtype=float)
+        c, row = np.zeros(len(self.forces)), up.copy()
         for i, f in enumerate(self.forces):
-            x, v = kin.x[self.a[i]], kin.twist[self.a[i], :d]
-            ground = float(checked(f.name, f.road(x), 1, t)[0])
-            step = 1e-6 * f.radius / max(float(np.linalg.norm(v)), 1e-12)
-            slope = (float(f.road(x + step * v)) - float(f.road(x - step * v))) / (2 * step)
-            c[i] = ground + f.radius - float(up[i] @ x)
-            rate[i] = slope - float(up[i] @ v)
-        return c, rate, up
+            x = kin.x[self.a[i]]
+            c[i] = float(checked(f.name, f.road(x), 1, t)[0]) + f.radius - float(up[i] @ x)
+            for k, e in enumerate(1e-5 * f.radius * np.eye(d)):
+                row[i, k] -= (float(f.road(x + e)) - float(f.road(x - e))) / (2e-5 * f.radius)
+        return c, -(row * kin.twist[self.a, :d]).sum(1), up, row
 
     def _constants(self) -> tuple[Array, Array]:
         return np.array([f.stiffness for f in self.forces]), np.array([f.damping for f in self.forces])
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
-        c, rate, up = self._compression(kin, t)
+        c, rate, up, _ = self._compression(kin, t)
         k, damping = self._constants()
         out = self._zero()
-        out[:, : self.motions.dim] = (
-            np.where(c > 0, np.maximum(k * c + damping * rate, 0.0), 0.0)[:, None] * up
-        )
+        out[:, : self.motions.dim] = np.where(c > 0, np.maximum(k * c + damping * rate, 0.0), 0.0)[:, None] * up
         return out, self._zero()
 
     def energy(self, kin: Kinematics, t: float) -> float:
@@ -186,13 +183,15 @@ class TyreLoads(Loads):
         return 0.5 * float((self._constants()[0] * c**2).sum())
 
     def tangent(self, kin: Kinematics, t: float) -> Tangent:
-        c, rate, up = self._compression(kin, t)
+        c, rate, up, row = self._compression(kin, t)
         k, damping = self._constants()
         on = (c > 0) & (k * c + damping * rate > 0)
         d, n = self.motions.dim, self.motions.dim + self.motions.n_rot
-        uu = np.zeros((len(c), 2 * n, 2 * n))
-        uu[:, :d, :d] = up[:, :, None] * up[:, None, :]
-        return Tangent(self.a, self.b, (on * k)[:, None, None] * uu, (on * damping)[:, None, None] * uu)
+        outer = np.zeros((len(c), 2 * n, 2 * n))
+        outer[:, :d, :d] = up[:, :, None] * row[:, None, :]
+        return Tangent(
+            self.a, self.b, (on * k)[:, None, None] * outer, (on * damping)[:, None, None] * outer
+        )
 
 
 class OwnLoads(Loads):

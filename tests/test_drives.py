@@ -1,0 +1,189 @@
+"""Joint coordinates, drives, gears, screws and joints of the user's own."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from motion import Motion, plane_scene, space_scene
+from test_joints import AXIS, CENTER, check_derivatives
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.couplings import smooth_motion
+from fmbd_fenicsx.errors import CallbackError, InputError
+
+
+def joints(dim: int) -> tuple[fmbd.Scene, list[Any]]:
+    """Two bodies on the ground, one joint with an angle and one with a displacement."""
+    scene, one, two = plane_scene() if dim == 2 else space_scene()
+    c, axis = CENTER[:dim], AXIS
+    if dim == 2:
+        hinge, slider = (
+            fmbd.revolute("hinge", one, fmbd.ground, center=c),
+            fmbd.prismatic("slider", fmbd.ground, two, axis=(1, 0.4), center=c),
+        )
+    else:
+        hinge = fmbd.cylindrical("hinge", one, fmbd.ground, center=c, axis=axis)
+        slider = fmbd.prismatic("slider", one, two, center=c, axis=axis)
+    scene.add(hinge, slider)
+    return scene, [hinge, slider]
+
+
+def coordinate_scene(dim: int, what: str) -> fmbd.Scene:
+    scene, (hinge, slider) = joints(dim)
+    phi, s = fmbd.angle(hinge), fmbd.displacement(slider)
+    if what == "drive angle":
+        scene.add(fmbd.drive("d", phi, lambda t: 0.3 * np.sin(2 * t)))
+    elif what == "drive displacement":
+        scene.add(fmbd.drive("d", s, lambda t: (t**2, 2 * t, 2.0)))
+    elif what == "rack and pinion":
+        scene.add(fmbd.gear("d", phi, s, ratio=0.3))
+    elif what == "screw":
+        scene.add(fmbd.screw("d", hinge, lead=0.2))
+    else:
+        rod = fmbd.distance("rod", *list(scene.bodies.values()), length=0.8)
+        scene.add(rod, fmbd.drive("d", fmbd.displacement(rod), lambda t: 0.8 + 0.1 * t))
+    return scene
+
+
+KINDS = ["drive angle", "drive displacement", "rack and pinion", "drive length"]
+
+
+@pytest.mark.parametrize("dim, what", [(2, w) for w in KINDS] + [(3, w) for w in [*KINDS, "screw"]])
+def test_derivatives(dim: int, what: str) -> None:
+    check_derivatives(Motion(coordinate_scene(dim, what)))
+
+
+def bevel(xa: Any, Ra: Any, xb: Any, Rb: Any, t: float) -> Any:
+    """A point on a sphere about the other, and one axis held on a cone."""
+    return np.array([(xb - xa) @ (xb - xa) - 0.3, (Ra[:, 0] @ Rb[:, 1]) - 0.2 * np.sin(t)])
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_derivatives_of_an_own_joint(dim: int) -> None:
+    scene, one, two = plane_scene() if dim == 2 else space_scene()
+    scene.add(fmbd.own_joint("own", one, two, bevel, center=CENTER[:dim]))
+    check_derivatives(Motion(scene))
+
+
+def test_own_joint_without_complex_numbers() -> None:
+    """A function that only takes real numbers is differentiated by central differences."""
+    scene, one, two = plane_scene()
+    scene.add(fmbd.own_joint("own", one, two, lambda xa, Ra, xb, Rb, t: [math.hypot(*(xb - xa)) - 0.3], center=(0.8, 0.2)))
+    motion = Motion(scene)
+    G = motion.at(0.0).jacobian
+    scene2, one, two = plane_scene()
+    scene2.add(
+        fmbd.own_joint("own", one, two, lambda xa, Ra, xb, Rb, t: [np.sqrt((xb - xa) @ (xb - xa)) - 0.3], center=(0.8, 0.2))
+    )
+    assert np.abs(G.core - Motion(scene2).at(0.0).jacobian.core).max() < 1e-8
+
+
+def test_own_revolute_moves_as_the_built_in_one() -> None:
+    """The pendulum of docs/own_joint.md: same motion, same reactions."""
+    found = []
+    for own in (False, True):
+        rod = fmbd.RigidBody("rod", 2.0, (0.1, 0.2, 0.25), position=(0.5, 0, 0))
+        scene = fmbd.Scene("pendulum", gravity=(0, -9.81, 0))
+        scene.add(rod)
+        if own:
+            hinge: Any = fmbd.own_joint("hinge", fmbd.ground, rod, own_hinge, center=(0, 0, 0))
+        else:
+            hinge = fmbd.revolute("hinge", fmbd.ground, rod, center=(0, 0, 0), axis=(0, 0, 1))
+        scene.add(hinge)
+        scene.sensor("x", fmbd.position(rod))
+        scene.sensor("F", fmbd.reaction_force(hinge))
+        scene.sensor("T", fmbd.reaction_torque(hinge))
+        found.append(fmbd.solve(scene, t_end=0.5, dt=5e-3))
+    for sensor, bar in (("x", 1e-9), ("F", 1e-6), ("T", 1e-6)):
+        assert np.abs(found[0][sensor] - found[1][sensor]).max() < bar
+
+
+def own_hinge(xa: Any, Ra: Any, xb: Any, Rb: Any, t: float) -> Any:
+    """Revolute joint about z, written by hand."""
+    return np.array([*(xb - xa), Ra[:, 2] @ Rb[:, 0], Ra[:, 2] @ Rb[:, 1]])
+
+
+def test_drive_counts_revolutions_and_reads_its_motion() -> None:
+    """A wheel driven through 3 turns: the angle does not jump, and the gear follows with its ratio."""
+    wheel = fmbd.RigidBody("wheel", 1.0, (0.1, 0.1, 0.2))
+    pinion = fmbd.RigidBody("pinion", 0.3, (0.01, 0.01, 0.02), position=(0.3, 0, 0))
+    scene = fmbd.Scene("gear")
+    scene.add(wheel, pinion)
+    one = fmbd.revolute("one", fmbd.ground, wheel, center=(0, 0, 0))
+    two = fmbd.revolute("two", fmbd.ground, pinion, center=(0.3, 0, 0))
+    phi, psi = fmbd.angle(one), fmbd.angle(two)
+    turn = 6 * math.pi
+    scene.add(one, two, fmbd.drive("motor", phi, lambda t: turn * t**3), fmbd.gear("gear", phi, psi, ratio=-2.5))
+    scene.sensor("phi", phi)
+    scene.sensor("psi", psi)
+    scene.sensor("rate", fmbd.joint_rate(psi))
+    scene.sensor("motor", fmbd.reaction_torque("motor"))
+    run = fmbd.solve(scene, t_end=1.0, dt=2e-3)
+    t = run.times
+    assert np.abs(run["phi"][:, 0] - turn * t**3).max() < 1e-10
+    assert np.abs(run["psi"][:, 0] + 2.5 * turn * t**3).max() < 1e-10
+    assert abs(run["rate"][-1, 0] + 2.5 * 3 * turn) < 1e-2
+    torque = (0.2 + 2.5**2 * 0.02) * 6 * turn  # J_reduced phi'' at t = 1; on the ground with the opposite sign
+    assert abs(run["motor"][-1, 2] + torque) < 1e-3 * torque
+
+
+def test_screw_advances_its_lead() -> None:
+    nut = fmbd.RigidBody("nut", 1.0, (0.1, 0.1, 0.2))
+    scene = fmbd.Scene("screw", gravity=(0, 0, -9.81))
+    scene.add(nut)
+    joint = fmbd.cylindrical("guide", fmbd.ground, nut, axis=(0, 0, 1), center=(0, 0, 0))
+    scene.add(joint, fmbd.screw("thread", joint, lead=0.5))
+    scene.sensor("z", fmbd.displacement(joint))
+    scene.sensor("phi", fmbd.angle(joint))
+    run = fmbd.solve(scene, t_end=2.0, dt=5e-3)
+    p = 0.5 / (2 * math.pi)
+    assert np.abs(run["z"] - p * run["phi"]).max() < 1e-12
+    a = 9.81 / (1 + 0.2 / p**2)
+    assert abs(run["z"][-1, 0] + 0.5 * a * 4) < 1e-9
+
+
+def test_reaction_of_a_cantilever() -> None:
+    """A bar welded to the ground: its weight and the moment of it act on the ground, the first body."""
+    bar = fmbd.RigidBody("bar", 2.0, (0.1, 0.2, 0.2), position=(0.7, 0, 0))
+    scene = fmbd.Scene("bar", gravity=(0, 0, -10.0))
+    scene.add(bar)
+    scene.add(fmbd.fixed("weld", fmbd.ground, bar, center=(0, 0, 0)))
+    scene.sensor("F", fmbd.reaction_force("weld"))
+    scene.sensor("T", fmbd.reaction_torque("weld"))
+    run = fmbd.solve(scene, t_end=0.1, dt=0.02)
+    assert np.abs(run["F"] - [0, 0, -20.0]).max() < 1e-10
+    assert np.abs(run["T"] - np.cross([0.7, 0, 0], [0, 0, -20.0])).max() < 1e-10
+
+
+def test_computed_derivatives_of_a_motion() -> None:
+    for f, bar in ((lambda t: np.sin(3 * t), 1e-9), (lambda t: math.sin(3 * t), 1e-7)):
+        s = np.array(smooth_motion("m", f)(0.7))
+        assert np.abs(s - [math.sin(2.1), 3 * math.cos(2.1), -9 * math.sin(2.1)]).max() < bar
+
+
+def test_motion_that_is_not_finite_is_named() -> None:
+    scene, (hinge, _) = joints(3)
+    with pytest.raises(CallbackError, match='"motor".*nan'):
+        fmbd.drive("motor", fmbd.angle(hinge), lambda t: float("nan"))
+
+
+def test_wrong_input_is_named() -> None:
+    scene, (hinge, slider) = joints(3)
+    with pytest.raises(InputError, match='"slider".*no angle'):
+        fmbd.angle(slider)
+    with pytest.raises(InputError, match='"g".*ratio'):
+        fmbd.gear("g", fmbd.angle(hinge), fmbd.displacement(slider), ratio=0.0)
+    with pytest.raises(InputError, match='"g".*itself'):
+        fmbd.gear("g", fmbd.angle(hinge), fmbd.angle(hinge), ratio=2.0)
+    with pytest.raises(InputError, match='"own".*TypeError'):
+        bad = fmbd.Scene("bad")
+        one = fmbd.RigidBody("one", 1.0, 1.0)
+        bad.add(one, fmbd.own_joint("own", fmbd.ground, one, lambda x: x))
+        bad.build()
+    alone = fmbd.Scene("alone")
+    alone.add(*scene.bodies.values(), fmbd.drive("d", fmbd.angle(hinge), lambda t: t))
+    with pytest.raises(InputError, match='"d".*"hinge".*not in the scene'):
+        alone.build()

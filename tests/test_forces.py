@@ -1,0 +1,174 @@
+"""Force laws: work, tangents, closed solutions, errors that name the force."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from motion import Motion, first, plane_scene, space_scene
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import CallbackError, InputError
+
+
+def loaded(dim: int, what: str) -> fmbd.Scene:
+    """Two bodies, a joint with a coordinate, and one kind of force."""
+    scene, one, two = plane_scene(None) if dim == 2 else space_scene(None)
+    hinge = fmbd.revolute("hinge", one, two, center=(0.8, 0.2, 0.1)[:dim], axis=(0.3, -0.5, 0.8))
+    scene.add(hinge)
+    points = ((0.3, 0.1, 0.2)[:dim], (1.4, 0.2, 0.1)[:dim])
+    if what == "spring":
+        scene.add(fmbd.Spring("s", one, two, *points, 40.0, 0.0, 0.9))
+    elif what == "damped spring":
+        scene.add(fmbd.Spring("s", one, two, *points, 40.0, 3.0, 0.9))
+    elif what == "own spring":
+        scene.add(fmbd.Spring("s", one, two, *points, law=lambda s, v, t: 30 * s + 50 * s**3 + 2 * v))
+    elif what == "hardening spring":
+        scene.add(fmbd.Spring("s", one, two, *points, law=lambda s, v, t: 30 * s + 50 * s**3))
+    elif what == "joint spring":
+        scene.add(fmbd.joint_spring("s", fmbd.angle(hinge), stiffness=20.0, damping=0.5, free=0.2))
+    elif what == "own force":
+        scene.add(fmbd.own_force("s", one, two, lambda t, a, b: (7.0 * (a.x - b.x) - 0.5 * b.v, 0.3 * b.w), points=points))
+    elif what == "tyre":
+        road = lambda x: 0.2 * np.sin(2 * x[0])  # noqa: E731
+        scene.add(fmbd.Tyre("s", one, point_a=points[0], road=road, radius=0.8, stiffness=50.0, damping=2.0, up=(0, 1, 0)))
+    return scene
+
+
+KINDS = ["spring", "damped spring", "hardening spring", "own spring", "joint spring", "own force", "tyre"]
+
+
+@pytest.mark.parametrize("what", KINDS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_tangent_against_differences(dim: int, what: str) -> None:
+    """The damping part against differences in v exactly; the stiffness part but for rotations of the force's own lever."""
+    motion = Motion(loaded(dim, what), size=0.1)
+    s, dv = motion.system, motion.direction()
+    ev = s.at(motion.t, motion.q, motion.v)
+    force = lambda v: -ev.spread(s.at(motion.t, motion.q, v).wrenches())  # noqa: E731
+    D = np.asarray(ev.force_tangent(1.0, 0.0))
+    rate = first(lambda e: force(motion.v + e * dv))
+    assert np.abs(D @ dv - rate).max() < 1e-5 * max(1.0, np.abs(rate).max())
+    K = np.asarray(ev.force_tangent(0.0, 1.0))
+    dq = np.zeros_like(dv).reshape(-1, s.motions.n_twist)
+    dq[:, : s.motions.dim] = dv.reshape(dq.shape)[:, : s.motions.dim]
+    moved = first(lambda e: -s.at(motion.t, s.compose(motion.q, e * dq.ravel()), motion.v).wrenches().ravel())
+    found = np.zeros_like(moved.reshape(-1, s.motions.dim + s.motions.n_rot))
+    if what in ("damped spring", "own spring", "tyre"):
+        return  # the change of direction of the damper is left out of the tangent
+    tangent = s.forces[0].tangent(ev.kin, motion.t)
+    n = found.shape[1]
+    dx = (ev.kin.jac_frame @ np.concatenate((dq, np.zeros((1, dq.shape[1]))))[s.markers.frame][..., None])[..., 0]
+    pair = np.concatenate((dx[tangent.a], dx[tangent.b]), axis=1)
+    both = (tangent.K @ pair[..., None])[..., 0]
+    np.add.at(found, tangent.a, both[:, :n])
+    if tangent.a[0] != tangent.b[0]:
+        np.add.at(found, tangent.b, both[:, n:])
+    assert np.abs(found.ravel() - moved).max() < 2e-5 * max(1.0, np.abs(moved).max())
+
+
+@pytest.mark.parametrize("what", ["spring", "joint spring"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_power_is_minus_the_rate_of_energy(dim: int, what: str) -> None:
+    motion = Motion(loaded(dim, what), size=0.1)
+    if what == "joint spring":
+        motion.system.forces[0].c[:] = 0.0
+    ev = motion.at(0.0)
+    power = float(ev.spread(ev.wrenches()) @ motion.v)
+    if what == "joint spring" and dim == 3:
+        motion.system.forces[0].relative.last[:] = motion.system.forces[0].relative.values(ev.kin)
+    rate = first(lambda s: motion.at(s).energies()["springs"])
+    assert abs(power + rate) < 1e-7 * max(1.0, abs(power))
+
+
+@pytest.mark.parametrize("what", ["spring", "damped spring", "own spring", "joint spring", "own force"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_internal_forces_have_no_resultant(dim: int, what: str) -> None:
+    motion = Motion(loaded(dim, what), size=0.1)
+    ev = motion.at(0.0)
+    w, d = ev.wrenches(), dim
+    assert np.abs(w[:, :d].sum(0)).max() < 1e-12 * np.abs(w).max()
+    moment = w[:, d:].sum(0) + motion.system.motions.moment(ev.kin.x, w[:, :d]).sum(0)
+    assert np.abs(moment).max() < 1e-12 * np.abs(w).max()
+
+
+def test_torsional_oscillator() -> None:
+    """J phi'' + k phi = 0 released from 0.4 rad over several turns of the frame: frequency and energy."""
+    wheel = fmbd.RigidBody("wheel", 1.0, (0.3, 0.3, 0.5), angular_velocity=(0, 0, 20.0))
+    scene = fmbd.Scene("torsion")
+    scene.add(wheel)
+    hinge = fmbd.revolute("hinge", fmbd.ground, wheel, center=(0, 0, 0))
+    scene.add(hinge, fmbd.joint_spring("spring", fmbd.angle(hinge), stiffness=2.0))
+    scene.sensor("phi", fmbd.angle(hinge))
+    run = fmbd.solve(scene, t_end=2.0, dt=1e-3)
+    w = math.sqrt(2.0 / 0.5)
+    assert np.abs(run["phi"][:, 0] - 20.0 / w * np.sin(w * run.times)).max() < 1e-4  # amplitude 10 rad
+    assert run["phi"].max() > 3 * math.pi
+
+
+def test_effort_accelerates_its_coordinate() -> None:
+    cart = fmbd.RigidBody("cart", 4.0, 1.0)
+    scene = fmbd.Scene("cart")
+    scene.add(cart)
+    rail = fmbd.prismatic("rail", fmbd.ground, cart, axis=(1, 0), center=(0, 0))
+    s = fmbd.displacement(rail)
+    scene.add(rail, fmbd.effort("motor", s, lambda t: 8.0))
+    scene.sensor("s", s)
+    run = fmbd.solve(scene, t_end=1.0, dt=0.01)
+    assert abs(run["s"][-1, 0] - 1.0) < 1e-12
+
+
+def test_stiff_spring_needs_its_tangent() -> None:
+    """A spring of 1e8 N/m on 1 kg with steps far above its period converges in few iterations."""
+    mass = fmbd.RigidBody("mass", 1.0, 1.0, position=(1.0, 0.0))
+    scene = fmbd.Scene("stiff", gravity=(9.81, 0.0))
+    scene.add(mass, fmbd.Spring("s", fmbd.ground, mass, (0, 0), None, 1e8, 0.0, 1.0))
+    scene.sensor("x", fmbd.position(mass))
+    run = fmbd.solve(scene, t_end=0.5, dt=0.01, scheme=fmbd.GeneralizedAlpha(0.0))
+    assert run.counters["newton_iterations"] <= 4 * run.counters["steps"]
+    assert abs(run["x"][-1, 0] - 1.0 - 9.81e-8) < 1e-10
+
+
+def test_wheel_rests_on_the_road() -> None:
+    wheel = fmbd.RigidBody("wheel", 10.0, 1.0, position=(0.0, 0.3))
+    scene = fmbd.Scene("wheel", gravity=(0, -9.81))
+    scene.add(wheel, fmbd.Tyre("tyre", wheel, road=lambda x: 0.0, radius=0.3, stiffness=1e5, damping=1e3))
+    scene.sensor("y", fmbd.position(wheel))
+    run = fmbd.solve(scene, t_end=1.0, dt=1e-3)
+    assert abs(run["y"][-1, 1] - (0.3 - 98.1 / 1e5)) < 1e-8
+
+
+def test_wheel_in_the_air_feels_nothing() -> None:
+    wheel = fmbd.RigidBody("wheel", 10.0, 1.0, position=(0.0, 2.3))
+    scene = fmbd.Scene("wheel", gravity=(0, -10.0))
+    scene.add(wheel, fmbd.Tyre("tyre", wheel, road=lambda x: 0.0, radius=0.3, stiffness=1e5))
+    scene.sensor("y", fmbd.position(wheel))
+    run = fmbd.solve(scene, t_end=0.3, dt=0.01)
+    assert abs(run["y"][-1, 1] - (2.3 - 0.45)) < 1e-10
+
+
+@pytest.mark.parametrize("law", [lambda s, v, t: float("nan"), lambda s, v, t: [1.0, 2.0]])
+def test_bad_law_is_named(law: Any) -> None:
+    mass = fmbd.RigidBody("mass", 1.0, 1.0, position=(1.0, 0.0))
+    scene = fmbd.Scene("bad")
+    scene.add(mass, fmbd.Spring("my spring", fmbd.ground, mass, (0, 0), law=law))
+    with pytest.raises(CallbackError, match='"my spring".*t = 0'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
+def test_forces_refuse_wrong_input() -> None:
+    mass = fmbd.RigidBody("mass", 1.0, 1.0)
+    with pytest.raises(InputError, match='"s".*damping'):
+        fmbd.Spring("s", fmbd.ground, mass, damping=-1.0)
+    with pytest.raises(InputError, match='"s".*stiffness'):
+        fmbd.Spring("s", fmbd.ground, mass, stiffness=float("inf"))
+    with pytest.raises(InputError, match='"s".*expected fmbd.angle'):
+        fmbd.joint_spring("s", mass)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match='"t".*unit vector'):
+        fmbd.Tyre("t", mass, road=lambda x: 0.0, up=(0, 2, 0))
+    scene = fmbd.Scene("together")
+    scene.add(mass, fmbd.Spring("s", fmbd.ground, mass, (0, 0), stiffness=1.0))
+    with pytest.raises(InputError, match='"s".*coincide'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
