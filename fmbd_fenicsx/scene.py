@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,11 +17,15 @@ from .forces import Force
 from .frames import Markers
 from .joints import Joint, ground
 from .laws import Loads, ScalarLoads
+from .log import log
 from .relative import Relative, Separation
 from .rotations import Array, Motions, motions
 from .scene_joints import JointRows, relative_of
 from .sensors import JointReading, Sensor
 from .system import RowBlock, State, System
+
+if TYPE_CHECKING:
+    from .mobility import Mobility
 
 
 def smooth_step(t: float, duration: float) -> float:
@@ -30,6 +34,17 @@ def smooth_step(t: float, duration: float) -> float:
         return 1.0
     s = max(t / duration, 0.0)
     return s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
+
+
+def loose_bodies(bodies: dict[str, Any], joints: dict[str, Joint], forces: dict[str, Force]) -> list[str]:
+    """Bodies that no joint and no force attaches to anything, where there are joints or forces at all."""
+    parts = (*joints.values(), *forces.values())
+    sides = [side for part in parts for side in (part.a, part.b) if side is not None and side is not ground]
+    attached = {getattr(side, "body", side).name for side in sides}
+    if not attached:
+        return []
+    free = [n for n, b in bodies.items() if n not in attached and not getattr(b, "locked", False)]
+    return [n for n in free if not isinstance(bodies[n], CoordinateBody)]
 
 
 @dataclass
@@ -78,8 +93,16 @@ class Scene:
         require(part.name not in where and part.name != "ground", f'Two {what}s are called "{part.name}".')
         where[part.name] = part
 
+    def check(self) -> Mobility:
+        """Degrees of freedom, redundant rows by joint, and what looks unusual; print it. Collective."""
+        from .mobility import check
+
+        return check(self)
+
     def build(self) -> tuple[System, State, dict[str, int]]:
         """The system, its state as given (not yet consistent), and the marker of each sensor; collective."""
+        for name in loose_bodies(self.bodies, self.joints, self.forces):
+            log.warning('scene "%s": body "%s" is attached to nothing', self.name, name)
         return _Builder(self).build()
 
     @property

@@ -22,14 +22,23 @@ from ..rotations import Array
 from .residual import Judge
 
 RANK_TOLERANCE = 1e-11
+SINGULAR = 1e-7  # ratio of pivots below which a matrix is solved in the minimum-norm sense
+ADVICE = "Constraints depend on each other, or a body without mass is not held. See scene.check()."
 
 
 class CoreSolver:
-    """Factor (1) and solve it; ``redundant`` permits dependent constraint rows (minimum-norm multipliers)."""
+    """Factor (1) and solve it. ``redundant`` permits dependent constraint rows: multipliers of minimum norm.
+
+    ``ratio`` tells how close to singular the last factored matrix was (smallest over largest pivot; with redundant rows:
+    of the singular values kept).
+    """
 
     def __init__(self, judge: Judge, redundant: bool = False) -> None:
         self.judge, self.redundant = judge, redundant
         self.factorisations = 0
+        self.ratio = 1.0
+        self.rank: int | None = None  # of the constraints, where they are redundant
+        self._sparse: Any = None
 
     def factor(self, A: Any, G: Any, C: Array | None = None) -> None:
         """Factor for A (n, n) and rows G (m, n), both dense or both sparse; C (m, m) stands for the 0 where given."""
@@ -38,41 +47,59 @@ class CoreSolver:
         if self.n + self.m == 0:  # absolute bodies without joints: nothing replicated
             return
         self.factorisations += 1
+        self.ratio = 1.0
         D, E = _scales(A, G, C)
         self.scale = np.concatenate((D, E))
+        self.exact = not self.redundant
         if sp.issparse(A) and not self.redundant:
-            S = sp.diags(self.scale)
-            K = sp.bmat([[A, G.T], [G, None]], format="csc")
-            self._sparse = spl.splu((S @ K @ S).tocsc())
-            self._solve = self._sparse.solve
+            self._factor_sparse()
             return
         A = A.toarray() if sp.issparse(A) else A
         G = G.toarray() if sp.issparse(G) else G
         n, m = self.n, self.m
-        K = np.zeros((n + m, n + m))
+        K = np.empty((n + m, n + m))
         K[:n, :n] = D[:, None] * A * D
         K[n:, :n] = E[:, None] * G * D
         K[:n, n:] = K[n:, :n].T
-        if C is not None:
-            K[n:, n:] = E[:, None] * C * E
+        K[n:, n:] = 0.0 if C is None else E[:, None] * C * E
         if self.redundant:
             self._factor_redundant(K)
             return
-        lu, pivots, info = sl.lapack.dgetrf(K, overwrite_a=1)
-        if info != 0 or not np.isfinite(lu).all():
-            raise LinearSolveError(
-                f"{self.judge.what}: the matrix is singular (pivot {info}). Constraints depend on each other, or a body "
-                "without mass is not held. See scene.check()."
-            )
+        if not np.isfinite(K).all():
+            raise LinearSolveError(f"{self.judge.what}: the matrix is not finite.")
+        lu, pivots, _ = sl.lapack.dgetrf(K)
+        pivot = np.abs(lu.diagonal())
+        self.ratio = float(pivot.min() / pivot.max())
+        if self.ratio < SINGULAR:  # passing through a singular configuration
+            self.exact = False
+            self._factor_any(K)
+            return
         self._solve = lambda b: sl.lapack.dgetrs(lu, pivots, b)[0]
+
+    def _factor_sparse(self) -> None:
+        S = sp.diags(self.scale)
+        K = sp.bmat([[self.A, self.G.T], [self.G, self.C]], format="csc")
+        try:
+            self._sparse = spl.splu((S @ K @ S).tocsc())
+        except RuntimeError as error:
+            raise LinearSolveError(f"{self.judge.what}: {error}. {ADVICE}") from error
+        self._solve = self._sparse.solve
 
     def _factor_redundant(self, K: Array) -> None:
         """Range-space solution with a pseudo-inverse of G A^-1 G^T: dependent rows share their multiplier evenly."""
         n = self.n
+        if self.C is not None or not np.abs(K[:n, :n]).max(axis=1, initial=0.0).all():
+            self._factor_any(K)
+            return
         lu = sl.lu_factor(K[:n, :n])
         B = K[n:, :n]
         AB = sl.lu_solve(lu, K[:n, n:])
-        S = np.linalg.pinv(B @ AB, rcond=RANK_TOLERANCE, hermitian=False)
+        U, s, Vt = np.linalg.svd(B @ AB)
+        keep = s > RANK_TOLERANCE * s[0]
+        if self.rank is None:
+            self.rank = int(keep.sum())
+        self.ratio = float(s[self.rank - 1] / s[0]) if self.rank else 1.0
+        S = (Vt[keep].T / s[keep]) @ U[:, keep].T
 
         def solve(b: Array) -> Array:
             z = sl.lu_solve(lu, b[:n])
@@ -80,6 +107,16 @@ class CoreSolver:
             return np.concatenate((z - AB @ y, y))
 
         self._solve = solve
+
+    def _factor_any(self, K: Array) -> None:
+        """Solution of smallest norm by singular values of the whole matrix; null motions must not be among them."""
+        U, s, Vt = np.linalg.svd(K)
+        keep = s > RANK_TOLERANCE * s[0]
+        rows = (Vt[~keep, : self.n] ** 2).sum(1)
+        if rows.max(initial=0.0) > 1e-6:
+            raise LinearSolveError(f"{self.judge.what}: a motion has neither mass nor stiffness. {ADVICE}")
+        inverse = (Vt[keep].T / s[keep]) @ U[:, keep].T
+        self._solve = lambda b: inverse @ b
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """x (n,) and y (m,) for right-hand sides b, c; judged by the true residual (rows of A only when redundant)."""
@@ -92,10 +129,10 @@ class CoreSolver:
         upper = self.A @ x + self.G.T @ y - b
         lower = self.G @ x - c if self.C is None else self.G @ x + self.C @ y - c
         residual = np.linalg.norm(self.scale[:n] * upper)
-        if not self.redundant:
+        if self.exact:
             residual = np.hypot(residual, np.linalg.norm(self.scale[n:] * lower))
         size = np.linalg.norm(rhs) + np.linalg.norm(z / self.scale)
-        self.judge.check(float(residual), float(size), "Constraints depend on each other, or a body is not held.")
+        self.judge.check(float(residual), float(size), ADVICE)
         return x, y
 
 

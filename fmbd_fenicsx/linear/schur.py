@@ -21,10 +21,15 @@ import scipy.sparse as sp
 
 from ..rotations import Array
 from ..system import Evaluation, System
+from ..log import log
+from ..mobility import NEAR_SINGULAR, mobility, nearly_dependent
 from ..placements import FrameMotion
 from .core import CoreSolver
 from .residual import Judge
 from .spd import CholeskyFactor, MassInverse
+
+
+LOOK_LIMIT = 600  # constraint rows up to which the solver itself looks for redundant ones
 
 
 @dataclass(frozen=True)
@@ -49,9 +54,12 @@ class Block:
 class StepSolver:
     """Solves cm M + cd C + ck K with the constraints of a system; one object for a whole run; collective."""
 
-    def __init__(self, system: System, redundant: bool = False) -> None:
+    def __init__(self, system: System, redundant: bool | None = None) -> None:
+        """``redundant``: whether constraint rows may depend on each other; None looks at the first configuration."""
         self.system = system
-        self.core = CoreSolver(Judge("the core of the system"), redundant)
+        self._look = redundant is None
+        self._near_singular = False
+        self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
         self.factorisations = 0
         self._blocks: dict[tuple[float | int, ...], list[Block]] = {}
         self._retired: list[Any] = []
@@ -76,6 +84,23 @@ class StepSolver:
         s = self.system
         w = self.weights = weights
         self._ev, self._stiffness = ev, stiffness
+        if self._look and s.n_lam <= LOOK_LIMIT:
+            self.core.redundant = mobility(s, ev.t, ev.q).redundant > 0
+        self._look = False
+        self._assemble(ev, w, stiffness)
+        if self.core.ratio < 1e-5 or self._near_singular:
+            self._warn(ev)
+
+    def _warn(self, ev: Evaluation) -> None:
+        """One line for each time that the configuration comes close to a singular one."""
+        ratio, joint = nearly_dependent(ev, self.core.rank or self.system.n_lam)
+        if ratio < NEAR_SINGULAR and not self._near_singular:
+            log.warning('near-singular: sigma_min/sigma_max = %.1e, joint "%s", t = %g s', ratio, joint, ev.t)
+        self._near_singular = ratio < NEAR_SINGULAR
+
+    def _assemble(self, ev: Evaluation, w: Weights, stiffness: Any) -> None:
+        """The matrices of (1), and the factor of the core."""
+        s = self.system
         G = ev.jacobian
         A = self._core_matrix(ev, w)
         applied = ev.force_tangent(w.cd, w.ck) if w.cd or w.ck else None

@@ -64,6 +64,7 @@ def consistent(
         q = system.compose(q, dq)
         if step <= 1e-15 * system.length:
             break
+    _refuse_open(system, state.t, system.at(state.t, q).constraint(), solver)
     ev = system.at(state.t, q, state.v)
     solver.prepare(ev, mass)
     v = state.v
@@ -72,6 +73,13 @@ def consistent(
         dv, _ = solver.solve(zero, -(ev.jacobian.times(v) + ev.constraint_rate()))
         slip = system.max_abs(dv)
         v = v + dv
+        left = ev.jacobian.times(v) + ev.constraint_rate()
+        fastest = system.max_abs(v) + float(np.abs(ev.constraint_rate()).max())
+        if np.abs(left).max() > 1e-8 * fastest:
+            raise ConstraintError(
+                f"Velocities contradict each other at t = {state.t:g} s: {worst_block(system, left)} and a joint that it depends "
+                f"on ask for rates that differ by {np.abs(left).max():.3g} m/s. Check the drives; see scene.check()."
+            )
     made = replace(state, q=q, v=v)
     if not accelerated:
         return made, Correction(moved, slip, n_it)
@@ -90,11 +98,23 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
         c = ev.jacobian.times(a) + ev.gamma()
         da, dl = solver.solve(-r, -c)
         a, lam = a + da, lam + dl
-        if system.max_abs(da) <= 1e-11 * max(system.max_abs(a), 1e-300):
+        at_rest = system.max_abs(r) <= 1e-13 * system.max_abs(h)
+        if at_rest or system.max_abs(da) <= 1e-11 * max(system.max_abs(a), 1e-300):
             break
     else:
         raise FmbdError("The accelerations at the start did not converge: the initial deformation is too large.")
     return replace(state, a=a, lam=lam)
+
+
+def _refuse_open(system: System, t: float, g: np.ndarray, solver: StepSolver) -> None:
+    """Constraints that stay open however the bodies are placed."""
+    gap = float(np.abs(g).max(initial=0.0))
+    if gap > 1e-9 * system.length:
+        hint = "; its rows depend on those of other joints (inconsistent redundancy)" if solver.core.redundant else ""
+        raise ConstraintError(
+            f"The joints contradict each other at t = {t:g} s: {worst_block(system, g)} stays open by {gap:.3g} m wherever the "
+            f"bodies are placed{hint}. See scene.check()."
+        )
 
 
 def worst_block(system: System, g: np.ndarray) -> str:

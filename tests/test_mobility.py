@@ -1,0 +1,224 @@
+"""Mobility and redundancy (K1), singular configurations (K2), contradicting joints, locked and loose bodies, mass ratios (T10)."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConstraintError
+
+BAR = (0.01, 0.08, 0.08)
+
+
+def four_bar(hinges: str = "rrrr", gap: float = 0.0) -> fmbd.Scene:
+    """A parallelogram in space with revolute ("r") or spherical ("s") and universal-free hinges; ``gap`` opens the last."""
+    scene = fmbd.Scene("four-bar", gravity=(3.0, -9.81, 0))
+    left = fmbd.RigidBody("left", 1.0, (0.08, 0.01, 0.08), position=(0, 0.5, 0))
+    top = fmbd.RigidBody("top", 1.0, BAR, position=(0.5, 1, 0))
+    right = fmbd.RigidBody("right", 1.0, (0.08, 0.01, 0.08), position=(1, 0.5, 0))
+    scene.add(left, top, right)
+    ends = [
+        ("A", fmbd.ground, left, (0, 0, 0)),
+        ("B", left, top, (0, 1, 0)),
+        ("C", top, right, (1, 1, 0)),
+        ("D", fmbd.ground, right, (1, 0, 0)),
+    ]
+    for kind, (name, a, b, c) in zip(hinges, ends, strict=True):
+        scene.add(fmbd.revolute(name, a, b, center=c) if kind == "r" else fmbd.spherical(name, a, b, center=c))
+    if gap:
+        scene.add(fmbd.distance("strut", left, right, point_a=(0, 0, 0), point_b=(1, 0, 0), length=1.0 + gap))
+    scene.sensor("x", fmbd.position(top))
+    return scene
+
+
+def test_rank_of_the_four_bar() -> None:
+    """K1: 20 rows, rank 17, 18 velocities: 3 redundant, 1 degree of freedom."""
+    found = four_bar().check()
+    assert (found.velocities, found.rows, found.rank, found.redundant, found.freedom) == (18, 20, 17, 3, 1)
+    assert set(found.shares) == {"A", "B", "C", "D"}
+    assert abs(sum(found.shares.values()) - 3) < 1e-9
+
+
+def test_rank_does_not_depend_on_units() -> None:
+    scene = four_bar()
+    small = fmbd.Scene("small")
+    k = 1e-5
+    left = fmbd.RigidBody("left", 1e-9, tuple(1e-9 * k * k * x for x in (0.08, 0.01, 0.08)), position=(0, 0.5 * k, 0))
+    right = fmbd.RigidBody("right", 1e-9, tuple(1e-9 * k * k * x for x in BAR), position=(0.5 * k, k, 0))
+    small.add(left, right, fmbd.revolute("A", fmbd.ground, left, center=(0, 0, 0)))
+    small.add(fmbd.revolute("B", left, right, center=(0, k, 0)), fmbd.revolute("B2", left, right, center=(0, k, 0.2 * k)))
+    found = small.check()
+    assert (found.redundant, found.freedom) == (5, 2)
+    assert scene.check().conditioning > 0.1
+    assert any("m long" in note for note in found.notes)
+
+
+def test_duplicated_joint_is_redundant() -> None:
+    """K1: all rows of a copy are redundant, and the two joints share them."""
+    rod = fmbd.RigidBody("rod", 1.0, BAR, position=(0.5, 0, 0))
+    scene = fmbd.Scene("twice")
+    scene.add(rod)
+    for name in ("one", "two"):
+        scene.add(fmbd.revolute(name, fmbd.ground, rod, center=(0, 0, 0)))
+    found = scene.check()
+    assert (found.redundant, found.freedom) == (5, 1)
+    assert found.shares["one"] == pytest.approx(2.5) and found.shares["two"] == pytest.approx(2.5)
+    assert 'joint "one"' in str(found)
+
+
+def test_redundant_mechanism_moves_as_the_one_without() -> None:
+    """K1 (iii): positions to 1e-9; forces of the redundant group add up to the same."""
+    runs = []
+    for hinges in ("rrrr", "rsrs"):  # rsrs: 5 + 3 + 5 + 3 rows of rank 16 leave 2: the top may not turn about itself
+        scene = four_bar(hinges)
+        if hinges == "rsrs":
+            scene = four_bar("rrrr")
+            scene.joints.clear()
+            left, top, right = scene.bodies.values()
+            scene.add(fmbd.revolute("A", fmbd.ground, left, center=(0, 0, 0)), fmbd.revolute("B", left, top, center=(0, 1, 0)))
+            scene.add(fmbd.point_on_line("C", right, top, axis=(0, 0, 1), center=(1, 1, 0)))
+            scene.add(fmbd.revolute("D", fmbd.ground, right, center=(1, 0, 0)))
+            assert scene.check().redundant == 0
+        scene.sensor("A", fmbd.reaction_force("A"))
+        scene.sensor("D", fmbd.reaction_force("D"))
+        runs.append(fmbd.solve(scene, t_end=1.0, dt=5e-3, newton=fmbd.Newton(1e-9)))
+    a, b = runs
+    assert np.abs(a["x"] - b["x"]).max() < 1e-9
+    total = [r["A"] + r["D"] for r in runs]
+    assert np.abs(total[0] - total[1]).max() < 1e-8 * np.abs(total[0]).max()
+    assert np.ptp(a["x"][:, 0]) > 0.3
+
+
+def test_contradicting_redundancy_is_refused() -> None:
+    """K1 (iv): a strut between points that the hinges hold 1 m apart, 1e-4 m too long."""
+    with pytest.raises(ConstraintError, match="contradict each other.*stays open"):
+        fmbd.solve(four_bar(gap=1e-4), t_end=0.1, dt=0.01)
+
+
+def test_contradicting_drives_are_refused() -> None:
+    wheel = fmbd.RigidBody("wheel", 1.0, 1.0)
+    scene = fmbd.Scene("two drives")
+    hinge = fmbd.revolute("hinge", fmbd.ground, wheel, center=(0, 0))
+    scene.add(wheel, hinge)
+    scene.add(fmbd.drive("one", fmbd.angle(hinge), lambda t: 2 * t), fmbd.drive("two", fmbd.angle(hinge), lambda t: 3 * t))
+    with pytest.raises(ConstraintError, match="Velocities contradict.*drive"):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
+def slider_crank(ratio: float, angle: float, speed: float) -> fmbd.Scene:
+    """Planar slider crank with arms 1 and ``ratio``, crank at ``angle`` with the angular velocity ``speed``."""
+    inner = np.arcsin(np.sin(angle) / ratio)
+    rate = speed * np.cos(angle) / (ratio * np.cos(inner)) if abs(np.cos(inner)) > 1e-12 else speed
+    end = np.array([np.cos(angle), np.sin(angle)])
+    middle = end + 0.5 * ratio * np.array([np.cos(inner), -np.sin(inner)])
+    slider = np.array([np.cos(angle) + ratio * np.cos(inner), 0.0])
+    spin = lambda w, x: w * np.array([-x[1], x[0]])  # noqa: E731
+    crank = fmbd.RigidBody("crank", 1.0, 1 / 12, end / 2, angle, spin(speed, end / 2), speed)
+    rod = fmbd.RigidBody("rod", ratio, ratio**3 / 12, middle, -inner, spin(speed, end) + spin(-rate, middle - end), -rate)
+    block = fmbd.RigidBody("block", 1.0, 0.1, slider, 0.0, (-speed * np.sin(angle) - ratio * rate * np.sin(inner), 0.0))
+    scene = fmbd.Scene("slider crank")
+    scene.add(crank, rod, block)
+    scene.add(
+        fmbd.revolute("main", fmbd.ground, crank, center=(0, 0)),
+        fmbd.revolute("pin", crank, rod, center=end),
+        fmbd.revolute("wrist", rod, block, center=slider),
+        fmbd.prismatic("slider", fmbd.ground, block, axis=(1, 0), center=slider),
+    )
+    scene.sensor("slider", fmbd.position(block))
+    scene.sensor("pin", fmbd.position(crank, point=end))
+    return scene
+
+
+@pytest.mark.parametrize("distance, expected", [(1.0, 2.47e-2), (0.1, 2.47e-3), (0.01, 2.47e-4)])
+def test_conditioning_at_the_dead_centre(distance: float, expected: float) -> None:
+    """K2: with equal arms sigma_min falls linearly with the distance (degrees) from the dead centre at 90 degrees."""
+    found = slider_crank(1.0, np.radians(90.0 - distance), 1.0).check()
+    near = slider_crank(1.0, np.radians(90.0 - distance / 2), 1.0).check()
+    assert found.freedom == 1
+    assert found.conditioning / near.conditioning == pytest.approx(2.0, rel=0.01)
+    assert 0.2 * expected < found.conditioning < 5 * expected
+
+
+@pytest.mark.parametrize("phase", np.arange(20) / 20)
+def test_released_through_the_dead_centre(phase: float) -> None:
+    """K2: equal arms, 20 phases of the time grid: no failure, no change of branch, energy as with unequal arms."""
+    error = {}
+    for arms in (1.0, 1.05):
+        run = fmbd.solve(slider_crank(arms, 1.2 + phase * 0.03, 3.0), t_end=0.3, dt=1e-2)
+        e = run.energy["kinetic"]
+        error[arms] = float(np.abs(e - e[0]).max() / e[0])
+        if arms == 1.0:
+            assert np.abs(run["slider"][:, 0] - 2 * run["pin"][:, 0]).max() < 1e-7  # no fold onto the crank
+            assert run["pin"][-1, 0] < -0.3
+    assert error[1.0] < 3 * error[1.05]
+
+
+@pytest.mark.parametrize("phase", [0.0, 1e-6, *(np.arange(1, 20) / 20)])
+def test_driven_through_the_dead_centre(phase: float, caplog: pytest.LogCaptureFixture) -> None:
+    """K2: with phase 0 a step ends in the singular configuration itself: one line names the joint and the time."""
+    scene = slider_crank(1.0, np.pi / 2 - 0.15 - phase * 0.015, 3.0)
+    scene.add(fmbd.drive("motor", fmbd.angle(scene.joints["main"]), lambda t: 3 * t))
+    with caplog.at_level(logging.WARNING, "fmbd_fenicsx"):
+        run = fmbd.solve(scene, t_end=0.1, dt=5e-3)
+    assert np.abs(run["slider"][:, 0] - 2 * run["pin"][:, 0]).max() < (1e-5 if phase < 1e-4 else 1e-7)
+    lines = [r.getMessage() for r in caplog.records if "near-singular" in r.getMessage()]
+    assert len(lines) == (phase < 1e-4)
+    if lines:
+        assert 'joint "' in lines[0] and "t = 0.05 s" in lines[0]
+
+
+def test_locked_body_leaves_the_system() -> None:
+    """The same pendulum on the ground and on a locked body; the locked body has no unknowns."""
+    ends = []
+    for locked in (False, True):
+        rod = fmbd.RigidBody("rod", 1.0, 0.1, position=(0.5, 0.0))
+        scene = fmbd.Scene("locked", gravity=(0, -9.81))
+        base = fmbd.RigidBody("base", 5.0, 1.0, position=(-1.0, 0.3), rotation=0.4, locked=True)
+        scene.add(rod)
+        if locked:
+            scene.add(base)
+        scene.add(fmbd.revolute("pin", base if locked else fmbd.ground, rod, center=(0, 0)))
+        scene.sensor("x", fmbd.position(rod))
+        system, *_ = scene.build()
+        assert system.n_core == 3
+        ends.append(fmbd.solve(scene, t_end=0.5, dt=5e-3)["x"][-1])
+    assert np.abs(ends[0] - ends[1]).max() < 1e-13
+
+
+def test_loose_body_is_mentioned(caplog: pytest.LogCaptureFixture) -> None:
+    scene = four_bar()
+    scene.add(fmbd.RigidBody("forgotten", 1.0, BAR, position=(3, 0, 0)))
+    assert any('"forgotten"' in note for note in scene.check().notes)
+    with caplog.at_level(logging.WARNING, "fmbd_fenicsx"):
+        scene.build()
+    assert any('"forgotten"' in r.getMessage() for r in caplog.records)
+
+
+@pytest.mark.parametrize("light", [1e-9, 1e-6, 1e6, 1e9])
+def test_mass_ratios(light: float) -> None:
+    """T10: a rod of mass ratio ``light`` between two bodies; the tip follows the model with that mass reduced.
+
+    Two rods in line hanging from a pin, the second held straight by a weld: one compound pendulum.
+    """
+    m1, m2 = 1.0, light
+    scene = fmbd.Scene("ratio", gravity=(0, -9.81))
+    one = fmbd.RigidBody("one", m1, m1 / 12, position=(0.5, 0))
+    two = fmbd.RigidBody("two", m2, m2 / 12, position=(1.5, 0))
+    scene.add(one, two, fmbd.revolute("pin", fmbd.ground, one, center=(0, 0)), fmbd.fixed("weld", one, two, center=(1, 0)))
+    scene.sensor("tip", fmbd.position(two, point=(2.0, 0.0)))
+    scene.sensor("pin", fmbd.reaction_force("pin"))
+    run = fmbd.solve(scene, t_end=0.5, dt=5e-3, newton=fmbd.Newton(1e-10))
+    m, s = m1 + m2, (0.5 * m1 + 1.5 * m2) / (m1 + m2)
+    J = m1 / 3 + m2 * (1 / 12 + 2.25) - m * s * s
+    whole = fmbd.Scene("whole", gravity=(0, -9.81))
+    body = fmbd.RigidBody("body", m, J, position=(s, 0))
+    whole.add(body, fmbd.revolute("pin", fmbd.ground, body, center=(0, 0)))
+    whole.sensor("tip", fmbd.position(body, point=(2.0, 0.0)))
+    whole.sensor("pin", fmbd.reaction_force("pin"))
+    ref = fmbd.solve(whole, t_end=0.5, dt=5e-3, newton=fmbd.Newton(1e-10))
+    assert np.abs(run["tip"] - ref["tip"]).max() < 1e-8 * 2.0
+    assert np.abs(run["pin"] - ref["pin"]).max() < 1e-6 * np.abs(ref["pin"]).max()
