@@ -9,18 +9,17 @@ singular values do not depend on units. With U_0 the left null vectors of G_s,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from .bodies import CoordinateBody
 from .coordinates import CoordinatePart
+from .joints import ground
 from .laws import ScalarLoads
 from .rotations import Array
 from .system import Evaluation, System
-
-if TYPE_CHECKING:
-    from .scene import Scene
 
 RANK_TOLERANCE = 1e-9  # singular values below this share of the largest count as zero
 NEAR_SINGULAR = 1e-6
@@ -130,10 +129,19 @@ def nearly_dependent(ev: Evaluation, rank: int) -> tuple[float, str]:
     return float(s[k] / s[0]), max(part, key=lambda name: part[name])
 
 
-def check(scene: Scene) -> Mobility:
-    """Mobility of a scene as given, with notes on loose bodies, units and time scales; collective."""
-    from .scene import loose_bodies
+def loose_bodies(bodies: dict[str, Any], joints: dict[str, Any], forces: dict[str, Any]) -> list[str]:
+    """Bodies that no joint and no force attaches to anything, where there are joints or forces at all."""
+    parts = (*joints.values(), *forces.values())
+    sides = [side for part in parts for side in (part.a, part.b) if side is not None and side is not ground]
+    attached = {getattr(side, "body", side).name for side in sides}
+    if not attached:
+        return []
+    free = [n for n, b in bodies.items() if n not in attached and not getattr(b, "locked", False)]
+    return [n for n in free if not isinstance(bodies[n], CoordinateBody)]
 
+
+def check(scene: Any) -> Mobility:
+    """Mobility of a scene as given, with notes on loose bodies, units and time scales; collective."""
     system, state, _ = scene.build()
     found = mobility(system, state.t, state.q)
     notes = [f'body "{n}" is attached to nothing' for n in loose_bodies(scene.bodies, scene.joints, scene.forces)]
@@ -155,7 +163,7 @@ def _fastest(loads: ScalarLoads) -> float:
     return float(np.sqrt(np.abs(loads.k).max(initial=0.0)))
 
 
-def _units(scene: Scene, system: System) -> list[str]:
+def _units(scene: Any, system: System) -> list[str]:
     """Sizes that suggest other units than m, kg, s."""
     notes = []
     g = float(np.linalg.norm(system.gravity(np.inf)))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from .bodies import AbsoluteBody, Attached, CoordinateBody, FloatingBody, RigidBody, Surface
-from .coordinates import CoordinatePart, PortConstraint
 from .constraints import Batch
+from .coordinates import CoordinatePart, PortConstraint
 from .drives import JointCoordinate
 from .errors import CallbackError, InputError, near, require
 from .forces import Force
@@ -18,14 +18,12 @@ from .frames import Markers
 from .joints import Joint, ground
 from .laws import Loads, ScalarLoads
 from .log import log
+from .mobility import Mobility, check, loose_bodies
 from .relative import Relative, Separation
 from .rotations import Array, Motions, motions
 from .scene_joints import JointRows, relative_of
 from .sensors import JointReading, Sensor
 from .system import RowBlock, State, System
-
-if TYPE_CHECKING:
-    from .mobility import Mobility
 
 
 def smooth_step(t: float, duration: float) -> float:
@@ -34,17 +32,6 @@ def smooth_step(t: float, duration: float) -> float:
         return 1.0
     s = max(t / duration, 0.0)
     return s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
-
-
-def loose_bodies(bodies: dict[str, Any], joints: dict[str, Joint], forces: dict[str, Force]) -> list[str]:
-    """Bodies that no joint and no force attaches to anything, where there are joints or forces at all."""
-    parts = (*joints.values(), *forces.values())
-    sides = [side for part in parts for side in (part.a, part.b) if side is not None and side is not ground]
-    attached = {getattr(side, "body", side).name for side in sides}
-    if not attached:
-        return []
-    free = [n for n, b in bodies.items() if n not in attached and not getattr(b, "locked", False)]
-    return [n for n in free if not isinstance(bodies[n], CoordinateBody)]
 
 
 @dataclass
@@ -95,8 +82,6 @@ class Scene:
 
     def check(self) -> Mobility:
         """Degrees of freedom, redundant rows by joint, and what looks unusual; print it. Collective."""
-        from .mobility import check
-
         return check(self)
 
     def build(self) -> tuple[System, State, dict[str, int]]:

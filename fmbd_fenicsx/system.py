@@ -23,7 +23,7 @@ from .constraints import Batch
 from .coordinates import PortConstraint
 from .errors import CallbackError, InputError, near
 from .fields import rank_sum
-from .frames import Kinematics, Markers
+from .frames import Markers
 from .laws import Loads
 from .placements import FrameMotion, Part, RigidBlock
 from .rotations import Array, Motions

@@ -19,15 +19,14 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..rotations import Array
-from ..system import Evaluation, System
 from ..log import log
 from ..mobility import NEAR_SINGULAR, mobility, nearly_dependent
 from ..placements import FrameMotion
+from ..rotations import Array
+from ..system import Evaluation, System
 from .core import CoreSolver
 from .residual import Judge
 from .spd import CholeskyFactor, MassInverse
-
 
 LOOK_LIMIT = 600  # constraint rows up to which the solver itself looks for redundant ones
 
