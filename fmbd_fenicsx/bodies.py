@@ -186,6 +186,15 @@ class FloatingBody:
         """A copy with some arguments changed."""
         return replace(self, **changes)
 
+    def reduced(self, *, modes: int | None = None, frequency: float | None = None, basis: Any = None) -> Any:
+        """This body by a few modes: by their number, up to a frequency (Hz), or with a basis of :mod:`.reduction`.
+
+        ``modes=0`` gives the rigid body with the same mass, inertia and surfaces.
+        """
+        from .reduction import FrameModes, ReducedBody
+
+        return ReducedBody(self, FrameModes(modes, frequency) if basis is None else basis)
+
 
 @dataclass(frozen=True, eq=False)
 class AbsoluteBody:

@@ -30,10 +30,15 @@ class FieldPart:
         self.n = field.n * field.dim
         self.surfaces = [field.moments(s) for s in surfaces]
         self.conditions = conditions
+        self.mass_total, self.size = field.mass_total, field.size
         self.n_frame_rows = conditions.shape[1]
         self.inertia_columns = np.zeros((self.n, 0))
         self.n_port = self.n_frame_rows + field.dim * (1 + field.dim) * len(self.surfaces)
         self.reference = np.concatenate([np.zeros(self.n_frame_rows), *(s.reference.ravel() for s in self.surfaces)])
+
+    def surface_center(self, surface: str) -> Array:
+        """Centroid of a surface at the start, world axes."""
+        return self.field.moments(surface).center
 
     # -- ports --------------------------------------------------------------------------------------------------
     def ports_of(self, w: Array) -> Array:

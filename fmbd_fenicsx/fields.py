@@ -187,6 +187,14 @@ class Field:
         """P = X + U, (n, d)."""
         return self.X + U.reshape(-1, self.dim)
 
+    def mass_matrix(self) -> Any:
+        """The PETSc matrix M on vectors (aij); collective. The caller destroys it."""
+        import dolfinx.fem.petsc as fp
+
+        M = fp.assemble_matrix(self._mass_form)
+        M.assemble()
+        return M
+
     def combination(self, cm: float, ck: float) -> Any:
         """The PETSc matrix cm M + ck K (symmetric, aij); collective. The caller destroys it."""
         import dolfinx.fem.petsc as fp

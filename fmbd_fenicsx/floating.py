@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .bodies import Attached, MeanAxis
 from .field_part import FieldPart
 from .fields import Field
 from .placements import FrameMotion
@@ -23,12 +24,12 @@ from .rotations import Array, motions
 class FloatingField(FieldPart):
     """A displacement field in a floating frame; equations (1), (2). One per body.
 
-    ``frame`` is the index of its frame; ``attached`` a surface that does not move in it on average, None: mean axes.
+    ``frame`` is the index of its frame, ``kind`` says how it follows the body.
     """
 
-    def __init__(self, field: Field, frame: int, surfaces: list[str], attached: str | None) -> None:
-        super().__init__(field, frame, surfaces, field.Q if attached is None else _attachment(field, attached))
-        self.mean_axis = attached is None
+    def __init__(self, field: Field, frame: int, surfaces: list[str], kind: MeanAxis | Attached) -> None:
+        super().__init__(field, frame, surfaces, frame_conditions(field, kind))
+        self.mean_axis = isinstance(kind, MeanAxis)
         self.inertia_columns = field.Q
         self._last = np.zeros(self.n)
 
@@ -100,6 +101,21 @@ class FloatingField(FieldPart):
         sums = self.field.total(np.concatenate((MW.sum(0), m.moment(P, MW).sum(0))))
         p = motion.R @ sums[:d]
         return p, m.moment(pose[:d], p) + m.turn(motion.R, sums[d:])
+
+
+def moment_columns(field: Field, surface: str) -> Array:
+    """Columns (n d, (1 + d) d) of the moments b_0, b_k of a surface as functions of the nodal displacements."""
+    moments, d = field.moments(surface), field.dim
+    C = np.zeros((field.n, d, 1 + d, d))
+    C[moments.nodes[:, None], range(d), :, range(d)] = moments.weights[:, None, :]
+    return C.reshape(field.n * d, -1)
+
+
+def frame_conditions(field: Field, frame: MeanAxis | Attached) -> Array:
+    """Columns C (n d, n_twist) of the conditions C^T U = 0 that tie a frame to its body."""
+    if isinstance(frame, MeanAxis):
+        return field.Q
+    return _attachment(field, frame.surface)
 
 
 def _attachment(field: Field, surface: str) -> Array:

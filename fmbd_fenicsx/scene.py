@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .bodies import AbsoluteBody, Attached, CoordinateBody, FloatingBody, RigidBody, Surface
+from .bodies import AbsoluteBody, CoordinateBody, FloatingBody, RigidBody, Surface
 from .constraints import Batch
 from .coordinates import CoordinatePart, PortConstraint
 from .drives import JointCoordinate
@@ -22,6 +22,7 @@ from .mobility import Mobility, check, loose_bodies
 from .relative import Relative, Separation
 from .rotations import Array, Motions, motions
 from .scene_joints import JointRows, relative_of
+from .reduction import ReducedBody
 from .sensors import JointReading, Sensor
 from .system import RowBlock, State, System
 
@@ -56,7 +57,7 @@ class Scene:
     def add(self, *parts: Any) -> None:
         """Add bodies, joints, forces and contacts; names must be unique among each."""
         for part in parts:
-            if isinstance(part, RigidBody | FloatingBody | AbsoluteBody | CoordinateBody):
+            if isinstance(part, RigidBody | FloatingBody | AbsoluteBody | ReducedBody | CoordinateBody):
                 self._put(self.bodies, part, "body")
             elif isinstance(part, Joint):
                 self._put(self.joints, part, "joint")
@@ -128,6 +129,9 @@ class _Builder:
         used = self._surfaces_in_use()
         for body in own:
             self._put_part(CoordinatePart(body, len(framed)), np.array(body.start), np.array(body.start_rate))
+        for body in moving:
+            if isinstance(body, ReducedBody):
+                self._add_reduced(body, used[body.name])
         for body in elastic:
             self._add_field(body, used[body.name], len(framed))
         rigid = [b for b in moving if isinstance(b, RigidBody)]
@@ -192,7 +196,7 @@ class _Builder:
             raise InputError(
                 f"{what} refers to {side!r}, which is not in the scene. {near(getattr(body, 'name', ''), self.scene.bodies)}"
             )
-        if isinstance(side, FloatingBody | AbsoluteBody):
+        if isinstance(side, FloatingBody | AbsoluteBody | ReducedBody):
             raise InputError(
                 f'{what}: attach to a surface of the elastic body "{body.name}", say {body.name}.surface("...").'
             )
@@ -214,6 +218,13 @@ class _Builder:
         self.fields.append(part)
         self.starts.append((q, v))
 
+    def _add_reduced(self, body: ReducedBody, surfaces: list[str]) -> None:
+        from .reduced import ReducedPart
+
+        frame = self.frame_of[body.name]
+        self._put_part(ReducedPart(body.name, body.constants, frame, surfaces), *body.start_local())
+        self.poses[frame] = self.m.pose(body.constants.center)
+
     def _add_field(self, body: FloatingBody | AbsoluteBody, surfaces: list[str], ground_frame: int) -> None:
         from .absolute import AbsoluteField
         from .fields import Field
@@ -232,9 +243,8 @@ class _Builder:
             Ud = Ud + (twist[:d] + self.m.spin(twist[None, d:], arm)).ravel()
             self._put_part(AbsoluteField(field_, ground_frame, surfaces), U, Ud)
             return
-        attached = body.frame.surface if isinstance(body.frame, Attached) else None
         frame = self.frame_of[body.name]
-        self._put_part(FloatingField(field_, frame, surfaces, attached), U, Ud)
+        self._put_part(FloatingField(field_, frame, surfaces, body.frame), U, Ud)
         self.poses[frame] = self.m.pose(field_.center)
 
     def _rigid_block(self, rigid: list[RigidBody]) -> Any:
@@ -250,13 +260,13 @@ class _Builder:
         )
 
     def _mass(self, rigid: list[RigidBody]) -> float:
-        return sum(b.mass for b in rigid) + sum(p.field.mass_total for p in self.fields if hasattr(p, "field"))
+        return sum(b.mass for b in rigid) + sum(p.mass_total for p in self.fields if hasattr(p, "mass_total"))
 
     def _length(self) -> float:
         points = [q[: self.m.dim] for q in self.poses]
         points += [x for j in self.scene.joints.values() for x in (j.center_a, j.center_b) if x is not None]
         spread = np.ptp(np.array(points), axis=0) if points else np.zeros(1)
-        return max([float(np.linalg.norm(spread)), *(p.field.size for p in self.fields if hasattr(p, "field"))]) or 1.0
+        return max([float(np.linalg.norm(spread)), *(p.size for p in self.fields if hasattr(p, "size"))]) or 1.0
 
     def _gravity(self) -> Callable[[float], Array]:
         d, ramp = self.m.dim, self.scene.gravity_ramp
@@ -276,8 +286,8 @@ class _Builder:
         d = self.m.dim
         if isinstance(side, Surface):
             part = self.fields[self.part_of[side.body.name]]
-            moments = part.field.moments(side.name)
-            lever = np.zeros(d) if point is None else np.asarray(point)[:d] - moments.center
+            center = part.surface_center(side.name)
+            lever = np.zeros(d) if point is None else np.asarray(point)[:d] - center
             self.keys.append((part.frame, lever, np.eye(d), side))
         elif side is ground:
             self.keys.append((len(self.poses), np.zeros(d) if point is None else np.asarray(point)[:d], np.eye(d), None))
@@ -296,7 +306,7 @@ class _Builder:
         """Where a joint without a center sits: the centroid of a surface, else the origin of its moving body."""
         for side in (joint.a, joint.b):
             if isinstance(side, Surface):
-                return self.fields[self.part_of[side.body.name]].field.moments(side.name).center
+                return self.fields[self.part_of[side.body.name]].surface_center(side.name)
         for side in (joint.b, joint.a):
             if isinstance(side, RigidBody):
                 return side.start_pose()[: self.m.dim]

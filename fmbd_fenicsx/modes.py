@@ -1,0 +1,195 @@
+"""Modes of an elastic body under linear conditions C^T u = 0: the bases of reduced bodies.
+
+    K phi + C mu = omega^2 M phi,   C^T phi = 0          vibration                                            (1)
+    K psi + C mu = 0,               C^T psi = e_p        static, one for every condition p                    (2)
+
+With the mean-axis conditions C = [M 1, M (e x X)] the modes (1) are the free-free modes without the rigid ones; with the
+conditions of surfaces that stand still on average they are clamped modes. The Craig-Bampton basis holds the modes (1) with
+all moments of the interfaces at rest and the static modes (2) of these moments. K is singular, so the shifted K + s M
+is factored once and used for all of it: by SLEPc's Krylov-Schur method on the shift-inverted operator for (1), by
+refinement for (2), which converges like (s / (s + omega_1^2))^k.
+
+Source: Craig and Bampton, doi:10.2514/3.4741.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+
+from .errors import FmbdError, InputError
+from .fields import Field
+from .rotations import Array
+
+SHIFT = 1e-3  # of an upper bound of the first eigenvalue
+
+
+def rigid_fields(field: Field) -> Array:
+    """Nodal displacements of the rigid motions, (n d, n_twist)."""
+    d, m = field.dim, field.motions
+    Z = np.zeros((field.n, d, m.n_twist))
+    Z[:, range(d), range(d)] = 1.0
+    for k in range(m.n_rot):
+        Z[:, :, d + k] = m.spin(np.eye(m.n_rot)[k : k + 1], field.X)
+    return Z.reshape(-1, m.n_twist)
+
+
+class ConditionedBody:
+    """K + s M of a field, factored, with conditions C (n d, c); collective to build, to use and to destroy."""
+
+    def __init__(self, field: Field, conditions: Array) -> None:
+        from petsc4py import PETSc
+
+        self.field, self.C = field, conditions
+        self.shift = SHIFT * self._first_eigenvalue_bound()
+        E = field.combination(self.shift, 1.0)
+        E.setOption(PETSc.Mat.Option.SPD, True)
+        self.ksp = PETSc.KSP().create(field.comm)
+        self.ksp.setOperators(E)
+        self.ksp.setType("preonly")
+        pc = self.ksp.getPC()
+        pc.setType("cholesky")
+        pc.setFactorSolverType("cholmod" if field.comm.size == 1 else "mumps")
+        self.ksp.setUp()
+        E.destroy()
+        self.x, self.b = field.K.createVecs()
+        self.Y = np.stack([self._plain(c) for c in conditions.T], axis=1) if conditions.shape[1] else conditions
+        self.W = field.total(conditions.T @ self.Y)
+
+    def _first_eigenvalue_bound(self) -> float:
+        """Rayleigh quotients of the quadratic displacements e_k X_i X_j without their rigid part: an upper bound."""
+        f, d = self.field, self.field.dim
+        X = f.X / f.size
+        Z = rigid_fields(f)
+        G = f.total(Z.T @ f.Q)
+        best = np.inf
+        for k in range(d):
+            for i in range(d):
+                for j in range(i, d):
+                    u = np.zeros((f.n, d))
+                    u[:, k] = X[:, i] * X[:, j]
+                    u = u.ravel() - Z @ np.linalg.solve(G, f.total(f.Q.T @ u.ravel()))
+                    kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, d)).ravel()]))
+                    best = min(best, float(kk / mm))
+        return best
+
+    def _plain(self, b: Array) -> Array:
+        self.b.array[:] = b
+        self.ksp.solve(self.b, self.x)
+        return self.x.array.copy()
+
+    def solve_shifted(self, b: Array, c: Array | None = None) -> Array:
+        """u with (K + s M) u + C mu = b and C^T u = c."""
+        z = self._plain(b)
+        if not self.C.shape[1]:
+            return z
+        gap = self.field.total(self.C.T @ z) - (0.0 if c is None else c)
+        return z - self.Y @ np.linalg.solve(self.W, gap)
+
+    def solve_static(self, b: Array, c: Array | None = None) -> Array:
+        """u with K u + C mu = b and C^T u = c, by refinement; the conditions must hold the body."""
+        f = self.field
+        u = self.solve_shifted(b, c)
+        for _ in range(200):
+            du = self.solve_shifted(b + self.shift * f.mass(u.reshape(-1, f.dim)).ravel(), c) - u
+            u = u + du
+            size, change = f.total(np.array([u @ u, du @ du]))
+            if change <= 1e-26 * size:
+                return u
+        raise FmbdError(f'Body "{f.name}": static modes did not converge; the conditions do not hold the body.')
+
+    def static_modes(self) -> Array:
+        """The modes (2), (n d, c)."""
+        c = self.C.shape[1]
+        zero = np.zeros(len(self.C))
+        return np.stack([self.solve_static(zero, np.eye(c)[p]) for p in range(c)], axis=1)
+
+    def vibration_modes(self, count: int) -> tuple[Array, Array]:
+        """The first ``count`` modes (1): omega (rad/s) ascending, and phi (n d, count)."""
+        from petsc4py import PETSc
+        from slepc4py import SLEPc
+
+        f = self.field
+        if count == 0:
+            return np.zeros(0), np.zeros((len(self.C), 0))
+        if count > f.n_global - self.C.shape[1]:
+            raise InputError(
+                f'Body "{f.name}": {count} modes asked for, but its field has only {f.n_global} unknowns and '
+                f"{self.C.shape[1]} conditions."
+            )
+        K, M = f.combination(0.0, 1.0), f.mass_matrix()
+        eps = SLEPc.EPS().create(f.comm)
+        eps.setOperators(K, M)
+        eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
+        eps.setDimensions(count, min(max(2 * count, count + 15), f.n_global))
+        eps.setTarget(-self.shift)
+        eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_REAL)
+        eps.setTolerances(1e-12, 500)
+        st = eps.getST()
+        st.setType("sinvert")
+        st.setShift(-self.shift)
+        st.setMatMode(SLEPc.ST.MatMode.SHELL)
+        ksp = st.getKSP()
+        ksp.setType("preonly")
+        ksp.getPC().setType("python")
+        ksp.getPC().setPythonContext(_Inverse(self))
+        start = K.createVecRight()
+        rng = np.random.default_rng(3 + f.comm.rank)
+        start.array[:] = self.solve_shifted(f.mass(rng.standard_normal((f.n, f.dim))).ravel())
+        eps.setInitialSpace(start)
+        eps.solve()
+        found = eps.getConverged()
+        values, modes = [], []
+        for k in range(min(found, count)):
+            values.append(eps.getEigenpair(k, start).real)
+            modes.append(start.array.copy())
+        for obj in (eps, start, K, M):
+            obj.destroy()
+        if found < count:
+            raise FmbdError(f'Body "{f.name}": SLEPc found {found} of {count} modes.')
+        order = np.argsort(values)
+        return np.sqrt(np.maximum(np.array(values)[order], 0.0)), np.stack(modes, axis=1)[:, order]
+
+    def destroy(self) -> None:
+        """Free the factor; collective."""
+        for obj in (self.ksp, self.x, self.b):
+            obj.destroy()
+
+
+class _Inverse:
+    """The conditioned inverse of K + s M as a PETSc preconditioner, so that SLEPc uses it as its shift-inverted operator."""
+
+    def __init__(self, body: ConditionedBody) -> None:
+        self.body = body
+
+    def apply(self, pc: Any, x: Any, y: Any) -> None:
+        """y = (K + s M)^-1 x under the conditions."""
+        y.array[:] = self.body.solve_shifted(x.array_r)
+
+
+def orthonormal_modes(field: Field, V: Array, conditions: Array) -> tuple[Array, Array]:
+    """A basis of span V in the frame given by ``conditions``, M-orthonormal with diagonal K: omega (rad/s) and phi (n d, m).
+
+    Rigid parts of V are taken out by the frame's conditions; directions that vanish with them are dropped.
+    """
+    Z = rigid_fields(field)
+    V = V - Z @ np.linalg.solve(field.total(conditions.T @ Z), field.total(conditions.T @ V))
+
+    def product(A: Array, B: Array) -> Array:
+        return field.total(A.T @ B)
+
+    def mass(A: Array) -> Array:
+        return np.stack([field.mass(a.reshape(-1, field.dim)).ravel() for a in A.T], axis=1)
+
+    V = V / np.sqrt(np.maximum(np.diag(product(V, mass(V))), 1e-300))
+    for _ in range(2):  # twice is enough: the second pass cleans the roundoff of the first
+        G = product(V, mass(V))
+        s, U = np.linalg.eigh(0.5 * (G + G.T))
+        keep = s > 1e-10 * s.max()
+        V = V @ (U[:, keep] / np.sqrt(s[keep]))
+    KV = np.stack([field.stiffness(a) for a in V.T], axis=1)
+    K, M = product(V, KV), product(V, mass(V))
+    values, U = sl.eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
+    return np.sqrt(np.maximum(values, 0.0)), V @ U
