@@ -21,6 +21,7 @@ from .joints import (
 from .log import say
 from .newton import Newton
 from .output import Output
+from .reduction import CraigBampton
 from .scene import Scene
 from .schemes.generalized_alpha import GeneralizedAlpha
 from .sensors import (

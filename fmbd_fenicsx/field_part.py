@@ -17,12 +17,13 @@ class FieldPart:
     """A displacement field as a part of a system; local coordinates are the owned nodal displacements, (n d,).
 
     ``inertia_columns`` (n d, k): constant columns that couple the field's inertia to the twist of its frame (k = n_twist, or 0
-    where there is no moving frame). ``mean_axis``: the frame conditions have these same columns.
+    where there is no moving frame). ``shared_columns``: the frame conditions have these same columns.
     """
 
     distributed = True
     port_matrix = np.zeros((0, 0))
-    mean_axis = False
+    shared_columns = False
+    column_version = 0  # a new number asks for new columns E^-1 H
 
     def __init__(self, field: Field, frame: int, surfaces: list[str], conditions: Array) -> None:
         self.field, self.frame, self.name, self.comm = field, frame, field.name, field.comm

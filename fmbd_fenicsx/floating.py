@@ -29,8 +29,9 @@ class FloatingField(FieldPart):
 
     def __init__(self, field: Field, frame: int, surfaces: list[str], kind: MeanAxis | Attached) -> None:
         super().__init__(field, frame, surfaces, frame_conditions(field, kind))
-        self.mean_axis = isinstance(kind, MeanAxis)
+        self.shared_columns = isinstance(kind, MeanAxis)
         self.inertia_columns = field.Q
+        self._moment, self._inertia = np.zeros(field.dim), field.inertia
         self._last = np.zeros(self.n)
 
     # -- mechanics ----------------------------------------------------------------------------------------------
@@ -54,9 +55,9 @@ class FloatingField(FieldPart):
     def internal(self, U: Array, Ud: Array) -> Array:
         """f_int(U) + beta K U', (n d,)."""
         beta = self.field.forms.stiffness_damping
+        self._last = U
         if not self.field.nonlinear:
             return self.field.stiffness(U + beta * Ud if beta else U)
-        self._last = U
         f = self.field.internal(U)
         return f + beta * self.field.stiffness(Ud) if beta else f
 
@@ -66,17 +67,39 @@ class FloatingField(FieldPart):
         return self.field.tangents
 
     def relinearise(self) -> bool:
-        """Take the tangent at the configuration whose forces were evaluated last; collective."""
-        if self.field.nonlinear:
-            self.field.linearise(self._last)
-        return self.field.nonlinear
+        """Take tangent and inertia of the configuration whose forces were evaluated last; collective.
+
+        The columns of the frame's inertia M (e x P), frozen at P = X before, follow the deformed body: an attached frame
+        with large displacements needs them. They cost a few back-solves, no factor.
+        """
+        f, m, d = self.field, self.motions, self.field.dim
+        if f.nonlinear:
+            f.linearise(self._last)
+        P = f.points(self._last)
+        Q = f.Q.reshape(f.n, d, m.n_twist).copy()
+        J = np.empty((m.n_rot, m.n_rot))
+        for k in range(m.n_rot):
+            Q[:, :, d + k] = f.mass(m.spin(np.eye(m.n_rot)[k : k + 1], P))
+            J[:, k] = m.moment(P, Q[:, :, d + k]).sum(0)
+        self._inertia = f.total(J)
+        self._moment = f.total(f.mass(P).sum(0))
+        self.inertia_columns = Q.reshape(self.n, m.n_twist)
+        self.shared_columns = False
+        self.column_version += 1
+        return True
 
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
-        """Mass block of the frame at U = 0, blockdiag(m 1, J); the field's own blocks stay with its factor."""
+        """Mass block of the frame with the columns in use; the field's own blocks stay with its factor."""
         d, n = self.field.dim, self.motions.n_twist
         M = np.zeros((n, n))
         M[range(d), range(d)] = self.field.mass_total
-        M[d:, d:] = self.field.inertia
+        M[d:, d:] = self._inertia
+        if self.column_version:
+            c = self._moment[None]
+            turn = np.eye(n - d)
+            for k in range(n - d):
+                M[:d, d + k] = motion.R @ self.motions.spin(turn[k : k + 1], c)[0]
+            M[d:, :d] = M[:d, d:].T
         return M, np.zeros((0, n)), np.zeros((0, 0))
 
     def _velocity(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array, Array]:

@@ -48,6 +48,7 @@ class Block:
     used: np.ndarray  # port numbers that have a column
     Y: Array  # (n d, k + len(used)), k columns of inertia
     W: Array
+    made_of: tuple[float, float, int]  # cm, ck and the version of the tangent
 
 
 class StepSolver:
@@ -60,14 +61,14 @@ class StepSolver:
         self._near_singular = False
         self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
         self.factorisations = 0
-        self._blocks: dict[tuple[float | int, ...], list[Block]] = {}
+        self._blocks: dict[tuple[Any, ...], list[Block]] = {}
         self._retired: list[Any] = []
 
     @property
     def back_solves(self) -> int:
         """Right-hand sides solved with elastic factors so far."""
-        live = [b.factor for blocks in self._blocks.values() for b in blocks]
-        return sum(f.judge.solves for f in live) + sum(self._retired)
+        live = {id(b.factor): b.factor for blocks in self._blocks.values() for b in blocks}
+        return sum(f.judge.solves for f in live.values()) + sum(self._retired)
 
     @property
     def worst_residual(self) -> float:
@@ -161,39 +162,47 @@ class StepSolver:
 
     def _elastic(self, G: Any, w: Weights) -> list[Block]:
         """Factors and constant columns of all fields, from the cache or new."""
-        key = (w.cm, w.ck, *(f.tangent_version for _, f in self.system.fields))
-        if key in self._blocks:
-            return self._blocks[key]
-        s = self.system
-        blocks = []
-        for k, f in s.fields:
-            forms = f.field.forms
-            cm, ck = w.cm + w.cd * forms.mass_damping, w.ck + w.cd * forms.stiffness_damping
-            factor: Any = MassInverse(f.field, cm) if ck == 0 else CholeskyFactor(f.field, cm, ck)
-            self.factorisations += ck != 0
-            H_inertia = f.inertia_columns
-            active = np.abs(G.port[:, s.port_slice(k)]).max(axis=0, initial=0.0) > 0
-            first = f.n_frame_rows
-            if f.mean_axis:
-                active[:first] = False  # the same columns as those of inertia
-            points = active[first:].reshape(-1, s.motions.dim)
-            points[:] = points.any(axis=1)[:, None]  # whole vectors b_k, so that they can be turned
-            used = np.flatnonzero(active)
-            H = np.concatenate((H_inertia, f.port_columns(used)), axis=1)
-            Y = factor.solve_columns(H)
-            W = f.field.total(H.T @ Y)
-            blocks.append(Block(factor, used, Y, 0.5 * (W + W.T)))
-        self._drop(keep=1)
-        self._blocks[key] = blocks
-        return blocks
+        versions = [(f.tangent_version, f.column_version) for _, f in self.system.fields]
+        key = (w.cm, w.ck, *versions)
+        if key not in self._blocks:
+            blocks = [self._block(i, G, w) for i in range(len(self.system.fields))]
+            self._drop(keep=1, live=[b.factor for b in blocks])
+            self._blocks[key] = blocks
+        return self._blocks[key]
 
-    def _drop(self, keep: int) -> None:
-        """Free all but the newest ``keep`` sets of factors."""
+    def _block(self, i: int, G: Any, w: Weights) -> Block:
+        """Factor of field i, an earlier one where its matrix is the same, and its columns."""
+        k, f = self.system.fields[i]
+        forms = f.field.forms
+        cm, ck = w.cm + w.cd * forms.mass_damping, w.ck + w.cd * forms.stiffness_damping
+        same = (cm, ck, f.tangent_version if ck else 0)
+        earlier = [blocks[i] for blocks in self._blocks.values() if blocks[i].made_of == same]
+        if earlier:
+            factor: Any = earlier[-1].factor
+        else:
+            factor = MassInverse(f.field, cm) if ck == 0 else CholeskyFactor(f.field, cm, ck)
+            self.factorisations += ck != 0
+        first = f.n_frame_rows
+        active = np.abs(G.port[:, self.system.port_slice(k)]).max(axis=0, initial=0.0) > 0
+        if f.shared_columns:
+            active[:first] = False  # the same columns as those of inertia
+        points = active[first:].reshape(-1, self.system.motions.dim)
+        points[:] = points.any(axis=1)[:, None]  # whole vectors b_k, so that they can be turned
+        used = np.flatnonzero(active)
+        H = np.concatenate((f.inertia_columns, f.port_columns(used)), axis=1)
+        Y = factor.solve_columns(H)
+        W = f.field.total(H.T @ Y)
+        return Block(factor, used, Y, 0.5 * (W + W.T), same)
+
+    def _drop(self, keep: int, live: list[Any]) -> None:
+        """Free all but the newest ``keep`` sets of factors, and those still ``live``."""
         while len(self._blocks) > keep:
             old = self._blocks.pop(next(iter(self._blocks)))
+            kept = [*live, *(b.factor for blocks in self._blocks.values() for b in blocks)]
             for b in old:
-                self._retired.append(b.factor.judge.solves)
-                b.factor.destroy()
+                if not any(b.factor is x for x in kept):
+                    self._retired.append(b.factor.judge.solves)
+                    b.factor.destroy()
 
     def _coupling(self, ev: Evaluation, i: int, cm: float) -> Array:
         """S of distributed part i: (inertia columns + used ports, n_core + n_lam)."""
@@ -205,7 +214,7 @@ class StepSolver:
             at = f.frame * c
             S[:d, at : at + d] = cm * ev.rotation[f.frame].T
             S[d:c, at + d : at + c] = cm * np.eye(c - d)
-        if f.mean_axis:
+        if f.shared_columns:
             rows = s.frame_rows[k]
             S[:c, s.n_core + rows.start : s.n_core + rows.stop] = np.eye(c)
         S[c:, s.n_core :] = self._G.port[:, s.port_slice(k).start + block.used].T
@@ -219,7 +228,7 @@ class StepSolver:
         """H^T z of field k."""
         f = self.system.parts[k]
         ports = f.ports_of(z)
-        q = ports[: f.n_frame_rows] if f.mean_axis else f.field.total(f.inertia_columns.T @ z)
+        q = ports[: f.n_frame_rows] if f.shared_columns else f.field.total(f.inertia_columns.T @ z)
         return np.concatenate((q, ports[block.used]))
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
@@ -249,7 +258,7 @@ class StepSolver:
 
     def destroy(self) -> None:
         """Free all factors; collective."""
-        self._drop(keep=0)
+        self._drop(keep=0, live=[])
 
 
 def _turned(x: Array, R: Array | None, back: bool = False) -> Array:

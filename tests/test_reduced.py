@@ -1,0 +1,158 @@
+"""Reduced bodies: the constants give the field's inertia, modes agree with beams, few modes approach the full body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.bodies import Attached, MeanAxis
+from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.fields import Field
+from fmbd_fenicsx.floating import FloatingField
+from fmbd_fenicsx.materials import linear_elastic, plane_stress
+from fmbd_fenicsx.placements import FrameMotion
+from fmbd_fenicsx.reduced import ReducedPart
+from fmbd_fenicsx.reduction import FrameModes
+from fmbd_fenicsx.rotations import motions
+
+MODULUS, DENSITY = 5e6, 1000.0
+FREE_FREE = (22.3733, 61.6728, 120.9034)  # (beta L)^2 of the free-free Euler-Bernoulli beam
+CLAMPED = (3.51602, 22.0345, 61.6972)
+
+
+def rod(mesh: Any, **changes: Any) -> fmbd.FloatingBody:
+    return fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=linear_elastic(MODULUS, 0.3)).with_(**changes)
+
+
+def pendulum(body: Any, dim: int = 2) -> fmbd.Scene:
+    scene = fmbd.Scene("pendulum", gravity=(0.0, -9.81, 0.0)[:dim])
+    scene.add(body, fmbd.revolute("pin", body.surface("pin"), fmbd.ground))
+    scene.sensor("tip", fmbd.position(body.surface("tip")))
+    return scene
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("frame", [MeanAxis(), Attached("pin")])
+def test_same_forces_as_the_field(rod_mesh: Callable[..., Any], dim: int, frame: Any) -> None:
+    """At random motions the reduced rows are the field's rows, projected on the modes."""
+    body = rod(rod_mesh(dim=dim, h=0.25), frame=frame, mass_damping=0.3, stiffness_damping=1e-3)
+    small = body.reduced(modes=5)
+    field = Field("rod", body.mesh, body.forms())
+    full = FloatingField(field, 0, ["tip"], frame)
+    part = ReducedPart("rod", small.constants, 0, ["tip"])
+    phi = small.reduction.phi
+    m = motions(dim)
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        eta, rate, second = 0.1 * rng.standard_normal((3, 5))
+        pose = m.compose(m.identity[None], rng.standard_normal((1, m.n_twist)))[0]
+        gravity = rng.standard_normal(dim)
+        motion = FrameMotion(0.0, m.matrix(pose[None])[0], rng.standard_normal(m.n_twist), rng.standard_normal(m.n_twist), gravity)
+        sums, rows = full.force(motion, (phi @ eta, phi @ rate, phi @ second))
+        sums_, rows_ = part.force(motion, (eta, rate, second))
+        np.testing.assert_allclose(sums_, sums, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(rows_, field.total(phi.T @ rows), rtol=1e-8, atol=1e-8)
+        local, local_ = (phi @ eta, phi @ rate), (eta, rate)
+        np.testing.assert_allclose(part.energies(motion, pose, local_), full.energies(motion, pose, local), rtol=1e-9)
+        for a, b in zip(part.momenta(motion, pose, local_), full.momenta(motion, pose, local), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(part.ports_of(eta), full.ports_of(phi @ eta)[m.n_twist :], atol=1e-12)
+    field.destroy()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_mass_blocks_are_the_derivative_of_the_force(rod_mesh: Callable[..., Any], dim: int) -> None:
+    """The force is affine in the accelerations, with the mass blocks as its matrix."""
+    part = ReducedPart("rod", rod(rod_mesh(dim=dim, h=0.25), frame=Attached("pin")).reduced(modes=4).constants, 0, ["tip"])
+    m = motions(dim)
+    rng = np.random.default_rng(2)
+    eta, rate = 0.3 * rng.standard_normal((2, 4))
+    R = m.matrix(m.compose(m.identity[None], rng.standard_normal((1, m.n_twist))))[0]
+    twist, zero = rng.standard_normal(m.n_twist), np.zeros(m.n_twist)
+
+    def rows(accel: Any, second: Any) -> Any:
+        return np.concatenate(part.force(FrameMotion(0.0, R, twist, accel, np.zeros(dim)), (eta, rate, second)))
+
+    base = rows(zero, np.zeros(4))
+    columns = [rows(e[: m.n_twist], e[m.n_twist :]) - base for e in np.eye(m.n_twist + 4)]
+    ff, lf, ll = part.mass_blocks(FrameMotion(0.0, R, twist, None, np.zeros(dim)), eta)
+    expected = np.block([[ff, lf.T], [lf, ll]])
+    np.testing.assert_allclose(np.array(columns).T, expected, atol=1e-10 * np.abs(expected).max())
+
+
+@pytest.mark.mpi
+def test_free_and_clamped_modes_of_a_beam(rod_mesh: Callable[..., Any]) -> None:
+    """Slender rod, plane stress: Euler-Bernoulli frequencies, free-free and clamped on average."""
+    length, height = 1.0, 0.01
+    mesh = rod_mesh(dim=2, h=0.02, length=length, height=height)
+    body = fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=plane_stress(MODULUS, 0.3))
+    unit = np.sqrt(MODULUS * height**2 / 12 / DENSITY) / length**2
+    free = body.reduced(modes=3).reduction.omega / unit
+    np.testing.assert_allclose(free, FREE_FREE, rtol=3e-3)
+    clamped = body.with_(frame=Attached("pin")).reduced(modes=3).reduction.omega / unit
+    np.testing.assert_allclose(clamped, CLAMPED, rtol=3e-3)
+
+
+@pytest.mark.mpi
+def test_modes_are_orthonormal_and_free_of_rigid_motion(rod_mesh: Callable[..., Any]) -> None:
+    """phi^T M phi = 1, phi^T K phi = diag(omega^2), S = 0 and no angular momentum of the modes in mean axes."""
+    body = rod(rod_mesh(dim=3, h=0.25))
+    made = body.reduced(basis=fmbd.CraigBampton(("pin", "tip"), 4)).reduction
+    field = Field("rod", body.mesh, body.forms())
+    mass = np.stack([field.mass(p.reshape(-1, 3)).ravel() for p in made.phi.T], axis=1)
+    np.testing.assert_allclose(field.total(made.phi.T @ mass), np.eye(len(made.omega)), atol=1e-9)
+    stiff = field.total(made.phi.T @ np.stack([field.stiffness(p) for p in made.phi.T], axis=1))
+    np.testing.assert_allclose(stiff, np.diag(made.omega**2), atol=1e-7 * made.omega.max() ** 2)
+    assert np.abs(field.total(field.Q.T @ made.phi)).max() < 1e-9 * field.mass_total
+    assert made.omega.min() > 1.0
+    field.destroy()
+
+
+def test_craig_bampton_converges_from_above(rod_mesh: Callable[..., Any]) -> None:
+    """Frequencies fall monotonically to those of the full body as fixed-interface modes are added."""
+    body = rod(rod_mesh(dim=2, h=0.1))
+    exact = body.reduced(modes=4).reduction.omega
+    found = [body.reduced(basis=fmbd.CraigBampton(("pin", "tip"), n)).reduction.omega[:4] for n in (1, 4, 12, 40)]
+    for coarse, fine in zip(found, found[1:], strict=False):
+        assert (fine <= coarse * (1 + 1e-9)).all()
+    assert (found[-1] >= exact * (1 - 1e-9)).all()
+    np.testing.assert_allclose(found[-1], exact, rtol=1e-3)
+
+
+def test_all_modes_give_the_full_body(rod_mesh: Callable[..., Any]) -> None:
+    """With every mode of a coarse field the run is the full run; with fewer the error falls."""
+    body = rod(rod_mesh(dim=2, h=0.5, height=0.2), degree=1)
+    full = fmbd.solve(pendulum(body), t_end=0.2, dt=2e-3)["tip"]
+    count = body.reduced(modes=1).reduction.space.dofmap.index_map.size_global * 2 - 3
+    errors = [
+        np.abs(fmbd.solve(pendulum(body.reduced(modes=n)), t_end=0.2, dt=2e-3)["tip"] - full).max() for n in (0, 2, count)
+    ]
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 1e-8
+
+
+def test_selection_by_frequency(rod_mesh: Callable[..., Any]) -> None:
+    """All modes up to the limit, and no other."""
+    body = rod(rod_mesh(dim=2, h=0.1))
+    omega = body.reduced(modes=12).reduction.omega
+    limit = (omega[4] + omega[5]) / 4 / np.pi
+    found = body.reduced(basis=FrameModes(frequency=limit)).reduction.omega
+    np.testing.assert_allclose(found, omega[:5], rtol=1e-8)
+
+
+def test_bad_input(rod_mesh: Callable[..., Any]) -> None:
+    """More modes than unknowns, no selection, an energy, an interface that does not exist."""
+    body = rod(rod_mesh(dim=2, h=0.5, height=0.2), degree=1)
+    with pytest.raises(InputError, match="has only"):
+        _ = body.reduced(modes=500).constants
+    with pytest.raises(InputError, match="Give either"):
+        body.reduced()
+    with pytest.raises(InputError, match="not an energy"):
+        _ = body.with_(elastic=None, energy=lambda u, dx: 0.5 * u[0] ** 2 * dx).reduced(modes=2).constants
+    with pytest.raises(InputError, match="nose"):
+        _ = body.reduced(basis=fmbd.CraigBampton(("nose",), 2)).constants
