@@ -14,6 +14,7 @@ import numpy as np
 
 from .errors import InputError, near, require
 from .fields import ElasticForms
+from .placements import Attached, MeanAxis
 from .rotations import Array, motions
 
 Vector = Sequence[float] | Array
@@ -96,18 +97,6 @@ class RigidBody:
                 _vector(w, m.n_rot, f'Body "{self.name}": angular_velocity'),
             )
         )
-
-
-@dataclass(frozen=True)
-class MeanAxis:
-    """Tisserand frame: int rho u = 0 and int rho X x u = 0, so the frame follows the body's mean motion."""
-
-
-@dataclass(frozen=True)
-class Attached:
-    """A frame in which the named surface does not move, on average."""
-
-    surface: str
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .bodies import Attached, MeanAxis
 from .field_part import FieldPart
 from .fields import Field
-from .placements import FrameMotion
+from .placements import Attached, FrameMotion, MeanAxis
 from .rotations import Array, motions
 
 

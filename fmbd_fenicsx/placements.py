@@ -25,6 +25,18 @@ class FrameMotion:
     gravity: Array
 
 
+@dataclass(frozen=True)
+class MeanAxis:
+    """Tisserand frame: int rho u = 0 and int rho X x u = 0, so the frame follows the body's mean motion."""
+
+
+@dataclass(frozen=True)
+class Attached:
+    """A frame in which the named surface does not move, on average."""
+
+    surface: str
+
+
 class Part(Protocol):
     """A block of local coordinates u of one body, beside the twist of its frame (the ground for absolute placements).
 
