@@ -255,8 +255,8 @@ def _estimate(problem: _Problem, fine: Recorder, t_end: float, steps: int) -> di
     True as far as both runs are in the range where the error behaves like h^p: motion that the step does not resolve (fast
     elastic modes that the scheme damps) is missing in both. Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.4.
     """
-    newton = replace(problem.newton, iterations=0, theta=0.5)
     solver = StepSolver(problem.system)
+    newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
     try:
         wanted = Output(energy=False, progress=False)
         coarse = _march(replace(problem, newton=newton), solver, 2 * t_end / steps, steps // 2, wanted).recorder
