@@ -1,0 +1,229 @@
+"""Linear solves of a step: against a dense matrix of the whole system, judged, and scaled whatever masses and steps are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from motion import elastic_rod, elastic_scene
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import FmbdError, LinearSolveError
+from fmbd_fenicsx.fields import Field
+from fmbd_fenicsx.linear.core import CoreSolver
+from fmbd_fenicsx.linear.residual import Judge
+from fmbd_fenicsx.linear.schur import StepSolver, Weights
+from fmbd_fenicsx.linear.spd import CholeskyFactor, MassInverse
+from fmbd_fenicsx.system import State, System
+
+
+def scene_of(mesh: Any, frame: Any) -> fmbd.Scene:
+    """An elastic rod on the ground, and a rigid body at its tip."""
+    scene, rod, block = elastic_scene(mesh, degree=1, frame=frame)
+    d = mesh.dim
+    scene.add(fmbd.revolute("pin", rod.surface("pin"), fmbd.ground, center=(0, 0, 0)[:d]))
+    scene.add(fmbd.revolute("tip", rod.surface("tip"), block, center=(1, 0, 0)[:d]))
+    return scene
+
+
+def turned(scene: fmbd.Scene) -> tuple[System, State]:
+    """The undeformed system in a turned position (joints may be open: only matrices are looked at)."""
+    system, state, _ = scene.build()
+    xi = np.zeros(system.n_v)
+    n = system.n_frames * system.motions.n_twist
+    xi[:n] = 0.4 * np.random.default_rng(3).standard_normal(n)
+    return system, State(0.0, system.compose(state.q, xi), np.zeros(system.n_v), state.a, state.lam)
+
+
+def dense(system: System, state: State, cm: float, ck: float) -> np.ndarray:
+    """[cm M + ck K, G^T; G, 0] column by column from the balance and the constraints, one rank."""
+    ev = system.at(0.0, state.q, state.v)
+    n, m = system.n_v, system.n_lam
+    A = np.zeros((n + m, n + m))
+    rest = ev.balance(np.zeros(n))
+    for j in range(n):
+        e = np.eye(n)[j]
+        A[:n, j] = cm * (ev.balance(e) - rest)
+        for k, part in system.fields:
+            local = system.local_v(e, k)
+            A[system.slices[1][k], j] += ck * part.field.stiffness(local)
+        A[n:, j] = ev.jacobian.times(e)
+    A[:n, n:] = A[n:, :n].T
+    return A
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("frame", [fmbd.MeanAxis(), fmbd.Attached("pin")], ids=["mean axis", "attached"])
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("ck", [0.0, 1e-6])
+def test_step_solver_against_a_dense_matrix(
+    dim: int, frame: Any, ck: float, rod_mesh: Callable[..., Any]
+) -> None:
+    system, state = turned(scene_of(rod_mesh(dim=dim, h=0.5, height=0.4), frame))
+    A = dense(system, state, 1.0, ck)
+    n, m = system.n_v, system.n_lam
+    rng = np.random.default_rng(8)
+    b, c = rng.standard_normal(n), rng.standard_normal(m)
+    solver = StepSolver(system)
+    solver.prepare(system.at(0.0, state.q, state.v), Weights(1.0, 0.0, ck))
+    x, y = solver.solve(b, c)
+    solver.destroy()
+    expected = np.linalg.solve(A, np.concatenate((b, c)))
+    assert np.abs(np.concatenate((x, y)) - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("dim", [2, 3])
+def test_solution_fulfils_constraints_and_balance_on_any_rank_count(
+    dim: int, rod_mesh: Callable[..., Any]
+) -> None:
+    """The same by residuals, without a dense matrix."""
+    system, state = turned(scene_of(rod_mesh(dim=dim, h=0.5, height=0.4), fmbd.MeanAxis()))
+    ev = system.at(0.0, state.q, state.v)
+    solver = StepSolver(system)
+    solver.prepare(ev, Weights(1.0, 0.0, 0.0))
+    rest = ev.balance(np.zeros(system.n_v))
+    c = np.random.default_rng(1).standard_normal(system.n_lam)
+    a, lam = solver.solve(-rest, c)
+    solver.destroy()
+    assert system.max_abs(ev.balance(a, lam)) < 1e-9 * system.max_abs(rest)
+    assert np.abs(ev.jacobian.times(a) - c).max() < 1e-10 * np.abs(c).max()
+
+
+@pytest.mark.mpi
+def test_factor_and_mass_inverse_solve_all_columns(rod_mesh: Callable[..., Any]) -> None:
+    mesh = rod_mesh(dim=3, h=0.5, height=0.4)
+    f = Field("rod", mesh, elastic_rod(mesh).forms())
+    B = np.random.default_rng(f.comm.rank).standard_normal((f.n * 3, 4))
+    for factor, ck in ((CholeskyFactor(f, 2.0, 1e-6), 1e-6), (MassInverse(f, 2.0), 0.0)):
+        X = factor.solve_columns(B)
+        for j in range(4):
+            r = 2.0 * f.mass(X[:, j].reshape(-1, 3)).ravel() + ck * f.stiffness(X[:, j]) - B[:, j]
+            assert np.sqrt(f.total(np.array(r @ r))) < 1e-11 * np.sqrt(f.total(np.array(B[:, j] @ B[:, j])))
+        x = factor.solve(B[:, 1].copy())
+        assert np.abs(x - X[:, 1]).max(initial=0.0) < 1e-10 * np.abs(X).max()
+        factor.destroy()
+
+
+# -- the judge ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("residual", [np.nan, np.inf, 1e-3])
+def test_judge_refuses(residual: float) -> None:
+    with pytest.raises(LinearSolveError, match="the block"):
+        Judge("the block").check(residual, 1.0)
+
+
+def test_judge_keeps_the_worst() -> None:
+    judge = Judge("the block")
+    for r in (1e-12, 1e-10, 1e-13):
+        judge.check(r, 1.0)
+    assert judge.worst == 1e-10
+    assert judge.solves == 3
+    judge.check(0.0, 0.0)
+
+
+@pytest.mark.mpi
+def test_nan_on_the_right_hand_side_is_refused(rod_mesh: Callable[..., Any]) -> None:
+    """PETSc reports such solves as converged."""
+    mesh = rod_mesh(dim=2, h=0.5, height=0.4)
+    f = Field("rod", mesh, elastic_rod(mesh).forms())
+    factor = CholeskyFactor(f, 1.0, 1e-6)
+    b = np.ones(f.n * 2)
+    b[:1] = np.nan
+    with pytest.raises(LinearSolveError, match='"rod"'):
+        factor.solve(b)
+    factor.destroy()
+
+
+@pytest.mark.mpi
+def test_floating_body_without_mass_is_refused(rod_mesh: Callable[..., Any]) -> None:
+    """K alone is singular: a factorisation may go through, the residual tells."""
+    mesh = rod_mesh(dim=2, h=0.5, height=0.4)
+    f = Field("rod", mesh, elastic_rod(mesh).forms())
+    b = np.tile([1.0, 0.3], f.n)
+    with pytest.raises(LinearSolveError, match='"rod"'):
+        CholeskyFactor(f, 0.0, 1.0).solve(b)
+
+
+def test_dependent_constraints_are_not_solved_silently() -> None:
+    """The same joint twice: an error, or (redundant rows allowed) the multipliers of smallest norm."""
+    rng = np.random.default_rng(0)
+    G = rng.standard_normal((2, 4))
+    G = np.concatenate((G, G[:1]))
+    plain = CoreSolver(Judge("the core"))
+    with pytest.raises(LinearSolveError, match="the core"):
+        plain.factor(np.eye(4), G)
+        plain.solve(np.ones(4), np.array([1.0, 2.0, 3.0]))
+
+
+def test_body_without_mass_is_refused() -> None:
+    A = np.diag([1.0, 0.0])
+    solver = CoreSolver(Judge("the core"))
+    with pytest.raises(LinearSolveError, match="the core"):
+        solver.factor(A, np.zeros((0, 2)))
+        solver.solve(np.ones(2), np.zeros(0))
+
+
+# -- scaling -----------------------------------------------------------------------------------------------------------
+def chain(ratio: float) -> fmbd.Scene:
+    """Two bodies of mass 1 and ``ratio`` on rods: ground, one, two."""
+    one = fmbd.RigidBody("one", 1.0, 0.1, (1.0, 0.0))
+    two = fmbd.RigidBody("two", ratio, 0.1 * ratio, (1.0, -1.0))
+    scene = fmbd.Scene("chain", gravity=(0, -9.81))
+    scene.add(one, two, fmbd.revolute("a", fmbd.ground, one, center=(0, 0)))
+    scene.add(fmbd.distance("b", one, two, length=1.0))
+    scene.sensor("one", fmbd.position(one))
+    scene.sensor("two", fmbd.position(two))
+    return scene
+
+
+def scaled_condition(scene: fmbd.Scene, weights: Weights) -> float:
+    """Condition number of the matrix that is factored."""
+    system, state, _ = scene.build()
+    solver = StepSolver(system)
+    solver.prepare(system.at(0.0, state.q, np.zeros(system.n_v)), weights)
+    core = solver.core
+    A = core.A.toarray() if hasattr(core.A, "toarray") else core.A
+    G = core.G.toarray() if hasattr(core.G, "toarray") else core.G
+    K = np.block([[A, G.T], [G, np.zeros((len(G), len(G))) if core.C is None else core.C]])
+    return float(np.linalg.cond(core.scale[:, None] * K * core.scale))
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1e9, 1e-9])
+def test_condition_does_not_depend_on_masses(ratio: float) -> None:
+    assert scaled_condition(chain(ratio), Weights(1.0, 0.0, 0.0)) < 20
+
+
+@pytest.mark.serial
+def test_condition_does_not_depend_on_the_step(rod_mesh: Callable[..., Any]) -> None:
+    """T9 for an elastic scene: s = beta h^2 from h = 1e-2 to 1e-8."""
+    scene = scene_of(rod_mesh(dim=2, h=0.5, height=0.4), fmbd.MeanAxis())
+    found = [scaled_condition(scene, Weights(1.0, 0.0, 0.3 * h * h)) for h in (1e-2, 1e-4, 1e-6, 1e-8)]
+    assert max(found) < 1e5
+    assert max(found[1:]) < 2 * min(found[1:])
+
+
+@pytest.mark.parametrize("light", [1e-6, 1e-9])
+def test_light_body_between_heavy_ones_moves_like_none(light: float) -> None:
+    """T10: a pendulum whose rod is a body of mass 1e-9 moves like one with a massless rod."""
+    bob = fmbd.RigidBody("bob", 1.0, 0.1, (1.0, 0.0))
+    link = fmbd.RigidBody("link", light, 0.1 * light, (0.5, 0.0))
+    real, ideal = fmbd.Scene("link", gravity=(0, -9.81)), fmbd.Scene("ideal", gravity=(0, -9.81))
+    real.add(
+        bob,
+        link,
+        fmbd.revolute("a", fmbd.ground, link, center=(0, 0)),
+        fmbd.revolute("b", link, bob, center=(1, 0)),
+    )
+    ideal.add(bob, fmbd.distance("rod", fmbd.ground, bob, point_a=(0, 0), point_b=(1, 0), length=1.0))
+    ends = []
+    for scene in (real, ideal):
+        scene.sensor("bob", fmbd.position(bob))
+        ends.append(fmbd.solve(scene, t_end=0.5, dt=2e-3, newton=fmbd.Newton(1e-9))["bob"][-1])
+    assert np.abs(ends[0] - ends[1]).max() < 1e-8 + light
+
+
+def test_massless_body_that_nothing_holds_is_refused() -> None:
+    with pytest.raises(FmbdError, match='"ghost".*mass'):
+        fmbd.RigidBody("ghost", 0.0, 0.1)
