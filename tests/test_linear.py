@@ -146,15 +146,16 @@ def test_floating_body_without_mass_is_refused(rod_mesh: Callable[..., Any]) -> 
         CholeskyFactor(f, 0.0, 1.0).solve(b)
 
 
-def test_dependent_constraints_are_not_solved_silently() -> None:
-    """The same joint twice: an error, or (redundant rows allowed) the multipliers of smallest norm."""
-    rng = np.random.default_rng(0)
-    G = rng.standard_normal((2, 4))
-    G = np.concatenate((G, G[:1]))
-    plain = CoreSolver(Judge("the core"))
-    with pytest.raises(LinearSolveError, match="the core"):
-        plain.factor(np.eye(4), G)
-        plain.solve(np.ones(4), np.array([1.0, 2.0, 3.0]))
+def test_dependent_constraints_share_their_multiplier() -> None:
+    """The same row twice: both copies get the same multiplier, and the rows are fulfilled."""
+    G = np.random.default_rng(0).standard_normal((2, 4))
+    A, b = np.diag([1.0, 2.0, 3.0, 4.0]), np.array([1.0, -1.0, 0.5, 2.0])
+    solver = CoreSolver(Judge("the core"))
+    solver.factor(A, np.concatenate((G, G[:1])))
+    x, y = solver.solve(b, np.array([1.0, 2.0, 1.0]))
+    assert np.abs(G @ x - [1.0, 2.0]).max() < 1e-10
+    assert abs(y[0] - y[2]) < 1e-10
+    assert np.abs(A @ x + G.T @ [y[0] + y[2], y[1]] - b).max() < 1e-10
 
 
 def test_body_without_mass_is_refused() -> None:
