@@ -13,7 +13,7 @@ FLOORS = [
     {"surfaces", "fields", "traces", "multipliers", "mortar", "stability"},
     {"bodies", "placements", "field_part", "floating", "absolute", "reduced", "ports", "frames", "constraints", "joints", "forces", "coordinates", "contact", "beams",
      "reduction", "modes", "loads", "tables", "relative", "couplings", "drives", "laws"},
-    {"scene", "plan", "system", "sensors", "mobility"},
+    {"scene", "plan", "system", "sensors", "mobility", "linearise"},
     {"newton", "linear"},
     {"schemes"},
     {"solve", "output", "checkpoint", "record"},

@@ -102,7 +102,7 @@ class StepSolver:
         """The matrices of (1), and the factor of the core."""
         s = self.system
         G = ev.jacobian
-        A = self._core_matrix(ev, w)
+        A = self.core_matrix(ev, w)
         applied = ev.force_tangent(w.cd, w.ck) if w.cd or w.ck else None
         for extra in (applied, stiffness):
             if extra is not None:
@@ -128,7 +128,7 @@ class StepSolver:
             C -= WS[n:, n:]
         self.core.factor(A, core_G, C)
 
-    def _core_matrix(self, ev: Evaluation, w: Weights) -> Any:
+    def core_matrix(self, ev: Evaluation, w: Weights) -> Any:
         """cm M + cd C + ck K of the core: rigid bodies, frames of elastic ones (at U = 0), replicated parts."""
         s, n = self.system, self.system.motions.n_twist
         M = np.zeros((s.n_frames + 1, n, n))

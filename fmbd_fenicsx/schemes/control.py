@@ -1,0 +1,162 @@
+"""Error control of implicit schemes on constrained systems: norms by kind, step sizes, statistics.
+
+The solution has kinds of different smoothness. With w_q the tolerances of positions and w_v those of velocities, the error of
+a step of size h is the largest of (root mean square over each kind)
+
+    e_q / w_q;      index 3:   h e_v / w_q,     h^2 e_a / w_q
+                    index 2:   e_v / w_v,       h e_a / w_v          with e_a = M^-1 G^T e_lambda               (1)
+                    index 1:   e_v / w_v
+
+so multipliers are measured by the accelerations that they cause: units of forces and moments do not mix. Tolerances are relative
+to sizes that the model gives (length, one radian, the largest value of a coordinate or velocity so far), so that a scene
+in other units takes the same steps.
+
+Step sizes follow the predictive control of Gustafsson, doi:10.1145/198429.198437, with the limits of Hairer and Wanner,
+Solving ODEs II, section IV.8, doi:10.1007/978-3-642-05221-7.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..errors import ConvergenceError, require
+from ..linearise import Sizes
+from ..rotations import Array
+from ..system import State, System
+
+FINEST = 100 * float(np.finfo(float).eps)
+
+
+def check_tolerance(rtol: float | None, atol: float | None, scheme: str) -> None:
+    """Refuse tolerances that double precision cannot reach, or that are no tolerances."""
+    if rtol is not None:
+        require(
+            FINEST <= rtol < 1.0,
+            f"{scheme}: rtol = {rtol} is not usable; double precision allows {FINEST:.0e} <= rtol < 1.",
+        )
+    if atol is not None:
+        require(bool(np.isfinite(atol)) and atol > 0, f"{scheme}: atol = {atol} must be positive.")
+
+
+class ErrorNorm:
+    """(1), with sizes that grow along the run. ``atol``: added to the tolerance of every coordinate (m, rad or its own unit)."""
+
+    def __init__(self, system: System, rtol: float, atol: float | None, index: int) -> None:
+        self.system, self.rtol, self.atol, self.index = system, rtol, atol, index
+        self.sizes = Sizes(system)
+        self.v_size = np.zeros(system.n_core)
+        self.q_size = np.zeros(system.n_core)
+        self.wq = self.wv = np.ones(system.n_core)
+
+    def update(self, state: State, h: float) -> None:
+        """Take notice of a state; ``h`` is the step about to be taken."""
+        s, v = self.system, np.abs(state.v[: self.system.n_core])
+        self.q_size = np.maximum(self.q_size, self.sizes.positions(state.q))
+        self.wq = self.rtol * self.q_size + (0.0 if self.atol is None else self.atol)
+        fast = np.maximum(v, h * np.abs(state.a[: s.n_core]))
+        for block in self.sizes.blocks:
+            fast[block] = fast[block].max(initial=0.0)
+        self.v_size = np.maximum(self.v_size, fast)
+        self.wv = self.rtol * self.v_size + 1e-4 * self.wq / h
+
+    def __call__(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
+        """The norm (1) of errors like v."""
+        wq, wv = self.wq, self.wv
+        if self.index == 3:
+            kinds = [e_q / wq, h * e_v / wq] + ([] if e_a is None else [h * h * e_a / wq])
+        else:
+            kinds = [e_q / wq, e_v / wv] + ([] if e_a is None or self.index == 1 else [h * e_a / wv])
+        return float(max((np.sqrt(np.mean(x * x)) for x in kinds), default=0.0))
+
+
+@dataclass
+class Statistics:
+    """Work of an error-controlled run. ``rejected`` counts by cause."""
+
+    steps: int = 0
+    rejected: Counter[str] = field(default_factory=Counter)
+    newton_iterations: int = 0
+    residuals: int = 0
+    jacobians: int = 0
+    factorisations: int = 0
+    solves: int = 0
+
+    def as_dict(self) -> dict[str, float]:
+        """For the counters of a run."""
+        out: dict[str, Any] = {k: x for k, x in vars(self).items() if k != "rejected"}
+        out["rejections"] = sum(self.rejected.values())
+        for cause, n in self.rejected.items():
+            out[f"rejected: {cause}"] = n
+        return out
+
+
+@dataclass
+class StepControl:
+    """Proposes step sizes from error estimates that fall like h^order; keeps the history of a predictive controller."""
+
+    order: float
+    safety: float = 0.9
+    shrink: float = 0.2
+    grow: float = 8.0
+    h_old: float = 0.0
+    error_old: float = 0.0
+    rejections: list[tuple[float, float, str]] = field(default_factory=list)  # (t, h, cause) since the last accepted step
+
+    def accepted(self, h: float, error: float, effort: float = 1.0) -> float:
+        """Step after an accepted one; ``effort`` in (0, 1] lowers the safety when Newton worked hard."""
+        k = 1.0 / self.order
+        error = max(error, 1e-10)
+        factor = self.safety * effort * error**-k
+        if self.h_old > 0:
+            predictive = self.safety * (h / self.h_old) * (self.error_old / error**2) ** k
+            factor = min(factor, predictive)
+        self.h_old, self.error_old = h, max(error, 1e-2)
+        after_rejection = bool(self.rejections)
+        self.rejections.clear()
+        factor = min(max(factor, self.shrink), 1.0 if after_rejection else self.grow)
+        return h * factor
+
+    def rejected(self, t: float, h: float, error: float, cause: str) -> float:
+        """Step after a rejected one. Raises ConvergenceError when steps have become too small to matter."""
+        self.rejections.append((t, h, cause))
+        if cause == "error estimate" and np.isfinite(error):
+            factor = min(max(self.safety * error ** (-1.0 / self.order), 0.1), 0.9)
+        else:
+            factor = 0.5 if len(self.rejections) < 3 else 0.1
+        new = h * factor
+        if t + 0.01 * new == t or len(self.rejections) > 40:
+            tail = "; ".join(f"h = {x:.1e} s: {why}" for _, x, why in self.rejections[-5:])
+            raise ConvergenceError(
+                f"The step at t = {t:.9g} s cannot be made smaller: {len(self.rejections)} rejections, the last ones: {tail}. "
+                "Look for a jump in a load or a singular configuration at this time, or ask for a larger rtol."
+            )
+        return new
+
+
+def first_step(norm: ErrorNorm, state: State, order: float, h_max: float) -> float:
+    """An initial step from the sizes of velocity and acceleration (Hairer, Norsett, Wanner, Solving ODEs I, II.4, adapted)."""
+    n = norm.system.n_core
+    size = norm.q_size
+
+    def mean(x: Array) -> float:
+        return float(np.sqrt(np.mean((x[:n] / size) ** 2))) if n else 0.0
+
+    speed, push = mean(state.v), mean(state.a)
+    share = norm.rtol ** (1.0 / order)
+    h = h_max
+    if speed > 0:
+        h = min(h, 0.5 * share / speed)
+    if push > 0:
+        h = min(h, 0.5 * share / np.sqrt(push))
+    return max(h, 1e-12 * h_max)
+
+
+def lands(h: float, left: float) -> float:
+    """The step to take when ``left`` remains to a point that must be hit: no tiny last step, no overshoot."""
+    if h >= left * (1 - 1e-10):
+        return left
+    return 0.5 * left if h > 0.5 * left else h

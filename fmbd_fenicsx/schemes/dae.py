@@ -1,0 +1,270 @@
+"""The forms of the equations of constrained motion, as arguments of a scheme, and their residuals in local coordinates.
+
+    xi' = rate(xi, v - U mu),     v' = a - U tau,     M a + h + G^T lambda = 0,     U = W^-1 G^T                   (1)
+
+with xi the local coordinates q = q_0 o exp(xi), W the mass matrix frozen over some steps, and constraints on the levels
+
+    0: g = 0       1: G v + g_t = 0       2: G a + gamma = 0                                                       (2)
+
+========================  =========  =====================================================================================
+form                      levels     multipliers, what it guarantees
+========================  =========  =====================================================================================
+:class:`Index3`           0          lambda. Positions stay on the constraints; velocities and multipliers lose order.
+:class:`Index2`           1          lambda. Velocities stay; positions drift linearly.
+:class:`Index1`           2          lambda. Full order of everything; positions drift quadratically.
+:class:`Baumgarte`        2          lambda, with g'' + 2 alpha g' + beta^2 g = 0: the drift is bounded, two numbers to choose.
+:class:`GGL`              0, 1       lambda, mu (Gear, Gupta, Leimkuhler). No drift in positions and velocities.
+:class:`Overdetermined`   0, 1, 2    lambda, mu, tau: all levels hold, mu and tau correct in the mass-weighted least-squares sense.
+:class:`StateSpace`       0, 1, 2    The same with U frozen over the step: the step of the ODE in coordinates of the tangent space.
+:class:`Projected`        of ``of``  After each step q, then v, are projected on (2) in the mass metric.
+========================  =========  =====================================================================================
+
+mu and tau vanish in the exact solution. The highest level goes with lambda, level 0 of several with mu, level 1 of three with tau.
+
+Sources: Gear, Gupta and Leimkuhler, doi:10.1016/0377-0427(85)90008-1; Baumgarte, doi:10.1016/0045-7825(72)90018-7;
+Fuehrer and Leimkuhler, doi:10.1007/BF01385644 (overdetermined); Potra and Rheinboldt, doi:10.1080/08905459108905138 (tangent-space
+parametrisation); Eich, doi:10.1137/0730075 (projection); Hairer, Lubich and Roche, doi:10.1007/BFb0093947.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, require
+from ..linear.pencil import Tangent
+from ..linear.schur import StepSolver, Weights
+from ..linearise import differences
+from ..rotations import Array
+from ..system import Evaluation, State, System
+
+
+@dataclass(frozen=True)
+class Form:
+    """Which levels of the constraints hold. ``index`` is the differentiation index: it scales the components in error norms."""
+
+    levels = (0,)
+    index = 3
+    frozen = False  # normal directions U at the start of the step
+    projected = False
+
+    @property
+    def name(self) -> str:
+        """Name in reports and tables."""
+        return type(self).__name__
+
+    def rows(self, ev: Evaluation, a: Array) -> Array:
+        """The constraints of all levels, one after another, (levels n_lam,)."""
+        made = {0: self._position, 1: self._velocity, 2: self._acceleration}
+        return np.concatenate([made[level](ev, a) for level in self.levels])
+
+    def _position(self, ev: Evaluation, a: Array) -> Array:
+        return ev.constraint()
+
+    def _velocity(self, ev: Evaluation, a: Array) -> Array:
+        return ev.jacobian.times(ev.v) + ev.constraint_rate()
+
+    def _acceleration(self, ev: Evaluation, a: Array) -> Array:
+        return ev.jacobian.times(a) + ev.gamma()
+
+
+@dataclass(frozen=True)
+class Index3(Form):
+    """Constraints on positions."""
+
+
+@dataclass(frozen=True)
+class Index2(Form):
+    """Constraints on velocities."""
+
+    levels = (1,)
+    index = 2
+
+
+@dataclass(frozen=True)
+class Index1(Form):
+    """Constraints on accelerations."""
+
+    levels = (2,)
+    index = 1
+
+
+@dataclass(frozen=True)
+class Baumgarte(Form):
+    """g'' + 2 alpha g' + beta^2 g = 0, alpha and beta in 1/s; alpha = beta is critical damping of the drift."""
+
+    alpha: float = 10.0
+    beta: float = 10.0
+    levels = (2,)
+    index = 1
+
+    def __post_init__(self) -> None:
+        require(
+            self.alpha > 0 and self.beta > 0 and bool(np.isfinite(self.alpha + self.beta)),
+            f"Baumgarte(alpha={self.alpha}, beta={self.beta}): both must be positive (1/s), else errors do not decay.",
+        )
+
+    @property
+    def name(self) -> str:
+        return f"Baumgarte({self.alpha:g}, {self.beta:g})"
+
+    def _acceleration(self, ev: Evaluation, a: Array) -> Array:
+        rate = self._velocity(ev, a)
+        return super()._acceleration(ev, a) + 2 * self.alpha * rate + self.beta**2 * ev.constraint()
+
+
+@dataclass(frozen=True)
+class GGL(Form):
+    """Positions and velocities (Gear, Gupta, Leimkuhler), mass-weighted: xi' = v - M^-1 G^T mu."""
+
+    levels = (0, 1)
+    index = 2
+
+
+@dataclass(frozen=True)
+class Overdetermined(Form):
+    """All levels; a least-squares corrector in the mass metric."""
+
+    levels = (0, 1, 2)
+    index = 2
+
+
+@dataclass(frozen=True)
+class StateSpace(Form):
+    """The ODE in the tangent space of the constraints at the start of each step; the normal part follows from all levels."""
+
+    levels = (0, 1, 2)
+    index = 1
+    frozen = True
+
+
+@dataclass(frozen=True)
+class Projected(Form):
+    """Another form, followed by a projection of q, then v, in the mass metric after each step."""
+
+    of: Form = field(default_factory=Index1)
+    projected = True
+
+    def __post_init__(self) -> None:
+        require(
+            len(self.of.levels) == 1 and not self.of.projected,
+            f"Projected({self.of.name}()): the form holds several levels by itself; project Index1 or Index2.",
+        )
+
+    @property
+    def name(self) -> str:
+        return f"Projected({self.of.name})"
+
+    @property
+    def levels(self) -> tuple[int, ...]:  # type: ignore[override]
+        """Of the inner form."""
+        return self.of.levels
+
+    @property
+    def index(self) -> int:  # type: ignore[override]
+        """Of the inner form."""
+        return self.of.index
+
+    def rows(self, ev: Evaluation, a: Array) -> Array:
+        return self.of.rows(ev, a)
+
+
+@dataclass
+class Point:
+    """An instant in local coordinates: xi, xi', v, v' (n_v,) and multipliers (levels, n_lam)."""
+
+    xi: Array
+    rate: Array
+    v: Array
+    vd: Array
+    mult: Array
+
+
+class StepEquations:
+    """(1), (2) in the local coordinates of one step; shared by the implicit schemes. Small systems: dense.
+
+    ``begin`` sets the origin of the coordinates, ``refresh`` the tangent, ``residual`` evaluates. Counts its work.
+    """
+
+    def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
+        if system.fields:
+            names = ", ".join(f'"{p.name}"' for _, p in system.fields)
+            raise InputError(
+                f"This scheme needs the tangent as one dense matrix and does not take elastic fields ({names}). Use "
+                "GeneralizedAlpha, or a ReducedBody."
+            )
+        self.system, self.form, self.solver = system, form, solver
+        self.levels = len(form.levels) if system.n_lam else 0
+        self.residuals = self.jacobians = 0
+        self.U = np.zeros((system.n_v, system.n_lam))
+        self.origin = np.zeros(0)
+        self._inverse_mass: Any = None
+
+    def begin(self, state: State) -> None:
+        """Local coordinates about the state."""
+        self.origin = state.q
+        if self.form.frozen and self.levels:
+            ev = self.system.at(state.t, state.q, state.v)
+            self.U = self._inverse_mass @ _dense(ev.jacobian.core).T
+
+    def residual(self, t: float, p: Point) -> tuple[Array, Array, Evaluation]:
+        """r_kin (n_v,), r_low (n_v + levels n_lam,) of (1), (2), and the evaluation."""
+        s = self.system
+        self.residuals += 1
+        ev = s.at(t, s.compose(self.origin, p.xi), p.v)
+        lam = p.mult[0] if self.levels else None
+        v = p.v
+        U = self.normals(ev) if self.levels > 1 else self.U
+        if self.levels > 1:
+            v = v - U @ p.mult[1]
+        a = self.acceleration(p, U)
+        low = ev.balance(a, lam)
+        if self.levels:
+            low = np.concatenate((low, self.form.rows(ev, a)))
+        return p.rate - s.rate(p.xi, v), low, ev
+
+    def normals(self, ev: Evaluation) -> Array:
+        """U of (1), (n_v, n_lam)."""
+        return self.U if self.form.frozen else self._inverse_mass @ _dense(ev.jacobian.core).T
+
+    def acceleration(self, p: Point, U: Array) -> Array:
+        """a = v' + U tau."""
+        return p.vd + U @ p.mult[2] if self.levels > 2 else p.vd
+
+    def weigh(self, state: State) -> None:
+        """Take the mass matrix of a state for the normal directions."""
+        ev = self.system.at(state.t, state.q, state.v)
+        self._inverse_mass = np.linalg.inv(_dense(self.solver.core_matrix(ev, Weights(1.0, 0.0, 0.0))))
+
+    def refresh(self, state: State) -> Tangent:
+        """The tangent of (1), (2) at a state, by differences; also refreshes the metric W."""
+        s, form = self.system, self.form
+        self.jacobians += 1
+        q, v, a, lam = state.q, state.v, state.a, state.lam
+        ev = s.at(state.t, q, v)
+        M = _dense(self.solver.core_matrix(ev, Weights(1.0, 0.0, 0.0)))
+        self._inverse_mass = np.linalg.inv(M)
+        G = _dense(ev.jacobian.core)
+        self.U = self._inverse_mass @ G.T
+
+        def lower(q: Array, v: Array) -> Array:
+            at = s.at(state.t, q, v)
+            r = at.balance(a, lam if self.levels else None)
+            return np.concatenate((r, form.rows(at, a))) if self.levels else r
+
+        by_q, by_v = differences(s, lower, q, v)
+        by_a = np.concatenate([M, *(G if level == 2 else np.zeros_like(G) for level in form.levels[: self.levels])])
+        J = np.zeros((s.n_v, s.n_v))
+        if s.motions.dim == 3:
+            eps = 1e-6
+            for j in range(s.n_v):
+                e = np.zeros(s.n_v)
+                e[j] = eps
+                J[:, j] = (s.rate(e, v) - s.rate(-e, v)) / (2 * eps)
+        return Tangent(J, M, G, self.U, by_q, by_v, by_a)
+
+
+def _dense(A: Any) -> Array:
+    return A if isinstance(A, np.ndarray) else np.asarray(A.toarray())

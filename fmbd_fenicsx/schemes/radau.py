@@ -1,0 +1,341 @@
+"""Radau IIA with two or three stages: variable steps, simplified Newton iteration, any form of the constraints.
+
+In local coordinates y = (xi, v) about the step's start, collocation at the nodes c_i (c_s = 1) with A^-1 = (w_ij) reads
+
+    y'_i = (1 / h) sum_j w_ij (y_j - y_n),        the equations of motion hold at (t_n + c_i h, y_i, y'_i)        (1)
+
+so the scheme is stiffly accurate: the last stage is the new state, and it satisfies the constraints. Orders s = 2 / 3 for q, v,
+lambda: index 3: 3, 2, 1 / 5, 3, 2; index 2 and GGL: 3, 3, 2 / 5, 5, 3; index 1 and state space: 3 / 5 in all.
+
+One Newton iteration solves the stages together: the eigenvectors of A^-1 decouple them into one complex system (and, for three
+stages, a real one) with the frequencies gamma / h. Tangent and factors are kept while Newton converges fast and the step
+changes little. The local error is estimated by an embedded formula of order s, filtered by the real matrix gamma_0 / h.
+
+Sources: Hairer and Wanner, Solving ODEs II, sections IV.8 and VII.4, doi:10.1007/978-3-642-05221-7; Hairer, Lubich and Roche,
+doi:10.1007/BFb0093947; local coordinates: Munthe-Kaas, doi:10.1007/BF02510919.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from ..errors import CallbackError, ConvergenceError, InputError, LinearSolveError, require
+from ..linear.pencil import Pencil
+from ..linear.residual import Judge
+from ..linear.schur import StepSolver
+from ..newton import Newton
+from ..rotations import Array
+from ..system import State, System
+from .control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
+from .dae import GGL, Form, Point, StepEquations
+from .start import project
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """Nodes c, inverse W of the coefficients, eigenvalues and vectors of W, weights of the error estimate."""
+
+    c: Array
+    W: Array
+    values: Array  # one of each complex pair
+    vectors: Array
+    inverse: Array
+    gamma: float  # of the real matrix in the error estimate
+    error: Array  # e_i, with error ~ y'_n + sum_i e_i (y_i - y_n) / h
+
+
+@lru_cache
+def tableau(stages: int) -> Tableau:
+    """Radau IIA from its nodes: collocation, so the coefficients integrate the Lagrange polynomials."""
+    c = {2: np.array([1 / 3, 1.0]), 3: np.array([(4 - np.sqrt(6)) / 10, (4 + np.sqrt(6)) / 10, 1.0])}[stages]
+    s = stages
+    powers = np.arange(1, s + 1)
+    A = (c[:, None] ** powers / powers) @ np.linalg.inv(c[:, None] ** (powers - 1))
+    W = np.linalg.inv(A)
+    values, vectors = np.linalg.eig(W)
+    keep = np.flatnonzero(values.imag >= -1e-12)
+    keep = keep[np.argsort(values[keep].imag)]
+    inverse = np.linalg.inv(vectors)[keep]
+    real = abs(values[keep[0]].imag) < 1e-12
+    gamma = float(values[keep[0]].real) if real else 3.0
+    # quadrature of order s with the nodes 0, c_i and the weight 1 / gamma at 0; e = gamma (b_hat - b) W
+    nodes = np.concatenate(([0.0], c))
+    weights = np.zeros(s + 1)
+    weights[0] = 1 / gamma
+    moments = 1 / powers - np.where(powers == 1, weights[0], 0.0)
+    weights[1:] = np.linalg.solve((nodes[1:, None] ** (powers - 1)).T, moments)
+    error = gamma * (weights[1:] - A[-1]) @ W
+    return Tableau(c, W, values[keep], vectors[:, keep], inverse, gamma, error)
+
+
+@dataclass(frozen=True)
+class Radau:
+    """Scheme data.
+
+    Args:
+        stages: 2 or 3.
+        form: of the constraints, :class:`~fmbd_fenicsx.GGL` by default.
+        rtol: relative tolerance of the local error; None for constant steps dt without error control.
+        atol: absolute tolerance of coordinates (m, rad or own units); None: from the sizes in the model.
+    """
+
+    stages: int = 3
+    form: Form = field(default_factory=GGL)
+    rtol: float | None = 1e-6
+    atol: float | None = None
+
+    def __post_init__(self) -> None:
+        require(self.stages in (2, 3), f"Radau: stages = {self.stages} must be 2 or 3.")
+        check_tolerance(self.rtol, self.atol, "Radau")
+
+    @property
+    def order(self) -> int:
+        """Classical order."""
+        return 2 * self.stages - 1
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+        return f"Radau IIA({self.stages}), {self.form.name}"
+
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+        """A run's worker, from a consistent state."""
+        return Stepper(self, system, solver, newton, state)
+
+
+class Stepper:
+    """Advances a consistent state; holds tangent, factors, the last collocation polynomial and the step control."""
+
+    def __init__(self, scheme: Radau, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
+        self.eq = StepEquations(system, scheme.form, solver)
+        self.tab = tableau(scheme.stages)
+        self.mult = np.zeros((self.eq.levels, system.n_lam))
+        if self.eq.levels:
+            self.mult[0] = state.lam
+        self.adaptive = scheme.rtol is not None
+        self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
+        self.control = StepControl(scheme.stages + 1.0)
+        self.stats = Statistics()
+        self.judge = Judge("a Radau step")
+        self.local_error = 0.0
+        self.proposed: float | None = None
+        self._tangent = None
+        self._fresh = False
+        self._pencils: dict[complex, Pencil] = {}
+        self._h_factor = 0.0
+        self._theta = 1e-3
+        self._eta = 1.0
+        self._last: tuple[float, Array, Point, list[Point]] | None = None
+        self.eq.weigh(state)
+
+    # -- one accepted step --------------------------------------------------------------------------------------
+    def advance(self, h: float) -> State:
+        """One accepted step. Constant steps: of size h. Error control: of at most h (s), which is then hit exactly at the end.
+
+        Raises ConvergenceError when steps would have to be too small.
+        """
+        s = self.state
+        if not self.adaptive:
+            self.norm.update(s, h)
+            self.eq.begin(s)
+            point = self._newton(h)
+            if isinstance(point, str):
+                self._fresh = False
+                self._refresh()
+                point = self._newton(h)
+            if isinstance(point, str):
+                raise ConvergenceError(f"Newton's iteration failed at t = {s.t + h:.6g} s (h = {h:.3g} s): {point}. Take a smaller dt.")
+            return self._accept(h, point)
+        limit = h
+        if self.proposed is None:
+            self.norm.update(s, limit)
+            self.proposed = first_step(self.norm, s, self.control.order, limit)
+        while True:
+            h = lands(self.proposed, limit)
+            self.norm.update(s, h)
+            self.eq.begin(s)
+            point = self._newton(h)
+            if isinstance(point, str):
+                cause, error = point, np.inf
+                if not self._fresh:
+                    self._refresh()
+                    continue
+            else:
+                error, cause = self._estimate(h, point), "error estimate"
+                if error <= 1.0:
+                    break
+                self._theta = max(self._theta, 1e-3)
+            self.stats.rejected[cause] += 1
+            self.proposed = self.control.rejected(s.t, h, error, cause)
+            self._fresh = self._fresh and not isinstance(point, str)
+            if not self._fresh:
+                self._refresh()
+        self.local_error = error
+        limit_newton = self.newton.max_iterations
+        effort = (2 * limit_newton + 1) / (2 * limit_newton + self._iterations)
+        new = self.control.accepted(h, error, effort)
+        if self._theta < 1e-2 and 1.0 <= new / h <= 1.2:
+            new = h  # keep the factors
+        self.proposed = new if h < limit or new < limit else max(new, self.proposed)
+        return self._accept(h, point)
+
+    def _accept(self, h: float, points: list[Point]) -> State:
+        s, end = self.state, points[-1]
+        t = s.t + h
+        self._last = (h, s.q, Point(np.zeros_like(s.v), s.v, s.v, s.a, self.mult), points)
+        U = self.eq.U
+        a = self.eq.acceleration(end, U) if self.eq.levels < 3 else self._end_acceleration
+        self.mult = end.mult
+        lam = end.mult[0] if self.eq.levels else s.lam
+        self.state = State(t, self.system.compose(s.q, end.xi), end.v, a, lam)
+        if self.scheme.form.projected:
+            self.state = project(self.system, self.state, self.solver)
+        self.stats.steps += 1
+        self._fresh = False
+        self.stats.residuals, self.stats.jacobians = self.eq.residuals, self.eq.jacobians
+        self.stats.solves = self.judge.solves
+        if self._theta > 1e-2:
+            self._tangent = None
+        return self.state
+
+    # -- Newton -------------------------------------------------------------------------------------------------
+    def _refresh(self) -> None:
+        self._tangent = self.eq.refresh(self.state)
+        self._fresh = True
+        self._pencils.clear()
+
+    def _prepare(self, h: float) -> None:
+        if self._tangent is None:
+            self._refresh()
+        if self._pencils and self._h_factor == h:
+            return
+        self._pencils.clear()
+        self._h_factor = h
+        redundant = self.solver.core.redundant
+        for value in {*self.tab.values, complex(self.tab.gamma)}:
+            if value == self.tab.gamma and not self.adaptive and value not in self.tab.values:
+                continue
+            s = value.real / h if value.imag == 0 else value / h
+            self._pencils[value] = Pencil(self._tangent, s, self.judge, redundant)
+            self.stats.factorisations += 1
+
+    def _newton(self, h: float) -> list[Point] | str:
+        """The stages of a step of size h, or the cause of failure."""
+        try:
+            self._prepare(h)
+            return self._iterate(h)
+        except (LinearSolveError, CallbackError) as error:
+            if isinstance(error, CallbackError) and not self.adaptive:
+                raise
+            return "linear solve failed" if isinstance(error, LinearSolveError) else "forces not finite"
+
+    def _iterate(self, h: float) -> list[Point] | str:
+        s, tab, n = self.state, self.tab, self.system.n_v
+        L, m = self.eq.levels, self.system.n_lam
+        xi, v, mult = self._predict(h)
+        tolerance = self._newton_tolerance(h)
+        theta, last = max(self._eta, 1e-16) ** 0.8, 0.0
+        for k in range(self.newton.max_iterations):
+            points = self._stages(h, xi, v, mult)
+            kin, low = np.empty((tab.c.size, n)), np.empty((tab.c.size, n + L * m))
+            for i, p in enumerate(points):
+                kin[i], low[i], ev = self.eq.residual(s.t + tab.c[i] * h, p)
+            dxi, dv, dmult = self._solve(kin, low)
+            xi, v, mult = xi + dxi, v + dv, mult + dmult
+            self.newton.iterations += 1
+            self.stats.newton_iterations += 1
+            size = max(self._size(h, dxi[i], dv[i], dmult[i]) for i in range(tab.c.size))
+            if not np.isfinite(size):
+                return "Newton diverged"
+            if k > 0:
+                ratio = size / last if last > 0 else 0.0
+                self._theta = ratio if k == 1 else np.sqrt(ratio * max(self._theta, 1e-10))
+                if self._theta >= 0.99 and size > tolerance:
+                    return "Newton diverged"
+                theta = self._theta / (1 - min(self._theta, 0.99))
+                left = self.newton.max_iterations - 1 - k
+                if theta * size * self._theta**left > tolerance and self._theta > 0.3 and size > tolerance:
+                    return "Newton too slow"
+            last = size
+            if theta * size <= tolerance or size <= 1e-2 * tolerance:
+                self._eta, self._iterations = theta, k + 1
+                if L > 2:
+                    self._end_acceleration = self._stages(h, xi, v, mult)[-1].vd + self.eq.normals(ev) @ mult[-1, 2]
+                return self._stages(h, xi, v, mult)
+        return "Newton too slow"
+
+    def _newton_tolerance(self, h: float) -> float:
+        """Bound of the norm of the error left, in units of the error norm."""
+        if not self.adaptive:
+            return 1.0
+        return max(10 * np.finfo(float).eps / self.norm.rtol, min(0.03, self.norm.rtol**0.5))
+
+    def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
+        push = None
+        if self.eq.levels and self.scheme.form.index > 1:
+            push = self.eq.U @ dmult[0]
+        if self.adaptive:
+            return self.norm(h, dxi, dv, push)
+        s = self.state
+        typical = max(self.system.max_abs(s.a), 1e-3 * self.system.max_abs(s.v) / h, 1e-300)
+        floor = 64 * np.finfo(float).eps * max(self.system.length, 1e-300)
+        moved = max(self.system.max_abs(dxi), h * self.system.max_abs(dv), 0.0 if push is None else h * h * self.system.max_abs(push))
+        return moved / max(self.norm.rtol * h * h * typical, floor)
+
+    def _stages(self, h: float, xi: Array, v: Array, mult: Array) -> list[Point]:
+        W = self.tab.W
+        rate, vd = W @ xi / h, W @ (v - self.state.v) / h
+        return [Point(xi[i], rate[i], v[i], vd[i], mult[i]) for i in range(len(xi))]
+
+    def _solve(self, kin: Array, low: Array) -> tuple[Array, Array, Array]:
+        """Decoupled solves: y = sum_k vectors_k z_k over the real eigenvalue and twice the real part of the pair."""
+        tab = self.tab
+        out: list[Array] = []
+        for k, value in enumerate(tab.values):
+            z = self._pencils[value].solve(tab.inverse[k] @ kin, tab.inverse[k] @ low)
+            share = 1.0 if value.imag == 0 else 2.0
+            parts = [share * (tab.vectors[:, k].reshape(-1, *(1,) * x.ndim) * x).real for x in z]
+            out = parts if not out else [a + b for a, b in zip(out, parts, strict=True)]
+        return out[0], out[1], out[2]
+
+    def _predict(self, h: float) -> tuple[Array, Array, Array]:
+        """Stages on the polynomial of the last step, or on the parabola at the start."""
+        s, c = self.state, self.tab.c
+        if self._last is None:
+            x = (c * h)[:, None]
+            xi, v = x * s.v + 0.5 * x * x * s.a, s.v + x * s.a
+            return xi, v, np.repeat(self.mult[None], len(c), axis=0)
+        h0, q0, start, points = self._last
+        nodes, x = np.concatenate(([0.0], c)), 1.0 + c * h / h0
+        basis = _lagrange(nodes, x)
+        xi_old = basis @ np.array([start.xi, *(p.xi for p in points)])
+        xi = np.array([self.system.difference(s.q, self.system.compose(q0, z)) for z in xi_old])
+        v = basis @ np.array([start.v, *(p.v for p in points)])
+        mult = np.tensordot(_lagrange(c, x), np.array([p.mult for p in points]), axes=1)
+        return xi, v, mult
+
+    # -- error --------------------------------------------------------------------------------------------------
+    def _estimate(self, h: float, points: list[Point]) -> float:
+        s, tab = self.state, self.tab
+        pencil = self._pencils[complex(tab.gamma)] if complex(tab.gamma) in self._pencils else self._pencils[tab.gamma]
+        kin = s.v + tab.error @ np.array([p.xi for p in points]) / h
+        if self.eq.levels > 1:
+            kin = kin - self.eq.U @ self.mult[1]
+        push = s.a + tab.error @ np.array([p.v - s.v for p in points]) / h
+        zero = np.zeros(self.eq.levels * self.system.n_lam)
+        e_q, e_v, e_m = pencil.solve(-kin, np.concatenate((-self._tangent.M @ push, zero)))
+        return self.norm(h, e_q, e_v, self.eq.U @ e_m[0] if self.eq.levels else None)
+
+
+def _lagrange(nodes: Array, x: Array) -> Array:
+    """Values of the Lagrange polynomials of the nodes at points x, (len(x), len(nodes))."""
+    out = np.ones((len(x), len(nodes)))
+    for j, nj in enumerate(nodes):
+        for k, nk in enumerate(nodes):
+            if k != j:
+                out[:, j] *= (x - nk) / (nj - nk)
+    return out
