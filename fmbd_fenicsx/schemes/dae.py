@@ -238,6 +238,21 @@ class StepEquations:
         ev = self.system.at(state.t, state.q, state.v)
         self._inverse_mass = np.linalg.inv(_dense(self.solver.core_matrix(ev, Weights(1.0, 0.0, 0.0))))
 
+    def consistent_rates(self, state: State) -> tuple[Array, Array]:
+        """v projected on G v + g_t = 0, and the acceleration that belongs to it.
+
+        Index-3 schemes leave errors of lower order across the constraints in v and a, which the next step forgets; an error
+        estimate must not take them for its own.
+        """
+        if not self.levels:
+            return state.v, state.a
+        s, zero = self.system, np.zeros(self.system.n_v)
+        ev = s.at(state.t, state.q, state.v)
+        self.solver.prepare(ev, Weights(1.0, 0.0, 0.0))
+        v = state.v + self.solver.solve(zero, -(ev.jacobian.times(state.v) + ev.constraint_rate()))[0]
+        ev = s.at(state.t, state.q, v)
+        return v, self.solver.solve(-ev.balance(zero), -ev.gamma())[0]
+
     def refresh(self, state: State) -> Tangent:
         """The tangent of (1), (2) at a state, by differences; also refreshes the metric W."""
         s, form = self.system, self.form

@@ -59,8 +59,8 @@ def tableau(stages: int) -> Tableau:
     keep = np.flatnonzero(values.imag >= -1e-12)
     keep = keep[np.argsort(values[keep].imag)]
     inverse = np.linalg.inv(vectors)[keep]
-    real = abs(values[keep[0]].imag) < 1e-12
-    gamma = float(values[keep[0]].real) if real else 3.0
+    values = np.where(np.abs(values.imag) < 1e-12, values.real, values)
+    gamma = float(values[keep[0]].real) if values[keep[0]].imag == 0 else 3.0
     # quadrature of order s with the nodes 0, c_i and the weight 1 / gamma at 0; e = gamma (b_hat - b) W
     nodes = np.concatenate(([0.0], c))
     weights = np.zeros(s + 1)
@@ -145,7 +145,7 @@ class Stepper:
             point = self._newton(h)
             if isinstance(point, str):
                 self._fresh = False
-                self._refresh()
+                self._refresh(h)
                 point = self._newton(h)
             if isinstance(point, str):
                 raise ConvergenceError(f"Newton's iteration failed at t = {s.t + h:.6g} s (h = {h:.3g} s): {point}. Take a smaller dt.")
@@ -162,7 +162,7 @@ class Stepper:
             if isinstance(point, str):
                 cause, error = point, np.inf
                 if not self._fresh:
-                    self._refresh()
+                    self._refresh(h)
                     continue
             else:
                 error, cause = self._estimate(h, point), "error estimate"
@@ -173,7 +173,7 @@ class Stepper:
             self.proposed = self.control.rejected(s.t, h, error, cause)
             self._fresh = self._fresh and not isinstance(point, str)
             if not self._fresh:
-                self._refresh()
+                self._refresh(h)
         self.local_error = error
         limit_newton = self.newton.max_iterations
         effort = (2 * limit_newton + 1) / (2 * limit_newton + self._iterations)
@@ -203,22 +203,35 @@ class Stepper:
         return self.state
 
     # -- Newton -------------------------------------------------------------------------------------------------
-    def _refresh(self) -> None:
-        self._tangent = self.eq.refresh(self.state)
+    def _refresh(self, h: float) -> None:
+        """Tangent in the middle of the step as predicted, where it serves all stages best."""
+        s, W = self.state, self.tab.W
+        xi, v, mult = self._predict(h)
+        weights = _lagrange(np.concatenate(([0.0], self.tab.c)), np.array([0.5]))[0, 1:]
+        vd = (W @ (v - s.v) / h).mean(axis=0)
+        middle = State(
+            s.t + 0.5 * h,
+            self.system.compose(s.q, weights @ xi),
+            s.v + weights @ (v - s.v),
+            vd,
+            mult.mean(axis=0)[0] if self.eq.levels else s.lam,
+        )
+        self._tangent = self.eq.refresh(middle)
         self._fresh = True
         self._pencils.clear()
 
     def _prepare(self, h: float) -> None:
         if self._tangent is None:
-            self._refresh()
+            self._refresh(h)
         if self._pencils and self._h_factor == h:
             return
         self._pencils.clear()
         self._h_factor = h
         redundant = self.solver.core.redundant
-        for value in {*self.tab.values, complex(self.tab.gamma)}:
-            if value == self.tab.gamma and not self.adaptive and value not in self.tab.values:
-                continue
+        wanted = [complex(x) for x in self.tab.values]
+        if self.adaptive and complex(self.tab.gamma) not in wanted:
+            wanted.append(complex(self.tab.gamma))
+        for value in wanted:
             s = value.real / h if value.imag == 0 else value / h
             self._pencils[value] = Pencil(self._tangent, s, self.judge, redundant)
             self.stats.factorisations += 1
@@ -254,11 +267,11 @@ class Stepper:
             if k > 0:
                 ratio = size / last if last > 0 else 0.0
                 self._theta = ratio if k == 1 else np.sqrt(ratio * max(self._theta, 1e-10))
-                if self._theta >= 0.99 and size > tolerance:
+                if self._theta >= 0.99 and size > tolerance and (self.adaptive or k > 3):
                     return "Newton diverged"
                 theta = self._theta / (1 - min(self._theta, 0.99))
                 left = self.newton.max_iterations - 1 - k
-                if theta * size * self._theta**left > tolerance and self._theta > 0.3 and size > tolerance:
+                if self.adaptive and k > 1 and theta * size * self._theta**left > tolerance and size > tolerance:
                     return "Newton too slow"
             last = size
             if theta * size <= tolerance or size <= 1e-2 * tolerance:
@@ -296,8 +309,9 @@ class Stepper:
         tab = self.tab
         out: list[Array] = []
         for k, value in enumerate(tab.values):
-            z = self._pencils[value].solve(tab.inverse[k] @ kin, tab.inverse[k] @ low)
-            share = 1.0 if value.imag == 0 else 2.0
+            real = value.imag == 0
+            row, share = (tab.inverse[k].real, 1.0) if real else (tab.inverse[k], 2.0)
+            z = self._pencils[complex(value)].solve(row @ kin, row @ low)
             parts = [share * (tab.vectors[:, k].reshape(-1, *(1,) * x.ndim) * x).real for x in z]
             out = parts if not out else [a + b for a, b in zip(out, parts, strict=True)]
         return out[0], out[1], out[2]
@@ -321,11 +335,12 @@ class Stepper:
     # -- error --------------------------------------------------------------------------------------------------
     def _estimate(self, h: float, points: list[Point]) -> float:
         s, tab = self.state, self.tab
-        pencil = self._pencils[complex(tab.gamma)] if complex(tab.gamma) in self._pencils else self._pencils[tab.gamma]
-        kin = s.v + tab.error @ np.array([p.xi for p in points]) / h
+        pencil = self._pencils[complex(tab.gamma)]
+        v, a = self.eq.consistent_rates(s) if self.scheme.form.index == 3 else (s.v, s.a)
+        kin = v + tab.error @ np.array([p.xi for p in points]) / h
         if self.eq.levels > 1:
             kin = kin - self.eq.U @ self.mult[1]
-        push = s.a + tab.error @ np.array([p.v - s.v for p in points]) / h
+        push = a + tab.error @ np.array([p.v - v for p in points]) / h
         zero = np.zeros(self.eq.levels * self.system.n_lam)
         e_q, e_v, e_m = pencil.solve(-kin, np.concatenate((-self._tangent.M @ push, zero)))
         return self.norm(h, e_q, e_v, self.eq.U @ e_m[0] if self.eq.levels else None)

@@ -154,3 +154,21 @@ def spin_of_acceleration(system: System, v: Array, a: Array) -> Array:
         k = system.n_frames * system.motions.n_twist
         out[:k].reshape(-1, 6)[:, 3:] = cross3(v[:k].reshape(-1, 6)[:, 3:], a[:k].reshape(-1, 6)[:, 3:])
     return out
+
+
+def project(system: System, state: State, solver: StepSolver) -> State:
+    """The state with q, then v, moved on the constraints in the mass metric, the first two of (1); a and lambda kept; collective."""
+    if not system.n_lam:
+        return state
+    mass, zero, q = Weights(1.0, 0.0, 0.0), np.zeros(system.n_v), state.q
+    for _ in range(10):
+        ev = system.at(state.t, q)
+        solver.prepare(ev, mass)
+        dq, _ = solver.solve(zero, -ev.constraint())
+        q = system.compose(q, dq)
+        if system.max_abs(dq) <= 1e-13 * system.length:
+            break
+    ev = system.at(state.t, q, state.v)
+    solver.prepare(ev, mass)
+    dv, _ = solver.solve(zero, -(ev.jacobian.times(state.v) + ev.constraint_rate()))
+    return replace(state, q=q, v=state.v + dv)
