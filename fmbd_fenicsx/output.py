@@ -41,13 +41,13 @@ class Output:
 
 @dataclass
 class Recorder:
-    """Series of sensors and energies, snapshots, and the drift of the constraints, of one run of ``steps`` steps."""
+    """Series of sensors and energies, snapshots, and the drift of the constraints, of one run that ends at ``t_end`` (s)."""
 
     scene: Scene
     system: System
     markers: dict[str, int]
     output: Output
-    steps: int
+    t_end: float
     indices: list[int] = field(default_factory=list)  # numbers of the recorded steps
     times: list[float] = field(default_factory=list)
     energies: dict[str, list[float]] = field(default_factory=dict)
@@ -58,13 +58,15 @@ class Recorder:
 
     def __post_init__(self) -> None:
         self.values: dict[str, list[Array]] = {n: [] for n in self.scene.sensors}
-        self._kept = {round(n) for n in np.linspace(0, self.steps, self.output.snapshots)}
+        self._due = list(np.linspace(0.0, self.t_end, self.output.snapshots)) if self.output.snapshots else []
 
     def take(self, n: int, state: State) -> None:
         """Record step n when it is due; collective."""
-        if n in self._kept:
+        rounding = 1e-9 * self.t_end
+        if self._due and state.t >= self._due[0] - rounding:
             self.snapshots.append(state)
-        if n % self.output.every and n != self.steps:
+            self._due = [t for t in self._due if t > state.t + rounding]
+        if n % self.output.every and state.t < self.t_end - rounding:
             return
         begin = clock.perf_counter()
         ev = self.system.at(state.t, state.q, state.v)
@@ -95,7 +97,7 @@ class Recorder:
 class Progress:
     """A bar with the time left, on rank 0 of a terminal (needs tqdm; nothing without it)."""
 
-    def __init__(self, name: str, steps: int, wanted: bool | None) -> None:
+    def __init__(self, name: str, steps: int | None, wanted: bool | None) -> None:
         self.bar: Any = None
         show = sys.stderr.isatty() if wanted is None else wanted
         if not show or world_rank() != 0:

@@ -25,7 +25,7 @@ def run_report(run: Run) -> str:
     c, (gap, slip), start = run.counters, run.drift, run.correction
     steps = max(int(c["steps"]), 1)
     lines = [f"{run.scene.name}: {run.status} at t = {run.state.t:.6g} s"]
-    lines += _entry("scheme", f"{run.scheme.name}, h = {run.dt:.6g} s, {steps} steps")
+    lines += _entry("scheme", f"{run.scheme.name}, {_steps(run, steps)}")
     newton = c["newton_iterations"]
     lines += _entry("Newton", f"{newton:.0f} iterations, {newton / steps:.2f} a step")
     lines += _entry("linear solves", _linear(run))
@@ -40,6 +40,19 @@ def run_report(run: Run) -> str:
     lines += _entry("seconds", _seconds(run.seconds, steps))
     lines += _entry("peak memory", f"{run.memory / 1e6:.0f} MB" + _ranks(run))
     return "\n".join(lines + _plan(run))
+
+
+def _steps(run: Run, steps: int) -> str:
+    """Constant steps, or those that the error control chose and refused."""
+    rtol = getattr(run.scheme, "rtol", None)
+    if rtol is None:
+        return f"h = {run.dt:.6g} s, {steps} steps"
+    causes = [f"{n:.0f} for {k.split(': ')[1]}" for k, n in run.counters.items() if k.startswith("rejected: ")]
+    rejected = _n(run.counters["rejections"], "rejection") + (f" ({', '.join(causes)})" if causes else "")
+    return (
+        f"rtol = {rtol:g}, {steps} steps of {run.dt:.3g} s on average, {rejected}, {_n(run.counters['jacobians'], 'tangent')}, "
+        f"{_n(run.counters['residuals'], 'residual')}"
+    )
 
 
 def _n(count: float, what: str) -> str:

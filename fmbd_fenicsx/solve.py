@@ -14,6 +14,7 @@ from .linear.schur import StepSolver
 from .log import install_hooks, log, peak_memory, StopRequests
 from .newton import Newton
 from .output import Output, Progress, Recorder
+from .pace import Pace, pace_of
 from .plan import Plan, make_plan
 from .rotations import Array
 from .scene import Scene
@@ -97,7 +98,7 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _March:
-    """What a march of a scheme over all steps left: recorder, last state, largest local error, first step's back-solves."""
+    """What a march left: recorder, last state, largest local error, the first step's back-solves, the scheme's statistics."""
 
     recorder: Recorder
     state: State
@@ -112,7 +113,7 @@ def solve(
     scene: Scene,
     *,
     t_end: float,
-    dt: float,
+    dt: float | None = None,
     scheme: Any = None,
     newton: Newton | None = None,
     output: Output | None = None,
@@ -120,6 +121,7 @@ def solve(
     """Integrate a scene from t = 0 to ``t_end`` (s) with steps of at most ``dt`` (s); collective.
 
     Args:
+        dt: needed for schemes with constant steps. A scheme with error control (``rtol``) chooses its steps, none above dt.
         scheme: a scheme object; :class:`GeneralizedAlpha` with rho_inf = 0.8 by default, ``ContactMidpoint`` with contact.
         newton: tolerance and limits of Newton's iteration.
         output: what is recorded how often, and whether the time-discretisation error is estimated.
@@ -132,7 +134,7 @@ def solve(
     scheme = _default_scheme(scene) if scheme is None else scheme
     output = Output() if output is None else output
     newton = Newton() if newton is None else replace(newton, iterations=0, theta=0.5)
-    steps = _number_of_steps(t_end, dt, output.estimate_error)
+    pace = pace_of(scene, scheme, t_end, dt, even=output.estimate_error)
     begin = clock.perf_counter()
     system, given, markers = scene.build()
     built = clock.perf_counter()
@@ -140,13 +142,13 @@ def solve(
     newton.refresh = solver.refresh
     try:
         if hasattr(scheme, "start"):
-            start, correction = scheme.start(system, given, solver, t_end / steps)
+            start, correction = scheme.start(system, given, solver, pace.next(0.0))
         else:
             require(system.contacts is None, f"{scheme.name} does not treat contact. Use fmbd.ContactMidpoint() or fmbd.Moreau().")
             start, correction = consistent(system, given, solver)
         started = clock.perf_counter()
         problem = _Problem(scene, system, markers, start, scheme, newton)
-        march = _march(problem, solver, t_end / steps, steps, output)
+        march = _march(problem, solver, pace, output)
         ended = clock.perf_counter()
         counters = _counters(march, newton, solver)
     finally:
@@ -157,7 +159,7 @@ def solve(
         plan=make_plan(scene, system),
         system=system,
         state=march.state,
-        dt=t_end / steps,
+        dt=march.state.t / max(march.done, 1),
         times=np.array(march.recorder.times),
         series=march.recorder.series,
         energy=march.recorder.energy,
@@ -179,7 +181,7 @@ def solve(
     if run.status == "stopped":
         raise Stopped(run)
     if output.estimate_error:
-        run.error_estimate = _estimate(problem, march.recorder, t_end, steps)
+        run.error_estimate = _estimate(problem, march.recorder, pace)
         run.seconds["error estimate"] = clock.perf_counter() - ended
     return run
 
@@ -193,42 +195,34 @@ def _default_scheme(scene: Scene) -> Any:
     return ContactMidpoint()
 
 
-def _number_of_steps(t_end: float, dt: float, even: bool) -> int:
-    """Steps of equal size, none above dt (but for roundoff); an even number where asked."""
-    require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
-    require(bool(np.isfinite(t_end)) and t_end > 0, f"End time t_end = {t_end} s must be positive.")
-    require(dt <= t_end * (1 + 1e-12), f"Step dt = {dt} s is larger than the whole run, t_end = {t_end} s.")
-    require(t_end + dt > t_end, f"Step dt = {dt} s is below the roundoff of t_end = {t_end} s: t + h == t.")
-    steps = max(1, round(t_end / dt))
-    if abs(steps * dt - t_end) > 1e-9 * t_end:
-        steps = int(np.ceil(t_end / dt))
-    return steps + steps % 2 if even else steps
-
-
-def _march(problem: _Problem, solver: StepSolver, h: float, steps: int, output: Output) -> _March:
-    """All steps of one size from a consistent start; collective."""
+def _march(problem: _Problem, solver: StepSolver, pace: Pace, output: Output) -> _March:
+    """All steps from a consistent start; collective."""
     stepper = problem.scheme.stepper(problem.system, solver, problem.newton, problem.start)
-    recorder = Recorder(problem.scene, problem.system, problem.markers, output, steps)
-    recorder.take(0, stepper.state)
-    bar = Progress(problem.scene.name, steps, output.progress)
+    recorder = Recorder(problem.scene, problem.system, problem.markers, output, pace.t_end)
+    state = stepper.state
+    recorder.take(0, state)
+    bar = Progress(problem.scene.name, pace.steps or None, output.progress)
     local_error, done, first = 0.0, 0, 0
     try:
         with StopRequests() as stop:
-            for n in range(1, steps + 1):
-                state = stepper.advance(h)
+            while not pace.ended(state.t, done):
+                state = stepper.advance(pace.next(state.t))
+                done += 1
                 local_error = max(local_error, stepper.local_error)
-                recorder.take(n, state)
+                recorder.take(done, state)
                 bar.update()
-                done = n
                 first = first or solver.back_solves
+                if pace.stops and pace.breaks(state.t):
+                    stepper.restart()
                 if stop.asked:
                     log.warning("stopped on request at t = %g s", state.t)
                     break
     except ConvergenceError as error:
-        raise ConvergenceError(f'Scene "{problem.scene.name}", step {done + 1} of {steps}: {error}') from error
+        total = f" of {pace.steps}" if pace.steps else ""
+        raise ConvergenceError(f'Scene "{problem.scene.name}", step {done + 1}{total}: {error}') from error
     finally:
         bar.close()
-    status = "finished" if done == steps else "stopped"
+    status = "finished" if pace.ended(state.t, done) else "stopped"
     return _March(recorder, stepper.state, local_error, done, first, status, getattr(stepper, "counters", {}))
 
 
@@ -247,7 +241,7 @@ def _counters(march: _March, newton: Newton, solver: StepSolver) -> dict[str, fl
     }
 
 
-def _estimate(problem: _Problem, fine: Recorder, t_end: float, steps: int) -> dict[str, float]:
+def _estimate(problem: _Problem, fine: Recorder, pace: Pace) -> dict[str, float]:
     """Error of each sensor by Richardson's extrapolation from a second run with step 2 h, max over time; collective.
 
         |x_h - x| ~ |x_h - x_2h| / (2^p - 1),   p the scheme's order                                          (1)
@@ -259,7 +253,7 @@ def _estimate(problem: _Problem, fine: Recorder, t_end: float, steps: int) -> di
     newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
     try:
         wanted = Output(energy=False, progress=False)
-        coarse = _march(replace(problem, newton=newton), solver, 2 * t_end / steps, steps // 2, wanted).recorder
+        coarse = _march(replace(problem, newton=newton), solver, Pace(pace.t_end, pace.steps // 2), wanted).recorder
     finally:
         solver.destroy()
     rows = [k for k, n in enumerate(fine.indices) if n % 2 == 0]

@@ -90,6 +90,8 @@ class Jacobian:
         s = self.system
         for k, p in s.core_parts:
             if p.n_port and isinstance(self.core, np.ndarray):
+                if self.core.dtype.kind != "f":  # an empty pattern
+                    self.core = self.core.astype(float)
                 self.core[:, s.slices[1][k]] += self.port[:, s.port_slice(k)] @ p.port_matrix
             elif p.n_port:
                 wide = sp.csr_matrix(self.port[:, s.port_slice(k)] @ p.port_matrix)

@@ -16,7 +16,7 @@ FLOORS = [
     {"scene", "plan", "system", "sensors", "mobility", "linearise"},
     {"newton", "linear"},
     {"schemes"},
-    {"solve", "output", "checkpoint", "record"},
+    {"solve", "output", "checkpoint", "record", "pace"},
     {"study", "report", "plot", "picture", "cli", "demo", "__init__", "__main__"},
 ]  # fmt: skip
 DOORS = {("solve", "report"), ("solve", "plot")}  # run.report() and run.plot() open the faces at first use

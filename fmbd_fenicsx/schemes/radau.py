@@ -31,7 +31,7 @@ from ..rotations import Array
 from ..system import State, System
 from .control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
 from .dae import GGL, Form, Point, StepEquations
-from .start import project
+from .start import accelerations, project
 
 
 @dataclass(frozen=True)
@@ -132,6 +132,11 @@ class Stepper:
         self._last: tuple[float, Array, Point, list[Point]] | None = None
         self.eq.weigh(state)
 
+    @property
+    def counters(self) -> dict[str, float]:
+        """Work so far, for the counters of a run."""
+        return self.stats.as_dict()
+
     # -- one accepted step --------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:
         """One accepted step. Constant steps: of size h. Error control: of at most h (s), which is then hit exactly at the end.
@@ -182,6 +187,14 @@ class Stepper:
             new = h  # keep the factors
         self.proposed = new if h < limit or new < limit else max(new, self.proposed)
         return self._accept(h, point)
+
+    def restart(self) -> None:
+        """Forget the past: the solution has a kink here. Accelerations and multipliers behind the kink are solved for."""
+        self.state = accelerations(self.system, self.state, self.solver)
+        if self.eq.levels:
+            self.mult = np.zeros_like(self.mult)
+            self.mult[0] = self.state.lam
+        self._last, self._tangent, self.proposed, self.control.h_old = None, None, None, 0.0
 
     def _accept(self, h: float, points: list[Point]) -> State:
         s, end = self.state, points[-1]
