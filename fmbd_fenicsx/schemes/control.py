@@ -104,6 +104,7 @@ class StepControl:
     grow: float = 8.0
     h_old: float = 0.0
     error_old: float = 0.0
+    span: float = 0.0  # s, what a step was at most allowed to be
     rejections: list[tuple[float, float, str]] = field(default_factory=list)  # (t, h, cause) since the last accepted step
 
     def accepted(self, h: float, error: float, effort: float = 1.0) -> float:
@@ -128,7 +129,7 @@ class StepControl:
         else:
             factor = 0.5 if len(self.rejections) < 3 else 0.1
         new = h * factor
-        if t + 0.01 * new == t or len(self.rejections) > 40:
+        if t + 0.01 * new == t or new < 1e-15 * self.span or len(self.rejections) > 40:
             tail = "; ".join(f"h = {x:.1e} s: {why}" for _, x, why in self.rejections[-5:])
             raise ConvergenceError(
                 f"The step at t = {t:.9g} s cannot be made smaller: {len(self.rejections)} rejections, the last ones: {tail}. "

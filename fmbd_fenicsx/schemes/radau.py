@@ -33,6 +33,8 @@ from .control import ErrorNorm, Statistics, StepControl, check_tolerance, first_
 from .dae import GGL, Form, Point, StepEquations
 from .start import accelerations, project
 
+ROUNDOFF = 0.05  # increments that stagnate below this share of the tolerance are accepted
+
 
 @dataclass(frozen=True)
 class Tableau:
@@ -156,6 +158,7 @@ class Stepper:
                 raise ConvergenceError(f"Newton's iteration failed at t = {s.t + h:.6g} s (h = {h:.3g} s): {point}. Take a smaller dt.")
             return self._accept(h, point)
         limit = h
+        self.control.span = max(self.control.span, limit)
         if self.proposed is None:
             self.norm.update(s, limit)
             self.proposed = first_step(self.norm, s, self.control.order, limit)
@@ -280,7 +283,9 @@ class Stepper:
             if k > 0:
                 ratio = size / last if last > 0 else 0.0
                 self._theta = ratio if k == 1 else np.sqrt(ratio * max(self._theta, 1e-10))
-                if self._theta >= 0.99 and size > tolerance and (self.adaptive or k > 3):
+                if self.adaptive and ratio > 0.5 and size <= ROUNDOFF and max(size, last) <= 10 * ROUNDOFF:
+                    size = 0.0  # increments no longer fall: roundoff, harmless against the tolerance
+                elif self._theta >= 0.99 and size > tolerance and (self.adaptive or k > 3):
                     return "Newton diverged"
                 theta = self._theta / (1 - min(self._theta, 0.99))
                 left = self.newton.max_iterations - 1 - k
