@@ -3,8 +3,8 @@
     PYTHON env/native.py VENV
 
 Nothing is changed in PYTHON's own installation: VENV is a venv on top of it, with only those extras from PyPI
-that are missing.  DOLFINx, PETSc and MPI are never fetched.  VENV/found is written last and tells `with-dolfinx`
-three things: the folder of DOLFINx, the folder of PYTHON, and the major version of Open MPI (empty: another MPI).
+that are missing.  DOLFINx, PETSc, MPI are never fetched.  VENV/found is written last, with three lines for
+`with-dolfinx`: the folder of DOLFINx, that of PYTHON, and the major version of Open MPI (empty: another MPI).
 """
 
 import importlib.util
