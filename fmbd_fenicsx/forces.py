@@ -108,8 +108,9 @@ class CoordinateForce(Force):
 class Tyre(Force):
     """A wheel on a road: N = stiffness c + damping c' along ``up`` while the compression c > 0, never pulling.
 
-    c = radius + road(x) - up . x with x the world position (d,) of the wheel centre ``point_a``; road(x) is the height of the
-    road along ``up`` under that point, smooth. The force acts at the centre; there is no friction.
+    c = radius + road(x, t) - up . x with x the world position (d,) of the wheel centre ``point_a``; road(x, t) is the height of
+    the road along ``up`` under that point, smooth; let it depend on t to drive the road past a vehicle that stays in place.
+    The force acts at the centre; there is no friction.
     """
 
     road: Law = None  # type: ignore[assignment]
@@ -123,7 +124,7 @@ class Tyre(Force):
     def __post_init__(self) -> None:
         require(
             callable(self.road),
-            f'Tyre "{self.name}": road must be a function of the position, found {self.road!r}.',
+            f'Tyre "{self.name}": road must be a function of position and time, found {self.road!r}.',
         )
         require(self.radius > 0, f'Tyre "{self.name}": radius {self.radius} m must be positive.')
         size = float(np.linalg.norm(np.asarray(self.up, dtype=float)))

@@ -160,13 +160,14 @@ class TyreLoads(Loads):
         assert kin.twist is not None
         d = self.motions.dim
         up = np.array([f.up[:d] for f in self.forces], dtype=float)
-        c, row = np.zeros(len(self.forces)), up.copy()
+        c, rate, row = np.zeros(len(self.forces)), np.zeros(len(self.forces)), up.copy()
         for i, f in enumerate(self.forces):
             x = kin.x[self.a[i]]
-            c[i] = float(checked(f.name, f.road(x), 1, t)[0]) + f.radius - float(up[i] @ x)
+            c[i] = float(checked(f.name, f.road(x, t), 1, t)[0]) + f.radius - float(up[i] @ x)
+            rate[i] = (float(f.road(x, t + 1e-6)) - float(f.road(x, t - 1e-6))) / 2e-6
             for k, e in enumerate(1e-5 * f.radius * np.eye(d)):
-                row[i, k] -= (float(f.road(x + e)) - float(f.road(x - e))) / (2e-5 * f.radius)
-        return c, -(row * kin.twist[self.a, :d]).sum(1), up, row
+                row[i, k] -= (float(f.road(x + e, t)) - float(f.road(x - e, t))) / (2e-5 * f.radius)
+        return c, rate - (row * kin.twist[self.a, :d]).sum(1), up, row
 
     def _constants(self) -> tuple[Array, Array]:
         return np.array([f.stiffness for f in self.forces]), np.array([f.damping for f in self.forces])

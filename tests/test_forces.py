@@ -32,7 +32,7 @@ def loaded(dim: int, what: str) -> fmbd.Scene:
     elif what == "own force":
         scene.add(fmbd.own_force("s", one, two, lambda t, a, b: (7.0 * (a.x - b.x) - 0.5 * b.v, 0.3 * b.w), points=points))
     elif what == "tyre":
-        road = lambda x: 0.2 * np.sin(2 * x[0])  # noqa: E731
+        road = lambda x, t: 0.2 * np.sin(2 * x[0] - t)  # noqa: E731
         scene.add(fmbd.Tyre("s", one, point_a=points[0], road=road, radius=0.8, stiffness=50.0, damping=2.0, up=(0, 1, 0)))
     return scene
 
@@ -134,7 +134,7 @@ def test_stiff_spring_needs_its_tangent() -> None:
 def test_wheel_rests_on_the_road() -> None:
     wheel = fmbd.RigidBody("wheel", 10.0, 1.0, position=(0.0, 0.3))
     scene = fmbd.Scene("wheel", gravity=(0, -9.81))
-    scene.add(wheel, fmbd.Tyre("tyre", wheel, road=lambda x: 0.0, radius=0.3, stiffness=1e5, damping=1e3))
+    scene.add(wheel, fmbd.Tyre("tyre", wheel, road=lambda x, t: 0.0, radius=0.3, stiffness=1e5, damping=1e3))
     scene.sensor("y", fmbd.position(wheel))
     run = fmbd.solve(scene, t_end=1.0, dt=1e-3)
     assert abs(run["y"][-1, 1] - (0.3 - 98.1 / 1e5)) < 1e-8
@@ -143,7 +143,7 @@ def test_wheel_rests_on_the_road() -> None:
 def test_wheel_in_the_air_feels_nothing() -> None:
     wheel = fmbd.RigidBody("wheel", 10.0, 1.0, position=(0.0, 2.3))
     scene = fmbd.Scene("wheel", gravity=(0, -10.0))
-    scene.add(wheel, fmbd.Tyre("tyre", wheel, road=lambda x: 0.0, radius=0.3, stiffness=1e5))
+    scene.add(wheel, fmbd.Tyre("tyre", wheel, road=lambda x, t: 0.0, radius=0.3, stiffness=1e5))
     scene.sensor("y", fmbd.position(wheel))
     run = fmbd.solve(scene, t_end=0.3, dt=0.01)
     assert abs(run["y"][-1, 1] - (2.3 - 0.45)) < 1e-10
@@ -167,7 +167,7 @@ def test_forces_refuse_wrong_input() -> None:
     with pytest.raises(InputError, match='"s".*expected fmbd.angle'):
         fmbd.joint_spring("s", mass)  # type: ignore[arg-type]
     with pytest.raises(InputError, match='"t".*unit vector'):
-        fmbd.Tyre("t", mass, road=lambda x: 0.0, up=(0, 2, 0))
+        fmbd.Tyre("t", mass, road=lambda x, t: 0.0, up=(0, 2, 0))
     scene = fmbd.Scene("together")
     scene.add(mass, fmbd.Spring("s", fmbd.ground, mass, (0, 0), stiffness=1.0))
     with pytest.raises(InputError, match='"s".*coincide'):
