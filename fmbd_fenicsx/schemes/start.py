@@ -92,15 +92,20 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
     h = ev.balance(np.zeros(system.n_v))
     solver.prepare(ev, Weights(1.0, 0.0, 0.0))
     a, lam = solver.solve(-h, -ev.gamma())
-    # one refinement: inertia at the deformed configuration is not exactly the solver's matrix
+    # refinement: inertia at the deformed configuration is not exactly the solver's matrix
+    typical = max(system.max_abs(a), system.max_abs(state.v) ** 2 / system.length)  # of zero in equilibrium
+    last = np.inf
     for _ in range(20):
         r = ev.balance(a, lam)
         c = ev.jacobian.times(a) + ev.gamma()
         da, dl = solver.solve(-r, -c)
         a, lam = a + da, lam + dl
+        size = system.max_abs(da)
         at_rest = system.max_abs(r) <= 1e-13 * system.max_abs(h)
-        if at_rest or system.max_abs(da) <= 1e-11 * max(system.max_abs(a), 1e-300):
+        stalled = size > 0.5 * last and last <= 1e-8 * typical  # roundoff is reached
+        if at_rest or stalled or size <= 1e-11 * system.max_abs(a):
             break
+        last = size
     else:
         raise FmbdError("The accelerations at the start did not converge: the initial deformation is too large.")
     return replace(state, a=a, lam=lam)
