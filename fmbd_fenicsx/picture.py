@@ -1,7 +1,7 @@
 """Pictures of a run's snapshots: bodies where they are, drawn by pyvista without a window.
 
-Elastic bodies show their deformed surface (in the plane: themselves), x = r + R (X + u). Rigid bodies show as a ball at the centre
-of mass with bars to their joints, joints as small balls. Geometry is gathered to rank 0, which alone loads pyvista and draws.
+Elastic bodies show their deformed surface (in the plane: themselves), x = r + R (X + u) or x = X + u. Bodies without a mesh
+(rigid, reduced) show as a ball at the origin of their frame with bars to their joints, joints as small balls. Geometry is gathered to rank 0, which alone loads pyvista and draws.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ class Skin:
 
 @dataclass(frozen=True)
 class Moment:
-    """One snapshot: nodal positions of each elastic body, bars (k, 2, 3), centres of mass and joints (n, 3), m."""
+    """One snapshot: nodal positions of each elastic body, bars (k, 2, 3), origins of other bodies and joints (n, 3), m."""
 
     nodes: list[Array]
     bars: Array
-    masses: Array
+    origins: Array
     joints: Array
 
     def lifted(self, z: float) -> Moment:
         """The same farther to the front: in the plane later snapshots cover earlier ones."""
         lift = np.array([0.0, 0.0, z])
-        return Moment([x + lift for x in self.nodes], self.bars + lift, self.masses + lift, self.joints + lift)
+        return Moment([x + lift for x in self.nodes], self.bars + lift, self.origins + lift, self.joints + lift)
 
     def points(self) -> Array:
         """All positions, (n, 3)."""
-        return np.concatenate([*self.nodes, self.bars.reshape(-1, 3), self.masses, self.joints])
+        return np.concatenate([*self.nodes, self.bars.reshape(-1, 3), self.origins, self.joints])
 
 
 # -- geometry, collective ---------------------------------------------------------------------------------------
@@ -135,7 +135,8 @@ def moment(run: Run, state: State) -> Moment:
             parts = comm.gather(found)
             nodes.append(_in_space(np.concatenate(parts) if parts is not None else found))
     ends = sorted({int(i) for batch, _ in s.batches for i in (*batch.a, *batch.b)})
-    rigid = [] if s.rigid is None else [int(f) for f in s.rigid.frame]
+    meshed = {part.frame for part in s.parts if hasattr(part, "field")}
+    rigid = [f for f in range(s.n_frames) if f not in meshed]
     bars = [[ev.pose[f, : s.motions.dim], ev.kin.x[i]] for i in ends for f in [int(s.markers.frame[i])] if f in rigid]
     return Moment(
         nodes,
@@ -149,11 +150,10 @@ def _nodes(ev: Evaluation, k: int) -> Array:
     """World positions of the owned nodes of part k, (n, d)."""
     part, d = ev.system.parts[k], ev.system.motions.dim
     field: Any = part.field  # type: ignore[attr-defined]
-    U = ev.system.local_q(ev.q, k)
-    displacement = getattr(part, "displacement", None)  # parts whose local coordinates are not nodal
-    if displacement is not None:
-        U = displacement(U)
-    return ev.pose[part.frame, :d] + field.points(U) @ ev.rotation[part.frame].T
+    P = field.points(ev.system.local_q(ev.q, k))
+    if part.frame == ev.system.n_frames:  # absolute: displacements from the place where the mesh lies
+        return np.asarray(field.center + P)
+    return np.asarray(ev.pose[part.frame, :d] + P @ ev.rotation[part.frame].T)
 
 
 def _in_space(x: Array) -> Array:
@@ -174,6 +174,7 @@ def render(run: Run, geometry: tuple[list[Skin], list[Moment]], colors: Array, w
     low, high = points.min(0), points.max(0)
     size = float(np.linalg.norm(high - low)) or 1.0
     plane = run.system.motions.dim == 2
+    middle = 0.5 * (low + high)
     margin = 0.05 * size
     w, h = (high - low)[:2] + 2 * margin
     height = round(width * h / w) if plane else round(0.8 * width)
@@ -184,13 +185,13 @@ def render(run: Run, geometry: tuple[list[Skin], list[Moment]], colors: Array, w
     if plane:
         plotter.view_xy()
         plotter.enable_parallel_projection()
-        plotter.camera.focal_point = (*(0.5 * (low + high))[:2], 0.0)
-        plotter.camera.position = (*(0.5 * (low + high))[:2], (10 + 0.1 * len(moments)) * size)
+        plotter.camera.focal_point = (*middle[:2], 0.0)
+        plotter.camera.position = (*middle[:2], (10 + 0.1 * len(moments)) * size)
         plotter.camera.parallel_scale = h / 2
     else:
         up = _up(run)
         side = np.eye(3)[int(np.argmin(np.abs(up)))]
-        plotter.camera_position = [0.5 * (low + high) + 0.3 * side + 0.35 * up + np.cross(side, up), 0.5 * (low + high), up]
+        plotter.camera_position = [middle + 0.3 * side + 0.35 * up + np.cross(side, up), middle, up]
         plotter.reset_camera()
         plotter.camera.zoom(1.2)
         plotter.add_axes()
@@ -199,7 +200,7 @@ def render(run: Run, geometry: tuple[list[Skin], list[Moment]], colors: Array, w
     shown = plotter.window_size
     plotter.close()
     half = 0.5 * h * shown[0] / shown[1]
-    x, y = 0.5 * (low + high)[:2]
+    x, y = middle[:2]
     return View(np.asarray(image), (x - half, x + half, y - h / 2, y + h / 2) if plane else None)
 
 
@@ -207,10 +208,10 @@ def _up(run: Run) -> Array:
     """The direction against gravity, (3,); y without gravity."""
     g = np.zeros(3) if run.scene.gravity is None else np.asarray(run.scene.gravity, dtype=float)
     size = float(np.linalg.norm(g))
-    return -g / size if size > 0 and len(g) == 3 else np.array([0.0, 1.0, 0.0])
+    return np.asarray(-g / size) if size > 0 and len(g) == 3 else np.array([0.0, 1.0, 0.0])
 
 
-def _draw(pv: Any, plotter: Any, skins: list[Skin], m: Moment, color: Array, radius: float) -> None:
+def _draw(pv: Any, plotter: Any, skins: list[Skin], m: Moment, color: Any, radius: float) -> None:
     flat = np.ptp(m.points()[:, 2]) == 0.0
     for s, x in zip(skins, m.nodes, strict=True):
         faces = np.hstack((np.full((len(s.triangles), 1), 3), s.triangles)).ravel()
@@ -221,7 +222,7 @@ def _draw(pv: Any, plotter: Any, skins: list[Skin], m: Moment, color: Array, rad
     for a, b in m.bars:
         if np.linalg.norm(b - a) > 0:
             plotter.add_mesh(pv.Tube(a, b, radius=0.4 * radius, n_sides=16), color=color)
-    for x in m.masses:
+    for x in m.origins:
         plotter.add_mesh(pv.Sphere(1.3 * radius, x), color=color)
     for x in m.joints:
         plotter.add_mesh(pv.Sphere(0.8 * radius, x), color="#303030")

@@ -122,6 +122,7 @@ def _show(axes: Any, view: Any) -> None:
     else:
         axes.set_xlabel("x (m)")
         axes.set_ylabel("y (m)")
+        axes.locator_params(nbins=6)
 
 
 def _dots(axes: Any, run: Run, sensor: str, colors: Array) -> None:

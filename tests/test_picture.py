@@ -47,12 +47,35 @@ def test_nodes_are_placed_where_the_sensors_say(rod_mesh):
     run = swing(rod_mesh)
     last = moment(run, run.state)
     comm = run.system.comm
-    assert len(last.bars) == 1 and len(last.masses) == 1 and len(last.joints) == 4
+    assert len(last.bars) == 1 and len(last.origins) == 1 and len(last.joints) == 4
     if comm.rank == 0:
         x = last.nodes[0]
         near = np.linalg.norm(x[:, :2] - run["tip"][-1], axis=1).min()
         assert near < 0.02, "a node lies beside the mean of the tip surface"
         assert x.shape[1] == 3 and np.all(x[:, 2] == 0)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [fmbd.FloatingBody, fmbd.AbsoluteBody])
+def test_both_placements_draw_a_resting_body_where_its_mesh_lies(rod_mesh, kind):
+    rod = kind("rod", rod_mesh(), degree=2, density=1e3, elastic=STEEL)
+    scene = fmbd.Scene("rest")
+    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
+    run = fmbd.solve(scene, t_end=0.1, dt=0.1)
+    x = moment(run, run.state).nodes[0]
+    if run.system.comm.rank == 0:
+        assert x.min(0) == pytest.approx([0, -0.05, 0], abs=1e-12) and x.max(0) == pytest.approx([1, 0.05, 0])
+
+
+@pytest.mark.mpi
+def test_reduced_bodies_are_drawn_as_bars(rod_mesh):
+    full = fmbd.FloatingBody("rod", rod_mesh(), degree=2, density=1e3, elastic=STEEL)
+    rod = full.reduced(modes=2)
+    scene = fmbd.Scene("reduced", gravity=(0, -9.81))
+    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
+    run = fmbd.solve(scene, t_end=0.1, dt=0.05, output=fmbd.Output(snapshots=2))
+    last = gather(run)[1][-1]
+    assert not last.nodes and last.bars.shape == (1, 2, 3) and last.origins.shape == (1, 3)
 
 
 @pytest.mark.serial

@@ -1,0 +1,46 @@
+"""Every demo runs in its fast version, in serial and on two ranks, and passes its own checks with the same figures."""
+
+import ast
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DEMOS = sorted(p for p in (ROOT / "demos").glob("*.py") if "demo.finish(" in p.read_text())
+
+
+def run(demo: Path, file: Path, *before: str) -> dict[str, float]:
+    """Run a demo; the values of its checks by name."""
+    command = [*before, sys.executable, str(demo), "--fast", "--json", str(file)]
+    done = subprocess.run(command, cwd=file.parent, capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    checks = json.loads(file.read_text())["check"]
+    assert checks and all(c["ok"] for c in checks)
+    assert done.stdout.count(f"check {checks[0]['name']}:") == 1, "printed once, whatever the number of ranks"
+    return {c["name"]: c["value"] for c in checks}
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("demo", DEMOS, ids=lambda p: p.stem)
+def test_demo_passes_its_checks(demo, tmp_path):
+    run(demo, tmp_path / "one.json")
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("mpirun") is None, reason="no mpirun")
+@pytest.mark.parametrize("demo", DEMOS, ids=lambda p: p.stem)
+def test_demo_has_the_same_figures_on_two_ranks(demo, tmp_path):
+    one = run(demo, tmp_path / "one.json")
+    two = run(demo, tmp_path / "two.json", "mpirun", "-n", "2")
+    assert two == pytest.approx(one, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("demo", DEMOS, ids=lambda p: p.stem)
+def test_demo_says_how_to_run_it(demo):
+    text = ast.get_docstring(ast.parse(demo.read_text())) or ""
+    assert f"./with-dolfinx python3 demos/{demo.name}" in text
