@@ -131,6 +131,7 @@ class FloatingBody:
         velocity, angular_velocity: of the rigid motion at the start; the latter is world axes = body axes, rad/s.
         displacement, displacement_rate: initial u(x), u'(x): functions of the coordinates (d, n) -> (d, n) in m, m/s.
         mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
+        stiffening: True adds the geometric stiffness of the stress by inertia forces; needs an attached frame.
         quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks for.
     """
 
@@ -148,9 +149,15 @@ class FloatingBody:
     stiffness_damping: float = 0.0
     energy: Callable[[Any, Any], Any] | None = None
     quadrature: int | None = None
+    stiffening: bool = False
 
     def __post_init__(self) -> None:
         _check_elastic(self)
+        require(
+            not self.stiffening or (isinstance(self.frame, Attached) and self.elastic is not None),
+            f'Body "{self.name}": stiffening by the stress of the inertia forces needs the linear form and a frame attached to '
+            "the surface that holds the body: frame=Attached(...). For mean axes give an energy instead, it stiffens by itself.",
+        )
         if isinstance(self.frame, Attached):
             self.surface(self.frame.surface)
 

@@ -79,9 +79,11 @@ class Field:
         rho = fem.Constant(msh, float(forms.density))
         self.M = fp.assemble_matrix(compat.form(rho * p * q * dx))
         self.M.assemble()
-        self._elastic_form(dx if forms.quadrature is None else dx(metadata={"quadrature_degree": forms.quadrature}))
+        self.elastic_measure = dx if forms.quadrature is None else dx(metadata={"quadrature_degree": forms.quadrature})
+        self._elastic_form(self.elastic_measure)
         self.K = fp.create_matrix(self._stiffness_form, "baij")
         self.tangents = -1
+        self._with_extra: Any = None
         self.linearise(None)
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
         self._mass_form = compat.form(rho * ufl.inner(u, v) * dx)
@@ -124,16 +126,24 @@ class Field:
         except Exception as error:
             raise InputError(f'Body "{self.name}": {what}: {type(error).__name__}: {error}') from error
 
-    def linearise(self, U: Array | None) -> None:
-        """Assemble K, for an energy at the displacements U (n d,) (None: zero); collective."""
+    def linearise(self, U: Array | None, extra: Any = None) -> None:
+        """Assemble K, for an energy at the displacements U (n d,) (None: zero), plus an ``extra`` compiled form; collective."""
         import dolfinx.fem.petsc as fp
 
         if self.nonlinear:
             self._place(np.zeros(self.n * self.dim) if U is None else U)
-        self.K.zeroEntries()
-        fp.assemble_matrix(self.K, self._stiffness_form)
-        self.K.assemble()
-        self._linearised = U
+        if self.tangents < 0 or self.nonlinear:
+            self.K.zeroEntries()
+            fp.assemble_matrix(self.K, self._stiffness_form)
+            self.K.assemble()
+        if extra is not None:
+            if self._with_extra is None:
+                self._with_extra = fp.create_matrix(self._stiffness_form, "baij")
+            self._with_extra.zeroEntries()
+            for form in (self._stiffness_form, extra):
+                fp.assemble_matrix(self._with_extra, form)
+            self._with_extra.assemble()
+        self._linearised, self._extra = U, extra
         self.tangents += 1
 
     def _place(self, U: Array) -> None:
@@ -154,9 +164,16 @@ class Field:
 
     def stiffness(self, U: Array) -> Array:
         """K U, (n d,) -> (n d,)."""
+        return self._times(self.K, U)
+
+    def tangent(self, U: Array) -> Array:
+        """K U with the extra form of :meth:`linearise`: the matrix that :meth:`combination` holds."""
+        return self._times(self.K if self._extra is None else self._with_extra, U)
+
+    def _times(self, A: Any, U: Array) -> Array:
         x, y = self._big
         x.array[:] = U
-        self.K.mult(x, y)
+        A.mult(x, y)
         return y.array.copy()
 
     def internal(self, U: Array) -> Array:
@@ -210,6 +227,9 @@ class Field:
         E.scale(cm / ck)
         fp.assemble_matrix(E, self._stiffness_form)
         E.assemble()
+        if self._extra is not None:
+            fp.assemble_matrix(E, self._extra)
+            E.assemble()
         E.scale(ck)
         return E
 
@@ -226,6 +246,9 @@ class Field:
 
         fp.assemble_matrix(E, self._stiffness_form)
         E.assemble()
+        if self._extra is not None:
+            fp.assemble_matrix(E, self._extra)
+            E.assemble()
         E.scale(ck)
         d, (low, high) = self.dim, self.M.getOwnershipRange()
         start, cols, values = self.M.getValuesCSR()
@@ -299,5 +322,5 @@ class Field:
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""
-        for x in (self.M, self.K, *self._work, *self._big):
+        for x in (self.M, self.K, *self._work, *self._big, *([self._with_extra] if self._with_extra else [])):
             x.destroy()

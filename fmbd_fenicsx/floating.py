@@ -12,12 +12,18 @@ in V_h and M commutes with node-wise rotations (Galerkin mass, unlumped).
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
+from .errors import ConvergenceError
 from .field_part import FieldPart
 from .fields import Field
+from .limits import TOO_LARGE, too_large, warn_of_spin
+from .modes import first_eigenvalue_bound, first_frequency
 from .placements import Attached, FrameMotion, MeanAxis
-from .rotations import Array, motions
+from .rotations import Array, hat, motions
+from .stiffening import Stiffening
 
 
 class FloatingField(FieldPart):
@@ -26,12 +32,16 @@ class FloatingField(FieldPart):
     ``frame`` is the index of its frame, ``kind`` says how it follows the body.
     """
 
-    def __init__(self, field: Field, frame: int, surfaces: list[str], kind: MeanAxis | Attached) -> None:
+    def __init__(
+        self, field: Field, frame: int, surfaces: list[str], kind: MeanAxis | Attached, stiffening: bool = False
+    ) -> None:
         super().__init__(field, frame, surfaces, frame_conditions(field, kind))
+        self.stiffening = Stiffening(field, self.conditions) if stiffening else None
+        self._load = np.zeros(field.dim + field.dim**2)
         self.shared_columns = isinstance(kind, MeanAxis)
         self.inertia_columns = field.Q
         self._moment, self._inertia = np.zeros(field.dim), field.inertia
-        self._last = np.zeros(self.n)
+        self._last, self._warned = np.zeros(self.n), False
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
@@ -44,12 +54,34 @@ class FloatingField(FieldPart):
         a = R.T @ (accel[:d] - motion.gravity)
         A = Udd + a + m.spin(accel[None, d:], P) + m.spin(w, m.spin(w, P) + 2.0 * Ud)
         F = self.field.mass(A)
-        sums = self.field.total(np.concatenate((F.sum(0), m.moment(P, F).sum(0))))
+        sums = self.field.total(np.concatenate((F.sum(0), m.moment(P, F).sum(0), [float(local[0] @ local[0])])))
+        self._watch(float(np.linalg.norm(w)), sums[-1])
+        sums = sums[:-1]
         sums[:d] = R @ sums[:d]
         rows = F.ravel() + self.internal(local[0], local[1])
+        if self.stiffening is not None:
+            self._load = inertia_load(a, motion.twist[d:], accel[d:])
+            rows += self.stiffening.force(self._load, local[0])
         if self.field.forms.mass_damping:
             rows += self.field.forms.mass_damping * self.field.mass(Ud).ravel()
         return sums, rows
+
+    def _watch(self, spin: float, square: float) -> None:
+        """Warn of a spin above the first frequency; refuse displacements of the size of the body. Linear bodies only."""
+        f = self.field
+        if f.nonlinear:
+            return
+        mean = np.sqrt(square * f.dim / f.n_global)
+        if not mean <= TOO_LARGE * f.size:
+            raise ConvergenceError(too_large(self.name, mean, f.size))
+        if self.stiffening is None and not self._warned and spin > self._spin_to_check:
+            self._warned = True
+            warn_of_spin(self.name, spin, first_frequency(f, self.conditions))
+
+    @cached_property
+    def _spin_to_check(self) -> float:
+        """Angular velocity (rad/s) below which no beam under any support is near its first frequency."""
+        return 0.1 * float(np.sqrt(first_eigenvalue_bound(self.field)))
 
     def internal(self, U: Array, Ud: Array) -> Array:
         """f_int(U) + beta K U', (n d,)."""
@@ -72,7 +104,10 @@ class FloatingField(FieldPart):
         with large displacements needs them. They cost a few back-solves, no factor.
         """
         f, m, d = self.field, self.motions, self.field.dim
-        if f.nonlinear:
+        if self.stiffening is not None:
+            self.stiffening.set_load(self._load)
+            f.linearise(None, self.stiffening.matrix_form)
+        elif f.nonlinear:
             f.linearise(self._last)
         P = f.points(self._last)
         Q = f.Q.reshape(f.n, d, m.n_twist).copy()
@@ -123,6 +158,15 @@ class FloatingField(FieldPart):
         sums = self.field.total(np.concatenate((MW.sum(0), m.moment(P, MW).sum(0))))
         p = motion.R @ sums[:d]
         return p, m.moment(pose[:d], p) + m.turn(motion.R, sums[d:])
+
+
+def inertia_load(a: Array, w: Array, alpha: Array) -> Array:
+    """(a, L) with L = alpha~ + w~ w~ as a flat array (d + d^2,); body axes."""
+    if len(a) == 2:
+        turn, spin = np.array([[0.0, -alpha[0]], [alpha[0], 0.0]]), np.array([[0.0, -w[0]], [w[0], 0.0]])
+    else:
+        turn, spin = hat(alpha), hat(w)
+    return np.concatenate((a, (turn + spin @ spin).ravel()))
 
 
 def moment_columns(field: Field, surface: str) -> Array:

@@ -20,7 +20,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy.linalg as sl
 
+from .errors import ConvergenceError
+from .limits import TOO_LARGE, too_large, warn_of_spin
 from .placements import FrameMotion
 from .rotations import Array, hat, motions
 
@@ -88,6 +91,8 @@ class ReducedPart:
         k = self.n + 1
         self._T = np.ascontiguousarray(constants.T.transpose(0, 2, 3, 1)).reshape(k * d * d, k)
         self._modal_mass = np.trace(constants.T[1:, 1:], axis1=2, axis2=3).copy()
+        self._first = float(np.sqrt(sl.eigh(constants.K, self._modal_mass, eigvals_only=True)[0])) if self.n else np.inf
+        self._warned = False
 
     def surface_center(self, surface: str) -> Array:
         """Centroid of a surface at the start, world axes."""
@@ -126,11 +131,24 @@ class ReducedPart:
         w = self._spin(motion.twist[d:])
         return motion.R.T @ (motion.accel[:d] - motion.gravity), w, self._spin(motion.accel[d:]) + w @ w
 
+    def _watch(self, motion: FrameMotion, eta: Array) -> None:
+        """Warn of a spin above the first frequency; refuse displacements of the size of the body."""
+        c = self.constants
+        mean = float(np.sqrt(max(eta @ self._modal_mass @ eta, 0.0) / c.mass))
+        if not mean <= TOO_LARGE * c.size:
+            raise ConvergenceError(too_large(self.name, mean, c.size))
+        if c.stiffening is None and not self._warned:
+            spin = float(np.linalg.norm(motion.twist[self.dim :]))
+            if spin > self._first:
+                self._warned = True
+                warn_of_spin(self.name, spin, self._first)
+
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of (2): the frame's (n_twist,), world translation and body rotation, and the modes' (m,)."""
         c, d = self.constants, self.dim
         eta, rate, second = local
         a, w, L = self._motion(motion)
+        self._watch(motion, eta)
         p = self._with_shape(eta, rate, second)
         Sp = c.S @ p
         Tp = (self._T @ p).reshape(-1, d, d, 3)

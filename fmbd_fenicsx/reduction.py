@@ -3,6 +3,8 @@
     rod.reduced(modes=20)                                    free-free modes (mean axes) or clamped ones (attached frame)
     rod.reduced(frequency=500.0)                             all modes up to 500 Hz
     rod.reduced(basis=CraigBampton(("pin", "tip"), 10))      static interface modes and 10 modes with fixed interfaces
+
+A body with geometric stiffening keeps the static displacements under its inertia forces beside the modes.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from .fields import Field
 from .floating import frame_conditions, moment_columns
 from .reduced import Constants, SurfaceData, constants_of
 from .rotations import Array
+from .stiffening import Stiffening
 
 
 @dataclass(frozen=True)
@@ -164,6 +167,9 @@ def reduce_body(body: Any, basis: FrameModes | CraigBampton) -> Reduction:
     frame = frame_conditions(f, body.frame)
     omega, phi = np.zeros(0), np.zeros((f.n * f.dim, 0))
     V = basis.columns(f, frame)
+    stress = Stiffening(f, frame) if body.stiffening and V.shape[1] else None
+    if stress is not None:
+        V = np.concatenate((V, stress.columns), axis=1)  # the stretch of steady rotation is then exact
     if V.shape[1]:
         omega, phi = orthonormal_modes(f, V, frame)
     d, m = f.dim, phi.shape[1]
@@ -177,7 +183,8 @@ def reduce_body(body: Any, basis: FrameModes | CraigBampton) -> Reduction:
         surfaces[name] = SurfaceData(mom.reference, ports, mom.center)
     K = np.diag(omega**2)
     D = body.mass_damping * np.eye(m) + body.stiffness_damping * K
-    made = Constants(f.mass_total, S, T, K, D, surfaces, f.center, f.size)
+    stiffening = None if stress is None else stress.modal(phi)
+    made = Constants(f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening)
     space = f.space
     f.destroy()
     return Reduction(made, omega, phi, space)

@@ -246,7 +246,7 @@ class _Builder:
             self._put_part(AbsoluteField(field_, ground_frame, surfaces), U, Ud)
             return
         frame = self.frame_of[body.name]
-        self._put_part(FloatingField(field_, frame, surfaces, body.frame), U, Ud)
+        self._put_part(FloatingField(field_, frame, surfaces, body.frame, body.stiffening), U, Ud)
         self.poses[frame] = self.m.pose(field_.center)
 
     def _rigid_block(self, rigid: list[RigidBody]) -> Any:

@@ -78,7 +78,7 @@ class CholeskyFactor:
 
     def _judge(self, x: Array, b: Array) -> None:
         f = self.field
-        r = self.cm * f.mass(x.reshape(-1, f.dim)).ravel() + self.ck * f.stiffness(x) - b
+        r = self.cm * f.mass(x.reshape(-1, f.dim)).ravel() + self.ck * f.tangent(x) - b
         rr, bb = f.total(np.array([r @ r, b @ b]))
         self.judge.check(float(np.sqrt(rr)), float(np.sqrt(bb)))
 
