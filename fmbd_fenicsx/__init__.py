@@ -1,6 +1,7 @@
 """Computational flexible multibody dynamics on FEniCSx, by the differential-algebraic approach."""
 
 from . import errors, materials
+from .beams import Beam, Section
 from .bodies import AbsoluteBody, Attached, CoordinateBody, FloatingBody, MeanAxis, RigidBody, Surface
 from .drives import angle, displacement, drive, gear, own_joint, screw
 from .forces import Spring, Tyre, effort, force, joint_spring, own_force, torque

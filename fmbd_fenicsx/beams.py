@@ -342,11 +342,10 @@ class _Assembly:
         """Moments of an end section: b_0 its centre, b_k of the section directions, weighted like an area."""
         U, V, _ = self.fields(e, x)
         U, V = R @ U @ W, R @ V @ W  # V: (d - 1, d, m + 1)
-        I = np.array([self.s.EI, self.s.EI_y or 0.0][: self.d - 1])
-        share = np.sqrt(I.sum()) * I / I.sum() / np.sqrt(I.sum())
+        bending = np.array([self.s.EI, self.s.EI_y or 0.0][: self.d - 1])
+        share = bending / bending.sum()  # like int y_j^2 dA; the common factor does not matter for a rotation
         b = np.zeros((1 + self.d, self.d, W.shape[1]))
         b[0] = U
         for k in range(self.d - 1):
-            # the moment weight X_j picks the section direction's world component
             b[1:] += np.multiply.outer(R[:, k + 1], share[k] * V[k])
         return SurfaceData(b[:, :, 0], b[:, :, 1:].reshape((1 + self.d) * self.d, -1), at)

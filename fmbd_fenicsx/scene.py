@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .beams import Beam
 from .bodies import AbsoluteBody, CoordinateBody, FloatingBody, RigidBody, Surface
 from .constraints import Batch
 from .coordinates import CoordinatePart, PortConstraint
@@ -59,7 +60,7 @@ class Scene:
     def add(self, *parts: Any) -> None:
         """Add bodies, joints, forces and contacts; names must be unique among each."""
         for part in parts:
-            if isinstance(part, RigidBody | FloatingBody | AbsoluteBody | ReducedBody | CoordinateBody):
+            if isinstance(part, RigidBody | FloatingBody | AbsoluteBody | ReducedBody | Beam | CoordinateBody):
                 self._put(self.bodies, part, "body")
             elif isinstance(part, Joint):
                 self._put(self.joints, part, "joint")
@@ -132,7 +133,7 @@ class _Builder:
         for body in own:
             self._put_part(CoordinatePart(body, len(framed)), np.array(body.start), np.array(body.start_rate))
         for body in moving:
-            if isinstance(body, ReducedBody):
+            if isinstance(body, ReducedBody | Beam):
                 self._add_reduced(body, used[body.name])
         for body in elastic:
             self._add_field(body, used[body.name], len(framed))
@@ -198,7 +199,7 @@ class _Builder:
             raise InputError(
                 f"{what} refers to {side!r}, which is not in the scene. {near(getattr(body, 'name', ''), self.scene.bodies)}"
             )
-        if isinstance(side, FloatingBody | AbsoluteBody | ReducedBody):
+        if isinstance(side, FloatingBody | AbsoluteBody | ReducedBody | Beam):
             raise InputError(
                 f'{what}: attach to a surface of the elastic body "{body.name}", say {body.name}.surface("...").'
             )
@@ -220,7 +221,7 @@ class _Builder:
         self.fields.append(part)
         self.starts.append((q, v))
 
-    def _add_reduced(self, body: ReducedBody, surfaces: list[str]) -> None:
+    def _add_reduced(self, body: ReducedBody | Beam, surfaces: list[str]) -> None:
         from .reduced import ReducedPart
 
         frame = self.frame_of[body.name]

@@ -1,0 +1,118 @@
+"""Beams in a floating frame: frequencies, static deflection, inertia, rotation with and without stiffening."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg as sl
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.placements import FrameMotion
+from fmbd_fenicsx.reduced import ReducedPart
+
+L, EI, RHO_A = 1.0, 1.0, 1.0
+SLENDER = fmbd.Section(EA=1e8, EI=EI, rhoA=RHO_A, EI_y=EI, GJ=1e3, rhoI=1e-9, rhoI_y=1e-9)
+FREE_FREE = (22.3733, 61.6728, 120.9034)
+CLAMPED = (3.51602, 22.0345, 61.6972)
+# frequencies of a rotating cantilever without hub, times sqrt(rhoA L^4 / EI), for these rates of rotation; Wright, Smith,
+# Thresher and Wang, Vibration modes of centrifugally stiffened beams, J. Appl. Mech. 49, 1982
+ROTATION = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12)
+FLAP_1 = (3.5160, 3.6816, 4.1373, 4.7973, 5.5850, 6.4495, 7.3604, 9.2568, 11.2022, 13.1702)
+FLAP_2 = (22.0345, 22.1810, 22.6149, 23.3203, 24.2733, 25.4461, 26.8091, 29.9954, 33.6404, 37.6031)
+
+
+def omega(beam: fmbd.Beam) -> Any:
+    c = beam.constants
+    return np.sqrt(np.abs(sl.eigh(c.K, np.trace(c.T[1:, 1:], axis1=2, axis2=3), eigvals_only=True)))
+
+
+@pytest.mark.parametrize("start, end", [((0.0, 0.0), (1.0, 0.0)), ((0.3, 0.1), (0.9, 0.9))])
+def test_frequencies_in_the_plane(start: Any, end: Any) -> None:
+    """Euler-Bernoulli values, clamped and free-free, in any direction."""
+    np.testing.assert_allclose(omega(fmbd.Beam("b", start, end, SLENDER))[:3], CLAMPED, rtol=1e-3)
+    np.testing.assert_allclose(omega(fmbd.Beam("b", start, end, SLENDER, attached=False))[:3], FREE_FREE, rtol=1e-3)
+
+
+def test_frequencies_in_space() -> None:
+    """Both bending planes, torsion pi/2 sqrt(GJ / (rho I_p)) / L and stretching, in a skew direction."""
+    section = fmbd.Section(EA=1e4, EI=1.0, rhoA=1.0, EI_y=4.0, GJ=0.5, rhoI=1e-3, rhoI_y=1e-3)
+    found = omega(fmbd.Beam("b", (0, 0, 0), (2 / 3, 2 / 3, 1 / 3), section, elements=40))
+    bend = CLAMPED[0] * np.array([1.0, 2.0])
+    for expected in (*bend, np.pi / 2 * np.sqrt(0.5 / 2e-3), np.pi / 2 * np.sqrt(1e4)):
+        assert np.abs(found / expected - 1).min() < 5e-3, expected
+
+
+def test_timoshenko_static_tip() -> None:
+    """Tip force: F L^3 / (3 EI) + F L / GA, exact with one element."""
+    section = fmbd.Section(EA=1e3, EI=2.0, rhoA=1.0, GA=5.0)
+    c = fmbd.Beam("b", (0.0, 0.0), (3.0, 0.0), section, elements=1).constants
+    port = c.surfaces["end"].modes
+    tip = port[1] @ np.linalg.solve(c.K, port[1])
+    np.testing.assert_allclose(tip, 27 / 6 + 3 / 5, rtol=1e-12)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_rigid_inertia_and_momentum(dim: int) -> None:
+    """A beam without modes is a rod with mass rhoA L and inertia rhoA L^3 / 12 + rhoI L; its sections are where they are."""
+    start, end = np.array([1.0, 2.0, 0.5][:dim]), np.array([1.0, 5.0, 4.5][:dim])
+    section = fmbd.Section(EA=1.0, EI=1.0, rhoA=2.0, EI_y=1.0, GJ=1.0, rhoI=0.1, rhoI_y=0.2)
+    beam = fmbd.Beam("b", start, end, section, modes=0)
+    length = np.linalg.norm(end - start)
+    part = ReducedPart("b", beam.constants, 0, ["start", "end"])
+    M = part.mass_blocks(FrameMotion(0.0, np.eye(dim), np.zeros(3 * dim - 3), None, np.zeros(dim)), np.zeros(0))[0]
+    np.testing.assert_allclose(M[:dim, :dim], 2.0 * length * np.eye(dim), rtol=1e-12)
+    main = 2.0 * length**3 / 12
+    values = np.linalg.eigvalsh(M[dim:, dim:])
+    expected = [main + 0.1 * length] if dim == 2 else [0.3 * length, main + 0.1 * length, main + 0.2 * length]
+    np.testing.assert_allclose(values, expected, rtol=1e-10)
+    np.testing.assert_allclose(beam.constants.surfaces["end"].reference[0] + beam.constants.center, end, atol=1e-12)
+
+
+def spinning(rate: float, stiffening: bool = True) -> Any:
+    """Eigenvalues (squares of frequencies) of small motions about steady rotation about z at the root."""
+    beam = fmbd.Beam("b", (0, 0, 0), (1, 0, 0), SLENDER, elements=16, up=(0, 1, 0), stiffening=stiffening)
+    part = ReducedPart("b", beam.constants, 0, [])
+    twist = np.array([0.0, 0.5 * rate, 0.0, 0.0, 0.0, rate])  # centre of the beam at (1/2, 0, 0)
+    accel = np.array([-0.5 * rate**2, 0.0, 0.0, 0.0, 0.0, 0.0])
+    motion = FrameMotion(0.0, np.eye(3), twist, accel, np.zeros(3))
+    zero = np.zeros(part.n)
+
+    def rows(eta: Any) -> Any:
+        return part.force(motion, (eta, zero, zero))[1]
+
+    K = np.array([(rows(1e-4 * e) - rows(-1e-4 * e)) / 2e-4 for e in np.eye(part.n)]).T
+    return sl.eigh(0.5 * (K + K.T), np.trace(beam.constants.T[1:, 1:], axis1=2, axis2=3), eigvals_only=True)
+
+
+@pytest.mark.parametrize("k", range(len(ROTATION)))
+def test_rotating_cantilever(k: int) -> None:
+    """Flapping and lagging frequencies of a rotating cantilever to 1e-3."""
+    found = spinning(ROTATION[k])
+    lag = FLAP_1[k] ** 2 - ROTATION[k] ** 2
+    for expected in (FLAP_1[k] ** 2, FLAP_2[k] ** 2, lag):
+        assert np.abs(np.sqrt(np.abs(found) / expected) - 1).min() < 1e-3
+
+
+def test_no_stable_solution_without_stiffening() -> None:
+    """The lag stiffness 12.362 - gamma^2 is negative above gamma = 3.516."""
+    assert spinning(3.4, stiffening=False).min() > 0
+    np.testing.assert_allclose(spinning(5.0, stiffening=False).min(), 12.362 - 25.0, rtol=1e-3)
+
+
+def test_report_of_bad_input() -> None:
+    """Sections, ends and modes that cannot be."""
+    with pytest.raises(InputError, match="EI"):
+        fmbd.Section(EA=1.0, EI=-1.0, rhoA=1.0)
+    with pytest.raises(InputError, match="coincide"):
+        fmbd.Beam("b", (0.0, 0.0), (0.0, 0.0), SLENDER)
+    with pytest.raises(InputError, match="GJ"):
+        fmbd.Beam("b", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), fmbd.Section(EA=1.0, EI=1.0, rhoA=1.0))
+    with pytest.raises(InputError, match="Known"):
+        fmbd.Beam("b", (0.0, 0.0), (1.0, 0.0), SLENDER).surface("tip")
+    with pytest.raises(InputError, match="modes asked for"):
+        _ = fmbd.Beam("b", (0.0, 0.0), (1.0, 0.0), SLENDER, elements=1, modes=9).constants
+    with pytest.raises(InputError, match="stiffening needs"):
+        fmbd.Beam("b", (0.0, 0.0), (1.0, 0.0), SLENDER, attached=False, stiffening=True)
