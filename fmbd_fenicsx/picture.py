@@ -221,11 +221,11 @@ def _draw(pv: Any, plotter: Any, skins: list[Skin], m: Moment, color: Any, radiu
         plotter.add_mesh(pv.PolyData(line_at, lines=lines), color=0.4 * color, line_width=3 if flat else 1.5, lighting=False)
     for a, b in m.bars:
         if np.linalg.norm(b - a) > 0:
-            plotter.add_mesh(pv.Tube(a, b, radius=0.4 * radius, n_sides=16), color=color)
+            plotter.add_mesh(pv.Tube(pointa=a, pointb=b, radius=0.4 * radius, n_sides=16), color=color)
     for x in m.origins:
-        plotter.add_mesh(pv.Sphere(1.3 * radius, x), color=color)
+        plotter.add_mesh(pv.Sphere(radius=1.3 * radius, center=x), color=color)
     for x in m.joints:
-        plotter.add_mesh(pv.Sphere(0.8 * radius, x), color="#303030")
+        plotter.add_mesh(pv.Sphere(radius=0.8 * radius, center=x), color="#303030")
 
 
 def ensure_display() -> None:
