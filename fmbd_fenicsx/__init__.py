@@ -42,7 +42,10 @@ from .solve import Run, solve
 __version__ = "0.1.0"
 
 
-_CONTACT = {
+_LATER = {
+    "trace_ties": ("tie_surface", "SurfaceTie"),
+    "multipliers": ("Aggregated", "Continuous", "Discontinuous", "Dual", "Ends", "Linear"),
+    "stability": ("infsup",),
     "contact": ("contact", "ball", "corners", "cylinder_end"),
     "contact_shapes": ("Box", "Cylinder", "HalfSpace", "Obstacle", "SignedDistance", "Sphere"),
     "sensors_contact": ("contact_force", "contact_gap", "contact_impulse", "contact_pressure", "contact_work"),
@@ -52,10 +55,10 @@ _CONTACT = {
 
 
 def __getattr__(name: str) -> object:
-    """The mesh reader and everything of contact are loaded at first use: other scenes do not need them."""
+    """The mesh reader, contact and field multipliers are loaded at first use: other scenes do not need them."""
     from importlib import import_module
 
-    for module, names in _CONTACT.items():
+    for module, names in _LATER.items():
         if name in names:
             found = getattr(import_module(f".{module}", __name__), name)
             globals()[name] = found  # the module of the same name must not hide the function

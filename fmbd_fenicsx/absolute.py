@@ -23,6 +23,7 @@ class AbsoluteField(FieldPart):
 
     def __init__(self, field: Field, ground: int, surfaces: list[str]) -> None:
         super().__init__(field, ground, surfaces, np.zeros((field.n * field.dim, 0)))
+        self.origin = np.zeros(field.dim)
         per = field.dim * (1 + field.dim)
         for k in range(len(self.surfaces)):
             self.reference[k * per : k * per + field.dim] += field.center

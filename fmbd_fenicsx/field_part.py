@@ -6,6 +6,8 @@ followed by the moments b_0, b_k of each surface in use. They are linear in the 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from .fields import Field
@@ -36,6 +38,16 @@ class FieldPart:
         self.inertia_columns = np.zeros((self.n, 0))
         self.n_port = self.n_frame_rows + field.dim * (1 + field.dim) * len(self.surfaces)
         self.reference = np.concatenate([np.zeros(self.n_frame_rows), *(s.reference.ravel() for s in self.surfaces)])
+        self.origin = field.center  # of the frame, world axes at the start
+        self.traces: list[Any] = []
+
+    def add_trace(self, B: Any) -> slice:
+        """Further ports B u of a tie by field multipliers, B (rows, n d) sparse; returns their place among the ports."""
+        first = self.n_port
+        self.traces.append(B)
+        self.n_port += B.shape[0]
+        self.reference = np.concatenate((self.reference, np.zeros(B.shape[0])))
+        return slice(first, self.n_port)
 
     def surface_center(self, surface: str) -> Array:
         """Centroid of a surface at the start, world axes."""
@@ -47,6 +59,7 @@ class FieldPart:
         d = self.field.dim
         W = w.reshape(-1, d)
         parts = [self.conditions.T @ w] + [(s.weights.T @ W[s.nodes]).ravel() for s in self.surfaces]
+        parts += [B @ w for B in self.traces]
         return self.field.total(np.concatenate(parts))
 
     def port_force(self, f: Array) -> Array:
@@ -57,7 +70,11 @@ class FieldPart:
             block = f[k : k + d * (1 + d)].reshape(1 + d, d)
             out[s.nodes] += s.weights @ block
             k += d * (1 + d)
-        return out.ravel()
+        flat = out.ravel()
+        for B in self.traces:
+            flat += B.T @ f[k : k + B.shape[0]]
+            k += B.shape[0]
+        return flat
 
     def port_columns(self, used: np.ndarray) -> Array:
         """Dense columns (n d, count) of :meth:`port_force` for the port numbers ``used``."""

@@ -144,7 +144,7 @@ def check(scene: Any) -> Mobility:
     """Mobility of a scene as given, with notes on loose bodies, units and time scales; collective."""
     system, state, _ = scene.build()
     found = mobility(system, state.t, state.q)
-    notes = [f'body "{n}" is attached to nothing' for n in loose_bodies(scene.bodies, scene.joints, scene.forces)]
+    notes = [f'body "{n}" is attached to nothing' for n in loose_bodies(scene.bodies, {**scene.joints, **scene.ties}, scene.forces)]
     notes += _units(scene, system)
     if found.conditioning < NEAR_SINGULAR:
         notes.append("the configuration is near-singular: constraints almost depend on each other, or a motion branches here")

@@ -56,6 +56,7 @@ class Scene:
     forces: dict[str, Force] = field(default_factory=dict)
     sensors: dict[str, Sensor] = field(default_factory=dict)
     contacts: dict[str, Any] = field(default_factory=dict)
+    ties: dict[str, Any] = field(default_factory=dict)
 
     def add(self, *parts: Any) -> None:
         """Add bodies, joints, forces and contacts; names must be unique among each."""
@@ -66,6 +67,8 @@ class Scene:
                 self._put(self.joints, part, "joint")
             elif isinstance(part, Force):
                 self._put(self.forces, part, "force")
+            elif hasattr(part, "space") and hasattr(part, "sliding"):  # a SurfaceTie, without loading its module
+                self._put(self.ties, part, "tie")
             elif hasattr(part, "slave") and hasattr(part, "master"):  # a Contact, without loading its module
                 self._put(self.contacts, part, "contact")
             else:
@@ -90,7 +93,7 @@ class Scene:
 
     def build(self) -> tuple[System, State, dict[str, int]]:
         """The system, its state as given (not yet consistent), and the marker of each sensor; collective."""
-        for name in loose_bodies(self.bodies, self.joints, self.forces):
+        for name in loose_bodies(self.bodies, {**self.joints, **self.ties}, self.forces):
             log.warning('scene "%s": body "%s" is attached to nothing', self.name, name)
         return _Builder(self).build()
 
@@ -140,7 +143,8 @@ class _Builder:
         rigid = [b for b in moving if isinstance(b, RigidBody)]
         for body in rigid:
             self.poses[self.frame_of[body.name]] = body.start_pose()
-        batches, port_rows, blocks = self._constraints()
+        traces = self._surface_ties()
+        batches, port_rows, blocks = self._constraints(traces)
         forces = self._loads()
         sensor_markers = {n: self._sensor_marker(s) for n, s in scene.sensors.items()}
         markers = self._markers()
@@ -159,6 +163,7 @@ class _Builder:
             mass=self._mass(rigid),
             ground=self.m.identity[None],
             contacts=self._contacts(),
+            traces=tuple(traces),
         )
         return system, self._state(system), sensor_markers
 
@@ -170,6 +175,20 @@ class _Builder:
 
         return build_contacts(self.scene, self.m, self.frame_of, self.fields)
 
+    def _surface_ties(self) -> list[Any]:
+        """Rows of the ties by field multipliers."""
+        if not self.scene.ties:
+            return []
+        from .trace_ties import build_trace_rows
+
+        def place(body: Any) -> tuple[int, Array, Array]:
+            if body is ground or getattr(body, "locked", False):
+                return len(self.poses), np.zeros(self.m.dim), np.eye(self.m.dim)
+            pose = body.start_pose()
+            return self.frame_of[body.name], pose[: self.m.dim], self.m.matrix(pose)
+
+        return [build_trace_rows(t, self.fields, self.part_of, place) for t in self.scene.ties.values()]
+
     # -- checks -------------------------------------------------------------------------------------------------
     def _check(self) -> None:
         scene = self.scene
@@ -180,6 +199,9 @@ class _Builder:
         for joint in scene.joints.values():
             for side in (joint.a, joint.b):
                 self._known(side, f'Joint "{joint.name}"')
+        for tie in scene.ties.values():
+            for side in (tie.a, tie.b):
+                self._known(side, f'Tie "{tie.name}"')
         for force in scene.forces.values():
             for side in (force.a, force.b):
                 if side is not None:
@@ -378,7 +400,7 @@ class _Builder:
 
     # -- constraints ----------------------------------------------------------------------------------------------
     def _constraints(
-        self,
+        self, traces: list[Any]
     ) -> tuple[list[tuple[Batch, np.ndarray]], list[tuple[PortConstraint, slice]], list[RowBlock]]:
         collected = JointRows(self.m)
         for joint in self.scene.joints.values():
@@ -396,6 +418,10 @@ class _Builder:
                 own.append((law, slice(row, row + m)))
                 blocks.append(RowBlock(body.name, slice(row, row + m), "constraint"))
                 row += m
+        for i, tie in enumerate(traces):
+            traces[i] = (tie, slice(row, row + tie.rows))
+            blocks.append(RowBlock(tie.name, traces[i][1], "surface tie"))
+            row += tie.rows
         for part in self.fields:
             if part.n_frame_rows:
                 blocks.append(RowBlock(f"frame of {part.name}", slice(row, row + part.n_frame_rows), "frame"))

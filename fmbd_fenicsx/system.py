@@ -73,6 +73,7 @@ class System:
     mass: float  # total mass, kg
     ground: Array = field(repr=False, default=None)  # type: ignore[assignment]  # (1, n_pose)
     contacts: Any = None  # ContactSet of a scene with contact
+    traces: tuple[tuple[Any, slice], ...] = ()  # ties by field multipliers (TraceRows) and their rows
     cache: dict[str, Any] = field(repr=False, default_factory=dict)  # patterns found at first use
 
     def block(self, name: str) -> RowBlock:
@@ -133,7 +134,8 @@ class System:
     @cached_property
     def n_rows(self) -> int:
         """Rows of joints."""
-        return sum(len(r) for _, r in self.batches) + sum(r.stop - r.start for _, r in self.port_constraints)
+        spans = [r for _, r in self.port_constraints] + [r for _, r in self.traces]
+        return sum(len(r) for _, r in self.batches) + sum(r.stop - r.start for r in spans)
 
     @cached_property
     def n_lam(self) -> int:
@@ -256,6 +258,8 @@ class Evaluation:
             g[rows] = batch.values(self.kin, self.t)
         for law, span in s.port_constraints:
             g[span] = law.values(self.port[s.port_slice(law.part)], self.t)
+        for tie, span in s.traces:
+            g[span] = tie.values(self)
         for k, rows in enumerate(s.frame_rows):
             g[rows] = self.port[s.port_slice(k)][: s.parts[k].n_frame_rows]
         return g
@@ -272,6 +276,8 @@ class Evaluation:
             g[rows] = batch.rate(self.kin, self.t)
         for law, span in self.system.port_constraints:
             g[span] = law.rate(self.port[self.system.port_slice(law.part)], self.t)
+        for tie, span in self.system.traces:
+            g[span] = tie.rate(self)
         return g
 
     def gamma(self) -> Array:
@@ -286,6 +292,8 @@ class Evaluation:
         for law, span in self.system.port_constraints:
             k = self.system.port_slice(law.part)
             g[span] = law.gamma(self.port[k], self.port_rate[k], self.t)
+        for tie, span in self.system.traces:
+            g[span] = tie.gamma(self)
         return g
 
     # -- balance ----------------------------------------------------------------------------------------------------

@@ -80,10 +80,27 @@ class Jacobian:
             )
         for laws, rows in s.port_constraints:
             self.port[rows, s.port_slice(laws.part)] += laws.jacobian(ev.port[s.port_slice(laws.part)], ev.t)
+        for tie, rows in s.traces:
+            self._add_tie(tie, rows, ev)
         for k, r in enumerate(s.frame_rows):
             start = s.port_slice(k).start
             self.port[r, start : start + s.parts[k].n_frame_rows] = np.eye(s.parts[k].n_frame_rows)
         self._fold()
+
+    def _add_tie(self, tie: Any, rows: slice, ev: Evaluation) -> None:
+        """Blocks of a tie by field multipliers."""
+        s, n = self.system, self.system.motions.n_twist
+        for kind, number, block in tie.jacobian(ev):
+            if kind == "port":
+                side = tie.sides[number]
+                first = s.port_slice(side.part).start
+                self.port[rows, first + side.ports.start : first + side.ports.stop] += block
+            elif isinstance(self.core, np.ndarray):
+                self.core[rows, number * n : (number + 1) * n] += block
+            else:
+                at = np.arange(rows.start, rows.stop)
+                i, j = np.repeat(at, n), np.tile(number * n + np.arange(n), len(at))
+                self.core = (self.core + sp.csr_matrix((block.ravel(), (i, j)), shape=self.core.shape)).tocsr()
 
     def _fold(self) -> None:
         """Ports of replicated parts into the core."""

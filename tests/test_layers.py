@@ -12,7 +12,7 @@ FLOORS = [
     {"errors", "log", "rotations", "dolfinx_compat", "mesh", "materials"},
     {"surfaces", "fields", "traces", "multipliers", "mortar", "stability"},
     {"bodies", "placements", "field_part", "floating", "absolute", "reduced", "ports", "frames", "constraints", "joints", "forces", "coordinates", "contact", "beams",
-     "reduction", "modes", "stiffening", "limits", "recovery", "mixed", "loads", "tables", "relative", "couplings", "drives", "laws"},
+     "reduction", "modes", "stiffening", "limits", "recovery", "mixed", "loads", "tables", "relative", "couplings", "drives", "laws", "trace_ties"},
     {"scene", "plan", "system", "sensors", "mobility", "linearise"},
     {"newton", "linear"},
     {"schemes"},

@@ -1,0 +1,97 @@
+"""Ties of surfaces in scenes: Jacobians and accelerations against differences, statics, rigid partners, moving data."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from motion import Motion, first, second
+from test_traces import ROOT
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+
+LAW = fmbd.materials.linear_elastic(1e4, 0.3)
+
+
+def block(dim: int, cells: int = 2, low: float = 0.0):
+    return fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0,) * dim, cells=cells, origin=(0.0, low, 0.0)[:dim])
+
+
+def body(kind: str, name: str, dim: int, cells: int = 2, low: float = 0.0):
+    make = fmbd.AbsoluteBody if kind == "absolute" else fmbd.FloatingBody
+    return make(name, block(dim, cells, low), degree=1, density=1.0, elastic=LAW)
+
+
+def scene_of(dim: int, a: str, b: str, sliding: bool) -> fmbd.Scene:
+    upper = body(a, "upper", dim, 3, 1.0)
+    scene = fmbd.Scene("tied", gravity=None)
+    scene.add(upper)
+    space = fmbd.Continuous(1, fmbd.Ends.KEPT) if dim == 2 else fmbd.Continuous()
+    if b == "rigid":
+        other = fmbd.RigidBody("plate", 2.0, 0.3 if dim == 2 else (0.3, 0.4, 0.5), position=(0.4, 0.7, 0.6)[:dim], rotation=0.2 if dim == 2 else None)
+        scene.add(other)
+    elif b == "ground":
+        other = fmbd.ground
+    else:
+        lower = body(b, "lower", dim, 2)
+        scene.add(lower)
+        other = lower.surface("top")
+    shape = lambda x: np.stack([0.1 + x[0], x[1], x[0]][:dim])  # noqa: E731
+    scene.add(
+        fmbd.tie_surface("glue", upper.surface("bottom"), other, space=space, sliding=sliding, shape=shape, motion=lambda t: 0.1 * np.sin(t))
+    )
+    return scene
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("sliding", [False, True])
+@pytest.mark.parametrize("a, b", [("absolute", "ground"), ("absolute", "rigid"), ("absolute", "absolute"), ("floating", "rigid"), ("floating", "floating")])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_jacobian_and_gamma_against_differences(dim: int, a: str, b: str, sliding: bool) -> None:
+    motion = Motion(scene_of(dim, a, b, sliding))
+    ev = motion.at(0.0)
+    rows = motion.system.block("glue").rows
+    scale = np.abs(motion.at(0.1).constraint()[rows]).max()
+    rate = ev.jacobian.times(motion.v) + ev.constraint_rate()
+    assert np.abs(rate - first(lambda s: motion.at(s).constraint()))[rows].max() < 1e-8 * scale
+    acceleration = ev.jacobian.times(motion.a) + ev.gamma()
+    assert np.abs(acceleration - second(lambda s: motion.at(s).constraint()))[rows].max() < 1e-5 * scale
+    delta, lam = motion.direction(), np.linspace(1, 2, motion.system.n_lam)
+    assert motion.system.dot(ev.jacobian.transposed(lam), delta) == pytest.approx(lam @ ev.jacobian.times(delta), rel=1e-11)
+
+
+@pytest.mark.mpi
+def test_tie_holds_at_the_start_as_built() -> None:
+    system, state, _ = scene_of(2, "floating", "absolute", False).build()
+    assert np.abs(system.at(0.0, state.q).constraint()).max() < 1e-14
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["absolute", "floating"])
+def test_weak_dirichlet_motion_carries_the_body(kind: str) -> None:
+    """A clamped block whose floor moves slowly follows it; the traction is the inertia of the block."""
+    upper = body(kind, "upper", 2, 3)
+    scene = fmbd.Scene("shaken")
+    scene.add(upper)
+    lift = lambda x: np.stack([0 * x[0], 1 + 0 * x[0]])  # noqa: E731
+    law = lambda t: 0.01 * (1 - np.cos(2 * t))  # noqa: E731
+    scene.add(fmbd.tie_surface("floor", upper.surface("bottom"), fmbd.ground, shape=lift, motion=law))
+    system, _, _ = scene.build()
+    rows = system.block("floor").rows
+    scene.sensor("top", fmbd.position(upper.surface("top")))
+    run = fmbd.solve(scene, t_end=0.5, dt=0.01)
+    assert run["top"][-1][1] - 1.0 == pytest.approx(law(0.5), abs=2e-6)
+    tie, _ = system.traces[0]
+    mu = tie.multipliers
+    force = mu.coupling().sum(axis=1).T @ run.state.lam[rows].reshape(-1, 2)
+    assert -force[0, 1] == pytest.approx(0.04 * np.cos(1.0), rel=0.02)
+
+
+def test_too_many_multipliers_and_wrong_partners_are_refused() -> None:
+    upper = body("absolute", "upper", 2)
+    with pytest.raises(InputError, match="with itself"):
+        fmbd.tie_surface("loop", upper.surface("top"), upper.surface("top"))
+    with pytest.raises(InputError, match="cannot be tied"):
+        fmbd.tie_surface("wrong", upper.surface("top"), upper)
+    with pytest.raises(InputError, match="needs a shape"):
+        fmbd.tie_surface("wrong", upper.surface("top"), fmbd.ground, motion=lambda t: t)
