@@ -1,6 +1,6 @@
 """Ties of whole surfaces by field multipliers: weak Dirichlet data, rigid faces, non-matching interfaces, sliding.
 
-    int_Gamma mu . (x_a - x_b - s(t) d(X)) dS = 0    for all mu of a multiplier space on the surface of a                  (1)
+    int_Gamma mu . (x_b + s(t) d(X) - x_a) dS = 0    for all mu of a multiplier space on the surface of a                  (1)
 
 x_a is the placement of an elastic surface, x_b that of another elastic surface (over the intersections of their facets), of a
 rigid body, or of the ground; s(t) d(X) is a displacement that is imposed on top. Every side is linear in its ports,
@@ -8,7 +8,7 @@ rigid body, or of the ground; s(t) d(X) is a displacement that is imposed on top
     y_j = m_j r + R (s_j + p_j),     m_j = int mu_j,  s_j = int mu_j X,  p_j = int mu_j u                                  (2)
 
 with the pose (r, R) of its frame (the ground for absolute bodies), so that one kind of row serves all of them. The multiplier is
-the traction on the surface of a, and comes with its sign: force on the first body.
+the traction on the surface of a, world axes (of a sliding tie: along the normal).
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class TraceRows:
     def tractions(self, lam: Array) -> Array:
         """Facet-wise nodal values (n_f, k_p, d) of the force on a per area, Pa, world axes at the start, for rows ``lam``."""
         values = lam.reshape(-1, 1) * self.normal if self.normal is not None else lam.reshape(self.data.shape)
-        return -self.multipliers.coefficients(values)
+        return self.multipliers.coefficients(values)
 
     def _arms(self, ev: Any, rate: bool = False) -> list[Array]:
         """s + p of both sides (or p'), (n, d), axes of their frames."""
@@ -134,7 +134,7 @@ class TraceRows:
         d, (a, b) = self.data.shape[1], self._arms(ev)
         A, B = self.sides
         y = [s.m[:, None] * ev.pose[s.frame, :d] + z @ ev.rotation[s.frame].T for s, z in ((A, a), (B, b))]
-        return np.asarray(y[0] - y[1] - self.motion(ev.t)[0] * self.data)
+        return np.asarray(y[1] - y[0] + self.motion(ev.t)[0] * self.data)
 
     def values(self, ev: Any) -> Array:
         """g, (rows,)."""
@@ -143,7 +143,7 @@ class TraceRows:
 
     def rate(self, ev: Any) -> Array:
         """dg/dt at rest, (rows,)."""
-        g = -self.motion(ev.t)[1] * self.data
+        g = self.motion(ev.t)[1] * self.data
         return g.ravel() if self.normal is None else g @ (ev.rotation[self.sides[1].frame] @ self.normal)
 
     def jacobian(self, ev: Any) -> list[tuple[str, int, Array]]:
@@ -151,7 +151,7 @@ class TraceRows:
         m, (n, d) = ev.system.motions, self.data.shape
         blocks: list[tuple[str, int, Array]] = []
         nu = None if self.normal is None else ev.rotation[self.sides[1].frame] @ self.normal
-        for number, (side, z, sign) in enumerate(zip(self.sides, self._arms(ev), (1.0, -1.0), strict=True)):
+        for number, (side, z, sign) in enumerate(zip(self.sides, self._arms(ev), (-1.0, 1.0), strict=True)):
             R = ev.rotation[side.frame]
             if side.frame < ev.system.n_frames:
                 G = np.zeros((n, d, m.n_twist))
@@ -174,13 +174,13 @@ class TraceRows:
         """g'' without the accelerations, (rows,)."""
         m, d = ev.system.motions, self.data.shape[1]
         total = np.zeros_like(self.data)
-        speed = -self.motion(ev.t)[1] * self.data
-        for side, z, zd, sign in zip(self.sides, self._arms(ev), self._arms(ev, rate=True), (1.0, -1.0), strict=True):
+        speed = self.motion(ev.t)[1] * self.data
+        for side, z, zd, sign in zip(self.sides, self._arms(ev), self._arms(ev, rate=True), (-1.0, 1.0), strict=True):
             R, twist = ev.rotation[side.frame], ev.twist[side.frame]
             w = np.broadcast_to(twist[None, d:], (len(z), m.n_rot))
             total += sign * (m.spin(w, m.spin(w, z) + 2.0 * zd) @ R.T)
             speed += sign * (side.m[:, None] * twist[:d] + (m.spin(w, z) + zd) @ R.T)
-        total -= self.motion(ev.t)[2] * self.data
+        total += self.motion(ev.t)[2] * self.data
         if self.normal is None:
             return total.ravel()
         frame = self.sides[1].frame

@@ -74,17 +74,17 @@ def test_weak_dirichlet_motion_carries_the_body(kind: str) -> None:
     scene = fmbd.Scene("shaken")
     scene.add(upper)
     lift = lambda x: np.stack([0 * x[0], 1 + 0 * x[0]])  # noqa: E731
-    law = lambda t: 0.01 * (1 - np.cos(2 * t))  # noqa: E731
+    law = lambda t: 0.1 * t**4  # noqa: E731
     scene.add(fmbd.tie_surface("floor", upper.surface("bottom"), fmbd.ground, shape=lift, motion=law))
     system, _, _ = scene.build()
     rows = system.block("floor").rows
     scene.sensor("top", fmbd.position(upper.surface("top")))
     run = fmbd.solve(scene, t_end=0.5, dt=0.01)
-    assert run["top"][-1][1] - 1.0 == pytest.approx(law(0.5), abs=2e-6)
+    assert run["top"][-1][1] - 1.0 == pytest.approx(law(0.5), abs=1e-4)
     tie, _ = system.traces[0]
     mu = tie.multipliers
     force = mu.coupling().sum(axis=1).T @ run.state.lam[rows].reshape(-1, 2)
-    assert -force[0, 1] == pytest.approx(0.04 * np.cos(1.0), rel=0.02)
+    assert force[0, 1] == pytest.approx(0.3, rel=0.01)
 
 
 def test_too_many_multipliers_and_wrong_partners_are_refused() -> None:
