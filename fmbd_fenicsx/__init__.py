@@ -24,6 +24,7 @@ from .newton import Newton
 from .output import Output
 from .reduction import CraigBampton
 from .scene import Scene
+from .schemes.bdf import BDF
 from .schemes.dae import GGL, Baumgarte, Index1, Index2, Index3, Overdetermined, Projected, StateSpace
 from .schemes.generalized_alpha import GeneralizedAlpha
 from .schemes.radau import Radau

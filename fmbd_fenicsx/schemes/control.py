@@ -28,6 +28,7 @@ from ..linearise import Sizes
 from ..rotations import Array
 from ..system import State, System
 
+ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the tolerance are accepted
 FINEST = 100 * float(np.finfo(float).eps)
 
 
@@ -71,6 +72,13 @@ class ErrorNorm:
         else:
             kinds = [e_q / wq, e_v / wv] + ([] if e_a is None or self.index == 1 else [h * e_a / wv])
         return float(max((np.sqrt(np.mean(x * x)) for x in kinds), default=0.0))
+
+    def constant(self, h: float, state: State, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
+        """Size of a Newton increment over its tolerance in runs with constant steps: rtol of the accelerations, above roundoff."""
+        s = self.system
+        typical = max(s.max_abs(state.a), 1e-3 * s.max_abs(state.v) / h)
+        moved = max(s.max_abs(e_q), h * s.max_abs(e_v), 0.0 if e_a is None else h * h * s.max_abs(e_a))
+        return moved / max(self.rtol * h * h * typical, 64 * float(np.finfo(float).eps) * s.length)
 
 
 @dataclass

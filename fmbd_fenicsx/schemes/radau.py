@@ -29,12 +29,9 @@ from ..linear.schur import StepSolver
 from ..newton import Newton
 from ..rotations import Array
 from ..system import State, System
-from .control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
+from .control import ROUNDOFF, ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
 from .dae import GGL, Form, Point, StepEquations
 from .start import accelerations, project
-
-ROUNDOFF = 0.05  # increments that stagnate below this share of the tolerance are accepted
-
 
 @dataclass(frozen=True)
 class Tableau:
@@ -137,6 +134,7 @@ class Stepper:
     @property
     def counters(self) -> dict[str, float]:
         """Work so far, for the counters of a run."""
+        self.stats.residuals, self.stats.jacobians, self.stats.solves = self.eq.residuals, self.eq.jacobians, self.judge.solves
         return self.stats.as_dict()
 
     # -- one accepted step --------------------------------------------------------------------------------------
@@ -212,8 +210,6 @@ class Stepper:
             self.state = project(self.system, self.state, self.solver)
         self.stats.steps += 1
         self._fresh = False
-        self.stats.residuals, self.stats.jacobians = self.eq.residuals, self.eq.jacobians
-        self.stats.solves = self.judge.solves
         if self._theta > 1e-2:
             self._tangent = None
         return self.state
@@ -311,11 +307,7 @@ class Stepper:
             push = self.eq.U @ dmult[0]
         if self.adaptive:
             return self.norm(h, dxi, dv, push)
-        s = self.state
-        typical = max(self.system.max_abs(s.a), 1e-3 * self.system.max_abs(s.v) / h, 1e-300)
-        floor = 64 * np.finfo(float).eps * max(self.system.length, 1e-300)
-        moved = max(self.system.max_abs(dxi), h * self.system.max_abs(dv), 0.0 if push is None else h * h * self.system.max_abs(push))
-        return moved / max(self.norm.rtol * h * h * typical, floor)
+        return self.norm.constant(h, self.state, dxi, dv, push)
 
     def _stages(self, h: float, xi: Array, v: Array, mult: Array) -> list[Point]:
         W = self.tab.W
