@@ -58,7 +58,9 @@ class Sizes:
         return out
 
 
-def differences(system: System, function: Callable[[Array, Array], Array], q: Array, v: Array) -> tuple[Array, Array]:
+def differences(
+    system: System, function: Callable[[Array, Array], Array], q: Array, v: Array
+) -> tuple[Array, Array]:
     """(1) for ``function(q, v)`` -> (m,): two arrays (m, n_core); collective when the function is."""
     sizes, n = Sizes(system), system.n_core
     base = function(q, v)

@@ -13,7 +13,7 @@ from .scene import Scene
 
 @dataclass(frozen=True)
 class Pace:
-    """Where the steps of a march end: ``steps`` equal ones, or (0) as the scheme likes, hitting each of ``stops`` exactly."""
+    """Where the steps of a march end: ``steps`` equal ones, or (0) as the scheme likes, hitting each of ``stops`` and the end."""
 
     t_end: float
     steps: int
@@ -21,15 +21,17 @@ class Pace:
     largest: float = np.inf
 
     def next(self, t: float) -> float:
-        """Size of the next step, or the most it may be (s)."""
+        """Size of the next step, or the most it may be (s). Steps end a few roundings before a break point: on its near side."""
         if self.steps:
             return self.t_end / self.steps
-        stop = next((x for x in self.stops if x > t + 1e-12 * self.t_end), self.t_end)
-        return min(stop - t, self.largest)
+        for stop in self.stops:
+            if stop - 64 * np.spacing(stop) > t:
+                return min(stop - 16 * np.spacing(stop) - t, self.largest)
+        return min(self.t_end - t, self.largest)
 
-    def breaks(self, t: float) -> bool:
-        """Whether the solution may have a kink at t."""
-        return any(abs(t - x) <= 1e-12 * self.t_end for x in self.stops[:-1])
+    def broken(self, t: float) -> float | None:
+        """The break point at t, where the solution may have a kink."""
+        return next((x for x in self.stops if abs(t - x) <= 64 * np.spacing(x)), None)
 
     def ended(self, t: float, done: int) -> bool:
         """Whether the march is over."""
@@ -41,14 +43,23 @@ def pace_of(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, even: 
     require(bool(np.isfinite(t_end)) and t_end > 0, f"End time t_end = {t_end} s must be positive.")
     adaptive = getattr(scheme, "rtol", None) is not None
     if dt is None and not adaptive:
-        raise InputError(f"{scheme.name} takes constant steps: give dt (s). Schemes with rtol choose their own.")
+        raise InputError(
+            f"{scheme.name} takes constant steps: give dt (s). Schemes with rtol choose their own."
+        )
     if dt is not None:
         require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
-        require(dt <= t_end * (1 + 1e-12), f"Step dt = {dt} s is larger than the whole run, t_end = {t_end} s.")
-        require(t_end + dt > t_end, f"Step dt = {dt} s is below the roundoff of t_end = {t_end} s: t + h == t.")
+        require(
+            dt <= t_end * (1 + 1e-12), f"Step dt = {dt} s is larger than the whole run, t_end = {t_end} s."
+        )
+        require(
+            t_end + dt > t_end, f"Step dt = {dt} s is below the roundoff of t_end = {t_end} s: t + h == t."
+        )
     if adaptive:
-        require(not even, "estimate_error needs constant steps; with error control compare two values of rtol (study.py).")
-        stops = sorted({float(t) for t in scene.breakpoints if 0 < t < t_end}) + [t_end]
+        require(
+            not even,
+            "estimate_error needs constant steps; with error control compare two values of rtol (study.py).",
+        )
+        stops = sorted({float(t) for t in scene.breakpoints if 0 < t < t_end})
         return Pace(t_end, 0, tuple(stops), np.inf if dt is None else dt)
     assert dt is not None
     steps = max(1, round(t_end / dt))

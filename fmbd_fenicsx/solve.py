@@ -212,8 +212,9 @@ def _march(problem: _Problem, solver: StepSolver, pace: Pace, output: Output) ->
                 recorder.take(done, state)
                 bar.update()
                 first = first or solver.back_solves
-                if pace.stops and pace.breaks(state.t):
-                    stepper.restart()
+                if (kink := pace.broken(state.t)) is not None:
+                    stepper.restart(kink)
+                    state = stepper.state
                 if stop.asked:
                     log.warning("stopped on request at t = %g s", state.t)
                     break

@@ -87,7 +87,11 @@ class Pencil:
         size = np.linalg.norm(self.rows * rhs) + np.linalg.norm(z / self.columns)
         if self.redundant:  # dependent rows agree up to the nonlinear residual only
             left = left[: self.n]
-        self.judge.check(float(np.linalg.norm(left)), float(size), "Constraints depend on each other, or a body is not held.")
+        self.judge.check(
+            float(np.linalg.norm(left)),
+            float(size),
+            "Constraints depend on each other, or a body is not held.",
+        )
         dxi, mult = z[: self.n], z[self.n :].reshape(self.levels, self.m)
         dv = self.D @ dxi + kin
         if self.levels > 1:

@@ -18,7 +18,7 @@ ODEs II, sections III.5 and VII.3, doi:10.1007/978-3-642-05221-7; Gear, Gupta an
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -52,7 +52,10 @@ class BDF:
     atol: float | None = None
 
     def __post_init__(self) -> None:
-        require(self.order in (1, 2, 3, 4, 5), f"BDF: order = {self.order} must be 1 to 5; six and more are not stable enough.")
+        require(
+            self.order in (1, 2, 3, 4, 5),
+            f"BDF: order = {self.order} must be 1 to 5; six and more are not stable enough.",
+        )
         check_tolerance(self.rtol, self.atol, "BDF")
 
     @property
@@ -108,12 +111,16 @@ class Stepper:
     @property
     def counters(self) -> dict[str, float]:
         """Work so far, for the counters of a run."""
-        self.stats.residuals, self.stats.jacobians, self.stats.solves = self.eq.residuals, self.eq.jacobians, self.judge.solves
+        self.stats.residuals, self.stats.jacobians, self.stats.solves = (
+            self.eq.residuals,
+            self.eq.jacobians,
+            self.judge.solves,
+        )
         return self.stats.as_dict()
 
-    def restart(self) -> None:
-        """Forget the past: the solution has a kink here."""
-        self.state = accelerations(self.system, self.state, self.solver)
+    def restart(self, t: float) -> None:
+        """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
+        self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
         self.proposed, self.k, self.held, self._tangent = None, 1, 0, None
         self._begin()
 
@@ -134,9 +141,10 @@ class Stepper:
             found = self._newton(h, self.k)
             if isinstance(found, str):
                 cause, error = found, np.inf
-                if not self._fresh:
-                    self._tangent = None
-                    continue
+                stale = self._tangent is not None and not self._fresh
+                self._tangent = None
+                if stale:
+                    continue  # once more with a new tangent
             else:
                 error, cause = self._error(h, found, self.k), "error estimate"
                 if error <= 1.0:
@@ -148,8 +156,6 @@ class Stepper:
                 self.k = max(1, self.k - 1)
             if len(self.control.rejections) > 5 and self.k > 1:
                 self.k = 1
-            if isinstance(found, str):
-                self._tangent = None
             self.held = 0
         self.local_error = error
         new = self._choose(h, found, error)
@@ -170,7 +176,9 @@ class Stepper:
             found = self._newton(h, self.scheme.order)
         if isinstance(found, str):
             t = self.state.t + h
-            raise ConvergenceError(f"Newton's iteration failed at t = {t:.6g} s (h = {h:.3g} s): {found}. Take a smaller dt.")
+            raise ConvergenceError(
+                f"Newton's iteration failed at t = {t:.6g} s (h = {h:.3g} s): {found}. Take a smaller dt."
+            )
         return self._accept(h, found)
 
     def _back(self, h: float) -> None:
@@ -227,7 +235,11 @@ class Stepper:
         self.eq.begin(s)
         p = Point(xi, c[0] * xi + fixed_xi, v, c[0] * v + fixed_v, mult)
         relax = self._prepare(t, p, c[0])
-        tolerance = 1.0 if not self.adaptive else max(10 * np.finfo(float).eps / self.norm.rtol, min(0.03, self.norm.rtol**0.5))
+        tolerance = (
+            1.0
+            if not self.adaptive
+            else max(10 * np.finfo(float).eps / self.norm.rtol, min(0.03, self.norm.rtol**0.5))
+        )
         last = 0.0
         for i in range(self.newton.max_iterations):
             kin, low, ev = self.eq.residual(t, p)
@@ -298,7 +310,11 @@ class Stepper:
         best, order = stay, k
         if k > 1 and (lower := factor(self._error(h, p, k - 1), k - 1)) > 1.05 * best:
             best, order = lower, k - 1
-        if k < self.scheme.order and len(self.past) >= k + 2 and (higher := factor(self._error(h, p, k + 1), k + 1)) > 1.1 * best:
+        if (
+            k < self.scheme.order
+            and len(self.past) >= k + 2
+            and (higher := factor(self._error(h, p, k + 1), k + 1)) > 1.1 * best
+        ):
             best, order = higher, k + 1
         if order == k and 0.9 <= best <= 1.2:
             return h

@@ -113,7 +113,9 @@ class StepControl:
     h_old: float = 0.0
     error_old: float = 0.0
     span: float = 0.0  # s, what a step was at most allowed to be
-    rejections: list[tuple[float, float, str]] = field(default_factory=list)  # (t, h, cause) since the last accepted step
+    rejections: list[tuple[float, float, str]] = field(
+        default_factory=list
+    )  # (t, h, cause) since the last accepted step
 
     def accepted(self, h: float, error: float, effort: float = 1.0) -> float:
         """Step after an accepted one; ``effort`` in (0, 1] lowers the safety when Newton worked hard."""

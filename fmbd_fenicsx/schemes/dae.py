@@ -270,7 +270,9 @@ class StepEquations:
             return np.concatenate((r, form.rows(at, a))) if self.levels else r
 
         by_q, by_v = differences(s, lower, q, v)
-        by_a = np.concatenate([M, *(G if level == 2 else np.zeros_like(G) for level in form.levels[: self.levels])])
+        by_a = np.concatenate(
+            [M, *(G if level == 2 else np.zeros_like(G) for level in form.levels[: self.levels])]
+        )
         J = np.zeros((s.n_v, s.n_v))
         if s.motions.dim == 3:
             eps = 1e-6

@@ -17,7 +17,7 @@ doi:10.1007/BFb0093947; local coordinates: Munthe-Kaas, doi:10.1007/BF02510919.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -32,6 +32,7 @@ from ..system import State, System
 from .control import ROUNDOFF, ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
 from .dae import GGL, Form, Point, StepEquations
 from .start import accelerations, project
+
 
 @dataclass(frozen=True)
 class Tableau:
@@ -108,7 +109,9 @@ class Radau:
 class Stepper:
     """Advances a consistent state; holds tangent, factors, the last collocation polynomial and the step control."""
 
-    def __init__(self, scheme: Radau, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+    def __init__(
+        self, scheme: Radau, system: System, solver: StepSolver, newton: Newton, state: State
+    ) -> None:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
         self.eq = StepEquations(system, scheme.form, solver)
         self.tab = tableau(scheme.stages)
@@ -134,7 +137,11 @@ class Stepper:
     @property
     def counters(self) -> dict[str, float]:
         """Work so far, for the counters of a run."""
-        self.stats.residuals, self.stats.jacobians, self.stats.solves = self.eq.residuals, self.eq.jacobians, self.judge.solves
+        self.stats.residuals, self.stats.jacobians, self.stats.solves = (
+            self.eq.residuals,
+            self.eq.jacobians,
+            self.judge.solves,
+        )
         return self.stats.as_dict()
 
     # -- one accepted step --------------------------------------------------------------------------------------
@@ -148,12 +155,13 @@ class Stepper:
             self.norm.update(s, h)
             self.eq.begin(s)
             point = self._newton(h)
-            if isinstance(point, str):
-                self._fresh = False
-                self._refresh(h)
+            if isinstance(point, str) and not self._fresh:
+                self._tangent = None
                 point = self._newton(h)
             if isinstance(point, str):
-                raise ConvergenceError(f"Newton's iteration failed at t = {s.t + h:.6g} s (h = {h:.3g} s): {point}. Take a smaller dt.")
+                raise ConvergenceError(
+                    f"Newton's iteration failed at t = {s.t + h:.6g} s (h = {h:.3g} s): {point}. Take a smaller dt."
+                )
             return self._accept(h, point)
         limit = h
         self.control.span = max(self.control.span, limit)
@@ -167,9 +175,10 @@ class Stepper:
             point = self._newton(h)
             if isinstance(point, str):
                 cause, error = point, np.inf
-                if not self._fresh:
-                    self._refresh(h)
-                    continue
+                stale = self._tangent is not None and not self._fresh
+                self._tangent = None
+                if stale:
+                    continue  # once more with a new tangent
             else:
                 error, cause = self._estimate(h, point), "error estimate"
                 if error <= 1.0:
@@ -177,9 +186,6 @@ class Stepper:
                 self._theta = max(self._theta, 1e-3)
             self.stats.rejected[cause] += 1
             self.proposed = self.control.rejected(s.t, h, error, cause)
-            self._fresh = self._fresh and not isinstance(point, str)
-            if not self._fresh:
-                self._refresh(h)
         self.local_error = error
         limit_newton = self.newton.max_iterations
         effort = (2 * limit_newton + 1) / (2 * limit_newton + self._iterations)
@@ -189,9 +195,9 @@ class Stepper:
         self.proposed = new if h < limit or new < limit else max(new, self.proposed)
         return self._accept(h, point)
 
-    def restart(self) -> None:
-        """Forget the past: the solution has a kink here. Accelerations and multipliers behind the kink are solved for."""
-        self.state = accelerations(self.system, self.state, self.solver)
+    def restart(self, t: float) -> None:
+        """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
+        self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
         if self.eq.levels:
             self.mult = np.zeros_like(self.mult)
             self.mult[0] = self.state.lam
@@ -285,13 +291,20 @@ class Stepper:
                     return "Newton diverged"
                 theta = self._theta / (1 - min(self._theta, 0.99))
                 left = self.newton.max_iterations - 1 - k
-                if self.adaptive and k > 1 and theta * size * self._theta**left > tolerance and size > tolerance:
+                if (
+                    self.adaptive
+                    and k > 1
+                    and theta * size * self._theta**left > tolerance
+                    and size > tolerance
+                ):
                     return "Newton too slow"
             last = size
             if theta * size <= tolerance or size <= 1e-2 * tolerance:
                 self._eta, self._iterations = theta, k + 1
                 if L > 2:
-                    self._end_acceleration = self._stages(h, xi, v, mult)[-1].vd + self.eq.normals(ev) @ mult[-1, 2]
+                    self._end_acceleration = (
+                        self._stages(h, xi, v, mult)[-1].vd + self.eq.normals(ev) @ mult[-1, 2]
+                    )
                 return self._stages(h, xi, v, mult)
         return "Newton too slow"
 

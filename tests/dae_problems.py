@@ -1,0 +1,98 @@
+"""Small problems with known solutions that the tests of the schemes share."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear.schur import StepSolver
+from fmbd_fenicsx.newton import Newton
+from fmbd_fenicsx.schemes.start import consistent
+
+GRAVITY = 9.81
+
+
+def pendulum(angle: float = 1.0, rate: float = 1.0, gravity: float = GRAVITY) -> fmbd.Scene:
+    """A point mass (1 kg) on a rod (1 m), Cartesian coordinates; ``angle`` from the downward vertical."""
+    x = np.array([np.sin(angle), -np.cos(angle)])
+    v = rate * np.array([np.cos(angle), np.sin(angle)])
+    scene = fmbd.Scene("pendulum")
+    scene.add(
+        fmbd.CoordinateBody(
+            "mass",
+            np.eye(2),
+            lambda q, v, t: np.array([0.0 * q[0], 0.0 * q[1] - gravity]),
+            x,
+            v,
+            constraint=lambda q, t: np.array([0.5 * (q[0] ** 2 + q[1] ** 2 - 1)]),
+            jacobian=lambda q, t: q[None],
+            gamma=lambda q, v, t: np.array([v @ v]),
+            potential=lambda q: gravity * q[1],
+        )
+    )
+    scene.sensor("x", fmbd.coordinates("mass"))
+    scene.sensor("v", fmbd.coordinates("mass", level=1))
+    return scene
+
+
+@lru_cache
+def pendulum_at(
+    t: float, angle: float = 1.0, rate: float = 1.0, gravity: float = GRAVITY
+) -> tuple[Any, Any, float]:
+    """Position, velocity and multiplier of the pendulum at time t, from its angle by DOP853."""
+    run = solve_ivp(
+        lambda t, y: [y[1], -gravity * np.sin(y[0])],
+        [0, t],
+        [angle, rate],
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-14,
+    )
+    angle, rate = run.y[:, -1]
+    x = np.array([np.sin(angle), -np.cos(angle)])
+    return x, rate * np.array([np.cos(angle), np.sin(angle)]), rate**2 + gravity * np.cos(angle)
+
+
+def march(scene: fmbd.Scene, scheme: Any, t_end: float, steps: int, tolerance: float = 1e-11) -> list[Any]:
+    """All states of a run with constant steps, Newton tight."""
+    system, given, _ = scene.build()
+    solver = StepSolver(system)
+    start, _ = consistent(system, given, solver)
+    stepper = scheme.stepper(system, solver, Newton(tolerance, 25), start)
+    return [start] + [stepper.advance(t_end / steps) for _ in range(steps)]
+
+
+def pendulum_errors(scheme: Any, t_end: float, steps: int) -> np.ndarray:
+    """Errors of position, velocity and multiplier at the end, (3,)."""
+    x, v, lam = pendulum_at(t_end)
+    end = march(pendulum(), scheme, t_end, steps)[-1]
+    return np.array([np.abs(end.q - x).max(), np.abs(end.v - v).max(), abs(abs(end.lam[0]) - abs(lam))])
+
+
+def observed(scheme: Any, steps: tuple[int, ...], t_end: float = 1.0) -> np.ndarray:
+    """Orders of q, v, lambda: slopes of the least-squares lines through the errors, (3,)."""
+    errors = np.array([pendulum_errors(scheme, t_end, n) for n in steps])
+    h = -np.log(np.array(steps, dtype=float))
+    return np.array([np.polyfit(h, np.log(e), 1)[0] for e in errors.T])
+
+
+def spinning_top() -> fmbd.Scene:
+    """A spatial rigid body on a ball joint: rotations of SO(3) and their multipliers."""
+    scene = fmbd.Scene("top", gravity=(0, 0, -9.81))
+    body = fmbd.RigidBody("top", 2.0, (0.1, 0.2, 0.25), position=(0.3, 0, 0.1), angular_velocity=(0.5, 1.0, 6.0),
+                          velocity=tuple(np.cross((0.5, 1.0, 6.0), (0.3, 0, 0.1))))  # fmt: skip
+    scene.add(body)
+    scene.add(fmbd.spherical("tip", body, fmbd.ground, center=(0, 0, 0)))
+    return scene
+
+
+def state_errors(scene: fmbd.Scene, a: Any, b: Any) -> np.ndarray:
+    """Differences of two states in q, v, lambda, (3,)."""
+    system = scene.build()[0]
+    return np.array(
+        [np.abs(system.difference(a.q, b.q)).max(), np.abs(a.v - b.v).max(), np.abs(a.lam - b.lam).max()]
+    )

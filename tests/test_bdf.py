@@ -1,0 +1,78 @@
+"""BDF: orders with constant steps, error control, choice of the order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, state_errors
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.schemes.bdf import _derivative, _weights
+
+
+@pytest.mark.parametrize(
+    ("order", "form"),
+    [
+        (1, fmbd.Index3()),
+        (2, fmbd.Index3()),
+        (3, fmbd.Index3()),
+        (2, fmbd.GGL()),
+        (3, fmbd.Index2()),
+        (4, fmbd.GGL()),
+    ],
+    ids=lambda x: getattr(x, "name", None) or str(x),
+)
+def test_orders_with_constant_steps(order: int, form: fmbd.GGL) -> None:
+    steps = (160, 320, 640) if order == 1 else (80, 160, 320) if order < 4 else (60, 120, 240)
+    found = observed(fmbd.BDF(order, form, None), steps)
+    assert (found > order - 0.15).all() and (found[1:] < order + 0.15).all(), found
+
+
+@pytest.mark.slow
+def test_order_in_space() -> None:
+    """Past values in the local coordinates of the step keep the order on SO(3)."""
+    scene = spinning_top()
+    reference = march(scene, fmbd.Radau(3, fmbd.StateSpace(), None), 0.5, 240)[-1]
+    for order in (2, 3):
+        errors = np.array(
+            [
+                state_errors(scene, march(scene, fmbd.BDF(order, rtol=None), 0.5, n)[-1], reference)
+                for n in (80, 160)
+            ]
+        )
+        assert (np.abs(np.log2(errors[0] / errors[1]) - order) < 0.15).all(), errors
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("form", [fmbd.GGL(), fmbd.Index1(), fmbd.StateSpace()], ids=lambda f: f.name)
+def test_error_follows_the_tolerance(form: fmbd.GGL, rtol: float) -> None:
+    run = fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.BDF(form=form, rtol=rtol))
+    x, v, _ = pendulum_at(1.0)
+    assert np.abs(run["x"][-1] - x).max() < 30 * rtol
+    assert np.abs(run["v"][-1] - v).max() < 200 * rtol
+
+
+def test_tight_tolerances_reach_order_five() -> None:
+    few = fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.BDF(rtol=1e-8)).counters["steps"]
+    low = fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.BDF(order=2, rtol=1e-8)).counters["steps"]
+    assert few < 160 < 3 * few < low
+
+
+def test_one_residual_an_iteration_and_few_factors() -> None:
+    c = fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.BDF(rtol=1e-6)).counters
+    assert c["residuals"] == c["newton_iterations"] == c["solves"]
+    assert c["factorisations"] < 0.4 * c["steps"]
+    assert c["jacobians"] < 0.2 * c["steps"]
+
+
+def test_interpolation_weights() -> None:
+    nodes = np.array([1.0, 0.7, 0.55, 0.1])
+    cubic = nodes**3 - 2 * nodes**2 + 3
+    assert _weights(nodes, 1.4) @ cubic == pytest.approx(1.4**3 - 2 * 1.4**2 + 3)
+    assert _derivative(nodes, 1.0) @ cubic == pytest.approx(3 - 4)
+
+
+def test_orders_that_do_not_exist() -> None:
+    with pytest.raises(InputError, match="order = 6"):
+        fmbd.BDF(order=6)

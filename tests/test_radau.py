@@ -1,0 +1,173 @@
+"""Radau IIA: orders in every form, stiffness, error control, the step-size logic."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, state_errors
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError, InputError
+from fmbd_fenicsx.schemes.radau import tableau
+
+ORDERS = [
+    (2, fmbd.Index3(), (3, 2, 1)),
+    (2, fmbd.Index2(), (3, 3, 2)),
+    (2, fmbd.Index1(), (3, 3, 3)),
+    (2, fmbd.GGL(), (3, 3, 2)),
+    (3, fmbd.Index3(), (5, 3, 2)),
+    (3, fmbd.Index2(), (5, 5, 3)),
+    (3, fmbd.GGL(), (5, 5, 3)),
+    (2, fmbd.StateSpace(), (3, 3, 3)),
+    (2, fmbd.Overdetermined(), (3, 3, 3)),
+    (2, fmbd.Baumgarte(5, 5), (3, 3, 3)),
+    (2, fmbd.Projected(fmbd.Index1()), (3, 3, 3)),
+    (2, fmbd.Projected(fmbd.Index2()), (3, 3, 2)),
+]
+
+
+def test_tableau_is_radau_iia() -> None:
+    three = tableau(3)
+    root = np.sqrt(6)
+    A = np.array([
+        [(88 - 7 * root) / 360, (296 - 169 * root) / 1800, (-2 + 3 * root) / 225],
+        [(296 + 169 * root) / 1800, (88 + 7 * root) / 360, (-2 - 3 * root) / 225],
+        [(16 - root) / 36, (16 + root) / 36, 1 / 9],
+    ])  # fmt: skip
+    assert np.abs(three.W @ A - np.eye(3)).max() < 1e-13
+    assert three.gamma == pytest.approx(3.6378342527444957, rel=1e-14)  # Hairer and Wanner, IV (8.18)
+    assert three.error == pytest.approx(
+        np.array([-13 - 7 * root, -13 + 7 * root, -1]) / 3, rel=1e-12
+    )  # (8.20)
+    two = tableau(2)
+    assert np.abs(two.W @ np.array([[5 / 12, -1 / 12], [3 / 4, 1 / 4]]) - np.eye(2)).max() < 1e-13
+
+
+@pytest.mark.parametrize(
+    ("stages", "form", "expected"), ORDERS, ids=lambda x: getattr(x, "name", None) or str(x)
+)
+def test_orders_on_the_pendulum(stages: int, form: fmbd.GGL, expected: tuple[int, int, int]) -> None:
+    fine = stages == 2 or form.index == 3
+    found = observed(fmbd.Radau(stages, form, None), (40, 80, 160) if fine else (20, 40, 80))
+    assert (found > np.array(expected) - 0.15).all(), found
+
+
+@pytest.mark.slow
+def test_orders_of_three_stages_at_index_one() -> None:
+    """Coarse steps: the multiplier of the second finest is at roundoff."""
+    found = observed(fmbd.Radau(3, fmbd.Index1(), None), (6, 8, 12, 16))
+    assert (found[:2] > 4.85).all() and found[2] > 4.5, found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("stages", "form", "expected"), ORDERS[:7], ids=lambda x: getattr(x, "name", None) or str(x)
+)
+def test_orders_in_space(stages: int, form: fmbd.GGL, expected: tuple[int, int, int]) -> None:
+    """The same on SO(3): local coordinates keep the orders."""
+    scene = spinning_top()
+    reference = march(scene, fmbd.Radau(3, fmbd.StateSpace(), None), 0.5, 240)[-1]
+    steps = (20, 40, 80) if stages == 2 else (10, 20, 40)
+    errors = np.array(
+        [
+            state_errors(scene, march(scene, fmbd.Radau(stages, form, None), 0.5, n)[-1], reference)
+            for n in steps
+        ]
+    )
+    found = np.log2(errors[-2] / errors[-1])
+    assert (found > np.array(expected) - 0.15).all(), found
+
+
+@pytest.mark.parametrize("form", [fmbd.GGL(), fmbd.Index3(), fmbd.StateSpace()], ids=lambda f: f.name)
+def test_constraints_that_a_form_holds(form: fmbd.GGL) -> None:
+    run = fmbd.solve(pendulum(), t_end=2.0, scheme=fmbd.Radau(form=form, rtol=1e-5))
+    assert run.drift[0] < 1e-6  # what Newton leaves of rtol
+    assert (run.drift[1] < 1e-5) == (form.name != "Index3")
+
+
+def test_drift_of_lower_index_and_its_cures() -> None:
+    drift = {}
+    for form in (fmbd.Index2(), fmbd.Index1(), fmbd.Baumgarte(20, 20), fmbd.Projected(fmbd.Index1())):
+        drift[form.name] = fmbd.solve(pendulum(), t_end=5.0, scheme=fmbd.Radau(form=form, rtol=1e-4)).drift
+    assert 1e-6 < drift["Index2"][0] and drift["Index2"][1] < 1e-3
+    assert drift["Index1"][0] > 1e-6
+    assert drift["Baumgarte(20, 20)"][0] < 0.1 * drift["Index1"][0]
+    assert max(drift["Projected(Index1)"]) < 1e-12
+
+
+@pytest.mark.parametrize("stages", [2, 3])
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-9])
+def test_error_follows_the_tolerance(stages: int, rtol: float) -> None:
+    if stages == 2 and rtol < 1e-6:
+        pytest.skip("order 3 takes 1500 steps")
+    run = fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.Radau(stages, rtol=rtol))
+    x, v, _ = pendulum_at(1.0)
+    assert np.abs(run["x"][-1] - x).max() < 2 * rtol
+    assert np.abs(run["v"][-1] - v).max() < 10 * rtol
+
+
+def test_index_three_rejects_no_steps_for_inherited_errors() -> None:
+    """The estimate starts from consistent rates: the last step's normal velocity error is not taken for this step's."""
+    run = fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.Radau(form=fmbd.Index3(), rtol=1e-7))
+    assert run.counters["rejections"] <= 2
+    assert run.counters["steps"] < 130
+
+
+def test_units_do_not_change_the_steps() -> None:
+    """The same motion in metres and in millimetres takes the same steps."""
+
+    def scene(unit: float) -> fmbd.Scene:
+        made = fmbd.Scene("crank", gravity=(0, -9.81 * unit))
+        body = fmbd.RigidBody("rod", 1.0, 0.1 * unit**2, position=(0.5 * unit, 0))
+        made.add(body, fmbd.revolute("pin", body, fmbd.ground, center=(0, 0)))
+        return made
+
+    runs = [fmbd.solve(scene(u), t_end=1.0, scheme=fmbd.Radau(rtol=1e-6)) for u in (1.0, 1e3)]
+    assert abs(runs[0].counters["steps"] - runs[1].counters["steps"]) <= 1
+    assert runs[0].state.q[2] == pytest.approx(runs[1].state.q[2], abs=1e-7)
+
+
+def test_break_points_and_the_end_are_hit_exactly() -> None:
+    def scene(breaks: tuple[float, ...]) -> fmbd.Scene:
+        made = fmbd.Scene("kick", breakpoints=breaks)
+        made.add(
+            fmbd.CoordinateBody(
+                "mass", np.eye(1), lambda q, v, t: np.array([1.0 if t >= 0.3 else 0.0]), [0.0], [1.0]
+            )
+        )
+        made.sensor("x", fmbd.coordinates("mass"))
+        return made
+
+    run = fmbd.solve(scene((0.3,)), t_end=1.0, scheme=fmbd.Radau(rtol=1e-8))
+    assert np.abs(run.times - 0.3).min() < 1e-14 and run.times[-1] == pytest.approx(1.0, abs=1e-15)
+    assert run["x"][-1, 0] == pytest.approx(1.0 + 0.5 * 0.7**2, abs=1e-9)
+    blind = fmbd.solve(scene(()), t_end=1.0, scheme=fmbd.Radau(rtol=1e-8))
+    assert blind.counters["rejections"] > run.counters["rejections"]
+
+
+def test_a_jump_that_cannot_be_passed_is_reported_with_its_history() -> None:
+    scene = fmbd.Scene("wall")
+
+    def force(q: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
+        return np.array([np.nan if t > 0.5 else -1.0 + 0.0 * q[0]])
+
+    scene.add(fmbd.CoordinateBody("mass", np.eye(1), force, [0.0], [1.0]))
+    with pytest.raises(
+        ConvergenceError, match=r"t = 0\.[45]\d* s cannot be made smaller: \d+ rejections.*forces not finite"
+    ):
+        fmbd.solve(scene, t_end=1.0, scheme=fmbd.Radau(rtol=1e-6))
+
+
+def test_arguments_that_make_no_sense() -> None:
+    with pytest.raises(InputError, match="stages = 4"):
+        fmbd.Radau(stages=4)
+    with pytest.raises(InputError, match="rtol = 1e-16"):
+        fmbd.Radau(rtol=1e-16)
+    with pytest.raises(InputError, match="give dt"):
+        fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.Radau(rtol=None))
+    with pytest.raises(InputError, match="constant steps"):
+        fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.Radau(), output=fmbd.Output(estimate_error=True))
+    with pytest.raises(InputError, match="project Index1 or Index2"):
+        fmbd.Projected(fmbd.GGL())
+    with pytest.raises(InputError, match="must be positive"):
+        fmbd.Baumgarte(-1.0, 1.0)
