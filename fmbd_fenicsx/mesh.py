@@ -16,7 +16,7 @@ import numpy as np
 
 from . import dolfinx_compat as compat
 from .errors import MeshError, near
-from .log import together
+from .log import install_hooks, together
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +64,7 @@ def read_gmsh(source: str | Path, *, volume: str | None = None, comm: Any = None
     import gmsh
     from mpi4py import MPI
 
+    install_hooks()
     compat.check_versions()
     comm = MPI.COMM_WORLD if comm is None else comm
     path = Path(source)
@@ -116,7 +117,10 @@ def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, d
     listing = ", ".join(f'"{n}" (dim {k})' for k, _, n in groups)
     unnamed = [(k, t) for k, t, n in groups if not n and k >= dim - 1]
     if unnamed:
-        raise MeshError(f"{label}: physical groups {unnamed} (dim, tag) have no name. Named groups: {listing}.")
+        raise MeshError(
+            f"{label}: physical groups {unnamed} (dim, tag) have no name; gmsh also drops a name that is given "
+            f"twice. Groups: {listing}."
+        )
     names = [(k, n) for k, _, n in groups]
     twice = sorted({n for k, n in names if names.count((k, n)) > 1})
     if twice:
@@ -150,7 +154,20 @@ def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, d
         if not any(len(x) for e in parts for x in model.mesh.getElements(k, e)[1]):
             raise MeshError(f'{label}: surface "{n}" has no facets. Mesh it, or remove the group.')
         surfaces[n] = t
+    _drop_others(model, dim, entities)
     return dim, name, surfaces, label
+
+
+def _drop_others(model: Any, dim: int, entities: list[int]) -> None:
+    """Remove the mesh of everything that is no part of the solid: nodes without cells end DOLFINx's distribution."""
+    own = np.unique(np.concatenate([n for e in entities for n in model.mesh.getElements(dim, e)[2]]))
+    for k, e in sorted(model.getEntities(), reverse=True):
+        if k == dim and e in entities:
+            continue
+        nodes = model.mesh.getElements(k, e)[2]
+        if nodes and not np.isin(np.concatenate(nodes), own).all():
+            model.mesh.clear([(k, e)])
+    model.mesh.renumberNodes()
 
 
 def _check_cells(model: Any, dim: int, entities: list[int], label: str, name: str) -> None:
@@ -162,7 +179,10 @@ def _check_cells(model: Any, dim: int, entities: list[int], label: str, name: st
         types, tags, nodes = model.mesh.getElements(dim, entity)
         for kind, cells, cell_nodes in zip(types, tags, nodes, strict=True):
             points, _ = model.mesh.getIntegrationPoints(kind, "Gauss2")
-            _, det, x = model.mesh.getJacobians(kind, points, tag=entity)
+            J, det, x = model.mesh.getJacobians(kind, points, tag=entity)
+            if dim == 2:  # gmsh gives the absolute value for cells of the plane
+                J = np.asarray(J).reshape(-1, 9)
+                det = J[:, 0] * J[:, 4] - J[:, 1] * J[:, 3]
             per = len(points) // 3
             det = np.asarray(det).reshape(-1, per)
             x = np.asarray(x).reshape(-1, per, 3)

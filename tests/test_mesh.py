@@ -1,0 +1,177 @@
+"""Reading meshes: what arrives, and one clear error on all ranks for each fault."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from faulty import FAULTS
+from test_ranks import launch
+
+from fmbd_fenicsx import dolfinx_compat, read_gmsh
+from fmbd_fenicsx.errors import FmbdError, InputError, MeshError
+
+HERE = Path(__file__).resolve().parent
+FAULTY = HERE / "faulty.py"
+
+
+@pytest.mark.mpi
+@pytest.mark.smoke
+@pytest.mark.parametrize("dim", [2, 3])
+def test_names_dimension_and_size(dim: int, rod_mesh: Callable[..., Any]) -> None:
+    mesh = rod_mesh(dim=dim, h=0.5, height=0.4)
+    assert mesh.dim == dim
+    assert mesh.surface_names == ["pin", "side", "tip"]
+    assert mesh.volume == "rod"
+    x = mesh.dolfinx.geometry.x
+    low, high = (
+        mesh.dolfinx.comm.allgather(f(x[:, 0]) if len(x) else v) for f, v in ((np.min, 9.0), (np.max, -9.0))
+    )
+    assert (min(low), max(high)) == (0.0, 1.0)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faulty_mesh_is_refused(fault: str) -> None:
+    """The same message on every rank: pytest sees it on each."""
+    with pytest.raises(MeshError, match="(?s)faulty.py.*" + FAULTS[fault]):
+        read_gmsh(FAULTY, fault=fault)
+
+
+@pytest.mark.mpi
+def test_reading_works_after_an_error(rod_mesh: Callable[..., Any]) -> None:
+    with pytest.raises(MeshError):
+        read_gmsh(FAULTY, fault="none")
+    assert read_gmsh(HERE.parent / "meshes/rod.py", h=0.5).dim == 2
+
+
+@pytest.mark.mpi
+def test_missing_file_and_wrong_arguments() -> None:
+    with pytest.raises(MeshError, match=r"meshes/rood.py does not exist"):
+        read_gmsh("meshes/rood.py")
+    with pytest.raises(MeshError, match="(?s)faulty.py.*TypeError.*fualt"):
+        read_gmsh(FAULTY, fualt="none")
+    with pytest.raises(MeshError, match='no volume "body".*"plate 0"'):
+        read_gmsh(FAULTY, fault="two volumes", volume="body")
+    with pytest.raises(MeshError, match="no function build"):
+        read_gmsh(HERE / "motion.py")
+
+
+@pytest.mark.mpi
+def test_file_that_is_no_mesh(shared_tmp: Path) -> None:
+    path = shared_tmp / "broken.msh"
+    path.write_text("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 2")
+    with pytest.raises(MeshError, match="broken.msh"):
+        read_gmsh(path)
+    with pytest.raises(MeshError, match=r"broken.msh is a finished mesh.*\['h'\]"):
+        read_gmsh(path, h=0.1)
+
+
+@pytest.mark.mpi
+def test_one_volume_of_several_brings_its_own_surfaces() -> None:
+    mesh = read_gmsh(FAULTY, fault="two volumes", volume="plate 0")
+    assert mesh.volume == "plate 0"
+    assert mesh.surface_names == ["end"]
+    assert read_gmsh(FAULTY, fault="two volumes", volume="plate 1").surface_names == []
+
+
+@pytest.mark.mpi
+def test_points_outside_the_solid_are_left_out() -> None:
+    mesh = read_gmsh(FAULTY, fault="lone point")
+    assert mesh.dolfinx.comm.allreduce(float(mesh.dolfinx.geometry.x.max(initial=0.0))) < 3.0
+
+
+@pytest.mark.mpi
+def test_unknown_surface_lists_near_names(rod_mesh: Callable[..., Any]) -> None:
+    with pytest.raises(InputError, match='No surface "tpi".*Did you mean "tip"'):
+        rod_mesh(dim=2, h=0.5, height=0.4).surface_tag("tpi")
+
+
+# -- programs: one message, an exit code, no hang --------------------------------------------------------------------------
+SOLVE = """
+import numpy as np
+import fmbd_fenicsx as fmbd
+mesh = fmbd.read_gmsh("meshes/rod.py", h=0.5, height=0.4)
+rod = fmbd.FloatingBody("rod", mesh, density=1000.0, elastic=fmbd.materials.linear_elastic(5e6, 0.3))
+scene = fmbd.Scene("bad")
+scene.add(rod)
+{line}
+fmbd.solve(scene, t_end=0.02, dt=0.01)
+"""
+PROGRAMS = {
+    "missing file": ("import fmbd_fenicsx as f; f.read_gmsh('meshes/rood.py')", "rood.py does not exist"),
+    "inverted": (
+        "import fmbd_fenicsx as f; f.read_gmsh('tests/faulty.py', fault='inverted')",
+        "are inverted",
+    ),
+    "solid forgotten": (
+        "import fmbd_fenicsx as f; f.read_gmsh('tests/faulty.py', fault='solid forgotten')",
+        "highest physical group has dimension 2",
+    ),
+    "unknown surface": (SOLVE.format(line="rod.surface('tpi')"), 'Did you mean "tip"'),
+    "load": (
+        SOLVE.format(line="scene.add(fmbd.force('wind', rod.surface('tip'), lambda t: (np.nan, 0.0)))"),
+        'Force "wind"',
+    ),
+    "load on one rank": (
+        SOLVE.format(
+            line="from mpi4py import MPI\n"
+            "bad = MPI.COMM_WORLD.rank == MPI.COMM_WORLD.size - 1\n"
+            "scene.add(fmbd.force('gust', rod.surface('tip'), lambda t: (np.nan if bad else 0.0, 0.0)))"
+        ),
+        'Force "gust"',
+    ),
+    "initial displacement": (
+        SOLVE.format(
+            line="scene.bodies['rod'] = rod.with_(displacement=lambda x: np.where(x > 0.9, np.nan, 0 * x))"
+        ),
+        '"rod": displacement',
+    ),
+}
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_bad_input_ends_two_ranks_with_one_message(name: str) -> None:
+    code, words = PROGRAMS[name]
+    done = launch(code, 2, timeout=60)
+    assert done.returncode != 0
+    messages = re.findall(r"^fmbd_fenicsx\.errors\.\w+: .*" + re.escape(words), done.stderr, re.MULTILINE)
+    assert len(messages) == 1, done.stderr
+
+
+@pytest.mark.serial
+def test_bad_input_ends_a_serial_program() -> None:
+    done = launch(PROGRAMS["missing file"][0], 1)
+    assert done.returncode != 0
+    assert done.stderr.count("MeshError: Mesh file meshes/rood.py does not exist") == 1
+
+
+# -- environment ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("version", ["0.8.0", "0.5.2", "0.8.0.post1"])
+def test_old_dolfinx_is_refused(version: str) -> None:
+    with pytest.raises(FmbdError, match=f"DOLFINx {version} is too old.*0.9"):
+        dolfinx_compat.refuse_unusable(version, "f")
+
+
+@pytest.mark.parametrize("version", ["0.9.0", "0.10.0.post2", "0.11.0", "0.12.0.dev0", "1.0.0"])
+def test_new_dolfinx_is_accepted(version: str) -> None:
+    dolfinx_compat.refuse_unusable(version, "f")
+
+
+def test_complex_petsc_is_refused() -> None:
+    with pytest.raises(FmbdError, match="complex.*real build"):
+        dolfinx_compat.refuse_unusable("0.9.0", "c")
+
+
+def test_reader_asks_for_usable_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The refusal is reached before anything is read."""
+    import dolfinx
+
+    monkeypatch.setattr(dolfinx, "__version__", "0.8.1")
+    with pytest.raises(FmbdError, match="0.8.1 is too old"):
+        read_gmsh("meshes/rod.py", h=0.5)
