@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -35,10 +36,9 @@ class Linear:
 
 @dataclass(frozen=True)
 class Rows:
-    """All candidates: gap (m,) m, normal rows, tangential rows, laws, dual weights D (m^(d-1); 1 on rigid points).
+    """All candidates: gap (m,) m, normal rows, tangential rows, laws.
 
-    ``x``, ``normal`` (m, d): positions and normals (from the obstacle to the slave) in world axes; ``pair`` (m,) numbers of
-    the contacts; ``drift`` (m, d - 1) m: tangential motion of prescribed obstacles, filled by the caller's ``since``.
+    ``normal`` (m, d): from the obstacle to the slave, world axes; ``drift`` (m, d - 1) m: tangential motion of prescribed obstacles, over the step given by ``since``.
     """
 
     gap: Array
@@ -46,12 +46,8 @@ class Rows:
     tangents: tuple[Linear, ...]
     friction: Array
     restitution: Array
-    weight: Array
-    x: Array
     normal: Array
-    pair: np.ndarray
     drift: Array
-    thickness: Array
 
     def take(self, rows: np.ndarray) -> Rows:
         """Some of the candidates."""
@@ -63,14 +59,7 @@ class Rows:
         )
 
 
-_PER_ROW = ("gap", "friction", "restitution", "weight", "x", "normal", "pair", "drift", "thickness")
-
-
-class Placed(Protocol):
-    """Configuration that rows are taken in."""
-
-    t: float
-    q: Array
+_PER_ROW = ("gap", "friction", "restitution", "normal", "drift")
 
 
 @dataclass(frozen=True)
@@ -140,8 +129,21 @@ class ContactSet:
             return carrier.motion(t)
         return carrier.offset if carrier.frame < 0 else system.poses(q)[carrier.frame]
 
-    def rows(self, system: Any, t: float, q: Array, since: float | None = None) -> Rows:
-        """All candidates at (t, q); ``since``: the time from which tangential drift of obstacles is counted. Collective."""
+    def rows(self, system: Any, t: float, q: Array, since: tuple[float, float] | None = None) -> Rows:
+        """All candidates at (t, q); ``since`` = (start, h) of the step over which the tangential drift of obstacles counts. Collective."""
+        nodes = self._cached_nodes(system, q)
+        parts = [p.rows(self, system, (t, q, since), nodes) for p in self.pairs]
+        return _stack(parts)
+
+    def touch(self, system: Any, t: float, q: Array) -> Touch:
+        """Gaps, points and normals of all candidates at (t, q), without derivatives; collective."""
+        nodes = self._cached_nodes(system, q)
+        parts = [p.touch(self, system, (t, q), nodes) for p in self.pairs]
+        if len(parts) == 1:
+            return parts[0]
+        return Touch(*(np.concatenate([getattr(p, n) for p in parts]) for n in ("gap", "x", "normal")))
+
+    def _cached_nodes(self, system: Any, q: Array) -> Callable[[int], tuple[Array, Array, Array]]:
         cache: dict[int, tuple[Array, Array, Array]] = {}
 
         def nodes(trace: int) -> tuple[Array, Array, Array]:
@@ -149,8 +151,22 @@ class ContactSet:
                 cache[trace] = self.nodes(system, q, trace)
             return cache[trace]
 
-        parts = [p.rows(self, system, (t, q, since), nodes) for p in self.pairs]
-        return _stack([replace(r, pair=np.full(len(r.gap), i)) for i, r in enumerate(parts)])
+        return nodes
+
+    @cached_property
+    def thickness(self) -> Array:
+        """Shortest way through the master of each candidate, m, (m,)."""
+        return np.concatenate([np.full(p.count, p.thickness) for p in self.pairs])
+
+    @cached_property
+    def weight(self) -> Array:
+        """Dual weights D of the candidates (1 on rigid points), (m,)."""
+        return np.concatenate([np.ones(p.count) if p.rigid else p.slave.surface.weights for p in self.pairs])
+
+    @cached_property
+    def pair(self) -> np.ndarray:
+        """Number of the pair of each candidate, (m,)."""
+        return np.concatenate([np.full(p.count, i) for i, p in enumerate(self.pairs)])
 
     def search(self, now: Array, then: Array, length: float) -> Array:
         """Search distances (m,) from the gaps now and one step ahead: twice the approach, or the pair's own choice."""
@@ -162,6 +178,13 @@ class ContactSet:
             approach = np.abs(then[rows] - now[rows]).max(initial=0.0)
             reach[rows] = max(2.0 * approach, 1e-6 * length) if p.search is None else p.search
         return reach
+
+    def gap_rate(self, system: Any, t: float, q: Array, h: float) -> Array:
+        """Part of the gaps' rates that comes from prescribed motion, m/s, (m,), by central differences; collective."""
+        if all(p.carrier is None or p.carrier.motion is None for p in self.pairs):
+            return np.zeros(len(self.pair))
+        e = 1e-3 * h
+        return (self.touch(system, t + e, q).gap - self.touch(system, t - e, q).gap) / (2 * e)
 
     # -- products ---------------------------------------------------------------------------------------------------
     def times(self, system: Any, rows: Linear, v: Array) -> Array:
@@ -240,65 +263,82 @@ def _stack(parts: list[Rows]) -> Rows:
     )
 
 
+@dataclass(frozen=True)
+class Touch:
+    """Where a pair stands, without derivatives: gap (m,), points x and normals (m, d)."""
+
+    gap: Array
+    x: Array
+    normal: Array
+
+
 class ObstaclePair(Pair):
     """Rows (1) of a slave against an obstacle."""
 
-    def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, float | None], nodes: Any) -> Rows:
-        """Candidates of this pair; collective."""
-        t, q, since = at
-        m = contacts.m
-        d = m.dim
-        side = self.slave
+    @property
+    def thickness(self) -> float:
+        """Shortest way through the obstacle, m."""
+        return float(self.shape.thickness)
+
+    def _place(self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Any) -> tuple[Touch, tuple[Any, ...]]:
+        t, q = at
+        m, side = contacts.m, self.slave
         pose = contacts.pose(system, self.carrier, t, q)
-        r, R = pose[:d], m.matrix(pose)
+        r, R = pose[: m.dim], m.matrix(pose)
+        P, origin = np.zeros((0, m.dim)), np.zeros(m.dim)
         if side.surface is not None:
             x_all, P, Rb = nodes(side.trace)
             x = x_all[side.surface.nodes]
         else:
             own = system.poses(q)[side.frame]
-            Rb = m.matrix(own)
-            x = own[:d] + side.points @ Rb.T
+            origin, Rb = own[: m.dim], m.matrix(own)
+            x = origin + side.points @ Rb.T
         dist, grad = self.shape.evaluate((x - r) @ R)
         normal = grad @ R.T
-        T = side.surface.transform if side.surface is not None else None
-        gap = dist - side.radius if T is None else T @ dist
-        count = len(gap)
-        touch = x - side.radius * normal
+        gap = dist - side.radius if side.surface is None else side.surface.transform @ dist
+        return Touch(np.asarray(gap), x - side.radius * normal, normal), (r, R, P, origin, Rb)
+
+    def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Any) -> Touch:
+        """Gaps of this pair; collective."""
+        return self._place(contacts, system, at, nodes)[0]
+
+    def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], nodes: Any) -> Rows:
+        """Candidates of this pair; collective."""
+        t, q, since = at
+        side, d = self.slave, contacts.m.dim
+        touch, (r, R, P, origin, Rb) = self._place(contacts, system, (t, q), nodes)
+        count = len(touch.gap)
 
         def linear(direction: Array) -> Linear:
             core, field = contacts.blank(count)
             if side.surface is not None:
                 full = np.zeros((contacts.traces[side.trace].n, d))
                 full[side.surface.nodes] = direction
-                W = sp.csr_matrix(T) @ _selection(side.surface.nodes, len(full))
+                W = side.surface.transform @ _selection(side.surface.nodes, len(full))
                 contacts.add_nodes((core, field), side.trace, (W, full), (P, Rb))
             else:
-                contacts.add_frame(core, side.frame, (direction, touch, own[:d], Rb))
+                contacts.add_frame(core, side.frame, (direction, touch.x, origin, Rb))
             if 0 <= self.carrier.frame < system.n_frames and self.carrier.motion is None:
-                contacts.add_frame(core, self.carrier.frame, (-direction, touch, r, R))
+                contacts.add_frame(core, self.carrier.frame, (-direction, touch.x, r, R))
             return Linear(core, tuple(field))
 
-        directions = tangents_of(normal) if contacts.frictional else []
+        directions = tangents_of(touch.normal) if contacts.frictional else []
         drift = np.zeros((count, len(directions)))
         if since is not None and self.carrier.motion is not None and directions:
-            before = self.carrier.motion(since)
-            after = self.carrier.motion(2 * t - since)
-            y = (touch - r) @ R
-            moved = after[:d] + y @ m.matrix(after).T - before[:d] - y @ m.matrix(before).T
+            before, after = self.carrier.motion(since[0]), self.carrier.motion(since[0] + since[1])
+            y = (touch.x - r) @ R
+            turned = y @ (contacts.m.matrix(after) - contacts.m.matrix(before)).T
+            moved = after[:d] - before[:d] + turned
             drift = np.stack([(e * moved).sum(1) for e in directions], axis=1)
         one = np.ones(count)
         return Rows(
-            gap=np.asarray(gap),
-            N=linear(normal),
+            gap=touch.gap,
+            N=linear(touch.normal),
             tangents=tuple(linear(e) for e in directions),
             friction=self.friction * one,
             restitution=self.restitution * one,
-            weight=side.surface.weights if side.surface is not None else one,
-            x=touch,
-            normal=normal,
-            pair=np.zeros(count, dtype=int),
+            normal=touch.normal,
             drift=drift,
-            thickness=self.shape.thickness * one,
         )
 
 

@@ -44,11 +44,11 @@ class Compliance:
             position = next(j for j, (k, _) in enumerate(s.fields) if k == tr.part)
             block = self.solver.blocks[position]
             N = sp.csr_matrix(rows.field[i])
-            nodes = np.unique(N.indices // tr.dim)
-            used = (nodes[:, None] * tr.dim + np.arange(tr.dim)).ravel()
+            turn, used = self.solver._turns[position], np.unique(N.indices)
+            if turn is not None:  # all components of a node
+                used = (np.unique(used // tr.dim)[:, None] * tr.dim + np.arange(tr.dim)).ravel()
             C = self._columns(i, block.factor, used)
             dense = N[:, used].toarray()
-            turn = self.solver._turns[position]
             if turn is not None:
                 dense = (dense.reshape(m, -1, tr.dim) @ turn).reshape(m, -1)
             Y, S = self._rows_of_Y(i, block)[used], self.solver._S[position]

@@ -10,6 +10,9 @@ Without inertia on the contact nodes (:mod:`fmbd_fenicsx.contact_mass`) Lambda d
 linearised (2) and (3) as one small complementarity problem on the candidates; the active set of the last step starts it. After
 the step the velocity is projected on the joints' velocity constraints, which takes energy, never gives it.
 
+With theta instead of 1/2 in (1), (2) the rule is q_theta = q_0 o exp(theta xi), v_1 = v_0 + (v_m - v_0) / theta; theta = 1 is the
+implicit Euler rule, of first order and strongly damped: for equilibria by large steps.
+
 Source: Khenous, Laborde, Renard, doi:10.1016/j.euromechsol.2008.01.001; Deuflhard, Krause, Ertel, doi:10.1002/nme.2119.
 """
 
@@ -21,28 +24,40 @@ from typing import Any
 import numpy as np
 
 from ..contact_rows import ContactSet, Linear, Rows
-from ..errors import ConvergenceError, InputError
-from ..linear.complementarity import ContactCounts, solve_friction, solve_normal
+from ..errors import ConvergenceError, InputError, require
+from ..linear.complementarity import solve_friction, solve_normal
 from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver, Weights
 from ..log import log
 from ..newton import Newton
 from ..rotations import Array
-from ..sensors_contact import WORKS, ContactForces, ContactState
 from ..system import Evaluation, State, System
-from .contact_steps import candidates, components, in_world, refuse_penetration, refuse_tunnelling
+from .contact_ledger import Ledger, StepForces
+from .contact_steps import candidates, components, refuse_penetration
 from .start import Correction, consistent, worst_block
 
 
 @dataclass(frozen=True)
 class ContactMidpoint:
-    """Scheme data: none. Equations (1) to (3)."""
+    """Scheme data: ``theta`` in [1/2, 1]; 1/2 conserves energy, 1 is the implicit Euler rule. Equations (1) to (3)."""
 
-    order = 2
-    name = "contact-implicit midpoint"
+    theta: float = 0.5
+
+    def __post_init__(self) -> None:
+        require(0.5 <= self.theta <= 1.0, f"ContactMidpoint: theta = {self.theta} must lie in [1/2, 1].")
+
+    @property
+    def order(self) -> int:
+        """Order away from impacts."""
+        return 2 if self.theta == 0.5 else 1
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+        return "contact-implicit midpoint" if self.theta == 0.5 else f"contact-implicit theta rule ({self.theta:g})"
 
     def start(self, system: System, state: State, solver: StepSolver, h: float) -> tuple[State, Correction]:
-        """Consistent positions and velocities in the metric M + h^2/4 K (M alone is singular on massless nodes)."""
+        """Consistent positions and velocities in the metric M + (theta h)^2 K (M alone is singular on massless nodes)."""
         contacts = system.contacts
         if contacts is None:
             raise InputError("ContactMidpoint is a scheme for scenes with contact; this scene has none. Use another scheme.")
@@ -59,60 +74,36 @@ class ContactMidpoint:
                 "see docs/contact.md",
                 heavy[0],
             )
-        start, correction = consistent(system, state, solver, metric=Weights(1.0, 0.0, h * h / 4), accelerated=False)
+        start, correction = consistent(system, state, solver, metric=Weights(1.0, 0.0, (self.theta * h) ** 2), accelerated=False)
         refuse_penetration(system, contacts, start)
         return start, correction
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
-        return Stepper(system, solver, newton, state)
+        return Stepper(self.theta, system, solver, newton, state)
 
 
 class Stepper:
-    """Advances a state through contact; keeps forces, active set, works and statistics."""
+    """Advances a state through contact."""
 
-    def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
-        assert system.contacts is not None
-        self.system, self.solver, self.newton = system, solver, newton
+    def __init__(self, theta: float, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        self.theta, self.system, self.solver, self.newton = theta, system, solver, newton
         self.contacts: ContactSet = system.contacts
         self.compliance = Compliance(solver, self.contacts)
-        self.counts = ContactCounts()
+        self.ledger = Ledger(system)
         self.local_error = 0.0
-        self.in_contact = self.newton_in_contact = 0
-        rows = self.contacts.rows(system, state.t, state.q)
-        d = system.motions.dim
-        self.force = np.zeros((len(rows.gap), d if self.contacts.frictional else 1))
-        self.impulse = np.zeros((len(self.contacts.pairs), d))
-        self.work = np.zeros(len(WORKS))
         self._projects = any(b.kind != "frame" for b in system.blocks)
-        self.energy, self.springs = self._energy(state)
-        self.state: State = self._state(state, rows, state.t)
+        self.state: State = self.ledger.open(state)
 
     @property
     def counters(self) -> dict[str, float]:
         """Statistics of contact for the run's counters."""
-        c = self.counts
-        return {
-            "contact_steps": self.in_contact,
-            "contact_newton_iterations": self.newton_in_contact,
-            "active_set_iterations": c.iterations,
-            "active_set_changes": c.changes,
-            "cycles_broken": c.cycles,
-            "complementarity_residual": c.residual,
-            "compliance_columns": self.compliance.columns,
-        }
+        return self.ledger.counters(self.compliance.columns)
 
-    def _energy(self, state: State) -> tuple[float, float]:
-        """Total energy, and the share of springs."""
-        found = self.system.at(state.t, state.q, state.v).energies()
-        return float(sum(found.values())), float(found["springs"])
-
-    # -- one step ---------------------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
         system, s = self.system, self.state
         near = candidates(system, self.contacts, s, h)
-        refuse_tunnelling(system, self.contacts, s, h)
         for _ in range(4):
             step = _Step(self, h, near)
             converged, history = self.newton.solve(step.increment)
@@ -123,29 +114,18 @@ class Stepper:
                     + (f"; the largest open constraint is {worst_block(system, step.g)}" if step.g.size else "")
                     + ". Try a smaller dt."
                 )
-            rows = self.contacts.rows(system, s.t + h, step.q)
-            missed = (rows.gap < -1e-9 * system.length) & ~near
+            missed = (self.contacts.touch(system, s.t + h, step.q).gap < -1e-9 * system.length) & ~near
             if not missed.any():
                 break
             near = near | missed
-        return self._accept(step, rows, h, len(history))
-
-    def _accept(self, step: _Step, rows: Rows, h: float, iterations: int) -> State:
-        """Take the step: velocities, works, impulses, statistics."""
-        system, s = self.system, self.state
-        v = 2 * step.xi / h - s.v
+        v = s.v + (step.xi / h - s.v) / self.theta
         if self._projects:
             v = self._project(step, v)
-        self.force = np.zeros_like(self.force)
-        self.force[step.near] = step.force
-        if step.force.any():
-            self.in_contact += 1
-            self.newton_in_contact += iterations
         a = (v - s.v) / h
         self.local_error = h * h / 12 * system.max_abs(a - s.a)
-        new = State(s.t + h, step.q, v, a, step.lam)
-        self._count_work(step, new, h)
-        self.state = self._state(new, rows, s.t + h / 2, step)
+        forces = StepForces(near, step.rows, step.force, s.t + self.theta * h)
+        self.state = self.ledger.write(State(s.t + h, step.q, v, a, step.lam), forces, (step.ev, step.xi, step.lam), h)
+        self.ledger.count(len(history))
         return self.state
 
     def _project(self, step: _Step, v: Array) -> Array:
@@ -154,35 +134,6 @@ class Stepper:
         slip = ev.jacobian.times(v) + ev.constraint_rate()
         dv, _ = self.solver.solve(np.zeros(self.system.n_v), -slip)
         return v + dv
-
-    def _count_work(self, step: _Step, new: State, h: float) -> None:
-        system, xi = self.system, step.xi
-        works = np.zeros(len(WORKS))
-        if step.rows is not None:
-            works[0] = step.force[:, 0] @ self.contacts.times(system, step.rows.N, xi)
-            for k, tangent in enumerate(step.rows.tangents):
-                works[1] += step.force[:, 1 + k] @ self.contacts.times(system, tangent, xi)
-        energy, springs = self._energy(new)
-        if system.forces:
-            works[2] = system.dot(step.ev.spread(step.ev.wrenches()), xi) + springs - self.springs
-        if system.n_lam:
-            works[3] = -float(step.lam @ step.ev.jacobian.times(xi))
-        works[4] = energy - self.energy - works[:4].sum()
-        self.energy, self.springs = energy, springs
-        self.work = self.work + works
-
-    def _state(self, state: State, rows: Rows, time: float, step: _Step | None = None) -> ContactState:
-        """The state with its contact forces, world axes."""
-        force = in_world(rows, self.force)
-        if step is not None and step.rows is not None:
-            force[step.near] = in_world(step.rows, step.force)
-            for i in range(len(self.impulse)):
-                self.impulse[i] += step.h * force[rows.pair == i].sum(0)
-        found = ContactForces(
-            self.contacts.names, time, rows.pair, rows.x, rows.normal, rows.gap, self.force[:, 0].copy(), force,
-            self.force[:, 0] / rows.weight, self.impulse.copy(), self.work.copy(),
-        )  # fmt: skip
-        return ContactState(state.t, state.q, state.v, state.a, state.lam, found)
 
 
 class _Step:
@@ -193,11 +144,12 @@ class _Step:
         system, s = stepper.system, stepper.state
         self.xi = h * s.v
         self.lam = s.lam.copy()
-        self.force = stepper.force[near]
+        self.force = stepper.ledger.force[near]
         self.rows: Rows | None = None
         self.W: Array | None = None
         self._blocks: Any = None
-        self.scale = h * h / 2
+        self.theta = stepper.theta
+        self.scale = self.theta * h * h
         self.q = s.q
         self.g = np.zeros(0)
         self.ev: Evaluation = None  # type: ignore[assignment]
@@ -208,12 +160,12 @@ class _Step:
         p, h, s = self.p, self.h, self.p.state
         system, solver = p.system, p.solver
         self.q = system.compose(s.q, self.xi)
-        middle = system.compose(s.q, 0.5 * self.xi)
+        middle = system.compose(s.q, self.theta * self.xi)
         vm = self.xi / h
-        ev = self.ev = system.at(s.t + h / 2, middle, vm)
+        ev = self.ev = system.at(s.t + self.theta * h, middle, vm)
         if self.W is None:
-            solver.prepare(ev, Weights(1.0, h / 2, h * h / 4))
-        r = ev.balance(2 * (vm - s.v) / h, self.lam)
+            solver.prepare(ev, Weights(1.0, self.theta * h, (self.theta * h) ** 2))
+        r = ev.balance((vm - s.v) / (self.theta * h), self.lam)
         self.g = system.at(s.t + h, self.q).constraint() if system.n_lam else np.zeros(0)
         if self.near.any():
             dxi, dlam = self._with_contact(middle, r)
@@ -229,8 +181,8 @@ class _Step:
     def _with_contact(self, middle: Array, r: Array) -> tuple[Array, Array]:
         p, system, solver = self.p, self.p.system, self.p.solver
         t0, h = p.state.t, self.h
-        rows = self.rows = p.contacts.rows(system, t0 + h / 2, middle, since=t0).take(self.near)
-        gap = p.contacts.rows(system, t0 + h, self.q).gap[self.near]
+        rows = self.rows = p.contacts.rows(system, t0 + self.theta * h, middle, since=(t0, h)).take(self.near)
+        gap = p.contacts.touch(system, t0 + h, self.q).gap[self.near]
         d = self.force.shape[1]
         L = components(rows) if d > 1 else rows.N
         r = r - p.contacts.transposed(system, L, self.force.ravel())
@@ -244,9 +196,9 @@ class _Step:
             u[:, 1:] += p.contacts.times(system, _tangents(L, d), self.xi).reshape(-1, d - 1) - rows.drift
         u = (u.ravel() - self.W @ self.force.ravel()).reshape(-1, d)
         if d > 1:
-            force = solve_friction(self.W, u, rows.friction, self.force, p.counts)
+            force = solve_friction(self.W, u, rows.friction, self.force, p.ledger.counts)
         else:
-            force = solve_normal(self.W, u[:, 0], self.force[:, 0] > 0, p.counts)[:, None]
+            force = solve_normal(self.W, u[:, 0], self.force[:, 0] > 0, p.ledger.counts)[:, None]
         change, self.force = force - self.force, force
         if not change.any():
             return z, dl
