@@ -101,6 +101,11 @@ class Pair:
         return self.slave.surface is None
 
     @property
+    def moving(self) -> bool:
+        """Whether the obstacle moves as prescribed."""
+        return self.carrier.motion is not None
+
+    @property
     def count(self) -> int:
         """Candidates."""
         return len(self.slave.points) if self.slave.surface is None else len(self.slave.surface.nodes)
@@ -179,9 +184,24 @@ class ContactSet:
             reach[rows] = max(2.0 * approach, 1e-6 * length) if p.search is None else p.search
         return reach
 
+    def fastest(self, system: Any, v: Array) -> float:
+        """A bound of the speed of any contact node, m/s; collective."""
+        speed = 0.0
+        twist = system.twists(v)
+        for tr in self.traces:
+            body = np.abs(twist[tr.frame, : self.m.dim]).sum() + np.abs(twist[tr.frame, self.m.dim :]).sum() * tr.field.size
+            speed = max(speed, float(np.linalg.norm(tr.gather(system.local_v(v, tr.part)), axis=1).max() + tr.moving * body))
+        return 2.0 * speed
+
+    def update(self, system: Any, q: Array, reach: float) -> None:
+        """Pair two-body contacts anew for a step that starts at q; collective."""
+        for p in self.pairs:
+            if hasattr(p, "update"):
+                p.update(self, system, q, reach)
+
     def gap_rate(self, system: Any, t: float, q: Array, h: float) -> Array:
         """Part of the gaps' rates that comes from prescribed motion, m/s, (m,), by central differences; collective."""
-        if all(p.carrier is None or p.carrier.motion is None for p in self.pairs):
+        if not any(getattr(p, "moving", False) for p in self.pairs):
             return np.zeros(len(self.pair))
         e = 1e-3 * h
         return (self.touch(system, t + e, q).gap - self.touch(system, t - e, q).gap) / (2 * e)
@@ -207,13 +227,15 @@ class ContactSet:
         """Empty core rows and sparse field rows."""
         return np.zeros((m, self.n_core)), [sp.csr_matrix((m, t.n * self.m.dim)) for t in self.traces]
 
-    def add_nodes(self, linear: tuple[Array, list[Any]], trace: int, entries: tuple[Any, Array], at: tuple[Array, Array]) -> None:
-        """Add rows sum_k W_jk n . x_k' of a trace: entries (W csr (m, n_trace), n), n (n_trace, d) a node or (m, d) a row."""
+    def add_nodes(
+        self, linear: tuple[Array, list[Any]], trace: int, entries: tuple[Any, Array], at: tuple[Array, Array],
+        *, by_row: bool = False,
+    ) -> None:  # fmt: skip
+        """Add rows sum_k W_jk n . x_k' of a trace: entries = (W csr (m, n_trace), n), n a node (n_trace, d), or ``by_row`` (m, d)."""
         (core, field), (W, direction), (P, R), d = linear, entries, at, self.m.dim
         tr = self.traces[trace]
         coo = W.tocoo()
-        per_row = direction.shape[0] == W.shape[0] and direction.shape[0] != tr.n
-        which = coo.row if per_row else coo.col
+        which = coo.row if by_row else coo.col
         world = direction[which] * coo.data[:, None]
         local = world @ R
         rows = np.repeat(coo.row, d)

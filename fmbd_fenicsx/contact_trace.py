@@ -52,6 +52,7 @@ class Trace:
         self.n = len(used)
         reference = field.X if moving else field.X_world
         self.X = np.concatenate(self.comm.allgather(reference[self.own])).reshape(self.n, self.dim)
+        self.at_rest = np.concatenate(self.comm.allgather(field.X_world[self.own])).reshape(self.n, self.dim)
         self.surfaces = {s: self._surface(s, np.searchsorted(used, f), w) for s, (f, w) in lists.items()}
 
     def _surface(self, name: str, facets: np.ndarray, weights: dict[int, float]) -> SurfaceNodes:

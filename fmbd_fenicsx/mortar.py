@@ -91,6 +91,19 @@ def mortar(slave: Trace, master: Trace, space: MultiplierSpace, *, tolerance: fl
     )
 
 
+def overlap(slave: Trace, master: Trace, degree: int, tolerance: float) -> tuple[np.ndarray, Array, Array]:
+    """Pairs of facets that overlap (n, 2), and their blocks int psi_a phi_b of the slave and of the master (n, k_p, k).
+
+    psi are the Lagrange functions of ``degree`` on the slave's facets; ``tolerance`` as in :func:`mortar`. Collective; sorted.
+    """
+    comm = slave.comm
+    pairs = _candidates(slave, master, tolerance)
+    parts = comm.allgather(_integrate(slave, master, pairs[comm.rank :: comm.size], degree, tolerance)[:3])
+    pair, own, other = (np.concatenate([p[i] for p in parts]) for i in range(3))
+    order = np.lexsort(pair.T[::-1])
+    return pair[order], own[order], other[order]
+
+
 def _candidates(slave: Trace, master: Trace, tolerance: float) -> np.ndarray:
     """Pairs of facets (n, 2) whose circumscribed balls meet."""
     from scipy.spatial import cKDTree

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from .contact_rows import Carrier, ContactSet, ObstaclePair, Side
 from .contact_shapes import Obstacle
 from .contact_trace import Trace, surface_nodes
 from .errors import InputError, near, require
+from .log import log
 from .rotations import Array, Motions
 
 
@@ -42,12 +45,12 @@ def make_massless(scene: Any, body: Any, field: Any) -> None:
     """Take the inertia off the nodes of a body that may touch as slaves; collective."""
     names = [
         c.slave.name
-        for c in scene.contacts.values()
+        for c in map(oriented, scene.contacts.values())
         if isinstance(c.slave, Surface) and c.slave.body is body and c.redistribute_mass
     ]
     if not names:
         return
-    redistribute_mass(field, surface_nodes(field, names))
+    redistribute_mass(field, surface_nodes(field, sorted(set(names))))
 
 
 def build_contacts(scene: Any, motions: Motions, frame_of: dict[str, int], parts: list[Any]) -> ContactSet:
@@ -62,7 +65,7 @@ def build_contacts(scene: Any, motions: Motions, frame_of: dict[str, int], parts
         if names:
             number[body.name] = len(traces)
             traces.append(Trace(k, part, names, part.frame < n_frames))
-    pairs = tuple(_pair(c, motions, frame_of, (traces, number)) for c in scene.contacts.values())
+    pairs = tuple(_pair(c, motions, frame_of, (traces, number)) for c in map(oriented, scene.contacts.values()))
     return ContactSet(motions, pairs, tuple(traces), n_core)
 
 
@@ -74,11 +77,53 @@ def _pair(c: Contact, m: Motions, frame_of: dict[str, int], known: tuple[list[Tr
     else:
         i = number[c.slave.body.name]
         side = Side(i, traces[i].surfaces[c.slave.name], traces[i].frame, np.zeros((0, m.dim)), 0.0)
-    assert isinstance(c.master, Obstacle)
+    if isinstance(c.master, Surface):
+        return _mortar_pair(c, side, known)
     return ObstaclePair(
         c.name, side, c.master.shape, _carrier(c.name, c.master, m, frame_of), c.friction, c.restitution, c.search,
         c.redistribute_mass,
     )  # fmt: skip
+
+
+def _mortar_pair(c: Contact, slave: Side, known: tuple[list[Trace], dict[str, int]]) -> Any:
+    from .contact_mortar import MortarPair
+    from .traces import trace_of
+
+    traces, number = known
+    i = number[c.master.body.name]
+    master = Side(i, traces[i].surfaces[c.master.name], traces[i].frame, slave.points, 0.0)
+    facets = tuple(
+        trace_of(traces[s.trace].field.space, traces[s.trace].field.mesh, name)
+        for s, name in ((slave, c.slave.name), (master, c.master.name))
+    )
+    if facets[0].dim == 3 and facets[0].degree > 1:
+        raise InputError(
+            f'Contact "{c.name}": contact of two elastic bodies in space needs degree=1 on the slave "{c.slave.body.name}" (no dual '
+            "multipliers of degree 2 on triangles)."
+        )
+    return MortarPair(c.name, (slave, master), (facets[0], facets[1]), traces, c)
+
+
+@lru_cache(maxsize=256)
+def oriented(c: Contact) -> Contact:
+    """The pair with the finer of two elastic surfaces as slave; collective."""
+    if not isinstance(c.master, Surface):
+        return c
+    h = [_facet_size(s) for s in (c.slave, c.master)]
+    if h[0] <= h[1] * (1 + 1e-9):
+        return c
+    log.info('contact "%s": %r is the slave, its facets are smaller (%.3g m against %.3g m)', c.name, c.master, h[1], h[0])
+    return replace(c, slave=c.master, master=c.slave)
+
+
+def _facet_size(surface: Surface) -> float:
+    """Mean diameter of the facets of a surface, m; collective."""
+    mesh = surface.body.mesh
+    tags, msh = mesh.facet_tags, mesh.dolfinx
+    facets = tags.find(mesh.surface_tag(surface.name))
+    own = facets[facets < msh.topology.index_map(mesh.dim - 1).size_local]
+    found = msh.comm.allgather((float(msh.h(mesh.dim - 1, own).sum()) if len(own) else 0.0, len(own)))
+    return sum(s for s, _ in found) / max(sum(n for _, n in found), 1)
 
 
 def _carrier(name: str, obstacle: Obstacle, m: Motions, frame_of: dict[str, int]) -> Carrier:

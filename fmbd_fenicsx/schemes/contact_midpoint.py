@@ -153,7 +153,7 @@ class _Step:
         self.q = s.q
         self.g = np.zeros(0)
         self.ev: Evaluation = None  # type: ignore[assignment]
-        self.floor = 64 * np.finfo(float).eps * system.length
+        self.floor = 1e3 * np.finfo(float).eps * system.length
 
     def increment(self) -> float:
         """One Newton step: predictor, complementarity problem, correction; returns its size over the tolerance."""

@@ -15,6 +15,7 @@ ALLOWED = 1e-8  # penetration at the start, as a share of the model's length
 
 def candidates(system: System, contacts: ContactSet, state: State, h: float) -> np.ndarray:
     """Points that may touch within the step, (m,) bool: near now, or at the position reached with the present velocity."""
+    contacts.update(system, state.q, 2 * h * contacts.fastest(system, state.v))
     now = contacts.touch(system, state.t, state.q)
     then = contacts.touch(system, state.t + h, system.compose(state.q, h * state.v))
     _refuse_tunnelling(system, contacts, state, (h, now, then))
@@ -43,6 +44,7 @@ def in_world(rows: Rows, force: Array) -> Array:
 
 def refuse_penetration(system: System, contacts: ContactSet, state: State) -> None:
     """Raise InputError when bodies overlap at the start, naming pair and depth; collective."""
+    contacts.update(system, state.q, 1e-2 * system.length)
     rows = contacts.touch(system, state.t, state.q)
     worst = int(np.argmin(rows.gap))
     depth = -float(rows.gap[worst])
