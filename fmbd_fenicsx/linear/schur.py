@@ -219,7 +219,7 @@ class StepSolver:
             S[:c, s.n_core + rows.start : s.n_core + rows.stop] = np.eye(c)
         S[c:, s.n_core :] = self._G.port[:, s.port_slice(k).start + block.used].T
         turn = self._turns[i]
-        if turn is not None:
+        if turn is not None and len(block.used):
             rows_of = S[c:].reshape(-1, d, S.shape[1])
             S[c:] = (turn.T @ rows_of).reshape(-1, S.shape[1])
         return S

@@ -1,0 +1,162 @@
+"""Absolute bodies: invariance under rigid motion, linear limit, agreement with the floating frame, tangents, energy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx import Newton
+from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.fields import Field
+from fmbd_fenicsx.materials import linear_elastic, neo_hookean, saint_venant_kirchhoff
+from fmbd_fenicsx.rotations import motions
+
+MODULUS, DENSITY = 5e6, 1000.0
+ENERGIES = [saint_venant_kirchhoff(MODULUS, 0.3), neo_hookean(MODULUS, 0.3)]
+
+
+def body(mesh: Any, **changes: Any) -> fmbd.AbsoluteBody:
+    return fmbd.AbsoluteBody("rod", mesh, density=DENSITY, energy=ENERGIES[0], quadrature=4).with_(**changes)
+
+
+def pendulum(rod: Any) -> fmbd.Scene:
+    scene = fmbd.Scene("pendulum", gravity=(0.0, -9.81, 0.0)[: rod.dim])
+    scene.add(rod, fmbd.revolute("pin", rod.surface("pin"), fmbd.ground))
+    scene.sensor("tip", fmbd.position(rod.surface("tip")))
+    scene.sensor("force", fmbd.reaction("pin"))
+    return scene
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10_000), kind=st.integers(0, 1), dim=st.integers(2, 3))
+def test_rigid_displacements_cost_nothing(rod_mesh: Callable[..., Any], seed: int, kind: int, dim: int) -> None:
+    """Internal force of a random rigid displacement at most 1e-12 E A, energy 1e-12 E V."""
+    field = Field("rod", rod_mesh(dim=dim, h=0.5, height=0.2), body(None, energy=ENERGIES[kind]).forms())
+    rng = np.random.default_rng(seed)
+    m = motions(dim)
+    R = m.matrix(m.compose(m.identity[None], rng.standard_normal((1, m.n_twist))))[0]
+    U = field.X @ (R - np.eye(dim)).T + rng.standard_normal(dim)
+    assert np.abs(field.internal(U.ravel())).max() < 1e-12 * MODULUS
+    assert abs(field.energy(U.ravel())) < 1e-12 * MODULUS
+    field.destroy()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [0, 1])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_force_is_the_gradient_of_energy(rod_mesh: Callable[..., Any], kind: int, dim: int) -> None:
+    """f_int . w = d energy in the direction w, K w = d f_int, and K at zero is Hooke's law."""
+    mesh = rod_mesh(dim=dim, h=0.5, height=0.2)
+    field = Field("rod", mesh, body(mesh, energy=ENERGIES[kind]).forms())
+    linear = Field("rod", mesh, fmbd.FloatingBody("rod", mesh, elastic=linear_elastic(MODULUS, 0.3)).forms())
+    rng = np.random.default_rng(field.comm.rank)
+    U, w = 0.01 * rng.standard_normal((2, field.n * dim))
+    np.testing.assert_allclose(field.stiffness(w), linear.stiffness(w), rtol=1e-9, atol=1e-9 * MODULUS)
+    e = 1e-5
+    slope = (field.energy(U + e * w) - field.energy(U - e * w)) / (2 * e)
+    np.testing.assert_allclose(field.total(np.array(field.internal(U) @ w)), slope, rtol=1e-6)
+    field.linearise(U)
+    change = (field.internal(U + e * w) - field.internal(U - e * w)) / (2 * e)
+    np.testing.assert_allclose(field.stiffness(w), change, atol=1e-6 * np.abs(change).max())
+    field.destroy()
+    linear.destroy()
+
+
+@pytest.mark.mpi
+@pytest.mark.smoke
+def test_stiff_rod_agrees_with_floating_frame(rod_mesh: Callable[..., Any]) -> None:
+    """The stiffer the rod the closer both placements: the difference falls like 1 / E."""
+    mesh = rod_mesh(dim=2, h=0.25)
+    gaps = []
+    for modulus in (1e7, 1e8):
+        floating = fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=linear_elastic(modulus, 0.3))
+        absolute = body(mesh, energy=saint_venant_kirchhoff(modulus, 0.3))
+        tips = [fmbd.solve(pendulum(b), t_end=0.1, dt=2e-3, scheme=fmbd.GeneralizedAlpha(0.5))["tip"] for b in (floating, absolute)]
+        gaps.append(np.abs(tips[0] - tips[1]).max())
+    assert gaps[0] < 5e-4
+    assert gaps[1] < 0.3 * gaps[0]
+
+
+def test_same_answer_with_fresh_tangents(rod_mesh: Callable[..., Any]) -> None:
+    """The frozen, turned tangent changes the cost, not the answer; Newton with a new tangent each time agrees."""
+    scene = pendulum(body(rod_mesh(dim=2, h=0.25)))
+    frozen = fmbd.solve(scene, t_end=0.2, dt=4e-3, newton=Newton(tolerance=1e-9))
+    fresh = fmbd.solve(scene, t_end=0.2, dt=4e-3, newton=Newton(tolerance=1e-9, patience=0.0))
+    np.testing.assert_allclose(frozen["tip"], fresh["tip"], atol=1e-9)
+    assert frozen.counters["factorisations"] < 0.2 * fresh.counters["factorisations"]
+
+
+def test_large_rotation_keeps_the_factor(rod_mesh: Callable[..., Any]) -> None:
+    """A free rod that spins through several turns needs one factor: the tangent turns with the body."""
+    rod = body(rod_mesh(dim=2, h=0.25), angular_velocity=20.0, energy=saint_venant_kirchhoff(1e8, 0.3))
+    scene = fmbd.Scene("spin")
+    scene.add(rod)
+    run = fmbd.solve(scene, t_end=1.0, dt=2e-3)
+    assert run.counters["factorisations"] == 1
+    assert run.counters["newton_iterations"] < 5 * run.counters["steps"]
+
+
+def test_linear_absolute_body_factors_once(rod_mesh: Callable[..., Any]) -> None:
+    """Small displacements of a clamped rod: the first bending frequency, one factor."""
+    mesh = rod_mesh(dim=2, h=0.1)
+    rod = body(mesh, energy=None, elastic=linear_elastic(MODULUS, 0.0), quadrature=None)
+    scene = fmbd.Scene("clamped", gravity=(0.0, -0.01))
+    scene.add(rod, fmbd.fixed("wall", rod.surface("pin"), fmbd.ground))
+    scene.sensor("tip", fmbd.position(rod.surface("tip")))
+    run = fmbd.solve(scene, t_end=2.0, dt=5e-3, scheme=fmbd.GeneralizedAlpha(0.9))
+    assert run.counters["factorisations"] == 1
+    y = run["tip"][:, 1]
+    static = -DENSITY * 0.01 * 0.1 * 1.0**4 / (8 * MODULUS * 0.1**3 / 12)
+    np.testing.assert_allclose(y.mean(), static, rtol=0.1)
+
+
+def test_weight_and_momentum(rod_mesh: Callable[..., Any]) -> None:
+    """In free fall momentum grows by m g t, angular momentum about the centre stays, energy is kept to the step's order."""
+    rod = body(rod_mesh(dim=3, h=0.5, height=0.2), velocity=(1.0, 0.0, 0.0), angular_velocity=(0.0, 1.0, 2.0))
+    scene = fmbd.Scene("fall", gravity=(0.0, -9.81, 0.0))
+    scene.add(rod)
+    run = fmbd.solve(scene, t_end=0.1, dt=2e-3)
+    p, _ = run.system.at(run.state.t, run.state.q, run.state.v).momenta()
+    mass = run.system.mass
+    np.testing.assert_allclose(p, [mass * 1.0, -mass * 0.981, 0.0], rtol=1e-7, atol=1e-7 * mass)
+    total = sum(run.energy.values())
+    assert np.ptp(total) < 1e-3 * np.ptp(run.energy["weight"])
+
+
+@pytest.mark.parametrize("make", ["floating", "reduced", "absolute"])
+def test_units(rod_mesh: Callable[..., Any], make: str) -> None:
+    """SI and mm-t-s: the same motion after scaling to 1e-9, the same Newton counts."""
+    runs = []
+    for scale, mass in ((1.0, 1.0), (1e3, 1e-3)):  # mm, t
+        mesh = rod_mesh(dim=2, h=0.25 * scale, length=scale, height=0.1 * scale)
+        modulus, density = MODULUS * mass / scale, DENSITY * mass / scale**3
+        rod: Any = fmbd.FloatingBody("rod", mesh, density=density * scale, elastic=linear_elastic(modulus * scale, 0.3))
+        if make == "reduced":
+            rod = rod.reduced(modes=6)
+        if make == "absolute":
+            rod = body(mesh, density=density * scale, energy=saint_venant_kirchhoff(modulus * scale, 0.3))
+        scene = pendulum(rod)
+        scene.gravity = (0.0, -9.81 * scale)
+        runs.append((scale, fmbd.solve(scene, t_end=0.1, dt=2e-3)))
+    (_, si), (scale, mm) = runs
+    np.testing.assert_allclose(mm["tip"] / scale, si["tip"], atol=1e-9)
+    assert mm.counters["newton_iterations"] == si.counters["newton_iterations"]
+
+
+def test_bad_input(rod_mesh: Callable[..., Any]) -> None:
+    """Both or neither description of elasticity, and an energy that is no energy."""
+    mesh = rod_mesh(dim=2, h=0.5, height=0.2)
+    with pytest.raises(InputError, match="either elastic"):
+        fmbd.AbsoluteBody("rod", mesh)
+    with pytest.raises(InputError, match="either elastic"):
+        body(mesh, elastic=linear_elastic(1.0, 0.3))
+    with pytest.raises(InputError, match="energy"):
+        Field("rod", mesh, body(mesh, energy=lambda u, dx: 1.0).forms())
+    with pytest.raises(InputError, match="density"):
+        body(mesh, density=-1.0)
