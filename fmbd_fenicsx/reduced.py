@@ -84,6 +84,7 @@ class ReducedPart:
         self.motions = motions(d)
         self.n = constants.n_modes
         self.mass_total, self.size = constants.mass, constants.size
+        self.unit = constants.mass**-0.5  # of amplitudes of M-orthonormal modes: m
         used = [constants.surfaces[s] for s in surfaces]
         self.n_port = d * (1 + d) * len(used)
         self.reference = np.concatenate([np.zeros(0), *(s.reference.ravel() for s in used)])

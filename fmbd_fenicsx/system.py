@@ -218,10 +218,24 @@ class System:
             return core
         return core + float(rank_sum(self.comm, np.array(x[self.n_core :] @ y[self.n_core :])))
 
+    @cached_property
+    def units(self) -> Array:
+        """Weights (n_v,) that turn increments of every kind into lengths: rotations times the model's length, modal
+        amplitudes over the square root of the mass. They make norms independent of the system of units."""
+        m = self.motions
+        frame = np.concatenate((np.ones(m.dim), np.full(m.n_rot, self.length)))
+        local = [np.full(p.n, getattr(p, "unit", 1.0)) for p in self.parts]
+        return np.concatenate((np.tile(frame, self.n_frames), *local))
+
     def max_abs(self, x: Array) -> float:
-        """Largest absolute entry of an array like v; collective."""
-        local = float(np.abs(x).max(initial=0.0))
+        """Largest entry of an array like v, all entries as lengths (see :attr:`units`); collective."""
+        local = float(np.abs(self.units * x).max(initial=0.0))
         return local if not self.fields else float(np.max(self.comm.allgather(local)))
+
+    def max_abs_core(self, x: Array) -> float:
+        """The same for the core; for all of x where there is no core. Collective then."""
+        n = self.n_core
+        return float(np.abs(self.units[:n] * x[:n]).max(initial=0.0)) if n else self.max_abs(x)
 
     def at(self, t: float, q: Array, v: Array | None = None) -> Evaluation:
         """The system in one configuration (and velocity); collective."""

@@ -162,7 +162,6 @@ class Stepper:
     def _tolerance(self, scale: float, a: Array) -> float:
         """Size of a position increment that changes accelerations by Newton's relative tolerance, above roundoff."""
         s = self.system
-        n = s.n_core
-        typical = float(np.abs(a[:n]).max(initial=0.0)) if n else s.max_abs(a)
+        typical = s.max_abs_core(a)
         floor = 64 * np.finfo(float).eps * s.length
         return max(self.newton.tolerance * scale * max(typical, 1e-12 * s.length), floor)
