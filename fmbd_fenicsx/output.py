@@ -25,7 +25,8 @@ class Output:
         snapshots: how many states are kept for pictures, evenly spaced, first and last included.
         energy: whether energies are recorded.
         progress: a progress bar; None shows it on rank 0 when standard error is a terminal.
-        estimate_error: run a second time with twice the step and estimate the time-discretisation error of each sensor.
+        estimate_error: run again with 2 and 4 times the step and estimate the time-discretisation error of each sensor
+            (about 3/4 of the time of the run itself, not counted in its seconds and counters).
     """
 
     every: int = 1

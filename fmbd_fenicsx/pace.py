@@ -38,8 +38,8 @@ class Pace:
         return done == self.steps if self.steps else t >= self.t_end * (1 - 1e-12)
 
 
-def pace_of(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, even: bool) -> Pace:
-    """Steps of equal size, none above dt (but for roundoff), an even number where asked; or none for error control."""
+def pace_of(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, multiple: int = 1) -> Pace:
+    """Steps of equal size, none above dt (but for roundoff), a ``multiple`` of them; or none for error control."""
     require(bool(np.isfinite(t_end)) and t_end > 0, f"End time t_end = {t_end} s must be positive.")
     adaptive = getattr(scheme, "rtol", None) is not None
     if dt is None and not adaptive:
@@ -56,7 +56,7 @@ def pace_of(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, even: 
         )
     if adaptive:
         require(
-            not even,
+            multiple == 1,
             "estimate_error needs constant steps; with error control compare two values of rtol (study.py).",
         )
         stops = sorted({float(t) for t in scene.breakpoints if 0 < t < t_end})
@@ -65,4 +65,4 @@ def pace_of(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, even: 
     steps = max(1, round(t_end / dt))
     if abs(steps * dt - t_end) > 1e-9 * t_end:
         steps = int(np.ceil(t_end / dt))
-    return Pace(t_end, steps + steps % 2 if even else steps)
+    return Pace(t_end, -(-steps // multiple) * multiple)

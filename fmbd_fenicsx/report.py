@@ -78,20 +78,28 @@ def _linear(run: Run) -> str:
 
 def _time_error(run: Run) -> str:
     local = f"largest local indicator {run.local_error:.1e} a step"
+    if "error estimate" in run.seconds and not run.error_estimate and run.series:
+        return f"not estimated: the run with 2 h failed, h is near the largest usable step; {local}"
     if not run.error_estimate:
-        return f"not estimated (Output(estimate_error=True) repeats the run with 2 h); {local}"
+        return f"not estimated (Output(estimate_error=True) repeats the run with 2 h and 4 h); {local}"
     shares = []
     for name, error in run.error_estimate.items():
         x = run.series[name]
         spread = float(np.ptp(x, axis=0).max(initial=0.0))
         shares.append((error / spread if spread > 0 else 0.0, name, error))
     shares.sort(reverse=True)
-    listed = [
-        f'"{name}" {error:.2g} {run.scene.sensors[name].unit} ({share:.1e} of its range)'
-        for share, name, error in shares[:SHOWN]
-    ]
+    listed = [_share(run, name, error, share) for share, name, error in shares[:SHOWN]]
     more = f", {len(shares) - SHOWN} sensors with less" if len(shares) > SHOWN else ""
-    return f"estimated from a second run with 2 h: {', '.join(listed)}{more}; {local}"
+    text = f"estimated from runs with 2 h and 4 h: {', '.join(listed)}{more}; {local}"
+    slow = [p for p in run.observed_order.values() if not p > run.scheme.order - 0.5]
+    return text + (f". Some orders are below {run.scheme.order}: the step does not resolve all motion" if slow else "")
+
+
+def _share(run: Run, name: str, error: float, share: float) -> str:
+    """The error of a sensor in its unit and as a share of its range, with the observed order."""
+    order = run.observed_order.get(name, float("nan"))
+    seen = f", order {order:.1f}" if np.isfinite(order) else ""
+    return f'"{name}" {error:.2g} {run.scene.sensors[name].unit} ({share:.1e} of its range{seen})'
 
 
 def conservative(scene: Scene) -> bool:

@@ -53,11 +53,42 @@ def test_estimate_is_the_error_to_30_percent(every, fine):
 
 def test_estimate_falls_with_the_square_of_the_step_and_costs_apart():
     coarse, fine = (solve(dt, estimate_error=True) for dt in (0.01, 0.005))
+    assert coarse.observed_order["bob"] == pytest.approx(2.0, abs=0.1)
     assert coarse.error_estimate["bob"] / fine.error_estimate["bob"] == pytest.approx(4.0, rel=0.1)
     assert fine.counters == solve(0.005).counters
     assert "error estimate" in fine.seconds
 
 
-def test_an_odd_number_of_steps_becomes_even_for_the_estimate():
+def test_the_number_of_steps_becomes_a_multiple_of_four_for_the_estimate():
     run = fmbd.solve(pendulum(), t_end=0.9, dt=0.1, output=fmbd.Output(estimate_error=True))
-    assert run.counters["steps"] == 10 and run.dt == pytest.approx(0.09)
+    assert run.counters["steps"] == 12 and run.dt == pytest.approx(0.075)
+
+
+def soft_rod(rod_mesh, ramp):
+    rod = fmbd.FloatingBody(
+        "rod", rod_mesh(h=0.2), degree=2, density=1e3, elastic=fmbd.materials.linear_elastic(5e6, 0.3)
+    )
+    scene = fmbd.Scene("soft", gravity=(0, -9.81), gravity_ramp=ramp)
+    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
+    scene.sensor("tip", fmbd.velocity(rod.surface("tip")))
+    scene.sensor("force", fmbd.reaction("pin"))
+    return scene
+
+
+@pytest.mark.parametrize(("ramp", "low", "high"), [(0.2, 0.8, 1.25), (0.0, 0.6, 4.0)], ids=["smooth", "sudden"])
+def test_estimate_of_an_elastic_rod_is_honest_also_where_the_step_does_not_resolve_it(rod_mesh, ramp, low, high):
+    scene = soft_rod(rod_mesh, ramp)
+    fine = fmbd.solve(scene, t_end=0.4, dt=2e-4, output=fmbd.Output(energy=False))
+    run = fmbd.solve(scene, t_end=0.4, dt=4e-3, output=fmbd.Output(energy=False, estimate_error=True))
+    for name in ("tip", "force"):
+        error = np.abs(run[name] - fine[name][::20]).max()
+        assert low < run.error_estimate[name] / error < high, name
+    resolved = [p > 1.7 for p in run.observed_order.values()]
+    assert all(resolved) if ramp else not any(resolved)
+    assert ("does not resolve all motion" in run.report()) == (ramp == 0)
+
+
+def test_a_second_run_that_fails_leaves_the_run_without_estimate():
+    run = fmbd.solve(pendulum(), t_end=2.4, dt=0.1, output=fmbd.Output(estimate_error=True))
+    assert run.status == "finished" and run.error_estimate == {}
+    assert "the run with 2 h failed" in run.report()
