@@ -32,7 +32,9 @@ def build(dim=2, h=0.1, degree=2, E=5e6, height=0.1, gravity=g, ramp=0.0, displa
         return inner(2 * mu * eps + lmbda * tr(eps) * Identity(dim), sym(grad(v))) * dx
 
     mesh = fmbd.read_gmsh(ROD, dim=dim, h=h, height=height)
-    rod = fmbd.FloatingBody("rod", mesh, degree=degree, density=rho, elastic=elastic, displacement=displacement)
+    rod = fmbd.FloatingBody(
+        "rod", mesh, degree=degree, density=rho, elastic=elastic, displacement=displacement
+    )
     scene = fmbd.Scene("elastic pendulum", gravity=(0, -gravity, 0), gravity_ramp=ramp)
     scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0, 0), axis=(0, 0, 1)))
     scene.sensor("tip", fmbd.position(rod.surface("tip")))
@@ -71,7 +73,9 @@ def order_tables(dim):
     """Orders in the step and in the mesh size, error against run time; the order of three quantities as checks."""
     names, quiet = ["tip", "tip velocity", "pin force"], fmbd.Output(energy=False)
     scene = build(dim, 0.2, ramp=0.2)  # loads must be smooth before an order means anything
-    in_h = lambda rho_inf: lambda h: fmbd.solve(scene, t_end=0.5, dt=h, scheme=fmbd.GeneralizedAlpha(rho_inf), output=quiet)
+    in_h = lambda rho_inf: (
+        lambda h: fmbd.solve(scene, t_end=0.5, dt=h, scheme=fmbd.GeneralizedAlpha(rho_inf), output=quiet)
+    )
     in_mesh = lambda p: lambda s: fmbd.solve(build(dim, s, p, ramp=0.2), t_end=0.4, dt=4e-3, output=quiet)
     reference = in_h(0.8)(2.5e-4)
     steps = study.orders(in_h(0.8), [8e-3, 4e-3, 2e-3, 1e-3], reference=reference, names=names)
@@ -81,8 +85,12 @@ def order_tables(dim):
     for p in (1, 2):
         table = study.orders(in_mesh(p), sizes, reference=fine, names=names, parameter="mesh size")
         demo.say(f"\norders in the mesh size, P{p}, against P2 at {sizes[-1] / 2} m\n{table}")
-    configurations = [study.Configuration(f"rho_inf {r}", in_h(r), [8e-3, 4e-3, 2e-3]) for r in (0.9, 0.8, 0.5, 0.0)]
-    demo.say(f"\nerror against time\n{study.work_precision(configurations, reference=reference, names=names)}\n")
+    configurations = [
+        study.Configuration(f"rho_inf {r}", in_h(r), [8e-3, 4e-3, 2e-3]) for r in (0.9, 0.8, 0.5, 0.0)
+    ]
+    demo.say(
+        f"\nerror against time\n{study.work_precision(configurations, reference=reference, names=names)}\n"
+    )
     return [demo.Check(f"order of {n} in h", steps.order(n), 2.0, 0.15) for n in names]
 
 
@@ -97,8 +105,18 @@ def main():
     frequency, beam = bending(dim, 50 if fast else 200)
     energy = sum(run.energy.values())
     checks = [
-        demo.Check("energy lost, share of exchange", (energy[0] - energy[-1]) / np.ptp(run.energy["kinetic"]), 0.0, 1e-4),
-        demo.Check("tip of a stiff rod, y (m)", stiff["tip"][-1, 1], rigid_tip(0.5, 0.1, dim)[1], 1e-4 if fast else 1e-5),
+        demo.Check(
+            "energy lost, share of exchange",
+            (energy[0] - energy[-1]) / np.ptp(run.energy["kinetic"]),
+            0.0,
+            1e-4,
+        ),
+        demo.Check(
+            "tip of a stiff rod, y (m)",
+            stiff["tip"][-1, 1],
+            rigid_tip(0.5, 0.1, dim)[1],
+            1e-4 if fast else 1e-5,
+        ),
         demo.Check.relative("bending frequency (rad/s)", frequency, beam, 0.003),
         demo.Check("elastic factorisations", run.counters["factorisations"], 1, 0),
     ]

@@ -66,21 +66,31 @@ def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> 
         own: flag -> default. False makes a switch, a tuple lists the choices (its first is the default), any other default
             gives the type: ``{"--study": False, "--dim": (2, 3), "--steps": 100}``.
     """
-    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--fast", action="store_true", help="a small version that ends within seconds")
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write checks, counters and seconds to FILE")
+    parser.add_argument(
+        "--json", metavar="FILE", type=Path, help="write checks, counters and seconds to FILE"
+    )
     parser.add_argument("--picture", metavar="FILE", type=Path, help="write a picture to FILE")
     for flag, default in (own or {}).items():
         if default is False:
             parser.add_argument(flag, action="store_true")
         elif isinstance(default, tuple):
             kind = type(default[0])
-            parser.add_argument(flag, type=kind, choices=default, default=default[0], help=f"default {default[0]}")
+            parser.add_argument(
+                flag, type=kind, choices=default, default=default[0], help=f"default {default[0]}"
+            )
         else:
             parser.add_argument(flag, type=type(default), default=default, help=f"default {default}")
     if world_rank() == 0:
         return parser.parse_args()
-    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
+    with (
+        open(os.devnull, "w") as nowhere,
+        contextlib.redirect_stdout(nowhere),
+        contextlib.redirect_stderr(nowhere),
+    ):
         return parser.parse_args()  # --help and mistakes are printed once
 
 

@@ -19,8 +19,12 @@ class Newton:
     tolerance: float = 1e-6
     max_iterations: int = 12
     slow: float = 0.9  # a rate above this over two increments counts as divergence
-    patience: float = 4.0  # a new tangent is taken when more than this many further iterations are to be expected
-    refresh: Callable[[], bool] | None = field(default=None, repr=False)  # takes a new tangent where one can change
+    patience: float = (
+        4.0  # a new tangent is taken when more than this many further iterations are to be expected
+    )
+    refresh: Callable[[], bool] | None = field(
+        default=None, repr=False
+    )  # takes a new tangent where one can change
     iterations: int = 0
     theta: float = field(default=0.5)
 
@@ -46,7 +50,9 @@ class Newton:
                     if self.refresh is not None and self.refresh():
                         self.theta = 0.1
                         continue
-                if size > 1.0 and len(history) > 3 and size > self.slow * history[-3]:  # one bad increment is no divergence
+                if (
+                    size > 1.0 and len(history) > 3 and size > self.slow * history[-3]
+                ):  # one bad increment is no divergence
                     return False, history
             else:
                 left = max(self.theta, 0.02) / (1 - min(max(self.theta, 0.02), 0.9)) * size

@@ -50,7 +50,9 @@ class Moment:
     def lifted(self, z: float) -> Moment:
         """The same farther to the front: in the plane later snapshots cover earlier ones."""
         lift = np.array([0.0, 0.0, z])
-        return Moment([x + lift for x in self.nodes], self.bars + lift, self.origins + lift, self.joints + lift)
+        return Moment(
+            [x + lift for x in self.nodes], self.bars + lift, self.origins + lift, self.joints + lift
+        )
 
     def points(self) -> Array:
         """All positions, (n, 3)."""
@@ -63,7 +65,10 @@ def gather(run: Run) -> tuple[list[Skin], list[Moment]]:
     require(bool(run.snapshots), "A picture needs snapshots: solve(..., output=Output(snapshots=6)).")
     skins = [skin(part.field) for part in run.system.parts if hasattr(part, "field")]
     number = sum(len(s.triangles) for s in skins)
-    require(number <= LARGEST, f"The surface has {number} triangles, too many for a picture: use field output and ParaView.")
+    require(
+        number <= LARGEST,
+        f"The surface has {number} triangles, too many for a picture: use field output and ParaView.",
+    )
     return skins, [moment(run, state) for state in run.snapshots]
 
 
@@ -137,7 +142,12 @@ def moment(run: Run, state: State) -> Moment:
     ends = sorted({int(i) for batch, _ in s.batches for i in (*batch.a, *batch.b)})
     meshed = {part.frame for part in s.parts if hasattr(part, "field")}
     rigid = [f for f in range(s.n_frames) if f not in meshed]
-    bars = [[ev.pose[f, : s.motions.dim], ev.kin.x[i]] for i in ends for f in [int(s.markers.frame[i])] if f in rigid]
+    bars = [
+        [ev.pose[f, : s.motions.dim], ev.kin.x[i]]
+        for i in ends
+        for f in [int(s.markers.frame[i])]
+        if f in rigid
+    ]
     return Moment(
         nodes,
         _in_space(np.array(bars).reshape(-1, s.motions.dim)).reshape(-1, 2, 3),
@@ -218,7 +228,12 @@ def _draw(pv: Any, plotter: Any, skins: list[Skin], m: Moment, color: Any, radiu
         plotter.add_mesh(pv.PolyData(x, faces), color=color, smooth_shading=False, ambient=0.35)
         lines = np.hstack((np.full((len(s.edges), 1), 2), s.edges)).ravel()
         line_at = x + [0.0, 0.0, 0.01 * radius] if flat else x
-        plotter.add_mesh(pv.PolyData(line_at, lines=lines), color=0.4 * color, line_width=3 if flat else 1.5, lighting=False)
+        plotter.add_mesh(
+            pv.PolyData(line_at, lines=lines),
+            color=0.4 * color,
+            line_width=3 if flat else 1.5,
+            lighting=False,
+        )
     for a, b in m.bars:
         if np.linalg.norm(b - a) > 0:
             plotter.add_mesh(pv.Tube(pointa=a, pointb=b, radius=0.4 * radius, n_sides=16), color=color)
@@ -238,7 +253,18 @@ def ensure_display() -> None:
         return
     display = f":{1000 + os.getpid() % 50000}"  # a number of its own: two servers that start together must not claim one
     read, write = os.pipe()
-    server = ["Xvfb", display, "-displayfd", str(write), "-screen", "0", "1600x1200x24", "-nolisten", "tcp", "-noreset"]
+    server = [
+        "Xvfb",
+        display,
+        "-displayfd",
+        str(write),
+        "-screen",
+        "0",
+        "1600x1200x24",
+        "-nolisten",
+        "tcp",
+        "-noreset",
+    ]
     subprocess.Popen(
         ["setpriv", "--pdeathsig", "TERM", *server],
         pass_fds=(write,),

@@ -18,7 +18,13 @@ if TYPE_CHECKING:
     from .study import WorkPrecision
 
 MARKS = "osD^vP*X"
-STYLE = {"axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False, "font.size": 10}
+STYLE = {
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "font.size": 10,
+}
 
 
 def _figure(width: float, height: float) -> tuple[Any, Any]:

@@ -47,7 +47,9 @@ def _steps(run: Run, steps: int) -> str:
     rtol = getattr(run.scheme, "rtol", None)
     if rtol is None:
         return f"h = {run.dt:.6g} s, {steps} steps"
-    causes = [f"{n:.0f} for {k.split(': ')[1]}" for k, n in run.counters.items() if k.startswith("rejected: ")]
+    causes = [
+        f"{n:.0f} for {k.split(': ')[1]}" for k, n in run.counters.items() if k.startswith("rejected: ")
+    ]
     rejected = _n(run.counters["rejections"], "rejection") + (f" ({', '.join(causes)})" if causes else "")
     return (
         f"rtol = {rtol:g}, {steps} steps of {run.dt:.3g} s on average, {rejected}, {_n(run.counters['jacobians'], 'tangent')}, "
@@ -62,7 +64,9 @@ def _n(count: float, what: str) -> str:
 def _entry(label: str, text: str) -> list[str]:
     """A label and its text, wrapped under itself."""
     first = f"  {label:<{LABEL}}"
-    return textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * len(first)) or [first.rstrip()]
+    return textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * len(first)) or [
+        first.rstrip()
+    ]
 
 
 def _linear(run: Run) -> str:
@@ -92,7 +96,9 @@ def _time_error(run: Run) -> str:
     more = f", {len(shares) - SHOWN} sensors with less" if len(shares) > SHOWN else ""
     text = f"estimated from runs with 2 h and 4 h: {', '.join(listed)}{more}; {local}"
     slow = [p for p in run.observed_order.values() if not p > run.scheme.order - 0.5]
-    return text + (f". Some orders are below {run.scheme.order}: the step does not resolve all motion" if slow else "")
+    return text + (
+        f". Some orders are below {run.scheme.order}: the step does not resolve all motion" if slow else ""
+    )
 
 
 def _share(run: Run, name: str, error: float, share: float) -> str:
@@ -129,15 +135,21 @@ def _ledger(run: Run) -> list[str]:
     if conservative(run.scene):
         loss = total[0] - total[-1]
         share = f", {loss / scale:.1e} of the largest exchange" if scale > 0 else ""
-        lines += _entry("numerical loss", f"{loss:.3g} J{share}; largest deviation {np.abs(total - total[0]).max():.2g} J")
+        lines += _entry(
+            "numerical loss", f"{loss:.3g} J{share}; largest deviation {np.abs(total - total[0]).max():.2g} J"
+        )
     else:
-        lines += _entry("numerical loss", "not separable: loads, drives, damping or a gravity ramp do work here")
+        lines += _entry(
+            "numerical loss", "not separable: loads, drives, damping or a gravity ramp do work here"
+        )
     return lines
 
 
 def _seconds(seconds: Mapping[str, float], steps: int) -> str:
     phases = [f"{name} {s:.3g}" for name, s in seconds.items() if name not in ("total", "error estimate")]
-    text = f"{', '.join(phases)}, total {seconds['total']:.3g}; {1e3 * seconds['steps'] / steps:.3g} ms a step"
+    text = (
+        f"{', '.join(phases)}, total {seconds['total']:.3g}; {1e3 * seconds['steps'] / steps:.3g} ms a step"
+    )
     if "error estimate" in seconds:
         text += f"; apart: error estimate {seconds['error estimate']:.3g}"
     return text
@@ -164,4 +176,6 @@ def _shortened(unknowns: Sequence[tuple[str, int]], most: int = 8) -> str:
     kept = [u for u in unknowns if u in ordered[:most]]
     rest = sum(n for _, n in unknowns) - sum(n for _, n in kept)
     text = ", ".join(f"{name} {n}" for name, n in kept)
-    return text + (f", {len(unknowns) - len(kept)} more blocks with {rest}" if len(kept) < len(unknowns) else "")
+    return text + (
+        f", {len(unknowns) - len(kept)} more blocks with {rest}" if len(kept) < len(unknowns) else ""
+    )

@@ -11,7 +11,7 @@ import numpy as np
 
 from .errors import ConvergenceError, InputError, Stopped, near, require
 from .linear.schur import StepSolver
-from .log import install_hooks, log, peak_memory, StopRequests
+from .log import StopRequests, install_hooks, log, peak_memory
 from .newton import Newton
 from .output import Output, Progress, Recorder
 from .pace import Pace, pace_of
@@ -146,7 +146,10 @@ def solve(
         if hasattr(scheme, "start"):
             start, correction = scheme.start(system, given, solver, pace.next(0.0))
         else:
-            require(system.contacts is None, f"{scheme.name} does not treat contact. Use fmbd.ContactMidpoint() or fmbd.Moreau().")
+            require(
+                system.contacts is None,
+                f"{scheme.name} does not treat contact. Use fmbd.ContactMidpoint() or fmbd.Moreau().",
+            )
             start, correction = consistent(system, given, solver)
         started = clock.perf_counter()
         problem = _Problem(scene, system, markers, start, scheme, newton)
@@ -279,7 +282,9 @@ def _again(problem: _Problem, pace: Pace, factor: int) -> Recorder:
     newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
     wanted = Output(energy=False, progress=False)
     try:
-        return _march(replace(problem, newton=newton), solver, Pace(pace.t_end, pace.steps // factor), wanted).recorder
+        return _march(
+            replace(problem, newton=newton), solver, Pace(pace.t_end, pace.steps // factor), wanted
+        ).recorder
     finally:
         solver.destroy()
 

@@ -56,7 +56,9 @@ def _common_times(traces: Sequence[_Trace]) -> Array:
         if len(common):
             gap = np.abs(trace.times[_rows(trace.times, common)] - common)
             common = common[gap <= 1e-9 * trace.times[-1]]
-    require(len(common) > 0, "The runs of this study have no instant in common at which they could be compared.")
+    require(
+        len(common) > 0, "The runs of this study have no instant in common at which they could be compared."
+    )
     return common
 
 
@@ -86,7 +88,9 @@ def _state_error(run: Run, reference: Run, name: str) -> float:
 
 def _names(traces: Sequence[_Trace], reference: _Trace | Exact, wanted: Sequence[str] | None) -> list[str]:
     """Quantities to compare: those asked for, else all that runs and reference share."""
-    shared = [n for n in traces[0].series if n in (reference.series if isinstance(reference, _Trace) else reference)]
+    shared = [
+        n for n in traces[0].series if n in (reference.series if isinstance(reference, _Trace) else reference)
+    ]
     if isinstance(reference, _Trace):
         sizes = {(t.run.system.n_q, t.run.system.n_lam) for t in [*traces, reference]}
         if len(sizes) == 1:
@@ -128,7 +132,9 @@ class OrderTable:
         """Fail, with the table, unless the order over the finest three is above ``expected - tolerance``."""
         measured = self.order(name)
         if not measured > expected - tolerance:
-            raise AssertionError(f'Order of "{name}" is {measured:.3f}, expected {expected:g} - {tolerance:g}.\n{self}')
+            raise AssertionError(
+                f'Order of "{name}" is {measured:.3f}, expected {expected:g} - {tolerance:g}.\n{self}'
+            )
 
     def rows(self) -> list[list[str]]:
         """Cells of the table, the header first, the order over the finest three last."""
@@ -179,7 +185,9 @@ def orders(
     times = _common_times([*traces, against] if isinstance(against, _Trace) else traces)
     kept = _names(traces, against, names)
     found = [_errors(t, against, times, kept) for t in traces]
-    return OrderTable(parameter, np.asarray(values, dtype=float), {n: np.array([e[n] for e in found]) for n in kept})
+    return OrderTable(
+        parameter, np.asarray(values, dtype=float), {n: np.array([e[n] for e in found]) for n in kept}
+    )
 
 
 def _reference(given: Run | Exact) -> _Trace | Exact:
@@ -223,16 +231,22 @@ class WorkPrecision:
         """Names of the compared quantities."""
         return list(dict.fromkeys(n for p in self.points for n in p.errors))
 
-    def rows(self, counters: Sequence[str] = ("steps", "newton_iterations", "back_solves")) -> list[list[str]]:
+    def rows(
+        self, counters: Sequence[str] = ("steps", "newton_iterations", "back_solves")
+    ) -> list[list[str]]:
         """Cells of the table, the header first."""
         names = self.quantities
         table = [["configuration", "parameter", *names, "seconds", *counters]]
         for p in self.points:
             if p.failure:
-                table.append([p.label, f"{p.value:.4g}", *("failed" for _ in names), *("" for _ in ["s", *counters])])
+                table.append(
+                    [p.label, f"{p.value:.4g}", *("failed" for _ in names), *("" for _ in ["s", *counters])]
+                )
                 continue
             work = [f"{p.counters.get(c, float('nan')):.0f}" for c in counters]
-            table.append([p.label, f"{p.value:.4g}", *(f"{p.errors[n]:.2e}" for n in names), f"{p.seconds:.3g}", *work])
+            table.append(
+                [p.label, f"{p.value:.4g}", *(f"{p.errors[n]:.2e}" for n in names), f"{p.seconds:.3g}", *work]
+            )
         return table
 
     def __str__(self) -> str:
@@ -267,7 +281,10 @@ def work_precision(
     Each run is made ``repeats`` times after one that warms caches and compiled forms; the first configuration's first value
     serves for that. Errors are taken at the instants common to all runs and the reference, at least the end time.
     """
-    require(repeats >= 1 and bool(configurations), "work_precision: at least one configuration and one repeat are needed.")
+    require(
+        repeats >= 1 and bool(configurations),
+        "work_precision: at least one configuration and one repeat are needed.",
+    )
     against = _reference(reference)
     _attempt(configurations[0].run, configurations[0].values[0])
     done = [(c, value, *_trials(c.run, value, repeats)) for c in configurations for value in c.values]
@@ -311,7 +328,9 @@ def aligned(rows: Sequence[Sequence[str]]) -> str:
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = []
     for row in rows:
-        cells = [c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))]
+        cells = [
+            c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))
+        ]
         lines.append("  ".join(cells).rstrip())
     return "\n".join(lines)
 

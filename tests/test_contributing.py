@@ -53,14 +53,18 @@ def test_weak_form_stiffens_the_rod(rod_mesh):
         run = fmbd.solve(scene, t_end=0.1, dt=0.01)
         return run.energy["elastic"].max()
 
-    assert tip(example("fibres")["fibres"](5e6, 0.3, 5e7)) < 0.5 * tip(fmbd.materials.linear_elastic(5e6, 0.3))
+    assert tip(example("fibres")["fibres"](5e6, 0.3, 5e7)) < 0.5 * tip(
+        fmbd.materials.linear_elastic(5e6, 0.3)
+    )
 
 
 def test_scheme_has_its_order():
     scheme = example("ProjectedEuler")["ProjectedEuler"]()
     reference = fmbd.solve(pendulum(), t_end=0.48, dt=5e-4)
     table = study.orders(
-        lambda h: fmbd.solve(pendulum(), t_end=0.48, dt=h, scheme=scheme), [8e-3, 4e-3, 2e-3], reference=reference
+        lambda h: fmbd.solve(pendulum(), t_end=0.48, dt=h, scheme=scheme),
+        [8e-3, 4e-3, 2e-3],
+        reference=reference,
     )
     for name in ("q", "v", "lam"):
         table.assert_order(name, 1.0, 0.15)
