@@ -23,7 +23,7 @@ cheap, but its iterations grow like h^-1/2 outside dt ~ h. Sources: Toselli and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -33,7 +33,7 @@ import scipy.sparse as sp
 from ..rotations import Array
 from ..stability import pencil
 from ..traces import Trace
-from .saddle import SaddlePoint, rigid_modes, share_of
+from .saddle import Elastic, SaddlePoint, TraceTie, rigid_modes, share_of
 
 
 class MultiplierPreconditioner(Protocol):
@@ -111,7 +111,7 @@ class Fractional:
         name = saddle.ties[0].name if len(saddle.ties) == 1 else "multipliers"
         return [(name, list(range(len(saddle.ties))), _petsc(sp.csr_matrix(S), saddle, [t.rows for t in saddle.ties]))]
 
-    def block(self, saddle: SaddlePoint, i: int) -> sp.csr_matrix:
+    def block(self, saddle: Any, i: int) -> sp.csr_matrix:
         """S~ of tie i, replicated."""
         t = saddle.ties[i]
         if not t.sides or max(side.n for _, side, _ in t.sides) > self.limit:
@@ -134,27 +134,32 @@ class Fractional:
         h, depth = surface.h / surface.degree, e.depth
         _, K, X = pencil(surface, np.inf)
         C = B @ X
-        L = K + 1.0 / min(depth, e.body.size) ** 2
+        L = K + 1.0 / min(depth, e.size) ** 2
         symbol = self.stiffness * (np.sqrt(L + self.grid * (h * L) ** 2) + self.layer * h / depth**2)
-        pressed = symbol + 1.0 / (depth**2 * np.sqrt(K + 1.0 / min(depth**2 * axial / shear, e.body.size**2)))
+        pressed = symbol + 1.0 / (depth**2 * np.sqrt(K + 1.0 / min(depth**2 * axial / shear, e.size**2)))
         out = [(C / (e.ck * shear * s)) @ C.T for s in (symbol, pressed)]
         return 0.5 * (out[0] + out[0].T), 0.5 * (out[1] + out[1].T)
 
     def rigid(self, saddle: SaddlePoint) -> Array:
         """Equation (3), (n, n)."""
         S = np.zeros((saddle.n_multipliers,) * 2)
-        first = np.cumsum([0, *(t.rows for t in saddle.ties)])
         for k, e in enumerate(saddle.elastic):
-            R = rigid_modes(e.body)
-            MR = np.stack([e.body.mass(r.reshape(-1, e.body.dim)).ravel() for r in R.T], axis=1)
-            gram = e.inertia * e.body.total(R.T @ MR)
-            BR = np.zeros((len(S), R.shape[1]))
-            for i, t in enumerate(saddle.ties):
-                for body, B in t.columns:
-                    if body == k:
-                        BR[first[i] : first[i + 1]] += e.body.total(B @ R)
+            gram, BR = rigid_term(e, k, saddle.ties)
             S += BR @ np.linalg.solve(gram, BR.T)
         return S
+
+
+def rigid_term(e: Elastic, k: int, ties: Sequence[TraceTie]) -> tuple[Array, Array]:
+    """cm R^T M R and B R of body k, the latter with the rows of all ties; collective over the body's ranks."""
+    R = rigid_modes(e.body)
+    MR = np.stack([e.body.mass(r.reshape(-1, e.body.dim)).ravel() for r in R.T], axis=1)
+    first = np.cumsum([0, *(t.rows for t in ties)])
+    BR = np.zeros((first[-1], R.shape[1]))
+    for i, t in enumerate(ties):
+        for body, B in t.columns:
+            if body == k:
+                BR[first[i] : first[i + 1]] += B @ R
+    return e.inertia * e.body.total(R.T @ MR), e.body.total(BR)
 
 
 def _lumped(saddle: SaddlePoint, i: int) -> sp.csr_matrix:

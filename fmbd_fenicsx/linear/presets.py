@@ -23,7 +23,7 @@ from .diagnosis import diagnose
 from .options import check_options
 from .precondition import Fractional, MultiplierPreconditioner
 from .residual import Judge
-from .saddle import SaddlePoint, Solution, _matrix
+from .saddle import Elastic, SaddlePoint, Solution, _matrix
 
 
 class Preset(Protocol):
@@ -47,7 +47,7 @@ class SaddleSolver(Protocol):
 class Cholesky:
     """Elastic blocks by a Cholesky factor (MUMPS)."""
 
-    def set_up(self, ksp: Any) -> None:
+    def set_up(self, ksp: Any, block: Elastic | None = None) -> None:
         """Options of one block's KSP."""
         ksp.setType("preonly")
         ksp.getPC().setType("cholesky")
@@ -60,7 +60,7 @@ class Multigrid:
 
     cycles: int = 1
 
-    def set_up(self, ksp: Any) -> None:
+    def set_up(self, ksp: Any, block: Elastic | None = None) -> None:
         """Options of one block's KSP."""
         from petsc4py import PETSc
 
@@ -76,6 +76,35 @@ class Multigrid:
         for name, value in (("pc_gamg_threshold", 0.02), ("mg_levels_ksp_max_it", 3), ("pc_gamg_coarse_eq_limit", 300)):
             if not options.hasName(prefix + name):
                 options[prefix + name] = value
+
+
+@dataclass(frozen=True)
+class Bddc:
+    """Elastic blocks by balancing domain decomposition (PETSc's BDDC), one subdomain per rank; see :mod:`.domain_decomposition`."""
+
+    deluxe: bool = True
+
+    def set_up(self, ksp: Any, block: Elastic | None = None) -> None:
+        """Operators and options of one block's KSP."""
+        from .domain_decomposition import unassembled
+
+        assert block is not None
+        A = unassembled(block.body, block.inertia, block.ck)
+        ksp.setType("preonly")
+        ksp.setOperators(A)
+        A.destroy()  # the KSP keeps it
+        set_bddc(ksp, self.deluxe)
+
+
+def set_bddc(ksp: Any, deluxe: bool = True) -> None:
+    """BDDC with deluxe scaling (stiffness-weighted averages), as defaults that options override."""
+    from petsc4py import PETSc
+
+    ksp.getPC().setType("bddc")
+    options, prefix = PETSc.Options(), ksp.getOptionsPrefix() or ""
+    name = f"{prefix}pc_bddc_use_deluxe_scaling"
+    if deluxe and not options.hasName(name):
+        options[name] = True
 
 
 @dataclass(frozen=True)
@@ -107,7 +136,7 @@ class FieldSplit:
     ``elastic``: :class:`Cholesky` or :class:`Multigrid`. ``multiplier``: how S~ is made, see :mod:`.precondition`.
     """
 
-    elastic: Cholesky | Multigrid = Cholesky()
+    elastic: Cholesky | Multigrid | Bddc = Cholesky()
     multiplier: MultiplierPreconditioner = Fractional()
     method: str = "minres"
     rtol: float = 1e-8
@@ -140,7 +169,10 @@ class FieldSplit:
         pc.setFieldSplitIS(*zip(names, sets, strict=True))
         pc.setUp()
         for k, sub in enumerate(pc.getFieldSplitSubKSP()):
-            (self.elastic if k < n else Cholesky()).set_up(sub)
+            if k < n:
+                self.elastic.set_up(sub, saddle.elastic[k])
+            else:
+                Cholesky().set_up(sub)
             sub.setFromOptions()
         return _Krylov(saddle, ksp, prefix, [P, *own], Judge("the saddle point", 100 * self.rtol))
 
@@ -222,7 +254,7 @@ class Schur:
     ``elastic``: :class:`Cholesky`, or :class:`Multigrid` as preconditioner of conjugate gradients to ``rtol``.
     """
 
-    elastic: Cholesky | Multigrid = Cholesky()
+    elastic: Cholesky | Multigrid | Bddc = Cholesky()
     rtol: float = 1e-11
     limit: int = 3000
 
@@ -249,8 +281,8 @@ class _SchurSolver:
             ksp = PETSc.KSP().create(saddle.comm)
             ksp.setOptionsPrefix(f"{prefix}{e.name}_")
             ksp.setOperators(E)
-            preset.elastic.set_up(ksp)
-            if isinstance(preset.elastic, Multigrid):
+            preset.elastic.set_up(ksp, e)
+            if not isinstance(preset.elastic, Cholesky):
                 ksp.setType("cg")
                 ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
                 ksp.setTolerances(rtol=preset.rtol, atol=1e-300, max_it=500)

@@ -47,6 +47,11 @@ class Elastic:
         """Rows on this rank."""
         return self.body.n * self.body.dim
 
+    @property
+    def size(self) -> float:
+        """Diameter of the body, m."""
+        return self.body.size
+
     @cached_property
     def moduli(self) -> tuple[float, float]:
         """Mean moduli of shear and of uniaxial strain, Pa: the elastic energies of such deformations over the volume."""
