@@ -140,12 +140,16 @@ def loose_bodies(bodies: dict[str, Any], joints: dict[str, Any], forces: dict[st
     return [n for n in free if not isinstance(bodies[n], CoordinateBody)]
 
 
-def check(scene: Any) -> Mobility:
-    """Mobility of a scene as given, with notes on loose bodies, units and time scales; collective."""
+def check(scene: Any, deep: bool = False) -> Mobility:
+    """Mobility of a scene as given, with notes on loose bodies, units and time scales; collective.
+
+    ``deep``: also the inf-sup constant of each surface tie.
+    """
     system, state, _ = scene.build()
     found = mobility(system, state.t, state.q)
     notes = [f'body "{n}" is attached to nothing' for n in loose_bodies(scene.bodies, {**scene.joints, **scene.ties}, scene.forces)]
     notes += _units(scene, system)
+    notes += _weak_ties(scene) if deep else []
     if found.conditioning < NEAR_SINGULAR:
         notes.append("the configuration is near-singular: constraints almost depend on each other, or a motion branches here")
     if found.open > 1e-6 * system.length:
@@ -157,6 +161,14 @@ def check(scene: Any) -> Mobility:
     return Mobility(
         found.velocities, found.rows, found.rank, found.shares, found.conditioning, found.open, tuple(notes)
     )
+
+
+def _weak_ties(scene: Any) -> list[str]:
+    """Ties whose multipliers are not controlled by the displacements."""
+    from .stability import infsup
+
+    found = [(name, infsup(tie)) for name, tie in scene.ties.items()]
+    return [f'tie "{name}": {result}' for name, result in found if not result.stable]
 
 
 def _fastest(loads: ScalarLoads) -> float:

@@ -44,7 +44,9 @@ class Mortar:
         return self.multipliers.trace
 
 
-def mortar(slave: Trace, master: Trace, space: MultiplierSpace, *, tolerance: float = 0.1) -> Mortar:
+def mortar(
+    slave: Trace, master: Trace, space: MultiplierSpace, *, tolerance: float = 0.1, facing: bool = True
+) -> Mortar:
     """Couple two surfaces; collective (the pairs are shared among the ranks).
 
     Args:
@@ -52,6 +54,7 @@ def mortar(slave: Trace, master: Trace, space: MultiplierSpace, *, tolerance: fl
         master: the other surface.
         space: multiplier space on the slave.
         tolerance: largest distance of facets that see each other, in facet diameters.
+        facing: True couples facets whose outward normals oppose each other, False those whose normals agree.
 
     Raises:
         InputError: the surfaces do not overlap (with their distance).
@@ -64,7 +67,7 @@ def mortar(slave: Trace, master: Trace, space: MultiplierSpace, *, tolerance: fl
     multipliers = space.on(slave)
     comm = slave.comm
     pairs = _candidates(slave, master, tolerance)
-    blocks = _integrate(slave, master, pairs[comm.rank :: comm.size], multipliers.degree, tolerance)
+    blocks = _integrate(slave, master, pairs[comm.rank :: comm.size], multipliers.degree, (tolerance, -1.0 if facing else 1.0))
     parts = comm.allgather(blocks)
     pair, own, other, overlap, gap = (np.concatenate([p[i] for p in parts]) for i in range(5))
     if overlap.sum() <= 1e-9 * slave.sizes.sum():
@@ -130,7 +133,7 @@ def _distance(a: Trace, b: Trace) -> float:
 
 
 def _integrate(
-    slave: Trace, master: Trace, pairs: np.ndarray, degree: int, tolerance: float
+    slave: Trace, master: Trace, pairs: np.ndarray, degree: int, sight: tuple[float, float]
 ) -> tuple[np.ndarray, Array, Array, Array, Array]:
     """Pairs that overlap, their blocks of D (n, k_p, k_s) and M (n, k_p, k_m), the overlaps, the gaps."""
     m = slave.dim - 1
@@ -142,8 +145,8 @@ def _integrate(
     X = np.einsum("nqa,nad->nqd", shape_functions(m, 1, x), slave.corners[f])
     y, distance = _onto(X, slave.normals[f], master.corners[g])
     diameter = np.sqrt(slave.sizes[f]) if m == 2 else slave.sizes[f]
-    near = (np.abs(distance).max(axis=1, initial=0.0) <= tolerance * diameter) & (size > TINY)
-    near &= (slave.normals[f] * master.normals[g]).sum(1) < -0.5
+    near = (np.abs(distance).max(axis=1, initial=0.0) <= sight[0] * diameter) & (size > TINY)
+    near &= (slave.normals[f] * master.normals[g]).sum(1) * sight[1] > 0.5
     f, g, x, y, weight = f[near], g[near], x[near], y[near], (size * slave.sizes[f])[near]
     test = shape_functions(m, degree, x)
     own = np.einsum("n,q,nqa,nqb->nab", weight, w, test, shape_functions(m, slave.degree, x), optimize=True)

@@ -87,9 +87,12 @@ class Scene:
         require(part.name not in where and part.name != "ground", f'Two {what}s are called "{part.name}".')
         where[part.name] = part
 
-    def check(self) -> Mobility:
-        """Degrees of freedom, redundant rows by joint, and what looks unusual; print it. Collective."""
-        return check(self)
+    def check(self, *, deep: bool = False) -> Mobility:
+        """Degrees of freedom, redundant rows by joint, and what looks unusual; print it. Collective.
+
+        ``deep``: compute the inf-sup constants of surface ties too and name those below 0.1.
+        """
+        return check(self, deep)
 
     def build(self) -> tuple[System, State, dict[str, int]]:
         """The system, its state as given (not yet consistent), and the marker of each sensor; collective."""
@@ -179,15 +182,9 @@ class _Builder:
         """Rows of the ties by field multipliers."""
         if not self.scene.ties:
             return []
-        from .trace_ties import build_trace_rows
+        from .trace_ties import build_surface_ties
 
-        def place(body: Any) -> tuple[int, Array, Array]:
-            if body is ground or getattr(body, "locked", False):
-                return len(self.poses), np.zeros(self.m.dim), np.eye(self.m.dim)
-            pose = body.start_pose()
-            return self.frame_of[body.name], pose[: self.m.dim], self.m.matrix(pose)
-
-        return [build_trace_rows(t, self.fields, self.part_of, place) for t in self.scene.ties.values()]
+        return build_surface_ties(self.scene.ties, self.fields, self.part_of, self.frame_of)
 
     # -- checks -------------------------------------------------------------------------------------------------
     def _check(self) -> None:

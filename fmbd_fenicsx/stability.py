@@ -25,8 +25,8 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from .errors import InputError
-from .mortar import refined_coupling
-from .multipliers import Multipliers, MultiplierSpace
+from .mortar import mortar, refined_coupling
+from .multipliers import Multipliers, MultiplierSpace, default_space
 from .rotations import Array
 from .traces import Trace, refined, trace_of
 
@@ -148,27 +148,45 @@ class BodyNorm:
 
 
 def infsup(
-    surface: Any,
-    space: MultiplierSpace,
+    joint: Any,
+    space: MultiplierSpace | None = None,
     *,
-    degree: int = 2,
+    degree: int | None = None,
     clamped: tuple[str, ...] = (),
     reference: tuple[Any, int] | None = None,
+    carrier: tuple[Any, str] | None = None,
 ) -> InfSup:
-    """Inf-sup constant (1) of a multiplier space on ``surface`` = (mesh, name); collective.
+    """Inf-sup constant (1) of a joint; collective.
 
     Args:
-        surface: the pair (mesh, surface name).
-        space: multiplier space.
-        degree: degree of V_h.
-        clamped: names of surfaces where displacements are held.
+        joint: a surface tie, or a surface of an elastic body, or a pair (mesh, surface name).
+        space: multiplier space; by default that of the tie, else the default beside the degree.
+        degree: degree of V_h; by default the body's, else 2.
+        clamped: names of surfaces where displacements are held (with ``reference`` only: there the norm of the multipliers
+            knows of it; otherwise constants are underestimated, never overestimated).
         reference: (finer mesh, degree) whose trace norm is dual to the multipliers' norm; None: :class:`DualNorm`.
+        carrier: (mesh, surface name) of another mesh on the same place that carries the multipliers.
     """
+    side = getattr(joint, "a", joint)
+    if hasattr(side, "body"):
+        surface, degree = (side.body.mesh, side.name), degree or side.body.degree
+        space = space or getattr(joint, "space", None)
+    else:
+        surface, degree = joint, degree or 2
+    space = space or default_space(degree)
+    from dolfinx import fem
+
     mesh, name = surface
     body = BodyNorm(mesh, degree, clamped=clamped)
     trace = trace_of(body.space, mesh, name)
-    mu = space.on(trace)
-    S = body.product(mu.local_coupling())
+    if carrier is None:
+        mu = space.on(trace)
+        B = mu.coupling()
+    else:
+        scalar = fem.functionspace(carrier[0].dolfinx, ("Lagrange", degree))
+        coupling = mortar(trace_of(scalar, *carrier), trace, space, facing=False)
+        mu, B = coupling.multipliers, coupling.master
+    S = body.product(trace.columns(B))
     body.destroy()
     if reference is None:
         N = DualNorm(mu).matrix

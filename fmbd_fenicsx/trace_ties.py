@@ -27,7 +27,7 @@ from .errors import InputError, require
 from .joints import ground
 from .mortar import mortar
 from .multipliers import Multipliers, MultiplierSpace, default_space
-from .rotations import Array
+from .rotations import Array, motions
 from .traces import Trace, trace_of
 
 LIMIT = 1500  # multipliers that the replicated core takes
@@ -189,6 +189,22 @@ class TraceRows:
         n1 = m.spin(w, n0)
         n2 = m.spin(w, n1)
         return np.asarray(total @ (R @ n0[0]) + 2 * speed @ (R @ n1[0]) + self._difference(ev) @ (R @ n2[0]))
+
+
+def build_surface_ties(
+    ties: dict[str, SurfaceTie], parts: list[Any], part_of: dict[str, int], frame_of: dict[str, int]
+) -> list[TraceRows]:
+    """Rows of all ties of a scene; collective."""
+
+    def place(body: Any) -> tuple[int, Array, Array]:
+        """Frame, position and rotation at the start of a rigid body or the ground."""
+        if body is ground or body.locked:
+            d = next(iter(ties.values())).a.dim
+            return len(frame_of), np.zeros(d), np.eye(d)
+        pose, m = body.start_pose(), motions(body.dim)
+        return frame_of[body.name], pose[: body.dim], m.matrix(pose)
+
+    return [build_trace_rows(t, parts, part_of, place) for t in ties.values()]
 
 
 def build_trace_rows(tie: SurfaceTie, parts: list[Any], part_of: dict[str, int], place: Callable[[Any], Any]) -> TraceRows:

@@ -74,3 +74,22 @@ def test_dual_norm_of_a_constant() -> None:
     _, _, t = make(2, 1)
     mu = KEPT.on(t)
     assert DualNorm(mu).of(np.ones(mu.n)) == pytest.approx(1.0, abs=1e-10)
+
+
+def test_finer_carrier_is_unstable(squares) -> None:
+    """Multipliers on a twice finer mesh: zero modes, whatever their norm (the coarser side must not carry fewer functions)."""
+    found = infsup((squares(4), "bottom"), KEPT, degree=1, carrier=(squares(8), "bottom"))
+    assert found.zero_modes == 4
+
+
+def test_infsup_of_a_tie_and_deep_check(squares) -> None:
+    body = fmbd.AbsoluteBody("plate", squares(8), degree=1, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
+    good = fmbd.tie_surface("good", body.surface("bottom"), fmbd.ground)
+    bad = fmbd.tie_surface("bad", body.surface("top"), fmbd.ground, space=Discontinuous(1))
+    assert infsup(good).constant == pytest.approx(0.635, abs=2e-3)
+    assert infsup(bad).zero_modes == 7
+    scene = fmbd.Scene("held")
+    scene.add(body, good, bad)
+    notes = [n for n in scene.check(deep=True).notes if "tie" in n]
+    assert len(notes) == 1 and notes[0].startswith('tie "bad"') and "UNSTABLE" in notes[0]
+    assert not [n for n in scene.check().notes if "tie" in n]
