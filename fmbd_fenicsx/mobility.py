@@ -65,7 +65,9 @@ class Mobility:
             f"  open by           {self.open:9.1e} m",
         ]
         for joint, share in self.shares.items():
-            lines.append(f'  redundant: joint "{joint}" takes part with {share:.2f} rows; its reaction is not unique')
+            lines.append(
+                f'  redundant: joint "{joint}" takes part with {share:.2f} rows; its reaction is not unique'
+            )
         return "\n".join(lines + [f"  note: {n}" for n in self.notes])
 
 
@@ -89,7 +91,9 @@ def scaled_jacobian(ev: Evaluation) -> Array:
     if s.fields:
         typical = float(np.abs(G).max(initial=1.0))
         ports = [ev.jacobian.port[:, s.port_slice(k)] for k, _ in s.fields]
-        G = np.concatenate((G, *(typical * p / max(float(np.abs(p).max(initial=0.0)), 1.0) for p in ports)), axis=1)
+        G = np.concatenate(
+            (G, *(typical * p / max(float(np.abs(p).max(initial=0.0)), 1.0) for p in ports)), axis=1
+        )
     norms = np.sqrt((G * G).sum(1))
     return np.asarray(G / np.where(norms > 0, norms, 1.0)[:, None])
 
@@ -147,15 +151,21 @@ def check(scene: Any, deep: bool = False) -> Mobility:
     """
     system, state, _ = scene.build()
     found = mobility(system, state.t, state.q)
-    notes = [f'body "{n}" is attached to nothing' for n in loose_bodies(scene.bodies, {**scene.joints, **scene.ties}, scene.forces)]
+    attached = {**scene.joints, **scene.ties}
+    loose = loose_bodies(scene.bodies, attached, scene.forces)
+    notes = [f'body "{n}" is attached to nothing' for n in loose]
     notes += _units(scene, system)
     notes += _weak_ties(scene) if deep else []
     if found.conditioning < NEAR_SINGULAR:
-        notes.append("the configuration is near-singular: constraints almost depend on each other, or a motion branches here")
+        notes.append(
+            "the configuration is near-singular: constraints almost depend on each other, or a motion branches here"
+        )
     if found.open > 1e-6 * system.length:
         notes.append(f"the constraints are open by {found.open:.2g} m; the start will close them")
     rates = [_fastest(loads) for loads in system.forces if isinstance(loads, ScalarLoads)]
-    fastest = max(rates, default=0.0) / np.sqrt(system.mass / max(len(system.frame_names), 1)) if rates else 0.0
+    fastest = (
+        max(rates, default=0.0) / np.sqrt(system.mass / max(len(system.frame_names), 1)) if rates else 0.0
+    )
     if fastest > 0:
         notes.append(f"springs: shortest period about {2 * np.pi / fastest:.2g} s (mean mass of a body)")
     return Mobility(

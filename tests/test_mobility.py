@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +27,9 @@ def four_bar(hinges: str = "rrrr", gap: float = 0.0) -> fmbd.Scene:
         ("D", fmbd.ground, right, (1, 0, 0)),
     ]
     for kind, (name, a, b, c) in zip(hinges, ends, strict=True):
-        scene.add(fmbd.revolute(name, a, b, center=c) if kind == "r" else fmbd.spherical(name, a, b, center=c))
+        scene.add(
+            fmbd.revolute(name, a, b, center=c) if kind == "r" else fmbd.spherical(name, a, b, center=c)
+        )
     if gap:
         scene.add(fmbd.distance("strut", left, right, point_a=(0, 0, 0), point_b=(1, 0, 0), length=1.0 + gap))
     scene.sensor("x", fmbd.position(top))
@@ -47,10 +48,15 @@ def test_rank_does_not_depend_on_units() -> None:
     scene = four_bar()
     small = fmbd.Scene("small")
     k = 1e-5
-    left = fmbd.RigidBody("left", 1e-9, tuple(1e-9 * k * k * x for x in (0.08, 0.01, 0.08)), position=(0, 0.5 * k, 0))
+    left = fmbd.RigidBody(
+        "left", 1e-9, tuple(1e-9 * k * k * x for x in (0.08, 0.01, 0.08)), position=(0, 0.5 * k, 0)
+    )
     right = fmbd.RigidBody("right", 1e-9, tuple(1e-9 * k * k * x for x in BAR), position=(0.5 * k, k, 0))
     small.add(left, right, fmbd.revolute("A", fmbd.ground, left, center=(0, 0, 0)))
-    small.add(fmbd.revolute("B", left, right, center=(0, k, 0)), fmbd.revolute("B2", left, right, center=(0, k, 0.2 * k)))
+    small.add(
+        fmbd.revolute("B", left, right, center=(0, k, 0)),
+        fmbd.revolute("B2", left, right, center=(0, k, 0.2 * k)),
+    )
     found = small.check()
     assert (found.redundant, found.freedom) == (5, 2)
     assert scene.check().conditioning > 0.1
@@ -73,13 +79,19 @@ def test_duplicated_joint_is_redundant() -> None:
 def test_redundant_mechanism_moves_as_the_one_without() -> None:
     """K1 (iii): positions to 1e-9; forces of the redundant group add up to the same."""
     runs = []
-    for hinges in ("rrrr", "rsrs"):  # rsrs: 5 + 3 + 5 + 3 rows of rank 16 leave 2: the top may not turn about itself
+    for hinges in (
+        "rrrr",
+        "rsrs",
+    ):  # rsrs: 5 + 3 + 5 + 3 rows of rank 16 leave 2: the top may not turn about itself
         scene = four_bar(hinges)
         if hinges == "rsrs":
             scene = four_bar("rrrr")
             scene.joints.clear()
             left, top, right = scene.bodies.values()
-            scene.add(fmbd.revolute("A", fmbd.ground, left, center=(0, 0, 0)), fmbd.revolute("B", left, top, center=(0, 1, 0)))
+            scene.add(
+                fmbd.revolute("A", fmbd.ground, left, center=(0, 0, 0)),
+                fmbd.revolute("B", left, top, center=(0, 1, 0)),
+            )
             scene.add(fmbd.point_on_line("C", right, top, axis=(0, 0, 1), center=(1, 1, 0)))
             scene.add(fmbd.revolute("D", fmbd.ground, right, center=(1, 0, 0)))
             assert scene.check().redundant == 0
@@ -104,7 +116,10 @@ def test_contradicting_drives_are_refused() -> None:
     scene = fmbd.Scene("two drives")
     hinge = fmbd.revolute("hinge", fmbd.ground, wheel, center=(0, 0))
     scene.add(wheel, hinge)
-    scene.add(fmbd.drive("one", fmbd.angle(hinge), lambda t: 2 * t), fmbd.drive("two", fmbd.angle(hinge), lambda t: 3 * t))
+    scene.add(
+        fmbd.drive("one", fmbd.angle(hinge), lambda t: 2 * t),
+        fmbd.drive("two", fmbd.angle(hinge), lambda t: 3 * t),
+    )
     with pytest.raises(ConstraintError, match="Velocities contradict.*drive"):
         fmbd.solve(scene, t_end=0.1, dt=0.01)
 
@@ -118,8 +133,12 @@ def slider_crank(ratio: float, angle: float, speed: float) -> fmbd.Scene:
     slider = np.array([np.cos(angle) + ratio * np.cos(inner), 0.0])
     spin = lambda w, x: w * np.array([-x[1], x[0]])  # noqa: E731
     crank = fmbd.RigidBody("crank", 1.0, 1 / 12, end / 2, angle, spin(speed, end / 2), speed)
-    rod = fmbd.RigidBody("rod", ratio, ratio**3 / 12, middle, -inner, spin(speed, end) + spin(-rate, middle - end), -rate)
-    block = fmbd.RigidBody("block", 1.0, 0.1, slider, 0.0, (-speed * np.sin(angle) - ratio * rate * np.sin(inner), 0.0))
+    rod = fmbd.RigidBody(
+        "rod", ratio, ratio**3 / 12, middle, -inner, spin(speed, end) + spin(-rate, middle - end), -rate
+    )
+    block = fmbd.RigidBody(
+        "block", 1.0, 0.1, slider, 0.0, (-speed * np.sin(angle) - ratio * rate * np.sin(inner), 0.0)
+    )
     scene = fmbd.Scene("slider crank")
     scene.add(crank, rod, block)
     scene.add(
@@ -208,7 +227,12 @@ def test_mass_ratios(light: float) -> None:
     scene = fmbd.Scene("ratio", gravity=(0, -9.81))
     one = fmbd.RigidBody("one", m1, m1 / 12, position=(0.5, 0))
     two = fmbd.RigidBody("two", m2, m2 / 12, position=(1.5, 0))
-    scene.add(one, two, fmbd.revolute("pin", fmbd.ground, one, center=(0, 0)), fmbd.fixed("weld", one, two, center=(1, 0)))
+    scene.add(
+        one,
+        two,
+        fmbd.revolute("pin", fmbd.ground, one, center=(0, 0)),
+        fmbd.fixed("weld", one, two, center=(1, 0)),
+    )
     scene.sensor("tip", fmbd.position(two, point=(2.0, 0.0)))
     scene.sensor("pin", fmbd.reaction_force("pin"))
     run = fmbd.solve(scene, t_end=0.5, dt=5e-3, newton=fmbd.Newton(1e-10))

@@ -32,6 +32,8 @@ from ..linear.schur import StepSolver, Weights
 from ..newton import Newton
 from ..rotations import Array
 from ..system import State, System
+from . import compiled
+from .compiled import PlaneKernel, kernel_of
 from .start import jerk, spin_of_acceleration, worst_block
 
 
@@ -41,9 +43,12 @@ class GeneralizedAlpha:
 
     rho_inf = 1 is refused: with index-3 constraints it is weakly unstable, roundoff in the multipliers grows until the run
     fails (Cardona and Geradin, doi:10.1016/0045-7949(89)90050-9).
+
+    ``compiled`` = False keeps to NumPy where a compiled step exists (rigid bodies of the plane, see :mod:`.compiled`).
     """
 
     rho_inf: float = 0.8
+    compiled: bool = True
 
     def __post_init__(self) -> None:
         require(
@@ -69,7 +74,10 @@ class GeneralizedAlpha:
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
-        return Stepper(self, system, solver, newton, state)
+        kernel = kernel_of(system) if self.compiled and not solver.core.redundant else None
+        if kernel is None:
+            return Stepper(self, system, solver, newton, state)
+        return CompiledStepper((self, system, solver, newton, state), kernel)
 
 
 class Stepper:
@@ -165,3 +173,81 @@ class Stepper:
         typical = s.max_abs_core(a)
         floor = 64 * np.finfo(float).eps * s.length
         return max(self.newton.tolerance * scale * max(typical, 1e-12 * s.length), floor)
+
+
+class CompiledStepper(Stepper):
+    """The same steps by the kernel of :mod:`.compiled`; a step that it gives back is made in NumPy."""
+
+    def __init__(
+        self, data: tuple[GeneralizedAlpha, System, StepSolver, Newton, State], kernel: PlaneKernel
+    ) -> None:
+        self.kernel = kernel
+        self._blocks: list[tuple[Array, int]] = []  # newest first, with addresses: t, q, v, a, A, lambda
+        self._tail: State | None = None  # the state of the newest block
+        self._ahead = False  # blocks are newer than A and the past of the NumPy path
+        super().__init__(*data)
+        scheme, system, _, newton, _ = data
+        p = kernel.parameters
+        p[1:5] = scheme.parameters
+        p[compiled.TOL], p[compiled.LENGTH] = newton.tolerance, system.length
+        p[compiled.FLOOR] = 64 * np.finfo(float).eps * system.length
+        p[compiled.SLOW], p[compiled.MAXIT] = newton.slow, newton.max_iterations
+
+    @property
+    def A(self) -> Array:  # type: ignore[override]
+        """Algorithmic acceleration at the end of the last step."""
+        self._settle()
+        return self._A
+
+    @A.setter
+    def A(self, value: Array) -> None:
+        self._A = value
+
+    @property
+    def _past(self) -> list[tuple[float, Array, Array]]:  # type: ignore[override]
+        self._settle()
+        return self._earlier
+
+    @_past.setter
+    def _past(self, value: list[tuple[float, Array, Array]]) -> None:
+        self._earlier = value
+
+    def _settle(self) -> None:
+        """Give A and the past of the newest block to the NumPy path."""
+        if self._ahead and self._tail is self.state:
+            n = self.kernel.n
+            self._A = self._blocks[0][0][1 + 3 * n : 1 + 4 * n]
+            self._earlier = [(float(b[0]), b[1 + 2 * n : 1 + 3 * n], b[1 + 4 * n :]) for b, _ in self._blocks[1:]]
+        self._ahead = False
+
+    def _load(self) -> None:
+        """Blocks from the state, A and the past of the NumPy path."""
+        s = self.state
+        zero = np.zeros(self.kernel.n)
+        parts = [(s.t, s.q, s.v, s.a, self.A, s.lam), *((t, zero, zero, a, zero, lam) for t, a, lam in self._past)]
+        blocks = [np.concatenate(([t], *arrays)) for t, *arrays in parts]
+        self._blocks = [(b, b.ctypes.data) for b in blocks]
+        self._tail = s
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s), as :meth:`Stepper.advance`."""
+        if self.fresh:
+            return super().advance(h)
+        if self._tail is not self.state:
+            self._load()
+        kernel, newton, core = self.kernel, self.newton, self.solver.core
+        n, p = kernel.n, kernel.parameters
+        p[compiled.H], p[compiled.THETA] = h, newton.theta
+        out = np.empty(kernel.block_size)
+        address = out.ctypes.data
+        if kernel.step(self._blocks, address, self.state.t + h):
+            return super().advance(h)
+        self._blocks = [(out, address), *self._blocks[:2]]
+        newton.iterations += int(p[compiled.ITERATIONS])
+        newton.theta = float(p[compiled.THETA])
+        core.factorisations += 1
+        core.judge.check(float(p[compiled.RESIDUAL]), 1.0)
+        self.local_error, self._ahead = float(p[compiled.LOCAL]), True
+        q, v, a = out[1 : 1 + n], out[1 + n : 1 + 2 * n], out[1 + 2 * n : 1 + 3 * n]
+        self.state = self._tail = State(float(out[0]), q, v, a, out[1 + 4 * n :])
+        return self.state

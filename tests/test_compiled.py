@@ -1,0 +1,145 @@
+"""The compiled step against the NumPy step, its fallbacks, and its cache."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_mobility import slider_crank
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.schemes import compiled
+from fmbd_fenicsx.schemes.generalized_alpha import CompiledStepper, GeneralizedAlpha, Stepper
+from fmbd_fenicsx.system import State
+
+ROOT = Path(__file__).resolve().parents[1]
+pytestmark = pytest.mark.skipif(compiled.library() is None, reason="no C compiler")
+
+
+def chain(n: int) -> fmbd.Scene:
+    e = np.array([0.8, -0.6])
+    scene = fmbd.Scene("chain", gravity=(0.3, -9.81))
+    links = [
+        fmbd.RigidBody(f"{i}", 0.1 + 0.01 * (i % 3), 1e-4, (i + 0.5) * 0.1 * e, -0.6435) for i in range(n)
+    ]
+    scene.add(*links)
+    for i, (a, b) in enumerate(zip([fmbd.ground, *links], links, strict=False)):
+        scene.add(fmbd.revolute(f"pin {i}", a, b, center=i * 0.1 * e))
+    return scene
+
+
+def mixed() -> fmbd.Scene:
+    """Every elementary constraint, two drives, a locked body and a loop."""
+    scene = slider_crank(2.0, 0.7, 0.0)
+    scene.gravity = (0.0, -9.81)
+    base = fmbd.RigidBody("base", 1.0, 1.0, position=(3.0, 2.0), rotation=0.3, locked=True)
+    bob = fmbd.RigidBody("bob", 0.5, 0.1, position=(3.0, 1.0), rotation=0.2)
+    cart = fmbd.RigidBody("cart", 0.5, 0.1, position=(-2.0, 0.0), rotation=0.1)
+    bead = fmbd.RigidBody("bead", 0.5, 0.1, position=(-2.0, 0.5))
+    scene.add(base, bob, cart, bead, fmbd.distance("rod", base, bob, length=1.0))
+    scene.add(fmbd.drive_rotation("motor", fmbd.ground, scene.bodies["crank"], lambda t: 3 * t + t**2))
+    scene.add(fmbd.prismatic("rail", fmbd.ground, cart, axis=(1, 0.2), center=(-2.0, 0.0)))
+    scene.add(
+        fmbd.drive_translation(
+            "push", fmbd.ground, cart, lambda t: 0.2 * np.sin(3 * t), axis=(1, 0.2), center=(-2.0, 0.0)
+        )
+    )
+    scene.add(fmbd.point_on_line("wire", cart, bead, axis=(1, 0.3), center=(-2.0, 0.5)))
+    return scene
+
+
+def pair(scene: Any, **options: Any) -> tuple[fmbd.Run, fmbd.Run]:
+    """The compiled and the NumPy run."""
+    runs = [fmbd.solve(scene(), scheme=GeneralizedAlpha(0.8, compiled=c), **options) for c in (True, False)]
+    return runs[0], runs[1]
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: chain(1), lambda: chain(7), lambda: chain(40), mixed], ids="1 7 40 mixed".split()
+)
+def test_same_digits_as_numpy(make: Any) -> None:
+    """Equal to roundoff: in q a few units, in a and lambda those over h^2."""
+    fast, slow = pair(make, t_end=0.3, dt=1e-3)
+    assert fast.counters["newton_iterations"] == slow.counters["newton_iterations"]
+    assert fast.counters["core_factorisations"] == slow.counters["core_factorisations"]
+    for name, bar in (("q", 1e-12), ("v", 1e-9), ("a", 1e-6), ("lam", 1e-6)):
+        x, y = getattr(fast.state, name), getattr(slow.state, name)
+        assert np.abs(x - y).max() < bar * np.abs(y).max(), name
+    assert fast.local_error == pytest.approx(slow.local_error, rel=1e-5)
+
+
+def stepper_of(scene: fmbd.Scene, scheme: GeneralizedAlpha | None = None) -> Stepper:
+    from fmbd_fenicsx.linear.schur import StepSolver
+    from fmbd_fenicsx.schemes.start import consistent
+
+    system, given, _ = scene.build()
+    solver = StepSolver(system)
+    start, _ = consistent(system, given, solver)
+    return (scheme or GeneralizedAlpha()).stepper(system, solver, fmbd.Newton(), start)
+
+
+def test_kernel_is_used_where_it_can_and_only_there() -> None:
+    assert isinstance(stepper_of(chain(3)), CompiledStepper)
+    assert not isinstance(stepper_of(chain(3), GeneralizedAlpha(0.8, compiled=False)), CompiledStepper)
+    spring = chain(2)
+    spring.add(fmbd.Spring("s", *spring.bodies.values(), (0, 1), (1, 0), 1.0))
+    assert not isinstance(stepper_of(spring), CompiledStepper)
+    ball = fmbd.RigidBody("ball", 1.0, (1.0, 1.0, 1.0))
+    space = fmbd.Scene("space")
+    space.add(ball)
+    assert not isinstance(stepper_of(space), CompiledStepper)
+    twice = chain(1)
+    twice.add(fmbd.revolute("again", fmbd.ground, twice.bodies["0"], center=(0, 0)))
+    assert not isinstance(stepper_of(twice), CompiledStepper)  # redundant rows
+
+
+def test_steps_may_alternate_between_both() -> None:
+    """Steps handed back to NumPy, and a state put in from outside, keep the history of the predictor."""
+    a, b = stepper_of(chain(5)), stepper_of(chain(5), GeneralizedAlpha(0.8, compiled=False))
+    for k in range(40):
+        if k % 3 == 1:
+            Stepper.advance(a, 1e-3)
+        else:
+            a.advance(1e-3)
+        b.advance(1e-3)
+        if k == 20:
+            a.A, a._past, a.state = a.A.copy(), list(a._past), State(*vars(a.state).values())
+    assert np.abs(a.state.q - b.state.q).max() < 1e-13
+    assert np.abs(a.A - b.A).max() < 1e-7 * np.abs(b.A).max()
+    assert a.newton.iterations == b.newton.iterations
+
+
+def test_failure_reads_as_in_numpy() -> None:
+    """A step far too large fails with the message of the NumPy path."""
+    with pytest.raises(ConvergenceError, match="Newton stopped at t = .*joint"):
+        fmbd.solve(mixed(), t_end=30.0, dt=0.5)
+
+
+def test_without_compiler_numpy_does_it(tmp_path: Path) -> None:
+    code = (
+        "import sys; sys.path.insert(0, 'tests')\n"
+        "from test_compiled import chain, fmbd, compiled\n"
+        "assert compiled.library() is None\n"
+        "assert fmbd.solve(chain(2), t_end=0.01, dt=1e-3).counters['steps'] == 10\n"
+    )
+    import os
+
+    env = os.environ | {"CC": "no-such-compiler", "XDG_CACHE_HOME": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=env, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_damaged_cache_is_built_again(tmp_path: Path) -> None:
+    compiler = ["cc"]
+    compiled._load(tmp_path, "one", compiler)
+    (tmp_path / "two.so").write_bytes((tmp_path / "one.so").read_bytes()[:1000])
+    (tmp_path / "two.sha256").write_text((tmp_path / "one.sha256").read_text())
+    assert compiled._load(tmp_path, "two", compiler).step
+    assert (tmp_path / "two.so").stat().st_size > 2000
