@@ -81,14 +81,15 @@ class _CSystem(ctypes.Structure):
     _fields_ = [(n, ctypes.c_int) for n in ("nb", "m", "nc", "unused")] + [
         (n, ctypes.c_void_p)
         for n in (
-            "mass kind fa fb pa pb e f length order first start ci cj cbody cdest profile jac g y work cs tangent".split()
+            *("mass", "kind", "fa", "fb", "pa", "pb", "e", "f", "length", "order", "first", "start"),
+            *("ci", "cj", "cbody", "cdest", "profile", "jac", "g", "y", "work", "cs", "tangent", "units"),
         )
-    ]  # fmt: skip
+    ]
 
 
 def supports(system: System) -> bool:
     """Whether the kernel covers a system: rigid bodies of the plane, the elementary constraints, gravity."""
-    plain = not (system.parts or system.forces or system.contacts or system.port_constraints)
+    plain = not (system.parts or system.forces or system.contacts or system.port_constraints or system.traces)
     kinds = all(type(batch) in KINDS for batch, _ in system.batches)
     return plain and kinds and system.motions.dim == 2 and system.rigid is not None and system.n_frames > 0
 
@@ -119,7 +120,9 @@ class PlaneKernel:
             "tangent": 6 * m,
         }
         a |= {k: np.zeros(max(x, 1)) for k, x in sizes.items()}
+        a["units"] = np.array(system.units, dtype=float)
         self.size, self.arrays = size, {k: np.ascontiguousarray(x) for k, x in a.items()}
+        assert set(self.arrays) == {n for n, kind in _CSystem._fields_ if kind is ctypes.c_void_p}
         self.c = _CSystem(nb, m, len(a["ci"]), 0, **{k: x.ctypes.data for k, x in self.arrays.items()})
         self.address = ctypes.addressof(self.c)
         self.parameters, self.offset = np.zeros(19), np.zeros(max(m, 1))

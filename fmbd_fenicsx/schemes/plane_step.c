@@ -19,7 +19,7 @@ typedef struct {
     int *ci, *cj, *cbody;                  /* nc: pairs of Jacobian blocks (2 row + side) on one body */
     long *cdest;                           /* nc: their entry of the profile */
     double *profile, *jac, *g, *y, *work;  /* size of the profile, 6 m, m, m, 3 n + m */
-    double *cs, *tangent;                  /* 2 (nb + 1): cosine and sine of the bodies; 6 m: G of the factor */
+    double *cs, *tangent, *units;          /* 2 (nb + 1): cosine and sine of the bodies; 6 m: G of the factor; 3 nb: see norms */
 } System;
 
 enum { H, AM, AF, GAMMA, BETA, GX, GY, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY,  /* in */
@@ -179,11 +179,12 @@ int step(const System *s, double *p, const double *now, const double *before, co
     }
     double *q = out + 1, *v = q + n, *a = v + n, *A = a + n, *lam = A + n;
     double *xi = s->work, *r = xi + n, *x = r + n, typical = 0.0;
+    const double *u = s->units; /* System.units: all entries as lengths */
     for (int i = 0; i < n; i++) {
         a[i] = w0 * a0[i] + w1 * a1[i] + w2 * a2[i];
         A[i] = ((1 - af) * a[i] + af * a0[i] - am * A0[i]) / (1 - am);
         xi[i] = h * v0[i] + h * h * (0.5 - beta) * A0[i] + hb * A[i];
-        if (fabs(a[i]) > typical) typical = fabs(a[i]);
+        if (fabs(u[i] * a[i]) > typical) typical = fabs(u[i] * a[i]);
     }
     for (int k = 0; k < m; k++) lam[k] = w0 * l0[k] + w1 * l1[k] + w2 * l2[k];
     if (typical < 1e-12 * p[LENGTH]) typical = 1e-12 * p[LENGTH];
@@ -221,7 +222,7 @@ int step(const System *s, double *p, const double *now, const double *before, co
         size = 0.0;
         for (int i = 0; i < n; i++) {
             x[i] /= s->mass[i];
-            if (!(fabs(x[i]) <= size)) size = fabs(x[i]);
+            if (!(fabs(u[i] * x[i]) <= size)) size = fabs(u[i] * x[i]);
         }
         double open = 0.0;
         for (int k = 0; k < m; k++) {
@@ -259,7 +260,8 @@ int step(const System *s, double *p, const double *now, const double *before, co
     for (int i = 0; i < n; i++) {
         q[i] = q0[i] + xi[i];
         v[i] = v0[i] + h * (1 - gamma) * A0[i] + h * gamma * A[i];
-        if (fabs(A[i] - A0[i]) > jump) jump = fabs(A[i] - A0[i]);
+        double change = fabs(u[i] * (A[i] - A0[i]));
+        if (change > jump) jump = change;
     }
     out[0] = t;
     p[LOCAL] = h * h * fabs(beta - 1.0 / 6.0) * jump;
