@@ -25,7 +25,8 @@ __all__ = ["Check", "arguments", "finish", "say"]
 class Check:
     """A figure of a demo: it passes when |value - reference| <= tolerance (all in the same unit).
 
-    A bound is a check against 0 (``Check("drift", drift, 0.0, 1e-10)``); see :meth:`relative` for a relative tolerance.
+    A bound is a check against 0 (``Check("drift", drift, 0.0, 1e-10)``); see :meth:`relative` for a relative
+    tolerance.
     """
 
     name: str
@@ -45,7 +46,8 @@ class Check:
 
     def __str__(self) -> str:
         verdict = "ok" if self.ok else "FAILED"
-        return f"check {self.name}: {self.value:.8g}, reference {self.reference:.8g} +- {self.tolerance:.2g}: {verdict}"
+        target = f"reference {self.reference:.8g} +- {self.tolerance:.2g}"
+        return f"check {self.name}: {self.value:.8g}, {target}: {verdict}"
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of the JSON file."""
@@ -59,11 +61,13 @@ class Check:
 
 
 def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> argparse.Namespace:
-    """Flags of a demo from the command line: ``--fast``, ``--json FILE``, ``--picture FILE``, and the demo's own.
+    """Flags of a demo from the command line: ``--fast``, ``--json FILE``, ``--picture FILE``, and the demo's
+    own.
 
     Args:
         description: the demo's docstring, shown by ``--help``.
-        own: flag -> default. False makes a switch, a tuple lists the choices (its first is the default), any other default
+        own: flag -> default. False makes a switch, a tuple lists the choices (its first is the default), any
+            other default
             gives the type: ``{"--study": False, "--dim": (2, 3), "--steps": 100}``.
     """
     parser = argparse.ArgumentParser(
@@ -95,9 +99,11 @@ def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> 
 
 
 def finish(checks: Sequence[Check], run: Any, args: argparse.Namespace) -> None:
-    """Print one line for each check and write the JSON file, on rank 0; exit with code 1 on all ranks when a check fails.
+    """Print one line for each check and write the JSON file, on rank 0; exit with code 1 on all ranks when a
+    check fails.
 
-    ``run`` gives ``counters`` and ``seconds``; None for a demo that has no single run. Values must be equal on all ranks.
+    ``run`` gives ``counters`` and ``seconds``; None for a demo that has no single run. Values must be equal
+    on all ranks.
     """
     for check in checks:
         say(check)

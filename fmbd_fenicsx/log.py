@@ -1,6 +1,7 @@
 """Logger of the package, and behaviour under MPI: one message, and one failing rank ends all.
 
-The library only writes to the logger ``fmbd_fenicsx``; :func:`fmbd_fenicsx.solve` and the demos configure nothing.
+The library only writes to the logger ``fmbd_fenicsx``; :func:`fmbd_fenicsx.solve` and the demos configure
+nothing.
 """
 
 from __future__ import annotations
@@ -49,10 +50,11 @@ def say(text: Any = "") -> None:
 
 
 def install_hooks() -> None:
-    """Decide what happens when an exception reaches the top of the program (once; a hook set by others is left alone).
+    """Decide what happens when an exception reaches the top of the program (once; a hook set by others is
+    left alone).
 
-    Serial: after Ctrl-C the report so far is printed and the exit code is 130. Under mpirun: one failing rank ends all ranks.
-    The message of the lowest failing rank is printed, the exit code is the error's own.
+    Serial: after Ctrl-C the report so far is printed and the exit code is 130. Under mpirun: one failing rank
+    ends all ranks. The message of the lowest failing rank is printed, the exit code is the error's own.
     """
     if sys.excepthook is sys.__excepthook__:
         sys.excepthook = _top if world_size() == 1 else _top_of_many
@@ -84,7 +86,8 @@ def _top_of_many(kind: type[BaseException], error: BaseException, trace: Traceba
 
 
 class StopRequests:
-    """Context in which the first Ctrl-C only sets ``asked``, so that the step under way is completed; the second interrupts.
+    """Context in which the first Ctrl-C only sets ``asked``, so that the step under way is completed; the
+    second interrupts.
 
     Only in serial runs, in the main thread, and where Python's own handler is in place.
     """

@@ -1,8 +1,8 @@
 """Newton's iteration with a frozen tangent and a guard on its rate of convergence.
 
-The error left after an increment d_k is estimated from the rate theta = |d_k| / |d_k-1| as theta / (1 - theta) |d_k|
-(Hairer and Wanner, Solving ODEs II, section IV.8, doi:10.1007/978-3-642-05221-7). The rate of the last step serves when a
-step has one increment only.
+The error left after an increment d_k is estimated from the rate theta = |d_k| / |d_k-1| as theta / (1 -
+theta) |d_k| (Hairer and Wanner, Solving ODEs II, section IV.8, doi:10.1007/978-3-642-05221-7). The rate of
+the last step serves when a step has one increment only.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ class Newton:
     theta: float = field(default=0.5)
 
     def solve(self, increment: Callable[[], float]) -> tuple[bool, list[float]]:
-        """Call ``increment`` (it applies one increment, returns its norm over the tolerance) until the error is below 1.
+        """Call ``increment`` (it applies one increment, returns its norm over the tolerance) until the error
+        is below 1.
 
         Returns whether it converged, and the history of norms.
         """

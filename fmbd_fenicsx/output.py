@@ -1,4 +1,6 @@
-"""What a run records and shows: sensor series, energies, drift of the constraints, snapshots, a progress bar."""
+"""What a run records and shows: sensor series, energies, drift of the constraints, snapshots, a progress
+bar.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,8 @@ class Output:
         snapshots: how many states are kept for pictures, evenly spaced, first and last included.
         energy: whether energies are recorded.
         progress: a progress bar; None shows it on rank 0 when standard error is a terminal.
-        estimate_error: run again with 2 and 4 times the step and estimate the time-discretisation error of each sensor
-            (about 3/4 of the time of the run itself, not counted in its seconds and counters).
+        estimate_error: run again with 2 and 4 times the step and estimate the time-discretisation error of
+            each sensor (about 3/4 of the time of the run itself, not counted in its seconds and counters).
     """
 
     every: int = 1
@@ -42,7 +44,9 @@ class Output:
 
 @dataclass
 class Recorder:
-    """Series of sensors and energies, snapshots, and the drift of the constraints, of one run that ends at ``t_end`` (s)."""
+    """Series of sensors and energies, snapshots, and the drift of the constraints, of one run that ends at
+    ``t_end`` (s).
+    """
 
     scene: Scene
     system: System

@@ -1,7 +1,8 @@
 """Pictures of a run's snapshots: bodies where they are, drawn by pyvista without a window.
 
-Elastic bodies show their deformed surface (in the plane: themselves), x = r + R (X + u) or x = X + u. Bodies without a mesh
-(rigid, reduced) show as a ball at the origin of their frame with bars to their joints, joints as small balls. Geometry is gathered to rank 0, which alone loads pyvista and draws.
+Elastic bodies show their deformed surface (in the plane: themselves), x = r + R (X + u) or x = X + u. Bodies
+without a mesh (rigid, reduced) show as a ball at the origin of their frame with bars to their joints, joints
+as small balls. Geometry is gathered to rank 0, which alone loads pyvista and draws.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ LARGEST = 2_000_000  # triangles that are still drawn
 
 @dataclass(frozen=True)
 class View:
-    """An image (rows, columns, 3) and, in the plane, the world rectangle (x0, x1, y0, y1) in m that it shows."""
+    """An image (rows, columns, 3) and, in the plane, the world rectangle (x0, x1, y0, y1) in m that it
+    shows.
+    """
 
     image: Array
     extent: tuple[float, float, float, float] | None
@@ -32,7 +35,9 @@ class View:
 
 @dataclass(frozen=True)
 class Skin:
-    """What is drawn of an elastic body, in its global node numbers: triangles (m, 3) and edge segments (k, 2)."""
+    """What is drawn of an elastic body, in its global node numbers: triangles (m, 3) and edge segments (k,
+    2).
+    """
 
     triangles: Array
     edges: Array
@@ -40,7 +45,9 @@ class Skin:
 
 @dataclass(frozen=True)
 class Moment:
-    """One snapshot: nodal positions of each elastic body, bars (k, 2, 3), origins of other bodies and joints (n, 3), m."""
+    """One snapshot: nodal positions of each elastic body, bars (k, 2, 3), origins of other bodies and joints
+    (n, 3), m.
+    """
 
     nodes: list[Array]
     bars: Array
@@ -59,7 +66,7 @@ class Moment:
         return np.concatenate([*self.nodes, self.bars.reshape(-1, 3), self.origins, self.joints])
 
 
-# -- geometry, collective ---------------------------------------------------------------------------------------
+# -- geometry, collective ------------------------------------------------------------------------------
 def gather(run: Run) -> tuple[list[Skin], list[Moment]]:
     """Skins of the elastic bodies and all snapshots' positions; collective, complete on rank 0 only."""
     require(bool(run.snapshots), "A picture needs snapshots: solve(..., output=Output(snapshots=6)).")
@@ -106,7 +113,9 @@ def _gathered(comm: Any, numbers: Any, local: list[Any], width: int) -> Array:
 
 
 def _triangles(n: Array) -> list[list[int]]:
-    """Triangles of a face: 3 nodes, 6 (corners, then the mid nodes opposite to them), 4 or 9 (tensor order)."""
+    """Triangles of a face: 3 nodes, 6 (corners, then the mid nodes opposite to them), 4 or 9 (tensor
+    order).
+    """
     if len(n) in (4, 9):
         return [[n[0], n[1], n[3]], [n[0], n[3], n[2]]]
     if len(n) == 6:
@@ -171,7 +180,7 @@ def _in_space(x: Array) -> Array:
     return np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
 
 
-# -- drawing, rank 0 --------------------------------------------------------------------------------------------
+# -- drawing, rank 0 -----------------------------------------------------------------------------------
 def render(run: Run, geometry: tuple[list[Skin], list[Moment]], colors: Array, width: int = 1600) -> View:
     """Draw all snapshots in one image, each in its colour (n, 3); rank 0 only."""
     try:
@@ -244,14 +253,16 @@ def _draw(pv: Any, plotter: Any, skins: list[Skin], m: Moment, color: Any, radiu
 
 
 def ensure_display() -> None:
-    """Give VTK before 9.4, which draws only through X, an X server that ends with this process; nothing where there is one."""
+    """Give VTK before 9.4, which draws only through X, an X server that ends with this process; nothing where
+    there is one.
+    """
     import vtk
 
     version = tuple(int(p) for p in vtk.vtkVersion().GetVTKVersion().split(".")[:2])
     have = shutil.which("Xvfb") and shutil.which("setpriv")
     if version >= (9, 4) or os.environ.get("DISPLAY") or not have:
         return
-    display = f":{1000 + os.getpid() % 50000}"  # a number of its own: two servers that start together must not claim one
+    display = f":{1000 + os.getpid() % 50000}"  # its own: two servers that start together must not claim one
     read, write = os.pipe()
     server = [
         "Xvfb",

@@ -1,4 +1,6 @@
-"""Figures (matplotlib): sensor series, snapshots beside a history, error against work. Rank 0 writes, no window opens."""
+"""Figures (matplotlib): sensor series, snapshots beside a history, error against work. Rank 0 writes, no
+window opens.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +73,9 @@ def _history(axes: Any, run: Run, sensor: str) -> None:
 
 
 def plot_series(run: Run, sensors: Sequence[str], file: str | Path) -> None:
-    """Write sensor series over time, one axes for each sensor (all sensors when none is named); collective."""
+    """Write sensor series over time, one axes for each sensor (all sensors when none is named);
+    collective.
+    """
     names = list(sensors) or list(run.series)
     for name in names:
         _ = run[name]
@@ -139,7 +143,9 @@ def _dots(axes: Any, run: Run, sensor: str, colors: Array) -> None:
 
 
 def plot_work_precision(study: WorkPrecision, file: str | Path, work: str) -> None:
-    """Write error over work, both logarithmic, one axes for each quantity, one line for each configuration; rank 0."""
+    """Write error over work, both logarithmic, one axes for each quantity, one line for each configuration;
+    rank 0.
+    """
     if world_rank() != 0:
         return
     names = study.quantities

@@ -21,7 +21,9 @@ SHOWN = 4  # sensors or phases listed by name
 
 
 def run_report(run: Run) -> str:
-    """Steps, iterations, solves, start, drift, time error, energy ledger, seconds, memory and the plan; not collective."""
+    """Steps, iterations, solves, start, drift, time error, energy ledger, seconds, memory and the plan; not
+    collective.
+    """
     c, (gap, slip), start = run.counters, run.drift, run.correction
     steps = max(int(c["steps"]), 1)
     lines = [f"{run.scene.name}: {run.status} at t = {run.state.t:.6g} s"]
@@ -31,7 +33,8 @@ def run_report(run: Run) -> str:
     lines += _entry("linear solves", _linear(run))
     lines += _entry(
         "consistent start",
-        f"positions moved by {start.position:.2g} m, velocities by {start.velocity:.2g} m/s, {_n(start.iterations, 'iteration')}",
+        f"positions moved by {start.position:.2g} m, velocities by {start.velocity:.2g} m/s, "
+        + _n(start.iterations, "iteration"),
     )
     lines += _entry("constraint drift", f"position {gap:.2g} m, velocity {slip:.2g} m/s")
     lines += _entry("time error", _time_error(run))
@@ -52,7 +55,8 @@ def _steps(run: Run, steps: int) -> str:
     ]
     rejected = _n(run.counters["rejections"], "rejection") + (f" ({', '.join(causes)})" if causes else "")
     return (
-        f"rtol = {rtol:g}, {steps} steps of {run.dt:.3g} s on average, {rejected}, {_n(run.counters['jacobians'], 'tangent')}, "
+        f"rtol = {rtol:g}, {steps} steps of {run.dt:.3g} s on average, {rejected}, "
+        f"{_n(run.counters['jacobians'], 'tangent')}, "
         f"{_n(run.counters['residuals'], 'residual')}"
     )
 
@@ -72,7 +76,8 @@ def _entry(label: str, text: str) -> list[str]:
 def _linear(run: Run) -> str:
     c = run.counters
     if not run.system.fields:
-        return f"{_n(c['core_factorisations'], 'core factorisation')}, worst relative residual {c['worst_linear_residual']:.1e}"
+        done = _n(c["core_factorisations"], "core factorisation")
+        return f"{done}, worst relative residual {c['worst_linear_residual']:.1e}"
     return (
         f"{_n(c['factorisations'], 'elastic factorisation')}, {c['back_solves']:.0f} back-solves "
         f"({c['back_solves_per_step']:.2f} a step), {_n(c['core_factorisations'], 'core factorisation')}, "
@@ -109,7 +114,9 @@ def _share(run: Run, name: str, error: float, share: float) -> str:
 
 
 def conservative(scene: Scene) -> bool:
-    """Whether the exact motion of a scene keeps the sum of the recorded energies: no loads, drives, damping, gravity ramp."""
+    """Whether the exact motion of a scene keeps the sum of the recorded energies: no loads, drives, damping,
+    gravity ramp.
+    """
     if scene.gravity is not None and scene.gravity_ramp > 0:
         return False
     for body in scene.bodies.values():

@@ -35,8 +35,10 @@ class Run:
         counters: steps, Newton iterations, factorisations, back-solves. ``seconds``: by phase.
         drift: largest position constraint (m) and velocity constraint (m/s) residual seen.
         local_error: the scheme's own indicator of the error of one step, largest over the run (m, rad).
-        error_estimate: sensor name -> estimated time-discretisation error, in the sensor's unit; empty when not asked for.
-        observed_order: sensor name -> order in h seen in the runs of the estimate, nan where it could not be seen.
+        error_estimate: sensor name -> estimated time-discretisation error, in the sensor's unit; empty when
+            not asked for.
+        observed_order: sensor name -> order in h seen in the runs of the estimate, nan where it could not be
+            seen.
         memory: peak memory of the largest rank, bytes.
         status: "finished", or "stopped" after Ctrl-C.
     """
@@ -68,7 +70,9 @@ class Run:
         return self.series[sensor]
 
     def report(self) -> str:
-        """Steps, iterations, error estimate, drift, energy, seconds by phase, and the plan, as text; not collective."""
+        """Steps, iterations, error estimate, drift, energy, seconds by phase, and the plan, as text; not
+        collective.
+        """
         from .report import run_report
 
         return run_report(self)
@@ -80,7 +84,9 @@ class Run:
         plot_series(self, sensors, file)
 
     def picture(self, file: str | Path, *, sensor: str | None = None) -> None:
-        """Write a picture of the snapshots (pyvista), with the history of a sensor beside it; collective, rank 0 writes."""
+        """Write a picture of the snapshots (pyvista), with the history of a sensor beside it; collective,
+        rank 0 writes.
+        """
         from .plot import picture
 
         picture(self, file, sensor=sensor)
@@ -100,7 +106,9 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _March:
-    """What a march left: recorder, last state, largest local error, the first step's back-solves, the scheme's statistics."""
+    """What a march left: recorder, last state, largest local error, the first step's back-solves, the
+    scheme's statistics.
+    """
 
     recorder: Recorder
     state: State
@@ -123,14 +131,18 @@ def solve(
     """Integrate a scene from t = 0 to ``t_end`` (s) with steps of at most ``dt`` (s); collective.
 
     Args:
-        dt: needed for schemes with constant steps. A scheme with error control (``rtol``) chooses its steps, none above dt.
-        scheme: a scheme object; :class:`GeneralizedAlpha` with rho_inf = 0.8 by default, ``ContactMidpoint`` with contact.
+        dt: needed for schemes with constant steps. A scheme with error control (``rtol``) chooses its steps,
+            none above dt.
+        scheme: a scheme object; :class:`GeneralizedAlpha` with rho_inf = 0.8 by default, ``ContactMidpoint``
+            with contact.
         newton: tolerance and limits of Newton's iteration.
         output: what is recorded how often, and whether the time-discretisation error is estimated.
 
     Raises:
-        InputError: unusable arguments. ConstraintError: the bodies do not fit. ConvergenceError: a step failed.
-        Stopped: Ctrl-C in a serial run; ``run`` of the exception holds the run up to the step that was under way.
+        InputError: unusable arguments. ConstraintError: the bodies do not fit. ConvergenceError: a step
+            failed.
+        Stopped: Ctrl-C in a serial run; ``run`` of the exception holds the run up to the step that was under
+            way.
     """
     install_hooks()
     scheme = _default_scheme(scene) if scheme is None else scheme
@@ -233,7 +245,9 @@ def _march(problem: _Problem, solver: StepSolver, pace: Pace, output: Output) ->
 
 
 def _counters(march: _March, newton: Newton, solver: StepSolver) -> dict[str, float]:
-    """Counts of a run; back-solves per step without those of the first step, which also solves the constant columns."""
+    """Counts of a run; back-solves per step without those of the first step, which also solves the constant
+    columns.
+    """
     later = solver.back_solves - march.first
     return {
         "steps": march.done,
@@ -248,13 +262,15 @@ def _counters(march: _March, newton: Newton, solver: StepSolver) -> dict[str, fl
 
 
 def _estimate(problem: _Problem, fine: Recorder, pace: Pace) -> tuple[dict[str, float], dict[str, float]]:
-    """Error of each sensor by Richardson's extrapolation from runs with 2 h and 4 h, and the observed order; collective.
+    """Error of each sensor by Richardson's extrapolation from runs with 2 h and 4 h, and the observed order;
+    collective.
 
-        |x_h - x| ~ |x_h - x_2h| / (2^p - 1),     p = min(order of the scheme, log2(|x_2h - x_4h| / |x_h - x_2h|))      (1)
+        |x_h - x| ~ |x_h - x_2h| / (2^p - 1),     p = log2(|x_2h - x_4h| / |x_h - x_2h|)               (1)
 
-    in the maximum norm over time. Where fast motion is not resolved (say, gravity switched on at once) the observed order is
-    below the scheme's, and the estimate larger; an order below 1/2 counts as 1/2. Motion that the scheme damps in all three runs
-    is not seen. Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.4.
+    in the maximum norm over time, p at most the order of the scheme. Where fast motion is not resolved (say, gravity switched on at once) the
+    observed order is below the scheme's, and the estimate larger; an order below 1/2 counts as 1/2. Motion
+    that the scheme damps in all three runs is not seen. Hairer, Norsett, Wanner,
+    doi:10.1007/978-3-540-78862-1, II.4.
     """
     try:
         half = _again(problem, pace, 2)
@@ -290,6 +306,8 @@ def _again(problem: _Problem, pace: Pace, factor: int) -> Recorder:
 
 
 def _distance(indices: list[int], x: Array, coarse: Array) -> float:
-    """Largest difference of a series, recorded at the given steps, and one recorded at every step of twice the size."""
+    """Largest difference of a series, recorded at the given steps, and one recorded at every step of twice
+    the size.
+    """
     rows = [k for k, n in enumerate(indices) if n % 2 == 0]
     return float(np.abs(x[rows] - coarse[[indices[k] // 2 for k in rows]]).max(initial=0.0))

@@ -1,8 +1,10 @@
-"""Studies: observed orders of convergence, and error against work; tables for the terminal, for Markdown and for tests.
+"""Studies: observed orders of convergence, and error against work; tables for the terminal, for Markdown and
+for tests.
 
-A study runs a callable ``parameter -> Run`` over values of the parameter: a step size, a mesh size, a tolerance. Errors are taken
-against a reference run or exact functions of time, separately for each sensor and, where the reference has the same unknowns,
-for the last state's positions "q", velocities "v" and multipliers "lam". A user's test reads
+A study runs a callable ``parameter -> Run`` over values of the parameter: a step size, a mesh size, a
+tolerance. Errors are taken against a reference run or exact functions of time, separately for each sensor
+and, where the reference has the same unknowns, for the last state's positions "q", velocities "v" and
+multipliers "lam". A user's test reads
 
     table = orders(lambda h: solve(scene, t_end=1.0, dt=h), [4e-3, 2e-3, 1e-3])
     table.assert_order("tip", 2.0)
@@ -63,7 +65,9 @@ def _common_times(traces: Sequence[_Trace]) -> Array:
 
 
 def _errors(trace: _Trace, reference: _Trace | Exact, times: Array, names: Sequence[str]) -> dict[str, float]:
-    """Largest absolute error of each named quantity over the given instants (of the state: at the end); collective."""
+    """Largest absolute error of each named quantity over the given instants (of the state: at the end);
+    collective.
+    """
     found = {}
     for name in names:
         if name in trace.series:
@@ -108,7 +112,8 @@ def _names(traces: Sequence[_Trace], reference: _Trace | Exact, wanted: Sequence
 class OrderTable:
     """Errors over a falling parameter, and the observed orders.
 
-    Attributes: ``parameter`` its name, ``values`` (n,) falling, ``errors`` quantity -> (n,) in the quantity's unit.
+    Attributes: ``parameter`` its name, ``values`` (n,) falling, ``errors`` quantity -> (n,) in the quantity's
+        unit.
     """
 
     parameter: str
@@ -173,9 +178,10 @@ def orders(
     Args:
         run: parameter -> run, say ``lambda h: solve(scene, t_end=1.0, dt=h)``.
         values: at least two, falling; steps that divide each other compare at all instants of the coarsest.
-        reference: a finer run, or exact functions of time by sensor name; None runs values[-1] / 8, whose own error makes
-            the observed order of a second-order scheme 0.02 too large.
-        names: quantities to compare; by default all sensors, and "q", "v", "lam" of the last state where sizes agree.
+        reference: a finer run, or exact functions of time by sensor name; None runs values[-1] / 8, whose own
+            error makes the observed order of a second-order scheme 0.02 too large.
+        names: quantities to compare; by default all sensors, and "q", "v", "lam" of the last state where
+            sizes agree.
     """
     require(len(values) >= 2, "orders: at least two values are needed.")
     falling = all(a > b > 0 for a, b in pairwise(values))
@@ -196,7 +202,9 @@ def _reference(given: Run | Exact) -> _Trace | Exact:
 
 @dataclass(frozen=True)
 class Configuration:
-    """One line of a work-precision diagram: a label, a callable parameter -> run, and the parameter's values."""
+    """One line of a work-precision diagram: a label, a callable parameter -> run, and the parameter's
+    values.
+    """
 
     label: str
     run: Callable[[float], Run]
@@ -205,7 +213,9 @@ class Configuration:
 
 @dataclass(frozen=True)
 class Point:
-    """One run of a work-precision study; ``seconds`` is the median over repeats of the time spent in steps."""
+    """One run of a work-precision study; ``seconds`` is the median over repeats of the time spent in
+    steps.
+    """
 
     label: str
     value: float
@@ -278,8 +288,9 @@ def work_precision(
 ) -> WorkPrecision:
     """Errors against wall time and counters; collective.
 
-    Each run is made ``repeats`` times after one that warms caches and compiled forms; the first configuration's first value
-    serves for that. Errors are taken at the instants common to all runs and the reference, at least the end time.
+    Each run is made ``repeats`` times after one that warms caches and compiled forms; the first
+    configuration's first value serves for that. Errors are taken at the instants common to all runs and the
+    reference, at least the end time.
     """
     require(
         repeats >= 1 and bool(configurations),
@@ -305,7 +316,9 @@ def work_precision(
 
 
 def _trials(run: Callable[[float], Run], value: float, repeats: int) -> tuple[_Trace | str, float]:
-    """The first of some equal runs, or the message of its failure; and the median of the seconds spent in steps."""
+    """The first of some equal runs, or the message of its failure; and the median of the seconds spent in
+    steps.
+    """
     first = _attempt(run, value)
     if isinstance(first, str):
         return first, float("nan")

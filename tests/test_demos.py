@@ -1,4 +1,5 @@
-"""Every demo runs in its fast version, in serial and on two ranks, and passes its own checks with the same figures."""
+"""Every demo runs in its fast version, in serial and on two ranks, and passes its own checks with the same
+figures."""
 
 import ast
 import json
