@@ -267,10 +267,10 @@ def _estimate(problem: _Problem, fine: Recorder, pace: Pace) -> tuple[dict[str, 
 
         |x_h - x| ~ |x_h - x_2h| / (2^p - 1),     p = log2(|x_2h - x_4h| / |x_h - x_2h|)               (1)
 
-    in the maximum norm over time, p at most the order of the scheme. Where fast motion is not resolved (say, gravity switched on at once) the
-    observed order is below the scheme's, and the estimate larger; an order below 1/2 counts as 1/2. Motion
-    that the scheme damps in all three runs is not seen. Hairer, Norsett, Wanner,
-    doi:10.1007/978-3-540-78862-1, II.4.
+    in the maximum norm over time, p at most the order of the scheme. Where fast motion is not resolved (say,
+    gravity switched on at once) the observed order is below the scheme's, and the estimate larger; an order
+    below 1/2 counts as 1/2. Motion that the scheme damps in all three runs is not seen. Hairer, Norsett,
+    Wanner, doi:10.1007/978-3-540-78862-1, II.4.
     """
     try:
         half = _again(problem, pace, 2)

@@ -17,7 +17,7 @@ DEMOS = sorted(p for p in (ROOT / "demos").glob("*.py") if "demo.finish(" in p.r
 def run(demo: Path, file: Path, *before: str) -> dict[str, float]:
     """Run a demo; the values of its checks by name."""
     command = [*before, sys.executable, str(demo), "--fast", "--json", str(file)]
-    done = subprocess.run(command, cwd=file.parent, capture_output=True, text=True, timeout=280)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     checks = json.loads(file.read_text())["check"]
     assert checks and all(c["ok"] for c in checks)
