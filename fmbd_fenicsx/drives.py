@@ -146,7 +146,7 @@ def own_joint(
     require(
         callable(function), f'Joint "{name}": function must take (x_a, R_a, x_b, R_b, t), found {function!r}.'
     )
-    c = _point(center, dimension(a, b), name)
+    c = _point(center, dimension(a, b, name), name)
     return OwnJoint(
         name,
         a,

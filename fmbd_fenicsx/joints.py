@@ -75,22 +75,23 @@ class Joint:
 
     def __post_init__(self) -> None:
         require(bool(self.name), "A joint needs a name.")
-        for side in (self.a, self.b):
-            if side is not ground and not hasattr(side, "dim"):
-                raise InputError(
-                    f'Joint "{self.name}" connects {side!r}; expected a body, a surface of an elastic body, or fmbd.ground.'
-                )
-        same = self.a is self.b or getattr(self.a, "body", 1) is getattr(self.b, "body", 2)
+        ends = [(getattr(x, "body", x), x.name) for x in (self.a, self.b)]  # surfaces are made anew at each call
+        same = ends[0][0] is ends[1][0] and ends[0][1] == ends[1][1]
         require(not same, f'Joint "{self.name}" connects {getattr(self.a, "name", self.a)!r} with itself.')
-        moving = [x for x in (self.a, self.b) if x is not ground]
-        require(bool(moving), f'Joint "{self.name}" connects the ground with the ground.')
 
 
-def dimension(a: Any, b: Any) -> int:
+def dimension(a: Any, b: Any, name: str) -> int:
     """Space dimension of two attachments (the ground has none of its own)."""
-    dims = {x.dim for x in (a, b) if x is not ground}
+    sides = [x for x in (a, b) if x is not ground]
+    for side in sides:
+        if not hasattr(side, "dim"):
+            raise InputError(
+                f'Joint "{name}" connects {side!r}; expected a body, a surface of an elastic body, or fmbd.ground.'
+            )
+    require(bool(sides), f'Joint "{name}" connects the ground with the ground.')
+    dims = {x.dim for x in sides}
     if len(dims) != 1:
-        raise InputError(f"A joint needs bodies of one dimension, found {sorted(dims)} for {a!r} and {b!r}.")
+        raise InputError(f'Joint "{name}" needs bodies of one dimension, found {sorted(dims)} for {a!r} and {b!r}.')
     return int(dims.pop())
 
 
@@ -123,7 +124,7 @@ def _point(center: Vector | None, dim: int, name: str) -> Array | None:
 def _joint(joint: tuple[str, str, Any, Any], center: Vector | None, rows: list[Row], axis: Array | None = None) -> Joint:
     """A joint from (name, kind, a, b), its point, rows and axis."""
     name, kind, a, b = joint
-    c = _point(center, dimension(a, b), name)
+    c = _point(center, dimension(a, b, name), name)
     return Joint(name, a, b, tuple(rows), c, c, kind=kind, axis=axis)
 
 
@@ -148,7 +149,7 @@ def _upright(E: Array) -> list[Row]:
 
 def fixed(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
     """Weld two attachments at ``center``: no relative motion (on elastic surfaces: on average)."""
-    dim = dimension(a, b)
+    dim = dimension(a, b, name)
     e = np.eye(dim)
     turn = [(0, 1)] if dim == 2 else [(0, 1), (1, 2), (2, 0)]
     rows = _meet(dim) + [Row(ct.Perpendicular, e[i], e[j]) for i, j in turn]
@@ -159,14 +160,14 @@ def revolute(
     name: str, a: Any, b: Any, *, center: Vector | None = None, axis: Vector = (0.0, 0.0, 1.0)
 ) -> Joint:
     """Hinge: the markers coincide at ``center`` (m); in space the body axes along ``axis`` stay parallel."""
-    dim = dimension(a, b)
+    dim = dimension(a, b, name)
     E = basis(axis, name)
     return _joint((name, "revolute", a, b), center, _meet(dim) + (_upright(E) if dim == 3 else []), E[2])
 
 
 def spherical(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
     """Ball and socket: the markers coincide at ``center`` (m), all rotations are free."""
-    return _joint((name, "spherical", a, b), center, _meet(dimension(a, b)))
+    return _joint((name, "spherical", a, b), center, _meet(dimension(a, b, name)))
 
 
 def universal(
@@ -183,7 +184,7 @@ def universal(
     require(
         abs(float(ea @ eb)) < 1e-9, f'Joint "{name}": axis_a {axis_a} and axis_b {axis_b} must be perpendicular.'
     )
-    rows = [*_meet(dimension(a, b)), Row(ct.Perpendicular, ea, eb)]
+    rows = [*_meet(dimension(a, b, name)), Row(ct.Perpendicular, ea, eb)]
     return _joint((name, "universal", a, b), center, rows)
 
 
@@ -191,7 +192,7 @@ def prismatic(
     name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None = None
 ) -> Joint:
     """Slider: b translates along ``axis`` (fixed in a), without rotation."""
-    dim = dimension(a, b)
+    dim = dimension(a, b, name)
     if dim == 2:
         n = direction(axis, 2, name)
         cross = np.array([-n[1], n[0]])
@@ -217,7 +218,7 @@ def planar(name: str, a: Any, b: Any, *, normal: Vector, center: Vector | None =
 
 def point_on_line(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None = None) -> Joint:
     """A point of b stays on a line of a along ``axis``; b turns freely."""
-    dim = dimension(a, b)
+    dim = dimension(a, b, name)
     if dim == 2:
         n = direction(axis, 2, name)
         rows = [Row(ct.Along, np.array([-n[1], n[0]]))]
@@ -232,7 +233,7 @@ def distance(
 ) -> Joint:
     """Massless rod of the given length (m) between a point of a and a point of b; multiplier: its tension (N)."""
     require(length > 0 and np.isfinite(length), f'Joint "{name}": length {length} must be positive.')
-    dim = dimension(a, b)
+    dim = dimension(a, b, name)
     pa, pb = _point(point_a, dim, name), _point(point_b, dim, name)
     return Joint(name, a, b, (Row(ct.Distance, np.zeros(dim)),), pa, pb, length, "distance")
 
@@ -241,7 +242,7 @@ def drive_rotation(
     name: str, a: Any, b: Any, motion: ct.Motion, *, axis: Vector = (0.0, 0.0, 1.0)
 ) -> Joint:
     """Prescribe the rotation of b against a about ``axis`` (fixed in a): motion(t) = angle or (angle, rate, acceleration)."""
-    dim = dimension(a, b)
+    dim = dimension(a, b, name)
     if dim == 2:
         row = Row(ct.Perpendicular, np.array([0.0, 1.0]), np.array([1.0, 0.0]), smooth_motion(name, motion))
     else:
@@ -254,6 +255,6 @@ def drive_translation(
     name: str, a: Any, b: Any, motion: ct.Motion, *, axis: Vector, center: Vector | None = None
 ) -> Joint:
     """Prescribe the displacement of b against a along ``axis`` (fixed in a): motion(t) = s or (s, s', s'')."""
-    dim = dimension(a, b)
+    dim = dimension(a, b, name)
     n = direction(axis, dim, name)
     return _joint((name, "drive", a, b), center, [Row(ct.Along, n, motion=smooth_motion(name, motion))], n)

@@ -11,6 +11,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from .errors import require
+
+FINEST = 1e-13  # increments are known to about this share
+
 
 @dataclass
 class Newton:
@@ -27,6 +31,13 @@ class Newton:
     )  # takes a new tangent where one can change
     iterations: int = 0
     theta: float = field(default=0.5)
+
+    def __post_init__(self) -> None:
+        require(
+            FINEST <= self.tolerance < 1.0,
+            f"Newton's tolerance {self.tolerance} is not usable; double precision allows {FINEST:.0e} <= tolerance < 1.",
+        )
+        require(self.max_iterations >= 1, f"Newton needs max_iterations of 1 at least, found {self.max_iterations}.")
 
     def solve(self, increment: Callable[[], float]) -> tuple[bool, list[float]]:
         """Call ``increment`` (it applies one increment, returns its norm over the tolerance) until the error

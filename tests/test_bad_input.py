@@ -1,0 +1,157 @@
+"""Input that cannot be right: one clear error each, naming the body, joint or law."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import CallbackError, InputError
+
+BALL = (0.4, 0.4, 0.4)
+
+
+def rod(name: str = "rod", **options: Any) -> fmbd.RigidBody:
+    return fmbd.RigidBody(name, 1.0, BALL, **({"position": (0.5, 0, 0)} | options))
+
+
+def pendulum(*extra: Any) -> fmbd.Scene:
+    """A hinged rod."""
+    scene = fmbd.Scene("pendulum", gravity=(0, -9.81, 0))
+    body = rod()
+    scene.add(body, fmbd.revolute("hinge", fmbd.ground, body, center=(0, 0, 0)), *extra)
+    return scene
+
+
+def law_scene(make: Any) -> fmbd.Scene:
+    scene = pendulum()
+    scene.add(make(scene.bodies["rod"], scene.joints["hinge"]))
+    return scene
+
+
+nan = float("nan")
+BODIES = {
+    "zero mass": (lambda: fmbd.RigidBody("fly", 0.0, BALL), '"fly".*mass 0'),
+    "negative mass": (lambda: fmbd.RigidBody("fly", -1.0, BALL), '"fly".*mass -1'),
+    "mass is nan": (lambda: fmbd.RigidBody("fly", nan, BALL), '"fly".*mass nan'),
+    "negative inertia in the plane": (lambda: fmbd.RigidBody("fly", 1.0, -0.1), '"fly".*inertia -0.1'),
+    "inertia not symmetric": (
+        lambda: fmbd.RigidBody("fly", 1.0, [[1, 0.1, 0], [0, 1, 0], [0, 0, 1]]),
+        '"fly".*not symmetric',
+    ),
+    "triangle inequality": (lambda: fmbd.RigidBody("fly", 1.0, (1.0, 1.0, 2.1)), '"fly".*violate J1 \\+ J2 >= J3'),
+    "triangle inequality, turned": (
+        lambda: fmbd.RigidBody("fly", 1.0, [[1.55, 0.55, 0], [0.55, 1.55, 0], [0, 0, 1.0]]),
+        '"fly".*violate',
+    ),
+    "negative principal inertia": (lambda: fmbd.RigidBody("fly", 1.0, (1.0, -1.0, 1.0)), '"fly".*positive'),
+    "shape of the inertia": (lambda: fmbd.RigidBody("fly", 1.0, (1.0, 1.0)), '"fly".*shape'),
+    "position with nan": (lambda: rod("fly", position=(0, nan, 0)).start_pose(), '"fly".*position'),
+}
+JOINTS = {
+    "itself": (lambda a, b: fmbd.revolute("pin", a, a), '"pin" connects .*rod.* with itself'),
+    "ground with ground": (lambda a, b: fmbd.revolute("pin", fmbd.ground, fmbd.ground), '"pin"'),
+    "zero axis": (lambda a, b: fmbd.revolute("pin", a, b, axis=(0, 0, 0)), '"pin".*axis .*not all zero'),
+    "axis with nan": (lambda a, b: fmbd.prismatic("pin", a, b, axis=(0, nan, 0)), '"pin".*axis'),
+    "axis of two numbers": (lambda a, b: fmbd.revolute("pin", a, b, axis=(0, 1)), '"pin".*axis'),
+    "center with nan": (lambda a, b: fmbd.spherical("pin", a, b, center=(0, nan, 0)), '"pin".*center'),
+    "axes not perpendicular": (
+        lambda a, b: fmbd.universal("pin", a, b, axis_a=(1, 0, 0), axis_b=(1, 1, 0)),
+        '"pin".*perpendicular',
+    ),
+    "length": (lambda a, b: fmbd.distance("pin", a, b, length=-1.0), '"pin".*length -1'),
+    "not a body": (lambda a, b: fmbd.revolute("pin", a, "rod"), "'rod'"),
+    "plane and space": (lambda a, b: fmbd.revolute("pin", a, fmbd.RigidBody("flat", 1.0, 1.0)), "dimension"),
+}
+LAWS = {
+    "force": (lambda body, hinge: fmbd.force("wind", body, lambda t: (0, nan, 0)), '"wind"'),
+    "torque": (lambda body, hinge: fmbd.torque("wind", body, lambda t: (0, np.inf, 0)), '"wind"'),
+    "spring": (lambda body, hinge: fmbd.Spring("wind", fmbd.ground, body, law=lambda s, v, t: nan), '"wind"'),
+    "effort": (lambda body, hinge: fmbd.effort("wind", fmbd.angle(hinge), lambda t: nan), '"wind"'),
+    "tyre": (
+        lambda body, hinge: fmbd.Tyre("wind", body, road=lambda x, t: nan, stiffness=1.0, up=(0, 0, 1)),
+        '"wind"',
+    ),
+    "own force": (
+        lambda body, hinge: fmbd.own_force("wind", body, None, lambda t, a: ((nan, 0, 0), (0, 0, 0))),
+        '"wind"',
+    ),
+    "own joint": (
+        lambda body, hinge: fmbd.own_joint("wind", fmbd.ground, body, lambda xa, Ra, xb, Rb, t: np.array([nan])),
+        '"wind"',
+    ),
+    "shape": (lambda body, hinge: fmbd.force("wind", body, lambda t: (0, 1)), '"wind".*shape'),
+}
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_bodies(name: str) -> None:
+    make, text = BODIES[name]
+    with pytest.raises(InputError, match=text):
+        make()
+
+
+@pytest.mark.parametrize("name", JOINTS)
+def test_joints(name: str) -> None:
+    make, text = JOINTS[name]
+    with pytest.raises(InputError, match=text):
+        make(rod(), rod("other"))
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_laws_at_the_start(name: str) -> None:
+    """The error names the law and the time."""
+    make, text = LAWS[name]
+    with pytest.raises(CallbackError, match=text + ".*t = 0"):
+        fmbd.solve(law_scene(make), t_end=0.1, dt=0.01)
+
+
+def test_law_that_fails_later_names_the_time() -> None:
+    scene = law_scene(lambda body, hinge: fmbd.force("gust", body, lambda t: (0, 0, nan if t > 0.045 else 0)))
+    with pytest.raises(CallbackError, match=r'"gust".*t = 0\.05'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
+def test_unknown_body_in_a_joint_and_in_a_force() -> None:
+    stranger = rod("stranger")
+    with pytest.raises(InputError, match='"pin".*stranger.*not in the scene.*Known: "rod"'):
+        pendulum(fmbd.revolute("pin", stranger, fmbd.ground)).build()
+    with pytest.raises(InputError, match='"push".*stranger.*not in the scene'):
+        pendulum(fmbd.force("push", stranger, lambda t: (0, 0, 0))).build()
+
+
+def test_names_are_unique() -> None:
+    for part, what in ((rod(), "bodies"), (fmbd.revolute("hinge", fmbd.ground, rod()), "joints")):
+        with pytest.raises(InputError, match=re.escape(f'Two {what} are called "{part.name}"') + "|are called"):
+            pendulum(part)
+
+
+@pytest.mark.parametrize(
+    "options, text",
+    [
+        ({"dt": 0.0}, "dt = 0"),
+        ({"dt": -1.0}, "dt = -1"),
+        ({"dt": nan}, "dt = nan"),
+        ({"t_end": 0.0}, "t_end = 0"),
+        ({"dt": 1e-17}, "t \\+ h == t"),
+        ({"dt": 2.0}, "larger than the whole run"),
+    ],
+)
+def test_times(options: dict[str, float], text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        fmbd.solve(pendulum(), **({"t_end": 1.0, "dt": 0.01} | options))
+
+
+def test_tolerances_below_roundoff() -> None:
+    with pytest.raises(InputError, match="tolerance 1e-17.*double precision"):
+        fmbd.Newton(1e-17)
+    with pytest.raises(InputError, match="rtol = 1e-17.*double precision"):
+        fmbd.solve(pendulum(), t_end=0.1, scheme=fmbd.Radau(rtol=1e-17))
+
+
+def test_rho_of_one_is_refused() -> None:
+    with pytest.raises(InputError, match="rho_inf = 1"):
+        fmbd.GeneralizedAlpha(1.0)
