@@ -161,6 +161,7 @@ def plot_work_precision(study: WorkPrecision, file: str | Path, work: str) -> No
                 mark = MARKS[k % len(MARKS)]
                 axes.loglog(x, [p.errors[name] for p in points], marker=mark, markersize=4, label=label)
             axes.set_xlabel("time in steps (s)" if work == "seconds" else work.replace("_", " "))
-            axes.set_ylabel(f"largest error of {name}")
+            unit = f" ({study.units[name]})" if name in study.units else ""
+            axes.set_ylabel(f"largest error of {name}{unit}")
         axes.legend(frameon=False, fontsize=8)
         figure.savefig(file, dpi=200)

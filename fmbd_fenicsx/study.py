@@ -227,9 +227,10 @@ class Point:
 
 @dataclass(frozen=True)
 class WorkPrecision:
-    """Error against work for several configurations; failures are listed, not left out."""
+    """Error (in ``units``) against work for several configurations; failures are listed, not left out."""
 
     points: tuple[Point, ...]
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def failures(self) -> tuple[Point, ...]:
@@ -312,7 +313,8 @@ def work_precision(
         else:
             counters = {k: float(x) for k, x in trace.run.counters.items()}
             points.append(Point(c.label, value, _errors(trace, against, times, kept), seconds, counters))
-    return WorkPrecision(tuple(points))
+    sensors = traces[0].run.scene.sensors if traces else {}
+    return WorkPrecision(tuple(points), {n: sensors[n].unit for n in kept if n in sensors})
 
 
 def _trials(run: Callable[[float], Run], value: float, repeats: int) -> tuple[_Trace | str, float]:

@@ -11,6 +11,7 @@ from fmbd_fenicsx.errors import ConvergenceError, InputError
 from fmbd_fenicsx.study import Configuration, orders, work_precision
 
 SYSTEM = SimpleNamespace(n_q=1, n_lam=0)
+SCENE = SimpleNamespace(sensors={"x": SimpleNamespace(unit="m")})
 
 
 def made_up(order, size=1.0):
@@ -20,7 +21,12 @@ def made_up(order, size=1.0):
         t = np.linspace(0, 1, round(1 / h) + 1)
         series = {"x": (t + size * h**order * np.sin(t))[:, None]}
         return SimpleNamespace(
-            times=t, series=series, system=SYSTEM, seconds={"steps": 1 / h}, counters={"steps": 1 / h}
+            times=t,
+            series=series,
+            system=SYSTEM,
+            scene=SCENE,
+            seconds={"steps": 1 / h},
+            counters={"steps": 1 / h},
         )
 
     return run
@@ -98,11 +104,14 @@ def test_work_precision_lists_failures_and_takes_medians(tmp_path):
         work_precision([Configuration("c", lambda h: free_fall_pendulum(-h), [0.1])], reference=EXACT)
 
 
-def test_work_precision_of_two_damping_parameters():
+def test_work_precision_of_two_damping_parameters(tmp_path):
     configurations = [
         Configuration(f"rho {r}", lambda h, r=r: free_fall_pendulum(h, r), [0.02, 0.01]) for r in (0.9, 0.0)
     ]
     found = work_precision(configurations, reference=free_fall_pendulum(0.0005), repeats=1)
     e = {(p.label, p.value): p.errors["bob"] for p in found.points}
     assert e["rho 0.0", 0.01] > e["rho 0.9", 0.01] > 0
+    found.figure(tmp_path / "wp.png")
+    found.figure(tmp_path / "wp2.pdf", work="newton_iterations")
+    assert min(p.stat().st_size for p in tmp_path.iterdir()) > 5000 and found.units == {"bob": "m"}
     assert all(p.counters["steps"] == round(0.8 / p.value) for p in found.points)
