@@ -27,7 +27,9 @@ from .scene import Scene
 from .schemes.bdf import BDF
 from .schemes.dae import GGL, Baumgarte, Index1, Index2, Index3, Overdetermined, Projected, StateSpace
 from .schemes.generalized_alpha import GeneralizedAlpha
+from .schemes.half_explicit import HalfExplicit
 from .schemes.radau import Radau
+from .schemes.rattle import Rattle
 from .sensors import (
     coordinates,
     joint_rate,

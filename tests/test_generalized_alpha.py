@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import dae_problems
 import numpy as np
 import pytest
 from motion import elastic_rod
@@ -190,3 +191,34 @@ def test_newton_count_does_not_depend_on_the_step() -> None:
         run = fmbd.solve(swinging(3), t_end=5 * h, dt=h)
         counts.append(run.counters["newton_iterations"])
     assert max(counts) <= counts[0]
+
+
+@pytest.mark.parametrize("rho", [1.0, 0.8, 0.0])
+def test_stabilised_form_is_second_order_from_the_first_step(rho: float) -> None:
+    """T3: q, v and lambda over the whole interval, the first step included."""
+    scheme = fmbd.GeneralizedAlpha(rho, form=fmbd.GGL())
+    errors = []
+    for n in (40, 80, 160):
+        states = dae_problems.march(dae_problems.pendulum(), scheme, 1.0, n)[1:]
+        exact = [dae_problems.pendulum_at(round(s.t, 12)) for s in states]
+        errors.append([
+            max(np.abs(s.q - e[0]).max() for s, e in zip(states, exact, strict=True)),
+            max(np.abs(s.v - e[1]).max() for s, e in zip(states, exact, strict=True)),
+            max(abs(abs(s.lam[0]) - e[2]) for s, e in zip(states, exact, strict=True)),
+        ])  # fmt: skip
+    e = np.array(errors)
+    assert (np.log2(e[-2] / e[-1]) > 1.85).all(), e
+
+
+def test_stabilised_form_holds_both_levels_and_permits_no_damping() -> None:
+    """rho_inf = 1 blows up within 1e4 steps of the index-3 form (T4); with both levels the energy stays."""
+    scheme = fmbd.GeneralizedAlpha(1.0, form=fmbd.GGL())
+    states = dae_problems.march(dae_problems.pendulum(2.0, 0.0, 1.0), scheme, 50.0, 5000, 1e-9)
+    energy = np.array([0.5 * s.v @ s.v + s.q[1] for s in states])
+    assert max(abs(s.q @ s.q - 1) for s in states) < 1e-11
+    assert max(abs(s.q @ s.v) for s in states) < 1e-9
+    assert np.abs(energy - energy[0]).max() < 5e-4
+    with pytest.raises(InputError, match="permits 1"):
+        fmbd.GeneralizedAlpha(1.0)
+    with pytest.raises(InputError, match=r"takes form=Index3\(\) or GGL\(\)"):
+        fmbd.GeneralizedAlpha(0.8, form=fmbd.Index1())

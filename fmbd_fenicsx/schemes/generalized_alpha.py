@@ -17,13 +17,17 @@ lambda of first order until rho^n is small. The first step therefore starts from
 from v_0 + dv with M dv + G^T mu = 0 and G dv equal to that expression (Arnold, Bruels and Cardona, doi:10.1007/s00211-014-0633-1). The recorded state at the start
 stays exact.
 
+The stabilised form, ``form=GGL()``, demands both levels: G v + g_t = 0 at t_n+1 goes with lambda, and (1) gains a correction
+-M^-1 G^T mu that closes g = 0. Velocities are then exact on their level, the start needs A_0 only, and rho_inf = 1 stays stable.
+One iteration costs a second solve with the same factor.
+
 Sources: Chung and Hulbert, doi:10.1115/1.2900803; Bruels, Cardona and Arnold, doi:10.1016/j.mechmachtheory.2011.07.017;
 Arnold and Bruels, doi:10.1007/s11044-007-9084-0.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -34,12 +38,13 @@ from ..rotations import Array
 from ..system import State, System
 from . import compiled
 from .compiled import PlaneKernel, kernel_of
+from .dae import GGL, Form, Index3
 from .start import jerk, spin_of_acceleration, worst_block
 
 
 @dataclass(frozen=True)
 class GeneralizedAlpha:
-    """Scheme data: ``rho_inf`` in [0, 1), 1 is no damping at high frequencies, 0 the most.
+    """Scheme data: ``rho_inf`` in [0, 1), 1 is no damping at high frequencies, 0 the most; ``form``: Index3() or GGL().
 
     rho_inf = 1 is refused: with index-3 constraints it is weakly unstable, roundoff in the multipliers grows until the run
     fails (Cardona and Geradin, doi:10.1016/0045-7949(89)90050-9).
@@ -49,12 +54,17 @@ class GeneralizedAlpha:
 
     rho_inf: float = 0.8
     compiled: bool = True
+    form: Form = field(default_factory=Index3)
 
     def __post_init__(self) -> None:
         require(
-            0.0 <= self.rho_inf < 1.0,
+            isinstance(self.form, Index3 | GGL),
+            f"GeneralizedAlpha takes form=Index3() or GGL(), found {self.form!r}. BDF and Radau take all forms.",
+        )
+        require(
+            0.0 <= self.rho_inf < 1.0 or (self.rho_inf == 1.0 and isinstance(self.form, GGL)),
             f"rho_inf = {self.rho_inf} is not usable: it must lie in [0, 1). At 1 the index-3 multipliers are weakly unstable "
-            "and grow until the run fails; 0.9 damps little.",
+            "and grow until the run fails; 0.9 damps little. form=GGL() permits 1.",
         )
 
     order = 2
@@ -62,7 +72,8 @@ class GeneralizedAlpha:
     @property
     def name(self) -> str:
         """Name in reports."""
-        return f"generalized-alpha(rho_inf={self.rho_inf:g})"
+        stabilised = ", GGL" if isinstance(self.form, GGL) else ""
+        return f"generalized-alpha(rho_inf={self.rho_inf:g}{stabilised})"
 
     @property
     def parameters(self) -> tuple[float, float, float, float]:
@@ -74,7 +85,8 @@ class GeneralizedAlpha:
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
-        kernel = kernel_of(system) if self.compiled and not solver.core.redundant else None
+        plain = self.compiled and isinstance(self.form, Index3) and not solver.core.redundant
+        kernel = kernel_of(system) if plain else None
         if kernel is None:
             return Stepper(self, system, solver, newton, state)
         return CompiledStepper((self, system, solver, newton, state), kernel)
@@ -109,7 +121,7 @@ class Stepper:
         am, af, _, beta = self.scheme.parameters
         rate, lam_rate = jerk(system, s, self.solver, weights, h)
         v = s.v
-        if system.n_lam:
+        if system.n_lam and not isinstance(self.scheme.form, GGL):
             c = 1 / 6 - beta - 0.5 * (am - af)
             miss = h * h * (c * rate + spin_of_acceleration(system, s.v, s.a) / 12)
             v = v + self.solver.solve(np.zeros(system.n_v), system.at(s.t, s.q).jacobian.times(miss))[0]
@@ -133,6 +145,7 @@ class Stepper:
         tolerance = self._tolerance(scale, a)
         prepared = False
         last = np.zeros(0)
+        stabilised = bool(system.n_lam) and isinstance(self.scheme.form, GGL)
 
         def increment() -> float:
             nonlocal a, lam, A, xi, prepared, last
@@ -144,14 +157,21 @@ class Stepper:
                 prepared = True
             g = ev.constraint()
             r = ev.balance(a, lam)
-            dq, dlam = self.solver.solve(-scale * r, -g)
+            if stabilised:
+                slip = ev.jacobian.times(v) + ev.constraint_rate()
+                dq, dlam = self.solver.solve(-scale * r, -scale / weights.cd * slip)
+                closing, _ = self.solver.solve(np.zeros_like(dq), -g - ev.jacobian.times(dq))
+                xi = xi + system.rate(xi, closing)
+            else:
+                closing = 0.0
+                dq, dlam = self.solver.solve(-scale * r, -g)
             lam = lam + dlam / scale
             d_xi = system.rate(xi, dq)
             xi = xi + d_xi
             A = A + d_xi / (h * h * beta)
             a = a + d_xi / scale
             last = g
-            return system.max_abs(dq) / tolerance
+            return system.max_abs(dq + closing) / tolerance
 
         converged, history = self.newton.solve(increment)
         if not converged:

@@ -1,0 +1,59 @@
+"""The half-explicit Runge-Kutta method: order four, error control, no drift."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, state_errors
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.schemes.half_explicit import coefficients
+
+
+def test_order_conditions() -> None:
+    c, a, difference = coefficients()
+    b = a[5]
+    assert np.abs(a[:5].sum(1) - c[:5]).max() < 1e-14
+    for p in range(1, 5):
+        assert b @ c[:5] ** (p - 1) == pytest.approx(1 / p)
+    assert b @ a[:5] @ c[:5] == pytest.approx(1 / 6)
+    assert b @ a[:5] @ c[:5] ** 2 == pytest.approx(1 / 12)
+    assert b @ (c[:5] * (a[:5] @ c[:5])) == pytest.approx(1 / 8)
+    assert (
+        np.abs(
+            [difference.sum(), difference @ c[:5], difference @ c[:5] ** 2, difference @ a[:5] @ c[:5]]
+        ).max()
+        < 1e-14
+    )
+
+
+def test_order_four() -> None:
+    found = observed(fmbd.HalfExplicit(None), (40, 80, 160))
+    assert (found > 3.85).all(), found
+
+
+def test_order_four_in_space() -> None:
+    scene = spinning_top()
+    reference = march(scene, fmbd.Radau(3, fmbd.StateSpace(), None), 0.25, 80)[-1]
+    errors = [
+        state_errors(scene, march(scene, fmbd.HalfExplicit(None), 0.25, n)[-1], reference) for n in (20, 40)
+    ]
+    assert (np.log2(errors[0] / errors[1]) > 3.85).all()
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-9])
+def test_error_follows_the_tolerance(rtol: float) -> None:
+    run = fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.HalfExplicit(rtol))
+    x, v, lam = pendulum_at(1.0)
+    assert np.abs(run["x"][-1] - x).max() < 5 * rtol
+    assert np.abs(run["v"][-1] - v).max() < 10 * rtol
+    assert abs(abs(run.state.lam[0]) - lam) < 50 * rtol
+    assert run.drift[0] < 1e-12 and run.drift[1] < 1e-12
+    assert run.counters["jacobians"] == 0
+
+
+def test_work_grows_like_order_three_at_least() -> None:
+    steps = [
+        fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.HalfExplicit(r)).counters["steps"] for r in (1e-5, 1e-8)
+    ]
+    assert steps[1] / steps[0] < 1000 ** (1 / 3)

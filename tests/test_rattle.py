@@ -1,0 +1,85 @@
+"""RATTLE: order two, both constraint levels, bounded energy error."""
+
+from __future__ import annotations
+
+import resource
+
+import numpy as np
+import pytest
+from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, state_errors
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear.schur import StepSolver
+from fmbd_fenicsx.newton import Newton
+from fmbd_fenicsx.schemes.start import consistent
+
+
+def test_order_two_and_half_step_multipliers_of_order_one() -> None:
+    found = observed(fmbd.Rattle(), (80, 160, 320))
+    assert (np.abs(found - 2) < 0.15).all(), found
+    system, given, _ = pendulum().build()
+    errors = []
+    for n in (80, 160, 320):
+        solver = StepSolver(system)
+        stepper = fmbd.Rattle().stepper(
+            system, solver, Newton(1e-11, 25), consistent(system, given, solver)[0]
+        )
+        for _ in range(n):
+            stepper.advance(1.0 / n)
+        errors.append(abs(abs(stepper.half[0]) - pendulum_at(1.0)[2]))
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(1.0, abs=0.15)
+
+
+def test_order_in_space() -> None:
+    scene = spinning_top()
+    reference = march(scene, fmbd.Radau(3, fmbd.StateSpace(), None), 0.25, 60)[-1]
+    errors = [state_errors(scene, march(scene, fmbd.Rattle(), 0.25, n)[-1], reference) for n in (40, 80)]
+    assert (np.abs(np.log2(errors[0] / errors[1]) - 2) < 0.15).all()
+
+
+def test_going_back_returns_to_the_start() -> None:
+    """Symmetric: the step with -h from the end, velocities turned, leads back."""
+    there = march(pendulum(), fmbd.Rattle(), 1.0, 50, 1e-13)
+    scene = pendulum()
+    system, given, _ = scene.build()
+    solver = StepSolver(system)
+    turned = given.__class__(0.0, there[-1].q, -there[-1].v, there[-1].a, there[-1].lam)
+    stepper = fmbd.Rattle().stepper(system, solver, Newton(1e-13, 30), turned)
+    for _ in range(50):
+        state = stepper.advance(1.0 / 50)
+    assert np.abs(state.q - there[0].q).max() < 1e-12
+    assert np.abs(state.v + there[0].v).max() < 1e-11
+
+
+def long_run(steps: int) -> tuple[np.ndarray, float, float]:
+    """|dE| at each step, largest |g| and |G v| of a pendulum from angle 2 with h = 0.01 (T7)."""
+    system, given, _ = pendulum(2.0, 0.0, 1.0).build()
+    solver = StepSolver(system)
+    stepper = fmbd.Rattle().stepper(system, solver, Newton(1e-10, 25), consistent(system, given, solver)[0])
+    energy, gap, slip = np.empty(steps), 0.0, 0.0
+    start = given.q[1]
+    for n in range(steps):
+        s = stepper.advance(0.01)
+        energy[n] = abs(0.5 * s.v @ s.v + s.q[1] - start)
+        gap, slip = max(gap, abs(0.5 * (s.q @ s.q - 1))), max(slip, abs(s.q @ s.v))
+    return energy, gap, slip
+
+
+def test_energy_error_is_bounded() -> None:
+    """T7 in short: no growth between 1000 and 10000 steps."""
+    energy, gap, slip = long_run(10_000)
+    assert gap < 1e-12 and slip < 1e-12
+    assert energy.max() < 1.05 * energy[:1000].max() < 1e-4
+
+
+@pytest.mark.slow
+def test_a_million_steps() -> None:
+    """T7: 1e6 steps."""
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    energy, gap, slip = long_run(1_000_000)
+    assert gap < 1e-12 and slip < 1e-12
+    tops = [energy[:n].max() for n in (10_000, 100_000, 1_000_000)]
+    assert np.log10(tops[2] / tops[0]) / 2 <= 0.05
+    assert (
+        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory < 40_000
+    )  # kB; 8 MB of them are ``energy``
