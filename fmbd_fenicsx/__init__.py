@@ -31,6 +31,7 @@ from .schemes.half_explicit import HalfExplicit
 from .schemes.radau import Radau
 from .schemes.rattle import Rattle
 from .sensors import (
+    acceleration,
     coordinates,
     joint_rate,
     position,
@@ -46,6 +47,7 @@ __version__ = "0.1.0"
 
 
 _LATER = {
+    "sensors_field": ("largest",),
     "trace_ties": ("tie_surface", "SurfaceTie"),
     "multipliers": ("Aggregated", "Continuous", "Discontinuous", "Dual", "Ends", "Linear"),
     "stability": ("infsup",),

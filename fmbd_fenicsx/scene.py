@@ -44,6 +44,7 @@ class Scene:
         name: what messages call the scene.
         gravity: acceleration in m/s^2, world axes, (d,) or (3,); None for no gravity.
         gravity_ramp: duration (s) of a smooth switch-on of gravity; 0 for gravity from the start.
+        settle: start at rest in the static equilibrium near the given placement (loads of t = 0) instead of in the placement.
         breakpoints: times (s) at which loads or drives are not smooth; schemes with error control hit them exactly.
     """
 
@@ -51,6 +52,7 @@ class Scene:
     gravity: Sequence[float] | None = None
     gravity_ramp: float = 0.0
     breakpoints: Sequence[float] = ()
+    settle: bool = False
     bodies: dict[str, Any] = field(default_factory=dict)
     joints: dict[str, Joint] = field(default_factory=dict)
     forces: dict[str, Force] = field(default_factory=dict)

@@ -44,6 +44,19 @@ class Velocity(Sensor):
         return ev.kin.twist[marker, : ev.kin.x.shape[1]].copy()
 
 
+class Acceleration(Sensor):
+    """World acceleration of a point or of a surface's mean, (d,)."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        s, m, kin = ev.system, ev.system.markers, ev.kin
+        assert kin.bias is not None
+        out = kin.bias[marker] + kin.jac_frame[marker] @ s.twists(state.a)[m.frame[marker]]
+        on = np.flatnonzero(m.surface == marker)
+        if on.size:
+            out = out + kin.jac_port[on[0]] @ s.ports(state.a, s.slices[1], False)[m.port[on[0]]]
+        return np.asarray(out[: kin.x.shape[1]])
+
+
 class Rotation(Sensor):
     """Rotation since the start: the angle (plane, in (-pi, pi]) or the matrix row by row (space)."""
 
@@ -147,6 +160,11 @@ def position(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
 def velocity(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
     """World velocity (m/s), as :func:`position`."""
     return Velocity(on, "m/s", point)
+
+
+def acceleration(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
+    """World acceleration (m/s^2), as :func:`position`; of the scheme's own acceleration at the end of the step."""
+    return Acceleration(on, "m/s^2", point)
 
 
 def rotation(on: Any | Surface) -> Sensor:

@@ -20,6 +20,7 @@ from .rotations import Array
 from .scene import Scene
 from .schemes.generalized_alpha import GeneralizedAlpha
 from .schemes.start import Correction, consistent
+from .schemes.statics import equilibrium
 from .system import State, System
 
 
@@ -155,6 +156,8 @@ def solve(
     solver = StepSolver(system)
     newton.refresh = solver.refresh
     try:
+        if scene.settle:
+            given = equilibrium(system, given, solver)
         if hasattr(scheme, "start"):
             start, correction = scheme.start(system, given, solver, pace.next(0.0))
         else:

@@ -94,6 +94,8 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
     a, lam = solver.solve(-h, -ev.gamma())
     # refinement: inertia at the deformed configuration is not exactly the solver's matrix
     typical = max(system.max_abs(a), system.max_abs(state.v) ** 2 / system.length)  # of zero in equilibrium
+    # forces that cancel in an equilibrium leave their roundoff in the balance
+    forces = max(system.max_abs(h), float(np.abs(ev.wrenches()).max(initial=0.0)) if system.forces else 0.0)
     last = np.inf
     for _ in range(20):
         r = ev.balance(a, lam)
@@ -101,7 +103,7 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
         da, dl = solver.solve(-r, -c)
         a, lam = a + da, lam + dl
         size = system.max_abs(da)
-        at_rest = system.max_abs(r) <= 1e-13 * system.max_abs(h)
+        at_rest = system.max_abs(r) <= 1e-13 * forces
         stalled = size > 0.5 * last and last <= 1e-8 * typical  # roundoff is reached
         if at_rest or stalled or size <= 1e-11 * system.max_abs(a):
             break
