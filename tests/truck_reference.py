@@ -41,7 +41,8 @@ def lengths(p, t):
         return x5 + x * cos(f5), y5 + x * sin(f5)
 
     u1, u3 = hump(t)
-    pairs = [((A12, u1), (A12, y1)), ((A23, u3), (A23, y3)), ((A12, y1), chassis(A12, H1)), ((A23, y3), chassis(A23, H1))]
+    pairs = [((A12, u1), (A12, y1)), ((A23, u3), (A23, y3))]
+    pairs += [((A12, y1), chassis(A12, H1)), ((A23, y3), chassis(A23, H1))]
     pairs += [(chassis(A24, 0), cab(B24)), (chassis(A42, 0), cab(B42)), (chassis(A25, 0), load(C25))]
     pairs += [(chassis(A52, 0), load(C1D)), (chassis(A52, 0), load(C2D))]
     return np.array([np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2) for a, b in pairs])
@@ -87,10 +88,11 @@ def solve(t_end, times, pinned, tolerance=1e-12):
         if not pinned:
             return np.concatenate((y[n:], force(y[:n], y[n:], t, False) / M))
         p, v, T, bias = pinned_coordinates(y[:n], y[n:])
-        return np.concatenate((y[n:], np.linalg.solve(T.T @ (M[:, None] * T), T.T @ (force(p, v, t, True) - M * bias))))
+        Q = T.T @ (force(p, v, t, True) - M * bias)
+        return np.concatenate((y[n:], np.linalg.solve(T.T @ (M[:, None] * T), Q)))
 
     y, out, t = np.concatenate((START[pick], np.zeros(len(pick)))), [], 0.0
-    for stop in sorted({2 / 15, 2 / 15 + (A23 - A12) / 15, *times}):  # the hump is only five times differentiable
+    for stop in sorted({2 / 15, 2 / 15 + (A23 - A12) / 15, *times}):  # where the road is not smooth
         if stop > t:
             y = solve_ivp(rhs, (t, stop), y, method="DOP853", rtol=tolerance, atol=1e-13).y[:, -1]
             t = stop
