@@ -55,6 +55,7 @@ _LATER = {
     "contact_shapes": ("Box", "Cylinder", "HalfSpace", "Obstacle", "SignedDistance", "Sphere"),
     "sensors_contact": ("contact_force", "contact_gap", "contact_impulse", "contact_pressure", "contact_work"),
     "schemes.contact_midpoint": ("ContactMidpoint",),
+    "schemes.contact_alpha": ("ContactAlpha",),
     "schemes.moreau": ("Moreau",),
 }
 

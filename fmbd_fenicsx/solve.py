@@ -163,7 +163,7 @@ def solve(
         else:
             require(
                 system.contacts is None,
-                f"{scheme.name} does not treat contact. Use fmbd.ContactMidpoint() or fmbd.Moreau().",
+                f"{scheme.name} does not treat contact. Use fmbd.ContactMidpoint(), ContactAlpha() or Moreau().",
             )
             start, correction = consistent(system, given, solver)
         started = clock.perf_counter()

@@ -19,13 +19,11 @@ Source: Khenous, Laborde, Renard, doi:10.1016/j.euromechsol.2008.01.001; Deuflha
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from ..contact_rows import ContactSet, Linear, Rows
+from ..contact_rows import ContactSet
 from ..errors import ConvergenceError, InputError, require
-from ..linear.complementarity import solve_friction, solve_normal
 from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver, Weights
 from ..log import log
@@ -33,7 +31,8 @@ from ..newton import Newton
 from ..rotations import Array
 from ..system import Evaluation, State, System
 from .contact_ledger import Ledger, StepForces
-from .contact_steps import candidates, components, refuse_penetration
+from .contact_solve import Unilateral, openings
+from .contact_steps import candidates, refuse_penetration
 from .start import Correction, consistent, worst_block
 
 
@@ -57,30 +56,38 @@ class ContactMidpoint:
         return "contact-implicit midpoint" if self.theta == 0.5 else f"contact-implicit theta rule ({self.theta:g})"
 
     def start(self, system: System, state: State, solver: StepSolver, h: float) -> tuple[State, Correction]:
-        """Consistent positions and velocities in the metric M + (theta h)^2 K (M alone is singular on massless nodes)."""
-        contacts = system.contacts
-        if contacts is None:
-            raise InputError("ContactMidpoint is a scheme for scenes with contact; this scene has none. Use another scheme.")
-        rigid = [p.name for p in contacts.pairs if getattr(p, "rigid", False)]
-        if rigid:
-            raise InputError(
-                f'Contact "{rigid[0]}" is between rigid bodies: ContactMidpoint has no impact law for inertia on the contact '
-                "point, its rebound would depend on dt. Use fmbd.Moreau(), which takes the contact's restitution."
-            )
-        heavy = [p.name for p in contacts.pairs if not p.massless]
-        if heavy:
-            log.warning(
-                'contact "%s": inertia on contact nodes (redistribute_mass=False) lets the contact force oscillate; '
-                "see docs/contact.md",
-                heavy[0],
-            )
-        start, correction = consistent(system, state, solver, metric=Weights(1.0, 0.0, (self.theta * h) ** 2), accelerated=False)
-        refuse_penetration(system, contacts, start)
-        return start, correction
+        """Consistent positions and velocities; refuses overlap, and contact between rigid bodies."""
+        return elastic_start(self.name, system, state, solver, self.theta * h)
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
         return Stepper(self.theta, system, solver, newton, state)
+
+
+def elastic_start(name: str, system: System, state: State, solver: StepSolver, tau: float) -> tuple[State, Correction]:
+    """Start of a scheme for elastic contact: consistent in the metric M + tau^2 K (M is singular on massless nodes); collective.
+
+    Raises:
+        InputError: no contact in the scene, a contact of rigid bodies, or bodies that overlap.
+    """
+    contacts = system.contacts
+    if contacts is None:
+        raise InputError(f"{name} is a scheme for scenes with contact; this scene has none. Use another scheme.")
+    rigid = [p.name for p in contacts.pairs if p.rigid]
+    if rigid:
+        raise InputError(
+            f'Contact "{rigid[0]}" is between rigid bodies: {name} has no impact law for inertia on the contact '
+            "point, its rebound would depend on dt. Use fmbd.Moreau(), which takes the contact's restitution."
+        )
+    heavy = [p.name for p in contacts.pairs if not p.massless]
+    if heavy:
+        log.warning(
+            'contact "%s": inertia on contact nodes (redistribute_mass=False) lets the contact force oscillate; see docs/contact.md',
+            heavy[0],
+        )
+    start, correction = consistent(system, state, solver, metric=Weights(1.0, 0.0, tau * tau), accelerated=False)
+    refuse_penetration(system, contacts, start)
+    return start, correction
 
 
 class Stepper:
@@ -123,7 +130,7 @@ class Stepper:
             v = self._project(step, v)
         a = (v - s.v) / h
         self.local_error = h * h / 12 * system.max_abs(a - s.a)
-        forces = StepForces(near, step.rows, step.force, s.t + self.theta * h)
+        forces = StepForces(near, step.contact.rows, step.contact.force, s.t + self.theta * h)
         self.state = self.ledger.write(State(s.t + h, step.q, v, a, step.lam), forces, (step.ev, step.xi, step.lam), h)
         self.ledger.count(len(history))
         return self.state
@@ -144,10 +151,8 @@ class _Step:
         system, s = stepper.system, stepper.state
         self.xi = h * s.v
         self.lam = s.lam.copy()
-        self.force = stepper.ledger.force[near]
-        self.rows: Rows | None = None
-        self.W: Array | None = None
-        self._blocks: Any = None
+        self.contact = Unilateral(stepper.compliance, stepper.ledger.counts, stepper.ledger.force[near])
+        self.prepared = False
         self.theta = stepper.theta
         self.scale = self.theta * h * h
         self.q = s.q
@@ -163,52 +168,20 @@ class _Step:
         middle = system.compose(s.q, self.theta * self.xi)
         vm = self.xi / h
         ev = self.ev = system.at(s.t + self.theta * h, middle, vm)
-        if self.W is None:
+        if not self.prepared:
+            self.prepared = True
             solver.prepare(ev, Weights(1.0, self.theta * h, (self.theta * h) ** 2))
         r = ev.balance((vm - s.v) / (self.theta * h), self.lam)
         self.g = system.at(s.t + h, self.q).constraint() if system.n_lam else np.zeros(0)
         if self.near.any():
-            dxi, dlam = self._with_contact(middle, r)
+            rows = p.contacts.rows(system, s.t + self.theta * h, middle, since=(s.t, h)).take(self.near)
+            gap = p.contacts.touch(system, s.t + h, self.q).gap[self.near]
+            u = openings(p.contacts, system, rows, gap, self.xi)
+            dxi, dlam = self.contact.increment(rows, u, (r, self.g), self.scale)
         else:
             dxi, dlam = solver.solve(-self.scale * r, -self.g)
-            self.W = np.zeros((0, 0))
         self.lam = self.lam + dlam / self.scale
         self.xi = self.xi + system.rate(self.xi, dxi)
         self.q = system.compose(s.q, self.xi)
         tolerance = max(1e-4 * p.newton.tolerance * max(system.max_abs(self.xi), h * system.max_abs(s.v)), self.floor)
         return system.max_abs(dxi) / tolerance
-
-    def _with_contact(self, middle: Array, r: Array) -> tuple[Array, Array]:
-        p, system, solver = self.p, self.p.system, self.p.solver
-        t0, h = p.state.t, self.h
-        rows = self.rows = p.contacts.rows(system, t0 + self.theta * h, middle, since=(t0, h)).take(self.near)
-        gap = p.contacts.touch(system, t0 + h, self.q).gap[self.near]
-        d = self.force.shape[1]
-        L = components(rows) if d > 1 else rows.N
-        r = r - p.contacts.transposed(system, L, self.force.ravel())
-        z, dl = solver.solve(-self.scale * r, -self.g)
-        blocks = getattr(solver, "blocks", None)
-        if self.W is None or blocks is not self._blocks:  # also after Newton asked for a new tangent
-            self.W, self._blocks = self.scale * p.compliance.matrix(L), blocks
-        u = p.contacts.times(system, L, z).reshape(-1, d)
-        u[:, 0] += gap
-        if d > 1:
-            u[:, 1:] += p.contacts.times(system, _tangents(L, d), self.xi).reshape(-1, d - 1) - rows.drift
-        u = (u.ravel() - self.W @ self.force.ravel()).reshape(-1, d)
-        if d > 1:
-            force = solve_friction(self.W, u, rows.friction, self.force, p.ledger.counts)
-        else:
-            force = solve_normal(self.W, u[:, 0], self.force[:, 0] > 0, p.ledger.counts)[:, None]
-        change, self.force = force - self.force, force
-        if not change.any():
-            return z, dl
-        r = r - p.contacts.transposed(system, L, change.ravel())
-        return solver.solve(-self.scale * r, -self.g)
-
-
-def _tangents(L: Linear, d: int) -> Linear:
-    """The tangential rows of interleaved components."""
-    m = L.core.shape[0]
-    return L.take(np.flatnonzero(np.arange(m) % d != 0))
-
-

@@ -18,16 +18,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..contact_rows import ContactSet, Linear, Rows
+from ..contact_rows import ContactSet, Rows
 from ..errors import ConvergenceError, InputError
-from ..linear.complementarity import solve_friction, solve_normal
 from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver, Weights
 from ..newton import Newton
 from ..rotations import Array
 from ..system import Evaluation, State, System
 from .contact_ledger import Ledger, StepForces
-from .contact_steps import candidates, components, refuse_penetration
+from .contact_solve import Unilateral, openings
+from .contact_steps import candidates, refuse_penetration
 from .start import Correction, consistent
 
 
@@ -88,8 +88,8 @@ class Stepper:
         a = (step.v - s.v) / h
         self.local_error = h * h / 12 * system.max_abs(a - s.a) if not closed.any() else 0.0
         self.impulse = np.zeros_like(self.impulse)
-        self.impulse[closed] = step.impulse
-        forces = StepForces(closed, step.rows, step.impulse / h, s.t + h / 2)
+        self.impulse[closed] = step.contact.force
+        forces = StepForces(closed, step.contact.rows, step.contact.force / h, s.t + h / 2)
         self.state = self.ledger.write(State(s.t + h, q, step.v, a, step.lam), forces, (step.ev, xi, step.lam), h)
         self.ledger.count(len(history))
         return self.state
@@ -115,9 +115,8 @@ class _Step:
         self.p, self.h, self.closed = stepper, h, closed
         s = stepper.state
         self.v, self.lam = s.v.copy(), s.lam.copy()
-        self.impulse = stepper.impulse[closed]
-        self.rows: Rows | None = None
-        self.W: Array | None = None
+        self.contact = Unilateral(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed])
+        self.prepared = False
         self.ev: Evaluation = None  # type: ignore[assignment]
 
     def increment(self) -> float:
@@ -127,14 +126,18 @@ class _Step:
         vm = 0.5 * (s.v + self.v)
         middle = system.compose(s.q, 0.5 * h * vm)
         ev = self.ev = system.at(s.t + h / 2, middle, vm)
-        fresh = self.W is None
-        if fresh:
+        if not self.prepared:
+            self.prepared = True
             solver.prepare(ev, Weights(1.0, h / 2, h * h / 4))
-            self.W = np.zeros((0, 0))
         r = h * ev.balance((self.v - s.v) / h, self.lam)
         slip = ev.jacobian.times(self.v) + ev.constraint_rate() if system.n_lam else np.zeros(0)
         if self.closed.any():
-            dv, dlam = self._with_contact(middle, (r, slip), fresh)
+            rows = p.contacts.rows(system, s.t + h / 2, middle, since=(s.t, h)).take(self.closed)
+            rate = p.contacts.gap_rate(system, s.t + h / 2, middle, h)[self.closed]
+            u = openings(p.contacts, system, rows, p.contacts.times(system, rows.N, self.v) + rate, h * self.v) / _per(rows, h)
+            before = p.contacts.times(system, rows.N, s.v) + rate
+            u[:, 0] += rows.restitution * np.minimum(before, 0.0)
+            dv, dlam = self.contact.increment(rows, u, (r, slip), 1.0)
         else:
             dv, dlam = solver.solve(-r, -slip)
         self.lam = self.lam + dlam / h
@@ -142,30 +145,7 @@ class _Step:
         size = max(system.max_abs(self.v), system.max_abs(s.v), 1e-12 * system.length / h)
         return system.max_abs(dv) / (1e-4 * p.newton.tolerance * size)
 
-    def _with_contact(self, middle: Array, residuals: tuple[Array, Array], fresh: bool) -> tuple[Array, Array]:
-        p, system, solver = self.p, self.p.system, self.p.solver
-        r, slip = residuals
-        s, h, c = p.state, self.h, p.contacts
-        rows = self.rows = c.rows(system, s.t + h / 2, middle, since=(s.t, h)).take(self.closed)
-        d = self.impulse.shape[1]
-        L: Linear = components(rows) if d > 1 else rows.N
-        r = r - c.transposed(system, L, self.impulse.ravel())
-        z, dl = solver.solve(-r, -slip)
-        if fresh:
-            self.W = p.compliance.matrix(L)
-        assert self.W is not None
-        rate = c.gap_rate(system, s.t + h / 2, middle, h)[self.closed]
-        before, now = (c.times(system, L, x).reshape(-1, d) for x in (s.v, self.v + z))
-        u = now.copy()
-        u[:, 0] += rate + rows.restitution * np.minimum(before[:, 0] + rate, 0.0)
-        if d > 1:
-            u[:, 1:] -= rows.drift / h
-        u = (u.ravel() - self.W @ self.impulse.ravel()).reshape(-1, d)
-        if d > 1:
-            impulse = solve_friction(self.W, u, rows.friction, self.impulse, p.ledger.counts)
-        else:
-            impulse = solve_normal(self.W, u[:, 0], self.impulse[:, 0] > 0, p.ledger.counts)[:, None]
-        change, self.impulse = impulse - self.impulse, impulse
-        if not change.any():
-            return z, dl
-        return solver.solve(-(r - c.transposed(system, L, change.ravel())), -slip)
+
+def _per(rows: Rows, h: float) -> Array:
+    """1 for normal velocities, h for slips over the step: both become velocities."""
+    return np.array([1.0, *(h for _ in rows.tangents)])

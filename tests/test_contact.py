@@ -1,0 +1,336 @@
+"""Contact in scenes: exact solutions, energy, patch tests, friction, bad input, and what scenes without contact leave out."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError, InputError
+
+ROOT = Path(__file__).resolve().parents[1]
+BLOCK = ROOT / "meshes/block.py"
+
+
+def strip(n: int, body: str = "AbsoluteBody", **more: Any) -> Any:
+    """A bar of one row of cells that moves to the left with 0.1 m/s."""
+    mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.1), counts=(n, 1), quads=True)
+    elastic = fmbd.materials.linear_elastic(1.0, 0.0)
+    return getattr(fmbd, body)("bar", mesh, degree=1, density=1.0, elastic=elastic, velocity=(-0.1, 0.0), **more)
+
+
+def impact(bar: Any, scheme: Any = None, n: int = 50, t_end: float = 2.2, **more: Any) -> Any:
+    wall = fmbd.contact("wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((0, 0), (1, 0))), **more)
+    scene = fmbd.Scene("bar impact")
+    scene.add(bar, wall)
+    scene.sensor("force", fmbd.contact_force(wall))
+    scene.sensor("impulse", fmbd.contact_impulse(wall))
+    scene.sensor("gap", fmbd.contact_gap(wall))
+    scene.sensor("work", fmbd.contact_work())
+    return fmbd.solve(scene, t_end=t_end, dt=0.5 / n, scheme=scheme)
+
+
+def plateau(run: Any) -> float:
+    """RMS of p / p_exact - 1 in (0.1, 1.9)."""
+    t = run.times[1:] - run.dt / 2
+    on = (t > 0.1) & (t < 1.9)
+    return float(np.sqrt(np.mean((run["force"][1:, 0][on] / 0.01 - 1) ** 2)))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("body", ["AbsoluteBody", "FloatingBody"])
+def test_bar_impact(body: str) -> None:
+    run = impact(strip(50, body))
+    force, energy = run["force"][1:, 0], sum(run.energy.values())
+    t = run.times[1:]
+    assert plateau(run) < 0.05
+    assert (force[(t > 0.1) & (t < 1.9)] > 0).all()
+    assert abs(t[force > 1e-9].max() - 2.0) <= 2 * run.dt
+    assert energy.max() <= energy[0] * (1 + 1e-8)
+    momentum, _ = run.system.at(run.state.t, run.state.q, run.state.v).momenta()
+    assert momentum[0] / run.system.mass == pytest.approx(0.1, rel=0.02)
+    assert run["impulse"][-1, 0] == pytest.approx(0.02, rel=0.02)
+    assert run["gap"].min() > -1e-12
+    assert run.counters["complementarity_residual"] < 1e-12
+    assert run.counters["contact_newton_iterations"] <= 6 * run.counters["contact_steps"]
+
+
+def test_plateau_falls_with_refinement() -> None:
+    coarse, fine = (plateau(impact(strip(n), n=n)) for n in (25, 50))
+    assert fine < 0.7 * coarse
+
+
+def test_consistent_mass_oscillates(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("WARNING", logger="fmbd_fenicsx"):
+        run = impact(strip(50), redistribute_mass=False)
+    assert "oscillate" in caplog.text
+    assert plateau(run) > 0.2  # what the redistribution is for
+    energy = sum(run.energy.values())
+    assert energy.max() <= energy[0] * (1 + 1e-8)
+
+
+def test_contact_alpha_damps_and_touches_alike() -> None:
+    run = impact(strip(50), scheme=fmbd.ContactAlpha(0.8))
+    energy = sum(run.energy.values())
+    assert plateau(run) < 0.05
+    assert energy.max() <= energy[0] * (1 + 1e-8) and energy[-1] > 0.98 * energy[0]
+
+
+def test_ledger_balances() -> None:
+    mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.5), cells=4)
+    body = fmbd.AbsoluteBody("body", mesh, degree=1, density=2.0, elastic=fmbd.materials.linear_elastic(50.0, 0.2))
+    floor = fmbd.contact("floor", body.surface("bottom"), fmbd.Obstacle("floor", fmbd.HalfSpace((0, -0.01), (0, 1))), friction=0.2)
+    scene = fmbd.Scene("ledger", gravity=(0, -1.0))
+    scene.add(body, floor, fmbd.force("push", body.surface("top"), lambda t: (0.5, -0.3)))
+    scene.sensor("work", fmbd.contact_work())
+    run = fmbd.solve(scene, t_end=0.5, dt=0.01)
+    energy = sum(run.energy.values())
+    contact, friction, loads, joints, numerical = run["work"][-1]
+    assert contact < 0 and friction < 0 and loads != 0 and joints == 0
+    assert abs(numerical) < 1e-12  # a linear body under the midpoint rule loses nothing
+    assert energy[-1] - energy[0] == pytest.approx(contact + friction + loads, abs=1e-12)
+
+
+def test_midpoint_is_of_second_order_before_the_impact() -> None:
+    def far_end(dt: float) -> float:
+        bar = strip(8).__class__(**{**strip(8).__dict__, "displacement": lambda x: np.stack((0.01 * x[0] ** 2, 0 * x[0]))})
+        wall = fmbd.contact("wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((-1, 0), (1, 0))))
+        scene = fmbd.Scene("free flight")
+        scene.add(bar, wall)
+        scene.sensor("x", fmbd.position(bar.surface("right")))
+        return float(fmbd.solve(scene, t_end=0.8, dt=dt)["x"][-1, 0])
+
+    x = [far_end(0.8 / n) for n in (16, 32, 64, 128)]
+    order = np.log2(abs((x[0] - x[1]) / (x[1] - x[2]))), np.log2(abs((x[1] - x[2]) / (x[2] - x[3])))
+    assert min(order) > 1.9
+
+
+# -- two bodies ---------------------------------------------------------------------------------------------------
+def patch(dim: int, cells: tuple[int, int]) -> np.ndarray:
+    """Pressure between two blocks with different meshes under a uniform pressure of 10."""
+    size, lift = ((1.0, 0.5), (0.0, 0.5)) if dim == 2 else ((1.0, 1.0, 0.5), (0.0, 0.0, 0.5))
+    low_name, high_name = ("bottom", "top") if dim == 2 else ("back", "front")
+    up = np.eye(dim)[-1]
+    bodies = []
+    for name, n, origin in (("low", cells[0], (0.0,) * dim), ("high", cells[1], lift)):
+        mesh = fmbd.read_gmsh(BLOCK, size=size, cells=n, origin=origin)
+        bodies.append(
+            fmbd.AbsoluteBody(name, mesh, degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1000.0, 0.3))
+        )
+    low, high = bodies
+    scene = fmbd.Scene("patch")
+    pair = fmbd.contact("pair", high.surface(low_name), low.surface(high_name))
+    scene.add(low, high, pair, fmbd.force("press", high.surface(high_name), lambda t: -10.0 * up))
+    scene.add(fmbd.fixed("base", fmbd.ground, low.surface(low_name)))
+    scene.add(fmbd.prismatic("guide", fmbd.ground, high.surface(high_name), axis=up))
+    scene.sensor("pressure", fmbd.contact_pressure(pair))
+    return fmbd.solve(scene, t_end=6.0, dt=0.5, scheme=fmbd.ContactMidpoint(theta=1.0))["pressure"][-1]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cells", [(6, 6), (4, 7), (7, 5)])
+def test_patch_in_the_plane(cells: tuple[int, int]) -> None:
+    assert patch(2, cells) == pytest.approx(10.0, rel=2e-12)
+
+
+@pytest.mark.mpi
+def test_patch_in_space() -> None:
+    assert patch(3, (2, 3)) == pytest.approx(10.0, rel=1e-10)
+
+
+def test_finer_side_becomes_the_slave() -> None:
+    assert len(patch(2, (7, 4))) == 8
+
+
+# -- obstacles that move ------------------------------------------------------------------------------------------
+def test_reaction_on_the_body_that_carries_the_obstacle() -> None:
+    plate = fmbd.RigidBody("plate", 0.05, 0.01, position=(-0.05, 0.05))
+    bar = strip(20)
+    pair = fmbd.contact("pair", bar.surface("left"), fmbd.Obstacle("plate", fmbd.Box((0.1, 0.5)), on=plate))
+    scene = fmbd.Scene("bar against plate")
+    scene.add(bar, plate, pair)
+    run = fmbd.solve(scene, t_end=1.5, dt=0.02)
+    p, L = run.system.at(run.state.t, run.state.q, run.state.v).momenta()
+    assert p[0] == pytest.approx(-0.01, rel=1e-9)  # the bar's momentum at the start
+    assert run.state.v[0] < -0.05  # the plate moves
+    assert L == pytest.approx(0.05 * 0.01, abs=1e-9)
+
+
+def test_prescribed_obstacle_pushes() -> None:
+    bar = strip(20).__class__(**{**strip(20).__dict__, "velocity": (0.0, 0.0)})
+    obstacle = fmbd.Obstacle("ram", fmbd.HalfSpace((0, 0), (1, 0)), motion=lambda t: ((0.1 * t, 0.0), 0.0))
+    pair = fmbd.contact("ram", bar.surface("left"), obstacle)
+    scene = fmbd.Scene("ram")
+    scene.add(bar, pair)
+    scene.sensor("force", fmbd.contact_force(pair))
+    run = fmbd.solve(scene, t_end=1.0, dt=0.025)
+    force = run["force"][run.times > 0.3, 0] / 0.1
+    assert force.mean() == pytest.approx(0.1, rel=0.03)  # rho c v
+
+
+def test_nonlinear_body_bounces() -> None:
+    from ufl import Identity, det, grad, inner, ln
+
+    mu, lmbda = fmbd.materials.lame(50.0, 0.3)
+
+    def neo_hookean(u: Any, dx: Any) -> Any:
+        F = Identity(2) + grad(u)
+        J = det(F)
+        return (mu / 2 * (inner(F, F) - 2 - 2 * ln(J)) + lmbda / 2 * (J - 1) ** 2) * dx
+
+    mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 1.0), cells=4, origin=(0.0, 0.05))
+    body = fmbd.AbsoluteBody(
+        "block", mesh, degree=1, density=1.0, energy=neo_hookean, velocity=(0.0, -0.5), angular_velocity=0.3
+    )
+    floor = fmbd.contact("floor", body.surface("bottom"), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1))))
+    scene = fmbd.Scene("nonlinear")
+    scene.add(body, floor)
+    scene.sensor("gap", fmbd.contact_gap(floor))
+    scene.sensor("impulse", fmbd.contact_impulse(floor))
+    run = fmbd.solve(scene, t_end=0.6, dt=0.01)
+    energy = sum(run.energy.values())
+    assert run["gap"].min() > -1e-9 and run["impulse"][-1, 1] > 0.5
+    assert abs(energy[-1] / energy[0] - 1) < 0.05
+
+
+# -- rigid bodies -------------------------------------------------------------------------------------------------
+def test_bouncing_mass_comes_to_rest() -> None:
+    """Infinitely many impacts end at sqrt(2 h / g) (1 + e) / (1 - e)."""
+    mass = fmbd.RigidBody("mass", 1.0, 0.1, position=(0.0, 1.1))
+    floor = fmbd.contact(
+        "floor", fmbd.ball(mass, 0.1), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1))), restitution=0.5
+    )
+    scene = fmbd.Scene("Zeno", gravity=(0, -9.81))
+    scene.add(mass, floor)
+    scene.sensor("v", fmbd.velocity(mass))
+    scene.sensor("force", fmbd.contact_force(floor))
+    dt = 1e-3
+    run = fmbd.solve(scene, t_end=1.5, dt=dt, scheme=fmbd.Moreau())
+    rest = run.times[np.flatnonzero(np.abs(run["v"][:, 1]) > 1e-9)[-1] + 1]
+    assert abs(rest - 3 * np.sqrt(2 / 9.81)) < 10 * dt  # half a step at each of the first impacts
+    assert run["force"][-1, 1] == pytest.approx(9.81)
+    energy = sum(run.energy.values())
+    assert energy.max() <= energy[0] * (1 + 1e-12)
+
+
+def test_elastic_and_plastic_impact_of_two_balls() -> None:
+    for e in (1.0, 0.3, 0.0):
+        a = fmbd.RigidBody("a", 2.0, (0.1, 0.1, 0.1), velocity=(1.0, 0.0, 0.0))
+        b = fmbd.RigidBody("b", 1.0, (0.1, 0.1, 0.1), position=(1.0, 0.0, 0.0))
+        scene = fmbd.Scene("two balls")
+        scene.add(a, b, fmbd.contact("pair", fmbd.ball(a, 0.2), fmbd.Obstacle("b", fmbd.Sphere(0.2), on=b), restitution=e))
+        run = fmbd.solve(scene, t_end=1.0, dt=0.01, scheme=fmbd.Moreau())
+        assert run.state.v[[0, 6]] == pytest.approx([(2 - e) / 3, 2 * (1 + e) / 3], abs=1e-9)
+
+
+def test_disk_rolls_after_sliding() -> None:
+    """Coulomb friction turns 2/3 of the speed of a disk into rolling."""
+    disk = fmbd.RigidBody("disk", 1.0, 0.5 * 0.1**2, position=(0, 0.1), velocity=(1.0, 0.0))
+    floor = fmbd.contact("floor", fmbd.ball(disk, 0.1), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1))), friction=0.3)
+    scene = fmbd.Scene("disk", gravity=(0, -9.81))
+    scene.add(disk, floor)
+    run = fmbd.solve(scene, t_end=0.3, dt=1e-3, scheme=fmbd.Moreau())
+    v, _, w = run.state.v
+    assert v == pytest.approx(2 / 3, rel=2e-3)
+    assert w == pytest.approx(-v / 0.1, rel=1e-6)
+
+
+def test_cylinder_stands_on_its_end_in_space() -> None:
+    can = fmbd.RigidBody("can", 1.0, (0.01, 0.01, 0.005), position=(0, 0, 0.12))
+    end = fmbd.cylinder_end(can, 0.05, center=(0, 0, -0.1), axis=(0, 0, 1))
+    floor = fmbd.contact("floor", end, fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0, 0), (0, 0, 1))), friction=0.5)
+    scene = fmbd.Scene("can", gravity=(0, 0, -9.81))
+    scene.add(can, floor)
+    scene.sensor("force", fmbd.contact_force(floor))
+    run = fmbd.solve(scene, t_end=0.2, dt=2e-3, scheme=fmbd.Moreau())
+    assert run["force"][-1] == pytest.approx([0, 0, 9.81], abs=1e-8)
+    assert run.state.q[2] == pytest.approx(0.1, abs=2e-3)
+    assert np.abs(run.state.v).max() < 1e-9
+
+
+# -- bad input ----------------------------------------------------------------------------------------------------
+def floor_at(y: float) -> Any:
+    return fmbd.Obstacle("floor", fmbd.HalfSpace((0, y), (0, 1)))
+
+
+def test_initial_penetration_names_pair_and_depth() -> None:
+    bar = strip(4)
+    scene = fmbd.Scene("overlap")
+    scene.add(bar, fmbd.contact("to floor", bar.surface("bottom"), floor_at(0.02)))
+    with pytest.raises(InputError, match=r'"to floor".*overlap.*0\.02 m'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
+def test_same_facets_are_refused() -> None:
+    bar = strip(4)
+    with pytest.raises(InputError, match="same facets"):
+        fmbd.contact("self", bar.surface("left"), bar.surface("left"))
+
+
+def test_rigid_contact_needs_an_impact_law() -> None:
+    ball = fmbd.RigidBody("ball", 1.0, 1.0, position=(0, 1))
+    scene = fmbd.Scene("ball")
+    scene.add(ball, fmbd.contact("c", fmbd.ball(ball, 0.1), floor_at(0.0)))
+    with pytest.raises(InputError, match="Moreau"):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
+def test_schemes_without_contact_refuse_it() -> None:
+    bar = strip(4)
+    scene = fmbd.Scene("bar")
+    scene.add(bar, fmbd.contact("c", bar.surface("left"), fmbd.Obstacle("w", fmbd.HalfSpace((-1, 0), (1, 0)))))
+    with pytest.raises(InputError, match="does not treat contact"):
+        fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.GeneralizedAlpha())
+
+
+def test_tunnelling_is_refused_with_a_safe_step() -> None:
+    bullet = fmbd.RigidBody("bullet", 1.0, 1.0, position=(-1.0, 0.0), velocity=(100.0, 0.0))
+
+    def shot(dt: float) -> Any:
+        scene = fmbd.Scene("shot")
+        plate = fmbd.Obstacle("plate", fmbd.Box((0.1, 1.0)))
+        scene.add(bullet, fmbd.contact("plate", fmbd.corners(bullet, [(0.0, 0.0)]), plate))
+        return fmbd.solve(scene, t_end=0.1, dt=dt, scheme=fmbd.Moreau())
+
+    with pytest.raises(ConvergenceError, match=r"could pass through. Use dt <= 0\.0005 s"):
+        shot(0.01)
+    assert shot(0.0005).state.q[0] < 0.05
+
+
+def test_level_function_that_is_no_distance_is_normalised(caplog: pytest.LogCaptureFixture) -> None:
+    shape = fmbd.SignedDistance(lambda x: 5.0 * (x[1] - 0.5))
+    with caplog.at_level("WARNING", logger="fmbd_fenicsx"):
+        d, n = shape.evaluate(np.array([[0.0, 2.5]]))
+    assert d == pytest.approx([2.0]) and n == pytest.approx(np.array([[0.0, 1.0]]))
+    assert "gradient" in caplog.text
+
+
+# -- what is left out ---------------------------------------------------------------------------------------------
+@pytest.mark.serial
+def test_scene_without_contact_loads_nothing_of_it() -> None:
+    code = f"""
+import sys
+import fmbd_fenicsx as fmbd
+mesh = fmbd.read_gmsh({str(BLOCK)!r}, size=(1.0, 0.1), cells=4)
+bar = fmbd.AbsoluteBody("bar", mesh, degree=1, elastic=fmbd.materials.linear_elastic(1.0, 0.0))
+scene = fmbd.Scene("bar")
+scene.add(bar)
+run = fmbd.solve(scene, t_end=0.02, dt=0.01)
+assert run.system.contacts is None
+assert "contact" in run.plan.left_out and not any("contact" in n for n, _ in run.plan.unknowns)
+found = [m for m in sys.modules if m.startswith("fmbd_fenicsx") and ("contact" in m or "moreau" in m or "complementarity" in m)]
+assert not found, found
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
+def test_plan_lists_contact() -> None:
+    bar = strip(4)
+    run = impact(bar, n=4, t_end=0.25)
+    assert ('contact "wall"', 2) in run.plan.unknowns and "friction" in run.plan.left_out
