@@ -101,7 +101,7 @@ def overlap(slave: Trace, master: Trace, degree: int, tolerance: float) -> tuple
     """
     comm = slave.comm
     pairs = _candidates(slave, master, tolerance)
-    parts = comm.allgather(_integrate(slave, master, pairs[comm.rank :: comm.size], degree, tolerance)[:3])
+    parts = comm.allgather(_integrate(slave, master, pairs[comm.rank :: comm.size], degree, (tolerance, -1.0))[:3])
     pair, own, other = (np.concatenate([p[i] for p in parts]) for i in range(3))
     order = np.lexsort(pair.T[::-1])
     return pair[order], own[order], other[order]
