@@ -27,6 +27,10 @@ def test_skin_has_the_area_and_the_edges_of_the_body(rod_mesh, dim, degree):
     field = Field("rod", rod_mesh(dim, 0.2), ElasticForms(STEEL, 1000.0, degree))
     s, x = skin(field), everywhere(field)
     assert area(x, s.triangles) == pytest.approx(0.1 if dim == 2 else 4 * 0.1 + 2 * 0.01)
+    sides = np.sort(s.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    found, times = np.unique(sides, axis=0, return_counts=True)
+    single = {tuple(e) for e in found[times == 1]}
+    assert times.max() == 2 and single == ({tuple(sorted(e)) for e in s.edges} if dim == 2 else set())
     if dim == 2:
         length = np.linalg.norm(x[s.edges[:, 0]] - x[s.edges[:, 1]], axis=1).sum()
         assert length == pytest.approx(2.2)
