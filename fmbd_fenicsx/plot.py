@@ -4,7 +4,7 @@ window opens.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -90,6 +90,22 @@ def plot_series(run: Run, sensors: Sequence[str], file: str | Path) -> None:
             figure.savefig(file, dpi=200)
 
     _on_root(_comm(run), draw)
+
+
+def plot_curves(curves: Mapping[str, tuple[Array, Array]], file: str | Path, labels: tuple[str, str], log: bool = False) -> None:
+    """Write named curves (x, y) in one axes; ``labels`` of x and y with units; ``log``: points on logarithmic axes. Rank 0 writes."""
+    if world_rank() != 0:
+        return
+    matplotlib, figure = _figure(6.4, 3.6)
+    with matplotlib.rc_context(STYLE):
+        axes = figure.subplots()
+        for k, (name, (x, y)) in enumerate(curves.items()):
+            axes.plot(x, y, label=name, linewidth=1.4, **({"marker": MARKS[k % len(MARKS)]} if log else {}))
+        if log:
+            axes.set(xscale="log", yscale="log")
+        axes.set(xlabel=labels[0], ylabel=labels[1])
+        axes.legend(frameon=False)
+        figure.savefig(file, dpi=160)
 
 
 def picture(run: Run, file: str | Path, *, sensor: str | None = None) -> None:
