@@ -4,6 +4,7 @@ from . import errors, materials
 from .beams import Beam, Section
 from .bodies import AbsoluteBody, Attached, CoordinateBody, FloatingBody, MeanAxis, RigidBody, Surface
 from .drives import angle, displacement, drive, gear, own_joint, screw
+from .energies import MixedEnergy
 from .forces import Spring, Tyre, effort, force, joint_spring, own_force, torque
 from .joints import (
     cylindrical,

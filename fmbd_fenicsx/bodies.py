@@ -124,7 +124,8 @@ class FloatingBody:
         mesh: from :func:`fmbd_fenicsx.read_gmsh`, in world coordinates of the start.
         degree: of the Lagrange displacements (2 by default: P1 is far too stiff in bending).
         density: kg/m^3 (in the plane: kg/m^2 of the sheet).
-        elastic: the elastic form a(u, v, dx) in UFL, symmetric and bilinear.
+        elastic: the elastic form a(u, v, dx) in UFL, symmetric and bilinear; or a
+            :class:`~fmbd_fenicsx.MixedEnergy` of displacement and pressure, for nu up to 1/2.
         energy: instead of it, an elastic energy Pi(u, dx) in J: with the full nonlinear strain it carries the stiffening by
             initial stress, which a linear form leaves out.
         frame: :class:`MeanAxis` (default) or :class:`Attached`.
@@ -205,7 +206,8 @@ class AbsoluteBody:
         degree: of the Lagrange displacements.
         density: kg/m^3 (in the plane: kg/m^2 of the sheet).
         elastic: the elastic form a(u, v, dx) in UFL, symmetric and bilinear; or
-        energy: the elastic energy Pi(u, dx) in UFL, J, for instance from :mod:`fmbd_fenicsx.materials`.
+        energy: the elastic energy Pi(u, dx) in UFL, J, for instance from :mod:`fmbd_fenicsx.materials`. Either may be a
+            :class:`~fmbd_fenicsx.MixedEnergy` of displacement and pressure, for nu up to 1/2.
         velocity, angular_velocity: of a rigid motion at the start (about the centre of mass), added to ``displacement_rate``.
         displacement, displacement_rate: initial u(x), u'(x): functions of the coordinates (d, n) -> (d, n) in m, m/s.
         mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).

@@ -55,6 +55,8 @@ class Field:
     ``inertia`` (n_rot, n_rot) about the centre of mass, ``Q`` (n d, n_twist), ``n`` owned nodes.
     """
 
+    mixed = False  # whether a pressure belongs to the displacements
+
     def __init__(self, name: str, mesh: Any, forms: ElasticForms) -> None:
         import dolfinx.fem.petsc as fp
         import ufl

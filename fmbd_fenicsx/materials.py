@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .energies import MixedEnergy
 from .errors import require
 
 Form = Callable[[Any, Any, Any], Any]
@@ -102,6 +103,56 @@ def neo_hookean(youngs_modulus: float, poisson_ratio: float) -> Energy:
         return 0.5 * m * (inner(F, F) - F.ufl_shape[0] - 2 * ln(J)) + 0.5 * k * (J - 1) ** 2
 
     return _energy(density, mu, lmbda)
+
+
+STIFFEST = 1e8  # lambda over mu of a linear body that counts as incompressible
+STIFFEST_LARGE = 1e3  # of a body with large strains: its pressure follows every iterate of Newton's method
+
+
+def _moduli(youngs_modulus: float, poisson_ratio: float, limit: float = STIFFEST) -> tuple[float, float]:
+    """mu and lambda (at most ``limit`` mu) for nu up to and including 1/2."""
+    E, nu = youngs_modulus, poisson_ratio
+    require(bool(np.isfinite(E)) and E > 0, f"Young's modulus {E} Pa must be positive.")
+    require(-1.0 < nu <= 0.5, f"Poisson's ratio {nu} must lie in (-1, 0.5].")
+    mu = E / (2 * (1 + nu))
+    return mu, mu * min(2 * nu / max(1 - 2 * nu, 1e-300), limit)
+
+
+def nearly_incompressible(youngs_modulus: float, poisson_ratio: float) -> MixedEnergy:
+    """Hooke's law with a pressure of its own: int mu eps : eps + p div u - p^2 / (2 lambda); any nu up to 1/2.
+
+    To be given as ``elastic``. In the plane: plane strain.
+    """
+    mu, lmbda = _moduli(youngs_modulus, poisson_ratio)
+
+    def density(u: Any, p: Any, dx: Any) -> Any:
+        from dolfinx import fem
+        from ufl import div, grad, inner, sym
+
+        m, k = fem.Constant(dx.ufl_domain(), mu), fem.Constant(dx.ufl_domain(), 0.5 / lmbda)
+        e = sym(grad(u))
+        return (m * inner(e, e) + p * div(u) - k * p * p) * dx
+
+    return MixedEnergy(density, linear=True)
+
+
+def neo_hookean_mixed(youngs_modulus: float, poisson_ratio: float) -> MixedEnergy:
+    """Neo-Hookean with a pressure of its own: int mu/2 (tr F^T F - d - 2 ln J) + p (J - 1) - p^2 / (2 lambda); nu up to 1/2.
+
+    To be given as ``energy``. In the plane: plane strain. lambda is limited to 1e3 mu (nu = 0.4995).
+    """
+    mu, lmbda = _moduli(youngs_modulus, poisson_ratio, STIFFEST_LARGE)
+
+    def density(u: Any, p: Any, dx: Any) -> Any:
+        from dolfinx import fem
+        from ufl import Identity, det, grad, inner, ln
+
+        m, k = fem.Constant(dx.ufl_domain(), mu), fem.Constant(dx.ufl_domain(), 0.5 / lmbda)
+        F = Identity(u.ufl_shape[0]) + grad(u)
+        J = det(F)
+        return (0.5 * m * (inner(F, F) - F.ufl_shape[0] - 2 * ln(J)) + p * (J - 1) - k * p * p) * dx
+
+    return MixedEnergy(density)
 
 
 def _energy(density: Callable[[Any, Any, Any], Any], mu: float, lmbda: float) -> Energy:

@@ -20,6 +20,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from .errors import FmbdError, InputError
+from .factor import Factor
 from .fields import Field
 from .rotations import Array
 
@@ -80,32 +81,15 @@ class ConditionedBody:
     """K + s M of a field, factored, with conditions C (n d, c); collective to build, to use and to destroy."""
 
     def __init__(self, field: Field, conditions: Array) -> None:
-        from petsc4py import PETSc
-
         self.field, self.C = field, conditions
         self.shift = SHIFT * first_eigenvalue_bound(field)
-        E = field.combination(self.shift, 1.0)
-        E.setOption(PETSc.Mat.Option.SPD, True)
-        self.ksp = PETSc.KSP().create(field.comm)
-        self.ksp.setOperators(E)
-        self.ksp.setType("preonly")
-        pc = self.ksp.getPC()
-        pc.setType("cholesky")
-        pc.setFactorSolverType("cholmod" if field.comm.size == 1 else "mumps")
-        self.ksp.setUp()
-        E.destroy()
-        self.x, self.b = field.K.createVecs()
-        self.Y = np.stack([self._plain(c) for c in conditions.T], axis=1) if conditions.shape[1] else conditions
+        self.factor = Factor(field, self.shift, 1.0)
+        self.Y = np.stack([self.factor.solve(c) for c in conditions.T], axis=1) if conditions.shape[1] else conditions
         self.W = field.total(conditions.T @ self.Y)
-
-    def _plain(self, b: Array) -> Array:
-        self.b.array[:] = b
-        self.ksp.solve(self.b, self.x)
-        return self.x.array.copy()
 
     def _bordered(self, b: Array, c: Array) -> tuple[Array, Array]:
         """u and mu with (K + s M) u + C mu = b and C^T u = c."""
-        z = self._plain(b)
+        z = self.factor.solve(b)
         mu = np.linalg.solve(self.W, self.field.total(self.C.T @ z) - c)
         return z - self.Y @ mu, mu
 
@@ -147,7 +131,9 @@ class ConditionedBody:
                 f'Body "{f.name}": {count} modes asked for, but its field has only {f.n_global} unknowns and '
                 f"{self.C.shape[1]} conditions."
             )
-        K, M = f.combination(0.0, 1.0), f.mass_matrix()
+        M = f.mass_matrix()
+        K = PETSc.Mat().createPython(M.getSizes(), _Stiffness(f), comm=f.comm)
+        K.setUp()
         eps = SLEPc.EPS().create(f.comm)
         eps.setOperators(K, M)
         eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
@@ -163,7 +149,7 @@ class ConditionedBody:
         ksp.setType("preonly")
         ksp.getPC().setType("python")
         ksp.getPC().setPythonContext(_Inverse(self))
-        start = K.createVecRight()
+        start = M.createVecRight()
         rng = np.random.default_rng(3 + f.comm.rank)
         start.array[:] = self.solve_shifted(f.mass(rng.standard_normal((f.n, f.dim))).ravel())
         eps.setInitialSpace(start)
@@ -182,8 +168,18 @@ class ConditionedBody:
 
     def destroy(self) -> None:
         """Free the factor; collective."""
-        for obj in (self.ksp, self.x, self.b):
-            obj.destroy()
+        self.factor.destroy()
+
+
+class _Stiffness:
+    """K of a field as a PETSc matrix that only multiplies; the pressure of a mixed field stays inside."""
+
+    def __init__(self, field: Field) -> None:
+        self.field = field
+
+    def mult(self, A: Any, x: Any, y: Any) -> None:
+        """y = K x."""
+        y.array[:] = self.field.stiffness(x.array_r)
 
 
 class _Inverse:

@@ -29,7 +29,8 @@ TINY = 1e-12  # relative size of an intersection that is left out
 @dataclass(frozen=True, eq=False)
 class Mortar:
     """Matrices (1) of a tie: ``slave`` D (n, slave nodes), ``master`` M (n, master nodes); ``multipliers`` with a support
-    in the overlap; ``covered`` part of the slave's area; ``gap`` largest distance of the surfaces in the overlap, m."""
+    in the overlap; ``covered`` part of the slave's area; ``gap`` largest distance of the surfaces in the overlap, m.
+    """
 
     multipliers: Multipliers
     master_trace: Trace

@@ -161,7 +161,8 @@ class Aggregated:
 @dataclass(frozen=True)
 class Linear:
     """Polynomials 1 and (X_k - c_k) / l over the whole surface: the moments that joints on average see; six of their vector
-    combinations are the resultants."""
+    combinations are the resultants.
+    """
 
     def on(self, trace: Trace) -> Multipliers:
         d, x = trace.dim, trace.corners

@@ -100,7 +100,7 @@ def plot_curves(curves: Mapping[str, tuple[Array, Array]], file: str | Path, lab
     with matplotlib.rc_context(STYLE):
         axes = figure.subplots()
         for k, (name, (x, y)) in enumerate(curves.items()):
-            axes.plot(x, y, label=name, linewidth=1.4, **({"marker": MARKS[k % len(MARKS)]} if log else {}))
+            axes.plot(x, y, label=name, linewidth=1.4, linestyle=("-", "--", ":", "-.")[k % 4], **({"marker": MARKS[k % len(MARKS)]} if log else {}))
         if log:
             axes.set(xscale="log", yscale="log")
         axes.set(xlabel=labels[0], ylabel=labels[1])

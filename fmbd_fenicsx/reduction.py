@@ -18,6 +18,7 @@ import numpy as np
 from .errors import InputError, require
 from .fields import Field
 from .floating import frame_conditions, moment_columns
+from .mixed import make_field
 from .reduced import Constants, SurfaceData, constants_of
 from .rotations import Array
 from .stiffening import Stiffening
@@ -163,7 +164,7 @@ def reduce_body(body: Any, basis: FrameModes | CraigBampton) -> Reduction:
 
     if body.elastic is None:
         raise InputError(f'Body "{body.name}": modes need the linear form elastic(u, v, dx), not an energy.')
-    f = Field(body.name, body.mesh, body.forms())
+    f = make_field(body.name, body.mesh, body.forms())
     frame = frame_conditions(f, body.frame)
     omega, phi = np.zeros(0), np.zeros((f.n * f.dim, 0))
     V = basis.columns(f, frame)

@@ -20,10 +20,10 @@ from .joints import Joint, ground
 from .laws import Loads, ScalarLoads
 from .log import log
 from .mobility import Mobility, check, loose_bodies
+from .reduction import ReducedBody
 from .relative import Relative, Separation
 from .rotations import Array, Motions, motions
 from .scene_joints import JointRows, relative_of
-from .reduction import ReducedBody
 from .sensors import JointReading, Sensor
 from .system import RowBlock, State, System
 
@@ -251,10 +251,10 @@ class _Builder:
 
     def _add_field(self, body: FloatingBody | AbsoluteBody, surfaces: list[str], ground_frame: int) -> None:
         from .absolute import AbsoluteField
-        from .fields import Field
         from .floating import FloatingField
+        from .mixed import make_field
 
-        field_ = Field(body.name, body.mesh, body.forms())
+        field_ = make_field(body.name, body.mesh, body.forms())
         if self.scene.contacts:
             from .scene_contact import make_massless
 

@@ -221,7 +221,8 @@ class System:
     @cached_property
     def units(self) -> Array:
         """Weights (n_v,) that turn increments of every kind into lengths: rotations times the model's length, modal
-        amplitudes over the square root of the mass. They make norms independent of the system of units."""
+        amplitudes over the square root of the mass. They make norms independent of the system of units.
+        """
         m = self.motions
         frame = np.concatenate((np.ones(m.dim), np.full(m.n_rot, self.length)))
         local = [np.full(p.n, getattr(p, "unit", 1.0)) for p in self.parts]

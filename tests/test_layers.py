@@ -9,10 +9,10 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "fmbd_fenicsx"
 FLOORS = [
-    {"errors", "log", "rotations", "dolfinx_compat", "mesh", "materials"},
-    {"surfaces", "fields", "traces", "multipliers", "mortar", "stability"},
+    {"errors", "log", "rotations", "dolfinx_compat", "mesh", "materials", "energies"},
+    {"surfaces", "fields", "factor", "mixed", "traces", "multipliers", "mortar", "stability"},
     {"bodies", "placements", "field_part", "floating", "absolute", "reduced", "ports", "frames", "constraints", "joints", "forces", "coordinates", "contact", "beams",
-     "reduction", "modes", "stiffening", "limits", "recovery", "mixed", "loads", "tables", "relative", "couplings", "drives", "laws", "trace_ties"},
+     "reduction", "modes", "stiffening", "limits", "recovery", "loads", "tables", "relative", "couplings", "drives", "laws", "trace_ties"},
     {"scene", "plan", "system", "sensors", "mobility", "linearise"},
     {"newton", "linear"},
     {"schemes"},
