@@ -27,6 +27,7 @@ from .reduction import CraigBampton
 from .scene import Scene
 from .schemes.bdf import BDF
 from .schemes.dae import GGL, Baumgarte, Index1, Index2, Index3, Overdetermined, Projected, StateSpace
+from .schemes.energy_momentum import EnergyMomentum
 from .schemes.generalized_alpha import GeneralizedAlpha
 from .schemes.half_explicit import HalfExplicit
 from .schemes.radau import Radau

@@ -1,0 +1,78 @@
+"""The energy-momentum scheme: order two, energy and momenta to roundoff whatever the step (T6)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dae_problems import march, observed, spinning_top, state_errors
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+
+
+def spinner(eps: float) -> fmbd.Scene:
+    """A point on a spring of stiffness 1 / eps^2 that turns about a fixed point with omega = 1."""
+    scene = fmbd.Scene("spinner")
+    body = fmbd.RigidBody("mass", 1.0, 1.0, position=(1.0, 0.0), velocity=(0.0, 1.0))
+    spring = fmbd.Spring(
+        "spring", body, fmbd.ground, point_a=(1, 0), point_b=(0, 0), stiffness=eps**-2, length=1.0
+    )
+    scene.add(body, spring)
+    return scene
+
+
+def changes(scene: fmbd.Scene, states: list) -> tuple[float, float]:
+    """Largest relative changes of the energy and of the angular momentum."""
+    system = scene.build()[0]
+    at = [system.at(s.t, s.q, s.v) for s in states]
+    E = np.array([sum(ev.energies().values()) for ev in at])
+    L = np.array([np.atleast_1d(ev.momenta()[1])[-1] for ev in at])
+    return float(np.abs(E / E[0] - 1).max()), float(np.abs(L / L[0] - 1).max())
+
+
+@pytest.mark.parametrize(("eps", "h"), [(1e-2, 0.2), (1e-2, 0.5), (1e-3, 0.1), (1e-3, 0.5)])
+def test_stiff_spring_at_large_steps(eps: float, h: float) -> None:
+    """T6: h / eps up to 500; the trapezoidal rule gains a factor of 68, the midpoint rule blows up."""
+    scene = spinner(eps)
+    states = march(scene, fmbd.EnergyMomentum(), 20.0, round(20 / h), 1e-12)
+    assert max(changes(scene, states)) < 1e-12
+
+
+def test_order_two() -> None:
+    found = observed(fmbd.EnergyMomentum(), (40, 80, 160))
+    assert (np.abs(found[:2] - 2) < 0.15).all() and found[2] > 0.9, found
+
+
+def test_joint_in_space_keeps_energy_and_the_vertical_angular_momentum() -> None:
+    scene = spinning_top()
+    reference = march(scene, fmbd.Radau(3, fmbd.StateSpace(), None), 0.5, 80)[-1]
+    errors = []
+    for n in (25, 50):
+        states = march(scene, fmbd.EnergyMomentum(), 0.5, n, 1e-12)
+        assert max(changes(scene, states)) < 1e-12
+        errors.append(state_errors(scene, states[-1], reference)[:2])
+    assert (np.abs(np.log2(errors[0] / errors[1]) - 2) < 0.15).all()
+
+
+def test_hinges_do_no_work() -> None:
+    """A spatial double pendulum of two skew hinges: all joint rows are quadratic."""
+    scene = fmbd.Scene("double", gravity=(0, 0, -9.81))
+    a = fmbd.RigidBody("a", 1.0, (0.1, 0.12, 0.05), position=(0.5, 0, 0))
+    b = fmbd.RigidBody("b", 1.0, (0.1, 0.12, 0.05), position=(1.5, 0, 0))
+    scene.add(a, b, fmbd.revolute("h1", fmbd.ground, a, center=(0, 0, 0), axis=(0, 1, 0.2)))
+    scene.add(fmbd.revolute("h2", a, b, center=(1, 0, 0), axis=(0.3, 1, 0)))
+    states = march(scene, fmbd.EnergyMomentum(), 1.0, 20, 1e-12)
+    system = scene.build()[0]
+    E = np.array([sum(system.at(s.t, s.q, s.v).energies().values()) for s in states])
+    kinetic = max(system.at(s.t, s.q, s.v).energies()["kinetic"] for s in states)
+    assert kinetic > 5 and np.ptp(E) < 1e-11 * kinetic
+    assert max(np.abs(system.at(s.t, s.q).constraint()).max() for s in states) < 1e-12
+
+
+def test_elastic_fields_are_refused(rod_mesh: object) -> None:
+    scene = fmbd.Scene("rod")
+    scene.add(fmbd.FloatingBody("rod", rod_mesh(), degree=1, elastic=fmbd.materials.linear_elastic(1e7, 0.3)))
+    with pytest.raises(InputError, match="no elastic fields"):
+        fmbd.solve(scene, t_end=0.1, dt=0.1, scheme=fmbd.EnergyMomentum())
+    with pytest.raises(InputError, match='does not take elastic fields \\("rod"\\)'):
+        fmbd.solve(scene, t_end=0.1, scheme=fmbd.Radau())
