@@ -1,4 +1,6 @@
-"""Mesh scripts with one fault each, and what the error must say. ``build(gmsh, fault=...)`` makes one of them."""
+"""Mesh scripts with one fault each, and what the error must say. ``build(gmsh, fault=...)`` makes one of
+them.
+"""
 
 from __future__ import annotations
 

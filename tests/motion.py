@@ -1,6 +1,7 @@
 """Smooth motions of a system for finite-difference tests, and small scenes to move.
 
-Along q(s) = q o exp(s v + s^2/2 a) the velocity at s = 0 is v and its rate is a, so that derivatives with respect to s
+Along q(s) = q o exp(s v + s^2/2 a) the velocity at s = 0 is v and its rate is a, so that derivatives with
+respect to s
 at 0 are the time derivatives of any motion with these.
 """
 
@@ -66,7 +67,9 @@ class Motion:
 
 
 def quasi_velocity(system: System, xi: Array, rate: Array) -> Array:
-    """Velocity (angular ones in body axes) of local coordinates xi with rate xi': the inverse of System.rate."""
+    """Velocity (angular ones in body axes) of local coordinates xi with rate xi': the inverse of
+    System.rate.
+    """
     if system.motions.dim == 2:
         return rate
     k = system.n_frames * 6

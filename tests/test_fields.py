@@ -1,4 +1,6 @@
-"""Displacement fields: mass and stiffness of known shapes, symmetric and positive forms, the Cholesky factor."""
+"""Displacement fields: mass and stiffness of known shapes, symmetric and positive forms, the Cholesky
+factor.
+"""
 
 from __future__ import annotations
 
@@ -80,7 +82,7 @@ def test_combination_is_the_sum(rod_mesh: Callable[..., Any]) -> None:
         thing.destroy()
 
 
-# -- input ------------------------------------------------------------------------------------------------------------
+# -- input ---------------------------------------------------------------------------------------------------
 def unsymmetric(u: Any, v: Any, dx: Any) -> Any:
     """A form whose stress is not that of a symmetric gradient."""
     from ufl import grad, inner

@@ -1,4 +1,6 @@
-"""Markers on rigid bodies and on elastic surfaces: positions, Jacobians and biases against finite differences."""
+"""Markers on rigid bodies and on elastic surfaces: positions, Jacobians and biases against finite
+differences.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Generalized-alpha: order two in positions, velocities and multipliers from the first step on, energy, damping, refusals."""
+"""Generalized-alpha: order two in positions, velocities and multipliers from the first step on, energy,
+damping, refusals.
+"""
 
 from __future__ import annotations
 
@@ -182,6 +184,15 @@ def test_failed_newton_names_scene_step_and_time() -> None:
     """Too few iterations: the error tells where, and the history of the iteration."""
     with pytest.raises(ConvergenceError, match=r'"swing", step 1 of 10: Newton stopped at t = 0.01 .*dt'):
         fmbd.solve(swinging(2), t_end=0.1, dt=0.01, newton=fmbd.Newton(tolerance=1e-12, max_iterations=1))
+
+
+def test_increments_are_turned_into_local_coordinates() -> None:
+    """With T^-1 a pinned body that turns half a radian a step takes 6.6 iterations, without it 7.8."""
+    body = fmbd.RigidBody("top", 1.0, (0.1, 0.1, 0.1), angular_velocity=(20.0, -15.0, 10.0))
+    scene = fmbd.Scene("top", gravity=(0, 0, -9.81))
+    scene.add(body, fmbd.spherical("tip", body, fmbd.ground, center=(0, 0, 0.5)))
+    run = fmbd.solve(scene, t_end=0.4, dt=0.02, newton=fmbd.Newton(1e-10, 60))
+    assert run.counters["newton_iterations"] / run.counters["steps"] < 7.2
 
 
 def test_newton_count_does_not_depend_on_the_step() -> None:

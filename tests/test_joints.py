@@ -1,4 +1,6 @@
-"""Every joint: Jacobian and second derivative against finite differences, free motions, action and reaction."""
+"""Every joint: Jacobian and second derivative against finite differences, free motions, action and
+reaction.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,8 @@ SPACE: dict[str, tuple[Callable[..., Any], int]] = {
     "planar": (lambda a, b: fmbd.planar("j", a, b, normal=AXIS, center=CENTER), 3),
     "point_on_line": (lambda a, b: fmbd.point_on_line("j", a, b, axis=AXIS, center=CENTER), 2),
     "distance": (
-        lambda a, b: fmbd.distance("j", a, b, point_a=(0.1, 0.2, 0), point_b=(1.3, 0.6, 0.3), length=1.302), 1,
+        lambda a, b: fmbd.distance("j", a, b, point_a=(0.1, 0.2, 0), point_b=(1.3, 0.6, 0.3), length=1.302),
+        1,
     ),
     "drive_rotation": (lambda a, b: fmbd.drive_rotation("j", a, b, swing, axis=AXIS), 1),
     "drive_translation": (lambda a, b: fmbd.drive_translation("j", a, b, swing, axis=AXIS, center=CENTER), 1),
@@ -176,7 +179,7 @@ def test_multiplier_is_the_force_on_the_first_body() -> None:
         assert np.abs(run["force"] - [0.0, expected]).max() < 1e-9
 
 
-# -- input ------------------------------------------------------------------------------------------------------------
+# -- input ---------------------------------------------------------------------------------------------------
 def bodies() -> tuple[fmbd.RigidBody, fmbd.RigidBody]:
     """Two bodies of space."""
     return space_scene()[1:]
@@ -194,7 +197,8 @@ def bodies() -> tuple[fmbd.RigidBody, fmbd.RigidBody]:
         (lambda a, b: fmbd.revolute("pin", a, b, center=(0,)), '"pin".*center'),
         (lambda a, b: fmbd.distance("rod", a, b, length=0.0), '"rod".*length'),
         (lambda a, b: fmbd.distance("rod", a, b, length=np.nan), '"rod".*length'),
-        (lambda a, b: fmbd.universal("cross", a, b, axis_a=(1, 0, 0), axis_b=(1, 1, 0)), '"cross".*perpendicular'),
+        (lambda a, b: fmbd.universal("cross", a, b, axis_a=(1, 0, 0), axis_b=(1, 1, 0)),
+         '"cross".*perpendicular'),
         (lambda a, b: fmbd.drive_translation("push", a, b, swing, axis=(0, 0, 0)), '"push".*axis'),
         (lambda a, b: fmbd.revolute("pin", a, plane_scene()[1]), "dimension"),
     ],

@@ -1,4 +1,6 @@
-"""Linear solves of a step: against a dense matrix of the whole system, judged, and scaled whatever masses and steps are."""
+"""Linear solves of a step: against a dense matrix of the whole system, judged, and scaled whatever masses
+and steps are.
+"""
 
 from __future__ import annotations
 
@@ -107,7 +109,7 @@ def test_factor_and_mass_inverse_solve_all_columns(rod_mesh: Callable[..., Any])
         factor.destroy()
 
 
-# -- the judge ---------------------------------------------------------------------------------------------------------
+# -- the judge -----------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("residual", [np.nan, np.inf, 1e-3])
 def test_judge_refuses(residual: float) -> None:
     with pytest.raises(LinearSolveError, match="the block"):
@@ -166,7 +168,7 @@ def test_body_without_mass_is_refused() -> None:
         solver.solve(np.ones(2), np.zeros(0))
 
 
-# -- scaling -----------------------------------------------------------------------------------------------------------
+# -- scaling -------------------------------------------------------------------------------------------------
 def chain(ratio: float) -> fmbd.Scene:
     """Two bodies of mass 1 and ``ratio`` on rods: ground, one, two."""
     one = fmbd.RigidBody("one", 1.0, 0.1, (1.0, 0.0))

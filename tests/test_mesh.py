@@ -91,7 +91,7 @@ def test_unknown_surface_lists_near_names(rod_mesh: Callable[..., Any]) -> None:
         rod_mesh(dim=2, h=0.5, height=0.4).surface_tag("tpi")
 
 
-# -- programs: one message, an exit code, no hang --------------------------------------------------------------------------
+# -- programs: one message, an exit code, no hang ------------------------------------------------------------
 SOLVE = """
 import numpy as np
 import fmbd_fenicsx as fmbd
@@ -151,7 +151,7 @@ def test_bad_input_ends_a_serial_program() -> None:
     assert done.stderr.count("MeshError: Mesh file meshes/rood.py does not exist") == 1
 
 
-# -- environment ---------------------------------------------------------------------------------------------------------
+# -- environment ---------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("version", ["0.8.0", "0.5.2", "0.8.0.post1"])
 def test_old_dolfinx_is_refused(version: str) -> None:
     with pytest.raises(FmbdError, match=f"DOLFINx {version} is too old.*0.9"):

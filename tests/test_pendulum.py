@@ -22,7 +22,7 @@ from fmbd_fenicsx.system import State, System
 LENGTH, DENSITY = 1.0, 1000.0
 
 
-# -- frequency of bending ------------------------------------------------------------------------------------------------
+# -- frequency of bending ------------------------------------------------------------------------------------
 def matrix(M: Any) -> sp.csr_matrix:
     """A PETSc matrix of one rank for SciPy."""
     indptr, indices, values = M.getValuesCSR()
@@ -30,7 +30,8 @@ def matrix(M: Any) -> sp.csr_matrix:
 
 
 def bending_frequency(mesh: Any, degree: int, E: float, guess: float, pinned: bool = True) -> float:
-    """First circular frequency (rad/s) of bending of a rod whose surface "pin" does not move on average, or of a free one.
+    """First circular frequency (rad/s) of bending of a rod whose surface "pin" does not move on average, or
+    of a free one.
 
     The eigenvalue of [K T^T; T 0] nearest to 0.5 guess^2, with the rigid motions at 0 below it.
     """
@@ -60,7 +61,9 @@ def beam(E: float, height: float) -> float:
 
 @pytest.mark.serial
 def test_bending_frequency_tends_to_the_beam(rod_mesh: Callable[..., Any]) -> None:
-    """Shear and rotary inertia lower it by c (H/L)^2: the difference falls by four when the height is halved."""
+    """Shear and rotary inertia lower it by c (H/L)^2: the difference falls by four when the height is
+    halved.
+    """
     defects = []
     for height in (0.1, 0.05):
         omega = bending_frequency(rod_mesh(dim=2, h=height / 2, height=height), 2, 1e7, beam(1e7, height))
@@ -78,7 +81,8 @@ def test_bending_frequency_converges_in_space(
 ) -> None:
     """Against a fine mesh. Eigenvalues converge with twice the order of the energy norm: 2 for P1, 4 for P2.
 
-    On the pin the mean constraint spreads its reaction evenly, and the shear that ends at the free sides leaves a weak
+    On the pin the mean constraint spreads its reaction evenly, and the shear that ends at the free sides
+    leaves a weak
     singularity in the corners: there P2 has 3 at these sizes.
     """
     guess = beam(1e7, 0.2) * (1.0 if pinned else (4.73004 / 3.92660) ** 2)
@@ -92,7 +96,7 @@ def test_bending_frequency_converges_in_space(
     assert order[-1] > rate - 0.2, (errors, order)
 
 
-# -- against the rigid pendulum --------------------------------------------------------------------------------------------
+# -- against the rigid pendulum ------------------------------------------------------------------------------
 def hanging(mesh: Any, E: float, frame: Any = fmbd.MeanAxis(), gravity: float = 9.81) -> fmbd.Scene:  # noqa: B008
     """A horizontal rod on a pin, released."""
     rod = elastic_rod(mesh, elastic=fmbd.materials.linear_elastic(E, 0.3), frame=frame)
@@ -139,7 +143,9 @@ def quarter_period(scene: fmbd.Scene) -> float:
 
 
 def test_period_tends_to_the_rigid_pendulum(rod_mesh: Callable[..., Any]) -> None:
-    """Quarter period from 90 degrees against K(sin^2 45 deg) sqrt(J / (m g c)): the difference falls like 1/E, below 1e-6."""
+    """Quarter period from 90 degrees against K(sin^2 45 deg) sqrt(J / (m g c)): the difference falls like
+    1/E, below 1e-6.
+    """
     H = 0.1
     J = (LENGTH**2 + H**2) / 12 + LENGTH**2 / 4
     exact = float(ellipk(0.5) * np.sqrt(J / (9.81 * LENGTH / 2)))
@@ -167,7 +173,7 @@ def test_frames_agree_to_second_order_in_the_deformation(rod_mesh: Callable[...,
     assert differences[0] / differences[1] > 30, differences
 
 
-# -- momentum and superposed rigid motions --------------------------------------------------------------------------------------
+# -- momentum and superposed rigid motions -------------------------------------------------------------------
 def march(system: System, state: State, h: float, steps: int, rho: float = 0.8) -> list[State]:
     """Steps from a state made consistent first."""
     solver = StepSolver(system)
@@ -194,7 +200,9 @@ def spinning(mesh: Any, E: float = 5e6) -> tuple[System, State]:
 
 
 def stretched(system: System, state: State) -> State:
-    """The displacement at which elastic and centrifugal forces balance: (K - w^2 M) u = w^2 M X in the plane of spin."""
+    """The displacement at which elastic and centrifugal forces balance: (K - w^2 M) u = w^2 M X in the
+    plane of spin.
+    """
     part = system.parts[0]
     f, w = part.field, float(state.v[system.motions.n_twist - 1])
     turn = np.array([1.0, 1.0, 0.0])[: f.dim]  # the axis of spin feels nothing

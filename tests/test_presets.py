@@ -19,7 +19,13 @@ KEPT1 = Continuous(1, Ends.KEPT)
 @pytest.mark.mpi
 @pytest.mark.parametrize(
     "dim, up, low, degree, space",
-    [(2, 6, 6, 1, Continuous()), (2, 6, 9, 1, Continuous()), (2, 7, 11, 1, Dual()), (2, 8, 5, 2, KEPT1), (2, 8, 4, 2, Continuous())]
+    [
+        (2, 6, 6, 1, Continuous()),
+        (2, 6, 9, 1, Continuous()),
+        (2, 7, 11, 1, Dual()),
+        (2, 8, 5, 2, KEPT1),
+        (2, 8, 4, 2, Continuous()),
+    ]
     + [(3, 2, 3, 1, Continuous()), (3, 5, 3, 1, Dual()), (3, 3, 2, 2, KEPT1)],
 )
 def test_patch(dim: int, up: int, low: int, degree: int, space) -> None:
@@ -44,10 +50,15 @@ def test_patch(dim: int, up: int, low: int, degree: int, space) -> None:
     exact = lambda x: x @ H.T  # noqa: E731
     solver = Direct().solver(s)
     found = solver.solve(loads, [np.zeros(ties[0].rows), data(top, exact), data(floor, exact)])
-    worst = max(np.abs(u - exact(F.X_world).ravel()).max(initial=0.0) for u, F in zip(found.u, (A, B), strict=True))
+    worst = max(
+        np.abs(u - exact(F.X_world).ravel()).max(initial=0.0) for u, F in zip(found.u, (A, B), strict=True)
+    )
     assert max(A.comm.allgather(worst)) < (1e-12 if dim == 2 else 1e-10) * 0.02
     traction = coupling.multipliers.coefficients(found.multipliers[0].reshape(-1, dim))
-    assert np.abs(traction + stress @ coupling.slave_trace.normals[0]).max() < (1e-12 if dim == 2 else 1e-10) * np.abs(stress).max() * 10
+    assert (
+        np.abs(traction + stress @ coupling.slave_trace.normals[0]).max()
+        < (1e-12 if dim == 2 else 1e-10) * np.abs(stress).max() * 10
+    )
     solver.destroy()
     release(s)
 
@@ -82,7 +93,11 @@ def test_iterations_are_bounded(axis) -> None:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("preset", [Direct(), Schur(), Schur(Multigrid()), FieldSplit(multiplier=Lumped()), FieldSplit(Multigrid())], ids=str)
+@pytest.mark.parametrize(
+    "preset",
+    [Direct(), Schur(), Schur(Multigrid()), FieldSplit(multiplier=Lumped()), FieldSplit(Multigrid())],
+    ids=str,
+)
 def test_presets_agree_with_the_exact_solution(preset) -> None:
     s = tied(6)
     solver = preset.solver(s)
@@ -110,11 +125,17 @@ def test_three_dimensions() -> None:
 def test_sliding_tie_lets_the_tangent_go() -> None:
     A, B = block("upper", 2, 6, 2, 1.0), block("lower", 2, 4, 2)
     glue = slide("slide", 0, 1, mortar(surface(A, "bottom"), surface(B, "top"), KEPT1))
-    ties = [glue, hold("top", 0, KEPT1.on(surface(A, "top"))), hold("floor", 1, KEPT1.on(surface(B, "bottom")))]
+    ties = [
+        glue,
+        hold("top", 0, KEPT1.on(surface(A, "top"))),
+        hold("floor", 1, KEPT1.on(surface(B, "bottom"))),
+    ]
     s = SaddlePoint([Elastic(A), Elastic(B)], ties)
     solver = Direct().solver(s)
     push = data(ties[1].multipliers, lambda x: np.array([[0.1, 0.0]]) + 0 * x)
-    found = solver.solve([np.zeros(e.rows) for e in s.elastic], [np.zeros(glue.rows), push, np.zeros(ties[2].rows)])
+    found = solver.solve(
+        [np.zeros(e.rows) for e in s.elastic], [np.zeros(glue.rows), push, np.zeros(ties[2].rows)]
+    )
     assert A.comm.allreduce(np.abs(found.u[1]).max(initial=0.0)) < 1e-12  # the lower block does not notice
     sideways = A.comm.allreduce(np.abs(found.u[0].reshape(-1, 2) - [0.1, 0.0]).max(initial=0.0))
     assert sideways < 1e-11
@@ -125,7 +146,10 @@ def test_sliding_tie_lets_the_tangent_go() -> None:
 @pytest.mark.mpi
 def test_floating_body_is_named() -> None:
     A, B = block("arm", 2, 4, 1, 1.0), block("base", 2, 4, 1)
-    ties = [hold("floor", 1, KEPT1.on(surface(B, "bottom"))), hold("pin", 0, Discontinuous(0).on(surface(A, "left")).without(np.arange(1, 4)))]
+    ties = [
+        hold("floor", 1, KEPT1.on(surface(B, "bottom"))),
+        hold("pin", 0, Discontinuous(0).on(surface(A, "left")).without(np.arange(1, 4))),
+    ]
     s = SaddlePoint([Elastic(A), Elastic(B)], ties)
     solver = Direct().solver(s)
     f = [np.ones(e.rows) for e in s.elastic]

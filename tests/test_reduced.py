@@ -25,7 +25,9 @@ CLAMPED = (3.51602, 22.0345, 61.6972)
 
 
 def rod(mesh: Any, **changes: Any) -> fmbd.FloatingBody:
-    return fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=linear_elastic(MODULUS, 0.3)).with_(**changes)
+    return fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=linear_elastic(MODULUS, 0.3)).with_(
+        **changes
+    )
 
 
 def pendulum(body: Any, dim: int = 2) -> fmbd.Scene:
@@ -52,13 +54,21 @@ def test_same_forces_as_the_field(rod_mesh: Callable[..., Any], dim: int, frame:
         eta, rate, second = 0.1 * rng.standard_normal((3, 5))
         pose = m.compose(m.identity[None], rng.standard_normal((1, m.n_twist)))[0]
         gravity = rng.standard_normal(dim)
-        motion = FrameMotion(0.0, m.matrix(pose[None])[0], rng.standard_normal(m.n_twist), rng.standard_normal(m.n_twist), gravity)
+        motion = FrameMotion(
+            0.0,
+            m.matrix(pose[None])[0],
+            rng.standard_normal(m.n_twist),
+            rng.standard_normal(m.n_twist),
+            gravity,
+        )
         sums, rows = full.force(motion, (phi @ eta, phi @ rate, phi @ second))
         sums_, rows_ = part.force(motion, (eta, rate, second))
         np.testing.assert_allclose(sums_, sums, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(rows_, field.total(phi.T @ rows), rtol=1e-8, atol=1e-8)
         local, local_ = (phi @ eta, phi @ rate), (eta, rate)
-        np.testing.assert_allclose(part.energies(motion, pose, local_), full.energies(motion, pose, local), rtol=1e-9)
+        np.testing.assert_allclose(
+            part.energies(motion, pose, local_), full.energies(motion, pose, local), rtol=1e-9
+        )
         for a, b in zip(part.momenta(motion, pose, local_), full.momenta(motion, pose, local), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
         np.testing.assert_allclose(part.ports_of(eta), full.ports_of(phi @ eta)[m.n_twist :], atol=1e-12)
@@ -68,7 +78,9 @@ def test_same_forces_as_the_field(rod_mesh: Callable[..., Any], dim: int, frame:
 @pytest.mark.parametrize("dim", [2, 3])
 def test_mass_blocks_are_the_derivative_of_the_force(rod_mesh: Callable[..., Any], dim: int) -> None:
     """The force is affine in the accelerations, with the mass blocks as its matrix."""
-    part = ReducedPart("rod", rod(rod_mesh(dim=dim, h=0.25), frame=Attached("pin")).reduced(modes=4).constants, 0, ["tip"])
+    part = ReducedPart(
+        "rod", rod(rod_mesh(dim=dim, h=0.25), frame=Attached("pin")).reduced(modes=4).constants, 0, ["tip"]
+    )
     m = motions(dim)
     rng = np.random.default_rng(2)
     eta, rate = 0.3 * rng.standard_normal((2, 4))
@@ -76,7 +88,9 @@ def test_mass_blocks_are_the_derivative_of_the_force(rod_mesh: Callable[..., Any
     twist, zero = rng.standard_normal(m.n_twist), np.zeros(m.n_twist)
 
     def rows(accel: Any, second: Any) -> Any:
-        return np.concatenate(part.force(FrameMotion(0.0, R, twist, accel, np.zeros(dim)), (eta, rate, second)))
+        return np.concatenate(
+            part.force(FrameMotion(0.0, R, twist, accel, np.zeros(dim)), (eta, rate, second))
+        )
 
     base = rows(zero, np.zeros(4))
     columns = [rows(e[: m.n_twist], e[m.n_twist :]) - base for e in np.eye(m.n_twist + 4)]
@@ -117,7 +131,9 @@ def test_craig_bampton_converges_from_above(rod_mesh: Callable[..., Any]) -> Non
     """Frequencies fall monotonically to those of the full body as fixed-interface modes are added."""
     body = rod(rod_mesh(dim=2, h=0.1))
     exact = body.reduced(modes=4).reduction.omega
-    found = [body.reduced(basis=fmbd.CraigBampton(("pin", "tip"), n)).reduction.omega[:4] for n in (1, 4, 12, 40)]
+    found = [
+        body.reduced(basis=fmbd.CraigBampton(("pin", "tip"), n)).reduction.omega[:4] for n in (1, 4, 12, 40)
+    ]
     for coarse, fine in zip(found, found[1:], strict=False):
         assert (fine <= coarse * (1 + 1e-9)).all()
     assert (found[-1] >= exact * (1 - 1e-9)).all()
@@ -130,7 +146,8 @@ def test_all_modes_give_the_full_body(rod_mesh: Callable[..., Any]) -> None:
     full = fmbd.solve(pendulum(body), t_end=0.2, dt=2e-3)["tip"]
     count = body.reduced(modes=1).reduction.space.dofmap.index_map.size_global * 2 - 3
     errors = [
-        np.abs(fmbd.solve(pendulum(body.reduced(modes=n)), t_end=0.2, dt=2e-3)["tip"] - full).max() for n in (0, 2, count)
+        np.abs(fmbd.solve(pendulum(body.reduced(modes=n)), t_end=0.2, dt=2e-3)["tip"] - full).max()
+        for n in (0, 2, count)
     ]
     assert errors[0] > errors[1] > errors[2]
     assert errors[2] < 1e-8

@@ -26,7 +26,9 @@ def started(scene: fmbd.Scene) -> tuple[System, State, Any]:
 
 
 def jointed(dim: int, gap: float = 0.0, kick: bool = True) -> fmbd.Scene:
-    """Ground, hinge, body, hinge, body; the second body displaced by ``gap``, velocities that break the joints."""
+    """Ground, hinge, body, hinge, body; the second body displaced by ``gap``, velocities that break the
+    joints.
+    """
     scene = fmbd.Scene("chain", gravity=(0, -9.81, 0)[:dim])
     J: Any = 0.1 if dim == 2 else (0.1, 0.2, 0.15)
     velocity = (1.0, 2.0, -1.0)[:dim] if kick else None
@@ -142,7 +144,7 @@ def test_scene_without_joints_starts() -> None:
     assert np.abs(s.a[:3] - [0.5, 2.0, -9.81]).max() < 1e-14
 
 
-# -- arguments of solve ------------------------------------------------------------------------------------------------
+# -- arguments of solve --------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     "t_end, dt, words",
     [

@@ -1,4 +1,6 @@
-"""The balance of forces is Lagrange's: against derivatives of the energies alone; momenta, power, Lie-group operations."""
+"""The balance of forces is Lagrange's: against derivatives of the energies alone; momenta, power,
+Lie-group operations.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def make(case: str, mesh: Callable[..., Any], gravity: bool, spring: bool = True
 
 @pytest.mark.parametrize("case", CASES)
 def test_balance_is_lagranges_equation(case: str, rod_mesh: Callable[..., Any]) -> None:
-    """delta . (M a + h) = d/dt (dL/dxi') . delta - dL/dxi . delta with L = kinetic - potential energy in local coordinates."""
+    """delta . (M a + h) = d/dt (dL/dxi') . delta - dL/dxi . delta with L = kinetic - potential energy in
+    local coordinates.
+    """
     motion = make(case, rod_mesh, True)
     s = motion.system
 

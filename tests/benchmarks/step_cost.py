@@ -1,10 +1,14 @@
-"""What a step costs beside the factor: time in back-solves, and peak memory beside that of the bare factorisation.
+"""What a step costs beside the factor: time in back-solves, and peak memory beside that of the bare
+factorisation.
 
-Run:  ./with-dolfinx python3 tests/benchmarks/step_cost.py               (10^5 unknowns, P2 in space; about two minutes)
+Run:  ./with-dolfinx python3 tests/benchmarks/step_cost.py               (10^5 unknowns, P2 in space; about
+two minutes)
       ./with-dolfinx python3 tests/benchmarks/step_cost.py --unknowns 20000
 
-Time: the median of the steps of an elastic pendulum over the median of one back-solve with the same factor, both in one
-process. Memory: peak resident size of a process that makes the whole run over that of one that reads the mesh, assembles
+Time: the median of the steps of an elastic pendulum over the median of one back-solve with the same factor,
+both in one
+process. Memory: peak resident size of a process that makes the whole run over that of one that reads the
+mesh, assembles
 E = M + s K with DOLFINx, factors it and solves once. Exit code 1 when a bound is missed.
 """
 

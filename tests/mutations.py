@@ -1,0 +1,123 @@
+# ruff: noqa: E501
+"""Break the package on purpose, one line at a time, and see which tests turn red.
+
+Run:  ./with-dolfinx python3 tests/mutations.py            (all; writes docs/mutations.md)
+      ./with-dolfinx python3 tests/mutations.py 3 7        (some; prints only)
+
+Works on a copy in a temporary folder. Exit code 1 when a mutation is not caught.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+MECHANICS = "test_rotations test_frames test_joints test_system test_fields test_surfaces test_linear test_start".split()
+ALPHA = ["test_generalized_alpha"]
+
+# what is broken, file, old text, new text, tests tried
+MUTATIONS: list[tuple[str, str, str, str, list[str]]] = [
+    ("sign of B^T on elastic surfaces", "system_jacobian.py", "p.port_force(self.port[:, s.port_slice(k)].T @ lam)",
+     "-p.port_force(self.port[:, s.port_slice(k)].T @ lam)", MECHANICS),
+    ("sign of G^T on frames", "system_jacobian.py", "core = np.asarray(self.core.T @ lam)",
+     "core = -np.asarray(self.core.T @ lam)", MECHANICS),
+    ("T(theta) in place of its inverse", "rotations.py", "w = (tangent_inverse(xi[..., 3:])", "w = (tangent(xi[..., 3:])",
+     MECHANICS),
+    ("left tangent operator for the right one", "rotations.py", "np.eye(3) - a * H + b", "np.eye(3) + a * H + b", MECHANICS),
+    ("T^-1 dropped from the increments of Newton", "schemes/generalized_alpha.py", "d_xi = system.rate(xi, dq)", "d_xi = dq",
+     ALPHA),
+    ("history of A forgotten", "schemes/generalized_alpha.py", "self.A, self.fresh = A, False",
+     "self.A, self.fresh = a, False", ALPHA),
+    ("alpha_f in the wrong place", "schemes/generalized_alpha.py", "A = ((1 - af) * a + af * s.a - am * A0) / (1 - am)",
+     "A = ((1 - af) * a + am * s.a - af * A0) / (1 - am)", ALPHA),
+    ("start with exact velocities", "schemes/generalized_alpha.py", "miss = h * h * (c * rate", "miss = 0 * h * (c * rate", ALPHA),
+    ("start with A_0 = a_0", "schemes/generalized_alpha.py", "s.a + (am - af) * h * rate, s.a", "s.a, s.a", ALPHA),
+    ("Lie term of the start dropped", "schemes/generalized_alpha.py", "spin_of_acceleration(system, s.v, s.a) / 12", "0.0", ALPHA),
+    ("rho_inf = 1 accepted", "schemes/generalized_alpha.py", "0.0 <= self.rho_inf < 1.0", "0.0 <= self.rho_inf <= 1.0", ALPHA),
+    ("Coriolis term halved", "floating.py", "m.spin(w, m.spin(w, P) + 2.0 * Ud)", "m.spin(w, m.spin(w, P) + 1.0 * Ud)", MECHANICS),
+    ("deformation left out of the lever", "floating.py", "m.moment(P, F).sum(0)", "m.moment(self.field.X, F).sum(0)", MECHANICS),
+    ("gyroscopic moment of rigid bodies dropped", "placements.py", " + m.moment(v[:, d:], Jw)", "", MECHANICS),
+    ("Coriolis part of a surface's bias halved", "frames.py", "2.0 * m.spin(w[s], local_rate[:, :d])",
+     "1.0 * m.spin(w[s], local_rate[:, :d])", MECHANICS),
+    ("stretch left out of a surface's rotation", "frames.py", "stretch = F @ np.swapaxes(Rs, 1, 2)",
+     "stretch = np.broadcast_to(np.eye(d), F.shape) * np.trace(F, axis1=1, axis2=2)[:, None, None]", MECHANICS),
+    ("gamma of a perpendicular joint loses its cross term", "constraints.py", "+ 2 * _dot(ed, fd)", "+ _dot(ed, fd)", MECHANICS),
+    ("gamma of a distance of wrong sign", "constraints.py", "return _dot(vb - va, vb - va) / self.length",
+     "return -_dot(vb - va, vb - va) / self.length", MECHANICS),
+    ("Schur complement without the port block", "linear/schur.py", "C -= WS[n:, n:]", "C -= 0 * WS[n:, n:]", MECHANICS),
+    ("judge accepts everything", "linear/residual.py", "if not np.isfinite(relative) or relative > self.tolerance:",
+     "if False:", MECHANICS),
+    ("velocities projected in the wrong metric", "schemes/start.py", "        v = v + dv\n",
+     "        v = v - np.linalg.pinv(ev.jacobian.core) @ (ev.jacobian.times(v)) if not system.fields else v + dv\n", MECHANICS),
+    ("gap of the joints accepted", "schemes/start.py", "REFUSED = 1e-3", "REFUSED = 1e3", MECHANICS),
+    ("centroid left out of the trace weights", "surfaces.py", "(x[k] - center[k]) / (self.length", "x[k] / (self.length", MECHANICS),
+    ("symmetry of the elastic form not checked", "fields.py", "if abs(vKu - uKv) > 1e-9 * scale:", "if False:", MECHANICS),
+    ("inverted cells not counted", "mesh.py", "            bad += wrong.size", "            bad += 0 * wrong.size", ["test_mesh"]),
+    ("sums over ranks in no fixed order (rank 0 last)", "fields.py", "return np.sum(comm.allgather(x), axis=0)",
+     "return np.sum(np.roll(comm.allgather(x), comm.rank, axis=0), axis=0)", ["test_ranks"]),
+    ("a mesh library loaded by the package", "__init__.py", "from . import errors, materials", "import gmsh\nfrom . import errors, materials",
+     ["test_imports"]),
+    ("an arrow that points up", "frames.py", "import numpy as np\n", "import numpy as np\nfrom .solve import solve  # noqa\n",
+     ["test_layers"]),
+]  # fmt: skip
+
+
+def red(folder: Path, tests: list[str]) -> list[str]:
+    """Names of the failing tests, without their parameters."""
+    done = subprocess.run(  # noqa: PLW1510
+        [sys.executable, "-m", "pytest", "-q", "--tb=no", "-p", "no:cacheprovider", "--maxfail=4", "-k", "not elastic_pendulum"]
+        + [f"tests/{t}.py" for t in tests],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(folder)},
+    )
+    lines = re.findall(r"^(?:FAILED|ERROR) tests/(\S+?\.py)(?:::(\w+))?", done.stdout, re.MULTILINE)
+    if done.returncode and not lines:
+        return ["the suite does not start"]
+    return sorted({f"{file[:-3]}::{test}" if test else file for file, test in lines})
+
+
+def main() -> int:
+    """Try the chosen mutations."""
+    chosen = [int(a) for a in sys.argv[1:]] or range(len(MUTATIONS))
+    rows, missed = [], 0
+    with tempfile.TemporaryDirectory() as scratch:
+        copy = Path(scratch) / "copy"
+        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", "__pycache__", ".cache", "docs"))
+        for k in chosen:
+            what, name, old, new, tests = MUTATIONS[k]
+            path = copy / "fmbd_fenicsx" / name
+            text = path.read_text()
+            if old not in text:
+                print(f"{k:3} {what}: {name} no longer has this line", flush=True)
+                missed += 1
+                continue
+            path.write_text(text.replace(old, new, 1))
+            found = red(copy, tests)
+            path.write_text(text)
+            missed += not found
+            print(f"{k:3} {what}: {', '.join(found[:4]) or 'NOT CAUGHT'}", flush=True)
+            rows.append(f"| {what} | `{name}` | {', '.join(f'`{t}`' for t in found[:4]) or '**none**'} |")
+    if len(sys.argv) == 1:
+        head = [
+            "# Mutations",
+            "",
+            "One line of the package is broken at a time by `tests/mutations.py`; the tests named here turned red (four at most",
+            "are listed). A test that stays green when its subject is broken proves nothing.",
+            "",
+            "| broken | in | caught by |",
+            "|---|---|---|",
+        ]
+        (ROOT / "docs/mutations.md").write_text("\n".join([*head, *rows]) + "\n")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
