@@ -17,6 +17,7 @@ inf-sup test (doi:10.1016/0045-7949(93)90340-J).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +29,7 @@ from .errors import InputError
 from .mortar import mortar, refined_coupling
 from .multipliers import Multipliers, MultiplierSpace, default_space
 from .rotations import Array
-from .traces import Trace, refined, trace_of
+from .traces import Trace, quadrature, refined, shape_functions, trace_of
 
 ZERO = 1e-10  # relative size of an eigenvalue that counts as zero
 WEAK = 0.1  # inf-sup constants below this are reported
@@ -77,10 +78,10 @@ class DualNorm:
     """The discrete H^-1/2 norm of multipliers: dual to H^1/2 on a P2 space of a ``times`` halved surface mesh."""
 
     def __init__(self, multipliers: Multipliers, *, times: int = 1, length: float = 1.0) -> None:
-        fine, parent, corners = refined(multipliers.trace, times, 2)
-        C = refined_coupling(multipliers, fine, parent, corners)
-        _, L, X = pencil(fine, length)
-        self._c = C @ X  # <mu_j, x_k>
+        self._fine, parent, corners = refined(multipliers.trace, times, 2)
+        C = refined_coupling(multipliers, self._fine, parent, corners)
+        _, L, self._modes = pencil(self._fine, length)
+        self._c = C @ self._modes  # <mu_j, x_k>
         self._weight = L**-0.5
 
     @property
@@ -90,7 +91,19 @@ class DualNorm:
 
     def of(self, values: Array) -> float:
         """Norm of multiplier values (n,) or (n, c)."""
-        c = self._c.T @ values.reshape(self._c.shape[0], -1)
+        return self._norm(self._c.T @ values.reshape(self._c.shape[0], -1))
+
+    def error(self, values: Array, exact: Callable[[Array], Array]) -> float:
+        """Norm of the multiplier minus a function of points (n, d) -> (n,) or (n, c)."""
+        t, m = self._fine, self._fine.dim - 1
+        q, w = quadrature(m, 8)
+        f = np.asarray(exact(t.place(q).reshape(-1, t.dim))).reshape(len(t.nodes), len(q), -1)
+        blocks = np.einsum("f,q,qa,fqc->fac", t.sizes, w, shape_functions(m, t.degree, q), f, optimize=True)
+        moments = np.zeros((t.n, f.shape[2]))
+        np.add.at(moments, t.nodes, blocks)
+        return self._norm(self._c.T @ values.reshape(self._c.shape[0], -1) - self._modes.T @ moments)
+
+    def _norm(self, c: Array) -> float:
         return float(np.sqrt((self._weight[:, None] * c**2).sum()))
 
 

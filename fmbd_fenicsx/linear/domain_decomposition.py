@@ -14,13 +14,13 @@ of :mod:`.precondition` with its coarse term of rigid motions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
+from petsc4py import PETSc  # here and not later: its import is collective, and ranks without subdomains take part
 
 from ..errors import ConvergenceError
 from ..fields import Field
@@ -41,7 +41,6 @@ def unassembled(body: Field, cm: float, ck: float) -> Any:
     interface and returns at once, "converged" and wrong. Nodes that belong to ghost cells only are left out.
     """
     import dolfinx.fem.petsc as fp
-    from petsc4py import PETSc
 
     d, space = body.dim, body.space
     whole = fp.create_matrix(body._stiffness_form, "is")
