@@ -66,9 +66,12 @@ if __name__ == "__main__":
     if args.picture is not None and fmbd.log.world_rank() == 0:
         import matplotlib.pyplot as plt
 
-        for c, index in enumerate(table):
-            for k, style in enumerate(("-", "--", ":")):
-                plt.loglog(omegas, table[index][:, k] / DELTA, f"C{c}o{style}", label=f"index {index}, {('u', 'v', 'force')[k]}")
-        plt.xlabel("omega, rad/s"), plt.ylabel("amplitude / delta, SI"), plt.legend(fontsize=7), plt.grid(alpha=0.3)
+        _, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
+        for k, (axis, name) in enumerate(zip(axes, ("displacement, m", "velocity, m/s", "clamp force, N"), strict=True)):
+            for index, found in table.items():
+                axis.loglog(omegas, found[:, k], "o-", label=f"index {index}")
+            axis.set(xlabel="omega, rad/s", title=name)
+            axis.grid(alpha=0.3, which="both")
+        axes[0].legend()
         plt.savefig(args.picture, dpi=110)
     demo.finish(checks, None, args)
