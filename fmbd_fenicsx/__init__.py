@@ -21,6 +21,7 @@ from .joints import (
     universal,
 )
 from .log import say
+from .loads import Load, body_force, pressure, thermal_stress, traction
 from .newton import Newton
 from .output import Output
 from .reduction import CraigBampton

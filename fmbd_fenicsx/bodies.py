@@ -14,6 +14,7 @@ import numpy as np
 
 from .errors import InputError, near, require
 from .fields import ElasticForms
+from .loads import Load
 from .placements import Attached, MeanAxis
 from .rotations import Array, motions
 
@@ -134,6 +135,7 @@ class FloatingBody:
         mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
         stiffening: True adds the geometric stiffness of the stress by inertia forces; needs an attached frame.
         quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks for.
+        loads: of :mod:`fmbd_fenicsx.loads`: tractions, pressure, body forces, thermal stress, own forms.
     """
 
     name: str
@@ -150,6 +152,7 @@ class FloatingBody:
     stiffness_damping: float = 0.0
     energy: Callable[[Any, Any], Any] | None = None
     quadrature: int | None = None
+    loads: Sequence[Load] = ()
     stiffening: bool = False
 
     def __post_init__(self) -> None:
@@ -212,6 +215,7 @@ class AbsoluteBody:
         displacement, displacement_rate: initial u(x), u'(x): functions of the coordinates (d, n) -> (d, n) in m, m/s.
         mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
         quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks for.
+        loads: of :mod:`fmbd_fenicsx.loads`: tractions, pressure, body forces, thermal stress, own forms.
     """
 
     name: str
@@ -227,6 +231,7 @@ class AbsoluteBody:
     mass_damping: float = 0.0
     stiffness_damping: float = 0.0
     quadrature: int | None = None
+    loads: Sequence[Load] = ()
 
     def __post_init__(self) -> None:
         _check_elastic(self)
@@ -289,6 +294,7 @@ def _forms(body: Any) -> ElasticForms:
         body.stiffness_damping,
         body.energy,
         body.quadrature,
+        tuple(body.loads),
     )
 
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from .errors import InputError
+from .loads import AppliedLoads, Load
 from .log import together
 from .rotations import Array, motions
 from .surfaces import Moments
@@ -46,6 +47,7 @@ class ElasticForms:
     stiffness_damping: float = 0.0  # s
     energy: Callable[[Any, Any], Any] | None = None
     quadrature: int | None = None
+    loads: tuple[Load, ...] = ()
 
 
 class Field:
@@ -94,6 +96,7 @@ class Field:
         self._big = [self.K.createVecRight(), self.K.createVecLeft()]
         self._rigid_properties()
         self._check_stiffness()
+        self.loads = AppliedLoads(self, forms.loads)
 
     @property
     def nonlinear(self) -> bool:

@@ -54,11 +54,17 @@ class FloatingField(FieldPart):
         a = R.T @ (accel[:d] - motion.gravity)
         A = Udd + a + m.spin(accel[None, d:], P) + m.spin(w, m.spin(w, P) + 2.0 * Ud)
         F = self.field.mass(A)
+        inner = None
+        if self.field.loads.loads:
+            outer, inner = self.field.loads.nodal(motion.t, R, local[0])
+            F = F - outer
         sums = self.field.total(np.concatenate((F.sum(0), m.moment(P, F).sum(0), [float(local[0] @ local[0])])))
         self._watch(float(np.linalg.norm(w)), sums[-1])
         sums = sums[:-1]
         sums[:d] = R @ sums[:d]
         rows = F.ravel() + self.internal(local[0], local[1])
+        if inner is not None:
+            rows -= inner.ravel()
         if self.stiffening is not None:
             self._load = inertia_load(a, motion.twist[d:], accel[d:])
             rows += self.stiffening.force(self._load, local[0])

@@ -18,6 +18,7 @@ body is rigid. Stiffening by the stress of the inertia forces adds (sum_c a_c G_
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
@@ -43,7 +44,8 @@ class Constants:
 
     Attributes: ``mass`` kg; ``S`` (d, m + 1) and ``T`` (m + 1, m + 1, d, d) of (1); ``K``, ``D`` (m, m) stiffness and
     damping; ``surfaces`` by name; ``center`` (d,) origin of the frame at the start, world axes; ``size`` m;
-    ``stiffening`` (d + d^2, m, m): G of (2) for unit a and L, or None.
+    ``stiffening`` (d + d^2, m, m): G of (2) for unit a and L, or None; ``loads``: pairs of a load of :mod:`.loads` and its
+    (m + 1, d, d): sum_n b_n Z_a,n^T.
     """
 
     mass: float
@@ -55,7 +57,8 @@ class Constants:
     center: Array
     size: float
     stiffening: Array | None = None
-    loads: tuple = field(default=())
+    loads: tuple[tuple[Any, Array], ...] = ()
+    load_sums: dict[Any, Array] = field(default_factory=dict)
 
     @property
     def n_modes(self) -> int:
@@ -161,7 +164,23 @@ class ReducedPart:
         rows = a @ c.S[:, 1:] + np.trace(B[1:], axis1=1, axis2=2) + c.K @ eta + c.D @ rate
         if c.stiffening is not None:
             rows = rows + np.tensordot(np.concatenate((a, L.ravel())), c.stiffening, 1) @ eta
+        for load, B in c.loads:
+            self._apply(load, B, motion, p[:, 0], (frame, rows))
         return frame, rows
+
+    def _apply(self, load: Any, B: Array, motion: FrameMotion, p: Array, out: tuple[Array, Array]) -> None:
+        """Subtract a load from the rows of the frame and of the modes."""
+        d, factor = self.dim, load.factor(motion.t, self.name)
+        if not load.follower:
+            B = motion.R.T @ B  # nodal forces in body axes
+        out[1][:] -= factor * np.trace(B[1:], axis1=1, axis2=2)
+        if not load.internal:
+            out[0][:d] -= factor * (motion.R @ self._load_sum(load, motion.R))
+            out[0][d:] -= factor * self._axial(np.tensordot(p, B, 1).T)
+
+    def _load_sum(self, load: Any, R: Array) -> Array:
+        total = self.constants.load_sums[load]
+        return total if load.follower else R.T @ total
 
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
         """Mass blocks (frame, frame), (modes, frame), (modes, modes) at the amplitudes u."""

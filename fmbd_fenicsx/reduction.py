@@ -154,6 +154,15 @@ class Reduction:
     space: Any
 
 
+def _loads(f: Field, Z: Array) -> tuple[tuple[tuple[Any, Array], ...], dict[Any, Array]]:
+    """Loads with sum_n b_n Z_a,n^T (m + 1, d, d), and their sums over the nodes (d,)."""
+    tensors, sums = [], {}
+    for load, b in zip(f.loads.loads, f.loads.vectors, strict=True):
+        tensors.append((load, np.asarray(f.total(np.einsum("ni,nja->aij", b, Z)))))
+        sums[load] = np.asarray(f.total(b.sum(0)))
+    return tuple(tensors), sums
+
+
 def reduce_body(body: Any, basis: FrameModes | CraigBampton) -> Reduction:
     """Modes and constants of an elastic body; collective.
 
@@ -185,7 +194,7 @@ def reduce_body(body: Any, basis: FrameModes | CraigBampton) -> Reduction:
     K = np.diag(omega**2)
     D = body.mass_damping * np.eye(m) + body.stiffness_damping * K
     stiffening = None if stress is None else stress.modal(phi)
-    made = Constants(f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening)
+    made = Constants(f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z))
     space = f.space
     f.destroy()
     return Reduction(made, omega, phi, space)

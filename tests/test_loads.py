@@ -1,0 +1,132 @@
+"""Loads as UFL forms: resultants, every placement alike, thermal stretch, pressure on the deformed surface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import CallbackError, InputError
+from fmbd_fenicsx.fields import Field
+from fmbd_fenicsx.floating import FloatingField
+from fmbd_fenicsx.loads import Load, body_force, pressure, thermal_stress, traction
+from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
+from fmbd_fenicsx.placements import Attached, FrameMotion, MeanAxis
+from fmbd_fenicsx.reduced import ReducedPart
+from fmbd_fenicsx.rotations import motions
+
+MODULUS, DENSITY = 5e6, 1000.0
+
+
+def rod(mesh: Any, *loads: Load, **changes: Any) -> fmbd.FloatingBody:
+    return fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=linear_elastic(MODULUS, 0.3), loads=loads).with_(**changes)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("dim", [2, 3])
+def test_resultants_and_reduction(rod_mesh: Callable[..., Any], dim: int) -> None:
+    """Traction times area on the frame, its moment about the moving centre; the reduced body projects the same rows."""
+    mesh = rod_mesh(dim=dim, h=0.25)
+    t = np.array([3.0, -2.0, 1.0])[:dim]
+    loads = (
+        traction("tip", t, time=lambda s: 2.0 * s),
+        body_force(5.0 * t, follower=True),
+        pressure("side", 7.0),
+        thermal_stress(lambda x: 11.0 * x[0] * fmbd_identity(dim)),
+    )
+    body = rod(mesh, *loads)
+    field = Field("rod", mesh, body.forms())
+    bare = Field("rod", mesh, rod(mesh).forms())
+    m = motions(dim)
+    rng = np.random.default_rng(4)
+    R = m.matrix(m.compose(m.identity[None], rng.standard_normal((1, m.n_twist))))[0]
+    motion = FrameMotion(0.5, R, rng.standard_normal(m.n_twist), rng.standard_normal(m.n_twist), np.zeros(dim))
+    small = body.reduced(modes=4)
+    eta, zero = 0.1 * rng.standard_normal(4), np.zeros(4)
+    phi = small.reduction.phi
+    local = (phi @ eta, phi @ zero, phi @ zero)
+    with_loads = FloatingField(field, 0, [], MeanAxis()).force(motion, local)
+    without = FloatingField(bare, 0, [], MeanAxis()).force(motion, local)
+    area, volume = 0.1 ** (dim - 1), 0.1 ** (dim - 1)
+    expected = area * t + R @ (volume * 5.0 * t)  # the pressure on all sides has no resultant
+    np.testing.assert_allclose((without[0] - with_loads[0])[:dim], expected, rtol=1e-9)
+    frame, rows = ReducedPart("rod", small.constants, 0, []).force(motion, (eta, zero, zero))
+    np.testing.assert_allclose(frame, with_loads[0], rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(rows, field.total(phi.T @ with_loads[1]), rtol=1e-7, atol=1e-7)
+    field.destroy()
+    bare.destroy()
+
+
+def fmbd_identity(dim: int) -> Any:
+    import ufl
+
+    return ufl.Identity(dim)
+
+
+def clamped_tip(body: Any, t_end: float = 0.4) -> Any:
+    scene = fmbd.Scene("clamped")
+    scene.add(body, fmbd.fixed("wall", fmbd.ground, body.surface("pin")))
+    scene.sensor("tip", fmbd.position(body.surface("tip")))
+    return fmbd.solve(scene, t_end=t_end, dt=4e-3, scheme=fmbd.GeneralizedAlpha(0.5))["tip"]
+
+
+@pytest.mark.mpi
+def test_same_load_on_every_placement(rod_mesh: Callable[..., Any]) -> None:
+    """A tip load in space axes bends floating, reduced, absolute linear and absolute nonlinear rods alike."""
+    mesh = rod_mesh(dim=2, h=0.1)
+    load = traction("tip", (0.0, -30.0), time=lambda t: min(t / 0.2, 1.0))
+    full = rod(mesh, load, frame=Attached("pin"))
+    linear = fmbd.AbsoluteBody("rod", mesh, density=DENSITY, elastic=linear_elastic(MODULUS, 0.3), loads=(load,))
+    large = fmbd.AbsoluteBody("rod", mesh, density=DENSITY, energy=saint_venant_kirchhoff(MODULUS, 0.3), loads=(load,))
+    tips = [clamped_tip(b)[:, 1] for b in (full, full.reduced(modes=8), linear, large)]
+    size = np.abs(tips[0]).max()
+    assert size > 1e-3
+    for other in tips[1:]:
+        assert np.abs(other - tips[0]).max() < 0.01 * size
+
+
+def test_thermal_stretch(rod_mesh: Callable[..., Any]) -> None:
+    """A uniform rise lengthens a free rod by alpha dT L, without stress in its ends' mean distance."""
+    strain = 1e-3
+    stress = MODULUS * strain / ((1 + 0.3) * (1 - 2 * 0.3)) * (1 - 0.3 + 0.3)  # plane strain: sigma_xx = sigma_yy
+    body = rod(rod_mesh(dim=2, h=0.25), thermal_stress(lambda x: stress * fmbd_identity(2), time=lambda t: min(t / 0.3, 1.0)),
+               mass_damping=20.0)  # fmt: skip
+    scene = fmbd.Scene("warm")
+    scene.add(body)
+    for end in ("pin", "tip"):
+        scene.sensor(end, fmbd.position(body.surface(end)))
+    run = fmbd.solve(scene, t_end=1.0, dt=5e-3)
+    np.testing.assert_allclose(run["tip"][-1, 0] - run["pin"][-1, 0] - 1.0, strain, rtol=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["floating", "absolute"])
+def test_pressure_all_around_moves_nothing(rod_mesh: Callable[..., Any], kind: str) -> None:
+    """On a closed surface pressure has no resultant, for the deformed surface too."""
+    mesh = rod_mesh(dim=2, h=0.25)
+    loads = tuple(pressure(s, 1e4, time=lambda t: min(t / 0.05, 1.0)) for s in ("pin", "tip", "side"))
+    body: Any = rod(mesh, *loads, angular_velocity=3.0)
+    if kind == "absolute":
+        body = fmbd.AbsoluteBody(
+            "rod", mesh, density=DENSITY, energy=saint_venant_kirchhoff(MODULUS, 0.3), loads=loads, angular_velocity=3.0
+        )
+    scene = fmbd.Scene("deep")
+    scene.add(body)
+    run = fmbd.solve(scene, t_end=0.1, dt=2e-3)
+    momentum, _ = run.system.at(run.state.t, run.state.q, run.state.v).momenta()
+    assert np.abs(momentum).max() < 1e-6 * run.system.mass
+
+
+def test_bad_loads(rod_mesh: Callable[..., Any]) -> None:
+    """A surface that does not exist, a form of the wrong rank, a function of time that fails."""
+    mesh = rod_mesh(dim=2, h=0.25)
+    with pytest.raises(InputError, match="nose"):
+        Field("rod", mesh, rod(mesh, traction("nose", (1.0, 0.0))).forms())
+    with pytest.raises(InputError, match="linear UFL form"):
+        Field("rod", mesh, rod(mesh, Load(lambda v, dx, ds: 1.0)).forms())
+    with pytest.raises(InputError, match="finite components"):
+        Field("rod", mesh, rod(mesh, body_force((1.0,))).forms())
+    with pytest.raises(CallbackError, match="function of time"):
+        clamped_tip(rod(mesh, traction("tip", (1.0, 0.0), time=lambda t: float("nan"))))
