@@ -186,7 +186,7 @@ class OwnBatch(Batch):
 
         h = 1e-3 / fast
         steps = [level(k * h) - level(-k * h) for k in (1, 2, 3)]
-        return (45 * steps[0] - 9 * steps[1] + steps[2]) / (60 * h)
+        return np.asarray((45 * steps[0] - 9 * steps[1] + steps[2]) / (60 * h))
 
 
 def lead_ratio(lead: float) -> float:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class Force:
     point_a: Point = None
     point_b: Point = None
 
-    batch = Loads
+    batch: ClassVar[type[Loads]] = Loads
 
     @property
     def coordinate(self) -> JointCoordinate | None:
@@ -56,7 +56,8 @@ class PointForce(Force):
     law: Law = None  # type: ignore[assignment]
     follower: bool = False
 
-    batch, turns = TimeLoads, False
+    batch: ClassVar[type[Loads]] = TimeLoads
+    turns: ClassVar[bool] = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,8 @@ class Torque(Force):
     law: Law = None  # type: ignore[assignment]
     follower: bool = False
 
-    batch, turns = TimeLoads, True
+    batch: ClassVar[type[Loads]] = TimeLoads
+    turns: ClassVar[bool] = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +83,7 @@ class Spring(Force):
     length: float = 0.0  # m, unstressed
     law: Law | None = None
 
-    batch = ScalarLoads
+    batch: ClassVar[type[Loads]] = ScalarLoads
 
     def __post_init__(self) -> None:
         _constants(self.name, self.stiffness, self.damping, self.length)
@@ -97,7 +99,7 @@ class CoordinateForce(Force):
     length: float = 0.0
     law: Law | None = None
 
-    batch = ScalarLoads
+    batch: ClassVar[type[Loads]] = ScalarLoads
 
     @property
     def coordinate(self) -> JointCoordinate:
@@ -119,7 +121,7 @@ class Tyre(Force):
     damping: float = 0.0  # N s/m
     up: Sequence[float] = (0.0, 1.0, 0.0)
 
-    batch = TyreLoads
+    batch: ClassVar[type[Loads]] = TyreLoads
 
     def __post_init__(self) -> None:
         require(
@@ -139,7 +141,7 @@ class OwnForce(Force):
     law: Law = None  # type: ignore[assignment]
     jacobian: Law | None = None
 
-    batch = OwnLoads
+    batch: ClassVar[type[Loads]] = OwnLoads
 
 
 def _constants(name: str, stiffness: float, damping: float, length: float) -> None:

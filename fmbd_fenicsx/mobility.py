@@ -85,8 +85,9 @@ def scaled_jacobian(ev: Evaluation) -> Array:
             block = p.mass_blocks(_at_rest(ev, p.frame), np.zeros(p.n))[0]
             mass[p.frame * n : (p.frame + 1) * n] = np.diag(block)
     for k, p in s.core_parts:
-        if isinstance(p, CoordinatePart):
-            mass[s.slices[1][k]] = np.diag(p.mass(s.local_q(ev.q, k)))
+        local: Any = p
+        if isinstance(local, CoordinatePart):
+            mass[s.slices[1][k]] = np.diag(local.mass(s.local_q(ev.q, k)))
     G = G / np.sqrt(np.where(mass > 0, mass, mass.max(initial=1e-300)))
     if s.fields:
         typical = float(np.abs(G).max(initial=1.0))

@@ -135,7 +135,7 @@ class Turn(Relative):
             self.e2 = np.cross(self.e, self.e1)
         else:
             self.e1, self.e2 = np.tile([1.0, 0.0], (len(self.a), 1)), np.tile([0.0, 1.0], (len(self.a), 1))
-        self.last = np.zeros(len(self.a))
+        self.last: Array = np.zeros(len(self.a))
 
     def _axes(self, kin: Kinematics) -> tuple[Array, Array, Array, Array]:
         Ra, Rb = kin.R[self.a], kin.R[self.b]

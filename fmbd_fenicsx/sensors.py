@@ -108,7 +108,7 @@ class JointReading(Sensor):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         s = ev.system
-        key = ("reading", id(self))
+        key = f"reading {id(self)}"
         if key not in s.cache:
             block = s.block(self.coordinate.joint.name)
             s.cache[key] = relative_of(s.motions, self.coordinate.kind, [(self.coordinate, block.a, block.b)])

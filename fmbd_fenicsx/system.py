@@ -74,7 +74,7 @@ class System:
     ground: Array = field(repr=False, default=None)  # type: ignore[assignment]  # (1, n_pose)
     contacts: Any = None  # ContactSet of a scene with contact
     traces: tuple[tuple[Any, slice], ...] = ()  # ties by field multipliers (TraceRows) and their rows
-    cache: dict[str, Any] = field(repr=False, default_factory=dict)  # patterns found at first use
+    cache: dict[Any, Any] = field(repr=False, default_factory=dict)  # patterns found at first use
 
     def block(self, name: str) -> RowBlock:
         """The rows of the named joint."""

@@ -59,7 +59,7 @@ class Jacobian:
         s = self.system = ev.system
         kin, m = ev.kin, s.markers
         numbers, markers = [np.zeros(0, int)], [np.zeros(0, int)]
-        sides = [np.zeros((0, kin.jac_frame.shape[1]))]
+        sides: list[Array] = [np.zeros((0, kin.jac_frame.shape[1]))]
         for batch, rows in s.batches:
             for number, marker, side in batch.sides(kin, ev.t):
                 numbers.append(rows[number])
@@ -78,10 +78,10 @@ class Jacobian:
             np.add.at(
                 self.port, (at[:, None], m.port[k]), (side[pattern.on, None, :] @ kin.jac_port[k])[:, 0]
             )
-        for laws, rows in s.port_constraints:
-            self.port[rows, s.port_slice(laws.part)] += laws.jacobian(ev.port[s.port_slice(laws.part)], ev.t)
-        for tie, rows in s.traces:
-            self._add_tie(tie, rows, ev)
+        for laws, span in s.port_constraints:
+            self.port[span, s.port_slice(laws.part)] += laws.jacobian(ev.port[s.port_slice(laws.part)], ev.t)
+        for tie, span in s.traces:
+            self._add_tie(tie, span, ev)
         for k, r in enumerate(s.frame_rows):
             start = s.port_slice(k).start
             self.port[r, start : start + s.parts[k].n_frame_rows] = np.eye(s.parts[k].n_frame_rows)

@@ -143,3 +143,22 @@ def test_damaged_cache_is_built_again(tmp_path: Path) -> None:
     (tmp_path / "two.sha256").write_text((tmp_path / "one.sha256").read_text())
     assert compiled._load(tmp_path, "two", compiler).step
     assert (tmp_path / "two.so").stat().st_size > 2000
+
+
+def test_sparse_saddle_keeps_its_pattern() -> None:
+    """The sparse core with the order of the first factorisation: the dense solution, also when the pattern changes."""
+    import scipy.sparse as sp
+
+    from fmbd_fenicsx.linear.core import CoreSolver
+    from fmbd_fenicsx.linear.residual import Judge
+
+    rng = np.random.default_rng(3)
+    solver = CoreSolver(Judge("a test"))
+    for extra in (0.0, 0.0, 0.5):
+        A = sp.csr_matrix(np.diag(rng.uniform(1, 5, 30)) + extra * np.eye(30, k=1) + extra * np.eye(30, k=-1))
+        G = sp.random(10, 30, 0.3, format="csr", rng=3) + sp.csr_matrix(np.eye(10, 30))
+        b, c = rng.standard_normal(30), rng.standard_normal(10)
+        solver.factor(A, G)
+        x, y = solver.solve(b, c)
+        K = np.block([[A.toarray(), G.toarray().T], [G.toarray(), np.zeros((10, 10))]])
+        assert np.abs(np.concatenate((x, y)) - np.linalg.solve(K, np.concatenate((b, c)))).max() < 1e-10

@@ -27,6 +27,39 @@ LARGEST_GROWTH = 1e13  # of a solution over its right-hand side, both scaled
 ADVICE = "Constraints depend on each other, or a body without mass is not held. See scene.check()."
 
 
+class Saddle:
+    """The sparsity pattern of (1) with its columns in a given order."""
+
+    def __init__(self, A: Any, G: Any) -> None:
+        self.keys = tuple(x.copy() for M in (A, G) for x in (M.indptr, M.indices))
+        n, m = A.shape[0], G.shape[0]
+        a = np.repeat(np.arange(n), np.diff(A.indptr))
+        g = np.repeat(np.arange(m), np.diff(G.indptr)) + n
+        self.rows, self.cols = np.concatenate((a, g, G.indices)), np.concatenate((A.indices, G.indices, g))
+        self.size = n + m
+        self.reorder(np.arange(n + m))
+
+    def fits(self, A: Any, G: Any) -> bool:
+        """Whether A and G have the pattern this was made for."""
+        now = tuple(x for M in (A, G) for x in (M.indptr, M.indices))
+        return all(np.array_equal(x, y) for x, y in zip(self.keys, now, strict=True))
+
+    def reorder(self, columns: np.ndarray) -> None:
+        """Put column ``columns[k]`` at place k."""
+        self.columns = np.asarray(columns)
+        place = np.empty(self.size, dtype=np.int64)
+        place[self.columns] = np.arange(self.size)
+        at = place[self.cols]
+        self.order = np.lexsort((self.rows, at))
+        self.indices = self.rows[self.order].astype(np.int32)
+        self.indptr = np.concatenate(([0], np.cumsum(np.bincount(at, minlength=self.size)))).astype(np.int32)
+
+    def matrix(self, A: Any, G: Any, scale: Array) -> Any:
+        """The scaled matrix in compressed columns."""
+        data = np.concatenate((A.data, G.data, G.data)) * scale[self.rows] * scale[self.cols]
+        return sp.csc_matrix((data[self.order], self.indices, self.indptr), shape=(self.size, self.size))
+
+
 class CoreSolver:
     """Factor (1) and solve it. ``redundant`` permits dependent constraint rows: multipliers of minimum norm.
 
@@ -39,7 +72,7 @@ class CoreSolver:
         self.factorisations = 0
         self.ratio = 1.0
         self.rank: int | None = None  # of the constraints, where they are redundant
-        self._sparse: Any = None
+        self._saddle: Saddle | None = None
 
     def factor(self, A: Any, G: Any, C: Array | None = None) -> None:
         """Factor for A (n, n) and rows G (m, n), both dense or both sparse; C (m, m) stands for the 0 where given."""
@@ -78,13 +111,32 @@ class CoreSolver:
         self._solve = lambda b: sl.lapack.dgetrs(lu, pivots, b)[0]
 
     def _factor_sparse(self) -> None:
-        S = sp.diags(self.scale)
-        K = sp.bmat([[self.A, self.G.T], [self.G, self.C]], format="csc")
+        """Sparse LU; its pattern and the order of its columns are those of the first factorisation while they fit."""
+        if self.C is not None:
+            S = sp.diags(self.scale)
+            K = sp.bmat([[self.A, self.G.T], [self.G, self.C]], format="csc")
+            self._solve = self._lu((S @ K @ S).tocsc(), "COLAMD").solve
+            return
+        A, G = self.A.tocsr(), self.G.tocsr()
+        if self._saddle is None or not self._saddle.fits(A, G):
+            self._saddle = Saddle(A, G)
+            first = self._lu(self._saddle.matrix(A, G, self.scale), "COLAMD")
+            self._saddle.reorder(first.perm_c)
+        saddle = self._saddle
+        lu = self._lu(saddle.matrix(A, G, self.scale), "NATURAL")
+
+        def solve(b: Array) -> Array:
+            x = np.empty_like(b)
+            x[saddle.columns] = lu.solve(b)
+            return x
+
+        self._solve = solve
+
+    def _lu(self, K: Any, order: str) -> Any:
         try:
-            self._sparse = spl.splu((S @ K @ S).tocsc())
+            return spl.splu(K, permc_spec=order)
         except RuntimeError as error:
             raise LinearSolveError(f"{self.judge.what}: {error}. {ADVICE}") from error
-        self._solve = self._sparse.solve
 
     def _factor_redundant(self, K: Array) -> None:
         """Range-space solution with a pseudo-inverse of G A^-1 G^T: dependent rows share their multiplier evenly."""
@@ -129,9 +181,9 @@ class CoreSolver:
         x, y = z[:n], z[n:]
         upper = self.A @ x + self.G.T @ y - b
         lower = self.G @ x - c if self.C is None else self.G @ x + self.C @ y - c
-        residual = np.linalg.norm(self.scale[:n] * upper)
+        residual = float(np.linalg.norm(self.scale[:n] * upper))
         if self.exact:
-            residual = np.hypot(residual, np.linalg.norm(self.scale[n:] * lower))
+            residual = float(np.hypot(residual, np.linalg.norm(self.scale[n:] * lower)))
         given, found = np.linalg.norm(rhs), np.linalg.norm(z / self.scale)
         if found > LARGEST_GROWTH * given:  # against such a solution the residual of a singular matrix is small
             residual = np.inf

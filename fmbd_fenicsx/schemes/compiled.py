@@ -122,7 +122,7 @@ class PlaneKernel:
         a |= {k: np.zeros(max(x, 1)) for k, x in sizes.items()}
         a["units"] = np.array(system.units, dtype=float)
         self.size, self.arrays = size, {k: np.ascontiguousarray(x) for k, x in a.items()}
-        assert set(self.arrays) == {n for n, kind in _CSystem._fields_ if kind is ctypes.c_void_p}
+        assert set(self.arrays) == {n for n, kind in _CSystem._fields_ if kind is ctypes.c_void_p}  # type: ignore[misc]
         self.c = _CSystem(nb, m, len(a["ci"]), 0, **{k: x.ctypes.data for k, x in self.arrays.items()})
         self.address = ctypes.addressof(self.c)
         self.parameters, self.offset = np.zeros(19), np.zeros(max(m, 1))
@@ -133,7 +133,7 @@ class PlaneKernel:
         """Constraint rows in body axes."""
         s, m = self.system, self.m
         mk = s.markers
-        out = {k: np.zeros(m, np.int32) for k in ("kind", "fa", "fb")}
+        out: dict[str, np.ndarray] = {k: np.zeros(m, np.int32) for k in ("kind", "fa", "fb")}
         out |= {k: np.zeros((m, 2)) for k in ("pa", "pb", "e", "f")} | {"length": np.ones(m)}
         for batch, rows in s.batches:
             kind = KINDS[type(batch)]
