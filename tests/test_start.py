@@ -34,7 +34,7 @@ def jointed(dim: int, gap: float = 0.0, kick: bool = True) -> fmbd.Scene:
     velocity = (1.0, 2.0, -1.0)[:dim] if kick else None
     one = fmbd.RigidBody("one", 1.0, J, (0.5, 0, 0)[:dim])
     two = fmbd.RigidBody("two", 2.0, J, (1.5, gap, 0)[:dim], velocity=velocity)
-    joint = fmbd.distance("rod", one, two, point_a=(0.8, 0, 0)[:dim], point_b=(1.2, 0, 0)[:dim], length=0.4)
+    joint = fmbd.distance("rod", one, two, point_a=(0.8, 0.1, 0)[:dim], point_b=(1.2, 0.1, 0)[:dim], length=0.4)
     scene.add(one, two, fmbd.revolute("pin", fmbd.ground, one, center=(0, 0, 0)[:dim]), joint)
     return scene
 
