@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import ConstraintError
+from fmbd_fenicsx.errors import ConstraintError, LinearSolveError
 
 BAR = (0.01, 0.08, 0.08)
 
@@ -246,3 +246,24 @@ def test_mass_ratios(light: float) -> None:
     ref = fmbd.solve(whole, t_end=0.5, dt=5e-3, newton=fmbd.Newton(1e-10))
     assert np.abs(run["tip"] - ref["tip"]).max() < 1e-8 * 2.0
     assert np.abs(run["pin"] - ref["pin"]).max() < 1e-6 * np.abs(ref["pin"]).max()
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_massless_coordinate(held: bool) -> None:
+    """T10: a coordinate without mass is solved when a joint holds it, and refused by the name of its body when none does."""
+    body = fmbd.CoordinateBody(
+        "ghost",
+        np.diag([2.0, 0.0]),
+        lambda q, v, t: np.array([-9.81 * 2.0, 0.0]) + 0 * q,
+        [0.0, 0.0],
+        constraint=(lambda q, t: q[:1] + q[1:]) if held else None,
+    )
+    scene = fmbd.Scene("massless")
+    scene.add(body)
+    scene.sensor("q", fmbd.coordinates(body))
+    if not held:
+        with pytest.raises(LinearSolveError, match='Body "ghost".*without mass'):
+            fmbd.solve(scene, t_end=0.1, dt=0.01)
+        return
+    run = fmbd.solve(scene, t_end=0.1, dt=0.01)
+    assert np.abs(run["q"][-1] - [-0.5 * 9.81 * 0.01, 0.5 * 9.81 * 0.01]).max() < 1e-10

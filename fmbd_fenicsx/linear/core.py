@@ -167,7 +167,9 @@ class CoreSolver:
         keep = s > RANK_TOLERANCE * s[0]
         rows = (Vt[~keep, : self.n] ** 2).sum(1)
         if rows.max(initial=0.0) > 1e-6:
-            raise LinearSolveError(f"{self.judge.what}: a motion has neither mass nor stiffness. {ADVICE}")
+            error = LinearSolveError(f"{self.judge.what}: a motion has neither mass nor stiffness. {ADVICE}")
+            error.motion = self.scale[: self.n] * Vt[~keep][int(np.argmax(rows)), : self.n]  # type: ignore[attr-defined]
+            raise error
         inverse = (Vt[keep].T / s[keep]) @ U[:, keep].T
         self._solve = lambda b: inverse @ b
 

@@ -19,12 +19,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ..errors import LinearSolveError
 from ..log import log
 from ..mobility import NEAR_SINGULAR, mobility, nearly_dependent
 from ..placements import FrameMotion
 from ..rotations import Array
 from ..system import Evaluation, System
-from .core import CoreSolver
+from .core import ADVICE, CoreSolver
 from .residual import Judge
 from .spd import CholeskyFactor, MassInverse
 
@@ -87,9 +88,25 @@ class StepSolver:
         if self._look and s.n_lam <= LOOK_LIMIT:
             self.core.redundant = mobility(s, ev.t, ev.q).redundant > 0
         self._look = False
-        self._assemble(ev, w, stiffness)
+        try:
+            self._assemble(ev, w, stiffness)
+        except LinearSolveError as error:
+            if not hasattr(error, "motion"):
+                raise
+            raise LinearSolveError(
+                f"{self._mover(error.motion)} has a motion without mass that no joint holds (t = {ev.t:g} s). {ADVICE}"
+            ) from error
         if self.core.ratio < 1e-5 or self._near_singular:
             self._warn(ev)
+
+    def _mover(self, motion: Array) -> str:
+        """The body with the largest part in a motion of the core."""
+        s, k = self.system, int(np.argmax(np.abs(motion)))
+        n = s.n_frames * s.motions.n_twist
+        if k < n:
+            return f'Body "{s.frame_names[k // s.motions.n_twist]}"'
+        owner = next(p for i, p in s.core_parts if s.slices[1][i].start <= k < s.slices[1][i].stop)
+        return f'Body "{owner.name}"'
 
     def _warn(self, ev: Evaluation) -> None:
         """One line for each time that the configuration comes close to a singular one."""
