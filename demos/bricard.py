@@ -21,7 +21,9 @@ scene = fmbd.Scene("Bricard", gravity=(0, -9.81, 0))
 rods = []
 for i, (p, q) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
     direction = np.abs(q - p)
-    rods.append(fmbd.RigidBody(f"rod {i + 1}", 1.0, np.where(direction > 0.5, along, across), position=(p + q) / 2))
+    rods.append(
+        fmbd.RigidBody(f"rod {i + 1}", 1.0, np.where(direction > 0.5, along, across), position=(p + q) / 2)
+    )
 scene.add(*rods)
 for i, (a, b) in enumerate(zip([fmbd.ground, *rods], [*rods, fmbd.ground], strict=True)):
     scene.add(fmbd.revolute(f"P{i}", a, b, center=corners[i], axis=axes[i]))

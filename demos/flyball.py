@@ -1,4 +1,4 @@
-"""Stiff flyball governor: two rods with balls, a slider held by stiff springs and dampers (IFToMM A05).
+r"""Stiff flyball governor: two rods with balls, a slider held by stiff springs and dampers (IFToMM A05).
 
 Run:  ./with-dolfinx python3 demos/flyball.py [--fast] [--json FILE] [--picture FILE]
 
@@ -24,7 +24,9 @@ c = (0.5 * thin + ball) / m  # centre of rod and ball from the hinge
 J = np.array([thin * 1e-4 / 6, 0.0, 0.0])
 J[1:] = thin * (1 + 1e-4) / 12 + thin * (c - 0.5) ** 2 + ball * (1 - c) ** 2
 
-shaft = fmbd.RigidBody("shaft", thin, np.array([1 + 1e-4, 1 + 1e-4, 2e-4]) * thin / 12, (0, 0, 0.5), angular_velocity=spin)
+shaft = fmbd.RigidBody(
+    "shaft", thin, np.array([1 + 1e-4, 1 + 1e-4, 2e-4]) * thin / 12, (0, 0, 0.5), angular_velocity=spin
+)
 slider = fmbd.RigidBody("slider", 3.0, np.full(3, 3.0 * 0.01 / 6), (0, 0, 0.5), angular_velocity=spin)
 scene = fmbd.Scene("flyball governor", gravity=(0, 0, -9.81))
 scene.add(shaft, slider)

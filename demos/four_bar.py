@@ -13,7 +13,10 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.demo import Check, arguments, finish
 
 args = arguments(__doc__)
-END = {2.0: (0.057815795767660286, None), 10.0: (0.328458111534, 0.944518538181)}  # one degree of freedom, to 1e-11
+END = {
+    2.0: (0.057815795767660286, None),
+    10.0: (0.328458111534, 0.944518538181),
+}  # one degree of freedom, to 1e-11
 t_end, dt = (2.0, 4e-3) if args.fast else (10.0, 2e-3)
 
 scene = fmbd.Scene("double four-bar", gravity=(0, -9.81))

@@ -53,14 +53,22 @@ def scene(arm):
 checks = []
 for arm in (0.30, R):
     scale = np.sqrt(inertia(0.0, arm)) * SPEED
-    period = quad(lambda p, arm=arm, scale=scale: np.sqrt(inertia(p, arm)) / scale, 0, 2 * np.pi, epsabs=1e-14, limit=400)[0]
+    period = quad(
+        lambda p, arm=arm, scale=scale: np.sqrt(inertia(p, arm)) / scale,
+        0,
+        2 * np.pi,
+        epsabs=1e-14,
+        limit=400,
+    )[0]
     n = turns * per_turn
     runs = [fmbd.solve(scene(arm), t_end=turns * period, dt=turns * period / k) for k in (n, 2 * n)]
     phi = [r["phi"][-1, 0] for r in runs]
     e, name = runs[1].energy["kinetic"], "equal arms: " if arm == R else ""
     checks += [
         Check(f"{name}angle after {turns} turns, rad", phi[1], 2 * np.pi * turns, 1e-3 * turns),
-        Check(f"{name}the same, extrapolated, rad", (4 * phi[1] - phi[0]) / 3, 2 * np.pi * turns, 1e-6 * turns),
+        Check(
+            f"{name}the same, extrapolated, rad", (4 * phi[1] - phi[0]) / 3, 2 * np.pi * turns, 1e-6 * turns
+        ),
         Check(f"{name}energy error, 1", np.abs(e / e[0] - 1).max(), 0.0, 1e-3),
         Check(f"{name}constraint, m", runs[1].drift[0], 0.0, 1e-12),
     ]

@@ -145,7 +145,10 @@ class OwnBatch(Batch):
             exact, rough = derivative(g, np.zeros(2 * n)), differences(g, np.zeros(2 * n))
             self.by_differences = bool(np.abs(exact - rough).max() > 1e-5 * max(1.0, np.abs(rough).max()))
             if self.by_differences:
-                log.warning('joint "%s": complex steps fail in its function (abs, float?); using differences', self.name)
+                log.warning(
+                    'joint "%s": complex steps fail in its function (abs, float?); using differences',
+                    self.name,
+                )
         return differences(g, np.zeros(2 * n)) if self.by_differences else derivative(g, np.zeros(2 * n))
 
     def _time(self, x: Array, R: Array, t: float) -> Array:

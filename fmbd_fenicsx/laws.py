@@ -176,7 +176,9 @@ class TyreLoads(Loads):
         c, rate, up, _ = self._compression(kin, t)
         k, damping = self._constants()
         out = self._zero()
-        out[:, : self.motions.dim] = np.where(c > 0, np.maximum(k * c + damping * rate, 0.0), 0.0)[:, None] * up
+        out[:, : self.motions.dim] = (
+            np.where(c > 0, np.maximum(k * c + damping * rate, 0.0), 0.0)[:, None] * up
+        )
         return out, self._zero()
 
     def energy(self, kin: Kinematics, t: float) -> float:
@@ -190,9 +192,7 @@ class TyreLoads(Loads):
         d, n = self.motions.dim, self.motions.dim + self.motions.n_rot
         outer = np.zeros((len(c), 2 * n, 2 * n))
         outer[:, :d, :d] = up[:, :, None] * row[:, None, :]
-        return Tangent(
-            self.a, self.b, (on * k)[:, None, None] * outer, (on * damping)[:, None, None] * outer
-        )
+        return Tangent(self.a, self.b, (on * k)[:, None, None] * outer, (on * damping)[:, None, None] * outer)
 
 
 class OwnLoads(Loads):

@@ -44,7 +44,11 @@ class Pattern:
         """G's core part from the entries of all sides, (count, n_twist)."""
         data = entries[self.keep].ravel()
         if self.dense:
-            return np.bincount(self.slot, data, self.shape[0] * self.shape[1]).astype(float, copy=False).reshape(self.shape)
+            return (
+                np.bincount(self.slot, data, self.shape[0] * self.shape[1])
+                .astype(float, copy=False)
+                .reshape(self.shape)
+            )
         values = np.bincount(self.slot, data, len(self.indices)).astype(float, copy=False)
         return sp.csr_matrix((values, self.indices, self.indptr), shape=self.shape)
 
@@ -100,7 +104,9 @@ class Jacobian:
             else:
                 at = np.arange(rows.start, rows.stop)
                 i, j = np.repeat(at, n), np.tile(number * n + np.arange(n), len(at))
-                self.core = (self.core + sp.csr_matrix((block.ravel(), (i, j)), shape=self.core.shape)).tocsr()
+                self.core = (
+                    self.core + sp.csr_matrix((block.ravel(), (i, j)), shape=self.core.shape)
+                ).tocsr()
 
     def _fold(self) -> None:
         """Ports of replicated parts into the core."""

@@ -42,7 +42,10 @@ BODIES = {
         lambda: fmbd.RigidBody("fly", 1.0, [[1, 0.1, 0], [0, 1, 0], [0, 0, 1]]),
         '"fly".*not symmetric',
     ),
-    "triangle inequality": (lambda: fmbd.RigidBody("fly", 1.0, (1.0, 1.0, 2.1)), '"fly".*violate J1 \\+ J2 >= J3'),
+    "triangle inequality": (
+        lambda: fmbd.RigidBody("fly", 1.0, (1.0, 1.0, 2.1)),
+        '"fly".*violate J1 \\+ J2 >= J3',
+    ),
     "triangle inequality, turned": (
         lambda: fmbd.RigidBody("fly", 1.0, [[1.55, 0.55, 0], [0.55, 1.55, 0], [0, 0, 1.0]]),
         '"fly".*violate',
@@ -80,7 +83,9 @@ LAWS = {
         '"wind"',
     ),
     "own joint": (
-        lambda body, hinge: fmbd.own_joint("wind", fmbd.ground, body, lambda xa, Ra, xb, Rb, t: np.array([nan])),
+        lambda body, hinge: fmbd.own_joint(
+            "wind", fmbd.ground, body, lambda xa, Ra, xb, Rb, t: np.array([nan])
+        ),
         '"wind"',
     ),
     "shape": (lambda body, hinge: fmbd.force("wind", body, lambda t: (0, 1)), '"wind".*shape'),
@@ -125,7 +130,9 @@ def test_unknown_body_in_a_joint_and_in_a_force() -> None:
 
 def test_names_are_unique() -> None:
     for part, what in ((rod(), "bodies"), (fmbd.revolute("hinge", fmbd.ground, rod()), "joints")):
-        with pytest.raises(InputError, match=re.escape(f'Two {what} are called "{part.name}"') + "|are called"):
+        with pytest.raises(
+            InputError, match=re.escape(f'Two {what} are called "{part.name}"') + "|are called"
+        ):
             pendulum(part)
 
 

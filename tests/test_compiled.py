@@ -162,3 +162,30 @@ def test_sparse_saddle_keeps_its_pattern() -> None:
         x, y = solver.solve(b, c)
         K = np.block([[A.toarray(), G.toarray().T], [G.toarray(), np.zeros((10, 10))]])
         assert np.abs(np.concatenate((x, y)) - np.linalg.solve(K, np.concatenate((b, c)))).max() < 1e-10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("compiled_step, steps", [(True, 1_000_000), (False, 20_000)])
+def test_pendulum_over_many_steps(compiled_step: bool, steps: int) -> None:
+    """T7: the constraint at roundoff, velocities and energy bounded, memory flat over a million steps of h = 0.01."""
+    import resource
+
+    theta = 2.0
+    bob = fmbd.RigidBody("bob", 1.0, 1.0, (np.sin(theta), -np.cos(theta)))
+    scene = fmbd.Scene("pendulum", gravity=(0, -1.0))
+    scene.add(bob, fmbd.distance("rod", fmbd.ground, bob, point_a=(0, 0), length=1.0))
+    stepper = stepper_of(scene, GeneralizedAlpha(0.8, compiled=compiled_step))
+    worst = {"gap": 0.0, "slip": 0.0, "energy": 0.0}
+    start = stepper.system.at(0.0, stepper.state.q, stepper.state.v).energies()
+    for k in range(steps):
+        s = stepper.advance(0.01)
+        if k == 10_000:
+            memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        x, v = s.q[:2], s.v[:2]
+        worst["gap"] = max(worst["gap"], abs(float(x @ x) - 1.0))
+        worst["slip"] = max(worst["slip"], abs(float(x @ v)))
+        worst["energy"] = max(worst["energy"], abs(0.5 * float(v @ v) + float(x[1]) - start["kinetic"] - start["weight"]))
+    assert worst["gap"] < 1e-13
+    assert worst["slip"] < 1e-4
+    assert worst["energy"] < 5e-4
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory < 10 * 1024  # KiB

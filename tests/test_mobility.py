@@ -267,3 +267,27 @@ def test_massless_coordinate(held: bool) -> None:
         return
     run = fmbd.solve(scene, t_end=0.1, dt=0.01)
     assert np.abs(run["q"][-1] - [-0.5 * 9.81 * 0.01, 0.5 * 9.81 * 0.01]).max() < 1e-10
+
+
+def double_four_bar(angle: float) -> fmbd.Scene:
+    """Two parallelograms side by side, the legs at ``angle`` from the ground."""
+    e = np.array([np.cos(angle), np.sin(angle)])
+    scene = fmbd.Scene("double four-bar")
+    legs = [fmbd.RigidBody(f"leg {i}", 1.0, 1 / 12, (i + 0.5 * e[0], 0.5 * e[1]), angle) for i in range(3)]
+    bars = [fmbd.RigidBody(f"bar {i}", 1.0, 1 / 12, (i + 0.5 + e[0], e[1])) for i in range(2)]
+    scene.add(*legs, *bars)
+    for i, leg in enumerate(legs):
+        scene.add(fmbd.revolute(f"A{i}", fmbd.ground, leg, center=(i, 0)))
+    for i, bar in enumerate(bars):
+        scene.add(fmbd.revolute(f"B{i}", legs[i], bar, center=(i + e[0], e[1])))
+        scene.add(fmbd.revolute(f"C{i}", bar, legs[i + 1], center=(i + 1 + e[0], e[1])))
+    return scene
+
+
+def test_mobility_of_the_flat_double_four_bar() -> None:
+    """K1: one degree of freedom, three where it lies flat; a degree beside it, it is near-singular but regular."""
+    assert double_four_bar(np.pi / 2).check().freedom == 1
+    assert double_four_bar(0.0).check().freedom == 3
+    close = double_four_bar(1e-7).check()
+    assert close.freedom == 1 and close.conditioning < 1e-6
+    assert any("near-singular" in note for note in close.notes)

@@ -187,7 +187,9 @@ class CoreSolver:
         if self.exact:
             residual = float(np.hypot(residual, np.linalg.norm(self.scale[n:] * lower)))
         given, found = np.linalg.norm(rhs), np.linalg.norm(z / self.scale)
-        if found > LARGEST_GROWTH * given:  # against such a solution the residual of a singular matrix is small
+        if (
+            found > LARGEST_GROWTH * given
+        ):  # against such a solution the residual of a singular matrix is small
             residual = np.inf
         self.judge.check(float(residual), float(given + found), ADVICE)
         return x, y

@@ -27,7 +27,12 @@ from fmbd_fenicsx.linear.schur import StepSolver
 from fmbd_fenicsx.schemes.start import consistent
 
 HERE = Path(__file__).parent
-CASES = {"crank": (10000, 1e-4, 1.0), "10": (2000, 1e-3, 1.0), "100": (300, 1e-3, 0.5), "1000": (60, 1e-3, 0.25)}
+CASES = {
+    "crank": (10000, 1e-4, 1.0),
+    "10": (2000, 1e-3, 1.0),
+    "100": (300, 1e-3, 0.5),
+    "1000": (60, 1e-3, 0.25),
+}
 
 
 def chain(n):
@@ -50,7 +55,10 @@ def crank():
     three = fmbd.RigidBody("block", 0.075552, 1e-4, (r + arm, 0))
     scene = fmbd.Scene("slider crank")
     scene.add(one, two, three, fmbd.revolute("main", fmbd.ground, one, center=(0, 0)))
-    scene.add(fmbd.revolute("knee", one, two, center=(r, 0)), fmbd.revolute("wrist", two, three, center=(r + arm, 0)))
+    scene.add(
+        fmbd.revolute("knee", one, two, center=(r, 0)),
+        fmbd.revolute("wrist", two, three, center=(r + arm, 0)),
+    )
     scene.add(fmbd.prismatic("slider", fmbd.ground, three, axis=(1, 0), center=(0, 0)))
     scene.sensor("end", fmbd.position(three))
     return scene
@@ -108,7 +116,9 @@ def compare(python, repeat, cases=tuple(CASES)):
 
 def main():
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--exudyn", default=os.environ.get("EXUDYN_PYTHON", ""))
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--json", type=Path)
