@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from motion import Motion, plane_scene, space_scene
+from motion import Motion, elastic_scene, plane_scene, space_scene
 from test_joints import AXIS, CENTER, check_derivatives
 
 import fmbd_fenicsx as fmbd
@@ -201,3 +201,20 @@ def test_wrong_input_is_named() -> None:
     alone.add(*scene.bodies.values(), fmbd.drive("d", fmbd.angle(hinge), lambda t: t))
     with pytest.raises(InputError, match='"d".*"hinge".*not in the scene'):
         alone.build()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("what", ["drive angle", "gear", "own"])
+def test_derivatives_on_elastic_surfaces(dim: int, what: str, rod_mesh: Any) -> None:
+    """Joint coordinates and own joints see the mean position and rotation of an elastic surface."""
+    scene, rod, block = elastic_scene(rod_mesh(dim=dim, h=0.5, height=0.4), degree=1)
+    pin = fmbd.revolute("pin", fmbd.ground, rod.surface("pin"))
+    tip = fmbd.revolute("tip", rod.surface("tip"), block)
+    scene.add(pin, tip)
+    if what == "drive angle":
+        scene.add(fmbd.drive("d", fmbd.angle(tip), lambda t: 0.3 * np.sin(2 * t)))
+    elif what == "gear":
+        scene.add(fmbd.gear("d", fmbd.angle(pin), fmbd.angle(tip), ratio=-1.5))
+    else:
+        scene.add(fmbd.own_joint("d", rod.surface("tip"), block, bevel))
+    check_derivatives(Motion(scene))

@@ -291,3 +291,26 @@ def test_mobility_of_the_flat_double_four_bar() -> None:
     close = double_four_bar(1e-7).check()
     assert close.freedom == 1 and close.conditioning < 1e-6
     assert any("near-singular" in note for note in close.notes)
+
+
+@pytest.mark.mpi
+def test_doubled_joint_on_an_elastic_surface(rod_mesh: Any) -> None:
+    """K1: the copy on the same trace is redundant, both pins carry half; motion as with one pin."""
+    from motion import elastic_rod
+
+    runs = []
+    for copies in (1, 2):
+        rod = elastic_rod(rod_mesh(dim=2, h=0.3, height=0.2))
+        scene = fmbd.Scene("rod", gravity=(0, -9.81))
+        scene.add(rod)
+        for i in range(copies):
+            scene.add(fmbd.revolute(f"pin {i}", fmbd.ground, rod.surface("pin")))
+            scene.sensor(f"F{i}", fmbd.reaction_force(f"pin {i}"))
+        scene.sensor("tip", fmbd.position(rod.surface("tip")))
+        assert scene.check().redundant == 2 * (copies - 1)
+        runs.append(fmbd.solve(scene, t_end=0.02, dt=1e-3, newton=fmbd.Newton(1e-9)))
+    one, two = runs
+    assert np.abs(one["tip"] - two["tip"]).max() < 1e-9
+    size = np.abs(one["F0"]).max()
+    assert np.abs(two["F0"] + two["F1"] - one["F0"]).max() < 1e-7 * size
+    assert np.abs(two["F0"] - two["F1"]).max() < 1e-7 * size
