@@ -1,4 +1,4 @@
-"""Energies of displacement and pressure, as data."""
+"""Elastic energies as data: W(C) of the strain, and energies of displacement and pressure."""
 
 from __future__ import annotations
 
@@ -16,3 +16,19 @@ class MixedEnergy:
 
     def __call__(self, u: Any, p: Any, dx: Any) -> Any:
         return self.density(u, p, dx)
+
+
+@dataclass(frozen=True)
+class StoredEnergy:
+    """Pi(u) = int W(C), C = F^T F, F = 1 + grad u: an energy that does not see rotations.
+
+    ``density(domain)`` returns the UFL function C -> W in J/m^3; ``domain`` serves for constants.
+    """
+
+    density: Callable[[Any], Callable[[Any], Any]]
+
+    def __call__(self, u: Any, dx: Any) -> Any:
+        from ufl import Identity, grad
+
+        F = Identity(u.ufl_shape[0]) + grad(u)
+        return self.density(dx.ufl_domain())(F.T * F) * dx

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from .energies import MixedEnergy
+from .energies import MixedEnergy, StoredEnergy
 from .errors import require
 
 Form = Callable[[Any, Any, Any], Any]
-Energy = Callable[[Any, Any], Any]
 
 
 def lame(youngs_modulus: float, poisson_ratio: float) -> tuple[float, float]:
@@ -62,45 +61,45 @@ def plane_strain(youngs_modulus: float, poisson_ratio: float, thickness: float =
     return _isotropic(thickness * mu, thickness * lmbda)
 
 
-def saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float) -> Energy:
+def saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float) -> StoredEnergy:
     """Pi(u) = int mu E : E + lambda/2 (tr E)^2 with E = (F^T F - 1) / 2, F = 1 + grad u: large rotations, small strains."""
     mu, lmbda = lame(youngs_modulus, poisson_ratio)
 
-    def density(F: Any, m: Any, k: Any) -> Any:
+    def density(C: Any, m: Any, k: Any) -> Any:
         from ufl import Identity, inner, tr
 
-        E = 0.5 * (F.T * F - Identity(F.ufl_shape[0]))
+        E = 0.5 * (C - Identity(C.ufl_shape[0]))
         return m * inner(E, E) + 0.5 * k * tr(E) ** 2
 
     return _energy(density, mu, lmbda)
 
 
-def sheet_saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> Energy:
+def sheet_saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> StoredEnergy:
     """The same for a sheet in plane stress: lambda* = 2 mu lambda / (lambda + 2 mu), times the thickness (m)."""
     mu, lmbda = lame(youngs_modulus, poisson_ratio)
     require(thickness > 0, f"Thickness {thickness} m must be positive.")
 
-    def density(F: Any, m: Any, k: Any) -> Any:
+    def density(C: Any, m: Any, k: Any) -> Any:
         from ufl import Identity, inner, tr
 
-        E = 0.5 * (F.T * F - Identity(F.ufl_shape[0]))
+        E = 0.5 * (C - Identity(C.ufl_shape[0]))
         return m * inner(E, E) + 0.5 * k * tr(E) ** 2
 
     return _energy(density, thickness * mu, thickness * 2 * mu * lmbda / (lmbda + 2 * mu))
 
 
-def neo_hookean(youngs_modulus: float, poisson_ratio: float) -> Energy:
+def neo_hookean(youngs_modulus: float, poisson_ratio: float) -> StoredEnergy:
     """Pi(u) = int mu/2 (tr F^T F - d - 2 ln J) + lambda/2 (J - 1)^2, J = det F > 0; its linear limit is Hooke's law.
 
     In the plane: plane strain. The term in ln J keeps cells from turning inside out.
     """
     mu, lmbda = lame(youngs_modulus, poisson_ratio)
 
-    def density(F: Any, m: Any, k: Any) -> Any:
-        from ufl import det, inner, ln
+    def density(C: Any, m: Any, k: Any) -> Any:
+        from ufl import det, ln, sqrt, tr
 
-        J = det(F)
-        return 0.5 * m * (inner(F, F) - F.ufl_shape[0] - 2 * ln(J)) + 0.5 * k * (J - 1) ** 2
+        J = sqrt(det(C))
+        return 0.5 * m * (tr(C) - C.ufl_shape[0] - 2 * ln(J)) + 0.5 * k * (J - 1) ** 2
 
     return _energy(density, mu, lmbda)
 
@@ -155,13 +154,11 @@ def neo_hookean_mixed(youngs_modulus: float, poisson_ratio: float) -> MixedEnerg
     return MixedEnergy(density)
 
 
-def _energy(density: Callable[[Any, Any, Any], Any], mu: float, lmbda: float) -> Energy:
-    def energy(u: Any, dx: Any) -> Any:
+def _energy(density: Callable[[Any, Any, Any], Any], mu: float, lmbda: float) -> StoredEnergy:
+    def of(domain: Any) -> Callable[[Any], Any]:
         from dolfinx import fem
-        from ufl import Identity, grad
 
-        domain = dx.ufl_domain()
-        F = Identity(u.ufl_shape[0]) + grad(u)
-        return density(F, fem.Constant(domain, mu), fem.Constant(domain, lmbda)) * dx
+        m, k = fem.Constant(domain, mu), fem.Constant(domain, lmbda)
+        return lambda C: density(C, m, k)
 
-    return energy
+    return StoredEnergy(of)

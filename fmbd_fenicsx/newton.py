@@ -57,7 +57,7 @@ class Newton:
                 theta = size / history[-2] if history[-2] > 0 else 0.0
                 self.theta = max(min(theta, 0.999), 1e-4)
                 left = self.theta / (1 - self.theta) * size
-                if left > 1.0 and refreshed < 4 and -math.log(left) / math.log(self.theta) > self.patience:
+                if left > 1.0 and refreshed < 10 and -math.log(left) / math.log(self.theta) > self.patience:
                     refreshed += 1
                     if self.refresh is not None and self.refresh():
                         self.theta = 0.1

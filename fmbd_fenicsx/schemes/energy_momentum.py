@@ -12,8 +12,8 @@ positions, rotations and Jacobians; then a point moves by exactly h times its me
 do as much work as the spring energies change, and the constraint forces none. Weight is linear. Energy is conserved for any
 step, also h omega >> 1, and so are linear and angular momentum: all joints of rigid bodies are quadratic, their correction in
 (3) is zero. Dampers and own laws act at the mean point. Second order in q and v; lambda is a mean over the step and of
-first order as a value at its end. No damping at high frequencies, so multipliers of stiff systems oscillate. Small systems:
-the tangent is taken by differences.
+first order as a value at its end. No damping at high frequencies, so multipliers of stiff systems oscillate. Absolute elastic bodies: see
+:mod:`.elastic_momentum`. Small systems: the tangent is taken by differences.
 
 Sources: Gonzalez, doi:10.1007/s003329900016 (discrete gradient), doi:10.1016/S0045-7825(98)00204-8 (constraints); Simo and Wong,
 doi:10.1002/nme.1620310103 (rotations); Betsch, doi:10.1007/s11044-005-0103-8.
@@ -22,10 +22,11 @@ doi:10.1002/nme.1620310103 (rotations); Betsch, doi:10.1007/s11044-005-0103-8.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from ..errors import ConvergenceError, InputError
+from ..errors import ConvergenceError
 from ..laws import ScalarLoads
 from ..linear.schur import StepSolver, Weights
 from ..newton import Newton
@@ -41,12 +42,12 @@ class EnergyMomentum:
     order = 2
     name = "energy-momentum"
 
-    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Any:
         """A run's worker, from a consistent state."""
         if system.fields:
-            raise InputError(
-                "EnergyMomentum takes rigid bodies, springs and bodies of own coordinates, no elastic fields."
-            )
+            from .elastic_momentum import FieldStepper
+
+            return FieldStepper(system, newton, state)
         return Stepper(system, solver, newton, state)
 
 
