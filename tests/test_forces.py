@@ -182,3 +182,12 @@ def test_forces_refuse_wrong_input() -> None:
     scene.add(mass, fmbd.Spring("s", fmbd.ground, mass, (0, 0), stiffness=1.0))
     with pytest.raises(InputError, match='"s".*coincide'):
         fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_tyre_damps_the_rate_of_its_compression(dim: int) -> None:
+    """c' of a wheel on a slope that moves: against differences along the motion."""
+    motion = Motion(loaded(dim, "tyre"), size=0.1)
+    tyre = motion.system.forces[0]
+    rate = first(lambda s: tyre._compression(motion.at(s).kin, motion.t + s)[0])
+    assert np.abs(tyre._compression(motion.at(0.0).kin, motion.t)[1] - rate).max() < 1e-6 * np.abs(rate).max()
