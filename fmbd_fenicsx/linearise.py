@@ -4,9 +4,9 @@ For a function f(q, v) of the configuration and the velocity, with q o exp(xi) t
 
     df/dxi (q, v)   and   df/dv (q, v),                                                                     (1)
 
-one column for each replicated coordinate. Forward differences with a step of sqrt(eps) times the size of the coordinate: good
-to seven digits, which is all that the tangent of a simplified Newton iteration needs. Small systems only: the result is dense
-and costs 2 n evaluations.
+one column for each replicated coordinate. Central differences by xi: a spring of stiffness k on a length l has a second derivative
+k / l, and an error of k / l times the step across the spring would swamp the tangent of the motion that is left. Forward
+differences by v, where the equations are quadratic at most. Small systems only: the result is dense and costs 3 n evaluations.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from .rotations import Array
 from .system import Evaluation, System
 
 _STEP = float(np.sqrt(np.finfo(float).eps))
+_CENTRAL = float(np.cbrt(np.finfo(float).eps))
 
 
 @dataclass(frozen=True)
@@ -66,9 +67,9 @@ def differences(
     base = function(q, v)
     in_q, in_v = np.empty((len(base), n)), np.empty((len(base), n))
     step = np.zeros(system.n_v)
-    for j, (hq, hv) in enumerate(zip(_STEP * sizes.positions(q), _STEP * sizes.velocities(v), strict=True)):
+    for j, (hq, hv) in enumerate(zip(_CENTRAL * sizes.positions(q), _STEP * sizes.velocities(v), strict=True)):
         step[j] = hq
-        in_q[:, j] = (function(system.compose(q, step), v) - base) / hq
+        in_q[:, j] = (function(system.compose(q, step), v) - function(system.compose(q, -step), v)) / (2 * hq)
         step[j] = 0.0
         moved = v.copy()
         moved[j] += hv

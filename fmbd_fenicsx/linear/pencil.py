@@ -14,6 +14,7 @@ the same condition number, whatever s.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -37,15 +38,32 @@ class Tangent:
     by_a: Array
 
 
-class Pencil:
-    """(1) factored for one s. ``redundant``: dependent constraints are solved with multipliers of least norm."""
+def stacked(tangents: list[Tangent]) -> Tangent:
+    """The tangent of several stages together: variables and balances stage by stage, then each constraint level stage by stage."""
+    n, m = tangents[0].M.shape[0], tangents[0].G.shape[0]
 
-    def __init__(self, tangent: Tangent, s: complex, judge: Judge, redundant: bool = False) -> None:
+    def lower(name: str) -> Array:
+        blocks = [getattr(t, name) for t in tangents]
+        cuts = [0, *range(n, blocks[0].shape[0] + 1, m)] if m else [0, n]
+        return np.concatenate([sl.block_diag(*(b[i:j] for b in blocks)) for i, j in pairwise(cuts)])
+
+    def diagonal(name: str) -> Array:
+        return np.asarray(sl.block_diag(*(getattr(t, name) for t in tangents)))
+
+    upper = [diagonal(name) for name in ("J", "M", "G", "U")]
+    return Tangent(*upper, lower("by_q"), lower("by_v"), lower("by_a"))
+
+
+class Pencil:
+    """(1) factored for one s: a number, or a matrix (n, n) for coupled stages. ``redundant``: dependent constraints are solved with multipliers of least norm."""
+
+    def __init__(self, tangent: Tangent, s: Any, judge: Judge, redundant: bool = False) -> None:
         self.s, self.judge, self.t = s, judge, tangent
         T, n, m = tangent, tangent.M.shape[0], tangent.G.shape[0]
         self.n, self.m, self.levels = n, m, (T.by_q.shape[0] - n) // m if m else 0
-        self.D = s * np.eye(n) - T.J
-        self.va = T.by_v + s * T.by_a  # lower rows by v, with a = s v
+        S = s if isinstance(s, np.ndarray) else s * np.eye(n)
+        self.D = S - T.J
+        self.va = T.by_v + T.by_a @ S  # lower rows by v, with a = s v
         K = np.zeros((n + self.levels * m,) * 2, dtype=np.result_type(self.va, self.D))
         K[:, :n] = T.by_q + self.va @ self.D
         if self.levels > 0:

@@ -29,7 +29,7 @@ from ..linear.schur import StepSolver
 from ..newton import Newton
 from ..rotations import Array
 from ..system import State, System
-from .control import ROUNDOFF, ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
+from .control import ROUNDOFF, STAGNATION, ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
 from .dae import GGL, Form, Point, StepEquations
 from .radau import Radau
 from .start import accelerations, project
@@ -254,6 +254,8 @@ class Stepper:
             if i > 0:
                 self._theta = theta
                 if self.adaptive and theta > 0.5 and max(size, last) <= ROUNDOFF:
+                    size = 0.0
+                elif not self.adaptive and i > 2 and theta > 0.3 and size <= STAGNATION:
                     size = 0.0
                 elif theta >= 0.95 and size > tolerance and (self.adaptive or i > 3):
                     return "Newton diverged"

@@ -28,7 +28,7 @@ parametrisation); Eich, doi:10.1137/0730075 (projection); Hairer, Lubich and Roc
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -273,14 +273,24 @@ class StepEquations:
         by_a = np.concatenate(
             [M, *(G if level == 2 else np.zeros_like(G) for level in form.levels[: self.levels])]
         )
-        J = np.zeros((s.n_v, s.n_v))
+        return Tangent(self._turning(np.zeros(s.n_v), v)[0], M, G, self.U, by_q, by_v, by_a)
+
+    def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
+        """d rate(xi, v) / d xi by differences, and the matrix T with v = T rate(xi, v)."""
+        s, n = self.system, self.system.n_v
+        J, inverse = np.zeros((n, n)), np.eye(n)
         if s.motions.dim == 3:
-            eps = 1e-6
-            for j in range(s.n_v):
-                e = np.zeros(s.n_v)
-                e[j] = eps
-                J[:, j] = (s.rate(e, v) - s.rate(-e, v)) / (2 * eps)
-        return Tangent(J, M, G, self.U, by_q, by_v, by_a)
+            for j, e in enumerate(np.eye(n)):
+                J[:, j] = (s.rate(xi + 1e-6 * e, v) - s.rate(xi - 1e-6 * e, v)) / 2e-6
+                inverse[:, j] = s.rate(xi, e)
+        return J, np.linalg.inv(inverse)
+
+    def tangent_at(self, t: float, p: Point) -> Tangent:
+        """The tangent at a point of the local coordinates, for a full Newton iteration."""
+        lam = p.mult[0] if self.levels else np.zeros(0)
+        made = self.refresh(State(t, self.system.compose(self.origin, p.xi), p.v, p.vd, lam))
+        J, T = self._turning(p.xi, p.v)
+        return replace(made, J=J, by_q=made.by_q @ T)
 
 
 def _dense(A: Any) -> Array:

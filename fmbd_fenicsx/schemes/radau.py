@@ -19,17 +19,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
 from ..errors import CallbackError, ConvergenceError, InputError, LinearSolveError, require
-from ..linear.pencil import Pencil
+from ..linear.pencil import Pencil, stacked
 from ..linear.residual import Judge
 from ..linear.schur import StepSolver
 from ..newton import Newton
 from ..rotations import Array
 from ..system import State, System
-from .control import ROUNDOFF, ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
+from .control import ROUNDOFF, STAGNATION, ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
 from .dae import GGL, Form, Point, StepEquations
 from .start import accelerations, project
 
@@ -155,9 +156,9 @@ class Stepper:
             self.norm.update(s, h)
             self.eq.begin(s)
             point = self._newton(h)
-            if isinstance(point, str) and not self._fresh:
+            if isinstance(point, str):
                 self._tangent = None
-                point = self._newton(h)
+                point = self._full_newton(h)
             if isinstance(point, str):
                 raise ConvergenceError(
                     f"Newton's iteration failed at t = {s.t + h:.6g} s (h = {h:.3g} s): {point}. Take a smaller dt."
@@ -287,6 +288,8 @@ class Stepper:
                 self._theta = ratio if k == 1 else np.sqrt(ratio * max(self._theta, 1e-10))
                 if self.adaptive and ratio > 0.5 and size <= ROUNDOFF and max(size, last) <= 10 * ROUNDOFF:
                     size = 0.0  # increments no longer fall: roundoff, harmless against the tolerance
+                elif not self.adaptive and k > 2 and ratio > 0.3 and size <= STAGNATION:
+                    size = 0.0
                 elif self._theta >= 0.99 and size > tolerance and (self.adaptive or k > 3):
                     return "Newton diverged"
                 theta = self._theta / (1 - min(self._theta, 0.99))
@@ -306,6 +309,44 @@ class Stepper:
                         self._stages(h, xi, v, mult)[-1].vd + self.eq.normals(ev) @ mult[-1, 2]
                     )
                 return self._stages(h, xi, v, mult)
+        return "Newton too slow"
+
+    def _full_newton(self, h: float) -> list[Point] | str:
+        """The stages by Newton's iteration with a tangent of its own for each stage.
+
+        For stiff springs that turn: with a frozen direction the iteration converges for h omega sqrt(k / m) h << 1 only (Lubich,
+        doi:10.1007/BF01385643); constant steps have no other way out.
+        """
+        s, tab, n, m = self.state, self.tab, self.system.n_v, self.system.n_lam
+        xi, v, mult = self._predict(h)
+        coupling = np.kron(tab.W / h, np.eye(n))
+        last = np.inf
+        for k in range(self.newton.max_iterations):
+            points = self._stages(h, xi, v, mult)
+            rows = [self.eq.residual(s.t + c * h, p) for c, p in zip(tab.c, points, strict=True)]
+            pencil = Pencil(
+                stacked([self.eq.tangent_at(s.t + c * h, p) for c, p in zip(tab.c, points, strict=True)]),
+                coupling,
+                self.judge,
+                self.solver.core.redundant,
+            )
+            low = [r[1][i:j] for i, j in pairwise([0, *range(n, len(rows[0][1]) + 1, m)] if m else [0, n]) for r in rows]
+            dxi, dv, dmult = pencil.solve(np.concatenate([r[0] for r in rows]), np.concatenate(low))
+            size_of = (len(tab.c), n)
+            dxi, dv = dxi.reshape(size_of), dv.reshape(size_of)
+            dmult = dmult.reshape(self.eq.levels, len(tab.c), m).swapaxes(0, 1)
+            xi, v, mult = xi + dxi, v + dv, mult + dmult
+            self.newton.iterations += 1
+            self.stats.newton_iterations += 1
+            self.stats.factorisations += 1
+            size = max(self._size(h, dxi[i], dv[i], dmult[i]) for i in range(len(tab.c)))
+            if not np.isfinite(size):
+                return "Newton diverged"
+            if size <= 1.0 or (k > 1 and size <= STAGNATION and size > 0.3 * last):
+                if self.eq.levels > 2:
+                    self._end_acceleration = self._stages(h, xi, v, mult)[-1].vd + self.eq.normals(rows[-1][2]) @ mult[-1, 2]
+                return self._stages(h, xi, v, mult)
+            last = size
         return "Newton too slow"
 
     def _newton_tolerance(self, h: float) -> float:

@@ -1,0 +1,98 @@
+"""Stiff spring pendulum: a mass on a spring of stiffness 1 / eps^2 that turns into a rigid rod as eps goes to zero.
+
+Run:  ./with-dolfinx python3 demos/stiff_pendulum.py     (--fast: four values of eps, --picture FILE: errors over eps)
+
+U = (r - 1)^2 / (2 eps^2), m = g = 1, started on the slow manifold r = 1 + eps^2 (r omega^2 + g cos theta), where nothing vibrates. A
+step h >> eps sees an index-3 problem: position errors must not depend on eps (Hairer and Wanner, Solving ODEs II, section VII.5).
+"""
+
+import numpy as np
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx import demo
+
+T_END, H, THETA = 2.0, 0.05, 1.0
+SCHEMES = {
+    "generalized-alpha(0.8)": fmbd.GeneralizedAlpha(0.8),
+    "BDF2": fmbd.BDF(2, fmbd.Index3(), rtol=None),
+    "Radau IIA(2)": fmbd.Radau(2, rtol=None),
+    "Radau IIA(3)": fmbd.Radau(3, rtol=None),
+}
+
+
+def slow_start(eps):
+    """Position and velocity on the slow manifold at rest in theta: r solves its equation, r' follows from its derivative."""
+    r, rate, omega = 1.0, 0.0, 0.0
+    for _ in range(60):
+        push = -(2 * rate * omega + np.sin(THETA)) / r  # theta''
+        r = 1 + eps**2 * (r * omega**2 + np.cos(THETA))
+        rate = eps**2 * (rate * omega**2 + 2 * r * omega * push - np.sin(THETA) * omega)
+    return r * np.array([np.sin(THETA), -np.cos(THETA)]), rate * np.array([np.sin(THETA), -np.cos(THETA)])
+
+
+def scene(eps, start=None):
+    """The mass in Cartesian coordinates."""
+
+    def force(q, v, t):
+        r = np.sqrt(q[0] ** 2 + q[1] ** 2)
+        pull = -(r - 1) / (eps**2 * r)
+        return np.array([pull * q[0], pull * q[1] - 1.0])
+
+    made = fmbd.Scene("stiff pendulum")
+    made.add(fmbd.CoordinateBody("mass", np.eye(2), force, *(slow_start(eps) if start is None else start)))
+    made.sensor("x", fmbd.coordinates("mass"))
+    made.sensor("v", fmbd.coordinates("mass", level=1))
+    return made
+
+
+def reference(eps):
+    """End position and velocity by Radau IIA(3) with a tenth of the step."""
+    run = fmbd.solve(scene(eps), t_end=T_END, dt=0.1 * H, scheme=fmbd.Radau(3, rtol=None), newton=TIGHT)
+    return run["x"][-1], run["v"][-1]
+
+
+def errors(scheme, eps, h, exact):
+    """Errors of position and velocity at the end."""
+    run = fmbd.solve(scene(eps), t_end=T_END, dt=h, scheme=scheme, newton=TIGHT)
+    return np.abs(run["x"][-1] - exact[0]).max(), np.abs(run["v"][-1] - exact[1]).max()
+
+
+TIGHT = fmbd.Newton(tolerance=1e-10, max_iterations=40)
+
+
+def picture(stiffness, found, file):
+    """Position errors over eps."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
+    for name, rows in found.items():
+        axes.loglog(stiffness, [r[0] for r in rows], "o-", label=name)
+    axes.set(xlabel="eps", ylabel=f"position error at t = {T_END:g} s (m)", title=f"step h = {H:g} s for every stiffness")
+    axes.invert_xaxis()
+    axes.grid(alpha=0.3)
+    axes.legend()
+    figure.savefig(file, dpi=150)
+
+
+def main():
+    """Errors of all schemes over eps, one step size."""
+    args = demo.arguments(__doc__)
+    stiffness = [1e-1, 1e-2, 1e-3, 1e-6] if args.fast else [10.0**-k for k in range(1, 7)]
+    exact = {eps: reference(eps) for eps in stiffness}
+    found = {n: [errors(s, eps, H, exact[eps]) for eps in stiffness] for n, s in SCHEMES.items()}
+    for name, rows in found.items():
+        demo.say(f"{name:<24}" + "  ".join(f"eps={e:.0e}: {x:.1e} / {v:.1e}" for e, (x, v) in zip(stiffness, rows, strict=True)))
+    if args.picture:
+        picture(stiffness, found, args.picture)
+    checks = []
+    for name, rows in found.items():
+        worst = max(x for x, _ in rows) / rows[0][0]
+        checks.append(demo.Check(f"{name}: largest position error over that at eps = 0.1", worst, 0.0, 4.0))
+    demo.finish(checks, None, args)
+
+
+if __name__ == "__main__":
+    main()
