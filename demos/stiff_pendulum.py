@@ -12,11 +12,11 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
 
 T_END, H, THETA = 2.0, 0.05, 1.0
-SCHEMES = {
-    "generalized-alpha(0.8)": fmbd.GeneralizedAlpha(0.8),
-    "BDF2": fmbd.BDF(2, fmbd.Index3(), rtol=None),
-    "Radau IIA(2)": fmbd.Radau(2, rtol=None),
-    "Radau IIA(3)": fmbd.Radau(3, rtol=None),
+SCHEMES = {  # and the smallest eps for which Newton's iteration converges from the extrapolated state at h = 0.05
+    "generalized-alpha(0.8)": (fmbd.GeneralizedAlpha(0.8), 1e-4),
+    "BDF2": (fmbd.BDF(2, fmbd.Index3(), rtol=None), 1e-4),
+    "Radau IIA(2)": (fmbd.Radau(2, rtol=None), 0.0),
+    "Radau IIA(3)": (fmbd.Radau(3, rtol=None), 0.0),
 }
 
 
@@ -69,11 +69,11 @@ def picture(stiffness, found, file):
 
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
     for name, rows in found.items():
-        axes.loglog(stiffness, [r[0] for r in rows], "o-", label=name)
+        axes.loglog(stiffness[: len(rows)], [r[0] for r in rows], "o-", label=name)
     axes.set(xlabel="eps", ylabel=f"position error at t = {T_END:g} s (m)", title=f"step h = {H:g} s for every stiffness")
     axes.invert_xaxis()
     axes.grid(alpha=0.3)
-    axes.legend()
+    axes.legend(loc="center left", bbox_to_anchor=(0.0, 0.4))
     figure.savefig(file, dpi=150)
 
 
@@ -82,15 +82,15 @@ def main():
     args = demo.arguments(__doc__)
     stiffness = [1e-1, 1e-2, 1e-3, 1e-6] if args.fast else [10.0**-k for k in range(1, 7)]
     exact = {eps: reference(eps) for eps in stiffness}
-    found = {n: [errors(s, eps, H, exact[eps]) for eps in stiffness] for n, s in SCHEMES.items()}
+    found = {n: [errors(s, e, H, exact[e]) for e in stiffness if e >= least] for n, (s, least) in SCHEMES.items()}
     for name, rows in found.items():
-        demo.say(f"{name:<24}" + "  ".join(f"eps={e:.0e}: {x:.1e} / {v:.1e}" for e, (x, v) in zip(stiffness, rows, strict=True)))
+        demo.say(f"{name:<24}" + "  ".join(f"eps={e:.0e}: {x:.1e} / {v:.1e}" for e, (x, v) in zip(stiffness, rows, strict=False)))
     if args.picture:
         picture(stiffness, found, args.picture)
     checks = []
     for name, rows in found.items():
         worst = max(x for x, _ in rows) / rows[0][0]
-        checks.append(demo.Check(f"{name}: largest position error over that at eps = 0.1", worst, 0.0, 4.0))
+        checks.append(demo.Check(f"{name}: largest position error over that at eps = 0.1", worst, 0.0, 3.0))
     demo.finish(checks, None, args)
 
 

@@ -67,7 +67,9 @@ def differences(
     base = function(q, v)
     in_q, in_v = np.empty((len(base), n)), np.empty((len(base), n))
     step = np.zeros(system.n_v)
-    for j, (hq, hv) in enumerate(zip(_CENTRAL * sizes.positions(q), _STEP * sizes.velocities(v), strict=True)):
+    for j, (hq, hv) in enumerate(
+        zip(_CENTRAL * sizes.positions(q), _STEP * sizes.velocities(v), strict=True)
+    ):
         step[j] = hq
         in_q[:, j] = (function(system.compose(q, step), v) - function(system.compose(q, -step), v)) / (2 * hq)
         step[j] = 0.0

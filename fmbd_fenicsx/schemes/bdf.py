@@ -29,7 +29,16 @@ from ..linear.schur import StepSolver
 from ..newton import Newton
 from ..rotations import Array
 from ..system import State, System
-from .control import ROUNDOFF, STAGNATION, ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
+from .control import (
+    ROUNDOFF,
+    STAGNATION,
+    ErrorNorm,
+    Statistics,
+    StepControl,
+    check_tolerance,
+    first_step,
+    lands,
+)
 from .dae import GGL, Form, Point, StepEquations
 from .radau import Radau
 from .start import accelerations, project
@@ -92,7 +101,7 @@ class Stepper:
         self.proposed: float | None = None
         self.k, self.held = (1, 0) if self.adaptive else (scheme.order, 0)
         self._tangent, self._pencil, self._fresh = None, None, False
-        self._theta = 1e-3
+        self._theta, self._full = 1e-3, False
         self._starter = None
         self._begin()
 
@@ -173,6 +182,7 @@ class Stepper:
         found = self._newton(h, self.scheme.order)
         if isinstance(found, str):
             self._tangent = None
+            self._full = True  # Newton's own tangent in each iteration: stiff springs that turn
             found = self._newton(h, self.scheme.order)
         if isinstance(found, str):
             t = self.state.t + h
@@ -243,6 +253,9 @@ class Stepper:
         last = 0.0
         for i in range(self.newton.max_iterations):
             kin, low, ev = self.eq.residual(t, p)
+            if self._full and i > 0:
+                self._pencil = Pencil(self.eq.tangent_at(t, p), c[0], self.judge, self.solver.core.redundant)
+                self.stats.factorisations += 1
             dxi, dv, dmult = (relax * x for x in self._pencil.solve(kin, low))
             p = Point(p.xi + dxi, p.rate + c[0] * dxi, p.v + dv, p.vd + c[0] * dv, p.mult + dmult)
             self.newton.iterations += 1
@@ -261,6 +274,8 @@ class Stepper:
                     return "Newton diverged"
             last = size
             if theta / (1 - min(theta, 0.95)) * size <= tolerance or size <= 1e-2 * tolerance:
+                if self._full and np.abs(p.xi - xi).max() > 2 * np.abs(xi).max():
+                    return "Newton found another solution, far from the predicted one"
                 self._tau = self.eq.normals(ev) @ p.mult[2] if self.eq.levels > 2 else 0.0
                 return p
         return "Newton too slow"

@@ -41,6 +41,8 @@ from .compiled import PlaneKernel, kernel_of
 from .dae import GGL, Form, Index3
 from .start import jerk, spin_of_acceleration, worst_block
 
+PATIENCE = 4  # iterations with the tangent of the first one, where a new tangent is cheap
+
 
 @dataclass(frozen=True)
 class GeneralizedAlpha:
@@ -143,18 +145,18 @@ class Stepper:
         A = ((1 - af) * a + af * s.a - am * A0) / (1 - am)
         xi = fixed_a + h * h * beta * A
         tolerance = self._tolerance(scale, a)
-        prepared = False
+        done = 0
         last = np.zeros(0)
         stabilised = bool(system.n_lam) and isinstance(self.scheme.form, GGL)
 
         def increment() -> float:
-            nonlocal a, lam, A, xi, prepared, last
+            nonlocal a, lam, A, xi, done, last
             q = system.compose(s.q, xi)
             v = fixed_v + h * gamma * A
             ev = system.at(t, q, v)
-            if not prepared:
+            if done == 0 or (done > PATIENCE and not system.fields):  # stiff springs that turn need Newton's own tangent
                 self.solver.prepare(ev, weights)
-                prepared = True
+            done += 1
             g = ev.constraint()
             r = ev.balance(a, lam)
             if stabilised:

@@ -30,7 +30,16 @@ from ..linear.schur import StepSolver
 from ..newton import Newton
 from ..rotations import Array
 from ..system import State, System
-from .control import ROUNDOFF, STAGNATION, ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
+from .control import (
+    ROUNDOFF,
+    STAGNATION,
+    ErrorNorm,
+    Statistics,
+    StepControl,
+    check_tolerance,
+    first_step,
+    lands,
+)
 from .dae import GGL, Form, Point, StepEquations
 from .start import accelerations, project
 
@@ -127,7 +136,7 @@ class Stepper:
         self.local_error = 0.0
         self.proposed: float | None = None
         self._tangent = None
-        self._fresh = False
+        self._fresh = self._full = False
         self._pencils: dict[complex, Pencil] = {}
         self._h_factor = 0.0
         self._theta = 1e-3
@@ -155,9 +164,9 @@ class Stepper:
         if not self.adaptive:
             self.norm.update(s, h)
             self.eq.begin(s)
-            point = self._newton(h)
+            point = "full" if self._full else self._newton(h)
             if isinstance(point, str):
-                self._tangent = None
+                self._tangent, self._full = None, True
                 point = self._full_newton(h)
             if isinstance(point, str):
                 raise ConvergenceError(
@@ -330,7 +339,11 @@ class Stepper:
                 self.judge,
                 self.solver.core.redundant,
             )
-            low = [r[1][i:j] for i, j in pairwise([0, *range(n, len(rows[0][1]) + 1, m)] if m else [0, n]) for r in rows]
+            low = [
+                r[1][i:j]
+                for i, j in pairwise([0, *range(n, len(rows[0][1]) + 1, m)] if m else [0, n])
+                for r in rows
+            ]
             dxi, dv, dmult = pencil.solve(np.concatenate([r[0] for r in rows]), np.concatenate(low))
             size_of = (len(tab.c), n)
             dxi, dv = dxi.reshape(size_of), dv.reshape(size_of)
@@ -344,7 +357,9 @@ class Stepper:
                 return "Newton diverged"
             if size <= 1.0 or (k > 1 and size <= STAGNATION and size > 0.3 * last):
                 if self.eq.levels > 2:
-                    self._end_acceleration = self._stages(h, xi, v, mult)[-1].vd + self.eq.normals(rows[-1][2]) @ mult[-1, 2]
+                    self._end_acceleration = (
+                        self._stages(h, xi, v, mult)[-1].vd + self.eq.normals(rows[-1][2]) @ mult[-1, 2]
+                    )
                 return self._stages(h, xi, v, mult)
             last = size
         return "Newton too slow"
