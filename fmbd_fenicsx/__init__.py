@@ -2,7 +2,7 @@
 
 from . import errors, materials
 from .beams import Beam, Section
-from .bodies import AbsoluteBody, Attached, CoordinateBody, FloatingBody, MeanAxis, RigidBody, Surface
+from .bodies import AbsoluteBody, Attached, Chord, CoordinateBody, FloatingBody, MeanAxis, RigidBody, Surface
 from .drives import angle, displacement, drive, gear, own_joint, screw
 from .energies import MixedEnergy
 from .forces import Spring, Tyre, effort, force, joint_spring, own_force, torque
@@ -25,6 +25,8 @@ from .loads import Load, body_force, pressure, thermal_stress, traction
 from .newton import Newton
 from .output import Output
 from .reduction import CraigBampton
+from .recovery import displacement as displacement_field
+from .recovery import stress
 from .scene import Scene
 from .schemes.bdf import BDF
 from .schemes.dae import GGL, Baumgarte, Index1, Index2, Index3, Overdetermined, Projected, StateSpace

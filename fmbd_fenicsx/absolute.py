@@ -68,6 +68,8 @@ class AbsoluteField(FieldPart):
         rows = self.field.mass(A).ravel() + self.field.internal(U)
         if forms.stiffness_damping:
             rows += forms.stiffness_damping * self._turned_stiffness(U, Ud)
+        if self.field.D is not None:
+            rows += self.field.damping(Ud)
         if self.field.loads.loads:
             outer, inner = self.field.loads.nodal(motion.t, np.eye(d), U)
             rows -= (outer + inner).ravel()

@@ -15,7 +15,7 @@ import numpy as np
 from .errors import InputError, near, require
 from .fields import ElasticForms
 from .loads import Load
-from .placements import Attached, MeanAxis
+from .placements import Attached, Chord, MeanAxis
 from .rotations import Array, motions
 
 Vector = Sequence[float] | Array
@@ -129,13 +129,15 @@ class FloatingBody:
             :class:`~fmbd_fenicsx.MixedEnergy` of displacement and pressure, for nu up to 1/2.
         energy: instead of it, an elastic energy Pi(u, dx) in J: with the full nonlinear strain it carries the stiffening by
             initial stress, which a linear form leaves out.
-        frame: :class:`MeanAxis` (default) or :class:`Attached`.
+        frame: :class:`MeanAxis` (default), :class:`Attached` or :class:`Chord`.
         velocity, angular_velocity: of the rigid motion at the start; the latter is world axes = body axes, rad/s.
         displacement, displacement_rate: initial u(x), u'(x): functions of the coordinates (d, n) -> (d, n) in m, m/s.
         mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
         stiffening: True adds the geometric stiffness of the stress by inertia forces; needs an attached frame.
         quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks for.
         loads: of :mod:`fmbd_fenicsx.loads`: tractions, pressure, body forces, thermal stress, own forms.
+        viscous: bilinear form (u, v, dx) of Kelvin-Voigt damping, acting on the rate of the local displacements (absolute
+            bodies with large rotations: give stiffness_damping instead, it turns with the body).
     """
 
     name: str
@@ -143,7 +145,7 @@ class FloatingBody:
     degree: int = 2
     density: float = 1.0
     elastic: Callable[[Any, Any, Any], Any] | None = None
-    frame: MeanAxis | Attached = MeanAxis()
+    frame: MeanAxis | Attached | Chord = MeanAxis()
     velocity: Vector | None = None
     angular_velocity: Any = None
     displacement: Callable[[Array], Array] | None = None
@@ -153,6 +155,7 @@ class FloatingBody:
     energy: Callable[[Any, Any], Any] | None = None
     quadrature: int | None = None
     loads: Sequence[Load] = ()
+    viscous: Callable[[Any, Any, Any], Any] | None = None
     stiffening: bool = False
 
     def __post_init__(self) -> None:
@@ -164,6 +167,9 @@ class FloatingBody:
         )
         if isinstance(self.frame, Attached):
             self.surface(self.frame.surface)
+        if isinstance(self.frame, Chord):
+            self.surface(self.frame.start)
+            self.surface(self.frame.end)
 
     @property
     def dim(self) -> int:
@@ -216,6 +222,8 @@ class AbsoluteBody:
         mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
         quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks for.
         loads: of :mod:`fmbd_fenicsx.loads`: tractions, pressure, body forces, thermal stress, own forms.
+        viscous: bilinear form (u, v, dx) of Kelvin-Voigt damping, acting on the rate of the local displacements (absolute
+            bodies with large rotations: give stiffness_damping instead, it turns with the body).
     """
 
     name: str
@@ -232,6 +240,7 @@ class AbsoluteBody:
     stiffness_damping: float = 0.0
     quadrature: int | None = None
     loads: Sequence[Load] = ()
+    viscous: Callable[[Any, Any, Any], Any] | None = None
 
     def __post_init__(self) -> None:
         _check_elastic(self)
@@ -295,6 +304,7 @@ def _forms(body: Any) -> ElasticForms:
         body.energy,
         body.quadrature,
         tuple(body.loads),
+        body.viscous,
     )
 
 

@@ -18,11 +18,11 @@ from .rotations import Array
 class Factor:
     """cm M + ck K of a field, factored; collective to build, to solve and to destroy. Not judged: see :mod:`.linear.spd`."""
 
-    def __init__(self, field: Any, cm: float, ck: float) -> None:
+    def __init__(self, field: Any, cm: float, ck: float, cd: float = 0.0) -> None:
         from petsc4py import PETSc
 
-        self.field, self.cm, self.ck = field, cm, ck
-        E = field.combination(cm, ck)
+        self.field, self.cm, self.ck, self.cd = field, cm, ck, cd
+        E = field.combination(cm, ck, cd)
         E.setOption(PETSc.Mat.Option.SYMMETRIC if field.mixed else PETSc.Mat.Option.SPD, True)
         ksp = PETSc.KSP().create(field.comm)
         ksp.setOperators(E)
@@ -72,7 +72,7 @@ class Factor:
     def _residual(self, x: Array, b: Array) -> Array:
         f = self.field
         if self._E is None:
-            return np.asarray(self.cm * f.mass(x.reshape(-1, f.dim)).ravel() + self.ck * f.tangent(x) - b)
+            return np.asarray(self.cm * f.mass(x.reshape(-1, f.dim)).ravel() + self.ck * f.tangent(x) + self.cd * f.damping(x) - b)
         self._x.array[:] = x
         self._E.mult(self._x, self._b)
         r = np.array(self._b.array)

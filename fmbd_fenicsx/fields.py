@@ -20,7 +20,7 @@ import numpy as np
 
 from .errors import InputError
 from .loads import AppliedLoads, Load
-from .log import together
+from .log import log, together
 from .rotations import Array, motions
 from .surfaces import Moments
 
@@ -37,7 +37,7 @@ class ElasticForms:
     """What a user says of an elastic body: density, degree, Rayleigh damping, and its elasticity.
 
     Either the bilinear form ``elastic(u, v, dx)``, or an ``energy(u, dx)`` in J, not quadratic in general. ``quadrature`` is the
-    degree of the quadrature of both (None: what UFL estimates).
+    degree of the quadrature of both (None: what UFL estimates). ``viscous(u, v, dx)`` is the form of Kelvin-Voigt damping.
     """
 
     elastic: Callable[[Any, Any, Any], Any] | None
@@ -48,6 +48,7 @@ class ElasticForms:
     energy: Callable[[Any, Any], Any] | None = None
     quadrature: int | None = None
     loads: tuple[Load, ...] = ()
+    viscous: Callable[[Any, Any, Any], Any] | None = None
 
 
 class Field:
@@ -97,6 +98,7 @@ class Field:
         self._rigid_properties()
         self._check_stiffness()
         self.loads = AppliedLoads(self, forms.loads)
+        self.D = self._viscous_matrix()
 
     @property
     def nonlinear(self) -> bool:
@@ -201,6 +203,31 @@ class Field:
         self._place(U)
         return float(self.total(np.array(fem.assemble_scalar(self._energy_form))))
 
+    def _viscous_matrix(self) -> Any:
+        """Matrix of the viscous form, None without one."""
+        import dolfinx.fem.petsc as fp
+        import ufl
+
+        from . import dolfinx_compat as compat
+
+        if self.forms.viscous is None:
+            return None
+        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        try:
+            self._viscous_form = compat.form(self.forms.viscous(u, v, self.elastic_measure))
+            D = fp.create_matrix(self._viscous_form, "baij")
+        except Exception as error:
+            raise InputError(
+                f'Body "{self.name}": viscous(u, v, dx) did not give a bilinear UFL form: {type(error).__name__}: {error}'
+            ) from error
+        fp.assemble_matrix(D, self._viscous_form)
+        D.assemble()
+        return D
+
+    def damping(self, U: Array) -> Array:
+        """D U, (n d,) -> (n d,); zero without a viscous form."""
+        return np.zeros_like(U) if self.D is None else self._times(self.D, U)
+
     def total(self, x: Array) -> Array:
         """Sum of a rank-local contribution over the ranks."""
         return rank_sum(self.comm, x)
@@ -217,8 +244,8 @@ class Field:
         M.assemble()
         return M
 
-    def combination(self, cm: float, ck: float) -> Any:
-        """The PETSc matrix cm M + ck K (symmetric, aij); collective. The caller destroys it."""
+    def combination(self, cm: float, ck: float, cd: float = 0.0) -> Any:
+        """The PETSc matrix cm M + cd D + ck K (symmetric, aij); collective. The caller destroys it."""
         import dolfinx.fem.petsc as fp
 
         if self.nonlinear:
@@ -236,6 +263,11 @@ class Field:
             fp.assemble_matrix(E, self._extra)
             E.assemble()
         E.scale(ck)
+        if cd and self.D is not None:
+            E.scale(1.0 / cd)
+            fp.assemble_matrix(E, self._viscous_form)
+            E.assemble()
+            E.scale(cd)
         return E
 
     def replace_mass(self, M: Any) -> None:
@@ -306,11 +338,36 @@ class Field:
                 f'Body "{self.name}": the elastic form is not symmetric: a(u, v) - a(v, u) = {vKu - uKv:.2e} for random '
                 f"u, v of size a = {scale:.2e}. Write the stress with the symmetric gradient of u and pair it with that of v."
             )
+        self._warn_of_locking()
         uKu, vKv = self.total(np.array([u @ Ku, v @ Kv]))
         if uKu <= 0 or vKv <= 0:
             raise InputError(
                 f'Body "{self.name}": the elastic form is not positive (a(u, u) = {min(uKu, vKv):.2e}). '
                 "Check the signs of the moduli (E > 0, -1 < nu < 0.5)."
+            )
+
+    def _warn_of_locking(self) -> None:
+        """Poisson's ratio from the energies of a stretch u = X and of a shear u = (y, x, 0); a warning where it is near 1/2."""
+        if self.mixed:
+            return
+        d, x = self.dim, self.X
+        shear = np.zeros_like(x)
+        shear[:, 0], shear[:, 1] = x[:, 1], x[:, 0]
+        pairs = [float(w.ravel() @ self.stiffness(w.ravel())) for w in (x, shear)]
+        swell, slide = self.total(np.array(pairs))
+        if not slide > 0:
+            return
+        ratio = (4 * swell / slide - 2 * d) / d**2  # lambda / mu of an isotropic homogeneous body
+        self.poisson_ratio = ratio / (2 * (ratio + 1)) if ratio > -1 else -1.0
+        limit = 0.49 if self.forms.degree == 1 else 0.495
+        if self.poisson_ratio > limit:
+            log.warning(
+                'body "%s" has a Poisson ratio of %.5g: a displacement form of degree %d locks above %g; '
+                "use elastic=nearly_incompressible(...) or energy=neo_hookean_mixed(...)",
+                self.name,
+                self.poisson_ratio,
+                self.forms.degree,
+                limit,
             )
 
     @cached_property
@@ -327,5 +384,5 @@ class Field:
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""
-        for x in (self.M, self.K, *self._work, *self._big, *([self._with_extra] if self._with_extra else [])):
+        for x in (self.M, self.K, *self._work, *self._big, *(A for A in (self._with_extra, self.D) if A is not None)):
             x.destroy()

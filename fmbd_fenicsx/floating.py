@@ -16,12 +16,12 @@ from functools import cached_property
 
 import numpy as np
 
-from .errors import ConvergenceError
+from .errors import ConvergenceError, InputError
 from .field_part import FieldPart
 from .fields import Field
 from .limits import TOO_LARGE, too_large, warn_of_spin
 from .modes import first_eigenvalue_bound, first_frequency
-from .placements import Attached, FrameMotion, MeanAxis
+from .placements import Attached, Chord, FrameMotion, MeanAxis
 from .rotations import Array, hat, motions
 from .stiffening import Stiffening
 
@@ -33,7 +33,7 @@ class FloatingField(FieldPart):
     """
 
     def __init__(
-        self, field: Field, frame: int, surfaces: list[str], kind: MeanAxis | Attached, stiffening: bool = False
+        self, field: Field, frame: int, surfaces: list[str], kind: MeanAxis | Attached | Chord, stiffening: bool = False
     ) -> None:
         super().__init__(field, frame, surfaces, frame_conditions(field, kind))
         self.stiffening = Stiffening(field, self.conditions) if stiffening else None
@@ -65,6 +65,8 @@ class FloatingField(FieldPart):
         rows = F.ravel() + self.internal(local[0], local[1])
         if inner is not None:
             rows -= inner.ravel()
+        if self.field.D is not None:
+            rows += self.field.damping(local[1])
         if self.stiffening is not None:
             self._load = inertia_load(a, motion.twist[d:], accel[d:])
             rows += self.stiffening.force(self._load, local[0])
@@ -183,10 +185,12 @@ def moment_columns(field: Field, surface: str) -> Array:
     return C.reshape(field.n * d, -1)
 
 
-def frame_conditions(field: Field, frame: MeanAxis | Attached) -> Array:
+def frame_conditions(field: Field, frame: MeanAxis | Attached | Chord) -> Array:
     """Columns C (n d, n_twist) of the conditions C^T U = 0 that tie a frame to its body."""
     if isinstance(frame, MeanAxis):
         return field.Q
+    if isinstance(frame, Chord):
+        return _chord(field, frame)
     return _attachment(field, frame.surface)
 
 
@@ -200,3 +204,22 @@ def _attachment(field: Field, surface: str) -> Array:
         turn = m.moment(b, np.eye(d)[c])  # (k, n_rot): b_k x e_c
         C[moments.nodes, c, d:] = moments.weights[:, 1:] @ turn
     return C.reshape(-1, m.n_twist) * field.mass_total
+
+
+def _chord(field: Field, frame: Chord) -> Array:
+    """Columns of the conditions of a chord frame: the mean of one surface, the mean of another across the chord, the twist."""
+    m, d = motions(field.dim), field.dim
+    a, b = field.moments(frame.start), field.moments(frame.end)
+    chord = b.center - a.center
+    length = float(np.linalg.norm(chord))
+    if not length > 1e-6 * field.size:
+        raise InputError(f'Body "{field.name}": the surfaces of its chord frame, "{frame.start}" and "{frame.end}", coincide.')
+    across = np.linalg.svd(chord[None] / length)[2][1:]  # (d - 1, d), perpendicular to the chord
+    C = np.zeros((field.n, d, m.n_twist))
+    C[a.nodes[:, None], range(d), range(d)] = a.weights[:, :1]
+    for k, n in enumerate(across):
+        C[b.nodes, :, d + k] = b.weights[:, :1] * n
+    C = C.reshape(-1, m.n_twist) * field.mass_total
+    if d == 3:
+        C[:, 5] = _attachment(field, frame.start)[:, 3:] @ (chord / length)
+    return C

@@ -123,13 +123,13 @@ class MixedField(Field):
         """The same: the matrix of :meth:`combination` with its pressure eliminated."""
         return self.stiffness(U)
 
-    def combination(self, cm: float, ck: float) -> Any:
+    def combination(self, cm: float, ck: float, cd: float = 0.0) -> Any:
         """[cm M + ck A, ck B^T; ck B, -ck C] as one PETSc matrix (aij); collective. The caller destroys it."""
         from petsc4py import PETSc
 
         if self.nonlinear and self._linearised is not None:
             self._place(self._linearised)
-        E = super().combination(cm, ck)
+        E = super().combination(cm, ck, cd)
         B, C = self._B.copy(), self._C.copy()
         B.scale(ck)
         C.scale(-ck)

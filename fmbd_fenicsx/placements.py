@@ -37,6 +37,17 @@ class Attached:
     surface: str
 
 
+@dataclass(frozen=True)
+class Chord:
+    """A frame through the mean points of two surfaces: the first stays where it is, the second on the line to it.
+
+    In space the frame does not turn about the chord against the first surface, on average.
+    """
+
+    start: str
+    end: str
+
+
 class Part(Protocol):
     """A block of local coordinates u of one body, beside the twist of its frame (the ground for absolute placements).
 

@@ -193,6 +193,8 @@ def reduce_body(body: Any, basis: FrameModes | CraigBampton) -> Reduction:
         surfaces[name] = SurfaceData(mom.reference, ports, mom.center)
     K = np.diag(omega**2)
     D = body.mass_damping * np.eye(m) + body.stiffness_damping * K
+    if f.D is not None and m:
+        D = D + f.total(phi.T @ np.stack([f.damping(a) for a in phi.T], axis=1))
     stiffening = None if stress is None else stress.modal(phi)
     made = Constants(f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z))
     space = f.space

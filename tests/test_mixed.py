@@ -141,3 +141,20 @@ def test_degree_one_is_refused(rod_mesh: Callable[..., Any]) -> None:
     body = floating(rod_mesh(dim=2, h=0.25), nearly_incompressible(1.0, 0.5)).with_(degree=1)
     with pytest.raises(InputError, match="degree 2"):
         make_field("rod", body.mesh, body.forms())
+
+
+@pytest.mark.parametrize("degree, nu, warned", [(1, 0.48, False), (1, 0.492, True), (2, 0.492, False), (2, 0.497, True)])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_warning_of_locking(
+    rod_mesh: Callable[..., Any], caplog: Any, degree: int, nu: float, warned: bool, dim: int
+) -> None:
+    """Displacement forms near nu = 1/2 are named, with the ratio found from the form; mixed ones are not."""
+    mesh = rod_mesh(dim=dim, h=0.5, height=0.2)
+    with caplog.at_level("WARNING", logger="fmbd_fenicsx"):
+        field = make_field("rod", mesh, floating(mesh, linear_elastic(MODULUS, nu)).with_(degree=degree).forms())
+        np.testing.assert_allclose(field.poisson_ratio, nu, rtol=1e-9)
+        field.destroy()
+        assert ("locks above" in caplog.text) == warned
+        caplog.clear()
+        make_field("rod", mesh, floating(mesh, nearly_incompressible(MODULUS, nu)).forms()).destroy()
+        assert "locks" not in caplog.text

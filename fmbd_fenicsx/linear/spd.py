@@ -18,10 +18,10 @@ from .residual import Judge
 class CholeskyFactor:
     """E = cm M + ck K of a field, factored and judged; collective to build, to solve and to destroy."""
 
-    def __init__(self, field: Field, cm: float, ck: float) -> None:
+    def __init__(self, field: Field, cm: float, ck: float, cd: float = 0.0) -> None:
         self.field, self.cm, self.ck = field, cm, ck
         self.judge = Judge(f'the elastic block of body "{field.name}"')
-        self.factor = Factor(field, cm, ck)
+        self.factor = Factor(field, cm, ck, cd)
 
     def solve(self, b: Array) -> Array:
         """E^-1 b on owned entries, judged by its true residual."""
