@@ -80,9 +80,13 @@ class Multigrid:
 
 @dataclass(frozen=True)
 class Bddc:
-    """Elastic blocks by balancing domain decomposition (PETSc's BDDC), one subdomain per rank; see :mod:`.domain_decomposition`."""
+    """Elastic blocks by balancing domain decomposition (PETSc's BDDC), one subdomain per rank; see :mod:`.domain_decomposition`.
 
-    deluxe: bool = True
+    ``adaptive``: eigenvalues of interface pencils beyond this enter the coarse space (0: corners and averages only, whose
+    counts grow towards statics).
+    """
+
+    adaptive: float = 2.0
 
     def set_up(self, ksp: Any, block: Elastic | None = None) -> None:
         """Operators and options of one block's KSP."""
@@ -93,18 +97,18 @@ class Bddc:
         ksp.setType("preonly")
         ksp.setOperators(A)
         A.destroy()  # the KSP keeps it
-        set_bddc(ksp, self.deluxe)
+        set_bddc(ksp, self.adaptive)
 
 
-def set_bddc(ksp: Any, deluxe: bool = True) -> None:
-    """BDDC with deluxe scaling (stiffness-weighted averages), as defaults that options override."""
+def set_bddc(ksp: Any, adaptive: float = 2.0) -> None:
+    """BDDC with deluxe scaling (stiffness-weighted averages) and an adaptive coarse space; options override both."""
     from petsc4py import PETSc
 
     ksp.getPC().setType("bddc")
     options, prefix = PETSc.Options(), ksp.getOptionsPrefix() or ""
-    name = f"{prefix}pc_bddc_use_deluxe_scaling"
-    if deluxe and not options.hasName(name):
-        options[name] = True
+    for name, value in (("use_deluxe_scaling", True), ("adaptive_threshold", adaptive)):
+        if value and not options.hasName(f"{prefix}pc_bddc_{name}"):
+            options[f"{prefix}pc_bddc_{name}"] = value
 
 
 @dataclass(frozen=True)
