@@ -96,7 +96,7 @@ class StepSolver:
             raise LinearSolveError(
                 f"{self._mover(error.motion)} has a motion without mass that no joint holds (t = {ev.t:g} s). {ADVICE}"
             ) from error
-        if self.core.ratio < 1e-5 or self._near_singular:
+        if s.n_lam and (self.core.ratio < 1e-5 or self._near_singular):
             self._warn(ev)
 
     def _mover(self, motion: Array) -> str:

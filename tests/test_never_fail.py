@@ -1,0 +1,130 @@
+"""Radau IIA and BDF in GGL form on the stiff and index-3 problems of the IVP test set: no failure at any tolerance."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dae_problems import GRAVITY, march, pendulum, pendulum_at
+
+import fmbd_fenicsx as fmbd
+
+DEMOS = Path(__file__).resolve().parents[1] / "demos"
+sys.path.insert(0, str(DEMOS))
+import andrews  # noqa: E402
+import car_axis  # noqa: E402
+
+
+def slider_crank() -> fmbd.Scene:
+    """A planar crank (0.15 m) with a rod (0.3 m), turning at 150 rad/s without load."""
+    scene = fmbd.Scene("slider crank")
+    r, length, speed = 0.15, 0.3, 150.0
+    crank = fmbd.RigidBody(
+        "crank", 0.36, 2.7e-3, (r / 2, 0), velocity=(0, speed * r / 2), angular_velocity=speed
+    )
+    rod = fmbd.RigidBody(
+        "rod",
+        0.15,
+        1.2e-3,
+        (r + length / 2, 0),
+        velocity=(0, speed * r / 2),
+        angular_velocity=-speed * r / length,
+    )
+    block = fmbd.RigidBody("block", 0.075, 1e-4, (r + length, 0))
+    scene.add(crank, rod, block, fmbd.revolute("pin", fmbd.ground, crank, center=(0, 0)))
+    scene.add(
+        fmbd.revolute("knee", crank, rod, center=(r, 0)),
+        fmbd.revolute("wrist", rod, block, center=(r + length, 0)),
+    )
+    scene.add(fmbd.prismatic("slide", fmbd.ground, block, axis=(1, 0), center=(r + length, 0)))
+    scene.sensor("x", fmbd.position(block))
+    return scene
+
+
+PROBLEMS: dict[str, tuple[Callable[[], fmbd.Scene], float, str, Any]] = {
+    "pendulum": (pendulum, 1.0, "x", pendulum_at(1.0)[0]),
+    "andrews": (andrews.scene, 0.03, "angles", andrews.REFERENCE),
+    "car axis": (car_axis.scene, 3.0, "ends", car_axis.REFERENCE),
+    "slider crank": (slider_crank, 0.1, "x", None),
+}
+TOLERANCES = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10]
+
+
+def check(problem: str, scheme: Any, rtol: float) -> None:
+    """Solve, and compare with the reference where there is one."""
+    scene, t_end, sensor, reference = PROBLEMS[problem]
+    run = fmbd.solve(scene(), t_end=t_end, scheme=scheme, output=fmbd.Output(every=1000))
+    assert run.state.t == pytest.approx(t_end, rel=1e-13)
+    if reference is not None:
+        allowed = 2e4 * rtol**0.9 if isinstance(scheme, fmbd.BDF) else 5 * rtol
+        assert np.abs(run[sensor][-1] - reference).max() < allowed
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-5])
+@pytest.mark.parametrize("scheme", [fmbd.Radau, fmbd.BDF], ids=lambda s: s.__name__)
+@pytest.mark.parametrize("problem", list(PROBLEMS))
+def test_two_tolerances(problem: str, scheme: type, rtol: float) -> None:
+    check(problem, scheme(rtol=rtol), rtol)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rtol", TOLERANCES)
+@pytest.mark.parametrize("scheme", [fmbd.Radau, fmbd.BDF], ids=lambda s: s.__name__)
+@pytest.mark.parametrize("problem", list(PROBLEMS))
+def test_all_tolerances(problem: str, scheme: type, rtol: float) -> None:
+    check(problem, scheme(rtol=rtol), rtol)
+
+
+@pytest.mark.parametrize(
+    "form", [fmbd.Index3(), fmbd.Index2(), fmbd.Index1(), fmbd.StateSpace()], ids=lambda f: f.name
+)
+def test_andrews_in_other_forms(form: fmbd.GGL) -> None:
+    check("andrews", fmbd.Radau(form=form, rtol=1e-4), 1e-4 if form.index > 1 else 1e-3)
+
+
+@pytest.mark.slow
+def test_andrews_to_nine_digits() -> None:
+    run = fmbd.solve(
+        andrews.scene(), t_end=0.03, scheme=fmbd.Radau(rtol=1e-8), output=fmbd.Output(every=1000)
+    )
+    assert np.abs(run["angles"][-1] / andrews.REFERENCE - 1).max() < 1e-9
+
+
+def test_linear_damping_at_large_steps() -> None:
+    """T5: spectral radius of an undamped oscillator at h omega = 1000."""
+    expected = {0.9: 0.9066, 0.8: 0.8077, 0.5: 0.5078, 0.0: 0.0101}
+    for rho, radius in expected.items():
+        assert decay(fmbd.GeneralizedAlpha(rho), 1e3, 400) == pytest.approx(
+            radius, abs=2e-2 if rho == 0.0 else 2e-3
+        )
+    assert decay(fmbd.Radau(3, rtol=None), 1e3, 3) == pytest.approx(0.003, abs=1e-3)
+    assert decay(fmbd.Radau(3, rtol=None), 0.1, 50) > 0.99995
+    assert decay(fmbd.GeneralizedAlpha(0.8), 0.1, 50) > 0.9999
+
+
+def decay(scheme: Any, frequency: float, steps: int) -> float:
+    """Mean decay of the energy norm per step of x'' + omega^2 x = 0 over the second half of the steps, h = 1."""
+    scene = fmbd.Scene("oscillator")
+    scene.add(fmbd.CoordinateBody("mass", np.eye(1), lambda q, v, t: -(frequency**2) * q, [1.0], [0.0]))
+    states = march(scene, scheme, float(steps), steps, 1e-9)
+    size = [np.hypot(s.q[0], s.v[0] / frequency) for s in states]
+    half = steps // 2
+    low = max(size[-1], 1e-300)
+    return float((low / size[half]) ** (1 / (steps - half)))
+
+
+@pytest.mark.parametrize(
+    "scheme", [fmbd.Radau(3, fmbd.Index3(), None), fmbd.BDF(2, fmbd.Index3(), None)], ids=lambda s: s.name
+)
+def test_small_steps_cost_no_more_iterations(scheme: Any) -> None:
+    """T9: the scaled matrix has one condition number for all h."""
+    counts = []
+    for h in (1e-2, 1e-8):
+        run = fmbd.solve(pendulum(), t_end=5 * h, dt=h, scheme=scheme, newton=fmbd.Newton(tolerance=1e-6))
+        counts.append(run.counters["newton_iterations"])
+        assert np.abs(run["x"][-1] - pendulum_at(5 * h, gravity=GRAVITY)[0]).max() < 1e-5
+    assert counts[1] <= counts[0]
