@@ -69,8 +69,8 @@ def _substitution(field: Any, massless: np.ndarray) -> Any:
     for i in np.flatnonzero(free):
         P.setValue(low + i, low + i, 1.0)
     if len(massless):
-        _, near = tree.query(field.X_world[massless], k=field.dim + 1)
-        for i, js in zip(massless, near, strict=True):
+        reach = tree.query(field.X_world[massless], k=field.dim + 1)[0][:, -1] * (1 + 1e-6)  # with all that are as near
+        for i, js in zip(massless, tree.query_ball_point(field.X_world[massless], reach), strict=True):
             P.setValues([low + i], [int(g) for g in numbers[js]], nearest_mean(donors[js], field.X_world[i]))
     P.assemble()
     return P

@@ -6,7 +6,9 @@
 psi_j is the dual basis on the slave, pi goes to the master along the slave's normal, and both integrals run over the true
 intersections of facets (:mod:`.mortar`), so constant pressure passes to roundoff. n_j points from the master to the slave:
 minus the mean outward normal at the slave's node. Pairing, D, M and n are taken in the deformed configuration at the start of
-each step and kept during it (finite sliding), so the rows are linear in a step. Bodies whose bounding boxes stay apart cost
+each step and kept during it (finite sliding), so the rows are linear in a step. A new pairing of curved surfaces finds closed
+points slightly overlapped (second order in the sliding of a step); pushing them out would do work from nothing, so the
+constraint of a step is g >= min(g at its start, 0) and the energy argument of the schemes holds. Bodies whose bounding boxes stay apart cost
 the test of the boxes.
 
 Source: Puso and Laursen, doi:10.1016/j.cma.2003.10.010; Huber and Wohlmuth, doi:10.1007/s00791-008-0082-4.
@@ -33,13 +35,14 @@ COVERED = 0.05  # a multiplier with less than this share of its weight in the ov
 
 @dataclass
 class Pairing:
-    """(1), (2) of one step: rows S (m, slave nodes) and Q (m, master nodes), both divided by w; n (m, d); ``on`` (m,) bool."""
+    """(1), (2) of one step: rows S (m, slave nodes) and Q (m, master nodes), both divided by w; n (m, d); ``on`` (m,) bool;
+    ``offset`` (m,) m: overlap at the start of the step that came from the new pairing, not pushed out again."""
 
     slave: Any
     master: Any
     normal: Array
     on: np.ndarray
-    distance: float
+    offset: Array
 
 
 class MortarPair:
@@ -83,7 +86,8 @@ class MortarPair:
                 on = w > COVERED * np.asarray(np.abs(self.basis.coupling()).sum(axis=1)).ravel()
                 inverse = sp.diags(np.where(on, 1.0 / np.where(on, w, 1.0), 0.0))
                 S, Q = (inverse @ D).tocsr(), (inverse @ M).tocsr()
-        self.pairing = Pairing(S, Q, -normal, on, max(apart, 0.0 if on.any() else 2.0 * reach))
+        overlap_now = (-normal * (S @ xs - Q @ xm)).sum(1)
+        self.pairing = Pairing(S, Q, -normal, on, np.where(on, np.minimum(overlap_now, 0.0), 0.0))
 
     def _ready(self, contacts: ContactSet, system: Any, q: Array) -> Pairing:
         if self.pairing is None:
@@ -109,8 +113,8 @@ class MortarPair:
         p = self._ready(contacts, system, at[1])
         xs, xm = nodes(self.slave.trace)[0][self.order[0]], nodes(self.master.trace)[0][self.order[1]]
         gap = (p.normal * (p.slave @ xs - p.master @ xm)).sum(1)
-        gap = np.where(p.on, gap, max(p.distance, 1e-300))
-        return Touch(self._back(gap), self._back(xs), self._back(p.normal))
+        gap = np.where(p.on, gap, np.inf)  # nothing opposite
+        return Touch(self._back(gap - p.offset), self._back(xs), self._back(p.normal), self._back(gap))
 
     def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], nodes: Any) -> Rows:
         """Candidates of this pair; collective."""

@@ -146,7 +146,7 @@ class ContactSet:
         parts = [p.touch(self, system, (t, q), nodes) for p in self.pairs]
         if len(parts) == 1:
             return parts[0]
-        return Touch(*(np.concatenate([getattr(p, n) for p in parts]) for n in ("gap", "x", "normal")))
+        return Touch(*(np.concatenate([getattr(p, n) for p in parts]) for n in ("gap", "x", "normal", "geometric")))
 
     def _cached_nodes(self, system: Any, q: Array) -> Callable[[int], tuple[Array, Array, Array]]:
         cache: dict[int, tuple[Array, Array, Array]] = {}
@@ -180,7 +180,8 @@ class ContactSet:
         for p in self.pairs:
             rows = slice(first, first + p.count)
             first += p.count
-            approach = np.abs(then[rows] - now[rows]).max(initial=0.0)
+            both = np.isfinite(now[rows]) & np.isfinite(then[rows])
+            approach = np.abs(then[rows][both] - now[rows][both]).max(initial=0.0)
             reach[rows] = max(2.0 * approach, 1e-6 * length) if p.search is None else p.search
         return reach
 
@@ -287,11 +288,20 @@ def _stack(parts: list[Rows]) -> Rows:
 
 @dataclass(frozen=True)
 class Touch:
-    """Where a pair stands, without derivatives: gap (m,), points x and normals (m, d)."""
+    """Where a pair stands, without derivatives: gap (m,), points x and normals (m, d).
+
+    ``true_gap``: where the step's constraint differs from the geometric gap (see :mod:`.contact_mortar`), the latter.
+    """
 
     gap: Array
     x: Array
     normal: Array
+    true_gap: Array | None = None
+
+    @property
+    def geometric(self) -> Array:
+        """Geometric gap, m."""
+        return self.gap if self.true_gap is None else self.true_gap
 
 
 class ObstaclePair(Pair):

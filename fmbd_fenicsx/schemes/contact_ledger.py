@@ -88,7 +88,7 @@ class Ledger:
             self.impulse = self.impulse + h * np.array([force[c.pair == i].sum(0) for i in range(len(self.impulse))])
         normal = self.force[:, 0].copy()
         found = ContactForces(
-            c.names, forces.time, c.pair, end.x, end.normal, end.gap, normal, force, normal / c.weight,
+            c.names, forces.time, c.pair, end.x, end.normal, end.geometric, normal, force, normal / c.weight,
             self.impulse, self.work.copy(),
         )  # fmt: skip
         return ContactState(state.t, state.q, state.v, state.a, state.lam, found)

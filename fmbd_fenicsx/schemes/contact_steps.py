@@ -7,6 +7,7 @@ import scipy.sparse as sp
 
 from ..contact_rows import ContactSet, Linear, Rows, Touch, tangents_of
 from ..errors import ConvergenceError, InputError
+from ..log import log
 from ..rotations import Array
 from ..system import State, System
 
@@ -46,8 +47,11 @@ def refuse_penetration(system: System, contacts: ContactSet, state: State) -> No
     """Raise InputError when bodies overlap at the start, naming pair and depth; collective."""
     contacts.update(system, state.q, 1e-2 * system.length)
     rows = contacts.touch(system, state.t, state.q)
-    worst = int(np.argmin(rows.gap))
-    depth = -float(rows.gap[worst])
+    for i, name in enumerate(contacts.names):
+        if not np.isfinite(rows.geometric[contacts.pair == i]).any():
+            log.info('contact "%s": the bodies start outside each other\'s search range', name)
+    worst = int(np.argmin(rows.geometric))
+    depth = -float(rows.geometric[worst])
     if depth > ALLOWED * system.length:
         raise InputError(
             f'Contact "{contacts.names[contacts.pair[worst]]}": the bodies overlap at the start by {depth:.3g} m, at '
