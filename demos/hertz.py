@@ -5,7 +5,8 @@ Run:  ./with-dolfinx python3 demos/hertz.py                 (also: --dim 3, mpir
     line:   a^2 = 4 F R / (pi E*),  p0 = 2 F / (pi a)            point:   a^3 = 3 F R / (4 E*),  p0 = 3 F / (2 pi a^2)
 
 The equilibrium comes from a few large implicit steps. Radius and peak pressure are read from the multipliers, which are the
-pressure: p^2 is linear in x^2 over the contact. Johnson, Contact Mechanics, doi:10.1017/CBO9781139171731.
+pressure: p^2 is linear in x^2 over the contact. The pressure has a square-root edge, so its mean error is of first order
+(0.88 from 10 to 40 cells). Johnson, Contact Mechanics, doi:10.1017/CBO9781139171731.
 """
 
 import numpy as np
@@ -16,7 +17,7 @@ from fmbd_fenicsx.demo import Check
 
 args = demo.arguments(__doc__, {"--dim": (2, 3), "--cells": 10})
 dim, R, E, nu, rho = args.dim, 1.0, 1.0, 0.3, 1.0
-a = (0.05 if dim == 3 else 0.02) * R  # half width that the load is chosen for
+a = (0.05 if dim == 3 else 0.005) * R  # half width that the load is chosen for; the theory is exact for small a / R
 stiff = E / (1 - nu**2)  # E*, the plane is rigid
 F = np.pi * a**2 * stiff / (4 * R) if dim == 2 else 4 * stiff * a**3 / (3 * R)
 p0 = 2 * F / (np.pi * a) if dim == 2 else 3 * F / (2 * np.pi * a**2)
@@ -25,7 +26,7 @@ up = np.eye(dim)[-1]
 
 def press(cells: int) -> tuple[fmbd.Run, float, float, float]:
     """Run, half width and peak pressure for so many cells per half width, and the RMS error of p over p0."""
-    mesh = fmbd.read_gmsh("meshes/half_ball.py", dim=dim, radius=R, h=a / cells, near=1.3 * a)
+    mesh = fmbd.read_gmsh("meshes/half_ball.py", dim=dim, radius=R, h=a / cells, near=2 * a, coarse=1.5 * R / cells if dim == 2 else 0.15 * R)
     body = fmbd.AbsoluteBody("body", mesh, degree=1, density=rho, elastic=fmbd.materials.linear_elastic(E, nu))
     plane = fmbd.contact(
         "plane", body.surface("contact"), fmbd.Obstacle("plane", fmbd.HalfSpace(0 * up, up)), search=0.1 * a
@@ -54,9 +55,9 @@ checks = [
     Check("RMS error of the pressure over p0", error, 0.0, 0.05),
 ]
 if not args.fast and dim == 2:
-    errors = [press(n)[3] for n in (5, 10, 20, 40)]
-    fmbd.say("cells per half width 5, 10, 20, 40: RMS error of p / p0 " + ", ".join(f"{e:.2e}" for e in errors))
-    checks.append(Check("order of the pressure, 5 to 40 cells", float(np.log2(errors[0] / errors[-1]) / 3), 1.5, 0.6))
+    errors = [press(n)[3] for n in (10, 20, 40)]
+    fmbd.say("cells per half width 10, 20, 40: RMS error of p / p0 " + ", ".join(f"{e:.2e}" for e in errors))
+    checks.append(Check("order of the pressure, 10 to 40 cells", float(np.log2(errors[0] / errors[-1]) / 2), 1.0, 0.25))
 if args.picture:
     run.plot("force", file=args.picture)
 demo.finish(checks, run, args)
