@@ -8,7 +8,7 @@ intersections of facets (:mod:`.mortar`), so constant pressure passes to roundof
 minus the mean outward normal at the slave's node. Pairing, D, M and n are taken in the deformed configuration at the start of
 each step and kept during it (finite sliding), so the rows are linear in a step. A new pairing of curved surfaces finds closed
 points slightly overlapped (second order in the sliding of a step); pushing them out would do work from nothing, so the
-constraint of a step is g >= min(g at its start, 0) and the energy argument of the schemes holds. Bodies whose bounding boxes stay apart cost
+conserving rule asks for g >= min(g at its start, 0) instead and its energy argument holds; dissipative rules push out. Bodies whose bounding boxes stay apart cost
 the test of the boxes.
 
 Source: Puso and Laursen, doi:10.1016/j.cma.2003.10.010; Huber and Wohlmuth, doi:10.1007/s00791-008-0082-4.
@@ -64,8 +64,8 @@ class MortarPair:
         self.pairing: Pairing | None = None
 
     # -- pairing ------------------------------------------------------------------------------------------------
-    def update(self, contacts: ContactSet, system: Any, q: Array, reach: float) -> None:
-        """Pair the surfaces anew for a step that starts at q; collective."""
+    def update(self, contacts: ContactSet, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
+        """Pair the surfaces anew for a step that starts at q; ``keep``: overlaps found stay. Collective."""
         xs, xm = (contacts.nodes(system, q, s.trace)[0][o] for s, o in zip((self.slave, self.master), self.order, strict=True))
         apart = float(np.linalg.norm(np.maximum(0.0, np.maximum(xs.min(0) - xm.max(0), xm.min(0) - xs.max(0)))))
         slave, master = _moved(self.facets[0], xs), _moved(self.facets[1], xm)
@@ -87,7 +87,7 @@ class MortarPair:
                 inverse = sp.diags(np.where(on, 1.0 / np.where(on, w, 1.0), 0.0))
                 S, Q = (inverse @ D).tocsr(), (inverse @ M).tocsr()
         overlap_now = (-normal * (S @ xs - Q @ xm)).sum(1)
-        self.pairing = Pairing(S, Q, -normal, on, np.where(on, np.minimum(overlap_now, 0.0), 0.0))
+        self.pairing = Pairing(S, Q, -normal, on, np.where(on & keep, np.minimum(overlap_now, 0.0), 0.0))
 
     def _ready(self, contacts: ContactSet, system: Any, q: Array) -> Pairing:
         if self.pairing is None:

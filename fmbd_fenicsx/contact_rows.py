@@ -194,11 +194,11 @@ class ContactSet:
             speed = max(speed, float(np.linalg.norm(tr.gather(system.local_v(v, tr.part)), axis=1).max() + tr.moving * body))
         return 2.0 * speed
 
-    def update(self, system: Any, q: Array, reach: float) -> None:
-        """Pair two-body contacts anew for a step that starts at q; collective."""
+    def update(self, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
+        """Pair two-body contacts anew for a step that starts at q; ``keep``: overlaps found stay. Collective."""
         for p in self.pairs:
             if hasattr(p, "update"):
-                p.update(self, system, q, reach)
+                p.update(self, system, q, reach, keep=keep)
 
     def gap_rate(self, system: Any, t: float, q: Array, h: float) -> Array:
         """Part of the gaps' rates that comes from prescribed motion, m/s, (m,), by central differences; collective."""

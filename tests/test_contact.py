@@ -135,7 +135,7 @@ def patch(dim: int, cells: tuple[int, int]) -> np.ndarray:
 @pytest.mark.mpi
 @pytest.mark.parametrize("cells", [(6, 6), (4, 7), (7, 5)])
 def test_patch_in_the_plane(cells: tuple[int, int]) -> None:
-    assert patch(2, cells) == pytest.approx(10.0, rel=2e-12)
+    assert patch(2, cells) == pytest.approx(10.0, rel=1e-12)
 
 
 @pytest.mark.mpi

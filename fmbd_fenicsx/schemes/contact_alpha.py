@@ -158,4 +158,4 @@ class _Step:
         self.A = self.A + d_xi / (h * h * self.beta)
         self.a = self.a + d_xi / self.scale
         size = max(system.max_abs(self.xi), h * system.max_abs(s.v), 1e-9 * system.length)
-        return system.max_abs(dq) / max(1e-4 * p.newton.tolerance * size, 1e3 * np.finfo(float).eps * system.length)
+        return system.max_abs(dq) / max(1e-4 * p.newton.tolerance * size, 100 * np.finfo(float).eps * system.length)

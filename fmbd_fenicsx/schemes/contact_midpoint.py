@@ -110,7 +110,7 @@ class Stepper:
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
         system, s = self.system, self.state
-        near = candidates(system, self.contacts, s, h)
+        near = candidates(system, self.contacts, s, h, keep=self.theta == 0.5)
         for _ in range(4):
             step = _Step(self, h, near)
             converged, history = self.newton.solve(step.increment)
@@ -158,7 +158,7 @@ class _Step:
         self.q = s.q
         self.g = np.zeros(0)
         self.ev: Evaluation = None  # type: ignore[assignment]
-        self.floor = 1e3 * np.finfo(float).eps * system.length
+        self.floor = 100 * np.finfo(float).eps * system.length
 
     def increment(self) -> float:
         """One Newton step: predictor, complementarity problem, correction; returns its size over the tolerance."""

@@ -14,9 +14,12 @@ from ..system import State, System
 ALLOWED = 1e-8  # penetration at the start, as a share of the model's length
 
 
-def candidates(system: System, contacts: ContactSet, state: State, h: float) -> np.ndarray:
-    """Points that may touch within the step, (m,) bool: near now, or at the position reached with the present velocity."""
-    contacts.update(system, state.q, 2 * h * contacts.fastest(system, state.v))
+def candidates(system: System, contacts: ContactSet, state: State, h: float, *, keep: bool = False) -> np.ndarray:
+    """Points that may touch within the step, (m,) bool: near now, or at the position reached with the present velocity.
+
+    ``keep``: overlaps from the new pairing of two bodies are not pushed out (see :mod:`fmbd_fenicsx.contact_mortar`).
+    """
+    contacts.update(system, state.q, 2 * h * contacts.fastest(system, state.v), keep=keep)
     now = contacts.touch(system, state.t, state.q)
     then = contacts.touch(system, state.t + h, system.compose(state.q, h * state.v))
     _refuse_tunnelling(system, contacts, state, (h, now, then))
