@@ -1,11 +1,16 @@
-"""A cantilever hit at its end, cut into subdomains with meshes that do not match: waves travel through the interfaces.
+"""A cantilever hit at its end, cut into subdomains with meshes that do not match: waves travel through the
+interfaces.
 
-Run:  ./with-dolfinx python3 demos/domain_decomposition.py --parts 4     (mpirun -n 2 ...; --fast; --picture FILE: axial velocity)
+Run:  ./with-dolfinx python3 demos/domain_decomposition.py --parts 4     (mpirun -n 2 ...; --fast; --picture
+FILE: axial velocity)
 
-    clamp |== 0 ==|== 1 ==|== 2 ==|== 3 ==| <- smooth axial pulse       E u'' blocks by Cholesky on one rank each,
+    clamp |== 0 ==|== 1 ==|== 2 ==|== 3 ==| <- smooth axial pulse       E u'' blocks by Cholesky on one rank
+    each,
 
-interfaces by P1 multipliers beside P2 displacements, solved through the dual problem S lam = d by conjugate gradients with the
-fractional preconditioner. Trapezoidal steps. Reference: d'Alembert's solution; the pulse s comes back from the clamp turned over,
+interfaces by P1 multipliers beside P2 displacements, solved through the dual problem S lam = d by conjugate
+gradients with the
+fractional preconditioner. Trapezoidal steps. Reference: d'Alembert's solution; the pulse s comes back from
+the clamp turned over,
 v_tip = s(t) - 2 s(t - 2 L / c) + 2 s(t - 4 L / c) - ...
 """
 
@@ -28,13 +33,24 @@ SPACE, WORLD = Continuous(1, Ends.KEPT), MPI.COMM_WORLD
 
 
 def beam(parts, cells, dt):
-    """Dual problem of the beam in ``parts`` pieces, this rank's pieces, and the load vector of the end face."""
+    """Dual problem of the beam in ``parts`` pieces, this rank's pieces, and the load vector of the end
+    face.
+    """
     own, size = {}, LENGTH / parts
     for i in range(WORLD.rank, parts, WORLD.size):
         n = max(cells // parts, 1) + (i % 2 if parts > 1 else 0)
-        mesh = fmbd.read_gmsh("meshes/block.py", size=(size, HEIGHT), counts=(n, max(n * parts // 8, 1) + i % 2), origin=(i * size, 0.0), comm=MPI.COMM_SELF)
+        mesh = fmbd.read_gmsh(
+            "meshes/block.py",
+            size=(size, HEIGHT),
+            counts=(n, max(n * parts // 8, 1) + i % 2),
+            origin=(i * size, 0.0),
+            comm=MPI.COMM_SELF,
+        )
         own[i] = Elastic(Field(f"piece{i}", mesh, LAW), 4 / dt**2)
-    traces = shared_traces(WORLD, {(i, s): trace_of(e.body.space, e.body.mesh, s) for i, e in own.items() for s in ("left", "right")})
+    traces = shared_traces(
+        WORLD,
+        {(i, s): trace_of(e.body.space, e.body.mesh, s) for i, e in own.items() for s in ("left", "right")},
+    )
     dual = DualInterface(WORLD, own, traces)
     dual.hold((0, "left"), SPACE)
     for i in range(1, parts):
@@ -56,7 +72,11 @@ def march(parts, cells, dt, t_end):
     for step in range(round(t_end / dt)):
         t = (step + 1) * dt
         p = float(pulse(np.array(t)))
-        r = {i: p * face[i].ravel() + e.body.mass((4 / dt**2 * u[i] + 4 / dt * v[i] + a[i]).reshape(-1, 2)).ravel() for i, e in own.items()}
+        r = {
+            i: p * face[i].ravel()
+            + e.body.mass((4 / dt**2 * u[i] + 4 / dt * v[i] + a[i]).reshape(-1, 2)).ravel()
+            for i, e in own.items()
+        }
         new, lam, its = dual.solve(r, np.zeros(dual.n))
         for i in own:
             acceleration = 4 / dt**2 * (new[i] - u[i]) - 4 / dt * v[i] - a[i]
@@ -74,7 +94,9 @@ def pulse(t):
 
 
 def error(parts, cells, t_end):
-    """Largest error of the tip velocity against the exact wave; times, series, traction, iterations, seconds."""
+    """Largest error of the tip velocity against the exact wave; times, series, traction, iterations,
+    seconds.
+    """
     dt = LENGTH / cells / 2
     tip, traction, its, seconds = march(parts, cells, dt, t_end)
     t = dt * np.arange(1, len(tip) + 1)
@@ -102,6 +124,11 @@ if __name__ == "__main__":
         plt.plot(cut[-1][1][0], cut[-1][1][2], "k-", lw=3, alpha=0.3, label="exact")
         for n, c in zip(cells, cut, strict=True):
             plt.plot(*c[1][:2], "--", label=f"{args.parts} pieces, {n} cells along the beam")
-        plt.xlabel("t, s"), plt.ylabel("axial velocity of the free end, m/s"), plt.legend(), plt.grid(alpha=0.3)
+        (
+            plt.xlabel("t, s"),
+            plt.ylabel("axial velocity of the free end, m/s"),
+            plt.legend(),
+            plt.grid(alpha=0.3),
+        )
         plt.savefig(args.picture, dpi=110)
     demo.finish(checks, None, args)

@@ -1,10 +1,13 @@
-"""Two blocks with meshes that do not match, glued by field multipliers on the true intersections of their facets.
+"""Two blocks with meshes that do not match, glued by field multipliers on the true intersections of their
+facets.
 
-Run:  ./with-dolfinx python3 demos/mortar_blocks.py          (--fast: three meshes; --picture FILE: errors against h)
+Run:  ./with-dolfinx python3 demos/mortar_blocks.py          (--fast: three meshes; --picture FILE: errors
+against h)
 
       +---------+
       |  upper  |   7 n cells a side      Patch test: constant stress passes to roundoff.
-      +---------+   glue, multipliers     Smooth solution: orders 2 / 1 (P1) and 3 / 2 (P2) of u in L2 / H1, and the order of
+      +---------+   glue, multipliers     Smooth solution: orders 2 / 1 (P1) and 3 / 2 (P2) of u in L2 / H1,
+      and the order of
       |  lower  |   5 n cells a side      the interface traction in H^-1/2 and in the h-weighted L2 norm.
       +---------+   the rest of the boundary is held weakly; cross-points by merged ends
 """
@@ -25,8 +28,8 @@ from fmbd_fenicsx.stability import DualNorm
 from fmbd_fenicsx.traces import trace_of
 
 MU, LAMBDA = fmbd.materials.lame(1.0, 0.3)
-BEND = (lambda x, f: (f.sin(2 * x[0]) * f.exp(x[1] / 2) / 5, f.cos(x[0] + x[1]) * x[1] / 5))
-PATCH = (lambda x, f: (0.01 * x[0] + 0.004 * x[1], 0.003 * x[0] - 0.02 * x[1]))
+BEND = lambda x, f: (f.sin(2 * x[0]) * f.exp(x[1] / 2) / 5, f.cos(x[0] + x[1]) * x[1] / 5)
+PATCH = lambda x, f: (0.01 * x[0] + 0.004 * x[1], 0.003 * x[0] - 0.02 * x[1])
 
 
 class Numpy:
@@ -39,7 +42,9 @@ def stress(u):
 
 
 def errors(degree, n, solution):
-    """Solve on meshes of 7 n and 5 n cells; h, errors of u (L2, H1) and of the traction (H^-1/2, h-weighted L2)."""
+    """Solve on meshes of 7 n and 5 n cells; h, errors of u (L2, H1) and of the traction (H^-1/2, h-weighted
+    L2).
+    """
     law = ElasticForms(fmbd.materials.linear_elastic(1.0, 0.3), 1.0, degree)
     bodies = [Field(name, fmbd.read_gmsh("meshes/block.py", cells=c, origin=(0.0, y)), law)
               for name, c, y in (("upper", 7 * n, 1.0), ("lower", 5 * n, 0.0))]  # fmt: skip
@@ -64,7 +69,10 @@ def errors(degree, n, solution):
         uh = fem.Function(b.space)
         uh.x.array[: 2 * b.n] = mine
         uh.x.scatter_forward()
-        parts = [ufl.inner(uh - u, uh - u) * ufl.dx(degree=8), ufl.inner(ufl.grad(uh - u), ufl.grad(uh - u)) * ufl.dx(degree=8)]
+        parts = [
+            ufl.inner(uh - u, uh - u) * ufl.dx(degree=8),
+            ufl.inner(ufl.grad(uh - u), ufl.grad(uh - u)) * ufl.dx(degree=8),
+        ]
         squares += [b.comm.allreduce(fem.assemble_scalar(fem.form(p)), op=MPI.SUM) for p in parts]
     lam, mu = found.multipliers[0].reshape(-1, 2), glue.multipliers
     traction = interface_traction(solution)
@@ -75,15 +83,20 @@ def errors(degree, n, solution):
 
 
 def interface_traction(solution):
-    """The exact multiplier at y = 1: minus the stress on the upper block's outward normal (0, -1), by complex steps."""
+    """The exact multiplier at y = 1: minus the stress on the upper block's outward normal (0, -1), by
+    complex steps.
+    """
+
     def value(x):
         def derivative(k):
             z = x.T.astype(complex)
             z[k] += 1e-30j
             return np.stack(np.broadcast_arrays(*solution(z, Numpy)), 1).imag / 1e-30
+
         g = np.stack([derivative(0), derivative(1)], 2)
         s = MU * (g + g.swapaxes(1, 2)) + LAMBDA * np.trace(g, axis1=1, axis2=2)[:, None, None] * np.eye(2)
         return s[:, :, 1]
+
     return value
 
 
@@ -104,15 +117,37 @@ if __name__ == "__main__":
         checks.append(demo.Check(f"P{degree} patch test, u and traction", max(patch), 0.0, 1e-12))
         table = np.array([errors(degree, n, BEND) for n in ((1, 2, 4) if args.fast else (1, 2, 4, 8))])
         orders = np.log(table[:-1, 1:] / table[1:, 1:]) / np.log(2)
-        demo.say(f"P{degree}:  h, u L2, u H1, traction H^-1/2, traction L2 h^1/2\n{np.array2string(table, precision=3)}\norders\n{orders.round(2)}")
-        for name, got, least in zip(("u L2", "u H1", "traction H^-1/2", "traction L2"), orders[-1], (degree + 1, degree, degree, degree), strict=True):
-            checks.append(demo.Check(f"P{degree} order of {name} at least {least}", min(got, least), least, 0.1))
+        demo.say(
+            f"P{degree}:  h, u L2, u H1, traction H^-1/2, traction L2 h^1/2\n{np.array2string(table, precision=3)}\norders\n{orders.round(2)}"
+        )
+        for name, got, least in zip(
+            ("u L2", "u H1", "traction H^-1/2", "traction L2"),
+            orders[-1],
+            (degree + 1, degree, degree, degree),
+            strict=True,
+        ):
+            checks.append(
+                demo.Check(f"P{degree} order of {name} at least {least}", min(got, least), least, 0.1)
+            )
         if args.picture is not None and MPI.COMM_WORLD.rank == 0:
             import matplotlib.pyplot as plt
 
-            for column, name in enumerate(("u, L2", "u, H1", "traction, H$^{-1/2}$", "traction, h$^{1/2}$ L2")):
-                plt.loglog(table[:, 0], table[:, 1 + column], "o-" if degree == 1 else "s--", label=f"P{degree} {name}", color=f"C{column}")
+            for column, name in enumerate(
+                ("u, L2", "u, H1", "traction, H$^{-1/2}$", "traction, h$^{1/2}$ L2")
+            ):
+                plt.loglog(
+                    table[:, 0],
+                    table[:, 1 + column],
+                    "o-" if degree == 1 else "s--",
+                    label=f"P{degree} {name}",
+                    color=f"C{column}",
+                )
     if args.picture is not None and MPI.COMM_WORLD.rank == 0:
-        plt.xlabel("cell size of the upper block, m"), plt.ylabel("error"), plt.legend(fontsize=7), plt.grid(alpha=0.3)
+        (
+            plt.xlabel("cell size of the upper block, m"),
+            plt.ylabel("error"),
+            plt.legend(fontsize=7),
+            plt.grid(alpha=0.3),
+        )
         plt.savefig(args.picture, dpi=110)
     demo.finish(checks, None, args)

@@ -1,12 +1,17 @@
-"""A plate clamped by field multipliers on one face, and the inf-sup constants of the multiplier spaces that one could choose.
+"""A plate clamped by field multipliers on one face, and the inf-sup constants of the multiplier spaces that
+one could choose.
 
-Run:  ./with-dolfinx python3 demos/trace_clamp.py          (--fast: n = 4, 8; --picture FILE: clamp traction; mpirun -n 2 works)
+Run:  ./with-dolfinx python3 demos/trace_clamp.py          (--fast: n = 4, 8; --picture FILE: clamp traction;
+mpirun -n 2 works)
 
     |=========+
-    |  plate  |  --> shear traction          int_clamp mu . u dS = 0 for all mu; the multiplier is the clamp's traction.
-    |=========+                              Its sum balances the load to roundoff, P1 beside P2 displacements.
+    |  plate  |  --> shear traction          int_clamp mu . u dS = 0 for all mu; the multiplier is the
+    clamp's traction.
+    |=========+                              Its sum balances the load to roundoff, P1 beside P2
+    displacements.
 
-The table is the smallest generalised singular value of the coupling in the H1 norm and the dual of the trace norm of a finer P2
+The table is the smallest generalised singular value of the coupling in the H1 norm and the dual of the trace
+norm of a finer P2
 space (Chapelle and Bathe, doi:10.1016/0045-7949(93)90340-J): it must not fall with h. (k) counts zero modes.
 """
 
@@ -37,7 +42,11 @@ def table(sizes):
     """Lines of the table, and a check of each constant at n = 8."""
     meshes = {n: square(n) for n in {*sizes, *(min(4 * n, 64) for n in sizes)}}
     checks = []
-    demo.say("V / multipliers                     neighbours free" + " " * 10 * (len(sizes) - 1) + "neighbours clamped")
+    demo.say(
+        "V / multipliers                     neighbours free"
+        + " " * 10 * (len(sizes) - 1)
+        + "neighbours clamped"
+    )
     for degree, space, free, clamped in SPACES:
         found = {c: [infsup((meshes[n], "bottom"), space, degree=degree, clamped=c, reference=(meshes[min(4 * n, 64)], 2)) for n in sizes]
                  for c in ((), SIDES)}  # fmt: skip
@@ -57,7 +66,9 @@ def clamped_plate(n):
     load[face.owned[mine], 1] = -0.1 * (face.mass() @ np.ones(face.n))[mine]
     system = SaddlePoint([Elastic(plate)], [hold("clamp", 0, mu)])
     solver = Direct().solver(system)
-    lam = -solver.solve([load.ravel()], [np.zeros(2 * mu.n)]).multipliers[0].reshape(-1, 2)  # force on the plate
+    lam = (
+        -solver.solve([load.ravel()], [np.zeros(2 * mu.n)]).multipliers[0].reshape(-1, 2)
+    )  # force on the plate
     force = np.asarray(mu.coupling().sum(axis=1)).T @ lam
     solver.destroy(), system.destroy(), plate.destroy()
     return mu, lam, force[0]
@@ -67,7 +78,10 @@ if __name__ == "__main__":
     args = demo.arguments(__doc__)
     checks = table((4, 8) if args.fast else (4, 8, 16, 32))
     mu, lam, force = clamped_plate(16)
-    checks += [demo.Check("clamp force, x", force[0], 0.0, 1e-12), demo.Check("clamp force, y", force[1], 0.1, 1e-12)]
+    checks += [
+        demo.Check("clamp force, x", force[0], 0.0, 1e-12),
+        demo.Check("clamp force, y", force[1], 0.1, 1e-12),
+    ]
     if args.picture is not None and mu.trace.comm.rank == 0:
         import matplotlib.pyplot as plt
 

@@ -1,12 +1,17 @@
 """Mortar coupling of two surfaces whose meshes do not match.
 
-    D_ji = int mu_j phi_i,     M_jl = int mu_j (phi_l o pi),     pi: slave -> master along the slave's normal        (1)
+    D_ji = int mu_j phi_i,     M_jl = int mu_j (phi_l o pi),     pi: slave -> master along the slave's normal
+           (1)
 
-Both integrals run over the intersections of facets (segments in the plane; convex polygons, cut into triangles, in space),
-on which all integrands are polynomials: exact for flat surfaces, so constant stress passes to roundoff (the patch test).
-Quadrature on the slave's facets alone misses it by up to 1e-2. Where the surfaces overlap in part, only the overlap is tied.
+Both integrals run over the intersections of facets (segments in the plane; convex polygons, cut into
+triangles, in space),
+on which all integrands are polynomials: exact for flat surfaces, so constant stress passes to roundoff (the
+patch test).
+Quadrature on the slave's facets alone misses it by up to 1e-2. Where the surfaces overlap in part, only the
+overlap is tied.
 
-Sources: Bernardi, Maday and Patera (doi:10.1007/978-94-011-1810-4_22); Puso (doi:10.1002/nme.865); the clipping is that of
+Sources: Bernardi, Maday and Patera (doi:10.1007/978-94-011-1810-4_22); Puso (doi:10.1002/nme.865); the
+clipping is that of
 Sutherland and Hodgman (doi:10.1145/360767.360802), done here for all pairs at once.
 """
 
@@ -28,8 +33,10 @@ TINY = 1e-12  # relative size of an intersection that is left out
 
 @dataclass(frozen=True, eq=False)
 class Mortar:
-    """Matrices (1) of a tie: ``slave`` D (n, slave nodes), ``master`` M (n, master nodes); ``multipliers`` with a support
-    in the overlap; ``covered`` part of the slave's area; ``gap`` largest distance of the surfaces in the overlap, m.
+    """Matrices (1) of a tie: ``slave`` D (n, slave nodes), ``master`` M (n, master nodes); ``multipliers``
+    with a support
+    in the overlap; ``covered`` part of the slave's area; ``gap`` largest distance of the surfaces in the
+    overlap, m.
     """
 
     multipliers: Multipliers
@@ -68,7 +75,9 @@ def mortar(
     multipliers = space.on(slave)
     comm = slave.comm
     pairs = _candidates(slave, master, tolerance)
-    blocks = _integrate(slave, master, pairs[comm.rank :: comm.size], multipliers.degree, (tolerance, -1.0 if facing else 1.0))
+    blocks = _integrate(
+        slave, master, pairs[comm.rank :: comm.size], multipliers.degree, (tolerance, -1.0 if facing else 1.0)
+    )
     parts = comm.allgather(blocks)
     pair, own, other, overlap, gap = (np.concatenate([p[i] for p in parts]) for i in range(5))
     if overlap.sum() <= 1e-9 * slave.sizes.sum():
@@ -96,13 +105,17 @@ def mortar(
 
 
 def overlap(slave: Trace, master: Trace, degree: int, tolerance: float) -> tuple[np.ndarray, Array, Array]:
-    """Pairs of facets that overlap (n, 2), and their blocks int psi_a phi_b of the slave and of the master (n, k_p, k).
+    """Pairs of facets that overlap (n, 2), and their blocks int psi_a phi_b of the slave and of the master
+    (n, k_p, k).
 
-    psi are the Lagrange functions of ``degree`` on the slave's facets; ``tolerance`` as in :func:`mortar`. Collective; sorted.
+    psi are the Lagrange functions of ``degree`` on the slave's facets; ``tolerance`` as in :func:`mortar`.
+    Collective; sorted.
     """
     comm = slave.comm
     pairs = _candidates(slave, master, tolerance)
-    parts = comm.allgather(_integrate(slave, master, pairs[comm.rank :: comm.size], degree, (tolerance, -1.0))[:3])
+    parts = comm.allgather(
+        _integrate(slave, master, pairs[comm.rank :: comm.size], degree, (tolerance, -1.0))[:3]
+    )
     pair, own, other = (np.concatenate([p[i] for p in parts]) for i in range(3))
     order = np.lexsort(pair.T[::-1])
     return pair[order], own[order], other[order]
@@ -119,7 +132,9 @@ def _candidates(slave: Trace, master: Trace, tolerance: float) -> np.ndarray:
     (cs, rs), (cm, rm) = balls(slave), balls(master)
     reach = rs * (1 + 2 * tolerance) + rm.max() * (1 + 2 * tolerance)
     hits = cKDTree(cm).query_ball_point(cs, reach)
-    pairs = np.array([(i, j) for i, found in enumerate(hits) for j in sorted(found)], dtype=np.int64).reshape(-1, 2)
+    pairs = np.array([(i, j) for i, found in enumerate(hits) for j in sorted(found)], dtype=np.int64).reshape(
+        -1, 2
+    )
     if len(pairs) == 0:
         return pairs
     near = np.linalg.norm(cs[pairs[:, 0]] - cm[pairs[:, 1]], axis=1)
@@ -140,8 +155,14 @@ def _integrate(
     m = slave.dim - 1
     cells, pair = _segments(slave, master, pairs) if m == 1 else _polygons(slave, master, pairs)
     q, w = quadrature(m, degree + max(slave.degree, master.degree))
-    x = np.einsum("qa,nak->nqk", shape_functions(m, 1, q), cells)  # in the slave facet's reference coordinates
-    size = np.abs(cells[:, 1, 0] - cells[:, 0, 0]) if m == 1 else np.abs(_cross(cells[:, 1] - cells[:, 0], cells[:, 2] - cells[:, 0]))
+    x = np.einsum(
+        "qa,nak->nqk", shape_functions(m, 1, q), cells
+    )  # in the slave facet's reference coordinates
+    size = (
+        np.abs(cells[:, 1, 0] - cells[:, 0, 0])
+        if m == 1
+        else np.abs(_cross(cells[:, 1] - cells[:, 0], cells[:, 2] - cells[:, 0]))
+    )
     f, g = pair[:, 0], pair[:, 1]
     X = np.einsum("nqa,nad->nqd", shape_functions(m, 1, x), slave.corners[f])
     y, distance = _onto(X, slave.normals[f], master.corners[g])
@@ -151,19 +172,23 @@ def _integrate(
     f, g, x, y, weight = f[near], g[near], x[near], y[near], (size * slave.sizes[f])[near]
     test = shape_functions(m, degree, x)
     own = np.einsum("n,q,nqa,nqb->nab", weight, w, test, shape_functions(m, slave.degree, x), optimize=True)
-    other = np.einsum("n,q,nqa,nqb->nab", weight, w, test, shape_functions(m, master.degree, y), optimize=True)
+    other = np.einsum(
+        "n,q,nqa,nqb->nab", weight, w, test, shape_functions(m, master.degree, y), optimize=True
+    )
     return np.stack((f, g), axis=1), own, other, weight, np.abs(distance[near]).max(axis=1, initial=0.0)
 
 
 def _onto(X: Array, normal: Array, corners: Array) -> tuple[Array, Array]:
-    """Reference coordinates (n, q, m) on the master's facets of points moved along the slave's normal, and the moves."""
+    """Reference coordinates (n, q, m) on the master's facets of points moved along the slave's normal, and
+    the moves.
+    """
     e = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
     A = np.concatenate((e, -normal[:, :, None]), axis=2)
     flat = np.abs(np.linalg.det(A)) < 1e-14 * np.abs(A).max(axis=(1, 2), initial=1e-300) ** 2
     A = np.where(flat[:, None, None], np.eye(A.shape[1]), A)
     z = np.linalg.solve(A[:, None], (X - corners[:, None, 0])[..., None])[..., 0]
     z[flat] = np.inf
-    return z[..., :-1], z[..., -1]
+    return np.asarray(z[..., :-1]), np.asarray(z[..., -1])
 
 
 def _segments(slave: Trace, master: Trace, pairs: np.ndarray) -> tuple[Array, np.ndarray]:
@@ -190,7 +215,7 @@ def _polygons(slave: Trace, master: Trace, pairs: np.ndarray) -> tuple[Array, np
     d = master.corners[g] - a[:, None]
     polygon = np.einsum("nij,njd,nkd->nki", gram, e, d, optimize=True)  # master triangle in slave coordinates
     count = np.full(len(pairs), 3)
-    vertices = np.zeros((len(pairs), 8, 2))
+    vertices: Array = np.zeros((len(pairs), 8, 2))
     vertices[:, :3] = polygon
     for value in (lambda p: p[..., 0], lambda p: p[..., 1], lambda p: 1.0 - p[..., 0] - p[..., 1]):
         vertices, count = _clip(vertices, count, value)
@@ -228,8 +253,12 @@ def _clip(vertices: Array, count: np.ndarray, value: object) -> tuple[Array, np.
     return out, made
 
 
-def refined_coupling(multipliers: Multipliers, fine: Trace, parent: np.ndarray, corners: Array) -> sp.csr_matrix:
-    """int mu_j w_i with the functions of a finer mesh of the same surface (:func:`.traces.refined`), (n, n_fine)."""
+def refined_coupling(
+    multipliers: Multipliers, fine: Trace, parent: np.ndarray, corners: Array
+) -> sp.csr_matrix:
+    """int mu_j w_i with the functions of a finer mesh of the same surface (:func:`.traces.refined`), (n,
+    n_fine).
+    """
     m, p = fine.dim - 1, multipliers.degree
     q, w = quadrature(m, p + fine.degree)
     x = np.einsum("qa,nak->nqk", shape_functions(m, 1, q), corners)
@@ -237,4 +266,6 @@ def refined_coupling(multipliers: Multipliers, fine: Trace, parent: np.ndarray, 
     blocks = np.einsum("n,q,nqa,qb->nab", fine.sizes, w, test, shape, optimize=True)
     k = reference_mass(m, p, p).shape[0]
     rows = parent[:, None] * k + np.arange(k)
-    return (multipliers.basis @ scatter(blocks, rows, fine.nodes, (multipliers.basis.shape[1], fine.n))).tocsr()
+    return (
+        multipliers.basis @ scatter(blocks, rows, fine.nodes, (multipliers.basis.shape[1], fine.n))
+    ).tocsr()

@@ -2,11 +2,15 @@
 
 Every space is written in one form: facet-wise polynomials of degree p with a sparse matrix C,
 
-    mu_j = sum_(F, a) C_j,(F a) psi_Fa,      psi_Fa Lagrange functions of facet F, discontinuous across facets     (1)
+    mu_j = sum_(F, a) C_j,(F a) psi_Fa,      psi_Fa Lagrange functions of facet F, discontinuous across
+    facets     (1)
 
-so that trace matrices, mortar integrals and norms need one code for all of them. Which space is stable beside which V_h is
-a matter of the inf-sup condition; ``docs/traces.md`` has the measured table. Sources: Bernardi, Maday and Patera (mortar
-spaces with ends of lower degree, doi:10.1007/978-94-011-1810-4_22); Wohlmuth (dual spaces, doi:10.1137/S0036142999350929);
+so that trace matrices, mortar integrals and norms need one code for all of them. Which space is stable
+beside which V_h is
+a matter of the inf-sup condition; ``docs/traces.md`` has the measured table. Sources: Bernardi, Maday and
+Patera (mortar
+spaces with ends of lower degree, doi:10.1007/978-94-011-1810-4_22); Wohlmuth (dual spaces,
+doi:10.1137/S0036142999350929);
 Kim, Lazarov, Pasciak and Vassilevski (space, doi:10.1137/S0036142900367065).
 """
 
@@ -85,9 +89,11 @@ class MultiplierSpace(Protocol):
 
 
 class Ends(Enum):
-    """What happens to multipliers on the border of the surface, where it meets other constraints (cross-points).
+    """What happens to multipliers on the border of the surface, where it meets other constraints
+    (cross-points).
 
-    KEPT: nothing. MERGED: a border value follows from the inner ones (degree lower by one at the border); constants remain.
+    KEPT: nothing. MERGED: a border value follows from the inner ones (degree lower by one at the border);
+    constants remain.
     DROPPED: border values are zero; constants are lost at the border.
     """
 
@@ -104,6 +110,7 @@ class Continuous:
     ends: Ends = Ends.MERGED
 
     def on(self, trace: Trace) -> Multipliers:
+        """The space on a surface."""
         degree = trace.degree if self.degree is None else self.degree
         nodes, n, border, points = _nodes(trace, degree)
         f, k = nodes.shape
@@ -115,11 +122,14 @@ class Continuous:
 
 @dataclass(frozen=True)
 class Dual:
-    """Multipliers biorthogonal to the nodal functions of V_h: int psi_i phi_j = delta_ij int phi_j; local elimination."""
+    """Multipliers biorthogonal to the nodal functions of V_h: int psi_i phi_j = delta_ij int phi_j; local
+    elimination.
+    """
 
     ends: Ends = Ends.MERGED
 
     def on(self, trace: Trace) -> Multipliers:
+        """The space on a surface."""
         p, m = trace.degree, trace.dim - 1
         M = reference_mass(m, p, p)
         integrals = M.sum(axis=1)
@@ -143,15 +153,24 @@ class Discontinuous:
     degree: int = 0
 
     def on(self, trace: Trace) -> Multipliers:
+        """The space on a surface."""
         k = reference_mass(trace.dim - 1, self.degree, self.degree).shape[0]
-        return Multipliers(trace, self.degree, sp.identity(len(trace.nodes) * k, format="csr"), f"discontinuous P{self.degree}")
+        return Multipliers(
+            trace,
+            self.degree,
+            sp.identity(len(trace.nodes) * k, format="csr"),
+            f"discontinuous P{self.degree}",
+        )
 
 
 @dataclass(frozen=True)
 class Aggregated:
-    """Constants on patches of facets: pairs in the plane, stars of a vertex in space (about twice coarser cells)."""
+    """Constants on patches of facets: pairs in the plane, stars of a vertex in space (about twice coarser
+    cells).
+    """
 
     def on(self, trace: Trace) -> Multipliers:
+        """The space on a surface."""
         patch = _pairs(trace) if trace.dim == 2 else _stars(trace)
         f = len(trace.nodes)
         C = sp.csr_matrix((np.ones(f), (patch, np.arange(f))), shape=(int(patch.max()) + 1, f))
@@ -160,36 +179,49 @@ class Aggregated:
 
 @dataclass(frozen=True)
 class Linear:
-    """Polynomials 1 and (X_k - c_k) / l over the whole surface: the moments that joints on average see; six of their vector
+    """Polynomials 1 and (X_k - c_k) / l over the whole surface: the moments that joints on average see; six
+    of their vector
     combinations are the resultants.
     """
 
     def on(self, trace: Trace) -> Multipliers:
+        """The space on a surface."""
         d, x = trace.dim, trace.corners
         center = (trace.sizes[:, None] * x.mean(1)).sum(0) / trace.sizes.sum()
-        length = float(np.sqrt((trace.sizes * ((x.mean(1) - center) ** 2).sum(1)).sum() / trace.sizes.sum())) or 1.0
+        length = (
+            float(np.sqrt((trace.sizes * ((x.mean(1) - center) ** 2).sum(1)).sum() / trace.sizes.sum()))
+            or 1.0
+        )
         rows = [np.ones(len(x) * d)] + [((x[:, :, k] - center[k]) / length).ravel() for k in range(d)]
         flat = [r for r in rows if np.abs(r).max() > 1e-9]
         return Multipliers(trace, 1, sp.csr_matrix(np.array(flat)), "linear over the surface")
 
 
 def default_space(degree: int) -> MultiplierSpace:
-    """Same degree with merged ends beside P1; P1 beside P2 and higher (the measured table is in ``docs/traces.md``)."""
+    """Same degree with merged ends beside P1; P1 beside P2 and higher (the measured table is in
+    ``docs/traces.md``).
+    """
     return Continuous() if degree == 1 else Continuous(degree=degree - 1, ends=Ends.KEPT)
 
 
 def _nodes(trace: Trace, degree: int) -> tuple[np.ndarray, int, np.ndarray, Array]:
-    """Node numbers of the continuous space of a degree on the trace's facets, their count, border nodes, points."""
+    """Node numbers of the continuous space of a degree on the trace's facets, their count, border nodes,
+    points.
+    """
     if degree == trace.degree:
         return trace.nodes, trace.n, trace.border, trace.points
     if degree != 1:
-        raise InputError(f"{trace.label}: multipliers of degree {degree} beside V_h of degree {trace.degree} are not provided.")
+        raise InputError(
+            f"{trace.label}: multipliers of degree {degree} beside V_h of degree {trace.degree} are not provided."
+        )
     vertices, number = np.unique(trace.nodes[:, : trace.dim], return_inverse=True)
     border = np.flatnonzero(np.isin(vertices, trace.border))
     return number.reshape(-1, trace.dim), len(vertices), border, trace.points[vertices]
 
 
-def _border_rule(ends: Ends, nodes: np.ndarray, border: np.ndarray, points: Array, degree: int) -> sp.csr_matrix:
+def _border_rule(
+    ends: Ends, nodes: np.ndarray, border: np.ndarray, points: Array, degree: int
+) -> sp.csr_matrix:
     """R (n_kept, n): functions of the kept nodes as sums of all nodal functions."""
     n = len(points)
     if ends is Ends.KEPT or len(border) == 0:
@@ -210,13 +242,19 @@ def _border_rule(ends: Ends, nodes: np.ndarray, border: np.ndarray, points: Arra
     known = np.isin(np.arange(n), inner)
     values = {int(i): {int(number[i]): 1.0} for i in inner}
     while not known.all():
-        ring = [b for b in np.flatnonzero(~known) if known[graph.indices[graph.indptr[b] : graph.indptr[b + 1]]].any()]
+        ring = [
+            b
+            for b in np.flatnonzero(~known)
+            if known[graph.indices[graph.indptr[b] : graph.indptr[b + 1]]].any()
+        ]
         for b in ring:
             around = graph.indices[graph.indptr[b] : graph.indptr[b + 1]]
             around = around[known[around]]
             values[int(b)] = _mean([values[int(a)] for a in around])
         if not ring:
-            raise InputError("A surface falls into separate parts, one of them without inner nodes; use coarser multipliers.")
+            raise InputError(
+                "A surface falls into separate parts, one of them without inner nodes; use coarser multipliers."
+            )
         known[ring] = True
     for b in border:
         for j, w in values[int(b)].items():
@@ -232,7 +270,9 @@ def _mean(rows: list[dict[int, float]]) -> dict[int, float]:
     return out
 
 
-def _extrapolate(R: sp.lil_matrix, nodes: np.ndarray, border: np.ndarray, number: np.ndarray, points: Array) -> None:
+def _extrapolate(
+    R: sp.lil_matrix, nodes: np.ndarray, border: np.ndarray, number: np.ndarray, points: Array
+) -> None:
     """In the plane: the end value is the extrapolation of degree p - 1 from the other nodes of its facet."""
     for b in border:
         facet = nodes[(nodes == b).any(axis=1)][0]

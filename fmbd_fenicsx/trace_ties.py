@@ -1,13 +1,19 @@
-"""Ties of whole surfaces by field multipliers: weak Dirichlet data, rigid faces, non-matching interfaces, sliding.
+"""Ties of whole surfaces by field multipliers: weak Dirichlet data, rigid faces, non-matching interfaces,
+sliding.
 
-    int_Gamma mu . (x_b + s(t) d(X) - x_a) dS = 0    for all mu of a multiplier space on the surface of a                  (1)
+    int_Gamma mu . (x_b + s(t) d(X) - x_a) dS = 0    for all mu of a multiplier space on the surface of a
+                 (1)
 
-x_a is the placement of an elastic surface, x_b that of another elastic surface (over the intersections of their facets), of a
-rigid body, or of the ground; s(t) d(X) is a displacement that is imposed on top. Every side is linear in its ports,
+x_a is the placement of an elastic surface, x_b that of another elastic surface (over the intersections of
+their facets), of a
+rigid body, or of the ground; s(t) d(X) is a displacement that is imposed on top. Every side is linear in its
+ports,
 
-    y_j = m_j r + R (s_j + p_j),     m_j = int mu_j,  s_j = int mu_j X,  p_j = int mu_j u                                  (2)
+    y_j = m_j r + R (s_j + p_j),     m_j = int mu_j,  s_j = int mu_j X,  p_j = int mu_j u
+                 (2)
 
-with the pose (r, R) of its frame (the ground for absolute bodies), so that one kind of row serves all of them. The multiplier is
+with the pose (r, R) of its frame (the ground for absolute bodies), so that one kind of row serves all of
+them. The multiplier is
 the traction on the surface of a, world axes (of a sliding tie: along the normal).
 """
 
@@ -79,7 +85,10 @@ def tie_surface(
         motion: s(t) of an imposed displacement, 1 by default where ``shape`` is given.
         shape: d(X), function of world coordinates (d, n) -> (d, n), m.
     """
-    require(motion is None or shape is not None, f'Tie "{name}": motion(t) needs a shape(X), the displacement that it scales.')
+    require(
+        motion is None or shape is not None,
+        f'Tie "{name}": motion(t) needs a shape(X), the displacement that it scales.',
+    )
     law = None if motion is None else smooth_motion(name, motion)
     if law is None and shape is not None:
         law = lambda t: (1.0, 0.0, 0.0)
@@ -88,7 +97,9 @@ def tie_surface(
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One side (2): its frame, its part (None: rigid or ground) with the ports p, and the constants m (n,), s (n, d)."""
+    """One side (2): its frame, its part (None: rigid or ground) with the ports p, and the constants m (n,),
+    s (n, d).
+    """
 
     frame: int
     part: int | None
@@ -99,7 +110,9 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class TraceRows:
-    """Rows (1) of one tie: sides a and b, imposed data D_j = int mu_j d (n, d), motion, and the normal of a sliding tie."""
+    """Rows (1) of one tie: sides a and b, imposed data D_j = int mu_j d (n, d), motion, and the normal of a
+    sliding tie.
+    """
 
     name: str
     multipliers: Multipliers
@@ -115,7 +128,9 @@ class TraceRows:
         return n if self.normal is not None else n * d
 
     def tractions(self, lam: Array) -> Array:
-        """Facet-wise nodal values (n_f, k_p, d) of the force on a per area, Pa, world axes at the start, for rows ``lam``."""
+        """Facet-wise nodal values (n_f, k_p, d) of the force on a per area, Pa, world axes at the start, for
+        rows ``lam``.
+        """
         values = lam.reshape(-1, 1) * self.normal if self.normal is not None else lam.reshape(self.data.shape)
         return self.multipliers.coefficients(values)
 
@@ -147,7 +162,9 @@ class TraceRows:
         return g.ravel() if self.normal is None else g @ (ev.rotation[self.sides[1].frame] @ self.normal)
 
     def jacobian(self, ev: Any) -> list[tuple[str, int, Array]]:
-        """Blocks ("frame", number of the frame, (rows, n_twist)) and ("port", number of the side, (rows, ports))."""
+        """Blocks ("frame", number of the frame, (rows, n_twist)) and ("port", number of the side, (rows,
+        ports)).
+        """
         m, (n, d) = ev.system.motions, self.data.shape
         blocks: list[tuple[str, int, Array]] = []
         nu = None if self.normal is None else ev.rotation[self.sides[1].frame] @ self.normal
@@ -163,7 +180,7 @@ class TraceRows:
             if side.part is not None:
                 row = R if nu is None else (nu @ R)[None]
                 blocks.append(("port", number, sign * np.kron(np.eye(n), row)))
-        if nu is not None and self.sides[1].frame < ev.system.n_frames:
+        if nu is not None and self.normal is not None and self.sides[1].frame < ev.system.n_frames:
             R = ev.rotation[self.sides[1].frame]
             turned = np.zeros((n, m.n_twist))
             turned[:, d:] = self._difference(ev) @ (R @ m.lever(self.normal[None])[0])
@@ -175,7 +192,9 @@ class TraceRows:
         m, d = ev.system.motions, self.data.shape[1]
         total = np.zeros_like(self.data)
         speed = self.motion(ev.t)[1] * self.data
-        for side, z, zd, sign in zip(self.sides, self._arms(ev), self._arms(ev, rate=True), (-1.0, 1.0), strict=True):
+        for side, z, zd, sign in zip(
+            self.sides, self._arms(ev), self._arms(ev, rate=True), (-1.0, 1.0), strict=True
+        ):
             R, twist = ev.rotation[side.frame], ev.twist[side.frame]
             w = np.broadcast_to(twist[None, d:], (len(z), m.n_rot))
             total += sign * (m.spin(w, m.spin(w, z) + 2.0 * zd) @ R.T)
@@ -207,8 +226,12 @@ def build_surface_ties(
     return [build_trace_rows(t, parts, part_of, place) for t in ties.values()]
 
 
-def build_trace_rows(tie: SurfaceTie, parts: list[Any], part_of: dict[str, int], place: Callable[[Any], Any]) -> TraceRows:
-    """Rows of a tie; adds the ports that they need to the parts. ``place(rigid body)``: (frame, position, rotation). Collective."""
+def build_trace_rows(
+    tie: SurfaceTie, parts: list[Any], part_of: dict[str, int], place: Callable[[Any], Any]
+) -> TraceRows:
+    """Rows of a tie; adds the ports that they need to the parts. ``place(rigid body)``: (frame, position,
+    rotation). Collective.
+    """
     part = parts[part_of[tie.a.body.name]]
     trace = _trace(part, tie.a)
     space = tie.space or default_space(trace.degree)
@@ -238,7 +261,9 @@ def build_trace_rows(tie: SurfaceTie, parts: list[Any], part_of: dict[str, int],
     if tie.sliding:
         mean = (trace.sizes[:, None] * trace.normals).sum(0) / trace.sizes.sum()
         if np.linalg.norm(mean) < 1 - 1e-6:
-            raise InputError(f'Tie "{tie.name}": {trace.label} is curved; a sliding tie needs a flat surface.')
+            raise InputError(
+                f'Tie "{tie.name}": {trace.label} is curved; a sliding tie needs a flat surface.'
+            )
         normal = mean if other is not None or tie.b is ground else place(tie.b)[2].T @ mean
     return TraceRows(tie.name, mu, (a, b), _imposed(tie, mu), tie.motion or standstill, normal)
 
@@ -267,7 +292,9 @@ def _imposed(tie: SurfaceTie, mu: Multipliers) -> Array:
     x = t.place(q).reshape(-1, t.dim)
     found = np.asarray(tie.shape(x.T), dtype=float)
     if found.shape != x.T.shape or not np.isfinite(found).all():
-        raise CallbackError(f'Tie "{tie.name}": shape(X) returned {found.shape}, expected {x.T.shape} finite numbers.')
+        raise CallbackError(
+            f'Tie "{tie.name}": shape(X) returned {found.shape}, expected {x.T.shape} finite numbers.'
+        )
     values = found.T.reshape(len(t.nodes), len(q), t.dim)
     blocks = np.einsum("f,q,qa,fqc->fac", t.sizes, w, shape_functions(m, mu.degree, q), values, optimize=True)
     k = blocks.shape[1]

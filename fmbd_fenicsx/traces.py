@@ -1,8 +1,11 @@
 """Named surfaces of elastic bodies as meshes of their own: the trace of V_h on Gamma.
 
-The trace of a Lagrange space on a flat facet is the Lagrange space of the same degree on the facet, so the whole of it is
-known from the facets' node numbers and points. These few numbers are gathered to all ranks, sorted by place and not by
-rank: multiplier spaces, norms and mortar integrals are then plain arrays, equal on any number of ranks, with or without
+The trace of a Lagrange space on a flat facet is the Lagrange space of the same degree on the facet, so the
+whole of it is
+known from the facets' node numbers and points. These few numbers are gathered to all ranks, sorted by place
+and not by
+rank: multiplier spaces, norms and mortar integrals are then plain arrays, equal on any number of ranks, with
+or without
 facets on a rank, and on every version of DOLFINx. Only the columns of the coupling matrices are distributed.
 """
 
@@ -28,7 +31,9 @@ def lagrange(dim: int, degree: int, broken: bool = False) -> Any:
 
     cell = {1: basix.CellType.interval, 2: basix.CellType.triangle}[dim]
     variant = basix.LagrangeVariant.gll_warped
-    return basix.create_element(basix.ElementFamily.P, cell, degree, variant, discontinuous=broken or degree == 0)
+    return basix.create_element(
+        basix.ElementFamily.P, cell, degree, variant, discontinuous=broken or degree == 0
+    )
 
 
 def shape_functions(dim: int, degree: int, points: Array) -> Array:
@@ -53,8 +58,10 @@ def quadrature(dim: int, degree: int) -> tuple[Array, Array]:
 class Trace:
     """A surface as a mesh with the nodes of V_h, replicated; facets and nodes are sorted by place.
 
-    Attributes: ``points`` (n, d) nodes in the mesh's coordinates (m), ``nodes`` (n_f, k) node numbers of the facets, vertices
-    first, ``normals`` (n_f, d) outward, ``degree`` of V_h, ``owned`` (n,) the node's number on this rank or -1, ``n_owned``
+    Attributes: ``points`` (n, d) nodes in the mesh's coordinates (m), ``nodes`` (n_f, k) node numbers of the
+    facets, vertices
+    first, ``normals`` (n_f, d) outward, ``degree`` of V_h, ``owned`` (n,) the node's number on this rank or
+    -1, ``n_owned``
     nodes of the body on this rank, ``label`` for messages.
     """
 
@@ -104,7 +111,9 @@ class Trace:
             return np.asarray(ends[count == 1])
         sides = lagrange(2, self.degree).entity_closure_dofs[1]
         edges = np.concatenate([self.nodes[:, s] for s in sides])
-        _, first, count = np.unique(np.sort(edges[:, :2], axis=1), axis=0, return_index=True, return_counts=True)
+        _, first, count = np.unique(
+            np.sort(edges[:, :2], axis=1), axis=0, return_index=True, return_counts=True
+        )
         return np.unique(edges[first[count == 1]])
 
     def place(self, reference: Array) -> Array:
@@ -163,7 +172,7 @@ def trace_of(space: Any, mesh: Any, surface: str) -> Trace:
     Raises:
         MeshError: no facets on the boundary, or facets that are not straight simplices.
     """
-    msh, d, comm = mesh.dolfinx, mesh.dim, mesh.dolfinx.comm
+    d, comm = mesh.dim, mesh.dolfinx.comm
     degree = int(space.ufl_element().embedded_superdegree)
     label = f'surface "{surface}" of {mesh.label}'
     error, local = None, None
@@ -196,7 +205,7 @@ def _by_place(x: Array) -> np.ndarray:
 
 
 def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarray, Array, Array]:
-    """This rank's facets: global node numbers (n, k), their points (n, k, d), outward normals (n, d)."""
+    """Own facets: global node numbers (n, k), their points (n, k, d), outward normals (n, d)."""
     from dolfinx.mesh import exterior_facet_indices
 
     msh, d = mesh.dolfinx, mesh.dim
@@ -204,8 +213,13 @@ def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarra
     topology.create_connectivity(d - 1, d)
     topology.create_connectivity(d, d - 1)
     kind = topology.cell_name()
-    if kind not in ("triangle", "tetrahedron") or msh.ufl_domain().ufl_coordinate_element().embedded_superdegree != 1:
-        raise MeshError(f"field multipliers need straight triangles or tetrahedra; this mesh has {kind} cells of its own degree.")
+    if (
+        kind not in ("triangle", "tetrahedron")
+        or msh.ufl_domain().ufl_coordinate_element().embedded_superdegree != 1
+    ):
+        raise MeshError(
+            f"field multipliers need straight triangles or tetrahedra; this mesh has {kind} cells of its own degree."
+        )
     facets = np.intersect1d(mesh.facet_tags.find(tag), exterior_facet_indices(topology))
     facets = facets[facets < topology.index_map(d - 1).size_local]
     k = lagrange(d - 1, degree).dim
@@ -213,7 +227,9 @@ def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarra
         return np.zeros((0, k), dtype=np.int64), np.zeros((0, k, d)), np.zeros((0, d))
     to_cell, to_facet = topology.connectivity(d - 1, d), topology.connectivity(d, d - 1)
     cells = np.array([to_cell.links(f)[0] for f in facets])
-    sides = np.array([int(np.flatnonzero(to_facet.links(c) == f)[0]) for c, f in zip(cells, facets, strict=True)])
+    sides = np.array(
+        [int(np.flatnonzero(to_facet.links(c) == f)[0]) for c, f in zip(cells, facets, strict=True)]
+    )
     closure = np.array(space.element.basix_element.entity_closure_dofs[d - 1])
     dofs = np.take_along_axis(space.dofmap.list[cells], closure[sides], axis=1)
     coordinates = space.tabulate_dof_coordinates()[:, :d]
@@ -227,13 +243,18 @@ def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarra
     inside = coordinates[space.dofmap.list[cells]].mean(axis=1)
     normals *= np.where(((x[:, 0] - inside) * normals).sum(1) < 0, -1.0, 1.0)[:, None]
     rank_order = _reference_order(x, degree)
-    dofs, x = np.take_along_axis(dofs, rank_order, axis=1), np.take_along_axis(x, rank_order[:, :, None], axis=1)
+    dofs, x = (
+        np.take_along_axis(dofs, rank_order, axis=1),
+        np.take_along_axis(x, rank_order[:, :, None], axis=1),
+    )
     ids = space.dofmap.index_map.local_to_global(dofs.ravel().astype(np.int32)).reshape(dofs.shape)
     return ids.astype(np.int64), x, normals
 
 
 def _reference_order(x: Array, degree: int) -> np.ndarray:
-    """Permutation of each facet's nodes into the order of the reference element spanned by its first d nodes."""
+    """Permutation of each facet's nodes into the order of the reference element spanned by its first d
+    nodes.
+    """
     n, k, d = x.shape
     wanted = np.asarray(lagrange(d - 1, degree).points)
     at = np.einsum("ma,fad->fmd", shape_functions(d - 1, 1, wanted), x[:, :d])
@@ -247,7 +268,8 @@ def _reference_order(x: Array, degree: int) -> np.ndarray:
 def refined(trace: Trace, times: int, degree: int) -> tuple[Trace, np.ndarray, Array]:
     """The surface cut into finer facets with Lagrange nodes of the given degree, for norms.
 
-    Returns the finer trace (it owns no nodes of the body), the parent facet of each of its facets (n,), and the corners in
+    Returns the finer trace (it owns no nodes of the body), the parent facet of each of its facets (n,), and
+    the corners in
     the parent's reference coordinates (n, d, d-1).
     """
     m = trace.dim - 1
@@ -257,7 +279,9 @@ def refined(trace: Trace, times: int, degree: int) -> tuple[Trace, np.ndarray, A
     n_f, n_p = len(trace.nodes), len(pieces)
     parent = np.repeat(np.arange(n_f), n_p)
     corners = np.tile(pieces, (n_f, 1, 1))
-    x = np.einsum("pva,fad->fpvd", shape_functions(m, 1, pieces), trace.corners).reshape(-1, trace.dim, trace.dim)
+    x = np.einsum("pva,fad->fpvd", shape_functions(m, 1, pieces), trace.corners).reshape(
+        -1, trace.dim, trace.dim
+    )
     nodes = np.einsum("ka,fad->fkd", shape_functions(m, 1, np.asarray(lagrange(m, degree).points)), x)
     flat = nodes.reshape(-1, trace.dim)
     key = np.round((flat - flat.min(0)) / float(np.ptp(flat, axis=0).max()), 9)

@@ -1,6 +1,7 @@
 """A rectangle or box with its faces as surfaces, cut into a regular grid of simplices (or of quadrilaterals).
 
-Surfaces "left", "right" (x), "bottom", "top" (y), and in space "back", "front" (z). ``cells`` is the number of cells along x; the
+Surfaces "left", "right" (x), "bottom", "top" (y), and in space "back", "front" (z). ``cells`` is the number
+of cells along x; the
 others follow from the lengths unless ``counts`` gives them all.
 """
 
@@ -17,7 +18,9 @@ def build(
     origin: tuple[float, ...] = (0.0, 0.0, 0.0),
     quads: bool = False,
 ) -> None:
-    """Model of a block with edges ``size`` (m) from ``origin`` (m); ``quads``: quadrilaterals or hexahedra."""
+    """Model of a block with edges ``size`` (m) from ``origin`` (m); ``quads``: quadrilaterals or
+    hexahedra.
+    """
     gmsh.model.add("block")
     occ, dim = gmsh.model.occ, len(size)
     o = (*origin, 0.0, 0.0)[:3]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from test_traces import ROOT
 from tied import block, manufactured, release, surface, tied
 
 import fmbd_fenicsx as fmbd
@@ -14,7 +15,6 @@ from fmbd_fenicsx.linear.saddle import Elastic
 from fmbd_fenicsx.linear.spd import CholeskyFactor
 from fmbd_fenicsx.multipliers import Continuous, Ends
 from fmbd_fenicsx.traces import trace_of
-from test_traces import ROOT
 
 KEPT1 = Continuous(1, Ends.KEPT)
 
@@ -61,7 +61,8 @@ def test_bddc_in_the_presets(preset) -> None:
 @pytest.mark.mpi
 @pytest.mark.parametrize("parts, cells", [(2, (6, 6)), (4, (6, 8))])
 def test_subdomains_give_the_beam(parts: int, cells: tuple[int, int]) -> None:
-    """A beam in pieces, clamped at its left end: counts bounded, result that of all pieces in one saddle point."""
+    """A beam in pieces, clamped at its left end: counts bounded, result that of all pieces in one saddle
+    point."""
     from mpi4py import MPI
 
     world = MPI.COMM_WORLD
@@ -73,18 +74,32 @@ def test_subdomains_give_the_beam(parts: int, cells: tuple[int, int]) -> None:
 
     cm = 4 * 6.0**2
     own = {i: Elastic(piece(i, MPI.COMM_SELF), cm) for i in range(parts) if i % world.size == world.rank}
-    traces = shared_traces(world, {(i, n): trace_of(e.body.space, e.body.mesh, n) for i, e in own.items() for n in ("left", "right")})
+    traces = shared_traces(
+        world,
+        {(i, n): trace_of(e.body.space, e.body.mesh, n) for i, e in own.items() for n in ("left", "right")},
+    )
     dual = DualInterface(world, own, traces)
     dual.hold((0, "left"), KEPT1)
     for i in range(1, parts):
-        fine, coarse = ((i, "left"), (i - 1, "right")) if cells[i % 2] >= cells[(i - 1) % 2] else ((i - 1, "right"), (i, "left"))
+        fine, coarse = (
+            ((i, "left"), (i - 1, "right"))
+            if cells[i % 2] >= cells[(i - 1) % 2]
+            else ((i - 1, "right"), (i, "left"))
+        )
         dual.tie(fine, coarse, KEPT1)
     dual.prepare()
-    load = {i: e.body.mass(np.ones((e.body.n, 2)) * [0.0, 1.0] * (1 + e.body.X_world[:, :1])).ravel() for i, e in own.items()}
+    load = {
+        i: e.body.mass(np.ones((e.body.n, 2)) * [0.0, 1.0] * (1 + e.body.X_world[:, :1])).ravel()
+        for i, e in own.items()
+    }
     u, lam, iterations = dual.solve(load, np.zeros(dual.n))
     assert iterations <= 25
     whole = _whole(piece, parts, cells, cm)
-    found = {k: v for part in world.allgather({i: (own[i].body.X_world, u[i].reshape(-1, 2)) for i in own}) for k, v in part.items()}
+    found = {
+        k: v
+        for part in world.allgather({i: (own[i].body.X_world, u[i].reshape(-1, 2)) for i in own})
+        for k, v in part.items()
+    }
     for i, (x, v) in whole.items():
         order, other = np.lexsort(np.round(x, 8).T), np.lexsort(np.round(found[i][0], 8).T)
         assert np.abs(v[order] - found[i][1][other]).max() < 1e-8 * np.abs(v).max()

@@ -77,7 +77,8 @@ def test_dual_norm_of_a_constant() -> None:
 
 
 def test_finer_carrier_is_unstable(squares) -> None:
-    """Multipliers on a twice finer mesh: zero modes, whatever their norm (the coarser side must not carry fewer functions)."""
+    """Multipliers on a twice finer mesh: zero modes, whatever their norm (the coarser side must not carry
+    fewer functions)."""
     found = infsup((squares(4), "bottom"), KEPT, degree=1, carrier=(squares(8), "bottom"))
     assert found.zero_modes == 4
 

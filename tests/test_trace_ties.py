@@ -1,4 +1,5 @@
-"""Ties of surfaces in scenes: Jacobians and accelerations against differences, statics, rigid partners, moving data."""
+"""Ties of surfaces in scenes: Jacobians and accelerations against differences, statics, rigid partners,
+moving data."""
 
 from __future__ import annotations
 
@@ -14,7 +15,9 @@ LAW = fmbd.materials.linear_elastic(1e4, 0.3)
 
 
 def block(dim: int, cells: int = 2, low: float = 0.0):
-    return fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0,) * dim, cells=cells, origin=(0.0, low, 0.0)[:dim])
+    return fmbd.read_gmsh(
+        ROOT / "meshes/block.py", size=(1.0,) * dim, cells=cells, origin=(0.0, low, 0.0)[:dim]
+    )
 
 
 def body(kind: str, name: str, dim: int, cells: int = 2, low: float = 0.0):
@@ -28,7 +31,13 @@ def scene_of(dim: int, a: str, b: str, sliding: bool) -> fmbd.Scene:
     scene.add(upper)
     space = fmbd.Continuous(1, fmbd.Ends.KEPT) if dim == 2 else fmbd.Continuous()
     if b == "rigid":
-        other = fmbd.RigidBody("plate", 2.0, 0.3 if dim == 2 else (0.3, 0.4, 0.5), position=(0.4, 0.7, 0.6)[:dim], rotation=0.2 if dim == 2 else None)
+        other = fmbd.RigidBody(
+            "plate",
+            2.0,
+            0.3 if dim == 2 else (0.3, 0.4, 0.5),
+            position=(0.4, 0.7, 0.6)[:dim],
+            rotation=0.2 if dim == 2 else None,
+        )
         scene.add(other)
     elif b == "ground":
         other = fmbd.ground
@@ -38,14 +47,31 @@ def scene_of(dim: int, a: str, b: str, sliding: bool) -> fmbd.Scene:
         other = lower.surface("top")
     shape = lambda x: np.stack([0.1 + x[0], x[1], x[0]][:dim])  # noqa: E731
     scene.add(
-        fmbd.tie_surface("glue", upper.surface("bottom"), other, space=space, sliding=sliding, shape=shape, motion=lambda t: 0.1 * np.sin(t))
+        fmbd.tie_surface(
+            "glue",
+            upper.surface("bottom"),
+            other,
+            space=space,
+            sliding=sliding,
+            shape=shape,
+            motion=lambda t: 0.1 * np.sin(t),
+        )
     )
     return scene
 
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("sliding", [False, True])
-@pytest.mark.parametrize("a, b", [("absolute", "ground"), ("absolute", "rigid"), ("absolute", "absolute"), ("floating", "rigid"), ("floating", "floating")])
+@pytest.mark.parametrize(
+    "a, b",
+    [
+        ("absolute", "ground"),
+        ("absolute", "rigid"),
+        ("absolute", "absolute"),
+        ("floating", "rigid"),
+        ("floating", "floating"),
+    ],
+)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_jacobian_and_gamma_against_differences(dim: int, a: str, b: str, sliding: bool) -> None:
     motion = Motion(scene_of(dim, a, b, sliding))
@@ -57,7 +83,9 @@ def test_jacobian_and_gamma_against_differences(dim: int, a: str, b: str, slidin
     acceleration = ev.jacobian.times(motion.a) + ev.gamma()
     assert np.abs(acceleration - second(lambda s: motion.at(s).constraint()))[rows].max() < 1e-5 * scale
     delta, lam = motion.direction(), np.linspace(1, 2, motion.system.n_lam)
-    assert motion.system.dot(ev.jacobian.transposed(lam), delta) == pytest.approx(lam @ ev.jacobian.times(delta), rel=1e-11)
+    assert motion.system.dot(ev.jacobian.transposed(lam), delta) == pytest.approx(
+        lam @ ev.jacobian.times(delta), rel=1e-11
+    )
 
 
 @pytest.mark.mpi

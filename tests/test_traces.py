@@ -1,4 +1,5 @@
-"""Traces of surfaces: integrals, nodes, places, the same numbers on any number of ranks; against DOLFINx's own assembly."""
+"""Traces of surfaces: integrals, nodes, places, the same numbers on any number of ranks; against DOLFINx's
+own assembly."""
 
 from __future__ import annotations
 

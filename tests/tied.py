@@ -19,7 +19,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def block(name: str, dim: int, cells: int, degree: int, low: float = 0.0, **law: float) -> Field:
     """A unit block whose lower face is at y = low."""
-    mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0,) * dim, cells=cells, origin=(0.0, low, 0.0)[:dim])
+    mesh = fmbd.read_gmsh(
+        ROOT / "meshes/block.py", size=(1.0,) * dim, cells=cells, origin=(0.0, low, 0.0)[:dim]
+    )
     forms = ElasticForms(
         fmbd.materials.linear_elastic(law.get("E", 1.0), law.get("nu", 0.3)), law.get("rho", 1.0), degree
     )
@@ -31,11 +33,16 @@ def surface(field: Field, name: str) -> Any:
     return trace_of(field.space, field.mesh, name)
 
 
-def tied(cells: int = 8, dim: int = 2, degree: int = 2, step: float | None = 1.0, space: Any = None, **upper: float) -> SaddlePoint:
+def tied(
+    cells: int = 8, dim: int = 2, degree: int = 2, step: float | None = 1.0, space: Any = None, **upper: float
+) -> SaddlePoint:
     """The tied blocks for a step of ``step`` cells (None: statics)."""
     other = max(2, 3 * cells // 4)
     space = space or default_space(degree)
-    A, B = block("upper", dim, cells, degree, 1.0, **upper), block("lower", dim, other, degree, nu=upper.get("nu", 0.3))
+    A, B = (
+        block("upper", dim, cells, degree, 1.0, **upper),
+        block("lower", dim, other, degree, nu=upper.get("nu", 0.3)),
+    )
     glue = tie("glue", 0, 1, mortar(surface(A, "bottom"), surface(B, "top"), space))
     floor = hold("floor", 1, space.on(surface(B, "bottom")))
     cm = 0.0 if step is None else 4 * (cells / step) ** 2
@@ -43,11 +50,16 @@ def tied(cells: int = 8, dim: int = 2, degree: int = 2, step: float | None = 1.0
 
 
 def manufactured(s: SaddlePoint) -> tuple[list[Any], list[Any], Any]:
-    """Loads and data of a rough exact solution that does not depend on the ranks, and a function measuring errors."""
+    """Loads and data of a rough exact solution that does not depend on the ranks, and a function measuring
+    errors."""
     u = []
     for e in s.elastic:
         x = e.body.X_world
-        u.append(np.stack([np.sin(1e3 * (1 + k) * (x @ np.arange(1, x.shape[1] + 1) + k)) for k in range(x.shape[1])], 1).ravel())
+        u.append(
+            np.stack(
+                [np.sin(1e3 * (1 + k) * (x @ np.arange(1, x.shape[1] + 1) + k)) for k in range(x.shape[1])], 1
+            ).ravel()
+        )
     rng = np.random.default_rng(0)
     lam = [rng.standard_normal(t.rows) for t in s.ties]
     x = s.vector(u, lam)

@@ -1,6 +1,8 @@
-"""The tables of docs/traces.md: inf-sup constants in space, MINRES counts along all axes, chains, BDDC beside multigrid.
+"""The tables of docs/traces.md: inf-sup constants in space, MINRES counts along all axes, chains, BDDC
+beside multigrid.
 
-Run:  ./with-dolfinx python3 docs/scripts/trace_tables.py space|axes|chain          mpirun -n 8 ... trace_tables.py bddc
+Run:  ./with-dolfinx python3 docs/scripts/trace_tables.py space|axes|chain          mpirun -n 8 ...
+trace_tables.py bddc
 """
 
 import sys
@@ -27,14 +29,28 @@ SIDES = ("left", "right", "back", "front")
 def space() -> None:
     """Inf-sup constants on the unit cube, tetrahedra, n = 2, 4, 8."""
     kept, p1 = Continuous(ends=Ends.KEPT), Continuous(1, Ends.KEPT)
-    rows = [(1, kept), (1, Continuous()), (1, Dual()), (1, Discontinuous(0)), (1, Aggregated()), (2, kept), (2, Continuous())]
+    rows = [
+        (1, kept),
+        (1, Continuous()),
+        (1, Dual()),
+        (1, Discontinuous(0)),
+        (1, Aggregated()),
+        (2, kept),
+        (2, Continuous()),
+    ]
     rows += [(2, p1), (2, Continuous(1)), (2, Discontinuous(0)), (2, Discontinuous(1)), (2, Aggregated())]
     mesh = {n: fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0,) * 3, cells=n) for n in (2, 4, 8, 16)}
     for degree, multipliers in rows:
         cells = []
         for held in ((), SIDES):
             for n in (2, 4, 8):
-                r = infsup((mesh[n], "bottom"), multipliers, degree=degree, clamped=held, reference=(mesh[2 * n if n < 8 else 16], 2))
+                r = infsup(
+                    (mesh[n], "bottom"),
+                    multipliers,
+                    degree=degree,
+                    clamped=held,
+                    reference=(mesh[2 * n if n < 8 else 16], 2),
+                )
                 cells.append(f"{r.constant:.3f} ({r.zero_modes})")
         demo.say(f"| {r.name} | {' '.join(cells[:3])} | {' '.join(cells[3:])} |")
 
@@ -62,7 +78,9 @@ def axes() -> None:
             h = [count(preset, step=step, cells=n) for n in (8, 16, 32, 64)]
             E = [count(preset, step=step, E=e) for e in (1e-6, 1e-3, 1e3, 1e6)]
             rho = [count(preset, step=step, rho=r) for r in (1e-6, 1e6)]
-            demo.say(f"| {name} | {label} | {' '.join(h)} | {' '.join(E)} | {' '.join(rho)} | {count(preset, step=step, nu=0.4999)} |")
+            demo.say(
+                f"| {name} | {label} | {' '.join(h)} | {' '.join(E)} | {' '.join(rho)} | {count(preset, step=step, nu=0.4999)} |"
+            )
 
 
 def links() -> None:

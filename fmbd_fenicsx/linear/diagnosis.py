@@ -13,7 +13,9 @@ NULL = 1e-7  # |A x| / (|A| |x|) below which x counts as a null vector
 
 
 def diagnose(saddle: SaddlePoint) -> str:
-    """A sentence on the null vector of the saddle point, found by inverse iteration with a small shift; collective."""
+    """A sentence on the null vector of the saddle point, found by inverse iteration with a small shift;
+    collective.
+    """
     x, size = _null_vector(saddle)
     if not size < NULL:
         return "No null vector was found: the system is badly scaled, or the iteration needs more steps."
@@ -32,7 +34,9 @@ def diagnose(saddle: SaddlePoint) -> str:
                 "beside V_h, or rows repeat. See infsup(), or choose another space."
             )
         else:
-            sentences.append(f"Multipliers of {' and '.join(names)} depend on each other: they hold the same nodes. Use merged ends, or remove one.")
+            sentences.append(
+                f"Multipliers of {' and '.join(names)} depend on each other: they hold the same nodes. Use merged ends, or remove one."
+            )
     return " ".join(sentences)
 
 
@@ -91,7 +95,11 @@ def _motion(e: Any, u: Array) -> str:
     """The rigid motion nearest to u, in words."""
     body = e.body
     modes = rigid_modes(body)
-    gram, right, norm = body.total(modes.T @ modes), body.total(modes.T @ u), float(body.total(np.array(u @ u)))
+    gram, right, norm = (
+        body.total(modes.T @ modes),
+        body.total(modes.T @ u),
+        float(body.total(np.array(u @ u))),
+    )
     c = np.linalg.solve(gram, right)
     rigid = float(c @ gram @ c) / norm
     d = body.dim

@@ -1,14 +1,18 @@
-"""Domain decomposition: one distributed body by BDDC, or a body cut into subdomains that trace multipliers tie.
+"""Domain decomposition: one distributed body by BDDC, or a body cut into subdomains that trace multipliers
+tie.
 
-(a) :func:`unassembled` gives the elastic block of a distributed body as PETSc's MATIS: each rank keeps the matrix of its own
+(a) :func:`unassembled` gives the elastic block of a distributed body as PETSc's MATIS: each rank keeps the
+matrix of its own
 cells. BDDC (Dohrmann, doi:10.1137/S1064827502412887) then needs a bounded number of iterations.
 
 (b) A body cut into subdomains, each a body of its own on one rank, several on a rank where there are more:
 
-    E_k u_k + B_k^T lam = f_k,   sum_k B_k u_k = g      =>      S lam = sum_k B_k E_k^-1 f_k - g,   S = sum_k B_k E_k^-1 B_k^T
+    E_k u_k + B_k^T lam = f_k,   sum_k B_k u_k = g      =>      S lam = sum_k B_k E_k^-1 f_k - g,   S = sum_k
+    B_k E_k^-1 B_k^T
 
 solved by conjugate gradients on the interfaces (the dual problem, in the manner of FETI: Farhat and Roux,
-doi:10.1002/nme.1620320604). With inertia no subdomain floats. Meshes need not match. The preconditioner is the fractional one
+doi:10.1002/nme.1620320604). With inertia no subdomain floats. Meshes need not match. The preconditioner is
+the fractional one
 of :mod:`.precondition` with its coarse term of rigid motions.
 """
 
@@ -20,7 +24,9 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from petsc4py import PETSc  # here and not later: its import is collective, and ranks without subdomains take part
+from petsc4py import (
+    PETSc,  # here and not later: its import is collective, and ranks without subdomains take part
+)
 
 from ..errors import ConvergenceError
 from ..fields import Field
@@ -35,9 +41,11 @@ from .spd import CholeskyFactor
 
 
 def unassembled(body: Field, cm: float, ck: float) -> Any:
-    """cm M + ck K of a distributed body as MATIS over the nodes of each rank's own cells, with rigid-body modes; collective.
+    """cm M + ck K of a distributed body as MATIS over the nodes of each rank's own cells, with rigid-body
+    modes; collective.
 
-    The map from local to global rows has block size 1: with the block map that DOLFINx gives, BDDC of PETSc 3.22 finds no
+    The map from local to global rows has block size 1: with the block map that DOLFINx gives, BDDC of PETSc
+    3.22 finds no
     interface and returns at once, "converged" and wrong. Nodes that belong to ghost cells only are left out.
     """
     import dolfinx.fem.petsc as fp
@@ -84,6 +92,9 @@ def _orthonormal(body: Field) -> Array:
     return np.asarray(np.linalg.solve(factor, R.T).T)
 
 
+FRACTIONAL = Fractional()
+
+
 # -- (b) subdomains -------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Answers:
@@ -96,7 +107,9 @@ class Answers:
 
 
 def shared_traces(world: Any, own: dict[Any, Trace]) -> dict[Any, Trace]:
-    """Traces of subdomains on single ranks, made known to all; collective over ``world``. Keys must be comparable."""
+    """Traces of subdomains on single ranks, made known to all; collective over ``world``. Keys must be
+    comparable.
+    """
     packed = [(key, replace(t, comm=None)) for key, t in own.items()]
     out: dict[Any, Trace] = {}
     for rank, part in enumerate(world.allgather(packed)):
@@ -110,7 +123,8 @@ def shared_traces(world: Any, own: dict[Any, Trace]) -> dict[Any, Trace]:
 class DualInterface:
     """The dual problem of subdomains on single ranks; collective over ``world``.
 
-    ``own``: number -> :class:`Elastic` of the subdomains on this rank (bodies on COMM_SELF, cm > 0). ``ties`` are made by
+    ``own``: number -> :class:`Elastic` of the subdomains on this rank (bodies on COMM_SELF, cm > 0).
+    ``ties`` are made by
     :meth:`tie` and :meth:`hold`, in the same order on all ranks, before :meth:`prepare`.
     """
 
@@ -137,10 +151,12 @@ class DualInterface:
 
     def _add(self, name: str, sides: tuple[tuple[int, Trace, sp.csr_matrix], ...], mu: Multipliers) -> None:
         d = mu.trace.dim
-        columns = [(k, sp.kron(t.columns(B), sp.identity(d), format="csr")) for k, t, B in sides if k in self.own]
+        columns = [
+            (k, sp.kron(t.columns(B), sp.identity(d), format="csr")) for k, t, B in sides if k in self.own
+        ]
         self.ties.append(_Tie(name, tuple(columns), mu, d, sides))
 
-    def prepare(self, preconditioner: Fractional | None = Fractional()) -> None:
+    def prepare(self, preconditioner: Fractional | None = FRACTIONAL) -> None:
         """Factor the subdomains and the preconditioner (None: plain conjugate gradients); collective."""
         self.n = sum(t.rows for t in self.ties)
         self.factors = {k: CholeskyFactor(e.body, e.cm, e.ck) for k, e in self.own.items()}
@@ -148,7 +164,10 @@ class DualInterface:
         self.B = {k: sp.csr_matrix((self.n, e.rows)) for k, e in self.own.items()}
         for i, t in enumerate(self.ties):
             for k, B in t.columns:
-                lift = sp.csr_matrix((np.ones(t.rows), (np.arange(first[i], first[i + 1]), np.arange(t.rows))), (self.n, t.rows))
+                lift = sp.csr_matrix(
+                    (np.ones(t.rows), (np.arange(first[i], first[i + 1]), np.arange(t.rows))),
+                    (self.n, t.rows),
+                )
                 self.B[k] = self.B[k] + lift @ B
         self._factor: Any = None
         if preconditioner is not None:
@@ -168,7 +187,9 @@ class DualInterface:
         local = sum((B @ self.factors[k].solve(B.T @ lam) for k, B in self.B.items()), np.zeros(self.n))
         return self._total(local)
 
-    def solve(self, f: dict[int, Array], g: Array, *, rtol: float = 1e-10, limit: int = 500) -> tuple[dict[int, Array], Array, int]:
+    def solve(
+        self, f: dict[int, Array], g: Array, *, rtol: float = 1e-10, limit: int = 500
+    ) -> tuple[dict[int, Array], Array, int]:
         """Displacements of this rank's subdomains, multipliers, and the number of iterations; collective."""
         z = {k: self.factors[k].solve(f[k]) for k in self.own}
         d = self._total(sum((self.B[k] @ z[k] for k in self.own), np.zeros(self.n))) - g
@@ -180,7 +201,9 @@ class DualInterface:
 
     def _conjugate_gradients(self, d: Array, rtol: float, limit: int) -> tuple[Array, int]:
         """Preconditioned conjugate gradients on replicated vectors: the same numbers on all ranks."""
-        precondition = (lambda r: sl.cho_solve(self._factor, r)) if self._factor is not None else (lambda r: r)
+        precondition = (
+            (lambda r: sl.cho_solve(self._factor, r)) if self._factor is not None else (lambda r: r)
+        )
         lam, r = np.zeros(self.n), d.copy()
         y = precondition(r)
         p, size = y.copy(), float(r @ y)
@@ -194,7 +217,9 @@ class DualInterface:
             y = precondition(r)
             size, old = float(r @ y), size
             p = y + (size / old) * p
-        raise ConvergenceError(f"The dual interface problem did not converge in {limit} iterations (rtol {rtol:g}). Try a better preconditioner.")
+        raise ConvergenceError(
+            f"The dual interface problem did not converge in {limit} iterations (rtol {rtol:g}). Try a better preconditioner."
+        )
 
     def destroy(self) -> None:
         """Free the factors."""

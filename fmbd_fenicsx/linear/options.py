@@ -10,7 +10,9 @@ from ..log import together
 
 
 def check_options(prefix: str, comm: Any) -> None:
-    """Raise on all ranks when an option under ``prefix`` was set and no PETSc object asked for it; collective."""
+    """Raise on all ranks when an option under ``prefix`` was set and no PETSc object asked for it;
+    collective.
+    """
     from petsc4py import PETSc
 
     known = PETSc.Options().getAll()
@@ -20,7 +22,9 @@ def check_options(prefix: str, comm: Any) -> None:
     if unused:
         text = ", ".join(f"-{n} {known[n]}" for n in unused)
         used = sorted(n for n in mine if n not in unused)
-        error = InputError(f"PETSc options that nothing used: {text}. {near(unused[0], used)} Check the names of blocks and the spelling.")
+        error = InputError(
+            f"PETSc options that nothing used: {text}. {near(unused[0], used)} Check the names of blocks and the spelling."
+        )
     together(comm, error)
 
 

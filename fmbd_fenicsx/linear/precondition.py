@@ -1,22 +1,31 @@
 """Preconditioners of the multipliers' Schur complement S = sum_k B_k E_k^-1 B_k^T.
 
-E_k = cm M + ck K of an elastic body answers to a surface force with the symbol (wave number k, shear modulus G)
+E_k = cm M + ck K of an elastic body answers to a surface force with the symbol (wave number k, shear modulus
+G)
 
-    1 / (ck G (sqrt(k^2 + 1/l^2) + c h / l^2)),       l^2 = ck G / (cm rho),                                  (1)
+    1 / (ck G (sqrt(k^2 + 1/l^2) + c h / l^2)),       l^2 = ck G / (cm rho),
+    (1)
 
-quasi-static for waves longer than l, added mass of the first cell layer (c h) where the mesh cannot see l. With the pencil
+quasi-static for waves longer than l, added mass of the first cell layer (c h) where the mesh cannot see l.
+With the pencil
 (K + M / l^2) X = M X L of the surface that is a fractional power of L: :class:`Fractional` builds
 
-    S~ = sum_k  C X (s ck G)^-1 ((L + g (h L)^2)^1/2 + c h / l^2)^-1 X^T C^T                                  (2)
+    S~ = sum_k  C X (s ck G)^-1 ((L + g (h L)^2)^1/2 + c h / l^2)^-1 X^T C^T
+    (2)
 
-with each body's own surface mesh and coupling C. Normal forces also move mass that shear alone does not reach: their symbol has
-l^-2 (K + 1/l_p^2)^-1/2 more, l_p^2 = l^2 (lambda + 2 G) / G (potential flow when incompressible). Waves longer than the body
+with each body's own surface mesh and coupling C. Normal forces also move mass that shear alone does not
+reach: their symbol has
+l^-2 (K + 1/l_p^2)^-1/2 more, l_p^2 = l^2 (lambda + 2 G) / G (potential flow when incompressible). Waves
+longer than the body
 move it as a whole: its rigid modes R add
 
-    sum_k  B_k R (cm R^T M R)^-1 R^T B_k^T                                                                     (3)
+    sum_k  B_k R (cm R^T M R)^-1 R^T B_k^T
+     (3)
 
-and connect the ties of a body, so that counts do not grow with the number of bodies. :class:`Lumped` takes B diag(E)^-1 B^T:
-cheap, but its iterations grow like h^-1/2 outside dt ~ h. Sources: Toselli and Widlund, Domain Decomposition Methods
+and connect the ties of a body, so that counts do not grow with the number of bodies. :class:`Lumped` takes B
+diag(E)^-1 B^T:
+cheap, but its iterations grow like h^-1/2 outside dt ~ h. Sources: Toselli and Widlund, Domain Decomposition
+Methods
 (doi:10.1007/b137868), for the Steklov-Poincare operator; Kuchta, Nordaas, Verschaeve, Mortensen and Mardal
 (doi:10.1137/15M1052822) for fractional powers.
 """
@@ -66,7 +75,10 @@ class ScaledMass:
         def one(i: int) -> sp.csr_matrix:
             t = saddle.ties[i]
             assert t.multipliers is not None
-            scale = sum(t.multipliers.trace.h / (saddle.elastic[k].ck * saddle.elastic[k].modulus) for k, _ in t.columns)
+            scale = sum(
+                t.multipliers.trace.h / (saddle.elastic[k].ck * saddle.elastic[k].modulus)
+                for k, _ in t.columns
+            )
             return sp.kron(scale * t.multipliers.mass(), sp.identity(t.components), format="csr")
 
         return _each(saddle, one)
@@ -75,7 +87,8 @@ class ScaledMass:
 @dataclass(frozen=True)
 class Exact:
     """S itself (dense, needs inertia): three MINRES iterations whatever the system (Murphy, Golub and Wathen,
-    doi:10.1137/S1064827599355153). For tests of signs and transposes, and for few multipliers."""
+    doi:10.1137/S1064827599355153). For tests of signs and transposes, and for few multipliers.
+    """
 
     def matrices(self, saddle: SaddlePoint) -> list[tuple[str, list[int], Any]]:
         """One group for all ties; collective."""
@@ -84,16 +97,21 @@ class Exact:
         solver = Schur().solver(saddle, "exact_")
         S = sp.csr_matrix(solver.complement)
         solver.destroy()
-        return [("multipliers", list(range(len(saddle.ties))), _petsc(S, saddle, [t.rows for t in saddle.ties]))]
+        return [
+            ("multipliers", list(range(len(saddle.ties))), _petsc(S, saddle, [t.rows for t in saddle.ties]))
+        ]
 
 
 @dataclass(frozen=True)
 class Fractional:
     """Equations (2) and (3) for all ties together.
 
-    Above ``limit`` multipliers in all, each tie is a group of its own without (3); above ``limit`` functions on one surface
-    (the eigenproblem is dense) its block is :class:`Lumped`. ``layer`` is c, ``grid`` is g (a mesh is stiffer than the continuum
-    for its shortest waves), ``stiffness`` is s (a half space under normal and tangential forces); all three were fitted once to
+    Above ``limit`` multipliers in all, each tie is a group of its own without (3); above ``limit`` functions
+    on one surface
+    (the eigenproblem is dense) its block is :class:`Lumped`. ``layer`` is c, ``grid`` is g (a mesh is
+    stiffer than the continuum
+    for its shortest waves), ``stiffness`` is s (a half space under normal and tangential forces); all three
+    were fitted once to
     the spectrum of S~^-1 S on a square.
     """
 
@@ -103,13 +121,21 @@ class Fractional:
     stiffness: float = 1.7
 
     def matrices(self, saddle: SaddlePoint) -> list[tuple[str, list[int], Any]]:
-        """One group "multipliers" (the tie's name when there is one only), or one for each tie; collective."""
+        """One group "multipliers" (the tie's name when there is one only), or one for each tie;
+        collective.
+        """
         if saddle.n_multipliers > self.limit:
             return _each(saddle, lambda i: self.block(saddle, i))
         S = sp.block_diag([self.block(saddle, i) for i in range(len(saddle.ties))]).toarray()
         S += self.rigid(saddle)
         name = saddle.ties[0].name if len(saddle.ties) == 1 else "multipliers"
-        return [(name, list(range(len(saddle.ties))), _petsc(sp.csr_matrix(S), saddle, [t.rows for t in saddle.ties]))]
+        return [
+            (
+                name,
+                list(range(len(saddle.ties))),
+                _petsc(sp.csr_matrix(S), saddle, [t.rows for t in saddle.ties]),
+            )
+        ]
 
     def block(self, saddle: Any, i: int) -> sp.csr_matrix:
         """S~ of tie i, replicated."""
@@ -150,7 +176,9 @@ class Fractional:
 
 
 def rigid_term(e: Elastic, k: int, ties: Sequence[TraceTie]) -> tuple[Array, Array]:
-    """cm R^T M R and B R of body k, the latter with the rows of all ties; collective over the body's ranks."""
+    """cm R^T M R and B R of body k, the latter with the rows of all ties; collective over the body's
+    ranks.
+    """
     R = rigid_modes(e.body)
     MR = np.stack([e.body.mass(r.reshape(-1, e.body.dim)).ravel() for r in R.T], axis=1)
     first = np.cumsum([0, *(t.rows for t in ties)])
@@ -174,7 +202,9 @@ def _lumped(saddle: SaddlePoint, i: int) -> sp.csr_matrix:
 
 
 def _petsc(S: sp.csr_matrix, saddle: SaddlePoint, parts: list[int] | None = None) -> Any:
-    """This rank's rows of a replicated matrix; its rows are those of ties with ``parts`` rows each, every one split evenly."""
+    """Own rows of a replicated matrix; its rows are those of ties with ``parts`` rows each, every one split
+    evenly.
+    """
     from petsc4py import PETSc
 
     comm = saddle.comm
@@ -191,7 +221,9 @@ def _petsc(S: sp.csr_matrix, saddle: SaddlePoint, parts: list[int] | None = None
 
 
 def rank_order(parts: list[int], comm: Any) -> tuple[np.ndarray, slice]:
-    """Replicated rows of consecutive parts in the order of ranks that hold them, and this rank's slice of it."""
+    """Replicated rows of consecutive parts in the order of ranks that hold them, and this rank's slice of
+    it.
+    """
     starts = np.cumsum([0, *parts])
     chunks, before = [], 0
     for rank in range(comm.size):

@@ -1,10 +1,12 @@
 """Ways to solve the saddle point of :mod:`.saddle`, as small frozen objects.
 
 * :class:`Direct`: one factorisation of the whole (MUMPS, L D L^T).
-* :class:`Schur`: exact Schur complement of the multipliers, S = sum_k B_k E_k^-1 B_k^T, dense; E_k by Cholesky or multigrid.
+* :class:`Schur`: exact Schur complement of the multipliers, S = sum_k B_k E_k^-1 B_k^T, dense; E_k by
+Cholesky or multigrid.
 * :class:`FieldSplit`: MINRES or FGMRES with the block preconditioner diag(E_k, S~).
 
-Each gives a solver with ``solve(f, g) -> Solution``. Every solve is judged by its own true residual, block by block. Options of
+Each gives a solver with ``solve(f, g) -> Solution``. Every solve is judged by its own true residual, block
+by block. Options of
 PETSc under the solver's prefix override the presets; an option there that nothing consumed is an error.
 """
 
@@ -37,7 +39,9 @@ class SaddleSolver(Protocol):
     """Solves (1) of :mod:`.saddle`."""
 
     def solve(self, f: Sequence[Array], g: Sequence[Array]) -> Solution:
-        """Displacements and multipliers for loads f (this rank's, one per body) and data g (replicated, one per tie)."""
+        """Displacements and multipliers for loads f (this rank's, one per body) and data g (replicated, one
+        per tie).
+        """
 
     def destroy(self) -> None:
         """Free PETSc objects; collective."""
@@ -56,7 +60,9 @@ class Cholesky:
 
 @dataclass(frozen=True)
 class Multigrid:
-    """Elastic blocks by smoothed aggregation with rigid-body modes; ``cycles`` > 1 uses that many Richardson steps."""
+    """Elastic blocks by smoothed aggregation with rigid-body modes; ``cycles`` > 1 uses that many Richardson
+    steps.
+    """
 
     cycles: int = 1
 
@@ -73,16 +79,22 @@ class Multigrid:
         pc.setGAMGSmooths(1)
         options = PETSc.Options()
         prefix = ksp.getOptionsPrefix()
-        for name, value in (("pc_gamg_threshold", 0.02), ("mg_levels_ksp_max_it", 3), ("pc_gamg_coarse_eq_limit", 300)):
+        for name, value in (
+            ("pc_gamg_threshold", 0.02),
+            ("mg_levels_ksp_max_it", 3),
+            ("pc_gamg_coarse_eq_limit", 300),
+        ):
             if not options.hasName(prefix + name):
                 options[prefix + name] = value
 
 
 @dataclass(frozen=True)
 class Bddc:
-    """Elastic blocks by balancing domain decomposition (PETSc's BDDC), one subdomain per rank; see :mod:`.domain_decomposition`.
+    """Elastic blocks by balancing domain decomposition (PETSc's BDDC), one subdomain per rank; see
+    :mod:`.domain_decomposition`.
 
-    ``adaptive``: eigenvalues of interface pencils beyond this enter the coarse space (0: corners and averages only, whose
+    ``adaptive``: eigenvalues of interface pencils beyond this enter the coarse space (0: corners and
+    averages only, whose
     counts grow towards statics).
     """
 
@@ -101,7 +113,9 @@ class Bddc:
 
 
 def set_bddc(ksp: Any, adaptive: float = 2.0) -> None:
-    """BDDC with deluxe scaling (stiffness-weighted averages) and an adaptive coarse space; options override both."""
+    """BDDC with deluxe scaling (stiffness-weighted averages) and an adaptive coarse space; options override
+    both.
+    """
     from petsc4py import PETSc
 
     ksp.getPC().setType("bddc")
@@ -129,7 +143,9 @@ class Direct:
         ksp.getPC().setType("cholesky")
         ksp.getPC().setFactorSolverType("mumps")
         ksp.getPC().setFactorSetUpSolverType()
-        ksp.getPC().getFactorMatrix().setMumpsIcntl(14, 150)  # % of memory beyond the estimate: pivoting needs it
+        ksp.getPC().getFactorMatrix().setMumpsIcntl(
+            14, 150
+        )  # % of memory beyond the estimate: pivoting needs it
         return _Krylov(saddle, ksp, prefix, [A], Judge("the saddle point", 1e-9))
 
 
@@ -137,7 +153,8 @@ class Direct:
 class FieldSplit:
     """MINRES (or FGMRES) with diag(E_k, S~); ``rtol`` on the preconditioned residual.
 
-    ``elastic``: :class:`Cholesky` or :class:`Multigrid`. ``multiplier``: how S~ is made, see :mod:`.precondition`.
+    ``elastic``: :class:`Cholesky` or :class:`Multigrid`. ``multiplier``: how S~ is made, see
+    :mod:`.precondition`.
     """
 
     elastic: Cholesky | Multigrid | Bddc = Cholesky()
@@ -253,9 +270,11 @@ class _Krylov:
 
 @dataclass(frozen=True)
 class Schur:
-    """Exact Schur complement of all multipliers (dense, replicated): for few multipliers and systems with inertia.
+    """Exact Schur complement of all multipliers (dense, replicated): for few multipliers and systems with
+    inertia.
 
-    ``elastic``: :class:`Cholesky`, or :class:`Multigrid` as preconditioner of conjugate gradients to ``rtol``.
+    ``elastic``: :class:`Cholesky`, or :class:`Multigrid` as preconditioner of conjugate gradients to
+    ``rtol``.
     """
 
     elastic: Cholesky | Multigrid | Bddc = Cholesky()
@@ -270,7 +289,9 @@ class Schur:
                 f"Schur() needs inertia: the elastic block of {static} is singular in statics. Use Direct() or FieldSplit()."
             )
         if saddle.n_multipliers > self.limit:
-            raise InputError(f"Schur() is for up to {self.limit} multipliers, found {saddle.n_multipliers}. Use FieldSplit().")
+            raise InputError(
+                f"Schur() is for up to {self.limit} multipliers, found {saddle.n_multipliers}. Use FieldSplit()."
+            )
         return _SchurSolver(saddle, self, prefix)
 
 
@@ -293,17 +314,23 @@ class _SchurSolver:
             ksp.setFromOptions()
             self.ksps.append(ksp)
         n = saddle.n_multipliers
-        S = np.zeros((n, n))
+        S: Array = np.zeros((n, n))
         self._B = self._columns()
         for k, B in enumerate(self._B):
-            Y = np.stack([self._inverse(k, b) for b in B.toarray()], axis=1) if n else np.zeros((B.shape[1], 0))
+            Y = (
+                np.stack([self._inverse(k, b) for b in B.toarray()], axis=1)
+                if n
+                else np.zeros((B.shape[1], 0))
+            )
             S += saddle.elastic[k].body.total(B @ Y)
         self.complement = S = 0.5 * (S + S.T)
         self._scale = 1.0 / np.sqrt(np.maximum(np.diag(S), 1e-300))
         try:
             self._factor = sl.cho_factor(self._scale[:, None] * S * self._scale)
         except sl.LinAlgError as error:
-            raise LinearSolveError(f"The Schur complement of the multipliers is singular. {diagnose(saddle)}") from error
+            raise LinearSolveError(
+                f"The Schur complement of the multipliers is singular. {diagnose(saddle)}"
+            ) from error
         check_options(prefix, saddle.comm)
 
     def _columns(self) -> list[Any]:
@@ -331,7 +358,9 @@ class _SchurSolver:
         s = self.saddle
         self.iterations = 0
         z = [self._inverse(k, fk) for k, fk in enumerate(f)]
-        r = s.elastic[0].body.total(sum(B @ zk for B, zk in zip(self._B, z, strict=True))) - np.concatenate([*g, np.zeros(0)])
+        r = s.elastic[0].body.total(sum(B @ zk for B, zk in zip(self._B, z, strict=True))) - np.concatenate(
+            [*g, np.zeros(0)]
+        )
         lam = self._scale * sl.cho_solve(self._factor, self._scale * r)
         u = [zk - self._inverse(k, B.T @ lam) for k, (B, zk) in enumerate(zip(self._B, z, strict=True))]
         parts = np.split(lam, np.cumsum([t.rows for t in s.ties])[:-1])

@@ -1,11 +1,14 @@
 """The transient saddle point of elastic bodies tied by trace multipliers, as PETSc blocks with names.
 
     [ E_1              B_1^T ] [ u_1 ]   [ f_1 ]
-    [      ...          ...  ] [ ... ] = [ ... ]        E_k = cm M_k + ck K_k,    cm = 0: statics                  (1)
+    [      ...          ...  ] [ ... ] = [ ... ]        E_k = cm M_k + ck K_k,    cm = 0: statics
+         (1)
     [ B_1  ...          0    ] [ lam ]   [ g   ]
 
-Displacements are distributed over the ranks like the meshes. Multipliers are few: every rank holds all their values in the
-arrays of this module; inside PETSc their rows are split evenly. Blocks carry names ("rod.u", "pin.force") which are the names
+Displacements are distributed over the ranks like the meshes. Multipliers are few: every rank holds all their
+values in the
+arrays of this module; inside PETSc their rows are split evenly. Blocks carry names ("rod.u", "pin.force")
+which are the names
 of the splits under ``-<prefix>fieldsplit_<name>_...``.
 """
 
@@ -54,18 +57,21 @@ class Elastic:
 
     @cached_property
     def moduli(self) -> tuple[float, float]:
-        """Mean moduli of shear and of uniaxial strain, Pa: the elastic energies of such deformations over the volume."""
+        """Mean moduli of shear and of uniaxial strain, Pa: the elastic energies of such deformations over
+        the volume.
+        """
         b, d = self.body, self.body.dim
-        shear, axial = [], []
+        shear: list[float] = []
+        axial: list[float] = []
         for i in range(d):
             for j in range(d):
                 u = np.zeros((b.n, d))
                 u[:, i] = b.X[:, j]
-                (axial if i == j else shear).append(u.ravel() @ b.stiffness(u.ravel()))
+                (axial if i == j else shear).append(float(u.ravel() @ b.stiffness(u.ravel())))
                 if i == j:
                     k = (i + 1) % d
                     u[:, k] = -b.X[:, k]
-                    shear.append((u.ravel() @ b.stiffness(u.ravel())) / 4.0)
+                    shear.append(float(u.ravel() @ b.stiffness(u.ravel())) / 4.0)
         volume = b.mass_total / b.forms.density
         return tuple(float(x) for x in b.total(np.array([np.mean(shear), np.mean(axial)])) / volume)  # type: ignore[return-value]
 
@@ -94,9 +100,12 @@ class Elastic:
 class TraceTie:
     """Rows of (1): sum_k B_k u_k = g, with the multipliers' space where the rows come from one.
 
-    ``columns``: (number of the body, B_k (rows, n_owned d) on this rank); ``multipliers`` and ``components`` say that the rows are
-    the functions of a space times that many components (d for a full tie, 1 for a normal one); None for other rows.
-    ``sides``: (number of the body, its surface, scalar coupling with all nodes of the surface), for preconditioners.
+    ``columns``: (number of the body, B_k (rows, n_owned d) on this rank); ``multipliers`` and ``components``
+    say that the rows are
+    the functions of a space times that many components (d for a full tie, 1 for a normal one); None for
+    other rows.
+    ``sides``: (number of the body, its surface, scalar coupling with all nodes of the surface), for
+    preconditioners.
     """
 
     name: str
@@ -139,7 +148,9 @@ def tie(name: str, slave: int, master: int, coupling: Mortar) -> TraceTie:
     d = coupling.slave_trace.dim
     own = _vector(coupling.slave_trace.columns(coupling.slave), d)
     other = _vector(coupling.master_trace.columns(coupling.master), d)
-    return TraceTie(name, _merged(slave, own, master, -other), coupling.multipliers, d, _sides(slave, master, coupling))
+    return TraceTie(
+        name, _merged(slave, own, master, -other), coupling.multipliers, d, _sides(slave, master, coupling)
+    )
 
 
 def slide(name: str, slave: int, master: int, coupling: Mortar) -> TraceTie:
@@ -151,11 +162,15 @@ def slide(name: str, slave: int, master: int, coupling: Mortar) -> TraceTie:
     t = coupling.slave_trace
     n = (t.sizes[:, None] * t.normals).sum(0) / t.sizes.sum()
     if np.linalg.norm(n) < 1 - 1e-6:
-        raise InputError(f'Tie "{name}": {t.label} is curved (mean normal of length {np.linalg.norm(n):.3f}); a sliding tie needs a flat surface.')
+        raise InputError(
+            f'Tie "{name}": {t.label} is curved (mean normal of length {np.linalg.norm(n):.3f}); a sliding tie needs a flat surface.'
+        )
     N = sp.csr_matrix(n[None, :])
     own = sp.kron(t.columns(coupling.slave), N, format="csr")
     other = sp.kron(coupling.master_trace.columns(coupling.master), N, format="csr")
-    return TraceTie(name, _merged(slave, own, master, -other), coupling.multipliers, 1, _sides(slave, master, coupling))
+    return TraceTie(
+        name, _merged(slave, own, master, -other), coupling.multipliers, 1, _sides(slave, master, coupling)
+    )
 
 
 def _sides(slave: int, master: int, c: Mortar) -> tuple[tuple[int, Trace, sp.csr_matrix], ...]:
@@ -172,7 +187,9 @@ def _vector(B: sp.csr_matrix, d: int) -> sp.csr_matrix:
 
 @dataclass
 class Solution:
-    """Displacements (this rank's share, one array per body), multipliers (replicated, one per tie), and how they came."""
+    """Displacements (this rank's share, one array per body), multipliers (replicated, one per tie), and how
+    they came.
+    """
 
     u: list[Array]
     multipliers: list[Array]
@@ -190,7 +207,8 @@ class SaddlePoint:
         # softest body: a stiff one without inertia is held by its neighbours, which sets the scale of its rigid motion
         softest = min(e.ck * e.modulus for e in elastic)
         self.elastic = tuple(
-            replace(e, stand_in=e.static_inertia * softest / (e.ck * e.modulus)) if e.cm == 0 else e for e in elastic
+            replace(e, stand_in=e.static_inertia * softest / (e.ck * e.modulus)) if e.cm == 0 else e
+            for e in elastic
         )
         self.ties = tuple(ties)
         self.comm = elastic[0].body.comm
@@ -214,7 +232,10 @@ class SaddlePoint:
         self.matrix = PETSc.Mat().createNest(table, comm=self.comm)
         self.matrix.assemble()
         self.sets = self.matrix.getNestISs()[0]
-        self.norms = [[0.0 if M is None else M.norm(PETSc.NormType.FROBENIUS) / M.getSize()[0] ** 0.5 for M in row] for row in table]
+        self.norms = [
+            [0.0 if M is None else M.norm(PETSc.NormType.FROBENIUS) / M.getSize()[0] ** 0.5 for M in row]
+            for row in table
+        ]
         self.rows = [e.rows for e in self.elastic] + [share_of(t.rows, self.comm) for t in self.ties]
 
     def _check(self) -> Exception | None:
@@ -222,7 +243,9 @@ class SaddlePoint:
         held = {k for t in self.ties for k, _ in t.columns}
         for k, e in enumerate(self.elastic):
             if e.cm == 0 and k not in held:
-                return InputError(f'Body "{e.body.name}" has no inertia (statics) and no tie holds it. Tie it, or give cm > 0.')
+                return InputError(
+                    f'Body "{e.body.name}" has no inertia (statics) and no tie holds it. Tie it, or give cm > 0.'
+                )
         names = [e.name for e in self.elastic] + [t.name for t in self.ties]
         twice = sorted({n for n in names if names.count(n) > 1})
         return InputError(f"Blocks with the same name: {twice}.") if twice else None
@@ -264,7 +287,9 @@ class SaddlePoint:
                 if self.table[i][j] is not None:
                     self.table[i][j].mult(xj, y)
                     sizes[i] += y.norm()
-                    floors[i] += 1e-6 * self.norms[i][j] * xj.norm()  # rigid motions leave nothing but roundoff
+                    floors[i] += (
+                        1e-6 * self.norms[i][j] * xj.norm()
+                    )  # rigid motions leave nothing but roundoff
                     r.axpy(1.0, y)
             values[i] = r.norm()
             r.destroy(), y.destroy()
@@ -275,7 +300,9 @@ class SaddlePoint:
         worst = 0.0
         for kind in (slice(0, len(self.elastic)), slice(len(self.elastic), None)):  # forces, constraints
             largest = given[kind].max(initial=0.0) or np.inf
-            least = max(1e-6 * sizes[kind].max(initial=0.0), min(floors[kind].max(initial=0.0), largest), 1e-300)
+            least = max(
+                1e-6 * sizes[kind].max(initial=0.0), min(floors[kind].max(initial=0.0), largest), 1e-300
+            )
             worst = max(worst, float((values[kind] / np.maximum(sizes[kind], least)).max(initial=0.0)))
         return worst
 
