@@ -23,24 +23,22 @@ class Factor:
 
         self.field, self.cm, self.ck, self.cd = field, cm, ck, cd
         E = field.combination(cm, ck, cd)
-        E.setOption(PETSc.Mat.Option.SYMMETRIC if field.mixed else PETSc.Mat.Option.SPD, True)
-        ksp = PETSc.KSP().create(field.comm)
-        ksp.setOperators(E)
-        ksp.setType("preonly")
-        pc = ksp.getPC()
-        pc.setType("cholesky")
-        pc.setFactorSolverType("cholmod" if field.comm.size == 1 and not field.mixed else "mumps")
+        definite = not field.mixed
         try:
-            ksp.setUp()
+            ksp = _factored(E, definite)
         except PETSc.Error as error:
-            raise LinearSolveError(
-                f'Body "{field.name}": the elastic block cm M + ck K (cm = {cm:.3g}, ck = {ck:.3g}) could not be factored '
-                f"(PETSc error {error.ierr}). Check density and moduli for their signs and units."
-            ) from error
+            if not (definite and field.nonlinear):
+                raise LinearSolveError(
+                    f'Body "{field.name}": the elastic block cm M + ck K (cm = {cm:.3g}, ck = {ck:.3g}) could not be factored '
+                    f"(PETSc error {error.ierr}). Check density and moduli for their signs and units."
+                ) from error
+            ksp = _factored(E, False)  # compressed bodies have indefinite tangents
+        pc = ksp.getPC()
         self.factor = pc.getFactorMatrix()
         self.factor.incRef()
         self._x, self._b = E.createVecs()
         self._rows = E.getSizes()[0]
+        self.norm = float(E.norm(PETSc.NormType.NORM_INFINITY))
         self._n = field.n * field.dim
         ksp.destroy()
         self._E = E if field.mixed else None
@@ -104,3 +102,19 @@ class Factor:
         """Free the factor; collective."""
         for obj in (self.factor, self._x, self._b, *([] if self._E is None else [self._E])):
             obj.destroy()
+
+
+def _factored(E: Any, definite: bool) -> Any:
+    """A PETSc solver with the factor of E: Cholesky where it is definite, LDL^T by MUMPS otherwise."""
+    from petsc4py import PETSc
+
+    E.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    E.setOption(PETSc.Mat.Option.SPD, definite)
+    ksp = PETSc.KSP().create(E.getComm())
+    ksp.setOperators(E)
+    ksp.setType("preonly")
+    pc = ksp.getPC()
+    pc.setType("cholesky")
+    pc.setFactorSolverType("cholmod" if E.getComm().size == 1 and definite else "mumps")
+    ksp.setUp()
+    return ksp
