@@ -22,7 +22,9 @@ def formulations(h):
     mesh = fmbd.read_gmsh(ROD, dim=2, h=h, length=L, height=HEIGHT)
     rod = fmbd.FloatingBody("rod", mesh, density=RHO, elastic=fmbd.materials.plane_stress(E, NU))
     energy = fmbd.materials.sheet_saint_venant_kirchhoff(E, NU)
-    section = fmbd.Section.rectangle(youngs_modulus=E, poisson_ratio=NU, density=RHO, width=1.0, height=HEIGHT)
+    section = fmbd.Section.rectangle(
+        youngs_modulus=E, poisson_ratio=NU, density=RHO, width=1.0, height=HEIGHT
+    )
     found = {
         "rigid": rod.reduced(modes=0),
         "beam": fmbd.Beam("rod", (0.0, 0.0), (L, 0.0), section, attached=False, modes=12),
@@ -52,12 +54,16 @@ def main():
         errors[name] = float(np.abs(run["tip"] - exact).max())
         times[name] = 1e3 * run.seconds["steps"] / run.counters["steps"]
         iterations = run.counters["newton_iterations"] / run.counters["steps"]
-        demo.say(f"{name:<20}{errors[name]:>15.2e}{times[name]:>11.3f}{run.seconds['set-up']:>12.2f}{iterations:>12.2f}")
+        demo.say(
+            f"{name:<20}{errors[name]:>15.2e}{times[name]:>11.3f}{run.seconds['set-up']:>12.2f}{iterations:>12.2f}"
+        )
     checks = [
         demo.Check("floating against absolute (small strain)", errors["floating"], 0.0, 3e-3),
         demo.Check("16 modes against floating", errors["reduced, 16 modes"], errors["floating"], 3e-4),
         demo.Check("beam against floating", errors["beam"], errors["floating"], 3e-3),
-        demo.Check("rigid is worse than 4 modes", float(errors["rigid"] > errors["reduced, 4 modes"]), 1.0, 0.0),
+        demo.Check(
+            "rigid is worse than 4 modes", float(errors["rigid"] > errors["reduced, 4 modes"]), 1.0, 0.0
+        ),
     ]
     if args.picture:
         from fmbd_fenicsx.plot import plot_curves

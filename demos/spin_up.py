@@ -28,15 +28,26 @@ def motion(t):
     if t >= T:
         return OMEGA * (t - T / 2), OMEGA, 0.0
     w = 2 * pi / T
-    return OMEGA / T * (t * t / 2 + (cos(w * t) - 1) / w**2), OMEGA / T * (t - sin(w * t) / w), OMEGA / T * (1 - cos(w * t))
+    return (
+        OMEGA / T * (t * t / 2 + (cos(w * t) - 1) / w**2),
+        OMEGA / T * (t - sin(w * t) / w),
+        OMEGA / T * (1 - cos(w * t)),
+    )
 
 
 def solid(stiffening):
     """A slender sheet in plane stress with the arm's EA and EI, in a frame attached to its root; 10 modes."""
-    mesh = fmbd.read_gmsh(Path(__file__).resolve().parents[1] / "meshes/rod.py", dim=2, length=L, height=HEIGHT, h=L / 40)
+    mesh = fmbd.read_gmsh(
+        Path(__file__).resolve().parents[1] / "meshes/rod.py", dim=2, length=L, height=HEIGHT, h=L / 40
+    )
     elastic = fmbd.materials.plane_stress(EA / HEIGHT, 0.3)
     body = fmbd.FloatingBody(
-        "arm", mesh, density=RHO_A / HEIGHT, elastic=elastic, frame=fmbd.Attached("pin"), stiffening=stiffening
+        "arm",
+        mesh,
+        density=RHO_A / HEIGHT,
+        elastic=elastic,
+        frame=fmbd.Attached("pin"),
+        stiffening=stiffening,
     )
     return body.reduced(modes=10), "pin", "tip"
 
@@ -51,15 +62,28 @@ def spin(arm, root, tip, dt=4e-3):
     """Tip displacement along and across the rotating axis (m) over time."""
     hub = fmbd.RigidBody("hub", mass=1.0, inertia=1.0, position=(0.0, 0.0))
     scene = fmbd.Scene("spin-up")
-    scene.add(arm, hub, fmbd.revolute("axle", fmbd.ground, hub, center=(0, 0)), fmbd.fixed("weld", hub, arm.surface(root)))
+    scene.add(
+        arm,
+        hub,
+        fmbd.revolute("axle", fmbd.ground, hub, center=(0, 0)),
+        fmbd.fixed("weld", hub, arm.surface(root)),
+    )
     scene.add(fmbd.drive_rotation("motor", fmbd.ground, hub, motion))
     scene.sensor("tip", fmbd.position(arm.surface(tip)))
     scene.sensor("hub", fmbd.rotation(hub))
     run = fmbd.solve(
-        scene, t_end=20.0, dt=dt, scheme=fmbd.GeneralizedAlpha(0.9), output=fmbd.Output(every=2, estimate_error=False)
+        scene,
+        t_end=20.0,
+        dt=dt,
+        scheme=fmbd.GeneralizedAlpha(0.9),
+        output=fmbd.Output(every=2, estimate_error=False),
     )
     theta, x = np.array([motion(t)[0] for t in run.times]), run["tip"]
-    return run, np.cos(theta) * x[:, 0] + np.sin(theta) * x[:, 1] - L, np.cos(theta) * x[:, 1] - np.sin(theta) * x[:, 0]
+    return (
+        run,
+        np.cos(theta) * x[:, 0] + np.sin(theta) * x[:, 1] - L,
+        np.cos(theta) * x[:, 1] - np.sin(theta) * x[:, 0],
+    )
 
 
 def refusal(arm):
@@ -85,7 +109,9 @@ def main():
         checks.append(demo.Check(f"{name}: largest deflection", deflection.min(), -0.5744, 2e-3))
         message = refusal(make(False))
         demo.say(f"{name} without stiffening: {message}")
-        checks.append(demo.Check(f"{name}: refused without stiffening", float("stiffening=True" in message), 1.0, 0.0))
+        checks.append(
+            demo.Check(f"{name}: refused without stiffening", float("stiffening=True" in message), 1.0, 0.0)
+        )
     if args.picture:
         from fmbd_fenicsx.plot import plot_curves
 
