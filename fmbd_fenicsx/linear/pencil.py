@@ -50,8 +50,8 @@ def stacked(tangents: list[Tangent]) -> Tangent:
     def diagonal(name: str) -> Array:
         return np.asarray(sl.block_diag(*(getattr(t, name) for t in tangents)))
 
-    upper = [diagonal(name) for name in ("J", "M", "G", "U")]
-    return Tangent(*upper, lower("by_q"), lower("by_v"), lower("by_a"))
+    J, M, G, U = (diagonal(name) for name in ("J", "M", "G", "U"))
+    return Tangent(J, M, G, U, lower("by_q"), lower("by_v"), lower("by_a"))
 
 
 class Pencil:

@@ -19,11 +19,12 @@ ODEs II, sections III.5 and VII.3, doi:10.1007/978-3-642-05221-7; Gear, Gupta an
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from ..errors import CallbackError, ConvergenceError, LinearSolveError, require
-from ..linear.pencil import Pencil
+from ..linear.pencil import Pencil, Tangent
 from ..linear.residual import Judge
 from ..linear.schur import StepSolver
 from ..newton import Newton
@@ -100,9 +101,11 @@ class Stepper:
         self.local_error = 0.0
         self.proposed: float | None = None
         self.k, self.held = (1, 0) if self.adaptive else (scheme.order, 0)
-        self._tangent, self._pencil, self._fresh = None, None, False
+        self._tangent: Tangent | None = None
+        self._pencil: Pencil | None = None
+        self._fresh = False
         self._theta, self._full = 1e-3, False
-        self._starter = None
+        self._starter: Any = None
         self._begin()
 
     def _begin(self) -> None:
@@ -256,6 +259,7 @@ class Stepper:
             if self._full and i > 0:
                 self._pencil = Pencil(self.eq.tangent_at(t, p), c[0], self.judge, self.solver.core.redundant)
                 self.stats.factorisations += 1
+            assert self._pencil is not None
             dxi, dv, dmult = (relax * x for x in self._pencil.solve(kin, low))
             p = Point(p.xi + dxi, p.rate + c[0] * dxi, p.v + dv, p.vd + c[0] * dv, p.mult + dmult)
             self.newton.iterations += 1

@@ -52,9 +52,10 @@ class ErrorNorm:
     def __init__(self, system: System, rtol: float, atol: float | None, index: int) -> None:
         self.system, self.rtol, self.atol, self.index = system, rtol, atol, index
         self.sizes = Sizes(system)
-        self.v_size = np.zeros(system.n_core)
-        self.q_size = np.zeros(system.n_core)
-        self.wq = self.wv = np.ones(system.n_core)
+        self.v_size: Array = np.zeros(system.n_core)
+        self.q_size: Array = np.zeros(system.n_core)
+        self.wq: Array = np.ones(system.n_core)
+        self.wv: Array = np.ones(system.n_core)
 
     def update(self, state: State, h: float) -> None:
         """Take notice of a state; ``h`` is the step about to be taken."""

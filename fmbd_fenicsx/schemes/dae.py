@@ -29,7 +29,7 @@ parametrisation); Eich, doi:10.1137/0730075 (projection); Hairer, Lubich and Roc
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -45,10 +45,10 @@ from ..system import Evaluation, State, System
 class Form:
     """Which levels of the constraints hold. ``index`` is the differentiation index: it scales the components in error norms."""
 
-    levels = (0,)
-    index = 3
-    frozen = False  # normal directions U at the start of the step
-    projected = False
+    levels: ClassVar[tuple[int, ...]] = (0,)
+    index: ClassVar[int] = 3
+    frozen: ClassVar[bool] = False  # normal directions U at the start of the step
+    projected: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
@@ -64,6 +64,7 @@ class Form:
         return ev.constraint()
 
     def _velocity(self, ev: Evaluation, a: Array) -> Array:
+        assert ev.v is not None
         return ev.jacobian.times(ev.v) + ev.constraint_rate()
 
     def _acceleration(self, ev: Evaluation, a: Array) -> Array:
@@ -198,8 +199,8 @@ class StepEquations:
         self.system, self.form, self.solver = system, form, solver
         self.levels = len(form.levels) if system.n_lam else 0
         self.residuals = self.jacobians = 0
-        self.U = np.zeros((system.n_v, system.n_lam))
-        self.origin = np.zeros(0)
+        self.U: Array = np.zeros((system.n_v, system.n_lam))
+        self.origin: Array = np.zeros(0)
         self._inverse_mass: Any = None
 
     def begin(self, state: State) -> None:
@@ -215,7 +216,7 @@ class StepEquations:
         self.residuals += 1
         ev = s.at(t, s.compose(self.origin, p.xi), p.v)
         lam = p.mult[0] if self.levels else None
-        v = p.v
+        v: Array = p.v
         U = self.normals(ev) if self.levels > 1 else self.U
         if self.levels > 1:
             v = v - U @ p.mult[1]
@@ -278,12 +279,15 @@ class StepEquations:
     def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
         """d rate(xi, v) / d xi by differences, and the matrix T with v = T rate(xi, v)."""
         s, n = self.system, self.system.n_v
-        J, inverse = np.zeros((n, n)), np.eye(n)
+        J: Array = np.zeros((n, n))
+        inverse: Array = np.eye(n)
         if s.motions.dim == 3:
-            for j, e in enumerate(np.eye(n)):
+            for j in range(n):
+                e: Array = np.zeros(n)
+                e[j] = 1.0
                 J[:, j] = (s.rate(xi + 1e-6 * e, v) - s.rate(xi - 1e-6 * e, v)) / 2e-6
                 inverse[:, j] = s.rate(xi, e)
-        return J, np.linalg.inv(inverse)
+        return J, np.asarray(np.linalg.inv(inverse))
 
     def tangent_at(self, t: float, p: Point) -> Tangent:
         """The tangent at a point of the local coordinates, for a full Newton iteration."""

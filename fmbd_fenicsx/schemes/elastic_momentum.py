@@ -23,7 +23,6 @@ from ..newton import Newton
 from ..rotations import Array
 from ..system import State, System
 
-
 TINY = 1e-11  # dC : dC below which the correction in (2), of the third order in dC, is lost in roundoff
 
 

@@ -28,7 +28,7 @@ import numpy as np
 
 from ..errors import ConvergenceError
 from ..laws import ScalarLoads
-from ..linear.schur import StepSolver, Weights
+from ..linear.schur import StepSolver
 from ..newton import Newton
 from ..relative import Separation
 from ..rotations import Array
@@ -77,13 +77,14 @@ class Mean(Evaluation):
         """Applied wrenches; linear springs as discrete gradients."""
         out = np.zeros(self.kin.jac_frame.shape[:2])
         for loads in self.system.forces:
-            scalar = isinstance(loads, ScalarLoads) and not loads.own
-            pair = self._springs(loads) if scalar else loads.wrenches(self.kin, self.t)
+            linear = isinstance(loads, ScalarLoads) and not loads.own
+            pair = self._springs(loads) if linear else loads.wrenches(self.kin, self.t)  # type: ignore[arg-type]
             for marker, wrench in zip((loads.a, loads.b), pair, strict=True):
                 np.add.at(out, marker, wrench)
         return out
 
     def _springs(self, loads: ScalarLoads) -> tuple[Array, Array]:
+        assert self.kin.twist is not None
         s0, s1 = loads.relative.values(self.old), loads.relative.values(self.new)
         ra, rb = loads.relative.rows(self.kin)
         if isinstance(loads.relative, Separation):

@@ -142,7 +142,8 @@ class Stepper:
         if system.n_lam:
             self.solver.prepare(after, MASS)
             zero = np.zeros_like(v)
-            errors = tuple(e + self.solver.solve(zero, -after.jacobian.times(e))[0] for e in errors)
+            e_q, e_v = (e + self.solver.solve(zero, -after.jacobian.times(e))[0] for e in errors)
+            errors = e_q, e_v
         return State(s.t + h, system.compose(s.q, xi), v, a, lam), errors
 
     def _stage(

@@ -23,8 +23,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..errors import CallbackError, ConvergenceError, InputError, LinearSolveError, require
-from ..linear.pencil import Pencil, stacked
+from ..errors import CallbackError, ConvergenceError, LinearSolveError, require
+from ..linear.pencil import Pencil, Tangent, stacked
 from ..linear.residual import Judge
 from ..linear.schur import StepSolver
 from ..newton import Newton
@@ -125,7 +125,7 @@ class Stepper:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
         self.eq = StepEquations(system, scheme.form, solver)
         self.tab = tableau(scheme.stages)
-        self.mult = np.zeros((self.eq.levels, system.n_lam))
+        self.mult: Array = np.zeros((self.eq.levels, system.n_lam))
         if self.eq.levels:
             self.mult[0] = state.lam
         self.adaptive = scheme.rtol is not None
@@ -135,7 +135,7 @@ class Stepper:
         self.judge = Judge("a Radau step")
         self.local_error = 0.0
         self.proposed: float | None = None
-        self._tangent = None
+        self._tangent: Tangent | None = None
         self._fresh = self._full = False
         self._pencils: dict[complex, Pencil] = {}
         self._h_factor = 0.0
@@ -256,6 +256,7 @@ class Stepper:
         self._pencils.clear()
         self._h_factor = h
         redundant = self.solver.core.redundant
+        assert self._tangent is not None
         wanted = [complex(x) for x in self.tab.values]
         if self.adaptive and complex(self.tab.gamma) not in wanted:
             wanted.append(complex(self.tab.gamma))
@@ -421,6 +422,7 @@ class Stepper:
             kin = kin - self.eq.U @ self.mult[1]
         push = a + tab.error @ np.array([p.v - v for p in points]) / h
         zero = np.zeros(self.eq.levels * self.system.n_lam)
+        assert self._tangent is not None
         e_q, e_v, e_m = pencil.solve(-kin, np.concatenate((-self._tangent.M @ push, zero)))
         return self.norm(h, e_q, e_v, self.eq.U @ e_m[0] if self.eq.levels else None)
 

@@ -14,6 +14,7 @@ Geometric Numerical Integration, VII.1.4, doi:10.1007/3-540-30666-8.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ from ..errors import ConvergenceError
 from ..linear.schur import StepSolver, Weights
 from ..newton import Newton
 from ..rotations import Array
-from ..system import State, System
+from ..system import Evaluation, State, System
 
 MASS = Weights(1.0, 0.0, 0.0)
 
@@ -92,13 +93,13 @@ class Stepper:
             )
         return a, lam
 
-    def _solve_second(self, ev: object, v: Array, h: float) -> tuple[Array, Array]:
+    def _solve_second(self, ev: Evaluation, v: Array, h: float) -> tuple[Array, Array]:
         """a = 2 (v_n+1 - v_1/2) / h and mu of (2)."""
         slip = ev.jacobian.times(v) + ev.constraint_rate() if self.system.n_lam else np.zeros(0)
         self.solver.prepare(ev, MASS)
         return self._refine(ev, self.state.a, self.half, lambda a: ev.jacobian.times(a) + 2.0 / h * slip)
 
-    def _refine(self, ev: object, a: Array, lam: Array, rows: object) -> tuple[Array, Array]:
+    def _refine(self, ev: Evaluation, a: Array, lam: Array, rows: Callable[[Array], Array]) -> tuple[Array, Array]:
         """Solve balance(a, lambda) = 0, rows(a) = 0; repeated where the solver's mass matrix is not exact (deformed bodies)."""
         for _ in range(self.newton.max_iterations):
             da, dlam = self.solver.solve(-ev.balance(a, lam), -rows(a) if self.system.n_lam else np.zeros(0))
