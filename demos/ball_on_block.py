@@ -1,12 +1,13 @@
 """An elastic ball drops on an elastic block: contact of two bodies with meshes that do not match, in space.
 
-Run:  mpirun -n 2 ./with-dolfinx python3 demos/ball_on_block.py          (also on one rank: ./with-dolfinx python3 ...)
+Run:  mpirun -n 2 ./with-dolfinx python3 demos/ball_on_block.py          (also on one rank: ./with-dolfinx
+python3 ...)
 
-Half a ball falls with v0 on a block that lies on a frictionless floor. Mortar rows with dual multipliers on the finer surface
-carry the force; momentum is exchanged, energy never grows. Hertz's impact theory gives the largest force approximately.
+Half a ball falls with v0 on a block that lies on a frictionless floor. Mortar rows with dual multipliers on
+the finer surface
+carry the force; momentum is exchanged, energy never grows. Hertz's impact theory gives the largest force
+approximately.
 """
-
-import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
@@ -19,7 +20,9 @@ gap = 0.002
 
 ball_mesh = fmbd.read_gmsh("meshes/half_ball.py", dim=3, radius=R, h=h, near=0.2, coarse=0.25)
 size = (1.2, 1.2, 0.6)
-block_mesh = fmbd.read_gmsh("meshes/block.py", size=size, cells=6 if args.fast else 10, origin=(-0.6, -0.6, -0.6 - gap))
+block_mesh = fmbd.read_gmsh(
+    "meshes/block.py", size=size, cells=6 if args.fast else 10, origin=(-0.6, -0.6, -0.6 - gap)
+)
 elastic = fmbd.materials.linear_elastic(E, nu)
 ball = fmbd.AbsoluteBody("ball", ball_mesh, degree=1, density=rho, elastic=elastic, velocity=(0.0, 0.0, -v0))
 block = fmbd.AbsoluteBody("block", block_mesh, degree=1, density=rho, elastic=elastic)
@@ -40,14 +43,26 @@ fmbd.say(run.report())
 energy = sum(run.energy.values())
 p, _ = run.system.at(run.state.t, run.state.q, run.state.v).momenta()
 mass = next(part.field.mass_total for part in run.system.parts if part.name == "ball")
-sign = -1.0 if run["force"][:, 2].sum() < 0 else 1.0  # which side carries the multipliers is chosen by mesh size
+sign = (
+    -1.0 if run["force"][:, 2].sum() < 0 else 1.0
+)  # which side carries the multipliers is chosen by mesh size
 balance = p[2] - (-mass * v0 + run["floor"][-1, 2])
 checks = [
     Check("momentum balance over m v0", float(balance / (mass * v0)), 0.0, 1e-9),
     Check("largest energy gain, relative", float(energy.max() / energy[0] - 1), 0.0, 1e-6),
     Check("largest penetration over R", float(max(0.0, -run["gap"].min()) / R), 0.0, 1e-3),
-    Check("the ball was stopped: impulse over m v0", float(sign * run["impulse"][-1, 2] / (mass * v0)), 1.0 if args.fast else 1.7, 0.8),
-    Check("Newton iterations per step in contact", run.counters["contact_newton_iterations"] / run.counters["contact_steps"], 0.0, 6.0),
+    Check(
+        "the ball was stopped: impulse over m v0",
+        float(sign * run["impulse"][-1, 2] / (mass * v0)),
+        1.0 if args.fast else 1.7,
+        0.8,
+    ),
+    Check(
+        "Newton iterations per step in contact",
+        run.counters["contact_newton_iterations"] / run.counters["contact_steps"],
+        0.0,
+        6.0,
+    ),
 ]
 if args.picture:
     run.picture(args.picture, sensor="force")

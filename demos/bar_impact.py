@@ -2,9 +2,11 @@
 
 Run:  ./with-dolfinx python3 demos/bar_impact.py          (also: mpirun -n 2 python3 demos/bar_impact.py)
 
-    |wall  <- v0  [=========== L ===========]      exact: force rho c v0 A for 0 < t < 2 L / c, then rebound with v0
+    |wall  <- v0  [=========== L ===========]      exact: force rho c v0 A for 0 < t < 2 L / c, then rebound
+    with v0
 
-A shock wave runs up the bar and back as a release wave. Contact is a multiplier on the trace, without penalty; the nodes on
+A shock wave runs up the bar and back as a release wave. Contact is a multiplier on the trace, without
+penalty; the nodes on
 the wall carry no inertia, so the force neither oscillates nor makes energy (docs/contact.md).
 """
 
@@ -23,7 +25,9 @@ mesh = fmbd.read_gmsh("meshes/block.py", size=(L, height), counts=(n, 1), quads=
 bar = fmbd.AbsoluteBody(
     "bar", mesh, degree=1, density=rho, elastic=fmbd.materials.linear_elastic(E, 0.0), velocity=(-v0, 0.0)
 )
-wall = fmbd.contact("wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((0.0, 0.0), (1.0, 0.0))))
+wall = fmbd.contact(
+    "wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((0.0, 0.0), (1.0, 0.0)))
+)
 scene = fmbd.Scene("bar impact")
 scene.add(bar, wall)
 scene.sensor("contact force", fmbd.contact_force(wall))
@@ -40,7 +44,12 @@ plateau = (t > 0.1) & (t < 1.9)
 momentum, _ = run.system.at(run.state.t, run.state.q, run.state.v).momenta()
 energy = sum(run.energy.values())
 checks = [
-    Check("plateau RMS of p / (rho c v0) - 1", float(np.sqrt(np.mean((p[plateau] / (rho * c * v0) - 1) ** 2))), 0.0, 0.05),
+    Check(
+        "plateau RMS of p / (rho c v0) - 1",
+        float(np.sqrt(np.mean((p[plateau] / (rho * c * v0) - 1) ** 2))),
+        0.0,
+        0.05,
+    ),
     Check("openings in (0.1, 1.9)", float((p[plateau] <= 0).sum()), 0.0, 0.0),
     Check("rebound speed over v0", float(momentum[0] / run.system.mass / v0), 1.0, 0.02),
     Check("release time, s", float(t[p > 1e-6].max() + dt / 2), 2.0 * L / c, 2 * dt),

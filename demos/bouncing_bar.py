@@ -2,8 +2,10 @@
 
 Run:  ./with-dolfinx python3 demos/bouncing_bar.py          (also: mpirun -n 2 python3 demos/bouncing_bar.py)
 
-A bar of length L drops from h0. It stays on the ground for 2 L / c, leaves with waves in it, comes back when they have turned
-its motion around, and reaches h0 at rest and unstressed: period 16/3 s. The force is rho c (v + g (t - 1)) in the first
+A bar of length L drops from h0. It stays on the ground for 2 L / c, leaves with waves in it, comes back when
+they have turned
+its motion around, and reaches h0 at rest and unstressed: period 16/3 s. The force is rho c (v + g (t - 1))
+in the first
 contact (300 to 500 N), mirrored in the second. Doyen, Ern, Piperno, doi:10.1137/100791440.
 """
 
@@ -22,7 +24,9 @@ c, period = np.sqrt(E / rho), 16.0 / 3.0
 
 mesh = fmbd.read_gmsh("meshes/block.py", size=(width, L), counts=(1, n), origin=(0.0, h0), quads=True)
 bar = fmbd.AbsoluteBody("bar", mesh, degree=1, density=rho, elastic=fmbd.materials.linear_elastic(E, 0.0))
-ground = fmbd.contact("floor", bar.surface("bottom"), fmbd.Obstacle("ground", fmbd.HalfSpace((0.0, 0.0), (0.0, 1.0))))
+ground = fmbd.contact(
+    "floor", bar.surface("bottom"), fmbd.Obstacle("ground", fmbd.HalfSpace((0.0, 0.0), (0.0, 1.0)))
+)
 scene = fmbd.Scene("bouncing bar", gravity=(0.0, -g))
 scene.add(bar, ground)
 scene.sensor("force", fmbd.contact_force(ground))
@@ -64,7 +68,12 @@ checks = [
     Check("second release, s", float(off), 13 / 3, late),
     Check("force law of the first contact, RMS relative", law_error(1.1, 1.6), 0.0, 0.01),
     Check("force law of the second contact, RMS relative", law_error(3.75, 4.25), 0.0, 0.12),
-    Check("bottom displacement, largest error over h0", float(np.abs(bottom - list(exact.values())).max() / h0), 0.0, 0.05),
+    Check(
+        "bottom displacement, largest error over h0",
+        float(np.abs(bottom - list(exact.values())).max() / h0),
+        0.0,
+        0.05,
+    ),
     Check("largest energy gain, relative", float(energy.max() / energy[0] - 1), 0.0, 1e-8),
     Check("energy left after all periods", float(energy[-1] / energy[0]), 1.0, 0.1),
 ]

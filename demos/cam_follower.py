@@ -3,10 +3,12 @@
 Run:  ./with-dolfinx python3 demos/cam_follower.py          (also: mpirun -n 2 python3 demos/cam_follower.py)
 
         | spring                 cam: a disk of radius r, turned about a point at distance e from its centre
-       [ ]  elastic follower     lift of a flat-faced follower: y(t) = r - e cos(w t), exact while it stays in contact
+       [ ]  elastic follower     lift of a flat-faced follower: y(t) = r - e cos(w t), exact while it stays
+       in contact
        (o)  cam, w
 
-The elastic follower carries the contact as multipliers on its foot, the guide as a joint. With a stiff spring it follows
+The elastic follower carries the contact as multipliers on its foot, the guide as a joint. With a stiff
+spring it follows
 the cam; the force on the cam is spring plus inertia.
 """
 
@@ -23,10 +25,19 @@ k, preload = 4e4, 0.02  # N/m, m
 t_end = 0.06 if args.fast else 0.4
 
 mesh = fmbd.read_gmsh(
-    "meshes/block.py", size=size, counts=(args.cells, 4 * args.cells), origin=(-size[0] / 2, r - e), quads=True
+    "meshes/block.py",
+    size=size,
+    counts=(args.cells, 4 * args.cells),
+    origin=(-size[0] / 2, r - e),
+    quads=True,
 )
 follower = fmbd.FloatingBody(
-    "follower", mesh, degree=1, density=rho, elastic=fmbd.materials.plane_stress(E, 0.3), stiffness_damping=2e-5
+    "follower",
+    mesh,
+    degree=1,
+    density=rho,
+    elastic=fmbd.materials.plane_stress(E, 0.3),
+    stiffness_damping=2e-5,
 )
 
 
@@ -42,7 +53,9 @@ scene.add(fmbd.prismatic("guide", fmbd.ground, follower.surface("top"), axis=(0.
 top = r - e + size[1]
 scene.add(
     fmbd.force("spring", follower.surface("top"), lambda t: (0.0, -k * preload)),
-    fmbd.Spring("return", follower.surface("top"), fmbd.ground, point_b=(0.0, top + 1.0), stiffness=k, length=1.0),
+    fmbd.Spring(
+        "return", follower.surface("top"), fmbd.ground, point_b=(0.0, top + 1.0), stiffness=k, length=1.0
+    ),
 )
 scene.sensor("top", fmbd.position(follower.surface("top")))
 scene.sensor("force", fmbd.contact_force(cam))
@@ -59,10 +72,25 @@ late = t[1:] > 0.02
 force = k * (preload + exact[1:]) + mass * e * w**2 * np.cos(w * t[1:])
 mean = np.convolve((run["force"][1:, 1] - force)[late], np.ones(40) / 40, "valid")
 checks = [
-    Check("lift against the rigid cam law, over the stroke", float(np.abs(lift - exact).max() / (2 * e)), 0.0, 0.03),
-    Check("force against spring and inertia, mean of 40 steps, relative", float(np.abs(mean).max() / force.max()), 0.0, 0.05),
+    Check(
+        "lift against the rigid cam law, over the stroke",
+        float(np.abs(lift - exact).max() / (2 * e)),
+        0.0,
+        0.03,
+    ),
+    Check(
+        "force against spring and inertia, mean of 40 steps, relative",
+        float(np.abs(mean).max() / force.max()),
+        0.0,
+        0.05,
+    ),
     Check("largest gap, over the stroke", float(run["gap"][t > 0.02].max() / (2 * e)), 0.0, 1e-3),
-    Check("Newton iterations per step in contact", run.counters["contact_newton_iterations"] / run.counters["contact_steps"], 0.0, 6.0),
+    Check(
+        "Newton iterations per step in contact",
+        run.counters["contact_newton_iterations"] / run.counters["contact_steps"],
+        0.0,
+        6.0,
+    ),
 ]
 if args.picture:
     run.plot("top", "force", file=args.picture)

@@ -1,11 +1,15 @@
 """Hertz contact: a half disk (line contact) or half ball (point contact) pressed on a rigid plane.
 
-Run:  ./with-dolfinx python3 demos/hertz.py                 (also: --dim 3, mpirun -n 2 python3 demos/hertz.py)
+Run:  ./with-dolfinx python3 demos/hertz.py                 (also: --dim 3, mpirun -n 2 python3
+demos/hertz.py)
 
-    line:   a^2 = 4 F R / (pi E*),  p0 = 2 F / (pi a)            point:   a^3 = 3 F R / (4 E*),  p0 = 3 F / (2 pi a^2)
+    line:   a^2 = 4 F R / (pi E*),  p0 = 2 F / (pi a)            point:   a^3 = 3 F R / (4 E*),  p0 = 3 F /
+    (2 pi a^2)
 
-The equilibrium comes from a few large implicit steps. Radius and peak pressure are read from the multipliers, which are the
-pressure: p^2 is linear in x^2 over the contact. The pressure has a square-root edge, so its mean error is of first order
+The equilibrium comes from a few large implicit steps. Radius and peak pressure are read from the
+multipliers, which are the
+pressure: p^2 is linear in x^2 over the contact. The pressure has a square-root edge, so its mean error is of
+first order
 (0.88 from 10 to 40 cells). Johnson, Contact Mechanics, doi:10.1017/CBO9781139171731.
 """
 
@@ -17,7 +21,9 @@ from fmbd_fenicsx.demo import Check
 
 args = demo.arguments(__doc__, {"--dim": (2, 3), "--cells": 10})
 dim, R, E, nu, rho = args.dim, 1.0, 1.0, 0.3, 1.0
-a = (0.05 if dim == 3 else 0.005) * R  # half width that the load is chosen for; the theory is exact for small a / R
+a = (
+    0.05 if dim == 3 else 0.005
+) * R  # half width that the load is chosen for; the theory is exact for small a / R
 stiff = E / (1 - nu**2)  # E*, the plane is rigid
 F = np.pi * a**2 * stiff / (4 * R) if dim == 2 else 4 * stiff * a**3 / (3 * R)
 p0 = 2 * F / (np.pi * a) if dim == 2 else 3 * F / (2 * np.pi * a**2)
@@ -26,8 +32,17 @@ up = np.eye(dim)[-1]
 
 def press(cells: int) -> tuple[fmbd.Run, float, float, float]:
     """Run, half width and peak pressure for so many cells per half width, and the RMS error of p over p0."""
-    mesh = fmbd.read_gmsh("meshes/half_ball.py", dim=dim, radius=R, h=a / cells, near=2 * a, coarse=1.5 * R / cells if dim == 2 else 0.15 * R)
-    body = fmbd.AbsoluteBody("body", mesh, degree=1, density=rho, elastic=fmbd.materials.linear_elastic(E, nu))
+    mesh = fmbd.read_gmsh(
+        "meshes/half_ball.py",
+        dim=dim,
+        radius=R,
+        h=a / cells,
+        near=2 * a,
+        coarse=1.5 * R / cells if dim == 2 else 0.15 * R,
+    )
+    body = fmbd.AbsoluteBody(
+        "body", mesh, degree=1, density=rho, elastic=fmbd.materials.linear_elastic(E, nu)
+    )
     plane = fmbd.contact(
         "plane", body.surface("contact"), fmbd.Obstacle("plane", fmbd.HalfSpace(0 * up, up)), search=0.1 * a
     )
@@ -43,7 +58,12 @@ def press(cells: int) -> tuple[fmbd.Run, float, float, float]:
     slope, top = np.polyfit(r2[inner], p[inner] ** 2, 1)
     exact = p0 * np.sqrt(np.maximum(0.0, 1 - r2 / a**2))
     near = r2 < (1.2 * a) ** 2
-    return run, float(np.sqrt(-top / slope)), float(np.sqrt(top)), float(np.sqrt(np.mean((p - exact)[near] ** 2)) / p0)
+    return (
+        run,
+        float(np.sqrt(-top / slope)),
+        float(np.sqrt(top)),
+        float(np.sqrt(np.mean((p - exact)[near] ** 2)) / p0),
+    )
 
 
 run, half_width, peak, error = press(args.cells)
@@ -57,7 +77,9 @@ checks = [
 if not args.fast and dim == 2:
     errors = [press(n)[3] for n in (10, 20, 40)]
     fmbd.say("cells per half width 10, 20, 40: RMS error of p / p0 " + ", ".join(f"{e:.2e}" for e in errors))
-    checks.append(Check("order of the pressure, 10 to 40 cells", float(np.log2(errors[0] / errors[-1]) / 2), 1.0, 0.25))
+    checks.append(
+        Check("order of the pressure, 10 to 40 cells", float(np.log2(errors[0] / errors[-1]) / 2), 1.0, 0.25)
+    )
 if args.picture:
     run.plot("force", file=args.picture)
 demo.finish(checks, run, args)

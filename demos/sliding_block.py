@@ -2,9 +2,11 @@
 
 Run:  ./with-dolfinx python3 demos/sliding_block.py
 
-    gravity turned by the slope's angle a:   slides when tan a > mu with acceleration g (sin a - mu cos a), else sticks
+    gravity turned by the slope's angle a:   slides when tan a > mu with acceleration g (sin a - mu cos a),
+    else sticks
 
-The same block is run at sizes 1 and 1/1000 (lengths and times scaled alike): friction and contact are tested in the units of
+The same block is run at sizes 1 and 1/1000 (lengths and times scaled alike): friction and contact are tested
+in the units of
 the compliance of the contact, so the Newton counts are equal.
 """
 
@@ -20,9 +22,12 @@ cells = 4 if args.fast else 8
 
 
 def slide(angle: float, scale: float) -> fmbd.Run:
-    """A run of 0.2 s at scale 1; lengths L ~ scale, E ~ scale (so that weight and elastic forces keep their ratio)."""
+    """A run of 0.2 s at scale 1; lengths L ~ scale, E ~ scale (so that weight and elastic forces keep their
+    ratio)."""
     mesh = fmbd.read_gmsh("meshes/block.py", size=(0.4 * scale, 0.2 * scale), cells=cells)
-    block = fmbd.AbsoluteBody("block", mesh, degree=1, density=rho, elastic=fmbd.materials.plane_stress(E * scale, 0.3))
+    block = fmbd.AbsoluteBody(
+        "block", mesh, degree=1, density=rho, elastic=fmbd.materials.plane_stress(E * scale, 0.3)
+    )
     slope = fmbd.contact(
         "slope", block.surface("bottom"), fmbd.Obstacle("slope", fmbd.HalfSpace((0, 0), (0, 1))), friction=mu
     )
@@ -55,14 +60,21 @@ checks = [
     Check.relative("the same at 1:1000", acceleration(small), exact, 0.01),
     Check("friction over normal force, sliding", float(ratio), -mu, 1e-6),
     Check("final speed of the stuck block, m/s", float(stuck["speed"][-1, 0]), 0.0, 1e-3),
-    Check.relative("its friction force, N", float(stuck["force"][100:, 0].mean()), -weight * np.sin(flat), 0.02),
+    Check.relative(
+        "its friction force, N", float(stuck["force"][100:, 0].mean()), -weight * np.sin(flat), 0.02
+    ),
     Check(
         "Newton iterations, large minus small",
         large.counters["newton_iterations"] - small.counters["newton_iterations"],
         0.0,
         0.0,
     ),
-    Check("Newton iterations per step in contact", large.counters["contact_newton_iterations"] / large.counters["contact_steps"], 0, 6.0),
+    Check(
+        "Newton iterations per step in contact",
+        large.counters["contact_newton_iterations"] / large.counters["contact_steps"],
+        0,
+        6.0,
+    ),
 ]
 if args.picture:
     large.plot("force", "speed", file=args.picture)

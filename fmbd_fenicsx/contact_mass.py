@@ -1,17 +1,26 @@
 """Mass redistribution: no inertia on contact nodes, so that a contact force does not oscillate.
 
-With inertia on a node that hits an obstacle, index reduction leaves an ill-posed equation for its velocity, and multipliers
-oscillate without bound under the trapezoid rule. Without it, the contact nodes follow the interior in equilibrium and the
-semi-discrete problem has a Lipschitz right-hand side (Khenous, Laborde and Renard, doi:10.1016/j.euromechsol.2008.01.001).
+With inertia on a node that hits an obstacle, index reduction leaves an ill-posed equation for its velocity,
+and multipliers
+oscillate without bound under the trapezoid rule. Without it, the contact nodes follow the interior in
+equilibrium and the
+semi-discrete problem has a Lipschitz right-hand side (Khenous, Laborde and Renard,
+doi:10.1016/j.euromechsol.2008.01.001).
 
-In the kinetic energy only, the velocity of a contact node c is replaced by a mean of its nearest nodes without contact, and
-the density by rho' = rho (1 + quadratic polynomial), the small polynomial chosen to keep all moments up to the second:
+In the kinetic energy only, the velocity of a contact node c is replaced by a mean of its nearest nodes
+without contact, and
+the density by rho' = rho (1 + quadratic polynomial), the small polynomial chosen to keep all moments up to
+the second:
 
-    v_c = sum_j a_cj v_j,   sum_j a_cj = 1,   a >= 0,       M' = P^T M(rho') P                                    (1)
-    1^T M' 1,  1^T M' X,  X^T M' X   as those of M                                                              (2)
+    v_c = sum_j a_cj v_j,   sum_j a_cj = 1,   a >= 0,       M' = P^T M(rho') P
+    (1)
+    1^T M' 1,  1^T M' X,  X^T M' X   as those of M
+    (2)
 
-so total mass, centre of mass and inertia are exactly those of the body (on a mesh with too few other nodes: total mass alone, with a warning), M' is symmetric, positive on the other nodes and zero
-on contact nodes. The mean was preferred to a linear extrapolation of v (which would satisfy (2) by itself) for the force of
+so total mass, centre of mass and inertia are exactly those of the body (on a mesh with too few other nodes:
+total mass alone, with a warning), M' is symmetric, positive on the other nodes and zero
+on contact nodes. The mean was preferred to a linear extrapolation of v (which would satisfy (2) by itself)
+for the force of
 a bar on a wall: it leaves a quarter of the oscillation behind the first shock (docs/contact.md).
 """
 
@@ -69,7 +78,9 @@ def _substitution(field: Any, massless: np.ndarray) -> Any:
     for i in np.flatnonzero(free):
         P.setValue(low + i, low + i, 1.0)
     if len(massless):
-        reach = tree.query(field.X_world[massless], k=field.dim + 1)[0][:, -1] * (1 + 1e-6)  # with all that are as near
+        reach = tree.query(field.X_world[massless], k=field.dim + 1)[0][:, -1] * (
+            1 + 1e-6
+        )  # with all that are as near
         for i, js in zip(massless, tree.query_ball_point(field.X_world[massless], reach), strict=True):
             P.setValues([low + i], [int(g) for g in numbers[js]], nearest_mean(donors[js], field.X_world[i]))
     P.assemble()
@@ -88,7 +99,11 @@ def _moments_kept(field: Any, P: Any) -> Any:
     scalar = fem.functionspace(msh, ("Lagrange", field.forms.degree))
     x = ufl.SpatialCoordinate(msh)
     y = [(x[k] - float(field.center[k])) / field.size for k in range(d)]
-    pairs = [(0, 0), *((0, k) for k in range(1, d + 1)), *itertools.combinations_with_replacement(range(1, d + 1), 2)]
+    pairs = [
+        (0, 0),
+        *((0, k) for k in range(1, d + 1)),
+        *itertools.combinations_with_replacement(range(1, d + 1), 2),
+    ]
     affine = [1.0, *y]
     coefficients = fem.Constant(msh, np.zeros(len(pairs)))
     weight = sum(coefficients[i] * affine[a] * affine[b] for i, (a, b) in enumerate(pairs))
@@ -119,7 +134,9 @@ def _moments_kept(field: Any, P: Any) -> Any:
     wanted = moments(unit[0], nodal)
     T = np.stack([moments(e, changed) for e in unit], axis=1)
     corner = np.array(list(itertools.product((-0.5, 0.5), repeat=d)))
-    highest = np.array([np.abs(np.c_[np.ones(len(corner)), corner])[:, [a, b]].prod(1).max() for a, b in pairs])
+    highest = np.array(
+        [np.abs(np.c_[np.ones(len(corner)), corner])[:, [a, b]].prod(1).max() for a, b in pairs]
+    )
     for kept, lost in ((len(pairs), ""), (1 + d, "inertia"), (1, "centre of mass and inertia")):
         c = np.zeros(len(pairs))
         c[:kept] = np.linalg.lstsq(T[:kept, :kept], wanted[:kept], rcond=1e-12)[0]

@@ -1,14 +1,22 @@
 """Contact of two elastic bodies with meshes that do not match: mortar rows with dual multipliers.
 
-    D_ji = int psi_j phi_i,   M_jl = int psi_j (phi_l o pi),   w_j = sum_l M_jl                                   (1)
-    g_j = n_j . (sum_i D_ji x_i - sum_l M_jl x_l) / w_j                                                           (2)
+    D_ji = int psi_j phi_i,   M_jl = int psi_j (phi_l o pi),   w_j = sum_l M_jl
+    (1)
+    g_j = n_j . (sum_i D_ji x_i - sum_l M_jl x_l) / w_j
+    (2)
 
-psi_j is the dual basis on the slave, pi goes to the master along the slave's normal, and both integrals run over the true
-intersections of facets (:mod:`.mortar`), so constant pressure passes to roundoff. n_j points from the master to the slave:
-minus the mean outward normal at the slave's node. Pairing, D, M and n are taken in the deformed configuration at the start of
-each step and kept during it (finite sliding), so the rows are linear in a step. A new pairing of curved surfaces finds closed
-points slightly overlapped (second order in the sliding of a step); pushing them out would do work from nothing, so the
-conserving rule asks for g >= min(g at its start, 0) instead and its energy argument holds; dissipative rules push out. Bodies whose bounding boxes stay apart cost
+psi_j is the dual basis on the slave, pi goes to the master along the slave's normal, and both integrals run
+over the true
+intersections of facets (:mod:`.mortar`), so constant pressure passes to roundoff. n_j points from the master
+to the slave:
+minus the mean outward normal at the slave's node. Pairing, D, M and n are taken in the deformed
+configuration at the start of
+each step and kept during it (finite sliding), so the rows are linear in a step. A new pairing of curved
+surfaces finds closed
+points slightly overlapped (second order in the sliding of a step); pushing them out would do work from
+nothing, so the
+conserving rule asks for g >= min(g at its start, 0) instead and its energy argument holds; dissipative rules
+push out. Bodies whose bounding boxes stay apart cost
 the test of the boxes.
 
 Source: Puso and Laursen, doi:10.1016/j.cma.2003.10.010; Huber and Wohlmuth, doi:10.1007/s00791-008-0082-4.
@@ -35,8 +43,10 @@ COVERED = 0.05  # a multiplier with less than this share of its weight in the ov
 
 @dataclass
 class Pairing:
-    """(1), (2) of one step: rows S (m, slave nodes) and Q (m, master nodes), both divided by w; n (m, d); ``on`` (m,) bool;
-    ``offset`` (m,) m: overlap at the start of the step that came from the new pairing, not pushed out again."""
+    """(1), (2) of one step: rows S (m, slave nodes) and Q (m, master nodes), both divided by w; n (m, d);
+    ``on`` (m,) bool;
+    ``offset`` (m,) m: overlap at the start of the step that came from the new pairing, not pushed out again.
+    """
 
     slave: Any
     master: Any
@@ -46,14 +56,22 @@ class Pairing:
 
 
 class MortarPair:
-    """One contact between two elastic surfaces; ``sides`` = numbers of the traces and surfaces, slave first."""
+    """One contact between two elastic surfaces; ``sides`` = numbers of the traces and surfaces, slave
+    first."""
 
     carrier = None
     shape = None
     rigid = False
     restitution = 0.0
 
-    def __init__(self, name: str, sides: tuple[Side, Side], facets: tuple[Facets, Facets], traces: list[Trace], law: Any) -> None:
+    def __init__(
+        self,
+        name: str,
+        sides: tuple[Side, Side],
+        facets: tuple[Facets, Facets],
+        traces: list[Trace],
+        law: Any,
+    ) -> None:
         self.name, self.slave, self.master = name, sides[0], sides[1]
         self.friction, self.search, self.massless = law.friction, law.search, law.redistribute_mass
         self.count = len(self.slave.surface.nodes)  # type: ignore[union-attr]
@@ -63,11 +81,18 @@ class MortarPair:
         self.thickness = float(np.ptp(facets[1].points, axis=0).max())
         self.pairing: Pairing | None = None
 
-    # -- pairing ------------------------------------------------------------------------------------------------
-    def update(self, contacts: ContactSet, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
+    # -- pairing ---------------------------------------------------------------------------------------------
+    def update(
+        self, contacts: ContactSet, system: Any, q: Array, reach: float, *, keep: bool = False
+    ) -> None:
         """Pair the surfaces anew for a step that starts at q; ``keep``: overlaps found stay. Collective."""
-        xs, xm = (contacts.nodes(system, q, s.trace)[0][o] for s, o in zip((self.slave, self.master), self.order, strict=True))
-        apart = float(np.linalg.norm(np.maximum(0.0, np.maximum(xs.min(0) - xm.max(0), xm.min(0) - xs.max(0)))))
+        xs, xm = (
+            contacts.nodes(system, q, s.trace)[0][o]
+            for s, o in zip((self.slave, self.master), self.order, strict=True)
+        )
+        apart = float(
+            np.linalg.norm(np.maximum(0.0, np.maximum(xs.min(0) - xm.max(0), xm.min(0) - xs.max(0))))
+        )
         slave, master = _moved(self.facets[0], xs), _moved(self.facets[1], xm)
         reach = max(reach, 0.5 * slave.h) if self.search is None else self.search
         m, d = self.count, xs.shape[1]
@@ -79,7 +104,9 @@ class MortarPair:
             k = own.shape[1]
             if len(pair):
                 rows = pair[:, :1] * k + np.arange(k)
-                basis = self.basis.basis  # facet-wise coefficients of the dual functions do not depend on the shape
+                basis = (
+                    self.basis.basis
+                )  # facet-wise coefficients of the dual functions do not depend on the shape
                 D = basis @ scatter(own, rows, slave.nodes[pair[:, 0]], (len(slave.nodes) * k, len(xs)))
                 M = basis @ scatter(other, rows, master.nodes[pair[:, 1]], (len(slave.nodes) * k, len(xm)))
                 w = np.asarray(M.sum(axis=1)).ravel()
@@ -95,7 +122,7 @@ class MortarPair:
         assert self.pairing is not None
         return self.pairing
 
-    # -- rows ---------------------------------------------------------------------------------------------------
+    # -- rows ------------------------------------------------------------------------------------------------
     def _back(self, values: Array) -> Array:
         """From the facets' order of slave nodes to that of the candidates."""
         out = np.empty_like(values)
@@ -159,7 +186,11 @@ def _moved(facets: Facets, x: Array) -> Facets:
     n = np.stack((e[:, 0, 1], -e[:, 0, 0]), axis=1) if x.shape[1] == 2 else np.cross(e[:, 0], e[:, 1])
     n = n / np.linalg.norm(n, axis=1)[:, None]
     before = facets.corners[:, 1:] - facets.corners[:, :1]
-    m = np.stack((before[:, 0, 1], -before[:, 0, 0]), axis=1) if x.shape[1] == 2 else np.cross(before[:, 0], before[:, 1])
+    m = (
+        np.stack((before[:, 0, 1], -before[:, 0, 0]), axis=1)
+        if x.shape[1] == 2
+        else np.cross(before[:, 0], before[:, 1])
+    )
     n *= np.sign((m * facets.normals).sum(1))[:, None]  # the side that was outward at rest
     return replace(facets, points=x, normals=n)
 

@@ -1,10 +1,13 @@
 """Gaps and their derivatives: the unilateral rows of all contacts in one configuration.
 
-For a candidate point j of a slave with world position x_j and an obstacle with pose (r_o, R_o) and signed distance d,
+For a candidate point j of a slave with world position x_j and an obstacle with pose (r_o, R_o) and signed
+distance d,
 
-    g_j = sum_k T_jk d(R_o^T (x_k - r_o)) - radius,   n_k = R_o grad d,   g' = sum_k T_jk n_k . (x_k' - obstacle's velocity)   (1)
+    g_j = sum_k T_jk d(R_o^T (x_k - r_o)) - radius,   n_k = R_o grad d,   g' = sum_k T_jk n_k . (x_k' -
+    obstacle's velocity)   (1)
 
-with T = 1 except on quadratic triangles (see :mod:`.contact_trace`). The derivative with respect to velocities is the matrix N;
+with T = 1 except on quadratic triangles (see :mod:`.contact_trace`). The derivative with respect to
+velocities is the matrix N;
 forces Lambda >= 0 on the candidates enter the balance as -N^T Lambda. Rows of tangents have the same form.
 """
 
@@ -24,7 +27,8 @@ from .rotations import Array, Motions
 
 @dataclass(frozen=True)
 class Linear:
-    """Rows on velocities: ``core`` (m, n_core) and, for each trace, ``field`` (m, n_trace d) in the body's axes."""
+    """Rows on velocities: ``core`` (m, n_core) and, for each trace, ``field`` (m, n_trace d) in the body's
+    axes."""
 
     core: Array
     field: tuple[Any, ...]
@@ -38,7 +42,8 @@ class Linear:
 class Rows:
     """All candidates: gap (m,) m, normal rows, tangential rows, laws.
 
-    ``normal`` (m, d): from the obstacle to the slave, world axes; ``drift`` (m, d - 1) m: tangential motion of prescribed obstacles, over the step given by ``since``.
+    ``normal`` (m, d): from the obstacle to the slave, world axes; ``drift`` (m, d - 1) m: tangential motion
+    of prescribed obstacles, over the step given by ``since``.
     """
 
     gap: Array
@@ -75,7 +80,8 @@ class Side:
 
 @dataclass(frozen=True)
 class Carrier:
-    """Pose of an obstacle: a frame of the system (its number, the ground included) times an optional prescribed motion."""
+    """Pose of an obstacle: a frame of the system (its number, the ground included) times an optional
+    prescribed motion."""
 
     frame: int
     offset: Array  # pose of a locked body, (n_pose,)
@@ -112,16 +118,20 @@ class Pair:
 
 
 class ContactSet:
-    """All contacts of a system; evaluates :class:`Rows`. Attributes: ``pairs``, ``traces``, ``frictional``, ``names``."""
+    """All contacts of a system; evaluates :class:`Rows`. Attributes: ``pairs``, ``traces``, ``frictional``,
+    ``names``."""
 
-    def __init__(self, motions: Motions, pairs: tuple[Any, ...], traces: tuple[Trace, ...], n_core: int) -> None:
+    def __init__(
+        self, motions: Motions, pairs: tuple[Any, ...], traces: tuple[Trace, ...], n_core: int
+    ) -> None:
         self.m, self.pairs, self.traces, self.n_core = motions, pairs, traces, n_core
         self.frictional = any(p.friction > 0 for p in pairs)
         self.names = tuple(p.name for p in pairs)
 
-    # -- kinematics ---------------------------------------------------------------------------------------------
+    # -- kinematics ------------------------------------------------------------------------------------------
     def nodes(self, system: Any, q: Array, trace: int) -> tuple[Array, Array, Array]:
-        """World positions (n, d) of a trace's nodes, positions in the body's axes, and the body's rotation; collective."""
+        """World positions (n, d) of a trace's nodes, positions in the body's axes, and the body's rotation;
+        collective."""
         tr = self.traces[trace]
         pose = system.poses(q)[tr.frame]
         R = self.m.matrix(pose)
@@ -135,7 +145,8 @@ class ContactSet:
         return carrier.offset if carrier.frame < 0 else system.poses(q)[carrier.frame]
 
     def rows(self, system: Any, t: float, q: Array, since: tuple[float, float] | None = None) -> Rows:
-        """All candidates at (t, q); ``since`` = (start, h) of the step over which the tangential drift of obstacles counts. Collective."""
+        """All candidates at (t, q); ``since`` = (start, h) of the step over which the tangential drift of
+        obstacles counts. Collective."""
         nodes = self._cached_nodes(system, q)
         parts = [p.rows(self, system, (t, q, since), nodes) for p in self.pairs]
         return _stack(parts)
@@ -146,7 +157,9 @@ class ContactSet:
         parts = [p.touch(self, system, (t, q), nodes) for p in self.pairs]
         if len(parts) == 1:
             return parts[0]
-        return Touch(*(np.concatenate([getattr(p, n) for p in parts]) for n in ("gap", "x", "normal", "geometric")))
+        return Touch(
+            *(np.concatenate([getattr(p, n) for p in parts]) for n in ("gap", "x", "normal", "geometric"))
+        )
 
     def _cached_nodes(self, system: Any, q: Array) -> Callable[[int], tuple[Array, Array, Array]]:
         cache: dict[int, tuple[Array, Array, Array]] = {}
@@ -174,7 +187,8 @@ class ContactSet:
         return np.concatenate([np.full(p.count, i) for i, p in enumerate(self.pairs)])
 
     def search(self, now: Array, then: Array, length: float) -> Array:
-        """Search distances (m,) from the gaps now and one step ahead: twice the approach, or the pair's own choice."""
+        """Search distances (m,) from the gaps now and one step ahead: twice the approach, or the pair's own
+        choice."""
         reach = np.empty_like(now)
         first = 0
         for p in self.pairs:
@@ -190,24 +204,32 @@ class ContactSet:
         speed = 0.0
         twist = system.twists(v)
         for tr in self.traces:
-            body = np.abs(twist[tr.frame, : self.m.dim]).sum() + np.abs(twist[tr.frame, self.m.dim :]).sum() * tr.field.size
-            speed = max(speed, float(np.linalg.norm(tr.gather(system.local_v(v, tr.part)), axis=1).max() + tr.moving * body))
+            body = (
+                np.abs(twist[tr.frame, : self.m.dim]).sum()
+                + np.abs(twist[tr.frame, self.m.dim :]).sum() * tr.field.size
+            )
+            speed = max(
+                speed,
+                float(np.linalg.norm(tr.gather(system.local_v(v, tr.part)), axis=1).max() + tr.moving * body),
+            )
         return 2.0 * speed
 
     def update(self, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
-        """Pair two-body contacts anew for a step that starts at q; ``keep``: overlaps found stay. Collective."""
+        """Pair two-body contacts anew for a step that starts at q; ``keep``: overlaps found stay.
+        Collective."""
         for p in self.pairs:
             if hasattr(p, "update"):
                 p.update(self, system, q, reach, keep=keep)
 
     def gap_rate(self, system: Any, t: float, q: Array, h: float) -> Array:
-        """Part of the gaps' rates that comes from prescribed motion, m/s, (m,), by central differences; collective."""
+        """Part of the gaps' rates that comes from prescribed motion, m/s, (m,), by central differences;
+        collective."""
         if not any(getattr(p, "moving", False) for p in self.pairs):
             return np.zeros(len(self.pair))
         e = 1e-3 * h
         return (self.touch(system, t + e, q).gap - self.touch(system, t - e, q).gap) / (2 * e)
 
-    # -- products ---------------------------------------------------------------------------------------------------
+    # -- products --------------------------------------------------------------------------------------------
     def times(self, system: Any, rows: Linear, v: Array) -> Array:
         """N v, (m,); collective."""
         out = rows.core @ v[: self.n_core]
@@ -223,7 +245,7 @@ class ContactSet:
             system.local_v(out, tr.part)[:] += tr.spread(np.asarray(f.T @ force).reshape(-1, self.m.dim))
         return out
 
-    # -- building blocks of rows ------------------------------------------------------------------------------------
+    # -- building blocks of rows -----------------------------------------------------------------------------
     def blank(self, m: int) -> tuple[Array, list[Any]]:
         """Empty core rows and sparse field rows."""
         return np.zeros((m, self.n_core)), [sp.csr_matrix((m, t.n * self.m.dim)) for t in self.traces]
@@ -232,7 +254,8 @@ class ContactSet:
         self, linear: tuple[Array, list[Any]], trace: int, entries: tuple[Any, Array], at: tuple[Array, Array],
         *, by_row: bool = False,
     ) -> None:  # fmt: skip
-        """Add rows sum_k W_jk n . x_k' of a trace: entries = (W csr (m, n_trace), n), n a node (n_trace, d), or ``by_row`` (m, d)."""
+        """Add rows sum_k W_jk n . x_k' of a trace: entries = (W csr (m, n_trace), n), n a node (n_trace, d),
+        or ``by_row`` (m, d)."""
         (core, field), (W, direction), (P, R), d = linear, entries, at, self.m.dim
         tr = self.traces[trace]
         coo = W.tocoo()
@@ -290,7 +313,8 @@ def _stack(parts: list[Rows]) -> Rows:
 class Touch:
     """Where a pair stands, without derivatives: gap (m,), points x and normals (m, d).
 
-    ``true_gap``: where the step's constraint differs from the geometric gap (see :mod:`.contact_mortar`), the latter.
+    ``true_gap``: where the step's constraint differs from the geometric gap (see :mod:`.contact_mortar`),
+    the latter.
     """
 
     gap: Array
@@ -312,7 +336,9 @@ class ObstaclePair(Pair):
         """Shortest way through the obstacle, m."""
         return float(self.shape.thickness)
 
-    def _place(self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Any) -> tuple[Touch, tuple[Any, ...]]:
+    def _place(
+        self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Any
+    ) -> tuple[Touch, tuple[Any, ...]]:
         t, q = at
         m, side = contacts.m, self.slave
         pose = contacts.pose(system, self.carrier, t, q)

@@ -1,6 +1,7 @@
 """Rigid obstacles by their signed distance: shape and motion.
 
-A shape gives d(y) in metres, positive outside, and its unit gradient, in its own axes. An obstacle places the shape in the
+A shape gives d(y) in metres, positive outside, and its unit gradient, in its own axes. An obstacle places
+the shape in the
 world: at rest, moving as prescribed, or carried by a rigid body, on which it then reacts.
 """
 
@@ -22,7 +23,10 @@ Vector = Sequence[float] | Array
 def _unit(v: Vector, what: str) -> Array:
     a = np.asarray(v, dtype=float)
     length = float(np.linalg.norm(a))
-    require(bool(np.isfinite(a).all()) and length > 0, f"{what} must be a finite vector that is not zero, found {v!r}.")
+    require(
+        bool(np.isfinite(a).all()) and length > 0,
+        f"{what} must be a finite vector that is not zero, found {v!r}.",
+    )
     return a / length
 
 
@@ -67,14 +71,17 @@ class Sphere(Shape):
     def evaluate(self, y: Array) -> tuple[Array, Array]:
         r = y - np.asarray(self.center, dtype=float)[: y.shape[1]]
         length = np.linalg.norm(r, axis=1)
-        n = np.where(length[:, None] > 0, r / np.where(length > 0, length, 1.0)[:, None], np.eye(y.shape[1])[0])
+        n = np.where(
+            length[:, None] > 0, r / np.where(length > 0, length, 1.0)[:, None], np.eye(y.shape[1])[0]
+        )
         sign = -1.0 if self.inside else 1.0
         return sign * (length - self.radius), sign * n
 
 
 @dataclass(frozen=True, eq=False)
 class Cylinder(Shape):
-    """A solid cylinder of ``radius`` about ``axis`` through ``center``, of ``length`` (m; infinite by default). 3D."""
+    """A solid cylinder of ``radius`` about ``axis`` through ``center``, of ``length`` (m; infinite by
+    default). 3D."""
 
     radius: float
     axis: Vector
@@ -131,7 +138,10 @@ class Box(Shape):
     def evaluate(self, y: Array) -> tuple[Array, Array]:
         dim = y.shape[1]
         half = np.asarray(self.size, dtype=float)[:dim] / 2
-        require(len(half) == dim and bool((half > 0).all()), f"Box: size {self.size!r} must be {dim} positive lengths.")
+        require(
+            len(half) == dim and bool((half > 0).all()),
+            f"Box: size {self.size!r} must be {dim} positive lengths.",
+        )
         r = y - np.asarray(self.center, dtype=float)[:dim]
         over = np.abs(r) - half
         outside = np.maximum(over, 0.0)
@@ -146,9 +156,11 @@ class Box(Shape):
 
 @dataclass(frozen=True, eq=False)
 class SignedDistance(Shape):
-    """A user's level function phi(x), negative inside: a NumPy function (d, n) -> (n,) or a UFL expression of a coordinate.
+    """A user's level function phi(x), negative inside: a NumPy function (d, n) -> (n,) or a UFL expression
+    of a coordinate.
 
-    Where |grad phi| is not one, phi / |grad phi| is used, the distance to first order, and a warning says so once.
+    Where |grad phi| is not one, phi / |grad phi| is used, the distance to first order, and a warning says so
+    once.
     Gradients by central differences of fourth order with steps of 1e-4 ``scale`` (m).
     """
 
@@ -178,7 +190,9 @@ class SignedDistance(Shape):
             grad[:, k] = (8 * (plus - minus) - (plus2 - minus2)) / (12 * h)
         size = np.linalg.norm(grad, axis=1)
         if (size <= 0).any():
-            raise CallbackError("SignedDistance: the gradient vanishes at a contact point; a distance has a unit gradient.")
+            raise CallbackError(
+                "SignedDistance: the gradient vanishes at a contact point; a distance has a unit gradient."
+            )
         if not self._warned and np.abs(size - 1).max(initial=0.0) > 1e-6:
             self._warned.append(True)
             log.warning(
@@ -191,11 +205,13 @@ class SignedDistance(Shape):
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """A rigid obstacle: a shape at rest, moving as ``motion(t) -> (position (d,), rotation)``, or carried by a rigid body.
+    """A rigid obstacle: a shape at rest, moving as ``motion(t) -> (position (d,), rotation)``, or carried by
+    a rigid body.
 
     Args:
         name: what messages call it.
-        shape: its signed distance, in the obstacle's axes: the world's, those of ``motion``, or those of the body ``on``
+        shape: its signed distance, in the obstacle's axes: the world's, those of ``motion``, or those of the
+        body ``on``
             (origin in its centre of mass).
         motion: position (m) and rotation (an angle in the plane, a matrix in space) at time t (s).
         on: the rigid body that carries it.
@@ -209,4 +225,6 @@ class Obstacle:
     def __post_init__(self) -> None:
         require(isinstance(self.shape, Shape), f'Obstacle "{self.name}": {self.shape!r} is not a shape.')
         if self.motion is not None and self.on is not None:
-            raise InputError(f'Obstacle "{self.name}" is carried by a body and also moves by prescription: give one of them.')
+            raise InputError(
+                f'Obstacle "{self.name}" is carried by a body and also moves by prescription: give one of them.'
+            )

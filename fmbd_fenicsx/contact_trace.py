@@ -1,11 +1,16 @@
-"""The nodes of elastic surfaces that may touch, equal on all ranks, with the weights of their dual multipliers.
+"""The nodes of elastic surfaces that may touch, equal on all ranks, with the weights of their dual
+multipliers.
 
-The traces of contact surfaces are small against the bodies, so every rank keeps all of their nodes; only products with nodal
-fields of the body are distributed. For quadratic triangles int phi_i vanishes at the vertices. There the basis
+The traces of contact surfaces are small against the bodies, so every rank keeps all of their nodes; only
+products with nodal
+fields of the body are distributed. For quadratic triangles int phi_i vanishes at the vertices. There the
+basis
 
-    phi~_v = phi_v + a sum_e phi_e,   phi~_e = (1 - 2 a) phi_e,   a = 1/5                                        (1)
+    phi~_v = phi_v + a sum_e phi_e,   phi~_e = (1 - 2 a) phi_e,   a = 1/5
+    (1)
 
-of the same space has positive integrals D~; the values to it are u~ = T u with T_ee = 1 / (1 - 2a), T_ev = -a / (1 - 2a)
+of the same space has positive integrals D~; the values to it are u~ = T u with T_ee = 1 / (1 - 2a), T_ev =
+-a / (1 - 2a)
 (Popp, Wohlmuth, Gee and Wall, doi:10.1137/110848190).
 """
 
@@ -25,7 +30,8 @@ _SHIFT = 0.2  # a in (1)
 
 @dataclass(frozen=True)
 class SurfaceNodes:
-    """One surface of a trace: numbers in the trace (n_s,), dual weights D (n_s,), T (n_s, n_s), facets (n_f, n_loc)."""
+    """One surface of a trace: numbers in the trace (n_s,), dual weights D (n_s,), T (n_s, n_s), facets (n_f,
+    n_loc)."""
 
     nodes: np.ndarray
     weights: Array
@@ -36,8 +42,10 @@ class SurfaceNodes:
 class Trace:
     """All contact nodes of one elastic part; collective to build.
 
-    Attributes: ``part`` its number, ``own`` owned node numbers of this rank, ``first`` where they start in the common list,
-    ``X`` (n, d) reference positions in the body's axes (the world's without a ``moving`` frame), ``n``, ``dim``, ``surfaces``.
+    Attributes: ``part`` its number, ``own`` owned node numbers of this rank, ``first`` where they start in
+    the common list,
+    ``X`` (n, d) reference positions in the body's axes (the world's without a ``moving`` frame), ``n``,
+    ``dim``, ``surfaces``.
     """
 
     def __init__(self, part: int, body: Any, surfaces: list[str], moving: bool) -> None:
@@ -76,7 +84,9 @@ class Trace:
                     shifted[v] += _SHIFT * D[e]
             D = shifted
         if (D <= 0).any():
-            raise MeshError(f'Contact surface "{name}": a shape function has no positive integral on it; use degree 1 or 2.')
+            raise MeshError(
+                f'Contact surface "{name}": a shape function has no positive integral on it; use degree 1 or 2.'
+            )
         return SurfaceNodes(nodes, D, transform, local)
 
     def _global(self, nodes: np.ndarray) -> np.ndarray:
@@ -85,9 +95,10 @@ class Trace:
             self._gids = np.concatenate(self.comm.allgather(self.own + low))
         return self._gids[nodes]
 
-    # -- values on all ranks ------------------------------------------------------------------------------------
+    # -- values on all ranks ---------------------------------------------------------------------------------
     def gather(self, w: Array) -> Array:
-        """Values of a nodal vector (n_own d,) of the part at the contact nodes, (n, d), on all ranks; collective."""
+        """Values of a nodal vector (n_own d,) of the part at the contact nodes, (n, d), on all ranks;
+        collective."""
         mine = w.reshape(-1, self.dim)[self.own]
         if self.comm.size == 1:
             return mine
@@ -116,7 +127,8 @@ def surface_nodes(field: Any, surfaces: list[str]) -> np.ndarray:
 
 
 def _facet_dofs(field: Any, surface: str) -> tuple[np.ndarray, dict[int, float]]:
-    """Global scalar dofs of the facets of a surface (n_f, n_loc), and int phi_i of each dof; equal on all ranks."""
+    """Global scalar dofs of the facets of a surface (n_f, n_loc), and int phi_i of each dof; equal on all
+    ranks."""
     import ufl
     from dolfinx import fem, la
 
@@ -150,7 +162,11 @@ def _facet_dofs(field: Any, surface: str) -> tuple[np.ndarray, dict[int, float]]
     low, high = index_map.local_range
     mine = np.unique(facets)
     mine = mine[(mine >= low) & (mine < high)]
-    weights = {int(g): float(w) for part in comm.allgather(list(zip(mine, b.array[mine - low], strict=True))) for g, w in part}
+    weights = {
+        int(g): float(w)
+        for part in comm.allgather(list(zip(mine, b.array[mine - low], strict=True)))
+        for g, w in part
+    }
     return facets, weights
 
 

@@ -65,14 +65,19 @@ def build_contacts(scene: Any, motions: Motions, frame_of: dict[str, int], parts
         if names:
             number[body.name] = len(traces)
             traces.append(Trace(k, part, names, part.frame < n_frames))
-    pairs = tuple(_pair(c, motions, frame_of, (traces, number)) for c in map(oriented, scene.contacts.values()))
+    pairs = tuple(
+        _pair(c, motions, frame_of, (traces, number)) for c in map(oriented, scene.contacts.values())
+    )
     return ContactSet(motions, pairs, tuple(traces), n_core)
 
 
 def _pair(c: Contact, m: Motions, frame_of: dict[str, int], known: tuple[list[Trace], dict[str, int]]) -> Any:
     traces, number = known
     if isinstance(c.slave, RigidPoints):
-        require(not c.slave.body.locked, f'Contact "{c.name}": the slave body "{c.slave.body.name}" is locked; it cannot move.')
+        require(
+            not c.slave.body.locked,
+            f'Contact "{c.name}": the slave body "{c.slave.body.name}" is locked; it cannot move.',
+        )
         side = Side(-1, None, frame_of[c.slave.body.name], c.slave.points, c.slave.radius)
     else:
         i = number[c.slave.body.name]
@@ -112,7 +117,13 @@ def oriented(c: Contact) -> Contact:
     h = [_facet_size(s) for s in (c.slave, c.master)]
     if h[0] <= h[1] * (1 + 1e-9):
         return c
-    log.info('contact "%s": %r is the slave, its facets are smaller (%.3g m against %.3g m)', c.name, c.master, h[1], h[0])
+    log.info(
+        'contact "%s": %r is the slave, its facets are smaller (%.3g m against %.3g m)',
+        c.name,
+        c.master,
+        h[1],
+        h[0],
+    )
     return replace(c, slave=c.master, master=c.slave)
 
 
@@ -133,7 +144,9 @@ def _carrier(name: str, obstacle: Obstacle, m: Motions, frame_of: dict[str, int]
     if obstacle.on is None:
         return Carrier(-1, m.identity, None)
     if not isinstance(obstacle.on, RigidBody):
-        raise InputError(f'Contact "{name}": obstacle "{obstacle.name}" must be carried by a rigid body, found {obstacle.on!r}.')
+        raise InputError(
+            f'Contact "{name}": obstacle "{obstacle.name}" must be carried by a rigid body, found {obstacle.on!r}.'
+        )
     if obstacle.on.locked:
         return Carrier(-1, obstacle.on.start_pose(), None)
     return Carrier(frame_of[obstacle.on.name], m.identity, None)

@@ -19,9 +19,12 @@ WORKS = ("contact", "friction", "loads", "joints", "numerical")
 class ContactForces:
     """Forces on the slaves' candidates during the last step, all ranks alike.
 
-    Attributes: ``names`` of the pairs; ``pair`` (m,) their numbers; ``x``, ``normal`` (m, d); ``gap`` (m,) m at the end of the
-    step; ``normal_force`` (m,) N; ``force`` (m, d) N in world axes; ``pressure`` (m,) N/m^(d-1) (N on rigid points);
-    ``impulse`` (pairs, d) N s and ``work`` (J, in the order of WORKS) since the start; ``time`` s, when the forces act.
+    Attributes: ``names`` of the pairs; ``pair`` (m,) their numbers; ``x``, ``normal`` (m, d); ``gap`` (m,) m
+    at the end of the
+    step; ``normal_force`` (m,) N; ``force`` (m, d) N in world axes; ``pressure`` (m,) N/m^(d-1) (N on rigid
+    points);
+    ``impulse`` (pairs, d) N s and ``work`` (J, in the order of WORKS) since the start; ``time`` s, when the
+    forces act.
     """
 
     names: tuple[str, ...]
@@ -54,13 +57,16 @@ def forces_of(state: Any) -> ContactForces:
     """Contact forces of a state, or an error that says why there are none."""
     found = getattr(state, "contact", None)
     if found is None:
-        raise InputError("This run has no contact forces: add a contact to the scene, or use a scheme that treats it.")
+        raise InputError(
+            "This run has no contact forces: add a contact to the scene, or use a scheme that treats it."
+        )
     return found
 
 
 @dataclass(frozen=True, eq=False)
 class ContactSensor(Sensor):
-    """A quantity of one pair: "force", "impulse", "pressure", "gap" or "work"; made by the functions below."""
+    """A quantity of one pair: "force", "impulse", "pressure", "gap" or "work"; made by the functions
+    below."""
 
     contact: str = ""
     quantity: str = "force"
@@ -94,7 +100,8 @@ def contact_impulse(contact: Any) -> Sensor:
 
 
 def contact_pressure(contact: Any) -> Sensor:
-    """Pressure at the candidates of a pair, N/m^2 (plane: N/m; rigid points: N), in the order of ``state.contact.x``."""
+    """Pressure at the candidates of a pair, N/m^2 (plane: N/m; rigid points: N), in the order of
+    ``state.contact.x``."""
     return ContactSensor(None, "N/m^2", None, _name(contact), "pressure")
 
 
@@ -104,5 +111,6 @@ def contact_gap(contact: Any) -> Sensor:
 
 
 def contact_work() -> Sensor:
-    """Work since the start, J, (5,): of contact forces, friction, applied loads, driven joints, and the numerical rest."""
+    """Work since the start, J, (5,): of contact forces, friction, applied loads, driven joints, and the
+    numerical rest."""
     return ContactSensor(None, "J", None, "", "work")

@@ -1,4 +1,5 @@
-"""The small problems of contact: linear complementarity and Coulomb friction on random and on treacherous matrices."""
+"""The small problems of contact: linear complementarity and Coulomb friction on random and on treacherous
+matrices."""
 
 from __future__ import annotations
 

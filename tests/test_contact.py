@@ -1,4 +1,5 @@
-"""Contact in scenes: exact solutions, energy, patch tests, friction, bad input, and what scenes without contact leave out."""
+"""Contact in scenes: exact solutions, energy, patch tests, friction, bad input, and what scenes without
+contact leave out."""
 
 from __future__ import annotations
 
@@ -21,11 +22,15 @@ def strip(n: int, body: str = "AbsoluteBody", **more: Any) -> Any:
     """A bar of one row of cells that moves to the left with 0.1 m/s."""
     mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.1), counts=(n, 1), quads=True)
     elastic = fmbd.materials.linear_elastic(1.0, 0.0)
-    return getattr(fmbd, body)("bar", mesh, degree=1, density=1.0, elastic=elastic, velocity=(-0.1, 0.0), **more)
+    return getattr(fmbd, body)(
+        "bar", mesh, degree=1, density=1.0, elastic=elastic, velocity=(-0.1, 0.0), **more
+    )
 
 
 def impact(bar: Any, scheme: Any = None, n: int = 50, t_end: float = 2.2, **more: Any) -> Any:
-    wall = fmbd.contact("wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((0, 0), (1, 0))), **more)
+    wall = fmbd.contact(
+        "wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((0, 0), (1, 0))), **more
+    )
     scene = fmbd.Scene("bar impact")
     scene.add(bar, wall)
     scene.sensor("force", fmbd.contact_force(wall))
@@ -83,8 +88,15 @@ def test_contact_alpha_damps_and_touches_alike() -> None:
 
 def test_ledger_balances() -> None:
     mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.5), cells=4)
-    body = fmbd.AbsoluteBody("body", mesh, degree=1, density=2.0, elastic=fmbd.materials.linear_elastic(50.0, 0.2))
-    floor = fmbd.contact("floor", body.surface("bottom"), fmbd.Obstacle("floor", fmbd.HalfSpace((0, -0.01), (0, 1))), friction=0.2)
+    body = fmbd.AbsoluteBody(
+        "body", mesh, degree=1, density=2.0, elastic=fmbd.materials.linear_elastic(50.0, 0.2)
+    )
+    floor = fmbd.contact(
+        "floor",
+        body.surface("bottom"),
+        fmbd.Obstacle("floor", fmbd.HalfSpace((0, -0.01), (0, 1))),
+        friction=0.2,
+    )
     scene = fmbd.Scene("ledger", gravity=(0, -1.0))
     scene.add(body, floor, fmbd.force("push", body.surface("top"), lambda t: (0.5, -0.3)))
     scene.sensor("work", fmbd.contact_work())
@@ -98,8 +110,12 @@ def test_ledger_balances() -> None:
 
 def test_midpoint_is_of_second_order_before_the_impact() -> None:
     def far_end(dt: float) -> float:
-        bar = strip(8).__class__(**{**strip(8).__dict__, "displacement": lambda x: np.stack((0.01 * x[0] ** 2, 0 * x[0]))})
-        wall = fmbd.contact("wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((-1, 0), (1, 0))))
+        bar = strip(8).__class__(
+            **{**strip(8).__dict__, "displacement": lambda x: np.stack((0.01 * x[0] ** 2, 0 * x[0]))}
+        )
+        wall = fmbd.contact(
+            "wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((-1, 0), (1, 0)))
+        )
         scene = fmbd.Scene("free flight")
         scene.add(bar, wall)
         scene.sensor("x", fmbd.position(bar.surface("right")))
@@ -110,7 +126,7 @@ def test_midpoint_is_of_second_order_before_the_impact() -> None:
     assert min(order) > 1.9
 
 
-# -- two bodies ---------------------------------------------------------------------------------------------------
+# -- two bodies ----------------------------------------------------------------------------------------------
 def patch(dim: int, cells: tuple[int, int]) -> np.ndarray:
     """Pressure between two blocks with different meshes under a uniform pressure of 10."""
     size, lift = ((1.0, 0.5), (0.0, 0.5)) if dim == 2 else ((1.0, 1.0, 0.5), (0.0, 0.0, 0.5))
@@ -120,7 +136,9 @@ def patch(dim: int, cells: tuple[int, int]) -> np.ndarray:
     for name, n, origin in (("low", cells[0], (0.0,) * dim), ("high", cells[1], lift)):
         mesh = fmbd.read_gmsh(BLOCK, size=size, cells=n, origin=origin)
         bodies.append(
-            fmbd.AbsoluteBody(name, mesh, degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1000.0, 0.3))
+            fmbd.AbsoluteBody(
+                name, mesh, degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1000.0, 0.3)
+            )
         )
     low, high = bodies
     scene = fmbd.Scene("patch")
@@ -147,7 +165,7 @@ def test_finer_side_becomes_the_slave() -> None:
     assert len(patch(2, (7, 4))) == 8
 
 
-# -- obstacles that move ------------------------------------------------------------------------------------------
+# -- obstacles that move -------------------------------------------------------------------------------------
 def test_reaction_on_the_body_that_carries_the_obstacle() -> None:
     plate = fmbd.RigidBody("plate", 0.05, 0.01, position=(-0.05, 0.05))
     bar = strip(20)
@@ -187,7 +205,9 @@ def test_nonlinear_body_bounces() -> None:
     body = fmbd.AbsoluteBody(
         "block", mesh, degree=1, density=1.0, energy=neo_hookean, velocity=(0.0, -0.5), angular_velocity=0.3
     )
-    floor = fmbd.contact("floor", body.surface("bottom"), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1))))
+    floor = fmbd.contact(
+        "floor", body.surface("bottom"), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1)))
+    )
     scene = fmbd.Scene("nonlinear")
     scene.add(body, floor)
     scene.sensor("gap", fmbd.contact_gap(floor))
@@ -198,7 +218,7 @@ def test_nonlinear_body_bounces() -> None:
     assert abs(energy[-1] / energy[0] - 1) < 0.05
 
 
-# -- rigid bodies -------------------------------------------------------------------------------------------------
+# -- rigid bodies --------------------------------------------------------------------------------------------
 def test_bouncing_mass_comes_to_rest() -> None:
     """Infinitely many impacts end at sqrt(2 h / g) (1 + e) / (1 - e)."""
     mass = fmbd.RigidBody("mass", 1.0, 0.1, position=(0.0, 1.1))
@@ -223,7 +243,13 @@ def test_elastic_and_plastic_impact_of_two_balls() -> None:
         a = fmbd.RigidBody("a", 2.0, (0.1, 0.1, 0.1), velocity=(1.0, 0.0, 0.0))
         b = fmbd.RigidBody("b", 1.0, (0.1, 0.1, 0.1), position=(1.0, 0.0, 0.0))
         scene = fmbd.Scene("two balls")
-        scene.add(a, b, fmbd.contact("pair", fmbd.ball(a, 0.2), fmbd.Obstacle("b", fmbd.Sphere(0.2), on=b), restitution=e))
+        scene.add(
+            a,
+            b,
+            fmbd.contact(
+                "pair", fmbd.ball(a, 0.2), fmbd.Obstacle("b", fmbd.Sphere(0.2), on=b), restitution=e
+            ),
+        )
         run = fmbd.solve(scene, t_end=1.0, dt=0.01, scheme=fmbd.Moreau())
         assert run.state.v[[0, 6]] == pytest.approx([(2 - e) / 3, 2 * (1 + e) / 3], abs=1e-9)
 
@@ -231,7 +257,9 @@ def test_elastic_and_plastic_impact_of_two_balls() -> None:
 def test_disk_rolls_after_sliding() -> None:
     """Coulomb friction turns 2/3 of the speed of a disk into rolling."""
     disk = fmbd.RigidBody("disk", 1.0, 0.5 * 0.1**2, position=(0, 0.1), velocity=(1.0, 0.0))
-    floor = fmbd.contact("floor", fmbd.ball(disk, 0.1), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1))), friction=0.3)
+    floor = fmbd.contact(
+        "floor", fmbd.ball(disk, 0.1), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1))), friction=0.3
+    )
     scene = fmbd.Scene("disk", gravity=(0, -9.81))
     scene.add(disk, floor)
     run = fmbd.solve(scene, t_end=0.3, dt=1e-3, scheme=fmbd.Moreau())
@@ -243,7 +271,9 @@ def test_disk_rolls_after_sliding() -> None:
 def test_cylinder_stands_on_its_end_in_space() -> None:
     can = fmbd.RigidBody("can", 1.0, (0.01, 0.01, 0.005), position=(0, 0, 0.12))
     end = fmbd.cylinder_end(can, 0.05, center=(0, 0, -0.1), axis=(0, 0, 1))
-    floor = fmbd.contact("floor", end, fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0, 0), (0, 0, 1))), friction=0.5)
+    floor = fmbd.contact(
+        "floor", end, fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0, 0), (0, 0, 1))), friction=0.5
+    )
     scene = fmbd.Scene("can", gravity=(0, 0, -9.81))
     scene.add(can, floor)
     scene.sensor("force", fmbd.contact_force(floor))
@@ -253,7 +283,7 @@ def test_cylinder_stands_on_its_end_in_space() -> None:
     assert np.abs(run.state.v).max() < 1e-9
 
 
-# -- bad input ----------------------------------------------------------------------------------------------------
+# -- bad input -----------------------------------------------------------------------------------------------
 def floor_at(y: float) -> Any:
     return fmbd.Obstacle("floor", fmbd.HalfSpace((0, y), (0, 1)))
 
@@ -283,7 +313,9 @@ def test_rigid_contact_needs_an_impact_law() -> None:
 def test_schemes_without_contact_refuse_it() -> None:
     bar = strip(4)
     scene = fmbd.Scene("bar")
-    scene.add(bar, fmbd.contact("c", bar.surface("left"), fmbd.Obstacle("w", fmbd.HalfSpace((-1, 0), (1, 0)))))
+    scene.add(
+        bar, fmbd.contact("c", bar.surface("left"), fmbd.Obstacle("w", fmbd.HalfSpace((-1, 0), (1, 0))))
+    )
     with pytest.raises(InputError, match="does not treat contact"):
         fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.GeneralizedAlpha())
 
@@ -310,7 +342,7 @@ def test_level_function_that_is_no_distance_is_normalised(caplog: pytest.LogCapt
     assert "gradient" in caplog.text
 
 
-# -- what is left out ---------------------------------------------------------------------------------------------
+# -- what is left out ----------------------------------------------------------------------------------------
 @pytest.mark.serial
 def test_scene_without_contact_loads_nothing_of_it() -> None:
     code = f"""

@@ -1,13 +1,20 @@
-"""Small dense complementarity problems of contact: primal-dual active sets, and Coulomb friction by semismooth Newton.
+"""Small dense complementarity problems of contact: primal-dual active sets, and Coulomb friction by
+semismooth Newton.
 
-    0 <= L  _|_  g = q + W L >= 0                                                                              (1)
-    tau in disk of radius mu L,  tau = projection(tau - c s),  s = q_t + W_t (L, tau)                             (2)
+    0 <= L  _|_  g = q + W L >= 0
+    (1)
+    tau in disk of radius mu L,  tau = projection(tau - c s),  s = q_t + W_t (L, tau)
+    (2)
 
-W (the Delassus matrix, m/N) is symmetric and positive semi-definite. c_i = 1 / W_ii makes L and g comparable, so the choice of
+W (the Delassus matrix, m/N) is symmetric and positive semi-definite. c_i = 1 / W_ii makes L and g
+comparable, so the choice of
 the sets does not depend on units. (1) is solved by the active-set iteration, which is Newton's method on
-L - max(0, L - c g) = 0 (Hintermueller, Ito and Kunisch, doi:10.1137/S1052623401383558). When a set returns, the iteration
-cycles; then least-index pivoting takes over, which ends in finitely many steps for positive definite W (Murty,
-doi:10.1016/0024-3795(74)90019-0). (2) is Alart and Curnier's function (doi:10.1016/0045-7825(91)90022-X) with block
+L - max(0, L - c g) = 0 (Hintermueller, Ito and Kunisch, doi:10.1137/S1052623401383558). When a set returns,
+the iteration
+cycles; then least-index pivoting takes over, which ends in finitely many steps for positive definite W
+(Murty,
+doi:10.1016/0024-3795(74)90019-0). (2) is Alart and Curnier's function (doi:10.1016/0045-7825(91)90022-X)
+with block
 Gauss-Seidel sweeps as the fall-back.
 """
 
@@ -23,7 +30,8 @@ from ..rotations import Array
 
 @dataclass
 class ContactCounts:
-    """Statistics of a run: active-set iterations, changes of the set between them, cycles broken, worst residual of (1), (2)."""
+    """Statistics of a run: active-set iterations, changes of the set between them, cycles broken, worst
+    residual of (1), (2)."""
 
     iterations: int = 0
     changes: int = 0
@@ -76,7 +84,9 @@ def _solve(A: Array, b: Array) -> Array:
     """A^-1 b; the least solution where contacts depend on each other."""
     try:
         x = np.linalg.solve(A, b)
-        if np.isfinite(x).all() and np.abs(A @ x - b).max(initial=0.0) <= 1e-8 * max(np.abs(b).max(initial=0.0), 1e-300):
+        if np.isfinite(x).all() and np.abs(A @ x - b).max(initial=0.0) <= 1e-8 * max(
+            np.abs(b).max(initial=0.0), 1e-300
+        ):
             return x
     except np.linalg.LinAlgError:
         pass
@@ -97,14 +107,18 @@ def _least_index(W: Array, q: Array) -> Array:
         if wrong.size == 0:
             return L
         active[wrong[0]] = ~active[wrong[0]]
-    raise ConvergenceError("The contact problem has no solution that pivoting can find: contacts contradict each other.")
+    raise ConvergenceError(
+        "The contact problem has no solution that pivoting can find: contacts contradict each other."
+    )
 
 
 def solve_friction(W: Array, q: Array, mu: Array, start: Array, counts: ContactCounts) -> Array:
-    """Forces (m, d): normal, then tangential, of (1) and (2). W (m d, m d) and q (m, d) in blocks of components by point.
+    """Forces (m, d): normal, then tangential, of (1) and (2). W (m d, m d) and q (m, d) in blocks of
+    components by point.
 
     Raises:
-        ConvergenceError: no solution found; with large friction none may exist (Painleve) and an impact law is needed.
+        ConvergenceError: no solution found; with large friction none may exist (Painleve) and an impact law
+        is needed.
     """
     m, d = q.shape
     c = np.stack([1.0 / np.maximum(np.diag(W)[k::d], 1e-300) for k in range(d)], axis=1)

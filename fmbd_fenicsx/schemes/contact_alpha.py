@@ -1,11 +1,16 @@
 """Generalized-alpha with contact: gaps at position level, persistency at velocity level.
 
-    M a + h + G^T lambda - N^T Lambda = 0,   g = 0,   0 <= Lambda _|_ gap >= 0     at t_n+1                          (1)
-    v_n+1 <- v_n+1 + A^-1 N^T P,   0 <= P _|_ N v_n+1 >= 0   for the contacts that are closed                       (2)
+    M a + h + G^T lambda - N^T Lambda = 0,   g = 0,   0 <= Lambda _|_ gap >= 0     at t_n+1
+    (1)
+    v_n+1 <- v_n+1 + A^-1 N^T P,   0 <= P _|_ N v_n+1 >= 0   for the contacts that are closed
+    (2)
 
-(1) is the step of :mod:`.generalized_alpha` with unilateral rows beside the joints; (2) removes the approach velocity of closed
-contacts (lambda g' = 0, persistency), in the metric A of the step. Contact nodes carry no inertia, so Lambda is bounded and the
-recursion of accelerations stays smooth; rigid impacts belong to :mod:`.moreau`. Energy is damped at high frequencies and at
+(1) is the step of :mod:`.generalized_alpha` with unilateral rows beside the joints; (2) removes the approach
+velocity of closed
+contacts (lambda g' = 0, persistency), in the metric A of the step. Contact nodes carry no inertia, so Lambda
+is bounded and the
+recursion of accelerations stays smooth; rigid impacts belong to :mod:`.moreau`. Energy is damped at high
+frequencies and at
 impacts; see :mod:`.contact_midpoint` for the rule that conserves it.
 
 Source: Bruels, Acary and Cardona, doi:10.1016/j.cma.2014.07.025.
@@ -54,7 +59,9 @@ class ContactAlpha(GeneralizedAlpha):
 class ContactStepper:
     """Advances a state; holds the algorithmic acceleration A."""
 
-    def __init__(self, scheme: ContactAlpha, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+    def __init__(
+        self, scheme: ContactAlpha, system: System, solver: StepSolver, newton: Newton, state: State
+    ) -> None:
         self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
         self.contacts: ContactSet = system.contacts
         self.compliance = Compliance(solver, self.contacts)
@@ -69,7 +76,8 @@ class ContactStepper:
         return self.ledger.counters(self.compliance.columns)
 
     def advance(self, h: float) -> State:
-        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
+        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
+        unchanged."""
         system, s = self.system, self.state
         near = candidates(system, self.contacts, s, h)
         for _ in range(4):
@@ -91,7 +99,9 @@ class ContactStepper:
         self.local_error = h * h * abs(beta - 1 / 6) * system.max_abs(step.A - self.A)
         self.A = step.A
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + h)
-        self.state = self.ledger.write(State(s.t + h, q, v, step.a, step.lam), forces, (step.ev, step.xi, step.lam), h)
+        self.state = self.ledger.write(
+            State(s.t + h, q, v, step.a, step.lam), forces, (step.ev, step.xi, step.lam), h
+        )
         self.ledger.count(len(history))
         return self.state
 
@@ -102,7 +112,9 @@ class ContactStepper:
         if rows is None or not closed.any():
             return v
         N = rows.take(closed).N
-        rate = self.contacts.gap_rate(self.system, self.state.t + step.h, step.ev.q, step.h)[step.near][closed]
+        rate = self.contacts.gap_rate(self.system, self.state.t + step.h, step.ev.q, step.h)[step.near][
+            closed
+        ]
         u = self.contacts.times(self.system, N, v) + rate
         P = solve_normal(self.compliance.matrix(N), u, u < 0, self.ledger.counts)
         if not P.any():
@@ -158,4 +170,6 @@ class _Step:
         self.A = self.A + d_xi / (h * h * self.beta)
         self.a = self.a + d_xi / self.scale
         size = max(system.max_abs(self.xi), h * system.max_abs(s.v), 1e-9 * system.length)
-        return system.max_abs(dq) / max(1e-4 * p.newton.tolerance * size, 100 * np.finfo(float).eps * system.length)
+        return system.max_abs(dq) / max(
+            1e-4 * p.newton.tolerance * size, 100 * np.finfo(float).eps * system.length
+        )

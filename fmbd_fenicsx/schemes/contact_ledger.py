@@ -1,4 +1,5 @@
-"""Books of a run with contact: forces of each step, impulses and works since the start, statistics of the active sets."""
+"""Books of a run with contact: forces of each step, impulses and works since the start, statistics of the
+active sets."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ from .contact_steps import in_world
 
 @dataclass(frozen=True)
 class StepForces:
-    """Forces of one step: which candidates were in reach (m,) bool, their rows, components (k, 1 or d) in N, and the time."""
+    """Forces of one step: which candidates were in reach (m,) bool, their rows, components (k, 1 or d) in N,
+    and the time."""
 
     near: np.ndarray
     rows: Rows | None
@@ -26,7 +28,8 @@ class StepForces:
 
 @dataclass
 class Ledger:
-    """Sums over the steps; ``write`` after each step makes the state that sensors read. Methods are collective."""
+    """Sums over the steps; ``write`` after each step makes the state that sensors read. Methods are
+    collective."""
 
     system: System
     counts: ContactCounts = field(default_factory=ContactCounts)
@@ -45,11 +48,16 @@ class Ledger:
     def open(self, state: State) -> ContactState:
         """The first state: no forces yet."""
         self.energy, self.springs = self._energy(state)
-        nothing = StepForces(np.zeros(len(self.force), dtype=bool), None, np.zeros((0, self.components)), state.t)
+        nothing = StepForces(
+            np.zeros(len(self.force), dtype=bool), None, np.zeros((0, self.components)), state.t
+        )
         return self._carry(state, nothing, self.contacts.touch(self.system, state.t, state.q))
 
-    def write(self, state: State, forces: StepForces, step: tuple[Evaluation, Array, Array], h: float) -> ContactState:
-        """Close a step: ``step`` holds the evaluation, the increment xi and the multipliers that the balance was written with."""
+    def write(
+        self, state: State, forces: StepForces, step: tuple[Evaluation, Array, Array], h: float
+    ) -> ContactState:
+        """Close a step: ``step`` holds the evaluation, the increment xi and the multipliers that the balance
+        was written with."""
         system, c = self.system, self.contacts
         ev, xi, lam = step
         works = np.zeros(len(WORKS))
@@ -85,7 +93,9 @@ class Ledger:
         force = np.zeros_like(end.x)
         if forces.rows is not None:
             force[forces.near] = in_world(forces.rows, forces.force)
-            self.impulse = self.impulse + h * np.array([force[c.pair == i].sum(0) for i in range(len(self.impulse))])
+            self.impulse = self.impulse + h * np.array(
+                [force[c.pair == i].sum(0) for i in range(len(self.impulse))]
+            )
         normal = self.force[:, 0].copy()
         found = ContactForces(
             c.names, forces.time, c.pair, end.x, end.normal, end.geometric, normal, force, normal / c.weight,

@@ -1,19 +1,28 @@
 """Contact-implicit midpoint rule with massless contact nodes: the default for scenes with contact.
 
-    q_1 = q_0 o exp(xi),   v_m = xi / h,   v_1 = 2 v_m - v_0                                                    (1)
-    M (v_1 - v_0) / h + h(q_m, v_m) + G_m^T lambda - N_m^T Lambda = 0    at  q_m = q_0 o exp(xi / 2)             (2)
-    g(q_1) = 0,     0 <= Lambda _|_ gap(q_1) >= 0                                                              (3)
+    q_1 = q_0 o exp(xi),   v_m = xi / h,   v_1 = 2 v_m - v_0
+    (1)
+    M (v_1 - v_0) / h + h(q_m, v_m) + G_m^T lambda - N_m^T Lambda = 0    at  q_m = q_0 o exp(xi / 2)
+    (2)
+    g(q_1) = 0,     0 <= Lambda _|_ gap(q_1) >= 0
+    (3)
 
-The forces act in the middle of the step, the gap closes at its end. On a linear elastic body and a plane obstacle the
-contact's work in a step is Lambda (gap_1 - gap_0) = -Lambda gap_0 <= 0, nothing while it stays closed: energy never grows.
-Without inertia on the contact nodes (:mod:`fmbd_fenicsx.contact_mass`) Lambda does not oscillate. Each Newton step solves the
-linearised (2) and (3) as one small complementarity problem on the candidates; the active set of the last step starts it. After
+The forces act in the middle of the step, the gap closes at its end. On a linear elastic body and a plane
+obstacle the
+contact's work in a step is Lambda (gap_1 - gap_0) = -Lambda gap_0 <= 0, nothing while it stays closed:
+energy never grows.
+Without inertia on the contact nodes (:mod:`fmbd_fenicsx.contact_mass`) Lambda does not oscillate. Each
+Newton step solves the
+linearised (2) and (3) as one small complementarity problem on the candidates; the active set of the last
+step starts it. After
 the step the velocity is projected on the joints' velocity constraints, which takes energy, never gives it.
 
-With theta instead of 1/2 in (1), (2) the rule is q_theta = q_0 o exp(theta xi), v_1 = v_0 + (v_m - v_0) / theta; theta = 1 is the
+With theta instead of 1/2 in (1), (2) the rule is q_theta = q_0 o exp(theta xi), v_1 = v_0 + (v_m - v_0) /
+theta; theta = 1 is the
 implicit Euler rule, of first order and strongly damped: for equilibria by large steps.
 
-Source: Khenous, Laborde, Renard, doi:10.1016/j.euromechsol.2008.01.001; Deuflhard, Krause, Ertel, doi:10.1002/nme.2119.
+Source: Khenous, Laborde, Renard, doi:10.1016/j.euromechsol.2008.01.001; Deuflhard, Krause, Ertel,
+doi:10.1002/nme.2119.
 """
 
 from __future__ import annotations
@@ -38,7 +47,8 @@ from .start import Correction, consistent, worst_block
 
 @dataclass(frozen=True)
 class ContactMidpoint:
-    """Scheme data: ``theta`` in [1/2, 1]; 1/2 conserves energy, 1 is the implicit Euler rule. Equations (1) to (3)."""
+    """Scheme data: ``theta`` in [1/2, 1]; 1/2 conserves energy, 1 is the implicit Euler rule. Equations (1)
+    to (3)."""
 
     theta: float = 0.5
 
@@ -53,7 +63,11 @@ class ContactMidpoint:
     @property
     def name(self) -> str:
         """Name in reports."""
-        return "contact-implicit midpoint" if self.theta == 0.5 else f"contact-implicit theta rule ({self.theta:g})"
+        return (
+            "contact-implicit midpoint"
+            if self.theta == 0.5
+            else f"contact-implicit theta rule ({self.theta:g})"
+        )
 
     def start(self, system: System, state: State, solver: StepSolver, h: float) -> tuple[State, Correction]:
         """Consistent positions and velocities; refuses overlap, and contact between rigid bodies."""
@@ -64,15 +78,20 @@ class ContactMidpoint:
         return Stepper(self.theta, system, solver, newton, state)
 
 
-def elastic_start(name: str, system: System, state: State, solver: StepSolver, tau: float) -> tuple[State, Correction]:
-    """Start of a scheme for elastic contact: consistent in the metric M + tau^2 K (M is singular on massless nodes); collective.
+def elastic_start(
+    name: str, system: System, state: State, solver: StepSolver, tau: float
+) -> tuple[State, Correction]:
+    """Start of a scheme for elastic contact: consistent in the metric M + tau^2 K (M is singular on massless
+    nodes); collective.
 
     Raises:
         InputError: no contact in the scene, a contact of rigid bodies, or bodies that overlap.
     """
     contacts = system.contacts
     if contacts is None:
-        raise InputError(f"{name} is a scheme for scenes with contact; this scene has none. Use another scheme.")
+        raise InputError(
+            f"{name} is a scheme for scenes with contact; this scene has none. Use another scheme."
+        )
     rigid = [p.name for p in contacts.pairs if p.rigid]
     if rigid:
         raise InputError(
@@ -85,7 +104,9 @@ def elastic_start(name: str, system: System, state: State, solver: StepSolver, t
             'contact "%s": inertia on contact nodes (redistribute_mass=False) lets the contact force oscillate; see docs/contact.md',
             heavy[0],
         )
-    start, correction = consistent(system, state, solver, metric=Weights(1.0, 0.0, tau * tau), accelerated=False)
+    start, correction = consistent(
+        system, state, solver, metric=Weights(1.0, 0.0, tau * tau), accelerated=False
+    )
     refuse_penetration(system, contacts, start)
     return start, correction
 
@@ -93,7 +114,9 @@ def elastic_start(name: str, system: System, state: State, solver: StepSolver, t
 class Stepper:
     """Advances a state through contact."""
 
-    def __init__(self, theta: float, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+    def __init__(
+        self, theta: float, system: System, solver: StepSolver, newton: Newton, state: State
+    ) -> None:
         self.theta, self.system, self.solver, self.newton = theta, system, solver, newton
         self.contacts: ContactSet = system.contacts
         self.compliance = Compliance(solver, self.contacts)
@@ -108,7 +131,8 @@ class Stepper:
         return self.ledger.counters(self.compliance.columns)
 
     def advance(self, h: float) -> State:
-        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
+        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
+        unchanged."""
         system, s = self.system, self.state
         near = candidates(system, self.contacts, s, h, keep=self.theta == 0.5)
         for _ in range(4):
@@ -118,7 +142,11 @@ class Stepper:
                 raise ConvergenceError(
                     f"Newton stopped at t = {s.t + h:.6g} s (h = {h:.3g} s): increments over tolerance "
                     + " -> ".join(f"{x:.1e}" for x in history)
-                    + (f"; the largest open constraint is {worst_block(system, step.g)}" if step.g.size else "")
+                    + (
+                        f"; the largest open constraint is {worst_block(system, step.g)}"
+                        if step.g.size
+                        else ""
+                    )
                     + ". Try a smaller dt."
                 )
             missed = (self.contacts.touch(system, s.t + h, step.q).gap < -1e-9 * system.length) & ~near
@@ -131,7 +159,9 @@ class Stepper:
         a = (v - s.v) / h
         self.local_error = h * h / 12 * system.max_abs(a - s.a)
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + self.theta * h)
-        self.state = self.ledger.write(State(s.t + h, step.q, v, a, step.lam), forces, (step.ev, step.xi, step.lam), h)
+        self.state = self.ledger.write(
+            State(s.t + h, step.q, v, a, step.lam), forces, (step.ev, step.xi, step.lam), h
+        )
         self.ledger.count(len(history))
         return self.state
 
@@ -161,7 +191,8 @@ class _Step:
         self.floor = 100 * np.finfo(float).eps * system.length
 
     def increment(self) -> float:
-        """One Newton step: predictor, complementarity problem, correction; returns its size over the tolerance."""
+        """One Newton step: predictor, complementarity problem, correction; returns its size over the
+        tolerance."""
         p, h, s = self.p, self.h, self.p.state
         system, solver = p.system, p.solver
         self.q = system.compose(s.q, self.xi)
@@ -183,5 +214,7 @@ class _Step:
         self.lam = self.lam + dlam / self.scale
         self.xi = self.xi + system.rate(self.xi, dxi)
         self.q = system.compose(s.q, self.xi)
-        tolerance = max(1e-4 * p.newton.tolerance * max(system.max_abs(self.xi), h * system.max_abs(s.v)), self.floor)
+        tolerance = max(
+            1e-4 * p.newton.tolerance * max(system.max_abs(self.xi), h * system.max_abs(s.v)), self.floor
+        )
         return system.max_abs(dxi) / tolerance

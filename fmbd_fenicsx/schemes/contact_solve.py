@@ -1,11 +1,14 @@
 """The unilateral part of a Newton step, the same for all schemes with contact.
 
-For the residual r of the balance without contact forces, scaled by s, and u the gaps (velocities, for impacts) of the
+For the residual r of the balance without contact forces, scaled by s, and u the gaps (velocities, for
+impacts) of the
 present iterate, with tangential slips where there is friction,
 
-    z = step without change of force,   W = s L A^-1 L^T,   u + L z + W (f_new - f)  complementary to  f_new          (1)
+    z = step without change of force,   W = s L A^-1 L^T,   u + L z + W (f_new - f)  complementary to  f_new
+    (1)
 
-L holds the rows of the candidates; f_new comes from one small problem, and a second back-solve gives the step.
+L holds the rows of the candidates; f_new comes from one small problem, and a second back-solve gives the
+step.
 """
 
 from __future__ import annotations
@@ -22,7 +25,8 @@ from .contact_steps import components
 
 
 class Unilateral:
-    """Forces ``force`` (m, 1 or d) on the candidates of one step, improved by each call of :meth:`increment`."""
+    """Forces ``force`` (m, 1 or d) on the candidates of one step, improved by each call of
+    :meth:`increment`."""
 
     def __init__(self, compliance: Compliance, counts: ContactCounts, force: Array) -> None:
         self.compliance, self.counts, self.force = compliance, counts, force
@@ -31,8 +35,11 @@ class Unilateral:
         self._W: Array | None = None
         self._blocks: Any = None
 
-    def increment(self, rows: Rows, u: Array, residuals: tuple[Array, Array], scale: float) -> tuple[Array, Array]:
-        """Steps of the unknowns and of the joints' multipliers (scaled) by (1); residuals of balance and joints. Collective."""
+    def increment(
+        self, rows: Rows, u: Array, residuals: tuple[Array, Array], scale: float
+    ) -> tuple[Array, Array]:
+        """Steps of the unknowns and of the joints' multipliers (scaled) by (1); residuals of balance and
+        joints. Collective."""
         contacts: ContactSet = self.contacts
         system, solver, d = self.solver.system, self.solver, self.force.shape[1]
         self.rows = rows

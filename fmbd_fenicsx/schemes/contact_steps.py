@@ -1,4 +1,5 @@
-"""What all schemes with contact do at a step: find candidates, refuse penetration at the start, refuse passing through."""
+"""What all schemes with contact do at a step: find candidates, refuse penetration at the start, refuse
+passing through."""
 
 from __future__ import annotations
 
@@ -14,10 +15,14 @@ from ..system import State, System
 ALLOWED = 1e-8  # penetration at the start, as a share of the model's length
 
 
-def candidates(system: System, contacts: ContactSet, state: State, h: float, *, keep: bool = False) -> np.ndarray:
-    """Points that may touch within the step, (m,) bool: near now, or at the position reached with the present velocity.
+def candidates(
+    system: System, contacts: ContactSet, state: State, h: float, *, keep: bool = False
+) -> np.ndarray:
+    """Points that may touch within the step, (m,) bool: near now, or at the position reached with the
+    present velocity.
 
-    ``keep``: overlaps from the new pairing of two bodies are not pushed out (see :mod:`fmbd_fenicsx.contact_mortar`).
+    ``keep``: overlaps from the new pairing of two bodies are not pushed out (see
+    :mod:`fmbd_fenicsx.contact_mortar`).
     """
     contacts.update(system, state.q, 2 * h * contacts.fastest(system, state.v), keep=keep)
     now = contacts.touch(system, state.t, state.q)
@@ -62,8 +67,11 @@ def refuse_penetration(system: System, contacts: ContactSet, state: State) -> No
         )
 
 
-def _refuse_tunnelling(system: System, contacts: ContactSet, state: State, step: tuple[float, Touch, Touch]) -> None:
-    """Raise ConvergenceError when a point would pass more than half of an obstacle's thickness in one step; collective."""
+def _refuse_tunnelling(
+    system: System, contacts: ContactSet, state: State, step: tuple[float, Touch, Touch]
+) -> None:
+    """Raise ConvergenceError when a point would pass more than half of an obstacle's thickness in one step;
+    collective."""
     h, now, then = step
     thick = contacts.thickness
     if not np.isfinite(thick).any():

@@ -1,13 +1,20 @@
 """Moreau-Jean time stepping: impacts with restitution as impulses of a step.
 
-    M (v_1 - v_0) / h + h(q_m, v_m) + G^T lambda = N^T P / h,     v_m = (v_0 + v_1) / 2,   q_m = q_0 o exp(h v_m / 2)       (1)
-    q_1 = q_0 o exp(h v_m),     G v_1 + g_t = 0                                                                       (2)
-    closed contacts:  0 <= P _|_ U_1 + e U_0 >= 0,     U = N v + g_t  the gap's rate                                  (3)
+    M (v_1 - v_0) / h + h(q_m, v_m) + G^T lambda = N^T P / h,     v_m = (v_0 + v_1) / 2,   q_m = q_0 o exp(h
+    v_m / 2)       (1)
+    q_1 = q_0 o exp(h v_m),     G v_1 + g_t = 0
+    (2)
+    closed contacts:  0 <= P _|_ U_1 + e U_0 >= 0,     U = N v + g_t  the gap's rate
+    (3)
 
-P is the impulse of all that happens within the step: one impact, many, or steady contact. A contact counts as closed when
-its gap, extrapolated to the middle of the step, is not positive. Infinitely many impacts in finite time (Zeno) need no event
-search: the body comes to rest within a step of the limit. Energy: P (U_0 + U_1) / 2 = -(1 - e) / 2 P |U_0| <= 0. Penetrations
-stay of the order of h U. Joints are kept on velocity level by (2) and projected on position level after the step.
+P is the impulse of all that happens within the step: one impact, many, or steady contact. A contact counts
+as closed when
+its gap, extrapolated to the middle of the step, is not positive. Infinitely many impacts in finite time
+(Zeno) need no event
+search: the body comes to rest within a step of the limit. Energy: P (U_0 + U_1) / 2 = -(1 - e) / 2 P |U_0|
+<= 0. Penetrations
+stay of the order of h U. Joints are kept on velocity level by (2) and projected on position level after the
+step.
 
 Source: Moreau (1988), doi:10.1007/978-3-7091-2624-0_1; Jean, doi:10.1016/S0045-7825(98)00383-1.
 """
@@ -41,8 +48,12 @@ class Moreau:
     def start(self, system: System, state: State, solver: StepSolver, h: float) -> tuple[State, Correction]:
         """Consistent positions and velocities; refuses overlap."""
         if system.contacts is None:
-            raise InputError("Moreau is a scheme for scenes with contact; this scene has none. Use another scheme.")
-        start, correction = consistent(system, state, solver, metric=Weights(1.0, 0.0, h * h / 4), accelerated=False)
+            raise InputError(
+                "Moreau is a scheme for scenes with contact; this scene has none. Use another scheme."
+            )
+        start, correction = consistent(
+            system, state, solver, metric=Weights(1.0, 0.0, h * h / 4), accelerated=False
+        )
         refuse_penetration(system, system.contacts, start)
         return start, correction
 
@@ -70,7 +81,8 @@ class Stepper:
         return self.ledger.counters(self.compliance.columns)
 
     def advance(self, h: float) -> State:
-        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
+        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
+        unchanged."""
         system, s = self.system, self.state
         near = candidates(system, self.contacts, s, h)
         middle = system.compose(s.q, 0.5 * h * s.v)
@@ -90,7 +102,9 @@ class Stepper:
         self.impulse = np.zeros_like(self.impulse)
         self.impulse[closed] = step.contact.force
         forces = StepForces(closed, step.contact.rows, step.contact.force / h, s.t + h / 2)
-        self.state = self.ledger.write(State(s.t + h, q, step.v, a, step.lam), forces, (step.ev, xi, step.lam), h)
+        self.state = self.ledger.write(
+            State(s.t + h, q, step.v, a, step.lam), forces, (step.ev, xi, step.lam), h
+        )
         self.ledger.count(len(history))
         return self.state
 
@@ -134,7 +148,9 @@ class _Step:
         if self.closed.any():
             rows = p.contacts.rows(system, s.t + h / 2, middle, since=(s.t, h)).take(self.closed)
             rate = p.contacts.gap_rate(system, s.t + h / 2, middle, h)[self.closed]
-            u = openings(p.contacts, system, rows, p.contacts.times(system, rows.N, self.v) + rate, h * self.v) / _per(rows, h)
+            u = openings(
+                p.contacts, system, rows, p.contacts.times(system, rows.N, self.v) + rate, h * self.v
+            ) / _per(rows, h)
             before = p.contacts.times(system, rows.N, s.v) + rate
             u[:, 0] += rows.restitution * np.minimum(before, 0.0)
             dv, dlam = self.contact.increment(rows, u, (r, slip), 1.0)
