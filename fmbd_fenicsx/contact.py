@@ -142,11 +142,13 @@ def contact(
     if isinstance(master, Surface):
         if isinstance(slave, RigidPoints):
             raise InputError(
-                f'Contact "{name}": give the elastic surface as slave, and an Obstacle on the rigid body as master.'
+                f'Contact "{name}": give the elastic surface as slave, and an Obstacle on the rigid '
+                "body as master."
             )
         if slave.body is master.body and slave.name == master.name:
             raise InputError(
-                f'Contact "{name}": slave and master are the same facets, {slave!r}. Name two different surfaces.'
+                f'Contact "{name}": slave and master are the same facets, {slave!r}. Name two '
+                "different surfaces."
             )
         if slave.body is master.body:
             raise InputError(f'Contact "{name}": contact of "{slave.body.name}" with itself is not offered.')

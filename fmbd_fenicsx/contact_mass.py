@@ -69,7 +69,8 @@ def _substitution(field: Any, massless: np.ndarray) -> Any:
     numbers = np.concatenate(comm.allgather(np.flatnonzero(free) + low))
     if len(donors) <= field.dim:
         raise MeshError(
-            f'Body "{field.name}": nearly all its nodes lie on contact surfaces, none is left to carry the mass. Refine the mesh, '
+            f'Body "{field.name}": nearly all its nodes lie on contact surfaces, none is left to '
+            "carry the mass. Refine the mesh, "
             "raise the degree, or use redistribute_mass=False."
         )
     tree = cKDTree(donors)
@@ -144,7 +145,8 @@ def _moments_kept(field: Any, P: Any) -> Any:
             break
     if lost and field.comm.rank == 0:
         log.warning(
-            'body "%s": too few nodes besides its contact surfaces; without inertia on these the mesh keeps its mass but not its %s. '
+            'body "%s": too few nodes besides its contact surfaces; without inertia on these the '
+            "mesh keeps its mass but not its %s. "
             "Refine the mesh, or use redistribute_mass=False.",
             field.name,
             lost,

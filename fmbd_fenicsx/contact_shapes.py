@@ -177,7 +177,8 @@ class SignedDistance(Shape):
         if found.shape != (len(y),) or not np.isfinite(found).all():
             raise CallbackError(
                 f"SignedDistance: the function returned shape {found.shape}"
-                f"{'' if np.isfinite(found).all() else ' with values that are not finite'}, expected ({len(y)},) finite numbers."
+                f"{'' if np.isfinite(found).all() else ' with values that are not finite'}, expected "
+                f"({len(y)},) finite numbers."
             )
         return found
 
@@ -196,7 +197,8 @@ class SignedDistance(Shape):
         if not self._warned and np.abs(size - 1).max(initial=0.0) > 1e-6:
             self._warned.append(True)
             log.warning(
-                "SignedDistance: the gradient has size %.3g ... %.3g instead of 1; the function is divided by it.",
+                "SignedDistance: the gradient has size %.3g ... %.3g instead of 1; the function is "
+                "divided by it.",
                 size.min(),
                 size.max(),
             )
@@ -226,5 +228,6 @@ class Obstacle:
         require(isinstance(self.shape, Shape), f'Obstacle "{self.name}": {self.shape!r} is not a shape.')
         if self.motion is not None and self.on is not None:
             raise InputError(
-                f'Obstacle "{self.name}" is carried by a body and also moves by prescription: give one of them.'
+                f'Obstacle "{self.name}" is carried by a body and also moves by prescription: give '
+                "one of them."
             )

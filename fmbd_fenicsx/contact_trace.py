@@ -85,7 +85,8 @@ class Trace:
             D = shifted
         if (D <= 0).any():
             raise MeshError(
-                f'Contact surface "{name}": a shape function has no positive integral on it; use degree 1 or 2.'
+                f'Contact surface "{name}": a shape function has no positive integral on it; use '
+                "degree 1 or 2."
             )
         return SurfaceNodes(nodes, D, transform, local)
 

@@ -27,7 +27,8 @@ def check_contacts(scene: Any) -> None:
             body = side.on if isinstance(side, Obstacle) else side.body
             if body is not None and scene.bodies.get(body.name) is not body:
                 raise InputError(
-                    f'Contact "{c.name}" refers to {side!r}, whose body is not in the scene. {near(body.name, scene.bodies)}'
+                    f'Contact "{c.name}" refers to {side!r}, whose body is not in the scene. '
+                    f"{near(body.name, scene.bodies)}"
                 )
 
 
@@ -103,7 +104,8 @@ def _mortar_pair(c: Contact, slave: Side, known: tuple[list[Trace], dict[str, in
     )
     if facets[0].dim == 3 and facets[0].degree > 1:
         raise InputError(
-            f'Contact "{c.name}": contact of two elastic bodies in space needs degree=1 on the slave "{c.slave.body.name}" (no dual '
+            f'Contact "{c.name}": contact of two elastic bodies in space needs degree=1 on the slave '
+            f'"{c.slave.body.name}" (no dual '
             "multipliers of degree 2 on triangles)."
         )
     return MortarPair(c.name, (slave, master), (facets[0], facets[1]), traces, c)
@@ -145,7 +147,8 @@ def _carrier(name: str, obstacle: Obstacle, m: Motions, frame_of: dict[str, int]
         return Carrier(-1, m.identity, None)
     if not isinstance(obstacle.on, RigidBody):
         raise InputError(
-            f'Contact "{name}": obstacle "{obstacle.name}" must be carried by a rigid body, found {obstacle.on!r}.'
+            f'Contact "{name}": obstacle "{obstacle.name}" must be carried by a rigid body, found '
+            f"{obstacle.on!r}."
         )
     if obstacle.on.locked:
         return Carrier(-1, obstacle.on.start_pose(), None)

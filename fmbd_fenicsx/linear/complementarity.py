@@ -144,8 +144,10 @@ def solve_friction(W: Array, q: Array, mu: Array, start: Array, counts: ContactC
     size = float(np.abs(_alart_curnier(x, u, c, mu)[0]).max())
     if size > 1e-8 * scale:
         raise ConvergenceError(
-            f"The friction problem did not converge (residual {size / scale:.1e} of the largest force). With large friction coefficients "
-            "no solution with finite forces may exist (Painleve); use the Moreau scheme, which has impacts, or a smaller dt."
+            f"The friction problem did not converge (residual {size / scale:.1e} of the largest "
+            "force). With large friction coefficients "
+            "no solution with finite forces may exist (Painleve); use the Moreau scheme, which has "
+            "impacts, or a smaller dt."
         )
     counts.residual = max(counts.residual, size / scale)
     return x

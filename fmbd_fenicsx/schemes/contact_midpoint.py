@@ -95,13 +95,15 @@ def elastic_start(
     rigid = [p.name for p in contacts.pairs if p.rigid]
     if rigid:
         raise InputError(
-            f'Contact "{rigid[0]}" is between rigid bodies: {name} has no impact law for inertia on the contact '
+            f'Contact "{rigid[0]}" is between rigid bodies: {name} has no impact law for inertia on '
+            "the contact "
             "point, its rebound would depend on dt. Use fmbd.Moreau(), which takes the contact's restitution."
         )
     heavy = [p.name for p in contacts.pairs if not p.massless]
     if heavy:
         log.warning(
-            'contact "%s": inertia on contact nodes (redistribute_mass=False) lets the contact force oscillate; see docs/contact.md',
+            'contact "%s": inertia on contact nodes (redistribute_mass=False) lets the contact force '
+            "oscillate; see docs/contact.md",
             heavy[0],
         )
     start, correction = consistent(

@@ -62,8 +62,10 @@ def refuse_penetration(system: System, contacts: ContactSet, state: State) -> No
     depth = -float(rows.geometric[worst])
     if depth > ALLOWED * system.length:
         raise InputError(
-            f'Contact "{contacts.names[contacts.pair[worst]]}": the bodies overlap at the start by {depth:.3g} m, at '
-            f"{np.round(rows.x[worst], 6).tolist()}. Move one of them apart along {np.round(rows.normal[worst], 3).tolist()}."
+            f'Contact "{contacts.names[contacts.pair[worst]]}": the bodies overlap at the start by '
+            f"{depth:.3g} m, at "
+            f"{np.round(rows.x[worst], 6).tolist()}. Move one of them apart along "
+            f"{np.round(rows.normal[worst], 3).tolist()}."
         )
 
 
@@ -88,7 +90,8 @@ def _refuse_tunnelling(
         if len(hit):
             i = int(hit[0])
             raise ConvergenceError(
-                f'Contact "{contacts.names[contacts.pair[i]]}" at t = {state.t:.6g} s: a point moves {way[i]:.3g} m in one step of '
+                f'Contact "{contacts.names[contacts.pair[i]]}" at t = {state.t:.6g} s: a point moves '
+                f"{way[i]:.3g} m in one step of "
                 f"{h:.3g} s, more than half of the {thick[i]:.3g} m it would hit, and could pass through. "
                 f"Use dt <= {0.5 * h * thick[i] / way[i]:.3g} s."
             )
