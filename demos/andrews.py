@@ -3,7 +3,8 @@
 Run:  ./with-dolfinx python3 demos/andrews.py          (--fast: looser tolerance, --picture FILE: the seven angles)
 
 Seven angles q, six loop equations g(q) = 0, mechanism of Andrews as in Hairer and Wanner, Solving ODEs II, section VII.7
-(doi:10.1007/978-3-642-05221-7). Reference: the positions at t = 0.03 s of the IVP test set and of an own state-space run (DOP853).
+(doi:10.1007/978-3-642-05221-7). Reference: the positions at t = 0.03 s of the IVP test set and of an own state-space run
+(DOP853).
 """
 
 import numpy as np

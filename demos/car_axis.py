@@ -2,8 +2,8 @@
 
 Run:  ./with-dolfinx python3 demos/car_axis.py          (--fast: looser tolerance, --picture FILE: the four coordinates)
 
-Two points (x_l, y_l), (x_r, y_r) at the ends of the axle, springs of stiffness 1 / eps^2 (against the masses) to the wheels, the right
-wheel at (x_b(t), y_b(t)). Constraints: the axle has length L and the left end moves perpendicular to the road chord.
+Two points (x_l, y_l), (x_r, y_r) at the ends of the axle, springs of stiffness 1 / eps^2 (against the masses) to the wheels,
+the right wheel at (x_b(t), y_b(t)). Constraints: the axle has length L and the left end moves perpendicular to the road chord.
 Source: Mazzia and Magherini, Test Set for IVP Solvers, problem "caraxis"; reference at t = 3 s from there and an own run.
 """
 

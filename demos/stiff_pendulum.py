@@ -2,8 +2,9 @@
 
 Run:  ./with-dolfinx python3 demos/stiff_pendulum.py     (--fast: four values of eps, --picture FILE: errors over eps)
 
-U = (r - 1)^2 / (2 eps^2), m = g = 1, started on the slow manifold r = 1 + eps^2 (r omega^2 + g cos theta), where nothing vibrates. A
-step h >> eps sees an index-3 problem: position errors must not depend on eps (Hairer and Wanner, Solving ODEs II, section VII.5).
+U = (r - 1)^2 / (2 eps^2), m = g = 1, started on the slow manifold r = 1 + eps^2 (r omega^2 + g cos theta), where nothing
+vibrates. A step h >> eps sees an index-3 problem: position errors must not depend on eps (Hairer and Wanner, Solving ODEs
+II, section VII.5).
 """
 
 import numpy as np

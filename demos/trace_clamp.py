@@ -30,7 +30,8 @@ KEPT, P1 = Continuous(ends=Ends.KEPT), Continuous(1, Ends.KEPT)
 # degree of V_h, multiplier space, constants at n = 8 with free and with clamped neighbours
 SPACES = [(1, KEPT, 0.612, 0.0), (1, Continuous(), 0.634, 0.603), (1, Continuous(ends=Ends.DROPPED), 0.630, 0.621),
           (1, Dual(), 0.629, 0.622), (1, Discontinuous(0), 0.222, 0.0), (1, Aggregated(), 0.800, 0.731),
-          (2, KEPT, 0.583, 0.0), (2, P1, 0.892, 0.709), (2, Discontinuous(0), 0.864, 0.848), (2, Discontinuous(1), 0.173, 0.0)]  # fmt: skip
+          (2, KEPT, 0.583, 0.0), (2, P1, 0.892, 0.709), (2, Discontinuous(0), 0.864, 0.848),
+          (2, Discontinuous(1), 0.173, 0.0)]  # fmt: skip
 SIDES = ("left", "right")
 
 
@@ -48,7 +49,8 @@ def table(sizes):
         + "neighbours clamped"
     )
     for degree, space, free, clamped in SPACES:
-        found = {c: [infsup((meshes[n], "bottom"), space, degree=degree, clamped=c, reference=(meshes[min(4 * n, 64)], 2)) for n in sizes]
+        found = {c: [infsup((meshes[n], "bottom"), space, degree=degree, clamped=c, reference=(meshes[min(4 * n, 64)], 2))
+                     for n in sizes]
                  for c in ((), SIDES)}  # fmt: skip
         line = "   ".join(" ".join(f"{r.constant:.3f} ({r.zero_modes})" for r in found[c]) for c in found)
         demo.say(f"{found[()][0].name:<34}  {line}")

@@ -1,6 +1,6 @@
 """Truck over a hump: rigid bodies on a suspension, then with an elastic loading area on the same suspension.
 
-Run:  ./with-dolfinx python3 demos/truck.py [--fast] [--json FILE] [--picture FILE]      (also: mpirun -n 2 python3 demos/truck.py)
+Run:  ./with-dolfinx python3 demos/truck.py [--fast] [--json FILE] [--picture FILE]   (or mpirun -n 2 ...)
 
          ___________________      _____
         |   loading area    |    | cab |        pinned to the chassis at the rear and sprung in front,

@@ -6,8 +6,8 @@ its two points, so its unstressed length is -f / k. The nominal forces tell wher
 equilibrium, which fixes the distances 0.16 m (wheels to chassis), 0.90 m (cab, loading area) and the arms. The road moves the
 lower ends of the two tyres; tyres can pull, as in the source.
 
-Source: E. Eich-Soellner, C. Fuehrer, Numerical Methods in Multibody Dynamics (1998), doi:10.1007/978-3-663-09828-7. All in SI units, x
-forward, y up, in the frame that travels with the truck.
+Source: E. Eich-Soellner, C. Fuehrer, Numerical Methods in Multibody Dynamics (1998), doi:10.1007/978-3-663-09828-7. All in
+SI units, x forward, y up, in the frame that travels with the truck.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def rigid_load() -> fmbd.RigidBody:
 def truck(load: object, *, pinned: bool = True, modulus: float | None = None) -> fmbd.Scene:
     """The scene with a rigid or elastic loading area, in equilibrium at the start.
 
-    An elastic one (see :func:`elastic_load`) has surfaces "front" and "rear" that carry the suspension points. ``pinned``: a pin instead of the springs
-    "load, rear 1" and "load, rear 2". ``modulus``: of the elastic loading area, for its stress.
+    An elastic one (see :func:`elastic_load`) has surfaces "front" and "rear" that carry the suspension points. ``pinned``: a
+    pin instead of the springs "load, rear 1" and "load, rear 2". ``modulus``: of the elastic loading area, for its stress.
     """
     scene = fmbd.Scene("truck", gravity=(0.0, -G), breakpoints=[2 / 15, 2 / 15 + (FRONT - REAR) / SPEED], settle=True)
     bodies = {

@@ -20,8 +20,8 @@ from .joints import (
     spherical,
     universal,
 )
-from .log import say
 from .loads import Load, body_force, pressure, thermal_stress, traction
+from .log import say
 from .newton import Newton
 from .output import Output
 from .reduction import CraigBampton

@@ -141,7 +141,9 @@ class Beam:
 
 
 def _bending(xi: float, length: float, shear: float) -> tuple[Array, Array, Array]:
-    """v, its slope v' and the section's rotation for unit (v_1, theta_1, v_2, theta_2); xi in [0, 1], shear = 12 EI / (GA l^2)."""
+    """v, its slope v' and the section's rotation for unit (v_1, theta_1, v_2, theta_2); xi in [0, 1], with
+    shear = 12 EI / (GA l^2).
+    """
     x, p, c = xi, shear, 1.0 / (1.0 + shear)
     v = c * np.array(
         [
@@ -189,7 +191,9 @@ def _bending_stiffness(EI: float, length: float, shear: float) -> Array:
 
 
 class _Assembly:
-    """Sums over Gauss points and elements. Degrees of freedom of a node: (u, v, theta) or (u, v, w, theta_x, theta_y, theta_z)."""
+    """Sums over Gauss points and elements. Degrees of freedom of a node:
+    (u, v, theta) or (u, v, w, theta_x, theta_y, theta_z).
+    """
 
     def __init__(self, beam: Beam) -> None:
         self.beam, self.s = beam, beam.section
@@ -317,7 +321,7 @@ class _Assembly:
 
     def constants(self) -> Constants:
         """Everything in world axes of the start."""
-        beam, d, R = self.beam, self.d, self.axes()
+        beam, R = self.beam, self.axes()
         S, T = self.inertia()
         K = self.stiffness()
         M = np.trace(T[1:, 1:], axis1=2, axis2=3)

@@ -112,14 +112,17 @@ class Coincident(Batch):
     """n . (x_b - x_a) = s, n fixed in space."""
 
     def values(self, kin: Kinematics, t: float) -> Array:
+        """g = e . (x_b - x_a) - s(t), m."""
         return _dot(self.e, kin.x[self.b] - kin.x[self.a]) - self.offsets(t)[0]
 
     def rows(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """Rows -e and e on the velocities of the markers."""
         zero = np.zeros((len(self.a), self.motions.n_rot))
         row = self._join(self.e, zero)
         return -row, row
 
     def gamma(self, kin: Kinematics, t: float) -> Array:
+        """The bias -s'' of a prescribed distance."""
         return -self.offsets(t)[2]
 
 
@@ -130,15 +133,18 @@ class Along(Batch):
         return (kin.R[self.a] @ self.e[..., None])[..., 0], kin.x[self.b] - kin.x[self.a]
 
     def values(self, kin: Kinematics, t: float) -> Array:
+        """g = e . (x_b - x_a) - s(t) with e fixed in a, m."""
         e, d = self._parts(kin)
         return _dot(e, d) - self.offsets(t)[0]
 
     def rows(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """Rows of e . (v_b - v_a) + (e x d) . w_a."""
         e, d = self._parts(kin)
         turn = self.motions.moment(e, d)
         return self._join(-e, turn), self._join(e, np.zeros_like(turn))
 
     def gamma(self, kin: Kinematics, t: float) -> Array:
+        """Centripetal and Coriolis terms of d'' along the turning axis e, less s''."""
         m = self.motions
         e, d = self._parts(kin)
         va, wa, vb, _ = self._split(kin)
@@ -163,22 +169,26 @@ class Perpendicular(Batch):
         return (Ra @ e[..., None])[..., 0], (Ra @ e1[..., None])[..., 0], (Rb @ self.f[..., None])[..., 0]
 
     def values(self, kin: Kinematics, t: float) -> Array:
+        """g = e . f of the two axes."""
         e, _, f = self._parts(kin, t)
         return _dot(e, f)
 
     def rows(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """Rows of (e x f) . (w_a - w_b)."""
         e, _, f = self._parts(kin, t)
         turn = self.motions.moment(e, f)
         zero = np.zeros_like(e)
         return self._join(zero, turn), self._join(zero, -turn)
 
     def rate(self, kin: Kinematics, t: float) -> Array:
+        """g_t of a prescribed angle, by the derivative of the axis e."""
         if not self.driven:
             return np.zeros(len(self.a))
         _, e1, f = self._parts(kin, t)
         return self.offsets(t)[1] * _dot(e1, f)
 
     def gamma(self, kin: Kinematics, t: float) -> Array:
+        """Terms quadratic in the angular velocities, and those of a prescribed angle."""
         m = self.motions
         e, e1, f = self._parts(kin, t)
         _, wa, _, wb = self._split(kin)
@@ -192,14 +202,17 @@ class Distance(Batch):
     """|x_b - x_a| = L, as (d . d / L - L) / 2 = 0; the multiplier is the force in the rod (positive: tension)."""
 
     def values(self, kin: Kinematics, t: float) -> Array:
+        """g = (d . d / l - l) / 2, m."""
         d = kin.x[self.b] - kin.x[self.a]
         return 0.5 * (_dot(d, d) / self.length - self.length)
 
     def rows(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """Rows of d . (v_b - v_a) / l."""
         d = (kin.x[self.b] - kin.x[self.a]) / self.length[:, None]
         row = self._join(d, np.zeros((len(d), self.motions.n_rot)))
         return -row, row
 
     def gamma(self, kin: Kinematics, t: float) -> Array:
+        """(v_b - v_a)^2 / l."""
         va, _, vb, _ = self._split(kin)
         return _dot(vb - va, vb - va) / self.length

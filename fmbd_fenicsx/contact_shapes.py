@@ -48,6 +48,7 @@ class HalfSpace(Shape):
     normal: Vector
 
     def evaluate(self, y: Array) -> tuple[Array, Array]:
+        """Gap over the plane and its normal; see :class:`Shape`."""
         n = _unit(self.normal, "HalfSpace: normal")[: y.shape[1]]
         return (y - np.asarray(self.point, dtype=float)[: y.shape[1]]) @ n, np.broadcast_to(n, y.shape).copy()
 
@@ -69,6 +70,7 @@ class Sphere(Shape):
         return np.inf if self.inside else 2.0 * self.radius
 
     def evaluate(self, y: Array) -> tuple[Array, Array]:
+        """Distance from the circle or sphere and its radial normal; see :class:`Shape`."""
         r = y - np.asarray(self.center, dtype=float)[: y.shape[1]]
         length = np.linalg.norm(r, axis=1)
         n = np.where(
@@ -100,6 +102,7 @@ class Cylinder(Shape):
         return min(2.0 * self.radius, self.length)
 
     def evaluate(self, y: Array) -> tuple[Array, Array]:
+        """Distance from the cylinder, rounded outside its rims, and its gradient; see :class:`Shape`."""
         require(y.shape[1] == 3, "Cylinder is a shape of space; use Sphere for a disk in the plane.")
         e = _unit(self.axis, "Cylinder: axis")
         r = y - np.asarray(self.center, dtype=float)
@@ -136,6 +139,7 @@ class Box(Shape):
         return float(np.min(np.asarray(self.size, dtype=float)))
 
     def evaluate(self, y: Array) -> tuple[Array, Array]:
+        """Distance from the box, rounded outside its edges, and its gradient; see :class:`Shape`."""
         dim = y.shape[1]
         half = np.asarray(self.size, dtype=float)[:dim] / 2
         require(
@@ -183,6 +187,7 @@ class SignedDistance(Shape):
         return found
 
     def evaluate(self, y: Array) -> tuple[Array, Array]:
+        """The function over the length of its gradient, by central differences, and the normal; see :class:`Shape`."""
         phi, h = self.values(y), 1e-4 * self.scale
         grad = np.empty_like(y)
         for k in range(y.shape[1]):

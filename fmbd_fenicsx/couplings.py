@@ -86,15 +86,19 @@ class CouplingBatch(Batch):
         return out
 
     def values(self, kin: Kinematics, t: float) -> Array:
+        """g = sum c_k s_k - s(t)."""
         return self._sum([r.values(kin) for r, _, _ in self.terms]) - self.offsets(t)[0]
 
     def rate(self, kin: Kinematics, t: float) -> Array:
+        """g_t = -s'(t)."""
         return -self.offsets(t)[1]
 
     def gamma(self, kin: Kinematics, t: float) -> Array:
+        """sum c_k gamma_k - s''(t)."""
         return self._sum([r.gamma(kin) for r, _, _ in self.terms]) - self.offsets(t)[2]
 
     def sides(self, kin: Kinematics, t: float) -> Sides:
+        """Rows of every joint coordinate times its factor c_k."""
         out = []
         for relative, rows, c in self.terms:
             ra, rb = relative.rows(kin)
@@ -155,12 +159,15 @@ class OwnBatch(Batch):
         return derivative(lambda s: self._at(x, R, s[0]), np.array([t]))[:, 0]
 
     def values(self, kin: Kinematics, t: float) -> Array:
+        """The given function of the poses of its markers and of time."""
         return np.asarray(np.real(self._at(*self._poses(kin), t)), dtype=float)
 
     def rate(self, kin: Kinematics, t: float) -> Array:
+        """g_t by a complex step in time."""
         return self._time(*self._poses(kin), t)
 
     def sides(self, kin: Kinematics, t: float) -> Sides:
+        """Rows by complex steps in the twists of the markers."""
         n = self.motions.dim + self.motions.n_rot
         J = self._derivative(*self._poses(kin), t)
         rows = np.arange(len(J))
@@ -170,6 +177,7 @@ class OwnBatch(Batch):
         ]
 
     def gamma(self, kin: Kinematics, t: float) -> Array:
+        """Second derivative along the motion with frozen twists, by differences."""
         assert kin.twist is not None
         x, R, twist = *self._poses(kin), kin.twist[self.markers]
         d = self.motions.dim

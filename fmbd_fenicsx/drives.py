@@ -1,7 +1,7 @@
 """Joint coordinates, and what acts on them: drives, gears, screws; and joints given by a function of the user's own.
 
     phi = fmbd.angle(hinge)                        s = fmbd.displacement(slider)
-    fmbd.drive("motor", phi, lambda t: 3 * t)      fmbd.gear("gear", phi, psi, ratio=-2)      fmbd.screw("screw", joint, lead=0.01)
+    fmbd.drive("motor", phi, lambda t: 3 * t)    fmbd.gear("gear", phi, psi, ratio=-2)    fmbd.screw("screw", joint, lead=0.01)
 
 A coordinate is also a sensor (``scene.sensor("phi", phi)``) and what :func:`fmbd_fenicsx.effort` acts on.
 """

@@ -15,6 +15,7 @@ class MixedEnergy:
     linear: bool = False
 
     def __call__(self, u: Any, p: Any, dx: Any) -> Any:
+        """The form of the density."""
         return self.density(u, p, dx)
 
 
@@ -28,6 +29,7 @@ class StoredEnergy:
     density: Callable[[Any], Callable[[Any], Any]]
 
     def __call__(self, u: Any, dx: Any) -> Any:
+        """The form of the density of C = F^T F."""
         from ufl import Identity, grad
 
         F = Identity(u.ufl_shape[0]) + grad(u)

@@ -103,6 +103,7 @@ class CoordinateForce(Force):
 
     @property
     def coordinate(self) -> JointCoordinate:
+        """The joint coordinate on which the force acts."""
         return self.on
 
 

@@ -81,6 +81,7 @@ class TimeLoads(Loads):
     """Forces and torques that depend on time (and, as followers, on the rotation of their marker)."""
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """Forces and torques prescribed in time."""
         d, out = self.motions.dim, self._zero()
         for i, f in enumerate(self.forces):
             part = slice(d, None) if f.turns else slice(0, d)
@@ -120,16 +121,19 @@ class ScalarLoads(Loads):
         return N
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """N along the direction of the coordinate, opposite on the two markers."""
         s, rate, ra, rb = self._state(kin)
         N = self._effort(s, rate, t)[:, None]
         return -N * ra, -N * rb
 
     def energy(self, kin: Kinematics, t: float) -> float:
+        """k s^2 / 2 of the linear springs, J."""
         s = self.relative.values(kin) - self.free
         linear = np.array([f.law is None for f in self.forces])
         return 0.5 * float((self.k * s**2)[linear].sum())
 
     def tangent(self, kin: Kinematics, t: float) -> Tangent:
+        """Material stiffness k and damping c, and the geometric stiffness of N."""
         s, rate, ra, rb = self._state(kin)
         N, k, c = self._effort(s, rate, t), self.k.copy(), self.c.copy()
         for i, f in self.own:
@@ -173,6 +177,7 @@ class TyreLoads(Loads):
         return np.array([f.stiffness for f in self.forces]), np.array([f.damping for f in self.forces])
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """Force of the compressed tyres; none while lifted."""
         c, rate, up, _ = self._compression(kin, t)
         k, damping = self._constants()
         out = self._zero()
@@ -182,10 +187,12 @@ class TyreLoads(Loads):
         return out, self._zero()
 
     def energy(self, kin: Kinematics, t: float) -> float:
+        """k c^2 / 2 of the compressed ones, J."""
         c = np.maximum(self._compression(kin, t)[0], 0.0)
         return 0.5 * float((self._constants()[0] * c**2).sum())
 
     def tangent(self, kin: Kinematics, t: float) -> Tangent:
+        """k and c along the direction of compression, of those in contact."""
         c, rate, up, row = self._compression(kin, t)
         k, damping = self._constants()
         on = (c > 0) & (k * c + damping * rate > 0)
@@ -213,6 +220,7 @@ class OwnLoads(Loads):
         return np.concatenate((on_a, on_b))
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """Wrenches of the user's laws on both markers."""
         assert kin.twist is not None
         n = self.motions.dim + self.motions.n_rot
         found = [
@@ -223,6 +231,7 @@ class OwnLoads(Loads):
         return both[:, :n], both[:, n:]
 
     def tangent(self, kin: Kinematics, t: float) -> Tangent:
+        """Central differences of the wrenches by displacements and velocities of both markers."""
         assert kin.twist is not None
         d, n = self.motions.dim, self.motions.dim + self.motions.n_rot
         K, D = np.zeros((2, len(self.forces), 2 * n, 2 * n))

@@ -10,7 +10,8 @@ TOO_LARGE = 0.5  # mean displacement over the body's size that no linear model s
 def too_large(body: str, displacement: float, size: float) -> str:
     """Message of a body whose displacements in its frame have grown out of any small-strain range."""
     return (
-        f'Body "{body}": its mean displacement in the floating frame has reached {displacement:.3g} m for a size of {size:.3g} m. '
+        f'Body "{body}": its mean displacement in the floating frame has reached {displacement:.3g} m for a '
+        f'size of {size:.3g} m. '
         "A linear form is far outside its range there. A body that spins above its first bending frequency has no stable linear "
         "solution: use stiffening=True with an attached frame, or an energy."
     )

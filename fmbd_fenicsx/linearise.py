@@ -4,9 +4,10 @@ For a function f(q, v) of the configuration and the velocity, with q o exp(xi) t
 
     df/dxi (q, v)   and   df/dv (q, v),                                                                     (1)
 
-one column for each replicated coordinate. Central differences by xi: a spring of stiffness k on a length l has a second derivative
-k / l, and an error of k / l times the step across the spring would swamp the tangent of the motion that is left. Forward
-differences by v, where the equations are quadratic at most. Small systems only: the result is dense and costs 3 n evaluations.
+one column for each replicated coordinate. Central differences by xi: a spring of stiffness k on a length l has a second
+derivative k / l, and an error of k / l times the step across the spring would swamp the tangent of the motion that is left.
+Forward differences by v, where the equations are quadratic at most. Small systems only: the result is dense and costs 3 n
+evaluations.
 """
 
 from __future__ import annotations
@@ -80,7 +81,8 @@ def differences(
 
 
 def core_tangent(ev: Evaluation, a: Array, lam: Array) -> tuple[Array, Array]:
-    """Stiffness and damping of the core: derivatives of M a + h + G^T lambda by local coordinates and velocities, (n_core, n_core).
+    """Stiffness and damping of the core: derivatives of M a + h + G^T lambda by local coordinates and velocities,
+    (n_core, n_core).
 
     They contain springs and dampers, gyroscopic and centrifugal terms, and the geometric stiffness of the multipliers.
     """

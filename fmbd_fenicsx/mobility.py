@@ -80,7 +80,7 @@ def scaled_jacobian(ev: Evaluation) -> Array:
     if s.rigid is not None:
         diagonal = np.array([np.diag(M) for M in s.rigid.matrices()])
         mass[(s.rigid.frame[:, None] * n + np.arange(n)).ravel()] = diagonal.ravel()
-    for k, p in s.fields:
+    for _, p in s.fields:
         if p.frame < s.n_frames:
             block = p.mass_blocks(_at_rest(ev, p.frame), np.zeros(p.n))[0]
             mass[p.frame * n : (p.frame + 1) * n] = np.diag(block)

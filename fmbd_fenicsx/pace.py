@@ -1,4 +1,6 @@
-"""Where the steps of a run end: equal ones, or as the error control of the scheme likes, hitting break points and the end exactly."""
+"""Where the steps of a run end: equal ones, or as the error control of the scheme likes, hitting break points and the end
+exactly.
+"""
 
 from __future__ import annotations
 

@@ -93,14 +93,17 @@ def plot_series(run: Run, sensors: Sequence[str], file: str | Path) -> None:
 
 
 def plot_curves(curves: Mapping[str, tuple[Array, Array]], file: str | Path, labels: tuple[str, str], log: bool = False) -> None:
-    """Write named curves (x, y) in one axes; ``labels`` of x and y with units; ``log``: points on logarithmic axes. Rank 0 writes."""
+    """Write named curves (x, y) in one axes; ``labels`` of x and y with units; ``log``: points on logarithmic axes. Rank 0
+    writes.
+    """
     if world_rank() != 0:
         return
     matplotlib, figure = _figure(6.4, 3.6)
     with matplotlib.rc_context(STYLE):
         axes = figure.subplots()
         for k, (name, (x, y)) in enumerate(curves.items()):
-            axes.plot(x, y, label=name, linewidth=1.4, linestyle=("-", "--", ":", "-.")[k % 4], **({"marker": MARKS[k % len(MARKS)]} if log else {}))
+            marker = MARKS[k % len(MARKS)] if log else None
+            axes.plot(x, y, label=name, linewidth=1.4, linestyle=("-", "--", ":", "-.")[k % 4], marker=marker)
         if log:
             axes.set(xscale="log", yscale="log")
         axes.set(xlabel=labels[0], ylabel=labels[1])

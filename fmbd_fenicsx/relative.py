@@ -1,6 +1,7 @@
 """Relative coordinates of two markers, many of one kind at a time: what springs, drives, gears and sensors act on.
 
-With markers a, b, d = x_b - x_a, unit vectors n (fixed in space) and e, e_1, e_2 (right-handed, fixed in a), f_1, f_2 (fixed in b):
+With markers a, b, d = x_b - x_a, unit vectors n (fixed in space) and e, e_1, e_2 (right-handed, fixed in a), f_1, f_2 (fixed
+in b):
 
 ==============  ==========================================================================  ===================
 kind            s                                                                           s'
@@ -70,6 +71,7 @@ class Separation(Relative):
     """Distance of the two points."""
 
     def values(self, kin: Kinematics) -> Array:
+        """s = |d|, m."""
         d = kin.x[self.b] - kin.x[self.a]
         return np.sqrt(dot(d, d))
 
@@ -80,9 +82,11 @@ class Separation(Relative):
         return d / np.where(s > 0, s, 1.0)[:, None], s
 
     def rows(self, kin: Kinematics) -> tuple[Array, Array]:
+        """Rows of n . (v_b - v_a)."""
         return self._linear(self.direction(kin)[0])
 
     def gamma(self, kin: Kinematics) -> Array:
+        """Centripetal term: velocity across n squared, over s."""
         n, s = self.direction(kin)
         va, _, vb, _ = self._twists(kin)
         return (dot(vb - va, vb - va) - dot(n, vb - va) ** 2) / s
@@ -92,12 +96,15 @@ class Reach(Relative):
     """Difference of the two points along directions fixed in space."""
 
     def values(self, kin: Kinematics) -> Array:
+        """s = e . d, m."""
         return dot(self.e, kin.x[self.b] - kin.x[self.a])
 
     def rows(self, kin: Kinematics) -> tuple[Array, Array]:
+        """Rows of e . (v_b - v_a)."""
         return self._linear(self.e)
 
     def gamma(self, kin: Kinematics) -> Array:
+        """None: e is fixed in space."""
         return np.zeros(len(self.a))
 
 
@@ -108,14 +115,17 @@ class Slide(Relative):
         return (kin.R[self.a] @ self.e[..., None])[..., 0], kin.x[self.b] - kin.x[self.a]
 
     def values(self, kin: Kinematics) -> Array:
+        """s = e . d with e fixed in a, m."""
         return dot(*self._parts(kin))
 
     def rows(self, kin: Kinematics) -> tuple[Array, Array]:
+        """Rows of e . (v_b - v_a) + (e x d) . w_a."""
         e, d = self._parts(kin)
         turn = self.motions.moment(e, d)
         return np.concatenate((-e, turn), 1), np.concatenate((e, np.zeros_like(turn)), 1)
 
     def gamma(self, kin: Kinematics) -> Array:
+        """Centripetal and Coriolis terms of d'' along the turning axis e."""
         m = self.motions
         e, d = self._parts(kin)
         va, wa, vb, _ = self._twists(kin)
@@ -143,6 +153,7 @@ class Turn(Relative):
         return (Ra @ e1)[..., 0], (Ra @ e2)[..., 0], (Rb @ e1)[..., 0], (Rb @ e2)[..., 0]
 
     def values(self, kin: Kinematics) -> Array:
+        """Angle from a to b about the axis, rad, followed beyond a full turn."""
         e1, e2, f1, f2 = self._axes(kin)
         raw = np.arctan2(dot(e2, f1) - dot(e1, f2), dot(e1, f1) + dot(e2, f2))
         step = np.remainder(raw - self.last + np.pi, 2 * np.pi) - np.pi
@@ -151,6 +162,7 @@ class Turn(Relative):
         return out
 
     def rows(self, kin: Kinematics) -> tuple[Array, Array]:
+        """Rows of the angle on w_b - w_a."""
         e1, e2, f1, f2 = self._axes(kin)
         cross = self.motions.moment
         y, x = dot(e2, f1) - dot(e1, f2), dot(e1, f1) + dot(e2, f2)
@@ -160,6 +172,7 @@ class Turn(Relative):
         return -row, row
 
     def gamma(self, kin: Kinematics) -> Array:
+        """Terms quadratic in the angular velocities."""
         m = self.motions
         e1, e2, f1, f2 = self._axes(kin)
         _, wa, _, wb = self._twists(kin)

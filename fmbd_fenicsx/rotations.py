@@ -20,11 +20,12 @@ Iserles et al., "Lie-group methods", doi:10.1017/S0962492900002154.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 
 _SMALL = 1e-2  # below this angle (rad) the tangent operators use their series (error < 1e-17)
 

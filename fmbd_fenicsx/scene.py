@@ -366,7 +366,8 @@ class _Builder:
             s = f.coordinate
             if s is not None and s.joint.name not in self.joint_markers:
                 raise InputError(
-                    f'Force "{f.name}" acts on joint "{s.joint.name}", which is not in the scene. {near(s.joint.name, self.joint_markers)}'
+                    f'Force "{f.name}" acts on joint "{s.joint.name}", which is not in the scene. '
+                    f'{near(s.joint.name, self.joint_markers)}'
                 )
             kind = Separation if s is None else s.kind
             markers = self._force_markers(f) if s is None else self.joint_markers[s.joint.name]

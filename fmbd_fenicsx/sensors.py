@@ -33,6 +33,7 @@ class Position(Sensor):
     """World position of a point or of a surface's mean, (d,)."""
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """x, m."""
         return ev.kin.x[marker].copy()
 
 
@@ -40,6 +41,7 @@ class Velocity(Sensor):
     """World velocity of a point or of a surface's mean, (d,)."""
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """x', m/s."""
         assert ev.kin.twist is not None
         return ev.kin.twist[marker, : ev.kin.x.shape[1]].copy()
 
@@ -48,6 +50,7 @@ class Acceleration(Sensor):
     """World acceleration of a point or of a surface's mean, (d,)."""
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """x'', m/s^2, from the recorded accelerations."""
         s, m, kin = ev.system, ev.system.markers, ev.kin
         assert kin.bias is not None
         out = kin.bias[marker] + kin.jac_frame[marker] @ s.twists(state.a)[m.frame[marker]]
@@ -61,6 +64,7 @@ class Rotation(Sensor):
     """Rotation since the start: the angle (plane, in (-pi, pi]) or the matrix row by row (space)."""
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """Angle (rad) in the plane, the rotation matrix row by row in space."""
         R = ev.kin.R[marker]
         return np.array([np.arctan2(R[1, 0], R[0, 0])]) if R.shape[0] == 2 else R.ravel().copy()
 
@@ -72,6 +76,7 @@ class Reaction(Sensor):
     joint: str = ""
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """The multipliers of the joint."""
         for block in ev.system.blocks:
             if block.name == self.joint:
                 return state.lam[block.rows].copy()
@@ -86,6 +91,7 @@ class ReactionWrench(Sensor):
     torque: bool = False
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """Force and moment of the joint on its first body."""
         block = ev.system.block(self.joint)
         d = ev.system.motions.dim
         wrench = np.zeros(d + ev.system.motions.n_rot)
@@ -107,6 +113,7 @@ class JointReading(Sensor):
     level: int = 0
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """Value and rate of the joint coordinate."""
         s = ev.system
         key = f"reading {id(self)}"
         if key not in s.cache:
@@ -124,6 +131,7 @@ class Coordinates(Sensor):
     level: int = 0
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """The coordinates of the body, or their rates."""
         for k, part in enumerate(ev.system.parts):
             if part.name == self.body:
                 if self.level == 0:

@@ -72,6 +72,7 @@ class ContactSensor(Sensor):
     quantity: str = "force"
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """The quantity of the last step."""
         c = forces_of(state)
         if self.quantity == "work":
             return c.work.copy()

@@ -63,7 +63,8 @@ class InfSup:
 
     def __str__(self) -> str:
         verdict = "stable" if self.stable else "UNSTABLE: choose another multiplier space"
-        return f"{self.name}: inf-sup constant {self.constant:.3f}, {self.zero_modes} zero modes of {self.multipliers}, h = {self.h:.3g} m: {verdict}"
+        modes = f"{self.zero_modes} zero modes of {self.multipliers}"
+        return f"{self.name}: inf-sup constant {self.constant:.3f}, {modes}, h = {self.h:.3g} m: {verdict}"
 
 
 def pencil(trace: Trace, length: float) -> tuple[Array, Array, Array]:

@@ -1,4 +1,5 @@
-"""A rectangular sheet whose lower edge rests on two pads: surfaces "rear", "front" (pads), "floor" (upper edge), "side" (the rest).
+"""A rectangular sheet whose lower edge rests on two pads: surfaces "rear", "front" (pads), "floor" (upper edge), "side" (the
+rest).
 
 ``pads`` are (from, to) along x on the lower edge; all lengths in m, world coordinates.
 """

@@ -77,7 +77,10 @@ def test_stiff_rod_agrees_with_floating_frame(rod_mesh: Callable[..., Any]) -> N
     for modulus in (1e7, 1e8):
         floating = fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=linear_elastic(modulus, 0.3))
         absolute = body(mesh, energy=saint_venant_kirchhoff(modulus, 0.3))
-        tips = [fmbd.solve(pendulum(b), t_end=0.1, dt=2e-3, scheme=fmbd.GeneralizedAlpha(0.5))["tip"] for b in (floating, absolute)]
+        tips = [
+            fmbd.solve(pendulum(b), t_end=0.1, dt=2e-3, scheme=fmbd.GeneralizedAlpha(0.5))["tip"]
+            for b in (floating, absolute)
+        ]
         gaps.append(np.abs(tips[0] - tips[1]).max())
     assert gaps[0] < 5e-4
     assert gaps[1] < 0.3 * gaps[0]

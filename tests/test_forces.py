@@ -59,7 +59,6 @@ def test_tangent_against_differences(dim: int, what: str) -> None:
     D = np.asarray(ev.force_tangent(1.0, 0.0))
     rate = first(lambda e: force(motion.v + e * dv))
     assert np.abs(D @ dv - rate).max() < 1e-5 * max(1.0, np.abs(rate).max())
-    K = np.asarray(ev.force_tangent(0.0, 1.0))
     dq = np.zeros_like(dv).reshape(-1, s.motions.n_twist)
     dq[:, : s.motions.dim] = dv.reshape(dq.shape)[:, : s.motions.dim]
     moved = first(lambda e: -s.at(motion.t, s.compose(motion.q, e * dq.ravel()), motion.v).wrenches().ravel())

@@ -1,8 +1,11 @@
-"""Mobility and redundancy (K1), singular configurations (K2), contradicting joints, locked and loose bodies, mass ratios (T10)."""
+"""Mobility and redundancy (K1), singular configurations (K2), contradicting joints, locked and loose bodies, mass ratios
+(T10).
+"""
 
 from __future__ import annotations
 
 import logging
+from typing import Any
 
 import numpy as np
 import pytest

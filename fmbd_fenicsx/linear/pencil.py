@@ -39,7 +39,9 @@ class Tangent:
 
 
 def stacked(tangents: list[Tangent]) -> Tangent:
-    """The tangent of several stages together: variables and balances stage by stage, then each constraint level stage by stage."""
+    """The tangent of several stages together: variables and balances stage by stage, then each constraint level stage by
+    stage.
+    """
     n, m = tangents[0].M.shape[0], tangents[0].G.shape[0]
 
     def lower(name: str) -> Array:
@@ -55,7 +57,9 @@ def stacked(tangents: list[Tangent]) -> Tangent:
 
 
 class Pencil:
-    """(1) factored for one s: a number, or a matrix (n, n) for coupled stages. ``redundant``: dependent constraints are solved with multipliers of least norm."""
+    """(1) factored for one s: a number, or a matrix (n, n) for coupled stages. ``redundant``: dependent constraints are
+    solved with multipliers of least norm.
+    """
 
     def __init__(self, tangent: Tangent, s: Any, judge: Judge, redundant: bool = False) -> None:
         self.s, self.judge, self.t = s, judge, tangent

@@ -1,7 +1,7 @@
 """Backward differentiation: variable steps and orders one to five, or constant ones; any form of the constraints.
 
-With past values y_j = (xi_j, v_j) expressed in the local coordinates of the current step, xi_j = log(q_n^-1 o q_j), the derivative at
-t_n+1 is that of the polynomial through the new and the last k values (variable coefficients):
+With past values y_j = (xi_j, v_j) expressed in the local coordinates of the current step, xi_j = log(q_n^-1 o q_j), the
+derivative at t_n+1 is that of the polynomial through the new and the last k values (variable coefficients):
 
     y'_n+1 = sum_j c_j y_n+1-j,        the equations of motion hold at (t_n+1, y_n+1, y'_n+1)                     (1)
 

@@ -78,7 +78,9 @@ class ErrorNorm:
         return float(max((np.sqrt(np.mean(x * x)) for x in kinds), default=0.0))
 
     def constant(self, h: float, state: State, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
-        """Size of a Newton increment over its tolerance in runs with constant steps: rtol of the accelerations, above roundoff."""
+        """Size of a Newton increment over its tolerance in runs with constant steps: rtol of the accelerations, above
+        roundoff.
+        """
         s = self.system
         typical = max(s.max_abs(state.a), 1e-3 * s.max_abs(state.v) / h)
         moved = max(s.max_abs(e_q), h * s.max_abs(e_v), 0.0 if e_a is None else h * h * s.max_abs(e_a))

@@ -14,16 +14,17 @@ form                      levels     multipliers, what it guarantees
 :class:`Index1`           2          lambda. Full order of everything; positions drift quadratically.
 :class:`Baumgarte`        2          lambda, with g'' + 2 alpha g' + beta^2 g = 0: the drift is bounded, two numbers to choose.
 :class:`GGL`              0, 1       lambda, mu (Gear, Gupta, Leimkuhler). No drift in positions and velocities.
-:class:`Overdetermined`   0, 1, 2    lambda, mu, tau: all levels hold, mu and tau correct in the mass-weighted least-squares sense.
-:class:`StateSpace`       0, 1, 2    The same with U frozen over the step: the step of the ODE in coordinates of the tangent space.
+:class:`Overdetermined`   0, 1, 2    lambda, mu, tau: all levels hold, mu and tau correct in mass-weighted least squares.
+:class:`StateSpace`       0, 1, 2    The same, U frozen over the step: a step of the ODE in coordinates of the tangent space.
 :class:`Projected`        of ``of``  After each step q, then v, are projected on (2) in the mass metric.
 ========================  =========  =====================================================================================
 
-mu and tau vanish in the exact solution. The highest level goes with lambda, level 0 of several with mu, level 1 of three with tau.
+mu and tau vanish in the exact solution. The highest level goes with lambda, level 0 of several with mu, level 1 of three
+with tau.
 
 Sources: Gear, Gupta and Leimkuhler, doi:10.1016/0377-0427(85)90008-1; Baumgarte, doi:10.1016/0045-7825(72)90018-7;
-Fuehrer and Leimkuhler, doi:10.1007/BF01385644 (overdetermined); Potra and Rheinboldt, doi:10.1080/08905459108905138 (tangent-space
-parametrisation); Eich, doi:10.1137/0730075 (projection); Hairer, Lubich and Roche, doi:10.1007/BFb0093947.
+Fuehrer and Leimkuhler, doi:10.1007/BF01385644 (overdetermined); Potra and Rheinboldt, doi:10.1080/08905459108905138
+(tangent-space parametrisation); Eich, doi:10.1137/0730075 (projection); Hairer, Lubich and Roche, doi:10.1007/BFb0093947.
 """
 
 from __future__ import annotations
@@ -109,6 +110,7 @@ class Baumgarte(Form):
 
     @property
     def name(self) -> str:
+        """With its two parameters."""
         return f"Baumgarte({self.alpha:g}, {self.beta:g})"
 
     def _acceleration(self, ev: Evaluation, a: Array) -> Array:
@@ -156,6 +158,7 @@ class Projected(Form):
 
     @property
     def name(self) -> str:
+        """With the form that is projected."""
         return f"Projected({self.of.name})"
 
     @property
@@ -169,6 +172,7 @@ class Projected(Form):
         return self.of.index
 
     def rows(self, ev: Evaluation, a: Array) -> Array:
+        """The rows of the form that is projected."""
         return self.of.rows(ev, a)
 
 

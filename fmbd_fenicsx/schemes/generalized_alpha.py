@@ -5,17 +5,18 @@
     (1 - alpha_m) A_n+1 + alpha_m A_n = (1 - alpha_f) a_n+1 + alpha_f a_n                                 (3)
     M a + h + G^T lambda = 0,   g = 0     at t_n+1                                                        (4)
 
-A is the algorithmic acceleration; the alphas weight the *old* value. alpha_m = (2 rho - 1) / (rho + 1), alpha_f = rho / (rho + 1),
-gamma = 1/2 + alpha_f - alpha_m, beta = (gamma + 1/2)^2 / 4 with rho the spectral radius at infinite frequency. Newton solves for
-increments of q with the balance (4) multiplied by s = beta h^2 (1 - alpha_f) / (1 - alpha_m): the matrix is M + .. + s K and
-the multiplier s lambda, so its condition does not depend on h (Bottasso, Dopico and Trainelli, doi:10.1007/s11044-007-9051-9).
+A is the algorithmic acceleration; the alphas weight the *old* value. alpha_m = (2 rho - 1) / (rho + 1), alpha_f = rho / (rho
++ 1), gamma = 1/2 + alpha_f - alpha_m, beta = (gamma + 1/2)^2 / 4 with rho the spectral radius at infinite frequency. Newton
+solves for increments of q with the balance (4) multiplied by s = beta h^2 (1 - alpha_f) / (1 - alpha_m): the matrix is M +
+.. + s K and the multiplier s lambda, so its condition does not depend on h (Bottasso, Dopico and Trainelli,
+doi:10.1007/s11044-007-9051-9).
 
 The smooth solution of (1)..(3) along a constrained motion has A_n = a(t_n + (alpha_m - alpha_f) h) and velocities that miss
 the velocity constraints by h^2 G (c v'' + v x v' / 12) with c = 1/6 - beta - (alpha_m - alpha_f) / 2 (the product acts on
 rotations in space). Starting with exact values instead excites a transient that leaves q and v of second order but makes
 lambda of first order until rho^n is small. The first step therefore starts from A_0 = a_0 + (alpha_m - alpha_f) h a'_0 and
-from v_0 + dv with M dv + G^T mu = 0 and G dv equal to that expression (Arnold, Bruels and Cardona, doi:10.1007/s00211-014-0633-1). The recorded state at the start
-stays exact.
+from v_0 + dv with M dv + G^T mu = 0 and G dv equal to that expression (Arnold, Bruels and Cardona,
+doi:10.1007/s00211-014-0633-1). The recorded state at the start stays exact.
 
 The stabilised form, ``form=GGL()``, demands both levels: G v + g_t = 0 at t_n+1 goes with lambda, and (1) gains a correction
 -M^-1 G^T mu that closes g = 0. Velocities are then exact on their level, the start needs A_0 only, and rho_inf = 1 stays stable.

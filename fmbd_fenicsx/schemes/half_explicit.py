@@ -3,14 +3,14 @@
     xi_i = h sum_j a_ij rate(xi_j, v_j),     v_i = v_n + h sum_j a_ij a_j                                           (1)
     M a_j + f(q_j, v_j) + G_j^T lambda_j = 0,     G_j+1 v_j+1 + g_t = 0                                             (2)
 
-Each stage is linear in (a_j, lambda_j): the multiplier of stage j is what makes the next stage's velocity (for the last stage, the
-new velocity) satisfy the constraints. Positions are closed by a projection in the mass metric at the end of the step. An
-embedded formula that meets the conditions of order three, freed of its share across the constraints, gives the error
+Each stage is linear in (a_j, lambda_j): the multiplier of stage j is what makes the next stage's velocity (for the last
+stage, the new velocity) satisfy the constraints. Positions are closed by a projection in the mass metric at the end of the
+step. An embedded formula that meets the conditions of order three, freed of its share across the constraints, gives the error
 estimate; it falls like h^3 or faster. Orders of q and v: 4; the recorded a and lambda solve the
 accelerations at the new state and have the same order.
 
-Sources: Brasey and Hairer, doi:10.1137/0730025 (half-explicit methods, the coefficients HEM4); Hairer and Wanner, Solving ODEs II,
-section VII.6, doi:10.1007/978-3-642-05221-7.
+Sources: Brasey and Hairer, doi:10.1137/0730025 (half-explicit methods, the coefficients HEM4); Hairer and Wanner, Solving
+ODEs II, section VII.6, doi:10.1007/978-3-642-05221-7.
 """
 
 from __future__ import annotations
@@ -149,7 +149,9 @@ class Stepper:
     def _stage(
         self, ev: Any, after: Any, step: tuple[Array, float], guess: tuple[Array, Array]
     ) -> tuple[Array, Array]:
-        """(2) for one stage: G_j gives the force, G_j+1 the constraint; solved with the symmetric matrix of the stage, repeated."""
+        """(2) for one stage: G_j gives the force, G_j+1 the constraint; solved with the symmetric matrix of the stage,
+        repeated.
+        """
         (known, h), (a, lam) = step, guess
         self.solver.prepare(ev, MASS)
         self.stats.factorisations += 1

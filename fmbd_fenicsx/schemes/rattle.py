@@ -3,10 +3,10 @@
     M (v_1/2 - v_n) = -(h/2) (f(q_n, v_1/2) + G_n^T lambda_n),         q_n+1 = q_n o exp(h v_1/2),   g(q_n+1) = 0       (1)
     M (v_n+1 - v_1/2) = -(h/2) (f(q_n+1, v_1/2) + G_n+1^T mu_n+1),     G_n+1 v_n+1 + g_t = 0                            (2)
 
-with f all terms of the balance but M a. For a constant mass matrix and conservative forces the step is symplectic: the energy error
-stays bounded over any number of steps. With rotations in space, or M(q), it is symmetric. The multipliers of (1), (2) belong
-to the half steps: as values at t_n+1 they are of first order. The recorded a and lambda solve the accelerations at (q, v)_n+1
-and are of second order.
+with f all terms of the balance but M a. For a constant mass matrix and conservative forces the step is symplectic: the
+energy error stays bounded over any number of steps. With rotations in space, or M(q), it is symmetric. The multipliers of
+(1), (2) belong to the half steps: as values at t_n+1 they are of first order. The recorded a and lambda solve the
+accelerations at (q, v)_n+1 and are of second order.
 
 Sources: Andersen, doi:10.1016/0021-9991(83)90014-1; Leimkuhler and Skeel, doi:10.1006/jcph.1994.1085; Hairer, Lubich and Wanner,
 Geometric Numerical Integration, VII.1.4, doi:10.1007/3-540-30666-8.

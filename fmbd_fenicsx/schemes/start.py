@@ -42,7 +42,7 @@ def consistent(
     q, moved, n_it = state.q, 0.0, 0
     zero = np.zeros(system.n_v)
     first = system.at(state.t, q).constraint() if system.n_lam else np.zeros(0)
-    for n_it in range(25):
+    for n_it in range(25):  # noqa: B007, counted
         ev = system.at(state.t, q)
         g = ev.constraint()
         size = float(np.abs(g).max(initial=0.0))
@@ -57,7 +57,8 @@ def consistent(
         if moved > REFUSED * system.length:
             block = worst_block(system, first)
             raise ConstraintError(
-                f'The bodies do not fit together at t = {state.t:g} s: {block} is open by {np.abs(first).max():.3g} m, and closing '
+                f'The bodies do not fit together at t = {state.t:g} s: {block} is open by '
+                f'{np.abs(first).max():.3g} m, and closing '
                 f"it would move bodies by more than {REFUSED:g} of the model's length ({system.length:.3g} m). "
                 "Check the positions of the bodies and the center of the joint."
             )
@@ -164,7 +165,9 @@ def spin_of_acceleration(system: System, v: Array, a: Array) -> Array:
 
 
 def project(system: System, state: State, solver: StepSolver) -> State:
-    """The state with q, then v, moved on the constraints in the mass metric, the first two of (1); a and lambda kept; collective."""
+    """The state with q, then v, moved on the constraints in the mass metric, the first two of (1); a and lambda kept;
+    collective.
+    """
     if not system.n_lam:
         return state
     mass, zero, q = Weights(1.0, 0.0, 0.0), np.zeros(system.n_v), state.q

@@ -7,8 +7,8 @@ PYTHON is an interpreter of a separate environment with exudyn (also: the variab
 
 Both sides run in turn in one call and the medians of the ratios are shown, so that the load of the machine cancels. Exudyn runs
 its fast build, one thread, its dense solver for the small models and the sparse one above, full and modified Newton iteration,
-whichever is faster. Here whole steps are timed as the time loop makes them; the start and the recording are left out on both sides.
-Generalized-alpha, rho_inf = 0.8, Newton's tolerances as each program sets them. Positions at the end must agree.
+whichever is faster. Here whole steps are timed as the time loop makes them; the start and the recording are left out on both
+sides. Generalized-alpha, rho_inf = 0.8, Newton's tolerances as each program sets them. Positions at the end must agree.
 """
 
 import argparse

@@ -9,7 +9,7 @@ import time
 
 sys.exudynFast = True  # the build without range checks
 import exudyn as exu  # noqa: E402
-import exudyn.itemInterface as ii  # noqa: E402
+import exudyn.itemInterface as ii  # noqa: E402, N813
 import numpy as np  # noqa: E402
 
 
