@@ -67,14 +67,19 @@ def work(reference, fast):
     makers = {f"Radau IIA(3), {f.name}": lambda r, f=f: fmbd.Radau(3, f, r) for f in (BASIC if fast else FORMS)}
     makers |= {f"BDF, {f.name}": lambda r, f=f: fmbd.BDF(5, f, r) for f in (BASIC if fast else FORMS)}
     makers["half-explicit (4)"] = lambda r: fmbd.HalfExplicit(r)
-    made = [study.Configuration(n, lambda r, m=m: fmbd.solve(scene(), t_end=1.0, scheme=m(r)), tolerances) for n, m in makers.items()]
+    made = [
+        study.Configuration(n, lambda r, m=m: fmbd.solve(scene(), t_end=1.0, scheme=m(r)), tolerances)
+        for n, m in makers.items()
+    ]
     return study.work_precision(made, reference=reference, names=["q", "v", "lam"], repeats=1 if fast else 3)
 
 
 def main():
     """Both tables."""
     args = demo.arguments(__doc__, {"--markdown": ""})
-    reference = fmbd.solve(scene(), t_end=1.0, scheme=fmbd.Radau(3, fmbd.StateSpace(), 1e-12), newton=fmbd.Newton(max_iterations=20))
+    reference = fmbd.solve(
+        scene(), t_end=1.0, scheme=fmbd.Radau(3, fmbd.StateSpace(), 1e-12), newton=fmbd.Newton(max_iterations=20)
+    )
     rows, checks = order_rows(reference, args.fast)
     demo.say(study.aligned(rows))
     done = work(reference, args.fast)

@@ -101,7 +101,8 @@ def error(parts, cells, t_end):
     tip, traction, its, seconds = march(parts, cells, dt, t_end)
     t = dt * np.arange(1, len(tip) + 1)
     exact = pulse(t) - 2 * pulse(t - 2 * LENGTH) + 2 * pulse(t - 4 * LENGTH)
-    demo.say(f"{parts} pieces, h = {LENGTH / cells:.4f} m: error {np.abs(tip - exact).max():.2e} m/s, {its:.1f} iterations a step, "
+    demo.say(f"{parts} pieces, h = {LENGTH / cells:.4f} m: error {np.abs(tip - exact).max():.2e} m/s, "
+             f"{its:.1f} iterations a step, "
              f"largest traction {np.abs(traction).max():.3f} Pa, {seconds:.2f} s on {WORLD.size} ranks")  # fmt: skip
     return np.abs(tip - exact).max(), (t, tip, exact), np.abs(traction).max(), its
 

@@ -118,7 +118,8 @@ if __name__ == "__main__":
         table = np.array([errors(degree, n, BEND) for n in ((1, 2, 4) if args.fast else (1, 2, 4, 8))])
         orders = np.log(table[:-1, 1:] / table[1:, 1:]) / np.log(2)
         demo.say(
-            f"P{degree}:  h, u L2, u H1, traction H^-1/2, traction L2 h^1/2\n{np.array2string(table, precision=3)}\norders\n{orders.round(2)}"
+            f"P{degree}:  h, u L2, u H1, traction H^-1/2, traction L2 h^1/2\n{np.array2string(table, precision=3)}"
+            f"\norders\n{orders.round(2)}"
         )
         for name, got, least in zip(
             ("u L2", "u H1", "traction H^-1/2", "traction L2"),

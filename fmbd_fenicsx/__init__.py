@@ -24,9 +24,9 @@ from .loads import Load, body_force, pressure, thermal_stress, traction
 from .log import say
 from .newton import Newton
 from .output import Output
-from .reduction import CraigBampton
 from .recovery import displacement as displacement_field
 from .recovery import stress
+from .reduction import CraigBampton
 from .scene import Scene
 from .schemes.bdf import BDF
 from .schemes.dae import GGL, Baumgarte, Index1, Index2, Index3, Overdetermined, Projected, StateSpace

@@ -70,7 +70,9 @@ class Factor:
     def _residual(self, x: Array, b: Array) -> Array:
         f = self.field
         if self._E is None:
-            return np.asarray(self.cm * f.mass(x.reshape(-1, f.dim)).ravel() + self.ck * f.tangent(x) + self.cd * f.damping(x) - b)
+            return np.asarray(
+                self.cm * f.mass(x.reshape(-1, f.dim)).ravel() + self.ck * f.tangent(x) + self.cd * f.damping(x) - b
+            )
         self._x.array[:] = x
         self._E.mult(self._x, self._b)
         r = np.array(self._b.array)

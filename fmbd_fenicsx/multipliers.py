@@ -135,7 +135,8 @@ class Dual:
         integrals = M.sum(axis=1)
         if integrals.min() < 1e-12:
             raise InputError(
-                f"{trace.label}: dual multipliers of degree {p} do not exist on triangles (functions of the corners have integral 0). "
+                f"{trace.label}: dual multipliers of degree {p} do not exist on triangles (functions of the "
+                "corners have integral 0). "
                 "Use Continuous(1) under P2."
             )
         local = np.diag(integrals) @ np.linalg.inv(M)  # psi_i = sum_a local_ia phi_a

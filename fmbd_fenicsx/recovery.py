@@ -19,7 +19,7 @@ def displacement(run: Any, body: Any, state: Any = None) -> Any:
     from dolfinx import fem
 
     system, state = run.system, run.state if state is None else state
-    for k, part in enumerate(system.parts):
+    for k, part in enumerate(system.parts):  # noqa: B007, used below
         if part.name == body.name:
             break
     else:

@@ -57,7 +57,8 @@ class SurfaceTie:
             elastic = isinstance(side, Surface) and isinstance(side.body, AbsoluteBody | FloatingBody)
             if not elastic and (first or not (side is ground or isinstance(side, RigidBody))):
                 raise InputError(
-                    f'Tie "{self.name}": {side!r} cannot be tied. a must be a surface of an AbsoluteBody or FloatingBody; b such a '
+                    f'Tie "{self.name}": {side!r} cannot be tied. a must be a surface of an AbsoluteBody or '
+                    'FloatingBody; b such a '
                     "surface, a rigid body, or fmbd.ground."
                 )
         if isinstance(self.b, Surface) and self.b.body is self.a.body and self.b.name == self.a.name:
@@ -247,7 +248,8 @@ def build_trace_rows(
     n, d = mu.n, trace.dim
     if n * d > LIMIT:
         raise InputError(
-            f'Tie "{tie.name}": {n * d} multipliers; a scene takes up to {LIMIT}. Use a coarser space or mesh, or the saddle-point '
+            f'Tie "{tie.name}": {n * d} multipliers; a scene takes up to {LIMIT}. Use a coarser space or '
+            'mesh, or the saddle-point '
             "solvers of fmbd_fenicsx.linear.saddle."
         )
     a, start = _elastic_side(part, part_of[tie.a.body.name], trace, A)

@@ -73,7 +73,8 @@ def count(preset: FieldSplit, **case: float) -> str:
 def axes() -> None:
     """Counts over h, dt, E, rho, nu for several preconditioners, P2, two blocks of which one floats."""
     for name, preset in (("fractional", FieldSplit()), ("fractional, multigrid", FieldSplit(Multigrid(2))),
-                         ("lumped", FieldSplit(multiplier=Lumped())), ("h-weighted mass", FieldSplit(multiplier=ScaledMass()))):  # fmt: skip
+                         ("lumped", FieldSplit(multiplier=Lumped())),
+                         ("h-weighted mass", FieldSplit(multiplier=ScaledMass()))):  # fmt: skip
         for step, label in ((1e-3, "1e-3 h"), (1.0, "h"), (10.0, "10 h"), (None, "static")):
             h = [count(preset, step=step, cells=n) for n in (8, 16, 32, 64)]
             E = [count(preset, step=step, E=e) for e in (1e-6, 1e-3, 1e3, 1e6)]

@@ -35,7 +35,8 @@ def diagnose(saddle: SaddlePoint) -> str:
             )
         else:
             sentences.append(
-                f"Multipliers of {' and '.join(names)} depend on each other: they hold the same nodes. Use merged ends, or remove one."
+                f"Multipliers of {' and '.join(names)} depend on each other: they hold the same nodes. Use "
+                "merged ends, or remove one."
             )
     return " ".join(sentences)
 
@@ -113,4 +114,5 @@ def _motion(e: Any, u: Array) -> str:
         return f'Zero-energy motion: body "{body.name}" rotates about {np.round(center, 4).tolist()}.'
     axis = w / np.linalg.norm(w)
     center = body.center + np.cross(w, t) / (w @ w)
-    return f'Zero-energy motion: body "{body.name}" rotates about the axis {np.round(axis, 3).tolist()} through {np.round(center, 4).tolist()}.'
+    where = f"{np.round(axis, 3).tolist()} through {np.round(center, 4).tolist()}"
+    return f'Zero-energy motion: body "{body.name}" rotates about the axis {where}.'

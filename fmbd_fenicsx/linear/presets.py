@@ -255,7 +255,8 @@ class _Krylov:
         if not residual <= self.judge.tolerance:
             found = diagnose(s)
             raise LinearSolveError(
-                f"Linear solve of {self.judge.what}: relative residual {residual:.1e} after {iterations} iterations (PETSc reason "
+                f"Linear solve of {self.judge.what}: relative residual {residual:.1e} after {iterations} "
+                "iterations (PETSc reason "
                 f"{reason}), allowed {self.judge.tolerance:.0e}. {found}"
             )
         self.judge.check(residual, 1.0)

@@ -163,7 +163,8 @@ def slide(name: str, slave: int, master: int, coupling: Mortar) -> TraceTie:
     n = (t.sizes[:, None] * t.normals).sum(0) / t.sizes.sum()
     if np.linalg.norm(n) < 1 - 1e-6:
         raise InputError(
-            f'Tie "{name}": {t.label} is curved (mean normal of length {np.linalg.norm(n):.3f}); a sliding tie needs a flat surface.'
+            f'Tie "{name}": {t.label} is curved (mean normal of length {np.linalg.norm(n):.3f}); a sliding '
+            'tie needs a flat surface.'
         )
     N = sp.csr_matrix(n[None, :])
     own = sp.kron(t.columns(coupling.slave), N, format="csr")

@@ -197,7 +197,11 @@ class StepSolver:
         if earlier:
             factor: Any = earlier[-1].factor
         else:
-            factor = MassInverse(f.field, cm) if ck == 0 else CholeskyFactor(f.field, cm, ck, w.cd if f.field.D is not None else 0.0)
+            factor = (
+                MassInverse(f.field, cm)
+                if ck == 0
+                else CholeskyFactor(f.field, cm, ck, w.cd if f.field.D is not None else 0.0)
+            )
             self.factorisations += ck != 0
         first = f.n_frame_rows
         active = np.abs(G.port[:, self.system.port_slice(k)]).max(axis=0, initial=0.0) > 0
