@@ -53,5 +53,5 @@ def make_plan(scene: Scene, system: System) -> Plan:
         constant.append("compliance of the contact nodes for each step size")
         if not system.contacts.frictional:
             left.append("friction")
-    left += ["modal reduction", "field multipliers"]
+    left += ["modal reduction", *([] if scene.ties else ["field multipliers"])]
     return Plan(tuple(unknowns), tuple(constant), tuple(left))

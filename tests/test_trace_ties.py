@@ -123,3 +123,26 @@ def test_too_many_multipliers_and_wrong_partners_are_refused() -> None:
         fmbd.tie_surface("wrong", upper.surface("top"), upper)
     with pytest.raises(InputError, match="needs a shape"):
         fmbd.tie_surface("wrong", upper.surface("top"), fmbd.ground, motion=lambda t: t)
+
+
+def _tip(partner: str, E: float = 1.0) -> np.ndarray:
+    """Path of the near face of a block that hangs on a soft one: rigid, or elastic with modulus E."""
+    soft = fmbd.AbsoluteBody("soft", block(2, 4), degree=2, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
+    scene = fmbd.Scene("hanging", gravity=(0, -1e-3))
+    scene.add(soft, fmbd.tie_surface("clamp", soft.surface("left"), fmbd.ground))
+    if partner == "rigid":
+        other = fmbd.RigidBody("load", 1.0, 1 / 6, position=(1.5, 0.5))
+        scene.add(other, fmbd.tie_surface("glue", soft.surface("right"), other))
+    else:
+        mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", cells=3, origin=(1.0, 0.0))
+        other = fmbd.AbsoluteBody("load", mesh, degree=2, density=1.0, elastic=fmbd.materials.linear_elastic(E, 0.3))
+        scene.add(other, fmbd.tie_surface("glue", soft.surface("right"), other.surface("left")))
+    scene.sensor("tip", fmbd.position(soft.surface("right")))
+    return fmbd.solve(scene, t_end=2.0, dt=0.05)["tip"]
+
+
+def test_rigid_partner_is_the_limit_of_a_stiff_one() -> None:
+    rigid = _tip("rigid")
+    moved = np.abs(rigid - rigid[0]).max()
+    gap = [np.abs(_tip("elastic", E) - rigid).max() / moved for E in (1e2, 1e4)]
+    assert gap[0] < 0.1 and gap[1] < gap[0] / 30  # like 1 / E

@@ -39,6 +39,7 @@ def test_integrals_of_polynomials(dim: int, degree: int) -> None:
     assert x @ t.stiffness() @ x == pytest.approx(1.0, abs=1e-12)
     assert np.abs(t.stiffness() @ one).max() < 1e-12
     assert np.allclose(t.normals[:, 1], 1.0)
+    assert np.allclose(t.normals[:, 1], 1.0)  # outward
     assert len(t.border) == {2: 2, 3: 12 * degree}[dim]
 
 
