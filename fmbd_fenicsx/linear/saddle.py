@@ -27,7 +27,7 @@ from ..fields import Field
 from ..log import together
 from ..mortar import Mortar
 from ..multipliers import Multipliers
-from ..rotations import Array
+from ..rotations import Array, motions
 from ..traces import Trace
 
 
@@ -126,6 +126,24 @@ def hold(name: str, body: int, multipliers: Multipliers) -> TraceTie:
     B = multipliers.coupling()
     sides = ((body, multipliers.trace, B),)
     return TraceTie(name, ((body, _vector(multipliers.trace.columns(B), d)),), multipliers, d, sides)
+
+
+def stiffen(name: str, body: int, multipliers: Multipliers) -> TraceTie:
+    """The surface moves as a rigid one whose translation and (small) rotation are unknowns of their own.
+
+    int mu . (u - r - w x (X - c)) = 0 for all mu with r, w free: these drop out of the rows for multipliers without
+    resultant force and moment, so Q^T B u = 0 with Q an orthonormal basis of those.
+    """
+    t, d = multipliers.trace, multipliers.trace.dim
+    B = multipliers.coupling()
+    m = motions(d)
+    x = t.points - t.points.mean(0)
+    R = np.zeros((t.n, d, m.n_twist))
+    R[:, range(d), range(d)] = 1.0
+    R[:, :, d:] = m.lever(x)
+    resultants = (B @ R.reshape(t.n, -1)).reshape(multipliers.n * d, m.n_twist)
+    Q = np.linalg.qr(resultants, mode="complete")[0][:, m.n_twist :]
+    return TraceTie(name, ((body, sp.csr_matrix(Q.T) @ _vector(t.columns(B), d)),))
 
 
 def data(multipliers: Multipliers, function: Callable[[Array], Array], degree: int = 6) -> Array:
