@@ -23,7 +23,8 @@ cells = 4 if args.fast else 8
 
 def slide(angle: float, scale: float) -> fmbd.Run:
     """A run of 0.2 s at scale 1; lengths L ~ scale, E ~ scale (so that weight and elastic forces keep their
-    ratio)."""
+    ratio).
+    """
     mesh = fmbd.read_gmsh("meshes/block.py", size=(0.4 * scale, 0.2 * scale), cells=cells)
     block = fmbd.AbsoluteBody(
         "block", mesh, degree=1, density=rho, elastic=fmbd.materials.plane_stress(E * scale, 0.3)

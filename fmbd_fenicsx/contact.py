@@ -55,7 +55,8 @@ class RigidPoints:
 
 def ball(body: RigidBody, radius: float, *, center: Sequence[float] | None = None) -> RigidPoints:
     """The surface of a ball (plane: a disk) of ``radius`` m about ``center`` in body axes (the centre of
-    mass by default)."""
+    mass by default).
+    """
     require(radius > 0, f'ball("{body.name}"): radius {radius} m must be positive.')
     c = np.zeros(body.dim) if center is None else np.asarray(center, dtype=float)[: body.dim]
     return RigidPoints(body, c[None], radius)

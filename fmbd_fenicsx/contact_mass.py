@@ -138,7 +138,7 @@ def _moments_kept(field: Any, P: Any) -> Any:
     highest = np.array(
         [np.abs(np.c_[np.ones(len(corner)), corner])[:, [a, b]].prod(1).max() for a, b in pairs]
     )
-    for kept, lost in ((len(pairs), ""), (1 + d, "inertia"), (1, "centre of mass and inertia")):
+    for kept, lost in ((len(pairs), ""), (1 + d, "inertia"), (1, "centre of mass and inertia")):  # noqa: B007, used below
         c = np.zeros(len(pairs))
         c[:kept] = np.linalg.lstsq(T[:kept, :kept], wanted[:kept], rcond=1e-12)[0]
         if np.abs(c - unit[0])[1:] @ highest[1:] < 0.5:

@@ -57,7 +57,8 @@ class Pairing:
 
 class MortarPair:
     """One contact between two elastic surfaces; ``sides`` = numbers of the traces and surfaces, slave
-    first."""
+    first.
+    """
 
     carrier = None
     shape = None

@@ -28,7 +28,8 @@ from .rotations import Array, Motions
 @dataclass(frozen=True)
 class Linear:
     """Rows on velocities: ``core`` (m, n_core) and, for each trace, ``field`` (m, n_trace d) in the body's
-    axes."""
+    axes.
+    """
 
     core: Array
     field: tuple[Any, ...]
@@ -81,7 +82,8 @@ class Side:
 @dataclass(frozen=True)
 class Carrier:
     """Pose of an obstacle: a frame of the system (its number, the ground included) times an optional
-    prescribed motion."""
+    prescribed motion.
+    """
 
     frame: int
     offset: Array  # pose of a locked body, (n_pose,)
@@ -119,7 +121,8 @@ class Pair:
 
 class ContactSet:
     """All contacts of a system; evaluates :class:`Rows`. Attributes: ``pairs``, ``traces``, ``frictional``,
-    ``names``."""
+    ``names``.
+    """
 
     def __init__(
         self, motions: Motions, pairs: tuple[Any, ...], traces: tuple[Trace, ...], n_core: int
@@ -131,7 +134,8 @@ class ContactSet:
     # -- kinematics ------------------------------------------------------------------------------------------
     def nodes(self, system: Any, q: Array, trace: int) -> tuple[Array, Array, Array]:
         """World positions (n, d) of a trace's nodes, positions in the body's axes, and the body's rotation;
-        collective."""
+        collective.
+        """
         tr = self.traces[trace]
         pose = system.poses(q)[tr.frame]
         R = self.m.matrix(pose)
@@ -146,7 +150,8 @@ class ContactSet:
 
     def rows(self, system: Any, t: float, q: Array, since: tuple[float, float] | None = None) -> Rows:
         """All candidates at (t, q); ``since`` = (start, h) of the step over which the tangential drift of
-        obstacles counts. Collective."""
+        obstacles counts. Collective.
+        """
         nodes = self._cached_nodes(system, q)
         parts = [p.rows(self, system, (t, q, since), nodes) for p in self.pairs]
         return _stack(parts)
@@ -188,7 +193,8 @@ class ContactSet:
 
     def search(self, now: Array, then: Array, length: float) -> Array:
         """Search distances (m,) from the gaps now and one step ahead: twice the approach, or the pair's own
-        choice."""
+        choice.
+        """
         reach = np.empty_like(now)
         first = 0
         for p in self.pairs:
@@ -216,14 +222,16 @@ class ContactSet:
 
     def update(self, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
         """Pair two-body contacts anew for a step that starts at q; ``keep``: overlaps found stay.
-        Collective."""
+        Collective.
+        """
         for p in self.pairs:
             if hasattr(p, "update"):
                 p.update(self, system, q, reach, keep=keep)
 
     def gap_rate(self, system: Any, t: float, q: Array, h: float) -> Array:
         """Part of the gaps' rates that comes from prescribed motion, m/s, (m,), by central differences;
-        collective."""
+        collective.
+        """
         if not any(getattr(p, "moving", False) for p in self.pairs):
             return np.zeros(len(self.pair))
         e = 1e-3 * h
@@ -255,7 +263,8 @@ class ContactSet:
         *, by_row: bool = False,
     ) -> None:  # fmt: skip
         """Add rows sum_k W_jk n . x_k' of a trace: entries = (W csr (m, n_trace), n), n a node (n_trace, d),
-        or ``by_row`` (m, d)."""
+        or ``by_row`` (m, d).
+        """
         (core, field), (W, direction), (P, R), d = linear, entries, at, self.m.dim
         tr = self.traces[trace]
         coo = W.tocoo()

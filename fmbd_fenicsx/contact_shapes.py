@@ -83,7 +83,8 @@ class Sphere(Shape):
 @dataclass(frozen=True, eq=False)
 class Cylinder(Shape):
     """A solid cylinder of ``radius`` about ``axis`` through ``center``, of ``length`` (m; infinite by
-    default). 3D."""
+    default). 3D.
+    """
 
     radius: float
     axis: Vector

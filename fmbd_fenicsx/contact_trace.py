@@ -31,7 +31,8 @@ _SHIFT = 0.2  # a in (1)
 @dataclass(frozen=True)
 class SurfaceNodes:
     """One surface of a trace: numbers in the trace (n_s,), dual weights D (n_s,), T (n_s, n_s), facets (n_f,
-    n_loc)."""
+    n_loc).
+    """
 
     nodes: np.ndarray
     weights: Array
@@ -99,7 +100,8 @@ class Trace:
     # -- values on all ranks ---------------------------------------------------------------------------------
     def gather(self, w: Array) -> Array:
         """Values of a nodal vector (n_own d,) of the part at the contact nodes, (n, d), on all ranks;
-        collective."""
+        collective.
+        """
         mine = w.reshape(-1, self.dim)[self.own]
         if self.comm.size == 1:
             return mine
@@ -129,7 +131,8 @@ def surface_nodes(field: Any, surfaces: list[str]) -> np.ndarray:
 
 def _facet_dofs(field: Any, surface: str) -> tuple[np.ndarray, dict[int, float]]:
     """Global scalar dofs of the facets of a surface (n_f, n_loc), and int phi_i of each dof; equal on all
-    ranks."""
+    ranks.
+    """
     import ufl
     from dolfinx import fem, la
 

@@ -66,7 +66,8 @@ def forces_of(state: Any) -> ContactForces:
 @dataclass(frozen=True, eq=False)
 class ContactSensor(Sensor):
     """A quantity of one pair: "force", "impulse", "pressure", "gap" or "work"; made by the functions
-    below."""
+    below.
+    """
 
     contact: str = ""
     quantity: str = "force"
@@ -102,7 +103,8 @@ def contact_impulse(contact: Any) -> Sensor:
 
 def contact_pressure(contact: Any) -> Sensor:
     """Pressure at the candidates of a pair, N/m^2 (plane: N/m; rigid points: N), in the order of
-    ``state.contact.x``."""
+    ``state.contact.x``.
+    """
     return ContactSensor(None, "N/m^2", None, _name(contact), "pressure")
 
 
@@ -113,5 +115,6 @@ def contact_gap(contact: Any) -> Sensor:
 
 def contact_work() -> Sensor:
     """Work since the start, J, (5,): of contact forces, friction, applied loads, driven joints, and the
-    numerical rest."""
+    numerical rest.
+    """
     return ContactSensor(None, "J", None, "", "work")

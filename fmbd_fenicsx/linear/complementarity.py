@@ -31,7 +31,8 @@ from ..rotations import Array
 @dataclass
 class ContactCounts:
     """Statistics of a run: active-set iterations, changes of the set between them, cycles broken, worst
-    residual of (1), (2)."""
+    residual of (1), (2).
+    """
 
     iterations: int = 0
     changes: int = 0
@@ -49,6 +50,7 @@ def solve_normal(W: Array, q: Array, start: np.ndarray, counts: ContactCounts) -
     active, seen = start.copy(), set()
     L = np.zeros(m)
     for k in range(1, 2 * m + 20):
+        counts.most = max(counts.most, k)
         L = np.zeros(m)
         if active.any():
             L[active] = _solve(W[np.ix_(active, active)], -q[active])
@@ -70,7 +72,6 @@ def solve_normal(W: Array, q: Array, start: np.ndarray, counts: ContactCounts) -
             break
         seen.add(key)
         active = fresh
-    counts.most = max(counts.most, k)
     counts.solves += 1
     L = np.maximum(L, 0.0)
     scale = np.abs(L).max(initial=0.0)

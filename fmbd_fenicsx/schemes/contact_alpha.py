@@ -77,7 +77,8 @@ class ContactStepper:
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
-        unchanged."""
+        unchanged.
+        """
         system, s = self.system, self.state
         near = candidates(system, self.contacts, s, h)
         for _ in range(4):

@@ -1,5 +1,6 @@
 """Books of a run with contact: forces of each step, impulses and works since the start, statistics of the
-active sets."""
+active sets.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ from .contact_steps import in_world
 @dataclass(frozen=True)
 class StepForces:
     """Forces of one step: which candidates were in reach (m,) bool, their rows, components (k, 1 or d) in N,
-    and the time."""
+    and the time.
+    """
 
     near: np.ndarray
     rows: Rows | None
@@ -29,7 +31,8 @@ class StepForces:
 @dataclass
 class Ledger:
     """Sums over the steps; ``write`` after each step makes the state that sensors read. Methods are
-    collective."""
+    collective.
+    """
 
     system: System
     counts: ContactCounts = field(default_factory=ContactCounts)
@@ -57,7 +60,8 @@ class Ledger:
         self, state: State, forces: StepForces, step: tuple[Evaluation, Array, Array], h: float
     ) -> ContactState:
         """Close a step: ``step`` holds the evaluation, the increment xi and the multipliers that the balance
-        was written with."""
+        was written with.
+        """
         system, c = self.system, self.contacts
         ev, xi, lam = step
         works = np.zeros(len(WORKS))

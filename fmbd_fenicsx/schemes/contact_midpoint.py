@@ -48,7 +48,8 @@ from .start import Correction, consistent, worst_block
 @dataclass(frozen=True)
 class ContactMidpoint:
     """Scheme data: ``theta`` in [1/2, 1]; 1/2 conserves energy, 1 is the implicit Euler rule. Equations (1)
-    to (3)."""
+    to (3).
+    """
 
     theta: float = 0.5
 
@@ -134,7 +135,8 @@ class Stepper:
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
-        unchanged."""
+        unchanged.
+        """
         system, s = self.system, self.state
         near = candidates(system, self.contacts, s, h, keep=self.theta == 0.5)
         for _ in range(4):
@@ -194,7 +196,8 @@ class _Step:
 
     def increment(self) -> float:
         """One Newton step: predictor, complementarity problem, correction; returns its size over the
-        tolerance."""
+        tolerance.
+        """
         p, h, s = self.p, self.h, self.p.state
         system, solver = p.system, p.solver
         self.q = system.compose(s.q, self.xi)

@@ -26,7 +26,8 @@ from .contact_steps import components
 
 class Unilateral:
     """Forces ``force`` (m, 1 or d) on the candidates of one step, improved by each call of
-    :meth:`increment`."""
+    :meth:`increment`.
+    """
 
     def __init__(self, compliance: Compliance, counts: ContactCounts, force: Array) -> None:
         self.compliance, self.counts, self.force = compliance, counts, force
@@ -39,7 +40,8 @@ class Unilateral:
         self, rows: Rows, u: Array, residuals: tuple[Array, Array], scale: float
     ) -> tuple[Array, Array]:
         """Steps of the unknowns and of the joints' multipliers (scaled) by (1); residuals of balance and
-        joints. Collective."""
+        joints. Collective.
+        """
         contacts: ContactSet = self.contacts
         system, solver, d = self.solver.system, self.solver, self.force.shape[1]
         self.rows = rows

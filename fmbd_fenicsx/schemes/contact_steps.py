@@ -1,5 +1,6 @@
 """What all schemes with contact do at a step: find candidates, refuse penetration at the start, refuse
-passing through."""
+passing through.
+"""
 
 from __future__ import annotations
 
@@ -73,7 +74,8 @@ def _refuse_tunnelling(
     system: System, contacts: ContactSet, state: State, step: tuple[float, Touch, Touch]
 ) -> None:
     """Raise ConvergenceError when a point would pass more than half of an obstacle's thickness in one step;
-    collective."""
+    collective.
+    """
     h, now, then = step
     thick = contacts.thickness
     if not np.isfinite(thick).any():

@@ -82,7 +82,8 @@ class Stepper:
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
-        unchanged."""
+        unchanged.
+        """
         system, s = self.system, self.state
         near = candidates(system, self.contacts, s, h)
         middle = system.compose(s.q, 0.5 * h * s.v)
