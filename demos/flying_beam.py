@@ -1,4 +1,4 @@
-"""Flying beam: a free flexible beam is thrown by a force and a couple at its end, and tumbles; floating beam and sheet.
+"""Flying beam: a free flexible beam is thrown by a force and a couple at its end, and tumbles freely; two floating frames.
 
 Run:  ./with-dolfinx python3 demos/flying_beam.py            (--fast; --picture flying_beam.png)
 
