@@ -91,7 +91,7 @@ class ConditionedBody:
         """u and mu with (K + s M) u + C mu = b and C^T u = c."""
         z = self.factor.solve(b)
         mu = np.linalg.solve(self.W, self.field.total(self.C.T @ z) - c)
-        return z - self.Y @ mu, mu
+        return z - self.Y @ mu, np.asarray(mu, dtype=float)
 
     def solve_shifted(self, b: Array) -> Array:
         """u with (K + s M) u + C mu = b and C^T u = 0."""

@@ -158,6 +158,7 @@ def _loads(f: Field, Z: Array) -> tuple[tuple[tuple[Any, Array], ...], dict[Any,
     """Loads with sum_n b_n Z_a,n^T (m + 1, d, d), and their sums over the nodes (d,)."""
     tensors, sums = [], {}
     for load, b in zip(f.loads.loads, f.loads.vectors, strict=True):
+        assert b is not None  # a reduced body is linear
         tensors.append((load, np.asarray(f.total(np.einsum("ni,nja->aij", b, Z)))))
         sums[load] = np.asarray(f.total(b.sum(0)))
     return tuple(tensors), sums

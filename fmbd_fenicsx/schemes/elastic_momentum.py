@@ -106,7 +106,7 @@ class FieldStepper:
 
     def __init__(self, system: System, newton: Newton, state: State) -> None:
         alone = not (system.n_frames or system.n_lam or system.forces or len(system.fields) != len(system.parts))
-        if not alone or any(p.shared_columns or p.inertia_columns.shape[1] for _, p in system.fields):
+        if not alone or any(getattr(p, "inertia_columns", np.zeros((0, 1))).shape[1] for _, p in system.fields):
             raise InputError(
                 "EnergyMomentum takes either rigid bodies with springs and joints, or absolute bodies that move freely."
             )
