@@ -53,6 +53,10 @@ __version__ = "0.1.0"
 
 _LATER = {
     "sensors_field": ("largest",),
+    "sensors_wires": ("wire_height", "dropper_forces"),
+    "wires": ("Dropper", "PointSupport", "Wire", "Wires"),
+    "sliding": ("SlidingContact",),
+    "schemes.unilateral": ("Unilateral",),
     "trace_ties": ("tie_surface", "SurfaceTie"),
     "multipliers": ("Aggregated", "Continuous", "Discontinuous", "Dual", "Ends", "Linear"),
     "stability": ("infsup",),

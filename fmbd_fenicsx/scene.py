@@ -25,7 +25,9 @@ from .relative import Relative, Separation
 from .rotations import Array, Motions, motions
 from .scene_joints import JointRows, relative_of
 from .sensors import JointReading, Sensor
+from .sliding import SlidingContact, place
 from .system import RowBlock, State, System
+from .wires import Wires
 
 
 def smooth_step(t: float, duration: float) -> float:
@@ -58,13 +60,16 @@ class Scene:
     forces: dict[str, Force] = field(default_factory=dict)
     sensors: dict[str, Sensor] = field(default_factory=dict)
     contacts: dict[str, Any] = field(default_factory=dict)
+    sliders: dict[str, SlidingContact] = field(default_factory=dict)
     ties: dict[str, Any] = field(default_factory=dict)
 
     def add(self, *parts: Any) -> None:
         """Add bodies, joints, forces and contacts; names must be unique among each."""
         for part in parts:
-            if isinstance(part, RigidBody | FloatingBody | AbsoluteBody | ReducedBody | Beam | CoordinateBody):
+            if isinstance(part, RigidBody | FloatingBody | AbsoluteBody | ReducedBody | Beam | CoordinateBody | Wires):
                 self._put(self.bodies, part, "body")
+            elif isinstance(part, SlidingContact):
+                self._put(self.sliders, part, "sliding contact")
             elif isinstance(part, Joint):
                 self._put(self.joints, part, "joint")
             elif isinstance(part, Force):
@@ -130,7 +135,7 @@ class _Builder:
         scene = self.scene
         self._check()
         moving = [b for b in scene.bodies.values() if not getattr(b, "locked", False)]
-        framed = [b for b in moving if not isinstance(b, CoordinateBody | AbsoluteBody)]
+        framed = [b for b in moving if not isinstance(b, CoordinateBody | AbsoluteBody | Wires)]
         elastic = [b for b in moving if isinstance(b, FloatingBody | AbsoluteBody)]
         own = [b for b in moving if isinstance(b, CoordinateBody)]
         for body in framed:
@@ -145,6 +150,9 @@ class _Builder:
                 self._add_reduced(body, used[body.name])
         for body in elastic:
             self._add_field(body, used[body.name], len(framed))
+        for body in moving:
+            if isinstance(body, Wires):
+                self._add_wires(body, len(framed))
         rigid = [b for b in moving if isinstance(b, RigidBody)]
         for body in rigid:
             self.poses[self.frame_of[body.name]] = body.start_pose()
@@ -270,6 +278,28 @@ class _Builder:
         frame = self.frame_of[body.name]
         self._put_part(FloatingField(field_, frame, surfaces, body.frame, body.stiffening), U, Ud)
         self.poses[frame] = self.m.pose(field_.center)
+
+    def _add_wires(self, body: Wires, ground_frame: int) -> None:
+        from .wires import WiresPart
+
+        points = [(s.wire, s.path) for s in self.scene.sliders.values() if s.wires is body]
+        part = WiresPart(body, ground_frame, points)
+        self._put_part(part, np.zeros(part.n), np.zeros(part.n))
+
+    def _slider_rows(self, row: int) -> list[tuple[Any, slice]]:
+        """Both sides of every sliding contact, from row ``row`` on."""
+        out: list[tuple[Any, slice]] = []
+        slots: dict[str, int] = {}
+        for s in self.scene.sliders.values():
+            for b in (s.wires, s.body):
+                require(self.scene.bodies.get(b.name) is b, f'Contact "{s.name}" refers to a body that is not in the scene.')
+            slot = slots[s.wires.name] = slots.get(s.wires.name, -1) + 1
+            parts = (self.part_of[s.wires.name], self.part_of[s.body.name])
+            wire, head = place(s, parts, slot, row)
+            self.fields[parts[0]].statuses.append(wire.status)
+            out += [(wire, wire.status.rows), (head, wire.status.rows)]
+            row += 1
+        return out
 
     def _rigid_block(self, rigid: list[RigidBody]) -> Any:
         from .placements import RigidBlock
@@ -418,6 +448,11 @@ class _Builder:
                 own.append((law, slice(row, row + m)))
                 blocks.append(RowBlock(body.name, slice(row, row + m), "constraint"))
                 row += m
+        for law, rows in (sliding := self._slider_rows(row)):
+            if rows.start >= row:
+                blocks.append(RowBlock(law.name, rows, "sliding contact"))
+                row = rows.stop
+        own += sliding
         for i, tie in enumerate(traces):
             traces[i] = (tie, slice(row, row + tie.rows))
             blocks.append(RowBlock(tie.name, traces[i][1], "surface tie"))

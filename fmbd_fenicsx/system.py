@@ -95,6 +95,16 @@ class System:
         return tuple((k, p) for k, p in enumerate(self.parts) if p.distributed)
 
     @cached_property
+    def moving(self) -> tuple[Any, ...]:
+        """Parts with ports that move with time."""
+        return tuple(p for p in self.parts if hasattr(p, "move"))
+
+    def move(self, t: float) -> None:
+        """Put moving ports where they are at time t."""
+        for p in self.moving:
+            p.move(t)
+
+    @cached_property
     def core_parts(self) -> tuple[tuple[int, Part], ...]:
         """Replicated parts with their numbers."""
         return tuple((k, p) for k, p in enumerate(self.parts) if not p.distributed)
@@ -134,8 +144,8 @@ class System:
     @cached_property
     def n_rows(self) -> int:
         """Rows of joints."""
-        spans = [r for _, r in self.port_constraints] + [r for _, r in self.traces]
-        return sum(len(r) for _, r in self.batches) + sum(r.stop - r.start for r in spans)
+        shared = {(r.start, r.stop) for _, r in (*self.port_constraints, *self.traces)}  # two laws may share a row
+        return sum(len(r) for _, r in self.batches) + sum(stop - start for start, stop in shared)
 
     @cached_property
     def n_lam(self) -> int:
@@ -248,6 +258,7 @@ class Evaluation:
 
     def __init__(self, system: System, t: float, q: Array, v: Array | None) -> None:
         self.system, self.t, self.q, self.v = system, t, q, v
+        system.move(t)
         self.pose = system.poses(q)
         in_q, in_v, _ = system.slices
         port = system.ports(q, in_q, True)
@@ -272,7 +283,7 @@ class Evaluation:
         for batch, rows in s.batches:
             g[rows] = batch.values(self.kin, self.t)
         for law, span in s.port_constraints:
-            g[span] = law.values(self.port[s.port_slice(law.part)], self.t)
+            g[span] += law.values(self.port[s.port_slice(law.part)], self.t)
         for tie, span in s.traces:
             g[span] = tie.values(self)
         for k, rows in enumerate(s.frame_rows):
@@ -290,7 +301,7 @@ class Evaluation:
         for batch, rows in self.system.batches:
             g[rows] = batch.rate(self.kin, self.t)
         for law, span in self.system.port_constraints:
-            g[span] = law.rate(self.port[self.system.port_slice(law.part)], self.t)
+            g[span] += law.rate(self.port[self.system.port_slice(law.part)], self.t)
         for tie, span in self.system.traces:
             g[span] = tie.rate(self)
         return g
@@ -306,7 +317,7 @@ class Evaluation:
             g[rows] = value
         for law, span in self.system.port_constraints:
             k = self.system.port_slice(law.part)
-            g[span] = law.gamma(self.port[k], self.port_rate[k], self.t)
+            g[span] += law.gamma(self.port[k], self.port_rate[k], self.t)
         for tie, span in self.system.traces:
             g[span] = tie.gamma(self)
         return g
@@ -340,6 +351,7 @@ class Evaluation:
         s = self.system
         if not s.parts:
             return core
+        s.move(self.t)
         return np.concatenate((core, *(p.port_force(port[s.port_slice(k)]) for k, p in enumerate(s.parts))))
 
     def balance(self, a: Array, lam: Array | None = None) -> Array:

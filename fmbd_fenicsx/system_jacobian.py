@@ -61,6 +61,7 @@ class Jacobian:
 
     def __init__(self, ev: Evaluation) -> None:
         s = self.system = ev.system
+        self.t = ev.t
         kin, m = ev.kin, s.markers
         numbers, markers = [np.zeros(0, int)], [np.zeros(0, int)]
         sides: list[Array] = [np.zeros((0, kin.jac_frame.shape[1]))]
@@ -126,6 +127,7 @@ class Jacobian:
     def times(self, v: Array) -> Array:
         """G v, (n_lam,); collective."""
         s = self.system
+        s.move(self.t)
         out = np.asarray(self.core @ v[: s.n_core])
         for k, p in s.fields:
             out = out + self.port[:, s.port_slice(k)] @ p.ports_of(s.local_v(v, k))
@@ -134,6 +136,7 @@ class Jacobian:
     def transposed(self, lam: Array) -> Array:
         """G^T lambda, like v."""
         s = self.system
+        s.move(self.t)
         core = np.asarray(self.core.T @ lam)
         if not s.fields:
             return core

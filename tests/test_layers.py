@@ -27,6 +27,8 @@ FLOORS = [
         "contact",
         "beams",
         "reduction",
+        "wires",
+        "sliding",
         "modes",
         "stiffening",
         "limits",

@@ -83,6 +83,7 @@ class StepSolver:
         ``stiffness``: extra core matrix (n_core, n_core), already weighted (springs, geometric terms), or None.
         """
         s = self.system
+        s.move(ev.t)
         w = self.weights = weights
         self._ev, self._stiffness = ev, stiffness
         if self._look and s.n_lam <= LOOK_LIMIT:
@@ -197,12 +198,8 @@ class StepSolver:
         if earlier:
             factor: Any = earlier[-1].factor
         else:
-            factor = (
-                MassInverse(f.field, cm)
-                if ck == 0
-                else CholeskyFactor(f.field, cm, ck, w.cd if f.field.D is not None else 0.0)
-            )
-            self.factorisations += ck != 0
+            factor = self._factor(f, cm, ck, w.cd)
+            self.factorisations += ck != 0 and getattr(factor, "fresh", True)
         first = f.n_frame_rows
         active = np.abs(G.port[:, self.system.port_slice(k)]).max(axis=0, initial=0.0) > 0
         if f.shared_columns:
@@ -214,6 +211,17 @@ class StepSolver:
         Y = factor.solve_columns(H)
         W = f.field.total(H.T @ Y)
         return Block(factor, used, Y, 0.5 * (W + W.T), same)
+
+    def _factor(self, f: Any, cm: float, ck: float, cd: float) -> Any:
+        """A new factor of cm M + ck K, with the field's own damping where it has one."""
+        if ck == 0:
+            return MassInverse(f.field, cm)
+        slack = getattr(f, "slack", None)
+        if slack is None:
+            return CholeskyFactor(f.field, cm, ck, cd if f.field.D is not None else 0.0)
+        from .slack import SlackFactor
+
+        return SlackFactor(f.field, cm, ck, slack)
 
     def _drop(self, keep: int, live: list[Any]) -> None:
         """Free all but the newest ``keep`` sets of factors, and those still ``live``."""
@@ -257,6 +265,7 @@ class StepSolver:
         s = self.system
         if not s.fields:
             return self.core.solve(b, c)
+        s.move(self._ev.t)
         n = s.n_core
         rhs = np.concatenate((b[:n], c))
         zs = []
