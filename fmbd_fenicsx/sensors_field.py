@@ -26,7 +26,7 @@ class Largest(Sensor):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The largest value over the body, (1,); collective."""
-        key = ("largest", id(self))
+        key = f"largest {id(self)}"
         if key not in ev.system.cache:
             ev.system.cache[key] = self._prepare(ev)
         k, u, expression, cells, basis = ev.system.cache[key]

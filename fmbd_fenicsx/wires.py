@@ -39,12 +39,11 @@ class Wire:
 
 @dataclass(frozen=True)
 class PointSupport:
-    """A spring (N/m) and damper (N s/m) between wire number ``wire`` at x (m) and the ground, free of force at w = 0."""
+    """A spring (N/m) between wire number ``wire`` at x (m) and the ground, free of force at w = 0."""
 
     wire: int
     x: float
     stiffness: float
-    damping: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ class Wires:
         name: what messages and sensors call it.
         length: m. ``cells``: number of Hermite elements of one length.
         wires, supports, droppers: what it is made of.
-        mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
+        mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s) of wires and supports.
         anchor: stiffness (N/m) with which both ends of every wire are held.
     """
 
@@ -210,7 +209,7 @@ class LineField:
         return sp.csr_matrix((values[0], (np.zeros(4, int), dofs)), shape=(1, self.n))
 
     def _point_springs(self) -> None:
-        """Supports, anchors and (taut) droppers into K; B and offsets of the droppers; the supports' dampers."""
+        """Supports, anchors and (taut) droppers into K; B and offsets of the droppers."""
         import scipy.sparse as sp
 
         b = self.body
@@ -222,7 +221,6 @@ class LineField:
         self.offset = np.array([d.offset for d in b.droppers])
         self.stiff = np.array([d.stiffness for d in b.droppers])
         self.one_sided = np.array([d.one_sided for d in b.droppers], dtype=bool)
-        self.dampers = [(self.row(s.wire, s.x), s.damping) for s in b.supports if s.damping]
         self.K = self._with(self.K, sp.vstack([*rows, self.B]).tocsr(), np.concatenate((weights, self.stiff)))
 
     def _with(self, K: Any, rows: Any, weights: Array) -> Any:
@@ -384,9 +382,7 @@ class WiresPart(FieldPart):
         inertia = a + forms.mass_damping * v if forms.mass_damping else a
         rows = f.mass(inertia[:, None])[:, 0] - motion.gravity[1] * f.weight + f.internal(u)
         if forms.stiffness_damping:
-            rows += forms.stiffness_damping * f.tangent(v)
-        for row, c in f.dampers:
-            rows += c * (row.T @ (row @ v))
+            rows += forms.stiffness_damping * (f.tangent(v) - f.B.T @ (f.stiff * (f.B @ v)))
         return np.zeros(self.motions.n_twist), rows
 
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:

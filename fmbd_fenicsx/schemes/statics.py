@@ -52,7 +52,7 @@ def _march(system: System, given: State, solver: StepSolver, tau: float) -> Stat
         stalled = sizes[-1] > 0.5 * sizes[-2] and sizes[-1] <= 1e-10 * system.length
         if sizes[-1] <= 1e-13 * system.length or stalled:
             return replace(given, q=system.compose(q, dq), v=v, lam=lam + dlam / tau**2)
-        xi, lam = mix.next(xi, lam, system.rate(xi, dq), dlam / tau**2)
+        xi, lam = mix.next(xi, lam, np.asarray(system.rate(xi, dq)), np.asarray(dlam / tau**2))
     raise ConvergenceError(
         f"No static equilibrium was found from the given placement: after {len(sizes) - 1} iterations bodies still move by "
         f"{sizes[-1]:.3g} m in one. Is every body held by joints or springs? scene.check() lists the degrees of freedom."

@@ -1,0 +1,114 @@
+"""Wires against analytic values: frequencies and waves of strings and beams, static sag, form finding, slack droppers, sliding."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("dolfinx")
+import scipy.linalg as sl
+import scipy.sparse.linalg as spl
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.wires import LineField
+
+WIRE = fmbd.Wire(1.35, 20e3, 195.0)
+
+
+def dense(field: LineField) -> tuple[np.ndarray, np.ndarray]:
+    return field.M[:, :], field.csr().toarray()
+
+
+def test_frequencies_of_a_tensioned_beam() -> None:
+    """omega_n = n pi / L sqrt((T + EI (n pi / L)^2) / mu) with hinged ends, to the Hermite element's order six."""
+    L, errors = 60.0, []
+    for cells in (20, 40):
+        M, K = dense(LineField(fmbd.Wires("w", L, cells, (WIRE,), anchor=1e12)))
+        k = 5 * np.pi / L
+        exact = k * np.sqrt((20e3 + 195.0 * k**2) / 1.35)
+        errors.append(abs(np.sqrt(np.abs(sl.eigh(K, M, eigvals_only=True)[4])) / exact - 1))
+    assert errors[1] < 1e-6 and np.log2(errors[0] / errors[1]) > 3.5
+
+
+def test_static_sag_of_a_string() -> None:
+    """mu g L^2 / (8 T) in the middle, and the hinged tensioned beam's correction by EI."""
+    L, g = 60.0, 9.81
+    field = LineField(fmbd.Wires("w", L, 240, (WIRE,), anchor=1e12))
+    w = spl.spsolve(field.csr().tocsc(), -g * field.weight)
+    q, T, EI = 1.35 * g, 20e3, 195.0
+    r = np.sqrt(T / EI)
+    exact = -q * L**2 / (8 * T) + q * EI / T**2 * (1 - 1 / np.cosh(r * L / 2))
+    assert (field.row(0, L / 2) @ w)[0] == pytest.approx(exact, rel=1e-6)
+
+
+def test_hung_wires_are_in_equilibrium_at_the_wanted_sag() -> None:
+    droppers = tuple(fmbd.Dropper(1, 0, x, 1e5) for x in (5.0, 15.0, 25.0))
+    wires = fmbd.Wires("w", 30.0, 60, (WIRE, fmbd.Wire(1.07, 16e3, 131.7)), (), droppers).hung(lambda x: 1e-4 * x)
+    scene = fmbd.Scene("hung", gravity=(0, -9.81), settle=True)
+    scene.add(wires)
+    scene.sensor("w", fmbd.wire_height(wires, 0, [5.0, 15.0, 25.0]))
+    scene.sensor("N", fmbd.dropper_forces(wires))
+    run = fmbd.solve(scene, t_end=0.05, dt=0.01)
+    assert run["w"] == pytest.approx(np.tile([-5e-4, -15e-4, -25e-4], (6, 1)), abs=1e-9)
+    assert run["N"].min() > 0
+    with pytest.raises(fmbd.errors.InputError, match="would have to push"):
+        wires.hung(lambda x: 0.1 if x == 15.0 else 0.0)
+
+
+def test_wave_speed() -> None:
+    """A pulse on a string reaches a point after distance / sqrt(T / mu)."""
+    wire = fmbd.Wire(1.0, 1e4)
+    wires = fmbd.Wires("w", 100.0, 400, (wire,))
+    pan = fmbd.CoordinateBody(
+        "pan", np.eye(1), lambda q, v, t: np.array([200 * np.exp(-(((t - 0.1) / 0.02) ** 2)) - 1e3 * q[0]]), np.zeros(1)
+    )
+    scene = fmbd.Scene("wave")
+    scene.add(wires, pan, fmbd.SlidingContact("c", wires, pan, start=20.0))
+    scene.sensor("w", fmbd.wire_height(wires, 0, [30.0, 60.0]))
+    run = fmbd.solve(scene, t_end=0.6, dt=5e-4)
+    near, far = (run.times[np.argmax(run["w"][:, k])] for k in (0, 1))
+    assert 30.0 / (far - near) == pytest.approx(wire.wave_speed, rel=5e-3)
+
+
+def moving_load(cells: int, h: float = 5e-4) -> fmbd.Run:
+    """A constant force slides along a string at half the wave speed."""
+    wires = fmbd.Wires("w", 60.0, cells, (fmbd.Wire(1.35, 20e3, 195.0),))
+    pan = fmbd.CoordinateBody("pan", np.diag([1e-3, 1.0]), lambda q, v, t: np.array([100.0, 0.0]), np.zeros(2))
+    scene = fmbd.Scene("moving load", settle=True)
+    scene.add(wires, pan, fmbd.SlidingContact("c", wires, pan, start=10.0, speed=60.0, ramp=0.2, idle=1))
+    scene.sensor("force", fmbd.reaction("c"))
+    scene.sensor("y", fmbd.coordinates(pan))
+    return fmbd.solve(scene, t_end=0.6, dt=h, scheme=fmbd.Unilateral(fmbd.GeneralizedAlpha(0.6)))
+
+
+def test_element_borders_are_not_felt() -> None:
+    """A nearly massless strip under a constant force keeps that force while it crosses some sixty borders."""
+    run = moving_load(120)
+    assert run["force"] == pytest.approx(100.0, rel=2e-2)
+    assert run.counters["contact lost"] == 0
+
+
+@pytest.mark.mpi
+def test_height_under_a_moving_force_converges_with_the_mesh() -> None:
+    y = [moving_load(n)["y"][-1, 0] for n in (120, 240, 480)]
+    assert abs(y[2] - y[1]) < 0.2 * abs(y[1] - y[0])
+
+
+def test_contact_is_lost_and_found() -> None:
+    """A pan head that is pulled down leaves the wire, flies, and returns; the force is never negative."""
+    wires = fmbd.Wires("w", 20.0, 40, (fmbd.Wire(1.0, 1e4),))
+    pan = fmbd.CoordinateBody(
+        "pan", np.diag([2.0, 1.0]), lambda q, v, t: np.array([50.0 - 400.0 * (0.2 < t < 0.23), 0.0]), np.zeros(2)
+    )
+    scene = fmbd.Scene("bounce", settle=True)
+    scene.add(wires, pan, fmbd.SlidingContact("c", wires, pan, start=10.0, idle=1))
+    scene.sensor("force", fmbd.reaction("c"))
+    scene.sensor("y", fmbd.coordinates(pan))
+    scene.sensor("w", fmbd.wire_height(wires, 0, 10.0))
+    run = fmbd.solve(scene, t_end=0.8, dt=1e-3, scheme=fmbd.Unilateral(fmbd.GeneralizedAlpha(0.6)))
+    open_ = run["force"][:, 0] == 0
+    assert run.counters["contact lost"] >= 1 and run.counters["contact found"] >= 1
+    assert run["force"].min() >= 0 and open_.any() and not open_[-1]
+    gap = (run["w"] - run["y"][:, :1])[:, 0]
+    assert gap.min() > -1e-9 and gap[open_].max() > 1e-3
+    assert abs(gap[~open_]).max() < 1e-9
