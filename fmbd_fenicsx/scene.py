@@ -25,7 +25,8 @@ from .relative import Relative, Separation
 from .rotations import Array, Motions, motions
 from .scene_joints import JointRows, relative_of
 from .sensors import JointReading, Sensor
-from .sliding import SlidingContact, place
+from .scene_wires import slider_rows, wires_part
+from .sliding import SlidingContact
 from .system import RowBlock, State, System
 from .wires import Wires
 
@@ -152,7 +153,8 @@ class _Builder:
             self._add_field(body, used[body.name], len(framed))
         for body in moving:
             if isinstance(body, Wires):
-                self._add_wires(body, len(framed))
+                part = wires_part(body, len(framed), self.scene.sliders)
+                self._put_part(part, np.zeros(part.n), np.zeros(part.n))
         rigid = [b for b in moving if isinstance(b, RigidBody)]
         for body in rigid:
             self.poses[self.frame_of[body.name]] = body.start_pose()
@@ -278,28 +280,6 @@ class _Builder:
         frame = self.frame_of[body.name]
         self._put_part(FloatingField(field_, frame, surfaces, body.frame, body.stiffening), U, Ud)
         self.poses[frame] = self.m.pose(field_.center)
-
-    def _add_wires(self, body: Wires, ground_frame: int) -> None:
-        from .wires import WiresPart
-
-        points = [(s.wire, s.path) for s in self.scene.sliders.values() if s.wires is body]
-        part = WiresPart(body, ground_frame, points)
-        self._put_part(part, np.zeros(part.n), np.zeros(part.n))
-
-    def _slider_rows(self, row: int) -> list[tuple[Any, slice]]:
-        """Both sides of every sliding contact, from row ``row`` on."""
-        out: list[tuple[Any, slice]] = []
-        slots: dict[str, int] = {}
-        for s in self.scene.sliders.values():
-            for b in (s.wires, s.body):
-                require(self.scene.bodies.get(b.name) is b, f'Contact "{s.name}" refers to a body that is not in the scene.')
-            slot = slots[s.wires.name] = slots.get(s.wires.name, -1) + 1
-            parts = (self.part_of[s.wires.name], self.part_of[s.body.name])
-            wire, head = place(s, parts, slot, row)
-            self.fields[parts[0]].statuses.append(wire.status)
-            out += [(wire, wire.status.rows), (head, wire.status.rows)]
-            row += 1
-        return out
 
     def _rigid_block(self, rigid: list[RigidBody]) -> Any:
         from .placements import RigidBlock
@@ -448,7 +428,7 @@ class _Builder:
                 own.append((law, slice(row, row + m)))
                 blocks.append(RowBlock(body.name, slice(row, row + m), "constraint"))
                 row += m
-        for law, rows in (sliding := self._slider_rows(row)):
+        for law, rows in (sliding := slider_rows(self.scene, self.fields, self.part_of, row)):
             if rows.start >= row:
                 blocks.append(RowBlock(law.name, rows, "sliding contact"))
                 row = rows.stop

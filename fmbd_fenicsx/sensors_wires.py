@@ -45,7 +45,7 @@ class DropperForces(Sensor):
 
 def wire_height(wires: Any, wire: int, x: Any) -> Sensor:
     """Displacement (m) of a wire at one or several places x (m), (n,)."""
-    return WireHeight(None, "m", None, wires, wire, tuple(np.atleast_1d(np.asarray(x, dtype=float)).tolist()))
+    return WireHeight(None, "m", None, wires, wire, tuple(float(xi) for xi in np.atleast_1d(x)))
 
 
 def dropper_forces(wires: Any) -> Sensor:

@@ -88,9 +88,9 @@ class Wires:
         require(self.length > 0 and self.cells > 0, f'Wires "{self.name}": length and cells must be positive.')
         for w in self.wires:
             require(w.mass > 0 and w.tension >= 0 and w.bending >= 0, f'Wires "{self.name}": unusable data {w}.')
-        for s in (*self.supports, *self.droppers):
-            if not 0 <= s.x <= self.length:
-                raise InputError(f'Wires "{self.name}": {s} lies outside (0, {self.length:g}) m.')
+        for x in (*(s.x for s in self.supports), *(d.x for d in self.droppers)):
+            if not 0 <= x <= self.length:
+                raise InputError(f'Wires "{self.name}": a support or dropper at x = {x:g} m lies outside (0, {self.length:g}) m.')
 
     def hung(self, sag: Any = 0.0, *, gravity: float = 9.81) -> Wires:
         """Form finding: the same wires with droppers so long that the lower wire hangs at ``sag`` (m, or a function of x) at each.
@@ -134,6 +134,7 @@ class LineField:
     """
 
     dim = 1
+    D = None  # no damping form
     redistributed = False
     nonlinear = mixed = False
 
@@ -181,7 +182,7 @@ class LineField:
         self._work = [self.K.createVecRight(), self.K.createVecLeft()]
         ones = np.zeros(self.n)
         ones[self.dofs[:, 0::2].ravel()] = 1.0
-        self.weight = self.mass(ones[:, None])[:, 0]
+        self.weight: Array = self.mass(ones[:, None])[:, 0]
         self.mass_total, self.size = float(self.weight.sum()), body.length
 
     def _cells(self, cell: Any, line: Any, count: int) -> None:
@@ -256,6 +257,10 @@ class LineField:
         """K u with all droppers taut."""
         return self._product(self.K, u)
 
+    def damping(self, v: Array) -> Array:
+        """Of a damping form: none."""
+        return np.zeros_like(v)
+
     def tension(self, u: Array) -> tuple[Array, Array]:
         """Tensions (N) of the droppers and what they would be if all could push."""
         full = self.stiff * (self.B @ u + self.offset)
@@ -276,8 +281,8 @@ class LineField:
         """The value itself: every rank holds all wires."""
         return x
 
-    def combination(self, cm: float, ck: float) -> Any:
-        """cm M + ck K; the caller destroys it."""
+    def combination(self, cm: float, ck: float, cd: float = 0.0) -> Any:
+        """cm M + ck K (cd: a damping form of its own, which wires have not); the caller destroys it."""
         from petsc4py import PETSc
 
         E = self.K.copy()
@@ -313,7 +318,7 @@ class WiresPart(FieldPart):
         self.reference = np.zeros(self.n_port)
         self.mass_total, self.size = self.field.mass_total, self.field.size
         self.t = np.nan
-        self.slack = np.zeros(0, dtype=int)  # droppers that the tangent leaves out
+        self.slack: np.ndarray = np.zeros(0, dtype=int)  # droppers that the tangent leaves out
         self._chosen = False  # whether Newton has just asked for the present set
         self._tangents, self._last = 0, np.zeros(self.n)
         self.statuses: list[Any] = []  # of the contacts at the sliding ports

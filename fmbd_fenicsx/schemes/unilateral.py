@@ -48,9 +48,10 @@ class Switching:
 
     def __init__(self, outer: Unilateral, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.outer, self.system, self.solver, self.newton = outer, system, solver, newton
-        heads = {law.status.rows.start: law for law, _ in system.port_constraints if isinstance(law, HeadSide)}
-        wires = {law.status.rows.start: law for law, _ in system.port_constraints if isinstance(law, WireSide)}
-        self.pairs = [(wires[r], h) for r, h in heads.items() if h.idle is not None]
+        laws: list[Any] = [law for law, _ in system.port_constraints]
+        heads = {law.status.rows.start: law for law in laws if isinstance(law, HeadSide)}
+        wires = {law.status.rows.start: law for law in laws if isinstance(law, WireSide)}
+        self.pairs: list[tuple[Any, Any]] = [(wires[r], h) for r, h in heads.items() if h.idle is not None]
         require(not hasattr(outer.scheme, "rtol") or outer.scheme.rtol is None, "Unilateral contact needs a constant step.")
         self.inner = outer.scheme.stepper(system, solver, newton, state)
         self.opened = self.returned = 0
@@ -70,7 +71,7 @@ class Switching:
         """How often contact was lost and found again."""
         return {**getattr(self.inner, "counters", {}), "contact lost": self.opened, "contact found": self.returned}
 
-    def gap(self, state: State, pair: tuple[WireSide, HeadSide]) -> float:
+    def gap(self, state: State, pair: tuple[Any, Any]) -> float:
         """y - w, m: negative where the contact is open."""
         wire, head = pair
         s = self.system
@@ -92,7 +93,7 @@ class Switching:
         met = [p for p in self.pairs if not p[0].status.closed and p not in pulling and self.gap(state, p) >= 0]
         return self._close(state, met) if met else state
 
-    def _close(self, state: State, met: list[tuple[WireSide, HeadSide]]) -> State:
+    def _close(self, state: State, met: list[tuple[Any, Any]]) -> State:
         """Close contacts at the end of a step, unless they would pull at once."""
         for wire, _ in met:
             wire.status.closed = True
