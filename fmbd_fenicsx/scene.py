@@ -13,7 +13,7 @@ from .bodies import AbsoluteBody, CoordinateBody, FloatingBody, RigidBody, Surfa
 from .constraints import Batch
 from .coordinates import CoordinatePart, PortConstraint
 from .drives import JointCoordinate
-from .errors import CallbackError, InputError, near, require
+from .errors import InputError, near, require
 from .forces import Force
 from .frames import Markers
 from .joints import Joint, ground
@@ -23,6 +23,7 @@ from .mobility import Mobility, check, loose_bodies
 from .reduction import ReducedBody
 from .relative import Relative, Separation
 from .rotations import Array, Motions, motions
+from .scene_fields import initial_field
 from .scene_joints import JointRows, relative_of
 from .sensors import JointReading, Sensor
 from .scene_wires import slider_rows, wires_part
@@ -269,8 +270,8 @@ class _Builder:
             from .scene_contact import make_massless
 
             make_massless(self.scene, body, field_)
-        U = _initial(body, body.displacement, field_, "displacement")
-        Ud = _initial(body, body.displacement_rate, field_, "displacement_rate")
+        U = initial_field(body, body.displacement, field_, "displacement")
+        Ud = initial_field(body, body.displacement_rate, field_, "displacement_rate")
         if isinstance(body, AbsoluteBody):
             d, twist = self.m.dim, body.start_twist()
             arm = field_.X + U.reshape(-1, d)
@@ -448,17 +449,3 @@ class _Builder:
         q = [*self.poses, *(u for u, _ in self.starts)]
         v = [*self.twists, *(ud for _, ud in self.starts)]
         return State(0.0, np.concatenate(q), np.concatenate(v), np.zeros(system.n_v), np.zeros(system.n_lam))
-
-
-def _initial(body: FloatingBody | AbsoluteBody, function: Callable[[Array], Array] | None, field_: Any, what: str) -> Array:
-    """Nodal values of an initial field given as a function of world coordinates (d, n) -> (d, n)."""
-    if function is None:
-        return np.zeros(field_.n * field_.dim)
-    found = np.asarray(function(field_.X_world.T), dtype=float)
-    if found.shape != (field_.dim, field_.n):
-        raise CallbackError(
-            f'Body "{body.name}": {what} returned shape {found.shape}, expected ({field_.dim}, {field_.n}).'
-        )
-    if not np.isfinite(found).all():
-        raise CallbackError(f'Body "{body.name}": {what} returned values that are not finite.')
-    return found.T.ravel().copy()
