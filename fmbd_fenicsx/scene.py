@@ -152,10 +152,9 @@ class _Builder:
                 self._add_reduced(body, used[body.name])
         for body in elastic:
             self._add_field(body, used[body.name], len(framed))
-        for body in moving:
-            if isinstance(body, Wires):
-                part = wires_part(body, len(framed), self.scene.sliders)
-                self._put_part(part, np.zeros(part.n), np.zeros(part.n))
+        for body in (b for b in moving if isinstance(b, Wires)):
+            part = wires_part(body, len(framed), self.scene.sliders)
+            self._put_part(part, np.zeros(part.n), np.zeros(part.n))
         rigid = [b for b in moving if isinstance(b, RigidBody)]
         for body in rigid:
             self.poses[self.frame_of[body.name]] = body.start_pose()
