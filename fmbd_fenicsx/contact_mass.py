@@ -141,7 +141,7 @@ def _moments_kept(field: Any, P: Any) -> Any:
     for kept, lost in ((len(pairs), ""), (1 + d, "inertia"), (1, "centre of mass and inertia")):  # noqa: B007, used below
         c = np.zeros(len(pairs))
         c[:kept] = np.linalg.lstsq(T[:kept, :kept], wanted[:kept], rcond=1e-12)[0]
-        if np.abs(c - unit[0])[1:] @ highest[1:] < 0.5:
+        if np.abs(c - unit[0])[1:] @ highest[1:] < 0.95:  # the density stays positive
             break
     if lost and field.comm.rank == 0:
         log.warning(

@@ -124,8 +124,9 @@ def solve_friction(W: Array, q: Array, mu: Array, start: Array, counts: ContactC
     m, d = q.shape
     c = np.stack([1.0 / np.maximum(np.diag(W)[k::d], 1e-300) for k in range(d)], axis=1)
     c[:, 1:] = c[:, 1:].min(axis=1)[:, None]
-    x = start.copy()
-    for attempt in range(3):
+    x, scale = start.copy(), 1e-300
+    for attempt in range(4):
+        best = np.inf
         for k in range(1, 60):
             u = q + (W @ x.ravel()).reshape(m, d)
             F, dx, du = _alart_curnier(x, u, c, mu)
@@ -135,15 +136,18 @@ def solve_friction(W: Array, q: Array, mu: Array, start: Array, counts: ContactC
                 counts.most, counts.solves = max(counts.most, k), counts.solves + 1
                 counts.residual = max(counts.residual, size / scale if scale > 0 else 0.0)
                 return x
+            if k > 20 and size > 0.5 * best:
+                break  # cycles between sets
+            best = min(best, size)
             counts.iterations += 1
             J = _blocks(dx) + _blocks(du) @ W
             step = _solve(J, -F.ravel()).reshape(m, d)
             x = x + step
         counts.cycles += 1
-        x = _gauss_seidel(W, q, mu, np.zeros_like(x) if attempt else x, c, 200 * (attempt + 1))
+        x = _gauss_seidel(W, q, mu, np.zeros_like(x) if attempt == 1 else x, c, 100 * 5**attempt)
     u = q + (W @ x.ravel()).reshape(m, d)
     size = float(np.abs(_alart_curnier(x, u, c, mu)[0]).max())
-    if size > 1e-8 * scale:
+    if size > 1e-6 * scale:  # sweeps converge slowly where contacts depend on each other; the residual is reported
         raise ConvergenceError(
             f"The friction problem did not converge (residual {size / scale:.1e} of the largest "
             "force). With large friction coefficients "

@@ -1,0 +1,38 @@
+"""Mass redistribution: no inertia on contact nodes, all moments of the body kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.contact_mass import redistribute_mass
+from fmbd_fenicsx.contact_trace import surface_nodes
+from fmbd_fenicsx.fields import Field
+
+BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("size", "degree"), [((1.0, 0.5), 1), ((1.0, 0.5), 2), ((1.0, 0.8, 0.6), 1)])
+def test_moments_are_kept_and_contact_nodes_are_massless(size: tuple[float, ...], degree: int) -> None:
+    mesh = fmbd.read_gmsh(BLOCK, size=size, cells=24 if len(size) == 2 else 12)
+    body = fmbd.AbsoluteBody(
+        "block", mesh, degree=degree, density=3.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3)
+    )
+    field = Field("block", mesh, body.forms())
+    mass, center, inertia = field.mass_total, field.center.copy(), field.inertia.copy()
+    nodes = surface_nodes(field, ["bottom"])
+    redistribute_mass(field, nodes)
+    assert field.mass_total == pytest.approx(mass, rel=1e-12)
+    assert field.center == pytest.approx(center, abs=1e-12)
+    assert field.inertia == pytest.approx(inertia, rel=1e-10, abs=1e-12)
+    probe = np.zeros((field.n, field.dim))
+    probe[nodes] = 1.0
+    assert field.total(np.array(np.abs(field.mass(probe)).sum())) == 0.0
+    rng = np.random.default_rng(3 + field.comm.rank)
+    free = rng.standard_normal((field.n, field.dim))
+    assert field.total(np.array((free * field.mass(free)).sum())) > 0
+    field.destroy()
