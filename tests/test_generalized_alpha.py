@@ -138,48 +138,6 @@ def test_refusal_of_no_damping_says_why() -> None:
         fmbd.GeneralizedAlpha(rho_inf=1.0)
 
 
-def oscillator(omega: float) -> fmbd.Scene:
-    """q'' = -omega^2 q from q = 1."""
-    scene = fmbd.Scene("oscillator")
-    scene.add(fmbd.CoordinateBody("mass", np.eye(1), lambda q, v, t: -(omega**2) * q, (1.0,)))
-    scene.sensor("q", fmbd.coordinates("mass"))
-    return scene
-
-
-@pytest.mark.parametrize(
-    "z, rho, expected",
-    [
-        (1e3, 0.9, 0.9066),
-        (1e3, 0.8, 0.8077),
-        (1e3, 0.5, 0.5078),
-        (1e6, 0.8, 0.8),
-        (1e6, 0.5, 0.5),
-        (0.1, 0.5, 1.0),
-    ],
-)
-def test_spectral_radius(z: float, rho: float, expected: float) -> None:
-    """Decay per step of a vibration with omega h = z, from the amplitude of the state (q, h v, h^2 A).
-
-    The figures for omega h = 1000 are eigenvalues of the 3 x 3 amplification matrix.
-    """
-    am, af, gamma, beta = fmbd.GeneralizedAlpha(rho).parameters
-    left = np.array([[1, 0, -beta], [0, 1, -gamma], [(1 - af) * z * z, 0, 1 - am]])
-    right = np.array([[1, 1, 0.5 - beta], [0, 1, 1 - gamma], [-af * z * z, 0, -am]])
-    amplification = np.linalg.solve(left, right)
-    assert abs(np.abs(np.linalg.eigvals(amplification)).max() - expected) < 1e-3
-    if z > 1e5:
-        return  # q decays below roundoff of the stiff force: the matrix alone is compared
-    steps = 6
-    run = fmbd.solve(
-        oscillator(z), t_end=steps * 1.0, dt=1.0, scheme=fmbd.GeneralizedAlpha(rho), newton=TIGHT
-    )
-    q = run["q"][:, 0]
-    # the characteristic polynomial of the matrix annihilates the computed sequence
-    c = np.poly(amplification)
-    defect = [c[0] * q[n + 3] + c[1] * q[n + 2] + c[2] * q[n + 1] + c[3] * q[n] for n in range(1, steps - 2)]
-    assert np.abs(defect).max() < 1e-6 * np.abs(q).max()
-
-
 def test_failed_newton_names_scene_step_and_time() -> None:
     """Too few iterations: the error tells where, and the history of the iteration."""
     with pytest.raises(ConvergenceError, match=r'"swing", step 1 of 10: Newton stopped at t = 0.01 .*dt'):
