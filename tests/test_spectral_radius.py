@@ -46,7 +46,7 @@ def test_generalized_alpha(rho: float, at_1e3: float) -> None:
     scheme = fmbd.GeneralizedAlpha(rho)
     assert radius(scheme, 1e3) == pytest.approx(at_1e3, abs=1e-3)
     triple = 1e-4 if rho == 0.0 else 0.0  # z^(-2/3): three eigenvalues meet at zero as z goes to infinity
-    assert radius(scheme, 1e6) == pytest.approx(rho + triple, abs=1e-5)
+    assert radius(scheme, 1e6) == pytest.approx(rho + triple, abs=1e-4)
     assert 0.99995 <= radius(scheme, 0.1) <= 1.0 + 1e-12
 
 
