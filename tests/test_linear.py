@@ -5,6 +5,7 @@ and steps are.
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ from fmbd_fenicsx.linear.residual import Judge
 from fmbd_fenicsx.linear.schur import StepSolver, Weights
 from fmbd_fenicsx.linear.spd import CholeskyFactor, MassInverse
 from fmbd_fenicsx.system import State, System
+
+HERE = Path(__file__).resolve().parent
 
 
 def scene_of(mesh: Any, frame: Any) -> fmbd.Scene:
@@ -114,6 +117,43 @@ def test_factor_and_mass_inverse_solve_all_columns(rod_mesh: Callable[..., Any])
 def test_judge_refuses(residual: float) -> None:
     with pytest.raises(LinearSolveError, match="the block"):
         Judge("the block").check(residual, 1.0)
+
+
+def test_judge_accepts_roundoff_of_a_regular_matrix_only() -> None:
+    """The bound by |A| |x| is tight, ends where matrices are singular, and never lets a false solution pass."""
+    judge = Judge("the block")
+    judge.check(5e-6, 1.0, grown=1e10)
+    assert (judge.worst, judge.by_roundoff) == (5e-6, 1)
+    for residual, grown in ((2e-5, 1e10), (1e-4, 1e12), (1.0, 1e16), (np.nan, 1e10), (1e-6, np.inf), (1e-6, np.nan)):
+        with pytest.raises(LinearSolveError, match="the block"):
+            judge.check(residual, 1.0, grown=grown)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("share", [0.0, 1e-18, 1e-16])
+def test_matrix_singular_to_roundoff_is_refused(rod_mesh: Callable[..., Any], share: float) -> None:
+    """cm M + K with a mass far below the roundoff of K: its backward error is small, its growth tells."""
+    mesh = rod_mesh(dim=2, h=0.5, height=0.4)
+    f = Field("rod", mesh, elastic_rod(mesh).forms())
+    b = np.tile([1.0, 0.3], f.n)
+    kb, mb = f.stiffness(f.X.ravel()), f.mass(f.X).ravel()
+    size, mass = np.sqrt(f.total(np.array([kb @ kb, mb @ mb])))
+    with pytest.raises(LinearSolveError, match='"rod"'):
+        CholeskyFactor(f, share * size / mass, 1.0).solve(b)
+
+
+@pytest.mark.mpi
+def test_thin_body_at_a_long_step_is_solved_to_roundoff() -> None:
+    """Aspect 1:100 and cm = 1e5 / s^2: roundoff of E x alone exceeds 1e-8 |b|, and the rigid solution is right to 1e-6."""
+    mesh = fmbd.read_gmsh(HERE.parent / "meshes/rod.py", dim=2, length=1.0, height=0.01, h=0.02)
+    rod = fmbd.FloatingBody("rod", mesh, density=1e3, elastic=fmbd.materials.plane_stress(2e11, 0.3))
+    f = Field("rod", mesh, rod.forms())
+    factor = CholeskyFactor(f, 1e5, 1.0)
+    x = factor.solve(1e5 * f.mass(np.tile([0.0, 1.0], (f.n, 1))).ravel())
+    factor.destroy()
+    assert factor.judge.worst > factor.judge.tolerance
+    assert factor.judge.by_roundoff == 1
+    np.testing.assert_allclose(x.reshape(-1, 2), np.tile([0.0, 1.0], (f.n, 1)), atol=1e-6)
 
 
 def test_judge_keeps_the_worst() -> None:

@@ -9,25 +9,51 @@ import numpy as np
 from ..errors import LinearSolveError
 
 
+ROUNDOFF = 1e-15
+"""Backward error |A x - b| / (|A| |x| + |b|) that a stable factorisation stays below, |A| the largest row sum;
+measured with Cholesky on thin rods: 6e-17."""
+
+LARGEST_GROWTH = 1e11
+"""|A| |x| / |b|, a lower bound of the condition number, above which a matrix counts as singular: a factor of a matrix that is
+singular to roundoff gives 1e15 or more. With ROUNDOFF: no solve passes with a residual above 1e-4 |b|."""
+
+
 @dataclass
 class Judge:
     """Accepts or refuses linear solves; keeps the worst relative residual seen.
 
-    A solve passes when |A x - b| <= tolerance |b| in the norm the caller uses. ``what`` names the system in messages.
+    A solve passes when |A x - b| <= tolerance |b| in the norm the caller uses. Where the matrix is regular but so
+    ill-conditioned that roundoff of A x itself is larger than that (a thin body, a long step), a solve passes too when
+
+        |A x - b| <= ROUNDOFF (|A| |x| + |b|)      and      |A| |x| <= LARGEST_GROWTH |b|                      (1)
+
+    x then solves a system that differs from the given one by roundoff (Rigal and Gaches, doi:10.1145/321406.321416).
+    Callers that give no |A| |x| get the first criterion alone. ``what`` names the system in messages; ``by_roundoff``
+    counts the solves that passed by (1) only. ``worst`` is of |A x - b| / |b| in either case.
     """
 
     what: str
     tolerance: float = 1e-8
     worst: float = 0.0
     solves: int = 0
+    by_roundoff: int = 0
 
-    def check(self, residual: float, scale: float, advice: str = "") -> None:
-        """Raise :class:`LinearSolveError` when |A x - b| = ``residual`` is too large against |b| = ``scale``."""
+    def check(self, residual: float, scale: float, advice: str = "", *, grown: float = 0.0) -> None:
+        """Raise :class:`LinearSolveError` when |A x - b| = ``residual`` is too large against |b| = ``scale``.
+
+        ``grown``: |A| |x|, or 0 where it is not known.
+        """
         self.solves += 1
         relative = residual / scale if scale > 0 else residual
-        if not np.isfinite(relative) or relative > self.tolerance:
-            raise LinearSolveError(
-                f"Linear solve of {self.what}: relative residual {relative:.1e}, allowed {self.tolerance:.0e}. "
-                + (advice or "The matrix is singular or nearly so: a body or joint is not determined.")
-            )
+        if not relative <= self.tolerance:
+            if not self._is_roundoff(residual, scale, grown):
+                raise LinearSolveError(
+                    f"Linear solve of {self.what}: relative residual {relative:.1e}, allowed {self.tolerance:.0e}. "
+                    + (advice or "The matrix is singular or nearly so: a body or joint is not determined.")
+                )
+            self.by_roundoff += 1
         self.worst = max(self.worst, relative)
+
+    def _is_roundoff(self, residual: float, scale: float, grown: float) -> bool:
+        """Criterion (1); False for anything not finite."""
+        return grown <= LARGEST_GROWTH * scale and residual <= ROUNDOFF * (grown + scale)

@@ -37,14 +37,9 @@ class CholeskyFactor:
         return X
 
     def _judge(self, r: Array, b: Array, x: Array) -> None:
-        """The residual against |b|; against roundoff of |E| |x| where long steps make a slender body ill-conditioned.
-
-        A singular matrix has |E| |x| of 1e16 |b| and is refused all the same.
-        """
+        """|E| by its largest row sum, an upper bound of its 2-norm (E is symmetric)."""
         rr, bb, xx = np.sqrt(self.field.total(np.array([r @ r, b @ b, x @ x])))
-        grown = self.factor.norm * float(xx)
-        scale = max(float(bb), 1e-6 * grown) if grown < 1e11 * bb else float(bb)
-        self.judge.check(float(rr), scale)
+        self.judge.check(float(rr), float(bb), grown=self.factor.norm * float(xx))
 
     def destroy(self) -> None:
         """Free the factor; collective."""
