@@ -67,5 +67,5 @@ checks.append(Check("stress error falls with the modes", float(errors == sorted(
 checks.append(Check.relative("24 modes: largest stress, N/m", few["stress"].max(), full["stress"].max(), 2e-2))
 say(f"cab acceleration up to {abs(full['cab acceleration'][:, 1]).max():.3g} m/s^2, stress up to {full['stress'].max():.4g} N/m")
 if args.picture:
-    full.picture(args.picture, sensor="cab acceleration")
+    model.picture(full, rigid[True], args.picture)
 finish(checks, full, args)

@@ -121,3 +121,41 @@ def elastic_load(modulus: float = MODULUS, *, h: float = 0.3) -> fmbd.FloatingBo
     mesh = fmbd.read_gmsh("meshes/loading_area.py", low=low, size=(length, height), pads=pads, h=h)
     sheet = fmbd.materials.plane_stress(modulus, POISSON)
     return fmbd.FloatingBody("load", mesh, density=LOAD_MASS / (length * height), elastic=sheet, stiffness_damping=2e-4)
+
+
+def picture(run: fmbd.Run, rigid: fmbd.Run, file: object) -> None:
+    """The truck at the start with its suspension, cab accelerations and the loading area's stress; rank 0 writes."""
+    from fmbd_fenicsx.log import world_rank
+
+    if world_rank() != 0:
+        return
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    from matplotlib.patches import Circle, Rectangle
+
+    fig, (ax, acc, stress) = plt.subplots(1, 3, figsize=(13, 3.8), layout="constrained", width_ratios=(1.6, 1, 1))
+    for x in (REAR, FRONT):
+        ax.add_patch(Circle((x, 0.5), 0.5, color="0.3"))
+    ax.add_patch(Rectangle((-4.2, 1.92), 8.2, 0.16, color="C0", label="chassis"))
+    ax.add_patch(Rectangle((1.9, 2.45), 1.9, 1.3, color="C1", alpha=0.8, label="cab"))
+    ax.add_patch(Rectangle((-4.3, 2.15), 5.67, 1.5, color="C2", alpha=0.6, label="loading area (elastic)"))
+    for name, (_, _, a, b, *_) in SUSPENSION.items():
+        if not name.startswith("load, rear"):
+            s = np.linspace(0, 1, 25)
+            zigzag = 0.07 * np.sin(9 * 2 * np.pi * s) * (abs(s - 0.5) < 0.4)
+            ax.plot(a[0] + (b[0] - a[0]) * s + zigzag, a[1] + (b[1] - a[1]) * s, color="k", lw=1)
+    ax.plot(*PIN, "ko", ms=6)
+    ax.annotate("pin", PIN, (-3.9, 1.3), arrowprops={"arrowstyle": "-"})
+    ax.plot([-5, 5], [0, 0], color="0.5")
+    ax.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", ylim=(-0.2, 4.9))
+    ax.legend(loc="upper center", ncols=3, frameon=False)
+    acc.plot(rigid.times, rigid["cab acceleration"][:, 1], label="rigid loading area")
+    acc.plot(run.times, run["cab acceleration"][:, 1], "--", label="elastic")
+    acc.set(xlabel="time (s)", ylabel="cab acceleration (m/s$^2$)")
+    acc.legend(frameon=False)
+    stress.plot(run.times, 1e-3 * run["stress"][:, 0])
+    stress.set(xlabel="time (s)", ylabel="largest Mises stress x thickness (kN/m)")
+    fig.savefig(str(file), dpi=100)
+    plt.close(fig)
