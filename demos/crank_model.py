@@ -10,6 +10,7 @@ Mathematical Modelling of Systems 2 (1996) 1-18, doi:10.1080/13873959608837026.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -29,21 +30,21 @@ class Rod:
     nonlinear: bool = False
     damped: bool = False
 
-    @property
+    @cached_property
     def mass(self) -> np.ndarray:
         """M_q, kg."""
         out = 0.5 * np.eye(4)
         out[2:, 2:] = np.array([[8.0, 1.0], [1.0, 2.0]]) * (1 / 15 if self.consistent_mass else 1.0)
         return RHO * F * out
 
-    @property
+    @cached_property
     def stiffness(self) -> np.ndarray:
         """K_q, N/m."""
         out = np.diag([PI**4 / 24 * (H / L2) ** 2, PI**4 * 2 / 3 * (H / L2) ** 2, 0.0, 0.0])
         out[2:, 2:] = [[16 / 3, -8 / 3], [-8 / 3, 7 / 3]]
         return E * B * H / L2 * out
 
-    @property
+    @cached_property
     def damping(self) -> np.ndarray:
         """D_q, N s/m: about 0.5 per cent."""
         out = np.diag([5.0, 25.0, 0.0, 0.0])
@@ -99,6 +100,24 @@ def constraints(y: np.ndarray, t: float) -> np.ndarray:
     return np.array([across, along, y[0] - OMEGA * t])
 
 
+def jacobian(y: np.ndarray, t: float) -> np.ndarray:
+    """dg/dy, (3, 7)."""
+    reach = L2 + y[6]
+    G = np.zeros((3, 7))
+    G[0, [0, 1, 6]] = L1 * np.cos(y[0]), reach * np.cos(y[1]), np.sin(y[1])
+    G[1, [0, 1, 2, 6]] = L1 * np.sin(y[0]), reach * np.sin(y[1]), 1.0, -np.cos(y[1])
+    G[2, 0] = 1.0
+    return G
+
+
+def gamma(y: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
+    """The part of g'' without y'', (3,)."""
+    reach, (s1, c1), (s2, c2) = L2 + y[6], (np.sin(y[0]), np.cos(y[0])), (np.sin(y[1]), np.cos(y[1]))
+    across = -L1 * s1 * v[0] ** 2 - reach * s2 * v[1] ** 2 + 2 * v[6] * c2 * v[1]
+    along = L1 * c1 * v[0] ** 2 + reach * c2 * v[1] ** 2 + 2 * v[6] * s2 * v[1]
+    return np.array([across, along, 0.0])
+
+
 def crank(rod: Rod, start: np.ndarray) -> fmbd.CoordinateBody:
     """The mechanism; ``start`` holds the seven coordinates and their rates."""
     return fmbd.CoordinateBody(
@@ -108,4 +127,6 @@ def crank(rod: Rod, start: np.ndarray) -> fmbd.CoordinateBody:
         start[:7],
         start[7:14],
         constraints,
+        jacobian,
+        gamma,
     )

@@ -16,6 +16,7 @@ leaves the system without massless coordinates. With S' = F R_s^T its rate in bo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -32,6 +33,15 @@ class Kinematics:
     jac_port: Array
     twist: Array | None = None  # (n, d + n_rot): x' and angular velocity
     bias: Array | None = None  # (n, d + n_rot): d/dt of the twist at zero accelerations
+
+
+@cache
+def _nothing(d: int, n_rot: int, n_twist: int, n_port: int) -> Kinematics:
+    """Kinematics of no markers."""
+    n = d + n_rot
+    empty = np.zeros((0, n))
+    place, turn = np.zeros((0, d)), np.zeros((0, d, d))
+    return Kinematics(place, turn, np.zeros((0, n, n_twist)), np.zeros((0, n, n_port)), empty, empty)
 
 
 @dataclass(frozen=True)
@@ -53,6 +63,8 @@ class Markers:
     def evaluate(self, pose: Array, twist: Array | None, port: Array, port_rate: Array | None) -> Kinematics:
         """Markers for frame poses (n_frame + 1, n_pose), twists, ports and their rates (the rates may be None)."""
         m, d = self.motions, self.motions.dim
+        if not len(self.frame):  # a scene of coordinates only
+            return _nothing(d, m.n_rot, m.n_twist, self.n_port)
         Rf = m.matrix(pose)[self.frame]
         if self.surface.size:
             local, turn, port_jac, port_bias = self._surfaces(port, port_rate)
