@@ -28,7 +28,7 @@ class AbsoluteField(FieldPart):
         for k in range(len(self.surfaces)):
             self.reference[k * per : k * per + field.dim] += field.center
         self._moment_columns = field.mass(field.X)
-        self._turn_at_tangent = np.eye(field.dim)
+        self._turn_at_tangent: Array = np.eye(field.dim)
         self._last = np.zeros(self.n)
 
     # -- tangent ------------------------------------------------------------------------------------------------

@@ -97,7 +97,8 @@ class MortarPair:
         slave, master = _moved(self.facets[0], xs), _moved(self.facets[1], xm)
         reach = max(reach, 0.5 * slave.h) if self.search is None else self.search
         m, d = self.count, xs.shape[1]
-        on, normal = np.zeros(m, dtype=bool), _nodal_normals(slave)
+        on: np.ndarray = np.zeros(m, dtype=bool)
+        normal = _nodal_normals(slave)
         S, Q = sp.csr_matrix((m, len(xs))), sp.csr_matrix((m, len(xm)))
         if apart <= reach:
             smallest = float(slave.sizes.min() if d == 2 else np.sqrt(slave.sizes.min()))

@@ -67,7 +67,7 @@ class Markers:
             return _nothing(d, m.n_rot, m.n_twist, self.n_port)
         Rf = m.matrix(pose)[self.frame]
         if self.surface.size:
-            local, turn, port_jac, port_bias = self._surfaces(port, port_rate)
+            local, turn, port_jac, extra = self._surfaces(port, port_rate)
         else:
             local, turn = self.position, self.rotation
             port_jac = np.zeros((0, d + m.n_rot, self.n_port))
@@ -88,16 +88,16 @@ class Markers:
         if twist is None:
             return kin
         v = twist[self.frame]
-        kin.twist = (J @ v[..., None])[..., 0]
+        kin.twist = motion = np.asarray((J @ v[..., None])[..., 0])
         w = v[:, d:]
-        bias = np.zeros_like(kin.twist)
+        bias = np.zeros_like(motion)
         bias[:, :d] = (Rf @ m.spin(w, m.spin(w, local))[..., None])[..., 0]
         if self.surface.size:
+            assert port_rate is not None and extra is not None
             s = self.surface
             rate = port_rate[self.port]
             local_rate = (port_jac @ rate[..., None])[..., 0]
-            kin.twist[s] += (big @ local_rate[..., None])[..., 0]
-            extra = port_bias
+            motion[s] += (big @ local_rate[..., None])[..., 0]
             extra[:, :d] += 2.0 * m.spin(w[s], local_rate[:, :d])
             if d == 3:
                 extra[:, d:] += m.spin(w[s], local_rate[:, d:])
@@ -130,7 +130,7 @@ class Markers:
         Z = np.linalg.inv(D)
         arms = np.swapaxes(Rs, 1, 2)  # arms[:, k] = R_s e_k
         lever = (Rs @ self.position[s][..., None])[..., 0]
-        jac = np.zeros((len(s), d + m.n_rot, 1 + d, d))
+        jac: Array = np.zeros((len(s), d + m.n_rot, 1 + d, d))
         # (R_s e_k) x b' as a matrix on b': row vectors of moment(arm, .)
         eye = np.eye(d)
         per_arm = m.moment(arms[:, :, None, :], eye[None, None]).swapaxes(2, 3)  # (n, k, n_rot, d)

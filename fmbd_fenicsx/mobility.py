@@ -84,8 +84,8 @@ def scaled_jacobian(ev: Evaluation) -> Array:
         if p.frame < s.n_frames:
             block = p.mass_blocks(_at_rest(ev, p.frame), np.zeros(p.n))[0]
             mass[p.frame * n : (p.frame + 1) * n] = np.diag(block)
-    for k, p in s.core_parts:
-        local: Any = p
+    for k, part in s.core_parts:
+        local: Any = part
         if isinstance(local, CoordinatePart):
             mass[s.slices[1][k]] = np.diag(local.mass(s.local_q(ev.q, k)))
     G = G / np.sqrt(np.where(mass > 0, mass, mass.max(initial=1e-300)))

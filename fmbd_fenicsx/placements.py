@@ -7,11 +7,14 @@ A rigid body has x = r + R X and the inertia m (r'' - g), J w' + w x J w. Elasti
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
 import numpy as np
 
 from .rotations import Array, Motions
+
+if TYPE_CHECKING:
+    from .fields import Field
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,38 @@ class Part(Protocol):
 
     def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
         """Stiffness and damping of the local coordinates, (n, n) each; replicated parts only."""
+
+
+class DistributedPart(Part, Protocol):
+    """This rank's share of a displacement field, with what the elimination of the field from (cm M + cd C + ck K) x = b needs.
+
+    ``inertia_columns`` (n, k): couple the field's inertia to the twist of its frame (k = n_twist, or 0 without a moving frame).
+    ``shared_columns``: the frame conditions have these same columns. ``column_version`` and ``tangent_version`` are new numbers
+    whenever the columns or the field's tangent have changed.
+    """
+
+    field: Field
+    inertia_columns: Array
+    shared_columns: bool
+    column_version: int
+
+    @property
+    def tangent_version(self) -> int:
+        """Number of the tangent that the field holds."""
+
+    def port_columns(self, used: np.ndarray) -> Array:
+        """Columns (n, count) of ``port_force`` for the port numbers ``used``."""
+
+    def turn(self, u: Array) -> Array | None:
+        """Rotation (d, d) in which the factored tangent acts, None for the field's own axes; collective."""
+
+    def relinearise(self) -> bool:
+        """Take the tangent at the configuration evaluated last; False when it is constant anyway. Collective."""
+
+
+def is_distributed(part: Part) -> TypeGuard[DistributedPart]:
+    """Whether the part holds this rank's share of a field."""
+    return part.distributed
 
 
 @dataclass(frozen=True)

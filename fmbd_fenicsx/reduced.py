@@ -161,11 +161,11 @@ class ReducedPart:
         frame = np.empty(d + self.motions.n_rot)
         frame[:d] = motion.R @ (c.mass * a + L @ Sp[:, 0] + 2.0 * (w @ Sp[:, 1]) + Sp[:, 2])
         frame[d:] = self._axial(N)
-        rows = a @ c.S[:, 1:] + np.trace(B[1:], axis1=1, axis2=2) + c.K @ eta + c.D @ rate
+        rows: Array = a @ c.S[:, 1:] + np.trace(B[1:], axis1=1, axis2=2) + c.K @ eta + c.D @ rate
         if c.stiffening is not None:
             rows = rows + np.tensordot(np.concatenate((a, L.ravel())), c.stiffening, 1) @ eta
-        for load, B in c.loads:
-            self._apply(load, B, motion, p[:, 0], (frame, rows))
+        for load, b in c.loads:
+            self._apply(load, b, motion, p[:, 0], (frame, rows))
         return frame, rows
 
     def _apply(self, load: Any, B: Array, motion: FrameMotion, p: Array, out: tuple[Array, Array]) -> None:

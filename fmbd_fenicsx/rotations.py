@@ -181,15 +181,15 @@ class Motions:
         q[: self.dim] = position
         if rotation is None:
             return q
-        rotation = np.asarray(rotation, dtype=float)
+        given: Array = np.asarray(rotation, dtype=float)
         if self.dim == 2:
-            q[2] = float(rotation) if rotation.ndim == 0 else np.arctan2(rotation[1, 0], rotation[0, 0])
+            q[2] = float(given) if given.ndim == 0 else np.arctan2(given[1, 0], given[0, 0])
             return q
-        if rotation.shape == (3, 3):
+        if given.shape == (3, 3):
             from scipy.spatial.transform import Rotation
 
-            rotation = Rotation.from_matrix(rotation).as_quat()
-        q[3:] = rotation / np.linalg.norm(rotation)
+            given = Rotation.from_matrix(given).as_quat()
+        q[3:] = given / np.linalg.norm(given)
         return q
 
 

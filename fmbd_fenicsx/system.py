@@ -25,7 +25,7 @@ from .errors import CallbackError, InputError, near
 from .fields import rank_sum
 from .frames import Markers
 from .laws import Loads
-from .placements import FrameMotion, Part, RigidBlock
+from .placements import DistributedPart, FrameMotion, Part, RigidBlock, is_distributed
 from .rotations import Array, Motions
 from .system_jacobian import Jacobian, force_tangent
 
@@ -71,7 +71,7 @@ class System:
     blocks: tuple[RowBlock, ...]
     length: float  # characteristic length of the model, m
     mass: float  # total mass, kg
-    ground: Array = field(repr=False, default=None)  # type: ignore[assignment]  # (1, n_pose)
+    ground: Array = field(repr=False, default_factory=lambda: np.zeros((1, 0)))  # pose of the ground, (1, n_pose)
     contacts: Any = None  # ContactSet of a scene with contact
     traces: tuple[tuple[Any, slice], ...] = ()  # ties by field multipliers (TraceRows) and their rows
     cache: dict[Any, Any] = field(repr=False, default_factory=dict)  # patterns found at first use
@@ -90,9 +90,9 @@ class System:
         return len(self.frame_names)
 
     @cached_property
-    def fields(self) -> tuple[tuple[int, Part], ...]:
+    def fields(self) -> tuple[tuple[int, DistributedPart], ...]:
         """Distributed parts with their numbers."""
-        return tuple((k, p) for k, p in enumerate(self.parts) if p.distributed)
+        return tuple((k, p) for k, p in enumerate(self.parts) if is_distributed(p))
 
     @cached_property
     def moving(self) -> tuple[Any, ...]:
@@ -286,8 +286,8 @@ class Evaluation:
             g[span] += law.values(self.port[s.port_slice(law.part)], self.t)
         for tie, span in s.traces:
             g[span] = tie.values(self)
-        for k, rows in enumerate(s.frame_rows):
-            g[rows] = self.port[s.port_slice(k)][: s.parts[k].n_frame_rows]
+        for k, span in enumerate(s.frame_rows):
+            g[span] = self.port[s.port_slice(k)][: s.parts[k].n_frame_rows]
         return g
 
     @cached_property
@@ -398,7 +398,8 @@ class Evaluation:
         """Linear and angular momentum about the origin, world axes."""
         s = self.system
         assert self.v is not None
-        p, L = np.zeros(s.motions.dim), np.zeros(s.motions.n_rot)
+        p: Array = np.zeros(s.motions.dim)
+        L: Array = np.zeros(s.motions.n_rot)
         if s.rigid is not None:
             dp, dL = s.rigid.momenta(self.pose, self.twist)
             p, L = p + dp, L + dL

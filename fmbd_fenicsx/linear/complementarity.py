@@ -48,7 +48,7 @@ def solve_normal(W: Array, q: Array, start: np.ndarray, counts: ContactCounts) -
     m = len(q)
     c = 1.0 / np.maximum(np.diag(W), 1e-300)
     active, seen = start.copy(), set()
-    L = np.zeros(m)
+    L: Array = np.zeros(m)
     for k in range(1, 2 * m + 20):
         counts.most = max(counts.most, k)
         L = np.zeros(m)

@@ -194,7 +194,7 @@ class DualInterface:
         z = {k: self.factors[k].solve(f[k]) for k in self.own}
         d = self._total(sum((self.B[k] @ z[k] for k in self.own), np.zeros(self.n))) - g
         lam, iterations = self._conjugate_gradients(d, rtol, limit)
-        u = {k: z[k] - self.factors[k].solve(self.B[k].T @ lam) for k in self.own}
+        u: dict[int, Array] = {k: z[k] - self.factors[k].solve(self.B[k].T @ lam) for k in self.own}
         gap = self._total(sum((self.B[k] @ u[k] for k in self.own), np.zeros(self.n))) - g
         self.judge.check(float(np.linalg.norm(gap)), float(np.linalg.norm(d)) + float(np.linalg.norm(g)))
         return u, lam, iterations

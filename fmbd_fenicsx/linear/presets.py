@@ -363,8 +363,8 @@ class _SchurSolver:
             [*g, np.zeros(0)]
         )
         lam = self._scale * sl.cho_solve(self._factor, self._scale * r)
-        u = [zk - self._inverse(k, B.T @ lam) for k, (B, zk) in enumerate(zip(self._B, z, strict=True))]
-        parts = np.split(lam, np.cumsum([t.rows for t in s.ties])[:-1])
+        u: list[Array] = [zk - self._inverse(k, B.T @ lam) for k, (B, zk) in enumerate(zip(self._B, z, strict=True))]
+        parts: list[Array] = np.split(lam, np.cumsum([t.rows for t in s.ties])[:-1])
         x, b = s.vector(u, parts), s.vector(f, g)
         residual = s.relative_residual(x, b)
         x.destroy(), b.destroy()

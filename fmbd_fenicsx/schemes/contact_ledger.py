@@ -44,8 +44,8 @@ class Ledger:
         d = self.system.motions.dim
         self.components = d if self.contacts.frictional else 1
         self.force = np.zeros((len(self.contacts.pair), self.components))
-        self.impulse = np.zeros((len(self.contacts.pairs), d))
-        self.work = np.zeros(len(WORKS))
+        self.impulse: Array = np.zeros((len(self.contacts.pairs), d))
+        self.work: Array = np.zeros(len(WORKS))
         self.energy = self.springs = 0.0
 
     def open(self, state: State) -> ContactState:

@@ -190,7 +190,7 @@ class _Step:
         self.theta = stepper.theta
         self.scale = self.theta * h * h
         self.q = s.q
-        self.g = np.zeros(0)
+        self.g: Array = np.zeros(0)
         self.ev: Evaluation = None  # type: ignore[assignment]
         self.floor = 100 * np.finfo(float).eps * system.length
 

@@ -147,7 +147,7 @@ class Stepper:
         xi = fixed_a + h * h * beta * A
         tolerance = self._tolerance(scale, a)
         done = 0
-        last = np.zeros(0)
+        last: Array = np.zeros(0)
         stabilised = bool(system.n_lam) and isinstance(self.scheme.form, GGL)
 
         def increment() -> float:
@@ -166,8 +166,8 @@ class Stepper:
                 closing, _ = self.solver.solve(np.zeros_like(dq), -g - ev.jacobian.times(dq))
                 xi = xi + system.rate(xi, closing)
             else:
-                closing = 0.0
                 dq, dlam = self.solver.solve(-scale * r, -g)
+                closing = np.zeros_like(dq)
             lam = lam + dlam / scale
             d_xi = system.rate(xi, dq)
             xi = xi + d_xi

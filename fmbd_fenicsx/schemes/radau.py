@@ -331,11 +331,12 @@ class Stepper:
         xi, v, mult = self._predict(h)
         coupling = np.kron(tab.W / h, np.eye(n))
         last = np.inf
+        times = [float(s.t + c * h) for c in tab.c]
         for k in range(self.newton.max_iterations):
             points = self._stages(h, xi, v, mult)
-            rows = [self.eq.residual(s.t + c * h, p) for c, p in zip(tab.c, points, strict=True)]
+            rows = [self.eq.residual(t, p) for t, p in zip(times, points, strict=True)]
             pencil = Pencil(
-                stacked([self.eq.tangent_at(s.t + c * h, p) for c, p in zip(tab.c, points, strict=True)]),
+                stacked([self.eq.tangent_at(t, p) for t, p in zip(times, points, strict=True)]),
                 coupling,
                 self.judge,
                 self.solver.core.redundant,
@@ -392,7 +393,7 @@ class Stepper:
             real = value.imag == 0
             row, share = (tab.inverse[k].real, 1.0) if real else (tab.inverse[k], 2.0)
             z = self._pencils[complex(value)].solve(row @ kin, row @ low)
-            parts = [share * (tab.vectors[:, k].reshape(-1, *(1,) * x.ndim) * x).real for x in z]
+            parts: list[Array] = [share * (tab.vectors[:, k].reshape(-1, *(1,) * x.ndim) * x).real for x in z]
             out = parts if not out else [a + b for a, b in zip(out, parts, strict=True)]
         return out[0], out[1], out[2]
 

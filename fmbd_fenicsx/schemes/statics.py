@@ -39,7 +39,9 @@ def equilibrium(system: System, given: State, solver: StepSolver) -> State:
 
 def _march(system: System, given: State, solver: StepSolver, tau: float) -> State:
     """Newton's iteration with time steps tau (s)."""
-    v, xi, lam = np.zeros(system.n_v), np.zeros(system.n_v), np.zeros(system.n_lam)
+    v: Array = np.zeros(system.n_v)
+    xi: Array = np.zeros(system.n_v)
+    lam: Array = np.zeros(system.n_lam)
     mix, sizes = _Mixing(system), [np.inf]
     for _ in range(ITERATIONS):
         q = system.compose(given.q, xi)
