@@ -1,8 +1,8 @@
 """The reference catenary and pantograph of EN 50318:2002: data, the hung catenary, the scene, and the standard's figures.
 
 Ten spans of 60 m; contact wire and messenger wire as tensioned beams, nine droppers a span, a steady arm at each support. The
-data leave the droppers' lengths open: see SAG. The pantograph is two lumped masses; the standard's contact spring of 50 kN/m carries
-a light strip, and the strip slides along the wire under a multiplier: the contact force.
+data leave the droppers' lengths open: see SAG. The pantograph is two lumped masses; the standard's contact spring of 50 kN/m
+carries a light strip, and the strip slides along the wire under a multiplier: the contact force.
 """
 
 from __future__ import annotations

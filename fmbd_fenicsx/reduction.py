@@ -176,7 +176,8 @@ def reduce_body(body: Any, basis: FrameModes | CraigBampton) -> Reduction:
         raise InputError(f'Body "{body.name}": modes need the linear form elastic(u, v, dx), not an energy.')
     f = make_field(body.name, body.mesh, body.forms())
     frame = frame_conditions(f, body.frame)
-    omega, phi = np.zeros(0), np.zeros((f.n * f.dim, 0))
+    omega: Array = np.zeros(0)
+    phi: Array = np.zeros((f.n * f.dim, 0))
     V = basis.columns(f, frame)
     stress = Stiffening(f, frame) if body.stiffening and V.shape[1] else None
     if stress is not None:

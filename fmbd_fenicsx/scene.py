@@ -25,8 +25,8 @@ from .relative import Relative, Separation
 from .rotations import Array, Motions, motions
 from .scene_fields import initial_field
 from .scene_joints import JointRows, relative_of
-from .sensors import JointReading, Sensor
 from .scene_wires import slider_rows, wires_part
+from .sensors import JointReading, Sensor
 from .sliding import SlidingContact
 from .system import RowBlock, State, System
 from .wires import Wires

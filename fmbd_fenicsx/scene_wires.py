@@ -11,7 +11,6 @@ from .wires import Wires, WiresPart
 
 def wires_part(body: Wires, ground_frame: int, sliders: dict[str, SlidingContact]) -> Any:
     """The part of wires, with a moving port for every contact that slides along them."""
-
     return WiresPart(body, ground_frame, [(s.wire, s.path) for s in sliders.values() if s.wires is body])
 
 

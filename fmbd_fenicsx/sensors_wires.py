@@ -21,6 +21,7 @@ class WireHeight(Sensor):
     x: tuple[float, ...] = ()
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """Displacements of the wire, m."""
         k = next(k for k, p in enumerate(ev.system.parts) if p.name == self.body.name)
         key = f"wire height {id(self)}"
         if key not in ev.system.cache:
@@ -38,6 +39,7 @@ class DropperForces(Sensor):
     body: Any = None
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """Tensions, N."""
         k = next(k for k, p in enumerate(ev.system.parts) if p.name == self.body.name)
         field: Any = ev.system.parts[k].field  # type: ignore[attr-defined]
         return np.asarray(field.tension(ev.system.local_q(state.q, k))[0])

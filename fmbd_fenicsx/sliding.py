@@ -25,7 +25,8 @@ class SlidingContact:
     """The contact (1) of coordinate ``coordinate`` of ``body`` with wire number ``wire`` at x(t), from ``start``, with ``speed``.
 
     The speed grows smoothly (four continuous derivatives of x) from zero over the first ``ramp`` seconds: a point that starts
-    to slide at once along a sloping wire would strike it. ``idle``: number of the body's idle coordinate; None for a bilateral contact.
+    to slide at once along a sloping wire would strike it. ``idle``: number of the body's idle coordinate; None for a
+    bilateral contact.
     """
 
     name: str

@@ -93,7 +93,8 @@ class Wires:
                 raise InputError(f'Wires "{self.name}": a support or dropper at x = {x:g} m lies outside (0, {self.length:g}) m.')
 
     def hung(self, sag: Any = 0.0, *, gravity: float = 9.81) -> Wires:
-        """Form finding: the same wires with droppers so long that the lower wire hangs at ``sag`` (m, or a function of x) at each.
+        """Form finding: the same wires with droppers so long that the lower wire hangs at ``sag`` (m, or a function of x) at
+        each.
 
         With f the weights, the lower wire held at the droppers gives their tensions N, the upper wire under N its shape, and
         offset = N / k - (w_upper - w_lower). Raises InputError where a dropper would have to push.

@@ -1,4 +1,6 @@
-"""Wires against analytic values: frequencies and waves of strings and beams, static sag, form finding, slack droppers, sliding."""
+"""Wires against analytic values: frequencies and waves of strings and beams, static sag, form finding, slack droppers,
+sliding.
+"""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from ..errors import LinearSolveError
 from ..log import log
 from ..mobility import NEAR_SINGULAR, mobility, nearly_dependent
-from ..placements import FrameMotion
+from ..placements import DistributedPart, FrameMotion
 from ..rotations import Array
 from ..system import Evaluation, System
 from .core import ADVICE, CoreSolver
@@ -49,7 +49,7 @@ class Block:
     used: np.ndarray  # port numbers that have a column
     Y: Array  # (n d, k + len(used)), k columns of inertia
     W: Array
-    made_of: tuple[float, float, int]  # cm, ck and the version of the tangent
+    made_of: tuple[float, float, float, int]  # see _made_of
 
 
 class StepSolver:
@@ -180,8 +180,7 @@ class StepSolver:
 
     def _elastic(self, G: Any, w: Weights) -> list[Block]:
         """Factors and constant columns of all fields, from the cache or new."""
-        versions = [(f.tangent_version, f.column_version) for _, f in self.system.fields]
-        key = (w.cm, w.ck, *versions)
+        key = tuple((_made_of(f, w), f.column_version) for _, f in self.system.fields)
         if key not in self._blocks:
             blocks = [self._block(i, G, w) for i in range(len(self.system.fields))]
             self._drop(keep=1, live=[b.factor for b in blocks])
@@ -191,14 +190,12 @@ class StepSolver:
     def _block(self, i: int, G: Any, w: Weights) -> Block:
         """Factor of field i, an earlier one where its matrix is the same, and its columns."""
         k, f = self.system.fields[i]
-        forms = f.field.forms
-        cm, ck = w.cm + w.cd * forms.mass_damping, w.ck + w.cd * forms.stiffness_damping
-        same = (cm, ck, f.tangent_version if ck else 0)
+        cm, cd, ck, _ = same = _made_of(f, w)
         earlier = [blocks[i] for blocks in self._blocks.values() if blocks[i].made_of == same]
         if earlier:
             factor: Any = earlier[-1].factor
         else:
-            factor = self._factor(f, cm, ck, w.cd)
+            factor = self._factor(f, cm, ck, cd)
             self.factorisations += ck != 0 and getattr(factor, "fresh", True)
         first = f.n_frame_rows
         active = np.abs(G.port[:, self.system.port_slice(k)]).max(axis=0, initial=0.0) > 0
@@ -218,7 +215,7 @@ class StepSolver:
             return MassInverse(f.field, cm)
         slack = getattr(f, "slack", None)
         if slack is None:
-            return CholeskyFactor(f.field, cm, ck, cd if f.field.D is not None else 0.0)
+            return CholeskyFactor(f.field, cm, ck, cd)
         from .slack import SlackFactor
 
         return SlackFactor(f.field, cm, ck, slack)
@@ -253,9 +250,8 @@ class StepSolver:
             S[c:] = (turn.T @ rows_of).reshape(-1, S.shape[1])
         return S
 
-    def _project(self, k: int, block: Block, z: Array) -> Array:
-        """H^T z of field k."""
-        f = self.system.parts[k]
+    def _project(self, f: DistributedPart, block: Block, z: Array) -> Array:
+        """H^T z of a field."""
         ports = f.ports_of(z)
         q = ports[: f.n_frame_rows] if f.shared_columns else f.field.total(f.inertia_columns.T @ z)
         return np.concatenate((q, ports[block.used]))
@@ -269,9 +265,9 @@ class StepSolver:
         n = s.n_core
         rhs = np.concatenate((b[:n], c))
         zs = []
-        for i, ((k, _), block) in enumerate(zip(s.fields, self.blocks, strict=True)):
+        for i, ((k, f), block) in enumerate(zip(s.fields, self.blocks, strict=True)):
             z = block.factor.solve(_turned(s.local_v(b, k), self._turns[i], back=True))
-            rhs -= self._S[i].T @ self._project(k, block, z)
+            rhs -= self._S[i].T @ self._project(f, block, z)
             zs.append(z)
         x = np.concatenate(self.core.solve(rhs[:n], rhs[n:]))
         parts = [x[:n]]
@@ -289,6 +285,13 @@ class StepSolver:
     def destroy(self) -> None:
         """Free all factors; collective."""
         self._drop(keep=0, live=[])
+
+
+def _made_of(f: DistributedPart, w: Weights) -> tuple[float, float, float, int]:
+    """Coefficients of M, of an own damping form and of K in the matrix of a field, and the number of its tangent."""
+    forms = f.field.forms
+    cm, ck = w.cm + w.cd * forms.mass_damping, w.ck + w.cd * forms.stiffness_damping
+    return cm, w.cd if f.field.D is not None else 0.0, ck, f.tangent_version if ck else 0
 
 
 def _turned(x: Array, R: Array | None, back: bool = False) -> Array:
