@@ -47,6 +47,7 @@ def test_rigid_displacements_cost_nothing(rod_mesh: Callable[..., Any], seed: in
     field.destroy()
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 @pytest.mark.parametrize("kind", [0, 1])
 @pytest.mark.parametrize("dim", [2, 3])

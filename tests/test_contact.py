@@ -47,6 +47,7 @@ def plateau(run: Any) -> float:
     return float(np.sqrt(np.mean((run["force"][1:, 0][on] / 0.01 - 1) ** 2)))
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 @pytest.mark.parametrize("body", ["AbsoluteBody", "FloatingBody"])
 def test_bar_impact(body: str) -> None:
@@ -150,6 +151,7 @@ def patch(dim: int, cells: tuple[int, int]) -> np.ndarray:
     return fmbd.solve(scene, t_end=6.0, dt=0.5, scheme=fmbd.ContactMidpoint(theta=1.0))["pressure"][-1]
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 @pytest.mark.parametrize("cells", [(6, 6), (4, 7), (7, 5)])
 def test_patch_in_the_plane(cells: tuple[int, int]) -> None:

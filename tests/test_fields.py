@@ -23,6 +23,7 @@ def field_of(mesh: Any, **options: Any) -> Field:
     return Field("rod", mesh, elastic_rod(mesh, **options).forms())
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_mass_centre_and_inertia_of_a_box(dim: int, degree: int, rod_mesh: Callable[..., Any]) -> None:
@@ -59,6 +60,7 @@ def test_columns_of_rigid_momentum(rod_mesh: Callable[..., Any]) -> None:
     assert np.abs(found - np.concatenate((f.mass_total * v, f.inertia @ w))).max() < 1e-11
 
 
+@pytest.mark.smoke
 def test_uniaxial_strain_has_the_energy_of_the_continuum(rod_mesh: Callable[..., Any]) -> None:
     L, H, e = 1.0, 0.4, 1e-3
     f = field_of(rod_mesh(dim=3, h=0.5, height=H))
@@ -69,6 +71,7 @@ def test_uniaxial_strain_has_the_energy_of_the_continuum(rod_mesh: Callable[...,
     assert abs(energy / (0.5 * (2 * mu + lmbda) * e * e * L * H * H) - 1) < 1e-11
 
 
+@pytest.mark.smoke
 def test_combination_is_the_sum(rod_mesh: Callable[..., Any]) -> None:
     f = field_of(rod_mesh(dim=2, h=0.5, height=0.4))
     E = f.combination(3.0, 1e-6)

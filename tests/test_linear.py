@@ -59,6 +59,7 @@ def dense(system: System, state: State, cm: float, ck: float) -> np.ndarray:
     return A
 
 
+@pytest.mark.smoke
 @pytest.mark.serial
 @pytest.mark.parametrize("frame", [fmbd.MeanAxis(), fmbd.Attached("pin")], ids=["mean axis", "attached"])
 @pytest.mark.parametrize("dim", [2, 3])
@@ -97,6 +98,7 @@ def test_solution_fulfils_constraints_and_balance_on_any_rank_count(
     assert np.abs(ev.jacobian.times(a) - c).max() < 1e-10 * np.abs(c).max()
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 def test_factor_and_mass_inverse_solve_all_columns(rod_mesh: Callable[..., Any]) -> None:
     mesh = rod_mesh(dim=3, h=0.5, height=0.4)

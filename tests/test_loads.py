@@ -25,6 +25,7 @@ def rod(mesh: Any, *loads: Load, **changes: Any) -> fmbd.FloatingBody:
     return fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=linear_elastic(MODULUS, 0.3), loads=loads).with_(**changes)
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 @pytest.mark.parametrize("dim", [2, 3])
 def test_resultants_and_reduction(rod_mesh: Callable[..., Any], dim: int) -> None:

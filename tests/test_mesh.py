@@ -42,6 +42,7 @@ def test_faulty_mesh_is_refused(fault: str) -> None:
         read_gmsh(FAULTY, fault=fault)
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 def test_reading_works_after_an_error(rod_mesh: Callable[..., Any]) -> None:
     with pytest.raises(MeshError):
@@ -49,6 +50,7 @@ def test_reading_works_after_an_error(rod_mesh: Callable[..., Any]) -> None:
     assert read_gmsh(HERE.parent / "meshes/rod.py", h=0.5).dim == 2
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 def test_missing_file_and_wrong_arguments() -> None:
     with pytest.raises(MeshError, match=r"meshes/rood.py does not exist"):

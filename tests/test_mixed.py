@@ -87,6 +87,7 @@ def test_no_locking() -> None:
     assert locked > 0.9
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 def test_products_and_energy(rod_mesh: Callable[..., Any]) -> None:
     """K u and the energy at nu = 0.3 are close to those of the displacement form, and K is the energy's second derivative."""

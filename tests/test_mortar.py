@@ -27,6 +27,7 @@ def pair(dim: int, slave: int, master: int, degree: int = 1, shift: float = 0.0,
     return trace_of(spaces[0], up, "bottom"), trace_of(spaces[1], low, "top")
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 @pytest.mark.parametrize(
     "dim, slave, master", [(2, 6, 6), (2, 6, 9), (2, 7, 11), (2, 8, 5), (3, 2, 3), (3, 5, 3)]

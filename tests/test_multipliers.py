@@ -36,6 +36,7 @@ def test_ends_dropped_lose_constants() -> None:
     assert Continuous(ends=Ends.DROPPED).on(t).coupling().sum() < 0.99
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("dim, degree", [(2, 1), (2, 2), (3, 1)])
 def test_dual_is_biorthogonal_to_inner_functions(dim: int, degree: int) -> None:
     _, _, t = make(dim, degree)

@@ -46,6 +46,7 @@ def swing(rod_mesh, snapshots=3):
     return fmbd.solve(scene, t_end=0.4, dt=0.02, output=fmbd.Output(snapshots=snapshots))
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 def test_nodes_are_placed_where_the_sensors_say(rod_mesh):
     run = swing(rod_mesh)
@@ -97,6 +98,7 @@ def test_picture_shows_each_snapshot_in_its_colour(rod_mesh):
         assert np.argmax(pixel) == np.argmax(color) and pixel.max() > 2 * np.sort(pixel)[1]
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 def test_files_are_written_by_rank_0(rod_mesh, shared_tmp):
     pytest.importorskip("pyvista")

@@ -92,6 +92,7 @@ def test_iterations_are_bounded(axis) -> None:
     release(s)
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 @pytest.mark.parametrize(
     "preset",

@@ -117,6 +117,7 @@ def test_one_factorisation_and_few_back_solves(dim: int, rod_mesh: Callable[...,
     assert run.counters["worst_linear_residual"] < 1e-10
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 def test_run_on_these_ranks_is_finite_and_closed(rod_mesh: Callable[..., Any]) -> None:
     run = fmbd.solve(pendulum(rod_mesh(dim=3, h=0.15, height=0.3)), t_end=0.05, dt=2e-3)

@@ -28,6 +28,7 @@ def rod(mesh: Any, **changes: Any) -> fmbd.FloatingBody:
     return fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=linear_elastic(MODULUS, NU)).with_(**changes)
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 @pytest.mark.parametrize("kind", ["full", "reduced"])
 def test_stress_of_a_hanging_rod(rod_mesh: Callable[..., Any], kind: str) -> None:

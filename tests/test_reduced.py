@@ -37,6 +37,7 @@ def pendulum(body: Any, dim: int = 2) -> fmbd.Scene:
     return scene
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("frame", [MeanAxis(), Attached("pin")])
@@ -99,6 +100,7 @@ def test_mass_blocks_are_the_derivative_of_the_force(rod_mesh: Callable[..., Any
     np.testing.assert_allclose(np.array(columns).T, expected, atol=1e-10 * np.abs(expected).max())
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 def test_free_and_clamped_modes_of_a_beam(rod_mesh: Callable[..., Any]) -> None:
     """Slender rod, plane stress: Euler-Bernoulli frequencies, free-free and clamped on average."""

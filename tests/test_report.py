@@ -52,6 +52,7 @@ def test_loss_is_only_called_numerical_where_it_is():
     assert "not separable" in run.report()
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 def test_report_of_an_elastic_run_names_factorisations_and_the_field(rod_mesh):
     rod = fmbd.FloatingBody(

@@ -57,6 +57,7 @@ def test_table(squares, degree: int, space, free, clamped, zero: int) -> None:
         )
 
 
+@pytest.mark.smoke
 def test_half_norms_of_a_cosine() -> None:
     """cos(k x) on [0, 1] with k = 2 pi: the norm of order s is sqrt((1 + k^2)^s / 2)."""
     _, _, t = make(2, 3)

@@ -30,6 +30,7 @@ def test_area_centroid_and_weights(dim: int, degree: int, rod_mesh: Callable[...
     assert np.abs(sums[1:]).max() < 1e-13  # first moments of a constant about the centroid
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("dim", [2, 3])
 def test_moments_of_linear_and_quadratic_displacements(dim: int, rod_mesh: Callable[..., Any]) -> None:
     """mean(u) and mean(u_i (x_k - c_k)) l^-1 of u = (x + 3 y, y^2) over the tip x = 1, |y| < H/2."""

@@ -33,6 +33,7 @@ def make(case: str, mesh: Callable[..., Any], gravity: bool, spring: bool = True
     return Motion(scene, deform=0.02)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("case", CASES)
 def test_balance_is_lagranges_equation(case: str, rod_mesh: Callable[..., Any]) -> None:
     """delta . (M a + h) = d/dt (dL/dxi') . delta - dL/dxi . delta with L = kinetic - potential energy in

@@ -88,6 +88,7 @@ def test_jacobian_and_gamma_against_differences(dim: int, a: str, b: str, slidin
     )
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 def test_tie_holds_at_the_start_as_built() -> None:
     system, state, _ = scene_of(2, "floating", "absolute", False).build()

@@ -43,6 +43,7 @@ def test_integrals_of_polynomials(dim: int, degree: int) -> None:
     assert len(t.border) == {2: 2, 3: 12 * degree}[dim]
 
 
+@pytest.mark.smoke
 @pytest.mark.mpi
 @pytest.mark.parametrize("dim, degree", [(2, 1), (2, 2), (3, 1), (3, 2)])
 def test_mass_equals_the_form_assembled_by_dolfinx(dim: int, degree: int) -> None:

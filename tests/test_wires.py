@@ -32,6 +32,7 @@ def test_frequencies_of_a_tensioned_beam() -> None:
     assert errors[1] < 1e-6 and np.log2(errors[0] / errors[1]) > 3.5
 
 
+@pytest.mark.smoke
 def test_static_sag_of_a_string() -> None:
     """mu g L^2 / (8 T) in the middle, and the hinged tensioned beam's correction by EI."""
     L, g = 60.0, 9.81
