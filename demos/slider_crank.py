@@ -3,8 +3,8 @@
 Run:  ./with-dolfinx python3 demos/slider_crank.py [--fast] [--json FILE] [--picture FILE]
 
 Seven coordinates (demos/crank_model.py), three constraints, the crank driven at 150 rad/s, 0.1 s. The rod's axial mass is the one
-that the test set prints; --fast ends at 0.01 s. References: modal frequencies recomputed from the printed matrices; the state at 0.1 s
-of the test set's revision of 2006; at 0.01 s an own run without constraints (order 8, 1e-13).
+that the test set prints; --fast ends at 0.01 s. References: modal frequencies recomputed from the printed matrices; the
+state at 0.1 s of the test set's revision of 2006; at 0.01 s an own run without constraints (order 8, 1e-13).
 """
 
 import crank_model as model

@@ -189,10 +189,13 @@ class LineField:
     def _cells(self, cell: Any, line: Any, count: int) -> None:
         """Unknowns (value, slope, value, slope) of each wire on each cell from left to right, (cells, 4 count)."""
         self.element, self.h = cell, self.body.length / self.body.cells
-        middle = line.geometry.x[line.geometry.dofmap][:, :, 0].mean(1)
+        from .dolfinx_compat import geometry_dofmap
+
+        corners = line.geometry.x[geometry_dofmap(line), 0]
+        middle = corners.mean(1)
         order = np.argsort(middle)
         local = self.space.dofmap.list[order]
-        first = line.geometry.x[line.geometry.dofmap[order], 0][:, 0]
+        first = corners[order, 0]
         require(bool(np.allclose(first, self.h * np.arange(len(order)))), "DOLFINx turned cells of an interval around.")
         self.by_wire = local[:, :, None] * count + np.arange(count)  # (cells, 4, count)
         self.dofs = self.by_wire.transpose(0, 2, 1).reshape(len(order), -1)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from ..errors import LinearSolveError
-
 
 ROUNDOFF = 1e-15
 """Backward error |A x - b| / (|A| |x| + |b|) that a stable factorisation stays below, |A| the largest row sum;
