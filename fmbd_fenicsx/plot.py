@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from .rotations import Array
 from .sensors import Position, Velocity
 from .solve import Run
 
-if TYPE_CHECKING:
-    from .study import WorkPrecision
-
 MARKS = "osD^vP*X"
 STYLE = {
     "axes.grid": True,
@@ -27,6 +24,22 @@ STYLE = {
     "axes.spines.right": False,
     "font.size": 10,
 }
+
+
+class Comparison(Protocol):
+    """What a work-precision figure needs of a :class:`~fmbd_fenicsx.study.WorkPrecision`."""
+
+    @property
+    def points(self) -> Sequence[Any]:
+        """Runs: label, errors by quantity, seconds, counters, failure."""
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the errors."""
+
+    @property
+    def quantities(self) -> list[str]:
+        """Names of the compared quantities."""
 
 
 def _figure(width: float, height: float) -> tuple[Any, Any]:
@@ -161,7 +174,7 @@ def _dots(axes: Any, run: Run, sensor: str, colors: Array) -> None:
         axes.scatter(run.times[rows], x[rows], c=colors, s=30, zorder=3, edgecolors="#303030", linewidths=0.6)
 
 
-def plot_work_precision(study: WorkPrecision, file: str | Path, work: str) -> None:
+def plot_work_precision(study: Comparison, file: str | Path, work: str) -> None:
     """Write error over work, both logarithmic, one axes for each quantity, one line for each configuration;
     rank 0.
     """

@@ -7,7 +7,8 @@ import pytest
 from tied import block, manufactured, release, surface, tied
 
 from fmbd_fenicsx.errors import InputError, LinearSolveError
-from fmbd_fenicsx.linear.precondition import Exact, Lumped
+from fmbd_fenicsx.linear.exact import Exact
+from fmbd_fenicsx.linear.precondition import Lumped
 from fmbd_fenicsx.linear.presets import Direct, FieldSplit, Multigrid, Schur
 from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, data, hold, slide, stiffen, tie
 from fmbd_fenicsx.mortar import mortar

@@ -1,31 +1,22 @@
 """Preconditioners of the multipliers' Schur complement S = sum_k B_k E_k^-1 B_k^T.
 
-E_k = cm M + ck K of an elastic body answers to a surface force with the symbol (wave number k, shear modulus
-G)
+E_k = cm M + ck K of an elastic body answers to a surface force with the symbol (wave number k, shear modulus G)
 
-    1 / (ck G (sqrt(k^2 + 1/l^2) + c h / l^2)),       l^2 = ck G / (cm rho),
-    (1)
+    1 / (ck G (sqrt(k^2 + 1/l^2) + c h / l^2)),       l^2 = ck G / (cm rho),                                   (1)
 
-quasi-static for waves longer than l, added mass of the first cell layer (c h) where the mesh cannot see l.
-With the pencil
+quasi-static for waves longer than l, added mass of the first cell layer (c h) where the mesh cannot see l. With the pencil
 (K + M / l^2) X = M X L of the surface that is a fractional power of L: :class:`Fractional` builds
 
-    S~ = sum_k  C X (s ck G)^-1 ((L + g (h L)^2)^1/2 + c h / l^2)^-1 X^T C^T
-    (2)
+    S~ = sum_k  C X (s ck G)^-1 ((L + g (h L)^2)^1/2 + c h / l^2)^-1 X^T C^T                                   (2)
 
-with each body's own surface mesh and coupling C. Normal forces also move mass that shear alone does not
-reach: their symbol has
-l^-2 (K + 1/l_p^2)^-1/2 more, l_p^2 = l^2 (lambda + 2 G) / G (potential flow when incompressible). Waves
-longer than the body
+with each body's own surface mesh and coupling C. Normal forces also move mass that shear alone does not reach: their symbol has
+l^-2 (K + 1/l_p^2)^-1/2 more, l_p^2 = l^2 (lambda + 2 G) / G (potential flow when incompressible). Waves longer than the body
 move it as a whole: its rigid modes R add
 
-    sum_k  B_k R (cm R^T M R)^-1 R^T B_k^T
-     (3)
+    sum_k  B_k R (cm R^T M R)^-1 R^T B_k^T                                                                     (3)
 
-and connect the ties of a body, so that counts do not grow with the number of bodies. :class:`Lumped` takes B
-diag(E)^-1 B^T:
-cheap, but its iterations grow like h^-1/2 outside dt ~ h. Sources: Toselli and Widlund, Domain Decomposition
-Methods
+and connect the ties of a body, so that counts do not grow with the number of bodies. :class:`Lumped` takes B diag(E)^-1 B^T:
+cheap, but its iterations grow like h^-1/2 outside dt ~ h. Sources: Toselli and Widlund, Domain Decomposition Methods
 (doi:10.1007/b137868), for the Steklov-Poincare operator; Kuchta, Nordaas, Verschaeve, Mortensen and Mardal
 (doi:10.1137/15M1052822) for fractional powers.
 """
@@ -53,7 +44,7 @@ class MultiplierPreconditioner(Protocol):
 
 
 def _each(saddle: SaddlePoint, make: Callable[[int], sp.csr_matrix]) -> list[tuple[str, list[int], Any]]:
-    return [(t.name, [i], _petsc(make(i), saddle)) for i, t in enumerate(saddle.ties)]
+    return [(t.name, [i], to_petsc(make(i), saddle)) for i, t in enumerate(saddle.ties)]
 
 
 @dataclass(frozen=True)
@@ -82,24 +73,6 @@ class ScaledMass:
             return sp.kron(scale * t.multipliers.mass(), sp.identity(t.components), format="csr")
 
         return _each(saddle, one)
-
-
-@dataclass(frozen=True)
-class Exact:
-    """S itself (dense, needs inertia): three MINRES iterations whatever the system (Murphy, Golub and Wathen,
-    doi:10.1137/S1064827599355153). For tests of signs and transposes, and for few multipliers.
-    """
-
-    def matrices(self, saddle: SaddlePoint) -> list[tuple[str, list[int], Any]]:
-        """One group for all ties; collective."""
-        from .presets import Schur
-
-        solver = Schur().solver(saddle, "exact_")
-        S = sp.csr_matrix(solver.complement)
-        solver.destroy()
-        return [
-            ("multipliers", list(range(len(saddle.ties))), _petsc(S, saddle, [t.rows for t in saddle.ties]))
-        ]
 
 
 @dataclass(frozen=True)
@@ -133,7 +106,7 @@ class Fractional:
             (
                 name,
                 list(range(len(saddle.ties))),
-                _petsc(sp.csr_matrix(S), saddle, [t.rows for t in saddle.ties]),
+                to_petsc(sp.csr_matrix(S), saddle, [t.rows for t in saddle.ties]),
             )
         ]
 
@@ -201,7 +174,7 @@ def _lumped(saddle: SaddlePoint, i: int) -> sp.csr_matrix:
     return out.tocsr()
 
 
-def _petsc(S: sp.csr_matrix, saddle: SaddlePoint, parts: list[int] | None = None) -> Any:
+def to_petsc(S: sp.csr_matrix, saddle: SaddlePoint, parts: list[int] | None = None) -> Any:
     """Own rows of a replicated matrix; its rows are those of ties with ``parts`` rows each, every one split
     evenly.
     """
