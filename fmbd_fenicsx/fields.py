@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from .errors import InputError
+from .field_checks import check_field
 from .loads import AppliedLoads, Load
-from .log import log, together
+from .log import together
 from .rotations import Array, motions
 from .surfaces import Moments
 
@@ -96,7 +97,7 @@ class Field:
         self._work = [self.M.createVecRight(), self.M.createVecLeft()]
         self._big = [self.K.createVecRight(), self.K.createVecLeft()]
         self._rigid_properties()
-        self._check_stiffness()
+        check_field(self)
         self.loads = AppliedLoads(self, forms.loads)
         self.D = self._viscous_matrix()
 
@@ -324,51 +325,6 @@ class Field:
         for k in range(m.n_rot):
             J[:, k] = m.moment(self.X, Q[:, :, d + k]).sum(0)
         self.inertia = self.total(J)
-
-    def _check_stiffness(self) -> None:
-        """Symmetry of the elastic form, and its energy under rigid displacements, by random products."""
-        rng = np.random.default_rng(7 + self.comm.rank)
-        u, v = rng.standard_normal((2, self.n * self.dim))
-        Ku, Kv = self.stiffness(u), self.stiffness(v)
-        vKu, uKv, scale = self.total(np.array([v @ Ku, u @ Kv, np.abs(v) @ np.abs(Ku)]))
-        if not np.isfinite(vKu):
-            raise InputError(f'Body "{self.name}": the elastic form has entries that are not finite.')
-        if abs(vKu - uKv) > 1e-9 * scale:
-            raise InputError(
-                f'Body "{self.name}": the elastic form is not symmetric: a(u, v) - a(v, u) = {vKu - uKv:.2e} for random '
-                f"u, v of size a = {scale:.2e}. Write the stress with the symmetric gradient of u and pair it with that of v."
-            )
-        self._warn_of_locking()
-        uKu, vKv = self.total(np.array([u @ Ku, v @ Kv]))
-        if uKu <= 0 or vKv <= 0:
-            raise InputError(
-                f'Body "{self.name}": the elastic form is not positive (a(u, u) = {min(uKu, vKv):.2e}). '
-                "Check the signs of the moduli (E > 0, -1 < nu < 0.5)."
-            )
-
-    def _warn_of_locking(self) -> None:
-        """Poisson's ratio from the energies of a stretch u = X and of a shear u = (y, x, 0); a warning where it is near 1/2."""
-        if self.mixed:
-            return
-        d, x = self.dim, self.X
-        shear = np.zeros_like(x)
-        shear[:, 0], shear[:, 1] = x[:, 1], x[:, 0]
-        pairs = [float(w.ravel() @ self.stiffness(w.ravel())) for w in (x, shear)]
-        swell, slide = self.total(np.array(pairs))
-        if not slide > 0:
-            return
-        ratio = (4 * swell / slide - 2 * d) / d**2  # lambda / mu of an isotropic homogeneous body
-        self.poisson_ratio = ratio / (2 * (ratio + 1)) if ratio > -1 else -1.0
-        limit = 0.49 if self.forms.degree == 1 else 0.495
-        if self.poisson_ratio > limit:
-            log.warning(
-                'body "%s" has a Poisson ratio of %.5g: a displacement form of degree %d locks above %g; '
-                "use elastic=nearly_incompressible(...) or energy=neo_hookean_mixed(...)",
-                self.name,
-                self.poisson_ratio,
-                self.forms.degree,
-                limit,
-            )
 
     @cached_property
     def moments(self) -> Callable[[str], Moments]:

@@ -23,7 +23,7 @@ from .mobility import Mobility, check, loose_bodies
 from .reduction import ReducedBody
 from .relative import Relative, Separation
 from .rotations import Array, Motions, motions
-from .scene_fields import initial_field
+from .scene_fields import initial_fields
 from .scene_joints import JointRows, relative_of
 from .scene_wires import slider_rows, wires_part
 from .sensors import JointReading, Sensor
@@ -269,8 +269,7 @@ class _Builder:
             from .scene_contact import make_massless
 
             make_massless(self.scene, body, field_)
-        U = initial_field(body, body.displacement, field_, "displacement")
-        Ud = initial_field(body, body.displacement_rate, field_, "displacement_rate")
+        U, Ud = initial_fields(body, field_)
         if isinstance(body, AbsoluteBody):
             d, twist = self.m.dim, body.start_twist()
             arm = field_.X + U.reshape(-1, d)

@@ -8,7 +8,22 @@ from typing import Any
 import numpy as np
 
 from .errors import CallbackError
+from .field_checks import check_start
 from .rotations import Array
+
+
+def initial_fields(body: Any, field_: Any) -> tuple[Array, Array]:
+    """Nodal displacements and their rates at the start, (n d,) each; collective.
+
+    Raises:
+        CallbackError: a function returned the wrong shape or values that are not finite.
+        InputError: the elastic energy has no value there.
+    """
+    U = initial_field(body, body.displacement, field_, "displacement")
+    Ud = initial_field(body, body.displacement_rate, field_, "displacement_rate")
+    if field_.nonlinear:
+        check_start(field_, U)
+    return U, Ud
 
 
 def initial_field(body: Any, function: Callable[[Array], Array] | None, field_: Any, what: str) -> Array:

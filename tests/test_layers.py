@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "fmbd_fenicsx"
 FLOORS = [
     {"errors", "log", "rotations", "dolfinx_compat", "mesh", "materials", "energies"},
-    {"surfaces", "fields", "factor", "mixed", "loads", "traces", "multipliers", "mortar", "stability"},
+    {"surfaces", "fields", "field_checks", "factor", "mixed", "loads", "traces", "multipliers", "mortar", "stability"},
     {
         "bodies",
         "placements",
