@@ -18,7 +18,7 @@ CONTACT, MESSENGER = fmbd.Wire(1.35, 20e3, 195.0), fmbd.Wire(1.07, 16e3, 131.7)
 HEAD, FRAME = (7.2, 4200.0, 10.0), (15.0, 50.0, 90.0)  # mass, stiffness and damping below it
 CONTACT_STIFFNESS, STRIP = 5e4, 0.01  # N/m, kg: the strip that slides on the wire, on the standard's contact spring
 STATIC_FORCE, G = 120.0, 9.81
-DAMPING = (0.0125, 1e-4)  # 1/s and s, proportional damping usual for this catenary (doi:10.1080/00423114.2014.958183)
+DAMPING = (0.0125, 1e-4)  # 1/s and s; the data give none: proportional damping, small
 SAG = 0.018  # m; level (0) and 0.03 each miss some of the standard's ranges, see docs/pantograph_catenary.md
 RAMP = 1.0  # s, smooth start of the drive
 
