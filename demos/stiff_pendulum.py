@@ -4,7 +4,8 @@ Run:  ./with-dolfinx python3 demos/stiff_pendulum.py     (--fast: four values of
 
 U = (r - 1)^2 / (2 eps^2), m = g = 1, started on the slow manifold r = 1 + eps^2 (r omega^2 + g cos theta), where nothing
 vibrates. A step h >> eps sees an index-3 problem: position errors must not depend on eps (Hairer and Wanner, Solving ODEs
-II, section VII.5).
+II, section VII.5). They stay below twice those at eps = 0.1, for three stages of Radau below three times: there eps = 0.1 is
+resolved and shows order 5, while eps = 0.01 (h omega = 5) is neither resolved nor stiff.
 """
 
 import numpy as np
@@ -13,11 +14,12 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
 
 T_END, H, THETA = 2.0, 0.05, 1.0
-SCHEMES = {  # and the smallest eps for which Newton's iteration converges from the extrapolated state at h = 0.05
-    "generalized-alpha(0.8)": (fmbd.GeneralizedAlpha(0.8), 1e-4),
-    "BDF2": (fmbd.BDF(2, fmbd.Index3(), rtol=None), 1e-4),
-    "Radau IIA(2)": (fmbd.Radau(2, rtol=None), 0.0),
-    "Radau IIA(3)": (fmbd.Radau(3, rtol=None), 0.0),
+SCHEMES = {  # and the largest position error allowed, over that at eps = 0.1
+    "generalized-alpha(0.8)": (fmbd.GeneralizedAlpha(0.8), 2.0),
+    "generalized-alpha(0)": (fmbd.GeneralizedAlpha(0.0), 2.0),
+    "BDF2": (fmbd.BDF(2, fmbd.Index3(), rtol=None), 2.0),
+    "Radau IIA(2)": (fmbd.Radau(2, rtol=None), 2.0),
+    "Radau IIA(3)": (fmbd.Radau(3, rtol=None), 3.0),
 }
 
 
@@ -70,11 +72,11 @@ def picture(stiffness, found, file):
 
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
     for name, rows in found.items():
-        axes.loglog(stiffness[: len(rows)], [r[0] for r in rows], "o-", label=name)
+        axes.loglog(stiffness, [r[0] for r in rows], "o-", label=name)
     axes.set(xlabel="eps", ylabel=f"position error at t = {T_END:g} s (m)", title=f"step h = {H:g} s for every stiffness")
     axes.invert_xaxis()
     axes.grid(alpha=0.3)
-    axes.legend(loc="center left", bbox_to_anchor=(0.0, 0.4))
+    figure.legend(loc="outside lower center", ncols=3)
     figure.savefig(file, dpi=150)
 
 
@@ -83,15 +85,15 @@ def main():
     args = demo.arguments(__doc__)
     stiffness = [1e-1, 1e-2, 1e-3, 1e-6] if args.fast else [10.0**-k for k in range(1, 7)]
     exact = {eps: reference(eps) for eps in stiffness}
-    found = {n: [errors(s, e, H, exact[e]) for e in stiffness if e >= least] for n, (s, least) in SCHEMES.items()}
+    found = {n: [errors(s, e, H, exact[e]) for e in stiffness] for n, (s, _) in SCHEMES.items()}
     for name, rows in found.items():
-        demo.say(f"{name:<24}" + "  ".join(f"eps={e:.0e}: {x:.1e} / {v:.1e}" for e, (x, v) in zip(stiffness, rows, strict=False)))
+        demo.say(f"{name:<24}" + "  ".join(f"eps={e:.0e}: {x:.1e} / {v:.1e}" for e, (x, v) in zip(stiffness, rows, strict=True)))
     if args.picture:
         picture(stiffness, found, args.picture)
     checks = []
     for name, rows in found.items():
         worst = max(x for x, _ in rows) / rows[0][0]
-        checks.append(demo.Check(f"{name}: largest position error over that at eps = 0.1", worst, 0.0, 3.0))
+        checks.append(demo.Check(f"{name}: largest position error over that at eps = 0.1", worst, 0.0, SCHEMES[name][1]))
     demo.finish(checks, None, args)
 
 

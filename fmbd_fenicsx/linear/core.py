@@ -171,7 +171,12 @@ class CoreSolver:
             error.motion = self.scale[: self.n] * Vt[~keep][int(np.argmax(rows)), : self.n]  # type: ignore[attr-defined]
             raise error
         inverse = (Vt[keep].T / s[keep]) @ U[:, keep].T
-        self._solve = lambda b: inverse @ b
+
+        def solve(b: Array) -> Array:
+            z = inverse @ b
+            return np.asarray(z + inverse @ (b - K @ z))  # one refinement: stiff directions cost the first one digits
+
+        self._solve = solve
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """x (n,) and y (m,) for right-hand sides b, c; judged by the true residual (rows of A only when redundant)."""
@@ -187,9 +192,7 @@ class CoreSolver:
         if self.exact:
             residual = float(np.hypot(residual, np.linalg.norm(self.scale[n:] * lower)))
         given, found = np.linalg.norm(rhs), np.linalg.norm(z / self.scale)
-        if (
-            found > LARGEST_GROWTH * given
-        ):  # against such a solution the residual of a singular matrix is small
+        if found > LARGEST_GROWTH * given:  # against such a solution the residual of a singular matrix is small
             residual = np.inf
         self.judge.check(float(residual), float(given + found), ADVICE)
         return x, y

@@ -98,7 +98,9 @@ class GeneralizedAlpha:
 class Stepper:
     """Advances a consistent state; holds the algorithmic acceleration and the history of the predictor."""
 
-    def __init__(self, scheme: GeneralizedAlpha, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+    def __init__(
+        self, scheme: GeneralizedAlpha, system: System, solver: StepSolver, newton: Newton, state: State
+    ) -> None:
         self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
         self.state = state
         self.A = state.a.copy()
@@ -132,15 +134,29 @@ class Stepper:
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
+        weights, motion = self._predicted(h)
+        try:
+            return self._newton(h, weights, motion, PATIENCE)
+        except ConvergenceError:
+            if self.system.fields:
+                raise
+        self.newton.theta = 0.5
+        return self._newton(h, weights, motion, 0)  # stiff springs that turn need Newton's own tangent
+
+    def _predicted(self, h: float) -> tuple[Weights, tuple[Array, Array, Array, Array]]:
+        """Weights of the step's matrix; v and A at its start, a and lambda predicted for its end."""
+        am, af, gamma, beta = self.scheme.parameters
+        weights = Weights(1.0, h * gamma * (1 - af) / (1 - am), beta * h * h * (1 - af) / (1 - am))
+        if self.fresh:
+            return weights, self._first(h, weights)
+        return weights, (self.state.v, self.A, *self._predict(h))
+
+    def _newton(self, h: float, weights: Weights, motion: tuple[Array, Array, Array, Array], patience: int) -> State:
+        """The step by Newton's iteration, its first ``patience`` iterations with one tangent."""
         system, s = self.system, self.state
         am, af, gamma, beta = self.scheme.parameters
-        t = s.t + h
-        scale = beta * h * h * (1 - af) / (1 - am)  # dq = scale da
-        weights = Weights(1.0, h * gamma * (1 - af) / (1 - am), scale)
-        if self.fresh:
-            v0, A0, a, lam = self._first(h, weights)
-        else:
-            v0, A0, (a, lam) = s.v, self.A, self._predict(h)
+        v0, A0, a, lam = motion
+        t, scale = s.t + h, weights.ck  # dq = scale da
         fixed_a, fixed_v = h * v0 + h * h * (0.5 - beta) * A0, v0 + h * (1 - gamma) * A0
 
         A = ((1 - af) * a + af * s.a - am * A0) / (1 - am)
@@ -155,7 +171,7 @@ class Stepper:
             q = system.compose(s.q, xi)
             v = fixed_v + h * gamma * A
             ev = system.at(t, q, v)
-            if done == 0 or (done > PATIENCE and not system.fields):  # stiff springs that turn need Newton's own tangent
+            if done == 0 or (done > patience and not system.fields):
                 self.solver.prepare(ev, weights)
             done += 1
             g = ev.constraint()
@@ -176,8 +192,10 @@ class Stepper:
             last = g
             return system.max_abs(dq + closing) / tolerance
 
+        begun = xi
         converged, history = self.newton.solve(increment)
-        if not converged:
+        far = patience == 0 and system.max_abs(xi - begun) > 2 * system.max_abs(begun)  # another solution
+        if not converged or far:
             raise ConvergenceError(
                 f"Newton stopped at t = {t:.6g} s (h = {h:.3g} s): increments over tolerance "
                 + " -> ".join(f"{x:.1e}" for x in history)
@@ -201,9 +219,7 @@ class Stepper:
 class CompiledStepper(Stepper):
     """The same steps by the kernel of :mod:`.compiled`; a step that it gives back is made in NumPy."""
 
-    def __init__(
-        self, data: tuple[GeneralizedAlpha, System, StepSolver, Newton, State], kernel: PlaneKernel
-    ) -> None:
+    def __init__(self, data: tuple[GeneralizedAlpha, System, StepSolver, Newton, State], kernel: PlaneKernel) -> None:
         self.kernel = kernel
         self._blocks: list[tuple[Array, int]] = []  # newest first, with addresses: t, q, v, a, A, lambda
         self._tail: State | None = None  # the state of the newest block
