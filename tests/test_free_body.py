@@ -71,6 +71,24 @@ def test_orthogonality_over_many_steps(steps: int) -> None:
     assert turned > steps * 5e-3 * 2.5
 
 
+@pytest.mark.parametrize("steps", [1000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_energy_momentum_keeps_the_invariants(steps: int) -> None:
+    """Angular momentum in space to 1e-12, energy to 1e-10, in every step."""
+    system, given, _ = scene().build()
+    solver = StepSolver(system)
+    state, _ = consistent(system, given, solver)
+    stepper = fmbd.EnergyMomentum().stepper(system, solver, fmbd.Newton(1e-12, 30), state)
+    ev = system.at(state.t, state.q, state.v)
+    L0, E0 = ev.momenta()[1], ev.energies()["kinetic"]
+    worst = np.zeros(2)
+    for _ in range(steps):
+        s = stepper.advance(5e-3)
+        ev = system.at(s.t, s.q, s.v)
+        change = (np.abs(ev.momenta()[1] - L0).max() / np.linalg.norm(L0), abs(ev.energies()["kinetic"] / E0 - 1))
+        worst = np.maximum(worst, change)
+    assert worst[0] < 1e-12 and worst[1] < 1e-10, worst
+
+
 @pytest.mark.parametrize("h", [8e-3])
 def test_order_of_the_momentum(h: float) -> None:
     """Generalized-alpha keeps the momentum to second order only: what the energy-momentum form is for."""

@@ -35,6 +35,8 @@ from ..relative import Separation
 from ..rotations import Array
 from ..system import Evaluation, State, System
 
+SLOW = 0.1  # rate of Newton's iteration above which a new tangent is taken
+
 
 @dataclass(frozen=True)
 class EnergyMomentum:
@@ -103,6 +105,7 @@ class Stepper:
 
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.system, self.solver, self.newton, self.state = system, solver, newton, state
+        self._kept: tuple[float, Array] | None = None  # step and tangent, where Newton converges well with an old one
 
     def advance(self, h: float) -> State:
         """One step of size h (s). Raises ConvergenceError when Newton's iteration fails."""
@@ -117,13 +120,21 @@ class Stepper:
             )
         )
         history: list[float] = []
+        J = self._kept[1] if self._kept is not None and self._kept[0] == h else None
+        worst = 0.0
         for _ in range(self.newton.max_iterations):
             r = self._residual(h, z, old, g_old)
-            J = self._tangent(h, z, (r, size), old, g_old)
+            if J is None:
+                J = self._tangent(h, z, (r, size), old, g_old)
             dz = -np.linalg.lstsq(J, r, rcond=1e-14)[0] if self.solver.core.redundant else -_solve(J, r)
             z = z + dz
             self.newton.iterations += 1
             history.append(float(np.abs(dz[:n]).max(initial=0.0) / size[0]))
+            rate = history[-1] / max(history[-2], 1e-300) if len(history) > 1 else 0.0
+            if history[-1] > 1e-11:
+                worst = max(worst, rate)
+            if rate > SLOW or (len(history) == 1 and self._kept is None):
+                J = None
             if history[-1] <= 1e-13 or (
                 len(history) > 2 and history[-1] <= 1e-10 and history[-1] > 0.2 * history[-2]
             ):
@@ -136,6 +147,7 @@ class Stepper:
                 + " -> ".join(f"{x:.1e}" for x in history)
                 + ". Take a smaller dt."
             )
+        self._kept = (h, J) if J is not None and worst < 0.5 * SLOW else None
         v, q, _, _ = self._motion(h, z[:n])
         self.state = State(s.t + h, q, v, z[:n], z[n:])
         return self.state
