@@ -17,7 +17,19 @@ M1, M2, M3, M4, M5, M6, M7 = 0.04325, 0.00365, 0.02373, 0.00706, 0.0705, 0.00706
 I1, I2, I3, I4, I5, I6, I7 = 2.194e-6, 4.41e-7, 5.255e-6, 5.667e-7, 1.169e-5, 5.667e-7, 1.912e-5  # kg m^2
 XA, YA, XB, YB, XC, YC = -0.06934, -0.00227, -0.03635, 0.03273, 0.014, 0.072  # m, fixed points
 C0, L0, TORQUE = 4530.0, 0.07785, 0.033  # N/m, m, N m
-D, DA, E, EA, RR, RA, SS, SA, SB, SC, SD = 0.028, 0.0115, 0.02, 0.01421, 0.007, 0.00092, 0.035, 0.01874, 0.01043, 0.018, 0.02
+D, DA, E, EA, RR, RA, SS, SA, SB, SC, SD = (
+    0.028,
+    0.0115,
+    0.02,
+    0.01421,
+    0.007,
+    0.00092,
+    0.035,
+    0.01874,
+    0.01043,
+    0.018,
+    0.02,
+)
 TA, TB, U, UA, UB, ZF, ZT, FA = 0.02308, 0.00916, 0.04, 0.01228, 0.00449, 0.02, 0.04, 0.01421
 START = [-0.06171389001427645, 0.0, 0.45527981916307037, 0.22266839016588588, 0.48736497954384256, -0.22266839016588588,
          1.2305474445498212]  # fmt: skip
@@ -88,7 +100,9 @@ def main():
     if args.picture:
         run.plot("angles", file=args.picture)
     error = float(np.max(np.abs(run["angles"][-1] / REFERENCE - 1)))
-    demo.finish([demo.Check("largest relative error of the angles", error, 0.0, 1e-7 if args.fast else 1e-9)], run, args)
+    demo.finish(
+        [demo.Check("largest relative error of the angles", error, 0.0, 1e-7 if args.fast else 1e-9)], run, args
+    )
 
 
 if __name__ == "__main__":

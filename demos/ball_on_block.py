@@ -11,7 +11,7 @@ approximately.
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.demo import Check
+from fmbd_fenicsx.faces.demo import Check
 
 args = demo.arguments(__doc__, {"--h": 0.0})
 h = args.h or (0.06 if args.fast else 0.04)
@@ -20,9 +20,7 @@ gap = 0.002
 
 ball_mesh = fmbd.read_gmsh("meshes/half_ball.py", dim=3, radius=R, h=h, near=0.2, coarse=0.25)
 size = (1.2, 1.2, 0.6)
-block_mesh = fmbd.read_gmsh(
-    "meshes/block.py", size=size, cells=6 if args.fast else 10, origin=(-0.6, -0.6, -0.6 - gap)
-)
+block_mesh = fmbd.read_gmsh("meshes/block.py", size=size, cells=6 if args.fast else 10, origin=(-0.6, -0.6, -0.6 - gap))
 elastic = fmbd.materials.linear_elastic(E, nu)
 ball = fmbd.AbsoluteBody("ball", ball_mesh, degree=1, density=rho, elastic=elastic, velocity=(0.0, 0.0, -v0))
 block = fmbd.AbsoluteBody("block", block_mesh, degree=1, density=rho, elastic=elastic)
@@ -43,9 +41,7 @@ fmbd.say(run.report())
 energy = sum(run.energy.values())
 p, _ = run.system.at(run.state.t, run.state.q, run.state.v).momenta()
 mass = next(part.field.mass_total for part in run.system.parts if part.name == "ball")
-sign = (
-    -1.0 if run["force"][:, 2].sum() < 0 else 1.0
-)  # which side carries the multipliers is chosen by mesh size
+sign = -1.0 if run["force"][:, 2].sum() < 0 else 1.0  # which side carries the multipliers is chosen by mesh size
 balance = p[2] - (-mass * v0 + run["floor"][-1, 2])
 checks = [
     Check("momentum balance over m v0", float(balance / (mass * v0)), 0.0, 1e-9),

@@ -14,7 +14,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.demo import Check
+from fmbd_fenicsx.faces.demo import Check
 
 args = demo.arguments(__doc__, {"--cells": 0})
 n = args.cells or (50 if args.fast else 100)
@@ -25,9 +25,7 @@ mesh = fmbd.read_gmsh("meshes/block.py", size=(L, height), counts=(n, 1), quads=
 bar = fmbd.AbsoluteBody(
     "bar", mesh, degree=1, density=rho, elastic=fmbd.materials.linear_elastic(E, 0.0), velocity=(-v0, 0.0)
 )
-wall = fmbd.contact(
-    "wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((0.0, 0.0), (1.0, 0.0)))
-)
+wall = fmbd.contact("wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((0.0, 0.0), (1.0, 0.0))))
 scene = fmbd.Scene("bar impact")
 scene.add(bar, wall)
 scene.sensor("contact force", fmbd.contact_force(wall))

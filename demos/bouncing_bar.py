@@ -13,7 +13,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.demo import Check
+from fmbd_fenicsx.faces.demo import Check
 
 args = demo.arguments(__doc__, {"--cells": 0, "--periods": 0})
 n = args.cells or (60 if args.fast else 40)
@@ -24,9 +24,7 @@ c, period = np.sqrt(E / rho), 16.0 / 3.0
 
 mesh = fmbd.read_gmsh("meshes/block.py", size=(width, L), counts=(1, n), origin=(0.0, h0), quads=True)
 bar = fmbd.AbsoluteBody("bar", mesh, degree=1, density=rho, elastic=fmbd.materials.linear_elastic(E, 0.0))
-ground = fmbd.contact(
-    "floor", bar.surface("bottom"), fmbd.Obstacle("ground", fmbd.HalfSpace((0.0, 0.0), (0.0, 1.0)))
-)
+ground = fmbd.contact("floor", bar.surface("bottom"), fmbd.Obstacle("ground", fmbd.HalfSpace((0.0, 0.0), (0.0, 1.0))))
 scene = fmbd.Scene("bouncing bar", gravity=(0.0, -g))
 scene.add(bar, ground)
 scene.sensor("force", fmbd.contact_force(ground))

@@ -9,7 +9,7 @@ Rods along the edges of a unit cube, 1 m, 1 kg, section 0.1 m x 0.1 m; axes y, z
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.demo import Check, arguments, finish
+from fmbd_fenicsx.faces.demo import Check, arguments, finish
 
 args = arguments(__doc__)
 t_end, dt = (1.0, 4e-3) if args.fast else (10.0, 2e-3)
@@ -25,9 +25,7 @@ scene = fmbd.Scene("Bricard", gravity=(0, -9.81, 0))
 rods = []
 for i, (p, q) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
     direction = np.abs(q - p)
-    rods.append(
-        fmbd.RigidBody(f"rod {i + 1}", 1.0, np.where(direction > 0.5, along, across), position=(p + q) / 2)
-    )
+    rods.append(fmbd.RigidBody(f"rod {i + 1}", 1.0, np.where(direction > 0.5, along, across), position=(p + q) / 2))
 scene.add(*rods)
 for i, (a, b) in enumerate(zip([fmbd.ground, *rods], [*rods, fmbd.ground], strict=True)):
     scene.add(fmbd.revolute(f"P{i}", a, b, center=corners[i], axis=axes[i]))

@@ -16,7 +16,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.demo import Check
+from fmbd_fenicsx.faces.demo import Check
 
 args = demo.arguments(__doc__, {"--cells": 6})
 r, e, w = 0.03, 0.008, 2 * np.pi * 5.0  # m, m, rad/s
@@ -53,9 +53,7 @@ scene.add(fmbd.prismatic("guide", fmbd.ground, follower.surface("top"), axis=(0.
 top = r - e + size[1]
 scene.add(
     fmbd.force("spring", follower.surface("top"), lambda t: (0.0, -k * preload)),
-    fmbd.Spring(
-        "return", follower.surface("top"), fmbd.ground, point_b=(0.0, top + 1.0), stiffness=k, length=1.0
-    ),
+    fmbd.Spring("return", follower.surface("top"), fmbd.ground, point_b=(0.0, top + 1.0), stiffness=k, length=1.0),
 )
 scene.sensor("top", fmbd.position(follower.surface("top")))
 scene.sensor("force", fmbd.contact_force(cam))

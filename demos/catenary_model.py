@@ -30,7 +30,13 @@ def catenary(spans: int = 10, h: float = 0.5) -> fmbd.Wires:
         supports += [fmbd.PointSupport(0, x, 300.0), fmbd.PointSupport(1, x, 5e4)]
     droppers = [fmbd.Dropper(1, 0, k * SPAN + x, 1e5) for k in range(spans) for x in DROPPERS]
     wires = fmbd.Wires(
-        "catenary", spans * SPAN, round(spans * SPAN / h), (CONTACT, MESSENGER), tuple(supports), tuple(droppers), *DAMPING
+        "catenary",
+        spans * SPAN,
+        round(spans * SPAN / h),
+        (CONTACT, MESSENGER),
+        tuple(supports),
+        tuple(droppers),
+        *DAMPING,
     )
     return wires.hung(sag, gravity=G)
 
@@ -94,7 +100,9 @@ def low_pass(t: np.ndarray, x: np.ndarray, cut: float = 20.0) -> np.ndarray:
     return np.asarray(sosfiltfilt(butter(6, cut, fs=(len(t) - 1) / (t[-1] - t[0]), output="sos"), x))
 
 
-def figures(run: fmbd.Run, speed: float, *, start: float = 10.0, section: tuple[float, float] = (240.0, 360.0)) -> Figures:
+def figures(
+    run: fmbd.Run, speed: float, *, start: float = 10.0, section: tuple[float, float] = (240.0, 360.0)
+) -> Figures:
     """Figures over the spans 5 and 6 of the standard (or another section, m)."""
     t, force = run.times, run["contact"][:, 0]
     x = start + speed * (t - 0.5 * RAMP)  # after the smooth start

@@ -8,7 +8,7 @@ Uniform links of 0.1 m and 0.1 kg, released from a straight line at 45 degrees.
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.demo import Check, arguments, finish
+from fmbd_fenicsx.faces.demo import Check, arguments, finish
 
 args = arguments(__doc__, {"--links": 100})
 n = 10 if args.fast else args.links
@@ -17,10 +17,7 @@ t_end, dt = (0.1, 1e-3) if args.fast else (0.2, 1e-3)
 length, mass = 0.1, 0.1
 e = np.array([1.0, -1.0]) / np.sqrt(2)
 scene = fmbd.Scene(f"chain of {n} links", gravity=(0, -9.81))
-links = [
-    fmbd.RigidBody(f"link {i}", mass, mass * length**2 / 12, (i + 0.5) * length * e, -np.pi / 4)
-    for i in range(n)
-]
+links = [fmbd.RigidBody(f"link {i}", mass, mass * length**2 / 12, (i + 0.5) * length * e, -np.pi / 4) for i in range(n)]
 scene.add(*links)
 for i, (a, b) in enumerate(zip([fmbd.ground, *links], links, strict=False)):
     scene.add(fmbd.revolute(f"pin {i}", a, b, center=i * length * e))
@@ -30,9 +27,7 @@ scene.sensor("pin", fmbd.reaction_force("pin 0"))
 run = fmbd.solve(scene, t_end=t_end, dt=dt, output=fmbd.Output(every=10))
 total = sum(run.energy.values())
 fall = run.energy["weight"][0] - run.energy["weight"].min()
-fall_of_tip = (
-    -0.5 * 9.81 / np.sqrt(2) * run.times[1] ** 2
-)  # across the straight chain its free end falls freely
+fall_of_tip = -0.5 * 9.81 / np.sqrt(2) * run.times[1] ** 2  # across the straight chain its free end falls freely
 checks = [
     Check("degrees of freedom", scene.check().freedom if n <= 100 else n, n, 0),
     Check("energy error over the fall, 1", np.abs(total - total[0]).max() / fall, 0.0, 1e-4),

@@ -86,7 +86,9 @@ def main():
     demo.say(done)
     checks.append(demo.Check("failed runs", float(len(done.failures)), 0.0, 0.5))
     if args.picture:
-        shown = {f"{n}, {f}" for n in ("Radau IIA(3)", "BDF") for f in ("Index3", "GGL", "StateSpace")} | {"half-explicit (4)"}
+        shown = {f"{n}, {f}" for n in ("Radau IIA(3)", "BDF") for f in ("Index3", "GGL", "StateSpace")} | {
+            "half-explicit (4)"
+        }
         replace(done, points=tuple(p for p in done.points if p.label in shown)).figure(args.picture)
     if args.markdown:
         Path(args.markdown).write_text(study.markdown(rows) + "\n\n" + done.markdown() + "\n")

@@ -21,11 +21,11 @@ from mpi4py import MPI
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.fields import ElasticForms, Field
 from fmbd_fenicsx.linear.domain_decomposition import DualInterface, shared_traces
 from fmbd_fenicsx.linear.saddle import Elastic
-from fmbd_fenicsx.multipliers import Continuous, Ends
-from fmbd_fenicsx.traces import trace_of
+from fmbd_fenicsx.traces.fields import ElasticForms, Field
+from fmbd_fenicsx.traces.multipliers import Continuous, Ends
+from fmbd_fenicsx.traces.traces import trace_of
 
 LENGTH, HEIGHT, PULSE = 2.0, 0.25, 1.2  # m, m, s
 LAW = ElasticForms(fmbd.materials.linear_elastic(1.0, 0.0), 1.0, 2)  # wave speed 1 m/s
@@ -73,8 +73,7 @@ def march(parts, cells, dt, t_end):
         t = (step + 1) * dt
         p = float(pulse(np.array(t)))
         r = {
-            i: p * face[i].ravel()
-            + e.body.mass((4 / dt**2 * u[i] + 4 / dt * v[i] + a[i]).reshape(-1, 2)).ravel()
+            i: p * face[i].ravel() + e.body.mass((4 / dt**2 * u[i] + 4 / dt * v[i] + a[i]).reshape(-1, 2)).ravel()
             for i, e in own.items()
         }
         new, lam, its = dual.solve(r, np.zeros(dual.n))

@@ -32,9 +32,7 @@ def build(dim=2, h=0.1, degree=2, E=5e6, height=0.1, gravity=g, ramp=0.0, displa
         return inner(2 * mu * eps + lmbda * tr(eps) * Identity(dim), sym(grad(v))) * dx
 
     mesh = fmbd.read_gmsh(ROD, dim=dim, h=h, height=height)
-    rod = fmbd.FloatingBody(
-        "rod", mesh, degree=degree, density=rho, elastic=elastic, displacement=displacement
-    )
+    rod = fmbd.FloatingBody("rod", mesh, degree=degree, density=rho, elastic=elastic, displacement=displacement)
     scene = fmbd.Scene("elastic pendulum", gravity=(0, -gravity, 0), gravity_ramp=ramp)
     scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0, 0), axis=(0, 0, 1)))
     scene.sensor("tip", fmbd.position(rod.surface("tip")))
@@ -62,9 +60,7 @@ def orders_and_cost(dim):
     for p in (1, 2):
         table = study.orders(partial(in_mesh, p), sizes, reference=fine, names=names, parameter="mesh size")
         demo.say(f"\norders in the mesh size, P{p}, against P2 at {sizes[-1] / 2} m\n{table}")
-    runs = [
-        study.Configuration(f"rho_inf {r}", partial(in_step, r), [8e-3, 4e-3, 2e-3]) for r in (0.9, 0.5, 0.0)
-    ]
+    runs = [study.Configuration(f"rho_inf {r}", partial(in_step, r), [8e-3, 4e-3, 2e-3]) for r in (0.9, 0.5, 0.0)]
     demo.say(f"\nerror against time\n{study.work_precision(runs, reference=reference, names=names)}\n")
     return [demo.Check(f"order of {n} in the step", steps.order(n), 2.0, 0.15) for n in names]
 

@@ -43,22 +43,18 @@ def main():
         for modulus, h in STEPS:
             scene = scene_of(mesh, modulus, material)
             run = fmbd.solve(scene, t_end=t_end, dt=h, scheme=fmbd.EnergyMomentum(), output=quiet)
-            checks.append(
-                demo.Check(f"{material.__name__}, E = {modulus:g}, h = {h:g}: energy", gain(run), 0.0, 1e-9)
-            )
+            checks.append(demo.Check(f"{material.__name__}, E = {modulus:g}, h = {h:g}: energy", gain(run), 0.0, 1e-9))
     scene = scene_of(mesh, 1e4, fmbd.materials.neo_hookean)
     for scheme in (fmbd.EnergyMomentum(), fmbd.GeneralizedAlpha(0.9), fmbd.GeneralizedAlpha(0.5)):
         try:
-            other = fmbd.solve(
-                scene, t_end=min(t_end, 20.0), dt=0.05, scheme=scheme, newton=fresh, output=quiet
-            )
+            other = fmbd.solve(scene, t_end=min(t_end, 20.0), dt=0.05, scheme=scheme, newton=fresh, output=quiet)
         except fmbd.errors.ConvergenceError as error:
             demo.say(f"{scheme.name}, h = 0.05 s: {error}")
             continue
         curves[scheme.name] = other.times, sum(other.energy.values())
         demo.say(f"{scheme.name}, h = 0.05 s: energy changes by {gain(other):.1e} of itself")
     if args.picture:
-        from fmbd_fenicsx.plot import plot_curves
+        from fmbd_fenicsx.faces.plot import plot_curves
 
         plot_curves(curves, args.picture, ("time (s)", "energy (J)"))
     demo.finish(checks, run, args)

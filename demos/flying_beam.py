@@ -58,7 +58,7 @@ def main():
         demo.Check("mean axes against attached frame (m)", frames, 0.0, 5e-3 * L),
     ]
     if args.picture:
-        from fmbd_fenicsx.plot import plot_curves
+        from fmbd_fenicsx.faces.plot import plot_curves
 
         curves = {name: (mean[name][:, 0], mean[name][:, 1]) for name in ("start", "end")}
         plot_curves(curves, args.picture, ("x (m)", "y (m)"))

@@ -14,7 +14,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.study import Configuration
+from fmbd_fenicsx.faces.study import Configuration
 
 ROD = Path(__file__).resolve().parents[1] / "meshes/rod.py"
 E, NU, RHO, L, HEIGHT = 2e7, 0.3, 1000.0, 1.0, 0.1  # Pa, -, kg/m^3, m, m
@@ -27,9 +27,7 @@ def formulations(h):
     mesh = fmbd.read_gmsh(ROD, dim=2, h=h, length=L, height=HEIGHT)
     rod = fmbd.FloatingBody("rod", mesh, density=RHO, elastic=fmbd.materials.plane_stress(E, NU))
     energy = fmbd.materials.sheet_saint_venant_kirchhoff(E, NU)
-    section = fmbd.Section.rectangle(
-        youngs_modulus=E, poisson_ratio=NU, density=RHO, width=1.0, height=HEIGHT
-    )
+    section = fmbd.Section.rectangle(youngs_modulus=E, poisson_ratio=NU, density=RHO, width=1.0, height=HEIGHT)
     found = {
         "rigid": rod.reduced(modes=0),
         "beam": fmbd.Beam("rod", (0.0, 0.0), (L, 0.0), section, attached=False, modes=12),
@@ -64,10 +62,7 @@ def main():
         "the pin's static modes, and": {m: rod.reduced(basis=fmbd.CraigBampton(("pin",), m)) for m in MODES},
     }
     modes = fmbd.study.work_precision(
-        [
-            Configuration(k, lambda m, b=b: swing(b[int(m)], "pin", "tip", dt, t_end), MODES)
-            for k, b in bases.items()
-        ],
+        [Configuration(k, lambda m, b=b: swing(b[int(m)], "pin", "tip", dt, t_end), MODES) for k, b in bases.items()],
         reference=full,
         names=["tip"],
         repeats=repeats,
@@ -84,7 +79,7 @@ def main():
         demo.Check("static modes and 8 against floating (m)", static[MODES.index(8)], 0.0, 1e-5),
     ]
     if args.picture:
-        from fmbd_fenicsx.plot import plot_curves
+        from fmbd_fenicsx.faces.plot import plot_curves
 
         seconds = {p.label: 1e3 * p.seconds / p.counters["steps"] for p in table.points}
         points = {k: (np.array([seconds[k]]), np.array([errors[k]])) for k in bodies}

@@ -10,7 +10,7 @@ Run:  ./with-dolfinx python3 demos/four_bar.py [--fast] [--json FILE] [--picture
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.demo import Check, arguments, finish
+from fmbd_fenicsx.faces.demo import Check, arguments, finish
 
 args = arguments(__doc__)
 END = {

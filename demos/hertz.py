@@ -17,13 +17,11 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.demo import Check
+from fmbd_fenicsx.faces.demo import Check
 
 args = demo.arguments(__doc__, {"--dim": (2, 3), "--cells": 10})
 dim, R, E, nu, rho = args.dim, 1.0, 1.0, 0.3, 1.0
-a = (
-    0.05 if dim == 3 else 0.005
-) * R  # half width that the load is chosen for; the theory is exact for small a / R
+a = (0.05 if dim == 3 else 0.005) * R  # half width that the load is chosen for; the theory is exact for small a / R
 stiff = E / (1 - nu**2)  # E*, the plane is rigid
 F = np.pi * a**2 * stiff / (4 * R) if dim == 2 else 4 * stiff * a**3 / (3 * R)
 p0 = 2 * F / (np.pi * a) if dim == 2 else 3 * F / (2 * np.pi * a**2)
@@ -40,9 +38,7 @@ def press(cells: int) -> tuple[fmbd.Run, float, float, float]:
         near=2 * a,
         coarse=1.5 * R / cells if dim == 2 else 0.15 * R,
     )
-    body = fmbd.AbsoluteBody(
-        "body", mesh, degree=1, density=rho, elastic=fmbd.materials.linear_elastic(E, nu)
-    )
+    body = fmbd.AbsoluteBody("body", mesh, degree=1, density=rho, elastic=fmbd.materials.linear_elastic(E, nu))
     plane = fmbd.contact(
         "plane", body.surface("contact"), fmbd.Obstacle("plane", fmbd.HalfSpace(0 * up, up)), search=0.1 * a
     )
@@ -77,9 +73,7 @@ checks = [
 if not args.fast and dim == 2:
     errors = [press(n)[3] for n in (10, 20, 40)]
     fmbd.say("cells per half width 10, 20, 40: RMS error of p / p0 " + ", ".join(f"{e:.2e}" for e in errors))
-    checks.append(
-        Check("order of the pressure, 10 to 40 cells", float(np.log2(errors[0] / errors[-1]) / 2), 1.0, 0.25)
-    )
+    checks.append(Check("order of the pressure, 10 to 40 cells", float(np.log2(errors[0] / errors[-1]) / 2), 1.0, 0.25))
 if args.picture:
     run.plot("force", file=args.picture)
 demo.finish(checks, run, args)

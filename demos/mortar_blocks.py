@@ -19,13 +19,13 @@ from mpi4py import MPI
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.fields import ElasticForms, Field
 from fmbd_fenicsx.linear.presets import Direct
 from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, data, hold, tie
-from fmbd_fenicsx.mortar import mortar
-from fmbd_fenicsx.multipliers import default_space
-from fmbd_fenicsx.stability import DualNorm
-from fmbd_fenicsx.traces import trace_of
+from fmbd_fenicsx.traces.fields import ElasticForms, Field
+from fmbd_fenicsx.traces.mortar import mortar
+from fmbd_fenicsx.traces.multipliers import default_space
+from fmbd_fenicsx.traces.stability import DualNorm
+from fmbd_fenicsx.traces.traces import trace_of
 
 MU, LAMBDA = fmbd.materials.lame(1.0, 0.3)
 BEND = lambda x, f: (f.sin(2 * x[0]) * f.exp(x[1] / 2) / 5, f.cos(x[0] + x[1]) * x[1] / 5)
@@ -101,7 +101,7 @@ def interface_traction(solution):
 
 
 def l2_error(mu, lam, exact):
-    from fmbd_fenicsx.traces import quadrature, shape_functions
+    from fmbd_fenicsx.traces.traces import quadrature, shape_functions
 
     q, w = quadrature(1, 8)
     found = np.einsum("qa,fac->fqc", shape_functions(1, mu.degree, q), mu.coefficients(lam))
@@ -127,15 +127,11 @@ if __name__ == "__main__":
             (degree + 1, degree, degree, degree),
             strict=True,
         ):
-            checks.append(
-                demo.Check(f"P{degree} order of {name} at least {least}", min(got, least), least, 0.1)
-            )
+            checks.append(demo.Check(f"P{degree} order of {name} at least {least}", min(got, least), least, 0.1))
         if args.picture is not None and MPI.COMM_WORLD.rank == 0:
             import matplotlib.pyplot as plt
 
-            for column, name in enumerate(
-                ("u, L2", "u, H1", "traction, H$^{-1/2}$", "traction, h$^{1/2}$ L2")
-            ):
+            for column, name in enumerate(("u, L2", "u, H1", "traction, H$^{-1/2}$", "traction, h$^{1/2}$ L2")):
                 plt.loglog(
                     table[:, 0],
                     table[:, 1 + column],

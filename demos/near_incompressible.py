@@ -33,9 +33,7 @@ def push(t):
 def stiffness(h, elastic, degree):
     """Force on the pin over its displacement, N/m, and the run."""
     mesh = fmbd.read_gmsh(RING, radius=0.03, width=0.02, h=h)
-    rubber = fmbd.FloatingBody(
-        "rubber", mesh, density=RHO, elastic=elastic, degree=degree, stiffness_damping=2e-3
-    )
+    rubber = fmbd.FloatingBody("rubber", mesh, density=RHO, elastic=elastic, degree=degree, stiffness_damping=2e-3)
     pin = fmbd.RigidBody("pin", mass=1.0, inertia=1e-3, position=(0.0, 0.0))
     scene = fmbd.Scene("bushing")
     scene.add(rubber, pin, fmbd.tie_surface("tube", rubber.surface("outer"), fmbd.ground))
@@ -67,16 +65,15 @@ def main():
     for name, (elastic, degree) in cases.items():
         results = [stiffness(h, elastic, degree) for h in sizes]
         found[name] = np.array([k for k, _ in results])
-        demo.say(
-            f"{name:<20}"
-            + "  ".join(f"h = {h:g}: {k:.5g} N/m" for h, k in zip(sizes, found[name], strict=True))
-        )
+        demo.say(f"{name:<20}" + "  ".join(f"h = {h:g}: {k:.5g} N/m" for h, k in zip(sizes, found[name], strict=True)))
     mixed, nearly = found["mixed, nu = 0.5"], found["mixed, nu = 0.4999"]
     limit = mixed[-1] + (mixed[-1] - mixed[-2]) / 3  # second order: the error falls to a quarter
     softer = 1 - nearly / mixed  # by the compressibility that nu = 0.4999 leaves: physics, the same on every mesh
     locked = float(found["P1, nu = 0.4999"][0] / limit)
     checks = [
-        demo.Check.relative("mixed and displacement at nu = 0.3", found["mixed, nu = 0.3"][-1], found["P2, nu = 0.3"][-1], 1e-4),
+        demo.Check.relative(
+            "mixed and displacement at nu = 0.3", found["mixed, nu = 0.3"][-1], found["P2, nu = 0.3"][-1], 1e-4
+        ),
         demo.Check.relative("finest mesh against the limit, nu = 0.5", mixed[-1], limit, 1.5e-2 if args.fast else 5e-3),
         demo.Check("softer by nu = 0.4999, finest and coarsest mesh", softer[-1], softer[0], 5e-4),
         demo.Check("P1 is more than ten times too stiff", float(locked > 10), 1.0, 0.0),
@@ -85,7 +82,7 @@ def main():
         order = np.log2((mixed[1] - mixed[0]) / (mixed[2] - mixed[1]))
         checks.append(demo.Check("order in h, nu = 0.5", float(order), 2.0, 0.2))
     if args.picture:
-        from fmbd_fenicsx.plot import plot_curves
+        from fmbd_fenicsx.faces.plot import plot_curves
 
         curves = {k: (np.array(sizes), v) for k, v in found.items()}
         plot_curves(curves, args.picture, ("cell size (m)", "stiffness (N/m)"), log=True)

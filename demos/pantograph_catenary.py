@@ -12,7 +12,7 @@ import catenary_model as model
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.demo import Check, arguments, finish, say
+from fmbd_fenicsx.faces.demo import Check, arguments, finish, say
 
 args = arguments(__doc__)
 dt, spans, until = (4e-3, 3, 130.0) if args.fast else (2e-3, 10, 390.0)
@@ -42,7 +42,9 @@ for kmh, ranges in RANGES.items():
     found = dict(zip(ranges, (f.mean, f.deviation, top, f.largest, low, f.smallest, f.uplift), strict=True))
     for name, (a, b) in ranges.items():
         inside = a <= found[name] <= b
-        say(f"{kmh} km/h  {name:<24} {found[name]:7.1f}   standard {a} to {b}{'' if inside or args.fast else '   OUTSIDE'}")
+        say(
+            f"{kmh} km/h  {name:<24} {found[name]:7.1f}   standard {a} to {b}{'' if inside or args.fast else '   OUTSIDE'}"
+        )
         if not args.fast:
             checks.append(Check(f"{kmh} km/h: {name}", found[name], (a + b) / 2, (b - a) / 2))
     checks.append(Check(f"{kmh} km/h: contact loss, %", f.loss, 0.0, 0.0))

@@ -40,14 +40,10 @@ def response(omega, level):
     last extreme.
     """
     mesh = fmbd.read_gmsh("meshes/block.py", cells=4)
-    block = fmbd.AbsoluteBody(
-        "block", mesh, degree=1, density=MASS, elastic=fmbd.materials.linear_elastic(1e6, 0.3)
-    )
+    block = fmbd.AbsoluteBody("block", mesh, degree=1, density=MASS, elastic=fmbd.materials.linear_elastic(1e6, 0.3))
     scene = fmbd.Scene("perturbed clamp")
     shape = lambda x: np.stack([np.ones_like(x[0]), np.zeros_like(x[0])])
-    clamp = fmbd.tie_surface(
-        "clamp", block.surface("left"), fmbd.ground, shape=shape, motion=motion(omega, level)
-    )
+    clamp = fmbd.tie_surface("clamp", block.surface("left"), fmbd.ground, shape=shape, motion=motion(omega, level))
     scene.add(block, clamp)
     scene.sensor("x", fmbd.position(block.surface("right")))
     scene.sensor("v", fmbd.velocity(block.surface("right")))
@@ -72,9 +68,7 @@ if __name__ == "__main__":
     for level, index in ((0, 3), (1, 2), (2, 1)):
         found = table[index] = np.array([response(w, level) for w in omegas])
         growth = np.polyfit(np.log(omegas), np.log(found), 1)[0]
-        demo.say(
-            f"index {index}: growth with omega of displacement, velocity, clamp force: {growth.round(3)}"
-        )
+        demo.say(f"index {index}: growth with omega of displacement, velocity, clamp force: {growth.round(3)}")
         for k, name in enumerate(("displacement", "velocity", "clamp force")):
             checks.append(demo.Check(f"index {index}: power of omega, {name}", growth[k], k - level, 0.05))
     exact = MASS * DELTA * omegas**2

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import quad
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.demo import Check, arguments, finish
+from fmbd_fenicsx.faces.demo import Check, arguments, finish
 
 args = arguments(__doc__)
 turns, per_turn = (1, 400) if args.fast else (4, 800)
@@ -66,9 +66,7 @@ for arm in (0.30, R):
     e, name = runs[1].energy["kinetic"], "equal arms: " if arm == R else ""
     checks += [
         Check(f"{name}angle after {turns} turns, rad", phi[1], 2 * np.pi * turns, 1e-3 * turns),
-        Check(
-            f"{name}the same, extrapolated, rad", (4 * phi[1] - phi[0]) / 3, 2 * np.pi * turns, 1e-6 * turns
-        ),
+        Check(f"{name}the same, extrapolated, rad", (4 * phi[1] - phi[0]) / 3, 2 * np.pi * turns, 1e-6 * turns),
         Check(f"{name}energy error, 1", np.abs(e / e[0] - 1).max(), 0.0, 1e-3),
         Check(f"{name}constraint, m", runs[1].drift[0], 0.0, 1e-12),
     ]

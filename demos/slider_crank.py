@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.demo import Check, arguments, finish, say
+from fmbd_fenicsx.faces.demo import Check, arguments, finish, say
 
 args = arguments(__doc__)
 t_end, rtol = (0.01, 1e-6) if args.fast else (0.1, 1e-8)

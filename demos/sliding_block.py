@@ -14,7 +14,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.demo import Check
+from fmbd_fenicsx.faces.demo import Check
 
 args = demo.arguments(__doc__)
 g, mu, E, rho = 9.81, 0.3, 1e7, 1000.0
@@ -26,9 +26,7 @@ def slide(angle: float, scale: float) -> fmbd.Run:
     ratio).
     """
     mesh = fmbd.read_gmsh("meshes/block.py", size=(0.4 * scale, 0.2 * scale), cells=cells)
-    block = fmbd.AbsoluteBody(
-        "block", mesh, degree=1, density=rho, elastic=fmbd.materials.plane_stress(E * scale, 0.3)
-    )
+    block = fmbd.AbsoluteBody("block", mesh, degree=1, density=rho, elastic=fmbd.materials.plane_stress(E * scale, 0.3))
     slope = fmbd.contact(
         "slope", block.surface("bottom"), fmbd.Obstacle("slope", fmbd.HalfSpace((0, 0), (0, 1))), friction=mu
     )
@@ -61,9 +59,7 @@ checks = [
     Check.relative("the same at 1:1000", acceleration(small), exact, 0.01),
     Check("friction over normal force, sliding", float(ratio), -mu, 1e-6),
     Check("final speed of the stuck block, m/s", float(stuck["speed"][-1, 0]), 0.0, 1e-3),
-    Check.relative(
-        "its friction force, N", float(stuck["force"][100:, 0].mean()), -weight * np.sin(flat), 0.02
-    ),
+    Check.relative("its friction force, N", float(stuck["force"][100:, 0].mean()), -weight * np.sin(flat), 0.02),
     Check(
         "Newton iterations, large minus small",
         large.counters["newton_iterations"] - small.counters["newton_iterations"],

@@ -109,11 +109,9 @@ def main():
         checks.append(demo.Check(f"{name}: largest deflection", deflection.min(), -0.5744, 2e-3))
         message = refusal(make(False))
         demo.say(f"{name} without stiffening: {message}")
-        checks.append(
-            demo.Check(f"{name}: refused without stiffening", float("stiffening=True" in message), 1.0, 0.0)
-        )
+        checks.append(demo.Check(f"{name}: refused without stiffening", float("stiffening=True" in message), 1.0, 0.0))
     if args.picture:
-        from fmbd_fenicsx.plot import plot_curves
+        from fmbd_fenicsx.faces.plot import plot_curves
 
         plot_curves(curves, args.picture, ("time (s)", "deflection of the tip (m)"))
     demo.finish(checks, run, args)

@@ -73,7 +73,9 @@ def picture(stiffness, found, file):
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
     for name, rows in found.items():
         axes.loglog(stiffness, [r[0] for r in rows], "o-", label=name)
-    axes.set(xlabel="eps", ylabel=f"position error at t = {T_END:g} s (m)", title=f"step h = {H:g} s for every stiffness")
+    axes.set(
+        xlabel="eps", ylabel=f"position error at t = {T_END:g} s (m)", title=f"step h = {H:g} s for every stiffness"
+    )
     axes.invert_xaxis()
     axes.grid(alpha=0.3)
     figure.legend(loc="outside lower center", ncols=3)
@@ -87,13 +89,18 @@ def main():
     exact = {eps: reference(eps) for eps in stiffness}
     found = {n: [errors(s, e, H, exact[e]) for e in stiffness] for n, (s, _) in SCHEMES.items()}
     for name, rows in found.items():
-        demo.say(f"{name:<24}" + "  ".join(f"eps={e:.0e}: {x:.1e} / {v:.1e}" for e, (x, v) in zip(stiffness, rows, strict=True)))
+        demo.say(
+            f"{name:<24}"
+            + "  ".join(f"eps={e:.0e}: {x:.1e} / {v:.1e}" for e, (x, v) in zip(stiffness, rows, strict=True))
+        )
     if args.picture:
         picture(stiffness, found, args.picture)
     checks = []
     for name, rows in found.items():
         worst = max(x for x, _ in rows) / rows[0][0]
-        checks.append(demo.Check(f"{name}: largest position error over that at eps = 0.1", worst, 0.0, SCHEMES[name][1]))
+        checks.append(
+            demo.Check(f"{name}: largest position error over that at eps = 0.1", worst, 0.0, SCHEMES[name][1])
+        )
     demo.finish(checks, None, args)
 
 

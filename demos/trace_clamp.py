@@ -19,12 +19,12 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.fields import ElasticForms, Field
 from fmbd_fenicsx.linear.presets import Direct
 from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, hold
-from fmbd_fenicsx.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends
-from fmbd_fenicsx.stability import infsup
-from fmbd_fenicsx.traces import trace_of
+from fmbd_fenicsx.traces.fields import ElasticForms, Field
+from fmbd_fenicsx.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends
+from fmbd_fenicsx.traces.stability import infsup
+from fmbd_fenicsx.traces.traces import trace_of
 
 KEPT, P1 = Continuous(ends=Ends.KEPT), Continuous(1, Ends.KEPT)
 # degree of V_h, multiplier space, constants at n = 8 with free and with clamped neighbours
@@ -43,11 +43,7 @@ def table(sizes):
     """Lines of the table, and a check of each constant at n = 8."""
     meshes = {n: square(n) for n in {*sizes, *(min(4 * n, 64) for n in sizes)}}
     checks = []
-    demo.say(
-        "V / multipliers                     neighbours free"
-        + " " * 10 * (len(sizes) - 1)
-        + "neighbours clamped"
-    )
+    demo.say("V / multipliers                     neighbours free" + " " * 10 * (len(sizes) - 1) + "neighbours clamped")
     for degree, space, free, clamped in SPACES:
         found = {c: [infsup((meshes[n], "bottom"), space, degree=degree, clamped=c, reference=(meshes[min(4 * n, 64)], 2))
                      for n in sizes]
@@ -68,9 +64,7 @@ def clamped_plate(n):
     load[face.owned[mine], 1] = -0.1 * (face.mass() @ np.ones(face.n))[mine]
     system = SaddlePoint([Elastic(plate)], [hold("clamp", 0, mu)])
     solver = Direct().solver(system)
-    lam = (
-        -solver.solve([load.ravel()], [np.zeros(2 * mu.n)]).multipliers[0].reshape(-1, 2)
-    )  # force on the plate
+    lam = -solver.solve([load.ravel()], [np.zeros(2 * mu.n)]).multipliers[0].reshape(-1, 2)  # force on the plate
     force = np.asarray(mu.coupling().sum(axis=1)).T @ lam
     solver.destroy(), system.destroy(), plate.destroy()
     return mu, lam, force[0]

@@ -14,7 +14,7 @@ Reference of the rigid truck: nine coordinates, forces by virtual work, order 8 
 import truck_model as model
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.demo import Check, arguments, finish, say
+from fmbd_fenicsx.faces.demo import Check, arguments, finish, say
 
 args = arguments(__doc__)
 t_end, dt = (2.0, 1e-2) if args.fast else (10.0, 5e-3)
@@ -65,7 +65,9 @@ for modes in (0, 6, 24):
 checks.append(Check("24 modes: cab against the full field, m", deviation(full, few), 0.0, 1e-6))
 checks.append(Check("stress error falls with the modes", float(errors == sorted(errors, reverse=True)), 1.0, 0.0))
 checks.append(Check.relative("24 modes: largest stress, N/m", few["stress"].max(), full["stress"].max(), 2e-2))
-say(f"cab acceleration up to {abs(full['cab acceleration'][:, 1]).max():.3g} m/s^2, stress up to {full['stress'].max():.4g} N/m")
+say(
+    f"cab acceleration up to {abs(full['cab acceleration'][:, 1]).max():.3g} m/s^2, stress up to {full['stress'].max():.4g} N/m"
+)
 if args.picture:
     model.picture(full, rigid[True], args.picture)
 finish(checks, full, args)

@@ -79,7 +79,9 @@ def truck(load: object, *, pinned: bool = True, modulus: float | None = None) ->
     for name in ("rear wheel", "front wheel"):
         scene.add(fmbd.prismatic(f"{name} guide", fmbd.ground, bodies[name], axis=(0, 1), center=bodies[name].position))
     for name in ("chassis", "cab"):  # free to move up and to pitch
-        scene.add(fmbd.point_on_line(f"{name} guide", fmbd.ground, bodies[name], axis=(0, 1), center=bodies[name].position))
+        scene.add(
+            fmbd.point_on_line(f"{name} guide", fmbd.ground, bodies[name], axis=(0, 1), center=bodies[name].position)
+        )
     if pinned:
         scene.add(fmbd.revolute("pin", bodies["chassis"], sides["load: rear"], center=PIN))
     for name, (a, b, at_a, at_b, k, d, f) in SUSPENSION.items():

@@ -12,7 +12,7 @@ from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.demo import Check, arguments, finish
+from fmbd_fenicsx.faces.demo import Check, arguments, finish
 
 args = arguments(__doc__)
 LINKS = {  # points on the car body and on the carrier
@@ -38,16 +38,10 @@ scene = fmbd.Scene("wheel suspension", gravity=(0, 0, -9.81))
 guide = fmbd.prismatic("guide", fmbd.ground, body, axis=(0, 0, 1), center=BODY)
 scene.add(body, carrier, guide)
 for name, (p, q) in LINKS.items():
-    scene.add(
-        fmbd.distance(
-            name, body, carrier, point_a=p, point_b=q, length=float(np.linalg.norm(np.subtract(q, p)))
-        )
-    )
+    scene.add(fmbd.distance(name, body, carrier, point_a=p, point_b=q, length=float(np.linalg.norm(np.subtract(q, p)))))
 top, seat = (0.0, 0.48, 0.75), (0.0, 0.62, 0.22)
 scene.add(fmbd.Spring("strut", body, carrier, top, seat, stiffness=4e4, damping=4e3, length=0.66))
-scene.add(
-    fmbd.Tyre("tyre", carrier, road=road, radius=RADIUS, stiffness=STIFFNESS, damping=300.0, up=(0, 0, 1))
-)
+scene.add(fmbd.Tyre("tyre", carrier, road=road, radius=RADIUS, stiffness=STIFFNESS, damping=300.0, up=(0, 0, 1)))
 scene.sensor("lift of the body", fmbd.displacement(guide))
 scene.sensor("wheel", fmbd.position(carrier))
 scene.sensor("R", fmbd.rotation(carrier))

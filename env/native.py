@@ -52,9 +52,7 @@ def check():
 def make_venv(venv, numpy_version):
     """Make the venv on top of this python, with what is missing; what cannot be had is told and left out."""
     shutil.rmtree(venv, ignore_errors=True)
-    subprocess.run(
-        [sys.executable, "-m", "venv", "--system-site-packages", "--without-pip", venv], check=True
-    )
+    subprocess.run([sys.executable, "-m", "venv", "--system-site-packages", "--without-pip", venv], check=True)
     python = str(venv / "bin" / "python3")
     if sys.prefix != sys.base_prefix:  # a venv over a venv sees only the packages of the python below both
         (packages,) = venv.glob("lib/python3*/site-packages")

@@ -1,12 +1,22 @@
 """Computational flexible multibody dynamics on FEniCSx, by the differential-algebraic approach."""
 
 from . import errors, materials
-from .beams import Beam, Section
-from .bodies import AbsoluteBody, Attached, Chord, CoordinateBody, FloatingBody, MeanAxis, RigidBody, Surface
-from .drives import angle, displacement, drive, gear, own_joint, screw
 from .energies import MixedEnergy
-from .forces import Spring, Tyre, effort, force, joint_spring, own_force, torque
-from .joints import (
+from .log import say
+from .mechanics.beams import Beam, Section
+from .mechanics.bodies import (
+    AbsoluteBody,
+    Attached,
+    Chord,
+    CoordinateBody,
+    FloatingBody,
+    MeanAxis,
+    RigidBody,
+    Surface,
+)
+from .mechanics.drives import angle, displacement, drive, gear, own_joint, screw
+from .mechanics.forces import Spring, Tyre, effort, force, joint_spring, own_force, torque
+from .mechanics.joints import (
     cylindrical,
     distance,
     drive_rotation,
@@ -20,22 +30,21 @@ from .joints import (
     spherical,
     universal,
 )
-from .loads import Load, body_force, pressure, thermal_stress, traction
-from .log import say
-from .newton import Newton
-from .output import Output
-from .recovery import displacement as displacement_field
-from .recovery import stress
-from .reduction import CraigBampton
-from .scene import Scene
+from .mechanics.recovery import displacement as displacement_field
+from .mechanics.recovery import stress
+from .mechanics.reduction import CraigBampton
+from .run.output import Output
+from .run.solve import Run, solve
 from .schemes.bdf import BDF
 from .schemes.dae import GGL, Baumgarte, Index1, Index2, Index3, Overdetermined, Projected, StateSpace
 from .schemes.energy_momentum import EnergyMomentum
 from .schemes.generalized_alpha import GeneralizedAlpha
 from .schemes.half_explicit import HalfExplicit
+from .schemes.newton import Newton
 from .schemes.radau import Radau
 from .schemes.rattle import Rattle
-from .sensors import (
+from .system.scene import Scene
+from .system.sensors import (
     acceleration,
     coordinates,
     joint_rate,
@@ -46,23 +55,23 @@ from .sensors import (
     rotation,
     velocity,
 )
-from .solve import Run, solve
+from .traces.loads import Load, body_force, pressure, thermal_stress, traction
 
 __version__ = "0.1.0"
 
 
 _LATER = {
-    "sensors_field": ("largest",),
-    "sensors_wires": ("wire_height", "dropper_forces"),
-    "wires": ("Dropper", "PointSupport", "Wire", "Wires"),
-    "sliding": ("SlidingContact",),
+    "system.sensors_field": ("largest",),
+    "system.sensors_wires": ("wire_height", "dropper_forces"),
+    "mechanics.wires": ("Dropper", "PointSupport", "Wire", "Wires"),
+    "mechanics.sliding": ("SlidingContact",),
     "schemes.unilateral": ("Unilateral",),
-    "trace_ties": ("tie_surface", "SurfaceTie"),
-    "multipliers": ("Aggregated", "Continuous", "Discontinuous", "Dual", "Ends", "Linear"),
-    "stability": ("infsup",),
-    "contact": ("contact", "ball", "corners", "cylinder_end"),
-    "contact_shapes": ("Box", "Cylinder", "HalfSpace", "Obstacle", "SignedDistance", "Sphere"),
-    "sensors_contact": ("contact_force", "contact_gap", "contact_impulse", "contact_pressure", "contact_work"),
+    "mechanics.trace_ties": ("tie_surface", "SurfaceTie"),
+    "traces.multipliers": ("Aggregated", "Continuous", "Discontinuous", "Dual", "Ends", "Linear"),
+    "traces.stability": ("infsup",),
+    "mechanics.contact": ("contact", "ball", "corners", "cylinder_end"),
+    "mechanics.contact_shapes": ("Box", "Cylinder", "HalfSpace", "Obstacle", "SignedDistance", "Sphere"),
+    "system.sensors_contact": ("contact_force", "contact_gap", "contact_impulse", "contact_pressure", "contact_work"),
     "schemes.contact_midpoint": ("ContactMidpoint",),
     "schemes.contact_alpha": ("ContactAlpha",),
     "schemes.moreau": ("Moreau",),
@@ -82,4 +91,6 @@ def __getattr__(name: str) -> object:
         from . import mesh
 
         return getattr(mesh, name)
+    if name in ("demo", "study"):
+        return import_module(f".faces.{name}", __name__)
     raise AttributeError(f"module 'fmbd_fenicsx' has no attribute {name!r}")

@@ -24,12 +24,7 @@ def world_size() -> int:
     if "mpi4py.MPI" in sys.modules:
         return int(sys.modules["mpi4py.MPI"].COMM_WORLD.size)
     for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_SIZE", "SLURM_NTASKS"):
-        if (
-            name in os.environ
-            and "OMPI_COMM_WORLD_SIZE" in os.environ
-            or name == "PMI_SIZE"
-            and name in os.environ
-        ):
+        if name in os.environ and "OMPI_COMM_WORLD_SIZE" in os.environ or name == "PMI_SIZE" and name in os.environ:
             return int(os.environ[name])
     return 1
 
@@ -117,9 +112,7 @@ class StopRequests:
 
 def peak_memory(comm: Any) -> float:
     """Peak resident memory of the largest rank, bytes; collective over ``comm`` (None: this process)."""
-    own = float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) * (
-        1.0 if sys.platform == "darwin" else 1024.0
-    )
+    own = float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) * (1.0 if sys.platform == "darwin" else 1024.0)
     return own if comm is None else max(comm.allgather(own))
 
 

@@ -87,7 +87,9 @@ def read_gmsh(source: str | Path, *, volume: str | None = None, comm: Any = None
     return Mesh(msh, facets, groups, name, label)
 
 
-def _load(gmsh: Any, path: Path, parameters: dict[str, Any], volume: str | None) -> tuple[int, str, dict[str, int], str]:
+def _load(
+    gmsh: Any, path: Path, parameters: dict[str, Any], volume: str | None
+) -> tuple[int, str, dict[str, int], str]:
     """Rank 0: build or open the model, check it, keep one body; returns dimension, volume name, surface tags, label."""
     if not path.is_file():
         raise MeshError(f"Mesh file {path} does not exist (looked in {Path.cwd()}).")
@@ -112,7 +114,9 @@ def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, d
     """Check physical groups and cells of a meshed gmsh model; drop the groups of other bodies. Rank 0 only."""
     groups = [(dim, tag, model.getPhysicalName(dim, tag)) for dim, tag in model.getPhysicalGroups()]
     if not groups:
-        raise MeshError(f"{label}: no physical groups. Name the solid and its surfaces with addPhysicalGroup(..., name=...).")
+        raise MeshError(
+            f"{label}: no physical groups. Name the solid and its surfaces with addPhysicalGroup(..., name=...)."
+        )
     dim = max(g[0] for g in groups)
     listing = ", ".join(f'"{n}" (dim {k})' for k, _, n in groups)
     unnamed = [(k, t) for k, t, n in groups if not n and k >= dim - 1]

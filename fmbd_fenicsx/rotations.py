@@ -48,9 +48,7 @@ def cross3(a: Array, b: Array) -> Array:
 def quaternion_product(p: Array, q: Array) -> Array:
     """Hamilton product of scalar-last quaternions: the rotation q followed, in space axes, by p."""
     pv, ps, qv, qs = p[..., :3], p[..., 3:], q[..., :3], q[..., 3:]
-    return np.concatenate(
-        (ps * qv + qs * pv + cross3(pv, qv), ps * qs - (pv * qv).sum(-1, keepdims=True)), axis=-1
-    )
+    return np.concatenate((ps * qv + qs * pv + cross3(pv, qv), ps * qs - (pv * qv).sum(-1, keepdims=True)), axis=-1)
 
 
 def quaternion_exp(theta: Array) -> Array:

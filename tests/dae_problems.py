@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.schur import StepSolver
-from fmbd_fenicsx.newton import Newton
+from fmbd_fenicsx.schemes.newton import Newton
 from fmbd_fenicsx.schemes.start import consistent
 
 GRAVITY = 9.81
@@ -40,9 +40,7 @@ def pendulum(angle: float = 1.0, rate: float = 1.0, gravity: float = GRAVITY) ->
 
 
 @lru_cache
-def pendulum_at(
-    t: float, angle: float = 1.0, rate: float = 1.0, gravity: float = GRAVITY
-) -> tuple[Any, Any, float]:
+def pendulum_at(t: float, angle: float = 1.0, rate: float = 1.0, gravity: float = GRAVITY) -> tuple[Any, Any, float]:
     """Position, velocity and multiplier of the pendulum at time t, from its angle by DOP853."""
     run = solve_ivp(
         lambda t, y: [y[1], -gravity * np.sin(y[0])],
@@ -93,6 +91,4 @@ def spinning_top() -> fmbd.Scene:
 def state_errors(scene: fmbd.Scene, a: Any, b: Any) -> np.ndarray:
     """Differences of two states in q, v, lambda, (3,)."""
     system = scene.build()[0]
-    return np.array(
-        [np.abs(system.difference(a.q, b.q)).max(), np.abs(a.v - b.v).max(), np.abs(a.lam - b.lam).max()]
-    )
+    return np.array([np.abs(system.difference(a.q, b.q)).max(), np.abs(a.v - b.v).max(), np.abs(a.lam - b.lam).max()])

@@ -15,7 +15,7 @@ import numpy as np
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.log import world_rank
 from fmbd_fenicsx.rotations import Array, tangent
-from fmbd_fenicsx.system import Evaluation, System
+from fmbd_fenicsx.system.system import Evaluation, System
 
 
 def first(function: Callable[[float], Any], h: float = 1e-3) -> Array:
@@ -57,9 +57,7 @@ class Motion:
     def at(self, s: float) -> Evaluation:
         """The system at the instant s of the motion."""
         xi, rate = self.increment(s)
-        return self.system.at(
-            self.t + s, self.system.compose(self.q, xi), quasi_velocity(self.system, xi, rate)
-        )
+        return self.system.at(self.t + s, self.system.compose(self.q, xi), quasi_velocity(self.system, xi, rate))
 
     def direction(self) -> Array:
         """A random virtual displacement."""

@@ -18,14 +18,16 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-MECHANICS = "test_rotations test_frames test_joints test_system test_fields test_surfaces test_linear test_start".split()
+MECHANICS = (
+    "test_rotations test_frames test_joints test_system test_fields test_surfaces test_linear test_start".split()
+)
 ALPHA = ["test_generalized_alpha"]
 
 # what is broken, file, old text, new text, tests tried
 MUTATIONS: list[tuple[str, str, str, str, list[str]]] = [
-    ("sign of B^T on elastic surfaces", "system_jacobian.py", "p.port_force(self.port[:, s.port_slice(k)].T @ lam)",
+    ("sign of B^T on elastic surfaces", "system/system_jacobian.py", "p.port_force(self.port[:, s.port_slice(k)].T @ lam)",
      "-p.port_force(self.port[:, s.port_slice(k)].T @ lam)", MECHANICS),
-    ("sign of G^T on frames", "system_jacobian.py", "core = np.asarray(self.core.T @ lam)",
+    ("sign of G^T on frames", "system/system_jacobian.py", "core = np.asarray(self.core.T @ lam)",
      "core = -np.asarray(self.core.T @ lam)", MECHANICS),
     ("T(theta) in place of its inverse", "rotations.py", "w = (tangent_inverse(xi[..., 3:])", "w = (tangent(xi[..., 3:])",
      MECHANICS),
@@ -40,15 +42,15 @@ MUTATIONS: list[tuple[str, str, str, str, list[str]]] = [
     ("start with A_0 = a_0", "schemes/generalized_alpha.py", "s.a + (am - af) * h * rate, s.a", "s.a, s.a", ALPHA),
     ("Lie term of the start dropped", "schemes/generalized_alpha.py", "spin_of_acceleration(system, s.v, s.a) / 12", "0.0", ALPHA),
     ("rho_inf = 1 accepted", "schemes/generalized_alpha.py", "0.0 <= self.rho_inf < 1.0", "0.0 <= self.rho_inf <= 1.0", ALPHA),
-    ("Coriolis term halved", "floating.py", "m.spin(w, m.spin(w, P) + 2.0 * Ud)", "m.spin(w, m.spin(w, P) + 1.0 * Ud)", MECHANICS),
-    ("deformation left out of the lever", "floating.py", "m.moment(P, F).sum(0)", "m.moment(self.field.X, F).sum(0)", MECHANICS),
-    ("gyroscopic moment of rigid bodies dropped", "placements.py", " + m.moment(v[:, d:], Jw)", "", MECHANICS),
-    ("Coriolis part of a surface's bias halved", "frames.py", "2.0 * m.spin(w[s], local_rate[:, :d])",
+    ("Coriolis term halved", "mechanics/floating.py", "m.spin(w, m.spin(w, P) + 2.0 * Ud)", "m.spin(w, m.spin(w, P) + 1.0 * Ud)", MECHANICS),
+    ("deformation left out of the lever", "mechanics/floating.py", "m.moment(P, F).sum(0)", "m.moment(self.field.X, F).sum(0)", MECHANICS),
+    ("gyroscopic moment of rigid bodies dropped", "mechanics/placements.py", " + m.moment(v[:, d:], Jw)", "", MECHANICS),
+    ("Coriolis part of a surface's bias halved", "mechanics/frames.py", "2.0 * m.spin(w[s], local_rate[:, :d])",
      "1.0 * m.spin(w[s], local_rate[:, :d])", MECHANICS),
-    ("stretch left out of a surface's rotation", "frames.py", "stretch = F @ np.swapaxes(Rs, 1, 2)",
+    ("stretch left out of a surface's rotation", "mechanics/frames.py", "stretch = F @ np.swapaxes(Rs, 1, 2)",
      "stretch = np.broadcast_to(np.eye(d), F.shape) * np.trace(F, axis1=1, axis2=2)[:, None, None]", MECHANICS),
-    ("gamma of a perpendicular joint loses its cross term", "constraints.py", "+ 2 * _dot(ed, fd)", "+ _dot(ed, fd)", MECHANICS),
-    ("gamma of a distance of wrong sign", "constraints.py", "return _dot(vb - va, vb - va) / self.length",
+    ("gamma of a perpendicular joint loses its cross term", "mechanics/constraints.py", "+ 2 * _dot(ed, fd)", "+ _dot(ed, fd)", MECHANICS),
+    ("gamma of a distance of wrong sign", "mechanics/constraints.py", "return _dot(vb - va, vb - va) / self.length",
      "return -_dot(vb - va, vb - va) / self.length", MECHANICS),
     ("Schur complement without the port block", "linear/schur.py", "C -= WS[n:, n:]", "C -= 0 * WS[n:, n:]", MECHANICS),
     ("judge accepts everything", "linear/residual.py", "if not np.isfinite(relative) or relative > self.tolerance:",
@@ -56,14 +58,14 @@ MUTATIONS: list[tuple[str, str, str, str, list[str]]] = [
     ("velocities projected in the wrong metric", "schemes/start.py", "        v = v + dv\n",
      "        v = v - np.linalg.pinv(ev.jacobian.core) @ (ev.jacobian.times(v)) if not system.fields else v + dv\n", MECHANICS),
     ("gap of the joints accepted", "schemes/start.py", "REFUSED = 1e-3", "REFUSED = 1e3", MECHANICS),
-    ("centroid left out of the trace weights", "surfaces.py", "(x[k] - center[k]) / (self.length", "x[k] / (self.length", MECHANICS),
-    ("symmetry of the elastic form not checked", "fields.py", "if abs(vKu - uKv) > 1e-9 * scale:", "if False:", MECHANICS),
+    ("centroid left out of the trace weights", "traces/surfaces.py", "(x[k] - center[k]) / (self.length", "x[k] / (self.length", MECHANICS),
+    ("symmetry of the elastic form not checked", "traces/fields.py", "if abs(vKu - uKv) > 1e-9 * scale:", "if False:", MECHANICS),
     ("inverted cells not counted", "mesh.py", "            bad += wrong.size", "            bad += 0 * wrong.size", ["test_mesh"]),
-    ("sums over ranks in no fixed order (rank 0 last)", "fields.py", "return np.sum(comm.allgather(x), axis=0)",
+    ("sums over ranks in no fixed order (rank 0 last)", "traces/fields.py", "return np.sum(comm.allgather(x), axis=0)",
      "return np.sum(np.roll(comm.allgather(x), comm.rank, axis=0), axis=0)", ["test_ranks"]),
     ("a mesh library loaded by the package", "__init__.py", "from . import errors, materials", "import gmsh\nfrom . import errors, materials",
      ["test_imports"]),
-    ("an arrow that points up", "frames.py", "def polar_rotation", "def _up() -> None:\n    from . import solve\n\n\ndef polar_rotation",
+    ("an arrow that points up", "mechanics/frames.py", "def polar_rotation", "def _up() -> None:\n    from ..run import solve\n\n\ndef polar_rotation",
      ["test_layers"]),
 ]  # fmt: skip
 

@@ -83,9 +83,7 @@ LAWS = {
         '"wind"',
     ),
     "own joint": (
-        lambda body, hinge: fmbd.own_joint(
-            "wind", fmbd.ground, body, lambda xa, Ra, xb, Rb, t: np.array([nan])
-        ),
+        lambda body, hinge: fmbd.own_joint("wind", fmbd.ground, body, lambda xa, Ra, xb, Rb, t: np.array([nan])),
         '"wind"',
     ),
     "shape": (lambda body, hinge: fmbd.force("wind", body, lambda t: (0, 1)), '"wind".*shape'),
@@ -130,9 +128,7 @@ def test_unknown_body_in_a_joint_and_in_a_force() -> None:
 
 def test_names_are_unique() -> None:
     for part, what in ((rod(), "bodies"), (fmbd.revolute("hinge", fmbd.ground, rod()), "joints")):
-        with pytest.raises(
-            InputError, match=re.escape(f'Two {what} are called "{part.name}"') + "|are called"
-        ):
+        with pytest.raises(InputError, match=re.escape(f'Two {what} are called "{part.name}"') + "|are called"):
             pendulum(part)
 
 

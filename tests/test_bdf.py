@@ -36,10 +36,7 @@ def test_order_in_space() -> None:
     reference = march(scene, fmbd.Radau(3, fmbd.StateSpace(), None), 0.5, 240)[-1]
     for order in (2, 3):
         errors = np.array(
-            [
-                state_errors(scene, march(scene, fmbd.BDF(order, rtol=None), 0.5, n)[-1], reference)
-                for n in (80, 160)
-            ]
+            [state_errors(scene, march(scene, fmbd.BDF(order, rtol=None), 0.5, n)[-1], reference) for n in (80, 160)]
         )
         assert (np.abs(np.log2(errors[0] / errors[1]) - order) < 0.15).all(), errors
 

@@ -15,7 +15,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.schemes import compiled
 from fmbd_fenicsx.schemes.generalized_alpha import CompiledStepper, GeneralizedAlpha, Stepper
-from fmbd_fenicsx.system import State
+from fmbd_fenicsx.system.system import State
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.skipif(compiled.library() is None, reason="no C compiler")
@@ -24,9 +24,7 @@ pytestmark = pytest.mark.skipif(compiled.library() is None, reason="no C compile
 def chain(n: int) -> fmbd.Scene:
     e = np.array([0.8, -0.6])
     scene = fmbd.Scene("chain", gravity=(0.3, -9.81))
-    links = [
-        fmbd.RigidBody(f"{i}", 0.1 + 0.01 * (i % 3), 1e-4, (i + 0.5) * 0.1 * e, -0.6435) for i in range(n)
-    ]
+    links = [fmbd.RigidBody(f"{i}", 0.1 + 0.01 * (i % 3), 1e-4, (i + 0.5) * 0.1 * e, -0.6435) for i in range(n)]
     scene.add(*links)
     for i, (a, b) in enumerate(zip([fmbd.ground, *links], links, strict=False)):
         scene.add(fmbd.revolute(f"pin {i}", a, b, center=i * 0.1 * e))
@@ -130,9 +128,7 @@ def test_without_compiler_numpy_does_it(tmp_path: Path) -> None:
     import os
 
     env = os.environ | {"CC": "no-such-compiler", "XDG_CACHE_HOME": str(tmp_path)}
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, env=env, capture_output=True, text=True, timeout=120
-    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=env, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
 
 
@@ -184,7 +180,9 @@ def test_pendulum_over_many_steps(compiled_step: bool, steps: int) -> None:
         x, v = s.q[:2], s.v[:2]
         worst["gap"] = max(worst["gap"], abs(float(x @ x) - 1.0))
         worst["slip"] = max(worst["slip"], abs(float(x @ v)))
-        worst["energy"] = max(worst["energy"], abs(0.5 * float(v @ v) + float(x[1]) - start["kinetic"] - start["weight"]))
+        worst["energy"] = max(
+            worst["energy"], abs(0.5 * float(v @ v) + float(x[1]) - start["kinetic"] - start["weight"])
+        )
     assert worst["gap"] < 1e-13
     assert worst["slip"] < 1e-4
     assert worst["energy"] < 5e-4

@@ -22,15 +22,11 @@ def strip(n: int, body: str = "AbsoluteBody", **more: Any) -> Any:
     """A bar of one row of cells that moves to the left with 0.1 m/s."""
     mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.1), counts=(n, 1), quads=True)
     elastic = fmbd.materials.linear_elastic(1.0, 0.0)
-    return getattr(fmbd, body)(
-        "bar", mesh, degree=1, density=1.0, elastic=elastic, velocity=(-0.1, 0.0), **more
-    )
+    return getattr(fmbd, body)("bar", mesh, degree=1, density=1.0, elastic=elastic, velocity=(-0.1, 0.0), **more)
 
 
 def impact(bar: Any, scheme: Any = None, n: int = 50, t_end: float = 2.2, **more: Any) -> Any:
-    wall = fmbd.contact(
-        "wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((0, 0), (1, 0))), **more
-    )
+    wall = fmbd.contact("wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((0, 0), (1, 0))), **more)
     scene = fmbd.Scene("bar impact")
     scene.add(bar, wall)
     scene.sensor("force", fmbd.contact_force(wall))
@@ -89,9 +85,7 @@ def test_contact_alpha_damps_and_touches_alike() -> None:
 
 def test_ledger_balances() -> None:
     mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.5), cells=4)
-    body = fmbd.AbsoluteBody(
-        "body", mesh, degree=1, density=2.0, elastic=fmbd.materials.linear_elastic(50.0, 0.2)
-    )
+    body = fmbd.AbsoluteBody("body", mesh, degree=1, density=2.0, elastic=fmbd.materials.linear_elastic(50.0, 0.2))
     floor = fmbd.contact(
         "floor",
         body.surface("bottom"),
@@ -114,9 +108,7 @@ def test_midpoint_is_of_second_order_before_the_impact() -> None:
         bar = strip(8).__class__(
             **{**strip(8).__dict__, "displacement": lambda x: np.stack((0.01 * x[0] ** 2, 0 * x[0]))}
         )
-        wall = fmbd.contact(
-            "wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((-1, 0), (1, 0)))
-        )
+        wall = fmbd.contact("wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((-1, 0), (1, 0))))
         scene = fmbd.Scene("free flight")
         scene.add(bar, wall)
         scene.sensor("x", fmbd.position(bar.surface("right")))
@@ -137,9 +129,7 @@ def patch(dim: int, cells: tuple[int, int]) -> np.ndarray:
     for name, n, origin in (("low", cells[0], (0.0,) * dim), ("high", cells[1], lift)):
         mesh = fmbd.read_gmsh(BLOCK, size=size, cells=n, origin=origin)
         bodies.append(
-            fmbd.AbsoluteBody(
-                name, mesh, degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1000.0, 0.3)
-            )
+            fmbd.AbsoluteBody(name, mesh, degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1000.0, 0.3))
         )
     low, high = bodies
     scene = fmbd.Scene("patch")
@@ -207,9 +197,7 @@ def test_nonlinear_body_bounces() -> None:
     body = fmbd.AbsoluteBody(
         "block", mesh, degree=1, density=1.0, energy=neo_hookean, velocity=(0.0, -0.5), angular_velocity=0.3
     )
-    floor = fmbd.contact(
-        "floor", body.surface("bottom"), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1)))
-    )
+    floor = fmbd.contact("floor", body.surface("bottom"), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1))))
     scene = fmbd.Scene("nonlinear")
     scene.add(body, floor)
     scene.sensor("gap", fmbd.contact_gap(floor))
@@ -248,9 +236,7 @@ def test_elastic_and_plastic_impact_of_two_balls() -> None:
         scene.add(
             a,
             b,
-            fmbd.contact(
-                "pair", fmbd.ball(a, 0.2), fmbd.Obstacle("b", fmbd.Sphere(0.2), on=b), restitution=e
-            ),
+            fmbd.contact("pair", fmbd.ball(a, 0.2), fmbd.Obstacle("b", fmbd.Sphere(0.2), on=b), restitution=e),
         )
         run = fmbd.solve(scene, t_end=1.0, dt=0.01, scheme=fmbd.Moreau())
         assert run.state.v[[0, 6]] == pytest.approx([(2 - e) / 3, 2 * (1 + e) / 3], abs=1e-9)
@@ -273,9 +259,7 @@ def test_disk_rolls_after_sliding() -> None:
 def test_cylinder_stands_on_its_end_in_space() -> None:
     can = fmbd.RigidBody("can", 1.0, (0.01, 0.01, 0.005), position=(0, 0, 0.12))
     end = fmbd.cylinder_end(can, 0.05, center=(0, 0, -0.1), axis=(0, 0, 1))
-    floor = fmbd.contact(
-        "floor", end, fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0, 0), (0, 0, 1))), friction=0.5
-    )
+    floor = fmbd.contact("floor", end, fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0, 0), (0, 0, 1))), friction=0.5)
     scene = fmbd.Scene("can", gravity=(0, 0, -9.81))
     scene.add(can, floor)
     scene.sensor("force", fmbd.contact_force(floor))
@@ -315,9 +299,7 @@ def test_rigid_contact_needs_an_impact_law() -> None:
 def test_schemes_without_contact_refuse_it() -> None:
     bar = strip(4)
     scene = fmbd.Scene("bar")
-    scene.add(
-        bar, fmbd.contact("c", bar.surface("left"), fmbd.Obstacle("w", fmbd.HalfSpace((-1, 0), (1, 0))))
-    )
+    scene.add(bar, fmbd.contact("c", bar.surface("left"), fmbd.Obstacle("w", fmbd.HalfSpace((-1, 0), (1, 0)))))
     with pytest.raises(InputError, match="does not treat contact"):
         fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.GeneralizedAlpha())
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.contact_mass import redistribute_mass
-from fmbd_fenicsx.contact_trace import surface_nodes
-from fmbd_fenicsx.fields import Field
+from fmbd_fenicsx.mechanics.contact_mass import redistribute_mass
+from fmbd_fenicsx.mechanics.contact_trace import surface_nodes
+from fmbd_fenicsx.traces.fields import Field
 
 BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
 
@@ -19,9 +19,7 @@ BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
 @pytest.mark.parametrize(("size", "degree"), [((1.0, 0.5), 1), ((1.0, 0.5), 2), ((1.0, 0.8, 0.6), 1)])
 def test_moments_are_kept_and_contact_nodes_are_massless(size: tuple[float, ...], degree: int) -> None:
     mesh = fmbd.read_gmsh(BLOCK, size=size, cells=24 if len(size) == 2 else 12)
-    body = fmbd.AbsoluteBody(
-        "block", mesh, degree=degree, density=3.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3)
-    )
+    body = fmbd.AbsoluteBody("block", mesh, degree=degree, density=3.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
     field = Field("block", mesh, body.forms())
     mass, center, inertia = field.mass_total, field.center.copy(), field.inertia.copy()
     nodes = surface_nodes(field, ["bottom"])

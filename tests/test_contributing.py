@@ -53,9 +53,7 @@ def test_weak_form_stiffens_the_rod(rod_mesh):
         run = fmbd.solve(scene, t_end=0.1, dt=0.01)
         return run.energy["elastic"].max()
 
-    assert tip(example("fibres")["fibres"](5e6, 0.3, 5e7)) < 0.5 * tip(
-        fmbd.materials.linear_elastic(5e6, 0.3)
-    )
+    assert tip(example("fibres")["fibres"](5e6, 0.3, 5e7)) < 0.5 * tip(fmbd.materials.linear_elastic(5e6, 0.3))
 
 
 def test_scheme_has_its_order():

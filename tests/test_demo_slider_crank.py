@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmbd_fenicsx.coordinates import PortConstraint, derivative
+from fmbd_fenicsx.mechanics.coordinates import PortConstraint, derivative
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "demos"))

@@ -56,9 +56,7 @@ def governor(t_end: float) -> float:
     fixed = thin * 1e-4 / 6 + slider * 0.01 / 6
 
     def inertia(a: float) -> float:
-        return fixed + 2 * (
-            m * (0.05 + c * np.cos(a)) ** 2 + across * np.cos(a) ** 2 + axial * np.sin(a) ** 2
-        )
+        return fixed + 2 * (m * (0.05 + c * np.cos(a)) ** 2 + across * np.cos(a) ** 2 + axial * np.sin(a) ** 2)
 
     def slope(a: float) -> float:
         return 2 * (-2 * m * (0.05 + c * np.cos(a)) * c * np.sin(a) + (axial - across) * np.sin(2 * a))

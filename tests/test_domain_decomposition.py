@@ -8,13 +8,13 @@ from test_traces import ROOT
 from tied import block, manufactured, release, surface, tied
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.fields import ElasticForms, Field
 from fmbd_fenicsx.linear.domain_decomposition import DualInterface, shared_traces, unassembled
 from fmbd_fenicsx.linear.presets import Bddc, FieldSplit, Schur, set_bddc
 from fmbd_fenicsx.linear.saddle import Elastic
 from fmbd_fenicsx.linear.spd import CholeskyFactor
-from fmbd_fenicsx.multipliers import Continuous, Ends
-from fmbd_fenicsx.traces import trace_of
+from fmbd_fenicsx.traces.fields import ElasticForms, Field
+from fmbd_fenicsx.traces.multipliers import Continuous, Ends
+from fmbd_fenicsx.traces.traces import trace_of
 
 KEPT1 = Continuous(1, Ends.KEPT)
 
@@ -82,9 +82,7 @@ def test_subdomains_give_the_beam(parts: int, cells: tuple[int, int]) -> None:
     dual.hold((0, "left"), KEPT1)
     for i in range(1, parts):
         fine, coarse = (
-            ((i, "left"), (i - 1, "right"))
-            if cells[i % 2] >= cells[(i - 1) % 2]
-            else ((i - 1, "right"), (i, "left"))
+            ((i, "left"), (i - 1, "right")) if cells[i % 2] >= cells[(i - 1) % 2] else ((i - 1, "right"), (i, "left"))
         )
         dual.tie(fine, coarse, KEPT1)
     dual.prepare()
@@ -112,7 +110,7 @@ def _whole(piece, parts: int, cells: tuple[int, int], cm: float):
 
     from fmbd_fenicsx.linear.presets import Direct
     from fmbd_fenicsx.linear.saddle import SaddlePoint, hold, tie
-    from fmbd_fenicsx.mortar import mortar
+    from fmbd_fenicsx.traces.mortar import mortar
 
     bodies = [piece(i, MPI.COMM_SELF) for i in range(parts)]
     ties = [hold("clamp", 0, KEPT1.on(surface(bodies[0], "left")))]

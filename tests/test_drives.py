@@ -11,8 +11,8 @@ from motion import Motion, elastic_scene, plane_scene, space_scene
 from test_joints import AXIS, CENTER, check_derivatives
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.couplings import smooth_motion
 from fmbd_fenicsx.errors import CallbackError, InputError
+from fmbd_fenicsx.mechanics.couplings import smooth_motion
 
 
 def joints(dim: int) -> tuple[fmbd.Scene, list[Any]]:
@@ -72,9 +72,7 @@ def test_own_joint_without_complex_numbers() -> None:
     """A function that only takes real numbers is differentiated by central differences."""
     scene, one, two = plane_scene()
     scene.add(
-        fmbd.own_joint(
-            "own", one, two, lambda xa, Ra, xb, Rb, t: [math.hypot(*(xb - xa)) - 0.3], center=(0.8, 0.2)
-        )
+        fmbd.own_joint("own", one, two, lambda xa, Ra, xb, Rb, t: [math.hypot(*(xb - xa)) - 0.3], center=(0.8, 0.2))
     )
     motion = Motion(scene)
     G = motion.at(0.0).jacobian
@@ -126,9 +124,7 @@ def test_drive_counts_revolutions_and_reads_its_motion() -> None:
     two = fmbd.revolute("two", fmbd.ground, pinion, center=(0.3, 0, 0))
     phi, psi = fmbd.angle(one), fmbd.angle(two)
     turn = 6 * math.pi
-    scene.add(
-        one, two, fmbd.drive("motor", phi, lambda t: turn * t**3), fmbd.gear("gear", phi, psi, ratio=-2.5)
-    )
+    scene.add(one, two, fmbd.drive("motor", phi, lambda t: turn * t**3), fmbd.gear("gear", phi, psi, ratio=-2.5))
     scene.sensor("phi", phi)
     scene.sensor("psi", psi)
     scene.sensor("rate", fmbd.joint_rate(psi))
@@ -138,9 +134,7 @@ def test_drive_counts_revolutions_and_reads_its_motion() -> None:
     assert np.abs(run["phi"][:, 0] - turn * t**3).max() < 1e-10
     assert np.abs(run["psi"][:, 0] + 2.5 * turn * t**3).max() < 1e-10
     assert abs(run["rate"][-1, 0] + 2.5 * 3 * turn) < 1e-2
-    torque = (
-        (0.2 + 2.5**2 * 0.02) * 6 * turn
-    )  # J_reduced phi'' at t = 1; on the ground with the opposite sign
+    torque = (0.2 + 2.5**2 * 0.02) * 6 * turn  # J_reduced phi'' at t = 1; on the ground with the opposite sign
     assert abs(run["motor"][-1, 2] + torque) < 1e-3 * torque
 
 

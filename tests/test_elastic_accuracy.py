@@ -10,7 +10,6 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.field_checks import SLENDER
 from fmbd_fenicsx.materials import (
     linear_elastic,
     nearly_incompressible,
@@ -19,8 +18,9 @@ from fmbd_fenicsx.materials import (
     saint_venant_kirchhoff,
 )
 from fmbd_fenicsx.mesh import Mesh
-from fmbd_fenicsx.mixed import make_field
 from fmbd_fenicsx.rotations import Array
+from fmbd_fenicsx.traces.field_checks import SLENDER
+from fmbd_fenicsx.traces.mixed import make_field
 
 
 def sheet(shape: Callable[[Array], Array], nx: int, ny: int, crossed: bool = True) -> Mesh:

@@ -14,9 +14,7 @@ def spinner(eps: float) -> fmbd.Scene:
     """A point on a spring of stiffness 1 / eps^2 that turns about a fixed point with omega = 1."""
     scene = fmbd.Scene("spinner")
     body = fmbd.RigidBody("mass", 1.0, 1.0, position=(1.0, 0.0), velocity=(0.0, 1.0))
-    spring = fmbd.Spring(
-        "spring", body, fmbd.ground, point_a=(1, 0), point_b=(0, 0), stiffness=eps**-2, length=1.0
-    )
+    spring = fmbd.Spring("spring", body, fmbd.ground, point_a=(1, 0), point_b=(0, 0), stiffness=eps**-2, length=1.0)
     scene.add(body, spring)
     return scene
 

@@ -13,7 +13,7 @@ from motion import elastic_rod
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, InputError
-from fmbd_fenicsx.fields import Field
+from fmbd_fenicsx.traces.fields import Field
 
 pytestmark = pytest.mark.mpi
 
@@ -145,9 +145,7 @@ def test_moduli_out_of_range_are_refused(form: Any, E: float, nu: float, words: 
     [(lambda x: np.zeros(3), "shape"), (lambda x: np.full_like(x, np.nan), "finite")],
 )
 @pytest.mark.parametrize("what", ["displacement", "displacement_rate"])
-def test_unusable_initial_fields_are_named(
-    what: str, function: Any, words: str, rod_mesh: Callable[..., Any]
-) -> None:
+def test_unusable_initial_fields_are_named(what: str, function: Any, words: str, rod_mesh: Callable[..., Any]) -> None:
     rod = elastic_rod(rod_mesh(dim=2, h=0.5, height=0.4), **{what: function})
     scene = fmbd.Scene("start")
     scene.add(rod)

@@ -31,16 +31,12 @@ def loaded(dim: int, what: str) -> fmbd.Scene:
         scene.add(fmbd.joint_spring("s", fmbd.angle(hinge), stiffness=20.0, damping=0.5, free=0.2))
     elif what == "own force":
         scene.add(
-            fmbd.own_force(
-                "s", one, two, lambda t, a, b: (7.0 * (a.x - b.x) - 0.5 * b.v, 0.3 * b.w), points=points
-            )
+            fmbd.own_force("s", one, two, lambda t, a, b: (7.0 * (a.x - b.x) - 0.5 * b.v, 0.3 * b.w), points=points)
         )
     elif what == "tyre":
         road = lambda x, t: 0.2 * np.sin(2 * x[0] - t)  # noqa: E731
         scene.add(
-            fmbd.Tyre(
-                "s", one, point_a=points[0], road=road, radius=0.8, stiffness=50.0, damping=2.0, up=(0, 1, 0)
-            )
+            fmbd.Tyre("s", one, point_a=points[0], road=road, radius=0.8, stiffness=50.0, damping=2.0, up=(0, 1, 0))
         )
     return scene
 
@@ -67,9 +63,7 @@ def test_tangent_against_differences(dim: int, what: str) -> None:
         return  # the change of direction of the damper is left out of the tangent
     tangent = s.forces[0].tangent(ev.kin, motion.t)
     n = found.shape[1]
-    dx = (ev.kin.jac_frame @ np.concatenate((dq, np.zeros((1, dq.shape[1]))))[s.markers.frame][..., None])[
-        ..., 0
-    ]
+    dx = (ev.kin.jac_frame @ np.concatenate((dq, np.zeros((1, dq.shape[1]))))[s.markers.frame][..., None])[..., 0]
     pair = np.concatenate((dx[tangent.a], dx[tangent.b]), axis=1)
     both = (tangent.K @ pair[..., None])[..., 0]
     np.add.at(found, tangent.a, both[:, :n])

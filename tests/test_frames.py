@@ -13,7 +13,7 @@ from motion import Motion, elastic_scene, first, plane_scene, space_scene
 from scipy.linalg import polar
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.frames import polar_rotation
+from fmbd_fenicsx.mechanics.frames import polar_rotation
 
 
 def rigid(dim: int) -> fmbd.Scene:

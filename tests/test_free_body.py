@@ -44,9 +44,7 @@ def test_invariants_and_period_by_error_control() -> None:
     start = scene().build()[1]
     L = [run.system.at(s.t, s.q, s.v).momenta()[1] for s in (start, run.state)]
     assert np.abs(L[1] - L[0]).max() < 1e-10 * np.linalg.norm(L[0])
-    assert np.abs(run.state.v[3:6] - SPIN).max() < 1e-6 * np.linalg.norm(
-        SPIN
-    )  # an error of 1e-7 T would show
+    assert np.abs(run.state.v[3:6] - SPIN).max() < 1e-6 * np.linalg.norm(SPIN)  # an error of 1e-7 T would show
     R = run["R"].reshape(-1, 3, 3)
     assert np.abs(R.swapaxes(1, 2) @ R - np.eye(3)).max() < 1e-13
     w = R[:, 1] @ R[0, 1]

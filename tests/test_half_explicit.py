@@ -20,9 +20,7 @@ def test_order_conditions() -> None:
     assert b @ a[:5] @ c[:5] ** 2 == pytest.approx(1 / 12)
     assert b @ (c[:5] * (a[:5] @ c[:5])) == pytest.approx(1 / 8)
     assert (
-        np.abs(
-            [difference.sum(), difference @ c[:5], difference @ c[:5] ** 2, difference @ a[:5] @ c[:5]]
-        ).max()
+        np.abs([difference.sum(), difference @ c[:5], difference @ c[:5] ** 2, difference @ a[:5] @ c[:5]]).max()
         < 1e-14
     )
 
@@ -35,9 +33,7 @@ def test_order_four() -> None:
 def test_order_four_in_space() -> None:
     scene = spinning_top()
     reference = march(scene, fmbd.Radau(3, fmbd.StateSpace(), None), 0.25, 80)[-1]
-    errors = [
-        state_errors(scene, march(scene, fmbd.HalfExplicit(None), 0.25, n)[-1], reference) for n in (20, 40)
-    ]
+    errors = [state_errors(scene, march(scene, fmbd.HalfExplicit(None), 0.25, n)[-1], reference) for n in (20, 40)]
     assert (np.log2(errors[0] / errors[1]) > 3.85).all()
 
 
@@ -53,7 +49,5 @@ def test_error_follows_the_tolerance(rtol: float) -> None:
 
 
 def test_work_grows_like_order_three_at_least() -> None:
-    steps = [
-        fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.HalfExplicit(r)).counters["steps"] for r in (1e-5, 1e-8)
-    ]
+    steps = [fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.HalfExplicit(r)).counters["steps"] for r in (1e-5, 1e-8)]
     assert steps[1] / steps[0] < 1000 ** (1 / 3)

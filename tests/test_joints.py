@@ -97,9 +97,7 @@ def test_derivatives_between_rigid_bodies(dim: int, name: str, pair: str) -> Non
 
 @pytest.mark.parametrize("frame", [fmbd.MeanAxis(), fmbd.Attached("pin")], ids=["mean axis", "attached"])
 @pytest.mark.parametrize("dim, name", CASES)
-def test_derivatives_on_elastic_surfaces(
-    dim: int, name: str, frame: Any, rod_mesh: Callable[..., Any]
-) -> None:
+def test_derivatives_on_elastic_surfaces(dim: int, name: str, frame: Any, rod_mesh: Callable[..., Any]) -> None:
     mesh = rod_mesh(dim=dim, h=0.5, height=0.4)
     check_derivatives(Motion(elastic_joint_scene(dim, name, mesh, frame)))
 

@@ -14,12 +14,12 @@ from motion import elastic_rod, elastic_scene
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError, LinearSolveError
-from fmbd_fenicsx.fields import Field
 from fmbd_fenicsx.linear.core import CoreSolver
 from fmbd_fenicsx.linear.residual import Judge
 from fmbd_fenicsx.linear.schur import StepSolver, Weights
 from fmbd_fenicsx.linear.spd import CholeskyFactor, MassInverse
-from fmbd_fenicsx.system import State, System
+from fmbd_fenicsx.system.system import State, System
+from fmbd_fenicsx.traces.fields import Field
 
 HERE = Path(__file__).resolve().parent
 
@@ -64,9 +64,7 @@ def dense(system: System, state: State, cm: float, ck: float) -> np.ndarray:
 @pytest.mark.parametrize("frame", [fmbd.MeanAxis(), fmbd.Attached("pin")], ids=["mean axis", "attached"])
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("ck", [0.0, 1e-6])
-def test_step_solver_against_a_dense_matrix(
-    dim: int, frame: Any, ck: float, rod_mesh: Callable[..., Any]
-) -> None:
+def test_step_solver_against_a_dense_matrix(dim: int, frame: Any, ck: float, rod_mesh: Callable[..., Any]) -> None:
     system, state = turned(scene_of(rod_mesh(dim=dim, h=0.5, height=0.4), frame))
     A = dense(system, state, 1.0, ck)
     n, m = system.n_v, system.n_lam
@@ -82,9 +80,7 @@ def test_step_solver_against_a_dense_matrix(
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("dim", [2, 3])
-def test_solution_fulfils_constraints_and_balance_on_any_rank_count(
-    dim: int, rod_mesh: Callable[..., Any]
-) -> None:
+def test_solution_fulfils_constraints_and_balance_on_any_rank_count(dim: int, rod_mesh: Callable[..., Any]) -> None:
     """The same by residuals, without a dense matrix."""
     system, state = turned(scene_of(rod_mesh(dim=dim, h=0.5, height=0.4), fmbd.MeanAxis()))
     ev = system.at(0.0, state.q, state.v)

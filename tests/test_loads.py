@@ -10,19 +10,21 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, InputError
-from fmbd_fenicsx.fields import Field
-from fmbd_fenicsx.floating import FloatingField
-from fmbd_fenicsx.loads import Load, body_force, pressure, thermal_stress, traction
 from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
-from fmbd_fenicsx.placements import Attached, FrameMotion, MeanAxis
-from fmbd_fenicsx.reduced import ReducedPart
+from fmbd_fenicsx.mechanics.floating import FloatingField
+from fmbd_fenicsx.mechanics.placements import Attached, FrameMotion, MeanAxis
+from fmbd_fenicsx.mechanics.reduced import ReducedPart
 from fmbd_fenicsx.rotations import motions
+from fmbd_fenicsx.traces.fields import Field
+from fmbd_fenicsx.traces.loads import Load, body_force, pressure, thermal_stress, traction
 
 MODULUS, DENSITY = 5e6, 1000.0
 
 
 def rod(mesh: Any, *loads: Load, **changes: Any) -> fmbd.FloatingBody:
-    return fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=linear_elastic(MODULUS, 0.3), loads=loads).with_(**changes)
+    return fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=linear_elastic(MODULUS, 0.3), loads=loads).with_(
+        **changes
+    )
 
 
 @pytest.mark.smoke

@@ -28,9 +28,7 @@ def test_names_dimension_and_size(dim: int, rod_mesh: Callable[..., Any]) -> Non
     assert mesh.surface_names == ["pin", "side", "tip"]
     assert mesh.volume == "rod"
     x = mesh.dolfinx.geometry.x
-    low, high = (
-        mesh.dolfinx.comm.allgather(f(x[:, 0]) if len(x) else v) for f, v in ((np.min, 9.0), (np.max, -9.0))
-    )
+    low, high = (mesh.dolfinx.comm.allgather(f(x[:, 0]) if len(x) else v) for f, v in ((np.min, 9.0), (np.max, -9.0)))
     assert (min(low), max(high)) == (0.0, 1.0)
 
 
@@ -128,9 +126,7 @@ PROGRAMS = {
         'Force "gust"',
     ),
     "initial displacement": (
-        SOLVE.format(
-            line="scene.bodies['rod'] = rod.with_(displacement=lambda x: np.where(x > 0.9, np.nan, 0 * x))"
-        ),
+        SOLVE.format(line="scene.bodies['rod'] = rod.with_(displacement=lambda x: np.where(x > 0.9, np.nan, 0 * x))"),
         '"rod": displacement',
     ),
 }

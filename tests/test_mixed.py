@@ -10,10 +10,10 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.fields import Field
 from fmbd_fenicsx.materials import linear_elastic, nearly_incompressible, neo_hookean, neo_hookean_mixed
 from fmbd_fenicsx.mesh import Mesh
-from fmbd_fenicsx.mixed import make_field
+from fmbd_fenicsx.traces.fields import Field
+from fmbd_fenicsx.traces.mixed import make_field
 
 MODULUS, DENSITY = 5e6, 1000.0
 
@@ -77,7 +77,9 @@ def square_error(n: int, nu: float, elastic: Any, degree: int) -> float:
 @pytest.mark.serial
 def test_no_locking() -> None:
     """The error at nu = 0.4999999 and 0.5 is that at 0.3 (within 10 %), of second order; P2 displacements lose an order."""
-    mixed = {nu: [square_error(n, nu, nearly_incompressible(1.0, nu), 2) for n in (8, 16)] for nu in (0.3, 0.4999999, 0.5)}
+    mixed = {
+        nu: [square_error(n, nu, nearly_incompressible(1.0, nu), 2) for n in (8, 16)] for nu in (0.3, 0.4999999, 0.5)
+    }
     for nu in (0.4999999, 0.5):
         assert mixed[nu][1] <= 1.1 * mixed[0.3][1]
         assert np.log2(mixed[nu][0] / mixed[nu][1]) > 1.9
@@ -100,7 +102,9 @@ def test_products_and_energy(rod_mesh: Callable[..., Any]) -> None:
     rng = np.random.default_rng(mixed.comm.rank)
     v = rng.standard_normal(len(u))
     assert mixed.energy(v) <= plain.energy(v)
-    np.testing.assert_allclose(mixed.total(np.array(v @ mixed.stiffness(u))), mixed.total(np.array(u @ mixed.stiffness(v))))
+    np.testing.assert_allclose(
+        mixed.total(np.array(v @ mixed.stiffness(u))), mixed.total(np.array(u @ mixed.stiffness(v)))
+    )
     mixed.destroy()
     plain.destroy()
 
@@ -144,7 +148,9 @@ def test_degree_one_is_refused(rod_mesh: Callable[..., Any]) -> None:
         make_field("rod", body.mesh, body.forms())
 
 
-@pytest.mark.parametrize("degree, nu, warned", [(1, 0.48, False), (1, 0.492, True), (2, 0.492, False), (2, 0.497, True)])
+@pytest.mark.parametrize(
+    "degree, nu, warned", [(1, 0.48, False), (1, 0.492, True), (2, 0.492, False), (2, 0.497, True)]
+)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_warning_of_locking(
     rod_mesh: Callable[..., Any], caplog: Any, degree: int, nu: float, warned: bool, dim: int

@@ -30,9 +30,7 @@ def four_bar(hinges: str = "rrrr", gap: float = 0.0) -> fmbd.Scene:
         ("D", fmbd.ground, right, (1, 0, 0)),
     ]
     for kind, (name, a, b, c) in zip(hinges, ends, strict=True):
-        scene.add(
-            fmbd.revolute(name, a, b, center=c) if kind == "r" else fmbd.spherical(name, a, b, center=c)
-        )
+        scene.add(fmbd.revolute(name, a, b, center=c) if kind == "r" else fmbd.spherical(name, a, b, center=c))
     if gap:
         scene.add(fmbd.distance("strut", left, right, point_a=(0, 0, 0), point_b=(1, 0, 0), length=1.0 + gap))
     scene.sensor("x", fmbd.position(top))
@@ -51,9 +49,7 @@ def test_rank_does_not_depend_on_units() -> None:
     scene = four_bar()
     small = fmbd.Scene("small")
     k = 1e-5
-    left = fmbd.RigidBody(
-        "left", 1e-9, tuple(1e-9 * k * k * x for x in (0.08, 0.01, 0.08)), position=(0, 0.5 * k, 0)
-    )
+    left = fmbd.RigidBody("left", 1e-9, tuple(1e-9 * k * k * x for x in (0.08, 0.01, 0.08)), position=(0, 0.5 * k, 0))
     right = fmbd.RigidBody("right", 1e-9, tuple(1e-9 * k * k * x for x in BAR), position=(0.5 * k, k, 0))
     small.add(left, right, fmbd.revolute("A", fmbd.ground, left, center=(0, 0, 0)))
     small.add(
@@ -139,9 +135,7 @@ def slider_crank(ratio: float, angle: float, speed: float) -> fmbd.Scene:
     rod = fmbd.RigidBody(
         "rod", ratio, ratio**3 / 12, middle, -inner, spin(speed, end) + spin(-rate, middle - end), -rate
     )
-    block = fmbd.RigidBody(
-        "block", 1.0, 0.1, slider, 0.0, (-speed * np.sin(angle) - ratio * rate * np.sin(inner), 0.0)
-    )
+    block = fmbd.RigidBody("block", 1.0, 0.1, slider, 0.0, (-speed * np.sin(angle) - ratio * rate * np.sin(inner), 0.0))
     scene = fmbd.Scene("slider crank")
     scene.add(crank, rod, block)
     scene.add(

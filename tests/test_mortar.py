@@ -10,18 +10,16 @@ from test_traces import ROOT
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.mortar import mortar
-from fmbd_fenicsx.multipliers import Continuous, Discontinuous, Ends
-from fmbd_fenicsx.traces import trace_of
+from fmbd_fenicsx.traces.mortar import mortar
+from fmbd_fenicsx.traces.multipliers import Continuous, Discontinuous, Ends
+from fmbd_fenicsx.traces.traces import trace_of
 
 
 def pair(dim: int, slave: int, master: int, degree: int = 1, shift: float = 0.0, gap: float = 0.0):
     from dolfinx import fem
 
     size = (1.0, 1.0, 1.0)[:dim]
-    up = fmbd.read_gmsh(
-        ROOT / "meshes/block.py", size=size, cells=slave, origin=(shift, 1.0 + gap, 0.0)[:dim]
-    )
+    up = fmbd.read_gmsh(ROOT / "meshes/block.py", size=size, cells=slave, origin=(shift, 1.0 + gap, 0.0)[:dim])
     low = fmbd.read_gmsh(ROOT / "meshes/block.py", size=size, cells=master)
     spaces = [fem.functionspace(m.dolfinx, ("Lagrange", degree)) for m in (up, low)]
     return trace_of(spaces[0], up, "bottom"), trace_of(spaces[1], low, "top")
@@ -29,9 +27,7 @@ def pair(dim: int, slave: int, master: int, degree: int = 1, shift: float = 0.0,
 
 @pytest.mark.smoke
 @pytest.mark.mpi
-@pytest.mark.parametrize(
-    "dim, slave, master", [(2, 6, 6), (2, 6, 9), (2, 7, 11), (2, 8, 5), (3, 2, 3), (3, 5, 3)]
-)
+@pytest.mark.parametrize("dim, slave, master", [(2, 6, 6), (2, 6, 9), (2, 7, 11), (2, 8, 5), (3, 2, 3), (3, 5, 3)])
 @pytest.mark.parametrize("degree", [1, 2])
 def test_polynomials_agree_on_both_sides(dim: int, slave: int, master: int, degree: int) -> None:
     a, b = pair(dim, slave, master, degree)

@@ -23,9 +23,7 @@ def slider_crank() -> fmbd.Scene:
     """A planar crank (0.15 m) with a rod (0.3 m), turning at 150 rad/s without load."""
     scene = fmbd.Scene("slider crank")
     r, length, speed = 0.15, 0.3, 150.0
-    crank = fmbd.RigidBody(
-        "crank", 0.36, 2.7e-3, (r / 2, 0), velocity=(0, speed * r / 2), angular_velocity=speed
-    )
+    crank = fmbd.RigidBody("crank", 0.36, 2.7e-3, (r / 2, 0), velocity=(0, speed * r / 2), angular_velocity=speed)
     rod = fmbd.RigidBody(
         "rod",
         0.15,
@@ -79,18 +77,14 @@ def test_all_tolerances(problem: str, scheme: type, rtol: float) -> None:
     check(problem, scheme(rtol=rtol), rtol)
 
 
-@pytest.mark.parametrize(
-    "form", [fmbd.Index3(), fmbd.Index2(), fmbd.Index1(), fmbd.StateSpace()], ids=lambda f: f.name
-)
+@pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.Index2(), fmbd.Index1(), fmbd.StateSpace()], ids=lambda f: f.name)
 def test_andrews_in_other_forms(form: fmbd.GGL) -> None:
     check("andrews", fmbd.Radau(form=form, rtol=1e-4), 1e-4 if form.index > 1 else 1e-3)
 
 
 @pytest.mark.slow
 def test_andrews_to_nine_digits() -> None:
-    run = fmbd.solve(
-        andrews.scene(), t_end=0.03, scheme=fmbd.Radau(rtol=1e-8), output=fmbd.Output(every=1000)
-    )
+    run = fmbd.solve(andrews.scene(), t_end=0.03, scheme=fmbd.Radau(rtol=1e-8), output=fmbd.Output(every=1000))
     assert np.abs(run["angles"][-1] / andrews.REFERENCE - 1).max() < 1e-9
 
 

@@ -1,6 +1,6 @@
 """Newton's guard: stops when increments stop falling, goes on after a single bad one."""
 
-from fmbd_fenicsx.newton import Newton
+from fmbd_fenicsx.schemes.newton import Newton
 
 
 def run(sizes, **settings):

@@ -13,11 +13,11 @@ from motion import elastic_rod
 from scipy.special import ellipk
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.fields import Field
 from fmbd_fenicsx.linear.schur import StepSolver
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.schemes.start import consistent
-from fmbd_fenicsx.system import State, System
+from fmbd_fenicsx.system.system import State, System
+from fmbd_fenicsx.traces.fields import Field
 
 LENGTH, DENSITY = 1.0, 1000.0
 
@@ -35,9 +35,7 @@ def bending_frequency(mesh: Any, degree: int, E: float, guess: float, pinned: bo
 
     The eigenvalue of [K T^T; T 0] nearest to 0.5 guess^2, with the rigid motions at 0 below it.
     """
-    f = Field(
-        "rod", mesh, elastic_rod(mesh, degree=degree, elastic=fmbd.materials.linear_elastic(E, 0.0)).forms()
-    )
+    f = Field("rod", mesh, elastic_rod(mesh, degree=degree, elastic=fmbd.materials.linear_elastic(E, 0.0)).forms())
     n, d = f.n * f.dim, f.dim
     pin, rows = f.moments("pin"), d if pinned else 0
     T = sp.lil_matrix((rows, n))
@@ -73,9 +71,7 @@ def test_bending_frequency_tends_to_the_beam(rod_mesh: Callable[..., Any]) -> No
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(
-    "degree, pinned, rate", [(1, True, 2.0), (1, False, 2.0), (2, True, 3.0), (2, False, 4.0)]
-)
+@pytest.mark.parametrize("degree, pinned, rate", [(1, True, 2.0), (1, False, 2.0), (2, True, 3.0), (2, False, 4.0)])
 def test_bending_frequency_converges_in_space(
     degree: int, pinned: bool, rate: float, rod_mesh: Callable[..., Any]
 ) -> None:
@@ -136,9 +132,7 @@ def lowest_point(run: fmbd.Run) -> float:
 
 def quarter_period(scene: fmbd.Scene) -> float:
     """Extrapolated from two step sizes (second order)."""
-    coarse, fine = (
-        lowest_point(fmbd.solve(scene, t_end=0.5, dt=h, newton=fmbd.Newton(1e-9))) for h in (4e-3, 2e-3)
-    )
+    coarse, fine = (lowest_point(fmbd.solve(scene, t_end=0.5, dt=h, newton=fmbd.Newton(1e-9))) for h in (4e-3, 2e-3))
     return (4 * fine - coarse) / 3
 
 
@@ -232,9 +226,7 @@ def test_momenta_of_a_spinning_free_rod(dim: int, rod_mesh: Callable[..., Any]) 
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_angular_momentum_of_a_vibrating_rod_is_of_second_order(
-    dim: int, rod_mesh: Callable[..., Any]
-) -> None:
+def test_angular_momentum_of_a_vibrating_rod_is_of_second_order(dim: int, rod_mesh: Callable[..., Any]) -> None:
     system, state = spinning(rod_mesh(dim=dim, h=0.5, height=0.2), 5e8)
     drifts = []
     for steps in (50, 100):

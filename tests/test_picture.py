@@ -5,8 +5,8 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.fields import ElasticForms, Field
-from fmbd_fenicsx.picture import gather, moment, render, skin
+from fmbd_fenicsx.faces.picture import gather, moment, render, skin
+from fmbd_fenicsx.traces.fields import ElasticForms, Field
 
 STEEL = fmbd.materials.linear_elastic(5e6, 0.3)
 

@@ -11,8 +11,8 @@ from fmbd_fenicsx.linear.exact import Exact
 from fmbd_fenicsx.linear.precondition import Lumped
 from fmbd_fenicsx.linear.presets import Direct, FieldSplit, Multigrid, Schur
 from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, data, hold, slide, stiffen, tie
-from fmbd_fenicsx.mortar import mortar
-from fmbd_fenicsx.multipliers import Continuous, Discontinuous, Dual, Ends, default_space
+from fmbd_fenicsx.traces.mortar import mortar
+from fmbd_fenicsx.traces.multipliers import Continuous, Discontinuous, Dual, Ends, default_space
 
 KEPT1 = Continuous(1, Ends.KEPT)
 
@@ -51,9 +51,7 @@ def test_patch(dim: int, up: int, low: int, degree: int, space) -> None:
     exact = lambda x: x @ H.T  # noqa: E731
     solver = Direct().solver(s)
     found = solver.solve(loads, [np.zeros(ties[0].rows), data(top, exact), data(floor, exact)])
-    worst = max(
-        np.abs(u - exact(F.X_world).ravel()).max(initial=0.0) for u, F in zip(found.u, (A, B), strict=True)
-    )
+    worst = max(np.abs(u - exact(F.X_world).ravel()).max(initial=0.0) for u, F in zip(found.u, (A, B), strict=True))
     assert max(A.comm.allgather(worst)) < (1e-12 if dim == 2 else 1e-10) * 0.02
     traction = coupling.multipliers.coefficients(found.multipliers[0].reshape(-1, dim))
     assert (
@@ -135,9 +133,7 @@ def test_sliding_tie_lets_the_tangent_go() -> None:
     s = SaddlePoint([Elastic(A), Elastic(B)], ties)
     solver = Direct().solver(s)
     push = data(ties[1].multipliers, lambda x: np.array([[0.1, 0.0]]) + 0 * x)
-    found = solver.solve(
-        [np.zeros(e.rows) for e in s.elastic], [np.zeros(glue.rows), push, np.zeros(ties[2].rows)]
-    )
+    found = solver.solve([np.zeros(e.rows) for e in s.elastic], [np.zeros(glue.rows), push, np.zeros(ties[2].rows)])
     assert A.comm.allreduce(np.abs(found.u[1]).max(initial=0.0)) < 1e-12  # the lower block does not notice
     sideways = A.comm.allreduce(np.abs(found.u[0].reshape(-1, 2) - [0.1, 0.0]).max(initial=0.0))
     assert sideways < 1e-11

@@ -36,16 +36,12 @@ def test_tableau_is_radau_iia() -> None:
     ])  # fmt: skip
     assert np.abs(three.W @ A - np.eye(3)).max() < 1e-13
     assert three.gamma == pytest.approx(3.6378342527444957, rel=1e-14)  # Hairer and Wanner, IV (8.18)
-    assert three.error == pytest.approx(
-        np.array([-13 - 7 * root, -13 + 7 * root, -1]) / 3, rel=1e-12
-    )  # (8.20)
+    assert three.error == pytest.approx(np.array([-13 - 7 * root, -13 + 7 * root, -1]) / 3, rel=1e-12)  # (8.20)
     two = tableau(2)
     assert np.abs(two.W @ np.array([[5 / 12, -1 / 12], [3 / 4, 1 / 4]]) - np.eye(2)).max() < 1e-13
 
 
-@pytest.mark.parametrize(
-    ("stages", "form", "expected"), ORDERS, ids=lambda x: getattr(x, "name", None) or str(x)
-)
+@pytest.mark.parametrize(("stages", "form", "expected"), ORDERS, ids=lambda x: getattr(x, "name", None) or str(x))
 def test_orders_on_the_pendulum(stages: int, form: fmbd.GGL, expected: tuple[int, int, int]) -> None:
     fine = stages == 2 or form.index == 3
     found = observed(fmbd.Radau(stages, form, None), (40, 80, 160) if fine else (20, 40, 80))
@@ -60,19 +56,14 @@ def test_orders_of_three_stages_at_index_one() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("stages", "form", "expected"), ORDERS[:7], ids=lambda x: getattr(x, "name", None) or str(x)
-)
+@pytest.mark.parametrize(("stages", "form", "expected"), ORDERS[:7], ids=lambda x: getattr(x, "name", None) or str(x))
 def test_orders_in_space(stages: int, form: fmbd.GGL, expected: tuple[int, int, int]) -> None:
     """The same on SO(3): local coordinates keep the orders."""
     scene = spinning_top()
     reference = march(scene, fmbd.Radau(3, fmbd.StateSpace(), None), 0.5, 240)[-1]
     steps = (20, 40, 80) if stages == 2 else (10, 20, 40)
     errors = np.array(
-        [
-            state_errors(scene, march(scene, fmbd.Radau(stages, form, None), 0.5, n)[-1], reference)
-            for n in steps
-        ]
+        [state_errors(scene, march(scene, fmbd.Radau(stages, form, None), 0.5, n)[-1], reference) for n in steps]
     )
     found = np.log2(errors[-2] / errors[-1])
     assert (found > np.array(expected) - 0.15).all(), found
@@ -131,9 +122,7 @@ def test_break_points_and_the_end_are_hit_exactly() -> None:
     def scene(breaks: tuple[float, ...]) -> fmbd.Scene:
         made = fmbd.Scene("kick", breakpoints=breaks)
         made.add(
-            fmbd.CoordinateBody(
-                "mass", np.eye(1), lambda q, v, t: np.array([1.0 if t >= 0.3 else 0.0]), [0.0], [1.0]
-            )
+            fmbd.CoordinateBody("mass", np.eye(1), lambda q, v, t: np.array([1.0 if t >= 0.3 else 0.0]), [0.0], [1.0])
         )
         made.sensor("x", fmbd.coordinates("mass"))
         return made

@@ -111,9 +111,7 @@ def test_one_factorisation_and_few_back_solves(dim: int, rod_mesh: Callable[...,
     assert run.counters["back_solves_per_step"] <= 6
     short = fmbd.solve(scene, t_end=0.1, dt=2e-3)
     steps = run.counters["steps"] - short.counters["steps"]
-    assert (
-        run.counters["back_solves"] - short.counters["back_solves"]
-    ) / steps <= 6  # columns and start taken out
+    assert (run.counters["back_solves"] - short.counters["back_solves"]) / steps <= 6  # columns and start taken out
     assert run.counters["worst_linear_residual"] < 1e-10
 
 

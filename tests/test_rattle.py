@@ -10,7 +10,7 @@ from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, s
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.schur import StepSolver
-from fmbd_fenicsx.newton import Newton
+from fmbd_fenicsx.schemes.newton import Newton
 from fmbd_fenicsx.schemes.start import consistent
 
 
@@ -21,9 +21,7 @@ def test_order_two_and_half_step_multipliers_of_order_one() -> None:
     errors = []
     for n in (80, 160, 320):
         solver = StepSolver(system)
-        stepper = fmbd.Rattle().stepper(
-            system, solver, Newton(1e-11, 25), consistent(system, given, solver)[0]
-        )
+        stepper = fmbd.Rattle().stepper(system, solver, Newton(1e-11, 25), consistent(system, given, solver)[0])
         for _ in range(n):
             stepper.advance(1.0 / n)
         errors.append(abs(abs(stepper.half[0]) - pendulum_at(1.0)[2]))
@@ -80,6 +78,4 @@ def test_a_million_steps() -> None:
     assert gap < 1e-12 and slip < 1e-12
     tops = [energy[:n].max() for n in (10_000, 100_000, 1_000_000)]
     assert np.log10(tops[2] / tops[0]) / 2 <= 0.05
-    assert (
-        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory < 40_000
-    )  # kB; 8 MB of them are ``energy``
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory < 40_000  # kB; 8 MB of them are ``energy``

@@ -11,7 +11,7 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.materials import lame, linear_elastic
-from fmbd_fenicsx.recovery import displacement, stress
+from fmbd_fenicsx.mechanics.recovery import displacement, stress
 
 MODULUS, NU, DENSITY = 5e6, 0.0, 1000.0
 
@@ -84,7 +84,9 @@ def test_kelvin_voigt_is_rayleigh_for_the_same_form(rod_mesh: Callable[..., Any]
     elastic = linear_elastic(MODULUS, NU)
     energies = []
     for changes in ({"stiffness_damping": beta}, {"viscous": lambda u, v, dx: beta * elastic(u, v, dx)}):
-        body: Any = rod(mesh, displacement_rate=None if reduced else lambda X: np.array([0 * X[0], (X[0] - 0.5) ** 2]), **changes)
+        body: Any = rod(
+            mesh, displacement_rate=None if reduced else lambda X: np.array([0 * X[0], (X[0] - 0.5) ** 2]), **changes
+        )
         body = body.reduced(modes=4) if reduced else body
         scene = fmbd.Scene("free", gravity=(0.0, -9.81))
         scene.add(body, fmbd.revolute("pin", fmbd.ground, body.surface("pin")))

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.bodies import Attached, MeanAxis
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.fields import Field
-from fmbd_fenicsx.floating import FloatingField
 from fmbd_fenicsx.materials import linear_elastic, plane_stress
-from fmbd_fenicsx.placements import FrameMotion
-from fmbd_fenicsx.reduced import ReducedPart
-from fmbd_fenicsx.reduction import FrameModes
+from fmbd_fenicsx.mechanics.bodies import Attached, MeanAxis
+from fmbd_fenicsx.mechanics.floating import FloatingField
+from fmbd_fenicsx.mechanics.placements import FrameMotion
+from fmbd_fenicsx.mechanics.reduced import ReducedPart
+from fmbd_fenicsx.mechanics.reduction import FrameModes
 from fmbd_fenicsx.rotations import motions
+from fmbd_fenicsx.traces.fields import Field
 
 MODULUS, DENSITY = 5e6, 1000.0
 FREE_FREE = (22.3733, 61.6728, 120.9034)  # (beta L)^2 of the free-free Euler-Bernoulli beam
@@ -25,9 +25,7 @@ CLAMPED = (3.51602, 22.0345, 61.6972)
 
 
 def rod(mesh: Any, **changes: Any) -> fmbd.FloatingBody:
-    return fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=linear_elastic(MODULUS, 0.3)).with_(
-        **changes
-    )
+    return fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=linear_elastic(MODULUS, 0.3)).with_(**changes)
 
 
 def pendulum(body: Any, dim: int = 2) -> fmbd.Scene:
@@ -67,9 +65,7 @@ def test_same_forces_as_the_field(rod_mesh: Callable[..., Any], dim: int, frame:
         np.testing.assert_allclose(sums_, sums, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(rows_, field.total(phi.T @ rows), rtol=1e-8, atol=1e-8)
         local, local_ = (phi @ eta, phi @ rate), (eta, rate)
-        np.testing.assert_allclose(
-            part.energies(motion, pose, local_), full.energies(motion, pose, local), rtol=1e-9
-        )
+        np.testing.assert_allclose(part.energies(motion, pose, local_), full.energies(motion, pose, local), rtol=1e-9)
         for a, b in zip(part.momenta(motion, pose, local_), full.momenta(motion, pose, local), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
         np.testing.assert_allclose(part.ports_of(eta), full.ports_of(phi @ eta)[m.n_twist :], atol=1e-12)
@@ -89,9 +85,7 @@ def test_mass_blocks_are_the_derivative_of_the_force(rod_mesh: Callable[..., Any
     twist, zero = rng.standard_normal(m.n_twist), np.zeros(m.n_twist)
 
     def rows(accel: Any, second: Any) -> Any:
-        return np.concatenate(
-            part.force(FrameMotion(0.0, R, twist, accel, np.zeros(dim)), (eta, rate, second))
-        )
+        return np.concatenate(part.force(FrameMotion(0.0, R, twist, accel, np.zeros(dim)), (eta, rate, second)))
 
     base = rows(zero, np.zeros(4))
     columns = [rows(e[: m.n_twist], e[m.n_twist :]) - base for e in np.eye(m.n_twist + 4)]
@@ -133,9 +127,7 @@ def test_craig_bampton_converges_from_above(rod_mesh: Callable[..., Any]) -> Non
     """Frequencies fall monotonically to those of the full body as fixed-interface modes are added."""
     body = rod(rod_mesh(dim=2, h=0.1))
     exact = body.reduced(modes=4).reduction.omega
-    found = [
-        body.reduced(basis=fmbd.CraigBampton(("pin", "tip"), n)).reduction.omega[:4] for n in (1, 4, 12, 40)
-    ]
+    found = [body.reduced(basis=fmbd.CraigBampton(("pin", "tip"), n)).reduction.omega[:4] for n in (1, 4, 12, 40)]
     for coarse, fine in zip(found, found[1:], strict=False):
         assert (fine <= coarse * (1 + 1e-9)).all()
     assert (found[-1] >= exact * (1 - 1e-9)).all()

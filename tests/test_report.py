@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.report import conservative
+from fmbd_fenicsx.faces.report import conservative
 
 
 def pendulum(n=1, **changes):
@@ -55,9 +55,7 @@ def test_loss_is_only_called_numerical_where_it_is():
 @pytest.mark.smoke
 @pytest.mark.mpi
 def test_report_of_an_elastic_run_names_factorisations_and_the_field(rod_mesh):
-    rod = fmbd.FloatingBody(
-        "rod", rod_mesh(), degree=1, density=1e3, elastic=fmbd.materials.linear_elastic(5e6, 0.3)
-    )
+    rod = fmbd.FloatingBody("rod", rod_mesh(), degree=1, density=1e3, elastic=fmbd.materials.linear_elastic(5e6, 0.3))
     scene = fmbd.Scene("elastic", gravity=(0, -9.81))
     scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
     run = fmbd.solve(scene, t_end=0.02, dt=0.005)

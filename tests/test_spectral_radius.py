@@ -13,8 +13,8 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.schur import StepSolver
-from fmbd_fenicsx.newton import Newton
-from fmbd_fenicsx.system import State
+from fmbd_fenicsx.schemes.newton import Newton
+from fmbd_fenicsx.system.system import State
 
 
 def one_step(scheme: Any, z: float, start: tuple[float, ...]) -> np.ndarray:

@@ -7,8 +7,8 @@ import pytest
 from test_traces import ROOT, make
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends
-from fmbd_fenicsx.stability import DualNorm, half_norm, infsup
+from fmbd_fenicsx.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends
+from fmbd_fenicsx.traces.stability import DualNorm, half_norm, infsup
 
 KEPT, DROPPED = Continuous(ends=Ends.KEPT), Continuous(ends=Ends.DROPPED)
 P1 = Continuous(1, Ends.KEPT)
@@ -48,20 +48,16 @@ def test_table(squares, degree: int, space, free, clamped, zero: int) -> None:
         reference = (squares(4 * n), 2)
         a = infsup((squares(n), "bottom"), space, degree=degree, reference=reference)
         assert a.constant == pytest.approx(wanted, abs=1.5e-3) and a.zero_modes == 0
-        b = infsup(
-            (squares(n), "bottom"), space, degree=degree, clamped=("left", "right"), reference=reference
-        )
+        b = infsup((squares(n), "bottom"), space, degree=degree, clamped=("left", "right"), reference=reference)
         assert b.constant == pytest.approx(held, abs=1.5e-3) and b.zero_modes == zero
-        assert infsup((squares(n), "bottom"), space, degree=degree).constant == pytest.approx(
-            a.constant, abs=0.02
-        )
+        assert infsup((squares(n), "bottom"), space, degree=degree).constant == pytest.approx(a.constant, abs=0.02)
 
 
 @pytest.mark.smoke
 def test_half_norms_of_a_cosine() -> None:
     """cos(k x) on [0, 1] with k = 2 pi: the norm of order s is sqrt((1 + k^2)^s / 2)."""
     _, _, t = make(2, 3)
-    from fmbd_fenicsx.traces import refined
+    from fmbd_fenicsx.traces.traces import refined
 
     fine, _, _ = refined(t, 5, 2)
     k = 2 * np.pi

@@ -13,7 +13,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConstraintError, InputError
 from fmbd_fenicsx.linear.schur import StepSolver, Weights
 from fmbd_fenicsx.schemes.start import consistent, jerk
-from fmbd_fenicsx.system import State, System
+from fmbd_fenicsx.system.system import State, System
 
 
 def started(scene: fmbd.Scene) -> tuple[System, State, Any]:

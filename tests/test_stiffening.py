@@ -11,11 +11,11 @@ import scipy.linalg as sl
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
-from fmbd_fenicsx.fields import Field
-from fmbd_fenicsx.floating import FloatingField
 from fmbd_fenicsx.materials import plane_stress
-from fmbd_fenicsx.placements import Attached, FrameMotion
-from fmbd_fenicsx.reduced import ReducedPart
+from fmbd_fenicsx.mechanics.floating import FloatingField
+from fmbd_fenicsx.mechanics.placements import Attached, FrameMotion
+from fmbd_fenicsx.mechanics.reduced import ReducedPart
+from fmbd_fenicsx.traces.fields import Field
 
 MODULUS, DENSITY, HEIGHT = 1e9, 1000.0, 0.02
 UNIT = np.sqrt(MODULUS * HEIGHT**2 / 12 / DENSITY)  # rad/s, length 1 m
@@ -62,7 +62,9 @@ def test_reduced_stiffening_is_the_field_projected(rod_mesh: Callable[..., Any])
     eta, rate, second = 1e-2 * rng.standard_normal((3, n))
     rows = full.force(motion, (phi @ eta, phi @ rate, phi @ second))[1]
     projected = field.total(phi.T @ rows)
-    np.testing.assert_allclose(part.force(motion, (eta, rate, second))[1], projected, atol=1e-8 * np.abs(projected).max())
+    np.testing.assert_allclose(
+        part.force(motion, (eta, rate, second))[1], projected, atol=1e-8 * np.abs(projected).max()
+    )
     field.destroy()
 
 
@@ -73,7 +75,9 @@ def test_refused_without(rod_mesh: Callable[..., Any], caplog: Any) -> None:
     scene = fmbd.Scene("spin", gravity=(0.0, -1.0))
     hub = fmbd.RigidBody("hub", mass=1.0, inertia=1.0, position=(0.0, 0.0), angular_velocity=rate)
     body = body.with_(velocity=(0.0, 0.5 * rate), angular_velocity=rate)
-    scene.add(body, hub, fmbd.revolute("axle", fmbd.ground, hub, center=(0, 0)), fmbd.fixed("weld", hub, body.surface("pin")))
+    scene.add(
+        body, hub, fmbd.revolute("axle", fmbd.ground, hub, center=(0, 0)), fmbd.fixed("weld", hub, body.surface("pin"))
+    )
     scene.add(fmbd.drive_rotation("motor", fmbd.ground, hub, lambda t: (rate * t, rate, 0.0)))
     with caplog.at_level("WARNING", logger="fmbd_fenicsx"), pytest.raises(ConvergenceError, match="stiffening=True"):
         fmbd.solve(scene, t_end=40.0 / UNIT, dt=0.1 / rate)

@@ -8,7 +8,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
-from fmbd_fenicsx.study import Configuration, orders, work_precision
+from fmbd_fenicsx.faces.study import Configuration, orders, work_precision
 
 SYSTEM = SimpleNamespace(n_q=1, n_lam=0)
 SCENE = SimpleNamespace(sensors={"x": SimpleNamespace(unit="m")})
@@ -40,9 +40,7 @@ def free_fall_pendulum(h, rho_inf=0.8):
     scene = fmbd.Scene("swing", gravity=(0, -9.81))
     scene.add(bob, fmbd.revolute("pin", fmbd.ground, bob, center=(0, 0)))
     scene.sensor("bob", fmbd.position(bob))
-    return fmbd.solve(
-        scene, t_end=0.8, dt=h, scheme=fmbd.GeneralizedAlpha(rho_inf), output=fmbd.Output(energy=False)
-    )
+    return fmbd.solve(scene, t_end=0.8, dt=h, scheme=fmbd.GeneralizedAlpha(rho_inf), output=fmbd.Output(energy=False))
 
 
 @pytest.mark.parametrize("order", [1.0, 2.0, 3.5])
@@ -91,9 +89,7 @@ def test_work_precision_lists_failures_and_takes_medians(tmp_path):
     def broken(h):
         raise ConvergenceError("Newton stopped")
 
-    found = work_precision(
-        [Configuration("a", timed, [0.1]), Configuration("b", broken, [0.1, 0.05])], reference=EXACT
-    )
+    found = work_precision([Configuration("a", timed, [0.1]), Configuration("b", broken, [0.1, 0.05])], reference=EXACT)
     assert found.points[0].seconds == 2.0
     assert found.points[0].errors["x"] == pytest.approx(0.01 * np.sin(1.0))
     assert [p.label for p in found.failures] == ["b", "b"]

@@ -15,9 +15,7 @@ LAW = fmbd.materials.linear_elastic(1e4, 0.3)
 
 
 def block(dim: int, cells: int = 2, low: float = 0.0):
-    return fmbd.read_gmsh(
-        ROOT / "meshes/block.py", size=(1.0,) * dim, cells=cells, origin=(0.0, low, 0.0)[:dim]
-    )
+    return fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0,) * dim, cells=cells, origin=(0.0, low, 0.0)[:dim])
 
 
 def body(kind: str, name: str, dim: int, cells: int = 2, low: float = 0.0):
@@ -128,7 +126,9 @@ def test_too_many_multipliers_and_wrong_partners_are_refused() -> None:
 
 def _tip(partner: str, E: float = 1.0) -> np.ndarray:
     """Path of the near face of a block that hangs on a soft one: rigid, or elastic with modulus E."""
-    soft = fmbd.AbsoluteBody("soft", block(2, 4), degree=2, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
+    soft = fmbd.AbsoluteBody(
+        "soft", block(2, 4), degree=2, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3)
+    )
     scene = fmbd.Scene("hanging", gravity=(0, -1e-3))
     scene.add(soft, fmbd.tie_surface("clamp", soft.surface("left"), fmbd.ground))
     if partner == "rigid":

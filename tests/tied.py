@@ -8,20 +8,18 @@ from typing import Any
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.fields import ElasticForms, Field
 from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, hold, tie
-from fmbd_fenicsx.mortar import mortar
-from fmbd_fenicsx.multipliers import default_space
-from fmbd_fenicsx.traces import trace_of
+from fmbd_fenicsx.traces.fields import ElasticForms, Field
+from fmbd_fenicsx.traces.mortar import mortar
+from fmbd_fenicsx.traces.multipliers import default_space
+from fmbd_fenicsx.traces.traces import trace_of
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
 def block(name: str, dim: int, cells: int, degree: int, low: float = 0.0, **law: float) -> Field:
     """A unit block whose lower face is at y = low."""
-    mesh = fmbd.read_gmsh(
-        ROOT / "meshes/block.py", size=(1.0,) * dim, cells=cells, origin=(0.0, low, 0.0)[:dim]
-    )
+    mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0,) * dim, cells=cells, origin=(0.0, low, 0.0)[:dim])
     forms = ElasticForms(
         fmbd.materials.linear_elastic(law.get("E", 1.0), law.get("nu", 0.3)), law.get("rho", 1.0), degree
     )

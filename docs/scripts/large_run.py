@@ -13,11 +13,11 @@ from mpi4py import MPI
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.fields import ElasticForms, Field
 from fmbd_fenicsx.linear.presets import FieldSplit, Multigrid
 from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, hold
-from fmbd_fenicsx.multipliers import Continuous
-from fmbd_fenicsx.traces import trace_of
+from fmbd_fenicsx.traces.fields import ElasticForms, Field
+from fmbd_fenicsx.traces.multipliers import Continuous
+from fmbd_fenicsx.traces.traces import trace_of
 
 ROOT = Path(__file__).resolve().parents[2]
 

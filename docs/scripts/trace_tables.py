@@ -20,8 +20,8 @@ import fmbd_fenicsx as fmbd  # noqa: E402
 from fmbd_fenicsx import demo  # noqa: E402
 from fmbd_fenicsx.linear.precondition import Lumped, ScaledMass  # noqa: E402
 from fmbd_fenicsx.linear.presets import FieldSplit, Multigrid, set_bddc  # noqa: E402
-from fmbd_fenicsx.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends  # noqa: E402
-from fmbd_fenicsx.stability import infsup  # noqa: E402
+from fmbd_fenicsx.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends  # noqa: E402
+from fmbd_fenicsx.traces.stability import infsup  # noqa: E402
 
 SIDES = ("left", "right", "back", "front")
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..contact_rows import ContactSet, Linear
+from ..mechanics.contact_rows import ContactSet, Linear
 from ..rotations import Array
 from .schur import StepSolver
 

@@ -105,7 +105,9 @@ def _motion(e: Any, u: Array) -> str:
     rigid = float(c @ gram @ c) / norm
     d = body.dim
     if rigid < 0.99:
-        return f'Zero-energy motion of body "{body.name}" that is not rigid: its elastic form leaves a deformation free.'
+        return (
+            f'Zero-energy motion of body "{body.name}" that is not rigid: its elastic form leaves a deformation free.'
+        )
     t, w = c[:d], c[d:] / body.size
     if np.linalg.norm(w) * body.size < 1e-3 * np.linalg.norm(t):
         return f'Zero-energy motion: body "{body.name}" translates along {np.round(t / np.linalg.norm(t), 3).tolist()}.'

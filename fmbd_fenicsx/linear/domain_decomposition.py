@@ -29,11 +29,11 @@ from petsc4py import (
 )
 
 from ..errors import ConvergenceError
-from ..fields import Field
-from ..mortar import Mortar, mortar
-from ..multipliers import Multipliers, MultiplierSpace
 from ..rotations import Array
-from ..traces import Trace
+from ..traces.fields import Field
+from ..traces.mortar import Mortar, mortar
+from ..traces.multipliers import Multipliers, MultiplierSpace
+from ..traces.traces import Trace
 from .precondition import Fractional, rigid_term
 from .residual import Judge
 from .saddle import Elastic, TraceTie, rigid_modes
@@ -151,9 +151,7 @@ class DualInterface:
 
     def _add(self, name: str, sides: tuple[tuple[int, Trace, sp.csr_matrix], ...], mu: Multipliers) -> None:
         d = mu.trace.dim
-        columns = [
-            (k, sp.kron(t.columns(B), sp.identity(d), format="csr")) for k, t, B in sides if k in self.own
-        ]
+        columns = [(k, sp.kron(t.columns(B), sp.identity(d), format="csr")) for k, t, B in sides if k in self.own]
         self.ties.append(_Tie(name, tuple(columns), mu, d, sides))
 
     def prepare(self, preconditioner: Fractional | None = FRACTIONAL) -> None:
@@ -201,9 +199,7 @@ class DualInterface:
 
     def _conjugate_gradients(self, d: Array, rtol: float, limit: int) -> tuple[Array, int]:
         """Preconditioned conjugate gradients on replicated vectors: the same numbers on all ranks."""
-        precondition = (
-            (lambda r: sl.cho_solve(self._factor, r)) if self._factor is not None else (lambda r: r)
-        )
+        precondition = (lambda r: sl.cho_solve(self._factor, r)) if self._factor is not None else (lambda r: r)
         lam, r = np.zeros(self.n), d.copy()
         y = precondition(r)
         p, size = y.copy(), float(r @ y)

@@ -23,6 +23,4 @@ class Exact:
         solver = Schur().solver(saddle, "exact_")
         S = sp.csr_matrix(solver.complement)
         solver.destroy()
-        return [
-            ("multipliers", list(range(len(saddle.ties))), to_petsc(S, saddle, [t.rows for t in saddle.ties]))
-        ]
+        return [("multipliers", list(range(len(saddle.ties))), to_petsc(S, saddle, [t.rows for t in saddle.ties]))]

@@ -31,8 +31,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..rotations import Array
-from ..stability import pencil
-from ..traces import Trace
+from ..traces.stability import pencil
+from ..traces.traces import Trace
 from .saddle import Elastic, SaddlePoint, TraceTie, rigid_modes, share_of
 
 
@@ -67,8 +67,7 @@ class ScaledMass:
             t = saddle.ties[i]
             assert t.multipliers is not None
             scale = sum(
-                t.multipliers.trace.h / (saddle.elastic[k].ck * saddle.elastic[k].modulus)
-                for k, _ in t.columns
+                t.multipliers.trace.h / (saddle.elastic[k].ck * saddle.elastic[k].modulus) for k, _ in t.columns
             )
             return sp.kron(scale * t.multipliers.mass(), sp.identity(t.components), format="csr")
 

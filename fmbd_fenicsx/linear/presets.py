@@ -143,9 +143,7 @@ class Direct:
         ksp.getPC().setType("cholesky")
         ksp.getPC().setFactorSolverType("mumps")
         ksp.getPC().setFactorSetUpSolverType()
-        ksp.getPC().getFactorMatrix().setMumpsIcntl(
-            14, 150
-        )  # % of memory beyond the estimate: pivoting needs it
+        ksp.getPC().getFactorMatrix().setMumpsIcntl(14, 150)  # % of memory beyond the estimate: pivoting needs it
         return _Krylov(saddle, ksp, prefix, [A], Judge("the saddle point", 1e-9))
 
 
@@ -318,11 +316,7 @@ class _SchurSolver:
         S: Array = np.zeros((n, n))
         self._B = self._columns()
         for k, B in enumerate(self._B):
-            Y = (
-                np.stack([self._inverse(k, b) for b in B.toarray()], axis=1)
-                if n
-                else np.zeros((B.shape[1], 0))
-            )
+            Y = np.stack([self._inverse(k, b) for b in B.toarray()], axis=1) if n else np.zeros((B.shape[1], 0))
             S += saddle.elastic[k].body.total(B @ Y)
         self.complement = S = 0.5 * (S + S.T)
         self._scale = 1.0 / np.sqrt(np.maximum(np.diag(S), 1e-300))

@@ -23,12 +23,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..errors import InputError
-from ..fields import Field
 from ..log import together
-from ..mortar import Mortar
-from ..multipliers import Multipliers
 from ..rotations import Array, motions
-from ..traces import Trace
+from ..traces.fields import Field
+from ..traces.mortar import Mortar
+from ..traces.multipliers import Multipliers
+from ..traces.traces import Trace
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +148,7 @@ def stiffen(name: str, body: int, multipliers: Multipliers) -> TraceTie:
 
 def data(multipliers: Multipliers, function: Callable[[Array], Array], degree: int = 6) -> Array:
     """g = int mu . f for a function of points (n, d) -> (n, d) or scalar (n,); (rows,)."""
-    from ..traces import quadrature, scatter, shape_functions
+    from ..traces.traces import quadrature, scatter, shape_functions
 
     t, m = multipliers.trace, multipliers.trace.dim - 1
     q, w = quadrature(m, degree + multipliers.degree)
@@ -166,9 +166,7 @@ def tie(name: str, slave: int, master: int, coupling: Mortar) -> TraceTie:
     d = coupling.slave_trace.dim
     own = _vector(coupling.slave_trace.columns(coupling.slave), d)
     other = _vector(coupling.master_trace.columns(coupling.master), d)
-    return TraceTie(
-        name, _merged(slave, own, master, -other), coupling.multipliers, d, _sides(slave, master, coupling)
-    )
+    return TraceTie(name, _merged(slave, own, master, -other), coupling.multipliers, d, _sides(slave, master, coupling))
 
 
 def slide(name: str, slave: int, master: int, coupling: Mortar) -> TraceTie:
@@ -182,14 +180,12 @@ def slide(name: str, slave: int, master: int, coupling: Mortar) -> TraceTie:
     if np.linalg.norm(n) < 1 - 1e-6:
         raise InputError(
             f'Tie "{name}": {t.label} is curved (mean normal of length {np.linalg.norm(n):.3f}); a sliding '
-            'tie needs a flat surface.'
+            "tie needs a flat surface."
         )
     N = sp.csr_matrix(n[None, :])
     own = sp.kron(t.columns(coupling.slave), N, format="csr")
     other = sp.kron(coupling.master_trace.columns(coupling.master), N, format="csr")
-    return TraceTie(
-        name, _merged(slave, own, master, -other), coupling.multipliers, 1, _sides(slave, master, coupling)
-    )
+    return TraceTie(name, _merged(slave, own, master, -other), coupling.multipliers, 1, _sides(slave, master, coupling))
 
 
 def _sides(slave: int, master: int, c: Mortar) -> tuple[tuple[int, Trace, sp.csr_matrix], ...]:
@@ -226,8 +222,7 @@ class SaddlePoint:
         # softest body: a stiff one without inertia is held by its neighbours, which sets the scale of its rigid motion
         softest = min(e.ck * e.modulus for e in elastic)
         self.elastic = tuple(
-            replace(e, stand_in=e.static_inertia * softest / (e.ck * e.modulus)) if e.cm == 0 else e
-            for e in elastic
+            replace(e, stand_in=e.static_inertia * softest / (e.ck * e.modulus)) if e.cm == 0 else e for e in elastic
         )
         self.ties = tuple(ties)
         self.comm = elastic[0].body.comm
@@ -306,9 +301,7 @@ class SaddlePoint:
                 if self.table[i][j] is not None:
                     self.table[i][j].mult(xj, y)
                     sizes[i] += y.norm()
-                    floors[i] += (
-                        1e-6 * self.norms[i][j] * xj.norm()
-                    )  # rigid motions leave nothing but roundoff
+                    floors[i] += 1e-6 * self.norms[i][j] * xj.norm()  # rigid motions leave nothing but roundoff
                     r.axpy(1.0, y)
             values[i] = r.norm()
             r.destroy(), y.destroy()
@@ -319,9 +312,7 @@ class SaddlePoint:
         worst = 0.0
         for kind in (slice(0, len(self.elastic)), slice(len(self.elastic), None)):  # forces, constraints
             largest = given[kind].max(initial=0.0) or np.inf
-            least = max(
-                1e-6 * sizes[kind].max(initial=0.0), min(floors[kind].max(initial=0.0), largest), 1e-300
-            )
+            least = max(1e-6 * sizes[kind].max(initial=0.0), min(floors[kind].max(initial=0.0), largest), 1e-300)
             worst = max(worst, float((values[kind] / np.maximum(sizes[kind], least)).max(initial=0.0)))
         return worst
 

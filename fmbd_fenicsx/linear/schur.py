@@ -21,10 +21,10 @@ import scipy.sparse as sp
 
 from ..errors import LinearSolveError
 from ..log import log
-from ..mobility import NEAR_SINGULAR, mobility, nearly_dependent
-from ..placements import DistributedPart, FrameMotion
+from ..mechanics.placements import DistributedPart, FrameMotion
 from ..rotations import Array
-from ..system import Evaluation, System
+from ..system.mobility import NEAR_SINGULAR, mobility, nearly_dependent
+from ..system.system import Evaluation, System
 from .core import ADVICE, CoreSolver
 from .residual import Judge
 from .spd import CholeskyFactor, MassInverse
@@ -299,4 +299,3 @@ def _turned(x: Array, R: Array | None, back: bool = False) -> Array:
     if R is None:
         return x
     return (x.reshape(-1, len(R)) @ (R if back else R.T)).ravel()
-

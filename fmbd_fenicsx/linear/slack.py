@@ -56,4 +56,4 @@ class SlackFactor:
         return np.asarray(Z + self.Y @ sl.lu_solve(self.small, self.B @ Z))
 
     def destroy(self) -> None:
-        """Nothing: the factor belongs to the field, see :meth:`~fmbd_fenicsx.wires.LineField.destroy`."""
+        """Nothing: the factor belongs to the field, see :meth:`~fmbd_fenicsx.mechanics.wires.LineField.destroy`."""

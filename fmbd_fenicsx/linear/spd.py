@@ -1,6 +1,6 @@
 """Factorised symmetric positive definite blocks of elastic fields: E = cm M + ck K.
 
-The factors themselves are those of :mod:`fmbd_fenicsx.factor`; here every solve is judged.
+The factors themselves are those of :mod:`fmbd_fenicsx.traces.factor`; here every solve is judged.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ..factor import Factor
-from ..fields import Field
 from ..rotations import Array
+from ..traces.factor import Factor
+from ..traces.fields import Field
 from .residual import Judge
 
 

@@ -27,9 +27,8 @@ from ..errors import CallbackError, ConvergenceError, LinearSolveError, require
 from ..linear.pencil import Pencil, Tangent
 from ..linear.residual import Judge
 from ..linear.schur import StepSolver
-from ..newton import Newton
 from ..rotations import Array
-from ..system import State, System
+from ..system.system import State, System
 from .control import (
     ROUNDOFF,
     STAGNATION,
@@ -41,6 +40,7 @@ from .control import (
     lands,
 )
 from .dae import GGL, Form, Point, StepEquations
+from .newton import Newton
 from .radau import Radau
 from .start import accelerations, project
 
@@ -249,9 +249,7 @@ class Stepper:
         p = Point(xi, c[0] * xi + fixed_xi, v, c[0] * v + fixed_v, mult)
         relax = self._prepare(t, p, c[0])
         tolerance = (
-            1.0
-            if not self.adaptive
-            else max(10 * np.finfo(float).eps / self.norm.rtol, min(0.03, self.norm.rtol**0.5))
+            1.0 if not self.adaptive else max(10 * np.finfo(float).eps / self.norm.rtol, min(0.03, self.norm.rtol**0.5))
         )
         last = 0.0
         for i in range(self.newton.max_iterations):

@@ -21,10 +21,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from .. import constraints as ct
 from ..log import log
+from ..mechanics import constraints as ct
 from ..rotations import Array
-from ..system import System
+from ..system.system import System
 
 SOURCE = Path(__file__).with_name("plane_step.c")
 FLAGS = ("-O3", "-ffp-contract=off", "-shared", "-fPIC", "-std=c99")
@@ -60,9 +60,7 @@ def library() -> Any:
 def _load(folder: Path, name: str, compiler: list[str]) -> Any:
     """Load the library; a file that does not match its checksum is built again."""
     file, sums = folder / f"{name}.so", folder / f"{name}.sha256"
-    good = (
-        file.exists() and sums.exists() and sums.read_text() == hashlib.sha256(file.read_bytes()).hexdigest()
-    )
+    good = file.exists() and sums.exists() and sums.read_text() == hashlib.sha256(file.read_bytes()).hexdigest()
     if not good:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder) as work:
@@ -155,14 +153,10 @@ class PlaneKernel:
         p[HISTORY] = len(blocks) - 1
         at = [b[1] for b in blocks]
         at += [at[-1]] * (3 - len(at))
-        return int(
-            self.lib.step(self.address, p.ctypes.data, at[0], at[1], at[2], self.offset.ctypes.data, out)
-        )
+        return int(self.lib.step(self.address, p.ctypes.data, at[0], at[1], at[2], self.offset.ctypes.data, out))
 
 
-def _profile(
-    nb: int, m: int, fa: np.ndarray, fb: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+def _profile(nb: int, m: int, fa: np.ndarray, fb: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Order of the rows (reverse Cuthill-McKee), first column and start of each place in the profile, its size."""
     rows = np.concatenate((np.arange(m), np.arange(m)))
     body = np.concatenate((fa, fb))

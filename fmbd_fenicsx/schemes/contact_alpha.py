@@ -22,19 +22,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..contact_rows import ContactSet, Rows
 from ..errors import ConvergenceError
 from ..linear.complementarity import solve_normal
 from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver, Weights
-from ..newton import Newton
+from ..mechanics.contact_rows import ContactSet, Rows
 from ..rotations import Array
-from ..system import Evaluation, State, System
+from ..system.system import Evaluation, State, System
 from .contact_ledger import Ledger, StepForces
 from .contact_midpoint import elastic_start
 from .contact_solve import Unilateral, openings
 from .contact_steps import candidates
 from .generalized_alpha import GeneralizedAlpha
+from .newton import Newton
 from .start import Correction
 
 
@@ -59,9 +59,7 @@ class ContactAlpha(GeneralizedAlpha):
 class ContactStepper:
     """Advances a state; holds the algorithmic acceleration A."""
 
-    def __init__(
-        self, scheme: ContactAlpha, system: System, solver: StepSolver, newton: Newton, state: State
-    ) -> None:
+    def __init__(self, scheme: ContactAlpha, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
         self.contacts: ContactSet = system.contacts
         self.compliance = Compliance(solver, self.contacts)
@@ -100,9 +98,7 @@ class ContactStepper:
         self.local_error = h * h * abs(beta - 1 / 6) * system.max_abs(step.A - self.A)
         self.A = step.A
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + h)
-        self.state = self.ledger.write(
-            State(s.t + h, q, v, step.a, step.lam), forces, (step.ev, step.xi, step.lam), h
-        )
+        self.state = self.ledger.write(State(s.t + h, q, v, step.a, step.lam), forces, (step.ev, step.xi, step.lam), h)
         self.ledger.count(len(history))
         return self.state
 
@@ -113,9 +109,7 @@ class ContactStepper:
         if rows is None or not closed.any():
             return v
         N = rows.take(closed).N
-        rate = self.contacts.gap_rate(self.system, self.state.t + step.h, step.ev.q, step.h)[step.near][
-            closed
-        ]
+        rate = self.contacts.gap_rate(self.system, self.state.t + step.h, step.ev.q, step.h)[step.near][closed]
         u = self.contacts.times(self.system, N, v) + rate
         P = solve_normal(self.compliance.matrix(N), u, u < 0, self.ledger.counts)
         if not P.any():
@@ -171,6 +165,4 @@ class _Step:
         self.A = self.A + d_xi / (h * h * self.beta)
         self.a = self.a + d_xi / self.scale
         size = max(system.max_abs(self.xi), h * system.max_abs(s.v), 1e-9 * system.length)
-        return system.max_abs(dq) / max(
-            1e-4 * p.newton.tolerance * size, 100 * np.finfo(float).eps * system.length
-        )
+        return system.max_abs(dq) / max(1e-4 * p.newton.tolerance * size, 100 * np.finfo(float).eps * system.length)

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..contact_rows import Rows, Touch
 from ..linear.complementarity import ContactCounts
+from ..mechanics.contact_rows import Rows, Touch
 from ..rotations import Array
-from ..sensors_contact import WORKS, ContactForces, ContactState
-from ..system import Evaluation, State, System
+from ..system.sensors_contact import WORKS, ContactForces, ContactState
+from ..system.system import Evaluation, State, System
 from .contact_steps import in_world
 
 
@@ -51,14 +51,10 @@ class Ledger:
     def open(self, state: State) -> ContactState:
         """The first state: no forces yet."""
         self.energy, self.springs = self._energy(state)
-        nothing = StepForces(
-            np.zeros(len(self.force), dtype=bool), None, np.zeros((0, self.components)), state.t
-        )
+        nothing = StepForces(np.zeros(len(self.force), dtype=bool), None, np.zeros((0, self.components)), state.t)
         return self._carry(state, nothing, self.contacts.touch(self.system, state.t, state.q))
 
-    def write(
-        self, state: State, forces: StepForces, step: tuple[Evaluation, Array, Array], h: float
-    ) -> ContactState:
+    def write(self, state: State, forces: StepForces, step: tuple[Evaluation, Array, Array], h: float) -> ContactState:
         """Close a step: ``step`` holds the evaluation, the increment xi and the multipliers that the balance
         was written with.
         """
@@ -97,9 +93,7 @@ class Ledger:
         force = np.zeros_like(end.x)
         if forces.rows is not None:
             force[forces.near] = in_world(forces.rows, forces.force)
-            self.impulse = self.impulse + h * np.array(
-                [force[c.pair == i].sum(0) for i in range(len(self.impulse))]
-            )
+            self.impulse = self.impulse + h * np.array([force[c.pair == i].sum(0) for i in range(len(self.impulse))])
         normal = self.force[:, 0].copy()
         found = ContactForces(
             c.names, forces.time, c.pair, end.x, end.normal, end.geometric, normal, force, normal / c.weight,

@@ -11,7 +11,7 @@ The forces act in the middle of the step, the gap closes at its end. On a linear
 obstacle the
 contact's work in a step is Lambda (gap_1 - gap_0) = -Lambda gap_0 <= 0, nothing while it stays closed:
 energy never grows.
-Without inertia on the contact nodes (:mod:`fmbd_fenicsx.contact_mass`) Lambda does not oscillate. Each
+Without inertia on the contact nodes (:mod:`fmbd_fenicsx.mechanics.contact_mass`) Lambda does not oscillate. Each
 Newton step solves the
 linearised (2) and (3) as one small complementarity problem on the candidates; the active set of the last
 step starts it. After
@@ -31,17 +31,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..contact_rows import ContactSet
 from ..errors import ConvergenceError, InputError, require
 from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver, Weights
 from ..log import log
-from ..newton import Newton
+from ..mechanics.contact_rows import ContactSet
 from ..rotations import Array
-from ..system import Evaluation, State, System
+from ..system.system import Evaluation, State, System
 from .contact_ledger import Ledger, StepForces
 from .contact_solve import Unilateral, openings
 from .contact_steps import candidates, refuse_penetration
+from .newton import Newton
 from .start import Correction, consistent, worst_block
 
 
@@ -64,11 +64,7 @@ class ContactMidpoint:
     @property
     def name(self) -> str:
         """Name in reports."""
-        return (
-            "contact-implicit midpoint"
-            if self.theta == 0.5
-            else f"contact-implicit theta rule ({self.theta:g})"
-        )
+        return "contact-implicit midpoint" if self.theta == 0.5 else f"contact-implicit theta rule ({self.theta:g})"
 
     def start(self, system: System, state: State, solver: StepSolver, h: float) -> tuple[State, Correction]:
         """Consistent positions and velocities; refuses overlap, and contact between rigid bodies."""
@@ -79,9 +75,7 @@ class ContactMidpoint:
         return Stepper(self.theta, system, solver, newton, state)
 
 
-def elastic_start(
-    name: str, system: System, state: State, solver: StepSolver, tau: float
-) -> tuple[State, Correction]:
+def elastic_start(name: str, system: System, state: State, solver: StepSolver, tau: float) -> tuple[State, Correction]:
     """Start of a scheme for elastic contact: consistent in the metric M + tau^2 K (M is singular on massless
     nodes); collective.
 
@@ -90,9 +84,7 @@ def elastic_start(
     """
     contacts = system.contacts
     if contacts is None:
-        raise InputError(
-            f"{name} is a scheme for scenes with contact; this scene has none. Use another scheme."
-        )
+        raise InputError(f"{name} is a scheme for scenes with contact; this scene has none. Use another scheme.")
     rigid = [p.name for p in contacts.pairs if p.rigid]
     if rigid:
         raise InputError(
@@ -107,9 +99,7 @@ def elastic_start(
             "oscillate; see docs/contact.md",
             heavy[0],
         )
-    start, correction = consistent(
-        system, state, solver, metric=Weights(1.0, 0.0, tau * tau), accelerated=False
-    )
+    start, correction = consistent(system, state, solver, metric=Weights(1.0, 0.0, tau * tau), accelerated=False)
     refuse_penetration(system, contacts, start)
     return start, correction
 
@@ -117,9 +107,7 @@ def elastic_start(
 class Stepper:
     """Advances a state through contact."""
 
-    def __init__(
-        self, theta: float, system: System, solver: StepSolver, newton: Newton, state: State
-    ) -> None:
+    def __init__(self, theta: float, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.theta, self.system, self.solver, self.newton = theta, system, solver, newton
         self.contacts: ContactSet = system.contacts
         self.compliance = Compliance(solver, self.contacts)
@@ -146,11 +134,7 @@ class Stepper:
                 raise ConvergenceError(
                     f"Newton stopped at t = {s.t + h:.6g} s (h = {h:.3g} s): increments over tolerance "
                     + " -> ".join(f"{x:.1e}" for x in history)
-                    + (
-                        f"; the largest open constraint is {worst_block(system, step.g)}"
-                        if step.g.size
-                        else ""
-                    )
+                    + (f"; the largest open constraint is {worst_block(system, step.g)}" if step.g.size else "")
                     + ". Try a smaller dt."
                 )
             missed = (self.contacts.touch(system, s.t + h, step.q).gap < -1e-9 * system.length) & ~near
@@ -163,9 +147,7 @@ class Stepper:
         a = (v - s.v) / h
         self.local_error = h * h / 12 * system.max_abs(a - s.a)
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + self.theta * h)
-        self.state = self.ledger.write(
-            State(s.t + h, step.q, v, a, step.lam), forces, (step.ev, step.xi, step.lam), h
-        )
+        self.state = self.ledger.write(State(s.t + h, step.q, v, a, step.lam), forces, (step.ev, step.xi, step.lam), h)
         self.ledger.count(len(history))
         return self.state
 
@@ -219,7 +201,5 @@ class _Step:
         self.lam = self.lam + dlam / self.scale
         self.xi = self.xi + system.rate(self.xi, dxi)
         self.q = system.compose(s.q, self.xi)
-        tolerance = max(
-            1e-4 * p.newton.tolerance * max(system.max_abs(self.xi), h * system.max_abs(s.v)), self.floor
-        )
+        tolerance = max(1e-4 * p.newton.tolerance * max(system.max_abs(self.xi), h * system.max_abs(s.v)), self.floor)
         return system.max_abs(dxi) / tolerance

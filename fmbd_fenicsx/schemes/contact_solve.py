@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from ..contact_rows import ContactSet, Rows
 from ..linear.complementarity import ContactCounts, solve_friction, solve_normal
 from ..linear.delassus import Compliance
+from ..mechanics.contact_rows import ContactSet, Rows
 from ..rotations import Array
 from .contact_steps import components
 
@@ -36,9 +36,7 @@ class Unilateral:
         self._W: Array | None = None
         self._blocks: Any = None
 
-    def increment(
-        self, rows: Rows, u: Array, residuals: tuple[Array, Array], scale: float
-    ) -> tuple[Array, Array]:
+    def increment(self, rows: Rows, u: Array, residuals: tuple[Array, Array], scale: float) -> tuple[Array, Array]:
         """Steps of the unknowns and of the joints' multipliers (scaled) by (1); residuals of balance and
         joints. Collective.
         """

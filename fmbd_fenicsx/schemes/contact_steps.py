@@ -7,23 +7,21 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ..contact_rows import ContactSet, Linear, Rows, Touch, tangents_of
 from ..errors import ConvergenceError, InputError
 from ..log import log
+from ..mechanics.contact_rows import ContactSet, Linear, Rows, Touch, tangents_of
 from ..rotations import Array
-from ..system import State, System
+from ..system.system import State, System
 
 ALLOWED = 1e-8  # penetration at the start, as a share of the model's length
 
 
-def candidates(
-    system: System, contacts: ContactSet, state: State, h: float, *, keep: bool = False
-) -> np.ndarray:
+def candidates(system: System, contacts: ContactSet, state: State, h: float, *, keep: bool = False) -> np.ndarray:
     """Points that may touch within the step, (m,) bool: near now, or at the position reached with the
     present velocity.
 
     ``keep``: overlaps from the new pairing of two bodies are not pushed out (see
-    :mod:`fmbd_fenicsx.contact_mortar`).
+    :mod:`fmbd_fenicsx.mechanics.contact_mortar`).
     """
     contacts.update(system, state.q, 2 * h * contacts.fastest(system, state.v), keep=keep)
     now = contacts.touch(system, state.t, state.q)
@@ -70,9 +68,7 @@ def refuse_penetration(system: System, contacts: ContactSet, state: State) -> No
         )
 
 
-def _refuse_tunnelling(
-    system: System, contacts: ContactSet, state: State, step: tuple[float, Touch, Touch]
-) -> None:
+def _refuse_tunnelling(system: System, contacts: ContactSet, state: State, step: tuple[float, Touch, Touch]) -> None:
     """Raise ConvergenceError when a point would pass more than half of an obstacle's thickness in one step;
     collective.
     """

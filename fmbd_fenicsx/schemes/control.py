@@ -24,14 +24,12 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConvergenceError, require
-from ..linearise import Sizes
 from ..rotations import Array
-from ..system import State, System
+from ..system.linearise import Sizes
+from ..system.system import State, System
 
 ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the tolerance are accepted
-STAGNATION = (
-    100.0  # the same with constant steps, where the tolerance may lie below the roundoff of stiff forces
-)
+STAGNATION = 100.0  # the same with constant steps, where the tolerance may lie below the roundoff of stiff forces
 FINEST = 100 * float(np.finfo(float).eps)
 
 

@@ -37,9 +37,9 @@ import numpy as np
 from ..errors import InputError, require
 from ..linear.pencil import Tangent
 from ..linear.schur import StepSolver, Weights
-from ..linearise import differences
 from ..rotations import Array
-from ..system import Evaluation, State, System
+from ..system.linearise import differences
+from ..system.system import Evaluation, State, System
 
 
 @dataclass(frozen=True)
@@ -275,9 +275,7 @@ class StepEquations:
             return np.concatenate((r, form.rows(at, a))) if self.levels else r
 
         by_q, by_v = differences(s, lower, q, v)
-        by_a = np.concatenate(
-            [M, *(G if level == 2 else np.zeros_like(G) for level in form.levels[: self.levels])]
-        )
+        by_a = np.concatenate([M, *(G if level == 2 else np.zeros_like(G) for level in form.levels[: self.levels])])
         return Tangent(self._turning(np.zeros(s.n_v), v)[0], M, G, self.U, by_q, by_v, by_a)
 
     def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:

@@ -19,9 +19,9 @@ import numpy as np
 
 from ..energies import StoredEnergy
 from ..errors import ConvergenceError, InputError
-from ..newton import Newton
 from ..rotations import Array
-from ..system import State, System
+from ..system.system import State, System
+from .newton import Newton
 
 TINY = 1e-11  # dC : dC below which the correction in (2), of the third order in dC, is lost in roundoff
 

@@ -28,12 +28,12 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConvergenceError
-from ..laws import ScalarLoads
 from ..linear.schur import StepSolver
-from ..newton import Newton
-from ..relative import Separation
+from ..mechanics.laws import ScalarLoads
+from ..mechanics.relative import Separation
 from ..rotations import Array
-from ..system import Evaluation, State, System
+from ..system.system import Evaluation, State, System
+from .newton import Newton
 
 SLOW = 0.1  # rate of Newton's iteration above which a new tangent is taken
 
@@ -135,9 +135,7 @@ class Stepper:
                 worst = max(worst, rate)
             if rate > SLOW or (len(history) == 1 and self._kept is None):
                 J = None
-            if history[-1] <= 1e-13 or (
-                len(history) > 2 and history[-1] <= 1e-10 and history[-1] > 0.2 * history[-2]
-            ):
+            if history[-1] <= 1e-13 or (len(history) > 2 and history[-1] <= 1e-10 and history[-1] > 0.2 * history[-2]):
                 break
             if not np.isfinite(history[-1]):
                 break
@@ -165,9 +163,7 @@ class Stepper:
         out = xi.copy()
         turn = out[: n * m.n_twist].reshape(n, m.n_twist)[:, m.dim :]
         angle = np.sqrt((turn * turn).sum(1, keepdims=True))
-        turn *= np.where(
-            angle > 1e-8, 2 * np.arctan(0.5 * angle) / np.maximum(angle, 1e-300), 1 - angle**2 / 12
-        )
+        turn *= np.where(angle > 1e-8, 2 * np.arctan(0.5 * angle) / np.maximum(angle, 1e-300), 1 - angle**2 / 12)
         return out
 
     def _residual(self, h: float, z: Array, old: Evaluation, g_old: Array) -> Array:

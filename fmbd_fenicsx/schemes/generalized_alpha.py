@@ -34,12 +34,12 @@ import numpy as np
 
 from ..errors import ConvergenceError, require
 from ..linear.schur import StepSolver, Weights
-from ..newton import Newton
 from ..rotations import Array
-from ..system import State, System
+from ..system.system import State, System
 from . import compiled
 from .compiled import PlaneKernel, kernel_of
 from .dae import GGL, Form, Index3
+from .newton import Newton
 from .start import jerk, spin_of_acceleration, worst_block
 
 PATIENCE = 4  # iterations with the tangent of the first one, where a new tangent is cheap

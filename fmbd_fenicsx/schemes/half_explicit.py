@@ -23,10 +23,10 @@ import numpy as np
 
 from ..errors import CallbackError, ConvergenceError, LinearSolveError
 from ..linear.schur import StepSolver, Weights
-from ..newton import Newton
 from ..rotations import Array
-from ..system import State, System
+from ..system.system import State, System
 from .control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
+from .newton import Newton
 from .start import accelerations, project
 
 MASS = Weights(1.0, 0.0, 0.0)
@@ -68,9 +68,7 @@ class HalfExplicit:
 class Stepper:
     """Advances a consistent state."""
 
-    def __init__(
-        self, scheme: HalfExplicit, system: System, solver: StepSolver, newton: Newton, state: State
-    ) -> None:
+    def __init__(self, scheme: HalfExplicit, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
         self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, 1)
         self.control, self.stats = StepControl(4.0), Statistics()
@@ -146,9 +144,7 @@ class Stepper:
             errors = e_q, e_v
         return State(s.t + h, system.compose(s.q, xi), v, a, lam), errors
 
-    def _stage(
-        self, ev: Any, after: Any, step: tuple[Array, float], guess: tuple[Array, Array]
-    ) -> tuple[Array, Array]:
+    def _stage(self, ev: Any, after: Any, step: tuple[Array, float], guess: tuple[Array, Array]) -> tuple[Array, Array]:
         """(2) for one stage: G_j gives the force, G_j+1 the constraint; solved with the symmetric matrix of the stage,
         repeated.
         """

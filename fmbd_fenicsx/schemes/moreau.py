@@ -25,16 +25,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..contact_rows import ContactSet, Rows
 from ..errors import ConvergenceError, InputError
 from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver, Weights
-from ..newton import Newton
+from ..mechanics.contact_rows import ContactSet, Rows
 from ..rotations import Array
-from ..system import Evaluation, State, System
+from ..system.system import Evaluation, State, System
 from .contact_ledger import Ledger, StepForces
 from .contact_solve import Unilateral, openings
 from .contact_steps import candidates, refuse_penetration
+from .newton import Newton
 from .start import Correction, consistent
 
 
@@ -48,12 +48,8 @@ class Moreau:
     def start(self, system: System, state: State, solver: StepSolver, h: float) -> tuple[State, Correction]:
         """Consistent positions and velocities; refuses overlap."""
         if system.contacts is None:
-            raise InputError(
-                "Moreau is a scheme for scenes with contact; this scene has none. Use another scheme."
-            )
-        start, correction = consistent(
-            system, state, solver, metric=Weights(1.0, 0.0, h * h / 4), accelerated=False
-        )
+            raise InputError("Moreau is a scheme for scenes with contact; this scene has none. Use another scheme.")
+        start, correction = consistent(system, state, solver, metric=Weights(1.0, 0.0, h * h / 4), accelerated=False)
         refuse_penetration(system, system.contacts, start)
         return start, correction
 
@@ -103,9 +99,7 @@ class Stepper:
         self.impulse = np.zeros_like(self.impulse)
         self.impulse[closed] = step.contact.force
         forces = StepForces(closed, step.contact.rows, step.contact.force / h, s.t + h / 2)
-        self.state = self.ledger.write(
-            State(s.t + h, q, step.v, a, step.lam), forces, (step.ev, xi, step.lam), h
-        )
+        self.state = self.ledger.write(State(s.t + h, q, step.v, a, step.lam), forces, (step.ev, xi, step.lam), h)
         self.ledger.count(len(history))
         return self.state
 
@@ -149,9 +143,9 @@ class _Step:
         if self.closed.any():
             rows = p.contacts.rows(system, s.t + h / 2, middle, since=(s.t, h)).take(self.closed)
             rate = p.contacts.gap_rate(system, s.t + h / 2, middle, h)[self.closed]
-            u = openings(
-                p.contacts, system, rows, p.contacts.times(system, rows.N, self.v) + rate, h * self.v
-            ) / _per(rows, h)
+            u = openings(p.contacts, system, rows, p.contacts.times(system, rows.N, self.v) + rate, h * self.v) / _per(
+                rows, h
+            )
             before = p.contacts.times(system, rows.N, s.v) + rate
             u[:, 0] += rows.restitution * np.minimum(before, 0.0)
             dv, dlam = self.contact.increment(rows, u, (r, slip), 1.0)

@@ -27,9 +27,8 @@ from ..errors import CallbackError, ConvergenceError, LinearSolveError, require
 from ..linear.pencil import Pencil, Tangent, stacked
 from ..linear.residual import Judge
 from ..linear.schur import StepSolver
-from ..newton import Newton
 from ..rotations import Array
-from ..system import State, System
+from ..system.system import State, System
 from .control import (
     ROUNDOFF,
     STAGNATION,
@@ -41,6 +40,7 @@ from .control import (
     lands,
 )
 from .dae import GGL, Form, Point, StepEquations
+from .newton import Newton
 from .start import accelerations, project
 
 
@@ -119,9 +119,7 @@ class Radau:
 class Stepper:
     """Advances a consistent state; holds tangent, factors, the last collocation polynomial and the step control."""
 
-    def __init__(
-        self, scheme: Radau, system: System, solver: StepSolver, newton: Newton, state: State
-    ) -> None:
+    def __init__(self, scheme: Radau, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
         self.eq = StepEquations(system, scheme.form, solver)
         self.tab = tableau(scheme.stages)
@@ -304,20 +302,13 @@ class Stepper:
                     return "Newton diverged"
                 theta = self._theta / (1 - min(self._theta, 0.99))
                 left = self.newton.max_iterations - 1 - k
-                if (
-                    self.adaptive
-                    and k > 1
-                    and theta * size * self._theta**left > tolerance
-                    and size > tolerance
-                ):
+                if self.adaptive and k > 1 and theta * size * self._theta**left > tolerance and size > tolerance:
                     return "Newton too slow"
             last = size
             if theta * size <= tolerance or size <= 1e-2 * tolerance:
                 self._eta, self._iterations = theta, k + 1
                 if L > 2:
-                    self._end_acceleration = (
-                        self._stages(h, xi, v, mult)[-1].vd + self.eq.normals(ev) @ mult[-1, 2]
-                    )
+                    self._end_acceleration = self._stages(h, xi, v, mult)[-1].vd + self.eq.normals(ev) @ mult[-1, 2]
                 return self._stages(h, xi, v, mult)
         return "Newton too slow"
 
@@ -342,9 +333,7 @@ class Stepper:
                 self.solver.core.redundant,
             )
             low = [
-                r[1][i:j]
-                for i, j in pairwise([0, *range(n, len(rows[0][1]) + 1, m)] if m else [0, n])
-                for r in rows
+                r[1][i:j] for i, j in pairwise([0, *range(n, len(rows[0][1]) + 1, m)] if m else [0, n]) for r in rows
             ]
             dxi, dv, dmult = pencil.solve(np.concatenate([r[0] for r in rows]), np.concatenate(low))
             size_of = (len(tab.c), n)

@@ -21,9 +21,9 @@ import numpy as np
 
 from ..errors import ConvergenceError
 from ..linear.schur import StepSolver, Weights
-from ..newton import Newton
 from ..rotations import Array
-from ..system import Evaluation, State, System
+from ..system.system import Evaluation, State, System
+from .newton import Newton
 
 MASS = Weights(1.0, 0.0, 0.0)
 

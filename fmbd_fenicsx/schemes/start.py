@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import ConstraintError, FmbdError
 from ..linear.schur import StepSolver, Weights
 from ..rotations import Array, cross3
-from ..system import State, System
+from ..system.system import State, System
 
 REFUSED = 1e-3  # a position correction above this share of the model's length is wrong input, not roundoff
 
@@ -57,8 +57,8 @@ def consistent(
         if moved > REFUSED * system.length:
             block = worst_block(system, first)
             raise ConstraintError(
-                f'The bodies do not fit together at t = {state.t:g} s: {block} is open by '
-                f'{np.abs(first).max():.3g} m, and closing '
+                f"The bodies do not fit together at t = {state.t:g} s: {block} is open by "
+                f"{np.abs(first).max():.3g} m, and closing "
                 f"it would move bodies by more than {REFUSED:g} of the model's length ({system.length:.3g} m). "
                 "Check the positions of the bodies and the center of the joint."
             )

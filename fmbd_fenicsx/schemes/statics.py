@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import ConvergenceError, LinearSolveError
 from ..linear.schur import StepSolver, Weights
 from ..rotations import Array
-from ..system import State, System
+from ..system.system import State, System
 
 ITERATIONS, DEPTH = 200, 12
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from ..errors import require
 from ..linear.schur import StepSolver
-from ..newton import Newton
-from ..sliding import HeadSide, WireSide
-from ..system import State, System
+from ..mechanics.sliding import HeadSide, WireSide
+from ..system.system import State, System
 from .generalized_alpha import GeneralizedAlpha
+from .newton import Newton
 from .start import accelerations, project
 
 
@@ -52,7 +52,9 @@ class Switching:
         heads = {law.status.rows.start: law for law in laws if isinstance(law, HeadSide)}
         wires = {law.status.rows.start: law for law in laws if isinstance(law, WireSide)}
         self.pairs: list[tuple[Any, Any]] = [(wires[r], h) for r, h in heads.items() if h.idle is not None]
-        require(not hasattr(outer.scheme, "rtol") or outer.scheme.rtol is None, "Unilateral contact needs a constant step.")
+        require(
+            not hasattr(outer.scheme, "rtol") or outer.scheme.rtol is None, "Unilateral contact needs a constant step."
+        )
         self.inner = outer.scheme.stepper(system, solver, newton, state)
         self.opened = self.returned = 0
 

@@ -116,9 +116,7 @@ def compare(python, repeat, cases=tuple(CASES)):
 
 def main():
     """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--exudyn", default=os.environ.get("EXUDYN_PYTHON", ""))
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--json", type=Path)

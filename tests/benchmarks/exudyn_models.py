@@ -26,9 +26,7 @@ def rigid(mbs, mass, inertia, position, angle, velocity=(0, 0), omega=0.0):
     load = mbs.AddMarker(ii.MarkerBodyPosition(bodyNumber=body, localPosition=[0, 0, 0]))
     if GRAVITY:
         mbs.AddLoad(ii.Force(markerNumber=load, loadVector=[0, -mass * GRAVITY, 0]))
-    return body, lambda x, y=0.0: mbs.AddMarker(
-        ii.MarkerBodyPosition(bodyNumber=body, localPosition=[x, y, 0])
-    )
+    return body, lambda x, y=0.0: mbs.AddMarker(ii.MarkerBodyPosition(bodyNumber=body, localPosition=[x, y, 0]))
 
 
 def chain(mbs, n):
@@ -49,18 +47,14 @@ def crank(mbs):
     ground = mbs.AddObject(ii.ObjectGround())
     zero = mbs.AddMarker(ii.MarkerBodyPosition(bodyNumber=ground, localPosition=[0, 0, 0]))
     _, one = rigid(mbs, 0.36, 0.002727 - 0.36 * r**2 / 4, [r / 2, 0], 0.0, (0, w * r / 2), w)
-    _, two = rigid(
-        mbs, 0.151104, 0.0045339259 - 0.151104 * 0.15**2, [r + arm / 2, 0], 0.0, (0, w * r / 2), -w / 2
-    )
+    _, two = rigid(mbs, 0.151104, 0.0045339259 - 0.151104 * 0.15**2, [r + arm / 2, 0], 0.0, (0, w * r / 2), -w / 2)
     body, three = rigid(mbs, 0.075552, 1e-4, [r + arm, 0], 0.0)
     mbs.AddObject(ii.RevoluteJoint2D(markerNumbers=[zero, one(-r / 2)]))
     mbs.AddObject(ii.RevoluteJoint2D(markerNumbers=[one(r / 2), two(-arm / 2)]))
     mbs.AddObject(ii.RevoluteJoint2D(markerNumbers=[two(arm / 2), three(0.0)]))
     guide = mbs.AddMarker(ii.MarkerBodyRigid(bodyNumber=ground, localPosition=[0, 0, 0]))
     block = mbs.AddMarker(ii.MarkerBodyRigid(bodyNumber=body, localPosition=[0, 0, 0]))
-    mbs.AddObject(
-        ii.PrismaticJoint2D(markerNumbers=[guide, block], axisMarker0=[1, 0, 0], normalMarker1=[0, 1, 0])
-    )
+    mbs.AddObject(ii.PrismaticJoint2D(markerNumbers=[guide, block], axisMarker0=[1, 0, 0], normalMarker1=[0, 1, 0]))
     return body, [0, 0, 0]
 
 

@@ -146,9 +146,7 @@ def main() -> int:
     print(f"  ratio             {memory:12.2f}   (at most {MEMORY_BOUND})")
     ok = ratio <= TIME_BOUND and memory <= MEMORY_BOUND
     if args.json:
-        args.json.write_text(
-            json.dumps({"factor": factor, "run": run, "time": ratio, "memory": memory, "ok": ok})
-        )
+        args.json.write_text(json.dumps({"factor": factor, "run": run, "time": ratio, "memory": memory, "ok": ok}))
     return 0 if ok else 1
 
 

@@ -1,0 +1,112 @@
+"""What every demo script shares: its flags, a check line for each figure, and the JSON file that tests read.
+
+A demo opens with ``args = demo.arguments(__doc__)`` and ends with ``demo.finish(checks, run, args)``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..log import say, world_rank
+
+__all__ = ["Check", "arguments", "finish", "say"]
+
+
+@dataclass(frozen=True)
+class Check:
+    """A figure of a demo: it passes when |value - reference| <= tolerance (all in the same unit).
+
+    A bound is a check against 0 (``Check("drift", drift, 0.0, 1e-10)``); see :meth:`relative` for a relative
+    tolerance.
+    """
+
+    name: str
+    value: float
+    reference: float
+    tolerance: float
+
+    @classmethod
+    def relative(cls, name: str, value: float, reference: float, tolerance: float) -> Check:
+        """The same with a tolerance relative to |reference|."""
+        return cls(name, value, reference, tolerance * abs(float(reference)))
+
+    @property
+    def ok(self) -> bool:
+        """Whether the figure is finite and within its tolerance."""
+        return math.isfinite(self.value) and bool(abs(self.value - self.reference) <= self.tolerance)
+
+    def __str__(self) -> str:
+        verdict = "ok" if self.ok else "FAILED"
+        target = f"reference {self.reference:.8g} +- {self.tolerance:.2g}"
+        return f"check {self.name}: {self.value:.8g}, {target}: {verdict}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of the JSON file."""
+        return {
+            "name": self.name,
+            "value": float(self.value),
+            "reference": float(self.reference),
+            "tolerance": float(self.tolerance),
+            "ok": self.ok,
+        }
+
+
+def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> argparse.Namespace:
+    """Flags of a demo from the command line: ``--fast``, ``--json FILE``, ``--picture FILE``, and the demo's
+    own.
+
+    Args:
+        description: the demo's docstring, shown by ``--help``.
+        own: flag -> default. False makes a switch, a tuple lists the choices (its first is the default), any
+            other default
+            gives the type: ``{"--study": False, "--dim": (2, 3), "--steps": 100}``.
+    """
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--fast", action="store_true", help="a small version that ends within seconds")
+    parser.add_argument("--json", metavar="FILE", type=Path, help="write checks, counters and seconds to FILE")
+    parser.add_argument("--picture", metavar="FILE", type=Path, help="write a picture to FILE")
+    for flag, default in (own or {}).items():
+        if default is False:
+            parser.add_argument(flag, action="store_true")
+        elif isinstance(default, tuple):
+            kind = type(default[0])
+            parser.add_argument(flag, type=kind, choices=default, default=default[0], help=f"default {default[0]}")
+        else:
+            parser.add_argument(flag, type=type(default), default=default, help=f"default {default}")
+    if world_rank() == 0:
+        return parser.parse_args()
+    with (
+        open(os.devnull, "w") as nowhere,
+        contextlib.redirect_stdout(nowhere),
+        contextlib.redirect_stderr(nowhere),
+    ):
+        return parser.parse_args()  # --help and mistakes are printed once
+
+
+def finish(checks: Sequence[Check], run: Any, args: argparse.Namespace) -> None:
+    """Print one line for each check and write the JSON file, on rank 0; exit with code 1 on all ranks when a
+    check fails.
+
+    ``run`` gives ``counters`` and ``seconds``; None for a demo that has no single run. Values must be equal
+    on all ranks.
+    """
+    for check in checks:
+        say(check)
+    if args.json is not None and world_rank() == 0:
+        content = {
+            "check": [c.as_dict() for c in checks],
+            "counters": {} if run is None else {k: float(x) for k, x in run.counters.items()},
+            "seconds": {} if run is None else {k: float(x) for k, x in run.seconds.items()},
+        }
+        args.json.write_text(json.dumps(content, indent=1) + "\n")
+    if not all(c.ok for c in checks):
+        sys.exit(1)

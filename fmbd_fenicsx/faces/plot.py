@@ -1,0 +1,201 @@
+"""Figures (matplotlib): sensor series, snapshots beside a history, error against work. Rank 0 writes, no
+window opens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..errors import InputError
+from ..log import together, world_rank
+from ..rotations import Array
+from ..run.solve import Run
+from ..system.sensors import Position, Velocity
+
+MARKS = "osD^vP*X"
+STYLE = {
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "font.size": 10,
+}
+
+
+class Comparison(Protocol):
+    """What a work-precision figure needs of a :class:`~fmbd_fenicsx.faces.study.WorkPrecision`."""
+
+    @property
+    def points(self) -> Sequence[Any]:
+        """Runs: label, errors by quantity, seconds, counters, failure."""
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the errors."""
+
+    @property
+    def quantities(self) -> list[str]:
+        """Names of the compared quantities."""
+
+
+def _figure(width: float, height: float) -> tuple[Any, Any]:
+    """A matplotlib module and an empty figure (inches) that belongs to no window."""
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise InputError("A figure needs matplotlib: install fmbd_fenicsx[plot].") from error
+    return matplotlib, Figure(figsize=(width, height), layout="constrained")
+
+
+def _comm(run: Run) -> Any:
+    return run.system.comm
+
+
+def _on_root(comm: Any, draw: Any) -> None:
+    """Draw on rank 0; its error is raised on all ranks."""
+    error: Exception | None = None
+    if comm is None or comm.rank == 0:
+        try:
+            draw()
+        except Exception as found:  # told to all ranks
+            error = found
+    together(comm, error)
+
+
+def components(run: Run, sensor: str) -> list[str]:
+    """Labels of a sensor's components: "tip x" and so on; the bare name of a scalar."""
+    size = run[sensor].shape[1]
+    vector = isinstance(run.scene.sensors[sensor], Position | Velocity)
+    if size == 1:
+        return [sensor]
+    return [f"{sensor} {'xyz'[k] if vector else k + 1}" for k in range(size)]
+
+
+def _history(axes: Any, run: Run, sensor: str) -> None:
+    """Curves of a sensor's components over time, with units."""
+    for label, x in zip(components(run, sensor), run[sensor].T, strict=True):
+        axes.plot(run.times, x, label=label, linewidth=1.4)
+    axes.set_ylabel(f"{sensor} ({run.scene.sensors[sensor].unit})")
+    if run[sensor].shape[1] > 1:
+        axes.legend(frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.0)
+
+
+def plot_series(run: Run, sensors: Sequence[str], file: str | Path) -> None:
+    """Write sensor series over time, one axes for each sensor (all sensors when none is named);
+    collective.
+    """
+    names = list(sensors) or list(run.series)
+    for name in names:
+        _ = run[name]
+
+    def draw() -> None:
+        matplotlib, figure = _figure(6.4, 1.0 + 2.0 * len(names))
+        with matplotlib.rc_context(STYLE):
+            rows = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
+            for axes, name in zip(rows, names, strict=True):
+                _history(axes, run, name)
+            rows[-1].set_xlabel("time (s)")
+            figure.savefig(file, dpi=200)
+
+    _on_root(_comm(run), draw)
+
+
+def plot_curves(
+    curves: Mapping[str, tuple[Array, Array]], file: str | Path, labels: tuple[str, str], log: bool = False
+) -> None:
+    """Write named curves (x, y) in one axes; ``labels`` of x and y with units; ``log``: points on logarithmic axes. Rank 0
+    writes.
+    """
+    if world_rank() != 0:
+        return
+    matplotlib, figure = _figure(6.4, 3.6)
+    with matplotlib.rc_context(STYLE):
+        axes = figure.subplots()
+        for k, (name, (x, y)) in enumerate(curves.items()):
+            marker = MARKS[k % len(MARKS)] if log else None
+            axes.plot(x, y, label=name, linewidth=1.4, linestyle=("-", "--", ":", "-.")[k % 4], marker=marker)
+        if log:
+            axes.set(xscale="log", yscale="log")
+        axes.set(xlabel=labels[0], ylabel=labels[1])
+        axes.legend(frameon=False)
+        figure.savefig(file, dpi=160)
+
+
+def picture(run: Run, file: str | Path, *, sensor: str | None = None) -> None:
+    """Write the run's snapshots, coloured by time, and the history of a sensor beside them; collective."""
+    from .picture import gather, render
+
+    geometry = gather(run)
+    times = np.array([s.t for s in run.snapshots])
+    if sensor is not None:
+        _ = run[sensor]
+
+    def draw() -> None:
+        matplotlib, figure = _figure(10.5 if sensor else 6.4, 4.2)
+        norm = matplotlib.colors.Normalize(times.min(), max(times.max(), times.min() + 1e-300))
+        colormap = matplotlib.colormaps["viridis"]
+        colors = np.array([colormap(norm(t))[:3] for t in times])
+        view = render(run, geometry, colors)
+        with matplotlib.rc_context(STYLE):
+            left, *right = np.atleast_1d(figure.subplots(1, 2 if sensor else 1))
+            _show(left, view)
+            if len(times) > 1:
+                scale = matplotlib.cm.ScalarMappable(norm, colormap)
+                figure.colorbar(scale, ax=left, label="time (s)", shrink=0.8)
+            if sensor is not None:
+                _history(right[0], run, sensor)
+                _dots(right[0], run, sensor, colors)
+                right[0].set_xlabel("time (s)")
+            figure.suptitle(f"{run.scene.name}: {run.scheme.name}, h = {run.dt:g} s", fontsize=10)
+            figure.savefig(file, dpi=200)
+
+    _on_root(_comm(run), draw)
+
+
+def _show(axes: Any, view: Any) -> None:
+    """The image; in the plane with its coordinates."""
+    axes.grid(False)
+    axes.imshow(view.image, extent=view.extent, interpolation="antialiased")
+    if view.extent is None:
+        axes.axis("off")
+    else:
+        axes.set_xlabel("x (m)")
+        axes.set_ylabel("y (m)")
+        axes.locator_params(nbins=6)
+
+
+def _dots(axes: Any, run: Run, sensor: str, colors: Array) -> None:
+    """Mark the instants of the snapshots on a history, in their colours."""
+    rows = [int(np.argmin(np.abs(run.times - s.t))) for s in run.snapshots]
+    for x in run[sensor].T:
+        axes.scatter(run.times[rows], x[rows], c=colors, s=30, zorder=3, edgecolors="#303030", linewidths=0.6)
+
+
+def plot_work_precision(study: Comparison, file: str | Path, work: str) -> None:
+    """Write error over work, both logarithmic, one axes for each quantity, one line for each configuration;
+    rank 0.
+    """
+    if world_rank() != 0:
+        return
+    names = study.quantities
+    if not names:
+        raise InputError("No run of this study finished: there is nothing to draw.")
+    matplotlib, figure = _figure(1.2 + 3.6 * len(names), 4.0)
+    labels = list(dict.fromkeys(p.label for p in study.points))
+    with matplotlib.rc_context(STYLE):
+        for axes, name in zip(np.atleast_1d(figure.subplots(1, len(names))), names, strict=True):
+            for k, label in enumerate(labels):
+                points = [p for p in study.points if p.label == label and not p.failure]
+                x = [p.seconds if work == "seconds" else p.counters[work] for p in points]
+                mark = MARKS[k % len(MARKS)]
+                axes.loglog(x, [p.errors[name] for p in points], marker=mark, markersize=4, label=label)
+            axes.set_xlabel("time in steps (s)" if work == "seconds" else work.replace("_", " "))
+            unit = f" ({study.units[name]})" if name in study.units else ""
+            axes.set_ylabel(f"largest error of {name}{unit}")
+        axes.legend(frameon=False, fontsize=8)
+        figure.savefig(file, dpi=200)

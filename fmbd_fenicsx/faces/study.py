@@ -1,0 +1,341 @@
+"""Studies: observed orders of convergence, and error against work; tables for the terminal, for Markdown and
+for tests.
+
+A study runs a callable ``parameter -> Run`` over values of the parameter: a step size, a mesh size, a
+tolerance. Errors are taken against a reference run or exact functions of time, separately for each sensor
+and, where the reference has the same unknowns, for the last state's positions "q", velocities "v" and
+multipliers "lam". A user's test reads
+
+    table = orders(lambda h: solve(scene, t_end=1.0, dt=h), [4e-3, 2e-3, 1e-3])
+    table.assert_order("tip", 2.0)
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import FmbdError, InputError, near, require
+from ..log import world_rank
+from ..rotations import Array
+from ..run.solve import Run
+
+Exact = Mapping[str, Callable[[float], Any]]
+"""Sensor name -> exact value as a function of time (s)."""
+
+STATE = ("q", "v", "lam")
+
+
+@dataclass(frozen=True)
+class _Trace:
+    """What is kept of a run: its recorded values, and its last state with the system that it belongs to."""
+
+    times: Array
+    series: dict[str, Array]
+    run: Run
+
+    @classmethod
+    def of(cls, run: Run) -> _Trace:
+        return cls(np.asarray(run.times), dict(run.series), run)
+
+
+def _rows(times: Array, wanted: Array) -> Array:
+    """Row of each wanted time."""
+    return np.array([int(np.argmin(np.abs(times - t))) for t in wanted])
+
+
+def _common_times(traces: Sequence[_Trace]) -> Array:
+    """Instants that all runs have recorded (to 1e-9 of the end time), the start left out."""
+    common = traces[0].times[1:]
+    for trace in traces[1:]:
+        if len(common):
+            gap = np.abs(trace.times[_rows(trace.times, common)] - common)
+            common = common[gap <= 1e-9 * trace.times[-1]]
+    require(len(common) > 0, "The runs of this study have no instant in common at which they could be compared.")
+    return common
+
+
+def _errors(trace: _Trace, reference: _Trace | Exact, times: Array, names: Sequence[str]) -> dict[str, float]:
+    """Largest absolute error of each named quantity over the given instants (of the state: at the end);
+    collective.
+    """
+    found = {}
+    for name in names:
+        if name in trace.series:
+            x = trace.series[name][_rows(trace.times, times)]
+            if isinstance(reference, _Trace):
+                y = reference.series[name][_rows(reference.times, times)]
+            else:
+                y = np.array([np.atleast_1d(reference[name](float(t))) for t in times])
+            found[name] = float(np.abs(x - y).max())
+        else:
+            assert isinstance(reference, _Trace)
+            found[name] = _state_error(trace.run, reference.run, name)
+    return found
+
+
+def _state_error(run: Run, reference: Run, name: str) -> float:
+    s, x, y = run.system, run.state, reference.state
+    if name == "lam":
+        return float(np.abs(x.lam - y.lam).max(initial=0.0))
+    return s.max_abs(s.difference(y.q, x.q) if name == "q" else x.v - y.v)
+
+
+def _names(traces: Sequence[_Trace], reference: _Trace | Exact, wanted: Sequence[str] | None) -> list[str]:
+    """Quantities to compare: those asked for, else all that runs and reference share."""
+    shared = [n for n in traces[0].series if n in (reference.series if isinstance(reference, _Trace) else reference)]
+    if isinstance(reference, _Trace):
+        sizes = {(t.run.system.n_q, t.run.system.n_lam) for t in [*traces, reference]}
+        if len(sizes) == 1:
+            shared += [n for n in STATE if n not in shared]
+    if not traces[0].run.system.n_lam and "lam" in shared:
+        shared.remove("lam")
+    for name in wanted or ():
+        if name not in shared:
+            raise InputError(f'Study: "{name}" cannot be compared with the reference. {near(name, shared)}')
+    require(bool(shared), "Study: the runs and the reference have no sensor in common.")
+    return list(wanted) if wanted else shared
+
+
+@dataclass(frozen=True)
+class OrderTable:
+    """Errors over a falling parameter, and the observed orders.
+
+    Attributes: ``parameter`` its name, ``values`` (n,) falling, ``errors`` quantity -> (n,) in the quantity's
+        unit.
+    """
+
+    parameter: str
+    values: Array
+    errors: dict[str, Array]
+
+    def pairwise(self, name: str) -> Array:
+        """Orders between neighbours, (n - 1,): log(e_k / e_k+1) / log(h_k / h_k+1)."""
+        e = self._of(name)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.log(e[:-1] / e[1:]) / np.log(self.values[:-1] / self.values[1:])
+
+    def order(self, name: str) -> float:
+        """Slope of log(error) over log(parameter), least squares over the finest three."""
+        e, h = self._of(name)[-3:], self.values[-3:]
+        if not (np.isfinite(e).all() and (e > 0).all()):
+            return float("nan")
+        return float(np.polyfit(np.log(h), np.log(e), 1)[0])
+
+    def assert_order(self, name: str, expected: float, tolerance: float = 0.1) -> None:
+        """Fail, with the table, unless the order over the finest three is above ``expected - tolerance``."""
+        measured = self.order(name)
+        if not measured > expected - tolerance:
+            raise AssertionError(f'Order of "{name}" is {measured:.3f}, expected {expected:g} - {tolerance:g}.\n{self}')
+
+    def rows(self) -> list[list[str]]:
+        """Cells of the table, the header first, the order over the finest three last."""
+        names = list(self.errors)
+        table = [[self.parameter, *(c for n in names for c in (n, "order"))]]
+        slopes = {n: self.pairwise(n) for n in names}
+        for k, h in enumerate(self.values):
+            cells = [(f"{self.errors[n][k]:.2e}", f"{slopes[n][k - 1]:.2f}" if k else "") for n in names]
+            table.append([f"{h:.4g}", *(c for pair in cells for c in pair)])
+        table.append(["finest three", *(c for n in names for c in ("", f"{self.order(n):.2f}"))])
+        return table
+
+    def __str__(self) -> str:
+        return aligned(self.rows())
+
+    def markdown(self) -> str:
+        """The table in Markdown."""
+        return markdown(self.rows())
+
+    def _of(self, name: str) -> Array:
+        if name not in self.errors:
+            raise InputError(f'No "{name}" in this table. {near(name, self.errors)}')
+        return self.errors[name]
+
+
+def orders(
+    run: Callable[[float], Run],
+    values: Sequence[float],
+    *,
+    reference: Run | Exact | None = None,
+    names: Sequence[str] | None = None,
+    parameter: str = "h",
+) -> OrderTable:
+    """Run over falling values of a parameter and observe the orders of convergence; collective.
+
+    Args:
+        run: parameter -> run, say ``lambda h: solve(scene, t_end=1.0, dt=h)``.
+        values: at least two, falling; steps that divide each other compare at all instants of the coarsest.
+        reference: a finer run, or exact functions of time by sensor name; None runs values[-1] / 8, whose own
+            error makes the observed order of a second-order scheme 0.02 too large.
+        names: quantities to compare; by default all sensors, and "q", "v", "lam" of the last state where
+            sizes agree.
+    """
+    require(len(values) >= 2, "orders: at least two values are needed.")
+    falling = all(a > b > 0 for a, b in pairwise(values))
+    require(falling, f"orders: the values must be positive and fall, found {list(values)}.")
+    traces = [_Trace.of(run(h)) for h in values]
+    against = _reference(run(values[-1] / 8) if reference is None else reference)
+    times = _common_times([*traces, against] if isinstance(against, _Trace) else traces)
+    kept = _names(traces, against, names)
+    found = [_errors(t, against, times, kept) for t in traces]
+    return OrderTable(parameter, np.asarray(values, dtype=float), {n: np.array([e[n] for e in found]) for n in kept})
+
+
+def _reference(given: Run | Exact) -> _Trace | Exact:
+    return given if isinstance(given, Mapping) else _Trace.of(given)
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """One line of a work-precision diagram: a label, a callable parameter -> run, and the parameter's
+    values.
+    """
+
+    label: str
+    run: Callable[[float], Run]
+    values: Sequence[float]
+
+
+@dataclass(frozen=True)
+class Point:
+    """One run of a work-precision study; ``seconds`` is the median over repeats of the time spent in
+    steps.
+    """
+
+    label: str
+    value: float
+    errors: dict[str, float] = field(default_factory=dict)
+    seconds: float = float("nan")
+    counters: dict[str, float] = field(default_factory=dict)
+    failure: str = ""
+
+
+@dataclass(frozen=True)
+class WorkPrecision:
+    """Error (in ``units``) against work for several configurations; failures are listed, not left out."""
+
+    points: tuple[Point, ...]
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def failures(self) -> tuple[Point, ...]:
+        """Runs that did not finish."""
+        return tuple(p for p in self.points if p.failure)
+
+    @property
+    def quantities(self) -> list[str]:
+        """Names of the compared quantities."""
+        return list(dict.fromkeys(n for p in self.points for n in p.errors))
+
+    def rows(self, counters: Sequence[str] = ("steps", "newton_iterations", "back_solves")) -> list[list[str]]:
+        """Cells of the table, the header first."""
+        names = self.quantities
+        table = [["configuration", "parameter", *names, "seconds", *counters]]
+        for p in self.points:
+            if p.failure:
+                table.append([p.label, f"{p.value:.4g}", *("failed" for _ in names), *("" for _ in ["s", *counters])])
+                continue
+            work = [f"{p.counters.get(c, float('nan')):.0f}" for c in counters]
+            table.append([p.label, f"{p.value:.4g}", *(f"{p.errors[n]:.2e}" for n in names), f"{p.seconds:.3g}", *work])
+        return table
+
+    def __str__(self) -> str:
+        failed = [f"failed: {p.label} at {p.value:.4g}: {p.failure.splitlines()[0]}" for p in self.failures]
+        return "\n".join([aligned(self.rows()), *failed])
+
+    def markdown(self) -> str:
+        """The table in Markdown."""
+        return markdown(self.rows())
+
+    def json(self, file: str | Path) -> None:
+        """Write all points to a JSON file (rank 0)."""
+        if world_rank() == 0:
+            Path(file).write_text(json.dumps([asdict(p) for p in self.points], indent=1) + "\n")
+
+    def figure(self, file: str | Path, *, work: str = "seconds") -> None:
+        """Write a log-log figure: error of each quantity over seconds or a counter (``work``); rank 0."""
+        from .plot import plot_work_precision
+
+        plot_work_precision(self, file, work)
+
+
+def work_precision(
+    configurations: Sequence[Configuration],
+    *,
+    reference: Run | Exact,
+    names: Sequence[str] | None = None,
+    repeats: int = 3,
+) -> WorkPrecision:
+    """Errors against wall time and counters; collective.
+
+    Each run is made ``repeats`` times after one that warms caches and compiled forms; the first
+    configuration's first value serves for that. Errors are taken at the instants common to all runs and the
+    reference, at least the end time.
+    """
+    require(
+        repeats >= 1 and bool(configurations),
+        "work_precision: at least one configuration and one repeat are needed.",
+    )
+    against = _reference(reference)
+    _attempt(configurations[0].run, configurations[0].values[0])
+    done = [(c, value, *_trials(c.run, value, repeats)) for c in configurations for value in c.values]
+    traces = [trace for _, _, trace, _ in done if isinstance(trace, _Trace)]
+    times: Array = np.zeros(0)
+    kept: list[str] = []
+    if traces:
+        times = _common_times([*traces, against] if isinstance(against, _Trace) else traces)
+        kept = _names(traces, against, names)
+    points = []
+    for c, value, trace, seconds in done:
+        if isinstance(trace, str):
+            points.append(Point(c.label, value, failure=trace))
+        else:
+            counters = {k: float(x) for k, x in trace.run.counters.items()}
+            points.append(Point(c.label, value, _errors(trace, against, times, kept), seconds, counters))
+    sensors = traces[0].run.scene.sensors if traces else {}
+    return WorkPrecision(tuple(points), {n: sensors[n].unit for n in kept if n in sensors})
+
+
+def _trials(run: Callable[[float], Run], value: float, repeats: int) -> tuple[_Trace | str, float]:
+    """The first of some equal runs, or the message of its failure; and the median of the seconds spent in
+    steps.
+    """
+    first = _attempt(run, value)
+    if isinstance(first, str):
+        return first, float("nan")
+    seconds = [first.seconds["steps"], *(run(value).seconds["steps"] for _ in range(repeats - 1))]
+    return _Trace.of(first), statistics.median(seconds)
+
+
+def _attempt(run: Callable[[float], Run], value: float) -> Run | str:
+    """A run, or the message with which it failed (numerical failures only; input errors are raised)."""
+    try:
+        return run(value)
+    except InputError:
+        raise
+    except (FmbdError, ArithmeticError, np.linalg.LinAlgError) as error:
+        return f"{type(error).__name__}: {error}"
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Rows of cells as text with aligned columns: the first to the left, the others to the right."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = [c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))]
+        lines.append("  ".join(cells).rstrip())
+    return "\n".join(lines)
+
+
+def markdown(rows: Sequence[Sequence[str]]) -> str:
+    """Rows of cells as a Markdown table, the first row its header."""
+    head, *body = rows
+    rule = ["---", *("---:" for _ in head[1:])]
+    return "\n".join("| " + " | ".join(row) + " |" for row in (head, rule, *body))

@@ -1,0 +1,1 @@
+"""Floor 2: bodies, placements, markers, joints, forces, contact."""

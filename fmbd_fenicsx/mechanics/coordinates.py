@@ -1,0 +1,156 @@
+"""Bodies and mechanisms given by their own equations of motion in coordinates of the user's choice.
+
+    M(q) q'' = f(q, q', t) - G^T lambda,     0 = g(q, t)                                                       (1)
+
+Missing Jacobians are taken from complex-step differences, exact to roundoff, when the user's functions accept complex
+numbers (NumPy functions do), else from central differences.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import CallbackError
+from ..rotations import Array
+from .placements import FrameMotion
+
+_STEP = 1e-30
+
+
+def derivative(function: Callable[[Any], Any], x: Array) -> Array:
+    """d function / d x, (m, n), by complex steps; by central differences of fourth order when complex numbers do not pass."""
+    n = len(x)
+    try:
+        columns = []
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", np.exceptions.ComplexWarning)  # an imaginary part dropped on the way
+            for k in range(n):
+                z = x.astype(complex)
+                z[k] += 1j * _STEP
+                columns.append(np.imag(np.asarray(function(z), dtype=complex)) / _STEP)
+        return np.stack(columns, axis=-1) if n else np.zeros((np.size(function(x)), 0))
+    except (TypeError, ValueError, np.exceptions.ComplexWarning):
+        pass
+    return differences(function, x)
+
+
+def differences(function: Callable[[Any], Any], x: Array) -> Array:
+    """d function / d x, (m, n), by central differences of fourth order."""
+    n = len(x)
+    columns = []
+    for k in range(n):
+        h = 1e-3 * max(1.0, abs(float(x[k])))
+        e = np.zeros(n)
+        e[k] = h
+
+        def at(s: float, e: Array = e) -> Array:
+            return np.asarray(function(x + s * e), dtype=float)
+
+        columns.append((8 * (at(1.0) - at(-1.0)) - (at(2.0) - at(-2.0))) / (12 * h))
+    return np.stack(columns, axis=-1) if n else np.zeros((np.size(function(x)), 0))
+
+
+@dataclass(frozen=True, eq=False)
+class PortConstraint:
+    """g(p, t) = 0 on the ports p of one part; ``jacobian`` and ``gamma`` from differences unless given.
+
+    function(p, t) -> (m,); jacobian_(p, t) -> (m, n); gamma_(p, p', t) -> (m,), the part of g'' without p''.
+    """
+
+    name: str
+    part: int
+    function: Callable[[Any, float], Any]
+    jacobian_: Callable[[Array, float], Array] | None = None
+    gamma_: Callable[[Array, Array, float], Array] | None = None
+
+    def values(self, p: Array, t: float) -> Array:
+        """g, (m,)."""
+        return np.asarray(self.function(p, t), dtype=float)
+
+    def jacobian(self, p: Array, t: float) -> Array:
+        """dg/dp, (m, n)."""
+        if self.jacobian_ is not None:
+            return np.asarray(self.jacobian_(p, t), dtype=float)
+        return derivative(lambda z: self.function(z, t), p)
+
+    def rate(self, p: Array, t: float) -> Array:
+        """dg/dt at fixed p, (m,)."""
+        return derivative(lambda s: self.function(p, s[0]), np.array([t]))[:, 0]
+
+    def gamma(self, p: Array, pd: Array, t: float) -> Array:
+        """g'' - G p'', (m,)."""
+        if self.gamma_ is not None:
+            return np.asarray(self.gamma_(p, pd, t), dtype=float)
+
+        def velocity_level(s: Array) -> Array:
+            at = p + s[0] * pd
+            return self.jacobian(at, t + s[0]) @ pd + self.rate(at, t + s[0])
+
+        h = 1e-4 / max(1.0, float(np.abs(pd).max(initial=0.0)))
+        plus, minus = velocity_level(np.array([h])), velocity_level(np.array([-h]))
+        plus2, minus2 = velocity_level(np.array([2 * h])), velocity_level(np.array([-2 * h]))
+        return np.asarray((8 * (plus - minus) - (plus2 - minus2)) / (12 * h))
+
+
+class CoordinatePart:
+    """Equations (1) as a part of a system: the ports are the coordinates themselves."""
+
+    distributed = False
+    n_frame_rows = 0
+    comm = None
+
+    def __init__(self, body: Any, frame: int) -> None:
+        self.body, self.name, self.frame = body, body.name, frame
+        self.n = self.n_port = len(np.asarray(body.start))
+        self.reference = np.zeros(self.n)
+        self.port_matrix = np.eye(self.n)
+
+    def ports_of(self, w: Array) -> Array:
+        """The coordinates."""
+        return w
+
+    def port_force(self, f: Array) -> Array:
+        """Forces on the coordinates."""
+        return f
+
+    def mass(self, q: Array) -> Array:
+        """M(q), (n, n)."""
+        return np.asarray(self.body.mass(q) if callable(self.body.mass) else self.body.mass, dtype=float)
+
+    def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """M q'' - f."""
+        q, v, a = local
+        f = np.asarray(self.body.force(q, v, motion.t), dtype=float)
+        if f.shape != (self.n,) or not np.isfinite(f).all():
+            raise CallbackError(
+                f'Body "{self.name}": force(q, v, t) returned {f!r} at t = {motion.t:g} s, expected {self.n} finite numbers.'
+            )
+        return np.zeros_like(motion.twist), self.mass(q) @ a - f
+
+    def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
+        """M(q)."""
+        n = len(motion.twist)
+        return np.zeros((n, n)), np.zeros((self.n, n)), self.mass(u)
+
+    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """-df/dq and -df/dv."""
+        q, v = local
+        K = -derivative(lambda z: self.body.force(z, v, motion.t), q)
+        return K, -derivative(lambda z: self.body.force(q, z, motion.t), v)
+
+    def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
+        """Kinetic energy, and the body's potential where it gives one."""
+        q, v = local
+        potential = self.body.potential
+        return 0.5 * float(v @ self.mass(q) @ v), 0.0 if potential is None else float(potential(q)), 0.0
+
+    def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Unknown for general coordinates: zero."""
+        n = len(motion.twist)
+        d = len(motion.gravity)
+        return np.zeros(d), np.zeros(n - d)

@@ -1,0 +1,29 @@
+"""Limits of a linear floating body: what it says when it is used outside its range."""
+
+from __future__ import annotations
+
+from ..log import log
+
+TOO_LARGE = 0.5  # mean displacement over the body's size that no linear model survives
+
+
+def too_large(body: str, displacement: float, size: float) -> str:
+    """Message of a body whose displacements in its frame have grown out of any small-strain range."""
+    return (
+        f'Body "{body}": its mean displacement in the floating frame has reached {displacement:.3g} m for a '
+        f"size of {size:.3g} m. "
+        "A linear form is far outside its range there. A body that spins above its first bending frequency has no stable linear "
+        "solution: use stiffening=True with an attached frame, or an energy."
+    )
+
+
+def warn_of_spin(body: str, spin: float, first: float) -> None:
+    """Log a warning when the spin (rad/s) has reached the first frequency (rad/s) of the body in its frame."""
+    if spin > first:
+        log.warning(
+            'body "%s" spins at %.3g rad/s, above its first bending frequency %.3g rad/s: without the stiffening by the stress '
+            "of inertia forces the linear floating frame softens until it diverges (stiffening=True, or an energy)",
+            body,
+            spin,
+            first,
+        )

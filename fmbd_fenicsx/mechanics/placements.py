@@ -1,0 +1,169 @@
+"""Placements: how the points of a body move. What every part of a system offers, and all rigid bodies at once.
+
+A rigid body has x = r + R X and the inertia m (r'' - g), J w' + w x J w. Elastic placements have files of their own:
+``mechanics.floating`` x = r + R (X + u), ``mechanics.absolute`` x = X + u, ``mechanics.reduced`` x = r + R (X + Phi eta).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
+
+import numpy as np
+
+from ..rotations import Array, Motions
+
+if TYPE_CHECKING:
+    from ..traces.fields import Field
+
+
+@dataclass(frozen=True)
+class FrameMotion:
+    """What a part needs of its frame: time (s), rotation (d, d), twist and its rate (n_twist,), gravity (d,), world axes."""
+
+    t: float
+    R: Array
+    twist: Array
+    accel: Array | None
+    gravity: Array
+
+
+@dataclass(frozen=True)
+class MeanAxis:
+    """Tisserand frame: int rho u = 0 and int rho X x u = 0, so the frame follows the body's mean motion."""
+
+
+@dataclass(frozen=True)
+class Attached:
+    """A frame in which the named surface does not move, on average."""
+
+    surface: str
+
+
+@dataclass(frozen=True)
+class Chord:
+    """A frame through the mean points of two surfaces: the first stays where it is, the second on the line to it.
+
+    In space the frame does not turn about the chord against the first surface, on average.
+    """
+
+    start: str
+    end: str
+
+
+class Part(Protocol):
+    """A block of local coordinates u of one body, beside the twist of its frame (the ground for absolute placements).
+
+    ``ports`` are linear functions of u that joints, forces and sensors see. ``distributed`` parts hold this rank's share of
+    a field; others are replicated and give their matrices to the core.
+    """
+
+    name: str
+    frame: int
+    n: int
+    n_port: int
+    n_frame_rows: int
+    distributed: bool
+    reference: Array
+    comm: Any
+    port_matrix: Array  # (n_port, n), replicated parts only
+
+    def ports_of(self, w: Array) -> Array:
+        """Ports of local coordinates, without the reference part; collective."""
+
+    def port_force(self, f: Array) -> Array:
+        """Transpose of ``ports_of``."""
+
+    def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """Rows of the frame (n_twist,) and of the local coordinates (n,) of M a + h; collective."""
+
+    def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
+        """Kinetic, elastic and weight energy, J; collective."""
+
+    def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Linear and angular momentum about the world origin; collective."""
+
+    def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
+        """Mass blocks (frame, frame), (local, frame), (local, local); the last two for replicated parts only."""
+
+    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Stiffness and damping of the local coordinates, (n, n) each; replicated parts only."""
+
+
+class DistributedPart(Part, Protocol):
+    """This rank's share of a displacement field, with what the elimination of the field from (cm M + cd C + ck K) x = b needs.
+
+    ``inertia_columns`` (n, k): couple the field's inertia to the twist of its frame (k = n_twist, or 0 without a moving frame).
+    ``shared_columns``: the frame conditions have these same columns. ``column_version`` and ``tangent_version`` are new numbers
+    whenever the columns or the field's tangent have changed.
+    """
+
+    field: Field
+    inertia_columns: Array
+    shared_columns: bool
+    column_version: int
+
+    @property
+    def tangent_version(self) -> int:
+        """Number of the tangent that the field holds."""
+
+    def port_columns(self, used: np.ndarray) -> Array:
+        """Columns (n, count) of ``port_force`` for the port numbers ``used``."""
+
+    def turn(self, u: Array) -> Array | None:
+        """Rotation (d, d) in which the factored tangent acts, None for the field's own axes; collective."""
+
+    def relinearise(self) -> bool:
+        """Take the tangent at the configuration evaluated last; False when it is constant anyway. Collective."""
+
+
+def is_distributed(part: Part) -> TypeGuard[DistributedPart]:
+    """Whether the part holds this rank's share of a field."""
+    return part.distributed
+
+
+@dataclass(frozen=True)
+class RigidBlock:
+    """All rigid bodies at once: frames (n,), mass (n,) kg, inertia about the centre of mass (n, n_rot, n_rot) kg m^2."""
+
+    motions: Motions
+    frame: np.ndarray
+    mass: Array
+    inertia: Array
+
+    def force(self, twist: Array, accel: Array, gravity: Array) -> Array:
+        """Inertia minus weight, rows (n, n_twist): m (r'' - g), J w' + w x J w."""
+        m, d = self.motions, self.motions.dim
+        v, a = twist[self.frame], accel[self.frame]
+        out = np.empty((len(self.frame), m.n_twist))
+        out[:, :d] = self.mass[:, None] * (a[:, :d] - gravity)
+        if d == 2:
+            out[:, 2] = self.inertia[:, 0, 0] * a[:, 2]
+            return out
+        Jw = (self.inertia @ v[:, d:, None])[..., 0]
+        out[:, d:] = (self.inertia @ a[:, d:, None])[..., 0] + m.moment(v[:, d:], Jw)
+        return out
+
+    def matrices(self) -> Array:
+        """Mass matrices blockdiag(m 1, J), (n, n_twist, n_twist)."""
+        d, n = self.motions.dim, self.motions.n_twist
+        M = np.zeros((len(self.frame), n, n))
+        M[:, range(d), range(d)] = self.mass[:, None]
+        M[:, d:, d:] = self.inertia
+        return M
+
+    def energies(self, pose: Array, twist: Array, gravity: Array) -> tuple[float, float]:
+        """Kinetic energy and potential energy of weight, J."""
+        d = self.motions.dim
+        v = twist[self.frame]
+        kinetic = 0.5 * float((self.mass[:, None] * v[:, :d] ** 2).sum())
+        kinetic += 0.5 * float(np.einsum("na,nab,nb->", v[:, d:], self.inertia, v[:, d:]))
+        return kinetic, -float((self.mass[:, None] * pose[self.frame, :d] * gravity).sum())
+
+    def momenta(self, pose: Array, twist: Array) -> tuple[Array, Array]:
+        """Linear and angular momentum about the origin, world axes."""
+        m, d = self.motions, self.motions.dim
+        q, v = pose[self.frame], twist[self.frame]
+        p = self.mass[:, None] * v[:, :d]
+        spin = m.turn(m.matrix(q), (self.inertia @ v[:, d:, None])[..., 0])
+        return p.sum(0), (m.moment(q[:, :d], p) + spin).sum(0)

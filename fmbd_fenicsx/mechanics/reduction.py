@@ -1,0 +1,208 @@
+"""Reduced bodies from elastic ones: which modes, and the constants of ``mechanics.reduced`` computed with them.
+
+    rod.reduced(modes=20)                                    free-free modes (mean axes) or clamped ones (attached frame)
+    rod.reduced(frequency=500.0)                             all modes up to 500 Hz
+    rod.reduced(basis=CraigBampton(("pin", "tip"), 10))      static interface modes and 10 modes with fixed interfaces
+
+A body with geometric stiffening keeps the static displacements under its inertia forces beside the modes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, require
+from ..rotations import Array
+from ..traces.fields import Field
+from ..traces.mixed import make_field
+from .floating import frame_conditions, moment_columns
+from .reduced import Constants, SurfaceData, constants_of
+from .stiffening import Stiffening
+
+
+@dataclass(frozen=True)
+class FrameModes:
+    """Vibration modes in the body's own frame: free-free for mean axes, clamped on average for an attached frame.
+
+    Either ``count`` modes, or all modes up to ``frequency`` (Hz).
+    """
+
+    count: int | None = None
+    frequency: float | None = None
+
+    def __post_init__(self) -> None:
+        require(
+            (self.count is None) != (self.frequency is None), "Give either the number of modes or a frequency limit."
+        )
+        require(self.count is None or self.count >= 0, f"modes = {self.count} must not be negative.")
+        require(self.frequency is None or self.frequency > 0, f"frequency = {self.frequency} Hz must be positive.")
+
+    def columns(self, field: Field, frame: Array) -> Array:
+        """Nodal fields that span the basis, (n d, m)."""
+        return _select(field, frame, self)
+
+
+@dataclass(frozen=True)
+class CraigBampton:
+    """Static modes of the moments of the ``interfaces`` (surfaces), and vibration modes with these moments at rest."""
+
+    interfaces: tuple[str, ...]
+    count: int | None = None
+    frequency: float | None = None
+
+    def __post_init__(self) -> None:
+        require(len(self.interfaces) > 0, "CraigBampton needs at least one interface surface.")
+        FrameModes(self.count, self.frequency)
+
+    def columns(self, field: Field, frame: Array) -> Array:
+        """Nodal fields that span the basis, (n d, m)."""
+        from .modes import ConditionedBody
+
+        C = _independent(field, np.concatenate([moment_columns(field, s) for s in self.interfaces], axis=1))
+        fixed = _select(field, C, self)
+        body = ConditionedBody(field, C)
+        static = body.static_modes()
+        body.destroy()
+        return np.concatenate((static, fixed), axis=1)
+
+
+def _independent(field: Field, C: Array) -> Array:
+    """Orthonormal columns that span C: on a plane surface the moment along its normal is zero."""
+    s, U = np.linalg.eigh(field.total(C.T @ C))
+    keep = s > 1e-12 * s.max()
+    return np.asarray(C @ (U[:, keep] / np.sqrt(s[keep])) * field.mass_total)
+
+
+def _select(field: Field, conditions: Array, wanted: Any) -> Array:
+    """Modes by number or by frequency."""
+    from .modes import ConditionedBody
+
+    if wanted.count == 0:
+        return np.zeros((field.n * field.dim, 0))
+    body = ConditionedBody(field, conditions)
+    try:
+        if wanted.count is not None:
+            return body.vibration_modes(wanted.count)[1]
+        limit, n = 2 * np.pi * wanted.frequency, 8
+        room = field.n_global - conditions.shape[1]
+        while True:
+            omega, phi = body.vibration_modes(min(n, room))
+            if omega[-1] > limit or n >= room:
+                return phi[:, omega <= limit]
+            n *= 2
+    finally:
+        body.destroy()
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedBody:
+    """An elastic body by a few modes in its floating frame; made by ``FloatingBody.reduced``.
+
+    The reduction is computed at first use and kept: later runs of the body start at once. ``source`` is the full body.
+    """
+
+    source: Any
+    basis: FrameModes | CraigBampton
+
+    @property
+    def name(self) -> str:
+        """Name of the full body."""
+        return str(self.source.name)
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return int(self.source.dim)
+
+    def surface(self, name: str) -> Any:
+        """The named surface of the mesh."""
+        return replace(self.source.surface(name), body=self)
+
+    def start_twist(self) -> Array:
+        """Rigid velocity at the start."""
+        return np.asarray(self.source.start_twist())
+
+    @cached_property
+    def reduction(self) -> Reduction:
+        """Modes and constants; collective at first use."""
+        return reduce_body(self.source, self.basis)
+
+    @property
+    def constants(self) -> Constants:
+        """What the time loop needs."""
+        return self.reduction.constants
+
+    def start_local(self) -> tuple[Array, Array]:
+        """Modal amplitudes and rates at the start."""
+        n = self.constants.n_modes
+        require(
+            self.source.displacement is None and self.source.displacement_rate is None,
+            f'Body "{self.name}": a reduced body starts undeformed; initial displacements are for full bodies.',
+        )
+        return np.zeros(n), np.zeros(n)
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """Constants, frequencies omega (rad/s) of the modes, and the modes phi (n d, m) on this rank's nodes of ``space``."""
+
+    constants: Constants
+    omega: Array
+    phi: Array
+    space: Any
+
+
+def _loads(f: Field, Z: Array) -> tuple[tuple[tuple[Any, Array], ...], dict[Any, Array]]:
+    """Loads with sum_n b_n Z_a,n^T (m + 1, d, d), and their sums over the nodes (d,)."""
+    tensors, sums = [], {}
+    for load, b in zip(f.loads.loads, f.loads.vectors, strict=True):
+        assert b is not None  # a reduced body is linear
+        tensors.append((load, np.asarray(f.total(np.einsum("ni,nja->aij", b, Z)))))
+        sums[load] = np.asarray(f.total(b.sum(0)))
+    return tuple(tensors), sums
+
+
+def reduce_body(body: Any, basis: FrameModes | CraigBampton) -> Reduction:
+    """Modes and constants of an elastic body; collective.
+
+    Raises:
+        InputError: an energy instead of a linear form, or more modes than unknowns.
+    """
+    from .modes import orthonormal_modes
+
+    if body.elastic is None:
+        raise InputError(f'Body "{body.name}": modes need the linear form elastic(u, v, dx), not an energy.')
+    f = make_field(body.name, body.mesh, body.forms())
+    frame = frame_conditions(f, body.frame)
+    omega: Array = np.zeros(0)
+    phi: Array = np.zeros((f.n * f.dim, 0))
+    V = basis.columns(f, frame)
+    stress = Stiffening(f, frame) if body.stiffening and V.shape[1] else None
+    if stress is not None:
+        V = np.concatenate((V, stress.columns), axis=1)  # the stretch of steady rotation is then exact
+    if V.shape[1]:
+        omega, phi = orthonormal_modes(f, V, frame)
+    d, m = f.dim, phi.shape[1]
+    Z = np.concatenate((f.X[:, :, None], phi.reshape(f.n, d, m)), axis=2)
+    MZ = np.stack([f.mass(np.ascontiguousarray(Z[:, :, a])) for a in range(m + 1)], axis=2)
+    S, T = (f.total(x) for x in constants_of(Z, MZ))
+    surfaces = {}
+    for name in f.mesh.surface_names:
+        mom = f.moments(name)
+        ports = f.total(
+            np.einsum("na,ndk->adk", mom.weights, phi.reshape(f.n, d, m)[mom.nodes]).reshape((1 + d) * d, m)
+        )
+        surfaces[name] = SurfaceData(mom.reference, ports, mom.center)
+    K = np.diag(omega**2)
+    D = body.mass_damping * np.eye(m) + body.stiffness_damping * K
+    if f.D is not None and m:
+        D = D + f.total(phi.T @ np.stack([f.damping(a) for a in phi.T], axis=1))
+    stiffening = None if stress is None else stress.modal(phi)
+    made = Constants(f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z))
+    space = f.space
+    f.destroy()
+    return Reduction(made, omega, phi, space)

@@ -1,0 +1,1 @@
+"""Floor 6: the time loop and what it records."""

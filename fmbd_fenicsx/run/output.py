@@ -1,0 +1,124 @@
+"""What a run records and shows: sensor series, energies, drift of the constraints, snapshots, a progress
+bar.
+"""
+
+from __future__ import annotations
+
+import sys
+import time as clock
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..errors import require
+from ..log import world_rank
+from ..rotations import Array
+from ..system.scene import Scene
+from ..system.system import State, System
+
+
+@dataclass(frozen=True)
+class Output:
+    """What a run records.
+
+    Args:
+        every: sensors and energies every so many steps (the last step always).
+        snapshots: how many states are kept for pictures, evenly spaced, first and last included.
+        energy: whether energies are recorded.
+        progress: a progress bar; None shows it on rank 0 when standard error is a terminal.
+        estimate_error: run again with 2 and 4 times the step and estimate the time-discretisation error of
+            each sensor (about 3/4 of the time of the run itself, not counted in its seconds and counters).
+    """
+
+    every: int = 1
+    snapshots: int = 0
+    energy: bool = True
+    progress: bool | None = None
+    estimate_error: bool = False
+
+    def __post_init__(self) -> None:
+        require(self.every >= 1, f"Output: every = {self.every} must be at least 1.")
+        require(self.snapshots >= 0, f"Output: snapshots = {self.snapshots} must not be negative.")
+
+
+@dataclass
+class Recorder:
+    """Series of sensors and energies, snapshots, and the drift of the constraints, of one run that ends at
+    ``t_end`` (s).
+    """
+
+    scene: Scene
+    system: System
+    markers: dict[str, int]
+    output: Output
+    t_end: float
+    indices: list[int] = field(default_factory=list)  # numbers of the recorded steps
+    times: list[float] = field(default_factory=list)
+    energies: dict[str, list[float]] = field(default_factory=dict)
+    snapshots: list[State] = field(default_factory=list)
+    gap: float = 0.0
+    slip: float = 0.0
+    seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.values: dict[str, list[Array]] = {n: [] for n in self.scene.sensors}
+        self._due = list(np.linspace(0.0, self.t_end, self.output.snapshots)) if self.output.snapshots else []
+
+    def take(self, n: int, state: State) -> None:
+        """Record step n when it is due; collective."""
+        rounding = 1e-9 * self.t_end
+        if self._due and state.t >= self._due[0] - rounding:
+            self.snapshots.append(state)
+            self._due = [t for t in self._due if t > state.t + rounding]
+        if n % self.output.every and state.t < self.t_end - rounding:
+            return
+        begin = clock.perf_counter()
+        ev = self.system.at(state.t, state.q, state.v)
+        self.indices.append(n)
+        self.times.append(state.t)
+        for name, sensor in self.scene.sensors.items():
+            self.values[name].append(sensor.read(ev, state, self.markers[name]))
+        if self.system.n_lam:
+            self.gap = max(self.gap, float(np.abs(ev.constraint()).max()))
+            rate = ev.jacobian.times(state.v) + ev.constraint_rate()
+            self.slip = max(self.slip, float(np.abs(rate).max()))
+        if self.output.energy:
+            for name, value in ev.energies().items():
+                self.energies.setdefault(name, []).append(value)
+        self.seconds += clock.perf_counter() - begin
+
+    @property
+    def series(self) -> dict[str, Array]:
+        """Sensor name -> values, (n, size)."""
+        return {name: np.array(values) for name, values in self.values.items()}
+
+    @property
+    def energy(self) -> dict[str, Array]:
+        """Kind -> energies in J, (n,)."""
+        return {name: np.array(values) for name, values in self.energies.items()}
+
+
+class Progress:
+    """A bar with the time left, on rank 0 of a terminal (needs tqdm; nothing without it)."""
+
+    def __init__(self, name: str, steps: int | None, wanted: bool | None) -> None:
+        self.bar: Any = None
+        show = sys.stderr.isatty() if wanted is None else wanted
+        if not show or world_rank() != 0:
+            return
+        try:
+            from tqdm import tqdm
+        except ImportError:
+            return
+        self.bar = tqdm(total=steps, desc=name, unit="step", file=sys.stderr, mininterval=0.2)
+
+    def update(self) -> None:
+        """One step done."""
+        if self.bar is not None:
+            self.bar.update(1)
+
+    def close(self) -> None:
+        """Leave the bar as it stands."""
+        if self.bar is not None:
+            self.bar.close()

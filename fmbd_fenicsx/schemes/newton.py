@@ -1,0 +1,69 @@
+"""Newton's iteration with a frozen tangent and a guard on its rate of convergence.
+
+The error left after an increment d_k is estimated from the rate theta = |d_k| / |d_k-1| as theta / (1 -
+theta) |d_k| (Hairer and Wanner, Solving ODEs II, section IV.8, doi:10.1007/978-3-642-05221-7). The rate of
+the last step serves when a step has one increment only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from ..errors import require
+
+FINEST = 1e-13  # increments are known to about this share
+
+
+@dataclass
+class Newton:
+    """Settings and counters. ``tolerance`` is relative: on accelerations and reactions, see each scheme."""
+
+    tolerance: float = 1e-6
+    max_iterations: int = 12
+    slow: float = 0.9  # a rate above this over two increments counts as divergence
+    patience: float = 4.0  # a new tangent is taken when more than this many further iterations are to be expected
+    refresh: Callable[[], bool] | None = field(default=None, repr=False)  # takes a new tangent where one can change
+    iterations: int = 0
+    theta: float = field(default=0.5)
+
+    def __post_init__(self) -> None:
+        require(
+            FINEST <= self.tolerance < 1.0,
+            f"Newton's tolerance {self.tolerance} is not usable; double precision allows {FINEST:.0e} <= tolerance < 1.",
+        )
+        require(self.max_iterations >= 1, f"Newton needs max_iterations of 1 at least, found {self.max_iterations}.")
+
+    def solve(self, increment: Callable[[], float]) -> tuple[bool, list[float]]:
+        """Call ``increment`` (it applies one increment, returns its norm over the tolerance) until the error
+        is below 1.
+
+        Returns whether it converged, and the history of norms.
+        """
+        history: list[float] = []
+        refreshed = 0
+        for _ in range(self.max_iterations):
+            size = increment()
+            self.iterations += 1
+            history.append(size)
+            if not size < float("inf"):
+                return False, history
+            if len(history) > 1:
+                theta = size / history[-2] if history[-2] > 0 else 0.0
+                self.theta = max(min(theta, 0.999), 1e-4)
+                left = self.theta / (1 - self.theta) * size
+                if left > 1.0 and refreshed < 10 and -math.log(left) / math.log(self.theta) > self.patience:
+                    refreshed += 1
+                    if self.refresh is not None and self.refresh():
+                        self.theta = 0.1
+                        continue
+                if (
+                    size > 1.0 and len(history) > 3 and size > self.slow * history[-3]
+                ):  # one bad increment is no divergence
+                    return False, history
+            else:
+                left = max(self.theta, 0.02) / (1 - min(max(self.theta, 0.02), 0.9)) * size
+            if left <= 1.0 or size <= 1e-3:
+                return True, history
+        return False, history

@@ -1,0 +1,191 @@
+"""Mobility of a scene: degrees of freedom, rank of the constraints, redundant rows by joint, signs of unusual input.
+
+The constraint Jacobian is scaled by masses, G_s = E G D with D = diag(M)^-1/2 and E the inverse row norms of G D, so that its
+singular values do not depend on units. With U_0 the left null vectors of G_s,
+
+    freedom = velocities - rank,   redundancy = rows - rank = sum over joints of |U_0 rows of the joint|^2          (1)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..mechanics.bodies import CoordinateBody
+from ..mechanics.coordinates import CoordinatePart
+from ..mechanics.joints import ground
+from ..mechanics.laws import ScalarLoads
+from ..rotations import Array
+from .system import Evaluation, System
+
+RANK_TOLERANCE = 1e-9  # singular values below this share of the largest count as zero
+NEAR_SINGULAR = 1e-6
+
+
+@dataclass(frozen=True)
+class Mobility:
+    """Mobility of a scene in one configuration.
+
+    Attributes:
+        velocities: unknown velocity components (all nodes of elastic bodies counted).
+        rows, rank: constraint rows and how many of them are independent. ``freedom`` = velocities - rank.
+        shares: joint -> its share in the redundancy; the shares add up to ``redundant``.
+        conditioning: smallest nonzero singular value of the scaled G over the largest.
+        open: largest residual of the constraints as given (m).
+        notes: what looks unusual, one sentence each.
+    """
+
+    velocities: int
+    rows: int
+    rank: int
+    shares: dict[str, float]
+    conditioning: float
+    open: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom, 1."""
+        return self.velocities - self.rank
+
+    @property
+    def redundant(self) -> int:
+        """Dependent constraint rows, 1."""
+        return self.rows - self.rank
+
+    def __str__(self) -> str:
+        lines = [
+            "mobility",
+            f"  degrees of freedom   {self.freedom:>6}   ({self.velocities} velocities, rank {self.rank})",
+            f"  constraint rows      {self.rows:>6}   ({self.redundant} redundant)",
+            f"  conditioning      {self.conditioning:9.1e}   (1 is best; below {NEAR_SINGULAR:.0e}: near-singular)",
+            f"  open by           {self.open:9.1e} m",
+        ]
+        for joint, share in self.shares.items():
+            lines.append(f'  redundant: joint "{joint}" takes part with {share:.2f} rows; its reaction is not unique')
+        return "\n".join(lines + [f"  note: {n}" for n in self.notes])
+
+
+def scaled_jacobian(ev: Evaluation) -> Array:
+    """G_s of (1), dense (n_lam, n_core + ports of fields)."""
+    s, n = ev.system, ev.system.motions.n_twist
+    core = ev.jacobian.core
+    G = core.toarray() if sp.issparse(core) else np.array(core)
+    mass = np.ones(s.n_core)
+    if s.rigid is not None:
+        diagonal = np.array([np.diag(M) for M in s.rigid.matrices()])
+        mass[(s.rigid.frame[:, None] * n + np.arange(n)).ravel()] = diagonal.ravel()
+    for _, p in s.fields:
+        if p.frame < s.n_frames:
+            block = p.mass_blocks(_at_rest(ev, p.frame), np.zeros(p.n))[0]
+            mass[p.frame * n : (p.frame + 1) * n] = np.diag(block)
+    for k, part in s.core_parts:
+        local: Any = part
+        if isinstance(local, CoordinatePart):
+            mass[s.slices[1][k]] = np.diag(local.mass(s.local_q(ev.q, k)))
+    G = G / np.sqrt(np.where(mass > 0, mass, mass.max(initial=1e-300)))
+    if s.fields:
+        typical = float(np.abs(G).max(initial=1.0))
+        ports = [ev.jacobian.port[:, s.port_slice(k)] for k, _ in s.fields]
+        G = np.concatenate((G, *(typical * p / max(float(np.abs(p).max(initial=0.0)), 1.0) for p in ports)), axis=1)
+    norms = np.sqrt((G * G).sum(1))
+    return np.asarray(G / np.where(norms > 0, norms, 1.0)[:, None])
+
+
+def _at_rest(ev: Evaluation, frame: int) -> Any:
+    from ..mechanics.placements import FrameMotion
+
+    n, d = ev.system.motions.n_twist, ev.system.motions.dim
+    return FrameMotion(ev.t, ev.rotation[frame], np.zeros(n), None, np.zeros(d))
+
+
+def mobility(system: System, t: float, q: Array) -> Mobility:
+    """Mobility of a system in the configuration q."""
+    ev = system.at(t, q)
+    velocities = system.n_core + sum(p.field.n_global for _, p in system.fields if hasattr(p, "field"))
+    if not system.n_lam:
+        return Mobility(velocities, 0, 0, {}, 1.0, 0.0)
+    U, s, _ = np.linalg.svd(scaled_jacobian(ev))
+    rank = int((s > RANK_TOLERANCE * s[0]).sum())
+    loose = (U[:, rank:] ** 2).sum(1)
+    shares = {b.name: float(loose[b.rows].sum()) for b in system.blocks}
+    return Mobility(
+        velocities,
+        system.n_lam,
+        rank,
+        {name: x for name, x in shares.items() if x > 1e-6},
+        float(s[rank - 1] / s[0]) if rank else 0.0,
+        float(np.abs(ev.constraint()).max()),
+    )
+
+
+def nearly_dependent(ev: Evaluation, rank: int) -> tuple[float, str]:
+    """sigma_rank / sigma_1 of the scaled G, and the joint with the largest part in that smallest singular vector."""
+    U, s, _ = np.linalg.svd(scaled_jacobian(ev), full_matrices=False)
+    k = min(rank, len(s)) - 1
+    part = {b.name: float((U[b.rows, k] ** 2).sum()) for b in ev.system.blocks}
+    return float(s[k] / s[0]), max(part, key=lambda name: part[name])
+
+
+def loose_bodies(bodies: dict[str, Any], joints: dict[str, Any], forces: dict[str, Any]) -> list[str]:
+    """Bodies that no joint and no force attaches to anything, where there are joints or forces at all."""
+    parts = (*joints.values(), *forces.values())
+    sides = [side for part in parts for side in (part.a, part.b) if side is not None and side is not ground]
+    attached = {getattr(side, "body", side).name for side in sides}
+    if not attached:
+        return []
+    free = [n for n, b in bodies.items() if n not in attached and not getattr(b, "locked", False)]
+    return [n for n in free if not isinstance(bodies[n], CoordinateBody)]
+
+
+def check(scene: Any, deep: bool = False) -> Mobility:
+    """Mobility of a scene as given, with notes on loose bodies, units and time scales; collective.
+
+    ``deep``: also the inf-sup constant of each surface tie.
+    """
+    system, state, _ = scene.build()
+    found = mobility(system, state.t, state.q)
+    attached = {**scene.joints, **scene.ties}
+    loose = loose_bodies(scene.bodies, attached, scene.forces)
+    notes = [f'body "{n}" is attached to nothing' for n in loose]
+    notes += _units(scene, system)
+    notes += _weak_ties(scene) if deep else []
+    if found.conditioning < NEAR_SINGULAR:
+        notes.append(
+            "the configuration is near-singular: constraints almost depend on each other, or a motion branches here"
+        )
+    if found.open > 1e-6 * system.length:
+        notes.append(f"the constraints are open by {found.open:.2g} m; the start will close them")
+    rates = [_fastest(loads) for loads in system.forces if isinstance(loads, ScalarLoads)]
+    fastest = max(rates, default=0.0) / np.sqrt(system.mass / max(len(system.frame_names), 1)) if rates else 0.0
+    if fastest > 0:
+        notes.append(f"springs: shortest period about {2 * np.pi / fastest:.2g} s (mean mass of a body)")
+    return Mobility(
+        found.velocities, found.rows, found.rank, found.shares, found.conditioning, found.open, tuple(notes)
+    )
+
+
+def _weak_ties(scene: Any) -> list[str]:
+    """Ties whose multipliers are not controlled by the displacements."""
+    from ..traces.stability import infsup
+
+    found = [(name, infsup(tie)) for name, tie in scene.ties.items()]
+    return [f'tie "{name}": {result}' for name, result in found if not result.stable]
+
+
+def _fastest(loads: ScalarLoads) -> float:
+    return float(np.sqrt(np.abs(loads.k).max(initial=0.0)))
+
+
+def _units(scene: Any, system: System) -> list[str]:
+    """Sizes that suggest other units than m, kg, s."""
+    notes = []
+    g = float(np.linalg.norm(system.gravity(np.inf)))
+    if g > 0 and not 1.0 < g < 30.0:
+        notes.append(f"gravity is {g:g} m/s^2; in SI units it is 9.81 on Earth")
+    if not 1e-4 < system.length < 1e5:
+        notes.append(f"the model is {system.length:g} m long; lengths are in m")
+    return notes

@@ -1,0 +1,414 @@
+"""The system: blocks of unknowns side by side, balance of forces, constraints. The only home of offsets.
+
+    balance      M(q) a + h(q, v, t) + G(q, t)^T lambda = 0                                     (1)
+    constraints  g(q, t) = 0,    G v + g_t = 0,    G a + gamma(q, v, t) = 0                     (2)
+
+A state is four flat arrays: configuration q, velocity v, acceleration a, multipliers lambda. v and a hold the *core*, equal on
+every rank (the twists of all frames, then the coordinates of small parts such as reduced bodies), then the local
+coordinates of each elastic field (this rank's nodes); q holds poses instead of twists. lambda holds the rows of the joints,
+then the frame conditions of the elastic bodies; it is replicated. Velocities are quasi-velocities: angular velocities in
+body axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..errors import CallbackError, InputError, near
+from ..mechanics.constraints import Batch
+from ..mechanics.coordinates import PortConstraint
+from ..mechanics.frames import Markers
+from ..mechanics.laws import Loads
+from ..mechanics.placements import DistributedPart, FrameMotion, Part, RigidBlock, is_distributed
+from ..rotations import Array, Motions
+from ..traces.fields import rank_sum
+from .system_jacobian import Jacobian, force_tangent
+
+
+@dataclass(frozen=True)
+class State:
+    """One instant: time t (s), configuration q, velocity v, acceleration a, multipliers lam (see the module)."""
+
+    t: float
+    q: Array
+    v: Array
+    a: Array
+    lam: Array
+
+
+@dataclass(frozen=True)
+class RowBlock:
+    """Names a block of constraint rows: the joint (or body frame) it comes from, and the joint's two markers."""
+
+    name: str
+    rows: slice
+    kind: str
+    a: int = -1
+    b: int = -1
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """All bodies, constraints and forces of a scene as arrays; see the module for the equations.
+
+    ``rows`` holds, for each batch of elementary constraints, the numbers of its rows in lambda.
+    """
+
+    motions: Motions
+    frame_names: tuple[str, ...]
+    rigid: RigidBlock | None
+    parts: tuple[Part, ...]  # those in the core first, then the distributed ones
+    markers: Markers
+    batches: tuple[tuple[Batch, np.ndarray], ...]
+    port_constraints: tuple[tuple[PortConstraint, slice], ...]
+    forces: tuple[Loads, ...]
+    gravity: Callable[[float], Array]
+    blocks: tuple[RowBlock, ...]
+    length: float  # characteristic length of the model, m
+    mass: float  # total mass, kg
+    ground: Array = field(repr=False, default_factory=lambda: np.zeros((1, 0)))  # pose of the ground, (1, n_pose)
+    contacts: Any = None  # ContactSet of a scene with contact
+    traces: tuple[tuple[Any, slice], ...] = ()  # ties by field multipliers (TraceRows) and their rows
+    cache: dict[Any, Any] = field(repr=False, default_factory=dict)  # patterns found at first use
+
+    def block(self, name: str) -> RowBlock:
+        """The rows of the named joint."""
+        for block in self.blocks:
+            if block.name == name:
+                return block
+        raise InputError(f'No joint "{name}". {near(name, [b.name for b in self.blocks])}')
+
+    # -- sizes --------------------------------------------------------------------------------------------------
+    @property
+    def n_frames(self) -> int:
+        """Moving frames."""
+        return len(self.frame_names)
+
+    @cached_property
+    def fields(self) -> tuple[tuple[int, DistributedPart], ...]:
+        """Distributed parts with their numbers."""
+        return tuple((k, p) for k, p in enumerate(self.parts) if is_distributed(p))
+
+    @cached_property
+    def moving(self) -> tuple[Any, ...]:
+        """Parts with ports that move with time."""
+        return tuple(p for p in self.parts if hasattr(p, "move"))
+
+    def move(self, t: float) -> None:
+        """Put moving ports where they are at time t."""
+        for p in self.moving:
+            p.move(t)
+
+    @cached_property
+    def core_parts(self) -> tuple[tuple[int, Part], ...]:
+        """Replicated parts with their numbers."""
+        return tuple((k, p) for k, p in enumerate(self.parts) if not p.distributed)
+
+    @cached_property
+    def n_core(self) -> int:
+        """Replicated velocity components: frames and replicated parts."""
+        return self.n_frames * self.motions.n_twist + sum(p.n for _, p in self.core_parts)
+
+    @cached_property
+    def slices(self) -> tuple[list[slice], list[slice], list[slice]]:
+        """Slices of each part in q, in v, and in the ports."""
+        q, v, p = self.n_frames * self.motions.n_pose, self.n_frames * self.motions.n_twist, 0
+        in_q, in_v, in_p = [], [], []
+        for part in self.parts:
+            in_q.append(slice(q, q + part.n))
+            in_v.append(slice(v, v + part.n))
+            in_p.append(slice(p, p + part.n_port))
+            q, v, p = q + part.n, v + part.n, p + part.n_port
+        return in_q, in_v, in_p
+
+    @cached_property
+    def n_q(self) -> int:
+        """Length of q on this rank."""
+        return self.n_frames * self.motions.n_pose + sum(p.n for p in self.parts)
+
+    @cached_property
+    def n_v(self) -> int:
+        """Length of v and a on this rank."""
+        return self.n_frames * self.motions.n_twist + sum(p.n for p in self.parts)
+
+    @cached_property
+    def n_port(self) -> int:
+        """Ports of all parts."""
+        return sum(p.n_port for p in self.parts)
+
+    @cached_property
+    def n_rows(self) -> int:
+        """Rows of joints."""
+        shared = {(r.start, r.stop) for _, r in (*self.port_constraints, *self.traces)}  # two laws may share a row
+        return sum(len(r) for _, r in self.batches) + sum(stop - start for start, stop in shared)
+
+    @cached_property
+    def n_lam(self) -> int:
+        """Multipliers: joint rows and frame conditions."""
+        return self.n_rows + sum(p.n_frame_rows for p in self.parts)
+
+    @cached_property
+    def frame_rows(self) -> list[slice]:
+        """Rows of the frame conditions of each part."""
+        out, k = [], self.n_rows
+        for f in self.parts:
+            out.append(slice(k, k + f.n_frame_rows))
+            k += f.n_frame_rows
+        return out
+
+    @cached_property
+    def comm(self) -> Any:
+        """Communicator of the elastic fields, None when there are none."""
+        return self.fields[0][1].comm if self.fields else None
+
+    # -- parts of the arrays --------------------------------------------------------------------------------------
+    def poses(self, q: Array) -> Array:
+        """Poses of all frames, the ground last, (n_frames + 1, n_pose)."""
+        n = self.n_frames * self.motions.n_pose
+        return np.concatenate((q[:n].reshape(-1, self.motions.n_pose), self.ground))
+
+    def twists(self, v: Array) -> Array:
+        """Twists (or their rates) of all frames, the ground last, (n_frames + 1, n_twist)."""
+        out = np.zeros((self.n_frames + 1, self.motions.n_twist))
+        out[:-1] = v[: self.n_frames * self.motions.n_twist].reshape(-1, self.motions.n_twist)
+        return out
+
+    def local_q(self, q: Array, k: int) -> Array:
+        """Local coordinates of part k in q."""
+        return q[self.slices[0][k]]
+
+    def local_v(self, v: Array, k: int) -> Array:
+        """Local coordinates of part k in v or a."""
+        return v[self.slices[1][k]]
+
+    def ports(self, x: Array, slices: list[slice], reference: bool) -> Array:
+        """Port values of all parts for an array like q (reference added) or v; collective."""
+        out = np.zeros(self.n_port)
+        for f, s, p in zip(self.parts, slices, self.slices[2], strict=True):
+            out[p] = f.ports_of(x[s])
+            if reference:
+                out[p] += f.reference
+        return out
+
+    def port_slice(self, k: int) -> slice:
+        """Ports of part k."""
+        return self.slices[2][k]
+
+    # -- geometry of the configuration space ---------------------------------------------------------------------
+    def compose(self, q: Array, xi: Array) -> Array:
+        """Configuration after the increment xi (as v: body-axes rotation increments), q o exp(xi)."""
+        m, n, k = self.motions, self.n_frames * self.motions.n_pose, self.n_frames * self.motions.n_twist
+        frames = m.compose(q[:n].reshape(-1, m.n_pose), xi[:k].reshape(-1, m.n_twist))
+        return np.concatenate((frames.ravel(), q[n:] + xi[k:])) if self.parts else frames.ravel()
+
+    def difference(self, q0: Array, q1: Array) -> Array:
+        """The increment xi with compose(q0, xi) = q1."""
+        n, p = self.n_frames * self.motions.n_pose, self.motions.n_pose
+        frames = self.motions.difference(q0[:n].reshape(-1, p), q1[:n].reshape(-1, p))
+        return np.concatenate((frames.ravel(), q1[n:] - q0[n:]))
+
+    def rate(self, xi: Array, v: Array) -> Array:
+        """d(xi)/dt of local coordinates q o exp(xi) for the velocity v."""
+        m, k = self.motions, self.n_frames * self.motions.n_twist
+        if m.dim == 2:
+            return v
+        frames = m.rate(xi[:k].reshape(-1, m.n_twist), v[:k].reshape(-1, m.n_twist))
+        return np.concatenate((frames.ravel(), v[k:])) if self.parts else frames.ravel()
+
+    # -- inner products over all ranks -----------------------------------------------------------------------------
+    def dot(self, x: Array, y: Array) -> float:
+        """x . y for arrays like v; collective."""
+        core = float(x[: self.n_core] @ y[: self.n_core])
+        if not self.fields:
+            return core
+        return core + float(rank_sum(self.comm, np.array(x[self.n_core :] @ y[self.n_core :])))
+
+    @cached_property
+    def units(self) -> Array:
+        """Weights (n_v,) that turn increments of every kind into lengths: rotations times the model's length, modal
+        amplitudes over the square root of the mass. They make norms independent of the system of units.
+        """
+        m = self.motions
+        frame = np.concatenate((np.ones(m.dim), np.full(m.n_rot, self.length)))
+        local = [np.full(p.n, getattr(p, "unit", 1.0)) for p in self.parts]
+        return np.concatenate((np.tile(frame, self.n_frames), *local))
+
+    def max_abs(self, x: Array) -> float:
+        """Largest entry of an array like v, all entries as lengths (see :attr:`units`); collective."""
+        local = float(np.abs(self.units * x).max(initial=0.0))
+        return local if not self.fields else float(np.max(self.comm.allgather(local)))
+
+    def max_abs_core(self, x: Array) -> float:
+        """The same for the core; for all of x where there is no core. Collective then."""
+        n = self.n_core
+        return float(np.abs(self.units[:n] * x[:n]).max(initial=0.0)) if n else self.max_abs(x)
+
+    def at(self, t: float, q: Array, v: Array | None = None) -> Evaluation:
+        """The system in one configuration (and velocity); collective."""
+        return Evaluation(self, t, q, v)
+
+
+class Evaluation:
+    """Everything that (1) and (2) need at (t, q, v), each computed at most once. Methods are collective."""
+
+    def __init__(self, system: System, t: float, q: Array, v: Array | None) -> None:
+        self.system, self.t, self.q, self.v = system, t, q, v
+        system.move(t)
+        self.pose = system.poses(q)
+        in_q, in_v, _ = system.slices
+        port = system.ports(q, in_q, True)
+        self.port = port
+        if v is None:
+            self.kin = system.markers.evaluate(self.pose, None, port, None)
+        else:
+            self.twist = system.twists(v)
+            self.port_rate = system.ports(v, in_v, False)
+            self.kin = system.markers.evaluate(self.pose, self.twist, port, self.port_rate)
+
+    @cached_property
+    def rotation(self) -> Array:
+        """Rotation matrices of the frames, (n_frames + 1, d, d)."""
+        return self.system.motions.matrix(self.pose)
+
+    # -- constraints ------------------------------------------------------------------------------------------------
+    def constraint(self) -> Array:
+        """g(q, t), (n_lam,)."""
+        s = self.system
+        g = np.zeros(s.n_lam)
+        for batch, rows in s.batches:
+            g[rows] = batch.values(self.kin, self.t)
+        for law, span in s.port_constraints:
+            g[span] += law.values(self.port[s.port_slice(law.part)], self.t)
+        for tie, span in s.traces:
+            g[span] = tie.values(self)
+        for k, span in enumerate(s.frame_rows):
+            g[span] = self.port[s.port_slice(k)][: s.parts[k].n_frame_rows]
+        return g
+
+    @cached_property
+    def jacobian(self) -> Jacobian:
+        """G = dg/dv."""
+        return Jacobian(self)
+
+    def constraint_rate(self) -> Array:
+        """g_t, the part of dg/dt that does not come from v, (n_lam,)."""
+        g = np.zeros(self.system.n_lam)
+        for batch, rows in self.system.batches:
+            g[rows] = batch.rate(self.kin, self.t)
+        for law, span in self.system.port_constraints:
+            g[span] += law.rate(self.port[self.system.port_slice(law.part)], self.t)
+        for tie, span in self.system.traces:
+            g[span] = tie.rate(self)
+        return g
+
+    def gamma(self) -> Array:
+        """g'' - G a, (n_lam,)."""
+        assert self.v is not None and self.kin.bias is not None
+        g = np.zeros(self.system.n_lam)
+        for batch, rows in self.system.batches:
+            value = batch.gamma(self.kin, self.t)
+            for number, marker, side in batch.sides(self.kin, self.t):
+                value += np.bincount(number, (side * self.kin.bias[marker]).sum(1), len(rows))
+            g[rows] = value
+        for law, span in self.system.port_constraints:
+            k = self.system.port_slice(law.part)
+            g[span] += law.gamma(self.port[k], self.port_rate[k], self.t)
+        for tie, span in self.system.traces:
+            g[span] = tie.gamma(self)
+        return g
+
+    # -- balance ----------------------------------------------------------------------------------------------------
+    def wrenches(self) -> Array:
+        """Applied wrenches on all markers in world axes, (n_markers, d + n_rot)."""
+        s = self.system
+        out = np.zeros(self.kin.jac_frame.shape[:2])
+        for loads in s.forces:
+            for marker, wrench in zip((loads.a, loads.b), loads.wrenches(self.kin, self.t), strict=True):
+                np.add.at(out, marker, wrench)
+        return out
+
+    def force_tangent(self, cd: float, ck: float) -> Any:
+        """cd D + ck K of the applied forces in the core, (n_core, n_core); None without such forces."""
+        return force_tangent(self, cd, ck) if self.system.forces and self.v is not None else None
+
+    def spread(self, wrench: Array) -> Array:
+        """Generalised forces of wrenches on the markers: the transpose of the marker Jacobians, like v."""
+        s, m = self.system, self.system.markers
+        core = np.zeros((s.n_frames + 1, s.motions.n_twist))
+        np.add.at(core, m.frame, (self.kin.jac_frame.swapaxes(1, 2) @ wrench[..., None])[..., 0])
+        port = np.zeros(s.n_port)
+        if m.surface.size:
+            np.add.at(port, m.port, (self.kin.jac_port.swapaxes(1, 2) @ wrench[m.surface][..., None])[..., 0])
+        return self.gather(core[:-1].ravel(), port)
+
+    def gather(self, core: Array, port: Array) -> Array:
+        """An array like v from forces on the frames and on the ports."""
+        s = self.system
+        if not s.parts:
+            return core
+        s.move(self.t)
+        return np.concatenate((core, *(p.port_force(port[s.port_slice(k)]) for k, p in enumerate(s.parts))))
+
+    def balance(self, a: Array, lam: Array | None = None) -> Array:
+        """M a + h + G^T lambda (lambda left out when None), like v."""
+        s, n = self.system, self.system.motions.n_twist
+        assert self.v is not None
+        accel, g = s.twists(a), s.gravity(self.t)
+        core = np.zeros((s.n_frames + 1, n))
+        if s.rigid is not None:
+            core[s.rigid.frame] += s.rigid.force(self.twist, accel, g)
+        local_rows = []
+        for k, p in enumerate(s.parts):
+            local = (s.local_q(self.q, k), s.local_v(self.v, k), s.local_v(a, k))
+            motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], accel[p.frame], g)
+            sums, rows = p.force(motion, local)
+            core[p.frame] += sums
+            local_rows.append(rows)
+        out = np.concatenate((core[:-1].ravel(), *local_rows)) if s.parts else core[:-1].ravel()
+        if s.forces:
+            out -= self.spread(self.wrenches())
+        if lam is not None and s.n_lam:
+            out += self.jacobian.transposed(lam)
+        if not np.isfinite(out[: s.n_core]).all():
+            raise CallbackError(
+                f"The balance of forces is not finite at t = {self.t:g} s; check loads and initial values."
+            )
+        return out
+
+    # -- invariants -------------------------------------------------------------------------------------------------
+    def energies(self) -> dict[str, float]:
+        """Energies in J: kinetic, elastic, weight, springs."""
+        s = self.system
+        assert self.v is not None
+        g = s.gravity(np.inf)
+        kinetic, elastic, weight = 0.0, 0.0, 0.0
+        if s.rigid is not None:
+            kinetic, weight = s.rigid.energies(self.pose, self.twist, g)
+        for k, p in enumerate(s.parts):
+            motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], None, g)
+            T, E, W = p.energies(motion, self.pose[p.frame], (s.local_q(self.q, k), s.local_v(self.v, k)))
+            kinetic, elastic, weight = kinetic + T, elastic + E, weight + W
+        springs = sum(f.energy(self.kin, self.t) for f in s.forces)
+        return {"kinetic": kinetic, "elastic": elastic, "weight": weight, "springs": springs}
+
+    def momenta(self) -> tuple[Array, Array]:
+        """Linear and angular momentum about the origin, world axes."""
+        s = self.system
+        assert self.v is not None
+        p: Array = np.zeros(s.motions.dim)
+        L: Array = np.zeros(s.motions.n_rot)
+        if s.rigid is not None:
+            dp, dL = s.rigid.momenta(self.pose, self.twist)
+            p, L = p + dp, L + dL
+        for k, part in enumerate(s.parts):
+            motion = FrameMotion(
+                self.t, self.rotation[part.frame], self.twist[part.frame], None, np.zeros(s.motions.dim)
+            )
+            dp, dL = part.momenta(motion, self.pose[part.frame], (s.local_q(self.q, k), s.local_v(self.v, k)))
+            p, L = p + dp, L + dL
+        return p, L

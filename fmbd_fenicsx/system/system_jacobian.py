@@ -1,0 +1,171 @@
+"""The constraint Jacobian of a configuration, and the tangent of applied forces: assembly into fixed patterns."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..rotations import Array
+
+if TYPE_CHECKING:
+    from .system import Evaluation, System
+
+DENSE_LIMIT = 20_000  # entries of G up to which it is kept dense
+
+
+class Pattern:
+    """Where the entries of G's core part go: found at the first assembly, the same ever after."""
+
+    def __init__(self, system: System, rows: np.ndarray, markers: np.ndarray) -> None:
+        m, n = system.markers, system.motions.n_twist
+        frame = m.frame[markers]
+        self.rows, self.markers = rows, markers
+        self.keep = np.flatnonzero(frame < system.n_frames)
+        cols = (frame[self.keep, None] * n + np.arange(n)).ravel()
+        at = np.repeat(rows[self.keep], n)
+        self.shape = (system.n_lam, system.n_core)
+        self.dense = self.shape[0] * self.shape[1] <= DENSE_LIMIT
+        key = at * self.shape[1] + cols
+        if self.dense:
+            self.slot = key
+        else:
+            unique, self.slot = np.unique(key, return_inverse=True)
+            self.indices = (unique % self.shape[1]).astype(np.int32)
+            counts = np.bincount(unique // self.shape[1], minlength=self.shape[0])
+            self.indptr = np.concatenate(([0], np.cumsum(counts))).astype(np.int32)
+        slot = np.full(len(m.frame), -1)
+        slot[m.surface] = np.arange(len(m.surface))
+        self.on = np.flatnonzero(slot[markers] >= 0)
+        self.surface = slot[markers[self.on]]
+
+    def core(self, entries: Array) -> Any:
+        """G's core part from the entries of all sides, (count, n_twist)."""
+        data = entries[self.keep].ravel()
+        if self.dense:
+            return (
+                np.bincount(self.slot, data, self.shape[0] * self.shape[1])
+                .astype(float, copy=False)
+                .reshape(self.shape)
+            )
+        values = np.bincount(self.slot, data, len(self.indices)).astype(float, copy=False)
+        return sp.csr_matrix((values, self.indices, self.indptr), shape=self.shape)
+
+
+class Jacobian:
+    """G in two pieces: ``core`` (n_lam, n_core), dense or sparse, and ``port`` (n_lam, n_port) on the ports of the parts.
+
+    Ports of replicated parts are folded into ``core``; products take both pieces into account.
+    """
+
+    def __init__(self, ev: Evaluation) -> None:
+        s = self.system = ev.system
+        self.t = ev.t
+        kin, m = ev.kin, s.markers
+        numbers, markers = [np.zeros(0, int)], [np.zeros(0, int)]
+        sides: list[Array] = [np.zeros((0, kin.jac_frame.shape[1]))]
+        for batch, rows in s.batches:
+            for number, marker, side in batch.sides(kin, ev.t):
+                numbers.append(rows[number])
+                markers.append(marker)
+                sides.append(side)
+        if "pattern" not in s.cache:
+            s.cache["pattern"] = Pattern(s, np.concatenate(numbers), np.concatenate(markers))
+        pattern: Pattern = s.cache["pattern"]
+        side = np.concatenate(sides)
+        self.core: Any = pattern.core((side[:, None, :] @ kin.jac_frame[pattern.markers])[:, 0])
+        self.port = np.zeros((s.n_lam, s.n_port))
+        if not s.parts:
+            return
+        if pattern.on.size:
+            at, k = pattern.rows[pattern.on], pattern.surface
+            np.add.at(self.port, (at[:, None], m.port[k]), (side[pattern.on, None, :] @ kin.jac_port[k])[:, 0])
+        for laws, span in s.port_constraints:
+            self.port[span, s.port_slice(laws.part)] += laws.jacobian(ev.port[s.port_slice(laws.part)], ev.t)
+        for tie, span in s.traces:
+            self._add_tie(tie, span, ev)
+        for k, r in enumerate(s.frame_rows):
+            start = s.port_slice(k).start
+            self.port[r, start : start + s.parts[k].n_frame_rows] = np.eye(s.parts[k].n_frame_rows)
+        self._fold()
+
+    def _add_tie(self, tie: Any, rows: slice, ev: Evaluation) -> None:
+        """Blocks of a tie by field multipliers."""
+        s, n = self.system, self.system.motions.n_twist
+        for kind, number, block in tie.jacobian(ev):
+            if kind == "port":
+                side = tie.sides[number]
+                first = s.port_slice(side.part).start
+                self.port[rows, first + side.ports.start : first + side.ports.stop] += block
+            elif isinstance(self.core, np.ndarray):
+                self.core[rows, number * n : (number + 1) * n] += block
+            else:
+                at = np.arange(rows.start, rows.stop)
+                i, j = np.repeat(at, n), np.tile(number * n + np.arange(n), len(at))
+                self.core = (self.core + sp.csr_matrix((block.ravel(), (i, j)), shape=self.core.shape)).tocsr()
+
+    def _fold(self) -> None:
+        """Ports of replicated parts into the core."""
+        s = self.system
+        for k, p in s.core_parts:
+            if p.n_port and isinstance(self.core, np.ndarray):
+                if self.core.dtype.kind != "f":  # an empty pattern
+                    self.core = self.core.astype(float)
+                self.core[:, s.slices[1][k]] += self.port[:, s.port_slice(k)] @ p.port_matrix
+            elif p.n_port:
+                wide = sp.csr_matrix(self.port[:, s.port_slice(k)] @ p.port_matrix)
+                before = s.slices[1][k].start
+                after = s.n_core - s.slices[1][k].stop
+                left, right = sp.csr_matrix((s.n_lam, before)), sp.csr_matrix((s.n_lam, after))
+                self.core = (self.core + sp.hstack([left, wide, right])).tocsr()
+
+    def times(self, v: Array) -> Array:
+        """G v, (n_lam,); collective."""
+        s = self.system
+        s.move(self.t)
+        out = np.asarray(self.core @ v[: s.n_core])
+        for k, p in s.fields:
+            out = out + self.port[:, s.port_slice(k)] @ p.ports_of(s.local_v(v, k))
+        return out
+
+    def transposed(self, lam: Array) -> Array:
+        """G^T lambda, like v."""
+        s = self.system
+        s.move(self.t)
+        core = np.asarray(self.core.T @ lam)
+        if not s.fields:
+            return core
+        forces = [p.port_force(self.port[:, s.port_slice(k)].T @ lam) for k, p in s.fields]
+        return np.concatenate((core, *forces))
+
+
+def force_tangent(ev: Evaluation, cd: float, ck: float) -> Any:
+    """cd D + ck K of the applied forces in the core, (n_core, n_core), dense or sparse as G; None when there is none.
+
+    The displacement of an elastic surface in its frame is not part of it: there Newton's iteration does without.
+    """
+    s, n = ev.system, ev.system.motions.n_twist
+    data, at_rows, at_cols = [], [], []
+    for loads in s.forces:
+        tangent = loads.tangent(ev.kin, ev.t)
+        if tangent is None:
+            continue
+        block = ck * tangent.K + cd * tangent.D
+        sides = (tangent.a, tangent.b)
+        jac = [ev.kin.jac_frame[i] for i in sides]
+        size = jac[0].shape[1]
+        for i, a in enumerate(sides):
+            for j, b in enumerate(sides):
+                part = block[:, i * size : (i + 1) * size, j * size : (j + 1) * size]
+                fa, fb = s.markers.frame[a], s.markers.frame[b]
+                keep = (fa < s.n_frames) & (fb < s.n_frames)
+                data.append((jac[i].swapaxes(1, 2) @ part @ jac[j])[keep].ravel())
+                shape = (int(keep.sum()), n, n)
+                at_rows.append(np.broadcast_to(fa[keep, None, None] * n + np.arange(n)[None, :, None], shape).ravel())
+                at_cols.append(np.broadcast_to(fb[keep, None, None] * n + np.arange(n)[None, None, :], shape).ravel())
+    if not data:
+        return None
+    entries = (np.concatenate(data), (np.concatenate(at_rows), np.concatenate(at_cols)))
+    matrix = sp.csr_matrix(entries, shape=(s.n_core, s.n_core))
+    return matrix.toarray() if isinstance(ev.jacobian.core, np.ndarray) else matrix

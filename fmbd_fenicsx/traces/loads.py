@@ -1,0 +1,176 @@
+"""Loads on elastic bodies as UFL forms: tractions, pressure, body forces, thermal strain, anything linear in v.
+
+A load is L(v) times a function of time; its nodal vector b is assembled once. A *dead* load keeps its direction in space, a
+*follower* turns with the body's frame, an *internal* one (thermal strain) acts on the elastic coordinates alone:
+
+    dead, follower   translation  sum_n b_n,     rotation  sum_n P_n x b_n,     elastic rows  b                (1)
+
+with b turned into body axes where it is dead. The same load acts on floating, reduced and absolute bodies. On an absolute
+body with large displacements a pressure is integrated over the deformed surface, J F^-T N dS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import CallbackError, InputError, require
+from ..rotations import Array
+
+Time = Callable[[float], float]
+
+
+def steady(t: float) -> float:
+    """Full load from the start."""
+    return 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Load:
+    """L(v) = ``form(v, dx, ds)`` times ``time(t)``; ``ds("tip")`` is the measure of a named surface.
+
+    ``follower``: fixed in the body's frame. ``internal``: no resultant on the frame. ``deformed``: form(u, v, dx, ds) used
+    instead by bodies with large displacements, evaluated at the current u.
+    """
+
+    form: Callable[[Any, Any, Any], Any]
+    time: Time = steady
+    follower: bool = False
+    internal: bool = False
+    deformed: Callable[[Any, Any, Any, Any], Any] | None = None
+
+    def factor(self, t: float, body: str) -> float:
+        """The checked value of ``time`` at t."""
+        value = float(self.time(t))
+        if not np.isfinite(value):
+            raise CallbackError(f'A load on body "{body}": its function of time returned {value} at t = {t:g} s.')
+        return value
+
+
+def traction(surface: str, value: Sequence[float], *, time: Time = steady, follower: bool = False) -> Load:
+    """Force per area (Pa; in the plane N/m) on a surface, world axes; ``follower``: body axes."""
+
+    def form(v: Any, dx: Any, ds: Any) -> Any:
+        import ufl
+
+        return ufl.inner(_vector(value, v), v) * ds(surface)
+
+    return Load(form, time, follower)
+
+
+def body_force(value: Sequence[float], *, time: Time = steady, follower: bool = False) -> Load:
+    """Force per volume (N/m^3; in the plane N/m^2), world axes; ``follower``: body axes."""
+
+    def form(v: Any, dx: Any, ds: Any) -> Any:
+        import ufl
+
+        return ufl.inner(_vector(value, v), v) * dx
+
+    return Load(form, time, follower)
+
+
+def pressure(surface: str, value: float, *, time: Time = steady) -> Load:
+    """Pressure (Pa) against the outward normal of a surface, turning with it."""
+
+    def form(v: Any, dx: Any, ds: Any) -> Any:
+        import ufl
+
+        return -value * ufl.inner(ufl.FacetNormal(dx.ufl_domain()), v) * ds(surface)
+
+    def deformed(u: Any, v: Any, dx: Any, ds: Any) -> Any:
+        import ufl
+
+        F = ufl.Identity(len(u)) + ufl.grad(u)
+        normal = ufl.det(F) * ufl.dot(ufl.inv(F).T, ufl.FacetNormal(dx.ufl_domain()))
+        return -value * ufl.inner(normal, v) * ds(surface)
+
+    return Load(form, time, follower=True, deformed=deformed)
+
+
+def thermal_stress(stress: Callable[[Any], Any], *, time: Time = steady) -> Load:
+    """Stress (Pa) of a thermal strain, ``stress(x)`` with x the material point: L(v) = int stress : sym grad v.
+
+    For a rise dT of an isotropic body: E alpha dT / (1 - 2 nu) times the identity.
+    """
+
+    def form(v: Any, dx: Any, ds: Any) -> Any:
+        import ufl
+
+        return ufl.inner(stress(ufl.SpatialCoordinate(dx.ufl_domain())), ufl.sym(ufl.grad(v))) * dx
+
+    return Load(form, time, follower=True, internal=True)
+
+
+def _vector(value: Sequence[float], v: Any) -> Any:
+    import ufl
+
+    found = np.asarray(value, dtype=float)
+    d = v.ufl_shape[0]
+    require(
+        found.ndim == 1 and len(found) >= d and bool(np.isfinite(found).all()),
+        f"A load needs {d} finite components, found {value!r}.",
+    )
+    return ufl.as_vector([float(x) for x in found[:d]])
+
+
+class AppliedLoads:
+    """The loads of one field: nodal vectors (n, d) of those that are constant, forms of the others; collective to build."""
+
+    def __init__(self, field: Any, loads: Sequence[Load]) -> None:
+        import ufl
+        from dolfinx import fem
+
+        from .. import dolfinx_compat as compat
+
+        self.field, self.loads = field, tuple(loads)
+        msh = field.mesh.dolfinx
+        measure = ufl.Measure("ds", domain=msh, subdomain_data=field.mesh.facet_tags)
+
+        def ds(surface: str) -> Any:
+            return measure(field.mesh.surface_tag(surface))
+
+        dx, v = ufl.Measure("dx", domain=msh), ufl.TestFunction(field.space)
+        self._w = fem.Function(field.space)
+        self.vectors: list[Array | None] = []
+        self._forms: list[Any] = []
+        for load in self.loads:
+            moving = load.deformed is not None and field.nonlinear
+            try:
+                form = load.deformed(self._w, v, dx, ds) if moving else load.form(v, dx, ds)  # type: ignore[misc]
+                if not isinstance(form, ufl.Form) or len(form.arguments()) != 1:
+                    raise TypeError(f"found {form!r:.80}; integrate over dx or ds, once linear in v")
+                compiled = compat.form(form)
+            except InputError:
+                raise
+            except Exception as error:
+                raise InputError(
+                    f'A load on body "{field.name}" is not a linear UFL form in v: {type(error).__name__}: {error}'
+                ) from error
+            self._forms.append(compiled if moving else None)
+            self.vectors.append(None if moving else self._assemble(compiled))
+
+    def _assemble(self, form: Any) -> Array:
+        from dolfinx import fem, la
+
+        b = fem.assemble_vector(form)
+        b.scatter_reverse(la.InsertMode.add)
+        return np.array(b.array[: self.field.n * self.field.dim]).reshape(-1, self.field.dim)
+
+    def nodal(self, t: float, R: Array, U: Array | None = None) -> tuple[Array, Array]:
+        """Nodal forces (n, d) in the axes R at time t: those that act on the frame too, and the internal ones."""
+        outer, inner = np.zeros((2, self.field.n, self.field.dim))
+        for load, b, form in zip(self.loads, self.vectors, self._forms, strict=True):
+            factor = load.factor(t, self.field.name)
+            if form is not None:
+                assert U is not None
+                self._w.x.array[: len(U)] = U
+                self._w.x.scatter_forward()
+                outer += factor * self._assemble(form)
+            elif load.internal:
+                inner += factor * b  # type: ignore[operator]
+            else:
+                outer += factor * (b if load.follower else b @ R)  # type: ignore[operator]
+        return outer, inner

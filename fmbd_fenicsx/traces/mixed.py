@@ -1,0 +1,167 @@
+"""Displacement and pressure: bodies that are nearly or fully incompressible (Taylor-Hood).
+
+    Pi(u, p),  quadratic in p:      dPi/du = f_int,     dPi/dp = 0   gives   C p = b(u)                        (1)
+
+for instance Pi = int mu eps(u) : eps(u) + p div u - p^2 / (2 lambda). The displacements are Lagrange of degree k, the pressure
+of degree k - 1, which is stable for k >= 2. The pressure is eliminated exactly by (1) wherever forces are evaluated, and
+is a block of its own, [cm M + ck A, ck B^T; ck B, -ck C], where the step's matrix is factored. So a mixed body has the
+coordinates of any other body: displacements. nu = 1/2 is allowed: the ready-made materials
+limit lambda to 1e8 mu (1e3 mu for large strains), so the volume changes by a share of 1e-8 (1e-3) of the shear strains.
+
+Source: Boffi, Brezzi and Fortin, Mixed Finite Element Methods, doi:10.1007/978-3-642-36519-5, section 8.8.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..energies import MixedEnergy
+from ..errors import InputError
+from ..rotations import Array
+from .fields import ElasticForms, Field
+
+
+class MixedField(Field):
+    """A displacement field whose pressure is eliminated by (1); the same interface as :class:`.Field`."""
+
+    mixed = True
+
+    @property
+    def nonlinear(self) -> bool:
+        """Whether the energy is other than quadratic in u."""
+        return not self._energy.linear
+
+    def _elastic_form(self, dx: Any) -> None:
+        import ufl
+        from dolfinx import fem
+
+        from .. import dolfinx_compat as compat
+
+        self._energy: MixedEnergy = self.forms.energy or self.forms.elastic  # type: ignore[assignment]
+        degree = self.forms.degree
+        if degree < 2:
+            raise InputError(
+                f'Body "{self.name}": displacement and pressure need degree 2 or more, found {degree}: P1 with P1 is not stable.'
+            )
+        Q = fem.functionspace(self.mesh.dolfinx, ("Lagrange", degree - 1))
+        self.pressure = Q
+        self._w, self._p = fem.Function(self.space), fem.Function(Q)
+        u, v, p, q = (
+            ufl.TrialFunction(self.space),
+            ufl.TestFunction(self.space),
+            ufl.TrialFunction(Q),
+            ufl.TestFunction(Q),
+        )
+        try:
+            energy = self._energy(self._w, self._p, dx)
+            force = ufl.derivative(energy, self._w, v)
+            balance = ufl.derivative(energy, self._p, q)
+            self._energy_form, self._residual_form, self._balance_form = (
+                compat.form(x) for x in (energy, force, balance)
+            )
+            self._stiffness_form = compat.form(ufl.derivative(force, self._w, u))
+            self._coupling_form = compat.form(ufl.derivative(balance, self._w, u))
+            self._compliance_form = compat.form(ufl.derivative(balance, self._p, p))
+        except Exception as error:
+            raise InputError(
+                f'Body "{self.name}": energy(u, p, dx) did not give a UFL form of rank 0: {type(error).__name__}: {error}'
+            ) from error
+        self.n_pressure = Q.dofmap.index_map.size_local
+        self._make_compliance()
+
+    def _make_compliance(self) -> None:
+        """Factor C, which does not depend on u."""
+        import dolfinx.fem.petsc as fp
+        from petsc4py import PETSc
+
+        C = fp.assemble_matrix(self._compliance_form)
+        C.assemble()
+        C.scale(-1.0)
+        self._solve_p = PETSc.KSP().create(self.comm)
+        self._solve_p.setOperators(C)
+        self._solve_p.setType("preonly")
+        self._solve_p.getPC().setType("cholesky")
+        self._solve_p.getPC().setFactorSolverType("cholmod" if self.comm.size == 1 else "mumps")
+        self._solve_p.setUp()
+        self._px, self._pb = C.createVecs()
+        self._C = C
+        self._B: Any = None
+
+    def linearise(self, U: Array | None, extra: Any = None) -> None:
+        """Assemble the blocks at the displacements U (None: zero); collective."""
+        import dolfinx.fem.petsc as fp
+
+        if extra is not None:
+            raise InputError(
+                f'Body "{self.name}": stiffening by inertia forces is for displacement forms; give an energy.'
+            )
+        self._place(np.zeros(self.n * self.dim) if U is None else U)
+        super().linearise(U)
+        if self._B is None:
+            self._B = fp.create_matrix(self._coupling_form)
+            self._bu, self._bp = self._B.createVecs()
+        self._B.zeroEntries()
+        fp.assemble_matrix(self._B, self._coupling_form)
+        self._B.assemble()
+
+    def _place(self, U: Array) -> None:
+        """Displacements and the pressure that belongs to them, ghosts included; collective."""
+        from dolfinx import fem, la
+
+        super()._place(U)
+        self._p.x.array[:] = 0.0
+        b = fem.assemble_vector(self._balance_form)
+        b.scatter_reverse(la.InsertMode.add)
+        self._pb.array[:] = b.array[: self.n_pressure]
+        self._solve_p.solve(self._pb, self._px)
+        self._p.x.array[: self.n_pressure] = self._px.array
+        self._p.x.scatter_forward()
+
+    def stiffness(self, U: Array) -> Array:
+        """A U + B^T C^-1 B U, (n d,)."""
+        self._bu.array[:] = U
+        self._B.mult(self._bu, self._pb)
+        self._solve_p.solve(self._pb, self._px)
+        self._B.multTranspose(self._px, self._bu)
+        volume = np.array(self._bu.array)
+        return self._times(self.K, U) + volume
+
+    def tangent(self, U: Array) -> Array:
+        """The same: the matrix of :meth:`combination` with its pressure eliminated."""
+        return self.stiffness(U)
+
+    def combination(self, cm: float, ck: float, cd: float = 0.0) -> Any:
+        """[cm M + ck A, ck B^T; ck B, -ck C] as one PETSc matrix (aij); collective. The caller destroys it."""
+        from petsc4py import PETSc
+
+        if self.nonlinear and self._linearised is not None:
+            self._place(self._linearised)
+        E = super().combination(cm, ck, cd)
+        B, C = self._B.copy(), self._C.copy()
+        B.scale(ck)
+        C.scale(-ck)
+        BT = B.transpose(PETSc.Mat())
+        nest = PETSc.Mat().createNest([[E, BT], [B, C]], comm=self.comm)
+        out = nest.convert("aij", PETSc.Mat())
+        for x in (nest, E, B, BT, C):
+            x.destroy()
+        return out
+
+    def pressure_of(self, U: Array) -> Any:
+        """The pressure that belongs to displacements U (n d,), as a dolfinx function; collective."""
+        self._place(U)
+        return self._p
+
+    def destroy(self) -> None:
+        """Free the PETSc objects; collective."""
+        for x in (self._B, self._bu, self._bp, self._px, self._pb, self._C, self._solve_p):
+            x.destroy()
+        super().destroy()
+
+
+def make_field(name: str, mesh: Any, forms: ElasticForms) -> Field:
+    """The field that fits the description of elasticity; collective."""
+    mixed = isinstance(forms.energy, MixedEnergy) or isinstance(forms.elastic, MixedEnergy)
+    return (MixedField if mixed else Field)(name, mesh, forms)
