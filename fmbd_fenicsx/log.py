@@ -23,8 +23,8 @@ def world_size() -> int:
     """Number of ranks this process was started with; does not import mpi4py where mpirun was not used."""
     if "mpi4py.MPI" in sys.modules:
         return int(sys.modules["mpi4py.MPI"].COMM_WORLD.size)
-    for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_SIZE", "SLURM_NTASKS"):
-        if name in os.environ and "OMPI_COMM_WORLD_SIZE" in os.environ or name == "PMI_SIZE" and name in os.environ:
+    for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"):
+        if name in os.environ:
             return int(os.environ[name])
     return 1
 

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import ConvergenceError
 from ..linear.complementarity import solve_normal
 from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver, Weights
@@ -34,7 +33,7 @@ from .contact_midpoint import elastic_start
 from .contact_solve import Unilateral, openings
 from .contact_steps import candidates
 from .generalized_alpha import GeneralizedAlpha
-from .newton import Newton
+from .newton import Newton, not_converged
 from .start import Correction
 
 
@@ -83,11 +82,7 @@ class ContactStepper:
             step = _Step(self, h, near)
             converged, history = self.newton.solve(step.increment)
             if not converged:
-                raise ConvergenceError(
-                    f"Newton stopped at t = {s.t + h:.6g} s (h = {h:.3g} s): increments over tolerance "
-                    + " -> ".join(f"{x:.1e}" for x in history)
-                    + ". Try a smaller dt."
-                )
+                raise not_converged(s.t + h, h, history)
             q = system.compose(s.q, step.xi)
             missed = (self.contacts.touch(system, s.t + h, q).gap < -1e-9 * system.length) & ~near
             if not missed.any():

@@ -31,7 +31,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import ConvergenceError, InputError, require
+from ..errors import InputError, require
 from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver, Weights
 from ..log import log
@@ -41,7 +41,7 @@ from ..system.system import Evaluation, State, System
 from .contact_ledger import Ledger, StepForces
 from .contact_solve import Unilateral, openings
 from .contact_steps import candidates, refuse_penetration
-from .newton import Newton
+from .newton import Newton, not_converged
 from .start import Correction, consistent, worst_block
 
 
@@ -131,12 +131,8 @@ class Stepper:
             step = _Step(self, h, near)
             converged, history = self.newton.solve(step.increment)
             if not converged:
-                raise ConvergenceError(
-                    f"Newton stopped at t = {s.t + h:.6g} s (h = {h:.3g} s): increments over tolerance "
-                    + " -> ".join(f"{x:.1e}" for x in history)
-                    + (f"; the largest open constraint is {worst_block(system, step.g)}" if step.g.size else "")
-                    + ". Try a smaller dt."
-                )
+                where = f"; the largest open constraint is {worst_block(system, step.g)}" if step.g.size else ""
+                raise not_converged(s.t + h, h, history, f"{where}. Try a smaller dt.")
             missed = (self.contacts.touch(system, s.t + h, step.q).gap < -1e-9 * system.length) & ~near
             if not missed.any():
                 break

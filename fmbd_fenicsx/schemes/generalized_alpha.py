@@ -39,7 +39,7 @@ from ..system.system import State, System
 from . import compiled
 from .compiled import PlaneKernel, kernel_of
 from .dae import GGL, Form, Index3
-from .newton import Newton
+from .newton import Newton, not_converged
 from .start import jerk, spin_of_acceleration, worst_block
 
 PATIENCE = 4  # iterations with the tangent of the first one, where a new tangent is cheap
@@ -196,12 +196,9 @@ class Stepper:
         converged, history = self.newton.solve(increment)
         far = patience == 0 and system.max_abs(xi - begun) > 2 * system.max_abs(begun)  # another solution
         if not converged or far:
-            raise ConvergenceError(
-                f"Newton stopped at t = {t:.6g} s (h = {h:.3g} s): increments over tolerance "
-                + " -> ".join(f"{x:.1e}" for x in history)
-                + (f"; the largest open constraint is {worst_block(system, last)}" if last.size else "")
-                + f". Try a smaller dt{', or a smaller rho_inf' if self.scheme.rho_inf > 0.8 else ''}."
-            )
+            where = f"; the largest open constraint is {worst_block(system, last)}" if last.size else ""
+            damping = ", or a smaller rho_inf" if self.scheme.rho_inf > 0.8 else ""
+            raise not_converged(t, h, history, f"{where}. Try a smaller dt{damping}.")
         self.local_error = h * h * abs(beta - 1.0 / 6.0) * system.max_abs(A - A0)
         self._past = [(s.t, s.a, s.lam), *self._past][:2]
         self.A, self.fresh = A, False

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import ConvergenceError, InputError
+from ..errors import InputError
 from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver, Weights
 from ..mechanics.contact_rows import ContactSet, Rows
@@ -34,7 +34,7 @@ from ..system.system import Evaluation, State, System
 from .contact_ledger import Ledger, StepForces
 from .contact_solve import Unilateral, openings
 from .contact_steps import candidates, refuse_penetration
-from .newton import Newton
+from .newton import Newton, not_converged
 from .start import Correction, consistent
 
 
@@ -87,11 +87,7 @@ class Stepper:
         step = _Step(self, h, closed)
         converged, history = self.newton.solve(step.increment)
         if not converged:
-            raise ConvergenceError(
-                f"Newton stopped at t = {s.t + h:.6g} s (h = {h:.3g} s): increments over tolerance "
-                + " -> ".join(f"{x:.1e}" for x in history)
-                + ". Try a smaller dt."
-            )
+            raise not_converged(s.t + h, h, history)
         xi = 0.5 * h * (s.v + step.v)
         q = self._closed_joints(system.compose(s.q, xi), s.t + h)
         a = (step.v - s.v) / h

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from ..errors import require
+from ..errors import ConvergenceError, require
 
 FINEST = 1e-13  # increments are known to about this share
 
@@ -67,3 +67,9 @@ class Newton:
             if left <= 1.0 or size <= 1e-3:
                 return True, history
         return False, history
+
+
+def not_converged(t: float, h: float, history: list[float], more: str = ". Try a smaller dt.") -> ConvergenceError:
+    """The error of a step to ``t`` of size ``h`` (s) whose increments, over the tolerance, were ``history``; ``more`` ends it."""
+    sizes = " -> ".join(f"{x:.1e}" for x in history)
+    return ConvergenceError(f"Newton stopped at t = {t:.6g} s (h = {h:.3g} s): increments over tolerance {sizes}{more}")
