@@ -23,14 +23,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..linear.complementarity import solve_normal
-from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver, Weights
-from ..mechanics.contact_rows import ContactSet, Rows
+from ..mechanics.contact_rows import Rows
 from ..rotations import Array
 from ..system.system import Evaluation, State, System
-from .contact_ledger import Ledger, StepForces
+from .contact_ledger import StepForces
 from .contact_midpoint import elastic_start
 from .contact_solve import Unilateral, openings
+from .contact_stepper import ContactStepper
 from .contact_steps import candidates
 from .generalized_alpha import GeneralizedAlpha
 from .newton import Newton, not_converged
@@ -50,27 +50,18 @@ class ContactAlpha(GeneralizedAlpha):
         """As for the midpoint rule."""
         return elastic_start(self.name, system, state, solver, 0.5 * h)
 
-    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> ContactStepper:  # type: ignore[override]
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:  # type: ignore[override]
         """A run's worker, from a consistent state."""
-        return ContactStepper(self, system, solver, newton, state)
+        return Stepper(self, system, solver, newton, state)
 
 
-class ContactStepper:
+class Stepper(ContactStepper):
     """Advances a state; holds the algorithmic acceleration A."""
 
     def __init__(self, scheme: ContactAlpha, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
-        self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
-        self.contacts: ContactSet = system.contacts
-        self.compliance = Compliance(solver, self.contacts)
-        self.ledger = Ledger(system)
-        self.local_error = 0.0
+        super().__init__(system, solver, newton, state)
+        self.scheme = scheme
         self.A = state.a.copy()
-        self.state: State = self.ledger.open(state)
-
-    @property
-    def counters(self) -> dict[str, float]:
-        """Statistics of contact for the run's counters."""
-        return self.ledger.counters(self.compliance.columns)
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
@@ -116,7 +107,7 @@ class ContactStepper:
 class _Step:
     """The Newton iteration of one step."""
 
-    def __init__(self, stepper: ContactStepper, h: float, near: np.ndarray) -> None:
+    def __init__(self, stepper: Stepper, h: float, near: np.ndarray) -> None:
         self.p, self.h, self.near = stepper, h, near
         s = stepper.state
         self.am, self.af, self.gamma, self.beta = stepper.scheme.parameters

@@ -32,14 +32,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError, require
-from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver, Weights
 from ..log import log
-from ..mechanics.contact_rows import ContactSet
 from ..rotations import Array
 from ..system.system import Evaluation, State, System
-from .contact_ledger import Ledger, StepForces
+from .contact_ledger import StepForces
 from .contact_solve import Unilateral, openings
+from .contact_stepper import ContactStepper
 from .contact_steps import candidates, refuse_penetration
 from .newton import Newton, not_converged
 from .start import Correction, consistent, worst_block
@@ -104,22 +103,13 @@ def elastic_start(name: str, system: System, state: State, solver: StepSolver, t
     return start, correction
 
 
-class Stepper:
+class Stepper(ContactStepper):
     """Advances a state through contact."""
 
     def __init__(self, theta: float, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
-        self.theta, self.system, self.solver, self.newton = theta, system, solver, newton
-        self.contacts: ContactSet = system.contacts
-        self.compliance = Compliance(solver, self.contacts)
-        self.ledger = Ledger(system)
-        self.local_error = 0.0
+        super().__init__(system, solver, newton, state)
+        self.theta = theta
         self._projects = any(b.kind != "frame" for b in system.blocks)
-        self.state: State = self.ledger.open(state)
-
-    @property
-    def counters(self) -> dict[str, float]:
-        """Statistics of contact for the run's counters."""
-        return self.ledger.counters(self.compliance.columns)
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then

@@ -26,13 +26,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver, Weights
-from ..mechanics.contact_rows import ContactSet, Rows
+from ..mechanics.contact_rows import Rows
 from ..rotations import Array
 from ..system.system import Evaluation, State, System
-from .contact_ledger import Ledger, StepForces
+from .contact_ledger import StepForces
 from .contact_solve import Unilateral, openings
+from .contact_stepper import ContactStepper
 from .contact_steps import candidates, refuse_penetration
 from .newton import Newton, not_converged
 from .start import Correction, consistent
@@ -58,23 +58,13 @@ class Moreau:
         return Stepper(system, solver, newton, state)
 
 
-class Stepper:
+class Stepper(ContactStepper):
     """Advances a state through impacts."""
 
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
-        self.system, self.solver, self.newton = system, solver, newton
-        self.contacts: ContactSet = system.contacts
-        self.compliance = Compliance(solver, self.contacts)
-        self.ledger = Ledger(system)
-        self.local_error = 0.0
+        super().__init__(system, solver, newton, state)
         self._joints = any(b.kind != "frame" for b in system.blocks)
         self.impulse = np.zeros_like(self.ledger.force)
-        self.state: State = self.ledger.open(state)
-
-    @property
-    def counters(self) -> dict[str, float]:
-        """Statistics of contact for the run's counters."""
-        return self.ledger.counters(self.compliance.columns)
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
