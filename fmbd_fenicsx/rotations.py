@@ -42,7 +42,10 @@ def cross3(a: Array, b: Array) -> Array:
     """a x b over the last axis; three times faster than numpy.cross on small arrays."""
     a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
     b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack((a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0), axis=-1)
+    first = a1 * b2 - a2 * b1
+    out = np.empty((*first.shape, 3), dtype=first.dtype)
+    out[..., 0], out[..., 1], out[..., 2] = first, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+    return out
 
 
 def quaternion_product(p: Array, q: Array) -> Array:
@@ -66,18 +69,22 @@ def quaternion_log(p: Array) -> Array:
 
 
 def quaternion_matrix(p: Array) -> Array:
-    """Rotation matrices of unit quaternions (scalar last), (..., 4) -> (..., 3, 3)."""
-    x, y, z, w = p[..., 0], p[..., 1], p[..., 2], p[..., 3]
-    R = np.empty((*p.shape[:-1], 3, 3), dtype=p.dtype)
-    R[..., 0, 0], R[..., 1, 1], R[..., 2, 2] = (
-        1 - 2 * (y * y + z * z),
-        1 - 2 * (x * x + z * z),
-        1 - 2 * (x * x + y * y),
-    )
-    R[..., 0, 1], R[..., 1, 0] = 2 * (x * y - w * z), 2 * (x * y + w * z)
-    R[..., 0, 2], R[..., 2, 0] = 2 * (x * z + w * y), 2 * (x * z - w * y)
-    R[..., 1, 2], R[..., 2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
-    return R
+    """Rotation matrices of unit quaternions (scalar last), (..., 4) -> (..., 3, 3): 1 + (its products) times constants."""
+    products = (p[..., :, None] * p[..., None, :]).reshape(*p.shape[:-1], 16)
+    return (products @ _PRODUCTS).reshape(*p.shape[:-1], 3, 3) + _ONE
+
+
+def _product_constants() -> Array:
+    """Constants (16, 9) that turn products of a quaternion's components into R - 1."""
+    C = np.zeros((4, 4, 3, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        C[j, j, i, i] = C[k, k, i, i] = -2.0
+        C[i, j, i, j] = C[i, j, j, i] = 2.0
+        C[k, 3, i, j], C[k, 3, j, i] = -2.0, 2.0
+    return C.reshape(16, 9)
+
+
+_PRODUCTS, _ONE = _product_constants(), np.eye(3)
 
 
 def tangent(theta: Array) -> Array:

@@ -16,7 +16,7 @@ leaves the system without massless coordinates. With S' = F R_s^T its rate in bo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -25,14 +25,86 @@ from ..rotations import Array, Motions
 
 @dataclass
 class Kinematics:
-    """Markers in one configuration; world axes. ``jac_frame`` (n, d + n_rot, n_twist), ``jac_port`` (n_s, d + n_rot, n_port)."""
+    """Markers in one configuration; world axes. ``jac_frame`` (n, d + n_rot, n_twist), ``jac_port`` (n_s, d + n_rot, n_port).
+
+    Their velocities and biases are computed at first use: most steps need neither.
+    """
 
     x: Array  # (n, d) m
     R: Array  # (n, d, d)
     jac_frame: Array
     jac_port: Array
-    twist: Array | None = None  # (n, d + n_rot): x' and angular velocity
-    bias: Array | None = None  # (n, d + n_rot): d/dt of the twist at zero accelerations
+    moving: Moving | None = None
+
+    @cached_property
+    def twist(self) -> Array | None:
+        """x' and angular velocity, (n, d + n_rot); None for a configuration without velocities."""
+        return None if self.moving is None else self.moving.twist(self)
+
+    @cached_property
+    def bias(self) -> Array | None:
+        """d/dt of the twist at zero accelerations, (n, d + n_rot); None without velocities."""
+        return None if self.moving is None else self.moving.bias()
+
+
+@dataclass(frozen=True)
+class _Surfaces:
+    """Markers on surfaces in one configuration, axes of their frames; symbols as in the module."""
+
+    b: Array  # (n_s, 1 + d, d)
+    arms: Array  # (n_s, d, d): arms[:, k] = R_s e_k
+    lever: Array  # (n_s, d)
+    Z: Array  # (n_s, n_rot, n_rot)
+    jac: Array  # (n_s, d + n_rot, n_port) on the ports
+
+
+@dataclass(frozen=True)
+class Moving:
+    """What velocities and biases of markers follow from."""
+
+    markers: Markers
+    frame_twist: Array  # (n, n_twist), of each marker's frame
+    rate: Array  # (n_s, n_port), of each surface's ports
+    Rf: Array  # (n, d, d)
+    local: Array  # (n, d)
+    surfaces: _Surfaces | None
+
+    def twist(self, kin: Kinematics) -> Array:
+        """x' and angular velocity of all markers, (n, d + n_rot)."""
+        out: Array = (kin.jac_frame @ self.frame_twist[..., None])[..., 0]
+        if self.surfaces is not None:
+            out[self.markers.surface] += (kin.jac_port @ self.rate[..., None])[..., 0]
+        return out
+
+    def bias(self) -> Array:
+        """d/dt of the twists at zero accelerations, (n, d + n_rot)."""
+        m, d, s = self.markers.motions, self.markers.motions.dim, self.markers.surface
+        w = self.frame_twist[:, d:]
+        out: Array = np.zeros((len(w), d + m.n_rot))
+        out[:, :d] = (self.Rf @ m.spin(w, m.spin(w, self.local))[..., None])[..., 0]
+        if self.surfaces is None:
+            return out
+        extra = self._surface_bias(self.surfaces)
+        local_rate = (self.surfaces.jac @ self.rate[..., None])[..., 0]
+        extra[:, :d] += 2.0 * m.spin(w[s], local_rate[:, :d])
+        if d == 3:
+            extra[:, d:] += m.spin(w[s], local_rate[:, d:])
+        out[s] += (self.markers.lift(self.Rf[s]) @ extra[..., None])[..., 0]
+        return out
+
+    def _surface_bias(self, f: _Surfaces) -> Array:
+        """d/dt of (2) and of the velocity of the lever at zero port accelerations, (n_s, d + n_rot)."""
+        m, d = self.markers.motions, self.markers.motions.dim
+        bd = self.rate.reshape(-1, 1 + d, d)
+        w = (f.jac[:, d:] @ self.rate[..., None])[..., 0]
+        arms_rate = m.spin(w[:, None], f.arms)
+        torque = m.moment(arms_rate, bd[:, 1:]).sum(1)
+        Sd = np.einsum("nka,nkc->nac", bd[:, 1:], f.arms) + np.einsum("nka,nkc->nac", f.b[:, 1:], arms_rate)
+        Dd = np.trace(Sd, axis1=1, axis2=2)[:, None, None] * np.eye(m.n_rot)
+        if d == 3:
+            Dd = Dd - 0.5 * (Sd + np.swapaxes(Sd, 1, 2))
+        wd = (f.Z @ (torque[..., None] - Dd @ w[..., None]))[..., 0]
+        return np.concatenate((m.spin(w, m.spin(w, f.lever)) + m.spin(wd, f.lever), wd), axis=-1)
 
 
 @cache
@@ -41,7 +113,9 @@ def _nothing(d: int, n_rot: int, n_twist: int, n_port: int) -> Kinematics:
     n = d + n_rot
     empty = np.zeros((0, n))
     place, turn = np.zeros((0, d)), np.zeros((0, d, d))
-    return Kinematics(place, turn, np.zeros((0, n, n_twist)), np.zeros((0, n, n_port)), empty, empty)
+    kin = Kinematics(place, turn, np.zeros((0, n, n_twist)), np.zeros((0, n, n_port)))
+    kin.twist = kin.bias = empty
+    return kin
 
 
 @dataclass(frozen=True)
@@ -60,52 +134,33 @@ class Markers:
         """Numbers that describe one surface: b_0 ... b_d."""
         return self.motions.dim * (1 + self.motions.dim)
 
-    def evaluate(self, pose: Array, twist: Array | None, port: Array, port_rate: Array | None) -> Kinematics:
-        """Markers for frame poses (n_frame + 1, n_pose), twists, ports and their rates (the rates may be None)."""
+    def evaluate(
+        self, pose: Array, rotation: Array, port: Array, rates: tuple[Array, Array] | None = None
+    ) -> Kinematics:
+        """Markers for frame poses (n_frame + 1, n_pose), their rotation matrices, and ports; ``rates``: twists of the frames
+        and rates of the ports, where velocities are wanted.
+        """
         m, d = self.motions, self.motions.dim
         if not len(self.frame):  # a scene of coordinates only
             return _nothing(d, m.n_rot, m.n_twist, self.n_port)
-        Rf = m.matrix(pose)[self.frame]
+        Rf = rotation[self.frame]
+        local, turn, found = self.position, self.rotation, None
+        J = np.zeros((len(self.frame), d + m.n_rot, m.n_twist))
+        jac_port = np.zeros((0, d + m.n_rot, self.n_port))
         if self.surface.size:
-            local, turn, port_jac, extra = self._surfaces(port, port_rate)
-        else:
-            local, turn = self.position, self.rotation
-            port_jac = np.zeros((0, d + m.n_rot, self.n_port))
+            local, turn, found = self._surfaces(port)
+            jac_port = self.lift(Rf[self.surface]) @ found.jac
         lever = (Rf @ local[..., None])[..., 0]
-        kin = Kinematics(
-            x=pose[self.frame, :d] + lever,
-            R=Rf @ turn,
-            jac_frame=np.zeros((len(self.frame), d + m.n_rot, m.n_twist)),
-            jac_port=port_jac,
-        )
         arm = m.lever(lever)
-        J = kin.jac_frame
         J[:, range(d), range(d)] = 1.0
         J[:, :d, d:] = arm @ Rf if d == 3 else arm
         J[:, d:, d:] = Rf if d == 3 else 1.0
-        big = self._lift(Rf[self.surface])
-        kin.jac_port = big @ port_jac
-        if twist is None:
-            return kin
-        v = twist[self.frame]
-        kin.twist = motion = np.asarray((J @ v[..., None])[..., 0])
-        w = v[:, d:]
-        bias = np.zeros_like(motion)
-        bias[:, :d] = (Rf @ m.spin(w, m.spin(w, local))[..., None])[..., 0]
-        if self.surface.size:
-            assert port_rate is not None and extra is not None
-            s = self.surface
-            rate = port_rate[self.port]
-            local_rate = (port_jac @ rate[..., None])[..., 0]
-            motion[s] += (big @ local_rate[..., None])[..., 0]
-            extra[:, :d] += 2.0 * m.spin(w[s], local_rate[:, :d])
-            if d == 3:
-                extra[:, d:] += m.spin(w[s], local_rate[:, d:])
-            bias[s] += (big @ extra[..., None])[..., 0]
-        kin.bias = bias
-        return kin
+        moving = None
+        if rates is not None:
+            moving = Moving(self, rates[0][self.frame], rates[1][self.port], Rf, local, found)
+        return Kinematics(pose[self.frame, :d] + lever, Rf @ turn, J, jac_port, moving)
 
-    def _lift(self, R: Array) -> Array:
+    def lift(self, R: Array) -> Array:
         """blockdiag(R, R) (space) or blockdiag(R, 1) (plane) acting on (displacement, rotation)."""
         d, n = self.motions.dim, self.motions.dim + self.motions.n_rot
         big = np.zeros((len(R), n, n))
@@ -113,48 +168,32 @@ class Markers:
         big[:, d:, d:] = R if d == 3 else 1.0
         return big
 
-    def _surfaces(self, port: Array, rate: Array | None) -> tuple[Array, Array, Array, Array | None]:
-        """Position and rotation of all markers in frame axes, port Jacobians and bias of those on surfaces; (1), (2)."""
+    def _surfaces(self, port: Array) -> tuple[Array, Array, _Surfaces]:
+        """Position and rotation of all markers in frame axes, and those on surfaces; (1), (2)."""
         m, d = self.motions, self.motions.dim
         s = self.surface
         b = port[self.port].reshape(-1, 1 + d, d)
         F = np.swapaxes(b[:, 1:], 1, 2)
         Rs = polar_rotation(F)
-        stretch = F @ np.swapaxes(Rs, 1, 2)
-        if d == 3:
-            D = np.trace(stretch, axis1=1, axis2=2)[:, None, None] * np.eye(3) - 0.5 * (
-                stretch + np.swapaxes(stretch, 1, 2)
-            )
-        else:
-            D = np.trace(stretch, axis1=1, axis2=2)[:, None, None]
-        Z = np.linalg.inv(D)
         arms = np.swapaxes(Rs, 1, 2)  # arms[:, k] = R_s e_k
+        stretch = F @ arms
+        D = np.trace(stretch, axis1=1, axis2=2)[:, None, None] * np.eye(m.n_rot)
+        if d == 3:
+            D -= 0.5 * (stretch + np.swapaxes(stretch, 1, 2))
+        Z = np.linalg.inv(D)
         lever = (Rs @ self.position[s][..., None])[..., 0]
         jac: Array = np.zeros((len(s), d + m.n_rot, 1 + d, d))
-        # (R_s e_k) x b' as a matrix on b': row vectors of moment(arm, .)
-        eye = np.eye(d)
-        per_arm = m.moment(arms[:, :, None, :], eye[None, None]).swapaxes(2, 3)  # (n, k, n_rot, d)
-        turn = np.einsum("nab,nkbc->nakc", Z, per_arm)  # (n, n_rot, k, d)
+        # (R_s e_k) x b' as a matrix on b': m.lever(x)^T b' = x x b'
+        per_arm = np.swapaxes(m.lever(arms), 2, 3)  # (n, k, n_rot, d)
+        turn = np.swapaxes(Z[:, None] @ per_arm, 1, 2)  # (n, n_rot, k, d)
         jac[:, d:, 1:] = turn
         jac[:, range(d), 0, range(d)] = 1.0
-        jac[:, :d, 1:] += np.einsum("nab,nbkc->nakc", m.lever(lever), turn)
+        jac = jac.reshape(len(s), d + m.n_rot, self.n_port)
+        jac[:, :d] += m.lever(lever) @ jac[:, d:]
         local, rotation = self.position.copy(), self.rotation.copy()
         local[s] = b[:, 0] + lever
         rotation[s] = Rs @ self.rotation[s]
-        jac = jac.reshape(len(s), d + m.n_rot, self.n_port)
-        if rate is None:
-            return local, rotation, jac, None
-        bd = rate[self.port].reshape(-1, 1 + d, d)
-        w = (jac[:, d:] @ rate[self.port][..., None])[..., 0]
-        arms_rate = m.spin(w[:, None], arms)
-        torque = m.moment(arms_rate, bd[:, 1:]).sum(1)
-        Sd = np.einsum("nka,nkc->nac", bd[:, 1:], arms) + np.einsum("nka,nkc->nac", b[:, 1:], arms_rate)
-        Dd = np.trace(Sd, axis1=1, axis2=2)[:, None, None] * np.eye(m.n_rot)
-        if d == 3:
-            Dd = Dd - 0.5 * (Sd + np.swapaxes(Sd, 1, 2))
-        wd = (Z @ (torque[..., None] - Dd @ w[..., None]))[..., 0]
-        bias = np.concatenate((m.spin(w, m.spin(w, lever)) + m.spin(wd, lever), wd), axis=-1)
-        return local, rotation, jac, bias
+        return local, rotation, _Surfaces(b, arms, lever, Z, jac)
 
 
 def polar_rotation(F: Array) -> Array:
@@ -164,6 +203,8 @@ def polar_rotation(F: Array) -> Array:
         c, s = np.cos(angle), np.sin(angle)
         return np.stack((np.stack((c, -s), -1), np.stack((s, c), -1)), -2)
     U, _, Vt = np.linalg.svd(F)
-    sign = np.linalg.det(U) * np.linalg.det(Vt)
-    U[:, :, 2] *= np.sign(sign)[:, None]
-    return U @ Vt
+    R: Array = U @ Vt
+    improper = np.linalg.det(R) < 0
+    if improper.any():
+        R -= 2.0 * np.where(improper[:, None, None], U[:, :, 2:] * Vt[:, 2:], 0.0)
+    return R

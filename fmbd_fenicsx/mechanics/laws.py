@@ -245,7 +245,7 @@ class OwnLoads(Loads):
                     turn = np.zeros(self.motions.n_rot)
                     turn[k - d] = h
                     R[j] = R[j] + self.motions.spin(turn, R[j].T).T
-                moved = Kinematics(x, R, kin.jac_frame, kin.jac_port, kin.twist, kin.bias)
+                moved = Kinematics(x, R, kin.jac_frame, kin.jac_port)
                 K[i, :, c] = -(self._one(f, moved, kin.twist, t, markers) - base) / h
                 twist[j, k] += h
                 D[i, :, c] = -(self._one(f, kin, twist, t, markers) - base) / h

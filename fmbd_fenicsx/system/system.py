@@ -264,11 +264,11 @@ class Evaluation:
         port = system.ports(q, in_q, True)
         self.port = port
         if v is None:
-            self.kin = system.markers.evaluate(self.pose, None, port, None)
+            self.kin = system.markers.evaluate(self.pose, self.rotation, port)
         else:
             self.twist = system.twists(v)
             self.port_rate = system.ports(v, in_v, False)
-            self.kin = system.markers.evaluate(self.pose, self.twist, port, self.port_rate)
+            self.kin = system.markers.evaluate(self.pose, self.rotation, port, (self.twist, self.port_rate))
 
     @cached_property
     def rotation(self) -> Array:
