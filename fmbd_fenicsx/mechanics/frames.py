@@ -146,7 +146,7 @@ class Markers:
         Rf = rotation[self.frame]
         local, turn, found = self.position, self.rotation, None
         J = np.zeros((len(self.frame), d + m.n_rot, m.n_twist))
-        jac_port = np.zeros((0, d + m.n_rot, self.n_port))
+        jac_port: Array = np.zeros((0, d + m.n_rot, self.n_port))
         if self.surface.size:
             local, turn, found = self._surfaces(port)
             jac_port = self.lift(Rf[self.surface]) @ found.jac
