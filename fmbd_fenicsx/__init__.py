@@ -66,7 +66,7 @@ _LATER = {
     "mechanics.wires": ("Dropper", "PointSupport", "Wire", "Wires"),
     "mechanics.sliding": ("SlidingContact",),
     "schemes.unilateral": ("Unilateral",),
-    "mechanics.trace_ties": ("tie_surface", "SurfaceTie"),
+    "mechanics.trace_ties": ("tie_surface", "SurfaceTie", "finer_first"),
     "traces.multipliers": ("Aggregated", "Continuous", "Discontinuous", "Dual", "Ends", "Linear"),
     "traces.stability": ("infsup",),
     "mechanics.contact": ("contact", "ball", "corners", "cylinder_end"),

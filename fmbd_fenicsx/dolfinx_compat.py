@@ -40,14 +40,26 @@ def model_to_mesh(model: Any, comm: Any, dim: int) -> tuple[Any, Any, Any]:
         from dolfinx.io import gmsh as reader
     except ImportError:
         from dolfinx.io import gmshio as reader
-    try:
-        partitioner = mesh.create_cell_partitioner(mesh.GhostMode.shared_facet)
-    except TypeError:
-        partitioner = mesh.create_cell_partitioner(mesh.GhostMode.shared_facet, 2)
-    msh, cells, facets = reader.model_to_mesh(model, comm, 0, gdim=dim, partitioner=partitioner)[:3]
+    msh, cells, facets = reader.model_to_mesh(model, comm, 0, gdim=dim, partitioner=_partitioner(mesh))[:3]
     if facets is not None and comm.allreduce(len(facets.values)) == 0:
         facets = None
     return msh, cells, facets
+
+
+def _partitioner(mesh: Any) -> Any:
+    """Cells on ranks with the neighbours across facets as ghosts."""
+    try:
+        return mesh.create_cell_partitioner(mesh.GhostMode.shared_facet)
+    except TypeError:
+        return mesh.create_cell_partitioner(mesh.GhostMode.shared_facet, 2)
+
+
+def refine(msh: Any) -> Any:
+    """The mesh with every edge halved; collective."""
+    from dolfinx import mesh
+
+    msh.topology.create_entities(1)
+    return mesh.refine(msh, partitioner=_partitioner(mesh))[0]
 
 
 def geometry_dofmap(msh: Any) -> np.ndarray:

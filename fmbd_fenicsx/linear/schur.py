@@ -87,7 +87,9 @@ class StepSolver:
         w = self.weights = weights
         self._ev, self._stiffness = ev, stiffness
         if self._look and s.n_lam <= LOOK_LIMIT:
-            self.core.redundant = mobility(s, ev.t, ev.q).redundant > 0
+            found = mobility(s, ev.t, ev.q)
+            self.core.redundant = found.redundant > 0
+            self._warn_of_ties(found.shares)
         self._look = False
         try:
             self._assemble(ev, w, stiffness)
@@ -99,6 +101,15 @@ class StepSolver:
             ) from error
         if s.n_lam and (self.core.ratio < 1e-5 or self._near_singular):
             self._warn(ev)
+
+    def _warn_of_ties(self, shares: dict[str, float]) -> None:
+        """Say which surface ties depend on each other; their multipliers are then of minimum norm."""
+        names = [b.name for b in self.system.blocks if b.kind == "surface tie" and b.name in shares]
+        if names:
+            log.warning(
+                "ties %s depend on each other where their surfaces meet (%d redundant rows): tractions there are not unique. "
+                "Use spaces with merged ends, say fmbd.Continuous(1).", names, round(sum(shares.values())),
+            )  # fmt: skip
 
     def _mover(self, motion: Array) -> str:
         """The body with the largest part in a motion of the core."""

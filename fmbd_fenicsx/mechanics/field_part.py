@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from ..rotations import Array, motions
 from ..traces.fields import Field
@@ -84,6 +85,18 @@ class FieldPart:
             e[p] = 1.0
             out[:, i] = self.port_force(e)
         return out
+
+    def port_gram(self) -> Array:
+        """P P^T of the ports p = P w, (n_port, n_port): ports of neighbouring surfaces share nodes; collective."""
+        d = self.field.dim
+        rows = [sp.csr_matrix(self.conditions.T)]
+        for s in self.surfaces:
+            place = sp.csr_matrix(
+                (np.ones(len(s.nodes)), (np.arange(len(s.nodes)), s.nodes)), (len(s.nodes), self.n // d)
+            )
+            rows.append(sp.kron(sp.csr_matrix(s.weights.T) @ place, sp.identity(d), format="csr"))
+        P = sp.vstack([*rows, *self.traces], format="csr")
+        return self.field.total((P @ P.T).toarray())
 
     # -- tangent ------------------------------------------------------------------------------------------------
     def turn(self, u: Array) -> Array | None:

@@ -30,7 +30,7 @@ from ..errors import InputError, require
 from ..rotations import Array, motions
 from ..traces.mortar import mortar
 from ..traces.multipliers import Multipliers, MultiplierSpace, default_space
-from ..traces.traces import Trace, trace_of
+from ..traces.traces import Trace, surface_trace, trace_of
 from .bodies import AbsoluteBody, FloatingBody, RigidBody, Surface
 from .constraints import Motion, standstill
 from .couplings import smooth_motion
@@ -94,6 +94,18 @@ def tie_surface(
     if law is None and shape is not None:
         law = lambda t: (1.0, 0.0, 0.0)
     return SurfaceTie(name, a, b, space, sliding, law, shape)
+
+
+def finer_first(a: Surface, b: Surface) -> tuple[Surface, Surface]:
+    """Two elastic surfaces, the one with the smaller facets first: ``tie_surface("glue", *finer_first(a, b))``; collective.
+
+    The finer side should carry the multipliers. Sides are never exchanged unasked: the multiplier is the force on the first.
+    """
+    h = []
+    for s in (a, b):
+        require(isinstance(s, Surface), f"finer_first takes two surfaces of elastic bodies; found {s!r}.")
+        h.append(surface_trace(s.body.mesh, s.name).h)
+    return (a, b) if h[0] <= h[1] else (b, a)
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,6 +256,7 @@ def build_trace_rows(
         mu = space.on(trace)
         A = mu.coupling()
     n, d = mu.n, trace.dim
+    _refuse_unseen(tie.name, mu, A)
     if n * d > LIMIT:
         raise InputError(
             f'Tie "{tie.name}": {n * d} multipliers; a scene takes up to {LIMIT}. Use a coarser space or '
@@ -264,6 +277,21 @@ def build_trace_rows(
             raise InputError(f'Tie "{tie.name}": {trace.label} is curved; a sliding tie needs a flat surface.')
         normal = mean if other is not None or tie.b is ground else place(tie.b)[2].T @ mean
     return TraceRows(tie.name, mu, (a, b), _imposed(tie, mu), tie.motion or standstill, normal)
+
+
+def _refuse_unseen(name: str, mu: Multipliers, A: sp.csr_matrix) -> None:
+    """Raise when combinations of multipliers see no displacement of the surface: the inf-sup constant is zero."""
+    if mu.n > LIMIT:
+        return
+    gram = (A @ A.T).toarray()
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    unseen = int((np.linalg.eigvalsh(gram / np.outer(size, size)) < 1e-12 * mu.n).sum())
+    if unseen:
+        raise InputError(
+            f'Tie "{name}": {unseen} of {mu.n} multiplier functions ({mu.name}, each for every component) see no displacement of '
+            f"{mu.trace.label} (degree {mu.trace.degree}): they fail the inf-sup condition, and the traction is not unique. Use "
+            "the default space, or see infsup(tie)."
+        )
 
 
 def _trace(part: Any, surface: Surface) -> Trace:

@@ -1,7 +1,7 @@
 """Mobility of a scene: degrees of freedom, rank of the constraints, redundant rows by joint, signs of unusual input.
 
 The constraint Jacobian is scaled by masses, G_s = E G D with D = diag(M)^-1/2 and E the inverse row norms of G D, so that its
-singular values do not depend on units. With U_0 the left null vectors of G_s,
+singular values do not depend on units; nodal displacements enter through the ports p = P w with a factor of P P^T. With U_0 the left null vectors of G_s,
 
     freedom = velocities - rank,   redundancy = rows - rank = sum over joints of |U_0 rows of the joint|^2          (1)
 """
@@ -89,10 +89,21 @@ def scaled_jacobian(ev: Evaluation) -> Array:
     G = G / np.sqrt(np.where(mass > 0, mass, mass.max(initial=1e-300)))
     if s.fields:
         typical = float(np.abs(G).max(initial=1.0))
-        ports = [ev.jacobian.port[:, s.port_slice(k)] for k, _ in s.fields]
+        ports = [ev.jacobian.port[:, s.port_slice(k)] @ _port_factor(p) for k, p in s.fields]
         G = np.concatenate((G, *(typical * p / max(float(np.abs(p).max(initial=0.0)), 1.0) for p in ports)), axis=1)
     norms = np.sqrt((G * G).sum(1))
     return np.asarray(G / np.where(norms > 0, norms, 1.0)[:, None])
+
+
+def _port_factor(part: Any) -> Array:
+    """F with F F^T = P P^T for the ports p = P w of a field: two ties that share nodes may depend on each other."""
+    if not hasattr(part, "port_gram"):
+        return np.eye(part.n_port)
+    gram = part.port_gram()
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+    values[values < 1e-13 * len(size)] = 0.0
+    return np.asarray(size[:, None] * vectors * np.sqrt(values))
 
 
 def _at_rest(ev: Evaluation, frame: int) -> Any:
@@ -144,7 +155,7 @@ def loose_bodies(bodies: dict[str, Any], joints: dict[str, Any], forces: dict[st
 def check(scene: Any, deep: bool = False) -> Mobility:
     """Mobility of a scene as given, with notes on loose bodies, units and time scales; collective.
 
-    ``deep``: also the inf-sup constant of each surface tie.
+    ``deep``: also the inf-sup constants of the surface ties, here and on halved meshes.
     """
     system, state, _ = scene.build()
     found = mobility(system, state.t, state.q)
@@ -169,11 +180,17 @@ def check(scene: Any, deep: bool = False) -> Mobility:
 
 
 def _weak_ties(scene: Any) -> list[str]:
-    """Ties whose multipliers are not controlled by the displacements."""
-    from ..traces.stability import infsup
+    """Ties whose multipliers are not controlled by the displacements, one by one and together."""
+    from ..traces.tie_stability import infsup_refined, infsup_together
 
-    found = [(name, infsup(tie)) for name, tie in scene.ties.items()]
-    return [f'tie "{name}": {result}' for name, result in found if not result.stable]
+    if not scene.ties:
+        return []
+    found = [(name, infsup_refined(tie)) for name, tie in scene.ties.items()]
+    notes = [f'tie "{name}": {result}' for name, result in found if not result.stable]
+    if len(found) > 1 and not notes:
+        together = infsup_together(list(scene.ties.values()))
+        notes += [] if together.stable else [str(together)]
+    return notes
 
 
 def _fastest(loads: ScalarLoads) -> float:

@@ -81,7 +81,8 @@ class Scene:
     def check(self, *, deep: bool = False) -> Mobility:
         """Degrees of freedom, redundant rows by joint, and what looks unusual; print it. Collective.
 
-        ``deep``: compute the inf-sup constants of surface ties too and name those below 0.1.
+        ``deep``: compute the inf-sup constants of surface ties too, one by one (also on a halved mesh) and all together, and name
+        those below 0.1 or falling like h.
         """
         return check(self, deep)
 

@@ -69,7 +69,8 @@ def mortar(
     """
     if slave.h > 1.5 * master.h:
         log.warning(
-            "%s carries the multipliers but is coarser (h = %.3g) than %s (h = %.3g): choose the finer side as slave.",
+            "%s carries the multipliers but is coarser (h = %.3g) than %s (h = %.3g): choose the finer side as slave "
+            "(fmbd.finer_first(a, b) gives the two in that order).",
             slave.label, slave.h, master.label, master.h,
         )  # fmt: skip
     multipliers = space.on(slave)

@@ -205,7 +205,8 @@ def infsup(
     from dolfinx import fem
 
     mesh, name = surface
-    body = BodyNorm(mesh, degree, clamped=clamped)
+    length = extent(mesh)
+    body = BodyNorm(mesh, degree, clamped=clamped, length=length)
     trace = trace_of(body.space, mesh, name)
     if carrier is None:
         mu = space.on(trace)
@@ -217,16 +218,29 @@ def infsup(
     S = body.product(trace.columns(B))
     body.destroy()
     if reference is None:
-        N = DualNorm(mu).matrix
+        N = DualNorm(mu, length=length).matrix
     else:
         fine_mesh, fine_degree = reference
-        fine = BodyNorm(fine_mesh, fine_degree, clamped=clamped)
+        fine = BodyNorm(fine_mesh, fine_degree, clamped=clamped, length=length)
         N = fine.product(_nested(mu, trace_of(fine.space, fine_mesh, name)))
         fine.destroy()
-    values = sl.eigh(S, N, eigvals_only=True)
+    beta, zero = smallest(sl.eigh(S, N, eigvals_only=True))
+    return InfSup(f"P{degree} / {mu.name}", beta, zero, mu.n, trace.h)
+
+
+def smallest(values: Array) -> tuple[float, int]:
+    """beta of (1) from its eigenvalues, over those that are not zero, and the number of zeros."""
     zero = values < ZERO * max(float(values.max()), 1e-300)
-    beta = float(np.sqrt(values[~zero].min())) if (~zero).any() else 0.0
-    return InfSup(f"P{degree} / {mu.name}", beta, int(zero.sum()), mu.n, trace.h)
+    return (float(np.sqrt(values[~zero].min())) if (~zero).any() else 0.0), int(zero.sum())
+
+
+def extent(mesh: Any) -> float:
+    """Longest edge of the box around a mesh, m: the length l of (1); collective."""
+    x = mesh.dolfinx.geometry.x
+    inf = np.full(3, np.inf)
+    boxes = mesh.dolfinx.comm.allgather((x.min(0), x.max(0)) if len(x) else (inf, -inf))
+    low, high = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
+    return float((high - low).max())
 
 
 def _nested(mu: Multipliers, fine: Trace) -> sp.csr_matrix:

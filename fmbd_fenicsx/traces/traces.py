@@ -194,6 +194,13 @@ def trace_of(space: Any, mesh: Any, surface: str) -> Trace:
     return Trace(label, points[order], nodes[middle], normals[middle], degree, owned, high - low, comm)
 
 
+def surface_trace(mesh: Any, surface: str, degree: int = 1) -> Trace:
+    """The trace of the scalar Lagrange space of a degree on a named surface; collective."""
+    from dolfinx import fem
+
+    return trace_of(fem.functionspace(mesh.dolfinx, ("Lagrange", degree)), mesh, surface)
+
+
 def _by_place(x: Array) -> np.ndarray:
     """Order of points by their coordinates, rounded so that it does not depend on roundoff."""
     size = float(np.ptp(x, axis=0).max()) or 1.0
