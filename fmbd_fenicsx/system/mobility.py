@@ -1,7 +1,8 @@
 """Mobility of a scene: degrees of freedom, rank of the constraints, redundant rows by joint, signs of unusual input.
 
 The constraint Jacobian is scaled by masses, G_s = E G D with D = diag(M)^-1/2 and E the inverse row norms of G D, so that its
-singular values do not depend on units; nodal displacements enter through the ports p = P w with a factor of P P^T. With U_0 the left null vectors of G_s,
+singular values do not depend on units; nodal displacements enter through the ports p = P w with a factor of P P^T.
+With U_0 the left null vectors of G_s,
 
     freedom = velocities - rank,   redundancy = rows - rank = sum over joints of |U_0 rows of the joint|^2          (1)
 """

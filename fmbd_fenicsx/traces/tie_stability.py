@@ -8,7 +8,7 @@ is refined once (every edge halved) and the constant compared,
 (Unstable spaces of the table in ``docs/traces.md`` fall by 0.50 to 0.59 per halving; of the stable ones only P1 with merged ends
 on two cells a side falls as fast, to 0.58.)
 
-Ties that are stable one by one may depend on each other where their surfaces meet (cross-points). For all ties of a scene together
+Ties that are stable one by one may depend on each other where their surfaces meet (cross-points). For all ties of a scene
 
     beta^2 = min_mu  mu^T (sum_k B_k A_k^-1 B_k^T) mu / sum_j |mu_j|^2_(-1/2)                                    (2)
 
@@ -186,7 +186,7 @@ def _couplings(tie: Any, spaces: dict[str, Any]) -> tuple[Any, list[tuple[str, T
 
 
 def _components(ties: Sequence[Any], counts: list[int]) -> tuple[Array, np.ndarray]:
-    """P (n d, rows): the rows of full ties and the normal rows of sliding ones; the tie of each row. Scalar where all are full."""
+    """P (n d, rows): the rows of full ties and the normal rows of sliding ones; the tie of each row. Scalar if all are full."""
     if not any(t.sliding for t in ties):
         return np.eye(sum(counts)), np.repeat(np.arange(len(ties)), counts)
     blocks, owner = [], []
