@@ -30,6 +30,7 @@ from .mechanics.joints import (
     spherical,
     universal,
 )
+from .mechanics.line_body import LineBody
 from .mechanics.recovery import displacement as displacement_field
 from .mechanics.recovery import stress
 from .mechanics.reduction import CraigBampton

@@ -104,6 +104,8 @@ class Moving:
         if d == 3:
             Dd = Dd - 0.5 * (Sd + np.swapaxes(Sd, 1, 2))
         wd = (f.Z @ (torque[..., None] - Dd @ w[..., None]))[..., 0]
+        if self.markers.section is not None:
+            wd[self.markers.section] = 0.0
         return np.concatenate((m.spin(w, m.spin(w, f.lever)) + m.spin(wd, f.lever), wd), axis=-1)
 
 
@@ -128,6 +130,7 @@ class Markers:
     rotation: Array  # (n, d, d) in the frame's axes
     surface: np.ndarray  # (n_s,) int: which markers sit on elastic surfaces, ascending
     port: np.ndarray  # (n_s, n_port) int: columns of the system's ports
+    section: np.ndarray | None = None  # (n_s,) bool: sections with an angle, ports (x, y, angle, 0, 0, 0)
 
     @property
     def n_port(self) -> int:
@@ -174,6 +177,8 @@ class Markers:
         s = self.surface
         b = port[self.port].reshape(-1, 1 + d, d)
         F = np.swapaxes(b[:, 1:], 1, 2)
+        if self.section is not None:
+            F[self.section] = m.matrix(np.insert(np.zeros((self.section.sum(), 2)), 2, b[self.section, 1, 0], axis=1))
         Rs = polar_rotation(F)
         arms = np.swapaxes(Rs, 1, 2)  # arms[:, k] = R_s e_k
         stretch = F @ arms
@@ -190,6 +195,10 @@ class Markers:
         jac[:, range(d), 0, range(d)] = 1.0
         jac = jac.reshape(len(s), d + m.n_rot, self.n_port)
         jac[:, :d] += m.lever(lever) @ jac[:, d:]
+        if self.section is not None:
+            jac[self.section] = 0.0
+            jac[self.section, :, :3] = np.eye(3)
+            jac[self.section, :2, 2] = m.lever(lever[self.section])[..., 0]
         local, rotation = self.position.copy(), self.rotation.copy()
         local[s] = b[:, 0] + lever
         rotation[s] = Rs @ self.rotation[s]

@@ -16,6 +16,7 @@ from ..mechanics.forces import Force
 from ..mechanics.frames import Markers
 from ..mechanics.joints import Joint, ground
 from ..mechanics.laws import Loads, ScalarLoads
+from ..mechanics.line_body import LineBody, LinePart
 from ..mechanics.reduction import ReducedBody
 from ..mechanics.relative import Relative, Separation
 from ..mechanics.wires import Wires
@@ -58,7 +59,7 @@ class Builder:
         scene = self.scene
         self._check()
         moving = [b for b in scene.bodies.values() if not getattr(b, "locked", False)]
-        framed = [b for b in moving if not isinstance(b, CoordinateBody | AbsoluteBody | Wires)]
+        framed = [b for b in moving if not isinstance(b, CoordinateBody | LineBody | AbsoluteBody | Wires)]
         elastic = [b for b in moving if isinstance(b, FloatingBody | AbsoluteBody)]
         own = [b for b in moving if isinstance(b, CoordinateBody)]
         for body in framed:
@@ -68,6 +69,9 @@ class Builder:
         used = self._surfaces_in_use()
         for body in own:
             self._put_part(CoordinatePart(body, len(framed)), np.array(body.start), np.array(body.start_rate))
+        for body in (b for b in moving if isinstance(b, LineBody)):
+            part = LinePart(body, len(framed), used[body.name])
+            self._put_part(part, part.start, part.start_rate)
         for body in moving:
             if isinstance(body, ReducedBody | Beam):
                 self._add_reduced(body, used[body.name])
@@ -151,7 +155,7 @@ class Builder:
             raise InputError(
                 f"{what} refers to {side!r}, which is not in the scene. {near(getattr(body, 'name', ''), self.scene.bodies)}"
             )
-        if isinstance(side, FloatingBody | AbsoluteBody | ReducedBody | Beam):
+        if isinstance(side, FloatingBody | AbsoluteBody | ReducedBody | Beam | LineBody):
             raise InputError(
                 f'{what}: attach to a surface of the elastic body "{body.name}", say {body.name}.surface("...").'
             )
@@ -282,6 +286,7 @@ class Builder:
             start += names.index(side.name) * per
             ports.append(np.arange(start, start + per))
         n = len(self.keys)
+        section = np.array([isinstance(self.keys[i][3].body, LineBody) for i in surface], dtype=bool)
         return Markers(
             self.m,
             np.array([k[0] for k in self.keys], dtype=int),
@@ -289,6 +294,7 @@ class Builder:
             np.array([k[2] for k in self.keys]).reshape(n, d, d),
             np.array(surface, dtype=int),
             np.array(ports, dtype=int).reshape(len(surface), d * (1 + d)),
+            section if section.any() else None,
         )
 
     def _loads(self) -> tuple[Loads, ...]:

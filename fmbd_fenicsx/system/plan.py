@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..mechanics.line_body import LineBody
 from .scene import Scene
 from .system import System
 
@@ -36,9 +37,11 @@ def make_plan(scene: Scene, system: System) -> Plan:
         constant.append("masses and inertias of rigid bodies")
     else:
         left.append("rigid bodies")
-    if not system.fields:
+    if any(isinstance(b, LineBody) for b in scene.bodies.values()):
+        constant.append("mass of lines")
+    elif not system.fields:
         left.append("elastic fields (no mesh library, no PETSc, no MPI)")
-    elif system.comm.size == 1:
+    if system.fields and system.comm.size == 1:
         left.append("communication between ranks")
     if not scene.joints:
         left.append("joints")

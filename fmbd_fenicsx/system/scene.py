@@ -13,6 +13,7 @@ from ..mechanics.bodies import AbsoluteBody, CoordinateBody, FloatingBody, Rigid
 from ..mechanics.drives import JointCoordinate
 from ..mechanics.forces import Force
 from ..mechanics.joints import Joint
+from ..mechanics.line_body import LineBody
 from ..mechanics.reduction import ReducedBody
 from ..mechanics.sliding import SlidingContact
 from ..mechanics.wires import Wires
@@ -20,6 +21,8 @@ from .build import Builder
 from .mobility import Mobility, check, loose_bodies
 from .sensors import JointReading, Sensor
 from .system import State, System
+
+BODIES = (RigidBody, FloatingBody, AbsoluteBody, ReducedBody, Beam, LineBody, CoordinateBody, Wires)
 
 
 @dataclass
@@ -50,7 +53,7 @@ class Scene:
     def add(self, *parts: Any) -> None:
         """Add bodies, joints, forces and contacts; names must be unique among each."""
         for part in parts:
-            if isinstance(part, RigidBody | FloatingBody | AbsoluteBody | ReducedBody | Beam | CoordinateBody | Wires):
+            if isinstance(part, BODIES):
                 self._put(self.bodies, part, "body")
             elif isinstance(part, SlidingContact):
                 self._put(self.sliders, part, "sliding contact")

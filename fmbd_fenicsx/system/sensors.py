@@ -141,7 +141,7 @@ class Coordinates(Sensor):
 
 
 def coordinates(body: Any, *, level: int = 0) -> Sensor:
-    """Coordinates of a body with equations of its own, or their first or second rates, (n,)."""
+    """Coordinates of a body with equations of its own or nodal values of a line, or their first or second rates, (n,)."""
     return Coordinates(None, "-", None, body if isinstance(body, str) else body.name, level)
 
 

@@ -1,0 +1,156 @@
+"""Planar lines by a user's own weak form: the geometrically exact beam against exact solutions, joints on its ends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+
+import fmbd_fenicsx as fmbd
+
+L, EA, GA, EI, RHO_A, RHO_I = 2.0, 1e6, 4e5, 50.0, 1.0, 1e-3
+
+
+def mass(z: Any, w: Any, ds: Any) -> Any:
+    return (RHO_A * (z[0] * w[0] + z[1] * w[1]) + RHO_I * z[2] * w[2]) * ds
+
+
+def energy(z: Any, ds: Any) -> Any:
+    from ufl import cos, sin
+
+    c, s, x, y = cos(z[2]), sin(z[2]), z[0].dx(0), z[1].dx(0)
+    return 0.5 * (EA * (x * c + y * s - 1) ** 2 + GA * (y * c - x * s) ** 2 + EI * z[2].dx(0) ** 2) * ds
+
+
+def straight(s: Any) -> Any:
+    return [s, 0 * s, 0 * s]
+
+
+def line(**changes: Any) -> fmbd.LineBody:
+    return fmbd.LineBody("line", L, **{"mass": mass, "energy": energy, "start": straight, "cells": 8, **changes})
+
+
+def ramp(t: float) -> float:
+    return float(min(t, 1.0) ** 2 * (3 - 2 * min(t, 1.0)))
+
+
+def cantilever(name: str, load: Any) -> Any:
+    """At rest under a load: ramped up in 1 s, with much damping."""
+    beam = line(mass_damping=12.0)
+    scene = fmbd.Scene(name)
+    scene.add(beam, fmbd.fixed("clamp", fmbd.ground, beam.surface("start")), load(beam.surface("end")))
+    scene.sensor("tip", fmbd.position(beam.surface("end")))
+    scene.sensor("turn", fmbd.rotation(beam.surface("end")))
+    scene.sensor("clamp", fmbd.reaction("clamp"))
+    return fmbd.solve(scene, t_end=5.0, dt=0.05, scheme=fmbd.GeneralizedAlpha(0.5))
+
+
+def test_bent_to_a_circle() -> None:
+    """A couple M bends the line to an arc of curvature M / EI: exact, up to the elements; the clamp carries -M."""
+    turn = 1.5
+    run = cantilever("roll", lambda end: fmbd.torque("couple", end, lambda t: ramp(t) * EI * turn / L))
+    r = L / turn
+    np.testing.assert_allclose(run["tip"][-1], [r * np.sin(turn), r * (1 - np.cos(turn))], rtol=1e-5)
+    np.testing.assert_allclose(run["turn"][-1], turn, rtol=1e-7)
+    np.testing.assert_allclose(np.abs(run["clamp"][-1]).max(), EI * turn / L, rtol=1e-7)
+
+
+def test_elastica() -> None:
+    """A dead force across the end: the extensible, shearable elastica, to 1e-5."""
+    F = 60.0
+
+    def right(s: Any, y: Any) -> Any:  # theta, theta', x, y
+        c, si = np.cos(y[0]), np.sin(y[0])
+        stretch, shear = 1 + F * si / EA, F * c / GA
+        return np.array(
+            [y[1], -F / EI * (stretch * c - shear * si), stretch * c - shear * si, stretch * si + shear * c]
+        )
+
+    def ends(a: Any, b: Any) -> Any:
+        return np.array([a[0], b[1], a[2], a[3]])
+
+    s = np.linspace(0, L, 101)
+    exact = solve_bvp(right, ends, s, np.zeros((4, len(s))), tol=1e-10).y[2:, -1]
+    run = cantilever("elastica", lambda end: fmbd.force("pull", end, lambda t: (0.0, ramp(t) * F)))
+    np.testing.assert_allclose(run["tip"][-1], exact, rtol=1e-5)
+
+
+def test_rigid_limit_on_a_pin() -> None:
+    """A stiff line on a pin swings like the rigid rod of its mass and inertia; so does a rod hung from its end by a joint."""
+    stiff = line(energy=lambda z, ds: 1e3 * energy(z, ds), cells=2)
+    J = RHO_A * L**3 / 12 + RHO_I * L
+    rod = fmbd.RigidBody("line", mass=RHO_A * L, inertia=J, position=(L / 2, 0.0))
+    found = {}
+    for name, body in (("line", stiff), ("rigid", rod)):
+        bob = fmbd.RigidBody("bob", mass=0.5, inertia=0.01, position=(L, -0.3))
+        scene = fmbd.Scene(name, gravity=(0.0, -9.81))
+        first, last = (body.surface("start"), body.surface("end")) if name == "line" else (body, body)
+        scene.add(body, bob, fmbd.revolute("pin", fmbd.ground, first, center=(0, 0)))
+        scene.add(fmbd.revolute("hinge", last, bob, center=(L, 0)))
+        scene.sensor("bob", fmbd.position(bob))
+        scene.sensor("pin", fmbd.reaction("pin"))
+        found[name] = fmbd.solve(scene, t_end=0.5, dt=2e-3, scheme=fmbd.GeneralizedAlpha(0.8))
+    np.testing.assert_allclose(found["line"]["bob"], found["rigid"]["bob"], atol=2e-4)
+    mean = [found[k]["pin"].mean(0) for k in ("line", "rigid")]  # the line's own vibrations left out
+    np.testing.assert_allclose(*mean, atol=0.1)
+    energy_ = sum(found["line"].energy.values())
+    assert np.ptp(energy_) < 2e-3 * np.abs(found["line"].energy["kinetic"]).max()
+
+
+def test_free_flight_and_rotated_joint() -> None:
+    """A fixed joint with a lever on a turned end, and free motion: momenta kept, with tip motion equal from either frame."""
+    angle = 0.7
+    place = lambda s: [s * np.cos(angle), s * np.sin(angle), 0 * s + angle]  # noqa: E731
+    spin = lambda s: [-2.0 * s * np.sin(angle), 2.0 * s * np.cos(angle), 0 * s + 2.0]  # noqa: E731
+    beam = line(start=place, start_rate=spin)
+    tip = np.array([L * np.cos(angle), L * np.sin(angle)])
+    disk = fmbd.RigidBody(
+        "disk",
+        0.4,
+        0.02,
+        position=tip + [0.2, 0.0],
+        velocity=2.0 * np.array([-tip[1], tip[0] + 0.2]),
+        angular_velocity=2.0,
+    )
+    scene = fmbd.Scene("flight")
+    scene.add(beam, disk, fmbd.fixed("weld", beam.surface("end"), disk, center=tip + [0.2, 0.0]))
+    scene.sensor("disk", fmbd.rotation(disk))
+    scene.sensor("end", fmbd.rotation(beam.surface("end")))
+    run = fmbd.solve(scene, t_end=0.4, dt=2e-3)
+    np.testing.assert_allclose(run["disk"], run["end"], atol=1e-9)
+    p, spin_ = run.system.at(run.state.t, run.state.q, run.state.v).momenta()
+    arm = tip + [0.2, 0.0]
+    half = RHO_A * L**2 / 2 * 2.0 * np.array([-np.sin(angle), np.cos(angle)])
+    np.testing.assert_allclose(p, half + 0.4 * 2.0 * np.array([-arm[1], arm[0]]), rtol=1e-8)
+    total = 2.0 * (RHO_A * L**3 / 3 + RHO_I * L + 0.02 + 0.4 * (arm @ arm))
+    np.testing.assert_allclose(spin_[0], total, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"mass": lambda z, w, ds: z[0] * w[1] * ds}, "not symmetric"),
+        ({"energy": lambda z, ds: z[0]}, "form of rank 0"),
+        ({"start": lambda s: [s, s]}, "x, y and theta"),
+        ({"start": lambda s: [s, s, np.nan * s]}, "finite"),
+    ],
+)
+def test_bad_forms_are_named(changes: Any, words: str) -> None:
+    scene = fmbd.Scene("bad")
+    scene.add(line(**changes))
+    with pytest.raises(fmbd.errors.FmbdError, match=words):
+        scene.build()
+
+
+def test_bad_data_are_named() -> None:
+    with pytest.raises(fmbd.errors.InputError, match="length"):
+        fmbd.LineBody("line", -1.0, mass, energy, straight)
+    with pytest.raises(fmbd.errors.InputError, match='no surface "tip"'):
+        line().surface("tip")
+    scene = fmbd.Scene("whole body")
+    beam = line()
+    scene.add(beam, fmbd.fixed("clamp", fmbd.ground, beam))
+    with pytest.raises(fmbd.errors.InputError, match="attach to a surface"):
+        scene.build()
