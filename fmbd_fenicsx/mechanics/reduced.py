@@ -95,8 +95,10 @@ class ReducedPart:
         k = self.n + 1
         self._T = np.ascontiguousarray(constants.T.transpose(0, 2, 3, 1)).reshape(k * d * d, k)
         self._modal_mass = np.trace(constants.T[1:, 1:], axis1=2, axis2=3).copy()
-        self._first = float(np.sqrt(sl.eigh(constants.K, self._modal_mass, eigvals_only=True)[0])) if self.n else np.inf
-        self._warned = False
+        self.first_frequency = (
+            float(np.sqrt(sl.eigh(constants.K, self._modal_mass, eigvals_only=True)[0])) if self.n else np.inf
+        )
+        self.warned = False
 
     def surface_center(self, surface: str) -> Array:
         """Centroid of a surface at the start, world axes."""
@@ -141,11 +143,11 @@ class ReducedPart:
         mean = float(np.sqrt(max(eta @ self._modal_mass @ eta, 0.0) / c.mass))
         if not mean <= TOO_LARGE * c.size:
             raise ConvergenceError(too_large(self.name, mean, c.size))
-        if c.stiffening is None and not self._warned:
+        if c.stiffening is None and not self.warned:
             spin = float(np.linalg.norm(motion.twist[self.dim :]))
-            if spin > self._first:
-                self._warned = True
-                warn_of_spin(self.name, spin, self._first)
+            if spin > self.first_frequency:
+                self.warned = True
+                warn_of_spin(self.name, spin, self.first_frequency)
 
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of (2): the frame's (n_twist,), world translation and body rotation, and the modes' (m,)."""

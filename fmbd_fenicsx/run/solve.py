@@ -118,6 +118,7 @@ class _March:
     first: int
     status: str
     counters: dict[str, float]
+    path: str
 
 
 def solve(
@@ -176,7 +177,7 @@ def solve(
     run = Run(
         scene=scene,
         scheme=scheme,
-        plan=make_plan(scene, system),
+        plan=make_plan(scene, system, march.path),
         system=system,
         state=march.state,
         dt=march.state.t / max(march.done, 1),
@@ -244,7 +245,8 @@ def _march(problem: _Problem, solver: StepSolver, pace: Pace, output: Output) ->
     finally:
         bar.close()
     status = "finished" if pace.ended(state.t, done) else "stopped"
-    return _March(recorder, stepper.state, local_error, done, first, status, getattr(stepper, "counters", {}))
+    counters, path = getattr(stepper, "counters", {}), getattr(stepper, "path", "NumPy")
+    return _March(recorder, stepper.state, local_error, done, first, status, counters, path)
 
 
 def _counters(march: _March, newton: Newton, solver: StepSolver) -> dict[str, float]:

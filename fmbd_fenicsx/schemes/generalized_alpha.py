@@ -36,9 +36,9 @@ from ..errors import ConvergenceError, require
 from ..linear.schur import StepSolver, Weights
 from ..rotations import Array
 from ..system.system import State, System
-from . import compiled
-from .compiled import PlaneKernel, kernel_of
+from . import kernel as slots
 from .dae import GGL, Form, Index3
+from .kernel import LOOK, Kernel, kernel_of
 from .newton import Newton, not_converged
 from .start import jerk, spin_of_acceleration, worst_block
 
@@ -52,7 +52,7 @@ class GeneralizedAlpha:
     rho_inf = 1 is refused: with index-3 constraints it is weakly unstable, roundoff in the multipliers grows until the run
     fails (Cardona and Geradin, doi:10.1016/0045-7949(89)90050-9).
 
-    ``compiled`` = False keeps to NumPy where a compiled step exists (rigid bodies of the plane, see :mod:`.compiled`).
+    ``compiled`` = False keeps to NumPy where a compiled step exists (rigid and reduced bodies, see :mod:`.compiled`).
     """
 
     rho_inf: float = 0.8
@@ -214,10 +214,13 @@ class Stepper:
 
 
 class CompiledStepper(Stepper):
-    """The same steps by the kernel of :mod:`.compiled`; a step that it gives back is made in NumPy."""
+    """The same steps by the kernel of :mod:`.kernel`; a step that it gives back is made in NumPy."""
 
-    def __init__(self, data: tuple[GeneralizedAlpha, System, StepSolver, Newton, State], kernel: PlaneKernel) -> None:
+    path = "compiled (bodies, joints and gravity in C; NumPy for the first step and for steps it gives back)"
+
+    def __init__(self, data: tuple[GeneralizedAlpha, System, StepSolver, Newton, State], kernel: Kernel) -> None:
         self.kernel = kernel
+        self.counters = {"compiled_steps": 0}
         self._blocks: list[tuple[Array, int]] = []  # newest first, with addresses: t, q, v, a, A, lambda
         self._tail: State | None = None  # the state of the newest block
         self._ahead = False  # blocks are newer than A and the past of the NumPy path
@@ -225,9 +228,9 @@ class CompiledStepper(Stepper):
         scheme, system, _, newton, _ = data
         p = kernel.parameters
         p[1:5] = scheme.parameters
-        p[compiled.TOL], p[compiled.LENGTH] = newton.tolerance, system.length
-        p[compiled.FLOOR] = 64 * np.finfo(float).eps * system.length
-        p[compiled.SLOW], p[compiled.MAXIT] = newton.slow, newton.max_iterations
+        p[slots.TOL], p[slots.LENGTH] = newton.tolerance, system.length
+        p[slots.FLOOR] = 64 * np.finfo(float).eps * system.length
+        p[slots.SLOW], p[slots.MAXIT], p[slots.PATIENCE] = newton.slow, newton.max_iterations, PATIENCE
 
     @property
     def A(self) -> Array:  # type: ignore[override]
@@ -251,16 +254,16 @@ class CompiledStepper(Stepper):
     def _settle(self) -> None:
         """Give A and the past of the newest block to the NumPy path."""
         if self._ahead and self._tail is self.state:
-            n = self.kernel.n
-            self._A = self._blocks[0][0][1 + 3 * n : 1 + 4 * n]
-            self._earlier = [(float(b[0]), b[1 + 2 * n : 1 + 3 * n], b[1 + 4 * n :]) for b, _ in self._blocks[1:]]
+            n, at = self.kernel.n, 1 + self.kernel.nq
+            self._A = self._blocks[0][0][at + 2 * n : at + 3 * n]
+            self._earlier = [(float(b[0]), b[at + n : at + 2 * n], b[at + 3 * n :]) for b, _ in self._blocks[1:]]
         self._ahead = False
 
     def _load(self) -> None:
         """Blocks from the state, A and the past of the NumPy path."""
         s = self.state
-        zero = np.zeros(self.kernel.n)
-        parts = [(s.t, s.q, s.v, s.a, self.A, s.lam), *((t, zero, zero, a, zero, lam) for t, a, lam in self._past)]
+        zero, place_ = np.zeros(self.kernel.n), np.zeros(self.kernel.nq)
+        parts = [(s.t, s.q, s.v, s.a, self.A, s.lam), *((t, place_, zero, a, zero, lam) for t, a, lam in self._past)]
         blocks = [np.concatenate(([t], *arrays)) for t, *arrays in parts]
         self._blocks = [(b, b.ctypes.data) for b in blocks]
         self._tail = s
@@ -272,18 +275,22 @@ class CompiledStepper(Stepper):
         if self._tail is not self.state:
             self._load()
         kernel, newton, core = self.kernel, self.newton, self.solver.core
-        n, p = kernel.n, kernel.parameters
-        p[compiled.H], p[compiled.THETA] = h, newton.theta
+        n, at, p = kernel.n, 1 + kernel.nq, kernel.parameters
+        p[slots.H], p[slots.THETA] = h, newton.theta
         out = np.empty(kernel.block_size)
         address = out.ctypes.data
-        if kernel.step(self._blocks, address, self.state.t + h):
-            return super().advance(h)
+        if verdict := kernel.step(self._blocks, address, self.state.t + h):
+            made = super().advance(h)
+            if verdict == LOOK:
+                kernel.look()
+            return made
         self._blocks = [(out, address), *self._blocks[:2]]
-        newton.iterations += int(p[compiled.ITERATIONS])
-        newton.theta = float(p[compiled.THETA])
+        self.counters["compiled_steps"] += 1
+        newton.iterations += int(p[slots.ITERATIONS])
+        newton.theta = float(p[slots.THETA])
         core.factorisations += 1
-        core.judge.check(float(p[compiled.RESIDUAL]), 1.0)
-        self.local_error, self._ahead = float(p[compiled.LOCAL]), True
-        q, v, a = out[1 : 1 + n], out[1 + n : 1 + 2 * n], out[1 + 2 * n : 1 + 3 * n]
-        self.state = self._tail = State(float(out[0]), q, v, a, out[1 + 4 * n :])
+        core.judge.check(float(p[slots.RESIDUAL]), 1.0)
+        self.local_error, self._ahead = float(p[slots.LOCAL]), True
+        q, v, a = out[1:at], out[at : at + n], out[at + n : at + 2 * n]
+        self.state = self._tail = State(float(out[0]), q, v, a, out[at + 3 * n :])
         return self.state

@@ -11,22 +11,24 @@ from .system import System
 
 @dataclass(frozen=True)
 class Plan:
-    """Lists of what a run has (name, size), what stays constant during it, and what it does without."""
+    """Lists of what a run has (name, size), what stays constant during it, and what it does without; who makes the steps."""
 
     unknowns: tuple[tuple[str, int], ...]
     constant: tuple[str, ...]
     left_out: tuple[str, ...]
+    path: str = "NumPy"
 
     def __str__(self) -> str:
         width = max((len(n) for n, _ in self.unknowns), default=0)
         lines = ["plan"]
         lines += [f"  {n:<{width}}  {k:>9}" for n, k in self.unknowns]
         lines += [f"  constant: {', '.join(self.constant)}", f"  left out: {', '.join(self.left_out)}"]
+        lines += [f"  steps: {self.path}"]
         return "\n".join(lines)
 
 
-def make_plan(scene: Scene, system: System) -> Plan:
-    """Derive the plan from the scene and its system; no computation."""
+def make_plan(scene: Scene, system: System, path: str = "NumPy") -> Plan:
+    """Derive the plan from the scene, its system and the path its steps take; no computation."""
     unknowns = [("frames", system.n_core)]
     unknowns += [(f"{f.name}.u", f.field.n_global) for _, f in system.fields]
     unknowns += [(b.name, b.rows.stop - b.rows.start) for b in system.blocks]
@@ -57,4 +59,4 @@ def make_plan(scene: Scene, system: System) -> Plan:
         if not system.contacts.frictional:
             left.append("friction")
     left += ["modal reduction", *([] if scene.ties else ["field multipliers"])]
-    return Plan(tuple(unknowns), tuple(constant), tuple(left))
+    return Plan(tuple(unknowns), tuple(constant), tuple(left), path)

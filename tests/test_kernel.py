@@ -1,0 +1,160 @@
+"""The compiled step of spatial and of reduced elastic bodies against the NumPy step."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_compiled import pair, stepper_of
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.schemes import compiled
+from fmbd_fenicsx.schemes.generalized_alpha import CompiledStepper, GeneralizedAlpha, Stepper
+
+ROOT = Path(__file__).resolve().parents[1]
+pytestmark = pytest.mark.skipif(compiled.library(3) is None, reason="no C compiler")
+PLANE = fmbd.Section(EA=1e5, EI=40.0, rhoA=0.5, rhoI=1e-4)
+SPACE = fmbd.Section(EA=1e5, EI=40.0, rhoA=0.5, rhoI=1e-4, GA=1e5, EI_y=50.0, GJ=20.0, rhoI_y=2e-4)
+
+
+def rigid() -> fmbd.Scene:
+    """Spatial rigid bodies, every elementary constraint, both drives, a locked body."""
+    scene = fmbd.Scene("rigid", gravity=(0.3, 0.2, -9.81), gravity_ramp=0.05)
+    J = np.array([[0.02, 0.003, 0.001], [0.003, 0.03, 0.002], [0.001, 0.002, 0.025]])
+    at = [(0.2, 0.0, 0.0), (0.5, 0.1, 0.0), (0.8, 0.0, 0.2), (2.0, 0.0, 0.0), (3.0, 0.5, 0.0), (4.0, 0.0, 0.0)]
+    turned = (0.1, 0.2, 0.3, np.sqrt(0.86))
+    b = [fmbd.RigidBody(f"{i}", 1.0 + i, J, x, turned if i % 2 else None) for i, x in enumerate(at)]
+    base = fmbd.RigidBody("base", 1.0, J, position=(0.0, 0.0, 1.0), rotation=turned, locked=True)
+    scene.add(base, *b, fmbd.revolute("r", fmbd.ground, b[0], center=(0, 0, 0), axis=(0.1, 1, 0)))
+    scene.add(fmbd.universal("u", b[0], b[1], center=(0.35, 0, 0), axis_a=(0, 1, 0), axis_b=(0, 0, 1)))
+    scene.add(fmbd.spherical("s", b[1], b[2], center=(0.6, 0.1, 0.1)))
+    scene.add(fmbd.distance("d", base, b[2], point_b=(0.8, 0.1, 0.2), length=np.sqrt(1.29)))
+    scene.add(fmbd.prismatic("p", fmbd.ground, b[3], axis=(1, 0.2, 0.3), center=(2, 0, 0)))
+    move = fmbd.drive_translation("push", fmbd.ground, b[3], lambda t: 0.2 * np.sin(9 * t), axis=(1, 0.2, 0.3))
+    scene.add(move, fmbd.cylindrical("c", fmbd.ground, b[4], axis=(0, 0, 1), center=(3, 0, 0)))
+    scene.add(fmbd.drive_rotation("motor", fmbd.ground, b[4], lambda t: 3 * t + t**2, axis=(0, 0, 1)))
+    scene.add(fmbd.point_on_line("wire", b[3], b[5], axis=(0, 0, 1), center=(4, 0, 0)))
+    return scene
+
+
+def flexible(dim: int) -> fmbd.Scene:
+    """Reduced bodies (one stiffened, one damped), joints off the centroids of their surfaces, a rigid bob."""
+    section = PLANE if dim == 2 else SPACE
+    points = [np.array(x[:dim]) for x in ((0.0, 0.0, 0.0), (0.6, 0.3, 0.2), (1.1, 0.1, 0.0), (1.1, 0.0, 0.0))]
+    one = fmbd.Beam("one", points[0], points[1], section, elements=4, modes=7, stiffening=True)
+    two = fmbd.Beam("two", points[1], points[2], section, elements=3, attached=False, stiffness_damping=1e-3)
+    bob = fmbd.RigidBody("bob", 0.3, 0.01 if dim == 2 else (0.01, 0.02, 0.015), points[3])
+    scene = fmbd.Scene("flexible", gravity=(0.0, -9.81, 0.0)[:dim])
+    start, knee = one.surface("start"), two.surface("start")
+    scene.add(one, two, bob, fmbd.revolute("hinge", fmbd.ground, start, center=points[0] + 0.05))
+    scene.add(fmbd.spherical("knee", one.surface("end"), knee, center=points[1]))
+    scene.add(fmbd.fixed("hand", two.surface("end"), bob, center=points[3]))
+    scene.sensor("end", fmbd.position(bob))
+    return scene
+
+
+def soft_pendulum(mesh: Any, modes: int, **changes: Any) -> fmbd.Scene:
+    """A rod of rubber on a spherical joint, reduced."""
+    rod = fmbd.FloatingBody("rod", mesh, density=1000.0, elastic=fmbd.materials.linear_elastic(1e7, 0.3))
+    body = rod.with_(**changes).reduced(modes=modes)
+    scene = fmbd.Scene("pendulum", gravity=(0, -9.81, 0)[: mesh.dim])
+    scene.add(body, fmbd.spherical("pin", fmbd.ground, body.surface("pin")))
+    scene.sensor("tip", fmbd.position(body.surface("tip")))
+    return scene
+
+
+def agree(fast: fmbd.Run, slow: fmbd.Run) -> None:
+    """Equal to roundoff: in q a few units, in a and lambda those over h^2."""
+    assert fast.counters["newton_iterations"] == slow.counters["newton_iterations"]
+    for name, bar in (("q", 1e-12), ("v", 1e-9), ("a", 1e-6), ("lam", 1e-6)):
+        x, y = getattr(fast.state, name), getattr(slow.state, name)
+        assert np.abs(x - y).max() < bar * np.abs(y).max(), name
+    assert fast.local_error == pytest.approx(slow.local_error, rel=1e-5)
+
+
+@pytest.mark.parametrize("make", [rigid, lambda: flexible(2), lambda: flexible(3)], ids=["rigid", "2", "3"])
+def test_same_digits_as_numpy(make: Any) -> None:
+    assert isinstance(stepper_of(make()), CompiledStepper)
+    agree(*pair(make, t_end=0.1, dt=1e-3))
+
+
+@pytest.mark.parametrize("dim, modes", [(2, 5), (3, 16), (3, 0)])
+def test_same_digits_for_a_meshed_body(rod_mesh: Callable[..., Any], dim: int, modes: int) -> None:
+    agree(*pair(lambda: soft_pendulum(rod_mesh(dim=dim, h=0.25), modes), t_end=0.1, dt=1e-3))
+
+
+def test_plan_tells_the_path() -> None:
+    fast, slow = pair(rigid, t_end=0.005, dt=1e-3)
+    assert "steps: compiled" in str(fast.plan)
+    assert fast.counters["compiled_steps"] == 4  # the first is NumPy's
+    assert "steps: NumPy" in str(slow.plan)
+
+
+def test_steps_may_alternate(rod_mesh: Callable[..., Any]) -> None:
+    """Steps handed back to NumPy keep the history of the predictor."""
+    a, b = stepper_of(flexible(3)), stepper_of(flexible(3), GeneralizedAlpha(0.8, compiled=False))
+    for k in range(30):
+        if k % 3 == 1:
+            Stepper.advance(a, 1e-3)
+        else:
+            a.advance(1e-3)
+        b.advance(1e-3)
+    assert np.abs(a.state.q - b.state.q).max() < 1e-12
+    assert np.abs(a.A - b.A).max() < 1e-7 * np.abs(b.A).max()
+
+
+def test_warnings_and_refusals_are_those_of_numpy(
+    rod_mesh: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """A spin above the first frequency is warned of once and the kernel goes on; displacements of the body's size end the run."""
+
+    def spinning(speed: float, modulus: float) -> fmbd.Scene:
+        elastic = fmbd.materials.linear_elastic(modulus, 0.3)
+        scene = soft_pendulum(rod_mesh(dim=3, h=0.25), 4, elastic=elastic, angular_velocity=(0, 0, speed))
+        scene.gravity = None
+        return scene
+
+    stepper = stepper_of(spinning(30.0, 1e6))
+    kernel_steps = 0
+    for _ in range(20):
+        stepper.advance(1e-4)
+        kernel_steps += stepper._ahead
+    assert [r.message for r in caplog.records if "first" in r.message]
+    assert len([r for r in caplog.records if "first" in r.message]) == 1
+    assert kernel_steps >= 17
+    with pytest.raises(ConvergenceError, match='"rod"'):
+        fmbd.solve(spinning(300.0, 1e6), t_end=0.05, dt=1e-4)
+
+
+TIME_LOOP = """
+import sys, pickle
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear.schur import StepSolver
+from fmbd_fenicsx.schemes.start import consistent
+sys.path.insert(0, "tests")
+from test_kernel import soft_pendulum
+from dolfinx import jit
+
+scene = soft_pendulum(fmbd.read_gmsh("meshes/rod.py", dim=3, h=0.25), 16)
+scene.bodies["rod"].reduction
+for name in [m for m in sys.modules if m.split(".")[0] in ("dolfinx", "ffcx", "ufl", "basix", "gmsh", "petsc4py")]:
+    sys.modules[name] = None  # an import from here on fails
+run = fmbd.solve(scene, t_end=0.01, dt=1e-3, scheme=fmbd.GeneralizedAlpha(0.8, compiled=%s))
+assert run.counters["steps"] == 10
+"""
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("fast", [True, False])
+def test_reduced_body_needs_no_mesh_library_in_the_time_loop(fast: bool) -> None:
+    """With the modes at hand neither path imports DOLFINx, FFCx, UFL or PETSc, let alone compiles a form."""
+    done = subprocess.run(
+        [sys.executable, "-c", TIME_LOOP % fast], cwd=ROOT, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
