@@ -9,6 +9,7 @@ Mathematical Modelling of Systems 2 (1996) 1-18, doi:10.1080/13873959608837026.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,31 +19,45 @@ import fmbd_fenicsx as fmbd
 
 PI = 3.1415927  # as printed in the test set
 M1, M2, M3, L1, L2, J1, J2 = 0.36, 0.151104, 0.075552, 0.15, 0.30, 0.002727, 0.0045339259
-E, B, H, RHO, OMEGA = 2.0e11, 0.008, 0.008, 7870.0, 150.0
+E, NU, B, H, RHO, OMEGA = 2.0e11, 0.3, 0.008, 0.008, 7870.0, 150.0
 F = B * H * L2
 
 
 @dataclass(frozen=True)
 class Rod:
-    """Variants: ``consistent_mass`` scales the printed axial mass block by 1/15; ``nonlinear`` adds (EA/2) int u' w'^2."""
+    """Variants: ``consistent_mass`` scales the printed axial mass block by 1/15; ``nonlinear`` adds (EA/2) int u' w'^2.
+
+    ``height`` (m) of the section.
+    """
 
     consistent_mass: bool = False
     nonlinear: bool = False
     damped: bool = False
+    height: float = H
+
+    @cached_property
+    def density(self) -> float:
+        """RHO for the printed height: the shape integrals below hold for it, kg/m^3."""
+        return RHO * self.height / H
+
+    @cached_property
+    def inertia(self) -> tuple[float, float]:
+        """Mass (kg) and moment of inertia about the crank pin (kg m^2)."""
+        return (M2, J2) if self.height == H else (self.density * F, self.density * F * (L2**2 + self.height**2 / 4) / 3)
 
     @cached_property
     def mass(self) -> np.ndarray:
         """M_q, kg."""
         out = 0.5 * np.eye(4)
         out[2:, 2:] = np.array([[8.0, 1.0], [1.0, 2.0]]) * (1 / 15 if self.consistent_mass else 1.0)
-        return RHO * F * out
+        return self.density * F * out
 
     @cached_property
     def stiffness(self) -> np.ndarray:
         """K_q, N/m."""
-        out = np.diag([PI**4 / 24 * (H / L2) ** 2, PI**4 * 2 / 3 * (H / L2) ** 2, 0.0, 0.0])
+        out = np.diag([PI**4 / 24 * (self.height / L2) ** 2, PI**4 * 2 / 3 * (self.height / L2) ** 2, 0.0, 0.0])
         out[2:, 2:] = [[16 / 3, -8 / 3], [-8 / 3, 7 / 3]]
-        return E * B * H / L2 * out
+        return E * B * self.height / L2 * out
 
     @cached_property
     def damping(self) -> np.ndarray:
@@ -63,12 +78,13 @@ BQ = F * (BQ - BQ.T)
 def mass_matrix(rod: Rod, y: np.ndarray) -> np.ndarray:
     """M(y), (7, 7)."""
     s, c, q, Mq = np.sin(y[0] - y[1]), np.cos(y[0] - y[1]), y[3:], rod.mass
+    (m2, j2), rho = rod.inertia, rod.density
     M = np.zeros((7, 7), dtype=y.dtype)
-    M[0, 0] = J1 + M2 * L1**2
-    M[0, 1] = M[1, 0] = 0.5 * L1 * L2 * M2 * c + RHO * L1 * (s * (C2 @ q) + c * (C1 @ q))
-    M[1, 1], M[2, 2] = J2 + q @ Mq @ q + 2 * RHO * (C12 @ q), M3
-    M[0, 3:] = M[3:, 0] = RHO * L1 * (-s * C1 + c * C2)
-    M[1, 3:] = M[3:, 1] = RHO * C21 + RHO * (q @ BQ)
+    M[0, 0] = J1 + m2 * L1**2
+    M[0, 1] = M[1, 0] = 0.5 * L1 * L2 * m2 * c + rho * L1 * (s * (C2 @ q) + c * (C1 @ q))
+    M[1, 1], M[2, 2] = j2 + q @ Mq @ q + 2 * rho * (C12 @ q), M3
+    M[0, 3:] = M[3:, 0] = rho * L1 * (-s * C1 + c * C2)
+    M[1, 3:] = M[3:, 1] = rho * C21 + rho * (q @ BQ)
     M[3:, 3:] = Mq
     return M
 
@@ -77,14 +93,15 @@ def forces(rod: Rod, y: np.ndarray, v: np.ndarray) -> np.ndarray:
     """f(y, y'), (7,): velocity terms, elastic and damping forces."""
     s, c, q, w1, w2, qd = np.sin(y[0] - y[1]), np.cos(y[0] - y[1]), y[3:], v[0], v[1], v[3:]
     c1, c2, c1d, c2d, Mq = C1 @ q, C2 @ q, C1 @ qd, C2 @ qd, rod.mass
+    m2, rho = rod.inertia[0], rod.density
     f = np.zeros(7, dtype=np.result_type(y, v))
-    f[0] = -0.5 * L1 * L2 * M2 * w2**2 * s + RHO * L1 * w2 * (w2 * (-s * c1 + c * c2) - 2 * (c * c1d + s * c2d))
-    f[1] = 0.5 * L1 * L2 * M2 * w1**2 * s + RHO * L1 * w1**2 * (s * c1 - c * c2)
-    f[1] -= 2 * RHO * w2 * (C12 @ qd) + 2 * w2 * (qd @ Mq @ q) + RHO * (qd @ BQ @ qd)
-    f[3:] = w2**2 * (Mq @ q) + RHO * (w2**2 * C12 + L1 * w1**2 * (c * C1 + s * C2) + 2 * w2 * (BQ @ qd))
+    f[0] = -0.5 * L1 * L2 * m2 * w2**2 * s + rho * L1 * w2 * (w2 * (-s * c1 + c * c2) - 2 * (c * c1d + s * c2d))
+    f[1] = 0.5 * L1 * L2 * m2 * w1**2 * s + rho * L1 * w1**2 * (s * c1 - c * c2)
+    f[1] -= 2 * rho * w2 * (C12 @ qd) + 2 * w2 * (qd @ Mq @ q) + rho * (qd @ BQ @ qd)
+    f[3:] = w2**2 * (Mq @ q) + rho * (w2**2 * C12 + L1 * w1**2 * (c * C1 + s * C2) + 2 * w2 * (BQ @ qd))
     f[3:] -= rod.stiffness @ q + rod.damping @ qd
     if rod.nonlinear:
-        kappa, beta, d = E * B * H * PI**2 / (2 * L2**2), 80 / (9 * PI**2), 2 * q[3] - 4 * q[2]
+        kappa, beta, d = E * B * rod.height * PI**2 / (2 * L2**2), 80 / (9 * PI**2), 2 * q[3] - 4 * q[2]
         f[3] -= kappa * (q[0] * q[3] - beta * q[1] * d)
         f[4] -= kappa * (4 * q[1] * q[3] - beta * q[0] * d)
         f[5] -= 4 * kappa * beta * q[0] * q[1]
@@ -92,12 +109,20 @@ def forces(rod: Rod, y: np.ndarray, v: np.ndarray) -> np.ndarray:
     return f
 
 
-def constraints(y: np.ndarray, t: float) -> np.ndarray:
-    """Rod end on the slide, slider at the rod end, crank angle = OMEGA t."""
+Motion = Callable[[float], tuple[float, float, float]]
+
+
+def steady(t: float) -> tuple[float, float, float]:
+    """Crank angle OMEGA t (rad) and its first and second rate."""
+    return OMEGA * t, OMEGA, 0.0
+
+
+def constraints(y: np.ndarray, t: float, motion: Motion = steady) -> np.ndarray:
+    """Rod end on the slide, slider at the rod end, crank angle as prescribed."""
     reach = L2 + y[6]
     across = L1 * np.sin(y[0]) + reach * np.sin(y[1])
     along = y[2] - L1 * np.cos(y[0]) - reach * np.cos(y[1])
-    return np.array([across, along, y[0] - OMEGA * t])
+    return np.array([across, along, y[0] - motion(t)[0]])
 
 
 def jacobian(y: np.ndarray, t: float) -> np.ndarray:
@@ -110,23 +135,23 @@ def jacobian(y: np.ndarray, t: float) -> np.ndarray:
     return G
 
 
-def gamma(y: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
+def gamma(y: np.ndarray, v: np.ndarray, t: float, motion: Motion = steady) -> np.ndarray:
     """The part of g'' without y'', (3,)."""
     reach, (s1, c1), (s2, c2) = L2 + y[6], (np.sin(y[0]), np.cos(y[0])), (np.sin(y[1]), np.cos(y[1]))
     across = -L1 * s1 * v[0] ** 2 - reach * s2 * v[1] ** 2 + 2 * v[6] * c2 * v[1]
     along = L1 * c1 * v[0] ** 2 + reach * c2 * v[1] ** 2 + 2 * v[6] * s2 * v[1]
-    return np.array([across, along, 0.0])
+    return np.array([across, along, -motion(t)[2]])
 
 
-def crank(rod: Rod, start: np.ndarray) -> fmbd.CoordinateBody:
-    """The mechanism; ``start`` holds the seven coordinates and their rates."""
+def crank(rod: Rod, start: np.ndarray, motion: Motion = steady) -> fmbd.CoordinateBody:
+    """The mechanism; ``start`` holds the seven coordinates and their rates, ``motion`` drives the crank."""
     return fmbd.CoordinateBody(
         "crank",
         lambda y: mass_matrix(rod, y),
         lambda y, v, t: forces(rod, y, v),
         start[:7],
         start[7:14],
-        constraints,
+        lambda y, t: constraints(y, t, motion),
         jacobian,
-        gamma,
+        lambda y, v, t: gamma(y, v, t, motion),
     )

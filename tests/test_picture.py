@@ -46,6 +46,17 @@ def swing(rod_mesh, snapshots=3):
     return fmbd.solve(scene, t_end=0.4, dt=0.02, output=fmbd.Output(snapshots=snapshots))
 
 
+def test_drives_have_no_place_of_their_own():
+    """A coupling acts on a joint's coordinate: what is drawn is the joint."""
+    bob = fmbd.RigidBody("bob", 1.0, 0.1, position=(1.0, 0))
+    pin = fmbd.revolute("pin", fmbd.ground, bob, center=(0, 0))
+    scene = fmbd.Scene("driven")
+    scene.add(bob, pin, fmbd.drive("drive", fmbd.angle(pin), lambda t: t))
+    run = fmbd.solve(scene, t_end=0.1, dt=0.05)
+    found = moment(run, run.state)
+    assert len(found.bars) == 1 and len(found.joints) == 2 and not found.joints.any()
+
+
 @pytest.mark.smoke
 @pytest.mark.mpi
 def test_nodes_are_placed_where_the_sensors_say(rod_mesh):

@@ -146,7 +146,8 @@ def moment(run: Run, state: State) -> Moment:
             comm = part.field.comm
             parts = comm.gather(found)
             nodes.append(_in_space(np.concatenate(parts) if parts is not None else found))
-    ends = sorted({int(i) for batch, _ in s.batches for i in (*batch.a, *batch.b)})
+    pairs = [batch for batch, _ in s.batches if hasattr(batch, "a")]  # couplings act on joints drawn anyway
+    ends = sorted({int(i) for batch in pairs for i in (*batch.a, *batch.b)})
     meshed = {part.frame for part in s.parts if hasattr(part, "field")}
     rigid = [f for f in range(s.n_frames) if f not in meshed]
     bars = [[ev.pose[f, : s.motions.dim], ev.kin.x[i]] for i in ends for f in [int(s.markers.frame[i])] if f in rigid]
