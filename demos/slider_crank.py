@@ -1,20 +1,26 @@
 """Slider crank with an elastic connecting rod: the problem of the IVP test set, solved in its GGL form.
 
-Run:  ./with-dolfinx python3 demos/slider_crank.py [--fast] [--json FILE] [--picture FILE]
+Run:  ./with-dolfinx python3 demos/slider_crank.py [--rod modes | elements] [--fast] [--json FILE] [--picture FILE]
 
 Seven coordinates (demos/crank_model.py), three constraints, the crank driven at 150 rad/s, 0.1 s. The rod's axial mass is the one
 that the test set prints; --fast ends at 0.01 s. References: modal frequencies recomputed from the printed matrices; the
 state at 0.1 s of the test set's revision of 2006; at 0.01 s an own run without constraints (order 8, 1e-13).
+--rod elements: the same crank with a rod of finite elements, demos/slider_crank_fe.py.
 """
+
+import sys
 
 import crank_model as model
 import numpy as np
+import slider_crank_fe
 from scipy.linalg import eigh
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.faces.demo import Check, arguments, finish, say
 
-args = arguments(__doc__)
+args = arguments(__doc__, {"--rod": ("modes", "elements"), **slider_crank_fe.OWN})
+if args.rod == "elements":
+    sys.exit(slider_crank_fe.main(args))
 t_end, rtol = (0.01, 1e-6) if args.fast else (0.1, 1e-8)
 START = np.zeros(14)
 START[[2, 5, 6]] = 0.450016933, 1.03339863e-05, 1.69327969e-05
