@@ -120,7 +120,7 @@ def test_midpoint_is_of_second_order_before_the_impact() -> None:
 
 
 # -- two bodies ----------------------------------------------------------------------------------------------
-def patch(dim: int, cells: tuple[int, int]) -> np.ndarray:
+def patch(dim: int, cells: tuple[int, int], degree: int = 1) -> np.ndarray:
     """Pressure between two blocks with different meshes under a uniform pressure of 10."""
     size, lift = ((1.0, 0.5), (0.0, 0.5)) if dim == 2 else ((1.0, 1.0, 0.5), (0.0, 0.0, 0.5))
     low_name, high_name = ("bottom", "top") if dim == 2 else ("back", "front")
@@ -129,7 +129,9 @@ def patch(dim: int, cells: tuple[int, int]) -> np.ndarray:
     for name, n, origin in (("low", cells[0], (0.0,) * dim), ("high", cells[1], lift)):
         mesh = fmbd.read_gmsh(BLOCK, size=size, cells=n, origin=origin)
         bodies.append(
-            fmbd.AbsoluteBody(name, mesh, degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1000.0, 0.3))
+            fmbd.AbsoluteBody(
+                name, mesh, degree=degree, density=1.0, elastic=fmbd.materials.linear_elastic(1000.0, 0.3)
+            )
         )
     low, high = bodies
     scene = fmbd.Scene("patch")
@@ -149,8 +151,11 @@ def test_patch_in_the_plane(cells: tuple[int, int]) -> None:
 
 
 @pytest.mark.mpi
-def test_patch_in_space() -> None:
-    assert patch(3, (2, 3)) == pytest.approx(10.0, rel=1e-10)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_patch_in_space(degree: int) -> None:
+    pressure = patch(3, (2, 3), degree)
+    assert len(pressure) == 16  # a multiplier for each vertex of the finer side
+    assert pressure == pytest.approx(10.0, rel=1e-10)
 
 
 def test_finer_side_becomes_the_slave() -> None:

@@ -21,6 +21,7 @@ Gauss-Seidel sweeps as the fall-back.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -45,30 +46,72 @@ class ContactCounts:
 
 def solve_normal(W: Array, q: Array, start: np.ndarray, counts: ContactCounts) -> Array:
     """L of (1), from the active set ``start`` (m,) bool."""
-    m = len(q)
-    c = 1.0 / np.maximum(np.diag(W), 1e-300)
-    active, seen = start.copy(), set()
-    L: Array = np.zeros(m)
-    for k in range(1, 2 * m + 20):
-        counts.most = max(counts.most, k)
-        L = np.zeros(m)
+    return active_set(_Dense(W, q), start, counts)
+
+
+class _Dense:
+    """(1) with the matrix W stored."""
+
+    noise = 1e-14
+
+    def __init__(self, W: Array, q: Array) -> None:
+        self.W, self.q, self.m = W, q, len(q)
+        self.c = 1.0 / np.maximum(np.diag(W), 1e-300)
+        self.L: Array = np.zeros(self.m)
+
+    @property
+    def size(self) -> float:
+        """Scale of the forces."""
+        return float(np.abs(self.L).max(initial=0.0) + np.abs(self.c * self.q).max(initial=0.0))
+
+    def trial(self, active: np.ndarray) -> tuple[Array, Array]:
+        """Forces that close the gaps of ``active``, and all gaps."""
+        self.L = np.zeros(self.m)
         if active.any():
-            L[active] = _solve(W[np.ix_(active, active)], -q[active])
-        g = q + W @ L
-        g[active] = 0.0
+            self.L[active] = _solve(self.W[np.ix_(active, active)], -self.q[active])
+        return self.L, np.where(active, 0.0, self.gap(self.L))
+
+    def sharpen(self) -> bool:
+        """A trial is exact: nothing to improve."""
+        return False
+
+    def pivot(self) -> Array:
+        """L by pivoting, where the iteration cycles."""
+        return _least_index(self.W, self.q)
+
+    def gap(self, L: Array) -> Array:
+        """Gaps under forces L."""
+        return np.asarray(self.q + self.W @ L)
+
+
+def active_set(problem: Any, start: np.ndarray, counts: ContactCounts) -> Array:
+    """L of (1) by the primal-dual active set, from ``start`` (m,) bool.
+
+    ``problem`` gives ``trial(active)``, forces that close these gaps, and says by ``sharpen`` whether they were rough: the set
+    is first found with rough forces, where that is cheaper.
+    """
+    active, c = start.copy(), problem.c
+    seen: set[bytes] = set()
+    L: Array = np.zeros(problem.m)
+    for k in range(1, 2 * problem.m + 20):
+        counts.most = max(counts.most, k)
+        L, g = problem.trial(active)
         fresh = L - c * g > 0
         # a point that just touches without force stays as it is: roundoff must not toggle it
-        tiny = 1e-14 * (np.abs(L).max(initial=0.0) + np.abs(c * q).max(initial=0.0))
-        fresh = np.where(np.abs(L - c * g) <= tiny, active, fresh)
+        fresh = np.where(np.abs(L - c * g) <= problem.noise * problem.size, active, fresh)
         changed = int((fresh != active).sum())
         counts.iterations += 1
         if changed == 0:
+            if problem.sharpen():
+                continue
             break
         counts.changes += changed
         key = fresh.tobytes()
-        if key in seen:
+        if key in seen and problem.sharpen():
+            seen.clear()
+        elif key in seen:
             counts.cycles += 1
-            L = _least_index(W, q)
+            L = problem.pivot()
             break
         seen.add(key)
         active = fresh
@@ -76,8 +119,7 @@ def solve_normal(W: Array, q: Array, start: np.ndarray, counts: ContactCounts) -
     L = np.maximum(L, 0.0)
     scale = np.abs(L).max(initial=0.0)
     if scale > 0:
-        g = q + W @ L
-        counts.residual = max(counts.residual, float(np.abs(np.minimum(L, c * g)).max() / scale))
+        counts.residual = max(counts.residual, float(np.abs(np.minimum(L, c * problem.gap(L))).max() / scale))
     return L
 
 

@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..mechanics.contact_rows import ContactSet, Linear
+from ..mechanics.contact_rows import ContactSet, Linear, Rows
 from ..rotations import Array
+from .delassus_applied import MANY, Applied, SlaveBlocks
 from .schur import StepSolver
 
 CHUNK = 64  # columns solved together
@@ -36,6 +37,13 @@ class Compliance:
         self._kept: dict[int, tuple[Any, Array, np.ndarray]] = {}  # trace -> factor, C_s, known columns
         self._surface: dict[int, tuple[Any, Array]] = {}
         self.columns = 0
+        self.blocks = SlaveBlocks(solver, contacts)
+
+    def normal(self, rows: Rows, scale: float) -> Any:
+        """s W for the normal rows: a matrix, or an :class:`Applied` for many candidates on elastic surfaces."""
+        if len(rows.trace) > MANY and (rows.trace >= 0).all():
+            return Applied(self.blocks, rows.N, rows.trace, scale)
+        return scale * self.matrix(rows.N)
 
     def matrix(self, rows: Linear) -> Array:
         """W, (m, m), for the configuration the solver was last prepared for."""

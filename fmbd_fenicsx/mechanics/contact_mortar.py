@@ -1,23 +1,18 @@
-"""Contact of two elastic bodies with meshes that do not match: mortar rows with dual multipliers.
+"""Contact of two elastic bodies with meshes that do not match: mortar rows.
 
     D_ji = int psi_j phi_i,   M_jl = int psi_j (phi_l o pi),   w_j = sum_l M_jl
     (1)
     g_j = n_j . (sum_i D_ji x_i - sum_l M_jl x_l) / w_j
     (2)
 
-psi_j is the dual basis on the slave, pi goes to the master along the slave's normal, and both integrals run
-over the true
-intersections of facets (``traces.mortar``), so constant pressure passes to roundoff. n_j points from the master
-to the slave:
-minus the mean outward normal at the slave's node. Pairing, D, M and n are taken in the deformed
-configuration at the start of
-each step and kept during it (finite sliding), so the rows are linear in a step. A new pairing of curved
-surfaces finds closed
-points slightly overlapped (second order in the sliding of a step); pushing them out would do work from
-nothing, so the
-conserving rule asks for g >= min(g at its start, 0) instead and its energy argument holds; dissipative rules
-push out. Bodies whose bounding boxes stay apart cost
-the test of the boxes.
+psi_j is the dual basis on the slave (on quadratic triangles, where none exists, the hat functions of the vertices, a stable
+pair). pi goes to the master along the slave's normal, and both integrals run over the true intersections of facets
+(``traces.mortar``), so constant pressure passes to roundoff. n_j points from the master to the slave: minus the mean outward
+normal at the slave's node. Pairing, D, M and n are taken in the deformed configuration at the start of each step and kept
+during it (finite sliding), so the rows are linear in a step. A new pairing of curved surfaces finds closed points slightly
+overlapped (second order in the sliding of a step); pushing them out would do work from nothing, so the conserving rule asks
+for g >= min(g at its start, 0) instead and its energy argument holds; dissipative rules push out. Bodies whose bounding boxes
+stay apart cost the test of the boxes.
 
 Source: Puso and Laursen, doi:10.1016/j.cma.2003.10.010; Huber and Wohlmuth, doi:10.1007/s00791-008-0082-4.
 """
@@ -31,8 +26,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..rotations import Array
-from ..traces.mortar import overlap
-from ..traces.multipliers import Dual, Ends
+from ..traces.mortar import diameters, overlap
+from ..traces.multipliers import Continuous, Dual, Ends
 from ..traces.traces import Trace as Facets
 from ..traces.traces import scatter
 from .contact_rows import ContactSet, Linear, Rows, Side, Touch, tangents_of
@@ -43,9 +38,10 @@ COVERED = 0.05  # a multiplier with less than this share of its weight in the ov
 
 @dataclass
 class Pairing:
-    """(1), (2) of one step: rows S (m, slave nodes) and Q (m, master nodes), both divided by w; n (m, d);
-    ``on`` (m,) bool;
-    ``offset`` (m,) m: overlap at the start of the step that came from the new pairing, not pushed out again.
+    """(1), (2) of one step: rows S (m, slave nodes) and Q (m, master nodes), both divided by w; n (m, d); ``on`` (m,) bool.
+
+    ``offset`` (m,) m: overlap at the start of the step that came from the new pairing, not pushed out again. Candidates are in
+    the order of the trace.
     """
 
     slave: Any
@@ -75,10 +71,18 @@ class MortarPair:
     ) -> None:
         self.name, self.slave, self.master = name, sides[0], sides[1]
         self.friction, self.search, self.massless = law.friction, law.search, law.redistribute_mass
-        self.count = len(self.slave.surface.nodes)  # type: ignore[union-attr]
         self.facets = facets
         self.order = [_match(f, s, traces[s.trace]) for f, s in zip(facets, sides, strict=True)]
-        self.basis = Dual(Ends.KEPT).on(facets[0])
+        quadratic = facets[0].dim == 3 and facets[0].degree > 1
+        self.basis = (Continuous(1, Ends.KEPT) if quadratic else Dual(Ends.KEPT)).on(facets[0])
+        carriers = np.unique(facets[0].nodes[:, :3]) if quadratic else np.arange(facets[0].n)
+        row = np.argsort(
+            self.order[0][carriers]
+        )  # candidates are in the order of the trace, functions in that of the facets
+        self.functions = self.basis.basis[row]
+        self.candidates = carriers[row]  # the facets' numbers of the nodes with a multiplier
+        self.weight = np.asarray(self.basis.coupling().sum(axis=1)).ravel()[row]  # int psi_j at rest
+        self.count = len(carriers)
         self.thickness = float(np.ptp(facets[1].points, axis=0).max())
         self.pairing: Pairing | None = None
 
@@ -90,22 +94,22 @@ class MortarPair:
         )
         apart = float(np.linalg.norm(np.maximum(0.0, np.maximum(xs.min(0) - xm.max(0), xm.min(0) - xs.max(0)))))
         slave, master = _moved(self.facets[0], xs), _moved(self.facets[1], xm)
-        reach = max(reach, 0.5 * slave.h) if self.search is None else self.search
-        m, d = self.count, xs.shape[1]
+        size = diameters(slave)
+        sight = np.maximum(reach, 0.5 * size) if self.search is None else np.full(len(size), self.search)
+        m = self.count
         on: np.ndarray = np.zeros(m, dtype=bool)
-        normal = _nodal_normals(slave)
+        normal = _nodal_normals(slave)[self.candidates]
         S, Q = sp.csr_matrix((m, len(xs))), sp.csr_matrix((m, len(xm)))
-        if apart <= reach:
-            smallest = float(slave.sizes.min() if d == 2 else np.sqrt(slave.sizes.min()))
-            pair, own, other = overlap(slave, master, self.basis.degree, reach / smallest)
+        if apart <= sight.max():
+            pair, own, other = overlap(slave, master, self.basis.degree, sight)
             k = own.shape[1]
             if len(pair):
                 rows = pair[:, :1] * k + np.arange(k)
-                basis = self.basis.basis  # facet-wise coefficients of the dual functions do not depend on the shape
+                basis = self.functions  # facet-wise coefficients do not depend on the shape
                 D = basis @ scatter(own, rows, slave.nodes[pair[:, 0]], (len(slave.nodes) * k, len(xs)))
                 M = basis @ scatter(other, rows, master.nodes[pair[:, 1]], (len(slave.nodes) * k, len(xm)))
                 w = np.asarray(M.sum(axis=1)).ravel()
-                on = w > COVERED * np.asarray(np.abs(self.basis.coupling()).sum(axis=1)).ravel()
+                on = w > COVERED * self.weight
                 inverse = sp.diags(np.where(on, 1.0 / np.where(on, w, 1.0), 0.0))
                 S, Q = (inverse @ D).tocsr(), (inverse @ M).tocsr()
         overlap_now = (-normal * (S @ xs - Q @ xm)).sum(1)
@@ -118,33 +122,20 @@ class MortarPair:
         return self.pairing
 
     # -- rows ------------------------------------------------------------------------------------------------
-    def _back(self, values: Array) -> Array:
-        """From the facets' order of slave nodes to that of the candidates."""
-        out = np.empty_like(values)
-        out[self._candidate] = values
-        return out
-
-    @property
-    def _candidate(self) -> np.ndarray:
-        surface = self.slave.surface
-        assert surface is not None
-        return np.searchsorted(surface.nodes, self.order[0])
-
     def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Any) -> Touch:
         """Gaps of this pair; collective."""
         p = self._ready(contacts, system, at[1])
         xs, xm = nodes(self.slave.trace)[0][self.order[0]], nodes(self.master.trace)[0][self.order[1]]
         gap = (p.normal * (p.slave @ xs - p.master @ xm)).sum(1)
         gap = np.where(p.on, gap, np.inf)  # nothing opposite
-        return Touch(self._back(gap - p.offset), self._back(xs), self._back(p.normal), self._back(gap))
+        return Touch(gap - p.offset, xs[self.candidates], p.normal, gap)
 
     def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], nodes: Any) -> Rows:
         """Candidates of this pair; collective."""
         p = self._ready(contacts, system, at[1])
         touch = self.touch(contacts, system, at[:2], nodes)
-        sort = np.argsort(self._candidate)
-        S = _widen(p.slave[sort], self.order[0], contacts.traces[self.slave.trace].n)
-        Q = _widen(p.master[sort], self.order[1], contacts.traces[self.master.trace].n)
+        S = _widen(p.slave, self.order[0], contacts.traces[self.slave.trace].n)
+        Q = _widen(p.master, self.order[1], contacts.traces[self.master.trace].n)
 
         def linear(direction: Array) -> Linear:
             made = contacts.blank(self.count)
@@ -162,6 +153,7 @@ class MortarPair:
             restitution=0.0 * one,
             normal=touch.normal,
             drift=np.zeros((self.count, len(directions))),
+            trace=np.full(self.count, self.slave.trace),
         )
 
 

@@ -44,7 +44,8 @@ class Rows:
     """All candidates: gap (m,) m, normal rows, tangential rows, laws.
 
     ``normal`` (m, d): from the obstacle to the slave, world axes; ``drift`` (m, d - 1) m: tangential motion
-    of prescribed obstacles, over the step given by ``since``.
+    of prescribed obstacles, over the step given by ``since``; ``trace`` (m,): number of the trace that carries the multiplier, -1
+    for a rigid point.
     """
 
     gap: Array
@@ -54,6 +55,7 @@ class Rows:
     restitution: Array
     normal: Array
     drift: Array
+    trace: np.ndarray
 
     def take(self, rows: np.ndarray) -> Rows:
         """Some of the candidates."""
@@ -65,7 +67,7 @@ class Rows:
         )
 
 
-_PER_ROW = ("gap", "friction", "restitution", "normal", "drift")
+_PER_ROW = ("gap", "friction", "restitution", "normal", "drift", "trace")
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,11 @@ class Pair:
     def moving(self) -> bool:
         """Whether the obstacle moves as prescribed."""
         return self.carrier.motion is not None
+
+    @property
+    def weight(self) -> Array:
+        """Dual weights D of the candidates, 1 on rigid points, (m,)."""
+        return np.ones(self.count) if self.slave.surface is None else self.slave.surface.weights
 
     @property
     def count(self) -> int:
@@ -179,8 +186,8 @@ class ContactSet:
 
     @cached_property
     def weight(self) -> Array:
-        """Dual weights D of the candidates (1 on rigid points), (m,)."""
-        return np.concatenate([np.ones(p.count) if p.rigid else p.slave.surface.weights for p in self.pairs])
+        """Integrals of the multiplier functions of the candidates (1 on rigid points), (m,)."""
+        return np.concatenate([p.weight for p in self.pairs])
 
     @cached_property
     def pair(self) -> np.ndarray:
@@ -402,6 +409,7 @@ class ObstaclePair(Pair):
             restitution=self.restitution * one,
             normal=touch.normal,
             drift=drift,
+            trace=np.full(count, side.trace),
         )
 
 

@@ -22,14 +22,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..linear.complementarity import solve_normal
 from ..linear.schur import StepSolver, Weights
 from ..mechanics.contact_rows import Rows
 from ..rotations import Array
 from ..system.system import Evaluation, State, System
 from .contact_ledger import StepForces
 from .contact_midpoint import elastic_start
-from .contact_solve import Unilateral, openings
+from .contact_solve import Unilateral, normal_forces, openings
 from .contact_stepper import ContactStepper
 from .contact_steps import candidates
 from .generalized_alpha import GeneralizedAlpha
@@ -94,10 +93,11 @@ class Stepper(ContactStepper):
         closed = step.contact.force[:, 0] > 0
         if rows is None or not closed.any():
             return v
-        N = rows.take(closed).N
+        rows = rows.take(closed)
+        N = rows.N
         rate = self.contacts.gap_rate(self.system, self.state.t + step.h, step.ev.q, step.h)[step.near][closed]
         u = self.contacts.times(self.system, N, v) + rate
-        P = solve_normal(self.compliance.matrix(N), u, u < 0, self.ledger.counts)
+        P = normal_forces(self.compliance.normal(rows, 1.0), u, np.zeros(len(u)), self.ledger.counts)
         if not P.any():
             return v
         dv, _ = self.solver.solve(self.contacts.transposed(self.system, N, P), np.zeros(self.system.n_lam))

@@ -101,8 +101,8 @@ class Ledger:
         )  # fmt: skip
         return ContactState(state.t, state.q, state.v, state.a, state.lam, found)
 
-    def counters(self, columns: int) -> dict[str, float]:
-        """Statistics for the run's counters."""
+    def counters(self, columns: int, products: int = 0) -> dict[str, float]:
+        """Statistics for the run's counters; ``columns`` of the compliance solved, ``products`` with it."""
         n = self.counts
         return {
             "contact_steps": self.in_contact,
@@ -112,4 +112,5 @@ class Ledger:
             "cycles_broken": n.cycles,
             "complementarity_residual": n.residual,
             "compliance_columns": columns,
+            "compliance_products": products,
         }

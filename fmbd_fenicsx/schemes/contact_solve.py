@@ -33,7 +33,7 @@ class Unilateral:
         self.compliance, self.counts, self.force = compliance, counts, force
         self.solver, self.contacts = compliance.solver, compliance.contacts
         self.rows: Rows | None = None
-        self._W: Array | None = None
+        self._W: Any = None
         self._blocks: Any = None
 
     def increment(self, rows: Rows, u: Array, residuals: tuple[Array, Array], scale: float) -> tuple[Array, Array]:
@@ -48,17 +48,25 @@ class Unilateral:
         z, dl = solver.solve(-scale * r, -residuals[1])
         blocks = getattr(solver, "blocks", None)
         if self._W is None or blocks is not self._blocks:  # also after Newton asked for a new tangent
-            self._W, self._blocks = scale * self.compliance.matrix(L), blocks
-        W = self._W
-        q = (u.ravel() + contacts.times(system, L, z) - W @ self.force.ravel()).reshape(-1, d)
+            self._W = self.compliance.normal(rows, scale) if d == 1 else scale * self.compliance.matrix(L)
+            self._blocks = blocks
+        W, gap = self._W, u.ravel() + contacts.times(system, L, z)
         if d > 1:
+            q = (gap - W @ self.force.ravel()).reshape(-1, d)
             force = solve_friction(W, q, rows.friction, self.force, self.counts)
         else:
-            force = solve_normal(W, q[:, 0], self.force[:, 0] > 0, self.counts)[:, None]
+            force = normal_forces(W, gap, self.force[:, 0], self.counts)[:, None]
         change, self.force = force - self.force, force
         if not change.any():
             return z, dl
         return solver.solve(-scale * (r - contacts.transposed(system, L, change.ravel())), -residuals[1])
+
+
+def normal_forces(W: Any, gap: Array, force: Array, counts: ContactCounts) -> Array:
+    """Forces L complementary to gap + W (L - force); W as :meth:`Compliance.normal` gives it. Collective."""
+    if isinstance(W, np.ndarray):
+        return solve_normal(W, gap - W @ force, force > 0, counts)
+    return np.asarray(W.complementary(gap, force, counts))
 
 
 def openings(contacts: ContactSet, system: Any, rows: Rows, gap: Array, xi: Array) -> Array:

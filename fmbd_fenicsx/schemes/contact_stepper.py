@@ -24,4 +24,4 @@ class ContactStepper:
     @property
     def counters(self) -> dict[str, float]:
         """Statistics of contact for the run's counters."""
-        return self.ledger.counters(self.compliance.columns)
+        return self.ledger.counters(self.compliance.columns, self.compliance.blocks.products)

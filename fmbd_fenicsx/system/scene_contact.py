@@ -100,12 +100,6 @@ def _mortar_pair(c: Contact, slave: Side, known: tuple[list[Trace], dict[str, in
         trace_of(traces[s.trace].field.space, traces[s.trace].field.mesh, name)
         for s, name in ((slave, c.slave.name), (master, c.master.name))
     )
-    if facets[0].dim == 3 and facets[0].degree > 1:
-        raise InputError(
-            f'Contact "{c.name}": contact of two elastic bodies in space needs degree=1 on the slave '
-            f'"{c.slave.body.name}" (no dual '
-            "multipliers of degree 2 on triangles)."
-        )
     return MortarPair(c.name, (slave, master), (facets[0], facets[1]), traces, c)
 
 

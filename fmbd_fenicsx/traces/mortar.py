@@ -75,9 +75,10 @@ def mortar(
         )  # fmt: skip
     multipliers = space.on(slave)
     comm = slave.comm
-    pairs = _candidates(slave, master, tolerance)
+    sight = tolerance * diameters(slave)
+    pairs = _candidates(slave, master, sight)
     blocks = _integrate(
-        slave, master, pairs[comm.rank :: comm.size], multipliers.degree, (tolerance, -1.0 if facing else 1.0)
+        slave, master, pairs[comm.rank :: comm.size], multipliers.degree, (sight, -1.0 if facing else 1.0)
     )
     parts = comm.allgather(blocks)
     pair, own, other, overlap, gap = (np.concatenate([p[i] for p in parts]) for i in range(5))
@@ -105,23 +106,28 @@ def mortar(
     )
 
 
-def overlap(slave: Trace, master: Trace, degree: int, tolerance: float) -> tuple[np.ndarray, Array, Array]:
+def diameters(t: Trace) -> Array:
+    """Sizes of facets as lengths, m, (n,)."""
+    return np.sqrt(t.sizes) if t.dim == 3 else t.sizes
+
+
+def overlap(slave: Trace, master: Trace, degree: int, sight: Array) -> tuple[np.ndarray, Array, Array]:
     """Pairs of facets that overlap (n, 2), and their blocks int psi_a phi_b of the slave and of the master
     (n, k_p, k).
 
-    psi are the Lagrange functions of ``degree`` on the slave's facets; ``tolerance`` as in :func:`mortar`.
-    Collective; sorted.
+    psi are the Lagrange functions of ``degree`` on the slave's facets; ``sight`` (m, for each of these) is the largest
+    distance of facets that see each other. Collective; sorted.
     """
     comm = slave.comm
-    pairs = _candidates(slave, master, tolerance)
-    parts = comm.allgather(_integrate(slave, master, pairs[comm.rank :: comm.size], degree, (tolerance, -1.0))[:3])
+    pairs = _candidates(slave, master, sight)
+    parts = comm.allgather(_integrate(slave, master, pairs[comm.rank :: comm.size], degree, (sight, -1.0))[:3])
     pair, own, other = (np.concatenate([p[i] for p in parts]) for i in range(3))
     order = np.lexsort(pair.T[::-1])
     return pair[order], own[order], other[order]
 
 
-def _candidates(slave: Trace, master: Trace, tolerance: float) -> np.ndarray:
-    """Pairs of facets (n, 2) whose circumscribed balls meet."""
+def _candidates(slave: Trace, master: Trace, sight: Array) -> np.ndarray:
+    """Pairs of facets (n, 2) with points that may be ``sight`` apart: their circumscribed balls are no farther."""
     from scipy.spatial import cKDTree
 
     def balls(t: Trace) -> tuple[Array, Array]:
@@ -129,13 +135,11 @@ def _candidates(slave: Trace, master: Trace, tolerance: float) -> np.ndarray:
         return c, np.linalg.norm(t.corners - c[:, None], axis=2).max(axis=1)
 
     (cs, rs), (cm, rm) = balls(slave), balls(master)
-    reach = rs * (1 + 2 * tolerance) + rm.max() * (1 + 2 * tolerance)
-    hits = cKDTree(cm).query_ball_point(cs, reach)
-    pairs = np.array([(i, j) for i, found in enumerate(hits) for j in sorted(found)], dtype=np.int64).reshape(-1, 2)
-    if len(pairs) == 0:
-        return pairs
-    near = np.linalg.norm(cs[pairs[:, 0]] - cm[pairs[:, 1]], axis=1)
-    return np.asarray(pairs[near <= (rs[pairs[:, 0]] + rm[pairs[:, 1]]) * (1 + 2 * tolerance)])
+    hits = cKDTree(cm).query_ball_point(cs, (rs + sight) * (1 + 1e-9) + rm.max(), return_sorted=True)
+    counts = [len(found) for found in hits]
+    pairs = np.stack((np.repeat(np.arange(len(cs)), counts), np.concatenate([*hits, []])), axis=1).astype(np.int64)
+    apart = np.linalg.norm(cs[pairs[:, 0]] - cm[pairs[:, 1]], axis=1)
+    return np.asarray(pairs[apart <= ((rs + sight)[pairs[:, 0]] + rm[pairs[:, 1]]) * (1 + 1e-9)])
 
 
 def _distance(a: Trace, b: Trace) -> float:
@@ -146,9 +150,12 @@ def _distance(a: Trace, b: Trace) -> float:
 
 
 def _integrate(
-    slave: Trace, master: Trace, pairs: np.ndarray, degree: int, sight: tuple[float, float]
+    slave: Trace, master: Trace, pairs: np.ndarray, degree: int, sight: tuple[Array, float]
 ) -> tuple[np.ndarray, Array, Array, Array, Array]:
-    """Pairs that overlap, their blocks of D (n, k_p, k_s) and M (n, k_p, k_m), the overlaps, the gaps."""
+    """Pairs that overlap, their blocks of D (n, k_p, k_s) and M (n, k_p, k_m), the overlaps, the gaps.
+
+    ``sight``: largest distance for each slave facet, m, and the sign of the normals' product.
+    """
     m = slave.dim - 1
     cells, pair = _segments(slave, master, pairs) if m == 1 else _polygons(slave, master, pairs)
     q, w = quadrature(m, degree + max(slave.degree, master.degree))
@@ -161,8 +168,7 @@ def _integrate(
     f, g = pair[:, 0], pair[:, 1]
     X = np.einsum("nqa,nad->nqd", shape_functions(m, 1, x), slave.corners[f])
     y, distance = _onto(X, slave.normals[f], master.corners[g])
-    diameter = np.sqrt(slave.sizes[f]) if m == 2 else slave.sizes[f]
-    near = (np.abs(distance).max(axis=1, initial=0.0) <= sight[0] * diameter) & (size > TINY)
+    near = (np.abs(distance).max(axis=1, initial=0.0) <= sight[0][f]) & (size > TINY)
     near &= (slave.normals[f] * master.normals[g]).sum(1) * sight[1] > 0.5
     f, g, x, y, weight = f[near], g[near], x[near], y[near], (size * slave.sizes[f])[near]
     test = shape_functions(m, degree, x)

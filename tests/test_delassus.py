@@ -1,0 +1,125 @@
+"""The two ways to solve the contact problem of a step, columns and products, give the same motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.linear import delassus
+from fmbd_fenicsx.linear.complementarity import ContactCounts
+from fmbd_fenicsx.linear.delassus_applied import _Iterated
+
+ROOT = Path(__file__).resolve().parents[1]
+BLOCK = ROOT / "meshes/block.py"
+LINEAR = fmbd.materials.linear_elastic(100.0, 0.3)
+
+
+def neo_hookean(u: Any, dx: Any) -> Any:
+    from ufl import Identity, det, grad, inner, ln
+
+    mu, lmbda = fmbd.materials.lame(100.0, 0.3)
+    F = Identity(len(u)) + grad(u)
+    J = det(F)
+    return (mu / 2 * (inner(F, F) - len(u) - 2 * ln(J)) + lmbda / 2 * (J - 1) ** 2) * dx
+
+
+def tilted(kind: str, dim: int) -> Any:
+    """A spinning block close above a floor."""
+    size = (1.0, 0.5) if dim == 2 else (1.0, 1.0, 0.5)
+    mesh = fmbd.read_gmsh(BLOCK, size=size, cells=10 if dim == 2 else 5, origin=(0.0,) * dim)
+    speed = (0.0,) * (dim - 1) + (-0.5,)
+    spin = 0.3 if dim == 2 else (0.2, 0.3, 0.0)
+    make = fmbd.FloatingBody if kind == "floating" else fmbd.AbsoluteBody
+    law = {"energy": neo_hookean} if kind == "nonlinear" else {"elastic": LINEAR}
+    return make("block", mesh, degree=1, density=1.0, velocity=speed, angular_velocity=spin, **law)
+
+
+def on_a_plate(kind: str, dim: int) -> fmbd.Scene:
+    """The block falls on a plate, a rigid body that carries the obstacle."""
+    body, up = tilted(kind, dim), np.eye(dim)[-1]
+    inertia = 0.1 if dim == 2 else (0.1, 0.1, 0.1)
+    plate = fmbd.RigidBody("plate", 1.0, inertia, position=tuple(-0.06 * up))
+    box = fmbd.Obstacle("plate", fmbd.Box((3.0,) * (dim - 1) + (0.1,)), on=plate)
+    scene = fmbd.Scene("drop")
+    scene.add(body, plate, fmbd.contact("hit", body.surface("bottom" if dim == 2 else "back"), box))
+    return scene
+
+
+def on_a_block(kind: str, dim: int) -> fmbd.Scene:
+    """The block falls on another one."""
+    body = tilted(kind, dim)
+    low = fmbd.read_gmsh(BLOCK, size=(1.2,) * (dim - 1) + (0.3,), cells=4, origin=(-0.1,) * (dim - 1) + (-0.31,))
+    other = fmbd.AbsoluteBody("low", low, degree=1, density=1.0, elastic=LINEAR)
+    names = ("bottom", "top") if dim == 2 else ("back", "front")
+    scene = fmbd.Scene("drop")
+    scene.add(body, other, fmbd.contact("hit", body.surface(names[0]), other.surface(names[1])))
+    return scene
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("make", "kind", "dim", "scheme"),
+    [
+        (on_a_plate, "absolute", 2, fmbd.ContactMidpoint()),
+        (on_a_plate, "floating", 2, fmbd.ContactAlpha(0.8)),
+        (on_a_plate, "nonlinear", 2, fmbd.ContactMidpoint()),
+        (on_a_block, "absolute", 3, fmbd.ContactMidpoint()),
+    ],
+)
+def test_columns_and_products_give_the_same(
+    make: Any, kind: str, dim: int, scheme: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = []
+    for many in (10**6, 1):
+        monkeypatch.setattr(delassus, "MANY", many)
+        runs.append(fmbd.solve(make(kind, dim), t_end=0.1, dt=0.01, scheme=scheme))
+    few, many_ = runs
+    assert few.counters["compliance_columns"] > 0 and few.counters["compliance_products"] == 0
+    assert many_.counters["compliance_columns"] == 0 and many_.counters["compliance_products"] > 0
+    force = few.state.contact.normal_force
+    assert (force > 0).sum() > 1 or few.state.contact.impulse.any()
+    assert many_.state.q == pytest.approx(few.state.q, abs=1e-9 * few.system.length)
+    assert many_.state.contact.impulse == pytest.approx(
+        few.state.contact.impulse, abs=1e-8 * np.abs(few.state.contact.impulse).max()
+    )
+    assert many_.counters["complementarity_residual"] < 1e-10
+
+
+def test_failure_of_the_iteration_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(delassus, "MANY", 1)
+    monkeypatch.setattr("fmbd_fenicsx.linear.delassus_applied.LIMIT", 2)
+    with pytest.raises(ConvergenceError, match="closed points did not converge in 2 iterations"):
+        fmbd.solve(on_a_plate("absolute", 2), t_end=0.1, dt=0.01)
+
+
+class Stored:
+    """A matrix in the place of products."""
+
+    def __init__(self, W: np.ndarray) -> None:
+        import scipy.sparse as sp
+
+        self.W, self.inverse = W, sp.diags(1 / np.diag(W)).tocsr()
+
+    def __matmul__(self, f: np.ndarray) -> np.ndarray:
+        return np.asarray(self.W @ f)
+
+
+def test_random_problems_against_the_matrix() -> None:
+    from fmbd_fenicsx.linear.complementarity import active_set, solve_normal
+
+    rng = np.random.default_rng(5)
+    for m in (3, 12, 40):
+        x = rng.random((m, 2))
+        W = np.exp(-3 * np.linalg.norm(x[:, None] - x[None], axis=2))  # a smooth positive definite kernel
+        q = rng.standard_normal(m)
+        guess = np.maximum(rng.standard_normal(m), 0.0)
+        exact = solve_normal(W, q, q < 0, ContactCounts())
+        counts = ContactCounts()
+        found = active_set(_Iterated(Stored(W), q + W @ guess, guess), guess > 0, counts)
+        assert found == pytest.approx(exact, abs=1e-9 * np.abs(exact).max())
+        assert counts.residual < 1e-10
