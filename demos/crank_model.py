@@ -1,7 +1,8 @@
 """The slider crank with an elastic connecting rod of the IVP test set, as one body with its own equations.
 
 Coordinates (phi1, phi2, x3, q1, q2, q3, q4): crank and rod angle (rad), slider position (m), two lateral sine modes, axial
-displacement of the rod's middle and end (quadratic ansatz), m; all in the frame of the rod's undeformed axis.
+displacement of the rod's middle and end (quadratic ansatz), m; all in the frame of the rod's undeformed axis. The functions
+take one configuration, y (7,), or many side by side, y (7, k).
 
 Source: B. Simeon, "Modelling a flexible slider crank mechanism by a mixed system of DAEs and PDEs",
 Mathematical Modelling of Systems 2 (1996) 1-18, doi:10.1080/13873959608837026.
@@ -79,27 +80,31 @@ def mass_matrix(rod: Rod, y: np.ndarray) -> np.ndarray:
     """M(y), (7, 7)."""
     s, c, q, Mq = np.sin(y[0] - y[1]), np.cos(y[0] - y[1]), y[3:], rod.mass
     (m2, j2), rho = rod.inertia, rod.density
-    M = np.zeros((7, 7), dtype=y.dtype)
+    M = np.zeros((7, 7, *y.shape[1:]), dtype=y.dtype)
     M[0, 0] = J1 + m2 * L1**2
     M[0, 1] = M[1, 0] = 0.5 * L1 * L2 * m2 * c + rho * L1 * (s * (C2 @ q) + c * (C1 @ q))
-    M[1, 1], M[2, 2] = j2 + q @ Mq @ q + 2 * rho * (C12 @ q), M3
-    M[0, 3:] = M[3:, 0] = rho * L1 * (-s * C1 + c * C2)
-    M[1, 3:] = M[3:, 1] = rho * C21 + rho * (q @ BQ)
-    M[3:, 3:] = Mq
+    M[1, 1], M[2, 2] = j2 + (q * (Mq @ q)).sum(0) + 2 * rho * (C12 @ q), M3
+    M[0, 3:] = M[3:, 0] = rho * L1 * (np.multiply.outer(C2, c) - np.multiply.outer(C1, s))
+    M[1, 3:] = M[3:, 1] = rho * (_column(C21, y) + BQ.T @ q)
+    M[3:, 3:] = _column(Mq, y)
     return M
 
 
 def forces(rod: Rod, y: np.ndarray, v: np.ndarray) -> np.ndarray:
     """f(y, y'), (7,): velocity terms, elastic and damping forces."""
     s, c, q, w1, w2, qd = np.sin(y[0] - y[1]), np.cos(y[0] - y[1]), y[3:], v[0], v[1], v[3:]
-    c1, c2, c1d, c2d, Mq = C1 @ q, C2 @ q, C1 @ qd, C2 @ qd, rod.mass
     m2, rho = rod.inertia[0], rod.density
-    f = np.zeros(7, dtype=np.result_type(y, v))
-    f[0] = -0.5 * L1 * L2 * m2 * w2**2 * s + rho * L1 * w2 * (w2 * (-s * c1 + c * c2) - 2 * (c * c1d + s * c2d))
+    c1, c2, c1d, c2d, Mq = C1 @ q, C2 @ q, C1 @ qd, C2 @ qd, rod.mass @ q
+    spin, Bqd = w2**2, BQ @ qd
+    f = np.zeros(y.shape, dtype=np.result_type(y, v))
+    f[0] = -0.5 * L1 * L2 * m2 * spin * s + rho * L1 * w2 * (w2 * (-s * c1 + c * c2) - 2 * (c * c1d + s * c2d))
     f[1] = 0.5 * L1 * L2 * m2 * w1**2 * s + rho * L1 * w1**2 * (s * c1 - c * c2)
-    f[1] -= 2 * rho * w2 * (C12 @ qd) + 2 * w2 * (qd @ Mq @ q) + rho * (qd @ BQ @ qd)
-    f[3:] = w2**2 * (Mq @ q) + rho * (w2**2 * C12 + L1 * w1**2 * (c * C1 + s * C2) + 2 * w2 * (BQ @ qd))
-    f[3:] -= rod.stiffness @ q + rod.damping @ qd
+    f[1] -= 2 * rho * w2 * (C12 @ qd) + 2 * w2 * (qd * Mq).sum(0) + rho * (qd * Bqd).sum(0)
+    push = np.multiply.outer(C1, c) + np.multiply.outer(C2, s)
+    f[3:] = spin * Mq + rho * (np.multiply.outer(C12, spin) + L1 * w1**2 * push + 2 * w2 * Bqd)
+    f[3:] -= rod.stiffness @ q
+    if rod.damped:
+        f[3:] -= rod.damping @ qd
     if rod.nonlinear:
         kappa, beta, d = E * B * rod.height * PI**2 / (2 * L2**2), 80 / (9 * PI**2), 2 * q[3] - 4 * q[2]
         f[3] -= kappa * (q[0] * q[3] - beta * q[1] * d)
@@ -117,22 +122,38 @@ def steady(t: float) -> tuple[float, float, float]:
     return OMEGA * t, OMEGA, 0.0
 
 
+def _driven(motion: Motion, t: float) -> np.ndarray:
+    """Angle and rates at one time, (3,), or at many, (3, k)."""
+    return np.array(motion(t) if np.ndim(t) == 0 else np.transpose([motion(x) for x in t]))
+
+
+def _column(A: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A constant with a last axis for each configuration in y."""
+    return A.reshape(*A.shape, *(1,) * (y.ndim - 1))
+
+
 def constraints(y: np.ndarray, t: float, motion: Motion = steady) -> np.ndarray:
     """Rod end on the slide, slider at the rod end, crank angle as prescribed."""
     reach = L2 + y[6]
     across = L1 * np.sin(y[0]) + reach * np.sin(y[1])
     along = y[2] - L1 * np.cos(y[0]) - reach * np.cos(y[1])
-    return np.array([across, along, y[0] - motion(t)[0]])
+    return np.array([across, along, y[0] - _driven(motion, t)[0]])
 
 
 def jacobian(y: np.ndarray, t: float) -> np.ndarray:
     """dg/dy, (3, 7)."""
-    reach = L2 + y[6]
-    G = np.zeros((3, 7))
-    G[0, [0, 1, 6]] = L1 * np.cos(y[0]), reach * np.cos(y[1]), np.sin(y[1])
-    G[1, [0, 1, 2, 6]] = L1 * np.sin(y[0]), reach * np.sin(y[1]), 1.0, -np.cos(y[1])
+    reach, (s1, c1), (s2, c2) = L2 + y[6], (np.sin(y[0]), np.cos(y[0])), (np.sin(y[1]), np.cos(y[1]))
+    G = np.zeros((3, 7, *y.shape[1:]))
+    G[0, 0], G[0, 1], G[0, 6] = L1 * c1, reach * c2, s2
+    G[1, 0], G[1, 1], G[1, 2], G[1, 6] = L1 * s1, reach * s2, 1.0, -c2
     G[2, 0] = 1.0
     return G
+
+
+def rate(y: np.ndarray, t: float, motion: Motion = steady) -> np.ndarray:
+    """dg/dt, (3,)."""
+    zero = 0.0 * y[0]
+    return np.array([zero, zero, zero - _driven(motion, t)[1]])
 
 
 def gamma(y: np.ndarray, v: np.ndarray, t: float, motion: Motion = steady) -> np.ndarray:
@@ -140,7 +161,7 @@ def gamma(y: np.ndarray, v: np.ndarray, t: float, motion: Motion = steady) -> np
     reach, (s1, c1), (s2, c2) = L2 + y[6], (np.sin(y[0]), np.cos(y[0])), (np.sin(y[1]), np.cos(y[1]))
     across = -L1 * s1 * v[0] ** 2 - reach * s2 * v[1] ** 2 + 2 * v[6] * c2 * v[1]
     along = L1 * c1 * v[0] ** 2 + reach * c2 * v[1] ** 2 + 2 * v[6] * s2 * v[1]
-    return np.array([across, along, -motion(t)[2]])
+    return np.array([across, along, 0.0 * across - _driven(motion, t)[2]])
 
 
 def crank(rod: Rod, start: np.ndarray, motion: Motion = steady) -> fmbd.CoordinateBody:
@@ -154,4 +175,6 @@ def crank(rod: Rod, start: np.ndarray, motion: Motion = steady) -> fmbd.Coordina
         lambda y, t: constraints(y, t, motion),
         jacobian,
         lambda y, v, t: gamma(y, v, t, motion),
+        rate=lambda y, t: rate(y, t, motion),
+        vectorized=True,
     )

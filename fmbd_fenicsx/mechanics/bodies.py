@@ -326,7 +326,11 @@ class CoordinateBody:
         constraint: g(q, t) -> (m,), or None.
         jacobian, gamma: dg/dq (q, t) -> (m, n), and the part of g'' without q'' (q, v, t) -> (m,); by complex-step
             differences where missing.
+        rate: dg/dt at fixed q, (q, t) -> (m,); by a complex step where missing.
+        force_jacobian: (df/dq, df/dq') (q, v, t) -> two (n, n); by complex-step differences where missing.
         potential: q -> J, for the energy balance; None counts as zero.
+        vectorized: mass, force, constraint, jacobian, gamma and rate also take many configurations in one call, with arrays
+            that have one more, last axis: q (n, k), t (k,) -> f (n, k), M (n, n, k), dg/dq (m, n, k). Several times faster.
     """
 
     name: str
@@ -338,6 +342,9 @@ class CoordinateBody:
     jacobian: Callable[[Array, float], Array] | None = None
     gamma: Callable[[Array, Array, float], Array] | None = None
     potential: Callable[[Array], float] | None = None
+    rate: Callable[[Array, float], Array] | None = None
+    force_jacobian: Callable[[Array, Array, float], tuple[Any, Any]] | None = None
+    vectorized: bool = False
     dim: int | None = None  # fits scenes of any dimension
 
     def __post_init__(self) -> None:

@@ -19,7 +19,9 @@ on the first marker: a row of ``Coincident`` has force +lambda n on a, -lambda n
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +33,11 @@ Motion = Callable[[float], tuple[float, float, float]]
 
 
 Sides = Sequence[tuple[np.ndarray, np.ndarray, Array]]
+
+
+def time_of(t: Any, i: int, n: int) -> float:
+    """Time of item i of n: t itself, or that of its copy where t holds the times of equally large copies."""
+    return t if np.ndim(t) == 0 else float(t[i * len(t) // n])
 
 
 def standstill(t: float) -> tuple[float, float, float]:
@@ -65,11 +72,23 @@ class Batch:
         self.driven = [(i, p.motion) for i, p in enumerate(pairs) if p.motion is not standstill]
         self.axis = np.array([p.direction if p.axis is None else p.axis for p in pairs], dtype=float)
 
-    def offsets(self, t: float) -> Array:
+    def repeated(self, k: int, markers: int) -> Batch | None:
+        """These constraints k times, copy c on the markers numbered ``c markers`` higher; None where only one copy at a time
+        can be evaluated. Times of the result are then one for all copies, or (k,).
+        """
+        out, m = copy(self), len(self.a)
+        shift = markers * np.repeat(np.arange(k), m)
+        out.a, out.b = np.tile(self.a, k) + shift, np.tile(self.b, k) + shift
+        out.e, out.f, out.axis = (np.tile(x, (k, 1)) for x in (self.e, self.f, self.axis))
+        out.length = np.tile(self.length, k)
+        out.driven = [(i + c * m, motion) for c in range(k) for i, motion in self.driven]
+        return out
+
+    def offsets(self, t: Any) -> Array:
         """(3, m) array of s, s', s''."""
         s = np.zeros((3, len(self.a)))
         for i, motion in self.driven:
-            s[:, i] = motion(t)
+            s[:, i] = motion(time_of(t, i, len(self.a)))
         return s
 
     def values(self, kin: Kinematics, t: float) -> Array:

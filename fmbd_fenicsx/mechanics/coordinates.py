@@ -3,7 +3,8 @@
     M(q) q'' = f(q, q', t) - G^T lambda,     0 = g(q, t)                                                       (1)
 
 Missing Jacobians are taken from complex-step differences, exact to roundoff, when the user's functions accept complex
-numbers (NumPy functions do), else from central differences.
+numbers (NumPy functions do), else from central differences. Functions declared as ``vectorized`` take many configurations in
+one call, as in SciPy: arrays get a last axis, q (n, k), t (k,), and so do the results, f (n, k), M and dg/dq (m, n, k).
 """
 
 from __future__ import annotations
@@ -57,9 +58,10 @@ def differences(function: Callable[[Any], Any], x: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PortConstraint:
-    """g(p, t) = 0 on the ports p of one part; ``jacobian`` and ``gamma`` from differences unless given.
+    """g(p, t) = 0 on the ports p of one part; ``jacobian``, ``gamma`` and ``rate`` from differences unless given.
 
-    function(p, t) -> (m,); jacobian_(p, t) -> (m, n); gamma_(p, p', t) -> (m,), the part of g'' without p''.
+    function(p, t) -> (m,); jacobian_(p, t) -> (m, n); gamma_(p, p', t) -> (m,), the part of g'' without p''; rate_(p, t) ->
+    (m,), dg/dt at fixed p. ``vectorized``: they take many p at once, see the module.
     """
 
     name: str
@@ -67,6 +69,23 @@ class PortConstraint:
     function: Callable[[Any, float], Any]
     jacobian_: Callable[[Array, float], Array] | None = None
     gamma_: Callable[[Array, Array, float], Array] | None = None
+    rate_: Callable[[Array, float], Array] | None = None
+    vectorized: bool = False
+
+    def many(self, what: str, t: Array, *arrays: Array) -> Array:
+        """``values``, ``jacobian``, ``rate`` or ``gamma`` of k configurations, arrays (k, n), t (k,): one call where possible."""
+        given: Any = {"values": self.function, "jacobian": self.jacobian_, "rate": self.rate_, "gamma": self.gamma_}[
+            what
+        ]
+        if self.vectorized and given is not None:
+            found = np.asarray(given(*(x.T for x in arrays), t), dtype=float)
+            return (
+                np.moveaxis(found, -1, 0)
+                if found.shape[-1:] == t.shape
+                else np.broadcast_to(found, (len(t), *found.shape))
+            )
+        one: Any = getattr(self, what)
+        return np.array([one(*(x[i] for x in arrays), float(t[i])) for i in range(len(t))])
 
     def values(self, p: Array, t: float) -> Array:
         """g, (m,)."""
@@ -80,6 +99,8 @@ class PortConstraint:
 
     def rate(self, p: Array, t: float) -> Array:
         """dg/dt at fixed p, (m,)."""
+        if self.rate_ is not None:
+            return np.asarray(self.rate_(p, t), dtype=float)
         return derivative(lambda s: self.function(p, s[0]), np.array([t]))[:, 0]
 
     def gamma(self, p: Array, pd: Array, t: float) -> Array:
@@ -101,6 +122,7 @@ class CoordinatePart:
     """Equations (1) as a part of a system: the ports are the coordinates themselves."""
 
     distributed = False
+    plain = True  # the ports are the coordinates
     n_frame_rows = 0
     comm = None
 
@@ -132,6 +154,28 @@ class CoordinatePart:
             )
         return np.zeros_like(motion.twist), self.mass(q) @ a - f
 
+    def force_many(self, t: Array, local: tuple[Array, ...]) -> Array:
+        """M q'' - f of k configurations: q, v, a (k, n), t (k,); one call of each function where the body is vectorized."""
+        q, v, a = local
+        body = self.body
+        if not body.vectorized:
+            f = np.array([body.force(x, y, float(now)) for x, y, now in zip(q, v, t, strict=True)], dtype=float)
+            if callable(body.mass):
+                inertia = np.array([self.mass(q[i]) @ a[i] for i in range(len(q))])
+            else:
+                inertia = a @ self.mass(q[0]).T
+        else:
+            f = np.asarray(body.force(q.T, v.T, t), dtype=float).T
+            M = np.asarray(body.mass(q.T) if callable(body.mass) else body.mass, dtype=float)
+            inertia = a @ M.T if M.ndim == 2 else np.einsum("ijk,kj->ki", M, a)
+        if f.shape != q.shape or not np.isfinite(f).all():
+            bad = 0 if f.shape != q.shape else int(np.argmin(np.isfinite(f).all(axis=1)))
+            raise CallbackError(
+                f'Body "{self.name}": force(q, v, t) returned {f[bad] if len(f) > bad else f!r} at t = {t[bad]:g} s, expected '
+                f"{self.n} finite numbers."
+            )
+        return inertia - f
+
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
         """M(q)."""
         n = len(motion.twist)
@@ -140,6 +184,9 @@ class CoordinatePart:
     def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
         """-df/dq and -df/dv."""
         q, v = local
+        if self.body.force_jacobian is not None:
+            K, C = self.body.force_jacobian(q, v, motion.t)
+            return -np.asarray(K, dtype=float), -np.asarray(C, dtype=float)
         K = -derivative(lambda z: self.body.force(z, v, motion.t), q)
         return K, -derivative(lambda z: self.body.force(q, z, motion.t), v)
 

@@ -72,6 +72,10 @@ class CouplingBatch(Batch):
         self.terms, self.size = terms, len(motions)
         self.driven = [(i, m) for i, m in enumerate(motions) if m is not None]
 
+    def repeated(self, k: int, markers: int) -> Batch | None:
+        """None: angles count their revolutions one configuration after another."""
+        return None
+
     def offsets(self, t: float) -> Array:
         """(3, m) array of s, s', s''."""
         s = np.zeros((3, self.size))
@@ -114,6 +118,10 @@ class OwnBatch(Batch):
         self.markers = np.array(markers)
         self.driven: list[tuple[int, Motion]] = []
         self.by_differences: bool | None = None  # decided at the first derivative
+
+    def repeated(self, k: int, markers: int) -> Batch | None:
+        """None: a function of the user's own."""
+        return None
 
     def _checked(self, value: Any, t: float) -> Any:
         found = np.atleast_1d(np.asarray(value))

@@ -10,6 +10,7 @@ serve as Newton tangents only. User functions are checked on every call; an erro
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 
 from ..errors import CallbackError, InputError
 from ..rotations import Array, Motions
+from .constraints import time_of
 from .frames import Kinematics
 from .relative import Relative, Separation
 
@@ -59,6 +61,12 @@ class Loads:
         self.a = np.array([a for a, _ in markers])
         self.b = np.array([b for _, b in markers])
 
+    def repeated(self, k: int, markers: int) -> Loads | None:
+        """These forces k times, copy c on the markers numbered ``c markers`` higher; None where only one copy at a time can be
+        evaluated.
+        """
+        return None
+
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Wrenches (force, torque) in world axes on markers a and b, each (m, d + n_rot)."""
         raise NotImplementedError
@@ -100,6 +108,17 @@ class ScalarLoads(Loads):
         self.free = np.array([f.length for f in forces], dtype=float)
         self.own = [(i, f) for i, f in enumerate(forces) if f.law is not None]
 
+    def repeated(self, k: int, markers: int) -> Loads | None:
+        """All copies as arrays; laws of the user's own one by one; none for angles, which count their revolutions."""
+        relative = self.relative.repeated(k, markers)
+        if relative is None:
+            return None
+        out, m = copy(self), len(self.forces)
+        out.relative, out.forces, out.a, out.b = relative, self.forces * k, relative.a, relative.b
+        out.k, out.c, out.free = (np.tile(x, k) for x in (self.k, self.c, self.free))
+        out.own = [(i + c * m, f) for c in range(k) for i, f in self.own]
+        return out
+
     def _state(self, kin: Kinematics) -> tuple[Array, Array, Array, Array]:
         assert kin.twist is not None
         s = self.relative.values(kin)
@@ -113,7 +132,8 @@ class ScalarLoads(Loads):
     def _effort(self, s: Array, rate: Array, t: float) -> Array:
         N = self.k * s + self.c * rate
         for i, f in self.own:
-            N[i] = checked(f.name, f.law(s[i], rate[i], t), 1, t)[0]
+            now = time_of(t, i, len(N))
+            N[i] = checked(f.name, f.law(s[i], rate[i], now), 1, now)[0]
         return N
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:

@@ -38,6 +38,11 @@ class Relative:
         self.motions, self.a, self.b = motions, np.asarray(a), np.asarray(b)
         self.e = np.asarray(e, dtype=float).reshape(len(self.a), motions.dim)
 
+    def repeated(self, k: int, markers: int) -> Relative | None:
+        """These coordinates k times, copy c on the markers numbered ``c markers`` higher."""
+        shift = markers * np.repeat(np.arange(k), len(self.a))
+        return type(self)(self.motions, np.tile(self.a, k) + shift, np.tile(self.b, k) + shift, np.tile(self.e, (k, 1)))
+
     def values(self, kin: Kinematics) -> Array:
         """s, (m,): m or rad."""
         raise NotImplementedError
@@ -146,6 +151,10 @@ class Turn(Relative):
         else:
             self.e1, self.e2 = np.tile([1.0, 0.0], (len(self.a), 1)), np.tile([0.0, 1.0], (len(self.a), 1))
         self.last: Array = np.zeros(len(self.a))
+
+    def repeated(self, k: int, markers: int) -> Relative | None:
+        """None: revolutions are counted along one motion."""
+        return None
 
     def _axes(self, kin: Kinematics) -> tuple[Array, Array, Array, Array]:
         Ra, Rb = kin.R[self.a], kin.R[self.b]

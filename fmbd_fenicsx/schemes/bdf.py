@@ -39,7 +39,7 @@ from .control import (
     first_step,
     lands,
 )
-from .dae import GGL, Form, Point, StepEquations
+from .dae import GGL, Form, Points, StepEquations
 from .newton import Newton
 from .radau import Radau
 from .start import accelerations, project
@@ -111,9 +111,9 @@ class Stepper:
     def _begin(self) -> None:
         """The past at the start: one value, and with constant steps those of a Radau run to come."""
         s = self.state
-        mult = np.zeros((self.eq.levels, self.system.n_lam))
+        mult = np.zeros(self.eq.levels * self.system.n_lam)
         if self.eq.levels:
-            mult[0] = s.lam
+            mult[: self.system.n_lam] = s.lam
         self.past = [_Past(s.t, s.q, s.v, mult)]
         self.eq.weigh(s)
         if not self.adaptive and self.scheme.order > 1:
@@ -200,14 +200,14 @@ class Stepper:
         before = self.system.compose(s.q, -h * s.v + 0.5 * h * h * s.a)
         self.past = [p, _Past(s.t - h, before, s.v - h * s.a, p.mult)]
 
-    def _accept(self, h: float, p: Point) -> State:
+    def _accept(self, h: float, p: Points) -> State:
         s = self.state
-        a = p.vd + self._tau if self.eq.levels > 2 else p.vd
-        lam = p.mult[0] if self.eq.levels else s.lam
-        self.state = State(s.t + h, self.system.compose(s.q, p.xi), p.v, a, lam)
+        lam = p.mult[0, : self.system.n_lam] if self.eq.levels else s.lam
+        a = self.eq.accelerations(p)[0]
+        self.state = State(s.t + h, self.system.compose(s.q, p.xi[0]), p.v[0], a, lam)
         if self.scheme.form.projected:
             self.state = project(self.system, self.state, self.solver)
-        self._remember(self.state, p.mult)
+        self._remember(self.state, p.mult[0])
         self.stats.steps += 1
         self._fresh = False
         if self._theta > 0.2:
@@ -221,10 +221,11 @@ class Stepper:
     def _local(self, count: int) -> tuple[Array, Array, Array]:
         """Times (count,), and past xi, v in the coordinates of the step, (count, n_v) each."""
         s, past = self.state, self.past[:count]
-        xi = np.array([np.zeros_like(s.v), *(self.system.difference(s.q, p.q) for p in past[1:])])
+        xi = np.array(self.system.difference(s.q, np.array([p.q for p in past])))
+        xi[0] = 0.0
         return np.array([p.t for p in past]), xi, np.array([p.v for p in past])
 
-    def _newton(self, h: float, k: int) -> Point | str:
+    def _newton(self, h: float, k: int) -> Points | str:
         try:
             return self._iterate(h, k)
         except (LinearSolveError, CallbackError) as error:
@@ -232,7 +233,7 @@ class Stepper:
                 raise
             return "linear solve failed" if isinstance(error, LinearSolveError) else "forces not finite"
 
-    def _iterate(self, h: float, k: int) -> Point | str:
+    def _iterate(self, h: float, k: int) -> Points | str:
         s, t = self.state, self.state.t + h
         times, xis, vs = self._local(max(k + 1, 2))
         c = _derivative(np.concatenate(([t], times[:k])), t)
@@ -241,25 +242,27 @@ class Stepper:
         xi, v = w @ xis[:n_pred], w @ vs[:n_pred]
         if len(times) == 1:
             xi, v = h * s.v + 0.5 * h * h * s.a, s.v + h * s.a
-        self._predicted = (xi, v)
         m = min(k, len(self.past), 3)
-        mult = np.tensordot(_weights(times[:m], t), np.array([p.mult for p in self.past[:m]]), axes=1)
+        mult = _weights(times[:m], t) @ np.array([p.mult for p in self.past[:m]])
         fixed_xi, fixed_v = c[1:] @ xis[:k], c[1:] @ vs[:k]
         self.eq.begin(s)
-        p = Point(xi, c[0] * xi + fixed_xi, v, c[0] * v + fixed_v, mult)
+        p = Points(*(x[None] for x in (xi, c[0] * xi + fixed_xi, v, c[0] * v + fixed_v, mult)))
         relax = self._prepare(t, p, c[0])
+        n, now = self.system.n_v, np.array([t])
         tolerance = (
             1.0 if not self.adaptive else max(10 * np.finfo(float).eps / self.norm.rtol, min(0.03, self.norm.rtol**0.5))
         )
         last = 0.0
         for i in range(self.newton.max_iterations):
-            kin, low, ev = self.eq.residual(t, p)
+            kin, low = self.eq.residual(now, p)
             if self._full and i > 0:
-                self._pencil = Pencil(self.eq.tangent_at(t, p), c[0], self.judge, self.solver.core.redundant)
+                tangent = self.eq.tangent_at(t, p.xi[0], p.v[0], p.vd[0], p.mult[0])
+                self._pencil = Pencil(tangent, c[:1], self.judge, self.solver.core.redundant)
                 self.stats.factorisations += 1
             assert self._pencil is not None
-            dxi, dv, dmult = (relax * x for x in self._pencil.solve(kin, low))
-            p = Point(p.xi + dxi, p.rate + c[0] * dxi, p.v + dv, p.vd + c[0] * dv, p.mult + dmult)
+            change, dmult = (relax * x for x in self._pencil.solve(kin, low))
+            dxi, dv = change[:, :n], change[:, n:]
+            p = Points(p.xi + dxi, p.rate + c[0] * dxi, p.v + dv, p.vd + c[0] * dv, p.mult + dmult)
             self.newton.iterations += 1
             self.stats.newton_iterations += 1
             size = self._size(h, dxi, dv, dmult)
@@ -278,31 +281,32 @@ class Stepper:
             if theta / (1 - min(theta, 0.95)) * size <= tolerance or size <= 1e-2 * tolerance:
                 if self._full and np.abs(p.xi - xi).max() > 2 * np.abs(xi).max():
                     return "Newton found another solution, far from the predicted one"
-                self._tau = self.eq.normals(ev) @ p.mult[2] if self.eq.levels > 2 else 0.0
                 return p
         return "Newton too slow"
 
-    def _prepare(self, t: float, p: Point, s: float) -> float:
+    def _prepare(self, t: float, p: Points, s: float) -> float:
         """Tangent and factor for the frequency s; returns the correction of increments for an old factor."""
         if self._tangent is None:
-            lam = p.mult[0] if self.eq.levels else self.state.lam
-            at = State(t, self.system.compose(self.eq.origin, p.xi), p.v, p.vd, lam)
+            lam = p.mult[0, : self.system.n_lam] if self.eq.levels else self.state.lam
+            at = State(t, self.system.compose(self.eq.origin, p.xi[0]), p.v[0], p.vd[0], lam)
             self._tangent, self._pencil, self._fresh = self.eq.refresh(at), None, True
-        old = None if self._pencil is None else self._pencil.s
+        old = None if self._pencil is None else float(self._pencil.s[0])
         if old is None or not 0.8 <= s / old <= 1.25 or (not self.adaptive and s != old):
-            self._pencil = Pencil(self._tangent, s, self.judge, self.solver.core.redundant)
+            self._pencil = Pencil(self._tangent, np.array([s]), self.judge, self.solver.core.redundant)
             self.stats.factorisations += 1
             return 1.0
         return 2.0 / (1.0 + s / old)
 
     def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
-        push = self.eq.U @ dmult[0] if self.eq.levels and self.scheme.form.index > 1 else None
+        push = None
+        if self.eq.levels and self.scheme.form.index > 1:
+            push = self.eq.U @ dmult[0, : self.system.n_lam]
         if self.adaptive:
-            return self.norm(h, dxi, dv, push)
-        return self.norm.constant(h, self.state, dxi, dv, push)
+            return self.norm(h, dxi[0], dv[0], push)
+        return self.norm.constant(h, self.state, dxi[0], dv[0], push)
 
     # -- error and order ----------------------------------------------------------------------------------------
-    def _error(self, h: float, p: Point, k: int) -> float:
+    def _error(self, h: float, p: Points, k: int) -> float:
         """Error of a step taken with order k if it had been taken with order ``k``."""
         times, xis, vs = self._local(k + 1)
         t = self.state.t + h
@@ -310,9 +314,9 @@ class Stepper:
             return np.inf
         w = _weights(times, t)
         share = h / (t - times[-1])
-        return self.norm(h, share * (p.xi - w @ xis), share * (p.v - w @ vs))
+        return self.norm(h, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
 
-    def _choose(self, h: float, p: Point, error: float) -> float:
+    def _choose(self, h: float, p: Points, error: float) -> float:
         """The next step; sets the next order. Changes only after k + 1 steps of one size and order."""
         self.held += 1
         k = self.k

@@ -67,13 +67,14 @@ class ErrorNorm:
         self.wv = self.rtol * self.v_size + 1e-4 * self.wq / h
 
     def __call__(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
-        """The norm (1) of errors like v."""
+        """The norm (1) of errors like v, (n,), or the largest over several, (s, n)."""
         wq, wv = self.wq, self.wv
         if self.index == 3:
-            kinds = [e_q / wq, h * e_v / wq] + ([] if e_a is None else [h * h * e_a / wq])
+            kinds = [e_q / wq, e_v * (h / wq)] + ([] if e_a is None else [e_a * (h * h / wq)])
         else:
-            kinds = [e_q / wq, e_v / wv] + ([] if e_a is None or self.index == 1 else [h * e_a / wv])
-        return float(max((np.sqrt(np.mean(x * x)) for x in kinds), default=0.0))
+            kinds = [e_q / wq, e_v / wv] + ([] if e_a is None or self.index == 1 else [e_a * (h / wv)])
+        n = len(wq)
+        return float(max(np.sqrt(np.einsum("...i,...i->...", x, x).max() / n) for x in kinds)) if n else 0.0
 
     def constant(self, h: float, state: State, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
         """Size of a Newton increment over its tolerance in runs with constant steps: rtol of the accelerations, above

@@ -38,8 +38,9 @@ from ..errors import InputError, require
 from ..linear.pencil import Tangent
 from ..linear.schur import StepSolver, Weights
 from ..rotations import Array
-from ..system.linearise import differences
-from ..system.system import Evaluation, State, System
+from ..system.copies import Many, copies
+from ..system.linearise import differences, many
+from ..system.system import State, System
 
 
 @dataclass(frozen=True)
@@ -56,19 +57,18 @@ class Form:
         """Name in reports and tables."""
         return type(self).__name__
 
-    def rows(self, ev: Evaluation, a: Array) -> Array:
-        """The constraints of all levels, one after another, (levels n_lam,)."""
+    def rows(self, ev: Many, a: Array) -> Array:
+        """The constraints of all levels, one after another, (k, levels n_lam), of k configurations with accelerations a."""
         made = {0: self._position, 1: self._velocity, 2: self._acceleration}
-        return np.concatenate([made[level](ev, a) for level in self.levels])
+        return np.concatenate([made[level](ev, a) for level in self.levels], axis=1)
 
-    def _position(self, ev: Evaluation, a: Array) -> Array:
+    def _position(self, ev: Many, a: Array) -> Array:
         return ev.constraint()
 
-    def _velocity(self, ev: Evaluation, a: Array) -> Array:
-        assert ev.v is not None
+    def _velocity(self, ev: Many, a: Array) -> Array:
         return ev.jacobian.times(ev.v) + ev.constraint_rate()
 
-    def _acceleration(self, ev: Evaluation, a: Array) -> Array:
+    def _acceleration(self, ev: Many, a: Array) -> Array:
         return ev.jacobian.times(a) + ev.gamma()
 
 
@@ -113,7 +113,7 @@ class Baumgarte(Form):
         """With its two parameters."""
         return f"Baumgarte({self.alpha:g}, {self.beta:g})"
 
-    def _acceleration(self, ev: Evaluation, a: Array) -> Array:
+    def _acceleration(self, ev: Many, a: Array) -> Array:
         rate = self._velocity(ev, a)
         return super()._acceleration(ev, a) + 2 * self.alpha * rate + self.beta**2 * ev.constraint()
 
@@ -171,14 +171,14 @@ class Projected(Form):
         """Of the inner form."""
         return self.of.index
 
-    def rows(self, ev: Evaluation, a: Array) -> Array:
+    def rows(self, ev: Many, a: Array) -> Array:
         """The rows of the form that is projected."""
         return self.of.rows(ev, a)
 
 
 @dataclass
-class Point:
-    """An instant in local coordinates: xi, xi', v, v' (n_v,) and multipliers (levels, n_lam)."""
+class Points:
+    """Instants in local coordinates: xi, xi', v, v' (k, n_v) and multipliers (k, levels n_lam)."""
 
     xi: Array
     rate: Array
@@ -204,6 +204,7 @@ class StepEquations:
         self.levels = len(form.levels) if system.n_lam else 0
         self.residuals = self.jacobians = 0
         self.U: Array = np.zeros((system.n_v, system.n_lam))
+        self.normal: Array = self.U
         self.origin: Array = np.zeros(0)
         self._inverse_mass: Any = None
 
@@ -214,29 +215,30 @@ class StepEquations:
             ev = self.system.at(state.t, state.q, state.v)
             self.U = self._inverse_mass @ _dense(ev.jacobian.core).T
 
-    def residual(self, t: float, p: Point) -> tuple[Array, Array, Evaluation]:
-        """r_kin (n_v,), r_low (n_v + levels n_lam,) of (1), (2), and the evaluation."""
-        s = self.system
-        self.residuals += 1
-        ev = s.at(t, s.compose(self.origin, p.xi), p.v)
-        lam = p.mult[0] if self.levels else None
-        v: Array = p.v
-        U = self.normals(ev) if self.levels > 1 else self.U
+    def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
+        """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) of (1), (2) at the times t (k,)."""
+        s, m = self.system, self.system.n_lam
+        self.residuals += len(t)
+        ev = copies(s, len(t)).at(t, s.compose(self.origin, p.xi), p.v)
+        lam = p.mult[:, :m] if self.levels else None
+        v, a = p.v, p.vd
         if self.levels > 1:
-            v = v - U @ p.mult[1]
-        a = self.acceleration(p, U)
+            self.normal = self.U if self.form.frozen else self._inverse_mass @ ev.jacobian.core.swapaxes(1, 2)
+            v = v - self._normally(p.mult[:, m : 2 * m])
+            if self.levels > 2:
+                a = a + self._normally(p.mult[:, 2 * m :])
         low = ev.balance(a, lam)
         if self.levels:
-            low = np.concatenate((low, self.form.rows(ev, a)))
-        return p.rate - s.rate(p.xi, v), low, ev
+            low = np.concatenate((low, self.form.rows(ev, a)), axis=1)
+        return p.rate - s.rate(p.xi, v), low
 
-    def normals(self, ev: Evaluation) -> Array:
-        """U of (1), (n_v, n_lam)."""
-        return self.U if self.form.frozen else self._inverse_mass @ _dense(ev.jacobian.core).T
+    def _normally(self, mult: Array) -> Array:
+        """U times multipliers (k, n_lam), with the U of the last residual, (n_v, n_lam) or one for each of the k."""
+        return mult @ self.normal.T if self.normal.ndim == 2 else (self.normal @ mult[..., None])[..., 0]
 
-    def acceleration(self, p: Point, U: Array) -> Array:
-        """a = v' + U tau."""
-        return p.vd + U @ p.mult[2] if self.levels > 2 else p.vd
+    def accelerations(self, p: Points) -> Array:
+        """a = v' + U tau, (k, n_v), with the U of the last residual."""
+        return p.vd + self._normally(p.mult[:, 2 * self.system.n_lam :]) if self.levels > 2 else p.vd
 
     def weigh(self, state: State) -> None:
         """Take the mass matrix of a state for the normal directions."""
@@ -259,43 +261,54 @@ class StepEquations:
         return v, self.solver.solve(-ev.balance(zero), -ev.gamma())[0]
 
     def refresh(self, state: State) -> Tangent:
-        """The tangent of (1), (2) at a state, by differences; also refreshes the metric W."""
-        s, form = self.system, self.form
+        """The tangent of (1), (2) at a state; also refreshes the metric W.
+
+        M and G are assembled. Stiffness and damping of the balance, with the geometric stiffness (G^T lambda)_q, and the
+        derivatives of the velocity and acceleration rows are directional derivatives, all directions in one evaluation.
+        """
+        s, form, n, m = self.system, self.form, self.system.n_v, self.system.n_lam
         self.jacobians += 1
         q, v, a, lam = state.q, state.v, state.a, state.lam
         ev = s.at(state.t, q, v)
         M = _dense(self.solver.core_matrix(ev, Weights(1.0, 0.0, 0.0)))
         self._inverse_mass = np.linalg.inv(M)
         G = _dense(ev.jacobian.core)
-        self.U = self._inverse_mass @ G.T
+        if not form.frozen:
+            self.U = self._inverse_mass @ G.T
 
-        def lower(q: Array, v: Array) -> Array:
-            at = s.at(state.t, q, v)
-            r = at.balance(a, lam if self.levels else None)
-            return np.concatenate((r, form.rows(at, a))) if self.levels else r
+        def lower(at: Many) -> Array:
+            k = len(at.q)
+            a_k = np.broadcast_to(a, (k, n))
+            if not self.levels:
+                return at.balance(a_k)
+            return np.concatenate((at.balance(a_k, np.broadcast_to(lam, (k, m))), form.rows(at, a_k)), axis=1)
 
-        by_q, by_v = differences(s, lower, q, v)
-        by_a = np.concatenate([M, *(G if level == 2 else np.zeros_like(G) for level in form.levels[: self.levels])])
-        return Tangent(self._turning(np.zeros(s.n_v), v)[0], M, G, self.U, by_q, by_v, by_a)
+        by_q, by_v = differences(s, many(s, state.t, lower), q, v)
+        by_a = np.zeros_like(by_v)
+        by_a[:n] = M
+        for i, level in enumerate(form.levels[: self.levels]):
+            rows = slice(n + i * m, n + (i + 1) * m)
+            if level == 0:
+                by_q[rows], by_v[rows] = G, 0.0
+            elif level == 1:
+                by_v[rows] = G
+            else:
+                by_a[rows] = G
+        return Tangent(self._turning(np.zeros(n), v)[0], M, G, self.U, by_q, by_v, by_a)
 
     def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
         """d rate(xi, v) / d xi by differences, and the matrix T with v = T rate(xi, v)."""
-        s, n = self.system, self.system.n_v
-        J: Array = np.zeros((n, n))
-        inverse: Array = np.eye(n)
-        if s.motions.dim == 3:
-            for j in range(n):
-                e: Array = np.zeros(n)
-                e[j] = 1.0
-                J[:, j] = (s.rate(xi + 1e-6 * e, v) - s.rate(xi - 1e-6 * e, v)) / 2e-6
-                inverse[:, j] = s.rate(xi, e)
-        return J, np.asarray(np.linalg.inv(inverse))
+        s, eye = self.system, np.eye(self.system.n_v)
+        if s.motions.dim == 2 or not s.n_frames:
+            return np.zeros_like(eye), eye
+        J = (s.rate(xi + 1e-6 * eye, v) - s.rate(xi - 1e-6 * eye, v)).T / 2e-6
+        return J, np.asarray(np.linalg.inv(s.rate(xi, eye).T))
 
-    def tangent_at(self, t: float, p: Point) -> Tangent:
+    def tangent_at(self, t: float, xi: Array, v: Array, vd: Array, mult: Array) -> Tangent:
         """The tangent at a point of the local coordinates, for a full Newton iteration."""
-        lam = p.mult[0] if self.levels else np.zeros(0)
-        made = self.refresh(State(t, self.system.compose(self.origin, p.xi), p.v, p.vd, lam))
-        J, T = self._turning(p.xi, p.v)
+        lam = mult[: self.system.n_lam]
+        made = self.refresh(State(t, self.system.compose(self.origin, xi), v, vd, lam))
+        J, T = self._turning(xi, v)
         return replace(made, J=J, by_q=made.by_q @ T)
 
 

@@ -1,15 +1,16 @@
-"""Radau IIA with two or three stages: variable steps, simplified Newton iteration, any form of the constraints.
+"""Radau IIA with two, three, five or seven stages: variable steps, simplified Newton iteration, any form of the constraints.
 
 In local coordinates y = (xi, v) about the step's start, collocation at the nodes c_i (c_s = 1) with A^-1 = (w_ij) reads
 
     y'_i = (1 / h) sum_j w_ij (y_j - y_n),        the equations of motion hold at (t_n + c_i h, y_i, y'_i)        (1)
 
-so the scheme is stiffly accurate: the last stage is the new state, and it satisfies the constraints. Orders s = 2 / 3 for q, v,
-lambda: index 3: 3, 2, 1 / 5, 3, 2; index 2 and GGL: 3, 3, 2 / 5, 5, 3; index 1 and state space: 3 / 5 in all.
+so the scheme is stiffly accurate: the last stage is the new state, and it satisfies the constraints. Orders for q, v, lambda:
+index 3: 2s-1, s, s-1; index 2 and GGL: 2s-1, 2s-1, s; index 1 and state space: 2s-1 in all.
 
-One Newton iteration solves the stages together: the eigenvectors of A^-1 decouple them into one complex system (and, for three
-stages, a real one) with the frequencies gamma / h. Tangent and factors are kept while Newton converges fast and the step
-changes little. The local error is estimated by an embedded formula of order s, filtered by the real matrix gamma_0 / h.
+One Newton iteration solves the stages together: the eigenvectors of A^-1 decouple them into one system for each complex pair
+(and, for an odd number of stages, a real one) with the frequencies gamma / h. Stages are evaluated in one call. Tangent and
+factors are kept while Newton converges fast and the step changes little. The local error is estimated by an embedded formula of
+order s, filtered by the real matrix gamma_0 / h.
 
 Sources: Hairer and Wanner, Solving ODEs II, sections IV.8 and VII.4, doi:10.1007/978-3-642-05221-7; Hairer, Lubich and Roche,
 doi:10.1007/BFb0093947; local coordinates: Munthe-Kaas, doi:10.1007/BF02510919.
@@ -39,7 +40,7 @@ from .control import (
     first_step,
     lands,
 )
-from .dae import GGL, Form, Point, StepEquations
+from .dae import GGL, Form, Points, StepEquations
 from .newton import Newton
 from .start import accelerations, project
 
@@ -51,34 +52,41 @@ class Tableau:
     c: Array
     W: Array
     values: Array  # one of each complex pair
-    vectors: Array
-    inverse: Array
+    vectors: Array  # (s, p), those of complex pairs doubled: y = Re(vectors z)
+    inverse: Array  # (p, s)
     gamma: float  # of the real matrix in the error estimate
     error: Array  # e_i, with error ~ y'_n + sum_i e_i (y_i - y_n) / h
+    basis: Array  # (s + 1, s + 1): powers of t / h to Lagrange polynomials of 0, c
+    stage_basis: Array  # (s, s): the same of c
 
 
 @lru_cache
 def tableau(stages: int) -> Tableau:
-    """Radau IIA from its nodes: collocation, so the coefficients integrate the Lagrange polynomials."""
-    c = {2: np.array([1 / 3, 1.0]), 3: np.array([(4 - np.sqrt(6)) / 10, (4 + np.sqrt(6)) / 10, 1.0])}[stages]
+    """Radau IIA: collocation at the zeros of P_s - P_s-1, so the coefficients integrate the Lagrange polynomials."""
     s = stages
-    powers = np.arange(1, s + 1)
-    A = (c[:, None] ** powers / powers) @ np.linalg.inv(c[:, None] ** (powers - 1))
+    series = np.polynomial.Legendre([*np.zeros(s - 1), -1.0, 1.0])
+    roots = np.sort(series.roots().real)
+    roots -= series(roots) / series.deriv()(roots)  # to the last digit
+    c = np.append(0.5 * (1 + roots[:-1]), 1.0)
+    x, w = np.polynomial.legendre.leggauss(s)
+    A = np.array([0.5 * ci * (w @ _lagrange(c, 0.5 * ci * (1 + x))) for ci in c])
     W = np.linalg.inv(A)
     values, vectors = np.linalg.eig(W)
-    keep = np.flatnonzero(values.imag >= -1e-12)
+    real = np.abs(values.imag) < 1e-9 * np.abs(values)
+    values = np.where(real, values.real, values)
+    keep = np.flatnonzero(values.imag >= 0)
     keep = keep[np.argsort(values[keep].imag)]
     inverse = np.linalg.inv(vectors)[keep]
-    values = np.where(np.abs(values.imag) < 1e-12, values.real, values)
     gamma = float(values[keep[0]].real) if values[keep[0]].imag == 0 else 3.0
     # quadrature of order s with the nodes 0, c_i and the weight 1 / gamma at 0; e = gamma (b_hat - b) W
-    nodes = np.concatenate(([0.0], c))
-    weights = np.zeros(s + 1)
-    weights[0] = 1 / gamma
-    moments = 1 / powers - np.where(powers == 1, weights[0], 0.0)
-    weights[1:] = np.linalg.solve((nodes[1:, None] ** (powers - 1)).T, moments)
-    error = gamma * (weights[1:] - A[-1]) @ W
-    return Tableau(c, W, values[keep], vectors[:, keep], inverse, gamma, error)
+    powers = np.arange(1, s + 1)
+    moments = 1 / powers - np.where(powers == 1, 1 / gamma, 0.0)
+    weights = np.linalg.solve((c[:, None] ** (powers - 1)).T, moments)
+    error = gamma * (weights - A[-1]) @ W
+    nodes = np.append(0.0, c)
+    bases = (np.linalg.inv(z[:, None] ** np.arange(len(z))) for z in (nodes, c))
+    double = np.where(values[keep].imag == 0, 1.0, 2.0)
+    return Tableau(c, W, values[keep].astype(complex), vectors[:, keep] * double, inverse, gamma, error, *bases)
 
 
 @dataclass(frozen=True)
@@ -86,7 +94,7 @@ class Radau:
     """Scheme data.
 
     Args:
-        stages: 2 or 3.
+        stages: 2, 3, 5 or 7; more stages pay at tight tolerances, five from about 1e-7 on.
         form: of the constraints, :class:`~fmbd_fenicsx.GGL` by default.
         rtol: relative tolerance of the local error; None for constant steps dt without error control.
         atol: absolute tolerance of coordinates (m, rad or own units); None: from the sizes in the model.
@@ -98,7 +106,7 @@ class Radau:
     atol: float | None = None
 
     def __post_init__(self) -> None:
-        require(self.stages in (2, 3), f"Radau: stages = {self.stages} must be 2 or 3.")
+        require(self.stages in (2, 3, 5, 7), f"Radau: stages = {self.stages} must be 2, 3, 5 or 7.")
         check_tolerance(self.rtol, self.atol, "Radau")
 
     @property
@@ -123,9 +131,8 @@ class Stepper:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
         self.eq = StepEquations(system, scheme.form, solver)
         self.tab = tableau(scheme.stages)
-        self.mult: Array = np.zeros((self.eq.levels, system.n_lam))
-        if self.eq.levels:
-            self.mult[0] = state.lam
+        self.mult: Array = np.zeros(self.eq.levels * system.n_lam)
+        self._reset_multipliers()
         self.adaptive = scheme.rtol is not None
         self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
         self.control = StepControl(scheme.stages + 1.0)
@@ -135,11 +142,12 @@ class Stepper:
         self.proposed: float | None = None
         self._tangent: Tangent | None = None
         self._fresh = self._full = False
-        self._pencils: dict[complex, Pencil] = {}
+        self._pencil: Pencil | None = None
+        self._filter: Pencil | None = None  # of the error estimate
         self._h_factor = 0.0
         self._theta = 1e-3
         self._eta = 1.0
-        self._last: tuple[float, Array, Point, list[Point]] | None = None
+        self._last: tuple[float, Array, Array, Points] | None = None
         self.eq.weigh(state)
 
     @property
@@ -206,20 +214,21 @@ class Stepper:
     def restart(self, t: float) -> None:
         """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
         self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
-        if self.eq.levels:
-            self.mult = np.zeros_like(self.mult)
-            self.mult[0] = self.state.lam
+        self._reset_multipliers()
         self._last, self._tangent, self.proposed, self.control.h_old = None, None, None, 0.0
 
-    def _accept(self, h: float, points: list[Point]) -> State:
-        s, end = self.state, points[-1]
+    def _reset_multipliers(self) -> None:
+        self.mult = np.zeros_like(self.mult)
+        if self.eq.levels:
+            self.mult[: self.system.n_lam] = self.state.lam
+
+    def _accept(self, h: float, points: Points) -> State:
+        s, m = self.state, self.system.n_lam
         t = s.t + h
-        self._last = (h, s.q, Point(np.zeros_like(s.v), s.v, s.v, s.a, self.mult), points)
-        U = self.eq.U
-        a = self.eq.acceleration(end, U) if self.eq.levels < 3 else self._end_acceleration
-        self.mult = end.mult
-        lam = end.mult[0] if self.eq.levels else s.lam
-        self.state = State(t, self.system.compose(s.q, end.xi), end.v, a, lam)
+        self._last = (h, s.q, s.v, points)
+        self.mult = points.mult[-1]
+        lam = self.mult[:m] if self.eq.levels else s.lam
+        self.state = State(t, self.system.compose(s.q, points.xi[-1]), points.v[-1], self._acceleration, lam)
         if self.scheme.form.projected:
             self.state = project(self.system, self.state, self.solver)
         self.stats.steps += 1
@@ -235,35 +244,25 @@ class Stepper:
         xi, v, mult = self._predict(h)
         weights = _lagrange(np.concatenate(([0.0], self.tab.c)), np.array([0.5]))[0, 1:]
         vd = (W @ (v - s.v) / h).mean(axis=0)
-        middle = State(
-            s.t + 0.5 * h,
-            self.system.compose(s.q, weights @ xi),
-            s.v + weights @ (v - s.v),
-            vd,
-            mult.mean(axis=0)[0] if self.eq.levels else s.lam,
-        )
-        self._tangent = self.eq.refresh(middle)
+        lam = mult.mean(axis=0)[: self.system.n_lam] if self.eq.levels else s.lam
+        q = self.system.compose(s.q, weights @ xi)
+        self._tangent = self.eq.refresh(State(s.t + 0.5 * h, q, s.v + weights @ (v - s.v), vd, lam))
         self._fresh = True
-        self._pencils.clear()
+        self._pencil = None
 
     def _prepare(self, h: float) -> None:
         if self._tangent is None:
             self._refresh(h)
-        if self._pencils and self._h_factor == h:
+        if self._pencil is not None and self._h_factor == h:
             return
-        self._pencils.clear()
+        assert self._tangent is not None
         self._h_factor = h
         redundant = self.solver.core.redundant
-        assert self._tangent is not None
-        wanted = [complex(x) for x in self.tab.values]
-        if self.adaptive and complex(self.tab.gamma) not in wanted:
-            wanted.append(complex(self.tab.gamma))
-        for value in wanted:
-            s = value.real / h if value.imag == 0 else value / h
-            self._pencils[value] = Pencil(self._tangent, s, self.judge, redundant)
-            self.stats.factorisations += 1
+        self._pencil = Pencil(self._tangent, self.tab.values / h, self.judge, redundant)
+        self.stats.factorisations += len(self.tab.values)
+        self._filter = None
 
-    def _newton(self, h: float) -> list[Point] | str:
+    def _newton(self, h: float) -> Points | str:
         """The stages of a step of size h, or the cause of failure."""
         try:
             self._prepare(h)
@@ -273,22 +272,18 @@ class Stepper:
                 raise
             return "linear solve failed" if isinstance(error, LinearSolveError) else "forces not finite"
 
-    def _iterate(self, h: float) -> list[Point] | str:
-        s, tab, n = self.state, self.tab, self.system.n_v
-        L, m = self.eq.levels, self.system.n_lam
+    def _iterate(self, h: float) -> Points | str:
         xi, v, mult = self._predict(h)
-        tolerance = self._newton_tolerance(h)
+        tolerance = self._newton_tolerance()
         theta, last = max(self._eta, 1e-16) ** 0.8, 0.0
+        times = self.state.t + h * self.tab.c
         for k in range(self.newton.max_iterations):
-            points = self._stages(h, xi, v, mult)
-            kin, low = np.empty((tab.c.size, n)), np.empty((tab.c.size, n + L * m))
-            for i, p in enumerate(points):
-                kin[i], low[i], ev = self.eq.residual(s.t + tab.c[i] * h, p)
+            kin, low = self.eq.residual(times, self._stages(h, xi, v, mult))
             dxi, dv, dmult = self._solve(kin, low)
             xi, v, mult = xi + dxi, v + dv, mult + dmult
             self.newton.iterations += 1
             self.stats.newton_iterations += 1
-            size = max(self._size(h, dxi[i], dv[i], dmult[i]) for i in range(tab.c.size))
+            size = self._size(h, dxi, dv, dmult)
             if not np.isfinite(size):
                 return "Newton diverged"
             if k > 0:
@@ -307,84 +302,75 @@ class Stepper:
             last = size
             if theta * size <= tolerance or size <= 1e-2 * tolerance:
                 self._eta, self._iterations = theta, k + 1
-                if L > 2:
-                    self._end_acceleration = self._stages(h, xi, v, mult)[-1].vd + self.eq.normals(ev) @ mult[-1, 2]
-                return self._stages(h, xi, v, mult)
+                return self._finished(h, xi, v, mult)
         return "Newton too slow"
 
-    def _full_newton(self, h: float) -> list[Point] | str:
+    def _finished(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
+        points = self._stages(h, xi, v, mult)
+        self._acceleration = self.eq.accelerations(points)[-1]
+        return points
+
+    def _full_newton(self, h: float) -> Points | str:
         """The stages by Newton's iteration with a tangent of its own for each stage.
 
         For stiff springs that turn: with a frozen direction the iteration converges for h omega sqrt(k / m) h << 1 only (Lubich,
         doi:10.1007/BF01385643); constant steps have no other way out.
         """
-        s, tab, n, m = self.state, self.tab, self.system.n_v, self.system.n_lam
+        n, m, stages = self.system.n_v, self.system.n_lam, len(self.tab.c)
         xi, v, mult = self._predict(h)
-        coupling = np.kron(tab.W / h, np.eye(n))
+        coupling = np.kron(self.tab.W / h, np.eye(n))
         last = np.inf
-        times = [float(s.t + c * h) for c in tab.c]
+        times = self.state.t + h * self.tab.c
+        cuts = [0, *range(n, n + self.eq.levels * m + 1, m)] if m else [0, n]
         for k in range(self.newton.max_iterations):
             points = self._stages(h, xi, v, mult)
-            rows = [self.eq.residual(t, p) for t, p in zip(times, points, strict=True)]
-            pencil = Pencil(
-                stacked([self.eq.tangent_at(t, p) for t, p in zip(times, points, strict=True)]),
-                coupling,
-                self.judge,
-                self.solver.core.redundant,
-            )
-            low = [
-                r[1][i:j] for i, j in pairwise([0, *range(n, len(rows[0][1]) + 1, m)] if m else [0, n]) for r in rows
-            ]
-            dxi, dv, dmult = pencil.solve(np.concatenate([r[0] for r in rows]), np.concatenate(low))
-            size_of = (len(tab.c), n)
-            dxi, dv = dxi.reshape(size_of), dv.reshape(size_of)
-            dmult = dmult.reshape(self.eq.levels, len(tab.c), m).swapaxes(0, 1)
+            kin, low = self.eq.residual(times, points)
+            tangents = [self.eq.tangent_at(float(times[i]), xi[i], v[i], points.vd[i], mult[i]) for i in range(stages)]
+            pencil = Pencil(stacked(tangents), coupling, self.judge, self.solver.core.redundant)
+            below = np.concatenate([low[:, i:j].ravel() for i, j in pairwise(cuts)])
+            change, by_level = pencil.solve(kin.reshape(1, -1), below[None])
+            dxi, dv = change.reshape(2, stages, n)
+            dmult = by_level.reshape(self.eq.levels, stages, m).swapaxes(0, 1).reshape(stages, -1)
             xi, v, mult = xi + dxi, v + dv, mult + dmult
             self.newton.iterations += 1
             self.stats.newton_iterations += 1
             self.stats.factorisations += 1
-            size = max(self._size(h, dxi[i], dv[i], dmult[i]) for i in range(len(tab.c)))
+            size = self._size(h, dxi, dv, dmult)
             if not np.isfinite(size):
                 return "Newton diverged"
             if size <= 1.0 or (k > 1 and size <= STAGNATION and size > 0.3 * last):
-                if self.eq.levels > 2:
-                    self._end_acceleration = (
-                        self._stages(h, xi, v, mult)[-1].vd + self.eq.normals(rows[-1][2]) @ mult[-1, 2]
-                    )
-                return self._stages(h, xi, v, mult)
+                return self._finished(h, xi, v, mult)
             last = size
         return "Newton too slow"
 
-    def _newton_tolerance(self, h: float) -> float:
+    def _newton_tolerance(self) -> float:
         """Bound of the norm of the error left, in units of the error norm."""
         if not self.adaptive:
             return 1.0
         return max(10 * np.finfo(float).eps / self.norm.rtol, min(0.03, self.norm.rtol**0.5))
 
     def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
+        """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
         push = None
         if self.eq.levels and self.scheme.form.index > 1:
-            push = self.eq.U @ dmult[0]
+            push = dmult[:, : self.system.n_lam] @ self.eq.U.T
         if self.adaptive:
             return self.norm(h, dxi, dv, push)
-        return self.norm.constant(h, self.state, dxi, dv, push)
+        return max(
+            self.norm.constant(h, self.state, dxi[i], dv[i], None if push is None else push[i]) for i in range(len(dxi))
+        )
 
-    def _stages(self, h: float, xi: Array, v: Array, mult: Array) -> list[Point]:
-        W = self.tab.W
-        rate, vd = W @ xi / h, W @ (v - self.state.v) / h
-        return [Point(xi[i], rate[i], v[i], vd[i], mult[i]) for i in range(len(xi))]
+    def _stages(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
+        W = self.tab.W / h
+        return Points(xi, W @ xi, v, W @ (v - self.state.v), mult)
 
     def _solve(self, kin: Array, low: Array) -> tuple[Array, Array, Array]:
-        """Decoupled solves: y = sum_k vectors_k z_k over the real eigenvalue and twice the real part of the pair."""
-        tab = self.tab
-        out: list[Array] = []
-        for k, value in enumerate(tab.values):
-            real = value.imag == 0
-            row, share = (tab.inverse[k].real, 1.0) if real else (tab.inverse[k], 2.0)
-            z = self._pencils[complex(value)].solve(row @ kin, row @ low)
-            parts: list[Array] = [share * (tab.vectors[:, k].reshape(-1, *(1,) * x.ndim) * x).real for x in z]
-            out = parts if not out else [a + b for a, b in zip(out, parts, strict=True)]
-        return out[0], out[1], out[2]
+        """Decoupled solves: y = Re(vectors z), z of the real eigenvalue and of one of each complex pair."""
+        tab, n = self.tab, self.system.n_v
+        assert self._pencil is not None
+        z = np.concatenate(self._pencil.solve(tab.inverse @ kin, tab.inverse @ low), axis=1)
+        y = (tab.vectors @ z).real
+        return y[:, :n], y[:, n : 2 * n], y[:, 2 * n :]
 
     def _predict(self, h: float) -> tuple[Array, Array, Array]:
         """Stages on the polynomial of the last step, or on the parabola at the start."""
@@ -393,28 +379,29 @@ class Stepper:
             x = (c * h)[:, None]
             xi, v = x * s.v + 0.5 * x * x * s.a, s.v + x * s.a
             return xi, v, np.repeat(self.mult[None], len(c), axis=0)
-        h0, q0, start, points = self._last
-        nodes, x = np.concatenate(([0.0], c)), 1.0 + c * h / h0
-        basis = _lagrange(nodes, x)
-        xi_old = basis @ np.array([start.xi, *(p.xi for p in points)])
-        xi = np.array([self.system.difference(s.q, self.system.compose(q0, z)) for z in xi_old])
-        v = basis @ np.array([start.v, *(p.v for p in points)])
-        mult = np.tensordot(_lagrange(c, x), np.array([p.mult for p in points]), axes=1)
-        return xi, v, mult
+        h0, q0, v0, points = self._last
+        powers = (1.0 + c * h / h0)[:, None] ** np.arange(len(c) + 1)
+        basis = (powers @ self.tab.basis)[:, 1:]
+        moved = self.system.difference(s.q, self.system.compose(q0, basis @ points.xi))
+        return moved, v0 + basis @ (points.v - v0), powers[:, :-1] @ self.tab.stage_basis @ points.mult
 
     # -- error --------------------------------------------------------------------------------------------------
-    def _estimate(self, h: float, points: list[Point]) -> float:
-        s, tab = self.state, self.tab
-        pencil = self._pencils[complex(tab.gamma)]
-        v, a = self.eq.consistent_rates(s) if self.scheme.form.index == 3 else (s.v, s.a)
-        kin = v + tab.error @ np.array([p.xi for p in points]) / h
-        if self.eq.levels > 1:
-            kin = kin - self.eq.U @ self.mult[1]
-        push = a + tab.error @ np.array([p.v - v for p in points]) / h
-        zero = np.zeros(self.eq.levels * self.system.n_lam)
+    def _estimate(self, h: float, points: Points) -> float:
+        s, tab, m = self.state, self.tab, self.system.n_lam
         assert self._tangent is not None
-        e_q, e_v, e_m = pencil.solve(-kin, np.concatenate((-self._tangent.M @ push, zero)))
-        return self.norm(h, e_q, e_v, self.eq.U @ e_m[0] if self.eq.levels else None)
+        if self._filter is None:
+            gamma = np.array([tab.gamma / h])
+            self._filter = Pencil(self._tangent, gamma, self.judge, self.solver.core.redundant)
+            self.stats.factorisations += 1
+        v, a = self.eq.consistent_rates(s) if self.scheme.form.index == 3 else (s.v, s.a)
+        kin = v + tab.error @ points.xi / h
+        if self.eq.levels > 1:
+            kin = kin - self.eq.U @ self.mult[m : 2 * m]
+        push = a + tab.error @ (points.v - v) / h
+        zero = np.zeros(self.eq.levels * m)
+        errors, e_m = self._filter.solve(-kin[None], np.concatenate((-self._tangent.M @ push, zero))[None])
+        e_q, e_v = errors.reshape(2, -1)
+        return self.norm(h, e_q, e_v, self.eq.U @ e_m[0, :m] if self.eq.levels else None)
 
 
 def _lagrange(nodes: Array, x: Array) -> Array:

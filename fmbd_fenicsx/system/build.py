@@ -353,7 +353,9 @@ class Builder:
         for k, part in enumerate(self.fields):
             body = getattr(part, "body", None)
             if isinstance(body, CoordinateBody) and body.constraint is not None:
-                law = PortConstraint(body.name, k, body.constraint, body.jacobian, body.gamma)
+                law = PortConstraint(
+                    body.name, k, body.constraint, body.jacobian, body.gamma, body.rate, body.vectorized
+                )
                 m = len(law.values(np.asarray(body.start), 0.0))
                 own.append((law, slice(row, row + m)))
                 blocks.append(RowBlock(body.name, slice(row, row + m), "constraint"))

@@ -6,8 +6,8 @@ For a function f(q, v) of the configuration and the velocity, with q o exp(xi) t
 
 one column for each replicated coordinate. Central differences by xi: a spring of stiffness k on a length l has a second
 derivative k / l, and an error of k / l times the step across the spring would swamp the tangent of the motion that is left.
-Forward differences by v, where the equations are quadratic at most. Small systems only: the result is dense and costs 3 n
-evaluations.
+Forward differences by v, where the equations are quadratic at most. Small systems only: the result is dense. The 3 n + 1
+evaluations are those of copies of the system side by side, in one call.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from functools import cached_property
 import numpy as np
 
 from ..rotations import Array
-from .system import Evaluation, System
+from .copies import Many, copies
+from .system import System
 
+LARGEST = 2_000_000  # entries of matrices that are evaluated at once
 _STEP = float(np.sqrt(np.finfo(float).eps))
 _CENTRAL = float(np.cbrt(np.finfo(float).eps))
 
@@ -61,27 +63,29 @@ class Sizes:
 
 
 def differences(system: System, function: Callable[[Array, Array], Array], q: Array, v: Array) -> tuple[Array, Array]:
-    """(1) for ``function(q, v)`` -> (m,): two arrays (m, n_core); collective when the function is."""
+    """(1) for ``function(q, v)``, (k, n_q), (k, n_v) -> (k, m), of many configurations at once: two arrays (m, n_core)."""
     sizes, n = Sizes(system), system.n_core
-    base = function(q, v)
-    in_q, in_v = np.empty((len(base), n)), np.empty((len(base), n))
-    step = np.zeros(system.n_v)
-    for j, (hq, hv) in enumerate(zip(_CENTRAL * sizes.positions(q), _STEP * sizes.velocities(v), strict=True)):
-        step[j] = hq
-        in_q[:, j] = (function(system.compose(q, step), v) - function(system.compose(q, -step), v)) / (2 * hq)
-        step[j] = 0.0
-        moved = v.copy()
-        moved[j] += hv
-        in_v[:, j] = (function(q, moved) - base) / (moved[j] - v[j])
-    return in_q, in_v
+    hq, hv = _CENTRAL * sizes.positions(q), _STEP * sizes.velocities(v)
+    step = np.zeros((n, system.n_v))
+    step[range(n), range(n)] = hq
+    moved = np.repeat(v[None], n, axis=0)
+    moved[range(n), range(n)] += hv
+    hv = moved[range(n), range(n)] - v[:n]
+    qs = np.concatenate((system.compose(q, step), system.compose(q, -step), np.repeat(q[None], n + 1, axis=0)))
+    f = function(qs, np.concatenate((np.repeat(v[None], 2 * n, axis=0), moved, v[None])))
+    in_q = (f[:n] - f[n : 2 * n]) / (2 * hq[:, None])
+    in_v = (f[2 * n : 3 * n] - f[-1]) / hv[:, None]
+    return in_q.T, in_v.T
 
 
-def core_tangent(ev: Evaluation, a: Array, lam: Array) -> tuple[Array, Array]:
-    """Stiffness and damping of the core: derivatives of M a + h + G^T lambda by local coordinates and velocities,
-    (n_core, n_core).
-
-    They contain springs and dampers, gyroscopic and centrifugal terms, and the geometric stiffness of the multipliers.
+def many(system: System, t: float, function: Callable[[Many], Array]) -> Callable[[Array, Array], Array]:
+    """``function`` of copies evaluated at time t (:mod:`.copies`) as a function of (q, v): (k, n_q), (k, n_v) -> (k, m); as
+    many at a time as fit in some ten megabytes.
     """
-    s = ev.system
-    assert ev.v is not None
-    return differences(s, lambda q, v: s.at(ev.t, q, v).balance(a, lam)[: s.n_core], ev.q, ev.v)
+    largest = max(1, LARGEST // max(1, system.n_v * (system.n_lam + system.n_v)))
+
+    def made(q: Array, v: Array) -> Array:
+        parts = [slice(i, min(i + largest, len(q))) for i in range(0, len(q), largest)]
+        return np.concatenate([function(copies(system, len(q[p])).at(t, q[p], v[p])) for p in parts])
+
+    return made

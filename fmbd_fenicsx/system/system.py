@@ -201,24 +201,34 @@ class System:
 
     # -- geometry of the configuration space ---------------------------------------------------------------------
     def compose(self, q: Array, xi: Array) -> Array:
-        """Configuration after the increment xi (as v: body-axes rotation increments), q o exp(xi)."""
+        """Configuration after the increment xi (as v: body-axes rotation increments), q o exp(xi); leading axes broadcast."""
         m, n, k = self.motions, self.n_frames * self.motions.n_pose, self.n_frames * self.motions.n_twist
-        frames = m.compose(q[:n].reshape(-1, m.n_pose), xi[:k].reshape(-1, m.n_twist))
-        return np.concatenate((frames.ravel(), q[n:] + xi[k:])) if self.parts else frames.ravel()
+        if m.dim == 2 or not n:
+            return q + xi
+        lead = np.broadcast_shapes(q.shape[:-1], xi.shape[:-1])
+        q, xi = np.broadcast_to(q, (*lead, q.shape[-1])), np.broadcast_to(xi, (*lead, xi.shape[-1]))
+        frames = m.compose(q[..., :n].reshape(*lead, -1, m.n_pose), xi[..., :k].reshape(*lead, -1, m.n_twist))
+        return np.concatenate((frames.reshape(*lead, n), q[..., n:] + xi[..., k:]), axis=-1)
 
     def difference(self, q0: Array, q1: Array) -> Array:
         """The increment xi with compose(q0, xi) = q1."""
-        n, p = self.n_frames * self.motions.n_pose, self.motions.n_pose
-        frames = self.motions.difference(q0[:n].reshape(-1, p), q1[:n].reshape(-1, p))
-        return np.concatenate((frames.ravel(), q1[n:] - q0[n:]))
+        m, n, k = self.motions, self.n_frames * self.motions.n_pose, self.n_frames * self.motions.n_twist
+        if m.dim == 2 or not n:
+            return q1 - q0
+        lead = np.broadcast_shapes(q0.shape[:-1], q1.shape[:-1])
+        q0, q1 = np.broadcast_to(q0, (*lead, q0.shape[-1])), np.broadcast_to(q1, (*lead, q1.shape[-1]))
+        frames = m.difference(q0[..., :n].reshape(*lead, -1, m.n_pose), q1[..., :n].reshape(*lead, -1, m.n_pose))
+        return np.concatenate((frames.reshape(*lead, k), q1[..., n:] - q0[..., n:]), axis=-1)
 
     def rate(self, xi: Array, v: Array) -> Array:
         """d(xi)/dt of local coordinates q o exp(xi) for the velocity v."""
         m, k = self.motions, self.n_frames * self.motions.n_twist
-        if m.dim == 2:
+        if m.dim == 2 or not k:
             return v
-        frames = m.rate(xi[:k].reshape(-1, m.n_twist), v[:k].reshape(-1, m.n_twist))
-        return np.concatenate((frames.ravel(), v[k:])) if self.parts else frames.ravel()
+        lead = np.broadcast_shapes(xi.shape[:-1], v.shape[:-1])
+        xi, v = np.broadcast_to(xi, (*lead, xi.shape[-1])), np.broadcast_to(v, (*lead, v.shape[-1]))
+        frames = m.rate(xi[..., :k].reshape(*lead, -1, m.n_twist), v[..., :k].reshape(*lead, -1, m.n_twist))
+        return np.concatenate((frames.reshape(*lead, k), v[..., k:]), axis=-1)
 
     # -- inner products over all ranks -----------------------------------------------------------------------------
     def dot(self, x: Array, y: Array) -> float:
