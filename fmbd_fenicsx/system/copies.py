@@ -24,6 +24,21 @@ from .system import System
 from .system_jacobian import Pattern
 
 
+class _Slice:
+    """Velocities and biases of the markers of one copy."""
+
+    def __init__(self, kin: Kinematics, at: slice) -> None:
+        self.kin, self.at = kin, at
+
+    def twist(self, _: Kinematics) -> Array:
+        assert self.kin.twist is not None
+        return self.kin.twist[self.at]
+
+    def bias(self) -> Array:
+        assert self.kin.bias is not None
+        return self.kin.bias[self.at]
+
+
 class Copies:
     """k copies of a system; :meth:`at` evaluates them."""
 
@@ -34,13 +49,14 @@ class Copies:
         copy = np.repeat(np.arange(k), n)
         frame = np.tile(m.frame, k)
         on = np.repeat(np.arange(k), len(m.surface))
-        self.markers = Markers(
-            m.motions,
-            np.where(frame == system.n_frames, k * system.n_frames, frame + copy * system.n_frames),
-            np.tile(m.position, (k, 1)),
-            np.tile(m.rotation, (k, 1, 1)),
-            np.tile(m.surface, k) + on * n,
-            np.tile(m.port, (k, 1)) + on[:, None] * system.n_port,
+        self.markers: Markers = replace(
+            m,
+            frame=np.where(frame == system.n_frames, k * system.n_frames, frame + copy * system.n_frames),
+            position=np.tile(m.position, (k, 1)),
+            rotation=np.tile(m.rotation, (k, 1, 1)),
+            surface=np.tile(m.surface, k) + on * n,
+            port=np.tile(m.port, (k, 1)) + on[:, None] * system.n_port,
+            section=None if m.section is None else np.tile(m.section, k),
         )
         self.batches = [(b, rows, b.repeated(k, n)) for b, rows in system.batches]
         self.forces = [(f, f.repeated(k, n)) for f in system.forces]
@@ -94,7 +110,8 @@ class Many:
         self.port, self.port_rate = self._ports(q, True), self._ports(v, False)
         self.pose = np.concatenate((q[:, : nf * m.n_pose].reshape(-1, m.n_pose), s.ground))
         self.twist = self._twists(v)
-        self.kin = copies.markers.evaluate(self.pose, self.twist, self.port.ravel(), self.port_rate.ravel())
+        rates = (self.twist, self.port_rate.ravel())
+        self.kin = copies.markers.evaluate(self.pose, self.rotation, self.port.ravel(), rates)
 
     def _twists(self, v: Array) -> Array:
         s, n = self.system, self.system.motions.n_twist
@@ -120,11 +137,12 @@ class Many:
         """Markers copy by copy."""
         n, kin, k = self.copies.n_markers, self.kin, self.copies.k
         ns = len(kin.jac_port) // k
-        assert kin.twist is not None and kin.bias is not None
         out = []
         for c in range(k):
             i, j = slice(c * n, (c + 1) * n), slice(c * ns, (c + 1) * ns)
-            out.append(Kinematics(kin.x[i], kin.R[i], kin.jac_frame[i], kin.jac_port[j], kin.twist[i], kin.bias[i]))
+            one = Kinematics(kin.x[i], kin.R[i], kin.jac_frame[i], kin.jac_port[j])
+            one.moving = _Slice(kin, i)  # type: ignore[assignment]
+            out.append(one)
         return out
 
     def _rows(self, made: Callable[[Batch, Kinematics, Any], Array], law: Callable[[Any, slice], Array]) -> Array:
@@ -200,7 +218,7 @@ class Many:
             for c in range(k):
                 frame = c * s.n_frames + p.frame if p.frame < s.n_frames else k * s.n_frames
                 g = s.gravity(float(self.times[c]))
-                motion = FrameMotion(float(self.times[c]), self._rotation[frame], self.twist[frame], accel[frame], g)
+                motion = FrameMotion(float(self.times[c]), self.rotation[frame], self.twist[frame], accel[frame], g)
                 sums, rows = p.force(motion, (local[0][c], local[1][c], local[2][c]))
                 core[frame] += sums
                 out[c, s.slices[1][number]] = rows
@@ -217,7 +235,8 @@ class Many:
         return out
 
     @cached_property
-    def _rotation(self) -> Array:
+    def rotation(self) -> Array:
+        """Rotation matrices of the frames of all copies, the ground last."""
         return self.system.motions.matrix(self.pose)
 
     @cached_property
