@@ -1,13 +1,10 @@
-"""Two blocks with meshes that do not match, glued by field multipliers on the true intersections of their
-facets.
+"""Two blocks with meshes that do not match, glued by field multipliers on the true intersections of their facets.
 
-Run:  ./with-dolfinx python3 demos/mortar_blocks.py          (--fast: three meshes; --picture FILE: errors
-against h)
+Run:  ./with-dolfinx python3 demos/mortar_blocks.py          (--fast: three meshes; --picture FILE: errors against h)
 
       +---------+
       |  upper  |   7 n cells a side      Patch test: constant stress passes to roundoff.
-      +---------+   glue, multipliers     Smooth solution: orders 2 / 1 (P1) and 3 / 2 (P2) of u in L2 / H1,
-      and the order of
+      +---------+   glue, multipliers     Smooth solution: orders 2 / 1 (P1) and 3 / 2 (P2) of u in L2 / H1, and the order of
       |  lower  |   5 n cells a side      the interface traction in H^-1/2 and in the h-weighted L2 norm.
       +---------+   the rest of the boundary is held weakly; cross-points by merged ends
 """
@@ -41,51 +38,68 @@ def stress(u):
     return 2 * MU * e + LAMBDA * ufl.tr(e) * ufl.Identity(2)
 
 
+class Problem:
+    """The blocks on two meshes (upper, lower), loads and boundary data of a solution."""
+
+    def __init__(self, degree, meshes, solution):
+        law = ElasticForms(fmbd.materials.linear_elastic(1.0, 0.3), 1.0, degree)
+        self.bodies = [Field(name, mesh, law) for name, mesh in zip(("upper", "lower"), meshes, strict=True)]
+        surface = lambda k, name: trace_of(self.bodies[k].space, self.bodies[k].mesh, name)
+        space, values = default_space(degree), lambda x: np.stack(np.broadcast_arrays(*solution(x.T, Numpy)), 1)
+        self.glue = mortar(surface(0, "bottom"), surface(1, "top"), space)
+        outer = [(0, "top"), (0, "left"), (0, "right"), (1, "bottom"), (1, "left"), (1, "right")]
+        held = [(k, name, space.on(surface(k, name))) for k, name in outer]
+        self.ties = [tie("glue", 0, 1, self.glue), *(hold(f"{k}{name}", k, mu) for k, name, mu in held)]
+        self.data = [np.zeros(self.ties[0].rows), *(data(mu, values) for _, _, mu in held)]
+        self.loads, self.exact = [], []
+        for b in self.bodies:
+            u = ufl.as_vector(solution(ufl.SpatialCoordinate(b.mesh.dolfinx), ufl))
+            self.exact.append(u)
+            f = fem.assemble_vector(fem.form(-ufl.inner(ufl.div(stress(u)), ufl.TestFunction(b.space)) * ufl.dx))
+            f.scatter_reverse(la.InsertMode.add)
+            self.loads.append(f.array[: 2 * b.n].copy())
+
+    def solve(self):
+        """Displacements and multipliers by a direct solver."""
+        system = SaddlePoint([Elastic(b) for b in self.bodies], self.ties)
+        solver = Direct().solver(system)
+        found = solver.solve(self.loads, self.data)
+        solver.destroy(), system.destroy()
+        return found
+
+    def errors(self, found):
+        """Errors of u in L2 and in the seminorm of H1."""
+        squares = np.zeros(2)
+        for b, u, mine in zip(self.bodies, self.exact, found.u, strict=True):
+            uh = fem.Function(b.space)
+            uh.x.array[: 2 * b.n] = mine
+            uh.x.scatter_forward()
+            for i, e in enumerate((uh - u, ufl.grad(uh - u))):
+                squares[i] += b.comm.allreduce(
+                    fem.assemble_scalar(fem.form(ufl.inner(e, e) * ufl.dx(degree=8))), op=MPI.SUM
+                )
+        return np.sqrt(squares)
+
+    def destroy(self):
+        [b.destroy() for b in self.bodies]
+
+
 def errors(degree, n, solution):
-    """Solve on meshes of 7 n and 5 n cells; h, errors of u (L2, H1) and of the traction (H^-1/2, h-weighted
-    L2).
-    """
-    law = ElasticForms(fmbd.materials.linear_elastic(1.0, 0.3), 1.0, degree)
-    bodies = [Field(name, fmbd.read_gmsh("meshes/block.py", cells=c, origin=(0.0, y)), law)
-              for name, c, y in (("upper", 7 * n, 1.0), ("lower", 5 * n, 0.0))]  # fmt: skip
-    surface = lambda k, name: trace_of(bodies[k].space, bodies[k].mesh, name)
-    space, values = default_space(degree), lambda x: np.stack(np.broadcast_arrays(*solution(x.T, Numpy)), 1)
-    glue = mortar(surface(0, "bottom"), surface(1, "top"), space)
-    outer = [(0, "top"), (0, "left"), (0, "right"), (1, "bottom"), (1, "left"), (1, "right")]
-    held = [(k, name, space.on(surface(k, name))) for k, name in outer]
-    ties = [tie("glue", 0, 1, glue), *(hold(f"{k}{name}", k, mu) for k, name, mu in held)]
-    loads, exact = [], []
-    for b in bodies:
-        u = ufl.as_vector(solution(ufl.SpatialCoordinate(b.mesh.dolfinx), ufl))
-        exact.append(u)
-        f = fem.assemble_vector(fem.form(-ufl.inner(ufl.div(stress(u)), ufl.TestFunction(b.space)) * ufl.dx))
-        f.scatter_reverse(la.InsertMode.add)
-        loads.append(f.array[: 2 * b.n].copy())
-    system = SaddlePoint([Elastic(b) for b in bodies], ties)
-    solver = Direct().solver(system)
-    found = solver.solve(loads, [np.zeros(ties[0].rows), *(data(mu, values) for _, _, mu in held)])
-    squares = np.zeros(2)
-    for b, u, mine in zip(bodies, exact, found.u, strict=True):
-        uh = fem.Function(b.space)
-        uh.x.array[: 2 * b.n] = mine
-        uh.x.scatter_forward()
-        parts = [
-            ufl.inner(uh - u, uh - u) * ufl.dx(degree=8),
-            ufl.inner(ufl.grad(uh - u), ufl.grad(uh - u)) * ufl.dx(degree=8),
-        ]
-        squares += [b.comm.allreduce(fem.assemble_scalar(fem.form(p)), op=MPI.SUM) for p in parts]
-    lam, mu = found.multipliers[0].reshape(-1, 2), glue.multipliers
-    traction = interface_traction(solution)
+    """h, errors of u (L2, H1) and of the traction (H^-1/2, h-weighted L2) on meshes of 7 n and 5 n cells."""
+    blocks = ((7 * n, 1.0), (5 * n, 0.0))
+    problem = Problem(
+        degree, [fmbd.read_gmsh("meshes/block.py", cells=c, origin=(0.0, y)) for c, y in blocks], solution
+    )
+    found, mu = problem.solve(), problem.glue.multipliers
+    lam, traction = found.multipliers[0].reshape(-1, 2), interface_traction(solution)
     weighted = np.sqrt(1 / (7 * n)) * l2_error(mu, lam, traction)
-    out = (1 / (7 * n), *np.sqrt(squares), DualNorm(mu, times=2).error(lam, traction), weighted)
-    solver.destroy(), system.destroy(), [b.destroy() for b in bodies]
+    out = (1 / (7 * n), *problem.errors(found), DualNorm(mu, times=2).error(lam, traction), weighted)
+    problem.destroy()
     return out
 
 
 def interface_traction(solution):
-    """The exact multiplier at y = 1: minus the stress on the upper block's outward normal (0, -1), by
-    complex steps.
-    """
+    """The exact multiplier at y = 1: minus the stress on the upper block's outward normal (0, -1), by complex steps."""
 
     def value(x):
         def derivative(k):
@@ -131,20 +145,10 @@ if __name__ == "__main__":
         if args.picture is not None and MPI.COMM_WORLD.rank == 0:
             import matplotlib.pyplot as plt
 
-            for column, name in enumerate(("u, L2", "u, H1", "traction, H$^{-1/2}$", "traction, h$^{1/2}$ L2")):
-                plt.loglog(
-                    table[:, 0],
-                    table[:, 1 + column],
-                    "o-" if degree == 1 else "s--",
-                    label=f"P{degree} {name}",
-                    color=f"C{column}",
-                )
+            for k, name in enumerate(("u, L2", "u, H1", "traction, H$^{-1/2}$", "traction, h$^{1/2}$ L2")):
+                style, label = ("o-", f"P1 {name}") if degree == 1 else ("s--", f"P2 {name}")
+                plt.loglog(table[:, 0], table[:, 1 + k], style, label=label, color=f"C{k}")
     if args.picture is not None and MPI.COMM_WORLD.rank == 0:
-        (
-            plt.xlabel("cell size of the upper block, m"),
-            plt.ylabel("error"),
-            plt.legend(fontsize=7),
-            plt.grid(alpha=0.3),
-        )
+        plt.xlabel("cell size of the upper block, m"), plt.ylabel("error"), plt.legend(fontsize=7), plt.grid(alpha=0.3)
         plt.savefig(args.picture, dpi=110)
     demo.finish(checks, None, args)

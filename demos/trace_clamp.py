@@ -1,17 +1,12 @@
-"""A plate clamped by field multipliers on one face, and the inf-sup constants of the multiplier spaces that
-one could choose.
+"""A plate clamped by field multipliers on one face, and the inf-sup constants of the multiplier spaces that one could choose.
 
-Run:  ./with-dolfinx python3 demos/trace_clamp.py          (--fast: n = 4, 8; --picture FILE: clamp traction;
-mpirun -n 2 works)
+Run:  ./with-dolfinx python3 demos/trace_clamp.py          (--fast: n = 4, 8; --picture FILE: clamp traction; mpirun -n 2 works)
 
     |=========+
-    |  plate  |  --> shear traction          int_clamp mu . u dS = 0 for all mu; the multiplier is the
-    clamp's traction.
-    |=========+                              Its sum balances the load to roundoff, P1 beside P2
-    displacements.
+    |  plate  |  --> shear traction          int_clamp mu . u dS = 0 for all mu; the multiplier is the clamp's traction.
+    |=========+                              Its sum balances the load to roundoff. P1 beside P2 displacements.
 
-The table is the smallest generalised singular value of the coupling in the H1 norm and the dual of the trace
-norm of a finer P2
+The table is the smallest generalised singular value of the coupling in the H1 norm and the dual of the trace norm of a finer P2
 space (Chapelle and Bathe, doi:10.1016/0045-7949(93)90340-J): it must not fall with h. (k) counts zero modes.
 """
 

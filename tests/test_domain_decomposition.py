@@ -59,7 +59,7 @@ def test_bddc_in_the_presets(preset) -> None:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("parts, cells", [(2, (6, 6)), (4, (6, 8))])
+@pytest.mark.parametrize("parts, cells", [(1, (6, 6)), (2, (6, 6)), (3, (6, 8)), (4, (6, 8))])
 def test_subdomains_give_the_beam(parts: int, cells: tuple[int, int]) -> None:
     """A beam in pieces, clamped at its left end: counts bounded, result that of all pieces in one saddle
     point."""
