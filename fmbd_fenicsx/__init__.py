@@ -70,6 +70,7 @@ _LATER = {
     "mechanics.trace_ties": ("tie_surface", "SurfaceTie", "finer_first"),
     "traces.multipliers": ("Aggregated", "Continuous", "Discontinuous", "Dual", "Ends", "Linear"),
     "traces.stability": ("infsup",),
+    "linear.presets": ("Bddc", "Cholesky", "Direct", "FieldSplit", "Multigrid", "Schur"),
     "mechanics.contact": ("contact", "ball", "corners", "cylinder_end"),
     "mechanics.contact_shapes": ("Box", "Cylinder", "HalfSpace", "Obstacle", "SignedDistance", "Sphere"),
     "system.sensors_contact": ("contact_force", "contact_gap", "contact_impulse", "contact_pressure", "contact_work"),

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tied import block, manufactured, release, surface, tied
+from tied import ROOT, block, manufactured, release, surface, tied
 
+import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, LinearSolveError
 from fmbd_fenicsx.linear.exact import Exact
 from fmbd_fenicsx.linear.precondition import Lumped
@@ -240,5 +241,57 @@ def test_stiffened_surface_moves_as_a_rigid_one(dim: int, degree: int) -> None:
     stretch = rigid[1:][:, [0, 2][: dim - 1]]
     assert np.abs(stretch + stretch.T).max() < 1e-10 * np.abs(rigid).max()  # rotation only
     assert np.abs(rigid[1:, 1]).max() > 1e-3 * np.abs(rigid).max()  # and it does rotate
+    solver.destroy()
+    release(s)
+
+
+# -- in scenes ------------------------------------------------------------------------------------------------------------
+def swinging(kind: str) -> fmbd.Scene:
+    """A bar on a pin that swings: in absolute coordinates, or in a floating frame."""
+    mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0, 0.25), cells=4)
+    body = {"absolute": fmbd.AbsoluteBody, "floating": fmbd.FloatingBody}[kind]
+    bar = body("bar", mesh, density=1000.0, elastic=fmbd.materials.linear_elastic(1e7, 0.3))
+    scene = fmbd.Scene("swing", gravity=(0, -9.81))
+    scene.add(bar, fmbd.revolute("pin", bar.surface("left"), fmbd.ground, center=(0.0, 0.125)))
+    scene.sensor("tip", fmbd.position(bar.surface("right")))
+    return scene
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["absolute", "floating"])
+@pytest.mark.parametrize("preset", [Direct(), Schur(), Schur(Multigrid(), rtol=1e-10)], ids=str)
+def test_presets_in_a_scene(kind: str, preset) -> None:
+    """One argument chooses the solver; the motion is the same."""
+    runs = [fmbd.solve(swinging(kind), t_end=0.02, dt=1e-3, linear=linear) for linear in (None, preset)]
+    assert np.abs(runs[0]["tip"] - runs[1]["tip"]).max() < 1e-9
+    inside = runs[1].counters["elastic_iterations"]
+    assert (inside > runs[1].counters["back_solves"] / 2) == (preset == Schur(Multigrid(), rtol=1e-10))
+
+
+@pytest.mark.mpi
+def test_options_of_a_scene() -> None:
+    from petsc4py import PETSc
+
+    options, linear = PETSc.Options(), Schur(Multigrid(), rtol=1e-10)
+    plain = fmbd.solve(swinging("absolute"), t_end=2e-3, dt=1e-3, linear=linear)
+    options["swing_bar.u_pc_type"] = "jacobi"
+    run = fmbd.solve(swinging("absolute"), t_end=2e-3, dt=1e-3, linear=linear)
+    assert run.counters["elastic_iterations"] > 1.5 * plain.counters["elastic_iterations"]  # it was used
+    options.delValue("swing_bar.u_pc_type")
+    options["swing_rod.u_pc_type"] = "jacobi"
+    with pytest.raises(InputError, match=r"nothing used: -swing_rod\.u_pc_type jacobi"):
+        fmbd.solve(swinging("absolute"), t_end=2e-3, dt=1e-3, linear=linear)
+    options.delValue("swing_rod.u_pc_type")
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("step, nu", [(1e-3, 0.3), (1.0, 0.3), (10.0, 0.3), (1.0, 0.4999)])
+def test_conjugate_gradients_on_the_multipliers(step: float, nu: float) -> None:
+    """Half the iterations of MINRES, with the error checked."""
+    s = tied(12, step=step, nu=nu)
+    solver = Schur(limit=0, rtol=1e-9).solver(s)
+    f, g, error = manufactured(s)
+    found = solver.solve(f, g)
+    assert 1 < found.iterations <= 26 and error(found) < 1e-7
     solver.destroy()
     release(s)

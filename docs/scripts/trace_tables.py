@@ -100,13 +100,13 @@ def bddc() -> None:
     from petsc4py import PETSc
 
     from fmbd_fenicsx.linear.domain_decomposition import unassembled
-    from fmbd_fenicsx.linear.saddle import _matrix
+    from fmbd_fenicsx.linear.saddle import Elastic, elastic_matrix
 
     for dim, n in ((2, 24), (3, 6)):
         body = block("body", dim, n, 2)
         for step in (1.0, 10.0, 100.0):
             cm, counts = 4 * (n / step) ** 2, []
-            split, whole = unassembled(body, cm, 1.0), _matrix(body, cm, 1.0)
+            split, whole = unassembled(body, cm, 1.0), elastic_matrix(body, cm, 1.0)
             b = whole.createVecLeft()
             b.array[:] = np.repeat(np.sin(300 * body.X_world.sum(1))[:, None], dim, 1).ravel()
             for kind in ("bddc", "plain bddc", "gamg", "hypre"):
@@ -116,7 +116,7 @@ def bddc() -> None:
                 if kind == "hypre":
                     ksp.getPC().setType("hypre")
                 elif kind == "gamg":
-                    Multigrid().set_up(ksp)
+                    Multigrid().set_up(ksp, Elastic(body, cm))
                 else:
                     set_bddc(ksp, 2.0 if kind == "bddc" else 0.0)
                 ksp.setType("cg")

@@ -28,12 +28,12 @@ from petsc4py import (
     PETSc,  # here and not later: its import is collective, and ranks without subdomains take part
 )
 
-from ..errors import ConvergenceError
 from ..rotations import Array
 from ..traces.fields import Field
 from ..traces.mortar import Mortar, mortar
 from ..traces.multipliers import Multipliers, MultiplierSpace
 from ..traces.traces import Trace
+from .multiplier_schur import conjugate_gradients
 from .precondition import Fractional, rigid_term
 from .residual import Judge
 from .saddle import Elastic, TraceTie, rigid_modes
@@ -191,31 +191,12 @@ class DualInterface:
         """Displacements of this rank's subdomains, multipliers, and the number of iterations; collective."""
         z = {k: self.factors[k].solve(f[k]) for k in self.own}
         d = self._total(sum((self.B[k] @ z[k] for k in self.own), np.zeros(self.n))) - g
-        lam, iterations = self._conjugate_gradients(d, rtol, limit)
+        precondition = (lambda r: sl.cho_solve(self._factor, r)) if self._factor is not None else (lambda r: r)
+        lam, iterations = conjugate_gradients(self.operator, precondition, d, rtol=rtol, limit=limit)
         u: dict[int, Array] = {k: z[k] - self.factors[k].solve(self.B[k].T @ lam) for k in self.own}
         gap = self._total(sum((self.B[k] @ u[k] for k in self.own), np.zeros(self.n))) - g
         self.judge.check(float(np.linalg.norm(gap)), float(np.linalg.norm(d)) + float(np.linalg.norm(g)))
         return u, lam, iterations
-
-    def _conjugate_gradients(self, d: Array, rtol: float, limit: int) -> tuple[Array, int]:
-        """Preconditioned conjugate gradients on replicated vectors: the same numbers on all ranks."""
-        precondition = (lambda r: sl.cho_solve(self._factor, r)) if self._factor is not None else (lambda r: r)
-        lam, r = np.zeros(self.n), d.copy()
-        y = precondition(r)
-        p, size = y.copy(), float(r @ y)
-        start = size
-        for k in range(limit):
-            if size <= rtol**2 * start or start == 0:
-                return lam, k
-            q = self.operator(p)
-            alpha = size / float(p @ q)
-            lam, r = lam + alpha * p, r - alpha * q
-            y = precondition(r)
-            size, old = float(r @ y), size
-            p = y + (size / old) * p
-        raise ConvergenceError(
-            f"The dual interface problem did not converge in {limit} iterations (rtol {rtol:g}). Try a better preconditioner."
-        )
 
     def destroy(self) -> None:
         """Free the factors."""

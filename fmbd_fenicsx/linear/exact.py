@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import scipy.sparse as sp
 
-from .precondition import to_petsc
-from .presets import Schur
+from .multiplier_schur import Schur
+from .precondition import Group
 from .saddle import SaddlePoint
 
 
@@ -18,9 +17,9 @@ class Exact:
     doi:10.1137/S1064827599355153). For tests of signs and transposes, and for few multipliers.
     """
 
-    def matrices(self, saddle: SaddlePoint) -> list[tuple[str, list[int], Any]]:
+    def groups(self, saddle: SaddlePoint) -> list[Group]:
         """One group for all ties; collective."""
-        solver = Schur().solver(saddle, "exact_")
+        solver = Schur(limit=saddle.n_multipliers).solver(saddle, "exact_")
         S = sp.csr_matrix(solver.complement)
         solver.destroy()
-        return [("multipliers", list(range(len(saddle.ties))), to_petsc(S, saddle, [t.rows for t in saddle.ties]))]
+        return [("multipliers", list(range(len(saddle.ties))), S)]

@@ -35,23 +35,25 @@ from ..traces.stability import pencil
 from ..traces.traces import Trace
 from .saddle import Elastic, SaddlePoint, TraceTie, rigid_modes, share_of
 
+Group = tuple[str, list[int], sp.csr_matrix]
+
 
 class MultiplierPreconditioner(Protocol):
-    """Makes S~ as PETSc matrices, one for each group of ties."""
+    """Makes S~, one matrix for each group of ties."""
 
-    def matrices(self, saddle: SaddlePoint) -> list[tuple[str, list[int], Any]]:
-        """Groups: name of the split, numbers of the ties, S~; collective."""
+    def groups(self, saddle: SaddlePoint) -> list[Group]:
+        """Groups: name of the split, numbers of the ties, S~ (replicated); collective."""
 
 
-def _each(saddle: SaddlePoint, make: Callable[[int], sp.csr_matrix]) -> list[tuple[str, list[int], Any]]:
-    return [(t.name, [i], to_petsc(make(i), saddle)) for i, t in enumerate(saddle.ties)]
+def _each(saddle: SaddlePoint, make: Callable[[int], sp.csr_matrix]) -> list[Group]:
+    return [(t.name, [i], make(i)) for i, t in enumerate(saddle.ties)]
 
 
 @dataclass(frozen=True)
 class Lumped:
     """B diag(E)^-1 B^T, tie by tie."""
 
-    def matrices(self, saddle: SaddlePoint) -> list[tuple[str, list[int], Any]]:
+    def groups(self, saddle: SaddlePoint) -> list[Group]:
         """One group for each tie; collective."""
         return _each(saddle, lambda i: _lumped(saddle, i))
 
@@ -60,7 +62,7 @@ class Lumped:
 class ScaledMass:
     """h M_lambda / G, the h-weighted L2 product, tie by tie; for comparison."""
 
-    def matrices(self, saddle: SaddlePoint) -> list[tuple[str, list[int], Any]]:
+    def groups(self, saddle: SaddlePoint) -> list[Group]:
         """One group for each tie; collective."""
 
         def one(i: int) -> sp.csr_matrix:
@@ -92,7 +94,7 @@ class Fractional:
     grid: float = 0.5
     stiffness: float = 1.7
 
-    def matrices(self, saddle: SaddlePoint) -> list[tuple[str, list[int], Any]]:
+    def groups(self, saddle: SaddlePoint) -> list[Group]:
         """One group "multipliers" (the tie's name when there is one only), or one for each tie;
         collective.
         """
@@ -101,13 +103,7 @@ class Fractional:
         S = sp.block_diag([self.block(saddle, i) for i in range(len(saddle.ties))]).toarray()
         S += self.rigid(saddle)
         name = saddle.ties[0].name if len(saddle.ties) == 1 else "multipliers"
-        return [
-            (
-                name,
-                list(range(len(saddle.ties))),
-                to_petsc(sp.csr_matrix(S), saddle, [t.rows for t in saddle.ties]),
-            )
-        ]
+        return [(name, list(range(len(saddle.ties))), sp.csr_matrix(S))]
 
     def block(self, saddle: Any, i: int) -> sp.csr_matrix:
         """S~ of tie i, replicated."""

@@ -29,6 +29,7 @@ from ..traces.fields import Field
 from ..traces.mortar import Mortar
 from ..traces.multipliers import Multipliers
 from ..traces.traces import Trace
+from .multigrid import attach_modes
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +229,7 @@ class SaddlePoint:
         self.comm = elastic[0].body.comm
         together(self.comm, self._check())
         self.names = [e.name for e in elastic] + [t.name for t in ties]
-        self.E = [_matrix(e.body, e.cm, e.ck) for e in elastic]
+        self.E = [elastic_matrix(e.body, e.cm, e.ck) for e in elastic]
         n, m = len(self.E), len(self.ties)
         table: list[list[Any]] = [[None] * (n + m) for _ in range(n + m)]
         self._own = []
@@ -328,27 +329,14 @@ def share_of(n: int, comm: Any, rank: int | None = None) -> int:
     return n // comm.size + (r < n % comm.size)
 
 
-def _matrix(body: Field, cm: float, ck: float) -> Any:
-    """cm M + ck K as a PETSc aij matrix with rigid-body modes for multigrid; collective."""
+def elastic_matrix(body: Field, cm: float, ck: float, cd: float = 0.0) -> Any:
+    """cm M + cd D + ck K as a PETSc aij matrix with rigid-body modes for multigrid; collective. The caller destroys it."""
     from petsc4py import PETSc
 
-    E = body.combination(cm, ck)
+    E = body.combination(cm, ck, cd)
     E.setOption(PETSc.Mat.Option.SPD, cm > 0)
     E.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-    modes = []
-    for column in rigid_modes(body).T:
-        v = E.createVecRight()
-        v.array[:] = column
-        modes.append(v)
-    for i, a in enumerate(modes):
-        for c in modes[:i]:
-            a.axpy(-c.dot(a), c)
-        a.normalize()
-    near = PETSc.NullSpace().create(vectors=modes, comm=body.comm)
-    E.setNearNullSpace(near)
-    near.destroy()
-    for v in modes:
-        v.destroy()
+    attach_modes(E, rigid_modes(body))
     return E
 
 

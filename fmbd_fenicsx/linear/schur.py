@@ -26,6 +26,7 @@ from ..rotations import Array
 from ..system.mobility import NEAR_SINGULAR, mobility, nearly_dependent
 from ..system.system import Evaluation, System
 from .core import ADVICE, CoreSolver
+from .options import check_options
 from .residual import Judge
 from .spd import CholeskyFactor, MassInverse
 
@@ -55,9 +56,15 @@ class Block:
 class StepSolver:
     """Solves cm M + cd C + ck K with the constraints of a system; one object for a whole run; collective."""
 
-    def __init__(self, system: System, redundant: bool | None = None) -> None:
-        """``redundant``: whether constraint rows may depend on each other; None looks at the first configuration."""
-        self.system = system
+    def __init__(
+        self, system: System, redundant: bool | None = None, *, linear: Any = None, prefix: str = "fmbd_"
+    ) -> None:
+        """``redundant``: whether constraint rows may depend on each other; None looks at the first configuration.
+
+        ``linear``: how elastic blocks are solved, an object of :mod:`.presets` (None: Cholesky factors). PETSc's options of
+        the block of a body are those under ``<prefix><body>.u_``.
+        """
+        self.system, self.linear, self.prefix = system, linear, prefix
         self._look = redundant is None
         self._near_singular = False
         self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
@@ -70,6 +77,12 @@ class StepSolver:
         """Right-hand sides solved with elastic factors so far."""
         live = {id(b.factor): b.factor for blocks in self._blocks.values() for b in blocks}
         return sum(f.judge.solves for f in live.values()) + sum(self._retired)
+
+    @property
+    def elastic_iterations(self) -> int:
+        """Iterations of conjugate gradients inside all of them; 0 for factors."""
+        live = {id(b.factor): b.factor for blocks in self._blocks.values() for b in blocks}
+        return sum(getattr(f, "iterations", 0) for f in live.values())
 
     @property
     def worst_residual(self) -> float:
@@ -195,6 +208,8 @@ class StepSolver:
         if key not in self._blocks:
             blocks = [self._block(i, G, w) for i in range(len(self.system.fields))]
             self._drop(keep=1, live=[b.factor for b in blocks])
+            if self.linear is not None and w.ck:
+                check_options(self.prefix, self.system.comm)
             self._blocks[key] = blocks
         return self._blocks[key]
 
@@ -225,6 +240,8 @@ class StepSolver:
         if ck == 0:
             return MassInverse(f.field, cm)
         slack = getattr(f, "slack", None)
+        if slack is None and self.linear is not None:
+            return self.linear.block(f.field, (cm, cd, ck), f"{self.prefix}{f.name}.u_")
         if slack is None:
             return CholeskyFactor(f.field, cm, ck, cd)
         from .slack import SlackFactor

@@ -103,6 +103,7 @@ class _Problem:
     start: State
     scheme: Any
     newton: Newton
+    linear: Any
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,7 @@ def solve(
     scheme: Any = None,
     newton: Newton | None = None,
     output: Output | None = None,
+    linear: Any = None,
 ) -> Run:
     """Integrate a scene from t = 0 to ``t_end`` (s) with steps of at most ``dt`` (s); collective.
 
@@ -139,6 +141,9 @@ def solve(
             with contact.
         newton: tolerance and limits of Newton's iteration.
         output: what is recorded how often, and whether the time-discretisation error is estimated.
+        linear: how elastic bodies and ties are solved: :class:`Direct` (the default), :class:`Schur`,
+            :class:`FieldSplit`. PETSc's options of a block are those under ``-<scene>_<block>_``, spaces of the scene's
+            name written as ``_``.
 
     Raises:
         InputError: unusable arguments. ConstraintError: the bodies do not fit. ConvergenceError: a step
@@ -154,7 +159,7 @@ def solve(
     begin = clock.perf_counter()
     system, given, markers = scene.build()
     built = clock.perf_counter()
-    solver = StepSolver(system)
+    solver = _solver(scene, system, linear)
     newton.refresh = solver.refresh
     try:
         if scene.settle:
@@ -168,7 +173,7 @@ def solve(
             )
             start, correction = consistent(system, given, solver)
         started = clock.perf_counter()
-        problem = _Problem(scene, system, markers, start, scheme, newton)
+        problem = _Problem(scene, system, markers, start, scheme, newton, linear)
         march = _march(problem, solver, pace, output)
         ended = clock.perf_counter()
         counters = _counters(march, newton, solver)
@@ -205,6 +210,11 @@ def solve(
         run.error_estimate, run.observed_order = _estimate(problem, march.recorder, pace)
         run.seconds["error estimate"] = clock.perf_counter() - ended
     return run
+
+
+def _solver(scene: Scene, system: System, linear: Any) -> StepSolver:
+    """The linear solver of a scene, with its own prefix of PETSc's options; collective."""
+    return StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
 
 
 def _default_scheme(scene: Scene) -> Any:
@@ -260,6 +270,7 @@ def _counters(march: _March, newton: Newton, solver: StepSolver) -> dict[str, fl
         "factorisations": solver.factorisations,
         "back_solves": solver.back_solves,
         "back_solves_per_step": later / (march.done - 1) if march.done > 1 else 0.0,
+        "elastic_iterations": solver.elastic_iterations,
         "core_factorisations": solver.core.factorisations,
         "worst_linear_residual": solver.worst_residual,
         **march.counters,
@@ -299,7 +310,7 @@ def _estimate(problem: _Problem, fine: Recorder, pace: Pace) -> tuple[dict[str, 
 
 def _again(problem: _Problem, pace: Pace, factor: int) -> Recorder:
     """The march once more with steps larger by a factor, sensors recorded in every step; collective."""
-    solver = StepSolver(problem.system)
+    solver = _solver(problem.scene, problem.system, problem.linear)
     newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
     wanted = Output(energy=False, progress=False)
     try:
