@@ -114,5 +114,3 @@ def test_report_of_bad_input() -> None:
         fmbd.Beam("b", (0.0, 0.0), (1.0, 0.0), SLENDER).surface("tip")
     with pytest.raises(InputError, match="modes asked for"):
         _ = fmbd.Beam("b", (0.0, 0.0), (1.0, 0.0), SLENDER, elements=1, modes=9).constants
-    with pytest.raises(InputError, match="stiffening needs"):
-        fmbd.Beam("b", (0.0, 0.0), (1.0, 0.0), SLENDER, attached=False, stiffening=True)

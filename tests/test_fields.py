@@ -151,3 +151,21 @@ def test_unusable_initial_fields_are_named(what: str, function: Any, words: str,
     scene.add(rod)
     with pytest.raises(CallbackError, match=f'"rod".*{what}.*{words}'):
         scene.build()
+
+
+@pytest.mark.parametrize("words", ["shape", "finite", "failed"])
+def test_initial_field_that_fails_on_one_rank_ends_all(words: str, rod_mesh: Callable[..., Any]) -> None:
+    """The last rank alone gets an unusable value; every rank raises the same error."""
+    from mpi4py import MPI
+
+    comm = MPI.COMM_WORLD
+
+    def start(x: Any) -> Any:
+        if comm.rank == comm.size - 1:
+            return {"shape": lambda: np.zeros(3), "finite": lambda: x * np.nan, "failed": lambda: 1 / 0}[words]()
+        return 0 * x
+
+    scene = fmbd.Scene("start")
+    scene.add(elastic_rod(rod_mesh(dim=2, h=0.2, height=0.4), displacement=start))
+    with pytest.raises(CallbackError, match=words):
+        scene.build()

@@ -167,3 +167,31 @@ def test_bad_input(rod_mesh: Callable[..., Any]) -> None:
         _ = body.with_(elastic=None, energy=lambda u, dx: 0.5 * u[0] ** 2 * dx).reduced(modes=2).constants
     with pytest.raises(InputError, match="nose"):
         _ = body.reduced(basis=fmbd.CraigBampton(("nose",), 2)).constants
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("frame", [MeanAxis(), Attached("pin")])
+def test_initial_displacement_and_rate(rod_mesh: Callable[..., Any], frame: Any) -> None:
+    """A bent and moving start: the reduced body begins where the full one does, and stays with it."""
+    body = rod(rod_mesh(dim=2, h=0.2, height=0.2), frame=frame).with_(
+        displacement=lambda x: 0.01 * np.array([-2 * x[0] * x[1], x[0] ** 2]),
+        displacement_rate=lambda x: 0.3 * np.array([-2 * x[0] * x[1], x[0] ** 2]),
+    )
+    runs = []
+    for made in (body, body.reduced(basis=fmbd.CraigBampton(("pin",), 8))):
+        scene = pendulum(made)
+        scene.sensor("rate", fmbd.velocity(made.surface("tip")))
+        runs.append(fmbd.solve(scene, t_end=0.05, dt=1e-3))
+    np.testing.assert_allclose(runs[0]["tip"][0], [1.0, 0.01], atol=1e-12)
+    np.testing.assert_allclose(runs[0]["rate"][0], [0.0, 0.3], atol=1e-12)
+    assert np.ptp(runs[0]["tip"][:, 1]) > 0.003
+    np.testing.assert_allclose(runs[1]["tip"], runs[0]["tip"], atol=1e-4)
+    np.testing.assert_allclose(runs[1]["rate"][0], runs[0]["rate"][0], atol=6e-3)
+
+
+def test_warning_of_modes_that_miss_the_start(rod_mesh: Callable[..., Any], caplog: Any) -> None:
+    """One mode cannot hold a stretch."""
+    body = rod(rod_mesh(dim=2, h=0.2, height=0.2), displacement=lambda x: 1e-3 * np.array([x[0] ** 2, 0 * x[0]]))
+    with caplog.at_level("WARNING", logger="fmbd_fenicsx"):
+        _ = body.reduced(modes=1).constants
+    assert "leave out 1" in caplog.text

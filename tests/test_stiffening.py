@@ -55,7 +55,7 @@ def test_reduced_stiffening_is_the_field_projected(rod_mesh: Callable[..., Any])
     body = blade(rod_mesh(dim=2, h=0.1, height=0.1))
     made = body.reduced(modes=4)
     field = Field("blade", body.mesh, body.forms())
-    full, part = FloatingField(field, 0, [], body.frame, True), ReducedPart("blade", made.constants, 0, [])
+    full, part = FloatingField(field, 0, [], body.frame, "pin"), ReducedPart("blade", made.constants, 0, [])
     rng = np.random.default_rng(3)
     motion = FrameMotion(0.0, np.eye(2), rng.standard_normal(3), 1e3 * rng.standard_normal(3), rng.standard_normal(2))
     phi, n = made.reduction.phi, made.constants.n_modes
@@ -85,6 +85,55 @@ def test_refused_without(rod_mesh: Callable[..., Any], caplog: Any) -> None:
 
 
 def test_needs_an_attached_frame(rod_mesh: Callable[..., Any]) -> None:
-    """Mean axes have no surface that carries the inertia forces."""
+    """Mean axes have no surface that carries the inertia forces: it must be named, and exist."""
+    body = blade(rod_mesh(dim=2, h=0.1, height=HEIGHT))
     with pytest.raises(InputError, match="attached"):
-        blade(rod_mesh(dim=2, h=0.1, height=HEIGHT)).with_(frame=fmbd.MeanAxis())
+        body.with_(frame=fmbd.MeanAxis())
+    with pytest.raises(InputError, match='no surface "nose"'):
+        body.with_(frame=fmbd.MeanAxis(), stiffening="nose")
+    with pytest.raises(InputError, match="an energy stiffens by itself"):
+        body.with_(elastic=None, energy=lambda u, dx: u[0] * dx)
+
+
+def spun_up(body: Any, root: str, tip: str) -> Any:
+    """Tip of an arm that a hub brings to 5 UNIT, above its first frequency, in rotating axes."""
+    rate, T = 5.0 * UNIT, 24.0 / UNIT
+
+    def turn(t: float) -> tuple[float, float, float]:
+        w = 2 * np.pi / T
+        return (
+            rate / T * (t * t / 2 + (np.cos(w * t) - 1) / w**2),
+            rate / T * (t - np.sin(w * t) / w),
+            rate / T * (1 - np.cos(w * t)),
+        )
+
+    hub = fmbd.RigidBody("hub", mass=1.0, inertia=1.0, position=(0.0, 0.0))
+    scene = fmbd.Scene("spin-up")
+    scene.add(body, hub, fmbd.revolute("axle", fmbd.ground, hub, center=(0, 0)))
+    scene.add(fmbd.fixed("weld", hub, body.surface(root)), fmbd.drive_rotation("motor", fmbd.ground, hub, turn))
+    scene.sensor("tip", fmbd.position(body.surface(tip)))
+    run = fmbd.solve(scene, t_end=T, dt=T / 300, scheme=fmbd.GeneralizedAlpha(0.8))
+    theta = np.array([turn(t)[0] for t in run.times])
+    return np.cos(theta) * run["tip"][:, 1] - np.sin(theta) * run["tip"][:, 0]
+
+
+@pytest.mark.mpi
+def test_every_frame_and_mixed_bodies_stiffen(rod_mesh: Callable[..., Any]) -> None:
+    """Spin-up above the first frequency: mean axes and displacement-pressure bodies follow the attached frame."""
+    body = blade(rod_mesh(dim=2, h=0.1, height=HEIGHT))
+    free = body.with_(frame=fmbd.MeanAxis(), stiffening="pin")
+    reference = spun_up(body.reduced(modes=4), "pin", "tip")
+    size = np.abs(reference).max()
+    assert size > 0.02
+    found = {
+        "attached": spun_up(body, "pin", "tip"),
+        "mean axes, reduced": spun_up(free.reduced(basis=fmbd.CraigBampton(("pin",), 4)), "pin", "tip"),
+        "mean axes": spun_up(free, "pin", "tip"),
+    }
+    for name, tip in found.items():  # frames differ by the square of the rotation in them, about size / 1 m
+        assert np.abs(tip - reference).max() < 0.5 * size**2, name
+    strain = blade(body.mesh).with_(elastic=fmbd.materials.plane_strain(MODULUS, 0.3))
+    mixed = strain.with_(elastic=fmbd.materials.nearly_incompressible(MODULUS, 0.3))
+    both = [spun_up(b.reduced(modes=4), "pin", "tip") for b in (strain, mixed)]
+    np.testing.assert_allclose(*both, atol=3e-3 * size)  # pressure and displacements of degree 1 and 2: another element
+    np.testing.assert_allclose(spun_up(mixed, "pin", "tip"), both[1], atol=0.01 * size)

@@ -76,7 +76,7 @@ class Beam:
         elements: number of elements.
         modes: vibration modes to keep; None keeps every degree of freedom.
         attached: True: the frame holds the start section; False: mean axes.
-        stiffening: geometric stiffness of the axial force by inertia; needs ``attached``.
+        stiffening: geometric stiffness of the axial force by inertia, held at the start section, in either frame.
         up: direction of the section's y axis in space; any direction across the beam when None.
         velocity, angular_velocity: rigid motion at the start (of the centre of mass; rad/s).
         mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
@@ -99,10 +99,6 @@ class Beam:
     def __post_init__(self) -> None:
         require(self.length > 0, f'Beam "{self.name}": start and end coincide.')
         require(self.elements >= 1, f'Beam "{self.name}": needs at least one element.')
-        require(
-            not self.stiffening or self.attached,
-            f'Beam "{self.name}": stiffening needs attached=True: the start section carries the inertia forces.',
-        )
         if self.dim == 3:
             s = self.section
             require(

@@ -133,7 +133,8 @@ class FloatingBody:
         velocity, angular_velocity: of the rigid motion at the start; the latter is world axes = body axes, rad/s.
         displacement, displacement_rate: initial u(x), u'(x): functions of the coordinates (d, n) -> (d, n) in m, m/s.
         mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
-        stiffening: True adds the geometric stiffness of the stress by inertia forces; needs an attached frame.
+        stiffening: True adds the geometric stiffness of the stress by inertia forces, held by the surface of an attached
+            frame; the name of a surface does the same in any frame, with that surface holding the body.
         quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks for.
         loads: of :mod:`fmbd_fenicsx.traces.loads`: tractions, pressure, body forces, thermal stress, own forms.
         viscous: bilinear form (u, v, dx) of Kelvin-Voigt damping, acting on the rate of the local displacements (absolute
@@ -156,15 +157,21 @@ class FloatingBody:
     quadrature: int | None = None
     loads: Sequence[Load] = ()
     viscous: Callable[[Any, Any, Any], Any] | None = None
-    stiffening: bool = False
+    stiffening: bool | str = False
 
     def __post_init__(self) -> None:
         _check_elastic(self)
         require(
-            not self.stiffening or (isinstance(self.frame, Attached) and self.elastic is not None),
-            f'Body "{self.name}": stiffening by the stress of the inertia forces needs the linear form and a frame attached to '
-            "the surface that holds the body: frame=Attached(...). For mean axes give an energy instead, it stiffens by itself.",
+            self.stiffening is not True or isinstance(self.frame, Attached),
+            f'Body "{self.name}": stiffening=True needs a frame attached to the surface that holds the body: '
+            'frame=Attached(...). In other frames name that surface: stiffening="pin".',
         )
+        require(
+            not self.stiffening or self.elastic is not None,
+            f'Body "{self.name}": stiffening belongs to a linear form; an energy stiffens by itself.',
+        )
+        if isinstance(self.stiffening, str):
+            self.surface(self.stiffening)
         if isinstance(self.frame, Attached):
             self.surface(self.frame.surface)
         if isinstance(self.frame, Chord):
@@ -175,6 +182,13 @@ class FloatingBody:
     def dim(self) -> int:
         """Space dimension, from the mesh."""
         return int(self.mesh.dim)
+
+    @property
+    def held_at(self) -> str | None:
+        """Name of the surface that holds the inertia forces which stiffen the body; None without stiffening."""
+        if self.stiffening is True and isinstance(self.frame, Attached):
+            return self.frame.surface
+        return self.stiffening or None  # type: ignore[return-value]
 
     def surface(self, name: str) -> Surface:
         """The named surface of the mesh."""

@@ -29,14 +29,20 @@ from .stiffening import Stiffening
 class FloatingField(FieldPart):
     """A displacement field in a floating frame; equations (1), (2). One per body.
 
-    ``frame`` is the index of its frame, ``kind`` says how it follows the body.
+    ``frame`` is the index of its frame, ``kind`` says how it follows the body; ``held_at``: the surface that holds the inertia
+    forces whose stress stiffens the body, None for no stiffening.
     """
 
     def __init__(
-        self, field: Field, frame: int, surfaces: list[str], kind: MeanAxis | Attached | Chord, stiffening: bool = False
+        self,
+        field: Field,
+        frame: int,
+        surfaces: list[str],
+        kind: MeanAxis | Attached | Chord,
+        held_at: str | None = None,
     ) -> None:
         super().__init__(field, frame, surfaces, frame_conditions(field, kind))
-        self.stiffening = Stiffening(field, self.conditions) if stiffening else None
+        self.stiffening = None if held_at is None else Stiffening(field, attachment(field, held_at))
         self._load = np.zeros(field.dim + field.dim**2)
         self.shared_columns = isinstance(kind, MeanAxis)
         self.inertia_columns = field.Q
@@ -191,10 +197,10 @@ def frame_conditions(field: Field, frame: MeanAxis | Attached | Chord) -> Array:
         return field.Q
     if isinstance(frame, Chord):
         return _chord(field, frame)
-    return _attachment(field, frame.surface)
+    return attachment(field, frame.surface)
 
 
-def _attachment(field: Field, surface: str) -> Array:
+def attachment(field: Field, surface: str) -> Array:
     """Columns of the linear conditions "the surface does not move in the frame, on average"."""
     m, d, moments = motions(field.dim), field.dim, field.moments(surface)
     b = moments.reference[1:]  # (k, d)
@@ -223,5 +229,5 @@ def _chord(field: Field, frame: Chord) -> Array:
         C[b.nodes, :, d + k] = b.weights[:, :1] * n
     C = C.reshape(-1, m.n_twist) * field.mass_total
     if d == 3:
-        C[:, 5] = _attachment(field, frame.start)[:, 3:] @ (chord / length)
+        C[:, 5] = attachment(field, frame.start)[:, 3:] @ (chord / length)
     return C

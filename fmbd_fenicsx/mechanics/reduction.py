@@ -4,6 +4,7 @@
     rod.reduced(frequency=500.0)                             all modes up to 500 Hz
     rod.reduced(basis=CraigBampton(("pin", "tip"), 10))      static interface modes and 10 modes with fixed interfaces
 
+For a jointed body take CraigBampton with the surfaces that its joints hold: beside their static modes few others are enough.
 A body with geometric stiffening keeps the static displacements under its inertia forces beside the modes.
 """
 
@@ -16,12 +17,16 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, require
+from ..log import log
 from ..rotations import Array
 from ..traces.fields import Field
 from ..traces.mixed import make_field
-from .floating import frame_conditions, moment_columns
+from .floating import attachment, frame_conditions, moment_columns
+from .framed_start import framed_start
 from .reduced import Constants, SurfaceData, constants_of
 from .stiffening import Stiffening
+
+LEFT_OUT = 1e-4  # share of the mean square of an initial displacement above which modes that miss it are warned of
 
 
 @dataclass(frozen=True)
@@ -138,22 +143,26 @@ class ReducedBody:
 
     def start_local(self) -> tuple[Array, Array]:
         """Modal amplitudes and rates at the start."""
-        n = self.constants.n_modes
-        require(
-            self.source.displacement is None and self.source.displacement_rate is None,
-            f'Body "{self.name}": a reduced body starts undeformed; initial displacements are for full bodies.',
-        )
-        return np.zeros(n), np.zeros(n)
+        return self.reduction.start
+
+    def start_frame(self) -> tuple[Array, Array]:
+        """Pose and twist of the frame at the start."""
+        return self.reduction.frame
 
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """Constants, frequencies omega (rad/s) of the modes, and the modes phi (n d, m) on this rank's nodes of ``space``."""
+    """Constants, frequencies omega (rad/s) of the modes, and the modes phi (n d, m) on this rank's nodes of ``space``.
+
+    ``start``: amplitudes (m,) of the initial displacement and of its rate; ``frame``: pose and twist of the frame with them.
+    """
 
     constants: Constants
     omega: Array
     phi: Array
     space: Any
+    start: tuple[Array, Array]
+    frame: tuple[Array, Array]
 
 
 def _loads(f: Field, Z: Array) -> tuple[tuple[tuple[Any, Array], ...], dict[Any, Array]]:
@@ -181,7 +190,7 @@ def reduce_body(body: Any, basis: FrameModes | CraigBampton) -> Reduction:
     omega: Array = np.zeros(0)
     phi: Array = np.zeros((f.n * f.dim, 0))
     V = basis.columns(f, frame)
-    stress = Stiffening(f, frame) if body.stiffening and V.shape[1] else None
+    stress = Stiffening(f, attachment(f, body.held_at)) if body.held_at and V.shape[1] else None
     if stress is not None:
         V = np.concatenate((V, stress.columns), axis=1)  # the stretch of steady rotation is then exact
     if V.shape[1]:
@@ -203,6 +212,26 @@ def reduce_body(body: Any, basis: FrameModes | CraigBampton) -> Reduction:
         D = D + f.total(phi.T @ np.stack([f.damping(a) for a in phi.T], axis=1))
     stiffening = None if stress is None else stress.modal(phi)
     made = Constants(f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z))
+    start = framed_start(body, f, frame)
+    local = _amplitudes(f, start.U, phi), _amplitudes(f, start.Ud, phi)
     space = f.space
     f.destroy()
-    return Reduction(made, omega, phi, space)
+    return Reduction(made, omega, phi, space, local, (start.pose, start.twist))
+
+
+def _amplitudes(f: Field, U: Array, phi: Array) -> Array:
+    """Amplitudes (m,) of the modes in nodal displacements U or their rate; a warning of what they leave out."""
+    if not f.total(np.array(np.abs(U).sum())):
+        return np.zeros(phi.shape[1])
+    MU = f.mass(U.reshape(-1, f.dim)).ravel()
+    eta = np.asarray(f.total(phi.T @ MU))
+    whole = float(f.total(np.array(U @ MU)))
+    left = 1.0 - float(eta @ eta) / whole if whole > 0 else 0.0
+    if left > LEFT_OUT:
+        log.warning(
+            'body "%s": its %d modes leave out %.2g of the mean square of its initial displacement or rate',
+            f.name,
+            phi.shape[1],
+            left,
+        )
+    return eta

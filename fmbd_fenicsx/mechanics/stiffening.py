@@ -1,10 +1,11 @@
 """Geometric stiffening: the initial stress of the inertia forces acts on the small displacements of a floating body.
 
-A body in an attached frame that is accelerated by a and turned with L = w'~ + w~ w~ carries, to first order, the stress of
+A body that is held by a surface, accelerated by a and turned with L = w'~ + w~ w~ carries, to first order, the stress of
 
     K u_0 + C mu = -M (a + L X),     C^T u_0 = 0                                                             (1)
 
-with the frame's surface holding it. Displacements u then work against this stress on the nonlinear part of the strain,
+with C the mean motion of that surface: the surface of an attached frame, or one that the user names.
+Displacements u then work against this stress on the nonlinear part of the strain,
 
     K_g(u_0)(w, v) = int sigma(u_0) : sym(grad w^T grad v)                                                   (2)
 
@@ -64,9 +65,7 @@ class Stiffening:
         self.columns = np.stack(columns, axis=1)  # (n d, d + d^2): u_0 for unit a_c and unit L_ij
         self._u0, self._w = fem.Function(field.space), fem.Function(field.space)
         u, v = ufl.TrialFunction(field.space), ufl.TestFunction(field.space)
-        dx = field.elastic_measure
-        assert field.forms.elastic is not None
-        stress = field.forms.elastic(self._u0, v, dx)
+        stress, self._p0 = field.stress_form(self._u0, v)
         self._force_form = compat.form(geometric_form(stress, v, self._w))
         self.matrix_form = compat.form(geometric_form(stress, v, u))
 
@@ -74,9 +73,15 @@ class Stiffening:
         function.x.array[: len(U)] = U
         function.x.scatter_forward()
 
+    def _hold(self, U: Array) -> None:
+        """Take U as u_0, with its pressure where the body has one."""
+        self._place(self._u0, U)
+        if self._p0 is not None:
+            self._p0.x.array[:] = self.field.pressure_of(U).x.array
+
     def set_load(self, coefficients: Array) -> None:
         """Take u_0 for (a, L) as a flat array (d + d^2,)."""
-        self._place(self._u0, self.columns @ coefficients)
+        self._hold(self.columns @ coefficients)
 
     def force(self, coefficients: Array, U: Array) -> Array:
         """K_g U, (n d,); collective."""
@@ -97,7 +102,7 @@ class Stiffening:
         A = fp.create_matrix(self.matrix_form)
         x, y = A.createVecs()
         for k in range(len(out)):
-            self._place(self._u0, self.columns[:, k])
+            self._hold(self.columns[:, k])
             A.zeroEntries()
             fp.assemble_matrix(A, self.matrix_form)
             A.assemble()

@@ -21,7 +21,7 @@ from ..mechanics.reduction import ReducedBody
 from ..mechanics.relative import Relative, Separation
 from ..mechanics.wires import Wires
 from ..rotations import Array, Motions, motions
-from .scene_fields import initial_fields
+from ..traces.initial import initial_fields
 from .scene_joints import JointRows, relative_of
 from .scene_wires import slider_rows, wires_part
 from .sensors import Sensor
@@ -183,10 +183,13 @@ class Builder:
         frame = self.frame_of[body.name]
         self._put_part(ReducedPart(body.name, body.constants, frame, surfaces), *body.start_local())
         self.poses[frame] = self.m.pose(body.constants.center)
+        if isinstance(body, ReducedBody):
+            self.poses[frame], self.twists[frame] = body.start_frame()
 
     def _add_field(self, body: FloatingBody | AbsoluteBody, surfaces: list[str], ground_frame: int) -> None:
         from ..mechanics.absolute import AbsoluteField
         from ..mechanics.floating import FloatingField
+        from ..mechanics.framed_start import framed_start
         from ..traces.mixed import make_field
 
         field_ = make_field(body.name, body.mesh, body.forms())
@@ -194,16 +197,18 @@ class Builder:
             from .scene_contact import make_massless
 
             make_massless(self.scene, body, field_)
-        U, Ud = initial_fields(body, field_)
         if isinstance(body, AbsoluteBody):
+            U, Ud = initial_fields(body, field_)
             d, twist = self.m.dim, body.start_twist()
             arm = field_.X + U.reshape(-1, d)
             Ud = Ud + (twist[:d] + self.m.spin(twist[None, d:], arm)).ravel()
             self._put_part(AbsoluteField(field_, ground_frame, surfaces), U, Ud)
             return
         frame = self.frame_of[body.name]
-        self._put_part(FloatingField(field_, frame, surfaces, body.frame, body.stiffening), U, Ud)
-        self.poses[frame] = self.m.pose(field_.center)
+        part = FloatingField(field_, frame, surfaces, body.frame, body.held_at)
+        start = framed_start(body, field_, part.conditions)
+        self._put_part(part, start.U, start.Ud)
+        self.poses[frame], self.twists[frame] = start.pose, start.twist
 
     def _rigid_block(self, rigid: list[RigidBody]) -> Any:
         from ..mechanics.placements import RigidBlock

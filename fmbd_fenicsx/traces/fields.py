@@ -134,6 +134,15 @@ class Field:
         except Exception as error:
             raise InputError(f'Body "{self.name}": {what}: {type(error).__name__}: {error}') from error
 
+    def stress_form(self, u: Any, v: Any) -> tuple[Any, Any]:
+        """Work of the linear stress of u on grad v, UFL, and the pressure in it as a function (None without one)."""
+        assert self.forms.elastic is not None
+        return self.forms.elastic(u, v, self.elastic_measure), None
+
+    def pressure_of(self, U: Array) -> Any:
+        """The pressure that belongs to displacements U, as a dolfinx function: only bodies with a pressure have one."""
+        raise NotImplementedError
+
     def linearise(self, U: Array | None, extra: Any = None) -> None:
         """Assemble K, for an energy at the displacements U (n d,) (None: zero), plus an ``extra`` compiled form; collective."""
         import dolfinx.fem.petsc as fp

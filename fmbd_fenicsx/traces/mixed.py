@@ -93,12 +93,8 @@ class MixedField(Field):
         """Assemble the blocks at the displacements U (None: zero); collective."""
         import dolfinx.fem.petsc as fp
 
-        if extra is not None:
-            raise InputError(
-                f'Body "{self.name}": stiffening by inertia forces is for displacement forms; give an energy.'
-            )
         self._place(np.zeros(self.n * self.dim) if U is None else U)
-        super().linearise(U)
+        super().linearise(U, extra)
         if self._B is None:
             self._B = fp.create_matrix(self._coupling_form)
             self._bu, self._bp = self._B.createVecs()
@@ -128,9 +124,18 @@ class MixedField(Field):
         volume = np.array(self._bu.array)
         return self._times(self.K, U) + volume
 
+    def stress_form(self, u: Any, v: Any) -> tuple[Any, Any]:
+        """Work of the stress of u and of its pressure on grad v, and the pressure."""
+        import ufl
+        from dolfinx import fem
+
+        p = fem.Function(self.pressure)
+        return ufl.derivative(self._energy(u, p, self.elastic_measure), u, v), p
+
     def tangent(self, U: Array) -> Array:
-        """The same: the matrix of :meth:`combination` with its pressure eliminated."""
-        return self.stiffness(U)
+        """The matrix of :meth:`combination` with its pressure eliminated, times U."""
+        out = self.stiffness(U)
+        return out if self._extra is None else out + self._times(self._with_extra, U) - self._times(self.K, U)
 
     def combination(self, cm: float, ck: float, cd: float = 0.0) -> Any:
         """[cm M + ck A, ck B^T; ck B, -ck C] as one PETSc matrix (aij); collective. The caller destroys it."""
