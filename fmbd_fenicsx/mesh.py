@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ import numpy as np
 from . import dolfinx_compat as compat
 from .errors import MeshError, near
 from .log import install_hooks, together
+
+SMALLEST = 1e-12  # area of a surface over extent^(d - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +51,22 @@ class Mesh:
         if name not in self.surfaces:
             raise MeshError(f'No surface "{name}" in {self.label}. {near(name, self.surfaces)}')
         return self.surfaces[name]
+
+    @cached_property
+    def extent(self) -> float:
+        """Longest edge of the box around the mesh, m; collective."""
+        x, inf = self.dolfinx.geometry.x, np.full(3, np.inf)
+        boxes = self.dolfinx.comm.allgather((x.min(0), x.max(0)) if len(x) else (inf, -inf))
+        return float((np.max([b[1] for b in boxes], axis=0) - np.min([b[0] for b in boxes], axis=0)).max())
+
+    def check_area(self, name: str, area: float) -> None:
+        """Refuse a surface without area, or with so little that a joint on it cannot carry a finite force; collective."""
+        least = SMALLEST * self.extent ** (self.dim - 1)
+        if not area > least:
+            raise MeshError(
+                f'Surface "{name}" of {self.label} has area {area:.3g} m^{self.dim - 1}, not more than {least:.3g}: '
+                + ("it has no facets on the boundary." if area == 0 else "too small to carry a joint, a tie or a load.")
+            )
 
 
 def read_gmsh(source: str | Path, *, volume: str | None = None, comm: Any = None, **parameters: Any) -> Mesh:

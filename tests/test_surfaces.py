@@ -74,3 +74,36 @@ def test_joint_on_a_surface_without_facets_is_refused(rod_mesh: Callable[..., An
     scene.add(fmbd.revolute("pin", rod.surface("ghost"), block, center=(0, 0)))
     with pytest.raises(MeshError, match='"ghost".*no facets'):
         scene.build()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("width, refused", [(1e-4, False), (2e-13, True)])
+def test_tiny_surfaces(width: float, refused: bool) -> None:
+    """M5: one small facet carries a joint or a tie; one of less than 1e-12 of the length is refused by both."""
+    import ufl
+    from basix.ufl import element
+    from dolfinx import mesh as dmesh
+    from mpi4py import MPI
+
+    from fmbd_fenicsx.errors import MeshError
+    from fmbd_fenicsx.mesh import Mesh
+
+    here = MPI.COMM_WORLD.rank == 0
+    x = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, width], [0.0, 1.0]]) if here else np.zeros((0, 2))
+    cells = np.array([[0, 1, 3], [1, 2, 3]] if here else np.zeros((0, 3)), dtype=np.int64)
+    msh = dmesh.create_mesh(MPI.COMM_WORLD, cells, x, ufl.Mesh(element("Lagrange", "triangle", 1, shape=(2,))))
+    facets = dmesh.locate_entities_boundary(msh, 1, lambda x: np.isclose(x[0], 1.0))
+    tags = dmesh.meshtags(msh, 1, np.sort(facets), np.full(len(facets), 1, dtype=np.int32))
+    tip = Mesh(msh, tags, {"tip": 1}, "wedge", "the wedge")
+    assert tip.extent == pytest.approx(1.0, abs=1e-14)
+    for joint in (fmbd.tie_surface, lambda name, a, b: fmbd.spherical(name, a, b, center=(1.0, 0.0))):
+        body = fmbd.AbsoluteBody("wedge", tip, degree=1, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
+        scene = fmbd.Scene("wedge")
+        scene.add(body, joint("hold", body.surface("tip"), fmbd.ground))
+        if refused:
+            with pytest.raises(
+                MeshError, match=r'Surface "tip" of the wedge has area 2e-13 m\^1, not more than 1e-12: too small'
+            ):
+                scene.build()
+        else:
+            assert scene.build()[0].n_lam == 2

@@ -205,7 +205,7 @@ def infsup(
     from dolfinx import fem
 
     mesh, name = surface
-    length = extent(mesh)
+    length = mesh.extent
     body = BodyNorm(mesh, degree, clamped=clamped, length=length)
     trace = trace_of(body.space, mesh, name)
     if carrier is None:
@@ -232,15 +232,6 @@ def smallest(values: Array) -> tuple[float, int]:
     """beta of (1) from its eigenvalues, over those that are not zero, and the number of zeros."""
     zero = values < ZERO * max(float(values.max()), 1e-300)
     return (float(np.sqrt(values[~zero].min())) if (~zero).any() else 0.0), int(zero.sum())
-
-
-def extent(mesh: Any) -> float:
-    """Longest edge of the box around a mesh, m: the length l of (1); collective."""
-    x = mesh.dolfinx.geometry.x
-    inf = np.full(3, np.inf)
-    boxes = mesh.dolfinx.comm.allgather((x.min(0), x.max(0)) if len(x) else (inf, -inf))
-    low, high = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
-    return float((high - low).max())
 
 
 def _nested(mu: Multipliers, fine: Trace) -> sp.csr_matrix:

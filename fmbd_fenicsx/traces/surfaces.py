@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import MeshError
 from ..rotations import Array
 
 
@@ -43,10 +42,7 @@ class Moments:
             return float(sum(parts))
 
         self.area = integral(one)
-        if not self.area > 0:
-            raise MeshError(
-                f'Surface "{surface}" of {mesh.label} has area {self.area}: it has no facets on the boundary.'
-            )
+        mesh.check_area(surface, self.area)
         self.center = np.array([integral(x[k]) for k in range(d)]) / self.area
         second = sum(integral((x[k] - float(self.center[k])) ** 2) for k in range(d))
         self.length = float(np.sqrt(max(second, 0.0) / self.area)) or 1.0

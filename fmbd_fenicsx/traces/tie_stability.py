@@ -30,7 +30,7 @@ from ..errors import InputError
 from ..rotations import Array
 from .mortar import mortar
 from .multipliers import default_space
-from .stability import WEAK, BodyNorm, DualNorm, InfSup, extent, infsup, smallest
+from .stability import WEAK, BodyNorm, DualNorm, InfSup, infsup, smallest
 from .traces import Trace, surface_trace, trace_of
 
 FALL, LOW = 0.6, 0.5  # (1)
@@ -149,7 +149,7 @@ def infsup_together(ties: Sequence[Any]) -> Together:
     from dolfinx import fem
 
     bodies = {side.body.name: side.body for t in ties for side in (t.a, t.b) if hasattr(side, "body")}
-    length = max(extent(b.mesh) for b in bodies.values())
+    length = max(b.mesh.extent for b in bodies.values())
     norms = {name: BodyNorm(b.mesh, b.degree, length=length) for name, b in bodies.items()}
     spaces = {name: fem.functionspace(b.mesh.dolfinx, ("Lagrange", b.degree)) for name, b in bodies.items()}
     rows: dict[str, list[Any]] = {name: [] for name in bodies}

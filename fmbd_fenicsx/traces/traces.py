@@ -166,7 +166,7 @@ def trace_of(space: Any, mesh: Any, surface: str) -> Trace:
     """The trace of a Lagrange space (scalar or vector) on a named surface; collective.
 
     Raises:
-        MeshError: no facets on the boundary, or facets that are not straight simplices.
+        MeshError: no facets on the boundary, next to no area, or facets that are not straight simplices.
     """
     d, comm = mesh.dim, mesh.dolfinx.comm
     degree = int(space.ufl_element().embedded_superdegree)
@@ -191,7 +191,9 @@ def trace_of(space: Any, mesh: Any, surface: str) -> Trace:
     low, high = space.dofmap.index_map.local_range
     found = unique[order]
     owned = np.where((found >= low) & (found < high), found - low, -1)
-    return Trace(label, points[order], nodes[middle], normals[middle], degree, owned, high - low, comm)
+    made = Trace(label, points[order], nodes[middle], normals[middle], degree, owned, high - low, comm)
+    mesh.check_area(surface, float(made.sizes.sum()))
+    return made
 
 
 def surface_trace(mesh: Any, surface: str, degree: int = 1) -> Trace:
