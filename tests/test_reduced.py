@@ -134,6 +134,28 @@ def test_craig_bampton_converges_from_above(rod_mesh: Callable[..., Any]) -> Non
     np.testing.assert_allclose(found[-1], exact, rtol=1e-3)
 
 
+@pytest.mark.mpi
+def test_inertia_modes_hold_the_static_sag(rod_mesh: Callable[..., Any]) -> None:
+    """A rod that hangs from both ends: with no vibration mode at all it sags as the field does under its weight."""
+
+    def sag(body: Any) -> float:
+        scene = fmbd.Scene("hung", gravity=(1.0, -9.81), settle=True)
+        scene.add(body, fmbd.revolute("left", body.surface("pin"), fmbd.ground))
+        scene.add(fmbd.point_on_line("right", fmbd.ground, body.surface("tip"), axis=(1, 0)))
+        scene.sensor("side", fmbd.position(body.surface("side")))
+        run = fmbd.solve(scene, t_end=0.02, dt=0.01)
+        assert np.ptp(run["side"], axis=0).max() < 1e-9  # an equilibrium
+        return float(run["side"][0, 1])
+
+    full = rod(rod_mesh(h=0.1))
+    exact = sag(full)
+    with_inertia, without = (
+        sag(full.reduced(basis=fmbd.CraigBampton(("pin", "tip"), 0, inertia=wanted))) for wanted in (True, False)
+    )
+    assert with_inertia == pytest.approx(exact, rel=1e-6)
+    assert abs(without / exact - 1) > 1e-2
+
+
 def test_all_modes_give_the_full_body(rod_mesh: Callable[..., Any]) -> None:
     """With every mode of a coarse field the run is the full run; with fewer the error falls."""
     body = rod(rod_mesh(dim=2, h=0.5, height=0.2), degree=1)
