@@ -71,6 +71,7 @@ def test_energy_error_is_bounded() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 def test_a_million_steps() -> None:
     """T7: 1e6 steps."""
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

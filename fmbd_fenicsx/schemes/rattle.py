@@ -48,6 +48,14 @@ class Stepper:
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.system, self.solver, self.newton, self.state = system, solver, newton, state
         self.half = state.lam
+        self._factored: Array | None = None  # the q whose M and G the solver holds
+
+    def _prepare(self, ev: Evaluation) -> None:
+        """The matrix at ev.q: it serves the end of a step, its accelerations, and the beginning of the next."""
+        if self._factored is not ev.q:
+            self._factored = None  # should the factorisation fail
+            self.solver.prepare(ev, MASS)
+            self._factored = ev.q
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when the iteration for (1) fails."""
@@ -58,7 +66,7 @@ class Stepper:
         a, self.half = self._solve_second(system.at(t, q, v), v, h)
         v = v + 0.5 * h * a
         ev = system.at(t, q, v)
-        self.solver.prepare(ev, MASS)
+        self._prepare(ev)
         a, lam = self._refine(ev, a, self.half, lambda a: ev.jacobian.times(a) + ev.gamma())
         self.state = State(t, q, v, a, lam)
         return self.state
@@ -69,15 +77,12 @@ class Stepper:
         a, lam = s.a.copy(), s.lam.copy()
         floor = 64 * np.finfo(float).eps * system.length
         tolerance = max(self.newton.tolerance * 0.5 * h * h * max(system.max_abs(s.a), 1e-300), floor)
-        prepared = False
 
         def increment() -> float:
-            nonlocal a, lam, prepared
+            nonlocal a, lam
             v = s.v + 0.5 * h * a
             ev = system.at(s.t, s.q, v)
-            if not prepared:
-                self.solver.prepare(ev, MASS)
-                prepared = True
+            self._prepare(ev)
             r = ev.balance(a, lam)
             g = system.at(s.t + h, system.compose(s.q, h * v)).constraint() if system.n_lam else np.zeros(0)
             da, dlam = self.solver.solve(-r, -2.0 / (h * h) * g)
@@ -96,14 +101,15 @@ class Stepper:
     def _solve_second(self, ev: Evaluation, v: Array, h: float) -> tuple[Array, Array]:
         """a = 2 (v_n+1 - v_1/2) / h and mu of (2)."""
         slip = ev.jacobian.times(v) + ev.constraint_rate() if self.system.n_lam else np.zeros(0)
-        self.solver.prepare(ev, MASS)
+        self._prepare(ev)
         return self._refine(ev, self.state.a, self.half, lambda a: ev.jacobian.times(a) + 2.0 / h * slip)
 
     def _refine(self, ev: Evaluation, a: Array, lam: Array, rows: Callable[[Array], Array]) -> tuple[Array, Array]:
-        """Solve balance(a, lambda) = 0, rows(a) = 0; repeated where the solver's mass matrix is not exact (deformed bodies)."""
+        """Solve balance(a, lambda) = 0, rows(a) = 0; repeated where the solver's matrix is not exact (deformed bodies)."""
+        exact = not self.system.fields and self.solver.core.exact
         for _ in range(self.newton.max_iterations):
             da, dlam = self.solver.solve(-ev.balance(a, lam), -rows(a) if self.system.n_lam else np.zeros(0))
             a, lam = a + da, lam + dlam
-            if self.system.max_abs(da) <= 1e-12 * max(self.system.max_abs(a), 1e-300):
+            if exact or self.system.max_abs(da) <= 1e-12 * max(self.system.max_abs(a), 1e-300):
                 break
         return a, lam
