@@ -15,7 +15,7 @@ from ..errors import require
 from ..log import world_rank
 from ..rotations import Array
 from ..system.scene import Scene
-from ..system.system import State, System
+from ..system.system import Evaluation, State, System
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class Recorder:
         self.values: dict[str, list[Array]] = {n: [] for n in self.scene.sensors}
         self._due = list(np.linspace(0.0, self.t_end, self.output.snapshots)) if self.output.snapshots else []
 
-    def take(self, n: int, state: State) -> None:
-        """Record step n when it is due; collective."""
+    def take(self, n: int, state: State, seen: Evaluation | None = None) -> None:
+        """Record step n when it is due; ``seen``: the system in that state, where known. Collective."""
         rounding = 1e-9 * self.t_end
         if self._due and state.t >= self._due[0] - rounding:
             self.snapshots.append(state)
@@ -74,7 +74,7 @@ class Recorder:
         if n % self.output.every and state.t < self.t_end - rounding:
             return
         begin = clock.perf_counter()
-        ev = self.system.at(state.t, state.q, state.v)
+        ev = self.system.at(state.t, state.q, state.v) if seen is None else seen
         self.indices.append(n)
         self.times.append(state.t)
         for name, sensor in self.scene.sensors.items():

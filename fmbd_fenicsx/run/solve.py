@@ -20,6 +20,7 @@ from ..schemes.statics import equilibrium
 from ..system.plan import Plan, make_plan
 from ..system.scene import Scene
 from ..system.system import State, System
+from .guard import Guarded, closed
 from .output import Output, Progress, Recorder
 from .pace import Pace, pace_of
 
@@ -226,12 +227,26 @@ def _default_scheme(scene: Scene) -> Any:
     return ContactMidpoint()
 
 
+def _stepper(problem: _Problem, solver: StepSolver, *, guarded: bool) -> Any:
+    """The scheme's worker from the consistent start, under the energy guard where that makes sense."""
+    made = problem.scheme.stepper(problem.system, solver, problem.newton, problem.start)
+    if not guarded:
+        return made
+
+    def renew(state: State) -> Any:
+        problem.newton.theta = 0.5
+        start, _ = consistent(problem.system, state, solver)
+        return problem.scheme.stepper(problem.system, solver, problem.newton, start)
+
+    return Guarded(made, problem.system, renew)
+
+
 def _march(problem: _Problem, solver: StepSolver, pace: Pace, output: Output) -> _March:
     """All steps from a consistent start; collective."""
-    stepper = problem.scheme.stepper(problem.system, solver, problem.newton, problem.start)
+    stepper = _stepper(problem, solver, guarded=output.energy and closed(problem.scene))
     recorder = Recorder(problem.scene, problem.system, problem.markers, output, pace.t_end)
     state = stepper.state
-    recorder.take(0, state)
+    recorder.take(0, state, getattr(stepper, "evaluation", None))
     bar = Progress(problem.scene.name, pace.steps or None, output.progress)
     local_error, done, first = 0.0, 0, 0
     try:
@@ -240,7 +255,7 @@ def _march(problem: _Problem, solver: StepSolver, pace: Pace, output: Output) ->
                 state = stepper.advance(pace.next(state.t))
                 done += 1
                 local_error = max(local_error, stepper.local_error)
-                recorder.take(done, state)
+                recorder.take(done, state, getattr(stepper, "evaluation", None))
                 bar.update()
                 first = first or solver.back_solves
                 if (kink := pace.broken(state.t)) is not None:

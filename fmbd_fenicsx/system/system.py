@@ -393,6 +393,10 @@ class Evaluation:
     # -- invariants -------------------------------------------------------------------------------------------------
     def energies(self) -> dict[str, float]:
         """Energies in J: kinetic, elastic, weight, springs."""
+        return self._energies
+
+    @cached_property
+    def _energies(self) -> dict[str, float]:
         s = self.system
         assert self.v is not None
         g = s.gravity(np.inf)

@@ -1,0 +1,120 @@
+"""The energy guard: where nothing puts energy into a scene, a step that gains energy is taken back and repeated in halves.
+
+    E_n+1 - max(E_0 .. E_n)  >  1e-3 T + 1e-6 sum |E_i|                                                    (1)
+
+with T the largest kinetic energy so far. Damping at high frequencies in the linear sense is no protection: a stiff spring that
+turns by half a radian in a step makes generalized-alpha with rho_inf = 0.9 gain a factor of thirty. The second term is
+roundoff and what Newton leaves. Scenes with anything that may do work (loads in time, drives, laws of the user's own,
+contact) are not guarded, nor are runs that record no energies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ..errors import ConvergenceError
+from ..mechanics.bodies import CoordinateBody
+from ..mechanics.drives import Coupling, OwnJoint
+from ..mechanics.laws import ScalarLoads
+from ..mechanics.wires import Wires
+from ..system.scene import Scene
+from ..system.system import Evaluation, State, System
+
+SHARE = 1e-3
+ROUNDING = 1e-6
+HALVINGS = 10
+
+
+def closed(scene: Scene) -> bool:
+    """Whether nothing can put energy into a scene."""
+    bodies, joints = scene.bodies.values(), scene.joints.values()
+    return not (
+        (scene.gravity is not None and scene.gravity_ramp)
+        or scene.contacts
+        or scene.sliders
+        or any(isinstance(b, CoordinateBody | Wires) or getattr(b, "loads", ()) for b in bodies)
+        or any(isinstance(j, OwnJoint) or (isinstance(j, Coupling) and j.motion is not None) for j in joints)
+        or any(f.batch is not ScalarLoads or getattr(f, "law", None) is not None for f in scene.forces.values())
+    )
+
+
+class Guarded:
+    """A stepper under guard. ``renew`` makes a stepper from a state; ``rejections`` counts the steps that were taken back.
+
+    A scheme with constant steps goes on with the smaller step; one with error control is told to start again from before.
+    """
+
+    def __init__(self, stepper: Any, system: System, renew: Callable[[State], Any]) -> None:
+        self.stepper, self.system, self.renew = stepper, system, renew
+        self.halvings, self.rejections, self.largest = 0, 0, float("inf")
+        self.kinetic, self.highest = 0.0, float("inf")
+        self.local_error = 0.0
+        self._gain()
+
+    @property
+    def state(self) -> State:
+        """The state of the stepper."""
+        return self.stepper.state
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Those of the stepper, and the steps taken back."""
+        return {**getattr(self.stepper, "counters", {}), "energy_rejections": self.rejections}
+
+    def restart(self, t: float) -> None:
+        """Go on behind a kink at t."""
+        self.stepper.restart(t)
+
+    def advance(self, h: float) -> State:
+        """One step, or several that make it up (constant steps); collective."""
+        if hasattr(self.stepper, "restart"):
+            return self._controlled(h)
+        done, self.local_error = 0, 0.0
+        while done < 2**self.halvings:
+            before = self.stepper.state
+            self.stepper.advance(h / 2**self.halvings)
+            if (gain := self._gain()) is None:
+                done += 1
+                self.local_error = max(self.local_error, self.stepper.local_error)
+                continue
+            self.halvings, done = self.halvings + 1, 2 * done
+            self._count(before, gain, self.halvings > HALVINGS)
+            self.stepper = self.renew(before)
+        return self.stepper.state
+
+    def _controlled(self, h: float) -> State:
+        """One step of a scheme with error control, of at most h."""
+        before = self.stepper.state
+        for _ in range(HALVINGS + 1):
+            after = self.stepper.advance(min(h, self.largest))
+            if (gain := self._gain()) is None:
+                self.largest *= 2.0
+                self.local_error = self.stepper.local_error
+                return after
+            self.largest = 0.5 * (after.t - before.t)
+            self._count(before, gain, False)
+            self.stepper.state = before
+            self.stepper.restart(before.t)
+        self._count(before, gain, True)
+        raise AssertionError
+
+    def _gain(self) -> float | None:
+        """Gain of energy (J) of the newest state when it is too large, else None; keeps what was seen."""
+        s = self.stepper.state
+        self.evaluation: Evaluation = self.system.at(s.t, s.q, s.v)
+        parts = self.evaluation.energies()
+        energy, kinetic = sum(parts.values()), max(self.kinetic, parts["kinetic"])
+        gain = energy - self.highest
+        if gain > SHARE * kinetic + ROUNDING * sum(map(abs, parts.values())):
+            return float(gain)
+        self.kinetic, self.highest = kinetic, energy if self.highest == float("inf") else max(energy, self.highest)
+        return None
+
+    def _count(self, before: State, gain: float, stop: bool) -> None:
+        self.rejections += 1
+        if stop:
+            raise ConvergenceError(
+                f"The step at t = {before.t:.6g} s gains {gain:.3g} J from nothing, also in 1/{2**HALVINGS} of the step: the "
+                "scheme does not follow a stiff part that turns. Take a much smaller dt, fmbd.EnergyMomentum() or fmbd.Radau()."
+            )

@@ -1,0 +1,108 @@
+"""The energy guard (T6): unexplained gains are taken back, everything else is left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from test_energy_momentum import spinner
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.run.guard import Guarded, closed
+from fmbd_fenicsx.system.system import State
+
+
+def rod() -> fmbd.Scene:
+    scene = fmbd.Scene("rod", gravity=(0, -9.81))
+    body = fmbd.RigidBody("rod", 1.0, 1 / 12, position=(0.5, 0.0))
+    scene.add(body, fmbd.revolute("pin", fmbd.ground, body, center=(0, 0)))
+    return scene
+
+
+@pytest.mark.parametrize(("rho", "eps", "h"), [(0.9, 1e-2, 0.5), (0.9, 1e-3, 0.1), (0.9, 1e-3, 0.5), (0.8, 1e-3, 0.5)])
+def test_a_stiff_spring_that_turns_gains_nothing(rho: float, eps: float, h: float) -> None:
+    """T6: without the guard these runs gain energy, up to 34 times what they had."""
+    run = fmbd.solve(spinner(eps), t_end=40.0, dt=h, scheme=fmbd.GeneralizedAlpha(rho))
+    energy = sum(run.energy.values())
+    assert energy.max() < 1.02 * energy[0]
+    assert 1 <= run.counters["energy_rejections"] <= 4
+    assert len(run.times) == round(40 / h) + 1 and run.times[-1] == pytest.approx(40.0)
+
+
+def test_without_the_guard_it_gains() -> None:
+    """The same with the energies not recorded: what the guard is for."""
+    scene = spinner(1e-2)
+    run = fmbd.solve(scene, t_end=40.0, dt=0.5, scheme=fmbd.GeneralizedAlpha(0.9), output=fmbd.Output(energy=False))
+    end = run.system.at(run.state.t, run.state.q, run.state.v)
+    start = scene.build()[1]
+    before = run.system.at(0.0, start.q, start.v)
+    assert sum(end.energies().values()) > 3 * sum(before.energies().values())
+    assert "energy_rejections" not in run.counters
+
+
+@pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(0.8), fmbd.Rattle(), fmbd.EnergyMomentum()], ids=lambda s: s.name)
+def test_smooth_motion_is_left_alone(scheme: Any) -> None:
+    """Steps of 0.1 / omega: no step is taken back, what is gained falls like h^2."""
+    gains = []
+    for h in (0.02, 0.01):
+        run = fmbd.solve(rod(), t_end=2.0, dt=h, scheme=scheme)
+        energy = sum(run.energy.values())
+        gains.append(float((energy - energy[0]).max()) / run.energy["kinetic"].max())
+        assert run.counters["energy_rejections"] == 0
+    assert gains[1] < max(0.3 * gains[0], 1e-10), gains
+
+
+def test_what_may_do_work_is_not_guarded() -> None:
+    assert closed(rod()) and closed(spinner(0.1))
+    for part in (
+        lambda b, j: fmbd.force("wind", b, lambda t: (1.0, 0.0)),
+        lambda b, j: fmbd.effort("motor", fmbd.angle(j), lambda t: 1.0),
+        lambda b, j: fmbd.drive("motor", fmbd.angle(j), lambda t: t),
+        lambda b, j: fmbd.Spring("own", fmbd.ground, b, point_a=(2, 0), law=lambda s, v, t: -s),
+        lambda b, j: fmbd.Tyre("tyre", b, road=lambda x, t: 0.0, up=(0, 1)),
+        lambda b, j: fmbd.own_joint("own", fmbd.ground, b, lambda xa, Ra, xb, Rb, t: xb[:1] - xa[:1] - t),
+    ):
+        scene = rod()
+        scene.add(part(scene.bodies["rod"], scene.joints["pin"]))
+        assert not closed(scene)
+    assert not closed(replace(rod(), gravity_ramp=0.1))
+
+
+class Heater:
+    """Steps that gain energy when they are longer than ``longest``."""
+
+    local_error = 0.0
+
+    def __init__(self, state: State, longest: float) -> None:
+        self.state, self.longest = state, longest
+
+    def advance(self, h: float) -> State:
+        factor = 1.1 if h > self.longest else 1.0
+        self.state = replace(self.state, t=self.state.t + h, v=factor * self.state.v)
+        return self.state
+
+
+class ControlledHeater(Heater):
+    def restart(self, t: float) -> None:
+        pass
+
+
+@pytest.mark.parametrize("kind", [Heater, ControlledHeater])
+def test_halving_and_stop(kind: type[Heater]) -> None:
+    scene = fmbd.Scene("free")
+    scene.add(fmbd.RigidBody("body", 2.0, 1.0, velocity=(1.0, 0.0)))
+    system, state, _ = scene.build()
+    guarded = Guarded(kind(state, 0.3), system, lambda s: kind(s, 0.3))
+    found = guarded.advance(1.0)
+    assert guarded.rejections == 2 and found.v[0] == 1.0
+    assert found.t == pytest.approx(1.0 if kind is Heater else 0.25)
+    assert guarded.evaluation.t == found.t
+    again = guarded.advance(0.25)
+    assert again.t == pytest.approx(found.t + 0.25) and guarded.rejections == 2
+    hot = Guarded(kind(state, 0.0), system, lambda s: kind(s, 0.0))
+    with pytest.raises(ConvergenceError, match=r"gains 0\.2.* J from nothing.*EnergyMomentum"):
+        hot.advance(1.0)
+    assert np.isfinite(hot.state.v).all()
