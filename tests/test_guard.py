@@ -22,24 +22,24 @@ def rod() -> fmbd.Scene:
     return scene
 
 
-@pytest.mark.parametrize(("rho", "eps", "h"), [(0.9, 1e-2, 0.5), (0.9, 1e-3, 0.1), (0.9, 1e-3, 0.5), (0.8, 1e-3, 0.5)])
+@pytest.mark.parametrize(("rho", "eps", "h"), [(0.9, 1e-2, 0.5), (0.8, 1e-3, 0.5)])
 def test_a_stiff_spring_that_turns_gains_nothing(rho: float, eps: float, h: float) -> None:
-    """T6: without the guard these runs gain energy, up to 34 times what they had."""
-    run = fmbd.solve(spinner(eps), t_end=40.0, dt=h, scheme=fmbd.GeneralizedAlpha(rho))
+    """T6: without the guard these runs end with 1164 and 274 J instead of 0.5."""
+    run = fmbd.solve(spinner(eps), t_end=20.0, dt=h, scheme=fmbd.GeneralizedAlpha(rho))
     energy = sum(run.energy.values())
     assert energy.max() < 1.02 * energy[0]
     assert 1 <= run.counters["energy_rejections"] <= 4
-    assert len(run.times) == round(40 / h) + 1 and run.times[-1] == pytest.approx(40.0)
+    assert len(run.times) == round(20 / h) + 1 and run.times[-1] == pytest.approx(20.0)
 
 
 def test_without_the_guard_it_gains() -> None:
     """The same with the energies not recorded: what the guard is for."""
     scene = spinner(1e-2)
-    run = fmbd.solve(scene, t_end=40.0, dt=0.5, scheme=fmbd.GeneralizedAlpha(0.9), output=fmbd.Output(energy=False))
+    run = fmbd.solve(scene, t_end=20.0, dt=0.5, scheme=fmbd.GeneralizedAlpha(0.9), output=fmbd.Output(energy=False))
     end = run.system.at(run.state.t, run.state.q, run.state.v)
     start = scene.build()[1]
     before = run.system.at(0.0, start.q, start.v)
-    assert sum(end.energies().values()) > 3 * sum(before.energies().values())
+    assert sum(end.energies().values()) > 1000 * sum(before.energies().values())
     assert "energy_rejections" not in run.counters
 
 
@@ -47,28 +47,33 @@ def test_without_the_guard_it_gains() -> None:
 def test_smooth_motion_is_left_alone(scheme: Any) -> None:
     """Steps of 0.1 / omega: no step is taken back, what is gained falls like h^2."""
     gains = []
-    for h in (0.02, 0.01):
-        run = fmbd.solve(rod(), t_end=2.0, dt=h, scheme=scheme)
+    for h in (0.04, 0.02):
+        run = fmbd.solve(rod(), t_end=1.2, dt=h, scheme=scheme)
         energy = sum(run.energy.values())
         gains.append(float((energy - energy[0]).max()) / run.energy["kinetic"].max())
         assert run.counters["energy_rejections"] == 0
     assert gains[1] < max(0.3 * gains[0], 1e-10), gains
 
 
+def closes(scene: fmbd.Scene) -> bool:
+    return closed(scene, scene.build()[0])
+
+
 def test_what_may_do_work_is_not_guarded() -> None:
-    assert closed(rod()) and closed(spinner(0.1))
+    assert closes(rod()) and closes(spinner(0.1))
     for part in (
         lambda b, j: fmbd.force("wind", b, lambda t: (1.0, 0.0)),
         lambda b, j: fmbd.effort("motor", fmbd.angle(j), lambda t: 1.0),
         lambda b, j: fmbd.drive("motor", fmbd.angle(j), lambda t: t),
+        lambda b, j: fmbd.drive_rotation("motor", fmbd.ground, b, lambda t: t),
         lambda b, j: fmbd.Spring("own", fmbd.ground, b, point_a=(2, 0), law=lambda s, v, t: -s),
         lambda b, j: fmbd.Tyre("tyre", b, road=lambda x, t: 0.0, up=(0, 1)),
         lambda b, j: fmbd.own_joint("own", fmbd.ground, b, lambda xa, Ra, xb, Rb, t: xb[:1] - xa[:1] - t),
     ):
         scene = rod()
         scene.add(part(scene.bodies["rod"], scene.joints["pin"]))
-        assert not closed(scene)
-    assert not closed(replace(rod(), gravity_ramp=0.1))
+        assert not closes(scene)
+    assert not closes(replace(rod(), gravity_ramp=0.1))
 
 
 class Heater:

@@ -1,11 +1,11 @@
 """The energy guard: where nothing puts energy into a scene, a step that gains energy is taken back and repeated in halves.
 
-    E_n+1 - max(E_0 .. E_n)  >  1e-3 T + 1e-6 sum |E_i|                                                    (1)
+    E_n+1 - max(E_0 .. E_n)  >  1e-3 (T + V + m g L)                                                       (1)
 
-with T the largest kinetic energy so far. Damping at high frequencies in the linear sense is no protection: a stiff spring that
-turns by half a radian in a step makes generalized-alpha with rho_inf = 0.9 gain a factor of thirty. The second term is
-roundoff and what Newton leaves. Scenes with anything that may do work (loads in time, drives, laws of the user's own,
-contact) are not guarded, nor are runs that record no energies.
+with T and V the largest kinetic and elastic energies so far, L the length of the model and m g its weight: the energy that can
+turn into motion. Damping at high frequencies in the linear sense is no protection: a stiff spring that turns by half a radian
+in a step makes generalized-alpha with rho_inf = 0.9 gain a factor of thirty. Scenes with anything that may do work (loads in
+time, drives, laws of the user's own, contact) are not guarded, nor are runs that record no energies.
 """
 
 from __future__ import annotations
@@ -13,30 +13,28 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from ..errors import ConvergenceError
 from ..mechanics.bodies import CoordinateBody
-from ..mechanics.drives import Coupling, OwnJoint
+from ..mechanics.couplings import OwnBatch
 from ..mechanics.laws import ScalarLoads
 from ..mechanics.wires import Wires
 from ..system.scene import Scene
 from ..system.system import Evaluation, State, System
 
 SHARE = 1e-3
-ROUNDING = 1e-6
 HALVINGS = 10
 
 
-def closed(scene: Scene) -> bool:
+def closed(scene: Scene, system: System) -> bool:
     """Whether nothing can put energy into a scene."""
-    bodies, joints = scene.bodies.values(), scene.joints.values()
-    return not (
-        (scene.gravity is not None and scene.gravity_ramp)
-        or scene.contacts
-        or scene.sliders
-        or any(isinstance(b, CoordinateBody | Wires) or getattr(b, "loads", ()) for b in bodies)
-        or any(isinstance(j, OwnJoint) or (isinstance(j, Coupling) and j.motion is not None) for j in joints)
-        or any(f.batch is not ScalarLoads or getattr(f, "law", None) is not None for f in scene.forces.values())
-    )
+    loaded = any(isinstance(b, CoordinateBody | Wires) or getattr(b, "loads", ()) for b in scene.bodies.values())
+    driven = any(batch.driven or isinstance(batch, OwnBatch) for batch, _ in system.batches)
+    moved = any(tie.motion is not None for tie in scene.ties.values())
+    forced = any(not isinstance(f, ScalarLoads) or f.own for f in system.forces)
+    ramp = scene.gravity is not None and scene.gravity_ramp > 0
+    return not (loaded or driven or moved or forced or ramp or scene.contacts or scene.sliders)
 
 
 class Guarded:
@@ -48,7 +46,8 @@ class Guarded:
     def __init__(self, stepper: Any, system: System, renew: Callable[[State], Any]) -> None:
         self.stepper, self.system, self.renew = stepper, system, renew
         self.halvings, self.rejections, self.largest = 0, 0, float("inf")
-        self.kinetic, self.highest = 0.0, float("inf")
+        self.weight = system.mass * float(np.linalg.norm(system.gravity(0.0))) * system.length
+        self.turnover, self.highest = 0.0, float("inf")
         self.local_error = 0.0
         self._gain()
 
@@ -104,11 +103,12 @@ class Guarded:
         s = self.stepper.state
         self.evaluation: Evaluation = self.system.at(s.t, s.q, s.v)
         parts = self.evaluation.energies()
-        energy, kinetic = sum(parts.values()), max(self.kinetic, parts["kinetic"])
+        energy = sum(parts.values())
+        turnover = max(self.turnover, parts["kinetic"] + parts["elastic"] + parts["springs"])
         gain = energy - self.highest
-        if gain > SHARE * kinetic + ROUNDING * sum(map(abs, parts.values())):
+        if gain > SHARE * (turnover + self.weight):
             return float(gain)
-        self.kinetic, self.highest = kinetic, energy if self.highest == float("inf") else max(energy, self.highest)
+        self.turnover, self.highest = turnover, energy if self.highest == float("inf") else max(energy, self.highest)
         return None
 
     def _count(self, before: State, gain: float, stop: bool) -> None:

@@ -243,7 +243,7 @@ def _stepper(problem: _Problem, solver: StepSolver, *, guarded: bool) -> Any:
 
 def _march(problem: _Problem, solver: StepSolver, pace: Pace, output: Output) -> _March:
     """All steps from a consistent start; collective."""
-    stepper = _stepper(problem, solver, guarded=output.energy and closed(problem.scene))
+    stepper = _stepper(problem, solver, guarded=output.energy and closed(problem.scene, problem.system))
     recorder = Recorder(problem.scene, problem.system, problem.markers, output, pace.t_end)
     state = stepper.state
     recorder.take(0, state, getattr(stepper, "evaluation", None))

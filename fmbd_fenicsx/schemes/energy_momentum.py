@@ -70,7 +70,7 @@ class Mean(Evaluation):
     def _turn(self) -> None:
         """Rotational columns (4) of the markers on bodies."""
         m, markers, kin = self.system.motions, self.system.markers, self.kin
-        rotation = 0.5 * (m.matrix(self.ends[0].pose) + m.matrix(self.ends[1].pose))[markers.frame]
+        rotation = 0.5 * (self.ends[0].rotation + self.ends[1].rotation)[markers.frame]
         spatial = np.linalg.inv(rotation).swapaxes(1, 2)
         origin = 0.5 * (self.ends[0].pose + self.ends[1].pose)[markers.frame, :3]
         kin.jac_frame[:, :3, 3:] = m.lever(kin.x - origin) @ spatial
