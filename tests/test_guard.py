@@ -43,7 +43,9 @@ def test_without_the_guard_it_gains() -> None:
     assert "energy_rejections" not in run.counters
 
 
-@pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(0.8), fmbd.Rattle(), fmbd.EnergyMomentum()], ids=lambda s: s.name)
+@pytest.mark.parametrize(
+    "scheme", [fmbd.GeneralizedAlpha(0.8), fmbd.Rattle(), fmbd.EnergyMomentum()], ids=lambda s: s.name
+)
 def test_smooth_motion_is_left_alone(scheme: Any) -> None:
     """Steps of 0.1 / omega: no step is taken back, what is gained falls like h^2."""
     gains = []

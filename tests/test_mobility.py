@@ -161,26 +161,46 @@ def test_conditioning_at_the_dead_centre(distance: float, expected: float) -> No
 
 @pytest.mark.parametrize("phase", np.arange(20) / 20)
 def test_released_through_the_dead_centre(phase: float) -> None:
-    """K2: equal arms, 20 phases of the time grid: no failure, no change of branch, energy as with unequal arms."""
+    """K2: equal arms, 20 phases of the time grid: no failure, no change of branch; the energy error over two dead centres is
+    at most three times that of arms 1 : 1.2, which has none.
+    """
     error = {}
-    for arms in (1.0, 1.05):
-        run = fmbd.solve(slider_crank(arms, 1.2 + phase * 0.03, 3.0), t_end=0.3, dt=1e-2)
+    for arms in (1.0, 1.2):
+        run = fmbd.solve(slider_crank(arms, 1.2 + phase * 0.03, 3.0), t_end=3.0, dt=1e-2)
         e = run.energy["kinetic"]
         error[arms] = float(np.abs(e - e[0]).max() / e[0])
         if arms == 1.0:
             assert np.abs(run["slider"][:, 0] - 2 * run["pin"][:, 0]).max() < 1e-7  # no fold onto the crank
-            assert run["pin"][-1, 0] < -0.3
-    assert error[1.0] < 3 * error[1.05]
+            assert run["pin"][:, 0].min() < -0.99 and run["pin"][-1, 0] > 0.2
+    assert 1e-3 < error[1.0] < 3 * error[1.2]
+
+
+def energy_at(arms: float, angle: float) -> float:
+    """Kinetic energy at a crank angle for the angular velocity 3; stretched branch."""
+    if arms != 1.0:
+        system, state, _ = slider_crank(arms, angle, 3.0).build()
+        return float(system.at(0.0, state.q, state.v).energies()["kinetic"])
+    s2, c2 = np.sin(angle) ** 2, np.cos(angle) ** 2
+    return 4.5 * float(1 / 3 + (2.25 * s2 + 0.25 * c2) + 1 / 12 + 4 * s2)  # crank, rod, block
 
 
 @pytest.mark.parametrize("phase", [0.0, 1e-6, *(np.arange(1, 20) / 20)])
 def test_driven_through_the_dead_centre(phase: float, caplog: pytest.LogCaptureFixture) -> None:
-    """K2: with phase 0 a step ends in the singular configuration itself: one line names the joint and the time."""
-    scene = slider_crank(1.0, np.pi / 2 - 0.15 - phase * 0.015, 3.0)
-    scene.add(fmbd.drive("motor", fmbd.angle(scene.joints["main"]), lambda t: 3 * t))
+    """K2: with phase 0 a step ends in the singular configuration itself: one line names the joint and the time. The kinetic
+    energy, known from the crank's angle, has at most three times the error of arms 1 : 1.2.
+    """
+    runs, errors = {}, {}
+    start = np.pi / 2 - 0.15 - phase * 0.015
     with caplog.at_level(logging.WARNING, "fmbd_fenicsx"):
-        run = fmbd.solve(scene, t_end=0.1, dt=5e-3)
+        for arms in (1.0, 1.2):
+            scene = slider_crank(arms, start, 3.0)
+            scene.add(fmbd.drive("motor", fmbd.angle(scene.joints["main"]), lambda t: 3 * t))
+            runs[arms] = run = fmbd.solve(scene, t_end=0.1, dt=5e-3)
+            exact = np.array([energy_at(arms, start + 3 * t) for t in run.times])
+            errors[arms] = float(np.abs(run.energy["kinetic"] / exact - 1).max())
+    run = runs[1.0]
     assert np.abs(run["slider"][:, 0] - 2 * run["pin"][:, 0]).max() < (1e-5 if phase < 1e-4 else 1e-7)
+    assert errors[1.0] < 3 * errors[1.2] < 1e-3
     lines = [r.getMessage() for r in caplog.records if "near-singular" in r.getMessage()]
     assert len(lines) == (phase < 1e-4)
     if lines:

@@ -29,12 +29,13 @@ HALVINGS = 10
 
 def closed(scene: Scene, system: System) -> bool:
     """Whether nothing can put energy into a scene."""
-    loaded = any(isinstance(b, CoordinateBody | Wires) or getattr(b, "loads", ()) for b in scene.bodies.values())
+    own = any(isinstance(b, CoordinateBody | Wires) for b in scene.bodies.values())
+    loaded = any(bool(getattr(b, "loads", False)) for b in scene.bodies.values())
     driven = any(batch.driven or isinstance(batch, OwnBatch) for batch, _ in system.batches)
     moved = any(tie.motion is not None for tie in scene.ties.values())
     forced = any(not isinstance(f, ScalarLoads) or f.own for f in system.forces)
     ramp = scene.gravity is not None and scene.gravity_ramp > 0
-    return not (loaded or driven or moved or forced or ramp or scene.contacts or scene.sliders)
+    return not (own or loaded or driven or moved or forced or ramp or scene.contacts or scene.sliders)
 
 
 class Guarded:
@@ -85,18 +86,17 @@ class Guarded:
     def _controlled(self, h: float) -> State:
         """One step of a scheme with error control, of at most h."""
         before = self.stepper.state
-        for _ in range(HALVINGS + 1):
+        for left in range(HALVINGS, -1, -1):
             after = self.stepper.advance(min(h, self.largest))
             if (gain := self._gain()) is None:
                 self.largest *= 2.0
                 self.local_error = self.stepper.local_error
                 return after
             self.largest = 0.5 * (after.t - before.t)
-            self._count(before, gain, False)
+            self._count(before, gain, left == 0)
             self.stepper.state = before
             self.stepper.restart(before.t)
-        self._count(before, gain, True)
-        raise AssertionError
+        return self.stepper.state
 
     def _gain(self) -> float | None:
         """Gain of energy (J) of the newest state when it is too large, else None; keeps what was seen."""

@@ -23,12 +23,14 @@ doi:10.1002/nme.1620310103 (rotations); Betsch, doi:10.1007/s11044-005-0103-8.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ..errors import ConvergenceError
 from ..linear.schur import StepSolver
+from ..mechanics.frames import Kinematics
 from ..mechanics.laws import ScalarLoads
 from ..mechanics.relative import Separation
 from ..rotations import Array
@@ -59,17 +61,22 @@ class Mean(Evaluation):
 
     def __init__(self, old: Evaluation, new: Evaluation, middle: tuple[float, Array, Array]) -> None:
         super().__init__(old.system, *middle)
-        self.ends, self.old, self.new = (old, new), old.kin, new.kin
-        kin, v = self.kin, self.twist[old.system.markers.frame]
-        for name in ("x", "R", "jac_frame", "jac_port"):
-            setattr(kin, name, 0.5 * (getattr(old.kin, name) + getattr(new.kin, name)))
-        if old.system.motions.dim == 3:
-            self._turn()
-        kin.twist = (kin.jac_frame @ v[..., None])[..., 0]
+        self.ends = (old, new)
 
-    def _turn(self) -> None:
+    @cached_property
+    def kin(self) -> Kinematics:
+        """Means of the markers at both ends, velocities from the mean Jacobians."""
+        kin, (old, new) = Evaluation.kin.func(self), (ev.kin for ev in self.ends)  # type: ignore[attr-defined]
+        for name in ("x", "R", "jac_frame", "jac_port"):
+            setattr(kin, name, 0.5 * (getattr(old, name) + getattr(new, name)))
+        if self.system.motions.dim == 3:
+            self._turn(kin)
+        kin.twist = (kin.jac_frame @ self.twist[self.system.markers.frame][..., None])[..., 0]
+        return kin
+
+    def _turn(self, kin: Kinematics) -> None:
         """Rotational columns (4) of the markers on bodies."""
-        m, markers, kin = self.system.motions, self.system.markers, self.kin
+        m, markers = self.system.motions, self.system.markers
         rotation = 0.5 * (self.ends[0].rotation + self.ends[1].rotation)[markers.frame]
         spatial = np.linalg.inv(rotation).swapaxes(1, 2)
         origin = 0.5 * (self.ends[0].pose + self.ends[1].pose)[markers.frame, :3]
@@ -88,7 +95,7 @@ class Mean(Evaluation):
 
     def _springs(self, loads: ScalarLoads) -> tuple[Array, Array]:
         assert self.kin.twist is not None
-        s0, s1 = loads.relative.values(self.old), loads.relative.values(self.new)
+        s0, s1 = (loads.relative.values(ev.kin) for ev in self.ends)
         ra, rb = loads.relative.rows(self.kin)
         if isinstance(loads.relative, Separation):
             share = (loads.relative.values(self.kin) / (0.5 * (s0 + s1)))[:, None]

@@ -22,7 +22,7 @@ import numpy as np
 from ..errors import CallbackError, InputError, near
 from ..mechanics.constraints import Batch
 from ..mechanics.coordinates import PortConstraint
-from ..mechanics.frames import Markers
+from ..mechanics.frames import Kinematics, Markers
 from ..mechanics.laws import Loads
 from ..mechanics.placements import DistributedPart, FrameMotion, Part, RigidBlock, is_distributed
 from ..rotations import Array, Motions
@@ -273,12 +273,15 @@ class Evaluation:
         in_q, in_v, _ = system.slices
         port = system.ports(q, in_q, True)
         self.port = port
-        if v is None:
-            self.kin = system.markers.evaluate(self.pose, self.rotation, port)
-        else:
+        if v is not None:
             self.twist = system.twists(v)
             self.port_rate = system.ports(v, in_v, False)
-            self.kin = system.markers.evaluate(self.pose, self.rotation, port, (self.twist, self.port_rate))
+
+    @cached_property
+    def kin(self) -> Kinematics:
+        """The markers: positions, rotations, Jacobians, and velocities where v is given."""
+        rates = None if self.v is None else (self.twist, self.port_rate)
+        return self.system.markers.evaluate(self.pose, self.rotation, self.port, rates)
 
     @cached_property
     def rotation(self) -> Array:
