@@ -2,16 +2,22 @@
 (flat), refined at
 the origin.
 
-Sizes grow from ``h`` within ``near`` of the origin to ``coarse`` far away.
+Sizes grow from ``h`` within ``near`` of the origin to ``coarse`` far away. ``mirrored``: the upper half of a ball below.
 """
 
 from typing import Any
 
 
 def build(
-    gmsh: Any, dim: int = 2, radius: float = 1.0, h: float = 0.01, near: float = 0.1, coarse: float = 0.15
+    gmsh: Any,
+    dim: int = 2,
+    radius: float = 1.0,
+    h: float = 0.01,
+    near: float = 0.1,
+    coarse: float = 0.15,
+    mirrored: bool = False,
 ) -> None:
-    """Model of the half with its centre at height ``radius`` (m)."""
+    """Model of the half with its centre at height ``radius`` (m), or -``radius``."""
     gmsh.model.add("half ball")
     occ = gmsh.model.occ
     if dim == 2:
@@ -24,12 +30,14 @@ def build(
         origin = occ.addPoint(0.0, 0.0, 0.0)
     occ.cut([(dim, ball)], [(dim, box)])
     occ.fragment([(dim, ball)], [(0, origin)])
+    if mirrored:
+        occ.mirror(occ.getEntities(dim) + occ.getEntities(0), *((0, 1, 0) if dim == 2 else (0, 0, 1)), 0)
     occ.synchronize()
     (_, body), *_ = gmsh.model.getEntities(dim)
     gmsh.model.addPhysicalGroup(dim, [body], name="half ball")
     groups: dict[str, list[int]] = {"contact": [], "top": []}
     for _, tag in gmsh.model.getEntities(dim - 1):
-        height = occ.getCenterOfMass(dim - 1, tag)[dim - 1]
+        height = abs(occ.getCenterOfMass(dim - 1, tag)[dim - 1])
         groups["top" if height > radius * (1 - 1e-6) else "contact"].append(tag)
     for name, tags in groups.items():
         gmsh.model.addPhysicalGroup(dim - 1, tags, name=name)

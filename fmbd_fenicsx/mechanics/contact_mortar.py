@@ -83,7 +83,7 @@ class MortarPair:
         self.candidates = carriers[row]  # the facets' numbers of the nodes with a multiplier
         self.weight = np.asarray(self.basis.coupling().sum(axis=1)).ravel()[row]  # int psi_j at rest
         self.count = len(carriers)
-        self.thickness = float(np.ptp(facets[1].points, axis=0).max())
+        self.thickness = traces[sides[1].trace].thickness
         self.pairing: Pairing | None = None
 
     # -- pairing ---------------------------------------------------------------------------------------------
@@ -126,9 +126,9 @@ class MortarPair:
         """Gaps of this pair; collective."""
         p = self._ready(contacts, system, at[1])
         xs, xm = nodes(self.slave.trace)[0][self.order[0]], nodes(self.master.trace)[0][self.order[1]]
-        gap = (p.normal * (p.slave @ xs - p.master @ xm)).sum(1)
-        gap = np.where(p.on, gap, np.inf)  # nothing opposite
-        return Touch(gap - p.offset, xs[self.candidates], p.normal, gap)
+        between = p.slave @ xs - p.master @ xm
+        gap = np.where(p.on, (p.normal * between).sum(1), np.inf)  # inf: nothing opposite
+        return Touch(gap - p.offset, xs[self.candidates], p.normal, between, gap)
 
     def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], nodes: Any) -> Rows:
         """Candidates of this pair; collective."""

@@ -167,7 +167,9 @@ class ContactSet:
         parts = [p.touch(self, system, (t, q), nodes) for p in self.pairs]
         if len(parts) == 1:
             return parts[0]
-        return Touch(*(np.concatenate([getattr(p, n) for p in parts]) for n in ("gap", "x", "normal", "geometric")))
+        return Touch(
+            *(np.concatenate([getattr(p, n) for p in parts]) for n in ("gap", "x", "normal", "relative", "geometric"))
+        )
 
     def _cached_nodes(self, system: Any, q: Array) -> Callable[[int], tuple[Array, Array, Array]]:
         cache: dict[int, tuple[Array, Array, Array]] = {}
@@ -325,6 +327,7 @@ def _stack(parts: list[Rows]) -> Rows:
 class Touch:
     """Where a pair stands, without derivatives: gap (m,), points x and normals (m, d).
 
+    ``relative`` (m, d): position against the master, in the obstacle's axes or as the vector between two surfaces.
     ``true_gap``: where the step's constraint differs from the geometric gap (see ``mechanics.contact_mortar``),
     the latter.
     """
@@ -332,6 +335,7 @@ class Touch:
     gap: Array
     x: Array
     normal: Array
+    relative: Array
     true_gap: Array | None = None
 
     @property
@@ -363,10 +367,11 @@ class ObstaclePair(Pair):
             own = system.poses(q)[side.frame]
             origin, Rb = own[: m.dim], m.matrix(own)
             x = origin + side.points @ Rb.T
-        dist, grad = self.shape.evaluate((x - r) @ R)
+        y = (x - r) @ R
+        dist, grad = self.shape.evaluate(y)
         normal = grad @ R.T
         gap = dist - side.radius if side.surface is None else side.surface.transform @ dist
-        return Touch(np.asarray(gap), x - side.radius * normal, normal), (r, R, P, origin, Rb)
+        return Touch(np.asarray(gap), x - side.radius * normal, normal, y), (r, R, P, origin, Rb)
 
     def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Any) -> Touch:
         """Gaps of this pair; collective."""

@@ -64,6 +64,14 @@ class Trace:
         self.at_rest = np.concatenate(self.comm.allgather(field.X_world[self.own])).reshape(self.n, self.dim)
         self.surfaces = {s: self._surface(s, np.searchsorted(used, f), w) for s, (f, w) in lists.items()}
 
+    @property
+    def thickness(self) -> float:
+        """Shortest edge of the box around the body at rest, m; collective."""
+        X = self.field.X_world
+        none = np.full(self.dim, np.inf)
+        low = np.min(self.comm.allgather(X.min(0) if len(X) else none), axis=0)
+        return float((np.max(self.comm.allgather(X.max(0) if len(X) else -none), axis=0) - low).min())
+
     def _surface(self, name: str, facets: np.ndarray, weights: dict[int, float]) -> SurfaceNodes:
         nodes = np.unique(facets)
         local = np.searchsorted(nodes, facets)

@@ -76,15 +76,15 @@ def _refuse_tunnelling(system: System, contacts: ContactSet, state: State, step:
     thick = contacts.thickness
     if not np.isfinite(thick).any():
         return
-    way = np.linalg.norm(then.x - now.x, axis=1)
+    way = np.linalg.norm(then.relative - now.relative, axis=1)
     fast = np.flatnonzero((way > 0.5 * thick) & (now.gap > -0.1 * thick))
     if not len(fast):
         return
-    pieces = min(4 * int(np.ceil(np.max(way[fast] / thick[fast]))) + 1, 200)
+    pieces = min(4 * int(np.ceil(np.max(way[fast] / thick[fast]))) + 1, 1000)
     for k in range(1, pieces + 1):
         part = h * k / pieces
         at = contacts.touch(system, state.t + part, system.compose(state.q, part * state.v))
-        hit = fast[at.gap[fast] < 0]
+        hit = fast[at.gap[fast] < -0.25 * thick[fast]]  # deep inside, not sliding along
         if len(hit):
             i = int(hit[0])
             raise ConvergenceError(

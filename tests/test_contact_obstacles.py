@@ -1,0 +1,135 @@
+"""Obstacles of a user's own, bodies that are too fast, grazing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import CallbackError, ConvergenceError
+
+BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
+LINEAR = fmbd.materials.linear_elastic(1.0, 0.3)
+
+
+def block(name: str, speed: float, *, dim: int = 2, cells: int = 6, height: float = 0.02) -> Any:
+    """A block that moves down to the origin's height."""
+    size, origin = (0.6,) * (dim - 1) + (0.3,), (-0.3,) * (dim - 1) + (height,)
+    mesh = fmbd.read_gmsh(BLOCK, size=size, cells=cells, origin=origin)
+    down = (0.0,) * (dim - 1) + (-speed,)
+    return fmbd.AbsoluteBody(name, mesh, degree=1, density=1.0, elastic=LINEAR, velocity=down)
+
+
+def ufl_disk(dim: int, radius: float) -> Any:
+    """The distance from a ball below the origin as a UFL expression of the coordinate."""
+    import ufl
+    from basix.ufl import element
+
+    cell = "triangle" if dim == 2 else "tetrahedron"
+    x = ufl.SpatialCoordinate(ufl.Mesh(element("Lagrange", cell, 1, shape=(dim,))))
+    return ufl.sqrt(sum(x[k] ** 2 for k in range(dim - 1)) + (x[dim - 1] + radius) ** 2) - radius
+
+
+def numpy_disk(dim: int, radius: float) -> Any:
+    def distance(x: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sqrt((x[:-1] ** 2).sum(0) + (x[-1] + radius) ** 2) - radius)
+
+    return distance
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("make", [ufl_disk, numpy_disk])
+def test_own_distance_carried_by_a_rigid_body(make: Any, dim: int) -> None:
+    """The same motion as with the shape of the library, and the reaction acts on the body that carries it."""
+    R, states = 0.5, []
+    inertia = 0.1 if dim == 2 else (0.1, 0.1, 0.1)
+    for shape in (
+        fmbd.Sphere(R, (0.0,) * (dim - 1) + (-R,)),
+        fmbd.SignedDistance(make(dim, R)),
+    ):
+        body = block("block", 0.3, dim=dim, cells=6 if dim == 2 else 4)
+        carrier = fmbd.RigidBody("carrier", 0.2, inertia)
+        hit = fmbd.contact(
+            "hit", body.surface("bottom" if dim == 2 else "back"), fmbd.Obstacle("own", shape, on=carrier)
+        )
+        scene = fmbd.Scene("own obstacle")
+        scene.add(body, carrier, hit)
+        scene.sensor("impulse", fmbd.contact_impulse(hit))
+        run = fmbd.solve(scene, t_end=0.16, dt=0.02)
+        p, _ = run.system.at(run.state.t, run.state.q, run.state.v).momenta()
+        before = -0.3 * (run.system.mass - 0.2)
+        assert p[-1] == pytest.approx(before, rel=1e-9) and abs(p[0]) < 1e-9
+        assert run["impulse"][-1, -1] > 1e-4
+        assert run.state.v[dim - 1] == pytest.approx(-run["impulse"][-1, -1] / 0.2, rel=1e-9)
+        states.append(run)
+    assert states[1].state.q == pytest.approx(states[0].state.q, abs=1e-9)
+
+
+def test_own_distance_that_fails_is_named() -> None:
+    with pytest.raises(CallbackError, match=r"returned shape \(2,\), expected \(3,\)"):
+        fmbd.SignedDistance(lambda x: np.zeros(2)).evaluate(np.zeros((3, 2)))
+    with pytest.raises(CallbackError, match="gradient vanishes"):
+        fmbd.SignedDistance(lambda x: 0.0 * x[0]).evaluate(np.zeros((3, 2)))
+
+
+# -- too fast ------------------------------------------------------------------------------------------------
+@pytest.mark.mpi
+@pytest.mark.parametrize("moving", ["slave", "master"])
+def test_elastic_bodies_that_would_pass_through(moving: str) -> None:
+    """A block and an elastic plate of 0.05 m, one of them with 10 m/s: the error names the step that is safe."""
+    mesh = fmbd.read_gmsh(BLOCK, size=(2.0, 0.05), counts=(8, 1), origin=(-1.0, -0.05))
+    up = (0.0, 10.0) if moving == "master" else (0.0, 0.0)
+    plate = fmbd.AbsoluteBody("plate", mesh, degree=1, density=1.0, elastic=LINEAR, velocity=up)
+    body = block("block", 10.0 if moving == "slave" else 0.0)
+    scene = fmbd.Scene("plate")
+    scene.add(body, plate, fmbd.contact("hit", body.surface("bottom"), plate.surface("top")))
+    with pytest.raises(ConvergenceError, match=r'"hit".*0\.05 m it would hit.*Use dt <= 0\.0025 s'):
+        fmbd.solve(scene, t_end=0.1, dt=0.05)
+
+
+def test_prescribed_obstacle_that_would_pass_through() -> None:
+    body = block("block", 0.0)
+    fist = fmbd.Obstacle("fist", fmbd.Box((4.0, 0.1)), motion=lambda t: ((0.0, -0.05 + 20.0 * t), 0.0))
+    scene = fmbd.Scene("fist")
+    scene.add(body, fmbd.contact("hit", body.surface("bottom"), fist))
+    with pytest.raises(ConvergenceError, match=r"moves 1 m in one step.*0\.1 m it would hit.*Use dt <= 0\.0025 s"):
+        fmbd.solve(scene, t_end=0.1, dt=0.05)
+
+
+def test_fast_sliding_is_no_passing_through() -> None:
+    """A point that slides ten plate thicknesses a step along the plate is not refused."""
+    mass = fmbd.RigidBody("mass", 1.0, 1.0, position=(-3.0, 0.0), velocity=(10.0, 0.0))
+    plate = fmbd.Obstacle("plate", fmbd.Box((20.0, 0.01), center=(0.0, -0.005)))
+    scene = fmbd.Scene("slide", gravity=(0.0, -9.81))
+    scene.add(mass, fmbd.contact("plate", fmbd.corners(mass, [(0.0, 0.0)]), plate))
+    run = fmbd.solve(scene, t_end=0.2, dt=0.01, scheme=fmbd.Moreau())
+    assert run.state.q[0] == pytest.approx(-1.0)
+    assert abs(run.state.q[1]) < 1e-3
+
+
+# -- grazing -------------------------------------------------------------------------------------------------
+def impacts(h: float, distance: float, restitution: float) -> int:
+    """Impacts of x'' + x = F sin(3 t) / 2 on its periodic orbit of amplitude 1 with a wall at a distance."""
+    w = 3.0
+    mass = fmbd.RigidBody("mass", 1.0, 1.0, velocity=(w, 0.0))
+    wall = fmbd.Obstacle("wall", fmbd.HalfSpace((distance, 0.0), (-1.0, 0.0)))
+    hit = fmbd.contact("wall", fmbd.corners(mass, [(0.0, 0.0)]), wall, restitution=restitution)
+    scene = fmbd.Scene("grazing")
+    scene.add(mass, hit)
+    scene.add(fmbd.Spring("spring", mass, fmbd.ground, point_b=(-10.0, 0.0), stiffness=1.0, length=10.0))
+    scene.add(fmbd.force("drive", mass, lambda t: ((1.0 - w * w) * np.sin(w * t), 0.0)))
+    scene.sensor("impulse", fmbd.contact_impulse(hit))
+    run = fmbd.solve(scene, t_end=2 * np.pi, dt=h, scheme=fmbd.Moreau())
+    return int((np.diff(run["impulse"][:, 0]) < 0).sum())
+
+
+@pytest.mark.parametrize("distance", [1.0 - 1e-4, 1.0, 1.0 + 1e-4])
+def test_grazing_does_not_depend_on_the_step(distance: float) -> None:
+    """C3: an oscillator that just touches; its answer is a square root of the distance, so one impact may come or go."""
+    counts = [impacts(2 * np.pi / n, distance, 0.8) for n in (300, 600)]
+    assert abs(counts[0] - counts[1]) <= 1
+    assert max(counts) <= 2 and (distance > 1.0 or counts[-1] >= 1)
