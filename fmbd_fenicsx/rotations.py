@@ -38,6 +38,18 @@ def hat(a: Array) -> Array:
     return out
 
 
+def spin_matrix(w: Array) -> Array:
+    """w~ with w~ x = w x x, (n_rot,) -> (d, d)."""
+    return hat(w) if len(w) == 3 else np.array([[0.0, -w[0]], [w[0], 0.0]])
+
+
+def axial(N: Array) -> Array:
+    """sum P x F from N = sum P F^T, (d, d) -> (n_rot,)."""
+    if len(N) == 2:
+        return np.array([N[0, 1] - N[1, 0]])
+    return np.array([N[1, 2] - N[2, 1], N[2, 0] - N[0, 2], N[0, 1] - N[1, 0]])
+
+
 def cross3(a: Array, b: Array) -> Array:
     """a x b over the last axis; three times faster than numpy.cross on small arrays."""
     a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]

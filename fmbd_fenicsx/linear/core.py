@@ -10,6 +10,7 @@ G are solved in the minimum-norm sense when the caller allows it.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -188,13 +189,11 @@ class CoreSolver:
         x, y = z[:n], z[n:]
         upper = self.A @ x + self.G.T @ y - b
         lower = self.G @ x - c if self.C is None else self.G @ x + self.C @ y - c
-        residual = float(np.linalg.norm(self.scale[:n] * upper))
-        if self.exact:
-            residual = float(np.hypot(residual, np.linalg.norm(self.scale[n:] * lower)))
-        given, found = np.linalg.norm(rhs), np.linalg.norm(z / self.scale)
+        left = self.scale * np.concatenate((upper, lower if self.exact else np.zeros_like(lower)))
+        residual, given, found = (math.sqrt(y @ y) for y in (left, rhs, z / self.scale))
         if found > LARGEST_GROWTH * given:  # against such a solution the residual of a singular matrix is small
             residual = np.inf
-        self.judge.check(float(residual), float(given + found), ADVICE)
+        self.judge.check(residual, given + found, ADVICE)
         return x, y
 
 

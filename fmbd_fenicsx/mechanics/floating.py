@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import ConvergenceError, InputError
-from ..rotations import Array, hat, motions
+from ..rotations import Array, axial, motions, spin_matrix
 from ..traces.fields import Field
 from .field_part import FieldPart
 from .limits import TOO_LARGE, too_large, warn_of_spin
@@ -52,19 +52,22 @@ class FloatingField(FieldPart):
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of (2): the frame's (n_twist,), world translation and body rotation, and the field's (n d,); collective."""
-        m, d, R, accel = self.motions, self.field.dim, motion.R, motion.accel
+        d, R, accel = self.field.dim, motion.R, motion.accel
         assert accel is not None
         U, Ud, Udd = (x.reshape(-1, d) for x in local)
         P = self.field.X + U
-        w = motion.twist[None, d:]
-        a = R.T @ (accel[:d] - motion.gravity)
-        A = Udd + a + m.spin(accel[None, d:], P) + m.spin(w, m.spin(w, P) + 2.0 * Ud)
+        w = motion.twist[d:]
+        a, spin = R.T @ (accel[:d] - motion.gravity), spin_matrix(w)
+        A = P @ (spin_matrix(accel[d:]) + spin @ spin).T
+        A += Ud @ (2.0 * spin.T)
+        A += Udd
+        A += a
         F = self.field.mass(A)
         inner = None
         if self.field.loads.loads:
             outer, inner = self.field.loads.nodal(motion.t, R, local[0])
             F = F - outer
-        sums = self.field.total(np.concatenate((F.sum(0), m.moment(P, F).sum(0), [float(local[0] @ local[0])])))
+        sums = self.field.total(np.concatenate((F.sum(0), axial(P.T @ F), [float(local[0] @ local[0])])))
         self._watch(float(np.linalg.norm(w)), sums[-1])
         sums = sums[:-1]
         sums[:d] = R @ sums[:d]
@@ -176,10 +179,7 @@ class FloatingField(FieldPart):
 
 def inertia_load(a: Array, w: Array, alpha: Array) -> Array:
     """(a, L) with L = alpha~ + w~ w~ as a flat array (d + d^2,); body axes."""
-    if len(a) == 2:
-        turn, spin = np.array([[0.0, -alpha[0]], [alpha[0], 0.0]]), np.array([[0.0, -w[0]], [w[0], 0.0]])
-    else:
-        turn, spin = hat(alpha), hat(w)
+    turn, spin = spin_matrix(alpha), spin_matrix(w)
     return np.concatenate((a, (turn + spin @ spin).ravel()))
 
 

@@ -179,13 +179,8 @@ class Markers:
         F = np.swapaxes(b[:, 1:], 1, 2)
         if self.section is not None:
             F[self.section] = m.matrix(np.insert(np.zeros((self.section.sum(), 2)), 2, b[self.section, 1, 0], axis=1))
-        Rs = polar_rotation(F)
+        Rs, Z = polar(F)
         arms = np.swapaxes(Rs, 1, 2)  # arms[:, k] = R_s e_k
-        stretch = F @ arms
-        D = np.trace(stretch, axis1=1, axis2=2)[:, None, None] * np.eye(m.n_rot)
-        if d == 3:
-            D -= 0.5 * (stretch + np.swapaxes(stretch, 1, 2))
-        Z = np.linalg.inv(D)
         lever = (Rs @ self.position[s][..., None])[..., 0]
         jac: Array = np.zeros((len(s), d + m.n_rot, 1 + d, d))
         # (R_s e_k) x b' as a matrix on b': m.lever(x)^T b' = x x b'
@@ -207,13 +202,21 @@ class Markers:
 
 def polar_rotation(F: Array) -> Array:
     """The rotation R that maximises tr(R^T F), for (n, d, d) matrices of rank d - 1 at least."""
+    return polar(F)[0]
+
+
+def polar(F: Array) -> tuple[Array, Array]:
+    """R as in :func:`polar_rotation` and (tr S 1 - S)^-1 of F = S R, (n, n_rot, n_rot); in the plane 1 / tr S."""
     if F.shape[-1] == 2:
-        angle = np.arctan2(F[:, 1, 0] - F[:, 0, 1], F[:, 0, 0] + F[:, 1, 1])
-        c, s = np.cos(angle), np.sin(angle)
-        return np.stack((np.stack((c, -s), -1), np.stack((s, c), -1)), -2)
-    U, _, Vt = np.linalg.svd(F)
+        s, c = F[:, 1, 0] - F[:, 0, 1], F[:, 0, 0] + F[:, 1, 1]
+        trace = np.hypot(s, c)
+        s, c = s / trace, c / trace
+        return np.stack((np.stack((c, -s), -1), np.stack((s, c), -1)), -2), 1.0 / trace[:, None, None]
+    U, stretch, Vt = np.linalg.svd(F)  # S = U stretch U^T
     R: Array = U @ Vt
     improper = np.linalg.det(R) < 0
     if improper.any():
         R -= 2.0 * np.where(improper[:, None, None], U[:, :, 2:] * Vt[:, 2:], 0.0)
-    return R
+        stretch[improper, 2] *= -1.0
+    rest = stretch.sum(1, keepdims=True) - stretch
+    return R, (U / rest[:, None]) @ np.swapaxes(U, 1, 2)

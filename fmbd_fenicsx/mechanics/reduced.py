@@ -24,7 +24,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from ..errors import ConvergenceError
-from ..rotations import Array, hat, motions
+from ..rotations import Array, axial, hat, motions, spin_matrix
 from .limits import TOO_LARGE, too_large, warn_of_spin
 from .placements import FrameMotion
 
@@ -121,21 +121,12 @@ class ReducedPart:
             out[1:, k] = x
         return out
 
-    def _spin(self, w: Array) -> Array:
-        return hat(w) if self.dim == 3 else np.array([[0.0, -w[0]], [w[0], 0.0]])
-
-    def _axial(self, N: Array) -> Array:
-        """sum P x F from sum P F^T, (n_rot,)."""
-        if self.dim == 2:
-            return np.array([N[0, 1] - N[1, 0]])
-        return np.array([N[1, 2] - N[2, 1], N[2, 0] - N[0, 2], N[0, 1] - N[1, 0]])
-
     def _motion(self, motion: FrameMotion) -> tuple[Array, Array, Array]:
         """a, w~ and L of (2)."""
         d = self.dim
         assert motion.accel is not None
-        w = self._spin(motion.twist[d:])
-        return motion.R.T @ (motion.accel[:d] - motion.gravity), w, self._spin(motion.accel[d:]) + w @ w
+        w = spin_matrix(motion.twist[d:])
+        return motion.R.T @ (motion.accel[:d] - motion.gravity), w, spin_matrix(motion.accel[d:]) + w @ w
 
     def _watch(self, motion: FrameMotion, eta: Array) -> None:
         """Warn of a spin above the first frequency; refuse displacements of the size of the body."""
@@ -162,7 +153,7 @@ class ReducedPart:
         N = np.tensordot(p[:, 0], B, 1) + np.outer(Sp[:, 0], a)
         frame = np.empty(d + self.motions.n_rot)
         frame[:d] = motion.R @ (c.mass * a + L @ Sp[:, 0] + 2.0 * (w @ Sp[:, 1]) + Sp[:, 2])
-        frame[d:] = self._axial(N)
+        frame[d:] = axial(N)
         rows: Array = a @ c.S[:, 1:] + np.trace(B[1:], axis1=1, axis2=2) + c.K @ eta + c.D @ rate
         if c.stiffening is not None:
             rows = rows + np.tensordot(np.concatenate((a, L.ravel())), c.stiffening, 1) @ eta
@@ -178,7 +169,7 @@ class ReducedPart:
         out[1][:] -= factor * np.trace(B[1:], axis1=1, axis2=2)
         if not load.internal:
             out[0][:d] -= factor * (motion.R @ self._load_sum(load, motion.R))
-            out[0][d:] -= factor * self._axial(np.tensordot(p, B, 1).T)
+            out[0][d:] -= factor * axial(np.tensordot(p, B, 1).T)
 
     def _load_sum(self, load: Any, R: Array) -> Array:
         total = self.constants.load_sums[load]
@@ -217,13 +208,13 @@ class ReducedPart:
         """sum M W and sum P x M W in body axes, and the kinetic energy."""
         c, d = self.constants, self.dim
         p = self._with_shape(*local)
-        w, v = self._spin(motion.twist[d:]), motion.R.T @ motion.twist[:d]
+        w, v = spin_matrix(motion.twist[d:]), motion.R.T @ motion.twist[:d]
         Sp = c.S @ p
         Tp = (self._T @ p).reshape(-1, d, d, 2)
         pp, pq, qq = (np.tensordot(p[:, i], Tp[..., j], 1) for i, j in ((0, 0), (0, 1), (1, 1)))
         flow = w @ Sp[:, 0] + Sp[:, 1]
         twice = c.mass * v @ v + 2 * v @ flow + np.trace(w @ pp @ w.T) + 2 * np.trace(w @ pq) + np.trace(qq)
-        return c.mass * v + flow, self._axial(np.outer(Sp[:, 0], v) + pp @ w.T + pq), 0.5 * float(twice)
+        return c.mass * v + flow, axial(np.outer(Sp[:, 0], v) + pp @ w.T + pq), 0.5 * float(twice)
 
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic, elastic and weight energy, J."""

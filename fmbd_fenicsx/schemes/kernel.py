@@ -54,7 +54,9 @@ def _structure(name: str, dim: int = 0) -> type[ctypes.Structure]:
 def supports(system: System) -> bool:
     """Whether the kernel covers a system: rigid and reduced bodies, the elementary constraints, gravity."""
     parts = all(type(p) is ReducedPart and not p.constants.loads for p in system.parts)
-    plain = not (system.forces or system.contacts or system.port_constraints or system.traces)
+    plain = system.markers.section is None and not (
+        system.forces or system.contacts or system.port_constraints or system.traces
+    )
     kinds = all(type(batch) in KINDS for batch, _ in system.batches)
     return parts and plain and kinds and system.n_frames > 0
 

@@ -70,9 +70,13 @@ class Factor:
     def _residual(self, x: Array, b: Array) -> Array:
         f = self.field
         if self._E is None:
-            return np.asarray(
-                self.cm * f.mass(x.reshape(-1, f.dim)).ravel() + self.ck * f.tangent(x) + self.cd * f.damping(x) - b
-            )
+            r: Array = f.mass(x.reshape(-1, f.dim)).ravel()
+            r *= self.cm
+            r += self.ck * f.tangent(x)
+            if self.cd:
+                r += self.cd * f.damping(x)
+            r -= b
+            return r
         self._x.array[:] = x
         self._E.mult(self._x, self._b)
         r = np.array(self._b.array)
