@@ -1,32 +1,30 @@
-"""Small dense complementarity problems of contact: primal-dual active sets, and Coulomb friction by
-semismooth Newton.
+"""Small dense complementarity problems of contact: active sets, and Coulomb friction by semismooth Newton.
 
-    0 <= L  _|_  g = q + W L >= 0
-    (1)
-    tau in disk of radius mu L,  tau = projection(tau - c s),  s = q_t + W_t (L, tau)
-    (2)
+    0 <= L  _|_  g = q + W L >= 0                                                                           (1)
+    tau in disk of radius mu L,  tau = projection(tau - c s),  s = q_t + W_t (L, tau)                       (2)
+    x_k+1 solves (1), (2) with W + rho D and q - rho D x_k,  D = diag W                                     (3)
 
-W (the Delassus matrix, m/N) is symmetric and positive semi-definite. c_i = 1 / W_ii makes L and g
-comparable, so the choice of
-the sets does not depend on units. (1) is solved by the active-set iteration, which is Newton's method on
-L - max(0, L - c g) = 0 (Hintermueller, Ito and Kunisch, doi:10.1137/S1052623401383558). When a set returns,
-the iteration
-cycles; then least-index pivoting takes over, which ends in finitely many steps for positive definite W
-(Murty,
-doi:10.1016/0024-3795(74)90019-0). (2) is Alart and Curnier's function (doi:10.1016/0045-7825(91)90022-X)
-with block
-Gauss-Seidel sweeps as the fall-back.
+W (the Delassus matrix, m/N) is symmetric and positive semi-definite. c_i = 1 / W_ii makes L and g comparable, so the
+choice of the sets does not depend on units. (1) is solved by the active-set iteration, which is Newton's method on
+L - max(0, L - c g) = 0 (Hintermueller, Ito and Kunisch, doi:10.1137/S1052623401383558). When a set returns, the
+iteration cycles; then least-index pivoting takes over, which ends in finitely many steps for positive definite W
+(Murty, doi:10.1016/0024-3795(74)90019-0). (2) is Alart and Curnier's function (doi:10.1016/0045-7825(91)90022-X).
+Contacts that depend on each other (a plate on four corners) make W singular; the proximal points (3) choose one of the
+force distributions, near the start, and converge in a few steps since rho is small (Rockafellar,
+doi:10.1137/0314056).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from ..errors import ConvergenceError
 from ..rotations import Array
+
+PROXIMAL = (0.0, 1e-8, 1e-6, 1e-4)  # rho of (3), tried in turn
 
 
 @dataclass
@@ -159,6 +157,9 @@ def solve_friction(W: Array, q: Array, mu: Array, start: Array, counts: ContactC
     """Forces (m, d): normal, then tangential, of (1) and (2). W (m d, m d) and q (m, d) in blocks of
     components by point.
 
+    Newton's method from ``start``; where it fails, because contacts depend on each other, proximal points (3); where
+    friction and normal forces are strongly coupled, the same from the forces of pivoting.
+
     Raises:
         ConvergenceError: no solution found; with large friction none may exist (Painleve) and an impact law
         is needed.
@@ -166,38 +167,141 @@ def solve_friction(W: Array, q: Array, mu: Array, start: Array, counts: ContactC
     m, d = q.shape
     c = np.stack([1.0 / np.maximum(np.diag(W)[k::d], 1e-300) for k in range(d)], axis=1)
     c[:, 1:] = c[:, 1:].min(axis=1)[:, None]
-    x, scale = start.copy(), 1e-300
-    for attempt in range(4):
-        best = np.inf
-        for k in range(1, 60):
-            u = q + (W @ x.ravel()).reshape(m, d)
-            F, dx, du = _alart_curnier(x, u, c, mu)
-            size = float(np.abs(F).max(initial=0.0))
-            scale = float(np.abs(x).max(initial=0.0)) + float(np.abs(c * q).max(initial=0.0))
-            if size <= 1e-12 * scale:
-                counts.most, counts.solves = max(counts.most, k), counts.solves + 1
-                counts.residual = max(counts.residual, size / scale if scale > 0 else 0.0)
+    problem = _Coulomb(W, q, mu, c)
+    best = np.inf
+    for first in (lambda: start, lambda: _pivoted(problem, 16), lambda: _pivoted(problem, 64)):
+        x0 = first()
+        for rho in PROXIMAL:
+            x, size, iterations = _proximal_points(problem, x0, rho)
+            counts.iterations += iterations
+            if size <= 1e-12:
+                counts.most, counts.solves = max(counts.most, iterations), counts.solves + 1
+                counts.residual = max(counts.residual, size)
                 return x
-            if k > 20 and size > 0.5 * best:
-                break  # cycles between sets
             best = min(best, size)
-            counts.iterations += 1
-            J = _blocks(dx) + _blocks(du) @ W
-            step = _solve(J, -F.ravel()).reshape(m, d)
-            x = x + step
-        counts.cycles += 1
-        x = _gauss_seidel(W, q, mu, np.zeros_like(x) if attempt == 1 else x, c, 100 * 5**attempt)
-    u = q + (W @ x.ravel()).reshape(m, d)
-    size = float(np.abs(_alart_curnier(x, u, c, mu)[0]).max())
-    if size > 1e-6 * scale:  # sweeps converge slowly where contacts depend on each other; the residual is reported
-        raise ConvergenceError(
-            f"The friction problem did not converge (residual {size / scale:.1e} of the largest "
-            "force). With large friction coefficients "
-            "no solution with finite forces may exist (Painleve); use the Moreau scheme, which has "
-            "impacts, or a smaller dt."
-        )
-    counts.residual = max(counts.residual, size / scale)
-    return x
+            counts.cycles += 1
+    raise ConvergenceError(
+        f"The friction problem did not converge (residual {best:.1e} of the largest force). With large friction "
+        "coefficients no solution with finite forces may exist (Painleve); use the Moreau scheme, which has impacts, "
+        "or a smaller dt."
+    )
+
+
+def _pivoted(problem: _Coulomb, facets: int) -> Array:
+    """Forces (m, d) by Lemke's pivoting with the cone of (2) as a pyramid (in the plane: as it is).
+
+    Stewart and Trinkle, doi:10.1002/(SICI)1097-0207(19960815)39:15<2673::AID-NME972>3.0.CO;2-I. It finds a solution
+    wherever impulses can exist (Anitescu and Potra, doi:10.1023/A:1008292328909).
+    """
+    m, d = problem.q.shape
+    k = 2 if d == 2 else facets
+    angle = 2 * np.pi * np.arange(k) / k
+    e = np.stack((np.cos(angle), np.sin(angle)), axis=1)[:, : d - 1]
+    T = np.zeros((m, d, m, 1 + k))  # forces from normal and facet components
+    T[range(m), 0, range(m), 0] = 1.0
+    T[range(m), 1:, range(m), 1:] = e.T
+    T = T.reshape(m * d, m * (1 + k))
+    scale = 1.0 / np.repeat(problem.c.min(axis=1), 1 + k).max()
+    n = m * (1 + k)
+    M, rhs = np.zeros((n + m, n + m)), np.zeros(n + m)
+    M[:n, :n] = T.T @ problem.W @ T / scale
+    rhs[:n] = T.T @ problem.q.ravel() / scale
+    for i in range(m):
+        facet = slice(i * (1 + k) + 1, (i + 1) * (1 + k))
+        M[facet, n + i], M[n + i, facet], M[n + i, i * (1 + k)] = 1.0, -1.0, problem.mu[i]
+    return (T @ _lemke(M, rhs)[:n]).reshape(m, d)
+
+
+def _lemke(M: Array, q: Array) -> Array:
+    """z >= 0 with w = M z + q >= 0 and w . z = 0, by complementary pivoting with the lexicographic rule; zeros on a ray.
+
+    Lemke (1965), doi:10.1287/mnsc.11.7.681.
+    """
+    n = len(q)
+    if q.min(initial=0.0) >= 0:
+        return np.zeros(n)
+    # columns: w (n), z (n), artificial, right-hand side; rows w - M z - z0 = q
+    A = np.concatenate((np.eye(n), -M, -np.ones((n, 1)), q[:, None]), axis=1)
+    basis = np.arange(n)
+    enter, row = 2 * n, int(np.argmin(q))
+    for _ in range(50 * n):
+        A[row] /= A[row, enter]
+        others = np.arange(n) != row
+        A[others] -= np.outer(A[others, enter], A[row])
+        leave, basis[row] = basis[row], enter
+        if leave == 2 * n:
+            z = np.zeros(2 * n)
+            z[basis] = A[:, -1]
+            return np.maximum(z[n:], 0.0)
+        enter = leave + n if leave < n else leave - n
+        column = A[:, enter]
+        rows = np.flatnonzero(column > 1e-11 * np.abs(column).max(initial=1e-300))
+        if rows.size == 0:
+            break
+        row = _lexicographic(A, enter, rows, basis)
+    return np.zeros(n)
+
+
+def _lexicographic(A: Array, enter: int, rows: np.ndarray, basis: np.ndarray) -> int:
+    """The row that leaves: smallest ratio, ties broken by the next columns; the artificial one as soon as it can."""
+    n = len(basis)
+    for key in (-1, *range(n)):
+        ratio = A[rows, key] / A[rows, enter]
+        rows = rows[ratio <= ratio.min() + 1e-12 * max(1.0, np.abs(ratio).max())]
+        artificial = rows[basis[rows] == 2 * n]
+        if len(rows) == 1 or len(artificial):
+            break
+    return int(artificial[0] if len(artificial) else rows[0])
+
+
+@dataclass(frozen=True)
+class _Coulomb:
+    """Data of (1), (2): W (m d, m d), q (m, d), mu (m,), and c (m, d), which makes gaps and forces comparable."""
+
+    W: Array
+    q: Array
+    mu: Array
+    c: Array
+
+    def residual(self, x: Array) -> tuple[Array, Array, Array]:
+        """Alart and Curnier's function at forces x and its derivatives."""
+        return _alart_curnier(x, self.q + (self.W @ x.ravel()).reshape(x.shape), self.c, self.mu)
+
+    def size(self, F: Array, x: Array) -> float:
+        """Largest residual over the largest force."""
+        free = np.abs(self.c * self.q).max(initial=0.0)
+        scale = free + min(np.abs(x).max(initial=0.0), 1e3 * free)  # large forces that cancel each other do not count
+        return float(np.abs(F).max(initial=0.0) / max(scale, 1e-300))
+
+
+def _proximal_points(problem: _Coulomb, x: Array, rho: float) -> tuple[Array, float, int]:
+    """Forces, their residual in the original problem, and Newton iterations, by (3) from x."""
+    m, d = x.shape
+    D = rho * np.repeat(np.diag(problem.W).reshape(m, d).mean(axis=1), d)
+    total = 0
+    for _ in range(10 if rho else 1):
+        near = problem
+        if rho:
+            near = replace(problem, W=problem.W + np.diag(D), q=problem.q - (D * x.ravel()).reshape(m, d))
+        x, iterations = _newton(near, x)
+        total += iterations
+        size = problem.size(problem.residual(x)[0], x)
+        if size <= 1e-12 or not np.isfinite(size):
+            break
+    return x, size, total
+
+
+def _newton(problem: _Coulomb, x: Array) -> tuple[Array, int]:
+    """Semismooth Newton from x, until the residual is small or does not fall; forces and iterations."""
+    best = np.inf
+    for k in range(40):
+        F, dx, du = problem.residual(x)
+        size = problem.size(F, x)
+        if size <= 1e-13 or not np.isfinite(size) or (k > 8 and size > 0.5 * best):
+            return x, k
+        best = min(best, size)
+        x = x + _solve(_blocks(dx) + _blocks(du) @ problem.W, -F.ravel()).reshape(x.shape)
+    return x, 40
 
 
 def _alart_curnier(x: Array, u: Array, c: Array, mu: Array) -> tuple[Array, Array, Array]:
@@ -237,23 +341,3 @@ def _blocks(B: Array) -> Array:
     out = np.zeros((m, d, m, d))
     out[range(m), :, range(m)] = B
     return out.reshape(m * d, m * d)
-
-
-def _gauss_seidel(W: Array, q: Array, mu: Array, x: Array, c: Array, sweeps: int) -> Array:
-    """Sweeps over the points; each is projected on its cone."""
-    m, d = q.shape
-    x = x.copy()
-    for _ in range(sweeps):
-        before = x.copy()
-        for i in range(m):
-            rows = slice(i * d, (i + 1) * d)
-            u = q[i] + W[rows] @ x.ravel()
-            x[i, 0] = max(0.0, x[i, 0] - c[i, 0] * u[0])
-            u = q[i] + W[rows] @ x.ravel()
-            y = x[i, 1:] - c[i, 1] * u[1:]
-            size = float(np.linalg.norm(y))
-            radius = mu[i] * x[i, 0]
-            x[i, 1:] = y if size <= radius else radius / size * y
-        if np.abs(x - before).max() <= 1e-12 * max(np.abs(x).max(), 1e-300):
-            break
-    return x

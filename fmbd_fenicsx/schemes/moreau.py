@@ -74,7 +74,7 @@ class Stepper(ContactStepper):
         near = candidates(system, self.contacts, s, h)
         middle = system.compose(s.q, 0.5 * h * s.v)
         closed = near & (self.contacts.touch(system, s.t + h / 2, middle).gap <= 0.0)
-        step = _Step(self, h, closed)
+        step = _Step(self, h, middle, closed)
         converged, history = self.newton.solve(step.increment)
         if not converged:
             raise not_converged(s.t + h, h, history)
@@ -106,13 +106,17 @@ class Stepper(ContactStepper):
 class _Step:
     """The Newton iteration of one step for v_1, lambda and P."""
 
-    def __init__(self, stepper: Stepper, h: float, closed: np.ndarray) -> None:
+    def __init__(self, stepper: Stepper, h: float, middle: Array, closed: np.ndarray) -> None:
         self.p, self.h, self.closed = stepper, h, closed
         s = stepper.state
         self.v, self.lam = s.v.copy(), s.lam.copy()
         self.contact = Unilateral(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed])
         self.prepared = False
         self.ev: Evaluation = None  # type: ignore[assignment]
+        if closed.any():
+            contacts, at = stepper.contacts, (stepper.system, s.t + h / 2, middle)
+            self.rows = contacts.rows(*at, since=(s.t, h)).take(closed)
+            self.rate = contacts.gap_rate(*at, h)[closed]
 
     def increment(self) -> float:
         """One Newton step; returns its size over the tolerance."""
@@ -127,8 +131,7 @@ class _Step:
         r = h * ev.balance((self.v - s.v) / h, self.lam)
         slip = ev.jacobian.times(self.v) + ev.constraint_rate() if system.n_lam else np.zeros(0)
         if self.closed.any():
-            rows = p.contacts.rows(system, s.t + h / 2, middle, since=(s.t, h)).take(self.closed)
-            rate = p.contacts.gap_rate(system, s.t + h / 2, middle, h)[self.closed]
+            rows, rate = self.rows, self.rate
             u = openings(p.contacts, system, rows, p.contacts.times(system, rows.N, self.v) + rate, h * self.v) / _per(
                 rows, h
             )
@@ -139,7 +142,7 @@ class _Step:
             dv, dlam = solver.solve(-r, -slip)
         self.lam = self.lam + dlam / h
         self.v = self.v + dv
-        size = max(system.max_abs(self.v), system.max_abs(s.v), 1e-12 * system.length / h)
+        size = max(system.max_abs(self.v), system.max_abs(s.v), 1e-6 * system.length / h)
         return system.max_abs(dv) / (1e-4 * p.newton.tolerance * size)
 
 
