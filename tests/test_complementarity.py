@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmbd_fenicsx.linear.complementarity import ContactCounts, solve_friction, solve_normal
+from fmbd_fenicsx.linear.complementarity import ContactCounts, solve_normal
+from fmbd_fenicsx.linear.coulomb import solve_friction
 
 
 def matrix(seed: int, m: int) -> np.ndarray:
@@ -57,3 +58,18 @@ def test_friction_problem(seed: int, m: int, d: int) -> None:
     assert (t <= mu * x[:, 0] + 1e-8 * size).all()
     for i in np.flatnonzero((slip > 1e-6) & (x[:, 0] > 1e-8 * size)):
         assert x[i, 1:] == pytest.approx(-mu[i] * x[i, 0] * u[i, 1:] / slip[i], abs=1e-6 * size)
+
+
+@given(st.integers(0, 10_000), st.integers(1, 6), st.sampled_from([2, 3]), st.sampled_from([0.3, 1.0, 2.0]))
+def test_friction_of_contacts_that_depend_on_each_other(seed: int, m: int, d: int, mu: float) -> None:
+    """W of any rank, friction strongly coupled with normal forces; velocities that forces can stop."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((m * d, int(rng.integers(1, m * d + 1))))
+    W, q = A @ A.T, (A @ rng.standard_normal(A.shape[1])).reshape(m, d)
+    counts = ContactCounts()
+    x = solve_friction(W, q, np.full(m, mu), np.zeros((m, d)), counts)
+    u, size = q + (W @ x.ravel()).reshape(m, d), max(np.abs(q).max(), 1.0)
+    assert counts.residual <= 1e-6
+    assert x[:, 0].min() >= -1e-6 * size and u[:, 0].min() > -1e-4 * size
+    assert np.abs(x[:, 0] * u[:, 0]).max() <= 1e-4 * size**2
+    assert (np.linalg.norm(x[:, 1:], axis=1) <= mu * x[:, 0] + 1e-4 * size).all()

@@ -213,67 +213,6 @@ def test_nonlinear_body_bounces() -> None:
     assert abs(energy[-1] / energy[0] - 1) < 0.05
 
 
-# -- rigid bodies --------------------------------------------------------------------------------------------
-def test_bouncing_mass_comes_to_rest() -> None:
-    """Infinitely many impacts end at sqrt(2 h / g) (1 + e) / (1 - e)."""
-    mass = fmbd.RigidBody("mass", 1.0, 0.1, position=(0.0, 1.1))
-    floor = fmbd.contact(
-        "floor", fmbd.ball(mass, 0.1), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1))), restitution=0.5
-    )
-    scene = fmbd.Scene("Zeno", gravity=(0, -9.81))
-    scene.add(mass, floor)
-    scene.sensor("v", fmbd.velocity(mass))
-    scene.sensor("force", fmbd.contact_force(floor))
-    dt = 1e-3
-    run = fmbd.solve(scene, t_end=1.5, dt=dt, scheme=fmbd.Moreau())
-    rest = run.times[np.flatnonzero(np.abs(run["v"][:, 1]) > 1e-9)[-1] + 1]
-    assert abs(rest - 3 * np.sqrt(2 / 9.81)) < 10 * dt  # half a step at each of the first impacts
-    assert run["force"][-1, 1] == pytest.approx(9.81)
-    energy = sum(run.energy.values())
-    assert energy.max() <= energy[0] * (1 + 1e-12)
-
-
-def test_elastic_and_plastic_impact_of_two_balls() -> None:
-    for e in (1.0, 0.3, 0.0):
-        a = fmbd.RigidBody("a", 2.0, (0.1, 0.1, 0.1), velocity=(1.0, 0.0, 0.0))
-        b = fmbd.RigidBody("b", 1.0, (0.1, 0.1, 0.1), position=(1.0, 0.0, 0.0))
-        scene = fmbd.Scene("two balls")
-        scene.add(
-            a,
-            b,
-            fmbd.contact("pair", fmbd.ball(a, 0.2), fmbd.Obstacle("b", fmbd.Sphere(0.2), on=b), restitution=e),
-        )
-        run = fmbd.solve(scene, t_end=1.0, dt=0.01, scheme=fmbd.Moreau())
-        assert run.state.v[[0, 6]] == pytest.approx([(2 - e) / 3, 2 * (1 + e) / 3], abs=1e-9)
-
-
-def test_disk_rolls_after_sliding() -> None:
-    """Coulomb friction turns 2/3 of the speed of a disk into rolling."""
-    disk = fmbd.RigidBody("disk", 1.0, 0.5 * 0.1**2, position=(0, 0.1), velocity=(1.0, 0.0))
-    floor = fmbd.contact(
-        "floor", fmbd.ball(disk, 0.1), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1))), friction=0.3
-    )
-    scene = fmbd.Scene("disk", gravity=(0, -9.81))
-    scene.add(disk, floor)
-    run = fmbd.solve(scene, t_end=0.3, dt=1e-3, scheme=fmbd.Moreau())
-    v, _, w = run.state.v
-    assert v == pytest.approx(2 / 3, rel=2e-3)
-    assert w == pytest.approx(-v / 0.1, rel=1e-6)
-
-
-def test_cylinder_stands_on_its_end_in_space() -> None:
-    can = fmbd.RigidBody("can", 1.0, (0.01, 0.01, 0.005), position=(0, 0, 0.12))
-    end = fmbd.cylinder_end(can, 0.05, center=(0, 0, -0.1), axis=(0, 0, 1))
-    floor = fmbd.contact("floor", end, fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0, 0), (0, 0, 1))), friction=0.5)
-    scene = fmbd.Scene("can", gravity=(0, 0, -9.81))
-    scene.add(can, floor)
-    scene.sensor("force", fmbd.contact_force(floor))
-    run = fmbd.solve(scene, t_end=0.2, dt=2e-3, scheme=fmbd.Moreau())
-    assert run["force"][-1] == pytest.approx([0, 0, 9.81], abs=1e-8)
-    assert run.state.q[2] == pytest.approx(0.1, abs=2e-3)
-    assert np.abs(run.state.v).max() < 1e-9
-
-
 # -- bad input -----------------------------------------------------------------------------------------------
 def floor_at(y: float) -> Any:
     return fmbd.Obstacle("floor", fmbd.HalfSpace((0, y), (0, 1)))

@@ -4,14 +4,14 @@ active sets.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..linear.complementarity import ContactCounts
 from ..mechanics.contact_rows import Rows, Touch
 from ..rotations import Array
-from ..system.sensors_contact import WORKS, ContactForces, ContactState
+from ..system.sensors_contact import WORKS, ContactForces, ContactState, forces_of
 from ..system.system import Evaluation, State, System
 from .contact_steps import in_world
 
@@ -76,6 +76,15 @@ class Ledger:
         self.force[forces.near] = forces.force
         found = self._carry(state, forces, c.touch(system, state.t, state.q), h)
         return found
+
+    def averaged(self, state: ContactState, time: float, force: Array) -> ContactState:
+        """The state at ``time`` with the mean contact forces (m, d) of a step of several parts."""
+        found = forces_of(state)
+        normal = (force * found.normal).sum(axis=1)
+        self.force = np.zeros_like(self.force)
+        self.force[:, 0] = normal
+        found = replace(found, force=force, normal_force=normal, pressure=normal / self.contacts.weight)
+        return replace(state, t=time, contact=found)
 
     def count(self, iterations: int) -> None:
         """A step was done; Newton iterations count when a force acted."""

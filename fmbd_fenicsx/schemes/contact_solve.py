@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..linear.complementarity import ContactCounts, solve_friction, solve_normal
+from ..linear.complementarity import ContactCounts, solve_normal
 from ..linear.delassus import Compliance
 from ..mechanics.contact_rows import ContactSet, Rows
 from ..rotations import Array
@@ -53,6 +53,8 @@ class Unilateral:
         W, gap = self._W, u.ravel() + contacts.times(system, L, z)
         if d > 1:
             q = (gap - W @ self.force.ravel()).reshape(-1, d)
+            from ..linear.coulomb import solve_friction  # frictionless scenes carry no code of friction
+
             force = solve_friction(W, q, rows.friction, self.force, self.counts)
         else:
             force = normal_forces(W, gap, self.force[:, 0], self.counts)[:, None]

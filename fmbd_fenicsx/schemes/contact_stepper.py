@@ -5,6 +5,7 @@ from __future__ import annotations
 from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver
 from ..mechanics.contact_rows import ContactSet
+from ..system.sensors_contact import ContactState
 from ..system.system import State, System
 from .contact_ledger import Ledger
 from .newton import Newton
@@ -19,7 +20,7 @@ class ContactStepper:
         self.compliance = Compliance(solver, self.contacts)
         self.ledger = Ledger(system)
         self.local_error = 0.0
-        self.state: State = self.ledger.open(state)
+        self.state: ContactState = self.ledger.open(state)
 
     @property
     def counters(self) -> dict[str, float]:

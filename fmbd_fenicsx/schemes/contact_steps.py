@@ -77,7 +77,7 @@ def _refuse_tunnelling(system: System, contacts: ContactSet, state: State, step:
     if not np.isfinite(thick).any():
         return
     way = np.linalg.norm(then.relative - now.relative, axis=1)
-    fast = np.flatnonzero((way > 0.5 * thick) & (now.gap > -0.1 * thick))
+    fast = np.flatnonzero((way > (0.5 + 1e-9) * thick) & (now.gap > -0.1 * thick))
     if not len(fast):
         return
     pieces = min(4 * int(np.ceil(np.max(way[fast] / thick[fast]))) + 1, 1000)

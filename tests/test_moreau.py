@@ -1,0 +1,148 @@
+"""Rigid contact in scenes: impacts, their accumulation, friction, and contacts that depend on each other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+
+
+def bouncing(dt: float, scheme: Any, t_end: float = 1.5) -> Any:
+    """A ball with e = 1/2 dropped from 1 m."""
+    ball = fmbd.RigidBody("ball", 1.0, 0.1, position=(0.0, 1.1))
+    floor = fmbd.contact(
+        "floor", fmbd.ball(ball, 0.1), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1))), restitution=0.5
+    )
+    scene = fmbd.Scene("Zeno", gravity=(0, -9.81))
+    scene.add(ball, floor)
+    scene.sensor("x", fmbd.position(ball))
+    scene.sensor("v", fmbd.velocity(ball))
+    scene.sensor("force", fmbd.contact_force(floor))
+    scene.sensor("impulse", fmbd.contact_impulse(floor))
+    return fmbd.solve(scene, t_end=t_end, dt=dt, scheme=scheme)
+
+
+@pytest.mark.parametrize("dt", [1e-2, 1e-3])
+def test_bouncing_ball_comes_to_rest_within_a_step(dt: float) -> None:
+    """Infinitely many impacts end at sqrt(2 h / g) (1 + e) / (1 - e) = 1.35457 s."""
+    run = bouncing(dt, fmbd.Moreau())
+    rest = run.times[np.flatnonzero(np.abs(run["v"][:, 1]) > 1e-9)[-1] + 1]
+    assert abs(rest - 3 * np.sqrt(2 / 9.81)) <= dt
+    assert run["force"][-1, 1] == pytest.approx(9.81)
+    assert run.counters["impacts"] >= 8
+    energy = sum(run.energy.values())
+    assert np.diff(energy).max() <= 1e-12 * energy[0]
+    assert run["force"][1:, 1].sum() * dt == pytest.approx(run["impulse"][-1, 1], rel=1e-9)
+
+
+def test_flights_between_impacts_are_exact() -> None:
+    """Impacts happen at their own times; a parabola is exact for the midpoint rule, whatever the step."""
+    run = bouncing(0.013, fmbd.Moreau(), 1.2)
+    start, speed, late = 0.0, np.sqrt(2 * 9.81), run.times[-1]
+    ends = np.sqrt(2 / 9.81) * np.array([1.0, 2.0, 2.5, 2.75])  # impacts
+    k = int(np.searchsorted(ends, late)) - 1
+    start, speed = ends[k], np.sqrt(2 * 9.81) * 0.5 ** (k + 1)
+    t = late - start
+    assert run["x"][-1, 1] == pytest.approx(0.1 + speed * t - 9.81 / 2 * t * t, abs=1e-6)
+    classical = bouncing(0.013, fmbd.Moreau(impacts=0), 1.2)
+    assert abs(classical["x"][-1, 1] - run["x"][-1, 1]) > 1e-4  # all impacts of a step as one: half a step late
+
+
+def plate(dim: int, friction: float, restitution: float) -> Any:
+    """A plate dropped obliquely onto its four corners (plane: three collinear points)."""
+    if dim == 3:
+        body = fmbd.RigidBody(
+            "plate", 1.0, (0.0842, 0.0842, 0.1667), position=(0, 0, 0.2), velocity=(0.5, 0.2, 0),
+            angular_velocity=(0.3, 0.7, 1.0),
+        )  # fmt: skip
+        points = [(x, y, -0.05) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
+    else:
+        body = fmbd.RigidBody("plate", 1.0, 0.0842, position=(0, 0.2), velocity=(0.5, 0), angular_velocity=0.3)
+        points = [(x, -0.05) for x in (-0.5, 0.0, 0.5)]
+    up = np.eye(dim)[-1]
+    floor = fmbd.contact(
+        "floor", fmbd.corners(body, points), fmbd.Obstacle("floor", fmbd.HalfSpace(np.zeros(dim), up)),
+        friction=friction, restitution=restitution,
+    )  # fmt: skip
+    scene = fmbd.Scene("plate", gravity=tuple(-9.81 * up))
+    scene.add(body, floor)
+    scene.sensor("force", fmbd.contact_force(floor))
+    scene.sensor("gap", fmbd.contact_gap(floor))
+    return fmbd.solve(scene, t_end=1.0, dt=4e-3, scheme=fmbd.Moreau())
+
+
+@pytest.mark.parametrize(
+    ("dim", "friction", "restitution"), [(2, 0.3, 0.4), (2, 1.0, 0.4), (3, 0.3, 0.4), (3, 1.0, 0.0)]
+)
+def test_plate_rattles_to_rest_on_redundant_corners(dim: int, friction: float, restitution: float) -> None:
+    run = plate(dim, friction, restitution)
+    assert np.abs(run.state.v).max() < 1e-9
+    assert run["force"][-1] == pytest.approx(9.81 * np.eye(dim)[-1], abs=1e-8)
+    assert run["gap"].min() > -2e-3
+    energy = sum(run.energy.values())
+    assert np.diff(energy).max() <= 1e-4 * energy[0]
+    assert run.counters["complementarity_residual"] <= 1e-6
+
+
+@pytest.mark.parametrize("dt", [1e-3, 1e-4])
+def test_rod_in_the_range_of_painleve_takes_the_impact(dt: float) -> None:
+    """mu > 4/3: a rod that slides tip first admits no finite force; an impulse stops the tip, whatever the step."""
+    theta = 1.0
+    rod = fmbd.RigidBody(
+        "rod", 1.0, 1.0 / 3, position=(np.cos(theta), np.sin(theta)), rotation=theta, velocity=(-2.0, 0.0)
+    )
+    tip = fmbd.corners(rod, [(-1.0, 0.0)])
+    floor = fmbd.contact("floor", tip, fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1))), friction=2.0)
+    scene = fmbd.Scene("rod", gravity=(0, -9.81))
+    scene.add(rod, floor)
+    scene.sensor("impulse", fmbd.contact_impulse(floor))
+    run = fmbd.solve(scene, t_end=3 * dt, dt=dt, scheme=fmbd.Moreau())
+    # the impulse P = (N, T) at the tip that stops it: W P = (0, 2)
+    c, s = np.cos(theta), np.sin(theta)
+    W = np.array([[1 + 3 * c * c, -3 * s * c], [-3 * s * c, 1 + 3 * s * s]])
+    normal, tangential = np.linalg.solve(W, [0.0, 2.0])
+    assert run["impulse"][-1] == pytest.approx([tangential, normal], rel=60 * dt)
+
+
+def test_elastic_and_plastic_impact_of_two_balls() -> None:
+    for e in (1.0, 0.3, 0.0):
+        a = fmbd.RigidBody("a", 2.0, (0.1, 0.1, 0.1), velocity=(1.0, 0.0, 0.0))
+        b = fmbd.RigidBody("b", 1.0, (0.1, 0.1, 0.1), position=(1.0, 0.0, 0.0))
+        scene = fmbd.Scene("two balls")
+        scene.add(
+            a,
+            b,
+            fmbd.contact("pair", fmbd.ball(a, 0.2), fmbd.Obstacle("b", fmbd.Sphere(0.2), on=b), restitution=e),
+        )
+        run = fmbd.solve(scene, t_end=1.0, dt=0.01, scheme=fmbd.Moreau())
+        assert run.state.v[[0, 6]] == pytest.approx([(2 - e) / 3, 2 * (1 + e) / 3], abs=1e-9)
+
+
+def test_disk_rolls_after_sliding() -> None:
+    """Coulomb friction turns 2/3 of the speed of a disk into rolling."""
+    disk = fmbd.RigidBody("disk", 1.0, 0.5 * 0.1**2, position=(0, 0.1), velocity=(1.0, 0.0))
+    floor = fmbd.contact(
+        "floor", fmbd.ball(disk, 0.1), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1))), friction=0.3
+    )
+    scene = fmbd.Scene("disk", gravity=(0, -9.81))
+    scene.add(disk, floor)
+    run = fmbd.solve(scene, t_end=0.3, dt=1e-3, scheme=fmbd.Moreau())
+    v, _, w = run.state.v
+    assert v == pytest.approx(2 / 3, rel=2e-3)
+    assert w == pytest.approx(-v / 0.1, rel=1e-6)
+
+
+def test_cylinder_stands_on_its_end_in_space() -> None:
+    can = fmbd.RigidBody("can", 1.0, (0.01, 0.01, 0.005), position=(0, 0, 0.12))
+    end = fmbd.cylinder_end(can, 0.05, center=(0, 0, -0.1), axis=(0, 0, 1))
+    floor = fmbd.contact("floor", end, fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0, 0), (0, 0, 1))), friction=0.5)
+    scene = fmbd.Scene("can", gravity=(0, 0, -9.81))
+    scene.add(can, floor)
+    scene.sensor("force", fmbd.contact_force(floor))
+    run = fmbd.solve(scene, t_end=0.2, dt=2e-3, scheme=fmbd.Moreau())
+    assert run["force"][-1] == pytest.approx([0, 0, 9.81], abs=1e-8)
+    assert run.state.q[2] == pytest.approx(0.1, abs=2e-3)
+    assert np.abs(run.state.v).max() < 1e-9
