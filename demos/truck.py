@@ -1,6 +1,8 @@
 """Truck over a hump: rigid bodies on a suspension, then with an elastic loading area on the same suspension.
 
 Run:  ./with-dolfinx python3 demos/truck.py [--fast] [--json FILE] [--picture FILE]   (or mpirun -n 2 ...)
+      ./with-dolfinx python3 demos/truck.py --fast --coordinates FILE      (the nine coordinates every 0.1 s, to 1e-11)
+      ./with-dolfinx python3 demos/truck.py --fast --study FILE            (error against run time, and its figure)
 
          ___________________      _____
         |   loading area    |    | cab |        pinned to the chassis at the rear and sprung in front,
@@ -11,21 +13,37 @@ Run:  ./with-dolfinx python3 demos/truck.py [--fast] [--json FILE] [--picture FI
 Reference of the rigid truck: nine coordinates, forces by virtual work, order 8 and 1e-12 (tests/truck_reference.py).
 """
 
+import json
+from pathlib import Path
+
+import numpy as np
 import truck_model as model
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.faces.demo import Check, arguments, finish, say
+from fmbd_fenicsx import demo
+from fmbd_fenicsx.faces.demo import Check, say
+from fmbd_fenicsx.log import world_rank
 
-args = arguments(__doc__)
-t_end, dt = (2.0, 1e-2) if args.fast else (10.0, 5e-3)
-CAB = {2.0: (2.908354490237979, 2.908230786855053), 10.0: (2.940619120586877, 2.9362140954371196)}  # pinned, on springs
-PIN_FORCE = 68056.2088888888  # N, at the start
+args = demo.arguments(__doc__, {"--coordinates": "", "--study": ""})
+t_end, dt, size = (2.0, 4e-2, 0.6) if args.fast else (10.0, 1e-2, 0.3)
+PIN_FORCE = 68056.2088888888  # N, of the source
+NINE = {  # of truck_model.nine_coordinates at t_end: pinned, on springs
+    2.0: ([0.50290005089995, 2.0047517733927, 0.0013548853582886, 0.50676408485884, 2.908354490238,
+           0.0013489881476636, -1.4612023238746, 2.9027391611411, 0.0013339690333247],
+          [0.50290803829768, 2.0047275813676, 0.001318841197048, 0.50674866256439, 2.9082307868551,
+           0.00131269932479, -1.4613981101619, 2.9027195234796, 0.0013112318521282]),
+    10.0: ([0.55399417622006, 2.0491685230494, -0.0031125674025083, 0.54719915194705, 2.9406191205869,
+            -0.0031127007852364, -1.4571738542069, 2.9536700504442, -0.0031364173050055],
+           [0.55419826684956, 2.0479691507847, -0.0042835917934678, 0.54679152812889, 2.9362140954371,
+            -0.0042829498155047, -1.4415234292275, 2.9540275722563, -0.0045271952826608]),
+}  # fmt: skip
+SUSPENSIONS = {"pin and spring": True, "three springs": False}
 
 
-def run(load, pinned=True, modulus=model.MODULUS, h=dt):
+def drive(load, pinned, modulus=model.MODULUS, snapshots=0):
     """One drive."""
     scene = model.truck(load, pinned=pinned, modulus=modulus)
-    return fmbd.solve(scene, t_end=t_end, dt=h, output=fmbd.Output(snapshots=4, energy=False))
+    return fmbd.solve(scene, t_end=t_end, dt=dt, output=fmbd.Output(snapshots=snapshots, energy=False))
 
 
 def deviation(a, b, sensor="cab"):
@@ -33,41 +51,52 @@ def deviation(a, b, sensor="cab"):
     return float(abs(a[sensor] - b[sensor]).max())
 
 
-checks = []
-rigid = {}
-for pinned, reference in zip((True, False), CAB[t_end], strict=True):
-    coarse, rigid[pinned] = (run(model.rigid_load(), pinned, h=h) for h in (2 * dt, dt))
-    name = "pinned" if pinned else "on springs"
-    better = (4 * rigid[pinned]["cab"][-1, 1] - coarse["cab"][-1, 1]) / 3
-    checks.append(Check(f"{name}: cab at the end, extrapolated, m", better, reference, 1e-7))
-    system, start, _ = model.truck(model.rigid_load(), pinned=pinned).build()
-    ev = system.at(0.0, start.q, start.v)
-    forces = ev.balance(start.a).reshape(-1, 3)[:, :2]
-    order = list(system.frame_names)
-    if pinned:
-        forces[order.index("chassis")] -= rigid[True]["pin"][0]
-        forces[order.index("load")] += rigid[True]["pin"][0]
-    digits = 1e-9 if pinned else 1e-8  # the source prints the nominal forces of the two rear springs to 1e-8 N
-    checks.append(Check(f"{name}: forces out of balance at the start, N", abs(forces).max(), 0.0, digits))
-checks.append(Check.relative("pin force at the start, N", -rigid[True]["pin"][0, 1], PIN_FORCE, 1e-9))
+def unbalanced(pin):
+    """Largest force (N) out of balance at the start; ``pin``: forces of the pin on the loading area, or None."""
+    system, start, _ = model.truck(model.rigid_load(), pinned=pin is not None).build()
+    forces = system.at(0.0, start.q, start.v).balance(start.a).reshape(-1, 3)[:, :2]
+    if pin is not None:
+        order = list(system.frame_names)
+        forces[order.index("chassis")] += pin[0]
+        forces[order.index("load")] -= pin[0]
+    return abs(forces).max()
 
-stiffer = {E: deviation(run(model.elastic_load(E), modulus=E), rigid[True]) for E in (1e9, 1e10)}
-checks.append(Check("rigid limit: ratio of deviations, E and 10 E", stiffer[1e9] / stiffer[1e10], 10.0, 0.5))
-soft = model.elastic_load()
-full = run(soft)
+
+checks, runs, soft = [], {}, model.elastic_load(h=size)
+for (name, pinned), expected in zip(SUSPENSIONS.items(), NINE[t_end], strict=True):
+    found = model.nine_coordinates([0.0, t_end], pinned=pinned)
+    checks.append(
+        Check(f"{name}: nine coordinates at the end, m, rad", abs(found["p"][-1] - expected).max(), 0.0, 1e-11)
+    )
+    digits = 1e-9 if pinned else 1e-8  # the source prints the nominal forces of the two rear springs to 1e-8 N
+    checks.append(Check(f"{name}: out of balance at the start, N", unbalanced(found.get("pin")), 0.0, digits))
+    if pinned:
+        checks.append(Check.relative("pin force at the start, N", found["pin"][0, 1], PIN_FORCE, 1e-9))
+    rigid, full = drive(model.rigid_load(), pinned), drive(soft, pinned, snapshots=4)
+    runs[name] = rigid, full
+    far = [deviation(drive(model.elastic_load(E, h=size), pinned, E), rigid) for E in (1e9, 1e10)]
+    checks.append(Check(f"{name}: rigid limit, deviations of E and 10 E", far[0] / far[1], 10.0, 0.5))
+    errors = []
+    for modes in (0, 6, 24):
+        few = drive(soft.reduced(basis=fmbd.CraigBampton(("rear", "front"), modes, inertia=True)), pinned)
+        errors.append(deviation(full, few, "stress"))
+        say(f"{name}, static and {modes:2d} more modes: cab {deviation(full, few):.1e} m, stress {errors[-1]:.1e} N/m")
+    checks.append(Check(f"{name}: stress without vibration modes, N/m", errors[0], 0.0, 1e-4 * full["stress"].max()))
+    checks.append(Check(f"{name}: stress error falls with the modes", float((np.diff(errors) < 0).all()), 1.0, 0.0))
+    driver = abs(full["cab acceleration"][:, 1]).max()
+    say(f"{name}: cab acceleration up to {driver:.3g} m/s^2, stress up to {full['stress'].max():.5g} N/m")
 say(full.report())
-errors = []
-for modes in (0, 6, 24):
-    basis = fmbd.CraigBampton(("rear", "front"), modes)
-    few = run(soft.reduced(basis=basis))
-    errors.append(deviation(full, few, "stress"))
-    say(f"interface modes and {modes:2d} more: cab {deviation(full, few):.1e} m, stress {errors[-1]:.1e} N/m")
-checks.append(Check("24 modes: cab against the full field, m", deviation(full, few), 0.0, 1e-6))
-checks.append(Check("stress error falls with the modes", float(errors == sorted(errors, reverse=True)), 1.0, 0.0))
-checks.append(Check.relative("24 modes: largest stress, N/m", few["stress"].max(), full["stress"].max(), 2e-2))
-say(
-    f"cab acceleration up to {abs(full['cab acceleration'][:, 1]).max():.3g} m/s^2, stress up to {full['stress'].max():.4g} N/m"
-)
-if args.picture:
-    model.picture(full, rigid[True], args.picture)
-finish(checks, full, args)
+if args.coordinates:
+    times = np.linspace(0.0, 10.0, 101)
+    found = {name: model.nine_coordinates(times, pinned=pinned) for name, pinned in SUSPENSIONS.items()}
+    if world_rank() == 0:
+        content = {name: {k: x.tolist() for k, x in one.items()} for name, one in found.items()}
+        Path(args.coordinates).write_text(json.dumps(content) + "\n")
+if args.study or args.picture:
+    import truck_figures
+
+    if args.picture:
+        truck_figures.picture(runs, args.picture)
+    if args.study:
+        truck_figures.work(args.study, t_end)
+demo.finish(checks, full, args)

@@ -12,7 +12,7 @@ SI units, x forward, y up, in the frame that travels with the truck.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -91,14 +91,42 @@ def truck(load: object, *, pinned: bool = True, modulus: float | None = None) ->
         ends = (sides[a], sides[b], at_a, at_b)
         free = 0.0 if law else -f / k
         scene.add(fmbd.Spring(name, *ends, stiffness=k, damping=d, length=free, law=law))
-    scene.sensor("cab", fmbd.position(bodies["cab"]))
+    for name, body in bodies.items():
+        scene.sensor(name, fmbd.position(body))
+        scene.sensor(f"{name} pitch", fmbd.rotation(body))
     scene.sensor("cab acceleration", fmbd.acceleration(bodies["cab"]))
-    scene.sensor("chassis pitch", fmbd.rotation(bodies["chassis"]))
     if pinned:
         scene.sensor("pin", fmbd.reaction_force("pin"))
     if not isinstance(load, fmbd.RigidBody):
         scene.sensor("stress", fmbd.largest(load, lambda u: mises(u, modulus or MODULUS), unit="N/m"))
     return scene
+
+
+NINE = (("rear wheel", 1), ("chassis", 1), ("chassis", 2), ("front wheel", 1), ("cab", 1), ("cab", 2), ("load", 0), ("load", 1),
+        ("load", 2))  # fmt: skip
+
+
+def nine_coordinates(times: Sequence[float], *, pinned: bool = True, rtol: float = 1e-12) -> dict[str, np.ndarray]:
+    """The rigid truck at the given times (s), to about ``rtol``: "times", "p", "v", and with a pin its force "pin" on the load.
+
+    p = (y rear wheel, y chassis, phi chassis, y front wheel, y cab, phi cab, x load, y load, phi load), m and rad, and its
+    rates v: (n, 9); pin: (n, 2) N. By Radau IIA of order 5, which meets the times exactly.
+    """
+    made = truck(rigid_load(), pinned=pinned)
+    made.breakpoints = sorted({*made.breakpoints, *(t for t in times if 0 < t < max(times))})
+    for name, body in made.bodies.items():
+        made.sensor(f"{name} velocity", fmbd.velocity(body))
+        made.sensor(f"{name} rate", fmbd.angular_velocity(body))
+    made.sensor("load", fmbd.position(made.bodies["load"]))
+    made.sensor("load pitch", fmbd.rotation(made.bodies["load"]))
+    run = fmbd.solve(made, t_end=max(times), scheme=fmbd.Radau(rtol=rtol), output=fmbd.Output(energy=False))
+    rows = [int(np.argmin(abs(run.times - t))) for t in times]
+
+    def of(place: str, turn: str) -> np.ndarray:
+        return np.stack([run[b + turn][rows, 0] if k == 2 else run[b + place][rows, k] for b, k in NINE], axis=1)
+
+    found = {"times": run.times[rows], "p": of("", " pitch"), "v": of(" velocity", " rate")}
+    return {**found, "pin": -run["pin"][rows]} if pinned else found
 
 
 def mises(u: Any, modulus: float) -> Any:
@@ -123,41 +151,3 @@ def elastic_load(modulus: float = MODULUS, *, h: float = 0.3) -> fmbd.FloatingBo
     mesh = fmbd.read_gmsh("meshes/loading_area.py", low=low, size=(length, height), pads=pads, h=h)
     sheet = fmbd.materials.plane_stress(modulus, POISSON)
     return fmbd.FloatingBody("load", mesh, density=LOAD_MASS / (length * height), elastic=sheet, stiffness_damping=2e-4)
-
-
-def picture(run: fmbd.Run, rigid: fmbd.Run, file: object) -> None:
-    """The truck at the start with its suspension, cab accelerations and the loading area's stress; rank 0 writes."""
-    from fmbd_fenicsx.log import world_rank
-
-    if world_rank() != 0:
-        return
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-    from matplotlib.patches import Circle, Rectangle
-
-    fig, (ax, acc, stress) = plt.subplots(1, 3, figsize=(13, 3.8), layout="constrained", width_ratios=(1.6, 1, 1))
-    for x in (REAR, FRONT):
-        ax.add_patch(Circle((x, 0.5), 0.5, color="0.3"))
-    ax.add_patch(Rectangle((-4.2, 1.92), 8.2, 0.16, color="C0", label="chassis"))
-    ax.add_patch(Rectangle((1.9, 2.45), 1.9, 1.3, color="C1", alpha=0.8, label="cab"))
-    ax.add_patch(Rectangle((-4.3, 2.15), 5.67, 1.5, color="C2", alpha=0.6, label="loading area (elastic)"))
-    for name, (_, _, a, b, *_) in SUSPENSION.items():
-        if not name.startswith("load, rear"):
-            s = np.linspace(0, 1, 25)
-            zigzag = 0.07 * np.sin(9 * 2 * np.pi * s) * (abs(s - 0.5) < 0.4)
-            ax.plot(a[0] + (b[0] - a[0]) * s + zigzag, a[1] + (b[1] - a[1]) * s, color="k", lw=1)
-    ax.plot(*PIN, "ko", ms=6)
-    ax.annotate("pin", PIN, (-3.9, 1.3), arrowprops={"arrowstyle": "-"})
-    ax.plot([-5, 5], [0, 0], color="0.5")
-    ax.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", ylim=(-0.2, 4.9))
-    ax.legend(loc="upper center", ncols=3, frameon=False)
-    acc.plot(rigid.times, rigid["cab acceleration"][:, 1], label="rigid loading area")
-    acc.plot(run.times, run["cab acceleration"][:, 1], "--", label="elastic")
-    acc.set(xlabel="time (s)", ylabel="cab acceleration (m/s$^2$)")
-    acc.legend(frameon=False)
-    stress.plot(run.times, 1e-3 * run["stress"][:, 0])
-    stress.set(xlabel="time (s)", ylabel="largest Mises stress x thickness (kN/m)")
-    fig.savefig(str(file), dpi=100)
-    plt.close(fig)

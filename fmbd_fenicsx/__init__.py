@@ -47,6 +47,7 @@ from .schemes.rattle import Rattle
 from .system.scene import Scene
 from .system.sensors import (
     acceleration,
+    angular_velocity,
     coordinates,
     joint_rate,
     position,

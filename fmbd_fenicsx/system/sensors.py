@@ -46,6 +46,15 @@ class Velocity(Sensor):
         return ev.kin.twist[marker, : ev.kin.x.shape[1]].copy()
 
 
+class AngularVelocity(Sensor):
+    """World angular velocity of a body or of a surface's mean, (n_rot,)."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """w, rad/s."""
+        assert ev.kin.twist is not None
+        return ev.kin.twist[marker, ev.kin.x.shape[1] :].copy()
+
+
 class Acceleration(Sensor):
     """World acceleration of a point or of a surface's mean, (d,)."""
 
@@ -178,6 +187,11 @@ def acceleration(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
 def rotation(on: Any | Surface) -> Sensor:
     """Rotation of a body or surface since the start: angle (rad) in the plane, matrix (9 numbers) in space."""
     return Rotation(on, "rad")
+
+
+def angular_velocity(on: Any | Surface) -> Sensor:
+    """Angular velocity (rad/s) of a body or of a surface's mean, world axes: one number in the plane, three in space."""
+    return AngularVelocity(on, "rad/s")
 
 
 def reaction(joint: Any) -> Sensor:
