@@ -295,3 +295,38 @@ def test_conjugate_gradients_on_the_multipliers(step: float, nu: float) -> None:
     assert 1 < found.iterations <= 26 and error(found) < 1e-7
     solver.destroy()
     release(s)
+
+
+def two_blocks(kinds: str) -> fmbd.Scene:
+    """A block clamped by a tie, another tied to it without matching meshes; "a": absolute, "f": floating."""
+    body, elastic = {"a": fmbd.AbsoluteBody, "f": fmbd.FloatingBody}, fmbd.materials.linear_elastic(1e7, 0.3)
+    scene = fmbd.Scene("two", gravity=(0, -9.81))
+    for i, kind in enumerate(kinds):
+        mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0, 1.0), cells=6 - i, origin=(float(i), 0.0))
+        scene.add(body[kind](f"block{i}", mesh, density=1000.0, elastic=elastic))
+    one, two = scene.bodies["block0"], scene.bodies["block1"]
+    scene.add(fmbd.tie_surface("clamp", one.surface("left"), fmbd.ground))
+    scene.add(fmbd.tie_surface("glue", one.surface("right"), two.surface("left")))
+    scene.sensor("tip", fmbd.position(two.surface("right")))
+    scene.sensor("clamp", fmbd.velocity(two.surface("right")))
+    return scene
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kinds", ["aa", "af"])
+def test_many_multipliers_in_a_scene(kinds: str) -> None:
+    """Iterations on the multipliers of ties give the motion and the tractions of the dense core."""
+    runs = [fmbd.solve(two_blocks(kinds), t_end=2e-3, dt=1e-3, linear=x) for x in (None, Schur(limit=0, rtol=1e-10))]
+    assert np.abs(runs[0]["clamp"] - runs[1]["clamp"]).max() < 1e-9 * np.abs(runs[0]["clamp"]).max()
+    lam = [r.state.lam for r in runs]
+    assert np.abs(lam[0] - lam[1]).max() < 1e-7 * np.abs(lam[0]).max()
+    its = runs[1].counters["tie_iterations"]
+    assert runs[0].counters["tie_iterations"] == 0 and 2 <= its / runs[1].counters["newton_iterations"] <= 50
+
+
+def test_many_multipliers_need_a_preset(monkeypatch) -> None:
+    from fmbd_fenicsx.linear import schur
+
+    monkeypatch.setattr(schur, "TIE_LIMIT", 10)
+    with pytest.raises(InputError, match=r"28 multipliers; the direct solver takes up to 10.*linear=fmbd\.Schur\(\)"):
+        fmbd.solve(two_blocks("aa"), t_end=1e-3, dt=1e-3, linear=Direct())

@@ -55,7 +55,7 @@ class Lumped:
 
     def groups(self, saddle: SaddlePoint) -> list[Group]:
         """One group for each tie; collective."""
-        return _each(saddle, lambda i: _lumped(saddle, i))
+        return _each(saddle, lambda i: lumped(saddle, i))
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Fractional:
         """S~ of tie i, replicated."""
         t = saddle.ties[i]
         if not t.sides or max(side.n for _, side, _ in t.sides) > self.limit:
-            return _lumped(saddle, i)
+            return lumped(saddle, i)
         along: Any = 0
         across: Any = 0
         for k, surface, B in t.sides:
@@ -158,13 +158,11 @@ def rigid_term(e: Elastic, k: int, ties: Sequence[TraceTie]) -> tuple[Array, Arr
     return e.inertia * e.body.total(R.T @ MR), e.body.total(BR)
 
 
-def _lumped(saddle: SaddlePoint, i: int) -> sp.csr_matrix:
+def lumped(saddle: Any, i: int) -> sp.csr_matrix:
     """B diag(E)^-1 B^T, replicated."""
     out: Any = 0
     for k, B in saddle.ties[i].columns:
-        diagonal = saddle.E[k].getDiagonal()
-        part = (B @ sp.diags(1.0 / diagonal.array) @ B.T).tocsr()
-        diagonal.destroy()
+        part = (B @ sp.diags(1.0 / saddle.diagonal(k)) @ B.T).tocsr()
         out = out + sum(saddle.comm.allgather(part))
     return out.tocsr()
 

@@ -265,6 +265,13 @@ class SaddlePoint:
         twice = sorted({n for n in names if names.count(n) > 1})
         return InputError(f"Blocks with the same name: {twice}.") if twice else None
 
+    def diagonal(self, k: int) -> Array:
+        """diag(E_k) on this rank; collective."""
+        v = self.E[k].getDiagonal()
+        out = np.array(v.array)
+        v.destroy()
+        return out
+
     @property
     def n_multipliers(self) -> int:
         """All multipliers."""

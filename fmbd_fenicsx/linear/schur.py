@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..errors import LinearSolveError
+from ..errors import InputError, LinearSolveError
 from ..log import log
 from ..mechanics.placements import DistributedPart, FrameMotion
 from ..rotations import Array
@@ -30,6 +30,7 @@ from .options import check_options
 from .residual import Judge
 from .spd import CholeskyFactor, MassInverse
 
+TIE_LIMIT = 1500  # multipliers of surface ties that the dense core takes
 LOOK_LIMIT = 600  # constraint rows up to which the solver itself looks for redundant ones
 
 
@@ -71,6 +72,24 @@ class StepSolver:
         self.factorisations = 0
         self._blocks: dict[tuple[Any, ...], list[Block]] = {}
         self._retired: list[Any] = []
+        self.many = self._many()
+        self.few: Any = slice(None) if self.many is None else self.many.few
+
+    def _many(self) -> Any:
+        """What iterates on the multipliers of surface ties where they are many; None where the dense core takes them."""
+        s = self.system
+        count = sum(span.stop - span.start for _, span in s.traces)
+        limit = getattr(self.linear, "limit", TIE_LIMIT)
+        if count <= limit:
+            return None
+        if not hasattr(self.linear, "multiplier") or s.contacts is not None:
+            raise InputError(
+                f"The surface ties have {count} multipliers; the direct solver takes up to {TIE_LIMIT}, and so does a scene with "
+                "contact. Use solve(..., linear=fmbd.Schur()), or coarser multiplier spaces."
+            )
+        from .many import ManyMultipliers
+
+        return ManyMultipliers(s, self.linear.multiplier, self.linear.rtol)
 
     @property
     def back_solves(self) -> int:
@@ -83,6 +102,11 @@ class StepSolver:
         """Iterations of conjugate gradients inside all of them; 0 for factors."""
         live = {id(b.factor): b.factor for blocks in self._blocks.values() for b in blocks}
         return sum(getattr(f, "iterations", 0) for f in live.values())
+
+    @property
+    def tie_iterations(self) -> int:
+        """Iterations on the multipliers of surface ties; 0 where these are solved directly."""
+        return 0 if self.many is None else int(self.many.iterations)
 
     @property
     def worst_residual(self) -> float:
@@ -156,13 +180,18 @@ class StepSolver:
         self._G = G
         self._turns = [f.turn(s.local_q(ev.q, k)) for k, f in s.fields]
         self.blocks = self._elastic(G, w)
-        n, m = s.n_core, s.n_lam
+        n = s.n_core
         A = A.toarray() if sp.issparse(A) else A.copy()
-        core_G = G.core.toarray() if sp.issparse(G.core) else G.core.copy()
+        if self.many is not None:
+            self.many.prepare(ev, w, A)
+        core_G = dense(G.core)[self.few].copy()
+        m = len(core_G)
         C = np.zeros((m, m))
         self._S = []
         for i, block in enumerate(self.blocks):
             S = self._coupling(ev, i, w.cm)
+            if self.many is not None:
+                S = np.concatenate((S[:, :n], S[:, n:][:, self.few]), axis=1)
             self._S.append(S)
             WS = S.T @ block.W @ S
             A -= WS[:n, :n]
@@ -224,7 +253,9 @@ class StepSolver:
             factor = self._factor(f, cm, ck, cd)
             self.factorisations += ck != 0 and getattr(factor, "fresh", True)
         first = f.n_frame_rows
-        active = np.abs(G.port[:, self.system.port_slice(k)]).max(axis=0, initial=0.0) > 0
+        active = G.active(self.system.port_slice(k))
+        if self.many is not None:
+            active &= ~self._on_traces(f)
         if f.shared_columns:
             active[:first] = False  # the same columns as those of inertia
         points = active[first:].reshape(-1, self.system.motions.dim)
@@ -234,6 +265,10 @@ class StepSolver:
         Y = factor.solve_columns(H)
         W = f.field.total(H.T @ Y)
         return Block(factor, used, Y, 0.5 * (W + W.T), same)
+
+    def _on_traces(self, f: Any) -> np.ndarray:
+        """Which ports of a field belong to surface ties, (n_port,)."""
+        return np.arange(f.n_port) >= f.n_port - sum(B.shape[0] for B in f.traces)
 
     def _factor(self, f: Any, cm: float, ck: float, cd: float) -> Any:
         """A new factor of cm M + ck K, with the field's own damping where it has one."""
@@ -271,7 +306,7 @@ class StepSolver:
         if f.shared_columns:
             rows = s.frame_rows[k]
             S[:c, s.n_core + rows.start : s.n_core + rows.stop] = np.eye(c)
-        S[c:, s.n_core :] = self._G.port[:, s.port_slice(k).start + block.used].T
+        S[c:, s.n_core :] = dense(self._G.port[:, s.port_slice(k).start + block.used]).T
         turn = self._turns[i]
         if turn is not None and len(block.used):
             rows_of = S[c:].reshape(-1, d, S.shape[1])
@@ -290,6 +325,13 @@ class StepSolver:
         if not s.fields:
             return self.core.solve(b, c)
         s.move(self._ev.t)
+        if self.many is not None:
+            return self.many.solve(self._solve_few, b, c)
+        return self._solve_few(b, c)
+
+    def _solve_few(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """The same with the rows that the core holds: all, or those of no surface tie where these are many."""
+        s = self.system
         n = s.n_core
         rhs = np.concatenate((b[:n], c))
         zs = []
@@ -313,6 +355,11 @@ class StepSolver:
     def destroy(self) -> None:
         """Free all factors; collective."""
         self._drop(keep=0, live=[])
+
+
+def dense(A: Any) -> Array:
+    """A as an array."""
+    return A.toarray() if sp.issparse(A) else np.asarray(A)
 
 
 def _made_of(f: DistributedPart, w: Weights) -> tuple[float, float, float, int]:

@@ -36,7 +36,7 @@ from .constraints import Motion, standstill
 from .couplings import smooth_motion
 from .joints import ground
 
-LIMIT = 1500  # multipliers that the replicated core takes
+LOOK_LIMIT = 1500  # multiplier functions up to which a tie looks for combinations that see nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +110,9 @@ def finer_first(a: Surface, b: Surface) -> tuple[Surface, Surface]:
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One side (2): its frame, its part (None: rigid or ground) with the ports p, and the constants m (n,),
-    s (n, d).
+    """One side (2): its frame, its part (None: rigid or ground) with the ports p, and the constants m (n,), s (n, d).
+
+    ``trace`` and ``coupling`` (functions, nodes of the trace) of an elastic side: p = coupling u on the trace.
     """
 
     frame: int
@@ -119,6 +120,8 @@ class Side:
     ports: slice
     m: Array
     s: Array
+    trace: Trace | None = None
+    coupling: sp.csr_matrix | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,12 +177,10 @@ class TraceRows:
         g = self.motion(ev.t)[1] * self.data
         return g.ravel() if self.normal is None else g @ (ev.rotation[self.sides[1].frame] @ self.normal)
 
-    def jacobian(self, ev: Any) -> list[tuple[str, int, Array]]:
-        """Blocks ("frame", number of the frame, (rows, n_twist)) and ("port", number of the side, (rows,
-        ports)).
-        """
+    def jacobian(self, ev: Any) -> list[tuple[str, int, Any]]:
+        """Blocks ("frame", number of the frame, (rows, n_twist)) and ("port", number of the side, sparse (rows, ports))."""
         m, (n, d) = ev.system.motions, self.data.shape
-        blocks: list[tuple[str, int, Array]] = []
+        blocks: list[tuple[str, int, Any]] = []
         nu = None if self.normal is None else ev.rotation[self.sides[1].frame] @ self.normal
         for number, (side, z, sign) in enumerate(zip(self.sides, self._arms(ev), (-1.0, 1.0), strict=True)):
             R = ev.rotation[side.frame]
@@ -192,7 +193,7 @@ class TraceRows:
                 blocks.append(("frame", side.frame, sign * G.reshape(-1, m.n_twist)))
             if side.part is not None:
                 row = R if nu is None else (nu @ R)[None]
-                blocks.append(("port", number, sign * np.kron(np.eye(n), row)))
+                blocks.append(("port", number, sp.kron(sp.identity(n), sign * row, format="csr")))
         if nu is not None and self.normal is not None and self.sides[1].frame < ev.system.n_frames:
             R = ev.rotation[self.sides[1].frame]
             turned = np.zeros((n, m.n_twist))
@@ -255,14 +256,7 @@ def build_trace_rows(
     else:
         mu = space.on(trace)
         A = mu.coupling()
-    n, d = mu.n, trace.dim
     _refuse_unseen(tie.name, mu, A)
-    if n * d > LIMIT:
-        raise InputError(
-            f'Tie "{tie.name}": {n * d} multipliers; a scene takes up to {LIMIT}. Use a coarser space or '
-            "mesh, or the saddle-point "
-            "solvers of fmbd_fenicsx.linear.saddle."
-        )
     a, start = _elastic_side(part, part_of[tie.a.body.name], trace, A)
     if other is not None:
         b, end = _elastic_side(other, part_of[tie.b.body.name], other_trace, B)
@@ -281,7 +275,7 @@ def build_trace_rows(
 
 def _refuse_unseen(name: str, mu: Multipliers, A: sp.csr_matrix) -> None:
     """Raise when combinations of multipliers see no displacement of the surface: the inf-sup constant is zero."""
-    if mu.n > LIMIT:
+    if mu.n > LOOK_LIMIT:
         return
     gram = (A @ A.T).toarray()
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
@@ -303,7 +297,7 @@ def _elastic_side(part: Any, number: int, trace: Trace, A: sp.csr_matrix) -> tup
     ports = part.add_trace(sp.kron(trace.columns(A), sp.identity(trace.dim), format="csr"))
     m = np.asarray(A.sum(axis=1)).ravel()
     start = np.asarray(A @ trace.points)
-    return Side(part.frame, number, ports, m, start - m[:, None] * part.origin), start
+    return Side(part.frame, number, ports, m, start - m[:, None] * part.origin, trace, A), start
 
 
 def _imposed(tie: SurfaceTie, mu: Multipliers) -> Array:

@@ -286,6 +286,7 @@ def _counters(march: _March, newton: Newton, solver: StepSolver) -> dict[str, fl
         "back_solves": solver.back_solves,
         "back_solves_per_step": later / (march.done - 1) if march.done > 1 else 0.0,
         "elastic_iterations": solver.elastic_iterations,
+        "tie_iterations": solver.tie_iterations,
         "core_factorisations": solver.core.factorisations,
         "worst_linear_residual": solver.worst_residual,
         **march.counters,

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from .system import Evaluation, System
 
 DENSE_LIMIT = 20_000  # entries of G up to which it is kept dense
+PORT_LIMIT = 4_000_000  # the same for its part on the ports of elastic fields: ties of many multipliers make it sparse
 
 
 class Pattern:
@@ -54,7 +55,7 @@ class Pattern:
 
 
 class Jacobian:
-    """G in two pieces: ``core`` (n_lam, n_core), dense or sparse, and ``port`` (n_lam, n_port) on the ports of the parts.
+    """G in two pieces: ``core`` (n_lam, n_core) and ``port`` (n_lam, n_port) on the ports of the parts, dense or sparse each.
 
     Ports of replicated parts are folded into ``core``; products take both pieces into account.
     """
@@ -75,20 +76,32 @@ class Jacobian:
         pattern: Pattern = s.cache["pattern"]
         side = np.concatenate(sides)
         self.core: Any = pattern.core((side[:, None, :] @ kin.jac_frame[pattern.markers])[:, 0])
-        self.port = np.zeros((s.n_lam, s.n_port))
+        large = s.n_lam * s.n_port > PORT_LIMIT
+        self.port: Any = (sp.lil_matrix if large else np.zeros)((s.n_lam, s.n_port))
         if not s.parts:
             return
         if pattern.on.size:
             at, k = pattern.rows[pattern.on], pattern.surface
-            np.add.at(self.port, (at[:, None], m.port[k]), (side[pattern.on, None, :] @ kin.jac_port[k])[:, 0])
+            entries = (side[pattern.on, None, :] @ kin.jac_port[k])[:, 0]
+            if large:
+                index = (np.repeat(at, entries.shape[1]), m.port[k].ravel())
+                self.port += sp.coo_matrix((entries.ravel(), index), shape=self.port.shape).tolil()
+            else:
+                np.add.at(self.port, (at[:, None], m.port[k]), entries)
         for laws, span in s.port_constraints:
             self.port[span, s.port_slice(laws.part)] += laws.jacobian(ev.port[s.port_slice(laws.part)], ev.t)
-        for tie, span in s.traces:
-            self._add_tie(tie, span, ev)
         for k, r in enumerate(s.frame_rows):
             start = s.port_slice(k).start
             self.port[r, start : start + s.parts[k].n_frame_rows] = np.eye(s.parts[k].n_frame_rows)
+        if large:
+            self.port = self.port.tocsr()
+        for tie, span in s.traces:
+            self._add_tie(tie, span, ev)
         self._fold()
+
+    def active(self, span: slice) -> np.ndarray:
+        """Which of some ports a row acts on, (ports,)."""
+        return np.asarray(abs(self.port[:, span]).sum(axis=0)).ravel() > 0
 
     def _add_tie(self, tie: Any, rows: slice, ev: Evaluation) -> None:
         """Blocks of a tie by field multipliers."""
@@ -97,7 +110,11 @@ class Jacobian:
             if kind == "port":
                 side = tie.sides[number]
                 first = s.port_slice(side.part).start
-                self.port[rows, first + side.ports.start : first + side.ports.stop] += block
+                columns = slice(first + side.ports.start, first + side.ports.stop)
+                if isinstance(self.port, np.ndarray):
+                    self.port[rows, columns] += block.toarray()
+                else:
+                    self.port = self.port + _placed(block, rows.start, columns.start, self.port.shape)
             elif isinstance(self.core, np.ndarray):
                 self.core[rows, number * n : (number + 1) * n] += block
             else:
@@ -138,6 +155,12 @@ class Jacobian:
             return core
         forces = [p.port_force(self.port[:, s.port_slice(k)].T @ lam) for k, p in s.fields]
         return np.concatenate((core, *forces))
+
+
+def _placed(block: sp.spmatrix, row: int, column: int, shape: tuple[int, int]) -> sp.csr_matrix:
+    """A matrix of the given shape with ``block`` at (row, column)."""
+    b = block.tocoo()
+    return sp.csr_matrix((b.data, (b.row + row, b.col + column)), shape=shape)
 
 
 def force_tangent(ev: Evaluation, cd: float, ck: float) -> Any:
