@@ -147,8 +147,15 @@ if __name__ == "__main__":
 
             for k, name in enumerate(("u, L2", "u, H1", "traction, H$^{-1/2}$", "traction, h$^{1/2}$ L2")):
                 style, label = ("o-", f"P1 {name}") if degree == 1 else ("s--", f"P2 {name}")
+                label += f": order {orders[-1, k]:.2f}"
+                plt.figure(1, figsize=(8, 4.8), layout="constrained")
                 plt.loglog(table[:, 0], table[:, 1 + k], style, label=label, color=f"C{k}")
     if args.picture is not None and MPI.COMM_WORLD.rank == 0:
-        plt.xlabel("cell size of the upper block, m"), plt.ylabel("error"), plt.legend(fontsize=7), plt.grid(alpha=0.3)
+        plt.title("two tied blocks, meshes that do not match"), plt.grid(alpha=0.3)
+        (
+            plt.xlabel("cell size of the upper block, m"),
+            plt.ylabel("error"),
+            plt.figlegend(loc="outside right center", fontsize=8),
+        )
         plt.savefig(args.picture, dpi=110)
     demo.finish(checks, None, args)

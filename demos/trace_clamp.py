@@ -81,6 +81,7 @@ if __name__ == "__main__":
             y = mu.trace.corners[:, :, 1]
             for f in range(len(y)):
                 plt.plot(y[f], values[f, :, k], f"C{k}-", label=name if f == 0 else None)
+        plt.title("P1 multipliers beside P2, 16 cells; the plate's corners are singular points", fontsize=10)
         plt.xlabel("y, m"), plt.ylabel("traction on the clamp, Pa"), plt.legend(), plt.grid(alpha=0.3)
         plt.savefig(args.picture, dpi=110)
     demo.finish(checks, None, args)
