@@ -1,4 +1,4 @@
-"""The truck demo: its rigid trajectory against nine coordinates, and what a settled start means. Its checks: tests/test_demos.py."""
+"""The truck demo against nine coordinates, and what a settled start means. Its checks: tests/test_demos.py."""
 
 from __future__ import annotations
 

@@ -387,6 +387,11 @@ class WiresPart(FieldPart):
             out[dofs] += table.T @ fi[:3]
         return out
 
+    def port_gram(self) -> Array:
+        """P P^T of the ports where they are now; every rank holds all wires."""
+        columns = self.port_columns(np.arange(self.n_port))
+        return columns.T @ columns
+
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of (1)."""
         u, v, a = local
