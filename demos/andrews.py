@@ -40,7 +40,7 @@ REFERENCE = np.array([15.810771195153752, -15.756371058411908, 0.040822240119638
 def mass(q):
     """M(q), (7, 7)."""
     _, th, _, ph, _, om, _ = q
-    M, e, z = np.zeros((7, 7), dtype=np.asarray(q).dtype), E - EA, ZF - FA
+    M, e, z = np.zeros((7, 7, *q.shape[1:]), dtype=q.dtype), E - EA, ZF - FA
     M[0, 0] = M1 * RA**2 + M2 * (RR**2 - 2 * DA * RR * cos(th) + DA**2) + I1 + I2
     M[1, 0] = M[0, 1] = M2 * (DA**2 - DA * RR * cos(th)) + I2
     M[1, 1] = M2 * DA**2 + I2
@@ -86,7 +86,7 @@ def constraint(q, t):
 def scene():
     """The mechanism at rest."""
     made = fmbd.Scene("Andrews' mechanism")
-    made.add(fmbd.CoordinateBody("squeezer", mass, force, START, constraint=constraint))
+    made.add(fmbd.CoordinateBody("squeezer", mass, force, START, constraint=constraint, vectorized=True))
     made.sensor("angles", fmbd.coordinates("squeezer"))
     return made
 

@@ -44,7 +44,7 @@ def scene():
     """The axle at the start, at rest but for a drift to the left."""
     made = fmbd.Scene("car axis")
     start, rate = [0.0, 0.5, 1.0, 0.5], [-0.5, 0.0, -0.5, 0.0]
-    made.add(fmbd.CoordinateBody("axle", K * np.eye(4), force, start, rate, constraint=constraint))
+    made.add(fmbd.CoordinateBody("axle", K * np.eye(4), force, start, rate, constraint=constraint, vectorized=True))
     made.sensor("ends", fmbd.coordinates("axle"))
     made.sensor("rates", fmbd.coordinates("axle", level=1))
     return made

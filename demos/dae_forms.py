@@ -28,7 +28,7 @@ def scene():
         "mass", np.eye(2), lambda q, v, t: np.array([0 * q[0], 0 * q[1] - 9.81]),
         [np.sin(1), -np.cos(1)], [np.cos(1), np.sin(1)],
         constraint=lambda q, t: np.array([0.5 * (q[0] ** 2 + q[1] ** 2 - 1)]),
-        jacobian=lambda q, t: q[None], gamma=lambda q, v, t: np.array([v @ v]),
+        jacobian=lambda q, t: q[None], gamma=lambda q, v, t: np.array([v[0] ** 2 + v[1] ** 2]), vectorized=True,
     )  # fmt: skip
     made.add(body)
     made.sensor("x", fmbd.coordinates(body))

@@ -42,7 +42,8 @@ def scene(eps, start=None):
         return np.array([pull * q[0], pull * q[1] - 1.0])
 
     made = fmbd.Scene("stiff pendulum")
-    made.add(fmbd.CoordinateBody("mass", np.eye(2), force, *(slow_start(eps) if start is None else start)))
+    start = slow_start(eps) if start is None else start
+    made.add(fmbd.CoordinateBody("mass", np.eye(2), force, *start, vectorized=True))
     made.sensor("x", fmbd.coordinates("mass"))
     made.sensor("v", fmbd.coordinates("mass", level=1))
     return made

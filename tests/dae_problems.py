@@ -30,8 +30,9 @@ def pendulum(angle: float = 1.0, rate: float = 1.0, gravity: float = GRAVITY) ->
             v,
             constraint=lambda q, t: np.array([0.5 * (q[0] ** 2 + q[1] ** 2 - 1)]),
             jacobian=lambda q, t: q[None],
-            gamma=lambda q, v, t: np.array([v @ v]),
+            gamma=lambda q, v, t: np.array([v[0] ** 2 + v[1] ** 2]),
             potential=lambda q: gravity * q[1],
+            vectorized=True,
         )
     )
     scene.sensor("x", fmbd.coordinates("mass"))

@@ -50,7 +50,25 @@ def space() -> fmbd.Scene:
     return scene
 
 
-SCENES: list[Callable[[], fmbd.Scene]] = [plane, space, pendulum]
+def bare() -> fmbd.Scene:
+    """A vectorized body that gives no derivatives."""
+    scene = fmbd.Scene("bare")
+    scene.add(
+        fmbd.CoordinateBody(
+            "mass",
+            np.eye(2),
+            lambda q, v, t: np.array([-q[0] * v[1], np.sin(t) - q[1]]),
+            [1.0, 0.2],
+            constraint=lambda q, t: np.array(
+                [q[0] ** 2 + q[1] - np.cos(t) - 0.2, q[0] * np.sin(q[1] + t) - np.sin(0.2)]
+            ),
+            vectorized=True,
+        )
+    )
+    return scene
+
+
+SCENES: list[Callable[[], fmbd.Scene]] = [plane, space, pendulum, bare]
 
 
 def states(

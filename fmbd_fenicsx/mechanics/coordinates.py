@@ -40,6 +40,20 @@ def derivative(function: Callable[[Any], Any], x: Array) -> Array:
     return differences(function, x)
 
 
+def derivative_many(function: Callable[[Any, Any], Any], x: Array, t: Array) -> Array:
+    """d function(x, t) / d x of a vectorized function, (k, m, n), at x (k, n), t (k,): all complex steps in one call.
+
+    Raises TypeError or ValueError where complex numbers do not pass.
+    """
+    k, n = x.shape
+    z = np.repeat(x.T.astype(complex)[:, None], n, axis=1)  # (n, directions, k)
+    z[range(n), range(n)] += 1j * _STEP
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", np.exceptions.ComplexWarning)
+        found = np.asarray(function(z.reshape(n, n * k), np.tile(t, (n, *(1,) * (t.ndim - 1)))), dtype=complex)
+    return np.imag(found.reshape(-1, n, k)).transpose(2, 0, 1) / _STEP
+
+
 def differences(function: Callable[[Any], Any], x: Array) -> Array:
     """d function / d x, (m, n), by central differences of fourth order."""
     n = len(x)
@@ -84,8 +98,28 @@ class PortConstraint:
                 if found.shape[-1:] == t.shape
                 else np.broadcast_to(found, (len(t), *found.shape))
             )
+        if self.vectorized and what in ("jacobian", "rate"):
+            try:
+                if what == "jacobian":
+                    return derivative_many(self.function, arrays[0], t)
+                return derivative_many(lambda s, p: self.function(p.T, s[0]), t[:, None], arrays[0])[:, :, 0]
+            except (TypeError, ValueError, np.exceptions.ComplexWarning):
+                pass
+        if self.vectorized and what == "gamma":
+            return self._gamma_many(t, *arrays)
         one: Any = getattr(self, what)
         return np.array([one(*(x[i] for x in arrays), float(t[i])) for i in range(len(t))])
+
+    def _gamma_many(self, t: Array, p: Array, pd: Array) -> Array:
+        """As :meth:`gamma`, of k configurations."""
+
+        def velocity_level(s: float) -> Array:
+            at, now = p + s * pd, t + s
+            return (self.many("jacobian", now, at) @ pd[..., None])[..., 0] + self.many("rate", now, at)
+
+        h = 1e-4 / max(1.0, float(np.abs(pd).max(initial=0.0)))
+        first, second = velocity_level(h) - velocity_level(-h), velocity_level(2 * h) - velocity_level(-2 * h)
+        return np.asarray((8 * first - second) / (12 * h))
 
     def values(self, p: Array, t: float) -> Array:
         """g, (m,)."""
