@@ -65,16 +65,16 @@ def march(scene: fmbd.Scene, scheme: Any, t_end: float, steps: int, tolerance: f
     return [start] + [stepper.advance(t_end / steps) for _ in range(steps)]
 
 
-def pendulum_errors(scheme: Any, t_end: float, steps: int) -> np.ndarray:
+def pendulum_errors(scheme: Any, t_end: float, steps: int, tolerance: float = 1e-11) -> np.ndarray:
     """Errors of position, velocity and multiplier at the end, (3,)."""
     x, v, lam = pendulum_at(t_end)
-    end = march(pendulum(), scheme, t_end, steps)[-1]
+    end = march(pendulum(), scheme, t_end, steps, tolerance)[-1]
     return np.array([np.abs(end.q - x).max(), np.abs(end.v - v).max(), abs(abs(end.lam[0]) - abs(lam))])
 
 
-def observed(scheme: Any, steps: tuple[int, ...], t_end: float = 1.0) -> np.ndarray:
+def observed(scheme: Any, steps: tuple[int, ...], t_end: float = 1.0, tolerance: float = 1e-11) -> np.ndarray:
     """Orders of q, v, lambda: slopes of the least-squares lines through the errors, (3,)."""
-    errors = np.array([pendulum_errors(scheme, t_end, n) for n in steps])
+    errors = np.array([pendulum_errors(scheme, t_end, n, tolerance) for n in steps])
     h = -np.log(np.array(steps, dtype=float))
     return np.array([np.polyfit(h, np.log(e), 1)[0] for e in errors.T])
 

@@ -44,6 +44,8 @@ from .dae import GGL, Form, Points, StepEquations
 from .newton import Newton
 from .start import accelerations, project
 
+CAUTIOUS = 0.05  # with constant steps no rate below this is believed
+
 
 @dataclass(frozen=True)
 class Tableau:
@@ -145,6 +147,7 @@ class Stepper:
         self._pencil: Pencil | None = None
         self._filter: Pencil | None = None  # of the error estimate
         self._h_factor = 0.0
+        self._trouble = 0  # two for each failure of Newton's iteration, less one for each step
         self._theta = 1e-3
         self._eta = 1.0
         self._last: tuple[float, Array, Array, Points] | None = None
@@ -195,7 +198,10 @@ class Stepper:
                 self._tangent = None
                 if stale:
                     continue  # once more with a new tangent
-            else:
+                self._trouble += 2
+                if self._trouble > 4:
+                    point = self._own_tangents(h)
+            if not isinstance(point, str):
                 error, cause = self._estimate(h, point), "error estimate"
                 if error <= 1.0:
                     break
@@ -232,6 +238,7 @@ class Stepper:
         if self.scheme.form.projected:
             self.state = project(self.system, self.state, self.solver)
         self.stats.steps += 1
+        self._trouble = max(self._trouble - 1, 0)
         self._fresh = False
         if self._theta > 1e-2:
             self._tangent = None
@@ -296,6 +303,8 @@ class Stepper:
                 elif self._theta >= 0.99 and size > tolerance and (self.adaptive or k > 3):
                     return "Newton diverged"
                 theta = self._theta / (1 - min(self._theta, 0.99))
+                if not self.adaptive:  # the first rate flatters: fast components go first
+                    theta = max(theta, CAUTIOUS)
                 left = self.newton.max_iterations - 1 - k
                 if self.adaptive and k > 1 and theta * size * self._theta**left > tolerance and size > tolerance:
                     return "Newton too slow"
@@ -310,19 +319,32 @@ class Stepper:
         self._acceleration = self.eq.accelerations(points)[-1]
         return points
 
+    def _own_tangents(self, h: float) -> Points | str:
+        """Newton's iteration with a tangent for each stage where one for all has failed at falling step sizes: on the way through
+        a singular configuration directions of constraint forces turn within any step, however small.
+        """
+        try:
+            self._prepare(h)  # the error estimate needs a tangent in the middle
+            return self._full_newton(h)
+        except (LinearSolveError, CallbackError):
+            return "linear solve failed"
+
     def _full_newton(self, h: float) -> Points | str:
         """The stages by Newton's iteration with a tangent of its own for each stage.
 
         For stiff springs that turn: with a frozen direction the iteration converges for h omega sqrt(k / m) h << 1 only (Lubich,
-        doi:10.1007/BF01385643); constant steps have no other way out.
+        doi:10.1007/BF01385643); constant steps have no other way out. For singular configurations too.
         """
         n, m, stages = self.system.n_v, self.system.n_lam, len(self.tab.c)
         xi, v, mult = self._predict(h)
         coupling = np.kron(self.tab.W / h, np.eye(n))
         last = np.inf
+        enough, floor, calm = 1.0, STAGNATION, 1
+        if self.adaptive:  # roundoff eps of a constraint leaves sqrt(eps) of the motion at a singular position
+            enough, floor, calm = ROUNDOFF, 1.0 + np.finfo(float).eps ** 0.5 / self.norm.rtol, 3
         times = self.state.t + h * self.tab.c
         cuts = [0, *range(n, n + self.eq.levels * m + 1, m)] if m else [0, n]
-        for k in range(self.newton.max_iterations):
+        for k in range(2 * self.newton.max_iterations):  # at a singular position each halves the error
             points = self._stages(h, xi, v, mult)
             kin, low = self.eq.residual(times, points)
             tangents = [self.eq.tangent_at(float(times[i]), xi[i], v[i], points.vd[i], mult[i]) for i in range(stages)]
@@ -338,7 +360,8 @@ class Stepper:
             size = self._size(h, dxi, dv, dmult)
             if not np.isfinite(size):
                 return "Newton diverged"
-            if size <= 1.0 or (k > 1 and size <= STAGNATION and size > 0.3 * last):
+            if size <= enough or (k > calm and size <= floor and size > 0.3 * last):
+                self._iterations, self._theta = k + 1, 1.0
                 return self._finished(h, xi, v, mult)
             last = size
         return "Newton too slow"
