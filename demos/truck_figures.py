@@ -55,8 +55,9 @@ def picture(runs: Mapping[str, tuple[fmbd.Run, fmbd.Run]], file: object) -> None
                         ("stress", "change of the largest stress (N/m)")):  # fmt: skip
         axes[name].set(xlabel="time (s)", ylabel=label)
         axes[name].grid(alpha=0.3)
-    axes["acceleration"].legend(frameon=False, fontsize=7)
-    axes["stress"].legend(frameon=False, fontsize=8)
+    axes["acceleration"].legend(frameon=False, fontsize=7, loc="lower right")
+    axes["stress"].legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(0.0, 1.0))
+    axes["stress"].margins(y=0.2)
     figure.savefig(str(file), dpi=110)
 
 

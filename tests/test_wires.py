@@ -115,3 +115,48 @@ def test_contact_is_lost_and_found() -> None:
     gap = (run["w"] - run["y"][:, :1])[:, 0]
     assert gap.min() > -1e-9 and gap[open_].max() > 1e-3
     assert abs(gap[~open_]).max() < 1e-9
+
+
+def test_solves_with_slack_droppers_are_judged() -> None:
+    """Against a dense solve; a damaged correction does not pass."""
+    from fmbd_fenicsx.linear.slack import SlackFactor
+
+    droppers = tuple(fmbd.Dropper(1, 0, x, 1e5) for x in (5.0, 15.0, 25.0))
+    field = LineField(fmbd.Wires("w", 30.0, 60, (WIRE, fmbd.Wire(1.07, 16e3)), (), droppers))
+    slack = np.array([0, 2])
+    factor = SlackFactor(field, 3.0, 2e-3, slack)
+    M, K = dense(field)
+    B = field.B[slack].toarray()
+    E = 3.0 * M + 2e-3 * (K - B.T @ (1e5 * B))
+    b = np.sin(np.arange(field.n))
+    assert factor.solve(b) == pytest.approx(np.linalg.solve(E, b), rel=1e-8, abs=1e-12)
+    assert 0 < factor.judge.worst < 1e-10 and factor.judge.solves == 1
+    factor.Y = factor.Y * (1 + 1e-5)
+    with pytest.raises(fmbd.errors.LinearSolveError, match="wires"):
+        factor.solve_columns(b[:, None])
+    field.destroy()
+    assert not field.factors
+
+
+def test_factors_are_freed_after_a_run() -> None:
+    run = moving_load(60, h=5e-3)
+    assert run.system.fields and all(not part.field.factors for _, part in run.system.fields)
+
+
+@pytest.mark.mpi
+def test_stabilised_form_keeps_the_velocities_on_the_wire() -> None:
+    """Index 3 leaves the speed across the sliding contact to the errors of the step; GGL holds it, with the same force."""
+    wires = fmbd.Wires("w", 60.0, 120, (WIRE,))
+    made = []
+    for form in (fmbd.Index3(), fmbd.GGL()):
+        pan = fmbd.CoordinateBody(
+            "pan", np.diag([5.0, 1.0]), lambda q, v, t: np.array([100.0 + 20 * np.sin(30 * t), 0.0]), np.zeros(2)
+        )
+        scene = fmbd.Scene("forms", settle=True)
+        scene.add(wires, pan, fmbd.SlidingContact("c", wires, pan, start=10.0, speed=60.0, ramp=0.2, idle=1))
+        scene.sensor("y", fmbd.coordinates(pan))
+        scheme = fmbd.Unilateral(fmbd.GeneralizedAlpha(0.6, form=form))
+        made.append(fmbd.solve(scene, t_end=0.3, dt=2e-3, scheme=scheme))
+    plain, stabilised = made
+    assert stabilised.drift[1] < 1e-2 * plain.drift[1]
+    assert stabilised["y"][:, 0] == pytest.approx(plain["y"][:, 0], abs=1e-2 * np.ptp(plain["y"][:, 0]))

@@ -355,6 +355,9 @@ class StepSolver:
     def destroy(self) -> None:
         """Free all factors; collective."""
         self._drop(keep=0, live=[])
+        for _, f in self.system.fields:
+            if hasattr(f, "slack"):
+                f.field.forget()
 
 
 def dense(A: Any) -> Array:

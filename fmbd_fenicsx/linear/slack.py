@@ -34,26 +34,40 @@ class SlackFactor:
             made[cm, ck] = (base, base.solve_columns(field.B.T.toarray()))
         self.base, Y = made[cm, ck]
         self.judge = Judge(f'the wires of body "{field.name}"')
+        self.field, self.weights = field, (cm, ck)
         self.B, self.Y = field.B[slack], Y[:, slack]
+        self.push = ck * field.stiff[slack]
         self.small = None
         if slack.size:
-            self.small = sl.lu_factor(np.diag(1.0 / (ck * field.stiff[slack])) - self.B @ self.Y)
+            self.small = sl.lu_factor(np.diag(1.0 / self.push) - self.B @ self.Y)
 
     def solve(self, b: Array) -> Array:
-        """x = (1) b; the part with the factor is judged by its true residual."""
-        self.judge.solves += 1
+        """x = (1) b, judged by its true residual."""
         z = self.base.solve(b)
-        if self.small is None:
-            return z
-        return np.asarray(z + self.Y @ sl.lu_solve(self.small, self.B @ z))
+        if self.small is not None:
+            z = z + self.Y @ sl.lu_solve(self.small, self.B @ z)
+        return self._judged(z, b)
 
     def solve_columns(self, H: Array) -> Array:
         """The same for columns (n, k)."""
-        self.judge.solves += H.shape[1]
         Z = self.base.solve_columns(H)
-        if self.small is None or not H.shape[1]:
-            return Z
-        return np.asarray(Z + self.Y @ sl.lu_solve(self.small, self.B @ Z))
+        if self.small is not None and H.shape[1]:
+            Z = Z + self.Y @ sl.lu_solve(self.small, self.B @ Z)
+        for z, h in zip(Z.T, H.T, strict=True):
+            self._judged(z, h)
+        return np.asarray(Z)
+
+    def _judged(self, x: Array, b: Array) -> Array:
+        """x, when it solves (E - B_S^T D B_S) x = b; the judge of E has seen the solve without slack droppers."""
+        if self.small is None:
+            self.judge.solves += 1
+            self.judge.worst = max(self.judge.worst, self.base.judge.worst)
+            return x
+        f, (cm, ck) = self.field, self.weights
+        r = cm * f.mass(x[:, None])[:, 0] + ck * f.tangent(x) - self.B.T @ (self.push * (self.B @ x)) - b
+        norm = np.linalg.norm
+        self.judge.check(float(norm(r)), float(norm(b)), grown=self.base.factor.norm * float(norm(x)))
+        return x
 
     def destroy(self) -> None:
-        """Nothing: the factor belongs to the field, see :meth:`~fmbd_fenicsx.mechanics.wires.LineField.destroy`."""
+        """Nothing: the factor belongs to the field, :meth:`~fmbd_fenicsx.mechanics.wires.LineField.forget` frees it."""

@@ -298,11 +298,15 @@ class LineField:
         E.axpy(cm, self.M, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         return E
 
-    def destroy(self) -> None:
-        """Free the PETSc objects."""
+    def forget(self) -> None:
+        """Free the factors."""
         for factor, _ in self.factors.values():
             factor.destroy()
         self.factors.clear()
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        self.forget()
         for x in (self.M, self.K, *self._work):
             x.destroy()
 
