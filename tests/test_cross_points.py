@@ -18,7 +18,7 @@ from fmbd_fenicsx.linear.presets import Direct
 from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, data, hold, tie
 from fmbd_fenicsx.traces.fields import ElasticForms, Field
 from fmbd_fenicsx.traces.mortar import mortar
-from fmbd_fenicsx.traces.multipliers import default_space
+from fmbd_fenicsx.traces.multipliers import Continuous, Ends, default_space
 from fmbd_fenicsx.traces.tie_stability import infsup_together
 
 MU, LAMBDA = fmbd.materials.lame(1.0, 0.3)
@@ -153,3 +153,17 @@ def test_rank_in_a_scene(dim: int, degree: int) -> None:
     together = infsup_together(list(scene.ties.values()))
     assert together.zero_modes == 0 and together.beta > 0.15
     assert scene.check().redundant == 0
+
+
+def test_three_jumps_around_a_point_add_up_to_zero() -> None:
+    """On matching meshes, P1 with kept ends: one dependent combination a component; none with merged ends."""
+    made = {}
+    for name, (origin, size, cells) in {**THREE, "low": ((0, 0), (2, 1), 4), "ne": ((1, 1), (1, 1), 2)}.items():
+        mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=size, cells=cells, origin=origin)
+        made[name] = fmbd.AbsoluteBody(name, mesh, degree=1, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
+    side = lambda text: made[text.split()[0]].surface(text.split()[1])  # noqa: E731
+    for space, count in ((Continuous(ends=Ends.KEPT), 1), (Continuous(), 0)):
+        ties = [fmbd.tie_surface(a, side(a), side(b), space=space) for a, b in THREE_TIES]
+        found = infsup_together(ties)
+        assert found.zero_modes == count
+        assert min(found.shares.values()) > 0.05 or not count
