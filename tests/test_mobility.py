@@ -286,6 +286,69 @@ def test_massless_coordinate(held: bool) -> None:
     assert np.abs(run["q"][-1] - [-0.5 * 9.81 * 0.01, 0.5 * 9.81 * 0.01]).max() < 1e-10
 
 
+def rotor(light: float | None) -> fmbd.Run:
+    """A spinning rotor at the end of a shaft of mass ratio ``light`` that hangs in a ball joint; None: without the shaft."""
+    c, s = np.cos(0.6), np.sin(0.6)
+    R, end, spin = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]), 0.5 * np.array([s, 0, c]), np.array([0.3, 0.0, 30.0])
+    scene = fmbd.Scene("rotor", gravity=(0, 0, -9.81))
+    J, v = (0.01, 0.01, 0.02), np.cross(R @ spin, end)
+    body = fmbd.RigidBody("rotor", 2.0, J, position=end, rotation=R, angular_velocity=spin, velocity=v)
+    scene.add(body)
+    if light is None:
+        scene.add(fmbd.spherical("pin", fmbd.ground, body, center=(0, 0, 0)))
+    else:
+        m, slow = 2.0 * light, np.array([0.3, 0.0, 0.0])
+        J, v = (m / 48, m / 48, 1e-4 * m), np.cross(R @ slow, end / 2)
+        shaft = fmbd.RigidBody("shaft", m, J, position=end / 2, rotation=R, angular_velocity=slow, velocity=v)
+        scene.add(shaft, fmbd.spherical("pin", fmbd.ground, shaft, center=(0, 0, 0)))
+        scene.add(fmbd.revolute("bearing", shaft, body, center=end, axis=end / 0.5))
+    scene.sensor("tip", fmbd.position(body))
+    scene.sensor("pin", fmbd.reaction_force("pin"))
+    return fmbd.solve(scene, t_end=0.2, dt=2e-3)
+
+
+def test_heavy_rotor_on_a_light_shaft() -> None:
+    """T10: a shaft of a billionth of the rotor's mass; the rotor moves as a top without it."""
+    top, run = rotor(None), rotor(1e-9)
+    assert np.ptp(top["tip"][:, 0]) > 0.05
+    assert np.abs(run["tip"] - top["tip"]).max() < 1e-8 * 0.5
+    assert np.abs(run["pin"] - top["pin"]).max() < 1e-6 * np.abs(top["pin"]).max()
+
+
+def bob_on_elastic_rod(mesh: Any, density: float) -> fmbd.Scene:
+    """A bob of 2 kg at the end of a clamped elastic rod, pulled along the rod by a weight that sets in smoothly."""
+    scene = fmbd.Scene("bob", gravity=(9.81, 0), gravity_ramp=0.1)
+    bob = fmbd.RigidBody("bob", 2.0, 0.1, position=(1.0, 0.0))
+    soft = fmbd.materials.linear_elastic(1e5, 0.3)
+    rod = fmbd.AbsoluteBody("rod", mesh, degree=2, density=density, elastic=soft)
+    scene.add(bob, rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
+    scene.add(fmbd.fixed("weld", rod.surface("tip"), bob))
+    scene.sensor("clamp", fmbd.reaction_force("clamp"))
+    scene.sensor("bob", fmbd.position(bob))
+    return scene
+
+
+def test_elastic_body_almost_without_mass(rod_mesh: Any) -> None:
+    """T10: an elastic rod of 1e-7 of the bob's mass is the spring of its static compliance; with 1e-10 the run is refused."""
+    mesh = rod_mesh(dim=2, h=0.25, height=0.2)
+    still = bob_on_elastic_rod(mesh, 1e-6)
+    still.gravity_ramp, still.settle = 0.0, True
+    stretch = fmbd.solve(still, t_end=1e-3, dt=1e-3)["bob"][0, 0] - 1.0
+    ideal = fmbd.Scene("spring", gravity=(9.81, 0), gravity_ramp=0.1)
+    bob = fmbd.RigidBody("bob", 2.0, 0.1, position=(1.0, 0.0))
+    guide = fmbd.prismatic("guide", fmbd.ground, bob, axis=(1, 0), center=(1, 0))
+    k = 2.0 * 9.81 / stretch
+    ideal.add(bob, guide, fmbd.joint_spring("rod", fmbd.displacement(guide), stiffness=k))
+    ideal.sensor("bob", fmbd.position(bob))
+    run, ref = (fmbd.solve(s, t_end=0.2, dt=2e-3) for s in (bob_on_elastic_rod(mesh, 1e-6), ideal))
+    x = ref["bob"][:, 0] - 1.0
+    assert np.ptp(x) > stretch
+    assert np.abs(run["bob"] - ref["bob"]).max() < 1e-8
+    assert np.abs(run["clamp"][:, 0] - k * x).max() < 1e-6 * k * x.max()
+    with pytest.raises(LinearSolveError, match='body "rod"'):
+        fmbd.solve(bob_on_elastic_rod(mesh, 1e-9), t_end=0.2, dt=2e-3)
+
+
 def double_four_bar(angle: float) -> fmbd.Scene:
     """Two parallelograms side by side, the legs at ``angle`` from the ground."""
     e = np.array([np.cos(angle), np.sin(angle)])

@@ -198,7 +198,10 @@ class Stepper:
         if not converged or far:
             where = f"; the largest open constraint is {worst_block(system, last)}" if last.size else ""
             damping = ", or a smaller rho_inf" if self.scheme.rho_inf > 0.8 else ""
-            raise not_converged(t, h, history, f"{where}. Try a smaller dt{damping}.")
+            looser = (
+                f", or a larger Newton tolerance than {self.newton.tolerance:g}" if self.newton.tolerance < 1e-6 else ""
+            )
+            raise not_converged(t, h, history, f"{where}. Try a smaller dt{damping}{looser}.")
         self.local_error = h * h * abs(beta - 1.0 / 6.0) * system.max_abs(A - A0)
         self._past = [(s.t, s.a, s.lam), *self._past][:2]
         self.A, self.fresh = A, False
