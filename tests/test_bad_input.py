@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import CallbackError, InputError
+from fmbd_fenicsx.errors import CallbackError, ConstraintError, ConvergenceError, InputError
 
 BALL = (0.4, 0.4, 0.4)
 
@@ -36,6 +36,11 @@ nan = float("nan")
 BODIES = {
     "zero mass": (lambda: fmbd.RigidBody("fly", 0.0, BALL), '"fly".*mass 0'),
     "negative mass": (lambda: fmbd.RigidBody("fly", -1.0, BALL), '"fly".*mass -1'),
+    "mass is text": (lambda: fmbd.RigidBody("fly", "1", BALL), '"fly".*mass 1'),  # type: ignore[arg-type]
+    "negative mass of a body's own equations": (
+        lambda: fmbd.CoordinateBody("fly", [[1, 2], [2, 1]], lambda q, v, t: 0 * q, [0, 0]),
+        '"fly".*negative eigenvalue -1',
+    ),
     "mass is nan": (lambda: fmbd.RigidBody("fly", nan, BALL), '"fly".*mass nan'),
     "negative inertia in the plane": (lambda: fmbd.RigidBody("fly", 1.0, -0.1), '"fly".*inertia -0.1'),
     "inertia not symmetric": (
@@ -87,6 +92,10 @@ LAWS = {
         '"wind"',
     ),
     "shape": (lambda body, hinge: fmbd.force("wind", body, lambda t: (0, 1)), '"wind".*shape'),
+    "text": (
+        lambda body, hinge: fmbd.force("wind", body, lambda t: "strong"),
+        '"wind".*expected numbers|"wind".*strong',
+    ),
 }
 
 
@@ -115,6 +124,29 @@ def test_laws_at_the_start(name: str) -> None:
 def test_law_that_fails_later_names_the_time() -> None:
     scene = law_scene(lambda body, hinge: fmbd.force("gust", body, lambda t: (0, 0, nan if t > 0.045 else 0)))
     with pytest.raises(CallbackError, match=r'"gust".*t = 0\.05'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
+@pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-4), fmbd.BDF(rtol=1e-4), fmbd.HalfExplicit(rtol=1e-4)], ids=str)
+def test_law_that_fails_under_error_control_is_named(scheme: Any) -> None:
+    """Steps are tried down to the smallest; the error tells what the law returned, and when."""
+    scene = law_scene(lambda body, hinge: fmbd.force("gust", body, lambda t: (0, 0, nan if t > 0.045 else 0)))
+    with pytest.raises(ConvergenceError, match=r'"gust": the law returned \[ *0.*nan\] at t = 0\.045'):
+        fmbd.solve(scene, t_end=0.1, scheme=scheme)
+
+
+def test_motion_whose_derivatives_are_not_finite_is_named() -> None:
+    scene = pendulum()
+    scene.add(fmbd.drive("motor", fmbd.angle(scene.joints["hinge"]), lambda t: nan if t > 0.045 else 0.0))
+    with pytest.raises(CallbackError, match=r'"motor".*nan, nan.* at t = 0\.0'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
+def test_constraint_that_is_not_finite_names_its_body() -> None:
+    scene = fmbd.Scene("own")
+    law = lambda q, t: np.array([q[0] * nan])  # noqa: E731
+    scene.add(fmbd.CoordinateBody("arm", np.eye(2), lambda q, v, t: 0 * q, [0.0, 0.0], constraint=law))
+    with pytest.raises(ConstraintError, match='constraints of "arm" are not finite'):
         fmbd.solve(scene, t_end=0.1, dt=0.01)
 
 

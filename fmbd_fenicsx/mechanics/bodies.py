@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ class RigidBody:
         J = np.asarray(self.inertia, dtype=float)
         object.__setattr__(self, "dim", 2 if J.ndim == 0 else 3)
         require(
-            np.isfinite(self.mass) and self.mass > 0,
+            isinstance(self.mass, Real) and np.isfinite(self.mass) and self.mass > 0,
             f'Body "{self.name}": mass {self.mass} kg must be positive.',
         )
         if self.dim == 2:
@@ -369,3 +370,6 @@ class CoordinateBody:
         require(M.shape == (n, n), f'Body "{self.name}": mass has shape {M.shape}, expected ({n}, {n}).')
         if np.abs(M - M.T).max(initial=0.0) > 1e-10 * np.abs(M).max(initial=0.0):
             raise InputError(f'Body "{self.name}": the mass matrix is not symmetric.')
+        p = np.linalg.eigvalsh(M) if n else np.ones(1)
+        if p[0] < -1e-10 * p[-1]:
+            raise InputError(f'Body "{self.name}": the mass matrix has the negative eigenvalue {p[0]:g}.')

@@ -54,7 +54,8 @@ def smooth_motion(name: str, function: Callable[[float], Any]) -> Motion:
             return _sixth(lambda x: float(function(x)), t, 1e-2)
 
     def computed(t: float) -> tuple[float, float, float]:
-        return float(checked(function(t), t)[0]), rate(t), _sixth(rate, t, 1e-3)
+        s = checked((checked(function(t), t)[0], rate(t), _sixth(rate, t, 1e-3)), t)
+        return float(s[0]), float(s[1]), float(s[2])
 
     return computed
 

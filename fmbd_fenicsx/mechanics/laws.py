@@ -45,7 +45,10 @@ class MarkerMotion:
 
 def checked(name: str, value: Any, size: int, t: float) -> Array:
     """A user's result as an array of the right size, or an error that names the force."""
-    found = np.atleast_1d(np.asarray(value, dtype=float))
+    try:
+        found = np.atleast_1d(np.asarray(value, dtype=float))
+    except (TypeError, ValueError):
+        raise CallbackError(f'Force "{name}": the law returned {value!r} at t = {t:g} s, expected numbers.') from None
     if found.shape != (size,):
         raise CallbackError(f'Force "{name}": the law returned shape {found.shape} at t = {t:g} s, expected ({size},).')
     if not np.isfinite(found).all():

@@ -231,7 +231,10 @@ class Stepper:
         except (LinearSolveError, CallbackError) as error:
             if isinstance(error, CallbackError) and not self.adaptive:
                 raise
-            return "linear solve failed" if isinstance(error, LinearSolveError) else "forces not finite"
+            if isinstance(error, LinearSolveError):
+                return "linear solve failed"
+            self.control.fault = str(error)
+            return "forces not finite"
 
     def _iterate(self, h: float, k: int) -> Points | str:
         s, t = self.state, self.state.t + h

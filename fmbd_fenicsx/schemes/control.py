@@ -121,6 +121,7 @@ class StepControl:
     rejections: list[tuple[float, float, str]] = field(
         default_factory=list
     )  # (t, h, cause) since the last accepted step
+    fault: str = ""  # what a law of the user's own returned last that could not be used
 
     def accepted(self, h: float, error: float, effort: float = 1.0) -> float:
         """Step after an accepted one; ``effort`` in (0, 1] lowers the safety when Newton worked hard."""
@@ -148,7 +149,8 @@ class StepControl:
             tail = "; ".join(f"h = {x:.1e} s: {why}" for _, x, why in self.rejections[-5:])
             raise ConvergenceError(
                 f"The step at t = {t:.9g} s cannot be made smaller: {len(self.rejections)} rejections, the last ones: {tail}. "
-                "Look for a jump in a load or a singular configuration at this time, or ask for a larger rtol."
+                + (f"{self.fault} " if self.fault else "")
+                + "Look for a jump in a load or a singular configuration at this time, or ask for a larger rtol."
             )
         return new
 

@@ -101,8 +101,11 @@ class Stepper:
             try:
                 made, (e_q, e_v) = self._step(h)
                 error, cause = self.norm(h, e_q, e_v), "error estimate"
-            except (ConvergenceError, LinearSolveError, CallbackError):
+            except (ConvergenceError, LinearSolveError):
                 error, cause = np.inf, "constraints not closed"
+            except CallbackError as fault:
+                self.control.fault = str(fault)
+                error, cause = np.inf, "forces not finite"
             if error <= 1.0:
                 break
             self.stats.rejected[cause] += 1

@@ -47,7 +47,8 @@ def consistent(
         g = ev.constraint()
         size = float(np.abs(g).max(initial=0.0))
         if not np.isfinite(size):
-            raise ConstraintError("The constraints are not finite at the start: check positions and axes.")
+            names = ", ".join(f'"{b.name}"' for b in system.blocks if not np.isfinite(g[b.rows]).all())
+            raise ConstraintError(f"The constraints of {names} are not finite at the start: check positions and axes.")
         if size <= 1e-14 * system.length:
             break
         solver.prepare(ev, mass)

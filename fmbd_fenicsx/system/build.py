@@ -152,8 +152,10 @@ class Builder:
         body = side.body if isinstance(side, Surface) else side
         found = self.scene.bodies.get(getattr(body, "name", ""))
         if found is not body:
+            name = getattr(body, "name", None)
+            named = f'body "{name}"' if name else repr(side)
             raise InputError(
-                f"{what} refers to {side!r}, which is not in the scene. {near(getattr(body, 'name', ''), self.scene.bodies)}"
+                f"{what} refers to {named}, which is not in the scene. {near(name or '', self.scene.bodies)}"
             )
         if isinstance(side, FloatingBody | AbsoluteBody | ReducedBody | Beam | LineBody):
             raise InputError(
