@@ -1,8 +1,6 @@
-"""Domain decomposition: one distributed body by BDDC, or a body cut into subdomains that trace multipliers
-tie.
+"""Domain decomposition: one distributed body by BDDC, or a body cut into subdomains that trace multipliers tie.
 
-(a) :func:`unassembled` gives the elastic block of a distributed body as PETSc's MATIS: each rank keeps the
-matrix of its own
+(a) :func:`unassembled` gives the elastic block of a distributed body as PETSc's MATIS: each rank keeps the matrix of its own
 cells. BDDC (Dohrmann, doi:10.1137/S1064827502412887) then needs a bounded number of iterations.
 
 (b) A body cut into subdomains, each a body of its own on one rank, several on a rank where there are more:
@@ -11,8 +9,7 @@ cells. BDDC (Dohrmann, doi:10.1137/S1064827502412887) then needs a bounded numbe
     B_k E_k^-1 B_k^T
 
 solved by conjugate gradients on the interfaces (the dual problem, in the manner of FETI: Farhat and Roux,
-doi:10.1002/nme.1620320604). With inertia no subdomain floats. Meshes need not match. The preconditioner is
-the fractional one
+doi:10.1002/nme.1620320604). With inertia no subdomain floats. Meshes need not match. The preconditioner is the fractional one
 of :mod:`.precondition` with its coarse term of rigid motions.
 """
 
@@ -41,11 +38,9 @@ from .spd import CholeskyFactor
 
 
 def unassembled(body: Field, cm: float, ck: float) -> Any:
-    """cm M + ck K of a distributed body as MATIS over the nodes of each rank's own cells, with rigid-body
-    modes; collective.
+    """cm M + ck K of a distributed body as MATIS over the nodes of each rank's own cells, with rigid-body modes; collective.
 
-    The map from local to global rows has block size 1: with the block map that DOLFINx gives, BDDC of PETSc
-    3.22 finds no
+    The map from local to global rows has block size 1: with the block map that DOLFINx gives, BDDC of PETSc 3.22 finds no
     interface and returns at once, "converged" and wrong. Nodes that belong to ghost cells only are left out.
     """
     import dolfinx.fem.petsc as fp
@@ -107,9 +102,7 @@ class Answers:
 
 
 def shared_traces(world: Any, own: dict[Any, Trace]) -> dict[Any, Trace]:
-    """Traces of subdomains on single ranks, made known to all; collective over ``world``. Keys must be
-    comparable.
-    """
+    """Traces of subdomains on single ranks, made known to all; collective over ``world``. Keys must be comparable."""
     packed = [(key, replace(t, comm=None)) for key, t in own.items()]
     out: dict[Any, Trace] = {}
     for rank, part in enumerate(world.allgather(packed)):
@@ -123,8 +116,7 @@ def shared_traces(world: Any, own: dict[Any, Trace]) -> dict[Any, Trace]:
 class DualInterface:
     """The dual problem of subdomains on single ranks; collective over ``world``.
 
-    ``own``: number -> :class:`Elastic` of the subdomains on this rank (bodies on COMM_SELF, cm > 0).
-    ``ties`` are made by
+    ``own``: number -> :class:`Elastic` of the subdomains on this rank (bodies on COMM_SELF, cm > 0). ``ties`` are made by
     :meth:`tie` and :meth:`hold`, in the same order on all ranks, before :meth:`prepare`.
     """
 

@@ -1,20 +1,14 @@
-"""Ties of whole surfaces by field multipliers: weak Dirichlet data, rigid faces, non-matching interfaces,
-sliding.
+"""Ties of whole surfaces by field multipliers: weak Dirichlet data, rigid faces, non-matching interfaces, sliding.
 
-    int_Gamma mu . (x_b + s(t) d(X) - x_a) dS = 0    for all mu of a multiplier space on the surface of a
-                 (1)
+    int_Gamma mu . (x_b + s(t) d(X) - x_a) dS = 0    for all mu of a multiplier space on the surface of a     (1)
 
-x_a is the placement of an elastic surface, x_b that of another elastic surface (over the intersections of
-their facets), of a
-rigid body, or of the ground; s(t) d(X) is a displacement that is imposed on top. Every side is linear in its
-ports,
+x_a is the placement of an elastic surface, x_b that of another elastic surface (over the intersections of their facets), of a
+rigid body, or of the ground; s(t) d(X) is a displacement that is imposed on top. Every side is linear in its ports,
 
-    y_j = m_j r + R (s_j + p_j),     m_j = int mu_j,  s_j = int mu_j X,  p_j = int mu_j u
-                 (2)
+    y_j = m_j r + R (s_j + p_j),     m_j = int mu_j,  s_j = int mu_j X,  p_j = int mu_j u     (2)
 
-with the pose (r, R) of its frame (the ground for absolute bodies), so that one kind of row serves all of
-them. The multiplier is
-the traction on the surface of a, world axes (of a sliding tie: along the normal).
+with the pose (r, R) of its frame (the ground for absolute bodies), so that one kind of row serves all of them. The multiplier
+is the traction on the surface of a, world axes (of a sliding tie: along the normal).
 """
 
 from __future__ import annotations
@@ -126,9 +120,7 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class TraceRows:
-    """Rows (1) of one tie: sides a and b, imposed data D_j = int mu_j d (n, d), motion, and the normal of a
-    sliding tie.
-    """
+    """Rows (1) of one tie: sides a and b, imposed data D_j = int mu_j d (n, d), motion, and the normal of a sliding tie."""
 
     name: str
     multipliers: Multipliers
@@ -144,9 +136,7 @@ class TraceRows:
         return n if self.normal is not None else n * d
 
     def tractions(self, lam: Array) -> Array:
-        """Facet-wise nodal values (n_f, k_p, d) of the force on a per area, Pa, world axes at the start, for
-        rows ``lam``.
-        """
+        """Facet-wise nodal values (n_f, k_p, d) of the force on a per area, Pa, world axes at the start, for rows ``lam``."""
         values = lam.reshape(-1, 1) * self.normal if self.normal is not None else lam.reshape(self.data.shape)
         return self.multipliers.coefficients(values)
 
@@ -241,8 +231,8 @@ def build_surface_ties(
 def build_trace_rows(
     tie: SurfaceTie, parts: list[Any], part_of: dict[str, int], place: Callable[[Any], Any]
 ) -> TraceRows:
-    """Rows of a tie; adds the ports that they need to the parts. ``place(rigid body)``: (frame, position,
-    rotation). Collective.
+    """Rows of a tie; adds the ports that they need to the parts. ``place(rigid body)``: (frame, position, rotation).
+    Collective.
     """
     part = parts[part_of[tie.a.body.name]]
     trace = _trace(part, tie.a)

@@ -1,17 +1,12 @@
 """Mortar coupling of two surfaces whose meshes do not match.
 
-    D_ji = int mu_j phi_i,     M_jl = int mu_j (phi_l o pi),     pi: slave -> master along the slave's normal
-           (1)
+    D_ji = int mu_j phi_i,     M_jl = int mu_j (phi_l o pi),     pi: slave -> master along the slave's normal     (1)
 
-Both integrals run over the intersections of facets (segments in the plane; convex polygons, cut into
-triangles, in space),
-on which all integrands are polynomials: exact for flat surfaces, so constant stress passes to roundoff (the
-patch test).
-Quadrature on the slave's facets alone misses it by up to 1e-2. Where the surfaces overlap in part, only the
-overlap is tied.
+Both integrals run over the intersections of facets (segments in the plane; convex polygons, cut into triangles, in space), on
+which all integrands are polynomials: exact for flat surfaces, so constant stress passes to roundoff (the patch test).
+Quadrature on the slave's facets alone misses it by up to 1e-2. Where the surfaces overlap in part, only the overlap is tied.
 
-Sources: Bernardi, Maday and Patera (doi:10.1007/978-94-011-1810-4_22); Puso (doi:10.1002/nme.865); the
-clipping is that of
+Sources: Bernardi, Maday and Patera (doi:10.1007/978-94-011-1810-4_22); Puso (doi:10.1002/nme.865); the clipping is that of
 Sutherland and Hodgman (doi:10.1145/360767.360802), done here for all pairs at once.
 """
 
@@ -33,10 +28,8 @@ TINY = 1e-12  # relative size of an intersection that is left out
 
 @dataclass(frozen=True, eq=False)
 class Mortar:
-    """Matrices (1) of a tie: ``slave`` D (n, slave nodes), ``master`` M (n, master nodes); ``multipliers``
-    with a support
-    in the overlap; ``covered`` part of the slave's area; ``gap`` largest distance of the surfaces in the
-    overlap, m.
+    """Matrices (1) of a tie: ``slave`` D (n, slave nodes), ``master`` M (n, master nodes); ``multipliers`` with a support in
+    the overlap; ``covered`` part of the slave's area; ``gap`` largest distance of the surfaces in the overlap, m.
     """
 
     multipliers: Multipliers
@@ -112,8 +105,7 @@ def diameters(t: Trace) -> Array:
 
 
 def overlap(slave: Trace, master: Trace, degree: int, sight: Array) -> tuple[np.ndarray, Array, Array]:
-    """Pairs of facets that overlap (n, 2), and their blocks int psi_a phi_b of the slave and of the master
-    (n, k_p, k).
+    """Pairs of facets that overlap (n, 2), and their blocks int psi_a phi_b of the slave and of the master (n, k_p, k).
 
     psi are the Lagrange functions of ``degree`` on the slave's facets; ``sight`` (m, for each of these) is the largest
     distance of facets that see each other. Collective; sorted.
@@ -178,9 +170,7 @@ def _integrate(
 
 
 def _onto(X: Array, normal: Array, corners: Array) -> tuple[Array, Array]:
-    """Reference coordinates (n, q, m) on the master's facets of points moved along the slave's normal, and
-    the moves.
-    """
+    """Reference coordinates (n, q, m) on the master's facets of points moved along the slave's normal, and the moves."""
     e = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
     A = np.concatenate((e, -normal[:, :, None]), axis=2)
     flat = np.abs(np.linalg.det(A)) < 1e-14 * np.abs(A).max(axis=(1, 2), initial=1e-300) ** 2
@@ -253,9 +243,7 @@ def _clip(vertices: Array, count: np.ndarray, value: object) -> tuple[Array, np.
 
 
 def refined_coupling(multipliers: Multipliers, fine: Trace, parent: np.ndarray, corners: Array) -> sp.csr_matrix:
-    """int mu_j w_i with the functions of a finer mesh of the same surface (:func:`.traces.refined`), (n,
-    n_fine).
-    """
+    """int mu_j w_i with the functions of a finer mesh of the same surface (:func:`.traces.refined`), (n, n_fine)."""
     m, p = fine.dim - 1, multipliers.degree
     q, w = quadrature(m, p + fine.degree)
     x = np.einsum("qa,nak->nqk", shape_functions(m, 1, q), corners)

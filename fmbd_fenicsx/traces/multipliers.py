@@ -2,16 +2,12 @@
 
 Every space is written in one form: facet-wise polynomials of degree p with a sparse matrix C,
 
-    mu_j = sum_(F, a) C_j,(F a) psi_Fa,      psi_Fa Lagrange functions of facet F, discontinuous across
-    facets     (1)
+    mu_j = sum_(F, a) C_j,(F a) psi_Fa,      psi_Fa Lagrange functions of facet F, discontinuous across facets     (1)
 
-so that trace matrices, mortar integrals and norms need one code for all of them. Which space is stable
-beside which V_h is
-a matter of the inf-sup condition; ``docs/traces.md`` has the measured table. Sources: Bernardi, Maday and
-Patera (mortar
-spaces with ends of lower degree, doi:10.1007/978-94-011-1810-4_22); Wohlmuth (dual spaces,
-doi:10.1137/S0036142999350929);
-Kim, Lazarov, Pasciak and Vassilevski (space, doi:10.1137/S0036142900367065).
+so that trace matrices, mortar integrals and norms need one code for all of them. Which space is stable beside which V_h is a
+matter of the inf-sup condition; ``docs/traces.md`` has the measured table. Sources: Bernardi, Maday and Patera (mortar spaces
+with ends of lower degree, doi:10.1007/978-94-011-1810-4_22); Wohlmuth (dual spaces, doi:10.1137/S0036142999350929); Kim,
+Lazarov, Pasciak and Vassilevski (space, doi:10.1137/S0036142900367065).
 """
 
 from __future__ import annotations
@@ -89,11 +85,9 @@ class MultiplierSpace(Protocol):
 
 
 class Ends(Enum):
-    """What happens to multipliers on the border of the surface, where it meets other constraints
-    (cross-points).
+    """What happens to multipliers on the border of the surface, where it meets other constraints (cross-points).
 
-    KEPT: nothing. MERGED: a border value follows from the inner ones (degree lower by one at the border);
-    constants remain.
+    KEPT: nothing. MERGED: a border value follows from the inner ones (degree lower by one at the border); constants remain.
     DROPPED: border values are zero; constants are lost at the border.
     """
 
@@ -122,9 +116,7 @@ class Continuous:
 
 @dataclass(frozen=True)
 class Dual:
-    """Multipliers biorthogonal to the nodal functions of V_h: int psi_i phi_j = delta_ij int phi_j; local
-    elimination.
-    """
+    """Multipliers biorthogonal to the nodal functions of V_h: int psi_i phi_j = delta_ij int phi_j; local elimination."""
 
     ends: Ends = Ends.MERGED
 
@@ -166,9 +158,7 @@ class Discontinuous:
 
 @dataclass(frozen=True)
 class Aggregated:
-    """Constants on patches of facets: pairs in the plane, stars of a vertex in space (about twice coarser
-    cells).
-    """
+    """Constants on patches of facets: pairs in the plane, stars of a vertex in space (about twice coarser cells)."""
 
     def on(self, trace: Trace) -> Multipliers:
         """The space on a surface."""
@@ -180,8 +170,7 @@ class Aggregated:
 
 @dataclass(frozen=True)
 class Linear:
-    """Polynomials 1 and (X_k - c_k) / l over the whole surface: the moments that joints on average see; six
-    of their vector
+    """Polynomials 1 and (X_k - c_k) / l over the whole surface: the moments that joints on average see; six of their vector
     combinations are the resultants.
     """
 
@@ -196,16 +185,12 @@ class Linear:
 
 
 def default_space(degree: int) -> MultiplierSpace:
-    """Same degree with merged ends beside P1; P1 beside P2 and higher (the measured table is in
-    ``docs/traces.md``).
-    """
+    """Same degree with merged ends beside P1; P1 beside P2 and higher (the measured table is in ``docs/traces.md``)."""
     return Continuous() if degree == 1 else Continuous(degree=degree - 1, ends=Ends.KEPT)
 
 
 def _nodes(trace: Trace, degree: int) -> tuple[np.ndarray, int, np.ndarray, Array]:
-    """Node numbers of the continuous space of a degree on the trace's facets, their count, border nodes,
-    points.
-    """
+    """Node numbers of the continuous space of a degree on the trace's facets, their count, border nodes, points."""
     if degree == trace.degree:
         return trace.nodes, trace.n, trace.border, trace.points
     if degree != 1:

@@ -1,21 +1,18 @@
 """Discrete inf-sup constants of multiplier spaces, and discrete norms of H^1/2 and H^-1/2 on a surface.
 
-With A the H^1 inner product on the body (scaled by its length l: |grad u|^2 + u^2 / l^2) and N a discrete
-H^-1/2 inner
+With A the H^1 inner product on the body (scaled by its length l: |grad u|^2 + u^2 / l^2) and N a discrete H^-1/2 inner
 product on the multipliers,
 
     beta^2 = min_mu  mu^T B A^-1 B^T mu / mu^T N mu                                                        (1)
 
-is the constant of Brezzi's condition; a stable space keeps it away from zero as the mesh is refined. N is
-the dual norm on
-a finer P2 space: N = C H^-1 C^T, C_ji = int mu_j w_i, with H either
+is the constant of Brezzi's condition; a stable space keeps it away from zero as the mesh is refined. N is the dual norm on a
+finer P2 space: N = C H^-1 C^T, C_ji = int mu_j w_i, with H either
 
 * the H^1/2 norm of the surface mesh itself, H = M X L^(1/2) X^T M from the pencil (K + M / l^2) X = M X L
 (:func:`half_norm`), or
 * the trace norm of the body, H^-1 = A_fine^-1 restricted to the surface (:func:`infsup` with ``reference``).
 
-Sources: Brezzi and Fortin, Mixed and Hybrid Finite Element Methods (doi:10.1007/978-1-4612-3172-1); Chapelle
-and Bathe, the
+Sources: Brezzi and Fortin, Mixed and Hybrid Finite Element Methods (doi:10.1007/978-1-4612-3172-1); Chapelle and Bathe, the
 inf-sup test (doi:10.1016/0045-7949(93)90340-J).
 """
 
@@ -41,9 +38,7 @@ WEAK = 0.1  # inf-sup constants below this are reported
 
 @dataclass(frozen=True)
 class InfSup:
-    """Result of (1): ``beta`` over the functions that are not zero modes, the number of ``zero_modes``, the
-    space's name.
-    """
+    """Result of (1): ``beta`` over the functions that are not zero modes, the number of ``zero_modes``, the space's name."""
 
     name: str
     beta: float
@@ -68,27 +63,21 @@ class InfSup:
 
 
 def pencil(trace: Trace, length: float) -> tuple[Array, Array, Array]:
-    """Mass matrix M, eigenvalues L and eigenvectors X (X^T M X = 1) of (K + M / l^2) X = M X L on a
-    surface.
-    """
+    """Mass matrix M, eigenvalues L and eigenvectors X (X^T M X = 1) of (K + M / l^2) X = M X L on a surface."""
     M = trace.mass().toarray()
     L, X = sl.eigh(trace.stiffness().toarray() + M / length**2, M)
     return M, np.maximum(L, 0.0), X
 
 
 def half_norm(trace: Trace, values: Array, *, length: float = 1.0, order: float = 0.5) -> float:
-    """Norm of order s (1/2 or any in [-1, 1]) of nodal values (n,) or (n, c) on a surface: sqrt(u^T M X L^s
-    X^T M u).
-    """
+    """Norm of order s (1/2 or any in [-1, 1]) of nodal values (n,) or (n, c) on a surface: sqrt(u^T M X L^s X^T M u)."""
     M, L, X = pencil(trace, length)
     c = X.T @ (M @ values.reshape(trace.n, -1))
     return float(np.sqrt((L[:, None] ** order * c**2).sum()))
 
 
 class DualNorm:
-    """The discrete H^-1/2 norm of multipliers: dual to H^1/2 on a P2 space of a ``times`` halved surface
-    mesh.
-    """
+    """The discrete H^-1/2 norm of multipliers: dual to H^1/2 on a P2 space of a ``times`` halved surface mesh."""
 
     def __init__(self, multipliers: Multipliers, *, times: int = 1, length: float = 1.0) -> None:
         self._fine, parent, corners = refined(multipliers.trace, times, 2)

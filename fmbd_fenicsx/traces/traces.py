@@ -1,12 +1,9 @@
 """Named surfaces of elastic bodies as meshes of their own: the trace of V_h on Gamma.
 
-The trace of a Lagrange space on a flat facet is the Lagrange space of the same degree on the facet, so the
-whole of it is
-known from the facets' node numbers and points. These few numbers are gathered to all ranks, sorted by place
-and not by
-rank: multiplier spaces, norms and mortar integrals are then plain arrays, equal on any number of ranks, with
-or without
-facets on a rank, and on every version of DOLFINx. Only the columns of the coupling matrices are distributed.
+The trace of a Lagrange space on a flat facet is the Lagrange space of the same degree on the facet, so the whole of it is
+known from the facets' node numbers and points. These few numbers are gathered to all ranks, sorted by place and not by rank:
+multiplier spaces, norms and mortar integrals are then plain arrays, equal on any number of ranks, with or without facets on a
+rank, and on every version of DOLFINx. Only the columns of the coupling matrices are distributed.
 """
 
 from __future__ import annotations
@@ -252,9 +249,7 @@ def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarra
 
 
 def _reference_order(x: Array, degree: int) -> np.ndarray:
-    """Permutation of each facet's nodes into the order of the reference element spanned by its first d
-    nodes.
-    """
+    """Permutation of each facet's nodes into the order of the reference element spanned by its first d nodes."""
     n, k, d = x.shape
     wanted = np.asarray(lagrange(d - 1, degree).points)
     at = np.einsum("ma,fad->fmd", shape_functions(d - 1, 1, wanted), x[:, :d])
