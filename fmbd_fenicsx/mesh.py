@@ -226,10 +226,10 @@ def _check_cells(model: Any, dim: int, entities: list[int], label: str, name: st
             f'{label}: {bad} of {number} cells of volume "{name}" are inverted or degenerate (first: cell {first[0]} '  # type: ignore[index]
             f"at {first[1]}). Remesh, or check the orientation of the geometry."  # type: ignore[index]
         )
-    _check_connected(links, label, name)
+    _check_connected(model, links, label, name)
 
 
-def _check_connected(links: list[np.ndarray], label: str, name: str) -> None:
+def _check_connected(model: Any, links: list[np.ndarray], label: str, name: str) -> None:
     """A body is one piece: cells joined through nodes."""
     import scipy.sparse as sp
     from scipy.sparse.csgraph import connected_components
@@ -242,8 +242,12 @@ def _check_connected(links: list[np.ndarray], label: str, name: str) -> None:
     count, part = connected_components(graph, directed=False)
     parts = np.unique(part[used])
     if len(parts) > 1:
-        sizes = [int((part[used] == p).sum()) for p in parts]
+        nodes, x, _ = model.mesh.getNodes()
+        place = np.zeros((top, 3))
+        place[nodes[nodes < top]] = np.asarray(x).reshape(-1, 3)[nodes < top]
+        found = [used[part[used] == p] for p in parts]
+        listing = ", ".join(f"{len(n)} nodes about {place[n].mean(0).round(4).tolist()}" for n in found[:8])
         raise MeshError(
-            f'{label}: volume "{name}" consists of {len(parts)} separate parts ({sizes} nodes). '
+            f'{label}: volume "{name}" consists of {len(parts)} separate parts ({listing}). '
             "Fuse them in gmsh, or give each its own physical group and body."
         )

@@ -1,8 +1,7 @@
-"""Princeton beam: a slender blade bent by a dead load at an angle, as a solid with large displacements, in static equilibrium.
+"""Princeton beam: a slender blade bent by a dead load at an angle, as a solid with large displacements.
 
-Reference: beam and solid solutions of a commercial code as printed by Obrezkov et al., Nonlinear Dyn. 109, 2022; they differ
-from each other by up to 3 %, so the bound is 1 % outside the interval that they span. The soft bending has an exact
-solution of its own, the elastica.
+Reference: the beam solution of a commercial code as printed by Obrezkov et al., Nonlinear Dyn. 109, 2022. The solid of the same
+table is up to 2 % stiffer; the elastica, which is exact for bending about the soft axis, says which of the two is converged.
 """
 
 from __future__ import annotations
@@ -19,16 +18,16 @@ from fmbd_fenicsx.materials import saint_venant_kirchhoff
 from fmbd_fenicsx.traces.fields import Field
 
 ROOT = Path(__file__).resolve().parents[1]
-L, H, W, E, NU, F = 0.508, 0.0123777, 0.0032024, 71.7e9, 0.31, 8.896
-REFERENCE = {  # angle -> (y of the beam, of the solid), (z of the beam, of the solid), m
-    0: ((0.0107141763, 0.01069752828), (0.0, 0.0)),
-    45: ((0.008837226265, 0.008686786771), (0.108987937, 0.105976311)),
-    90: ((0.0, 0.0), (0.146245978, 0.143848652)),
-}
+L, H, W, E, NU, RHO, F = 0.508, 0.0123777, 0.0032024, 71.7e9, 0.31, 2700.0, 8.896  # m, Pa, -, kg/m^3, N
+QUIET = fmbd.Output(estimate_error=False)
+ANGLES = (0, 15, 30, 45, 60, 75, 90)  # of the load to the stiff axis, degrees
+Y = (0.0107141763, 0.01061328706, 0.0101116963, 0.008837226265, 0.006604665004, 0.003538889001, 0.0)  # m, beam
+Z = (0.0, 0.04208232124, 0.07939482948, 0.108987937, 0.129887616, 0.14219437, 0.146245978)
+SOLID_Z = 0.143848652  # of the reference's own solid at 90 degrees
 
 
-def elastica() -> float:
-    """Tip deflection of the inextensible beam bent about its soft axis."""
+def elastica(F: float = F) -> float:
+    """Tip deflection of the inextensible beam bent about its soft axis by a force F (N) across it."""
     EI = E * H * W**3 / 12
 
     def slope(s: Any, y: Any) -> Any:
@@ -41,27 +40,37 @@ def elastica() -> float:
     return float(solve_bvp(slope, ends, s, np.zeros((4, len(s))), tol=1e-9).y[3, -1])
 
 
+def solid(loads: Any, degree: int = 3, cells: int = 20) -> fmbd.AbsoluteBody:
+    """The blade in cubic hexahedra: quadratic ones of the same length are 2 % too stiff across both axes."""
+    mesh = fmbd.read_gmsh(
+        ROOT / "meshes/block.py", size=(L, H, W), origin=(0.0, -H / 2, -W / 2), counts=(cells, 1, 1), quads=True
+    )
+    energy = saint_venant_kirchhoff(E, NU)
+    return fmbd.AbsoluteBody(
+        "blade", mesh, degree=degree, density=RHO, energy=energy, loads=loads, quadrature=2 * degree
+    )
+
+
 @pytest.fixture(scope="module")
 def blade() -> Any:
-    mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(L, H, W), origin=(0.0, -H / 2, -W / 2), counts=(40, 2, 1))
-    loads = [fmbd.traction("right", (0, (1 - k) * F / H / W, k * F / H / W)) for k in (0, 1)]
-    body = fmbd.AbsoluteBody("blade", mesh, energy=saint_venant_kirchhoff(E, NU), loads=loads, quadrature=2)
-    field = Field("blade", mesh, body.forms())
+    loads = [fmbd.traction("right", (0, (1 - k) / H / W, k / H / W)) for k in (0, 1)]
+    body = solid(loads)
+    field = Field("blade", body.mesh, body.forms())
     yield field
     field.destroy()
 
 
-def tip(field: Any, angle: float) -> Any:
-    """Mean displacement of the end under the load at an angle (degrees): Newton's method in ten load steps."""
+def tip(field: Any, angle: float, force: float = F) -> Any:
+    """Mean displacement of the end under a force (N) at an angle (degrees), its root clamped: Newton's method, load steps."""
     from petsc4py import PETSc
 
     held = np.flatnonzero(np.abs(field.X_world[:, 0]) < 1e-9)
     held = (held[:, None] * 3 + np.arange(3)).ravel().astype(np.int32)
-    y, z = (b.ravel() for b in field.loads.vectors)
+    y, z = (force * b.ravel() for b in field.loads.vectors)
     load = np.cos(np.radians(angle)) * y + np.sin(np.radians(angle)) * z
     U = np.zeros(field.n * 3)
-    for share in np.linspace(0.1, 1.0, 10):
-        for _ in range(20):
+    for share in np.linspace(0.2, 1.0, 5):
+        for _ in range(30):
             r = field.internal(U) - share * load
             r[held] = 0.0
             field.linearise(U)
@@ -79,23 +88,49 @@ def tip(field: Any, angle: float) -> Any:
             size = float(np.abs(x.array).max())
             for obj in (K, x, b, ksp):
                 obj.destroy()
-            if size < 1e-9:
+            if size < 1e-8:
                 break
-        assert size < 1e-9
+        assert size < 1e-8
     m = field.moments("right")
     return m.weights[:, 0] @ U.reshape(-1, 3)[m.nodes]
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @pytest.mark.serial
-@pytest.mark.parametrize("angle", [0, 45, 90])
-def test_static_deflection(blade: Any, angle: int) -> None:
-    """Within 1 % of the interval between the reference's beam and solid; at 90 degrees within 1 % of the elastica."""
-    found = tip(blade, angle)
-    for value, pair in zip(found[1:], REFERENCE[angle], strict=True):
-        if max(pair) > 0:
-            assert 0.99 * min(pair) <= value <= 1.01 * max(pair)
-        else:
-            assert abs(value) < 1e-4
-    if angle == 90:
-        np.testing.assert_allclose(found[2], elastica(), rtol=0.01)
+@pytest.mark.parametrize("k", range(len(ANGLES)))
+def test_static_deflection(blade: Any, k: int) -> None:
+    """Every angle of the table to 1 %."""
+    found = tip(blade, ANGLES[k])
+    for value, reference in zip(found[1:], (Y[k], Z[k]), strict=True):
+        np.testing.assert_allclose(value, reference, rtol=0.01, atol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.serial
+def test_elastica_decides_between_the_references(blade: Any) -> None:
+    """About the soft axis the elastica is exact for the beam: 0.002 % from the reference's beam, 1.7 % from its solid."""
+    assert abs(Z[-1] / elastica() - 1) < 1e-4 and SOLID_Z / elastica() - 1 < -0.015
+    for force in (F / 2, F):
+        np.testing.assert_allclose(tip(blade, 90, force)[2], elastica(force), rtol=0.006)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.serial
+def test_slow_dynamic() -> None:
+    """The load about the soft axis, ramped up within ten periods of the first vibration; after it to 1 % of the table."""
+    T = 1.0
+
+    def ramp(t: float) -> float:
+        s = min(t / T, 1.0)
+        return s**3 * (10 - 15 * s + 6 * s * s)
+
+    body = solid([fmbd.traction("right", (0.0, 0.0, F / H / W), time=ramp)], degree=2, cells=40)
+    scene = fmbd.Scene("blade")
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
+    scene.sensor("tip", fmbd.position(body.surface("right")))
+    run = fmbd.solve(scene, t_end=1.2 * T, dt=0.04, scheme=fmbd.GeneralizedAlpha(0.5), output=QUIET)
+    moved = run["tip"][-1] - run["tip"][0]
+    np.testing.assert_allclose(moved[1:], (Y[-1], Z[-1]), rtol=0.01, atol=1e-5)

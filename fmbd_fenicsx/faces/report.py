@@ -49,7 +49,8 @@ def _steps(run: Run, steps: int) -> str:
     """Constant steps, or those that the error control chose and refused."""
     rtol = getattr(run.scheme, "rtol", None)
     if rtol is None:
-        return f"h = {run.dt:.6g} s, {steps} steps"
+        halved = run.counters.get("halved_steps", 0.0)
+        return f"h = {run.dt:.6g} s, {steps} steps" + (f", {_n(halved, 'halving')}" if halved else "")
     causes = [f"{n:.0f} for {k.split(': ')[1]}" for k, n in run.counters.items() if k.startswith("rejected: ")]
     rejected = _n(run.counters["rejections"], "rejection") + (f" ({', '.join(causes)})" if causes else "")
     return (

@@ -1,14 +1,19 @@
 """The energy-momentum scheme of elastic bodies in absolute coordinates.
 
-    u_1 - u_0 = h (v_0 + v_1) / 2,      M (v_1 - v_0) / h - M g + f_dg(u_0, u_1) = 0                            (1)
+    u_1 - u_0 = h (v_0 + v_1) / 2,      M (v_1 - v_0) / h - M g + f_dg(u_0, u_1) + H G_dg^T lambda = 0               (1)
     f_dg . w = int F_m S : grad w,      F_m = (F_0 + F_1) / 2,     C_m = (C_0 + C_1) / 2,     dC = C_1 - C_0
     S = 2 W'(C_m) + 2 (W(C_1) - W(C_0) - W'(C_m) : dC) / (dC : dC) dC                                          (2)
 
 S : dC / 2 = W(C_1) - W(C_0) in every quadrature point, so energy is conserved for any step, and F_m S with symmetric S keeps
-the momenta. W must be given as a function of C = F^T F (:class:`~fmbd_fenicsx.energies.StoredEnergy`). The tangent is exact
-and taken anew in every iteration: the scheme is for steps that turn the body far.
+the momenta. Joints to the ground and between such bodies act on the surfaces' moments p = H^T u,
 
-Source: Gonzalez, doi:10.1016/S0045-7825(00)00189-4; Simo and Tarnow, doi:10.1007/BF00913408.
+    h G_dg v_m = g_1 - g_0:     G_dg = G(p_m) + (g_1 - g_0 - G(p_m) dp) dp^T / (dp . dp),     g(p_1) = 0,                (3)
+
+so their forces H G_dg^T lambda do no work; pins at the middle of a surface are linear, G_dg = G. W must be given as a function of
+C = F^T F (:class:`~fmbd_fenicsx.energies.StoredEnergy`). The tangent is exact and taken anew in every iteration: the scheme is
+for steps that turn the body far.
+
+Source: Gonzalez, doi:10.1016/S0045-7825(00)00189-4, doi:10.1016/S0045-7825(98)00204-8; Simo and Tarnow, doi:10.1007/BF00913408.
 """
 
 from __future__ import annotations
@@ -94,21 +99,75 @@ class _Body:
         self.ksp.solve(self.b, self.x)
         return np.array(self.x.array)
 
+    def solve_columns(self, B: Array) -> Array:
+        """The same for columns (n d, k), with the matrix of the last :meth:`solve`."""
+        out = np.empty_like(B)
+        for k in range(B.shape[1]):
+            self.b.array[:] = B[:, k]
+            self.ksp.solve(self.b, self.x)
+            out[:, k] = self.x.array
+        return out
+
     def destroy(self) -> None:
         for obj in (self.ksp, self.J, self.x, self.b):
             obj.destroy()
 
 
+Spans = list[tuple[_Body, slice, slice]]  # bodies with their places in q and v
+
+
+class _Joints:
+    """Constraints of a step as functions of the surfaces' moments p (ports), linear in the displacements; (3)."""
+
+    def __init__(self, system: System, state: State, h: float) -> None:
+        self.system, self.q0, self.middle, self.end = system, state.q, state.t + 0.5 * h, state.t + h
+        old = system.at(self.middle, state.q)
+        self.p0, self.g0 = old.port.copy(), old.constraint().copy()
+        used = np.flatnonzero(np.abs(old.jacobian.port).max(axis=0) > 0)
+        whole = (used // system.motions.dim)[:, None] * system.motions.dim + np.arange(system.motions.dim)
+        self.used = np.unique(whole)
+        self.columns = []
+        for k, part in system.fields:
+            first = system.port_slice(k).start
+            own = self.used[(self.used >= first) & (self.used < system.port_slice(k).stop)] - first
+            self.columns.append((own + first, part.port_columns(own)))
+
+    def evaluate(self, q: Array) -> None:
+        """Constraint, its Jacobian at the end and the discrete gradient for a configuration q."""
+        system = self.system
+        new, mean = system.at(self.end, q), system.at(self.middle, 0.5 * (self.q0 + q))
+        g1 = system.at(self.middle, q).constraint()
+        self.g, self.G = new.constraint(), new.jacobian.port
+        dp = new.port - self.p0
+        G, square = mean.jacobian.port, float(dp @ dp)
+        rest = g1 - self.g0 - G @ dp
+        self.G_dg = G + np.outer(rest, dp) / square if square > 1e-24 * float(self.p0 @ self.p0) else G
+
+    def solve(self, bodies: list[_Body], residuals: list[Array]) -> tuple[list[Array], Array]:
+        """Newton's increments of the bodies and the new multipliers, by the Schur complement of the constraints."""
+        m = len(self.g)
+        S, c, solved = np.zeros((m, m)), self.g.copy(), []
+        for body, r, (at, H) in zip(bodies, residuals, self.columns, strict=True):
+            z, Y = body.solve(r), body.solve_columns(H)
+            W, Hz = body.field.total(H.T @ Y), body.field.total(H.T @ z)
+            S += self.G[:, at] @ W @ self.G_dg[:, at].T
+            c -= self.G[:, at] @ Hz
+            solved.append((z, Y, at))
+        lam = np.linalg.lstsq(S, c, rcond=1e-12)[0]
+        return [-z - Y @ (self.G_dg[:, at].T @ lam) for z, Y, at in solved], lam
+
+
 class FieldStepper:
-    """Advances absolute bodies without joints and forces; one solve for each body and iteration."""
+    """Advances absolute bodies, free or held by joints; back-solves for each body and iteration."""
 
     local_error = 0.0
 
     def __init__(self, system: System, newton: Newton, state: State) -> None:
-        alone = not (system.n_frames or system.n_lam or system.forces or len(system.fields) != len(system.parts))
+        alone = not (system.n_frames or system.forces or len(system.fields) != len(system.parts))
         if not alone or any(getattr(p, "inertia_columns", np.zeros((0, 1))).shape[1] for _, p in system.fields):
             raise InputError(
-                "EnergyMomentum takes either rigid bodies with springs and joints, or absolute bodies that move freely."
+                "EnergyMomentum takes either rigid bodies with springs and joints, or absolute bodies, free or with joints to "
+                "each other and to the ground."
             )
         self.system, self.newton, self.state = system, newton, state
         self.bodies = [_Body(p) for _, p in system.fields]
@@ -116,36 +175,63 @@ class FieldStepper:
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton's iteration fails."""
         s, system = self.state, self.system
-        q, v, a = s.q.copy(), s.v.copy(), s.a.copy()
-        for body, (k, _) in zip(self.bodies, system.fields, strict=True):
-            in_q, in_v = system.slices[0][k], system.slices[1][k]
-            q[in_q], v[in_v] = self._step(body, s.q[in_q], s.v[in_v], h)
-            a[in_v] = 2.0 * (v[in_v] - s.v[in_v]) / h - s.a[in_v]
-        self.state = State(s.t + h, q, v, a, s.lam)
-        return self.state
-
-    def _step(self, body: _Body, U0: Array, V0: Array, h: float) -> tuple[Array, Array]:
-        f, d = body.field, body.field.dim
-        body.h2.value = h * h
-        body.place(body.u0, U0)
-        gravity = f.mass(np.tile(self.system.gravity(self.state.t + 0.5 * h), (f.n, 1))).ravel()
-        U, history = self._predict(f, U0, V0, h), []
+        in_q, in_v = system.slices[0], system.slices[1]
+        spans: Spans = [(b, in_q[k], in_v[k]) for b, (k, _) in zip(self.bodies, system.fields, strict=True)]
+        joints = _Joints(system, s, h) if system.n_lam else None
+        q, lam = s.q.copy(), s.lam
+        for body, at, rate in spans:
+            body.h2.value = h * h
+            body.place(body.u0, s.q[at])
+            q[at] = self._predict(body.field, s.q[at], s.v[rate], h)
+        history: list[float] = []
         for _ in range(40):
-            inertia = 2.0 / h**2 * f.mass((U - U0 - h * V0).reshape(-1, d)).ravel()
-            dU = -body.solve(inertia - gravity + body.force(U))
-            U = U + dU
+            residuals = self._residuals(spans, q, h)
+            if joints is None:
+                steps = [-body.solve(r) for body, r in zip(self.bodies, residuals, strict=True)]
+            else:
+                joints.evaluate(q)
+                steps, lam = joints.solve(self.bodies, residuals)
+            q = q.copy()
+            for (_, at, _), step in zip(spans, steps, strict=True):
+                q[at] += step
             self.newton.iterations += 1
-            moved, size = f.total(np.array([dU @ dU, f.n * f.size**2]))
-            history.append(float(np.sqrt(moved / size)))
+            history.append(self._size(steps))
             if not np.isfinite(history[-1]):
                 break
             if history[-1] < 1e-14 or (history[-1] < 1e-11 and len(history) > 1 and history[-1] > 0.1 * history[-2]):
-                return U, 2.0 / h * (U - U0) - V0
+                return self._take(q, lam, h, spans)
         raise ConvergenceError(
-            f'Body "{f.name}": Newton\'s iteration failed at t = {self.state.t + h:.6g} s (h = {h:.3g} s): increments over size '
+            f"Newton's iteration failed at t = {s.t + h:.6g} s (h = {h:.3g} s): increments over size "
             + " -> ".join(f"{x:.1e}" for x in history[-6:])
             + ". Take a smaller dt."
         )
+
+    def _residuals(self, spans: Spans, q: Array, h: float) -> list[Array]:
+        """The second of (1) without joints, for each body."""
+        s, g, out = self.state, self.system.gravity(self.state.t + 0.5 * h), []
+        for body, at, rate in spans:
+            f = body.field
+            inertia = f.mass((2.0 / h**2 * (q[at] - s.q[at] - h * s.v[rate])).reshape(-1, f.dim) - g).ravel()
+            out.append(inertia + body.force(q[at]))
+        return out
+
+    def _size(self, steps: list[Array]) -> float:
+        """Largest mean increment of a body over its size."""
+        found = []
+        for body, dU in zip(self.bodies, steps, strict=True):
+            moved, size = body.field.total(np.array([dU @ dU, body.field.n * body.field.size**2]))
+            found.append(float(np.sqrt(moved / size)))
+        return max(found)
+
+    def _take(self, q: Array, lam: Array, h: float, spans: Spans) -> State:
+        """The state at the end of the step, by the first of (1)."""
+        s = self.state
+        v, a = s.v.copy(), s.a.copy()
+        for _, at, rate in spans:
+            v[rate] = 2.0 / h * (q[at] - s.q[at]) - s.v[rate]
+            a[rate] = 2.0 * (v[rate] - s.v[rate]) / h - s.a[rate]
+        self.state = State(s.t + h, q, v, a, lam)
+        return self.state
 
     def _predict(self, f: Any, U0: Array, V0: Array, h: float) -> Array:
         """The body moved on rigidly: with its mean velocity, and turned by its mean angular velocity."""

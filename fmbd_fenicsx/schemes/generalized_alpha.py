@@ -32,7 +32,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..errors import ConvergenceError, require
+from ..errors import ConvergenceError, LinearSolveError, require
 from ..linear.schur import StepSolver, Weights
 from ..rotations import Array
 from ..system.system import State, System
@@ -43,6 +43,7 @@ from .newton import Newton, not_converged
 from .start import jerk, spin_of_acceleration, worst_block
 
 PATIENCE = 4  # iterations with the tangent of the first one, where a new tangent is cheap
+DEPTH = 6  # times that a step of a body with large displacements may be halved
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,8 @@ class Stepper:
         self.fresh = True  # the next step is the first after a consistent start
         self._past: list[tuple[float, Array, Array]] = []
         self.local_error = 0.0
+        self.counters: dict[str, float] = {}
+        self._depth = 0
 
     def _predict(self, h: float) -> tuple[Array, Array]:
         """a and lambda extrapolated by the parabola through the last steps (less at the start)."""
@@ -133,15 +136,49 @@ class Stepper:
         return v, s.a + (am - af) * h * rate, s.a + h * rate, s.lam + h * lam_rate
 
     def advance(self, h: float) -> State:
-        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
+        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged.
+
+        A step of bodies with an energy that fails is made in halves (counted as ``halved_steps``).
+        """
         weights, motion = self._predicted(h)
         try:
             return self._newton(h, weights, motion, PATIENCE)
-        except ConvergenceError:
+        except (ConvergenceError, LinearSolveError) as error:
+            if any(p.field.nonlinear for _, p in self.system.fields):
+                return self._in_halves(h, error)
             if self.system.fields:
                 raise
         self.newton.theta = 0.5
         return self._newton(h, weights, motion, 0)  # stiff springs that turn need Newton's own tangent
+
+    def _in_halves(self, h: float, error: Exception) -> State:
+        """Two steps of half the size, for bodies with large displacements that snap through; halves may be halved again.
+
+        Raises the error of the whole step, with the state unchanged, where the halves fail too.
+        """
+        if self._depth == DEPTH:
+            raise error
+        before = self.state, self.A, self.fresh, self._past
+        self._depth += 1
+        self.counters["halved_steps"] = self.counters.get("halved_steps", 0.0) + 1.0
+        try:
+            for _ in range(2):
+                self.newton.theta = 0.5
+                self._tangents_here()
+                self.advance(0.5 * h)
+        except (ConvergenceError, LinearSolveError):
+            self.state, self.A, self.fresh, self._past = before
+            raise error from None
+        finally:
+            self._depth -= 1
+        return self.state
+
+    def _tangents_here(self) -> None:
+        """Tangents of the present state: those of a failed iteration are of no use."""
+        s = self.state
+        self.system.at(s.t, s.q, s.v).balance(s.a, s.lam)
+        for _, part in self.system.fields:
+            part.relinearise()
 
     def _predicted(self, h: float) -> tuple[Weights, tuple[Array, Array, Array, Array]]:
         """Weights of the step's matrix; v and A at its start, a and lambda predicted for its end."""

@@ -1,0 +1,76 @@
+"""A shallow arch snaps through under a pressure: steps of any size pass the limit point, and energy is not gained."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.materials import sheet_saint_venant_kirchhoff
+
+ROOT = Path(__file__).resolve().parents[1]
+SPAN, RISE, HEIGHT, PRESSURE = 1.0, 0.05, 0.01, 80.0  # m, m, m, N/m
+
+
+def arch() -> Any:
+    """A parabola, by moving the nodes of a straight strip."""
+    mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(SPAN, HEIGHT), origin=(0.0, -HEIGHT / 2), counts=(24, 1))
+    x = mesh.dolfinx.geometry.x
+    x[:, 1] += 4 * RISE * x[:, 0] / SPAN * (1 - x[:, 0] / SPAN)
+    return mesh
+
+
+def run_of(pressure: float, dt: float, time: Callable[[float], float]) -> fmbd.Run:
+    body = fmbd.AbsoluteBody(
+        "arch",
+        arch(),
+        density=1000.0,
+        energy=sheet_saint_venant_kirchhoff(1e7, 0.3),
+        loads=[fmbd.traction("top", (0.0, -pressure), time=time)],
+    )
+    scene = fmbd.Scene("snap")
+    for side in ("left", "right"):
+        scene.add(fmbd.fixed(side, fmbd.ground, body.surface(side)))
+    scene.add(body)
+    scene.sensor("top", fmbd.position(body.surface("top")))
+    return fmbd.solve(
+        scene, t_end=1.0, dt=dt, scheme=fmbd.GeneralizedAlpha(0.6), output=fmbd.Output(estimate_error=False)
+    )
+
+
+def ramp(t: float) -> float:
+    s = min(2 * t, 1.0)
+    return s * s * (3 - 2 * s)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("dt", [0.005, 0.02, 0.1])
+def test_snaps_through(dt: float) -> None:
+    """Three steps, one of them 40 times the time of the snap: steps are halved where Newton fails, and the arch hangs below."""
+    run = run_of(PRESSURE, dt, ramp)
+    top = run["top"][:, 1]
+    assert top[0] > 0.03 and top.min() < -0.03
+    halved = run.counters.get("halved_steps", 0)
+    assert (halved == 0) if dt < 0.01 else (halved > 0 and "halving" in run.report())
+
+
+@pytest.mark.mpi
+def test_energy_bound() -> None:
+    """The energy never exceeds the work of the load; after the snap most of that work is there as motion and strain."""
+    run = run_of(PRESSURE, 0.005, ramp)
+    arc = float(np.hypot(1.0, 4 * RISE / SPAN * (1 - 2 * np.linspace(0, 1, 2001))).mean()) * SPAN
+    force = -PRESSURE * arc * np.array([ramp(t) for t in run.times])
+    work = np.concatenate(([0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(run["top"][:, 1]))))
+    energy = sum(run.energy.values())
+    assert (energy - energy[0] <= work + 0.02 * work.max()).all()
+    assert energy[-1] - energy[0] > 0.3 * work[-1]
+
+
+def test_a_step_that_cannot_be_made_names_the_whole_step() -> None:
+    """A load that inverts cells fails at every size: the error is that of the step asked for."""
+    with pytest.raises(fmbd.errors.FmbdError, match="Newton|Linear"):
+        run_of(1e12, 0.1, lambda t: 1.0 if t > 0 else 0.0)
