@@ -260,11 +260,11 @@ class CompiledStepper(Stepper):
 
     def __init__(self, data: tuple[GeneralizedAlpha, System, StepSolver, Newton, State], kernel: Kernel) -> None:
         self.kernel = kernel
-        self.counters = {"compiled_steps": 0}
         self._blocks: list[tuple[Array, int]] = []  # newest first, with addresses: t, q, v, a, A, lambda
         self._tail: State | None = None  # the state of the newest block
         self._ahead = False  # blocks are newer than A and the past of the NumPy path
         super().__init__(*data)
+        self.counters["compiled_steps"] = 0.0
         scheme, system, _, newton, _ = data
         p = kernel.parameters
         p[1:5] = scheme.parameters
