@@ -113,31 +113,3 @@ def figures(
     uplift = 1e3 * rise[:, at : at + 3].max()
     lost = 100.0 * float((force[inside] <= 0).mean())
     return Figures(F.mean(), F.std(), F.max(), F.min(), float(uplift), lost)
-
-
-def picture(runs: dict[int, fmbd.Run], file: object, start: float = 10.0) -> None:
-    """Contact force over the place, filtered and as computed, and the uplift at the supports; rank 0 writes."""
-    from fmbd_fenicsx.log import world_rank
-
-    if world_rank() != 0:
-        return
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    fig, axes = plt.subplots(len(runs) + 1, 1, figsize=(9, 7.5), layout="constrained", sharex=True)
-    for ax, (kmh, run) in zip(axes, runs.items(), strict=False):
-        x = start + kmh / 3.6 * (run.times - RAMP / 2)
-        force = run["contact"][:, 0]
-        ax.plot(x, force, color="0.8", lw=0.6, label="multiplier")
-        ax.plot(x, low_pass(run.times, force), color="C0", lw=1.2, label="up to 20 Hz")
-        ax.set(ylabel="contact force (N)", title=f"{kmh} km/h", ylim=(0, None))
-        ax.vlines(SPAN * np.arange(1, 7), 0, 20, color="0.3", lw=1)
-        ax.legend(loc="upper right", ncols=2, frameon=False)
-        rise = 1e3 * (run["supports"][:, 3] - run["supports"][0, 3])
-        axes[-1].plot(x, rise, label=f"{kmh} km/h")
-    axes[-1].set(ylabel="uplift at the 4th support (mm)", xlabel="place of the pantograph (m)")
-    axes[-1].legend(loc="upper left", frameon=False)
-    fig.savefig(str(file), dpi=110)
-    plt.close(fig)

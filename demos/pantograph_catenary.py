@@ -1,6 +1,6 @@
 """Pantograph under a catenary at 250 and 300 km/h: the reference model of EN 50318:2002.
 
-Run:  ./with-dolfinx python3 demos/pantograph_catenary.py [--fast] [--json FILE] [--picture FILE]
+Run:  ./with-dolfinx python3 demos/pantograph_catenary.py [--fast] [--json FILE] [--picture FILE] [--study FILE]
 
       messenger  ~~~~~~~.________.~~~~~~~      two wires as C^1 beams under tension, droppers that only pull,
                   |  |  |  |  |  |  |          the contact force as the multiplier of a point that slides along the wire
@@ -8,13 +8,15 @@ Run:  ./with-dolfinx python3 demos/pantograph_catenary.py [--fast] [--json FILE]
                             o -> v
 """
 
+import catenary_figures as figures
 import catenary_model as model
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.faces.demo import Check, arguments, finish, say
+from fmbd_fenicsx import demo
+from fmbd_fenicsx.faces.demo import Check, say
 
-args = arguments(__doc__)
+args = demo.arguments(__doc__, {"--study": ""})
 dt, spans, until = (4e-3, 3, 130.0) if args.fast else (2e-3, 10, 390.0)
 RANGES = {  # km/h: (low, high) of the standard
     250: {"mean, N": (110, 120), "deviation, N": (26, 31), "statistical largest, N": (190, 210), "largest, N": (175, 210),
@@ -24,12 +26,12 @@ RANGES = {  # km/h: (low, high) of the standard
 }  # fmt: skip
 
 
-def drive(speed, h=dt, cell=0.5):
+def drive(speed, h=dt, form=None):
     """One drive with constant steps."""
-    scene = model.scene(speed, spans=spans, h=cell)
-    scheme = fmbd.Unilateral(fmbd.GeneralizedAlpha(0.6))
+    scene = model.scene(speed, spans=spans)
+    scheme = fmbd.Unilateral(fmbd.GeneralizedAlpha(0.6, form=form or fmbd.Index3()))
     t_end = (until - 10.0) / speed + model.RAMP / 2
-    return fmbd.solve(scene, t_end=t_end, dt=h, scheme=scheme, output=fmbd.Output(energy=False))
+    return fmbd.solve(scene, t_end=t_end, dt=h, scheme=scheme, output=fmbd.Output(snapshots=8, energy=False))
 
 
 section = (60.0, 120.0) if args.fast else (240.0, 360.0)
@@ -56,9 +58,15 @@ coarse_force, force = (model.low_pass(r.times, r["contact"][:, 0]) for r in (run
 inside = 10 + v * (runs[250].times - model.RAMP / 2) > 60
 change = np.interp(runs[250].times, fine.times, force) - coarse_force
 checks.append(Check("change of the filtered force with half the step, N", float(change[inside].std()), 0.0, 6.0))
+stable = drive(v, form=fmbd.GGL())
+apart = float((model.low_pass(stable.times, stable["contact"][:, 0]) - coarse_force)[inside].std())
+checks.append(Check("GGL against index 3, filtered force, N", apart, 0.0, 1.0))
+checks.append(Check("GGL: speed across the contact against index 3", stable.drift[1] / runs[250].drift[1], 0.0, 1e-2))
 start = runs[250]["contact"][0, 0]
 say(runs[250].report())
 checks.append(Check("contact force at rest, N", start, model.STATIC_FORCE, 5.0))
 if args.picture:
-    model.picture(runs, args.picture)
-finish(checks, runs[250], args)
+    figures.picture(runs, args.picture)
+if args.study:
+    figures.work(args.study)
+demo.finish(checks, runs[250], args)

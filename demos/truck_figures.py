@@ -44,9 +44,9 @@ def picture(runs: Mapping[str, tuple[fmbd.Run, fmbd.Run]], file: object) -> None
     ax.set_title(f"loading area on a {next(iter(runs))}: motion x {MOTION:g}, deformation x {BENDING:g}", fontsize=10)
     for k, (name, (rigid, soft)) in enumerate(runs.items()):
         for run, kind, look in ((rigid, "rigid", {"lw": 4, "alpha": 0.35}), (soft, "elastic", {"lw": 1})):
-            label = f"{kind} loading area, {name}"
-            axes["acceleration"].plot(run.times, run["cab acceleration"][:, 1], color=f"C{k}", label=label, **look)
-            axes["pitch"].plot(run.times, 1e3 * run["cab pitch"][:, 0], color=f"C{k}", **look)
+            label = f"{kind}, {name}"
+            axes["acceleration"].plot(run.times, run["cab acceleration"][:, 1], color=f"C{k}", **look)
+            axes["pitch"].plot(run.times, 1e3 * run["cab pitch"][:, 0], color=f"C{k}", label=label, **look)
         change = soft["stress"][:, 0] - soft["stress"][0, 0]
         axes["stress"].plot(
             soft.times, change, f"C{k}", label=f"{name}: {1e-3 * soft['stress'][0, 0]:.1f} kN/m at rest"
@@ -55,7 +55,7 @@ def picture(runs: Mapping[str, tuple[fmbd.Run, fmbd.Run]], file: object) -> None
                         ("stress", "change of the largest stress (N/m)")):  # fmt: skip
         axes[name].set(xlabel="time (s)", ylabel=label)
         axes[name].grid(alpha=0.3)
-    axes["acceleration"].legend(frameon=False, fontsize=7, loc="lower right")
+    axes["pitch"].legend(frameon=False, fontsize=6.5, loc="upper right")
     axes["stress"].legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(0.0, 1.0))
     axes["stress"].margins(y=0.2)
     figure.savefig(str(file), dpi=110)

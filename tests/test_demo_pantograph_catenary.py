@@ -30,4 +30,4 @@ def test_demo_fast(tmp_path: Path) -> None:
 @pytest.mark.serial
 def test_standard_ranges(tmp_path: Path) -> None:
     checks = run(tmp_path)
-    assert len(checks) == 18 and all(c["ok"] for c in checks)
+    assert len(checks) == 20 and all(c["ok"] for c in checks)
