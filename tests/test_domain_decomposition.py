@@ -10,7 +10,7 @@ from tied import block, manufactured, release, surface, tied
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.domain_decomposition import DualInterface, shared_traces, unassembled
 from fmbd_fenicsx.linear.presets import Bddc, FieldSplit, Schur, set_bddc
-from fmbd_fenicsx.linear.saddle import Elastic
+from fmbd_fenicsx.linear.saddle import Elastic, elastic_matrix
 from fmbd_fenicsx.linear.spd import CholeskyFactor
 from fmbd_fenicsx.traces.fields import ElasticForms, Field
 from fmbd_fenicsx.traces.multipliers import Continuous, Ends
@@ -126,3 +126,29 @@ def _whole(piece, parts: int, cells: tuple[int, int], cm: float):
     solver.destroy()
     release(s)
     return out
+
+
+@pytest.mark.mpi
+def test_fetidp_solves_the_elastic_block() -> None:
+    """PETSc's FETI-DP on the unassembled block gives the answer of the assembled one."""
+    from petsc4py import PETSc
+
+    body = block("body", 2, 8, 1)
+    cm = 4 * 8.0**2
+    A, E = unassembled(body, cm, 1.0), elastic_matrix(body, cm, 1.0)
+    b = E.createVecLeft()
+    b.array[:] = np.repeat(np.sin(300 * body.X_world.sum(1))[:, None], 2, 1).ravel()
+    x, r, ksp = b.duplicate(), b.duplicate(), PETSc.KSP().create(body.comm)
+    ksp.setOptionsPrefix("dual_")
+    PETSc.Options()["dual_fetidp_ksp_rtol"] = 1e-10
+    ksp.setOperators(A)
+    ksp.setType("fetidp")
+    ksp.setFromOptions()
+    ksp.solve(b, x)
+    E.mult(x, r)
+    r.axpy(-1.0, b)
+    assert r.norm() <= 1e-8 * b.norm()
+    assert ksp.getIterationNumber() <= 25
+    for obj in (ksp, x, r, b, A, E):
+        obj.destroy()
+    body.destroy()

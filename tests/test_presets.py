@@ -75,6 +75,18 @@ def test_ideal_schur_complement_needs_three_iterations(degree: int, step: float)
     release(s)
 
 
+@pytest.mark.mpi
+def test_too_few_iterations_are_an_error() -> None:
+    """Whatever PETSc says, the true residual decides."""
+    s = tied(4)
+    solver = FieldSplit(max_iterations=5).solver(s)
+    f, g, _ = manufactured(s)
+    with pytest.raises(LinearSolveError, match=r"relative residual .* after 5 iterations"):
+        solver.solve(f, g)
+    solver.destroy()
+    release(s)
+
+
 AXES = [dict(cells=n) for n in (8, 16, 32)] + [dict(step=x) for x in (1e-3, 10.0)] + [
     dict(E=1e3), dict(E=1e6), dict(E=1e-6), dict(rho=1e-6), dict(rho=1e6), dict(nu=0.4999),
 ]  # fmt: skip

@@ -1,8 +1,8 @@
 """The tables of docs/traces.md: inf-sup constants in space, MINRES counts along all axes, chains, BDDC
 beside multigrid.
 
-Run:  ./with-dolfinx python3 docs/scripts/trace_tables.py space|axes|chain          mpirun -n 8 ...
-trace_tables.py bddc
+Run:  ./with-dolfinx python3 docs/scripts/trace_tables.py space|axes|axes3|chain
+      ./with-dolfinx mpirun -n 8 python3 docs/scripts/trace_tables.py bddc|ranks
 """
 
 import sys
@@ -18,8 +18,11 @@ from tied import block, manufactured, release, tied  # noqa: E402
 
 import fmbd_fenicsx as fmbd  # noqa: E402
 from fmbd_fenicsx import demo  # noqa: E402
+from fmbd_fenicsx.linear.domain_decomposition import unassembled  # noqa: E402
 from fmbd_fenicsx.linear.precondition import Lumped, ScaledMass  # noqa: E402
-from fmbd_fenicsx.linear.presets import FieldSplit, Multigrid, set_bddc  # noqa: E402
+from fmbd_fenicsx.linear.presets import FieldSplit, Multigrid, Preset, Schur, set_bddc  # noqa: E402
+from fmbd_fenicsx.linear.saddle import Elastic, elastic_matrix  # noqa: E402
+from fmbd_fenicsx.traces.fields import Field  # noqa: E402
 from fmbd_fenicsx.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends  # noqa: E402
 from fmbd_fenicsx.traces.stability import infsup  # noqa: E402
 
@@ -55,81 +58,133 @@ def space() -> None:
         demo.say(f"| {r.name} | {' '.join(cells[:3])} | {' '.join(cells[3:])} |")
 
 
-def count(preset: FieldSplit, **case: float) -> str:
-    """MINRES iterations, and the error where it is large."""
+def count(preset: Preset, **case: float) -> str:
+    """Iterations, and the error where it is large."""
     s = tied(**{"cells": 16, **case})
     f, g, error = manufactured(s)
     try:
-        solver = preset.solver(s)
+        solver = preset.solver(s, "table_")
         found = solver.solve(f, g)
         out = f"{found.iterations}" + ("" if error(found) < 1e-5 else f" (error {error(found):.0e})")
         solver.destroy()
-    except fmbd.errors.LinearSolveError:
+    except (fmbd.errors.LinearSolveError, fmbd.errors.ConvergenceError):
         out = "-"
     release(s)
     return out
 
 
-def axes() -> None:
+PRESETS = {
+    "Schur, fractional": Schur(limit=0, rtol=1e-8),
+    "FieldSplit, fractional": FieldSplit(),
+    "FieldSplit, fractional, multigrid (2 cycles)": FieldSplit(Multigrid(2)),
+    "FieldSplit, fractional, multigrid": FieldSplit(Multigrid()),
+    "FieldSplit, lumped": FieldSplit(multiplier=Lumped()),
+    "FieldSplit, h-weighted mass": FieldSplit(multiplier=ScaledMass()),
+}
+
+
+def axes(dim: int = 2) -> None:
     """Counts over h, dt, E, rho, nu for several preconditioners, P2, two blocks of which one floats."""
-    for name, preset in (("fractional", FieldSplit()), ("fractional, multigrid", FieldSplit(Multigrid(2))),
-                         ("lumped", FieldSplit(multiplier=Lumped())),
-                         ("h-weighted mass", FieldSplit(multiplier=ScaledMass()))):  # fmt: skip
+    cells, base = ((8, 16, 32, 64), 16) if dim == 2 else ((2, 3, 4, 6), 4)
+    for name, preset in list(PRESETS.items())[: 6 if dim == 2 else 3]:
         for step, label in ((1e-3, "1e-3 h"), (1.0, "h"), (10.0, "10 h"), (None, "static")):
-            h = [count(preset, step=step, cells=n) for n in (8, 16, 32, 64)]
-            E = [count(preset, step=step, E=e) for e in (1e-6, 1e-3, 1e3, 1e6)]
-            rho = [count(preset, step=step, rho=r) for r in (1e-6, 1e6)]
-            demo.say(
-                f"| {name} | {label} | {' '.join(h)} | {' '.join(E)} | {' '.join(rho)} | {count(preset, step=step, nu=0.4999)} |"
-            )
+            if step is None and isinstance(preset, Schur):
+                continue
+            case = {"step": step, "dim": dim, "cells": base}
+            h = [count(preset, **{**case, "cells": n}) for n in cells]
+            E = [count(preset, **case, E=e) for e in (1e-6, 1e-3, 1e3, 1e6)]
+            rho = [count(preset, **case, rho=r) for r in (1e-6, 1e6)]
+            nu = "" if "multigrid" in name else count(preset, **case, nu=0.4999)
+            demo.say(f"| {name} | {label} | {' '.join(h)} | {' '.join(E)} | {' '.join(rho)} | {nu} |")
+
+
+def ranks() -> None:
+    """Counts of the corners of all axes on the ranks of this run, P2 in the plane and in space."""
+    for dim, cells in ((2, 16), (3, 3)):
+        for name, preset in list(PRESETS.items())[:3]:
+            found = [
+                count(preset, dim=dim, cells=cells, step=step, E=E, rho=rho)
+                for step in (1.0, 10.0)
+                for E, rho in ((1.0, 1.0), (1e6, 1.0), (1.0, 1e-6))
+            ]
+            demo.say(f"| {name} | {dim}D | {fmbd_ranks()} | {' '.join(found)} |")
+
+
+def fmbd_ranks() -> int:
+    """Ranks of this run."""
+    from mpi4py import MPI
+
+    return int(MPI.COMM_WORLD.size)
 
 
 def links() -> None:
     """Counts for chains of tied links."""
     for n in (1, 2, 4, 8, 16, 32):
         s = chain(n)
-        solver = FieldSplit().solver(s)
         f, g, _ = manufactured(s)
-        demo.say(f"{n} links, {s.n_multipliers} multipliers: {solver.solve(f, g).iterations}")
-        solver.destroy()
+        counts = []
+        for preset in (FieldSplit(), Schur(limit=0, rtol=1e-8)):
+            solver = preset.solver(s, "chain_")
+            counts.append(solver.solve(f, g).iterations)
+            solver.destroy()
+        demo.say(f"{n} links, {s.n_multipliers} multipliers: MINRES {counts[0]}, conjugate gradients on S {counts[1]}")
         release(s)
 
 
 def bddc() -> None:
-    """Counts of CG on the elastic block of one distributed body."""
-    from petsc4py import PETSc
-
-    from fmbd_fenicsx.linear.domain_decomposition import unassembled
-    from fmbd_fenicsx.linear.saddle import Elastic, elastic_matrix
-
+    """Counts of CG on the elastic block of one distributed body, rtol 1e-8 in the true residual."""
     for dim, n in ((2, 24), (3, 6)):
         body = block("body", dim, n, 2)
         for step in (1.0, 10.0, 100.0):
-            cm, counts = 4 * (n / step) ** 2, []
-            split, whole = unassembled(body, cm, 1.0), elastic_matrix(body, cm, 1.0)
-            b = whole.createVecLeft()
-            b.array[:] = np.repeat(np.sin(300 * body.X_world.sum(1))[:, None], dim, 1).ravel()
-            for kind in ("bddc", "plain bddc", "gamg", "hypre"):
-                ksp = PETSc.KSP().create(body.comm)
-                ksp.setOptionsPrefix(f"{kind.replace(' ', '_')}_{dim}{int(step)}_")
-                ksp.setOperators(split if "bddc" in kind else whole)
-                if kind == "hypre":
-                    ksp.getPC().setType("hypre")
-                elif kind == "gamg":
-                    Multigrid().set_up(ksp, Elastic(body, cm))
-                else:
-                    set_bddc(ksp, 2.0 if kind == "bddc" else 0.0)
-                ksp.setType("cg")
-                ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
-                ksp.setTolerances(rtol=1e-8, max_it=500)
-                ksp.setFromOptions()
-                x = b.duplicate()
-                ksp.solve(b, x)
-                counts.append(str(ksp.getIterationNumber()) if ksp.getConvergedReason() > 0 else "-")
-                ksp.destroy(), x.destroy()
+            counts = [one_body(body, 4 * (n / step) ** 2, kind) for kind in ENGINES]
             demo.say(f"| {dim}D | {body.comm.size} | {step:g} h | {' | '.join(counts)} |")
-            split.destroy(), whole.destroy(), b.destroy()
+        body.destroy()
+
+
+ENGINES = ("bddc", "plain bddc", "fetidp", "multigrid", "gamg", "hypre")
+
+
+def one_body(body: Field, cm: float, kind: str) -> str:
+    """Iterations of one engine; "-" where its answer misses 1e-6 in the true residual of the assembled matrix."""
+    from petsc4py import PETSc
+
+    split, whole = unassembled(body, cm, 1.0), elastic_matrix(body, cm, 1.0)
+    b = whole.createVecLeft()
+    b.array[:] = np.repeat(np.sin(300 * body.X_world.sum(1))[:, None], body.dim, 1).ravel()
+    ksp, options = PETSc.KSP().create(body.comm), PETSc.Options()
+    prefix = f"{kind.replace(' ', '_')}_{body.dim}{int(cm)}_"
+    ksp.setOptionsPrefix(prefix)
+    ksp.setOperators(split if "bddc" in kind or kind == "fetidp" else whole)
+    if kind == "fetidp":
+        ksp.setType("fetidp")
+        options[prefix + "fetidp_ksp_type"], options[prefix + "fetidp_ksp_rtol"] = "cg", 1e-8
+        options[prefix + "fetidp_ksp_max_it"] = 500
+        options[prefix + "fetidp_bddc_pc_bddc_use_deluxe_scaling"] = True
+        options[prefix + "fetidp_bddc_pc_bddc_deluxe_singlemat"] = True
+        options[prefix + "fetidp_bddc_pc_bddc_adaptive_threshold"] = 2.0
+    else:
+        ksp.setType("cg")
+        ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        if kind == "multigrid":
+            Multigrid().set_up(ksp, Elastic(body, cm))
+        elif "bddc" in kind:
+            set_bddc(ksp, 2.0 if kind == "bddc" else 0.0)
+        else:
+            ksp.getPC().setType(kind)
+        ksp.setType("cg")
+        ksp.setTolerances(rtol=1e-8, max_it=500)
+    ksp.setFromOptions()
+    x, r = b.duplicate(), b.duplicate()
+    ksp.solve(b, x)
+    whole.mult(x, r)
+    r.axpy(-1.0, b)
+    found = f"{ksp.getIterationNumber()}" if r.norm() <= 1e-6 * b.norm() else "-"
+    for obj in (ksp, x, r, b, split, whole):
+        obj.destroy()
+    return found
 
 
 if __name__ == "__main__":
-    {"space": space, "axes": axes, "chain": links, "bddc": bddc}[sys.argv[1]]()
+    {"space": space, "axes": axes, "axes3": lambda: axes(3), "ranks": ranks, "chain": links, "bddc": bddc}[
+        sys.argv[1]
+    ]()

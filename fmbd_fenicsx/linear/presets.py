@@ -182,7 +182,7 @@ class _Krylov:
             and self.saddle.relative_residual(ksp.buildSolution(), self._b) <= 0.5 * self.judge.tolerance
         ):
             return reasons.CONVERGED_RTOL
-        return reasons.DIVERGED_ITS if iteration >= limit else reasons.ITERATING
+        return reasons.DIVERGED_MAX_IT if iteration >= limit else reasons.ITERATING
 
     def solve(self, f: Sequence[Array], g: Sequence[Array]) -> Solution:
         s = self.saddle
