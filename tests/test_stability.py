@@ -73,11 +73,21 @@ def test_dual_norm_of_a_constant() -> None:
     assert DualNorm(mu).of(np.ones(mu.n)) == pytest.approx(1.0, abs=1e-10)
 
 
-def test_finer_carrier_is_unstable(squares) -> None:
-    """Multipliers on a twice finer mesh: zero modes, whatever their norm (the coarser side must not carry
-    fewer functions)."""
-    found = infsup((squares(4), "bottom"), KEPT, degree=1, carrier=(squares(8), "bottom"))
-    assert found.zero_modes == 4
+@pytest.mark.parametrize(
+    "degree, finer, free, clamped",
+    [(1, 2.0, (4, 8), (6, 10)), (0, 1.5, (1, 3), (3, 5))],
+    ids=["P1 on h/2", "P0 on h/1.5"],
+)
+def test_finer_carrier_is_unstable(
+    squares, degree: int, finer: float, free: tuple[int, int], clamped: tuple[int, int]
+) -> None:
+    """Multipliers on a finer mesh beside P1: zero modes, whatever their norm (the coarser side must not carry more functions)."""
+    space = KEPT if degree else Discontinuous(0)
+    for n, loose, held in zip((4, 8), free, clamped, strict=True):
+        carrier = (squares(round(finer * n)), "bottom")
+        assert infsup((squares(n), "bottom"), space, degree=1, carrier=carrier).zero_modes == loose
+        found = infsup((squares(n), "bottom"), space, degree=1, carrier=carrier, clamped=("left", "right"))
+        assert found.zero_modes == held
 
 
 def test_infsup_of_a_tie(squares) -> None:
