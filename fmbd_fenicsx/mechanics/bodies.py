@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -60,7 +59,7 @@ class RigidBody:
         J = np.asarray(self.inertia, dtype=float)
         object.__setattr__(self, "dim", 2 if J.ndim == 0 else 3)
         require(
-            isinstance(self.mass, Real) and np.isfinite(self.mass) and self.mass > 0,
+            np.asarray(self.mass).dtype.kind in "iuf" and np.isfinite(self.mass) and self.mass > 0,
             f'Body "{self.name}": mass {self.mass} kg must be positive.',
         )
         if self.dim == 2:
