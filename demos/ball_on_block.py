@@ -9,6 +9,8 @@ carry the force; momentum is exchanged, energy never grows. Hertz's impact theor
 approximately.
 """
 
+import numpy as np
+
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
 from fmbd_fenicsx.faces.demo import Check
@@ -35,7 +37,7 @@ scene.sensor("work", fmbd.contact_work())
 scene.sensor("gap", fmbd.contact_gap(hit))
 
 dt = 0.05
-run = fmbd.solve(scene, t_end=2.0 if args.fast else 6.0, dt=dt, output=fmbd.Output(snapshots=5))
+run = fmbd.solve(scene, t_end=2.0 if args.fast else 6.0, dt=dt)
 fmbd.say(run.report())
 
 energy = sum(run.energy.values())
@@ -61,5 +63,19 @@ checks = [
     ),
 ]
 if args.picture:
-    run.picture(args.picture, sensor="force")
+    from matplotlib.figure import Figure
+
+    found = run.state.contact
+    on = found.of("hit")
+    x, pressure = found.x[on], found.pressure[on]
+    figure = Figure(figsize=(8.0, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.set(xlabel="time (s)", ylabel="force on the block or ball (N)")
+    left.plot(run.times, sign * run["force"][:, 2])
+    right.set(
+        xlabel="distance from the axis (m)", ylabel="pressure (N/m^2)", title=f"at t = {run.state.t:g} s", xlim=(0, 0.4)
+    )
+    right.plot(np.linalg.norm(x[:, :2], axis=1), pressure, "o", ms=3)
+    if fmbd.log.world_rank() == 0:
+        figure.savefig(args.picture, dpi=150)
 demo.finish(checks, run, args)
