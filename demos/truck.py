@@ -81,7 +81,7 @@ for (name, pinned), expected in zip(SUSPENSIONS.items(), NINE[t_end], strict=Tru
         few = drive(soft.reduced(basis=fmbd.CraigBampton(("rear", "front"), modes, inertia=True)), pinned)
         errors.append(deviation(full, few, "stress"))
         say(f"{name}, static and {modes:2d} more modes: cab {deviation(full, few):.1e} m, stress {errors[-1]:.1e} N/m")
-    checks.append(Check(f"{name}: stress without vibration modes, N/m", errors[0], 0.0, 1e-4 * full["stress"].max()))
+    checks.append(Check(f"{name}: stress without vibration modes", errors[0] / full["stress"].max(), 0.0, 1e-4))
     checks.append(Check(f"{name}: stress error falls with the modes", float((np.diff(errors) < 0).all()), 1.0, 0.0))
     driver = abs(full["cab acceleration"][:, 1]).max()
     say(f"{name}: cab acceleration up to {driver:.3g} m/s^2, stress up to {full['stress'].max():.5g} N/m")
