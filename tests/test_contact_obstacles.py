@@ -10,6 +10,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, ConvergenceError
+from fmbd_fenicsx.log import world_rank
 
 BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
 LINEAR = fmbd.materials.linear_elastic(1.0, 0.3)
@@ -133,3 +134,27 @@ def test_grazing_does_not_depend_on_the_step(distance: float) -> None:
     counts = [impacts(2 * np.pi / n, distance, 0.8) for n in (300, 600)]
     assert abs(counts[0] - counts[1]) <= 1
     assert max(counts) <= 2 and (distance > 1.0 or counts[-1] >= 1)
+
+
+# -- several pairs -------------------------------------------------------------------------------------------
+@pytest.mark.mpi
+def test_several_pairs_and_the_note_on_those_far_apart(caplog: pytest.LogCaptureFixture) -> None:
+    """A block between two others: both pairs act, momentum stays, and a pair that is far away is noted and finds nothing."""
+    middle, scene = block("middle", 0.0), fmbd.Scene("pile")
+    scene.add(middle)
+    names = (
+        ("upper", "top", "bottom", 0.36, 0.2),
+        ("lower", "bottom", "top", -0.32, -0.2),
+        ("far", "bottom", "top", -9.0, 0.0),
+    )
+    for name, mine, other, height, speed in names:
+        body = block(name, speed, cells=4, height=height)
+        scene.add(body, fmbd.contact(name, middle.surface(mine), body.surface(other)))
+        scene.sensor(name, fmbd.contact_impulse(name))
+    with caplog.at_level("INFO", logger="fmbd_fenicsx"):
+        run = fmbd.solve(scene, t_end=0.5, dt=0.02)
+    assert '"far": the bodies start outside each other\'s search range' in caplog.text or world_rank() > 0
+    p, _ = run.system.at(run.state.t, run.state.q, run.state.v).momenta()
+    assert p == pytest.approx(np.zeros(2), abs=1e-12)
+    upper, lower, far = (run[name][-1, 1] for name, *_ in names)
+    assert far == 0.0 and abs(upper) > 1e-3 and abs(lower) > 1e-3 and upper * lower < 0
