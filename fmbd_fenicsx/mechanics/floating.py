@@ -46,8 +46,8 @@ class FloatingField(FieldPart):
         self._load = np.zeros(field.dim + field.dim**2)
         self.shared_columns = isinstance(kind, MeanAxis)
         self.inertia_columns = field.Q
-        self._moment, self._inertia = np.zeros(field.dim), field.inertia
-        self._last, self._warned = np.zeros(self.n), False
+        self.moment, self.inertia = np.zeros(field.dim), field.inertia
+        self._last, self.warned = np.zeros(self.n), False
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
@@ -91,12 +91,12 @@ class FloatingField(FieldPart):
         mean = np.sqrt(square * f.dim / f.n_global)
         if not mean <= TOO_LARGE * f.size:
             raise ConvergenceError(too_large(self.name, mean, f.size))
-        if self.stiffening is None and not self._warned and spin > self._spin_to_check:
-            self._warned = True
+        if self.stiffening is None and not self.warned and spin > self.spin_to_check:
+            self.warned = True
             warn_of_spin(self.name, spin, first_frequency(f, self.conditions))
 
     @cached_property
-    def _spin_to_check(self) -> float:
+    def spin_to_check(self) -> float:
         """Angular velocity (rad/s) below which no beam under any support is near its first frequency."""
         return 0.1 * float(np.sqrt(first_eigenvalue_bound(self.field)))
 
@@ -132,8 +132,8 @@ class FloatingField(FieldPart):
         for k in range(m.n_rot):
             Q[:, :, d + k] = f.mass(m.spin(np.eye(m.n_rot)[k : k + 1], P))
             J[:, k] = m.moment(P, Q[:, :, d + k]).sum(0)
-        self._inertia = f.total(J)
-        self._moment = f.total(f.mass(P).sum(0))
+        self.inertia = f.total(J)
+        self.moment = f.total(f.mass(P).sum(0))
         self.inertia_columns = Q.reshape(self.n, m.n_twist)
         self.shared_columns = False
         self.column_version += 1
@@ -144,9 +144,9 @@ class FloatingField(FieldPart):
         d, n = self.field.dim, self.motions.n_twist
         M = np.zeros((n, n))
         M[range(d), range(d)] = self.field.mass_total
-        M[d:, d:] = self._inertia
+        M[d:, d:] = self.inertia
         if self.column_version:
-            c = self._moment[None]
+            c = self.moment[None]
             turn = np.eye(n - d)
             for k in range(n - d):
                 M[:d, d + k] = motion.R @ self.motions.spin(turn[k : k + 1], c)[0]

@@ -38,7 +38,7 @@ from ..rotations import Array
 from ..system.system import State, System
 from . import kernel as slots
 from .dae import GGL, Form, Index3
-from .kernel import LOOK, Kernel, kernel_of
+from .kernel import LOOK, Kernel, kernel_library, kernel_of
 from .newton import Newton, not_converged
 from .start import jerk, spin_of_acceleration, worst_block
 
@@ -90,8 +90,10 @@ class GeneralizedAlpha:
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
         plain = self.compiled and isinstance(self.form, Index3) and not solver.core.redundant
-        kernel = kernel_of(system) if plain else None
-        if kernel is None:
+        if not plain or kernel_library(system) is None:
+            return Stepper(self, system, solver, newton, state)
+        kernel = None if system.fields else kernel_of(system)
+        if kernel is None and not system.fields:
             return Stepper(self, system, solver, newton, state)
         return CompiledStepper((self, system, solver, newton, state), kernel)
 
@@ -258,19 +260,31 @@ class CompiledStepper(Stepper):
 
     path = "compiled (bodies, joints and gravity in C; NumPy for the first step and for steps it gives back)"
 
-    def __init__(self, data: tuple[GeneralizedAlpha, System, StepSolver, Newton, State], kernel: Kernel) -> None:
-        self.kernel = kernel
+    def __init__(self, data: tuple[GeneralizedAlpha, System, StepSolver, Newton, State], kernel: Kernel | None) -> None:
+        self._kernel: Kernel | None = None
         self._blocks: list[tuple[Array, int]] = []  # newest first, with addresses: t, q, v, a, A, lambda
         self._tail: State | None = None  # the state of the newest block
         self._ahead = False  # blocks are newer than A and the past of the NumPy path
         super().__init__(*data)
         self.counters["compiled_steps"] = 0.0
-        scheme, system, _, newton, _ = data
-        p = kernel.parameters
+        if kernel is not None:
+            self._take(kernel)
+
+    @property
+    def kernel(self) -> Kernel:
+        """The kernel in use."""
+        assert self._kernel is not None
+        return self._kernel
+
+    def _take(self, kernel: Kernel) -> None:
+        """Use a kernel from now on."""
+        self._kernel, p = kernel, kernel.parameters
+        scheme, system, newton = self.scheme, self.system, self.newton
         p[1:5] = scheme.parameters
         p[slots.TOL], p[slots.LENGTH] = newton.tolerance, system.length
         p[slots.FLOOR] = 64 * np.finfo(float).eps * system.length
         p[slots.SLOW], p[slots.MAXIT], p[slots.PATIENCE] = newton.slow, newton.max_iterations, PATIENCE
+        p[slots.NEW_TANGENT] = newton.patience
 
     @property
     def A(self) -> Array:  # type: ignore[override]
@@ -308,9 +322,24 @@ class CompiledStepper(Stepper):
         self._blocks = [(b, b.ctypes.data) for b in blocks]
         self._tail = s
 
+    def _ready(self, h: float) -> bool:
+        """Whether there is a kernel for this step: with fields, one that has the solver's factors for the step size."""
+        if not self.system.fields:
+            return True
+        _, af, _, beta = self.scheme.parameters
+        scale = beta * h * h * (1 - af) / (1 - self.scheme.parameters[0])
+        if self.solver.weights.ck != scale:
+            return False
+        if self._kernel is None or self._kernel.blocks is not self.solver.blocks:
+            found = kernel_of(self.system, self.solver.blocks)
+            if found is not None:
+                self._settle()
+                self._take(found)
+        return self._kernel is not None
+
     def advance(self, h: float) -> State:
         """One step of size h (s), as :meth:`Stepper.advance`."""
-        if self.fresh:
+        if self.fresh or not self._ready(h):
             return super().advance(h)
         if self._tail is not self.state:
             self._load()
@@ -320,6 +349,8 @@ class CompiledStepper(Stepper):
         out = np.empty(kernel.block_size)
         address = out.ctypes.data
         if verdict := kernel.step(self._blocks, address, self.state.t + h):
+            if kernel.error is not None:
+                raise kernel.error
             made = super().advance(h)
             if verdict == LOOK:
                 kernel.look()

@@ -1,7 +1,8 @@
 """The arrays of one system as the compiled step (``step.c``) reads them.
 
-A system is bodies (rigid or reduced, each with its frame), markers, and rows of elementary constraints between markers. The
-rows' factor is kept in profile storage after a reverse Cuthill-McKee order.
+A system is bodies (rigid, reduced or floating, each with its frame), markers, and rows of elementary constraints between
+markers. The rows' factor is kept in profile storage after a reverse Cuthill-McKee order. A floating body has its factor and
+constant columns from the :class:`~fmbd_fenicsx.linear.schur.StepSolver`, which solves, and judges, for the kernel too.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from ..linear.schur import Block
 from ..mechanics import constraints as ct
+from ..mechanics.floating import FloatingField
 from ..mechanics.limits import TOO_LARGE
 from ..mechanics.reduced import ReducedPart
 from ..rotations import Array
@@ -22,10 +25,12 @@ from .compiled import library
 
 KINDS = {ct.Coincident: 0, ct.Along: 1, ct.Perpendicular: 2, ct.Distance: 3}
 PROFILE_LIMIT = 4_000_000  # entries of the factor
+FIELD_LIMIT = 50_000  # unknowns of a field: above, calls cost nothing, and the kernel's copies of the matrices memory
+FRAME_ROW = 4  # kind of a frame condition
 LOOK = 3  # verdict: something to be warned of or refused by the NumPy path
 # fmt: off
-(H, AM, AF, GAMMA, BETA, GX, GY, GZ, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, ITERATIONS, LOCAL,
- RESIDUAL) = range(19)
+(H, AM, AF, GAMMA, BETA, GX, GY, GZ, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT,
+ ITERATIONS, LOCAL, RESIDUAL) = range(20)
 # fmt: on
 
 
@@ -34,13 +39,18 @@ def _structure(name: str, dim: int = 0) -> type[ctypes.Structure]:
     i, r, p, n = ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_long
     rot = 2 * dim - 3
     fields: dict[str, list[tuple[str, Any]]] = {
+        "Field": [("n", n), ("nodes", n), ("solved", i), ("frames", i), ("row", i), ("unused", i), ("frame_slot", p)]
+        + [(x, p) for x in ("X", "Q", "port", "Y", "HY", "inertia", "moment", "port_start", "port_col")]
+        + [(x, p) for x in ("M_start", "M_col", "K_start", "K_col", "M", "K")]
+        + [("beta", r), *((x, p) for x in ("B", "A", "b", "z", "h", "zh"))]
+        + [("R", r * dim**2), ("L", r * (dim + rot) ** 2), ("solve", p)],
         "Body": [(x, i) for x in ("m", "at_v", "at_q", "at_x")]
         + [(x, r) for x in ("mass", "large", "spin")]
-        + [(x, p) for x in ("inertia", "S", "T", "V", "modal", "K", "C", "stress", "chol", "U")],
-        "Marker": [("frame", i), ("surface", i), ("reference", p), ("ports", p), ("p", r * dim)]
+        + [(x, p) for x in ("inertia", "S", "T", "V", "modal", "K", "C", "stress", "chol", "U", "field")],
+        "Marker": [("frame", i), ("surface", i), ("reference", p), ("ports", p), ("slot", p), ("p", r * dim)]
         + [("x", r * dim), ("arm", r * dim), ("R", r * dim**2)]
         + [("lever", r * dim), ("turn", r * dim**2), ("Z", r * rot**2)],
-        "System": [(x, i) for x in ("nb", "markers", "m", "nc", "n", "nq")]
+        "System": [(x, i) for x in ("nb", "markers", "m", "nc", "n", "nq", "n_core", "n_x")]
         + [(x, n) for x in ("profile_size", "jac_size")]
         + [(x, p) for x in ("body", "marker", "kind", "ma", "mb", "e", "e1", "f", "length", "order", "first", "start")]
         + [
@@ -52,53 +62,72 @@ def _structure(name: str, dim: int = 0) -> type[ctypes.Structure]:
 
 
 def supports(system: System) -> bool:
-    """Whether the kernel covers a system: rigid and reduced bodies, the elementary constraints, gravity."""
-    parts = all(type(p) is ReducedPart and not p.constants.loads for p in system.parts)
+    """Whether the kernel covers a system: rigid, reduced and floating bodies, the elementary constraints, gravity."""
+    parts: tuple[Any, ...] = system.parts
+    known = all(
+        _plain_field(p) if type(p) is FloatingField else type(p) is ReducedPart and not p.constants.loads for p in parts
+    )
     plain = system.markers.section is None and not (
         system.forces or system.contacts or system.port_constraints or system.traces
     )
     kinds = all(type(batch) in KINDS for batch, _ in system.batches)
-    return parts and plain and kinds and system.n_frames > 0
+    return known and plain and kinds and system.n_frames > 0
+
+
+def _plain_field(part: Any) -> bool:
+    """A linear field on one rank, of moderate size, with its own mass and nothing but damping by stiffness."""
+    f, forms = part.field, part.field.forms
+    special = f.nonlinear or f.mixed or f.redistributed or f.D is not None or f.loads.loads or part.traces
+    small = part.comm.size == 1 and part.n <= FIELD_LIMIT
+    return small and not special and part.stiffening is None and not forms.mass_damping
 
 
 class Kernel:
-    """The arrays of one system, and its steps."""
+    """The arrays of one system, and its steps; ``blocks``: factors and columns of the fields for the step size."""
 
-    def __init__(self, system: System, lib: Any) -> None:
-        self.system, self.lib = system, lib
+    def __init__(self, system: System, lib: Any, blocks: list[Block] | None = None) -> None:
+        self.system, self.lib, self.blocks = system, lib, blocks
+        self.error: Exception | None = None
         self.n, self.nq, self.m = system.n_v, system.n_q, system.n_lam
         self.block_size = 1 + self.nq + 3 * self.n + self.m
         self._kept: list[Any] = []
         nb, d = system.n_frames, system.motions.dim
         self.parts = {p.frame: (k, p) for k, p in enumerate(system.parts) if isinstance(p, ReducedPart)}
-        widths = np.array([system.motions.n_twist + (self.parts[b][1].n if b in self.parts else 0) for b in range(nb)])
+        self.fields = {
+            f.frame: FieldColumns(system, i, f, blocks[i]) for i, (_, f) in enumerate(system.fields) if blocks
+        }
+        modes = {b: p.n for b, (_, p) in self.parts.items()} | {b: f.count for b, f in self.fields.items()}
+        widths = np.array([system.motions.n_twist + modes.get(b, 0) for b in range(nb)])
         self.bodies = self._bodies(widths)
         numbers = [x for batch, _ in system.batches for x in (*batch.a, *batch.b)]
         used = np.unique(np.array(numbers, dtype=int))
         arrays = self._rows(used)
         frame = np.append(system.markers.frame[used], nb)  # a row without markers does not exist
         fa, fb = frame[arrays["ma"]], frame[arrays["mb"]]
-        blocks = np.stack((fa, fb), axis=1).ravel()
-        wide = np.append(widths, 0)[blocks]
-        arrays["on"] = blocks.astype(np.int32)
-        arrays["js"] = np.where(blocks < nb, np.cumsum(wide) - wide, -1).astype(np.int64)
+        for b, f in self.fields.items():
+            rows = system.frame_rows[f.number]
+            fa[rows], fb[rows], arrays["kind"][rows], arrays["ma"][rows] = b, nb, FRAME_ROW, f.frame_slots
+        sides = np.stack((fa, fb), axis=1).ravel()
+        wide = np.append(widths, 0)[sides]
+        arrays["on"] = sides.astype(np.int32)
+        arrays["js"] = np.where(sides < nb, np.cumsum(wide) - wide, -1).astype(np.int64)
         order, first, start, self.size = _profile(nb, self.m, fa, fb)
         ci, cj, cdest = _contributions(nb, fa, fb, order, first, start)
         arrays |= {"order": order, "first": first, "start": start, "ci": ci, "cj": cj, "cdest": cdest}
         jac = int(wide.sum())
         sizes = {"profile": self.size, "jac": jac, "tangent": jac, "W": jac, "g": self.m, "y": self.m}
         arrays |= {k: np.zeros(max(x, 1)) for k, x in sizes.items()}
-        arrays["work"] = np.zeros(4 * self.n + self.m)
+        arrays["work"] = np.zeros(3 * self.n + int(widths.sum()) + self.m)
         arrays["R"] = np.tile(np.eye(d), (nb + 1, 1, 1))
         arrays["units"] = np.array(system.units, dtype=float)
-        counts = (nb, len(used), self.m, len(ci), self.n, self.nq, self.size, jac)
+        counts = (nb, len(used), self.m, len(ci), self.n, self.nq, system.n_core, int(widths.sum()), self.size, jac)
         pointers = {k: self._keep(x) for k, x in arrays.items()}
         markers = self._markers(used)
         body, marker = ctypes.addressof(self.bodies), ctypes.addressof(markers)
         self.c = _structure("System")(*counts, body=body, marker=marker, **pointers)
         self._kept.append(markers)
         self.address = ctypes.addressof(self.c)
-        self.parameters, self.offset = np.zeros(19), np.zeros(max(self.m, 1))
+        self.parameters, self.offset = np.zeros(20), np.zeros(max(self.m, 1))
         self.driven = [(batch, rows) for batch, rows in system.batches if batch.driven]
         self.look()
 
@@ -126,6 +155,9 @@ class Kernel:
                         chol=self._keep(L),
                     )
                 )
+                continue
+            if b in self.fields:
+                made.append(self._field(kind, b, int(at)))
                 continue
             k, part = self.parts[b]
             c, m = part.constants, part.n
@@ -156,8 +188,51 @@ class Kernel:
             )
         return (kind * len(made))(*made)
 
+    def _field(self, kind: Any, b: int, at: int) -> Any:
+        """A floating body: its field's arrays, and the call back that solves with its factor."""
+        c, s = self.fields[b], self.system
+        part, d = c.part, s.motions.dim
+        b_, z = np.zeros(part.n), np.zeros(part.n)
+
+        def solve(_: int) -> int:
+            try:
+                z[:] = c.block.factor.solve(b_)
+            except Exception as error:
+                self.error = error
+                return 1
+            return 0
+
+        call = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int)(solve)
+        arrays = c.arrays() | {"A": np.zeros(part.n), "h": np.zeros(c.count), "zh": np.zeros(c.count)}
+        pointers = {n: self._keep(x) for n, x in arrays.items()}
+        f = _structure("Field", d)(
+            n=part.n,
+            nodes=part.n // d,
+            solved=c.solved,
+            frames=part.n_frame_rows,
+            row=s.frame_rows[c.number].start,
+            beta=part.field.forms.stiffness_damping,
+            b=b_.ctypes.data,
+            z=z.ctypes.data,
+            solve=ctypes.cast(call, ctypes.c_void_p),
+            **pointers,
+        )
+        self._kept += [b_, z, call, f]
+        mean = (TOO_LARGE * part.size) ** 2 * part.field.n_global / d
+        return kind(
+            m=c.count,
+            at_v=s.slices[1][c.number].start,
+            at_q=s.slices[0][c.number].start,
+            at_x=at,
+            mass=part.mass_total,
+            large=mean,
+            field=ctypes.addressof(f),
+        )
+
     def look(self) -> None:
         """Take the angular velocities above which a body is to be warned of; those warned of have none."""
+        for b, c in self.fields.items():
+            self.bodies[b].spin = np.inf if c.part.warned else c.part.spin_to_check**2
         for b, (_, part) in self.parts.items():
             known = part.warned or part.constants.stiffening is not None
             self.bodies[b].spin = np.inf if known else part.first_frequency**2
@@ -169,9 +244,14 @@ class Kernel:
         for i in used:
             one = kind(frame=int(mk.frame[i]), surface=int(i in mk.surface), p=(ctypes.c_double * d)(*mk.position[i]))
             if one.surface:
-                k, part = self.parts[one.frame]
+                on_field = one.frame in self.fields
+                k = self.fields[one.frame].number if on_field else self.parts[one.frame][0]
                 ports = mk.port[np.searchsorted(mk.surface, i)] - s.port_slice(k).start
-                one.reference, one.ports = self._keep(part.reference[ports]), self._keep(part.port_matrix[ports])
+                one.reference = self._keep(s.parts[k].reference[ports])
+                if on_field:
+                    one.slot = self._keep(self.fields[one.frame].slot[ports].astype(np.int32))
+                else:
+                    one.ports = self._keep(s.parts[k].port_matrix[ports])
             made.append(one)
         return (kind * max(len(made), 1))(*made)
 
@@ -202,6 +282,51 @@ class Kernel:
         at = [b[1] for b in blocks]
         at += [at[-1]] * (3 - len(at))
         return int(self.lib.step(self.address, p.ctypes.data, at[0], at[1], at[2], self.offset.ctypes.data, out))
+
+
+class FieldColumns:
+    """H of a floating body: the inertia columns, the ports in the solver's columns, and those that markers need beside them."""
+
+    def __init__(self, system: System, i: int, part: Any, block: Block) -> None:
+        self.number, self.part, self.block = system.fields[i][0], part, block
+        mk, first = system.markers, system.port_slice(self.number)
+        wanted = [x for x in np.unique(mk.port) - first.start if 0 <= x < part.n_port]
+        self.ports = np.concatenate((block.used, np.setdiff1d(wanted, block.used))).astype(int)
+        k = part.inertia_columns.shape[1]
+        self.solved, self.count = k + len(block.used), k + len(self.ports)
+        self.slot = np.full(part.n_port, -1)  # column of H less the inertia columns
+        self.slot[self.ports] = np.arange(len(self.ports))
+        rows = np.arange(part.n_frame_rows)
+        self.frame_slots = rows if part.shared_columns else k + self.slot[rows]
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The field's arrays for the kernel."""
+        p, f, d = self.part, self.part.field, self.part.field.dim
+        ports = sp.csc_matrix(p.port_columns(self.ports))
+        at, W, Y = self.frame_slots, self.block.W, self.block.Y
+        B = W.diagonal()[at].copy()
+        mixed = np.linalg.solve(np.diag(B) + W[np.ix_(at, at)], W[at])
+        start, cols, values = f.M.getValuesCSR()
+        K = sp.csr_matrix(f.K.getValuesCSR()[::-1], shape=(p.n, p.n)).tobsr((d, d))
+        return {
+            "X": f.X,
+            "Q": p.inertia_columns.T,
+            "port": ports.data,
+            "port_start": ports.indptr.astype(np.int32),
+            "port_col": ports.indices.astype(np.int32),
+            "Y": (Y - Y[:, at] @ mixed).T,
+            "HY": W - W[:, at] @ mixed,
+            "B": B,
+            "frame_slot": at.astype(np.int32),
+            "inertia": p.inertia,
+            "moment": p.moment if p.column_version else np.zeros(d),
+            "M_start": start.astype(np.int32),
+            "M_col": cols.astype(np.int32),
+            "M": values,
+            "K_start": K.indptr.astype(np.int32),
+            "K_col": K.indices.astype(np.int32),
+            "K": K.data,
+        }
 
 
 def _profile(nb: int, m: int, fa: np.ndarray, fb: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
@@ -242,12 +367,15 @@ def _contributions(
     return ci.astype(np.int32), cj.astype(np.int32), cdest
 
 
-def kernel_of(system: System) -> Kernel | None:
+def kernel_library(system: System) -> Any:
+    """The compiled library for a system, or None where the NumPy path has to do."""
+    return library(system.motions.dim) if supports(system) else None
+
+
+def kernel_of(system: System, blocks: list[Block] | None = None) -> Kernel | None:
     """The kernel of a system, or None where the NumPy path has to do."""
-    if not supports(system):
-        return None
-    lib = library(system.motions.dim)
+    lib = kernel_library(system)
     if lib is None:
         return None
-    kernel = Kernel(system, lib)
+    kernel = Kernel(system, lib, blocks)
     return kernel if kernel.size <= PROFILE_LIMIT else None

@@ -1,5 +1,5 @@
-/* One step of generalized-alpha for rigid and reduced elastic bodies; the algorithm of generalized_alpha.py, which is the
-   reference. Compiled once for the plane (-DDIM=2) and once for space (-DDIM=3).
+/* One step of generalized-alpha for rigid, reduced and floating elastic bodies; the algorithm of generalized_alpha.py, which is
+   the reference. Compiled once for the plane (-DDIM=2) and once for space (-DDIM=3).
 
    M a + h + G^T lambda = 0,  g = 0.  The step's matrix A = cm M + cd C + ck K is one block a body, A_b = L_b L_b^T. With
    W = L^-1 G^T the saddle point is solved on the range of G:
@@ -8,6 +8,10 @@
 
    Inertia of reduced bodies: equations (2) of reduced.py. Markers on surfaces: equations (1), (2) of frames.py. Kinds of rows:
    0 coincident, 1 along, 2 perpendicular, 3 distance (constraints.py). Body number nb is the ground.
+   A floating body's field U is eliminated as in schur.py: its rows of G act on H^T U, H = [inertia columns, ports in use], with
+   z = E^-1 b by a call back, Y = E^-1 H and H^T Y constant. What stands for modes in its Jacobian blocks is H^T U. Its rigid motion
+   is both the frame's and the field's, so L_b exists only with the frame conditions C^T dU + g = 0 added to the field's rows as
+   C B^-1 (C^T dU + g), B = diag(C^T E^-1 C), which leaves the solution as it is; Y and H^T Y are those of E + C B^-1 C^T.
    A block of a state holds t, q (nq), v (n), a (n), A (n), lambda (m). */
 
 #include <math.h>
@@ -20,23 +24,41 @@ enum { D = 2, ROT = 1, POSE = 3, TWIST = 3, PORT = 6 };
 #endif
 
 typedef struct {
+    long n, nodes;
+    int solved, frames, row, unused;               /* h: columns of H in the factor; frame conditions and their first row */
+    int *frame_slot;                               /* their columns of H */
+    double *X, *Q, *port, *Y, *HY;                 /* n; TWIST x n; entries of the ports' columns; h x n; h x h */
+    double *inertia, *moment;                      /* of the columns Q: ROT x ROT; D: sum of M P */
+    int *port_start, *port_col;                    /* by columns */
+    int *M_start, *M_col, *K_start, *K_col;        /* by rows of nodes: scalars, D x D blocks */
+    double *M, *K;
+    double beta;                                   /* damping by the stiffness */
+    double *B;                                     /* see above */
+    double *A, *b, *z, *h, *zh;                    /* n each, m each: work */
+    double R[D * D], L[TWIST * TWIST];             /* of the factor */
+    int (*solve)(int);                             /* z = E^-1 b of the body with this number */
+} Field;
+
+typedef struct {
     int m, at_v, at_q, at_x;                       /* modes, their places in v and q, place of the body's block in x */
     double mass, large, spin;                      /* bounds: eta . modal mass . eta and |omega|^2 */
     double *inertia;                               /* rigid: ROT x ROT */
     double *S, *T, *V, *modal, *K, *C, *stress;    /* reduced: see Python; stress NULL without stiffening */
     double *chol, *U;                              /* L (inverse diagonal); work: T(e_a, p) */
+    Field *field;                                  /* of a floating body: m counts the columns of H */
 } Body;
 
 typedef struct {
     int frame, surface;
     double *reference, *ports;                     /* of the surface: PORT, PORT x modes */
+    int *slot;                                     /* of a field's surface: PORT, column of H less TWIST */
     double p[D];                                   /* place, for surfaces the lever from the centroid */
     double x[D], arm[D], R[D * D];                 /* in one configuration; world axes */
     double lever[D], turn[D * D], Z[ROT * ROT];    /* surfaces, body axes: rows of turn are R_s e_k */
 } Marker;
 
 typedef struct {
-    int nb, markers, m, nc, n, nq;
+    int nb, markers, m, nc, n, nq, n_core, n_x;
     long profile_size, jac_size;
     Body *body;                                    /* nb */
     Marker *marker;
@@ -52,7 +74,7 @@ typedef struct {
     double *R, *work, *units;                      /* D D (nb + 1); see step; n */
 } System;
 
-enum { H, AM, AF, GAMMA, BETA, GX, GY, GZ, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, /* in */
+enum { H, AM, AF, GAMMA, BETA, GX, GY, GZ, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, /* in */
        ITERATIONS, LOCAL, RESIDUAL };                                                                /* out */
 enum { DONE, NEWTON, DEPENDENT, LOOK }; /* verdicts; LOOK: something to be warned of or refused by the NumPy path */
 
@@ -81,6 +103,29 @@ static inline void block_add(double *y, double c, const double *x, int m)
 {
     for (int i = 0; i < TWIST; i++) y[i] += c * x[i];
     for (int i = TWIST; i < TWIST + m; i++) y[i] += c * x[i];
+}
+
+static double long_dot(const double *x, const double *y, long n)
+{
+    double s0 = 0.0, s1 = 0.0, s2 = 0.0, s3 = 0.0;
+    long i = 0;
+    for (; i + 3 < n; i += 4) {
+        s0 += x[i] * y[i];
+        s1 += x[i + 1] * y[i + 1];
+        s2 += x[i + 2] * y[i + 2];
+        s3 += x[i + 3] * y[i + 3];
+    }
+    for (; i < n; i++) s0 += x[i] * y[i];
+    return (s0 + s1) + (s2 + s3);
+}
+
+/* one number of H^T U */
+static double column(const Field *f, int h, const double *U)
+{
+    if (h < TWIST) return long_dot(f->Q + f->n * h, U, f->n);
+    double sum = 0.0;
+    for (int i = f->port_start[h - TWIST]; i < f->port_start[h - TWIST + 1]; i++) sum += f->port[i] * U[f->port_col[i]];
+    return sum;
 }
 
 /* y = A x and y = A^T x for D x D matrices by rows */
@@ -283,7 +328,9 @@ static int place(const System *s, const double *q)
         if (k->surface) {
             const Body *body = s->body + k->frame;
             double b[PORT];
-            for (int j = 0; j < PORT; j++) b[j] = k->reference[j] + dot(k->ports + body->m * j, q + body->at_q, body->m);
+            for (int j = 0; j < PORT; j++)
+                b[j] = k->reference[j] + (body->field ? column(body->field, TWIST + k->slot[j], q + body->at_q)
+                                                      : dot(k->ports + body->m * j, q + body->at_q, body->m));
             if (polar(b + D, k->turn, k->Z)) return LOOK;
             double Rs[D * D];
             for (int j = 0; j < D; j++)
@@ -320,17 +367,31 @@ static void on_body(const System *s, const Marker *k, const double *l, const dou
     moment(k->lever, lb, t);
     for (int i = 0; i < ROT; i++) t[i] += wb[i];
     for (int i = 0; i < ROT; i++) z[i] = dot(k->Z + ROT * i, t, ROT);
-    for (int i = 0; i < D; i++) add(J + TWIST, lb[i], k->ports + m * i, m);
+    if (k->slot)
+        for (int i = 0; i < D; i++) J[2 * TWIST + k->slot[i]] = lb[i];
+    else
+        for (int i = 0; i < D; i++) add(J + TWIST, lb[i], k->ports + m * i, m);
     for (int j = 0; j < D; j++) {
         spin(z, k->turn + D * j, grad);
+        if (k->slot) {
+            for (int i = 0; i < D; i++) J[2 * TWIST + k->slot[D * (1 + j) + i]] = grad[i];
+            continue;
+        }
         for (int i = 0; i < D; i++) add(J + TWIST, grad[i], k->ports + m * (D * (1 + j) + i), m);
     }
 }
 
 /* g and G for the markers as they stand. */
-static void constraints(const System *s, const double *offset)
+static void constraints(const System *s, const double *q, const double *offset)
 {
     for (int k = 0; k < s->m; k++) {
+        if (s->kind[k] == 4) { /* a frame condition: column ma of H */
+            const Body *o = s->body + s->on[2 * k];
+            s->g[k] = column(o->field, s->ma[k], q + o->at_q);
+            memset(s->jac + s->js[2 * k], 0, (TWIST + o->m) * sizeof(double));
+            s->jac[s->js[2 * k] + TWIST + s->ma[k]] = 1.0;
+            continue;
+        }
         const Marker *a = s->marker + s->ma[k], *b = s->marker + s->mb[k];
         const double *e = s->e + D * k;
         double d[D], l[D], minus[D], wa[ROT] = {0.0}, wb[ROT] = {0.0};
@@ -369,6 +430,54 @@ static void constraints(const System *s, const double *offset)
     }
 }
 
+/* The same of a floating body: equations (1), (2) of floating.py. */
+static int field_inertia(const System *s, const Body *o, int b, const double *q, const double *v, const double *a, const double *acc,
+                         double *r)
+{
+    const Field *e = o->field;
+    const double *R = s->R + D * D * b, *w = v + TWIST * b + D, *U = q + o->at_q, *Ud = v + o->at_v, *Udd = a + o->at_v;
+    double W[D * D], L[D * D], alpha[D * D], sum[D] = {0.0}, N[D * D] = {0.0}, square = 0.0, *f = r + TWIST * b, *rows = r + o->at_v;
+    hat(w, W);
+    product(W, W, L);
+    hat(a + TWIST * b + D, alpha);
+    add(L, 1.0, alpha, D * D);
+    for (long i = 0; i < e->nodes; i++) {
+        const double *u = U + D * i, *ud = Ud + D * i, *X = e->X + D * i;
+        double P[D];
+        for (int j = 0; j < D; j++) {
+            P[j] = X[j] + u[j];
+            square += u[j] * u[j];
+        }
+        for (int j = 0; j < D; j++) {
+            double x = acc[j] + Udd[D * i + j];
+            for (int c = 0; c < D; c++) x += L[D * j + c] * P[c] + 2.0 * W[D * j + c] * ud[c];
+            e->A[D * i + j] = x;
+        }
+    }
+    for (long i = 0; i < e->nodes; i++) {
+        double F[D] = {0.0}, P[D], G[D] = {0.0};
+        for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++)
+            for (int j = 0; j < D; j++) F[j] += e->M[k] * e->A[D * e->M_col[k] + j];
+        for (int k = e->K_start[i]; k < e->K_start[i + 1]; k++) {
+            const double *K = e->K + D * D * k, *u = U + D * e->K_col[k], *ud = Ud + D * e->K_col[k];
+            double x[D];
+            for (int j = 0; j < D; j++) x[j] = u[j] + e->beta * ud[j];
+            for (int j = 0; j < D; j++)
+                for (int c = 0; c < D; c++) G[j] += K[D * j + c] * x[c];
+        }
+        for (int j = 0; j < D; j++) {
+            P[j] = e->X[D * i + j] + U[D * i + j];
+            rows[D * i + j] = F[j] + G[j];
+            sum[j] += F[j];
+        }
+        for (int j = 0; j < D; j++)
+            for (int c = 0; c < D; c++) N[D * j + c] += P[j] * F[c];
+    }
+    times(R, sum, f);
+    axial(N, f + D);
+    return square <= o->large && dot(w, w, ROT) <= o->spin ? DONE : LOOK;
+}
+
 /* Inertia, elastic forces and weight of one body, rows of v's order; U is left for the mass matrix. */
 static int inertia(const System *s, const Body *o, int b, const double *q, const double *v, const double *a, const double *grav,
                    double *r)
@@ -376,6 +485,11 @@ static int inertia(const System *s, const Body *o, int b, const double *q, const
     const double *R = s->R + D * D * b, *w = v + TWIST * b + D, *alpha = a + TWIST * b + D;
     double free_[D], *f = r + TWIST * b;
     for (int i = 0; i < D; i++) free_[i] = a[TWIST * b + i] - grav[i];
+    if (o->field) {
+        double body[D];
+        transposed(R, free_, body);
+        return field_inertia(s, o, b, q, v, a, body, r);
+    }
     if (!o->T) {
         for (int i = 0; i < D; i++) f[i] = o->mass * free_[i];
         for (int i = 0; i < ROT; i++) f[D + i] = dot(o->inertia + ROT * i, alpha, ROT);
@@ -498,6 +612,107 @@ static int factor_body(const System *s, const Body *o, int b, const double *q, d
     return DONE;
 }
 
+/* S t of a field, S = (R^T, 1), and S^T x, of the factor's configuration */
+static void to_columns(const Field *e, const double *t, double *x)
+{
+    transposed(e->R, t, x);
+    for (int i = D; i < TWIST; i++) x[i] = t[i];
+}
+
+static void from_columns(const Field *e, const double *x, double *t)
+{
+    times(e->R, x, t);
+    for (int i = D; i < TWIST; i++) t[i] = x[i];
+}
+
+/* Cholesky factor of the frame's block with the field eliminated, M - S^T Q^T E^-1 Q S. */
+static int factor_field(const System *s, const Body *o, int b)
+{
+    Field *e = o->field;
+    double C[TWIST * TWIST], *L = e->L, x[TWIST];
+    memcpy(e->R, s->R + D * D * b, sizeof e->R);
+    for (int j = 0; j < TWIST; j++) {
+        double unit[TWIST] = {0.0}, column_[TWIST];
+        unit[j] = 1.0;
+        to_columns(e, unit, x);
+        for (int i = 0; i < TWIST; i++) column_[i] = dot(e->HY + e->solved * i, x, TWIST);
+        from_columns(e, column_, x);
+        for (int i = 0; i < TWIST; i++) C[TWIST * i + j] = -x[i];
+    }
+    for (int i = 0; i < D; i++) C[(TWIST + 1) * i] += o->mass;
+    for (int i = 0; i < ROT; i++)
+        for (int j = 0; j < ROT; j++) C[TWIST * (D + i) + D + j] += e->inertia[ROT * i + j];
+    for (int i = 0; i < ROT; i++) {
+        double unit[ROT] = {0.0}, across[D];
+        unit[i] = 1.0;
+        spin(unit, e->moment, across);
+        times(e->R, across, x);
+        for (int j = 0; j < D; j++) C[TWIST * (D + i) + j] += x[j];
+    }
+    for (int i = 0; i < TWIST; i++) {
+        for (int j = 0; j < i; j++)
+            L[TWIST * i + j] = (C[TWIST * i + j] - dot(L + TWIST * i, L + TWIST * j, j)) * L[(TWIST + 1) * j];
+        double pivot = C[(TWIST + 1) * i] - dot(L + TWIST * i, L + TWIST * i, i);
+        if (!(pivot > 1e-14 * C[(TWIST + 1) * i])) return DEPENDENT;
+        L[(TWIST + 1) * i] = 1.0 / sqrt(pivot);
+    }
+    return DONE;
+}
+
+static void field_lower(const Field *e, double *x)
+{
+    for (int i = 0; i < TWIST; i++) x[i] = (x[i] - dot(e->L + TWIST * i, x, i)) * e->L[(TWIST + 1) * i];
+}
+
+/* W of a Jacobian block J of a field: L^-1 (J_t - S^T (H^T Y J_h)_Q), H^T Y J_h */
+static void field_row(const Body *o, const double *J, double *W)
+{
+    const Field *e = o->field;
+    double t[TWIST];
+    for (int i = 0; i < o->m; i++) W[TWIST + i] = i < e->solved ? dot(e->HY + e->solved * i, J + TWIST, e->solved) : 0.0;
+    from_columns(e, W + TWIST, t);
+    for (int i = 0; i < TWIST; i++) W[i] = J[i] - t[i];
+    field_lower(e, W);
+}
+
+/* b of a field, already in e->b, and of its frame, in x: z = E^-1 b, x = L^-1 (b_t - S^T Q^T z), then H^T z, z with the frame
+   conditions added */
+static int field_forward(const Body *o, int b, const double *g, double *x)
+{
+    Field *e = o->field;
+    double t[TWIST];
+    if (e->solve(b)) return NEWTON;
+    memset(e->h, 0, o->m * sizeof(double));
+    for (int i = 0; i < e->solved; i++) e->zh[i] = column(e, i, e->z);
+    for (int i = 0; i < e->frames; i++) e->h[e->frame_slot[i]] = (e->zh[e->frame_slot[i]] + g[e->row + i]) / e->B[i];
+    for (int i = 0; i < o->m; i++) x[TWIST + i] = i < e->solved ? e->zh[i] - dot(e->HY + e->solved * i, e->h, e->solved) : 0.0;
+    from_columns(e, x + TWIST, t);
+    for (int i = 0; i < TWIST; i++) x[i] -= t[i];
+    field_lower(e, x);
+    return DONE;
+}
+
+/* The frame's increment from L^-1 .., and the field's: z - Y (S t + sum of J_h y + ..), with H^T of it in x */
+static void field_backward(const Body *o, double *x, double *out)
+{
+    Field *e = o->field;
+    double t[TWIST];
+    for (int i = TWIST - 1; i >= 0; i--) {
+        x[i] *= e->L[(TWIST + 1) * i];
+        add(x, -x[i], e->L + TWIST * i, i);
+    }
+    to_columns(e, x, t);
+    for (int i = 0; i < TWIST; i++) e->h[i] += t[i];
+    for (int i = 0; i < e->solved; i++) x[TWIST + i] = e->zh[i] - dot(e->HY + e->solved * i, e->h, e->solved);
+    memcpy(out, e->z, e->n * sizeof(double));
+    for (int i = 0; i < e->solved; i++) {
+        const double *Y = e->Y + e->n * i;
+        double c = e->h[i];
+        if (c != 0.0)
+            for (long j = 0; j < e->n; j++) out[j] -= c * Y[j];
+    }
+}
+
 /* x <- L_b^-1 x and x <- L_b^-T x; rigid bodies have nothing between translation and rotation */
 static void forward(const Body *o, double *x)
 {
@@ -541,11 +756,18 @@ static int factor(const System *s)
     double *L = s->profile;
     memcpy(s->tangent, s->jac, s->jac_size * sizeof(double));
     memcpy(s->W, s->jac, s->jac_size * sizeof(double));
-    for (int c = 0; c < 2 * m; c++)
-        if (s->js[c] >= 0) forward(owner(s, c), s->W + s->js[c]);
+    for (int c = 0; c < 2 * m; c++) {
+        if (s->js[c] < 0) continue;
+        if (owner(s, c)->field) field_row(owner(s, c), s->jac + s->js[c], s->W + s->js[c]);
+        else forward(owner(s, c), s->W + s->js[c]);
+    }
     memset(L, 0, s->profile_size * sizeof(double));
     for (int c = 0; c < s->nc; c++)
-        L[s->cdest[c]] += block_dot(s->W + s->js[s->ci[c]], s->W + s->js[s->cj[c]], owner(s, s->ci[c])->m);
+        if (owner(s, s->ci[c])->field) {
+            long i = s->js[s->ci[c]], j = s->js[s->cj[c]];
+            L[s->cdest[c]] += dot(s->W + i, s->W + j, TWIST);
+            L[s->cdest[c]] += dot(s->jac + i + TWIST, s->W + j + TWIST, owner(s, s->ci[c])->m);
+        } else L[s->cdest[c]] += block_dot(s->W + s->js[s->ci[c]], s->W + s->js[s->cj[c]], owner(s, s->ci[c])->m);
     for (int i = 0; i < m; i++) {
         double *Li = L + s->start[i];
         int fi = s->first[i];
@@ -585,7 +807,8 @@ static void reorder(const System *s, double *v, double *x, int out)
         const Body *o = s->body + b;
         double *from = out ? v + TWIST * b : x + o->at_x, *to = out ? x + o->at_x : v + TWIST * b;
         for (int i = 0; i < TWIST; i++) to[i] = from[i];
-        if (!o->m) continue;
+        if (o->field && out) memcpy(o->field->b, v + o->at_v, o->field->n * sizeof(double));
+        if (!o->m || o->field) continue;
         from = out ? v + o->at_v : x + o->at_x + TWIST;
         to = out ? x + o->at_x + TWIST : v + o->at_v;
         memcpy(to, from, o->m * sizeof(double));
@@ -595,12 +818,26 @@ static void reorder(const System *s, double *v, double *x, int out)
 /* G^T lambda added to r, v's order */
 static void add_reactions(const System *s, const double *lam, double *r)
 {
+    for (int b = 0; b < s->nb; b++)
+        if (s->body[b].field) memset(s->body[b].field->h, 0, s->body[b].m * sizeof(double));
     for (int c = 0; c < 2 * s->m; c++) {
         if (s->js[c] < 0) continue;
         const Body *o = owner(s, c);
         const double *J = s->jac + s->js[c];
         add(r + TWIST * (o - s->body), lam[c / 2], J, TWIST);
-        if (o->m) add(r + o->at_v, lam[c / 2], J + TWIST, o->m);
+        if (o->field) add(o->field->h, lam[c / 2], J + TWIST, o->m);
+        else if (o->m) add(r + o->at_v, lam[c / 2], J + TWIST, o->m);
+    }
+    for (int b = 0; b < s->nb; b++) {
+        const Field *e = s->body[b].field;
+        double *rows = r + s->body[b].at_v;
+        if (!e) continue;
+        for (int h = 0; h < TWIST; h++)
+            if (e->h[h] != 0.0)
+                for (long i = 0; i < e->n; i++) rows[i] += e->h[h] * e->Q[e->n * h + i];
+        for (int h = TWIST; h < s->body[b].m; h++)
+            for (int i = e->port_start[h - TWIST]; i < e->port_start[h - TWIST + 1]; i++)
+                rows[e->port_col[i]] += e->h[h] * e->port[i];
     }
 }
 
@@ -611,7 +848,10 @@ static double solve(const System *s, double scale, double *r, double *x, double 
     double largest = 1e-300, open = 0.0;
     for (int i = 0; i < n; i++) r[i] *= -scale;
     reorder(s, r, xb, 1);
-    for (int b = 0; b < s->nb; b++) forward(s->body + b, xb + s->body[b].at_x);
+    for (int b = 0; b < s->nb; b++) {
+        if (!s->body[b].field) forward(s->body + b, xb + s->body[b].at_x);
+        else if (field_forward(s->body + b, b, s->g, xb + s->body[b].at_x)) return -1.0;
+    }
     for (int k = 0; k < m; k++) {
         double sum = s->g[k], all = fabs(sum);
         for (int c = 2 * k; c < 2 * k + 2; c++) {
@@ -619,6 +859,7 @@ static double solve(const System *s, double scale, double *r, double *x, double 
             const Body *o = owner(s, c);
             const double *W = s->W + s->js[c], *z = xb + o->at_x;
             for (int i = 0; i < TWIST + o->m; i++) {
+                if (o->field && i == TWIST) W = s->tangent + s->js[c];
                 double one = W[i] * z[i];
                 sum += one;
                 all += fabs(one);
@@ -630,8 +871,14 @@ static double solve(const System *s, double scale, double *r, double *x, double 
     back(s, s->y);
     for (int k = 0; k < m; k++) y[k] = s->y[s->order[k]];
     for (int c = 0; c < 2 * m; c++)
-        if (s->js[c] >= 0) block_add(xb + owner(s, c)->at_x, -y[c / 2], s->W + s->js[c], owner(s, c)->m);
-    for (int b = 0; b < s->nb; b++) backward(s->body + b, xb + s->body[b].at_x);
+        if (s->js[c] >= 0 && owner(s, c)->field) {
+            add(xb + owner(s, c)->at_x, -y[c / 2], s->W + s->js[c], TWIST);
+            add(owner(s, c)->field->h, y[c / 2], s->tangent + s->js[c] + TWIST, owner(s, c)->m);
+        } else if (s->js[c] >= 0) block_add(xb + owner(s, c)->at_x, -y[c / 2], s->W + s->js[c], owner(s, c)->m);
+    for (int b = 0; b < s->nb; b++) {
+        if (s->body[b].field) field_backward(s->body + b, xb + s->body[b].at_x, x + s->body[b].at_v);
+        else backward(s->body + b, xb + s->body[b].at_x);
+    }
     for (int k = 0; k < m; k++) {
         double left = s->g[k];
         for (int c = 2 * k; c < 2 * k + 2; c++)
@@ -674,14 +921,14 @@ int step(const System *s, double *p, const double *now, const double *before, co
         w2 = (t - t0) / (t2 - t0) * ((t - t1) / (t2 - t1));
     }
     double *q = out + 1, *v = q + nq, *a = v + n, *A = a + n, *lam = A + n;
-    double *xi = s->work, *r = xi + n, *x = r + n, *xb = x + n, *y = xb + n;
+    double *xi = s->work, *r = xi + n, *x = r + n, *xb = x + n, *y = xb + s->n_x;
     for (int i = 0; i < n; i++) {
         a[i] = w0 * a0[i] + w1 * a1[i] + w2 * a2[i];
         A[i] = ((1 - af) * a[i] + af * a0[i] - am * A0[i]) / (1 - am);
         xi[i] = h * v0[i] + h * h * (0.5 - beta) * A0[i] + hb * A[i];
     }
     for (int k = 0; k < m; k++) lam[k] = w0 * l0[k] + w1 * l1[k] + w2 * l2[k];
-    double typical = largest_of(s->units, a, n);
+    double typical = largest_of(s->units, a, s->n_core);
     if (typical < 1e-12 * p[LENGTH]) typical = 1e-12 * p[LENGTH];
     double tolerance = p[TOL] * scale * typical, theta = p[THETA], last = 0.0, older[64];
     if (tolerance < p[FLOOR]) tolerance = p[FLOOR];
@@ -691,16 +938,19 @@ int step(const System *s, double *p, const double *now, const double *before, co
         configuration(s, q0, xi, q);
         for (int i = 0; i < n; i++) v[i] = v0[i] + h * (1 - gamma) * A0[i] + h * gamma * A[i];
         if ((verdict = place(s, q))) return verdict;
-        constraints(s, offset);
+        constraints(s, q, offset);
         for (int b = 0; b < s->nb; b++)
             if ((verdict = inertia(s, s->body + b, b, q, v, a, p + GX, r))) return verdict;
-        if (iterations == 0 || iterations > (int)p[PATIENCE]) {
+        if (iterations == 0 || (iterations > (int)p[PATIENCE] && s->n == s->n_core)) {
             for (int b = 0; b < s->nb; b++)
                 if (s->body[b].T && (verdict = factor_body(s, s->body + b, b, q, damp, scale))) return verdict;
+            for (int b = 0; b < s->nb; b++)
+                if (s->body[b].field && (verdict = factor_field(s, s->body + b, b))) return verdict;
             if ((verdict = factor(s))) return verdict;
         }
         add_reactions(s, lam, r);
         double open = solve(s, scale, r, x, xb, y), size = largest_of(s->units, x, n) / tolerance, left;
+        if (open == -1.0) return NEWTON;
         if (!(open <= p[RESIDUAL])) p[RESIDUAL] = open;
         for (int k = 0; k < m; k++) lam[k] += y[k] / scale;
         for (int b = 0; b < s->nb; b++) rate(xi + TWIST * b, x + TWIST * b);
@@ -715,6 +965,7 @@ int step(const System *s, double *p, const double *now, const double *before, co
             theta = last > 0 ? size / last : 0.0;
             theta = theta > 0.999 ? 0.999 : theta < 1e-4 ? 1e-4 : theta;
             left = theta / (1 - theta) * size;
+            if (s->n > s->n_core && left > 1.0 && -log(left) / log(theta) > p[NEW_TANGENT]) return NEWTON;
             if (size > 1.0 && iterations > 3 && size > p[SLOW] * older[iterations - 3]) break;
         } else {
             double guess = theta > 0.02 ? theta : 0.02;
