@@ -134,6 +134,13 @@ def test_craig_bampton_converges_from_above(rod_mesh: Callable[..., Any]) -> Non
     np.testing.assert_allclose(found[-1], exact, rtol=1e-3)
 
 
+def test_plan_names_the_modes(rod_mesh: Callable[..., Any]) -> None:
+    body = rod(rod_mesh(h=0.25))
+    few, full = (fmbd.solve(pendulum(b), t_end=0.02, dt=0.01).plan for b in (body.reduced(modes=3), body))
+    assert dict(few.unknowns) == {"frames": 3, "rod: modes": 3, "pin": 2}
+    assert "modal reduction" not in few.left_out and "modal reduction" in full.left_out
+
+
 @pytest.mark.mpi
 def test_inertia_modes_hold_the_static_sag(rod_mesh: Callable[..., Any]) -> None:
     """A rod that hangs from both ends: with no vibration mode at all it sags as the field does under its weight."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..mechanics.line_body import LineBody
+from ..mechanics.reduction import ReducedBody
 from .scene import Scene
 from .system import System
 
@@ -29,7 +30,9 @@ class Plan:
 
 def make_plan(scene: Scene, system: System, path: str = "NumPy") -> Plan:
     """Derive the plan from the scene, its system and the path its steps take; no computation."""
-    unknowns = [("frames", system.n_core)]
+    reduced = [b for b in scene.bodies.values() if isinstance(b, ReducedBody)]
+    modes = [(f"{b.name}: modes", b.constants.n_modes) for b in reduced]
+    unknowns = [("frames", system.n_core - sum(n for _, n in modes)), *modes]
     unknowns += [(f"{f.name}.u", f.field.n_global) for _, f in system.fields]
     unknowns += [(b.name, b.rows.stop - b.rows.start) for b in system.blocks]
     constant, left = [], []
@@ -58,5 +61,10 @@ def make_plan(scene: Scene, system: System, path: str = "NumPy") -> Plan:
         constant.append("compliance of the contact nodes for each step size")
         if not system.contacts.frictional:
             left.append("friction")
-    left += ["modal reduction", *([] if scene.ties else ["field multipliers"])]
+    if reduced:
+        constant.append("modes and inertia tensors of reduced bodies")
+    else:
+        left.append("modal reduction")
+    if not scene.ties:
+        left.append("field multipliers")
     return Plan(tuple(unknowns), tuple(constant), tuple(left), path)
