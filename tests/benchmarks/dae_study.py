@@ -1,0 +1,120 @@
+"""All DAE forms, Radau and BDF, and tolerances on three constrained systems: error against work, failures listed.
+
+Run:  ./with-dolfinx env PYTHONPATH=.:demos:tests python3 tests/benchmarks/dae_study.py [--fast] [--markdown FILE] [--picture FILE]
+
+Pendulum (1 s), car axis (3 s) and Andrews' mechanism (0.03 s); errors of the coordinates at the end, against the motion in its
+angle and the references of the test set. Also the problems of tests/test_never_fail.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import andrews
+import car_axis
+import numpy as np
+from dae_problems import pendulum, pendulum_at
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx import study
+from fmbd_fenicsx.errors import FmbdError
+
+FORMS = [fmbd.Index3(), fmbd.Index2(), fmbd.Index1(), fmbd.Baumgarte(20, 20), fmbd.GGL(), fmbd.Projected(fmbd.Index1()),
+         fmbd.Overdetermined(), fmbd.StateSpace()]  # fmt: skip
+SCHEMES: dict[str, Any] = {
+    "Radau(3)": lambda f, r: fmbd.Radau(3, f, r),
+    "Radau(5)": lambda f, r: fmbd.Radau(5, f, r),
+    "BDF": lambda f, r: fmbd.BDF(5, f, r),
+}
+PROBLEMS: dict[str, tuple[Any, float, str, np.ndarray]] = {
+    "pendulum": (pendulum, 1.0, "x", pendulum_at(1.0)[0]),
+    "car axis": (car_axis.scene, 3.0, "ends", car_axis.REFERENCE),
+    "Andrews": (andrews.scene, 0.03, "angles", andrews.REFERENCE),
+}
+
+
+def one(problem: str, scheme: Any) -> dict[str, Any]:
+    """Error, CPU seconds and steps of a run, or its failure."""
+    scene, t_end, sensor, exact = PROBLEMS[problem]
+    begin = time.process_time()
+    try:
+        run = fmbd.solve(scene(), t_end=t_end, scheme=scheme, output=fmbd.Output(every=10**6, energy=False))
+    except FmbdError as error:
+        return {"failure": str(error)}
+    seconds = time.process_time() - begin
+    error = float(np.abs(run[sensor][-1] - exact).max())
+    return {"error": error, "seconds": seconds, "steps": run.counters["steps"], "drift": run.drift[0]}
+
+
+def table(
+    tolerances: list[float],
+) -> tuple[list[list[str]], dict[tuple[str, str, str], list[dict[str, Any]]], list[str]]:
+    """Rows for the page, the runs by (problem, scheme, form), and the failures."""
+    rows = [["problem", "scheme", "form", *(f"{r:.0e}: error / s / steps" for r in tolerances)]]
+    runs: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    failures = []
+    for problem in PROBLEMS:
+        for name, made in SCHEMES.items():
+            for form in FORMS:
+                found = [one(problem, made(form, r)) for r in tolerances]
+                runs[problem, name, form.name] = found
+                cells = [
+                    "failed" if "failure" in x else f"{x['error']:.0e} / {x['seconds']:.1f} / {x['steps']:.0f}"
+                    for x in found
+                ]
+                failures += [
+                    f"{problem}, {name}, {form.name}, rtol {r:.0e}: {x['failure']}"
+                    for r, x in zip(tolerances, found, strict=True)
+                    if "failure" in x
+                ]
+                rows.append([problem, name, form.name, *cells])
+                print(" | ".join(rows[-1]), flush=True)
+    return rows, runs, failures
+
+
+def figure(runs: dict[tuple[str, str, str], list[dict[str, Any]]], file: Path) -> None:
+    """Error over CPU time: a panel for each problem and scheme, a line for each form."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    fig, axes = plt.subplots(
+        len(PROBLEMS), len(SCHEMES), figsize=(12, 10), sharex="row", sharey="row", layout="constrained"
+    )
+    for i, problem in enumerate(PROBLEMS):
+        for j, name in enumerate(SCHEMES):
+            ax = axes[i, j]
+            for k, form in enumerate(FORMS):
+                good = [x for x in runs[problem, name, form.name] if "failure" not in x]
+                style = "o-" if k < 5 else "s--"
+                ax.loglog([x["seconds"] for x in good], [x["error"] for x in good], style, ms=4, label=form.name)
+            ax.set_title(f"{problem}, {name}")
+            ax.grid(alpha=0.3)
+        axes[i, 0].set_ylabel("error of coordinates at the end")
+    for ax in axes[-1]:
+        ax.set_xlabel("CPU time, s")
+    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    fig.savefig(file, dpi=110)
+
+
+def main() -> None:
+    """Table and figure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--fast", action="store_true")
+    parser.add_argument("--markdown", type=Path)
+    parser.add_argument("--picture", type=Path)
+    args = parser.parse_args()
+    rows, runs, failures = table([1e-3, 1e-5] if args.fast else [1e-3, 1e-5, 1e-7, 1e-9])
+    print("failures:", *(failures or ["none"]), sep="\n")
+    if args.markdown:
+        args.markdown.write_text(study.markdown(rows) + "\n\n" + "\n".join(failures) + "\n")
+    if args.picture:
+        figure(runs, args.picture)
+
+
+if __name__ == "__main__":
+    main()
