@@ -38,6 +38,22 @@ def test_position_errors_do_not_depend_on_the_stiffness(name: str, exact: dict[f
     assert max(errors) <= bar * errors[0], errors
 
 
+def test_three_stages_err_across_the_motion_only(exact: dict[float, Any]) -> None:
+    """Along the motion the errors do not depend on eps. What is larger at eps = 0.01 is the stretch of the spring: the error of
+    its force, of lower order, times the compliance eps^2.
+    """
+    found = {}
+    for eps in STIFFNESS:
+        run = fmbd.solve(
+            demo.scene(eps), t_end=demo.T_END, dt=demo.H, scheme=fmbd.Radau(3, rtol=None), newton=demo.TIGHT
+        )
+        out = exact[eps][0] / np.linalg.norm(exact[eps][0])
+        error = run["x"][-1] - exact[eps][0]
+        found[eps] = abs(error @ [-out[1], out[0]]), abs(error @ out)
+    assert max(along for along, _ in found.values()) <= 2.0 * found[0.1][0], found
+    assert found[1e-2][1] / 1e-4 < 2e-4, found  # of the weight
+
+
 @pytest.mark.parametrize("name", list(SCHEMES))
 def test_order_in_the_stiff_limit(name: str, exact: dict[float, Any]) -> None:
     """h / eps = 50 and 25; the three-stage errors of 1e-9 and below are those of the stiff force's roundoff: velocities only."""

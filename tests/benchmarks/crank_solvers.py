@@ -123,7 +123,7 @@ def cases(fast: bool) -> list[tuple[str, float, Any]]:
         made += [(f"Radau IIA({s}), GGL", r, lambda s=s, r=r: ours(fmbd.Radau(s, fmbd.GGL(), r))) for r in ladder]
     tried = {"IDA": ida, "scipy-dae Radau": scipy_dae("Radau"), "scipy-dae BDF": scipy_dae("BDF")}
     for name, solve in tried.items():
-        ladder = (1e-5,) if fast else (1e-6, 1e-7, 1e-8, 1e-9) if name == "IDA" else (1e-5, 1e-6, 1e-7)
+        ladder = (1e-5,) if fast else (1e-7, 1e-8, 1e-9, 1e-10, 1e-11) if name == "IDA" else (1e-5, 1e-6, 1e-7)
         for form in FORMS:
             made += [(f"{name}, {form}", r, lambda s=solve, f=form, r=r: s(f, r, state)) for r in ladder]
     if not fast:

@@ -1,6 +1,6 @@
 """All DAE forms, Radau and BDF, and tolerances on three constrained systems: error against work, failures listed.
 
-Run:  ./with-dolfinx env PYTHONPATH=.:demos:tests python3 tests/benchmarks/dae_study.py [--fast] [--markdown FILE] [--picture FILE]
+Run:  ./with-dolfinx env PYTHONPATH=.:demos:tests python3 tests/benchmarks/dae_study.py [--fast] [--markdown FILE]  (--picture FILE)
 
 Pendulum (1 s), car axis (3 s) and Andrews' mechanism (0.03 s); errors of the coordinates at the end, against the motion in its
 angle and the references of the test set. Also the problems of tests/test_never_fail.py.
