@@ -38,6 +38,7 @@ from .control import (
     check_tolerance,
     first_step,
     lands,
+    moves,
 )
 from .dae import GGL, Form, Points, StepEquations
 from .newton import Newton
@@ -149,6 +150,7 @@ class Stepper:
             self._back(min(self.proposed, limit))
         while True:
             h = lands(self.proposed, limit)
+            moves(s.t, h)
             self.norm.update(s, h)
             found = self._newton(h, self.k)
             if isinstance(found, str):

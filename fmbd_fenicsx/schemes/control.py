@@ -173,6 +173,14 @@ def first_step(norm: ErrorNorm, state: State, order: float, h_max: float) -> flo
     return max(h, 1e-12 * h_max)
 
 
+def moves(t: float, h: float) -> None:
+    """Refuse a step that does not change the time: accepted steps too can shrink without end."""
+    if t + h == t:
+        raise ConvergenceError(
+            f"The step at t = {t:.9g} s has shrunk to h = {h:.1e} s, and t + h == t. Take another form or scheme, or another rtol."
+        )
+
+
 def lands(h: float, left: float) -> float:
     """The step to take when ``left`` remains to a point that must be hit: no tiny last step, no overshoot."""
     if h >= left * (1 - 1e-10):

@@ -39,6 +39,7 @@ from .control import (
     check_tolerance,
     first_step,
     lands,
+    moves,
 )
 from .dae import GGL, Form, Points, StepEquations
 from .newton import Newton
@@ -189,6 +190,7 @@ class Stepper:
             self.proposed = first_step(self.norm, s, self.control.order, limit)
         while True:
             h = lands(self.proposed, limit)
+            moves(s.t, h)
             self.norm.update(s, h)
             self.eq.begin(s)
             point = self._newton(h)
