@@ -92,7 +92,7 @@ def whole(unknowns: int) -> dict[str, float]:
     stepper.advance(STEP)
     solves, iterations = solver.back_solves, newton.iterations
     steps, backs = [], []
-    factor = solver.blocks[0].factor.factor
+    factor = solver.blocks[0].factor.factor.factor
     x, b = factor.createVecs()
     b.array[:] = np.random.default_rng(0).standard_normal(b.local_size)
     for _ in range(30):
