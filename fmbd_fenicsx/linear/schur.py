@@ -356,8 +356,9 @@ class StepSolver:
         """Free all factors; collective."""
         self._drop(keep=0, live=[])
         for _, f in self.system.fields:
-            if hasattr(f, "slack"):
-                f.field.forget()
+            forget = getattr(f.field, "forget", None)  # wires keep factors for several sets of slack droppers
+            if forget is not None:
+                forget()
 
 
 def dense(A: Any) -> Array:
