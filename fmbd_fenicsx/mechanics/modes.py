@@ -196,9 +196,11 @@ class _Inverse:
 def orthonormal_modes(field: Field, V: Array, conditions: Array) -> tuple[Array, Array]:
     """A basis of span V in the frame given by ``conditions``, M-orthonormal with diagonal K: omega (rad/s) and phi (n d, m).
 
-    Rigid parts of V are taken out by the frame's conditions; directions that vanish with them are dropped.
+    Rigid parts of V are taken out by the frame's conditions; directions that vanish with them, against the size that they had
+    before, are dropped: static modes of one interface hold all rigid motions.
     """
     Z = rigid_fields(field)
+    before = np.array([field.total(np.array(v @ field.mass(v.reshape(-1, field.dim)).ravel())) for v in V.T])
     V = V - Z @ np.linalg.solve(field.total(conditions.T @ Z), field.total(conditions.T @ V))
 
     def product(A: Array, B: Array) -> Array:
@@ -207,11 +209,11 @@ def orthonormal_modes(field: Field, V: Array, conditions: Array) -> tuple[Array,
     def mass(A: Array) -> Array:
         return np.stack([field.mass(a.reshape(-1, field.dim)).ravel() for a in A.T], axis=1)
 
-    V = V / np.sqrt(np.maximum(np.diag(product(V, mass(V))), 1e-300))
+    V = V / np.sqrt(np.maximum(before, 1e-300))
     for _ in range(2):  # twice is enough: the second pass cleans the roundoff of the first
         G = product(V, mass(V))
         s, U = np.linalg.eigh(0.5 * (G + G.T))
-        keep = s > 1e-10 * s.max()
+        keep = s > 1e-12 * s.max()
         V = V @ (U[:, keep] / np.sqrt(s[keep]))
     KV = np.stack([field.stiffness(a) for a in V.T], axis=1)
     K, M = product(V, KV), product(V, mass(V))
