@@ -177,7 +177,7 @@ def moves(t: float, h: float) -> None:
     """Refuse a step that does not change the time: accepted steps too can shrink without end."""
     if t + h == t:
         raise ConvergenceError(
-            f"The step at t = {t:.9g} s has shrunk to h = {h:.1e} s, and t + h == t. Take another form or scheme, or another rtol."
+            f"The step at t = {t:.9g} s has shrunk to h = {h:.1e} s: t + h == t. Take another form or scheme, or another rtol."
         )
 
 

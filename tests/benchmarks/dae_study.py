@@ -1,6 +1,6 @@
 """All DAE forms, Radau and BDF, and tolerances on three constrained systems: error against work, failures listed.
 
-Run:  ./with-dolfinx env PYTHONPATH=.:demos:tests python3 tests/benchmarks/dae_study.py [--fast] [--markdown FILE]  (--picture FILE)
+Run:  ./with-dolfinx env PYTHONPATH=.:demos:tests python3 tests/benchmarks/dae_study.py [--fast] [--markdown FILE]
 
 Pendulum (1 s), car axis (3 s) and Andrews' mechanism (0.03 s); errors of the coordinates at the end, against the motion in its
 angle and the references of the test set. Also the problems of tests/test_never_fail.py.
@@ -81,6 +81,7 @@ def figure(runs: dict[tuple[str, str, str], list[dict[str, Any]]], file: Path) -
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import NullFormatter
 
     fig, axes = plt.subplots(
         len(PROBLEMS), len(SCHEMES), figsize=(12, 10), sharex="row", sharey="row", layout="constrained"
@@ -94,6 +95,7 @@ def figure(runs: dict[tuple[str, str, str], list[dict[str, Any]]], file: Path) -
                 ax.loglog([x["seconds"] for x in good], [x["error"] for x in good], style, ms=4, label=form.name)
             ax.set_title(f"{problem}, {name}")
             ax.grid(alpha=0.3)
+            ax.xaxis.set_minor_formatter(NullFormatter())
         axes[i, 0].set_ylabel("error of coordinates at the end")
     for ax in axes[-1]:
         ax.set_xlabel("CPU time, s")
