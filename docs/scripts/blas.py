@@ -1,8 +1,8 @@
 """CPU time of one factorisation and one back-solve of an elastic block, and which BLAS did it; P2 in space.
 
 Run:  ./with-dolfinx python3 docs/scripts/blas.py 12
-      ./with-dolfinx env LD_LIBRARY_PATH=/usr/lib/x86_64-linux-gnu/blas:/usr/lib/x86_64-linux-gnu/lapack python3 docs/scripts/blas.py 12
-                                                                              (the reference BLAS of Debian 13)
+      ./with-dolfinx env LD_LIBRARY_PATH=$REF/blas:$REF/lapack python3 docs/scripts/blas.py 12       (reference BLAS, Debian 13:
+                                                                                     REF=/usr/lib/x86_64-linux-gnu)
 """
 
 import statistics
