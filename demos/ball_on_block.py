@@ -1,11 +1,9 @@
 """An elastic ball drops on an elastic block: contact of two bodies with meshes that do not match, in space.
 
-Run:  mpirun -n 2 ./with-dolfinx python3 demos/ball_on_block.py          (also on one rank: ./with-dolfinx
-python3 ...)
+Run:  ./with-dolfinx mpirun -n 2 python3 demos/ball_on_block.py          (also on one rank)
 
-Half a ball falls with v0 on a block that lies on a frictionless floor. Mortar rows with dual multipliers on
-the finer surface
-carry the force; momentum is exchanged, energy never grows. Hertz's impact theory gives the largest force
+Half a ball falls with v0 on a block that lies on a frictionless floor. Mortar rows with dual multipliers on the finer
+surface carry the force; momentum is exchanged, energy never grows. Hertz's impact theory gives the largest force
 approximately.
 """
 

@@ -1,13 +1,12 @@
 """An elastic bar hits a rigid wall and rebounds.
 
-Run:  ./with-dolfinx python3 demos/bar_impact.py          (also: mpirun -n 2 python3 demos/bar_impact.py)
+Run:  ./with-dolfinx python3 demos/bar_impact.py          (also: ./with-dolfinx mpirun -n 2 python3 demos/bar_impact.py)
 
-    |wall  <- v0  [=========== L ===========]      exact: force rho c v0 A for 0 < t < 2 L / c, then rebound
-    with v0
+    |wall  <- v0  [=========== L ===========]      exact: force rho c v0 A for 0 < t < 2 L / c,
+                                                   then rebound with v0
 
-A shock wave runs up the bar and back as a release wave. Contact is a multiplier on the trace, without
-penalty; the nodes on
-the wall carry no inertia, so the force neither oscillates nor makes energy (docs/contact.md).
+A shock wave runs up the bar and back as a release wave. Contact is a multiplier on the trace, without penalty; the
+nodes on the wall carry no inertia, so the force neither oscillates nor makes energy (docs/contact.md).
 """
 
 import numpy as np

@@ -1,12 +1,10 @@
 """An elastic bar falls on the ground, again and again: periodic motion with an exact solution.
 
-Run:  ./with-dolfinx python3 demos/bouncing_bar.py          (also: mpirun -n 2 python3 demos/bouncing_bar.py)
+Run:  ./with-dolfinx python3 demos/bouncing_bar.py          (also: ./with-dolfinx mpirun -n 2 python3 demos/bouncing_bar.py)
 
-A bar of length L drops from h0. It stays on the ground for 2 L / c, leaves with waves in it, comes back when
-they have turned
-its motion around, and reaches h0 at rest and unstressed: period 16/3 s. The force is rho c (v + g (t - 1))
-in the first
-contact (300 to 500 N), mirrored in the second. Doyen, Ern, Piperno, doi:10.1137/100791440.
+A bar of length L drops from h0. It stays on the ground for 2 L / c, leaves with waves in it, comes back when they
+have turned its motion around, and reaches h0 at rest and unstressed: period 16/3 s. The force is
+rho c (v + g (t - 1)) in the first contact (300 to 500 N), mirrored in the second. Doyen, Ern, Piperno, doi:10.1137/100791440.
 """
 
 import numpy as np

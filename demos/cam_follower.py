@@ -1,15 +1,13 @@
 """A rigid cam drives an elastic follower: moving obstacle, sliding contact, a guide and a return spring.
 
-Run:  ./with-dolfinx python3 demos/cam_follower.py          (also: mpirun -n 2 python3 demos/cam_follower.py)
+Run:  ./with-dolfinx python3 demos/cam_follower.py          (also: ./with-dolfinx mpirun -n 2 python3 demos/cam_follower.py)
 
         | spring                 cam: a disk of radius r, turned about a point at distance e from its centre
-       [ ]  elastic follower     lift of a flat-faced follower: y(t) = r - e cos(w t), exact while it stays
-       in contact
+       [ ]  elastic follower     lift of a flat-faced follower: y(t) = r - e cos(w t), exact in contact
        (o)  cam, w
 
-The elastic follower carries the contact as multipliers on its foot, the guide as a joint. With a stiff
-spring it follows
-the cam; the force on the cam is spring plus inertia.
+The elastic follower carries the contact as multipliers on its foot, the guide as a joint. With a stiff spring it
+follows the cam; the force on the cam is spring plus inertia.
 """
 
 import numpy as np

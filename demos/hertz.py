@@ -1,16 +1,13 @@
 """Hertz contact: a half disk (line contact) or half ball (point contact) pressed on a rigid plane.
 
-Run:  ./with-dolfinx python3 demos/hertz.py                 (also: --dim 3, mpirun -n 2 python3
-demos/hertz.py)
+Run:  ./with-dolfinx python3 demos/hertz.py          (also: --dim 3; ./with-dolfinx mpirun -n 2 python3 demos/hertz.py)
 
-    line:   a^2 = 4 F R / (pi E*),  p0 = 2 F / (pi a)            point:   a^3 = 3 F R / (4 E*),  p0 = 3 F /
-    (2 pi a^2)
+    line:   a^2 = 4 F R / (pi E*),   p0 = 2 F / (pi a)
+    point:  a^3 = 3 F R / (4 E*),    p0 = 3 F / (2 pi a^2)
 
-The equilibrium comes from a few large implicit steps. Radius and peak pressure are read from the
-multipliers, which are the
-pressure: p^2 is linear in x^2 over the contact. The pressure has a square-root edge, so its mean error is of
-first order
-(0.88 from 10 to 40 cells). The rolling cylinder is ``rolling_cylinder.py``. Johnson, Contact Mechanics,
+The equilibrium comes from a few large implicit steps. Radius and peak pressure are read from the multipliers, which are
+the pressure: p^2 is linear in x^2 over the contact. The pressure has a square-root edge, so its mean error is of first
+order (0.88 from 10 to 40 cells). The rolling cylinder is ``rolling_cylinder.py``. Johnson, Contact Mechanics,
 doi:10.1017/CBO9781139171731.
 """
 

@@ -1,6 +1,6 @@
 """Partial slip of two elastic cylinders under a tangential force (Cattaneo and Mindlin).
 
-Run:  ./with-dolfinx python3 demos/partial_slip.py          (also: mpirun -n 2 python3 demos/partial_slip.py)
+Run:  ./with-dolfinx python3 demos/partial_slip.py          (also: ./with-dolfinx mpirun -n 2 python3 demos/partial_slip.py)
 
     p = p0 sqrt(1 - x^2 / a^2),     q = mu p0 (sqrt(1 - x^2 / a^2) - (c / a) sqrt(1 - x^2 / c^2)),     c = a sqrt(1 - Q / (mu P))
 

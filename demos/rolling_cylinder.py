@@ -1,6 +1,6 @@
 """An elastic cylinder rolls on a rigid plane under a load on its hub: Hertz pressure that travels through the mesh.
 
-Run:  ./with-dolfinx python3 demos/rolling_cylinder.py          (also: mpirun -n 2 python3 demos/rolling_cylinder.py)
+Run:  ./with-dolfinx python3 demos/rolling_cylinder.py     (also: ./with-dolfinx mpirun -n 2 python3 demos/rolling_cylinder.py)
 
     a^2 = 4 F R / (pi E*),   p0 = 2 F / (pi a),   rolling without sliding: v = -w R up to strains of order a / R
 

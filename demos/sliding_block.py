@@ -2,12 +2,10 @@
 
 Run:  ./with-dolfinx python3 demos/sliding_block.py
 
-    gravity turned by the slope's angle a:   slides when tan a > mu with acceleration g (sin a - mu cos a),
-    else sticks
+    gravity turned by the slope's angle a: slides when tan a > mu, with acceleration g (sin a - mu cos a), else sticks
 
-The same block is run at sizes 1 and 1/1000 (lengths and times scaled alike): friction and contact are tested
-in the units of
-the compliance of the contact, so the Newton counts are equal.
+The same block is run at sizes 1 and 1/1000 (lengths and times scaled alike): friction and contact are tested in the
+units of the compliance of the contact, so the Newton counts are equal.
 """
 
 import numpy as np

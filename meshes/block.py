@@ -1,8 +1,7 @@
 """A rectangle or box with its faces as surfaces, cut into a regular grid of simplices (or of quadrilaterals).
 
-Surfaces "left", "right" (x), "bottom", "top" (y), and in space "back", "front" (z). ``cells`` is the number
-of cells along x; the
-others follow from the lengths unless ``counts`` gives them all.
+Surfaces "left", "right" (x), "bottom", "top" (y), and in space "back", "front" (z). ``cells`` is the number of cells
+along x; the others follow from the lengths unless ``counts`` gives them all.
 """
 
 from typing import Any

@@ -1,6 +1,5 @@
-"""The lower half of a disk (2D) or ball (3D) that touches the origin: surfaces "contact" (round) and "top"
-(flat), refined at
-the origin.
+"""The lower half of a disk (2D) or ball (3D) that touches the origin: surfaces "contact" (round) and "top" (flat),
+refined at the origin.
 
 Sizes grow from ``h`` within ``near`` of the origin to ``coarse`` far away. ``mirrored``: the upper half of a ball below.
 """

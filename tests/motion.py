@@ -1,8 +1,7 @@
 """Smooth motions of a system for finite-difference tests, and small scenes to move.
 
-Along q(s) = q o exp(s v + s^2/2 a) the velocity at s = 0 is v and its rate is a, so that derivatives with
-respect to s
-at 0 are the time derivatives of any motion with these.
+Along q(s) = q o exp(s v + s^2/2 a) the velocity at s = 0 is v and its rate is a, so that derivatives with respect to
+s at 0 are the time derivatives of any motion with these.
 """
 
 from __future__ import annotations

@@ -77,9 +77,8 @@ def test_bending_frequency_converges_in_space(
 ) -> None:
     """Against a fine mesh. Eigenvalues converge with twice the order of the energy norm: 2 for P1, 4 for P2.
 
-    On the pin the mean constraint spreads its reaction evenly, and the shear that ends at the free sides
-    leaves a weak
-    singularity in the corners: there P2 has 3 at these sizes.
+    On the pin the mean constraint spreads its reaction evenly, and the shear that ends at the free sides leaves a
+    weak singularity in the corners: there P2 has 3 at these sizes.
     """
     guess = beam(1e7, 0.2) * (1.0 if pinned else (4.73004 / 3.92660) ** 2)
     fine = bending_frequency(rod_mesh(dim=2, h=0.0125, height=0.2), 2, 1e7, guess, pinned)

@@ -1,8 +1,10 @@
 """CPU time of one factorisation and one back-solve of an elastic block, and which BLAS did it; P2 in space.
 
 Run:  ./with-dolfinx python3 docs/scripts/blas.py 12
-      ./with-dolfinx env LD_LIBRARY_PATH=$REF/blas:$REF/lapack python3 docs/scripts/blas.py 12       (reference BLAS, Debian 13:
-                                                                                     REF=/usr/lib/x86_64-linux-gnu)
+      ./with-dolfinx env LD_LIBRARY_PATH=REFERENCE python3 docs/scripts/blas.py 12
+
+REFERENCE: the folders of the reference BLAS and LAPACK, on Debian 13 /usr/lib/x86_64-linux-gnu/blas and .../lapack, with
+a colon between them.
 """
 
 import statistics

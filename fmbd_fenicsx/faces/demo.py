@@ -67,8 +67,7 @@ def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> 
     Args:
         description: the demo's docstring, shown by ``--help``.
         own: flag -> default. False makes a switch, a tuple lists the choices (its first is the default), any
-            other default
-            gives the type: ``{"--study": False, "--dim": (2, 3), "--steps": 100}``.
+            other default gives the type: ``{"--study": False, "--dim": (2, 3), "--steps": 100}``.
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--fast", action="store_true", help="a small version that ends within seconds")

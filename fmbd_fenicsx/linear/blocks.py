@@ -52,9 +52,8 @@ class Bddc:
     """Elastic blocks by balancing domain decomposition (PETSc's BDDC), one subdomain per rank; see
     :mod:`.domain_decomposition`.
 
-    ``adaptive``: eigenvalues of interface pencils beyond this enter the coarse space (0: corners and
-    averages only, whose
-    counts grow towards statics).
+    ``adaptive``: eigenvalues of interface pencils beyond this enter the coarse space (0: corners and averages only,
+    whose counts grow towards statics).
     """
 
     adaptive: float = 2.0

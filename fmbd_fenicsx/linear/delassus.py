@@ -1,17 +1,13 @@
 """The compliance of contact points: how gaps answer to contact forces in one step (the Delassus matrix).
 
-    W = N A^-1 N^T,     A the step's matrix with its constraints
-    (1)
+    W = N A^-1 N^T,     A the step's matrix with its constraints                                            (1)
 
-For elastic bodies the dual multipliers meet their own nodes only, so W needs the inverse of the elastic
-block on the contact
-nodes alone, C_s = I_s^T E^-1 I_s. Its columns are solved once, when a node first comes near, and kept as
-long as the factor
-of E; directions, active sets and rotations change small dense products only. With the columns Y of
+For elastic bodies the dual multipliers meet their own nodes only, so W needs the inverse of the elastic block on the
+contact nodes alone, C_s = I_s^T E^-1 I_s. Its columns are solved once, when a node first comes near, and kept as long
+as the factor of E; directions, active sets and rotations change small dense products only. With the columns Y of
 :mod:`.schur` the coupling of the nodes to frames, joints and frame conditions is
 
-    X = core^-1 (N_core^T - S^T Y_s^T N_s^T),   W = N_core X + N_s (C_s N_s^T - Y_s S X).
-    (2)
+    X = core^-1 (N_core^T - S^T Y_s^T N_s^T),   W = N_core X + N_s (C_s N_s^T - Y_s S X).                   (2)
 """
 
 from __future__ import annotations

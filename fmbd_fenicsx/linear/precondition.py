@@ -80,13 +80,10 @@ class ScaledMass:
 class Fractional:
     """Equations (2) and (3) for all ties together.
 
-    Above ``limit`` multipliers in all, each tie is a group of its own without (3); above ``limit`` functions
-    on one surface
-    (the eigenproblem is dense) its block is :class:`Lumped`. ``layer`` is c, ``grid`` is g (a mesh is
-    stiffer than the continuum
-    for its shortest waves), ``stiffness`` is s (a half space under normal and tangential forces); all three
-    were fitted once to
-    the spectrum of S~^-1 S on a square.
+    Above ``limit`` multipliers in all, each tie is a group of its own without (3); above ``limit`` functions on one
+    surface (the eigenproblem is dense) its block is :class:`Lumped`. ``layer`` is c, ``grid`` is g (a mesh is stiffer
+    than the continuum for its shortest waves), ``stiffness`` is s (a half space under normal and tangential forces);
+    all three were fitted once to the spectrum of S~^-1 S on a square.
     """
 
     limit: int = 2500

@@ -4,9 +4,8 @@
 * :class:`Schur`: exact Schur complement of the multipliers, see :mod:`.multiplier_schur`.
 * :class:`FieldSplit`: MINRES or FGMRES with the block preconditioner diag(E_k, S~).
 
-Each gives a solver with ``solve(f, g) -> Solution``. Every solve is judged by its own true residual, block
-by block. Options of
-PETSc under the solver's prefix override the presets; an option there that nothing consumed is an error.
+Each gives a solver with ``solve(f, g) -> Solution``. Every solve is judged by its own true residual, block by block.
+Options of PETSc under the solver's prefix override the presets; an option there that nothing consumed is an error.
 """
 
 from __future__ import annotations

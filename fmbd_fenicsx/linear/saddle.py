@@ -1,15 +1,12 @@
 """The transient saddle point of elastic bodies tied by trace multipliers, as PETSc blocks with names.
 
     [ E_1              B_1^T ] [ u_1 ]   [ f_1 ]
-    [      ...          ...  ] [ ... ] = [ ... ]        E_k = cm M_k + ck K_k,    cm = 0: statics
-         (1)
+    [      ...          ...  ] [ ... ] = [ ... ]        E_k = cm M_k + ck K_k,    cm = 0: statics           (1)
     [ B_1  ...          0    ] [ lam ]   [ g   ]
 
-Displacements are distributed over the ranks like the meshes. Multipliers are few: every rank holds all their
-values in the
-arrays of this module; inside PETSc their rows are split evenly. Blocks carry names ("rod.u", "pin.force")
-which are the names
-of the splits under ``-<prefix>fieldsplit_<name>_...``.
+Displacements are distributed over the ranks like the meshes. Multipliers are few: every rank holds all their values
+in the arrays of this module; inside PETSc their rows are split evenly. Blocks carry names ("rod.u", "pin.force")
+which are the names of the splits under ``-<prefix>fieldsplit_<name>_...``.
 """
 
 from __future__ import annotations
@@ -101,11 +98,9 @@ class Elastic:
 class TraceTie:
     """Rows of (1): sum_k B_k u_k = g, with the multipliers' space where the rows come from one.
 
-    ``columns``: (number of the body, B_k (rows, n_owned d) on this rank); ``multipliers`` and ``components``
-    say that the rows are
-    the functions of a space times that many components (d for a full tie, 1 for a normal one); None for
-    other rows.
-    ``sides``: (number of the body, its surface, scalar coupling with all nodes of the surface), for
+    ``columns``: (number of the body, B_k (rows, n_owned d) on this rank); ``multipliers`` and ``components`` say that
+    the rows are the functions of a space times that many components (d for a full tie, 1 for a normal one); None for
+    other rows. ``sides``: (number of the body, its surface, scalar coupling with all nodes of the surface), for
     preconditioners.
     """
 

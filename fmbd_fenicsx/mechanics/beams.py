@@ -191,8 +191,8 @@ def _bending_stiffness(EI: float, length: float, shear: float) -> Array:
 
 
 class _Assembly:
-    """Sums over Gauss points and elements. Degrees of freedom of a node:
-    (u, v, theta) or (u, v, w, theta_x, theta_y, theta_z).
+    """Sums over Gauss points and elements. Degrees of freedom of a node: (u, v, theta) or (u, v, w, theta_x, theta_y,
+    theta_z).
     """
 
     def __init__(self, beam: Beam) -> None:

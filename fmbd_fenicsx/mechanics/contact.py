@@ -1,21 +1,17 @@
 """Contact as a user describes it: which surface may touch which obstacle or surface, and by which law.
 
-    gap g >= 0,   force Lambda >= 0,   Lambda g = 0                         (Signorini)
-    (1)
-    |tau| <= mu Lambda,   tau = -mu Lambda s / |s| where it slips           (Coulomb)
-    (2)
+    gap g >= 0,   force Lambda >= 0,   Lambda g = 0                         (Signorini)                     (1)
+    |tau| <= mu Lambda,   tau = -mu Lambda s / |s| where it slips           (Coulomb)                       (2)
 
-Both are unilateral rows of the same saddle point as the joints. On elastic surfaces the multiplier is a
-field on the trace
-with the dual (biorthogonal) basis psi_i of the Lagrange basis phi_i, so that the row of a node couples to
-this node only:
+Both are unilateral rows of the same saddle point as the joints. On elastic surfaces the multiplier is a field on the
+trace with the dual (biorthogonal) basis psi_i of the Lagrange basis phi_i, so that the row of a node couples to this
+node only:
 
     int psi_i phi_j = delta_ij D_i,   D_i = int phi_i,   force on node i: Lambda_i = p_i D_i with the
     pressure p_i.    (3)
 
 Source: Wohlmuth, "Variationally consistent discretization schemes and numerical algorithms for contact
-problems",
-doi:10.1017/S0962492911000079.
+problems", doi:10.1017/S0962492911000079.
 """
 
 from __future__ import annotations

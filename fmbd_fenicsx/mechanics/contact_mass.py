@@ -1,27 +1,21 @@
 """Mass redistribution: no inertia on contact nodes, so that a contact force does not oscillate.
 
-With inertia on a node that hits an obstacle, index reduction leaves an ill-posed equation for its velocity,
-and multipliers
-oscillate without bound under the trapezoid rule. Without it, the contact nodes follow the interior in
-equilibrium and the
-semi-discrete problem has a Lipschitz right-hand side (Khenous, Laborde and Renard,
+With inertia on a node that hits an obstacle, index reduction leaves an ill-posed equation for its velocity, and
+multipliers oscillate without bound under the trapezoid rule. Without it, the contact nodes follow the interior in
+equilibrium and the semi-discrete problem has a Lipschitz right-hand side (Khenous, Laborde and Renard,
 doi:10.1016/j.euromechsol.2008.01.001).
 
-In the kinetic energy only, the velocity of a contact node c is replaced by a mean of its nearest nodes
-without contact, and
-the density by rho' = rho (1 + quadratic polynomial), the small polynomial chosen to keep all moments up to
-the second:
+In the kinetic energy only, the velocity of a contact node c is replaced by a mean of its nearest nodes without
+contact, and the density by rho' = rho (1 + quadratic polynomial), the small polynomial chosen to keep all moments up
+to the second:
 
-    v_c = sum_j a_cj v_j,   sum_j a_cj = 1,   a >= 0,       M' = P^T M(rho') P
-    (1)
-    1^T M' 1,  1^T M' X,  X^T M' X   as those of M
-    (2)
+    v_c = sum_j a_cj v_j,   sum_j a_cj = 1,   a >= 0,       M' = P^T M(rho') P                              (1)
+    1^T M' 1,  1^T M' X,  X^T M' X   as those of M                                                          (2)
 
-so total mass, centre of mass and inertia are exactly those of the body (on a mesh with too few other nodes:
-total mass alone, with a warning), M' is symmetric, positive on the other nodes and zero
-on contact nodes. The mean was preferred to a linear extrapolation of v (which would satisfy (2) by itself)
-for the force of
-a bar on a wall: it leaves a quarter of the oscillation behind the first shock (docs/contact.md).
+so total mass, centre of mass and inertia are exactly those of the body (on a mesh with too few other nodes: total
+mass alone, with a warning), M' is symmetric, positive on the other nodes and zero on contact nodes. The mean was
+preferred to a linear extrapolation of v (which would satisfy (2) by itself) for the force of a bar on a wall: it
+leaves a quarter of the oscillation behind the first shock (docs/contact.md).
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Contact of two elastic bodies with meshes that do not match: mortar rows.
 
-    D_ji = int psi_j phi_i,   M_jl = int psi_j (phi_l o pi),   w_j = sum_l M_jl
-    (1)
-    g_j = n_j . (sum_i D_ji x_i - sum_l M_jl x_l) / w_j
-    (2)
+    D_ji = int psi_j phi_i,   M_jl = int psi_j (phi_l o pi),   w_j = sum_l M_jl                             (1)
+    g_j = n_j . (sum_i D_ji x_i - sum_l M_jl x_l) / w_j                                                     (2)
 
 psi_j is the dual basis on the slave (on quadratic triangles, where none exists, the hat functions of the vertices, a stable
 pair). pi goes to the master along the slave's normal, and both integrals run over the true intersections of facets

@@ -6,9 +6,9 @@ distance d,
     g_j = sum_k T_jk d(R_o^T (x_k - r_o)) - radius,   n_k = R_o grad d,   g' = sum_k T_jk n_k . (x_k' -
     obstacle's velocity)   (1)
 
-with T = 1 except on quadratic triangles (see ``mechanics.contact_trace``). The derivative with respect to
-velocities is the matrix N;
-forces Lambda >= 0 on the candidates enter the balance as -N^T Lambda. Rows of tangents have the same form.
+with T = 1 except on quadratic triangles (see ``mechanics.contact_trace``). The derivative with respect to velocities
+is the matrix N; forces Lambda >= 0 on the candidates enter the balance as -N^T Lambda. Rows of tangents have the same
+form.
 """
 
 from __future__ import annotations

@@ -162,8 +162,7 @@ class SignedDistance(Shape):
     """A user's level function phi(x), negative inside: a NumPy function (d, n) -> (n,) or a UFL expression
     of a coordinate.
 
-    Where |grad phi| is not one, phi / |grad phi| is used, the distance to first order, and a warning says so
-    once.
+    Where |grad phi| is not one, phi / |grad phi| is used, the distance to first order, and a warning says so once.
     Gradients by central differences of fourth order with steps of 1e-4 ``scale`` (m).
     """
 

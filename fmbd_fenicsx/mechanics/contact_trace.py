@@ -1,17 +1,14 @@
 """The nodes of elastic surfaces that may touch, equal on all ranks, with the weights of their dual
 multipliers.
 
-The traces of contact surfaces are small against the bodies, so every rank keeps all of their nodes; only
-products with nodal
-fields of the body are distributed. For quadratic triangles int phi_i vanishes at the vertices. There the
+The traces of contact surfaces are small against the bodies, so every rank keeps all of their nodes; only products
+with nodal fields of the body are distributed. For quadratic triangles int phi_i vanishes at the vertices. There the
 basis
 
-    phi~_v = phi_v + a sum_e phi_e,   phi~_e = (1 - 2 a) phi_e,   a = 1/5
-    (1)
+    phi~_v = phi_v + a sum_e phi_e,   phi~_e = (1 - 2 a) phi_e,   a = 1/5                                   (1)
 
-of the same space has positive integrals D~; the values to it are u~ = T u with T_ee = 1 / (1 - 2a), T_ev =
--a / (1 - 2a)
-(Popp, Wohlmuth, Gee and Wall, doi:10.1137/110848190).
+of the same space has positive integrals D~; the values to it are u~ = T u with T_ee = 1 / (1 - 2a), T_ev = -a / (1 -
+2a) (Popp, Wohlmuth, Gee and Wall, doi:10.1137/110848190).
 """
 
 from __future__ import annotations
@@ -44,9 +41,8 @@ class Trace:
     """All contact nodes of one elastic part; collective to build.
 
     Attributes: ``part`` its number, ``own`` owned node numbers of this rank, ``first`` where they start in
-    the common list,
-    ``X`` (n, d) reference positions in the body's axes (the world's without a ``moving`` frame), ``n``,
-    ``dim``, ``surfaces``.
+    the common list, ``X`` (n, d) reference positions in the body's axes (the world's without a ``moving`` frame),
+    ``n``, ``dim``, ``surfaces``.
     """
 
     def __init__(self, part: int, body: Any, surfaces: list[str], moving: bool) -> None:

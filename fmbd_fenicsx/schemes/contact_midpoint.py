@@ -1,25 +1,18 @@
 """Contact-implicit midpoint rule with massless contact nodes: the default for scenes with contact.
 
-    q_1 = q_0 o exp(xi),   v_m = xi / h,   v_1 = 2 v_m - v_0
-    (1)
-    M (v_1 - v_0) / h + h(q_m, v_m) + G_m^T lambda - N_m^T Lambda = 0    at  q_m = q_0 o exp(xi / 2)
-    (2)
-    g(q_1) = 0,     0 <= Lambda _|_ gap(q_1) >= 0
-    (3)
+    q_1 = q_0 o exp(xi),   v_m = xi / h,   v_1 = 2 v_m - v_0                                                (1)
+    M (v_1 - v_0) / h + h(q_m, v_m) + G_m^T lambda - N_m^T Lambda = 0    at  q_m = q_0 o exp(xi / 2)        (2)
+    g(q_1) = 0,     0 <= Lambda _|_ gap(q_1) >= 0                                                           (3)
 
-The forces act in the middle of the step, the gap closes at its end. On a linear elastic body and a plane
-obstacle the
-contact's work in a step is Lambda (gap_1 - gap_0) = -Lambda gap_0 <= 0, nothing while it stays closed:
-energy never grows.
-Without inertia on the contact nodes (:mod:`fmbd_fenicsx.mechanics.contact_mass`) Lambda does not oscillate. Each
-Newton step solves the
-linearised (2) and (3) as one small complementarity problem on the candidates; the active set of the last
-step starts it. After
-the step the velocity is projected on the joints' velocity constraints, which takes energy, never gives it.
+The forces act in the middle of the step, the gap closes at its end. On a linear elastic body and a plane obstacle the
+contact's work in a step is Lambda (gap_1 - gap_0) = -Lambda gap_0 <= 0, nothing while it stays closed: energy never
+grows. Without inertia on the contact nodes (:mod:`fmbd_fenicsx.mechanics.contact_mass`) Lambda does not oscillate.
+Each Newton step solves the linearised (2) and (3) as one small complementarity problem on the candidates; the active
+set of the last step starts it. After the step the velocity is projected on the joints' velocity constraints, which
+takes energy, never gives it.
 
-With theta instead of 1/2 in (1), (2) the rule is q_theta = q_0 o exp(theta xi), v_1 = v_0 + (v_m - v_0) /
-theta; theta = 1 is the
-implicit Euler rule, of first order and strongly damped: for equilibria by large steps.
+With theta instead of 1/2 in (1), (2) the rule is q_theta = q_0 o exp(theta xi), v_1 = v_0 + (v_m - v_0) / theta;
+theta = 1 is the implicit Euler rule, of first order and strongly damped: for equilibria by large steps.
 
 Source: Khenous, Laborde, Renard, doi:10.1016/j.euromechsol.2008.01.001; Deuflhard, Krause, Ertel,
 doi:10.1002/nme.2119.

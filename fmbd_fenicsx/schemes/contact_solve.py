@@ -1,11 +1,9 @@
 """The unilateral part of a Newton step, the same for all schemes with contact.
 
-For the residual r of the balance without contact forces, scaled by s, and u the gaps (velocities, for
-impacts) of the
+For the residual r of the balance without contact forces, scaled by s, and u the gaps (velocities, for impacts) of the
 present iterate, with tangential slips where there is friction,
 
-    z = step without change of force,   W = s L A^-1 L^T,   u + L z + W (f_new - f)  complementary to  f_new
-    (1)
+    z = step without change of force,   W = s L A^-1 L^T,   u + L z + W (f_new - f)  complementary to  f_new   (1)
 
 L holds the rows of the candidates; f_new comes from one small problem, and a second back-solve gives the
 step.

@@ -9,12 +9,12 @@ positions, rotations and Jacobians; then a point moves by exactly h times its me
     constraint  h G_dg w = g_n+1 - g_n: mean rows, plus a correction along M w where g is not quadratic                     (3)
     rotation    omega = R_mean^-T w,   torque in body axes R_mean^-1 (x x f),   R_mean = (R_n + R_n+1) / 2                  (4)
 
-do as much work as the spring energies change, and the constraint forces none. Weight is linear. Energy is conserved for any
-step, also h omega >> 1, and so are linear and angular momentum: all joints of rigid bodies are quadratic, their correction in
-(3) is zero. Dampers and own laws act at the mean point. Second order in q and v; lambda is a mean over the step and of
-first order as a value at its end. No damping at high frequencies, so multipliers of stiff systems oscillate. Absolute
-elastic bodies: see
-:mod:`.elastic_momentum`. Small systems: the tangent is taken by differences.
+do as much work as the spring energies change, and the constraint forces none. Weight is linear. Energy is conserved
+for any step, also h omega >> 1, and so are linear and angular momentum: all joints of rigid bodies are quadratic,
+their correction in (3) is zero. Dampers and own laws act at the mean point. Second order in q and v; lambda is a mean
+over the step and of first order as a value at its end. No damping at high frequencies, so multipliers of stiff
+systems oscillate. Absolute elastic bodies: see :mod:`.elastic_momentum`. Small systems: the tangent is taken by
+differences.
 
 Sources: Gonzalez, doi:10.1007/s003329900016 (discrete gradient), doi:10.1016/S0045-7825(98)00204-8 (constraints); Simo and Wong,
 doi:10.1002/nme.1620310103 (rotations); Betsch, doi:10.1007/s11044-005-0103-8.

@@ -20,11 +20,9 @@ class ContactForces:
     """Forces on the slaves' candidates during the last step, all ranks alike.
 
     Attributes: ``names`` of the pairs; ``pair`` (m,) their numbers; ``x``, ``normal`` (m, d); ``gap`` (m,) m
-    at the end of the
-    step; ``normal_force`` (m,) N; ``force`` (m, d) N in world axes; ``pressure`` (m,) N/m^(d-1) (N on rigid
-    points);
-    ``impulse`` (pairs, d) N s and ``work`` (J, in the order of WORKS) since the start; ``time`` s, when the
-    forces act.
+    at the end of the step; ``normal_force`` (m,) N; ``force`` (m, d) N in world axes; ``pressure`` (m,) N/m^(d-1) (N
+    on rigid points); ``impulse`` (pairs, d) N s and ``work`` (J, in the order of WORKS) since the start; ``time`` s,
+    when the forces act.
     """
 
     names: tuple[str, ...]

@@ -54,10 +54,8 @@ class Trace:
     """A surface as a mesh with the nodes of V_h, replicated; facets and nodes are sorted by place.
 
     Attributes: ``points`` (n, d) nodes in the mesh's coordinates (m), ``nodes`` (n_f, k) node numbers of the
-    facets, vertices
-    first, ``normals`` (n_f, d) outward, ``degree`` of V_h, ``owned`` (n,) the node's number on this rank or
-    -1, ``n_owned``
-    nodes of the body on this rank, ``label`` for messages.
+    facets, vertices first, ``normals`` (n_f, d) outward, ``degree`` of V_h, ``owned`` (n,) the node's number on this
+    rank or -1, ``n_owned`` nodes of the body on this rank, ``label`` for messages.
     """
 
     label: str
@@ -263,9 +261,8 @@ def _reference_order(x: Array, degree: int) -> np.ndarray:
 def refined(trace: Trace, times: int, degree: int) -> tuple[Trace, np.ndarray, Array]:
     """The surface cut into finer facets with Lagrange nodes of the given degree, for norms.
 
-    Returns the finer trace (it owns no nodes of the body), the parent facet of each of its facets (n,), and
-    the corners in
-    the parent's reference coordinates (n, d, d-1).
+    Returns the finer trace (it owns no nodes of the body), the parent facet of each of its facets (n,), and the
+    corners in the parent's reference coordinates (n, d, d-1).
     """
     m = trace.dim - 1
     pieces = np.concatenate((np.zeros((1, m)), np.eye(m)))[None]

@@ -6,10 +6,8 @@ two minutes)
       ./with-dolfinx python3 tests/benchmarks/step_cost.py --unknowns 20000
 
 Time: the median of the steps of an elastic pendulum over the median of one back-solve with the same factor,
-both in one
-process. Memory: peak resident size of a process that makes the whole run over that of one that reads the
-mesh, assembles
-E = M + s K with DOLFINx, factors it and solves once. Exit code 1 when a bound is missed.
+both in one process. Memory: peak resident size of a process that makes the whole run over that of one that reads the
+mesh, assembles E = M + s K with DOLFINx, factors it and solves once. Exit code 1 when a bound is missed.
 """
 
 from __future__ import annotations
