@@ -32,14 +32,15 @@ def picture(runs: Mapping[str, tuple[fmbd.Run, fmbd.Run]], file: object) -> None
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 5.8), layout="constrained")
-    axes = figure.subplot_mosaic([["truck"] * 3, ["acceleration", "pitch", "stress"]], height_ratios=(0.75, 1))
-    ax = axes["truck"]
+    above, below = figure.subfigures(2, 1, height_ratios=(0.75, 1))
+    ax = above.subplots()
+    axes = below.subplot_mosaic([["acceleration", "pitch", "stress"]])
     for k, (state, moment) in enumerate(zip(elastic.snapshots, moments, strict=True)):
         row = int(np.argmin(abs(elastic.times - state.t)))
         _bodies(ax, elastic, row, APART * k)
         shown = _loading_area(ax, np.concatenate(mesh), moment.nodes[0][:, :2], skins[0].triangles, APART * k)
         ax.text(APART * k, 5.7, f"t = {state.t:.1f} s", ha="center")
-    figure.colorbar(shown, ax=ax, label="Mises stress x thickness (kN/m)", shrink=0.9, pad=0.01)
+    above.colorbar(shown, ax=ax, label="Mises stress x thickness (kN/m)", shrink=0.9, pad=0.01)
     ax.set(aspect="equal", ylabel="y (m)", xticks=[], ylim=(-0.2, 6.4))
     ax.set_title(f"loading area on a {next(iter(runs))}: motion x {MOTION:g}, deformation x {BENDING:g}", fontsize=10)
     for k, (name, (rigid, soft)) in enumerate(runs.items()):
@@ -56,7 +57,7 @@ def picture(runs: Mapping[str, tuple[fmbd.Run, fmbd.Run]], file: object) -> None
         axes[name].set(xlabel="time (s)", ylabel=label)
         axes[name].grid(alpha=0.3)
     axes["pitch"].legend(frameon=False, fontsize=6.5, loc="upper right")
-    axes["stress"].legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(0.0, 1.0))
+    axes["stress"].legend(frameon=False, fontsize=6.5, loc="upper left")
     axes["stress"].margins(y=0.2)
     figure.savefig(str(file), dpi=110)
 
