@@ -9,10 +9,16 @@ from typing import Any
 
 @dataclass(frozen=True)
 class MixedEnergy:
-    """An energy Pi(u, p, dx) in J of displacement and pressure, quadratic in p; ``linear``: quadratic in u too."""
+    """An energy Pi(u, p, dx) in J of displacement and pressure, quadratic in p; ``linear``: quadratic in u too.
+
+    ``carried``: p is an unknown of its own beside u instead of being eliminated (absolute bodies, see ``traces.mixed``).
+    ``incompressible``: the part quadratic in p serves the tangent only, so that J = 1 holds without it.
+    """
 
     density: Callable[[Any, Any, Any], Any]
     linear: bool = False
+    carried: bool = False
+    incompressible: bool = False
 
     def __call__(self, u: Any, p: Any, dx: Any) -> Any:
         """The form of the density."""

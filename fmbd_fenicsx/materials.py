@@ -138,9 +138,27 @@ def nearly_incompressible(youngs_modulus: float, poisson_ratio: float) -> MixedE
 def neo_hookean_mixed(youngs_modulus: float, poisson_ratio: float) -> MixedEnergy:
     """Neo-Hookean with a pressure of its own: int mu/2 (tr F^T F - d - 2 ln J) + p (J - 1) - p^2 / (2 lambda); nu up to 1/2.
 
-    To be given as ``energy``. In the plane: plane strain. lambda is limited to 1e3 mu (nu = 0.4995).
+    To be given as ``energy``. In the plane: plane strain. lambda is limited to 1e3 mu (nu = 0.4995):
+    beyond it take :func:`neo_hookean_incompressible`.
     """
-    mu, lmbda = _moduli(youngs_modulus, poisson_ratio, STIFFEST_LARGE)
+    return MixedEnergy(_neo_hookean_of_pressure(*_moduli(youngs_modulus, poisson_ratio, STIFFEST_LARGE)))
+
+
+def neo_hookean_incompressible(youngs_modulus: float, poisson_ratio: float = 0.5) -> MixedEnergy:
+    """The energy of :func:`neo_hookean_mixed` with the pressure as one more unknown; any nu in (0, 1/2], large strains.
+
+    At nu = 1/2 the volume is kept, J = 1 in the mean over each function of the pressure's space. p in Pa is positive in
+    tension. For absolute bodies, as ``energy``, with ``GeneralizedAlpha`` and ``settle``. In the plane: plane strain.
+    """
+    require(
+        0.0 < poisson_ratio <= 0.5, f"Poisson's ratio {poisson_ratio} must lie in (0, 0.5] for a pressure of its own."
+    )
+    mu, lmbda = _moduli(youngs_modulus, poisson_ratio)
+    return MixedEnergy(_neo_hookean_of_pressure(mu, lmbda), carried=True, incompressible=lmbda >= STIFFEST * mu)
+
+
+def _neo_hookean_of_pressure(mu: float, lmbda: float) -> Form:
+    """mu/2 (tr F^T F - d - 2 ln J) + p (J - 1) - p^2 / (2 lambda)."""
 
     def density(u: Any, p: Any, dx: Any) -> Any:
         from dolfinx import fem
@@ -151,7 +169,7 @@ def neo_hookean_mixed(youngs_modulus: float, poisson_ratio: float) -> MixedEnerg
         J = det(F)
         return (0.5 * m * (inner(F, F) - F.ufl_shape[0] - 2 * ln(J)) + p * (J - 1) - k * p * p) * dx
 
-    return MixedEnergy(density)
+    return density
 
 
 def _energy(density: Callable[[Any, Any, Any], Any], mu: float, lmbda: float) -> StoredEnergy:

@@ -329,6 +329,35 @@ class StepSolver:
             return self.many.solve(self._solve_few, b, c)
         return self._solve_few(b, c)
 
+    def step(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """As :meth:`solve`, for an increment of Newton's iteration: the pressures that bodies carry move along; collective.
+
+        The system's forces must have been evaluated last at the iterate.
+        """
+        s = self.system
+        carried = [(i, k, f) for i, (k, f) in enumerate(s.fields) if f.field.carried]
+        if not carried:
+            return self.solve(b, c)
+        b = b.copy()
+        for i, k, f in carried:
+            at = s.slices[1][k]
+            b[at] -= self.weights.ck * _turned(f.field.volume_load(), self._turns[i])  # type: ignore[attr-defined]
+        dq, dlam = self.solve(b, c)
+        for i, k, f in carried:
+            f.field.move_pressure(_turned(s.local_v(dq, k), self._turns[i], back=True))  # type: ignore[attr-defined]
+        return dq, dlam
+
+    @property
+    def pressures(self) -> list[Array]:
+        """Pressures that bodies carry as unknowns, to be kept and put back."""
+        return [f.field.pressure_values for _, f in self.system.fields if f.field.carried]  # type: ignore[attr-defined]
+
+    @pressures.setter
+    def pressures(self, values: list[Array]) -> None:
+        fields = [f.field for _, f in self.system.fields if f.field.carried]
+        for field, p in zip(fields, values, strict=True):
+            field.pressure_values = p  # type: ignore[attr-defined]
+
     def _solve_few(self, b: Array, c: Array) -> tuple[Array, Array]:
         """The same with the rows that the core holds: all, or those of no surface tie where these are many."""
         s = self.system

@@ -105,6 +105,7 @@ class _Problem:
     scheme: Any
     newton: Newton
     linear: Any
+    pressures: list[Array]  # that bodies carry as unknowns
 
 
 @dataclass(frozen=True)
@@ -159,6 +160,7 @@ def solve(
     pace = pace_of(scene, scheme, t_end, dt, multiple=4 if output.estimate_error else 1)
     begin = clock.perf_counter()
     system, given, markers = scene.build()
+    _check_pressures(system, scheme)
     built = clock.perf_counter()
     solver = _solver(scene, system, linear)
     newton.refresh = solver.refresh
@@ -174,7 +176,7 @@ def solve(
             )
             start, correction = consistent(system, given, solver)
         started = clock.perf_counter()
-        problem = _Problem(scene, system, markers, start, scheme, newton, linear)
+        problem = _Problem(scene, system, markers, start, scheme, newton, linear, solver.pressures)
         march = _march(problem, solver, pace, output)
         ended = clock.perf_counter()
         counters = _counters(march, newton, solver)
@@ -211,6 +213,16 @@ def solve(
         run.error_estimate, run.observed_order = _estimate(problem, march.recorder, pace)
         run.seconds["error estimate"] = clock.perf_counter() - ended
     return run
+
+
+def _check_pressures(system: System, scheme: Any) -> None:
+    """Bodies with a pressure as an unknown need a scheme that moves it."""
+    names = [p.name for _, p in system.fields if p.field.carried]
+    require(
+        not names or getattr(scheme, "carries_pressure", False),
+        f'Body "{"".join(names[:1])}" has a pressure that is an unknown; {scheme.name} does not solve for it. Use '
+        "GeneralizedAlpha() with form=Index3(), or energy=neo_hookean_mixed(...).",
+    )
 
 
 def _solver(scene: Scene, system: System, linear: Any) -> StepSolver:
@@ -328,6 +340,7 @@ def _again(problem: _Problem, pace: Pace, factor: int) -> Recorder:
     """The march once more with steps larger by a factor, sensors recorded in every step; collective."""
     solver = _solver(problem.scene, problem.system, problem.linear)
     newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
+    solver.pressures = problem.pressures
     wanted = Output(energy=False, progress=False)
     try:
         return _march(replace(problem, newton=newton), solver, Pace(pace.t_end, pace.steps // factor), wanted).recorder

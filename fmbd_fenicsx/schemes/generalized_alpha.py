@@ -74,6 +74,11 @@ class GeneralizedAlpha:
     order = 2
 
     @property
+    def carries_pressure(self) -> bool:
+        """Whether bodies may have a pressure that is an unknown."""
+        return isinstance(self.form, Index3)
+
+    @property
     def name(self) -> str:
         """Name in reports."""
         stabilised = ", GGL" if isinstance(self.form, GGL) else ""
@@ -143,9 +148,11 @@ class Stepper:
         A step of bodies with an energy that fails is made in halves (counted as ``halved_steps``).
         """
         weights, motion = self._predicted(h)
+        pressures = self.solver.pressures
         try:
             return self._newton(h, weights, motion, PATIENCE)
         except (ConvergenceError, LinearSolveError) as error:
+            self.solver.pressures = pressures
             if any(p.field.nonlinear for _, p in self.system.fields):
                 return self._in_halves(h, error)
             if self.system.fields:
@@ -160,7 +167,7 @@ class Stepper:
         """
         if self._depth == DEPTH:
             raise error
-        before = self.state, self.A, self.fresh, self._past
+        before, pressures = (self.state, self.A, self.fresh, self._past), self.solver.pressures
         self._depth += 1
         self.counters["halved_steps"] = self.counters.get("halved_steps", 0.0) + 1.0
         try:
@@ -170,6 +177,7 @@ class Stepper:
                 self.advance(0.5 * h)
         except (ConvergenceError, LinearSolveError):
             self.state, self.A, self.fresh, self._past = before
+            self.solver.pressures = pressures
             raise error from None
         finally:
             self._depth -= 1
@@ -221,7 +229,7 @@ class Stepper:
                 closing, _ = self.solver.solve(np.zeros_like(dq), -g - ev.jacobian.times(dq))
                 xi = xi + system.rate(xi, closing)
             else:
-                dq, dlam = self.solver.solve(-scale * r, -g)
+                dq, dlam = self.solver.step(-scale * r, -g)
                 closing = np.zeros_like(dq)
             lam = lam + dlam / scale
             d_xi = system.rate(xi, dq)

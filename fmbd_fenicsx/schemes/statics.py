@@ -47,7 +47,7 @@ def _march(system: System, given: State, solver: StepSolver, tau: float) -> Stat
         q = system.compose(given.q, xi)
         ev = system.at(given.t, q, v)
         solver.prepare(ev, Weights(1.0, tau, tau * tau))
-        dq, dlam = solver.solve(-tau * tau * ev.balance(v, lam), -ev.constraint())
+        dq, dlam = solver.step(-tau * tau * ev.balance(v, lam), -ev.constraint())
         sizes.append(system.max_abs(dq))
         if not sizes[-1] < 1e3 * system.length:
             break

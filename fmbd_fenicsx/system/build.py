@@ -206,6 +206,11 @@ class Builder:
             Ud = Ud + (twist[:d] + self.m.spin(twist[None, d:], arm)).ravel()
             self._put_part(AbsoluteField(field_, ground_frame, surfaces), U, Ud)
             return
+        require(
+            not field_.carried,
+            f'Body "{body.name}": an energy whose pressure is an unknown needs an AbsoluteBody. In a floating frame use '
+            "neo_hookean_mixed, or nearly_incompressible as elastic.",
+        )
         frame = self.frame_of[body.name]
         part = FloatingField(field_, frame, surfaces, body.frame, body.held_at)
         start = framed_start(body, field_, part.conditions)

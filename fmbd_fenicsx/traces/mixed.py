@@ -8,6 +8,15 @@ is a block of its own, [cm M + ck A, ck B^T; ck B, -ck C], where the step's matr
 coordinates of any other body: displacements. nu = 1/2 is allowed: the ready-made materials
 limit lambda to 1e8 mu (1e3 mu for large strains), so the volume changes by a share of 1e-8 (1e-3) of the shear strains.
 
+A ``carried`` pressure (large strain, nu up to 1/2) is an unknown beside u. Newton's increment solves
+
+    [ A   B^T ] [ du ]   [ -f(u, p)         ]         eliminated:   (A + B^T C^-1 B) du = -f(u, p) - B^T C^-1 r       (2)
+    [ B   -C  ] [ dp ] = [ -r,  r = dPi/dp  ]                       dp = C^-1 (B du + r)
+
+with the factor of (1): r is a further load of the step (:meth:`MixedField.volume_load`) and p moves with each increment
+(:meth:`MixedField.move_pressure`). The rate does not depend on lambda. At nu = 1/2, r = b(u) has no part in p, and C, with
+lambda = 1e8 mu, is in the matrix only.
+
 Source: Boffi, Brezzi and Fortin, Mixed Finite Element Methods, doi:10.1007/978-3-642-36519-5, section 8.8.
 """
 
@@ -69,6 +78,12 @@ class MixedField(Field):
                 f'Body "{self.name}": energy(u, p, dx) did not give a UFL form of rank 0: {type(error).__name__}: {error}'
             ) from error
         self.n_pressure = Q.dofmap.index_map.size_local
+        self.carried = self._energy.carried
+        if self.carried and self.forms.stiffness_damping:
+            raise InputError(
+                f'Body "{self.name}": stiffness_damping does not go with a pressure that is an unknown: its stiffness holds '
+                "that of the volume. Use mass_damping or viscous."
+            )
         self._make_compliance()
 
     def _make_compliance(self) -> None:
@@ -107,12 +122,50 @@ class MixedField(Field):
         from dolfinx import fem, la
 
         super()._place(U)
+        if self.carried:
+            return
         self._p.x.array[:] = 0.0
         b = fem.assemble_vector(self._balance_form)
         b.scatter_reverse(la.InsertMode.add)
         self._pb.array[:] = b.array[: self.n_pressure]
         self._solve_p.solve(self._pb, self._px)
         self._p.x.array[: self.n_pressure] = self._px.array
+        self._p.x.scatter_forward()
+
+    # -- a pressure that is an unknown --------------------------------------------------------------------------
+    def volume_load(self) -> Array:
+        """B^T C^-1 r of (2) at the displacements placed last, in the axes of the tangent, (n d,); collective."""
+        from dolfinx import fem, la
+
+        b = fem.assemble_vector(self._balance_form)
+        b.scatter_reverse(la.InsertMode.add)
+        if self._energy.incompressible:
+            self._px.array[:] = self._p.x.array[: self.n_pressure]
+            self._C.mult(self._px, self._pb)
+            self._gap = b.array[: self.n_pressure] + self._pb.array
+        else:
+            self._gap = b.array[: self.n_pressure].copy()
+        self._pb.array[:] = self._gap
+        self._solve_p.solve(self._pb, self._px)
+        self._B.multTranspose(self._px, self._bu)
+        return np.array(self._bu.array)
+
+    def move_pressure(self, dU: Array) -> None:
+        """p + dp of (2) for the increment dU (n d,) in the axes of the tangent; collective."""
+        self._bu.array[:] = dU
+        self._B.mult(self._bu, self._pb)
+        self._pb.array[:] += self._gap
+        self._solve_p.solve(self._pb, self._px)
+        self.pressure_values = self.pressure_values + self._px.array
+
+    @property
+    def pressure_values(self) -> Array:
+        """Values of a carried pressure that this rank owns, Pa."""
+        return np.array(self._p.x.array[: self.n_pressure])
+
+    @pressure_values.setter
+    def pressure_values(self, p: Array) -> None:
+        self._p.x.array[: self.n_pressure] = p
         self._p.x.scatter_forward()
 
     def stiffness(self, U: Array) -> Array:
@@ -155,7 +208,7 @@ class MixedField(Field):
         return out
 
     def pressure_of(self, U: Array) -> Any:
-        """The pressure that belongs to displacements U (n d,), as a dolfinx function; collective."""
+        """The pressure that belongs to displacements U (n d,), as a dolfinx function (carried: the present one); collective."""
         self._place(U)
         return self._p
 
