@@ -1,6 +1,6 @@
 """An elastic ball drops on an elastic block: contact of two bodies with meshes that do not match, in space.
 
-Run:  ./with-dolfinx mpirun -n 2 python3 demos/ball_on_block.py          (also on one rank)
+Run:  ./with-dolfinx python3 demos/ball_on_block.py     (also: ./with-dolfinx mpirun -n 2 python3 demos/ball_on_block.py)
 
 Half a ball falls with v0 on a block that lies on a frictionless floor. Mortar rows with dual multipliers on the finer
 surface carry the force; momentum is exchanged, energy never grows. Hertz's impact theory gives the largest force

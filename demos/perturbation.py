@@ -30,9 +30,10 @@ class Perturbed:
     """Adds -delta sin(omega t) d, switched on smoothly, to the equations of a form of the constraints."""
 
     def rows(self, ev, a):
-        r = min(ev.t * self.omega / (2 * np.pi), 1.0)
+        t = np.atleast_1d(ev.t)[:, None]  # of one instant or all stages
+        r = np.minimum(t * self.omega / (2 * np.pi), 1.0)
         on = r**4 * (35 - 84 * r + 70 * r**2 - 20 * r**3)
-        return super().rows(ev, a) - DELTA * on * np.sin(self.omega * ev.t) * self.shape
+        return super().rows(ev, a) - DELTA * on * np.sin(self.omega * t) * self.shape
 
 
 FORMS = {3: fmbd.Index3, 2: fmbd.Index2, 1: fmbd.Index1}

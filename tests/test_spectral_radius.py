@@ -88,7 +88,7 @@ def test_bdf_two(z: float) -> None:
         stepper = scheme.stepper(system, StepSolver(system), Newton(1e-12, 40), state)
         second = State(1.0, np.array([q1]), np.array([v1]), np.array([-(z**2) * q1]), np.zeros(0))
         stepper.state = second
-        stepper._remember(second, np.zeros((0, 0)))
+        stepper._remember(second, np.zeros(0))
         end = stepper.advance(1.0)
         columns.append([q1, v1 / z, end.q[0], end.v[0] / z])
     found = np.abs(np.linalg.eigvals(np.array(columns).T)).max()
