@@ -47,7 +47,7 @@ if MPI.COMM_WORLD.rank == 0:
 """
 
 
-def launch(code: str, ranks: int, *words: str, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
+def launch(code: str, ranks: int, *words: str, timeout: float = 240.0) -> subprocess.CompletedProcess[str]:
     """Run a script on so many ranks, from the checkout."""
     command = [sys.executable, "-c", code, *words]
     if ranks > 1:
