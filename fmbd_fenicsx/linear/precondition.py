@@ -164,7 +164,7 @@ def lumped(saddle: Any, i: int) -> sp.csr_matrix:
     return out.tocsr()
 
 
-def to_petsc(S: sp.csr_matrix, saddle: SaddlePoint, parts: list[int] | None = None) -> Any:
+def to_petsc(S: sp.csr_matrix, saddle: Any, parts: list[int] | None = None) -> Any:
     """Own rows of a replicated matrix; its rows are those of ties with ``parts`` rows each, every one split
     evenly.
     """

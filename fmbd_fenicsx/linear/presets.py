@@ -18,6 +18,7 @@ import numpy as np
 
 from ..errors import LinearSolveError
 from ..rotations import Array
+from ..system.system import System
 from ..traces.fields import Field
 from .blocks import Bddc, Cholesky, Multigrid, block_solver, set_bddc
 from .diagnosis import diagnose
@@ -25,7 +26,8 @@ from .multiplier_schur import Schur
 from .options import check_options
 from .precondition import Fractional, MultiplierPreconditioner, to_petsc
 from .residual import Judge
-from .saddle import SaddlePoint, Solution, elastic_matrix
+from .saddle import Elastic, SaddlePoint, Solution, elastic_matrix
+from .split import SplitBlock, SplitSolver, split_prefix
 
 __all__ = ["Bddc", "Cholesky", "Direct", "FieldSplit", "Multigrid", "Preset", "SaddleSolver", "Schur", "set_bddc"]
 
@@ -85,7 +87,7 @@ class FieldSplit:
     """MINRES (or FGMRES) with diag(E_k, S~); ``rtol`` on the preconditioned residual.
 
     ``elastic``: :class:`Cholesky` or :class:`Multigrid`. ``multiplier``: how S~ is made, see
-    :mod:`.precondition`.
+    :mod:`.precondition`. In scenes: the whole matrix of a step, see :mod:`.split`.
     """
 
     elastic: Cholesky | Multigrid | Bddc = Cholesky()
@@ -93,6 +95,15 @@ class FieldSplit:
     method: str = "minres"
     rtol: float = 1e-8
     max_iterations: int = 400
+
+    def split(self, system: System, prefix: str) -> SplitSolver:
+        """The solver of a scene's steps; collective."""
+        return SplitSolver(system, self, prefix)
+
+    def block(self, field: Field, weights: tuple[float, float, float], prefix: str) -> SplitBlock:
+        """The split of one body, its options under ``<scene>_fieldsplit_<body>.u_``; collective."""
+        cm, cd, ck = weights
+        return SplitBlock(Elastic(field, cm, ck), self.elastic, split_prefix(prefix, field.name), cd)
 
     def solver(self, saddle: SaddlePoint, prefix: str = "fmbd_") -> _Krylov:
         """Set up all blocks; collective."""

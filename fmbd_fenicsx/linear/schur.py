@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..errors import InputError, LinearSolveError
+from ..errors import InputError, LinearSolveError, require
 from ..log import log
 from ..mechanics.placements import DistributedPart, FrameMotion
 from ..rotations import Array
@@ -72,6 +72,7 @@ class StepSolver:
         self.factorisations = 0
         self._blocks: dict[tuple[Any, ...], list[Block]] = {}
         self._retired: list[Any] = []
+        self.split: Any = linear.split(system, prefix) if hasattr(linear, "split") else None
         self.many = self._many()
         self.few: Any = slice(None) if self.many is None else self.many.few
 
@@ -109,10 +110,15 @@ class StepSolver:
         return 0 if self.many is None else int(self.many.iterations)
 
     @property
+    def saddle_iterations(self) -> int:
+        """Iterations on the whole matrix of a step, see :mod:`.split`; 0 where it is eliminated instead."""
+        return 0 if self.split is None else int(self.split.iterations)
+
+    @property
     def worst_residual(self) -> float:
         """Largest relative residual of any accepted solve."""
         worst = [b.factor.judge.worst for blocks in self._blocks.values() for b in blocks]
-        return max([self.core.judge.worst, *worst])
+        return max([self.core.judge.worst, 0.0 if self.split is None else self.split.judge.worst, *worst])
 
     def prepare(self, ev: Evaluation, weights: Weights, stiffness: Any = None) -> None:
         """Set up (1) for a configuration; elastic factors are kept from earlier calls with the same weights.
@@ -182,6 +188,10 @@ class StepSolver:
         self.blocks = self._elastic(G, w)
         n = s.n_core
         A = A.toarray() if sp.issparse(A) else A.copy()
+        if self._whole:
+            self._refuse_redundant()
+            self.split.prepare(self, A, [self._coupling(ev, i, w.cm) for i in range(len(self.blocks))])
+            return
         if self.many is not None:
             self.many.prepare(ev, w, A)
         core_G = dense(G.core)[self.few].copy()
@@ -198,6 +208,19 @@ class StepSolver:
             core_G = core_G - WS[n:, :n]
             C -= WS[n:, n:]
         self.core.factor(A, core_G, C)
+
+    @property
+    def _whole(self) -> bool:
+        """Whether the matrix of the configuration is solved as a whole; without stiffness (starts) it is eliminated."""
+        return self.split is not None and self.weights.ck != 0
+
+    def _refuse_redundant(self) -> None:
+        """Dependent rows leave multipliers of minimum norm to the dense core."""
+        require(
+            not self.core.redundant,
+            "FieldSplit() needs constraints that do not depend on each other; scene.check() lists those of this scene that do. "
+            "Take one of them away, or use linear=fmbd.Direct().",
+        )
 
     def core_matrix(self, ev: Evaluation, w: Weights) -> Any:
         """cm M + cd C + ck K of the core: rigid bodies, frames of elastic ones (at U = 0), replicated parts."""
@@ -237,7 +260,7 @@ class StepSolver:
         if key not in self._blocks:
             blocks = [self._block(i, G, w) for i in range(len(self.system.fields))]
             self._drop(keep=1, live=[b.factor for b in blocks])
-            if self.linear is not None and w.ck:
+            if self.linear is not None and w.ck and self.split is None:
                 check_options(self.prefix, self.system.comm)
             self._blocks[key] = blocks
         return self._blocks[key]
@@ -254,7 +277,7 @@ class StepSolver:
             self.factorisations += ck != 0 and getattr(factor, "fresh", True)
         first = f.n_frame_rows
         active = G.active(self.system.port_slice(k))
-        if self.many is not None:
+        if self.many is not None or self._whole:
             active &= ~self._on_traces(f)
         if f.shared_columns:
             active[:first] = False  # the same columns as those of inertia
@@ -325,6 +348,8 @@ class StepSolver:
         if not s.fields:
             return self.core.solve(b, c)
         s.move(self._ev.t)
+        if self._whole:
+            return self.split.solve(b, c)
         if self.many is not None:
             return self.many.solve(self._solve_few, b, c)
         return self._solve_few(b, c)
@@ -383,6 +408,8 @@ class StepSolver:
 
     def destroy(self) -> None:
         """Free all factors; collective."""
+        if self.split is not None:
+            self.split.destroy()
         self._drop(keep=0, live=[])
         for _, f in self.system.fields:
             forget = getattr(f.field, "forget", None)  # wires keep factors for several sets of slack droppers

@@ -144,8 +144,8 @@ def solve(
         newton: tolerance and limits of Newton's iteration.
         output: what is recorded how often, and whether the time-discretisation error is estimated.
         linear: how elastic bodies and ties are solved: :class:`Direct` (the default), :class:`Schur`,
-            :class:`FieldSplit`. PETSc's options of a block are those under ``-<scene>_<block>_``, spaces of the scene's
-            name written as ``_``.
+            :class:`FieldSplit`. PETSc's options of a block are those under ``-<scene>_<block>_``, of a split
+            ``-<scene>_fieldsplit_<block>_``, spaces written as ``_``.
 
     Raises:
         InputError: unusable arguments. ConstraintError: the bodies do not fit. ConvergenceError: a step
@@ -299,6 +299,7 @@ def _counters(march: _March, newton: Newton, solver: StepSolver) -> dict[str, fl
         "back_solves_per_step": later / (march.done - 1) if march.done > 1 else 0.0,
         "elastic_iterations": solver.elastic_iterations,
         "tie_iterations": solver.tie_iterations,
+        "saddle_iterations": solver.saddle_iterations,
         "core_factorisations": solver.core.factorisations,
         "worst_linear_residual": solver.worst_residual,
         **march.counters,

@@ -334,6 +334,8 @@ class CompiledStepper(Stepper):
         """Whether there is a kernel for this step: with fields, one that has the solver's factors for the step size."""
         if not self.system.fields:
             return True
+        if self.solver.split is not None:
+            return False
         _, af, _, beta = self.scheme.parameters
         scale = beta * h * h * (1 - af) / (1 - self.scheme.parameters[0])
         if self.solver.weights.ck != scale:
