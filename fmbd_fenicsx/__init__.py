@@ -41,7 +41,7 @@ from .schemes.dae import GGL, Baumgarte, Index1, Index2, Index3, Overdetermined,
 from .schemes.energy_momentum import EnergyMomentum
 from .schemes.generalized_alpha import GeneralizedAlpha
 from .schemes.half_explicit import HalfExplicit
-from .schemes.newton import Newton
+from .schemes.newton import ExactTangent, Newton
 from .schemes.radau import Radau
 from .schemes.rattle import Rattle
 from .system.scene import Scene

@@ -103,6 +103,10 @@ class FieldPart:
         """Rotation (d, d) in which the factored tangent acts, None for the field's own axes; collective."""
         return None
 
+    def sway(self, u: Array) -> Array | None:
+        """M u (nodes, d) where its moments on the frame are not in the columns of inertia, else None; collective."""
+        return None
+
     @property
     def tangent_version(self) -> int:
         """Number of the tangent that :class:`Field` holds; a new number asks for a new factor."""

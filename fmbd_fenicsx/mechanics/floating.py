@@ -153,6 +153,10 @@ class FloatingField(FieldPart):
             M[d:, :d] = M[:d, d:].T
         return M, np.zeros((0, n)), np.zeros((0, 0))
 
+    def sway(self, u: Array) -> Array | None:
+        """M U (nodes, d) where the columns of inertia are those of P = X; collective."""
+        return self.field.mass(u.reshape(-1, self.field.dim)) if self.shared_columns else None
+
     def _velocity(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array, Array]:
         """Points P, nodal velocities W in body axes and M W."""
         d = self.field.dim

@@ -113,6 +113,9 @@ class DistributedPart(Part, Protocol):
     def turn(self, u: Array) -> Array | None:
         """Rotation (d, d) in which the factored tangent acts, None for the field's own axes; collective."""
 
+    def sway(self, u: Array) -> Array | None:
+        """M u (nodes, d) where its moments on the frame are not in the columns of inertia, else None; collective."""
+
     def relinearise(self) -> bool:
         """Take the tangent at the configuration evaluated last; False when it is constant anyway. Collective."""
 

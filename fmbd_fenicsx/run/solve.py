@@ -13,6 +13,7 @@ from ..errors import ConvergenceError, InputError, Stopped, near, require
 from ..linear.schur import StepSolver
 from ..log import StopRequests, install_hooks, log, peak_memory
 from ..rotations import Array
+from ..schemes.dae import Index3
 from ..schemes.generalized_alpha import GeneralizedAlpha
 from ..schemes.newton import Newton
 from ..schemes.start import Correction, consistent
@@ -157,6 +158,10 @@ def solve(
     scheme = _default_scheme(scene) if scheme is None else scheme
     output = Output() if output is None else output
     newton = Newton() if newton is None else replace(newton, iterations=0, theta=0.5)
+    require(
+        newton.tangent is None or (type(scheme) is GeneralizedAlpha and isinstance(scheme.form, Index3)),
+        f"{scheme.name} has no exact tangent. Use scheme=fmbd.GeneralizedAlpha(), or leave out Newton's tangent.",
+    )
     pace = pace_of(scene, scheme, t_end, dt, multiple=4 if output.estimate_error else 1)
     begin = clock.perf_counter()
     system, given, markers = scene.build()

@@ -38,6 +38,7 @@ from ..rotations import Array
 from ..system.system import State, System
 from . import kernel as slots
 from .dae import GGL, Form, Index3
+from .exact_tangent import exact_increment
 from .kernel import LOOK, Kernel, kernel_library, kernel_of
 from .newton import Newton, not_converged
 from .start import jerk, spin_of_acceleration, worst_block
@@ -94,7 +95,7 @@ class GeneralizedAlpha:
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
-        plain = self.compiled and isinstance(self.form, Index3) and not solver.core.redundant
+        plain = self.compiled and isinstance(self.form, Index3) and not solver.core.redundant and newton.tangent is None
         if not plain or kernel_library(system) is None:
             return Stepper(self, system, solver, newton, state)
         kernel = None if system.fields else kernel_of(system)
@@ -213,12 +214,19 @@ class Stepper:
         last: Array = np.zeros(0)
         stabilised = bool(system.n_lam) and isinstance(self.scheme.form, GGL)
 
+        tangent = None if stabilised else self.newton.tangent
+
+        def moved(d: Array) -> tuple[Array, Array]:
+            d = system.rate(xi, d)
+            ev = system.at(t, system.compose(s.q, xi + d), fixed_v + h * gamma * (A + d / (h * h * beta)))
+            return scale * ev.balance(a + d / scale, lam), ev.constraint()
+
         def increment() -> float:
             nonlocal a, lam, A, xi, done, last
             q = system.compose(s.q, xi)
             v = fixed_v + h * gamma * A
             ev = system.at(t, q, v)
-            if done == 0 or (done > patience and not system.fields):
+            if done == 0 or tangent is not None or (done > patience and not system.fields):
                 self.solver.prepare(ev, weights)
             done += 1
             g = ev.constraint()
@@ -228,6 +236,10 @@ class Stepper:
                 dq, dlam = self.solver.solve(-scale * r, -scale / weights.cd * slip)
                 closing, _ = self.solver.solve(np.zeros_like(dq), -g - ev.jacobian.times(dq))
                 xi = xi + system.rate(xi, closing)
+            elif tangent is not None:
+                dq, dlam, count = exact_increment(tangent, system, self.solver.solve, moved, (-scale * r, -g))
+                closing = np.zeros_like(dq)
+                self.counters["tangent_iterations"] = self.counters.get("tangent_iterations", 0.0) + count
             else:
                 dq, dlam = self.solver.step(-scale * r, -g)
                 closing = np.zeros_like(dq)

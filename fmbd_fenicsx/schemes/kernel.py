@@ -39,10 +39,10 @@ def _structure(name: str, dim: int = 0) -> type[ctypes.Structure]:
     i, r, p, n = ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_long
     rot = 2 * dim - 3
     fields: dict[str, list[tuple[str, Any]]] = {
-        "Field": [("n", n), ("nodes", n), ("solved", i), ("frames", i), ("row", i), ("unused", i), ("frame_slot", p)]
+        "Field": [("n", n), ("nodes", n), ("solved", i), ("frames", i), ("row", i), ("sways", i), ("frame_slot", p)]
         + [(x, p) for x in ("X", "Q", "port", "Y", "HY", "inertia", "moment", "port_start", "port_col")]
         + [(x, p) for x in ("M_start", "M_col", "K_start", "K_col", "M", "K")]
-        + [("beta", r), *((x, p) for x in ("B", "A", "b", "z", "h", "zh"))]
+        + [("beta", r), *((x, p) for x in ("B", "A", "b", "z", "h", "zh", "MU"))]
         + [("R", r * dim**2), ("L", r * (dim + rot) ** 2), ("solve", p)],
         "Body": [(x, i) for x in ("m", "at_v", "at_q", "at_x")]
         + [(x, r) for x in ("mass", "large", "spin")]
@@ -117,7 +117,7 @@ class Kernel:
         jac = int(wide.sum())
         sizes = {"profile": self.size, "jac": jac, "tangent": jac, "W": jac, "g": self.m, "y": self.m}
         arrays |= {k: np.zeros(max(x, 1)) for k, x in sizes.items()}
-        arrays["work"] = np.zeros(3 * self.n + int(widths.sum()) + self.m)
+        arrays["work"] = np.zeros(4 * self.n + 2 * (int(widths.sum()) + self.m))
         arrays["R"] = np.tile(np.eye(d), (nb + 1, 1, 1))
         arrays["units"] = np.array(system.units, dtype=float)
         counts = (nb, len(used), self.m, len(ci), self.n, self.nq, system.n_core, int(widths.sum()), self.size, jac)
@@ -204,6 +204,7 @@ class Kernel:
 
         call = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int)(solve)
         arrays = c.arrays() | {"A": np.zeros(part.n), "h": np.zeros(c.count), "zh": np.zeros(c.count)}
+        arrays["MU"] = np.zeros(part.n)
         pointers = {n: self._keep(x) for n, x in arrays.items()}
         f = _structure("Field", d)(
             n=part.n,
@@ -211,6 +212,7 @@ class Kernel:
             solved=c.solved,
             frames=part.n_frame_rows,
             row=s.frame_rows[c.number].start,
+            sways=int(part.shared_columns),
             beta=part.field.forms.stiffness_damping,
             b=b_.ctypes.data,
             z=z.ctypes.data,

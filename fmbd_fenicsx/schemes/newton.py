@@ -16,14 +16,36 @@ from ..errors import ConvergenceError, require
 FINEST = 1e-13  # increments are known to about this share
 
 
+@dataclass(frozen=True)
+class ExactTangent:
+    """The exact tangent of a step in place of the frozen one: ``Newton(tangent=ExactTangent())``, :class:`GeneralizedAlpha` only.
+
+    GMRES to the relative residual ``rtol``, at most ``max_iterations``, each one back-solve; see :mod:`.exact_tangent`.
+    """
+
+    rtol: float = 1e-6
+    max_iterations: int = 30
+
+    def __post_init__(self) -> None:
+        require(
+            1e-7 <= self.rtol < 1.0,
+            f"ExactTangent: rtol = {self.rtol} is not usable; difference quotients allow 1e-7 <= rtol < 1.",
+        )
+        require(self.max_iterations >= 1, f"ExactTangent needs max_iterations >= 1, found {self.max_iterations}.")
+
+
 @dataclass
 class Newton:
-    """Settings and counters. ``tolerance`` is relative: on accelerations and reactions, see each scheme."""
+    """Settings and counters. ``tolerance`` is relative: on accelerations and reactions, see each scheme.
+
+    ``tangent``: None for the frozen tangent, or :class:`ExactTangent`.
+    """
 
     tolerance: float = 1e-6
     max_iterations: int = 12
     slow: float = 0.9  # a rate above this over two increments counts as divergence
     patience: float = 4.0  # a new tangent is taken when more than this many further iterations are to be expected
+    tangent: ExactTangent | None = None
     refresh: Callable[[], bool] | None = field(default=None, repr=False)  # takes a new tangent where one can change
     iterations: int = 0
     theta: float = field(default=0.5)

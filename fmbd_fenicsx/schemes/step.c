@@ -25,7 +25,8 @@ enum { D = 2, ROT = 1, POSE = 3, TWIST = 3, PORT = 6 };
 
 typedef struct {
     long n, nodes;
-    int solved, frames, row, unused;               /* h: columns of H in the factor; frame conditions and their first row */
+    int solved, frames, row, sways;                /* h: columns of H in the factor; frame conditions and their first row;
+                                                      whether a mean-axis frame has the moments of M U */
     int *frame_slot;                               /* their columns of H */
     double *X, *Q, *port, *Y, *HY;                 /* n; TWIST x n; entries of the ports' columns; h x n; h x h */
     double *inertia, *moment;                      /* of the columns Q: ROT x ROT; D: sum of M P */
@@ -35,6 +36,7 @@ typedef struct {
     double beta;                                   /* damping by the stiffness */
     double *B;                                     /* see above */
     double *A, *b, *z, *h, *zh;                    /* n each, m each: work */
+    double *MU;                                    /* n: M U of the factor's configuration */
     double R[D * D], L[TWIST * TWIST];             /* of the factor */
     int (*solve)(int);                             /* z = E^-1 b of the body with this number */
 } Field;
@@ -626,10 +628,17 @@ static void from_columns(const Field *e, const double *x, double *t)
 }
 
 /* Cholesky factor of the frame's block with the field eliminated, M - S^T Q^T E^-1 Q S. */
-static int factor_field(const System *s, const Body *o, int b)
+static int factor_field(const System *s, const Body *o, int b, const double *q)
 {
     Field *e = o->field;
     double C[TWIST * TWIST], *L = e->L, x[TWIST];
+    const double *U = q + o->at_q;
+    for (long i = 0; e->sways && i < e->nodes; i++) {
+        double F[D] = {0.0};
+        for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++)
+            for (int j = 0; j < D; j++) F[j] += e->M[k] * U[D * e->M_col[k] + j];
+        memcpy(e->MU + D * i, F, sizeof F);
+    }
     memcpy(e->R, s->R + D * D * b, sizeof e->R);
     for (int j = 0; j < TWIST; j++) {
         double unit[TWIST] = {0.0}, column_[TWIST];
@@ -841,19 +850,14 @@ static void add_reactions(const System *s, const double *lam, double *r)
     }
 }
 
-/* Newton's increments dq (into x, v's order) and s lambda (into y) for the residuals r, g; how well G dq = -g was met. */
-static double solve(const System *s, double scale, double *r, double *x, double *xb, double *y)
+/* Multipliers (into y) and increments (fields into x, the others into xb) from the bodies' eliminated blocks in xb and the open
+   constraints g (NULL: closed); the size of the terms of the multipliers' equations. */
+static double multipliers(const System *s, const double *g, double *x, double *xb, double *y)
 {
-    int m = s->m, n = s->n;
-    double largest = 1e-300, open = 0.0;
-    for (int i = 0; i < n; i++) r[i] *= -scale;
-    reorder(s, r, xb, 1);
-    for (int b = 0; b < s->nb; b++) {
-        if (!s->body[b].field) forward(s->body + b, xb + s->body[b].at_x);
-        else if (field_forward(s->body + b, b, s->g, xb + s->body[b].at_x)) return -1.0;
-    }
+    int m = s->m;
+    double largest = 1e-300;
     for (int k = 0; k < m; k++) {
-        double sum = s->g[k], all = fabs(sum);
+        double sum = g ? g[k] : 0.0, all = fabs(sum);
         for (int c = 2 * k; c < 2 * k + 2; c++) {
             if (s->js[c] < 0) continue;
             const Body *o = owner(s, c);
@@ -879,6 +883,52 @@ static double solve(const System *s, double scale, double *r, double *x, double 
         if (s->body[b].field) field_backward(s->body + b, xb + s->body[b].at_x, x + s->body[b].at_v);
         else backward(s->body + b, xb + s->body[b].at_x);
     }
+    return largest;
+}
+
+/* Second pass for frames whose columns leave out U: the moments of the increments dU, -sum (M U) x dU, go to the frames; what
+   follows is added to x, xb, y. x2, xb2, y2: work. */
+static void sway(const System *s, double *x, double *xb, double *y, double *x2, double *xb2, double *y2)
+{
+    int any = 0;
+    memset(xb2, 0, s->n_x * sizeof(double));
+    for (int b = 0; b < s->nb; b++) {
+        const Body *o = s->body + b;
+        Field *e = o->field;
+        double *t = xb2 + o->at_x, f[ROT];
+        if (!e) continue;
+        memset(e->z, 0, e->n * sizeof(double));
+        memset(e->h, 0, o->m * sizeof(double));
+        memset(e->zh, 0, o->m * sizeof(double));
+        if (!e->sways) continue;
+        any = 1;
+        for (long i = 0; i < e->nodes; i++) {
+            moment(e->MU + D * i, x + o->at_v + D * i, f);
+            add(t + D, -1.0, f, ROT);
+        }
+        field_lower(e, t);
+    }
+    if (!any) return;
+    multipliers(s, NULL, x2, xb2, y2);
+    for (int b = 0; b < s->nb; b++)
+        if (s->body[b].field) add(x + s->body[b].at_v, 1.0, x2 + s->body[b].at_v, (int)s->body[b].field->n);
+    add(xb, 1.0, xb2, s->n_x);
+    add(y, 1.0, y2, s->m);
+}
+
+/* Newton's increments dq (into x, v's order) and s lambda (into y) for the residuals r, g; how well G dq = -g was met. */
+static double solve(const System *s, double scale, double *r, double *x, double *xb, double *y)
+{
+    int m = s->m, n = s->n;
+    double largest, open = 0.0, *x2 = y + m, *xb2 = x2 + n, *y2 = xb2 + s->n_x;
+    for (int i = 0; i < n; i++) r[i] *= -scale;
+    reorder(s, r, xb, 1);
+    for (int b = 0; b < s->nb; b++) {
+        if (!s->body[b].field) forward(s->body + b, xb + s->body[b].at_x);
+        else if (field_forward(s->body + b, b, s->g, xb + s->body[b].at_x)) return -1.0;
+    }
+    largest = multipliers(s, s->g, x, xb, y);
+    if (n > s->n_core) sway(s, x, xb, y, x2, xb2, y2);
     for (int k = 0; k < m; k++) {
         double left = s->g[k];
         for (int c = 2 * k; c < 2 * k + 2; c++)
@@ -945,7 +995,7 @@ int step(const System *s, double *p, const double *now, const double *before, co
             for (int b = 0; b < s->nb; b++)
                 if (s->body[b].T && (verdict = factor_body(s, s->body + b, b, q, damp, scale))) return verdict;
             for (int b = 0; b < s->nb; b++)
-                if (s->body[b].field && (verdict = factor_field(s, s->body + b, b))) return verdict;
+                if (s->body[b].field && (verdict = factor_field(s, s->body + b, b, q))) return verdict;
             if ((verdict = factor(s))) return verdict;
         }
         add_reactions(s, lam, r);
