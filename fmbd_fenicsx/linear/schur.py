@@ -29,6 +29,7 @@ from .core import ADVICE, CoreSolver
 from .options import check_options
 from .residual import Judge
 from .spd import CholeskyFactor, MassInverse
+from .sway import frame_moments
 
 TIE_LIMIT = 1500  # multipliers of surface ties that the dense core takes
 LOOK_LIMIT = 600  # constraint rows up to which the solver itself looks for redundant ones
@@ -397,30 +398,13 @@ class StepSolver:
             zs.append(z)
         x = np.concatenate(self.core.solve(rhs[:n], rhs[n:]))
         parts = [z - block.Y @ (S @ x) for S, block, z in zip(self._S, self.blocks, zs, strict=True)]
-        moments = self._moments(parts)
+        moments = frame_moments(s, self._sways, self.weights.cm, parts)
         if moments is not None:
             more = np.concatenate(self.core.solve(moments, np.zeros(len(c))))
             x += more
             for part, S, block in zip(parts, self._S, self.blocks, strict=True):
                 part -= block.Y @ (S @ more)
         return np.concatenate([x[:n], *(_turned(x, turn) for x, turn in zip(parts, self._turns, strict=True))]), x[n:]
-
-    def _moments(self, increments: list[Array]) -> Array | None:
-        """Moments about mean-axis frames, (n_core,), that field increments dU have by M (e x U), left out of the columns of (1).
-
-        They are applied after (1), by a second solve with the core's factor: no back-solve, and a light axis of a slender
-        body no longer slows Newton's iteration. None where there are none.
-        """
-        if all(MU is None for MU in self._sways):
-            return None
-        s, m = self.system, self.system.motions
-        out = np.zeros(s.n_core)
-        for (_, f), MU, dU in zip(s.fields, self._sways, increments, strict=True):
-            if MU is not None:
-                at = f.frame * m.n_twist
-                sums = m.moment(MU, dU.reshape(-1, m.dim)).sum(0)
-                out[at + m.dim : at + m.n_twist] -= self.weights.cm * f.field.total(sums)
-        return out
 
     def refresh(self) -> bool:
         """New tangents of nonlinear parts at the configuration evaluated last; False when all are constant. Collective."""
