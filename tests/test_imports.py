@@ -74,5 +74,5 @@ def test_elastic_body_loads_no_pictures() -> None:
 
 
 def test_package_imports_faster_than_dolfinx() -> None:
-    pairs = [(loaded("import fmbd_fenicsx")["work"], loaded("import dolfinx.fem")["work"]) for _ in range(4)]
+    pairs = [(loaded("import fmbd_fenicsx")["seconds"], loaded("import dolfinx.fem")["seconds"]) for _ in range(4)]
     assert min(own for own, _ in pairs) < min(other for _, other in pairs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from fmbd_fenicsx.materials import linear_elastic, nearly_incompressible, neo_ho
 from fmbd_fenicsx.mesh import Mesh
 from fmbd_fenicsx.traces.fields import Field
 from fmbd_fenicsx.traces.mixed import make_field
+
+ROOT = Path(__file__).resolve().parents[1]
 
 MODULUS, DENSITY = 5e6, 1000.0
 
@@ -165,3 +168,19 @@ def test_warning_of_locking(
         caplog.clear()
         make_field("rod", mesh, floating(mesh, nearly_incompressible(MODULUS, nu)).forms()).destroy()
         assert "locks" not in caplog.text
+
+
+def test_inf_sup_of_displacement_and_pressure() -> None:
+    """Taylor-Hood keeps its constant as the mesh is refined; equal degrees have zero modes; the deep check prints it."""
+    from fmbd_fenicsx.traces.pressure_stability import infsup_pressure
+
+    outside = ("left", "right", "bottom", "top")
+    coarse, fine = (fmbd.read_gmsh(ROOT / "meshes/block.py", cells=n) for n in (4, 8))
+    constants = [infsup_pressure(m, 2, clamped=outside)[:2] for m in (coarse, fine)]
+    assert constants[0][0] < 1e-6 and constants[1][0] < 1e-6  # the constant pressure
+    assert constants[1][1] == pytest.approx(constants[0][1], rel=0.02) and constants[1][1] > 0.3
+    assert infsup_pressure(coarse, 2, 2)[0] < 1e-6
+    body = fmbd.FloatingBody("rubber", coarse, degree=2, density=1.0, elastic=nearly_incompressible(1e6, 0.5))
+    scene = fmbd.Scene("rubber")
+    scene.add(body)
+    assert any('"rubber": displacement and pressure' in note for note in scene.check(deep=True).notes)

@@ -20,7 +20,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sl
 
 from ..errors import InputError, near, require
 from ..rotations import Array
@@ -281,6 +280,8 @@ class _Assembly:
 
     def basis(self, K: Array, M: Array) -> Array:
         """Columns that span the motion in the frame: M-orthonormal modes, all or the first ``modes``."""
+        import scipy.linalg as sl
+
         if self.beam.attached:
             V = np.eye(self.n)[:, self.per :]
         else:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from ..rotations import Array, motions
 from ..traces.fields import Field
@@ -88,6 +87,8 @@ class FieldPart:
 
     def port_gram(self) -> Array:
         """P P^T of the ports p = P w, (n_port, n_port): ports of neighbouring surfaces share nodes; collective."""
+        import scipy.sparse as sp
+
         d = self.field.dim
         rows = [sp.csr_matrix(self.conditions.T)]
         for s in self.surfaces:

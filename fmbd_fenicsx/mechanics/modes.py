@@ -17,7 +17,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sl
 
 from ..errors import FmbdError, InputError
 from ..rotations import Array
@@ -199,6 +198,8 @@ def orthonormal_modes(field: Field, V: Array, conditions: Array) -> tuple[Array,
     Rigid parts of V are taken out by the frame's conditions; directions that vanish with them, against the size that they had
     before, are dropped: static modes of one interface hold all rigid motions.
     """
+    import scipy.linalg as sl
+
     Z = rigid_fields(field)
     before = np.array([field.total(np.array(v @ field.mass(v.reshape(-1, field.dim)).ravel())) for v in V.T])
     V = V - Z @ np.linalg.solve(field.total(conditions.T @ Z), field.total(conditions.T @ V))

@@ -21,7 +21,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sl
 
 from ..errors import ConvergenceError
 from ..rotations import Array, axial, hat, motions, spin_matrix
@@ -82,6 +81,8 @@ class ReducedPart:
     comm = None
 
     def __init__(self, name: str, constants: Constants, frame: int, surfaces: list[str]) -> None:
+        import scipy.linalg as sl
+
         self.name, self.constants, self.frame = name, constants, frame
         self.dim = d = constants.S.shape[0]
         self.motions = motions(d)

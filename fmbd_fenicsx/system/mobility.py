@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ..energies import MixedEnergy
 from ..mechanics.bodies import CoordinateBody
 from ..mechanics.coordinates import CoordinatePart
 from ..mechanics.joints import ground
@@ -156,7 +157,7 @@ def loose_bodies(bodies: dict[str, Any], joints: dict[str, Any], forces: dict[st
 def check(scene: Any, deep: bool = False) -> Mobility:
     """Mobility of a scene as given, with notes on loose bodies, units and time scales; collective.
 
-    ``deep``: also the inf-sup constants of the surface ties, here and on halved meshes.
+    ``deep``: also the inf-sup constants of the surface ties, here and on halved meshes, and of displacement and pressure.
     """
     system, state, _ = scene.build()
     found = mobility(system, state.t, state.q)
@@ -164,7 +165,7 @@ def check(scene: Any, deep: bool = False) -> Mobility:
     loose = loose_bodies(scene.bodies, attached, scene.forces)
     notes = [f'body "{n}" is attached to nothing' for n in loose]
     notes += _units(scene, system)
-    notes += _weak_ties(scene) if deep else []
+    notes += _weak_ties(scene) + _pressures(scene) if deep else []
     if found.conditioning < NEAR_SINGULAR:
         notes.append(
             "the configuration is near-singular: constraints almost depend on each other, or a motion branches here"
@@ -192,6 +193,23 @@ def _weak_ties(scene: Any) -> list[str]:
         together = infsup_together(list(scene.ties.values()))
         notes += [] if together.stable else [str(together)]
     return notes
+
+
+def _pressures(scene: Any) -> list[str]:
+    """Inf-sup constants of displacement and pressure in mixed bodies, on their own meshes."""
+    mixed = [
+        b
+        for b in scene.bodies.values()
+        if isinstance(getattr(b, "energy", None) or getattr(b, "elastic", None), MixedEnergy)
+    ]
+    if not mixed:
+        return []
+    from ..traces.pressure_stability import infsup_pressure
+
+    constants = [(b.name, infsup_pressure(b.mesh, b.degree)[0]) for b in mixed]
+    return [
+        f'body "{name}": displacement and pressure have the inf-sup constant {beta:.3f}' for name, beta in constants
+    ]
 
 
 def _fastest(loads: ScalarLoads) -> float:

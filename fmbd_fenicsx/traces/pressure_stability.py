@@ -1,0 +1,83 @@
+"""The inf-sup constant of displacements and pressure on a body's own mesh.
+
+    beta = min_p max_u  int p div u / (|u|_1 |p|_0),     |u|_1^2 = int |grad u|^2 + |u|^2 / l^2                (1)
+
+beta^2 is the smallest eigenvalue of B A^-1 B^T p = beta^2 M p with A of |u|_1, M of |p|_0 and B of int p div u, over
+what is not a zero mode (with all of the boundary held, the constant pressure is one). A stable pair keeps it away from
+zero as the mesh is refined. Source: Boffi, Brezzi and Fortin, doi:10.1007/978-3-642-36519-5, chapter 8.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..rotations import Array
+
+
+class _SchurComplement:
+    """x -> B A^-1 B^T x for a PETSc shell matrix."""
+
+    def __init__(self, B: Any, ksp: Any) -> None:
+        self.B, self.ksp = B, ksp
+        self.u, _ = B.createVecs()
+        self.w = self.u.duplicate()
+
+    def mult(self, mat: Any, x: Any, y: Any) -> None:
+        """The product."""
+        self.B.multTranspose(x, self.u)
+        self.ksp.solve(self.u, self.w)
+        self.B.mult(self.w, y)
+
+
+def infsup_pressure(mesh: Any, degree: int, pressure: int | None = None, *, clamped: tuple[str, ...] = ()) -> Array:
+    """The three smallest beta of (1), ascending, zero modes included; collective. Needs SLEPc.
+
+    Args:
+        mesh: a :class:`~fmbd_fenicsx.mesh.Mesh`.
+        degree: of the displacements.
+        pressure: degree of the continuous pressure; by default one less (Taylor-Hood).
+        clamped: surfaces where displacements are held.
+    """
+    import dolfinx.fem.petsc as fp
+    import ufl
+    from dolfinx import fem
+    from petsc4py import PETSc
+    from slepc4py import SLEPc
+
+    from .. import dolfinx_compat as compat
+
+    msh = mesh.dolfinx
+    V = fem.functionspace(msh, ("Lagrange", degree, (mesh.dim,)))
+    Q = fem.functionspace(msh, ("Lagrange", degree - 1 if pressure is None else pressure))
+    u, v, p, q = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.TrialFunction(Q), ufl.TestFunction(Q)
+    tags = [mesh.facet_tags.find(mesh.surface_tag(s)) for s in clamped]
+    facets = np.sort(np.concatenate(tags)) if tags else np.zeros(0, dtype=np.int32)
+    dofs = fem.locate_dofs_topological(V, mesh.dim - 1, facets)
+    held = [fem.dirichletbc(np.zeros(mesh.dim), dofs, V)]
+    length = fem.Constant(msh, float(mesh.extent))
+    a = (ufl.inner(ufl.grad(u), ufl.grad(v)) + ufl.inner(u, v) / length**2) * ufl.dx
+    A, M = fp.assemble_matrix(compat.form(a), held), fp.assemble_matrix(compat.form(p * q * ufl.dx))
+    B = fp.assemble_matrix(compat.form(q * ufl.div(u) * ufl.dx), held)
+    for matrix in (A, M, B):
+        matrix.assemble()
+    ksp, eps = PETSc.KSP().create(msh.comm), SLEPc.EPS().create(msh.comm)
+    for solver, matrix in ((ksp, A), (eps.getST().getKSP(), None)):
+        if matrix is not None:
+            solver.setOperators(matrix)
+        solver.setType("preonly")
+        solver.getPC().setType("lu")
+        solver.getPC().setFactorSolverType("mumps")
+    shell = PETSc.Mat().createPython(M.getSizes(), _SchurComplement(B, ksp), comm=msh.comm)
+    shell.setUp()
+    eps.setOperators(shell, M)
+    eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
+    eps.setWhichEigenpairs(SLEPc.EPS.Which.SMALLEST_REAL)
+    eps.setDimensions(3, 40)
+    eps.setTolerances(1e-6, 500)
+    eps.solve()
+    found = np.sqrt(np.maximum([eps.getEigenvalue(i).real for i in range(min(3, eps.getConverged()))], 0.0))
+    for thing in (eps, shell, ksp, A, B, M):
+        thing.destroy()
+    return np.asarray(found)
