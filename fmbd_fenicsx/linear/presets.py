@@ -25,7 +25,7 @@ from .diagnosis import diagnose
 from .multiplier_schur import Schur
 from .options import check_options
 from .precondition import Fractional, MultiplierPreconditioner, to_petsc
-from .residual import Judge
+from .residual import Judge, krylov_reason
 from .saddle import Elastic, SaddlePoint, Solution, elastic_matrix
 from .split import SplitBlock, SplitSolver, split_prefix
 
@@ -179,20 +179,14 @@ class _Krylov:
 
     def _converged(self, ksp: Any, iteration: int, norm: float) -> Any:
         """PETSc's reason to stop; collective."""
-        from petsc4py import PETSc
-
-        reasons = PETSc.KSP.ConvergedReason
         if iteration == 0:
             self._first = norm
-        if not np.isfinite(norm):
-            return reasons.DIVERGED_NANORINF
-        rtol, _, _, limit = ksp.getTolerances()
-        if norm == 0.0 or (
-            norm <= rtol * self._first
-            and self.saddle.relative_residual(ksp.buildSolution(), self._b) <= 0.5 * self.judge.tolerance
-        ):
-            return reasons.CONVERGED_RTOL
-        return reasons.DIVERGED_MAX_IT if iteration >= limit else reasons.ITERATING
+
+        def accurate() -> bool:
+            true = self.saddle.relative_residual(ksp.buildSolution(), self._b)
+            return bool(true <= 0.5 * self.judge.tolerance)
+
+        return krylov_reason(ksp, iteration, norm, self._first, accurate)
 
     def solve(self, f: Sequence[Array], g: Sequence[Array]) -> Solution:
         s = self.saddle

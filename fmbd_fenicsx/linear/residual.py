@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from math import isfinite
+from typing import Any
 
 from ..errors import LinearSolveError
 
@@ -54,3 +57,19 @@ class Judge:
     def _is_roundoff(self, residual: float, scale: float, grown: float) -> bool:
         """Criterion (1); False for anything not finite."""
         return grown <= LARGEST_GROWTH * scale and residual <= ROUNDOFF * (grown + scale)
+
+
+def krylov_reason(ksp: Any, iteration: int, norm: float, first: float, accurate: Callable[[], bool]) -> Any:
+    """PETSc's reason to stop: its own ``norm`` has fallen from the ``first`` by rtol and the true residual is small.
+
+    ``accurate`` is asked only when the norm is small: it forms the solution. Collective.
+    """
+    from petsc4py import PETSc
+
+    reasons = PETSc.KSP.ConvergedReason
+    if not isfinite(norm):
+        return reasons.DIVERGED_NANORINF
+    rtol, _, _, limit = ksp.getTolerances()
+    if norm == 0.0 or (norm <= rtol * first and accurate()):
+        return reasons.CONVERGED_RTOL
+    return reasons.DIVERGED_MAX_IT if iteration >= limit else reasons.ITERATING

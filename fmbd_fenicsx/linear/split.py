@@ -29,7 +29,7 @@ from .blocks import Bddc, Cholesky
 from .many import CHANGED, _Seen
 from .options import check_options
 from .precondition import Fractional, lumped, rigid_term, to_petsc
-from .residual import Judge
+from .residual import Judge, krylov_reason
 from .saddle import Elastic, elastic_matrix, share_of
 
 LEAST = 1e-10  # eigenvalues of preconditioning blocks, scaled to a unit diagonal, are at least this
@@ -303,22 +303,15 @@ class SplitSolver:
 
     # -- solution -----------------------------------------------------------------------------------------------
     def _converged(self, ksp: Any, iteration: int, norm: float) -> Any:
-        """PETSc's reason to stop: its own norm and the true residual are both small; collective."""
-        from petsc4py import PETSc
-
-        reasons = PETSc.KSP.ConvergedReason
+        """PETSc's reason to stop; collective."""
         if iteration == 0:
             self._first = norm
-        if not np.isfinite(norm):
-            return reasons.DIVERGED_NANORINF
-        rtol, _, _, limit = ksp.getTolerances()
-        if norm == 0.0 or (norm <= rtol * self._first and self._true(ksp) <= 0.5 * self.judge.tolerance):
-            return reasons.CONVERGED_RTOL
-        return reasons.DIVERGED_MAX_IT if iteration >= limit else reasons.ITERATING
 
-    def _true(self, ksp: Any) -> float:
-        x = ksp.buildSolution()
-        return self.relative_residual(x.array_r.copy(), self.given)
+        def accurate() -> bool:
+            true = self.relative_residual(ksp.buildSolution().array_r.copy(), self.given)
+            return bool(true <= 0.5 * self.judge.tolerance)
+
+        return krylov_reason(ksp, iteration, norm, self._first, accurate)
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """Increment like v and multipliers for right-hand sides b (like v) and c (n_lam,)."""

@@ -110,8 +110,8 @@ class Stepper(ContactStepper):
             return _Step(self, left, near & (middle.gap <= 0.0), bounce=True)
         reach = np.where(self.carrying, DRIFT, TOUCH) * system.length
         touching = near & (contacts.touch(system, s.t, s.q).gap <= reach)
-        slow, rate = SLOW * system.length / h, self._rates(touching, h)
-        hit = touching & ~self.carrying & (rate < -slow)
+        slow, rate = SLOW * system.length / h, self._rates(touching & ~self.carrying, h)
+        hit = rate < -slow
         if hit.any():
             hits += hit
             self.located += int(hit.sum())
@@ -120,7 +120,7 @@ class Stepper(ContactStepper):
                 name = contacts.names[contacts.pair[i]]
                 log.info('contact "%s" at t = %.6g s: its impacts accumulate (Zeno); it comes to rest', name, s.t)
             return _Step(self, IMPACT * h, touching, bounce=hit & (hits <= REPEATS), span=h)
-        closed = touching & (self.carrying | (rate <= slow))
+        closed = touching & (rate <= slow)
         while True:
             step = _Step(self, left, closed)
             share, held = self._next_touch(step, near & ~closed)
@@ -129,14 +129,14 @@ class Stepper(ContactStepper):
             closed = closed | held
         return step if share == 1.0 else _Step(self, share * left, closed)
 
-    def _rates(self, touching: np.ndarray, h: float) -> Array:
-        """Rates of the gaps of touching contacts, zero elsewhere, m/s, (m,)."""
-        rates = np.zeros(len(touching))
-        if touching.any():
+    def _rates(self, chosen: np.ndarray, h: float) -> Array:
+        """Rates of the gaps of the chosen contacts (m,) bool, zero elsewhere, m/s, (m,)."""
+        rates = np.zeros(len(chosen))
+        if chosen.any():
             contacts, at = self.contacts, (self.system, self.state.t, self.state.q)
-            rows = contacts.rows(*at, since=(self.state.t, h)).take(touching)
-            moving = contacts.gap_rate(*at, h)[touching]
-            rates[touching] = contacts.times(self.system, rows.N, self.state.v) + moving
+            rows = contacts.rows(*at, since=(self.state.t, h)).take(chosen)
+            moving = contacts.gap_rate(*at, h)[chosen]
+            rates[chosen] = contacts.times(self.system, rows.N, self.state.v) + moving
         return rates
 
     def _next_touch(self, step: _Step, free: np.ndarray) -> tuple[float, np.ndarray]:

@@ -36,15 +36,11 @@ ZERO = 1e-10  # relative size of an eigenvalue that counts as zero
 WEAK = 0.1  # inf-sup constants below this are reported
 
 
-@dataclass(frozen=True)
-class InfSup:
-    """Result of (1): ``beta`` over the functions that are not zero modes, the number of ``zero_modes``, the space's name."""
+class Stability:
+    """What ``beta``, the constant over the functions that are not zero modes, and the ``zero_modes`` say."""
 
-    name: str
     beta: float
     zero_modes: int
-    multipliers: int
-    h: float
 
     @property
     def constant(self) -> float:
@@ -55,6 +51,17 @@ class InfSup:
     def stable(self) -> bool:
         """Above the level that is reported."""
         return self.constant >= WEAK
+
+
+@dataclass(frozen=True)
+class InfSup(Stability):
+    """Result of (1): ``beta`` over the functions that are not zero modes, the number of ``zero_modes``, the space's name."""
+
+    name: str
+    beta: float
+    zero_modes: int
+    multipliers: int
+    h: float
 
     def __str__(self) -> str:
         verdict = "stable" if self.stable else "UNSTABLE: choose another multiplier space"

@@ -30,7 +30,7 @@ from ..errors import InputError
 from ..rotations import Array
 from .mortar import mortar
 from .multipliers import default_space
-from .stability import WEAK, BodyNorm, DualNorm, InfSup, infsup, smallest
+from .stability import BodyNorm, DualNorm, InfSup, Stability, infsup, smallest
 from .traces import Trace, surface_trace, trace_of
 
 FALL, LOW = 0.6, 0.5  # (1)
@@ -65,23 +65,13 @@ class Refined:
 
 
 @dataclass(frozen=True)
-class Together:
+class Together(Stability):
     """Constant (2) of several ties, the zero modes among their multipliers (per component), and each tie's share in them."""
 
     beta: float
     zero_modes: int
     multipliers: int
     shares: dict[str, float]
-
-    @property
-    def constant(self) -> float:
-        """Zero when there is a zero mode."""
-        return 0.0 if self.zero_modes else self.beta
-
-    @property
-    def stable(self) -> bool:
-        """Above the level that is reported."""
-        return self.constant >= WEAK
 
     def __str__(self) -> str:
         names = ", ".join(f'"{n}"' for n, share in self.shares.items() if share > 1e-3)
