@@ -1,8 +1,8 @@
 """Compiled steps: a C kernel, built once by the system's compiler and kept in a cache.
 
-The kernel is an optional copy of :mod:`.generalized_alpha`, equation by equation, for rigid and reduced elastic bodies with
-the elementary constraints; what it cannot do (forces, fields, constraints close to dependent, Newton's failures with their
-messages) is left to the NumPy path. Results agree to roundoff. Without a C compiler everything runs in NumPy.
+The kernel is an optional copy of :mod:`.generalized_alpha`, equation by equation, for rigid, reduced and floating bodies with
+the elementary constraints; what it cannot do (forces, surface ties, constraints close to dependent, Newton's failures with
+their messages) is left to the NumPy path. Results agree to roundoff. Without a C compiler everything runs in NumPy.
 :mod:`.kernel` gives it the arrays of a system.
 """
 
