@@ -62,6 +62,20 @@ def refine(msh: Any) -> Any:
     return mesh.refine(msh, partitioner=_partitioner(mesh))[0]
 
 
+def moved(msh: Any, x: np.ndarray) -> Any:
+    """A mesh with the topology of another and the points x (n, d) in place of its own."""
+    import ufl
+    from dolfinx import cpp, mesh
+
+    old = msh.geometry._cpp_object
+    element = old.cmap if hasattr(old, "cmap") else old.cmaps[0]
+    geometry = type(old)(
+        old.index_map(), geometry_dofmap(msh), element, np.ascontiguousarray(x), old.input_global_indices
+    )
+    made = cpp.mesh.Mesh_float64(msh.comm, msh.topology._cpp_object, geometry)
+    return mesh.Mesh(made, ufl.Mesh(msh.ufl_domain().ufl_coordinate_element()))
+
+
 def geometry_dofmap(msh: Any) -> np.ndarray:
     """Cell-to-node map of the mesh geometry, (n_cells, n_nodes)."""
     g = msh.geometry

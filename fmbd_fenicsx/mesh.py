@@ -8,7 +8,7 @@ the mesh is distributed.
 from __future__ import annotations
 
 import importlib.util
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import numpy as np
 from . import dolfinx_compat as compat
 from .errors import MeshError, near
 from .log import install_hooks, together
+from .rotations import motions
 
 SMALLEST = 1e-12  # area of a surface over extent^(d - 1)
 
@@ -58,6 +59,26 @@ class Mesh:
         x, inf = self.dolfinx.geometry.x, np.full(3, np.inf)
         boxes = self.dolfinx.comm.allgather((x.min(0), x.max(0)) if len(x) else (inf, -inf))
         return float((np.max([b[1] for b in boxes], axis=0) - np.min([b[0] for b in boxes], axis=0)).max())
+
+    def placed(self, position: Any = None, rotation: Any = None) -> Mesh:
+        """A copy whose point x lies at ``position`` + R x: one mesh for several equal bodies.
+
+        Args:
+            position: of the mesh's origin, m, (d,); None: where it is.
+            rotation: an angle (rad) in the plane, a matrix (3, 3) or quaternion (scalar last) in space; None: unturned.
+        """
+        from dolfinx.mesh import meshtags
+
+        motion, d = motions(self.dim), self.dim
+        start = np.zeros(d) if position is None else np.asarray(position, dtype=float)
+        if start.shape != (d,) or not np.isfinite(start).all():
+            raise MeshError(f"{self.label}: position must be {d} finite numbers, found {position!r}.")
+        pose = motion.pose(start, rotation)
+        x = pose[:d] + self.dolfinx.geometry.x[:, :d] @ motion.matrix(pose).T
+        mesh, tags = compat.moved(self.dolfinx, x), self.facet_tags
+        if tags is not None:
+            tags = meshtags(mesh, tags.dim, tags.indices, tags.values)
+        return replace(self, dolfinx=mesh, facet_tags=tags)
 
     def check_area(self, name: str, area: float) -> None:
         """Refuse a surface without area, or with so little that a joint on it cannot carry a finite force; collective."""

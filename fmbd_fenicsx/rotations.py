@@ -25,6 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import require
+
 Array = NDArray[np.floating[Any]]
 
 _SMALL = 1e-2  # below this angle (rad) the tangent operators use their series (error < 1e-17)
@@ -199,6 +201,13 @@ class Motions:
         if rotation is None:
             return q
         given: Array = np.asarray(rotation, dtype=float)
+        shapes = ((), (2, 2)) if self.dim == 2 else ((4,), (3, 3))
+        require(
+            given.shape in shapes and bool(np.isfinite(given).all()) and (given.ndim == 0 or bool(given.any())),
+            "A rotation is "
+            + ("an angle (rad)" if self.dim == 2 else "a matrix (3, 3) or a quaternion (4,), scalar last")
+            + f", finite; found {rotation!r}.",
+        )
         if self.dim == 2:
             q[2] = float(given) if given.ndim == 0 else np.arctan2(given[1, 0], given[0, 0])
             return q

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from faulty import FAULTS
+from scipy.spatial.transform import Rotation
 from test_ranks import launch
 
+import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import dolfinx_compat, read_gmsh
 from fmbd_fenicsx.errors import FmbdError, InputError, MeshError
 
@@ -30,6 +32,32 @@ def test_names_dimension_and_size(dim: int, rod_mesh: Callable[..., Any]) -> Non
     x = mesh.dolfinx.geometry.x
     low, high = (mesh.dolfinx.comm.allgather(f(x[:, 0]) if len(x) else v) for f, v in ((np.min, 9.0), (np.max, -9.0)))
     assert (min(low), max(high)) == (0.0, 1.0)
+
+
+@pytest.mark.mpi
+@pytest.mark.smoke
+@pytest.mark.parametrize("dim", [2, 3])
+def test_one_mesh_for_bodies_at_several_places(dim: int, rod_mesh: Callable[..., Any]) -> None:
+    """Two rods of one mesh, joined tip to pin at a right angle: surfaces where they should be, the mesh itself unmoved."""
+    mesh = rod_mesh(dim=dim, h=0.5, height=0.4)
+    turned = Rotation.from_rotvec([0, 0, np.pi / 2])
+    away = np.array([1.0, 0.0, 0.5])[:dim]
+    other = mesh.placed(away, np.pi / 2 if dim == 2 else turned.as_quat())
+    elastic = fmbd.materials.linear_elastic(1e9, 0.3)
+    a, b = (fmbd.FloatingBody(n, m, density=1e3, elastic=elastic) for n, m in (("a", mesh), ("b", other)))
+    scene = fmbd.Scene("angle")
+    scene.add(
+        a, b, fmbd.spherical("elbow", a.surface("tip"), b.surface("pin"), center=away * 0 + [1.0, 0.0, 0.0][:dim])
+    )
+    for name, body in (("a", a), ("b", b)):
+        scene.sensor(name, fmbd.position(body.surface("tip")))
+    run = fmbd.solve(scene, t_end=1e-3, dt=1e-3)
+    np.testing.assert_allclose(run["a"][0], [1.0, 0.0, 0.0][:dim], atol=1e-12)
+    np.testing.assert_allclose(run["b"][0], away + [0.0, 1.0, 0.0][:dim], atol=1e-12)
+    with pytest.raises(MeshError, match="rod.py: position must be"):
+        mesh.placed(1.0)
+    with pytest.raises(InputError, match="A rotation is"):
+        mesh.placed(away, [1.0, 2.0])
 
 
 @pytest.mark.mpi

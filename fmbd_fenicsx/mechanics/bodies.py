@@ -122,7 +122,7 @@ class FloatingBody:
 
     Args:
         name: what messages and sensors call it.
-        mesh: from :func:`fmbd_fenicsx.read_gmsh`, in world coordinates of the start.
+        mesh: from :func:`fmbd_fenicsx.read_gmsh`, in world coordinates of the start (``mesh.placed(..)`` moves it).
         degree: of the Lagrange displacements (2 by default: P1 is far too stiff in bending).
         density: kg/m^3 (in the plane: kg/m^2 of the sheet).
         elastic: the elastic form a(u, v, dx) in UFL, symmetric and bilinear; or a
