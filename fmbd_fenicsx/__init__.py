@@ -94,6 +94,6 @@ def __getattr__(name: str) -> object:
         from . import mesh
 
         return getattr(mesh, name)
-    if name in ("demo", "study"):
+    if name in ("demo", "plot", "study"):
         return import_module(f".faces.{name}", __name__)
     raise AttributeError(f"module 'fmbd_fenicsx' has no attribute {name!r}")

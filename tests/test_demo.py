@@ -27,6 +27,13 @@ def test_check_passes_within_its_tolerance_only():
     assert Check.relative("x", 101.0, 100.0, 0.011).ok and not Check.relative("x", -101.0, -100.0, 0.009).ok
 
 
+def test_check_of_a_bound_from_below():
+    assert Check.at_least("order", 2.0, 2.0).ok and Check.at_least("order", 5.0, 2.0).ok
+    assert not Check.at_least("order", 1.999, 2.0).ok
+    assert not Check.at_least("order", float("inf"), 2.0).ok and not Check.at_least("order", float("nan"), 2.0).ok
+    assert str(Check.at_least("order", 1.5, 2.0)) == "check order: 1.5, at least 2: FAILED"
+
+
 def test_flags_have_types_choices_and_defaults(monkeypatch):
     own = {"--study": False, "--dim": (2, 3), "--dt": 0.1}
     args = parse(monkeypatch, "--dim", "3", "--json", "a.json", own=own)

@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx import plot
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.faces.picture import gather, moment, render, skin
+from fmbd_fenicsx.faces.plot import _history
 from fmbd_fenicsx.traces.fields import ElasticForms, Field
 
 STEEL = fmbd.materials.linear_elastic(5e6, 0.3)
@@ -118,6 +121,7 @@ def test_files_are_written_by_rank_0(rod_mesh, shared_tmp):
         "a.png": lambda f: run.picture(f, sensor="tip"),
         "b.pdf": lambda f: run.picture(f),
         "c.png": lambda f: run.plot(file=f),
+        "d.png": lambda f: run.plot("tip y", file=f, reference={"tip y": lambda t: -t}),
     }.items():
         write(shared_tmp / name)
         run.system.comm.barrier()
@@ -133,3 +137,37 @@ def test_mistakes_are_told_on_all_ranks(rod_mesh, shared_tmp):
         run.plot("tipp", file=shared_tmp / "a.png")
     with pytest.raises((OSError, RuntimeError)):
         run.plot("tip", file=shared_tmp / "missing folder" / "a.png")
+
+
+@pytest.mark.serial
+def test_series_are_named_by_sensor_or_component_and_drawn_over_what_is_known(rod_mesh):
+    run = swing(rod_mesh)
+    axes = Figure().subplots()
+    _history(axes, run, "tip", lambda t: (t, 2 * t))
+    exact, x, y = (next(c for c in axes.lines if c.get_label() == n) for n in ("exact", "tip x", "tip y"))
+    assert (x.get_ydata() == run["tip"][:, 0]).all() and (y.get_ydata() == run["tip"][:, 1]).all()
+    assert (exact.get_ydata() == run.times).all() and exact.get_zorder() < x.get_zorder()
+    axes = Figure().subplots()
+    _history(axes, run, "tip y", (0.1, -0.5))
+    marks, y = axes.lines
+    assert (marks.get_xdata(), marks.get_ydata()) == ([0.1], [-0.5]) and marks.get_marker() == "x"
+    assert (y.get_ydata() == run["tip"][:, 1]).all() and axes.get_ylabel() == "tip y (m)"
+    with pytest.raises(InputError, match='No sensor "tip z"'):
+        _history(axes, run, "tip z")
+
+
+@pytest.mark.serial
+def test_own_axes_get_a_legend_that_lies_on_no_curve(tmp_path):
+    with plot.figure(tmp_path / "two.png", 1, 2) as (left, right):
+        left.plot([0, 1], [0, 1], label="one")
+        left.plot([0, 1], [1, 0], label="two")
+        right.plot([0, 1], [0, 1], label="alone")
+    assert left.get_legend().get_window_extent().y0 >= left.get_window_extent().y1 and right.get_legend() is None
+    assert (tmp_path / "two.png").stat().st_size > 5000
+
+
+def test_energy_and_momenta_of_a_run(rod_mesh):
+    run = swing(rod_mesh)
+    assert run.total_energy == pytest.approx(sum(run.energy.values()), rel=1e-14)
+    start, end = (run.momenta(s)[0] for s in (run.snapshots[0], run.state))
+    assert np.abs(start).max() == 0.0 and (run.momenta()[0] == end).all() and end[1] < 0.0

@@ -26,27 +26,38 @@ class Check:
     """A figure of a demo: it passes when |value - reference| <= tolerance (all in the same unit).
 
     A bound is a check against 0 (``Check("drift", drift, 0.0, 1e-10)``); see :meth:`relative` for a relative
-    tolerance.
+    tolerance, :meth:`at_least` for what may be larger.
     """
 
     name: str
     value: float
     reference: float
-    tolerance: float
+    tolerance: float = 0.0
+    least: bool = False
 
     @classmethod
     def relative(cls, name: str, value: float, reference: float, tolerance: float) -> Check:
         """The same with a tolerance relative to |reference|."""
         return cls(name, value, reference, tolerance * abs(float(reference)))
 
+    @classmethod
+    def at_least(cls, name: str, value: float, least: float) -> Check:
+        """Passes when value >= least: an order, or by how much something is worse."""
+        return cls(name, value, least, least=True)
+
     @property
     def ok(self) -> bool:
         """Whether the figure is finite and within its tolerance."""
-        return math.isfinite(self.value) and bool(abs(self.value - self.reference) <= self.tolerance)
+        within = self.value >= self.reference if self.least else abs(self.value - self.reference) <= self.tolerance
+        return math.isfinite(self.value) and bool(within)
 
     def __str__(self) -> str:
         verdict = "ok" if self.ok else "FAILED"
-        target = f"reference {self.reference:.8g} +- {self.tolerance:.2g}"
+        target = (
+            f"at least {self.reference:.8g}"
+            if self.least
+            else f"reference {self.reference:.8g} +- {self.tolerance:.2g}"
+        )
         return f"check {self.name}: {self.value:.8g}, {target}: {verdict}"
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,10 +1,11 @@
-"""Figures (matplotlib): sensor series, snapshots beside a history, error against work. Rank 0 writes, no
-window opens.
+"""Figures (matplotlib): sensor series, snapshots beside a history, error against work, own axes. Rank 0 writes,
+no window opens.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,7 +15,6 @@ from ..errors import InputError
 from ..log import together, world_rank
 from ..rotations import Array
 from ..run.solve import Run
-from ..system.sensors import Position, Velocity
 
 MARKS = "osD^vP*X"
 STYLE = {
@@ -23,7 +23,14 @@ STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "font.size": 10,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
 }
+REFERENCE: dict[str, Any] = {"color": "0.75", "linewidth": 4.5, "linestyle": "-", "zorder": 0}
+"""How an exact or finer solution is drawn: wide and grey, behind the results (``axes.plot(t, x, **REFERENCE)``)."""
+
+Known = Callable[[float], Any] | tuple[Any, Any]
+"""What is known of a sensor: its value as a function of time (s), or (times, values) that are drawn as crosses."""
 
 
 class Comparison(Protocol):
@@ -70,60 +77,110 @@ def _on_root(comm: Any, draw: Any) -> None:
 def components(run: Run, sensor: str) -> list[str]:
     """Labels of a sensor's components: "tip x" and so on; the bare name of a scalar."""
     size = run[sensor].shape[1]
-    vector = isinstance(run.scene.sensors[sensor], Position | Velocity)
     if size == 1:
         return [sensor]
-    return [f"{sensor} {'xyz'[k] if vector else k + 1}" for k in range(size)]
+    return [f"{sensor} {'xyz'[k] if run.scene.sensors[sensor].along_axes else k + 1}" for k in range(size)]
 
 
-def _history(axes: Any, run: Run, sensor: str) -> None:
-    """Curves of a sensor's components over time, with units."""
-    for label, x in zip(components(run, sensor), run[sensor].T, strict=True):
+def _series(run: Run, name: str) -> tuple[list[str], Array, str]:
+    """Labels, values (n, size) and unit of a sensor ("tip"), or of one of its components ("tip y")."""
+    for sensor in run.series:
+        labels = components(run, sensor)
+        if name in labels and len(labels) > 1:
+            return [name], run[sensor][:, labels.index(name)][:, None], run.scene.sensors[sensor].unit
+    return components(run, name), run[name], run.scene.sensors[name].unit
+
+
+def _history(axes: Any, run: Run, name: str, known: Known | None = None) -> None:
+    """Curves of a sensor's components over time, with units, and what is known of them."""
+    labels, values, unit = _series(run, name)
+    if known is not None:
+        points = isinstance(known, tuple)
+        t, x = known if isinstance(known, tuple) else (run.times, [known(float(t)) for t in run.times])
+        look = {"color": "k", "linestyle": "", "marker": "x", "zorder": 3} if points else REFERENCE
+        lines = axes.plot(t, np.reshape(x, (np.size(t), -1)), **look)
+        lines[0].set_label("reference" if points else "exact")
+    for label, x in zip(labels, values.T, strict=True):
         axes.plot(run.times, x, label=label, linewidth=1.4)
-    axes.set_ylabel(f"{sensor} ({run.scene.sensors[sensor].unit})")
-    if run[sensor].shape[1] > 1:
-        axes.legend(frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.0)
+    axes.set_ylabel(f"{name} ({unit})")
+    if len(labels) > 1 or known is not None:
+        _legend(axes)
 
 
-def plot_series(run: Run, sensors: Sequence[str], file: str | Path) -> None:
-    """Write sensor series over time, one axes for each sensor (all sensors when none is named);
-    collective.
+def _legend(axes: Any) -> None:
+    """A legend above the axes, or beside them when it is long: never on a curve."""
+    labels = axes.get_legend_handles_labels()[1]
+    if len(labels) > 9:
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        return
+    room = axes.get_position().width * axes.figure.get_figwidth()  # inches
+    columns = int(room / (0.5 + 0.07 * max(len(label) for label in labels)))
+    above = 1.0 if not axes.get_title() else 1.0 + 0.3 / (axes.get_position().height * axes.figure.get_figheight())
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(0.0, above),
+        ncols=min(max(columns, 1), len(labels)),
+        borderaxespad=0.0,
+        columnspacing=1.2,
+    )
+
+
+@contextmanager
+def figure(
+    file: str | Path, rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None
+) -> Iterator[Any]:
+    """Axes to draw on, written to ``file`` at the end; on every rank, rank 0 writes.
+
+        with plot.figure("wave.png", 1, 2) as (left, right):
+            left.plot(t, exact, **plot.REFERENCE, label="exact")
+            left.plot(t, force, label="P1")
+            left.set(xlabel="time (s)", ylabel="force (N)")
+
+    Yields one matplotlib axes or an array of them; ``size`` in inches. Axes with several labels get a legend above them.
     """
-    names = list(sensors) or list(run.series)
-    for name in names:
-        _ = run[name]
+    matplotlib, made = _figure(*(size or (2.4 + 4.0 * columns, 1.2 + 2.6 * rows)))
+    with matplotlib.rc_context(STYLE):
+        axes = made.subplots(rows, columns, squeeze=False)
+        yield axes[0, 0] if axes.size == 1 else axes.squeeze()
+        for one in axes.ravel():
+            if one.get_legend() is None and len(one.get_legend_handles_labels()[1]) > 1:
+                _legend(one)
+        if world_rank() == 0:
+            made.savefig(file, dpi=160)
+
+
+def plot_curves(
+    curves: Mapping[str, tuple[Array, Array]], file: str | Path, labels: tuple[str, str], log: bool = False
+) -> None:
+    """Write named curves (x, y) in one axes; ``labels`` of x and y with units; ``log``: logarithmic axes."""
+    with figure(file) as axes:
+        for k, (name, (x, y)) in enumerate(curves.items()):
+            axes.plot(x, y, label=name, marker=MARKS[k % len(MARKS)] if log else None)
+        axes.set(xlabel=labels[0], ylabel=labels[1])
+        if log:
+            axes.set(xscale="log", yscale="log")
+
+
+def plot_series(
+    run: Run, sensors: Sequence[str], file: str | Path, reference: Mapping[str, Known] | None = None
+) -> None:
+    """Write sensor series over time, one axes for each sensor or component ("tip y"), all sensors when none is named, with
+    what is known of them; collective.
+    """
+    names, known = list(sensors) or list(run.series), dict(reference or {})
+    for name in [*names, *known]:
+        _series(run, name)
 
     def draw() -> None:
         matplotlib, figure = _figure(6.4, 1.0 + 2.0 * len(names))
         with matplotlib.rc_context(STYLE):
             rows = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
             for axes, name in zip(rows, names, strict=True):
-                _history(axes, run, name)
+                _history(axes, run, name, known.get(name))
             rows[-1].set_xlabel("time (s)")
             figure.savefig(file, dpi=200)
 
     _on_root(_comm(run), draw)
-
-
-def plot_curves(
-    curves: Mapping[str, tuple[Array, Array]], file: str | Path, labels: tuple[str, str], log: bool = False
-) -> None:
-    """Write named curves (x, y) in one axes; ``labels`` of x and y with units; ``log``: points on logarithmic axes. Rank 0
-    writes.
-    """
-    if world_rank() != 0:
-        return
-    matplotlib, figure = _figure(6.4, 3.6)
-    with matplotlib.rc_context(STYLE):
-        axes = figure.subplots()
-        for k, (name, (x, y)) in enumerate(curves.items()):
-            marker = MARKS[k % len(MARKS)] if log else None
-            axes.plot(x, y, label=name, linewidth=1.4, linestyle=("-", "--", ":", "-.")[k % 4], marker=marker)
-        if log:
-            axes.set(xscale="log", yscale="log")
-        axes.set(xlabel=labels[0], ylabel=labels[1])
-        axes.legend(frameon=False)
-        figure.savefig(file, dpi=160)
 
 
 def picture(run: Run, file: str | Path, *, sensor: str | None = None) -> None:
@@ -197,5 +254,5 @@ def plot_work_precision(study: Comparison, file: str | Path, work: str) -> None:
             axes.set_xlabel("time in steps (s)" if work == "seconds" else work.replace("_", " "))
             unit = f" ({study.units[name]})" if name in study.units else ""
             axes.set_ylabel(f"largest error of {name}{unit}")
-        axes.legend(frameon=False, fontsize=8)
+        _legend(axes)
         figure.savefig(file, dpi=200)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -80,11 +81,27 @@ class Run:
 
         return run_report(self)
 
-    def plot(self, *sensors: str, file: str | Path) -> None:
-        """Write a figure of sensor series over time (matplotlib); rank 0 writes."""
+    @property
+    def total_energy(self) -> Array:
+        """Sum of the recorded energies, (n,) J."""
+        return np.sum(list(self.energy.values()), axis=0)
+
+    def momenta(self, state: State | None = None) -> tuple[Array, Array]:
+        """Momentum (N s) and angular momentum about the origin (N m s) of a state, the last by default; collective."""
+        s = self.state if state is None else state
+        return self.system.at(s.t, s.q, s.v).momenta()
+
+    def plot(self, *sensors: str, file: str | Path, reference: Mapping[str, Any] | None = None) -> None:
+        """Write a figure of sensor series over time (matplotlib); rank 0 writes.
+
+        Args:
+            sensors: names of sensors ("tip") or of their components ("tip y"); all sensors when none is given.
+            reference: name -> exact value as a function of time (s), drawn behind the curve, or (times, values),
+                drawn as crosses.
+        """
         from ..faces.plot import plot_series
 
-        plot_series(self, sensors, file)
+        plot_series(self, sensors, file, reference)
 
     def picture(self, file: str | Path, *, sensor: str | None = None) -> None:
         """Write a picture of the snapshots (pyvista), with the history of a sensor beside it; collective,

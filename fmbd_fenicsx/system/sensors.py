@@ -28,8 +28,19 @@ class Sensor:
         """The value, a flat array; collective."""
         raise NotImplementedError
 
+    @property
+    def along_axes(self) -> bool:
+        """Whether the components are those of a vector along the world axes."""
+        return False
 
-class Position(Sensor):
+
+class _Vector(Sensor):
+    @property
+    def along_axes(self) -> bool:
+        return True
+
+
+class Position(_Vector):
     """World position of a point or of a surface's mean, (d,)."""
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
@@ -37,7 +48,7 @@ class Position(Sensor):
         return ev.kin.x[marker].copy()
 
 
-class Velocity(Sensor):
+class Velocity(_Vector):
     """World velocity of a point or of a surface's mean, (d,)."""
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
@@ -46,7 +57,7 @@ class Velocity(Sensor):
         return ev.kin.twist[marker, : ev.kin.x.shape[1]].copy()
 
 
-class AngularVelocity(Sensor):
+class AngularVelocity(_Vector):
     """World angular velocity of a body or of a surface's mean, (n_rot,)."""
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
@@ -55,7 +66,7 @@ class AngularVelocity(Sensor):
         return ev.kin.twist[marker, ev.kin.x.shape[1] :].copy()
 
 
-class Acceleration(Sensor):
+class Acceleration(_Vector):
     """World acceleration of a point or of a surface's mean, (d,)."""
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
@@ -93,7 +104,7 @@ class Reaction(Sensor):
 
 
 @dataclass(frozen=True, eq=False)
-class ReactionWrench(Sensor):
+class ReactionWrench(_Vector):
     """Force (N) or torque (N m) of a joint on its first body, world axes, at the joint's point of that body."""
 
     joint: str = ""
@@ -149,9 +160,12 @@ class Coordinates(Sensor):
         raise KeyError(self.body)
 
 
-def coordinates(body: Any, *, level: int = 0) -> Sensor:
-    """Coordinates of a body with equations of its own or nodal values of a line, or their first or second rates, (n,)."""
-    return Coordinates(None, "-", None, body if isinstance(body, str) else body.name, level)
+def coordinates(body: Any, *, level: int = 0, unit: str = "-") -> Sensor:
+    """Coordinates of a body with equations of its own or nodal values of a line, or their first or second rates, (n,).
+
+    ``unit``: of these numbers, for figures.
+    """
+    return Coordinates(None, unit, None, body if isinstance(body, str) else body.name, level)
 
 
 def joint_rate(coordinate: JointCoordinate) -> Sensor:

@@ -82,6 +82,11 @@ class ContactSensor(Sensor):
             return c.pressure[on].copy()
         return np.array([c.gap[on].min(initial=np.inf)])
 
+    @property
+    def along_axes(self) -> bool:
+        """Forces and impulses have components along the world axes."""
+        return self.quantity in ("force", "impulse")
+
 
 def _name(contact: Any) -> str:
     return contact if isinstance(contact, str) else str(contact.name)
