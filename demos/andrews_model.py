@@ -83,5 +83,5 @@ def scene():
     """The mechanism at rest."""
     made = fmbd.Scene("Andrews' mechanism")
     made.add(fmbd.CoordinateBody("squeezer", mass, force, START, constraint=constraint, vectorized=True))
-    made.sensor("angles", fmbd.coordinates("squeezer"))
+    made.sensor("angles", fmbd.coordinates("squeezer", unit="rad"))
     return made

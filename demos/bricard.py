@@ -33,7 +33,7 @@ scene.sensor("P3", fmbd.position(rods[2], point=corners[3]))
 
 mobility = scene.check()
 runs = [fmbd.solve(scene, t_end=t_end, dt=h, scheme=fmbd.GeneralizedAlpha(0.9)) for h in (2 * dt, dt)]
-energy = [np.abs(sum(r.energy.values()) - sum(r.energy.values())[0]).max() for r in runs]
+energy = [np.abs(r.total_energy - r.total_energy[0]).max() for r in runs]
 run = runs[-1]
 x = (4 * run["P3"][-1] - runs[0]["P3"][-1]) / 3
 checks = [
@@ -47,5 +47,5 @@ checks = [
     Check("constraint, m", run.drift[0], 0.0, 1e-11),
 ]
 if args.picture:
-    run.plot("P3", file=str(args.picture))
+    run.plot("P3", file=args.picture, reference={"P3": (t_end, END[t_end])})
 finish(checks, run, args)

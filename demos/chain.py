@@ -32,7 +32,7 @@ checks = []
 for n in [args.links] if args.links else [10] if args.fast else [10, 100, 1000]:
     scene = chain(n)
     run = fmbd.solve(scene, t_end=0.3 * np.sqrt(n * LENGTH), dt=1e-3, output=fmbd.Output(every=10))
-    total = sum(run.energy.values())
+    total = run.total_energy
     fall = run.energy["weight"][0] - run.energy["weight"].min()
     free = -0.5 * 9.81 / np.sqrt(2) * run.times[1] ** 2  # across the straight chain its free end falls freely
     checks += [
@@ -43,5 +43,5 @@ for n in [args.links] if args.links else [10] if args.fast else [10, 100, 1000]:
     ]
     say(f"{n:5d} links: {1e3 * run.seconds['steps'] / run.counters['steps']:.3f} ms a step")
 if args.picture:
-    run.plot("tip", "pin", file=str(args.picture))
+    run.plot("tip", "pin", file=args.picture)
 finish(checks, run, args)

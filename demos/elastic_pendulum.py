@@ -71,10 +71,9 @@ def main():
     dim, fast = args.dim, args.fast
     output = fmbd.Output(snapshots=8, estimate_error=True)
     run = fmbd.solve(build(dim), t_end=0.9 if fast else 2.0, dt=5e-3 if fast else 1e-3, output=output)
-    demo.say(run.report())
     if args.picture:
         run.picture(args.picture, sensor="tip")
-    energy = sum(run.energy.values())
+    energy = run.total_energy
     stiff = fmbd.solve(build(dim, E=2e11), t_end=0.5, dt=5e-3 if fast else 1e-3)
     beam = PinnedFreeBeam(5e6 / (1 - nu**2) if dim == 2 else 5e6, rho)  # plane strain in the plane
     slender = build(dim, 0.04, height=beam.height, gravity=0.0, displacement=beam.shape)

@@ -30,7 +30,7 @@ def scene_of(mesh, modulus, material):
 
 def gain(run):
     """Largest change of energy over the energy at the start."""
-    energy = sum(run.energy.values())
+    energy = run.total_energy
     return float(np.abs(energy / energy[0] - 1).max())
 
 

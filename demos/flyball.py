@@ -45,8 +45,7 @@ scene.sensor("spin", fmbd.joint_rate(fmbd.angle(scene.joints["bearing"])))
 
 runs = [fmbd.solve(scene, t_end=t_end, dt=h, scheme=fmbd.GeneralizedAlpha(0.8)) for h in (2 * dt, dt)]
 run, z = runs[-1], [0.5 + r["slider"][-1, 0] for r in runs]
-given = scene.build()[1]
-before, after = (run.system.at(s.t, s.q, s.v).momenta()[1][2] for s in (given, run.state))
+before, after = (run.momenta(state)[1][2] for state in (scene.build()[1], run.state))
 checks = [
     Check("degrees of freedom", scene.check().freedom, 4, 0),
     Check("slider height, m", z[1], HEIGHT[t_end], 1e-4),
@@ -55,5 +54,5 @@ checks = [
     Check("constraint, m", run.drift[0], 0.0, 1e-11),
 ]
 if args.picture:
-    run.plot("slider", "spin", file=str(args.picture))
+    run.plot("slider", "spin", file=args.picture, reference={"slider": (t_end, HEIGHT[t_end] - 0.5)})
 finish(checks, run, args)

@@ -71,7 +71,7 @@ def main():
     momentum, spin = run.system.at(run.state.t, run.state.q, run.state.v).momenta()
     torque = -np.array([push(t) for t in run.times]) * (80.0 + 8.0 * run["end"][:, 1])
     impulse = dt * (torque.sum() - torque[0] / 2)
-    energy_ = sum(run.energy.values())[run.times > END + dt / 2]
+    energy_ = run.total_energy[run.times > END + dt / 2]
     tip, other = (
         float(np.abs(x["end"][:: (len(x.times) - 1) // (len(run.times) - 1)] - run["end"]).max()) for x in (fine, frame)
     )

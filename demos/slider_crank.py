@@ -56,7 +56,6 @@ def solved(form, rtol=1e-8):
 
 
 run = solved(fmbd.GGL())
-say(run.report())
 end, lam = run["coordinates"][-1], run["multipliers"][-1]
 say("phi2, q1..q4: " + "  ".join(f"{x:.13e}" for x in (end[1], *end[3:])))
 say("lambda:       " + "  ".join(f"{x:.13e}" for x in lam))
@@ -77,5 +76,5 @@ for form in forms if args.forms else ():
     known = float(np.abs(other["multipliers"][-1] / lam - 1).max())
     checks.append(Check(f"{form.name}: multipliers against GGL, relative", known, 0.0, same))
 if args.picture:
-    run.plot("coordinates", "multipliers", file=str(args.picture))
+    run.plot("coordinates", "multipliers", file=args.picture)
 finish(checks, run, args)

@@ -53,7 +53,6 @@ def main(args):
     pairs, checks = compare(heights, dt)
     height = heights[-1]
     beam, full = pairs[height]
-    say(full.report())
     *sizes, finest = (height / 2**k for k in range(3 if args.fast else 4))
     fine = fe.drive(fe.rod(height, finest), dt)
     cells = study.orders(

@@ -85,7 +85,6 @@ for (name, pinned), expected in zip(SUSPENSIONS.items(), NINE[t_end], strict=Tru
     checks.append(Check(f"{name}: stress error falls with the modes", float((np.diff(errors) < 0).all()), 1.0, 0.0))
     driver = abs(full["cab acceleration"][:, 1]).max()
     say(f"{name}: cab acceleration up to {driver:.3g} m/s^2, stress up to {full['stress'].max():.5g} N/m")
-say(full.report())
 if args.coordinates:
     times = np.linspace(0.0, 10.0, 101)
     found = {name: model.nine_coordinates(times, pinned=pinned) for name, pinned in SUSPENSIONS.items()}

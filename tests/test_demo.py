@@ -11,7 +11,7 @@ import pytest
 from fmbd_fenicsx import demo
 from fmbd_fenicsx.faces.demo import Check
 
-RUN = SimpleNamespace(counters={"steps": 3}, seconds={"total": 0.5})
+RUN = SimpleNamespace(counters={"steps": 3}, seconds={"total": 0.5}, report=lambda: "3 steps")
 
 
 def parse(monkeypatch, *words, own=None):
@@ -47,7 +47,7 @@ def test_flags_have_types_choices_and_defaults(monkeypatch):
 def test_finish_prints_writes_and_passes(monkeypatch, tmp_path, capsys):
     args = parse(monkeypatch, "--json", str(tmp_path / "r.json"))
     demo.finish([Check("length", np.float64(2.0), 2.0, np.float64(1e-9))], RUN, args)
-    assert capsys.readouterr().out.splitlines() == ["check length: 2, reference 2 +- 1e-09: ok"]
+    assert capsys.readouterr().out.splitlines() == ["3 steps", "check length: 2, reference 2 +- 1e-09: ok"]
     found = json.loads((tmp_path / "r.json").read_text())
     entry = {"name": "length", "value": 2.0, "reference": 2.0, "tolerance": 1e-9, "ok": True}
     assert found == {"check": [entry], "counters": {"steps": 3.0}, "seconds": {"total": 0.5}}

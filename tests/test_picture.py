@@ -144,7 +144,7 @@ def test_series_are_named_by_sensor_or_component_and_drawn_over_what_is_known(ro
     run = swing(rod_mesh)
     axes = Figure().subplots()
     _history(axes, run, "tip", lambda t: (t, 2 * t))
-    exact, x, y = (next(c for c in axes.lines if c.get_label() == n) for n in ("exact", "tip x", "tip y"))
+    exact, x, y = (next(c for c in axes.lines if c.get_label() == n) for n in ("reference", "tip x", "tip y"))
     assert (x.get_ydata() == run["tip"][:, 0]).all() and (y.get_ydata() == run["tip"][:, 1]).all()
     assert (exact.get_ydata() == run.times).all() and exact.get_zorder() < x.get_zorder()
     axes = Figure().subplots()

@@ -103,12 +103,14 @@ def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> 
 
 
 def finish(checks: Sequence[Check], run: Any, args: argparse.Namespace) -> None:
-    """Print one line for each check and write the JSON file, on rank 0; exit with code 1 on all ranks when a
-    check fails.
+    """Print the report of the run and one line for each check, and write the JSON file, on rank 0; exit with
+    code 1 on all ranks when a check fails.
 
-    ``run`` gives ``counters`` and ``seconds``; None for a demo that has no single run. Values must be equal
-    on all ranks.
+    ``run`` gives the report, ``counters`` and ``seconds``; None for a demo that has no single run. Values must
+    be equal on all ranks.
     """
+    if run is not None:
+        say(run.report())
     for check in checks:
         say(check)
     if args.json is not None and world_rank() == 0:

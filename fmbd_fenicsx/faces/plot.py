@@ -99,7 +99,7 @@ def _history(axes: Any, run: Run, name: str, known: Known | None = None) -> None
         t, x = known if isinstance(known, tuple) else (run.times, [known(float(t)) for t in run.times])
         look = {"color": "k", "linestyle": "", "marker": "x", "zorder": 3} if points else REFERENCE
         lines = axes.plot(t, np.reshape(x, (np.size(t), -1)), **look)
-        lines[0].set_label("reference" if points else "exact")
+        lines[0].set_label("reference")
     for label, x in zip(labels, values.T, strict=True):
         axes.plot(run.times, x, label=label, linewidth=1.4)
     axes.set_ylabel(f"{name} ({unit})")
