@@ -10,6 +10,7 @@ import numpy as np
 
 from ..mechanics.constraints import standstill
 from ..mechanics.forces import Spring
+from ..mechanics.reduction import ReducedBody
 from ..system.scene import Scene
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 WIDTH = 112
 LABEL = 18
+APART = ("error estimate", "reduction estimate")  # phases behind the run itself
 SHOWN = 4  # sensors or phases listed by name
 
 
@@ -38,6 +40,7 @@ def run_report(run: Run) -> str:
     )
     lines += _entry("constraint drift", f"position {gap:.2g} m, velocity {slip:.2g} m/s")
     lines += _entry("time error", _time_error(run))
+    lines += _reduction_error(run)
     if run.energy:
         lines += _ledger(run)
     lines += _entry("seconds", _seconds(run.seconds, steps))
@@ -88,22 +91,36 @@ def _time_error(run: Run) -> str:
         return f"not estimated: the run with 2 h failed, h is near the largest usable step; {local}"
     if not run.error_estimate:
         return f"not estimated (Output(estimate_error=True) repeats the run with 2 h and 4 h); {local}"
-    shares = []
-    for name, error in run.error_estimate.items():
-        x = run.series[name]
-        spread = float(np.ptp(x, axis=0).max(initial=0.0))
-        shares.append((error / spread if spread > 0 else 0.0, name, error))
-    shares.sort(reverse=True)
-    listed = [_share(run, name, error, share) for share, name, error in shares[:SHOWN]]
-    more = f", {len(shares) - SHOWN} sensors with less" if len(shares) > SHOWN else ""
-    text = f"estimated from runs with 2 h and 4 h: {', '.join(listed)}{more}; {local}"
+    text = f"estimated from runs with 2 h and 4 h: {_listed(run, run.error_estimate)}; {local}"
     slow = [p for p in run.observed_order.values() if not p > run.scheme.order - 0.5]
     return text + (f". Some orders are below {run.scheme.order}: the step does not resolve all motion" if slow else "")
 
 
-def _share(run: Run, name: str, error: float, share: float) -> str:
-    """The error of a sensor in its unit and as a share of its range, with the observed order."""
-    order = run.observed_order.get(name, float("nan"))
+def _reduction_error(run: Run) -> list[str]:
+    """The error by left-out modes; nothing for a run without reduced bodies."""
+    if "reduction estimate" not in run.seconds:
+        known = any(isinstance(b, ReducedBody) for b in run.scene.bodies.values())
+        text = "not estimated (Output(estimate_reduction=True) repeats the run with more modes)"
+        return _entry("reduction error", text) if known else []
+    if not run.reduction_error:
+        return []
+    return _entry("reduction error", f"at most, by a run with more modes: {_listed(run, run.reduction_error)}")
+
+
+def _listed(run: Run, errors: Mapping[str, float]) -> str:
+    """The sensors with the largest errors, each in its unit and as a share of its range, with an observed order."""
+    shares = []
+    for name, error in errors.items():
+        spread = float(np.ptp(run.series[name], axis=0).max(initial=0.0))
+        shares.append((error / spread if spread > 0 else 0.0, name, error))
+    shares.sort(reverse=True)
+    listed = [_share(run, name, error, share, errors) for share, name, error in shares[:SHOWN]]
+    return ", ".join(listed) + (f", {len(shares) - SHOWN} sensors with less" if len(shares) > SHOWN else "")
+
+
+def _share(run: Run, name: str, error: float, share: float, errors: Mapping[str, float]) -> str:
+    """The error of a sensor in its unit and as a share of its range, with the observed order where it is one of time."""
+    order = run.observed_order.get(name, float("nan")) if errors is run.error_estimate else float("nan")
     seen = f", order {order:.1f}" if np.isfinite(order) else ""
     return f'"{name}" {error:.2g} {run.scene.sensors[name].unit} ({share:.1e} of its range{seen})'
 
@@ -146,11 +163,10 @@ def _ledger(run: Run) -> list[str]:
 
 
 def _seconds(seconds: Mapping[str, float], steps: int) -> str:
-    phases = [f"{name} {s:.3g}" for name, s in seconds.items() if name not in ("total", "error estimate")]
+    phases = [f"{name} {s:.3g}" for name, s in seconds.items() if name not in ("total", *APART)]
     text = f"{', '.join(phases)}, total {seconds['total']:.3g}; {1e3 * seconds['steps'] / steps:.3g} ms a step"
-    if "error estimate" in seconds:
-        text += f"; apart: error estimate {seconds['error estimate']:.3g}"
-    return text
+    apart = [f"{name} {seconds[name]:.3g}" for name in APART if name in seconds]
+    return text + (f"; apart: {', '.join(apart)}" if apart else "")
 
 
 def _ranks(run: Run) -> str:

@@ -15,7 +15,7 @@ Source: Przemieniecki, Theory of Matrix Structural Analysis, 1968, chapters 5 an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -132,6 +132,10 @@ class Beam:
         """The beam starts undeformed."""
         n = self.constants.n_modes
         return np.zeros(n), np.zeros(n)
+
+    def finer(self, surfaces: tuple[str, ...]) -> Beam:
+        """The same beam with all degrees of freedom of its elements."""
+        return replace(self, modes=None)
 
     @cached_property
     def constants(self) -> Constants:

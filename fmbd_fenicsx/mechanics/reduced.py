@@ -17,6 +17,7 @@ body is rigid. Stiffening by the stress of the inertia forces adds (sum_c a_c G_
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -79,11 +80,12 @@ class ReducedPart:
     distributed = False
     n_frame_rows = 0
     comm = None
+    body: Any = None  # the reduced body of a scene
 
-    def __init__(self, name: str, constants: Constants, frame: int, surfaces: list[str]) -> None:
+    def __init__(self, name: str, constants: Constants, frame: int, surfaces: Sequence[str]) -> None:
         import scipy.linalg as sl
 
-        self.name, self.constants, self.frame = name, constants, frame
+        self.name, self.constants, self.frame, self.surfaces = name, constants, frame, tuple(surfaces)
         self.dim = d = constants.S.shape[0]
         self.motions = motions(d)
         self.n = constants.n_modes

@@ -83,6 +83,52 @@ class CraigBampton:
         return np.concatenate((*static, fixed), axis=1)
 
 
+@dataclass(frozen=True)
+class Finer:
+    """A ``basis`` and much of what it leaves out: what the error of reduction of a run is measured against.
+
+    It adds the static modes of the ``surfaces`` in use and, with these surfaces at rest, the static displacements under the
+    inertia forces M (a + L X) of rigid motion and under the body's loads, and as many vibration modes as the basis has, at
+    least eight.
+    """
+
+    basis: Any
+    surfaces: tuple[str, ...]
+
+    def columns(self, field: Field, frame: Array) -> Array:
+        """Nodal fields that span the basis, (n d, m)."""
+        from .modes import ConditionedBody
+
+        given = self.basis.columns(field, frame)
+        C = frame
+        if self.surfaces:
+            C = _independent(field, np.concatenate([moment_columns(field, s) for s in self.surfaces], axis=1))
+        room = field.n_global - C.shape[1]
+        body = ConditionedBody(field, C)
+        static = [body.solve_static(f) for f in (*_inertia_patterns(field), *_load_patterns(field))]
+        added = [body.static_modes()] if self.surfaces else []
+        added.append(body.vibration_modes(min(max(given.shape[1], 8), room))[1])
+        body.destroy()
+        return np.concatenate((given, *added, np.stack(static, axis=1)), axis=1)
+
+
+def _inertia_patterns(field: Field) -> list[Array]:
+    """Nodal forces (n d,) M e_i and M X_j e_i: the inertia forces of any rigid motion are their sums."""
+    shapes = (np.ones(field.n), *field.X.T)
+    return [field.mass(np.outer(s, e)).ravel() for s in shapes for e in np.eye(field.dim)]
+
+
+def _load_patterns(field: Field) -> list[Array]:
+    """Nodal forces (n d,) whose sums are the body's loads in its axes: a dead load turns in them, its components mix."""
+    found: list[Array] = []
+    for load, b in zip(field.loads.loads, field.loads.vectors, strict=True):
+        assert b is not None  # a reduced body is linear
+        axes = np.eye(field.dim)
+        turned = [b] if load.follower or load.internal else [np.outer(c, e) for c in b.T for e in axes]
+        found += [x.ravel() for x in turned if field.total(np.array(np.abs(x).sum())) > 0]
+    return found
+
+
 def _independent(field: Field, C: Array) -> Array:
     """Orthonormal columns that span C: on a plane surface the moment along its normal is zero."""
     s, U = np.linalg.eigh(field.total(C.T @ C))
@@ -119,7 +165,7 @@ class ReducedBody:
     """
 
     source: Any
-    basis: FrameModes | CraigBampton
+    basis: FrameModes | CraigBampton | Finer
 
     @property
     def name(self) -> str:
@@ -148,6 +194,14 @@ class ReducedBody:
     def constants(self) -> Constants:
         """What the time loop needs."""
         return self.reduction.constants
+
+    @cached_property
+    def _finer(self) -> dict[tuple[str, ...], ReducedBody]:
+        return {}
+
+    def finer(self, surfaces: tuple[str, ...]) -> ReducedBody:
+        """The same body with the basis :class:`Finer`, made once for the surfaces in use."""
+        return self._finer.setdefault(surfaces, ReducedBody(self.source, Finer(self.basis, surfaces)))
 
     def start_local(self) -> tuple[Array, Array]:
         """Modal amplitudes and rates at the start."""
@@ -183,7 +237,7 @@ def _loads(f: Field, Z: Array) -> tuple[tuple[tuple[Any, Array], ...], dict[Any,
     return tuple(tensors), sums
 
 
-def reduce_body(body: Any, basis: FrameModes | CraigBampton) -> Reduction:
+def reduce_body(body: Any, basis: FrameModes | CraigBampton | Finer) -> Reduction:
     """Modes and constants of an elastic body; collective.
 
     Raises:

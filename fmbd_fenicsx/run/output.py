@@ -29,6 +29,8 @@ class Output:
         progress: a progress bar; None shows it on rank 0 when standard error is a terminal.
         estimate_error: run again with 2 and 4 times the step and estimate the time-discretisation error of
             each sensor (about 3/4 of the time of the run itself, not counted in its seconds and counters).
+        estimate_reduction: run again with more modes of each reduced body and bound the error that the left-out modes cause in
+            each sensor (one more run of about twice the modes, not counted either).
     """
 
     every: int = 1
@@ -36,6 +38,7 @@ class Output:
     energy: bool = True
     progress: bool | None = None
     estimate_error: bool = False
+    estimate_reduction: bool = False
 
     def __post_init__(self) -> None:
         require(self.every >= 1, f"Output: every = {self.every} must be at least 1.")

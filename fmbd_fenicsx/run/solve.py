@@ -1,4 +1,4 @@
-"""The one time loop: consistent start, steps, recording, error estimate; one answer on all ranks."""
+"""A run of a scene: consistent start, the march, error estimates, and what is left of them; one answer on all ranks."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ConvergenceError, InputError, Stopped, near, require
+from ..errors import InputError, Stopped, near, require
 from ..linear.schur import StepSolver
-from ..log import StopRequests, install_hooks, log, peak_memory
+from ..log import install_hooks, peak_memory
 from ..rotations import Array
 from ..schemes.dae import Index3
 from ..schemes.generalized_alpha import GeneralizedAlpha
 from ..schemes.newton import Newton
-from ..schemes.start import Correction, consistent
-from ..schemes.statics import equilibrium
+from ..schemes.start import Correction
 from ..system.plan import Plan, make_plan
 from ..system.scene import Scene
 from ..system.system import State, System
-from .guard import Guarded, closed
-from .output import Output, Progress, Recorder
-from .pace import Pace, pace_of
+from .estimates import reduction_error, time_error
+from .march import March, Problem, begin, make_solver, march
+from .output import Output
+from .pace import pace_of
 
 
 @dataclass
@@ -43,6 +43,8 @@ class Run:
             not asked for.
         observed_order: sensor name -> order in h seen in the runs of the estimate, nan where it could not be
             seen.
+        reduction_error: sensor name -> bound of the error by left-out modes of reduced bodies, in the sensor's unit; empty
+            when not asked for and without reduced bodies.
         memory: peak memory of the largest rank, bytes.
         status: "finished", or "stopped" after Ctrl-C.
     """
@@ -64,6 +66,7 @@ class Run:
     local_error: float
     error_estimate: dict[str, float] = field(default_factory=dict)
     observed_order: dict[str, float] = field(default_factory=dict)
+    reduction_error: dict[str, float] = field(default_factory=dict)
     memory: float = 0.0
     status: str = "finished"
 
@@ -112,36 +115,6 @@ class Run:
         picture(self, file, sensor=sensor)
 
 
-@dataclass(frozen=True)
-class _Problem:
-    """A consistent start and what a march from it needs."""
-
-    scene: Scene
-    system: System
-    markers: dict[str, int]
-    start: State
-    scheme: Any
-    newton: Newton
-    linear: Any
-    pressures: list[Array]  # that bodies carry as unknowns
-
-
-@dataclass(frozen=True)
-class _March:
-    """What a march left: recorder, last state, largest local error, the first step's back-solves, the
-    scheme's statistics.
-    """
-
-    recorder: Recorder
-    state: State
-    local_error: float
-    done: int
-    first: int
-    status: str
-    counters: dict[str, float]
-    path: str
-
-
 def solve(
     scene: Scene,
     *,
@@ -180,60 +153,59 @@ def solve(
         f"{scheme.name} has no exact tangent. Use scheme=fmbd.GeneralizedAlpha(), or leave out Newton's tangent.",
     )
     pace = pace_of(scene, scheme, t_end, dt, multiple=4 if output.estimate_error else 1)
-    begin = clock.perf_counter()
+    require(
+        pace.steps > 0 or not output.estimate_reduction,
+        "estimate_reduction compares two runs step by step: it needs constant steps, a scheme without rtol.",
+    )
+    called = clock.perf_counter()
     system, given, markers = scene.build()
     _check_pressures(system, scheme)
     built = clock.perf_counter()
-    solver = _solver(scene, system, linear)
+    solver = make_solver(scene, system, linear)
     newton.refresh = solver.refresh
     try:
-        if scene.settle:
-            given = equilibrium(system, given, solver)
-        if hasattr(scheme, "start"):
-            start, correction = scheme.start(system, given, solver, pace.next(0.0))
-        else:
-            require(
-                system.contacts is None,
-                f"{scheme.name} does not treat contact. Use fmbd.ContactMidpoint(), ContactAlpha() or Moreau().",
-            )
-            start, correction = consistent(system, given, solver)
+        start, correction = begin(scene, scheme, system, given, solver=solver, h=pace.next(0.0))
         started = clock.perf_counter()
-        problem = _Problem(scene, system, markers, start, scheme, newton, linear, solver.pressures)
-        march = _march(problem, solver, pace, output)
+        problem = Problem(scene, system, markers, given, start, scheme, newton, linear, solver.pressures)
+        marched = march(problem, solver, pace, output)
         ended = clock.perf_counter()
-        counters = _counters(march, newton, solver)
+        counters = _counters(marched, newton, solver)
     finally:
         solver.destroy()
     run = Run(
         scene=scene,
         scheme=scheme,
-        plan=make_plan(scene, system, march.path),
+        plan=make_plan(scene, system, marched.path),
         system=system,
-        state=march.state,
-        dt=march.state.t / max(march.done, 1),
-        times=np.array(march.recorder.times),
-        series=march.recorder.series,
-        energy=march.recorder.energy,
-        snapshots=march.recorder.snapshots,
+        state=marched.state,
+        dt=marched.state.t / max(marched.done, 1),
+        times=np.array(marched.recorder.times),
+        series=marched.recorder.series,
+        energy=marched.recorder.energy,
+        snapshots=marched.recorder.snapshots,
         counters=counters,
         seconds={
-            "set-up": built - begin,
+            "set-up": built - called,
             "start": started - built,
-            "steps": ended - started - march.recorder.seconds,
-            "recording": march.recorder.seconds,
-            "total": ended - begin,
+            "steps": ended - started - marched.recorder.seconds,
+            "recording": marched.recorder.seconds,
+            "total": ended - called,
         },
-        drift=(march.recorder.gap, march.recorder.slip),
+        drift=(marched.recorder.gap, marched.recorder.slip),
         correction=correction,
-        local_error=march.local_error,
+        local_error=marched.local_error,
         memory=peak_memory(system.comm),
-        status=march.status,
+        status=marched.status,
     )
     if run.status == "stopped":
         raise Stopped(run)
     if output.estimate_error:
-        run.error_estimate, run.observed_order = _estimate(problem, march.recorder, pace)
+        run.error_estimate, run.observed_order = time_error(problem, marched.recorder, pace)
         run.seconds["error estimate"] = clock.perf_counter() - ended
+    if output.estimate_reduction:
+        ended = clock.perf_counter()
+        run.reduction_error = reduction_error(problem, marched.recorder, pace)
+        run.seconds["reduction estimate"] = clock.perf_counter() - ended
     return run
 
 
@@ -247,11 +219,6 @@ def _check_pressures(system: System, scheme: Any) -> None:
     )
 
 
-def _solver(scene: Scene, system: System, linear: Any) -> StepSolver:
-    """The linear solver of a scene, with its own prefix of PETSc's options; collective."""
-    return StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
-
-
 def _default_scheme(scene: Scene) -> Any:
     """Generalized-alpha; the contact-implicit midpoint rule for a scene with contact."""
     if not scene.contacts:
@@ -261,54 +228,7 @@ def _default_scheme(scene: Scene) -> Any:
     return ContactMidpoint()
 
 
-def _stepper(problem: _Problem, solver: StepSolver, *, guarded: bool) -> Any:
-    """The scheme's worker from the consistent start, under the energy guard where that makes sense."""
-    made = problem.scheme.stepper(problem.system, solver, problem.newton, problem.start)
-    if not guarded:
-        return made
-
-    def renew(state: State) -> Any:
-        problem.newton.theta = 0.5
-        start, _ = consistent(problem.system, state, solver)
-        return problem.scheme.stepper(problem.system, solver, problem.newton, start)
-
-    return Guarded(made, problem.system, renew)
-
-
-def _march(problem: _Problem, solver: StepSolver, pace: Pace, output: Output) -> _March:
-    """All steps from a consistent start; collective."""
-    stepper = _stepper(problem, solver, guarded=output.energy and closed(problem.scene, problem.system))
-    recorder = Recorder(problem.scene, problem.system, problem.markers, output, pace.t_end)
-    state = stepper.state
-    recorder.take(0, state, getattr(stepper, "evaluation", None))
-    bar = Progress(problem.scene.name, pace.steps or None, output.progress)
-    local_error, done, first = 0.0, 0, 0
-    try:
-        with StopRequests() as stop:
-            while not pace.ended(state.t, done):
-                state = stepper.advance(pace.next(state.t))
-                done += 1
-                local_error = max(local_error, stepper.local_error)
-                recorder.take(done, state, getattr(stepper, "evaluation", None))
-                bar.update()
-                first = first or solver.back_solves
-                if (kink := pace.broken(state.t)) is not None:
-                    stepper.restart(kink)
-                    state = stepper.state
-                if stop.asked:
-                    log.warning("stopped on request at t = %g s", state.t)
-                    break
-    except ConvergenceError as error:
-        total = f" of {pace.steps}" if pace.steps else ""
-        raise ConvergenceError(f'Scene "{problem.scene.name}", step {done + 1}{total}: {error}') from error
-    finally:
-        bar.close()
-    status = "finished" if pace.ended(state.t, done) else "stopped"
-    counters, path = getattr(stepper, "counters", {}), getattr(stepper, "path", "NumPy")
-    return _March(recorder, stepper.state, local_error, done, first, status, counters, path)
-
-
-def _counters(march: _March, newton: Newton, solver: StepSolver) -> dict[str, float]:
+def _counters(march: March, newton: Newton, solver: StepSolver) -> dict[str, float]:
     """Counts of a run; back-solves per step without those of the first step, which also solves the constant
     columns.
     """
@@ -326,54 +246,3 @@ def _counters(march: _March, newton: Newton, solver: StepSolver) -> dict[str, fl
         "worst_linear_residual": solver.worst_residual,
         **march.counters,
     }
-
-
-def _estimate(problem: _Problem, fine: Recorder, pace: Pace) -> tuple[dict[str, float], dict[str, float]]:
-    """Error of each sensor by Richardson's extrapolation from runs with 2 h and 4 h, and the observed order;
-    collective.
-
-        |x_h - x| ~ |x_h - x_2h| / (2^p - 1),     p = log2(|x_2h - x_4h| / |x_h - x_2h|)               (1)
-
-    in the maximum norm over time, p at most the order of the scheme. Where fast motion is not resolved (say,
-    gravity switched on at once) the observed order is below the scheme's, and the estimate larger; an order
-    below 1/2 counts as 1/2. Motion that the scheme damps in all three runs is not seen. Hairer, Norsett,
-    Wanner, doi:10.1007/978-3-540-78862-1, II.4.
-    """
-    try:
-        half = _again(problem, pace, 2)
-    except ConvergenceError as error:
-        log.warning("no error estimate: the run with twice the step failed: %s", error)
-        return {}, {}
-    try:
-        quarter = _again(problem, pace, 4)
-    except ConvergenceError:
-        quarter = None
-    errors, orders = {}, {}
-    for name, x in fine.series.items():
-        near, p = _distance(fine.indices, x, half.series[name]), float("nan")
-        if quarter is not None and near > 0:
-            far = _distance(half.indices, half.series[name], quarter.series[name])
-            p = float(np.log2(far / near)) if far > 0 else 0.0
-        usable = problem.scheme.order if np.isnan(p) else min(max(p, 0.5), problem.scheme.order)
-        errors[name], orders[name] = near / (2.0**usable - 1.0), p
-    return errors, orders
-
-
-def _again(problem: _Problem, pace: Pace, factor: int) -> Recorder:
-    """The march once more with steps larger by a factor, sensors recorded in every step; collective."""
-    solver = _solver(problem.scene, problem.system, problem.linear)
-    newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
-    solver.pressures = problem.pressures
-    wanted = Output(energy=False, progress=False)
-    try:
-        return _march(replace(problem, newton=newton), solver, Pace(pace.t_end, pace.steps // factor), wanted).recorder
-    finally:
-        solver.destroy()
-
-
-def _distance(indices: list[int], x: Array, coarse: Array) -> float:
-    """Largest difference of a series, recorded at the given steps, and one recorded at every step of twice
-    the size.
-    """
-    rows = [k for k, n in enumerate(indices) if n % 2 == 0]
-    return float(np.abs(x[rows] - coarse[[indices[k] // 2 for k in rows]]).max(initial=0.0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from ..mechanics.frames import Markers
 from ..mechanics.joints import Joint, ground
 from ..mechanics.laws import Loads, ScalarLoads
 from ..mechanics.line_body import LineBody, LinePart
+from ..mechanics.reduced import ReducedPart
 from ..mechanics.reduction import ReducedBody
 from ..mechanics.relative import Relative, Separation
 from ..mechanics.wires import Wires
@@ -37,6 +38,13 @@ def smooth_step(t: float, duration: float) -> float:
         return 1.0
     s = max(t / duration, 0.0)
     return s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
+
+
+def reduced_part(body: ReducedBody | Beam, frame: int, surfaces: Sequence[str]) -> ReducedPart:
+    """A reduced body or beam as a part of a system, with the ports of the named surfaces."""
+    part = ReducedPart(body.name, body.constants, frame, surfaces)
+    part.body = body
+    return part
 
 
 class Builder:
@@ -180,10 +188,8 @@ class Builder:
         self.starts.append((q, v))
 
     def _add_reduced(self, body: ReducedBody | Beam, surfaces: list[str]) -> None:
-        from ..mechanics.reduced import ReducedPart
-
         frame = self.frame_of[body.name]
-        self._put_part(ReducedPart(body.name, body.constants, frame, surfaces), *body.start_local())
+        self._put_part(reduced_part(body, frame, surfaces), *body.start_local())
         self.poses[frame] = self.m.pose(body.constants.center)
         if isinstance(body, ReducedBody):
             self.poses[frame], self.twists[frame] = body.start_frame()

@@ -43,13 +43,14 @@ class Largest(Sensor):
         from dolfinx import fem
 
         k = next(k for k, part in enumerate(ev.system.parts) if part.name == self.body.name)
-        reduced = isinstance(self.body, ReducedBody)
-        space = self.body.reduction.space if reduced else ev.system.parts[k].field.space  # type: ignore[attr-defined]
+        part: Any = ev.system.parts[k]
+        modes = part.body.reduction if isinstance(self.body, ReducedBody) else None
+        space = part.field.space if modes is None else modes.space
         u = fem.Function(space)
         points, _ = basix.make_quadrature(space.mesh.basix_cell(), self.degree)
         expression = fem.Expression(self.quantity(u), points)
         cells = np.arange(space.mesh.topology.index_map(space.mesh.topology.dim).size_local, dtype=np.int32)
-        return k, u, expression, cells, self.body.reduction.phi if reduced else None
+        return k, u, expression, cells, None if modes is None else modes.phi
 
 
 def largest(body: Any, quantity: Callable[[Any], Any], *, unit: str = "Pa", degree: int = 2) -> Sensor:

@@ -1,0 +1,99 @@
+"""Errors that a run states of itself, from more runs of the same scene: of time discretisation, of modal reduction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import ConvergenceError
+from ..log import log
+from ..rotations import Array
+from ..system.finer import finer_system
+from .march import Problem, begin, make_solver, march
+from .output import Output, Recorder
+from .pace import Pace
+
+SATURATION = 2.0  # the error of the finer basis counts as at most half of that of the given one
+
+
+def time_error(problem: Problem, fine: Recorder, pace: Pace) -> tuple[dict[str, float], dict[str, float]]:
+    """Error of each sensor by Richardson's extrapolation from runs with 2 h and 4 h, and the observed order;
+    collective.
+
+        |x_h - x| ~ |x_h - x_2h| / (2^p - 1),     p = log2(|x_2h - x_4h| / |x_h - x_2h|)               (1)
+
+    in the maximum norm over time, p at most the order of the scheme. Where fast motion is not resolved (say,
+    gravity switched on at once) the observed order is below the scheme's, and the estimate larger; an order
+    below 1/2 counts as 1/2. Motion that the scheme damps in all three runs is not seen. Hairer, Norsett,
+    Wanner, doi:10.1007/978-3-540-78862-1, II.4.
+    """
+    try:
+        half = _again(problem, pace, 2)
+    except ConvergenceError as error:
+        log.warning("no error estimate: the run with twice the step failed: %s", error)
+        return {}, {}
+    try:
+        quarter = _again(problem, pace, 4)
+    except ConvergenceError:
+        quarter = None
+    errors, orders = {}, {}
+    for name, x in fine.series.items():
+        near, p = _distance(fine.indices, x, half.series[name]), float("nan")
+        if quarter is not None and near > 0:
+            far = _distance(half.indices, half.series[name], quarter.series[name])
+            p = float(np.log2(far / near)) if far > 0 else 0.0
+        usable = problem.scheme.order if np.isnan(p) else min(max(p, 0.5), problem.scheme.order)
+        errors[name], orders[name] = near / (2.0**usable - 1.0), p
+    return errors, orders
+
+
+def _again(problem: Problem, pace: Pace, factor: int) -> Recorder:
+    """The march once more with steps larger by a factor, sensors recorded in every step; collective."""
+    problem.system.rewind()
+    solver = make_solver(problem.scene, problem.system, problem.linear)
+    newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
+    solver.pressures = problem.pressures
+    wanted = Output(energy=False, progress=False)
+    try:
+        return march(replace(problem, newton=newton), solver, Pace(pace.t_end, pace.steps // factor), wanted).recorder
+    finally:
+        solver.destroy()
+
+
+def _distance(indices: list[int], x: Array, coarse: Array) -> float:
+    """Largest difference of a series, recorded at the given steps, and one recorded at every step of twice
+    the size.
+    """
+    rows = [k for k, n in enumerate(indices) if n % 2 == 0]
+    return float(np.abs(x[rows] - coarse[[indices[k] // 2 for k in rows]]).max(initial=0.0))
+
+
+def reduction_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str, float]:
+    """Error of each sensor by the modes that reduced bodies leave out; collective. Empty without reduced bodies.
+
+    The run is made once more, with the same steps, by finer bases that contain the given ones (``mechanics.reduction.Finer``):
+
+        |x_m - x| <= |x_m - x_f| + |x_f - x| <= 2 |x_m - x_f|     as long as  |x_f - x| <= |x_m - x| / 2         (1)
+
+    in the maximum norm over time, x the run with the whole field. The loop holds no field in this run either. Differences near
+    the tolerance of Newton's iteration are no errors of reduction. Bank and Smith, doi:10.1137/0730048.
+    """
+    made = finer_system(problem.system, problem.given)
+    if made is None:
+        return {}
+    system, given = made
+    system.rewind()
+    solver = make_solver(problem.scene, system, problem.linear)
+    newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
+    wanted = replace(coarse.output, snapshots=0, energy=False, progress=False)
+    try:
+        start, _ = begin(problem.scene, problem.scheme, system, given, solver=solver, h=pace.next(0.0))
+        finer = replace(problem, system=system, given=given, start=start, newton=newton, pressures=solver.pressures)
+        fine = march(finer, solver, pace, wanted).recorder
+    except ConvergenceError as error:
+        log.warning("no error of reduction: the run with more modes failed: %s", error)
+        return {}
+    finally:
+        solver.destroy()
+    return {n: SATURATION * float(np.abs(x - fine.series[n]).max(initial=0.0)) for n, x in coarse.series.items()}

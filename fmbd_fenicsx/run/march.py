@@ -1,0 +1,117 @@
+"""A march of a scheme from a consistent start to the end of a run, recorded on the way; one answer on all ranks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import ConvergenceError, require
+from ..linear.schur import StepSolver
+from ..log import StopRequests, log
+from ..rotations import Array
+from ..schemes.newton import Newton
+from ..schemes.start import Correction, consistent
+from ..schemes.statics import equilibrium
+from ..system.scene import Scene
+from ..system.system import State, System
+from .guard import Guarded, closed
+from .output import Output, Progress, Recorder
+from .pace import Pace
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A consistent start and what a march from it needs."""
+
+    scene: Scene
+    system: System
+    markers: dict[str, int]
+    given: State
+    start: State
+    scheme: Any
+    newton: Newton
+    linear: Any
+    pressures: list[Array]  # that bodies carry as unknowns
+
+
+@dataclass(frozen=True)
+class March:
+    """What a march left: recorder, last state, largest local error, the first step's back-solves, the
+    scheme's statistics.
+    """
+
+    recorder: Recorder
+    state: State
+    local_error: float
+    done: int
+    first: int
+    status: str
+    counters: dict[str, float]
+    path: str
+
+
+def make_solver(scene: Scene, system: System, linear: Any) -> StepSolver:
+    """The linear solver of a scene, with its own prefix of PETSc's options; collective."""
+    return StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
+
+
+def begin(
+    scene: Scene, scheme: Any, system: System, given: State, *, solver: StepSolver, h: float
+) -> tuple[State, Correction]:
+    """The consistent start of a scheme from a state as given, with first steps of h (s); collective."""
+    if scene.settle:
+        given = equilibrium(system, given, solver)
+    if hasattr(scheme, "start"):
+        return scheme.start(system, given, solver, h)  # type: ignore[no-any-return]
+    require(
+        system.contacts is None,
+        f"{scheme.name} does not treat contact. Use fmbd.ContactMidpoint(), ContactAlpha() or Moreau().",
+    )
+    return consistent(system, given, solver)
+
+
+def _stepper(problem: Problem, solver: StepSolver, *, guarded: bool) -> Any:
+    """The scheme's worker from the consistent start, under the energy guard where that makes sense."""
+    made = problem.scheme.stepper(problem.system, solver, problem.newton, problem.start)
+    if not guarded:
+        return made
+
+    def renew(state: State) -> Any:
+        problem.newton.theta = 0.5
+        start, _ = consistent(problem.system, state, solver)
+        return problem.scheme.stepper(problem.system, solver, problem.newton, start)
+
+    return Guarded(made, problem.system, renew)
+
+
+def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output) -> March:
+    """All steps from a consistent start; collective."""
+    stepper = _stepper(problem, solver, guarded=output.energy and closed(problem.scene, problem.system))
+    recorder = Recorder(problem.scene, problem.system, problem.markers, output, pace.t_end)
+    state = stepper.state
+    recorder.take(0, state, getattr(stepper, "evaluation", None))
+    bar = Progress(problem.scene.name, pace.steps or None, output.progress)
+    local_error, done, first = 0.0, 0, 0
+    try:
+        with StopRequests() as stop:
+            while not pace.ended(state.t, done):
+                state = stepper.advance(pace.next(state.t))
+                done += 1
+                local_error = max(local_error, stepper.local_error)
+                recorder.take(done, state, getattr(stepper, "evaluation", None))
+                bar.update()
+                first = first or solver.back_solves
+                if (kink := pace.broken(state.t)) is not None:
+                    stepper.restart(kink)
+                    state = stepper.state
+                if stop.asked:
+                    log.warning("stopped on request at t = %g s", state.t)
+                    break
+    except ConvergenceError as error:
+        total = f" of {pace.steps}" if pace.steps else ""
+        raise ConvergenceError(f'Scene "{problem.scene.name}", step {done + 1}{total}: {error}') from error
+    finally:
+        bar.close()
+    status = "finished" if pace.ended(state.t, done) else "stopped"
+    counters, path = getattr(stepper, "counters", {}), getattr(stepper, "path", "NumPy")
+    return March(recorder, stepper.state, local_error, done, first, status, counters, path)

@@ -1,0 +1,142 @@
+"""The error by left-out modes that a run states of itself: it bounds the difference from the full field, and not by far."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx import CraigBampton
+from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.materials import linear_elastic, plane_stress
+from fmbd_fenicsx.mechanics.reduction import FrameModes
+
+SILLY = 5.0  # a bound this many times the error says nothing
+
+
+def rod(mesh: Any, **changes: Any) -> fmbd.FloatingBody:
+    form = plane_stress(2e7, 0.3) if mesh.dim == 2 else linear_elastic(2e7, 0.3)
+    return fmbd.FloatingBody("rod", mesh, density=1000.0, elastic=form).with_(**changes)
+
+
+def pendulum(body: Any, *, ramp: float = 0.0) -> fmbd.Scene:
+    scene = fmbd.Scene("pendulum", gravity=(0.0, -9.81, 0.0)[: body.dim], gravity_ramp=ramp)
+    scene.add(body, fmbd.revolute("pin", body.surface("pin"), fmbd.ground))
+    scene.sensor("tip", fmbd.position(body.surface("tip")))
+    scene.sensor("force", fmbd.reaction_force("pin"))
+    return scene
+
+
+def solved(scene: fmbd.Scene, t_end: float) -> fmbd.Run:
+    return fmbd.solve(scene, t_end=t_end, dt=2e-3, output=fmbd.Output(energy=False, estimate_reduction=True))
+
+
+def ratios(run: fmbd.Run, exact: fmbd.Run) -> dict[str, float]:
+    """Stated over true error of each sensor."""
+    assert exact.reduction_error == {}
+    return {n: run.reduction_error[n] / float(np.abs(run[n] - exact[n]).max()) for n in run.series}
+
+
+@pytest.fixture(scope="module")
+def whole(rod_mesh: Callable[..., Any]) -> tuple[Any, fmbd.Run]:
+    """A soft rod by its whole field, and its run: it hangs from a pin and is let go."""
+    full = rod(rod_mesh(h=0.1))
+    return full, solved(pendulum(full), 0.4)
+
+
+@pytest.mark.parametrize("interfaces", [(), ("pin",)])
+@pytest.mark.parametrize(("count", "inertia"), [(0, False), (4, False), (16, False), (32, False), (0, True), (8, True)])
+def test_the_full_run_lies_within_the_stated_error(
+    whole: tuple[Any, fmbd.Run], interfaces: tuple[str, ...], count: int, inertia: bool
+) -> None:
+    """Free-free modes, Craig-Bampton, with inertia modes; none to 32; position and reaction."""
+    if inertia and not interfaces:
+        pytest.skip("inertia modes belong to interfaces")
+    full, exact = whole
+    basis = CraigBampton(interfaces, count, inertia=inertia) if interfaces else FrameModes(count)
+    for name, ratio in ratios(solved(pendulum(full.reduced(basis=basis)), 0.4), exact).items():
+        assert 1.0 <= ratio < SILLY, name
+
+
+def test_in_space_with_smooth_gravity(rod_mesh: Callable[..., Any]) -> None:
+    """16 modes of a solid rod."""
+    full = rod(rod_mesh(dim=3, h=0.25))
+    exact, run = (solved(pendulum(b, ramp=0.2), 0.2) for b in (full, full.reduced(modes=16)))
+    for name, ratio in ratios(run, exact).items():
+        assert 1.0 <= ratio < SILLY, name
+
+
+def test_spinning_rod_under_a_dead_load_with_a_stress(rod_mesh: Callable[..., Any]) -> None:
+    """No joint, a traction that turns in the body's axes, and a sensor of the field: its modes are those of each run."""
+    from ufl import grad
+
+    load = fmbd.traction("tip", (0.0, 3e3), time=lambda t: np.sin(10.0 * t) ** 2)
+    full = rod(rod_mesh(h=0.1), angular_velocity=6.0, loads=(load,))
+
+    def scene(body: Any) -> fmbd.Scene:
+        made = fmbd.Scene("free")
+        made.add(body)
+        made.sensor("side", fmbd.position(body.surface("side")))
+        made.sensor("strain", fmbd.largest(body, lambda u: grad(u)[0, 0], unit="-"))
+        return made
+
+    exact, run = (solved(scene(b), 0.1) for b in (full, full.reduced(modes=3)))
+    for name, ratio in ratios(run, exact).items():
+        assert 1.0 <= ratio < SILLY, name
+
+
+def driven(body: Any) -> fmbd.Scene:
+    """A rod turned about its pin, ten radians in the run, by a drive that counts them."""
+    made = fmbd.Scene("driven")
+    pin = fmbd.revolute("pin", fmbd.ground, body.surface("pin"), center=(0.0, 0.0))
+    made.add(body, pin, fmbd.drive("motor", fmbd.angle(pin), lambda t: 125.0 * t**3))
+    made.sensor("tip", fmbd.position(body.surface("tip")))
+    return made
+
+
+def test_driven_beyond_a_turn(rod_mesh: Callable[..., Any]) -> None:
+    """Revolutions are counted anew in the runs behind the first, of either estimate."""
+    full = rod(rod_mesh(h=0.2), elastic=plane_stress(2e9, 0.3))
+    both = fmbd.Output(energy=False, estimate_error=True, estimate_reduction=True)
+    exact, run = (fmbd.solve(driven(b), t_end=0.4, dt=4e-3, output=both) for b in (full, full.reduced(modes=4)))
+    assert 1.0 <= ratios(run, exact)["tip"] < SILLY
+    assert 0.0 < run.error_estimate["tip"] < 1e-2
+
+
+def test_beams(rod_mesh: Callable[..., Any]) -> None:
+    """A beam of four modes against the one of all its elements."""
+    section = fmbd.Section.rectangle(youngs_modulus=2e7, poisson_ratio=0.3, density=1e3, width=1.0, height=0.1)
+
+    def scene(beam: Any) -> fmbd.Scene:
+        made = fmbd.Scene("beam", gravity=(0.0, -9.81))
+        made.add(beam, fmbd.revolute("pin", fmbd.ground, beam.surface("start")))
+        made.sensor("end", fmbd.position(beam.surface("end")))
+        return made
+
+    few, whole = (fmbd.Beam("rod", (0, 0), (1, 0), section, elements=6, attached=False, modes=m) for m in (4, None))
+    runs = [solved(scene(b), 0.3) for b in (few, whole)]
+    error = np.abs(runs[0]["end"] - runs[1]["end"]).max()
+    assert runs[0].reduction_error["end"] == pytest.approx(2 * error, rel=1e-6)
+    assert runs[1].reduction_error["end"] == 0.0
+
+
+@pytest.mark.mpi
+def test_report_states_it_and_nothing_is_paid_unasked(rod_mesh: Callable[..., Any]) -> None:
+    few = rod(rod_mesh(h=0.2)).reduced(modes=4)
+    unasked = fmbd.solve(pendulum(few), t_end=0.02, dt=2e-3)
+    assert "reduction error   not estimated" in unasked.report() and not few._finer and not unasked.reduction_error
+    asked = fmbd.solve(pendulum(few), t_end=0.02, dt=2e-3, output=fmbd.Output(estimate_reduction=True))
+    assert f'"tip" {asked.reduction_error["tip"]:.2g} m' in " ".join(asked.report().split())
+    assert asked.counters == unasked.counters
+    np.testing.assert_array_equal(asked["tip"], unasked["tip"])
+    first = few.finer(("pin", "tip")).constants
+    assert few.finer(("pin", "tip")).constants is first  # made once
+
+
+def test_refused_with_error_control(rod_mesh: Callable[..., Any]) -> None:
+    few = rod(rod_mesh(h=0.2)).reduced(modes=4)
+    with pytest.raises(InputError, match="constant steps"):
+        fmbd.solve(pendulum(few), t_end=0.1, scheme=fmbd.Radau(), output=fmbd.Output(estimate_reduction=True))
