@@ -78,6 +78,7 @@ _LATER = {
     "schemes.contact_midpoint": ("ContactMidpoint",),
     "schemes.contact_alpha": ("ContactAlpha",),
     "schemes.moreau": ("Moreau",),
+    "run.checkpoint": ("Checkpoint",),
 }
 
 

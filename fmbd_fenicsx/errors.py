@@ -48,14 +48,21 @@ class CallbackError(InputError):
     """A function given by the user returned something unusable."""
 
 
+class CheckpointError(FmbdError):
+    """A checkpoint cannot be written, is damaged, or belongs to another run."""
+
+    exit_code = 74
+
+
 class Stopped(KeyboardInterrupt):
-    """Ctrl-C ended a serial run; ``run`` holds what was computed until then. Uncaught: report and exit code 130."""
+    """A request ended a run; ``run`` holds what was computed until then. Uncaught: report and ``exit_code``.
 
-    exit_code = 130
+    130 after Ctrl-C in a serial run; 75 after a signal or a file STOP in a run with checkpoints: it can be taken up again.
+    """
 
-    def __init__(self, run: Any) -> None:
+    def __init__(self, run: Any, exit_code: int = 130) -> None:
         super().__init__(f"stopped on request at t = {run.state.t:g} s")
-        self.run = run
+        self.run, self.exit_code = run, exit_code
 
 
 def near(name: str, known: Iterable[str]) -> str:

@@ -67,6 +67,10 @@ def _top(kind: type[BaseException], error: BaseException, trace: TracebackType |
 def _top_of_many(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     import time
 
+    if issubclass(kind, KeyboardInterrupt) and hasattr(error, "run"):  # all ranks have stopped after the same step
+        say(error.run.report())
+        raise SystemExit(error.exit_code)  # type: ignore[attr-defined]
+
     from mpi4py import MPI
 
     rank = MPI.COMM_WORLD.rank
@@ -82,32 +86,31 @@ def _top_of_many(kind: type[BaseException], error: BaseException, trace: Traceba
 
 class StopRequests:
     """Context in which the first Ctrl-C only sets ``asked``, so that the step under way is completed; the
-    second interrupts.
+    second interrupts. ``more``: signals that do the same; ``by``: the signal that came.
 
-    Only in serial runs, in the main thread, and where Python's own handler is in place.
+    Only in the main thread; Ctrl-C only in serial runs and where Python's own handler is in place.
     """
 
-    def __init__(self) -> None:
-        self.asked = False
-        self._mine = False
+    def __init__(self, more: tuple[signal.Signals, ...] = ()) -> None:
+        self.asked, self.by = False, 0
+        self._more = more
+        self._before: dict[int, Any] = {}
 
     def __enter__(self) -> StopRequests:
-        if (
-            world_size() == 1
-            and threading.current_thread() is threading.main_thread()
-            and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        ):
-            self._mine = True
-            signal.signal(signal.SIGINT, self._ask)
+        if threading.current_thread() is threading.main_thread():
+            plain = world_size() == 1 and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+            for number in (*((signal.SIGINT,) if plain else ()), *self._more):
+                self._before[number] = signal.signal(number, self._ask)
         return self
 
     def _ask(self, number: int, frame: Any) -> None:
-        self.asked = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        self.asked, self.by = True, number
+        if number == signal.SIGINT:
+            signal.signal(number, self._before[number])
 
     def __exit__(self, *exc: object) -> None:
-        if self._mine:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
 
 def peak_memory(comm: Any) -> float:

@@ -19,6 +19,7 @@ import scipy.sparse as sp
 
 from ..mechanics.contact_rows import ContactSet, Linear, Rows
 from ..rotations import Array
+from ..system.memory import Memory
 from .delassus_applied import MANY, Applied, SlaveBlocks
 from .schur import StepSolver
 
@@ -31,9 +32,15 @@ class Compliance:
     def __init__(self, solver: StepSolver, contacts: ContactSet) -> None:
         self.solver, self.contacts = solver, contacts
         self._kept: dict[int, tuple[Any, Array, np.ndarray]] = {}  # trace -> factor, C_s, known columns
+        self._together: dict[int, list[np.ndarray]] = {}  # which of them were solved together: roundoff depends on it
         self._surface: dict[int, tuple[Any, Array]] = {}
         self.columns = 0
         self.blocks = SlaveBlocks(solver, contacts)
+
+    def remember(self, m: Memory) -> None:
+        """Which columns are known (they are solved again when they are needed), and counts."""
+        self._together = m("together", self._together)
+        self.columns, self.blocks.products = m("solved", (self.columns, self.blocks.products))
 
     def normal(self, rows: Rows, scale: float) -> Any:
         """s W for the normal rows: a matrix, or an :class:`Applied` for many candidates on elastic surfaces."""
@@ -84,17 +91,27 @@ class Compliance:
         size = tr.n * tr.dim
         kept = self._kept.get(i)
         if kept is None or kept[0] is not factor:
+            again = self._together.get(i, []) if kept is None else []
             kept = (factor, np.zeros((size, size)), np.zeros(size, dtype=bool))
-            self._kept[i] = kept
-        _, C, known = kept
-        missing = used[~known[used]]
+            self._kept[i], self._together[i] = kept, []
+            for earlier in again:
+                self._solve(i, earlier)
+                self.columns -= len(earlier)
+        missing = used[~kept[2][used]]
+        if len(missing):
+            self._solve(i, missing)
+        return kept[1]
+
+    def _solve(self, i: int, missing: np.ndarray) -> None:
+        """Further columns of C_s."""
+        (factor, C, known), tr = self._kept[i], self.contacts.traces[i]
         for k in range(0, len(missing), CHUNK):
             part = missing[k : k + CHUNK]
             Z = factor.solve_columns(tr.unit_columns(part))
             C[:, part] = np.stack([tr.gather(Z[:, j]).ravel() for j in range(len(part))], axis=1)
             self.columns += len(part)
         known[missing] = True
-        return C
+        self._together[i].append(missing)
 
     def _rows_of_Y(self, i: int, block: Any) -> Array:
         """Rows of the constant columns Y at the contact nodes, (n d, k)."""

@@ -54,7 +54,15 @@ class AbsoluteField(FieldPart):
             return False
         self.field.linearise(self._last)
         self._turn_at_tangent = self._mean_rotation(self._last)
+        pressure = self.field.pressure_values if self.field.carried else None  # type: ignore[attr-defined]
+        self._tangent_at = (self._last, None, pressure)
         return True
+
+    def _take_tangent(self, U: Array, load: Array | None, pressure: Array | None) -> None:
+        self._last = U
+        if pressure is not None:
+            self.field.pressure_values = pressure  # type: ignore[attr-defined]
+        self.relinearise()
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:

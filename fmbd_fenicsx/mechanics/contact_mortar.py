@@ -84,6 +84,11 @@ class MortarPair:
         self.thickness = traces[sides[1].trace].thickness
         self.pairing: Pairing | None = None
 
+    @property
+    def trace_nodes(self) -> np.ndarray:
+        """Numbers in the slave's trace of the candidates' nodes."""
+        return np.asarray(self.order[0][self.candidates])
+
     # -- pairing ---------------------------------------------------------------------------------------------
     def update(self, contacts: ContactSet, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
         """Pair the surfaces anew for a step that starts at q; ``keep``: overlaps found stay. Collective."""

@@ -121,6 +121,11 @@ class Pair:
         return np.ones(self.count) if self.slave.surface is None else self.slave.surface.weights
 
     @property
+    def trace_nodes(self) -> np.ndarray | None:
+        """Numbers in the trace of the candidates' nodes, None for rigid points."""
+        return None if self.slave.surface is None else self.slave.surface.nodes
+
+    @property
     def count(self) -> int:
         """Candidates."""
         return len(self.slave.points) if self.slave.surface is None else len(self.slave.surface.nodes)

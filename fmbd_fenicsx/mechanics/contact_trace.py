@@ -71,7 +71,7 @@ class Trace:
     def _surface(self, name: str, facets: np.ndarray, weights: dict[int, float]) -> SurfaceNodes:
         nodes = np.unique(facets)
         local = np.searchsorted(nodes, facets)
-        D = np.array([weights[int(g)] for g in self._global(nodes)])
+        D = np.array([weights[int(g)] for g in self.global_nodes(nodes)])
         n = len(nodes)
         transform: Any = sp.identity(n, format="csr")
         if self.dim == 3 and facets.shape[1] == 6:
@@ -94,7 +94,8 @@ class Trace:
             )
         return SurfaceNodes(nodes, D, transform, local)
 
-    def _global(self, nodes: np.ndarray) -> np.ndarray:
+    def global_nodes(self, nodes: np.ndarray) -> np.ndarray:
+        """Global numbers of the body's nodes for numbers in the trace; collective at the first call."""
         if not hasattr(self, "_gids"):
             low = self.field.space.dofmap.index_map.local_range[0]
             self._gids = np.concatenate(self.comm.allgather(self.own + low))

@@ -26,6 +26,7 @@ class FieldPart:
     port_matrix = np.zeros((0, 0))
     shared_columns = False
     column_version = 0  # a new number asks for new columns E^-1 H
+    _tangent_at: tuple[Array, Array | None, Array | None] | None = None  # U, load and pressure of the last own tangent
 
     def __init__(self, field: Field, frame: int, surfaces: list[str], conditions: Array) -> None:
         self.field, self.frame, self.name, self.comm = field, frame, field.name, field.comm
@@ -116,6 +117,21 @@ class FieldPart:
     def relinearise(self) -> bool:
         """Take the tangent at the configuration evaluated last; False when it is constant anyway. Collective."""
         return False
+
+    def remember(self, m: Any) -> None:
+        """Take the tangent again where it was taken last (see :mod:`fmbd_fenicsx.system.memory`); collective."""
+        U, load, pressure = self._tangent_at or (None, None, None)
+        if not m("own tangent", U is not None):
+            return
+        U, load = m.nodal("displacement", U, self.field.numbering), m("load", load)
+        if self.field.carried:
+            pressure = m.nodal("pressure", pressure, self.field.pressure_numbering)  # type: ignore[attr-defined]
+        if m.reading and U is not None:
+            self._take_tangent(U, load, pressure)
+
+    def _take_tangent(self, U: Array, load: Array | None, pressure: Array | None) -> None:
+        """The tangent of a configuration, with what else it depends on."""
+        raise NotImplementedError
 
     # -- the core's share ---------------------------------------------------------------------------------------
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:

@@ -137,7 +137,13 @@ class FloatingField(FieldPart):
         self.inertia_columns = Q.reshape(self.n, m.n_twist)
         self.shared_columns = False
         self.column_version += 1
+        self._tangent_at = (self._last, self._load, None)
         return True
+
+    def _take_tangent(self, U: Array, load: Array | None, pressure: Array | None) -> None:
+        assert load is not None
+        self._last, self._load = U, load
+        self.relinearise()
 
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
         """Mass block of the frame with the columns in use; the field's own blocks stay with its factor."""

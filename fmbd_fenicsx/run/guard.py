@@ -22,6 +22,7 @@ from ..mechanics.bodies import CoordinateBody
 from ..mechanics.couplings import OwnBatch
 from ..mechanics.laws import ScalarLoads
 from ..mechanics.wires import Wires
+from ..system.memory import Memory
 from ..system.scene import Scene
 from ..system.system import Evaluation, State, System
 
@@ -64,6 +65,13 @@ class Guarded:
     def counters(self) -> dict[str, float]:
         """Those of the stepper, and the steps taken back."""
         return {**getattr(self.stepper, "counters", {}), "energy_rejections": self.rejections}
+
+    def remember(self, m: Memory) -> None:
+        """The stepper, and what was seen of energies."""
+        self.stepper.remember(m.inside("stepper"))
+        steps = self.halvings, self.rejections, self.largest, self.local_error, self.settling
+        self.halvings, self.rejections, self.largest, self.local_error, self.settling = m("steps", steps)
+        self.turnover, self.highest = m("energies", (self.turnover, self.highest))
 
     def restart(self, t: float) -> None:
         """Go on behind a kink at t."""

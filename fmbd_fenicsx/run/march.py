@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import ConvergenceError, require
 from ..linear.schur import StepSolver
@@ -14,9 +14,13 @@ from ..schemes.start import Correction, consistent
 from ..schemes.statics import equilibrium
 from ..system.scene import Scene
 from ..system.system import State, System
+from .course import Course
 from .guard import Guarded, closed
 from .output import Output, Progress, Recorder
 from .pace import Pace
+
+if TYPE_CHECKING:
+    from .checkpoint import Keeper
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class Problem:
 @dataclass(frozen=True)
 class March:
     """What a march left: recorder, last state, largest local error, the first step's back-solves, the
-    scheme's statistics.
+    scheme's statistics, the seconds before a restart.
     """
 
     recorder: Recorder
@@ -48,6 +52,7 @@ class March:
     status: str
     counters: dict[str, float]
     path: str
+    earlier: float
 
 
 def make_solver(scene: Scene, system: System, linear: Any) -> StepSolver:
@@ -84,34 +89,47 @@ def _stepper(problem: Problem, solver: StepSolver, *, guarded: bool) -> Any:
     return Guarded(made, problem.system, renew)
 
 
-def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output) -> March:
-    """All steps from a consistent start; collective."""
+def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keeper: Keeper | None = None) -> March:
+    """All steps from a consistent start, or from the checkpoint that the ``keeper`` takes up; collective."""
     stepper = _stepper(problem, solver, guarded=output.energy and closed(problem.scene, problem.system))
     recorder = Recorder(problem.scene, problem.system, problem.markers, output, pace.t_end)
+    recorder.take(0, stepper.state, getattr(stepper, "evaluation", None))
+    course = Course(problem.system, solver, problem.newton, stepper, recorder)
+    if keeper is not None:
+        keeper.resume(course)
     state = stepper.state
-    recorder.take(0, state, getattr(stepper, "evaluation", None))
     bar = Progress(problem.scene.name, pace.steps or None, output.progress)
-    local_error, done, first = 0.0, 0, 0
     try:
-        with StopRequests() as stop:
-            while not pace.ended(state.t, done):
+        with StopRequests() if keeper is None else keeper.listen() as stop:
+            while not pace.ended(state.t, course.done):
                 state = stepper.advance(pace.next(state.t))
-                done += 1
-                local_error = max(local_error, stepper.local_error)
-                recorder.take(done, state, getattr(stepper, "evaluation", None))
+                course.done += 1
+                course.local_error = max(course.local_error, stepper.local_error)
+                recorder.take(course.done, state, getattr(stepper, "evaluation", None))
                 bar.update()
-                first = first or solver.back_solves
+                course.first = course.first or solver.back_solves
                 if (kink := pace.broken(state.t)) is not None:
                     stepper.restart(kink)
                     state = stepper.state
-                if stop.asked:
+                if stop.asked if keeper is None else keeper.after_step(course, stop):
                     log.warning("stopped on request at t = %g s", state.t)
                     break
+        if keeper is not None:
+            keeper.write(course)
     except ConvergenceError as error:
         total = f" of {pace.steps}" if pace.steps else ""
-        raise ConvergenceError(f'Scene "{problem.scene.name}", step {done + 1}{total}: {error}') from error
+        kept = "" if keeper is None or keeper.newest is None else f" The newest checkpoint is {keeper.newest}."
+        raise ConvergenceError(f'Scene "{problem.scene.name}", step {course.done + 1}{total}: {error}{kept}') from error
     finally:
         bar.close()
-    status = "finished" if pace.ended(state.t, done) else "stopped"
-    counters, path = getattr(stepper, "counters", {}), getattr(stepper, "path", "NumPy")
-    return March(recorder, stepper.state, local_error, done, first, status, counters, path)
+    return March(
+        recorder=recorder,
+        state=state,
+        local_error=course.local_error,
+        done=course.done,
+        first=course.first,
+        status="finished" if pace.ended(state.t, course.done) else "stopped",
+        counters=getattr(stepper, "counters", {}),
+        path=getattr(stepper, "path", "NumPy"),
+        earlier=course.earlier,
+    )

@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import require
 from ..log import world_rank
 from ..rotations import Array
+from ..system.memory import Memory
 from ..system.scene import Scene
 from ..system.system import Evaluation, State, System
 
@@ -90,6 +91,16 @@ class Recorder:
             for name, value in ev.energies().items():
                 self.energies.setdefault(name, []).append(value)
         self.seconds += clock.perf_counter() - begin
+
+    def remember(self, m: Memory) -> None:
+        """All that was recorded so far."""
+        self.indices, self.times = m("steps", (np.array(self.indices), np.array(self.times)))
+        self.indices, self.times = [int(n) for n in self.indices], [float(t) for t in self.times]
+        self.values = {n: list(m(f"sensor {n}", np.array(x))) for n, x in self.values.items()}
+        kinds = m("kinds", list(self.energies))
+        self.energies = {k: list(m(f"energy {k}", np.array(self.energies.get(k, ())))) for k in kinds}
+        self.gap, self.slip, self.seconds, self._due = m("drift", (self.gap, self.slip, self.seconds, self._due))
+        self.snapshots = [i.state("state", s) for i, (s,) in m.each("snapshots", [(s,) for s in self.snapshots], 1)]
 
     @property
     def series(self) -> dict[str, Array]:

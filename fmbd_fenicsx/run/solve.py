@@ -6,7 +6,7 @@ import time as clock
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,7 +24,10 @@ from ..system.system import State, System
 from .estimates import reduction_error, time_error
 from .march import March, Problem, begin, make_solver, march
 from .output import Output
-from .pace import pace_of
+from .pace import Pace, pace_of
+
+if TYPE_CHECKING:
+    from .checkpoint import Checkpoint, Keeper
 
 
 @dataclass
@@ -46,7 +49,7 @@ class Run:
         reduction_error: sensor name -> bound of the error by left-out modes of reduced bodies, in the sensor's unit; empty
             when not asked for and without reduced bodies.
         memory: peak memory of the largest rank, bytes.
-        status: "finished", or "stopped" after Ctrl-C.
+        status: "finished", or "stopped" on request.
     """
 
     scene: Scene
@@ -124,6 +127,8 @@ def solve(
     newton: Newton | None = None,
     output: Output | None = None,
     linear: Any = None,
+    checkpoint: Checkpoint | None = None,
+    restart: str | Path | None = None,
 ) -> Run:
     """Integrate a scene from t = 0 to ``t_end`` (s) with steps of at most ``dt`` (s); collective.
 
@@ -137,12 +142,15 @@ def solve(
         linear: how elastic bodies and ties are solved: :class:`Direct` (the default), :class:`Schur`,
             :class:`FieldSplit`. PETSc's options of a block are those under ``-<scene>_<block>_``, of a split
             ``-<scene>_fieldsplit_<block>_``, spaces written as ``_``.
+        checkpoint: where and how often the run is kept; signals and a file STOP then end it so that it can go on.
+        restart: a checkpoint, or a folder of them whose newest is taken, from which the run goes on; None starts at t = 0.
 
     Raises:
         InputError: unusable arguments. ConstraintError: the bodies do not fit. ConvergenceError: a step
             failed.
-        Stopped: Ctrl-C in a serial run; ``run`` of the exception holds the run up to the step that was under
-            way.
+        Stopped: Ctrl-C in a serial run, or a request to stop with a ``checkpoint``; ``run`` of the exception holds the run up
+            to the step that was under way.
+        CheckpointError: a checkpoint is damaged, belongs to another run, or cannot be written.
     """
     install_hooks()
     scheme = _default_scheme(scene) if scheme is None else scheme
@@ -167,7 +175,8 @@ def solve(
         start, correction = begin(scene, scheme, system, given, solver=solver, h=pace.next(0.0))
         started = clock.perf_counter()
         problem = Problem(scene, system, markers, given, start, scheme, newton, linear, solver.pressures)
-        marched = march(problem, solver, pace, output)
+        keeper = None if checkpoint is None and restart is None else _keeper(problem, pace, output, checkpoint, restart)
+        marched = march(problem, solver, pace, output, keeper)
         ended = clock.perf_counter()
         counters = _counters(marched, newton, solver)
     finally:
@@ -187,9 +196,9 @@ def solve(
         seconds={
             "set-up": built - called,
             "start": started - built,
-            "steps": ended - started - marched.recorder.seconds,
+            "steps": ended - started + marched.earlier - marched.recorder.seconds,
             "recording": marched.recorder.seconds,
-            "total": ended - called,
+            "total": ended - called + marched.earlier,
         },
         drift=(marched.recorder.gap, marched.recorder.slip),
         correction=correction,
@@ -198,7 +207,7 @@ def solve(
         status=marched.status,
     )
     if run.status == "stopped":
-        raise Stopped(run)
+        raise Stopped(run) if keeper is None else Stopped(run, keeper.exit_code)
     if output.estimate_error:
         run.error_estimate, run.observed_order = time_error(problem, marched.recorder, pace)
         run.seconds["error estimate"] = clock.perf_counter() - ended
@@ -226,6 +235,24 @@ def _default_scheme(scene: Scene) -> Any:
     from ..schemes.contact_midpoint import ContactMidpoint
 
     return ContactMidpoint()
+
+
+def _keeper(
+    problem: Problem, pace: Pace, output: Output, plan: Checkpoint | None, restart: str | Path | None
+) -> Keeper:
+    """Who writes the checkpoints of a run, and takes one up; loaded only when asked for."""
+    from .checkpoint import Keeper
+    from .fingerprint import given
+
+    newton = problem.newton
+    settings = {
+        "scheme": problem.scheme,
+        "Newton": {n: getattr(newton, n) for n in ("tolerance", "max_iterations", "slow", "patience", "tangent")},
+        "linear": problem.linear,
+        "step": f"{pace.t_end / pace.steps:.12g}" if pace.steps else "by error control",
+        "recorded": {n: getattr(output, n) for n in ("every", "energy")},
+    }
+    return Keeper(plan, restart, problem.system, given(problem.scene, problem.system, settings))
 
 
 def _counters(march: March, newton: Newton, solver: StepSolver) -> dict[str, float]:

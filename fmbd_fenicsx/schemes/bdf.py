@@ -28,6 +28,7 @@ from ..linear.pencil import Pencil, Tangent
 from ..linear.residual import Judge
 from ..linear.schur import StepSolver
 from ..rotations import Array
+from ..system.memory import Memory
 from ..system.system import State, System
 from .control import (
     ROUNDOFF,
@@ -136,6 +137,22 @@ class Stepper:
         self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
         self.proposed, self.k, self.held, self._tangent = None, 1, 0, None
         self._begin()
+
+    def remember(self, m: Memory) -> None:
+        """Past values, tangent, and the choice of step and order."""
+        self.state, self.past = m.state("state", self.state), m("past", self.past, _Past)
+        self._tangent, self.judge = m("tangent", (self._tangent, self.judge), Tangent, Judge)
+        factored = m("factored", None if self._pencil is None else (self._pencil.t, self._pencil.s), Tangent)
+        if m.reading:
+            redundant = self.solver.core.redundant
+            self._pencil = None if factored is None else Pencil(factored[0], factored[1], self.judge, redundant)
+        self.k, self.held, self._fresh, self._full = m("order", (self.k, self.held, self._fresh, self._full))
+        self.proposed, self.local_error, self._theta = m("step", (self.proposed, self.local_error, self._theta))
+        self.control, self.stats = m("control", (self.control, self.stats), StepControl, Statistics)
+        self.norm.remember(m)
+        self.eq.remember(m.inside("equations"))
+        if self._starter is not None:
+            self._starter.remember(m.inside("starter"))
 
     # -- steps --------------------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:

@@ -20,6 +20,7 @@ import numpy as np
 from ..linear.schur import StepSolver, Weights
 from ..mechanics.contact_rows import Rows
 from ..rotations import Array
+from ..system.memory import Memory
 from ..system.system import Evaluation, State, System
 from .contact_ledger import StepForces
 from .contact_midpoint import elastic_start
@@ -56,6 +57,11 @@ class Stepper(ContactStepper):
         super().__init__(system, solver, newton, state)
         self.scheme = scheme
         self.A = state.a.copy()
+
+    def remember(self, m: Memory) -> None:
+        """With the algorithmic acceleration."""
+        super().remember(m)
+        self.A = m.like_v("A", self.A)
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then

@@ -11,6 +11,7 @@ import numpy as np
 from ..linear.complementarity import ContactCounts
 from ..mechanics.contact_rows import Rows, Touch
 from ..rotations import Array
+from ..system.memory import Memory
 from ..system.sensors_contact import WORKS, ContactForces, ContactState, forces_of
 from ..system.system import Evaluation, State, System
 from .contact_steps import in_world
@@ -47,6 +48,15 @@ class Ledger:
         self.impulse: Array = np.zeros((len(self.contacts.pairs), d))
         self.work: Array = np.zeros(len(WORKS))
         self.energy = self.springs = 0.0
+
+    def remember(self, m: Memory) -> None:
+        """Forces, sums and statistics."""
+        self.force = m.candidates("force", self.force)
+        self.impulse, self.work, self.energy, self.springs = m(
+            "sums", (self.impulse, self.work, self.energy, self.springs)
+        )
+        counts = self.counts, self.in_contact, self.newton_in_contact
+        self.counts, self.in_contact, self.newton_in_contact = m("counts", counts, ContactCounts)
 
     def open(self, state: State) -> ContactState:
         """The first state: no forces yet."""

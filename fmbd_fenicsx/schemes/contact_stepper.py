@@ -5,6 +5,7 @@ from __future__ import annotations
 from ..linear.delassus import Compliance
 from ..linear.schur import StepSolver
 from ..mechanics.contact_rows import ContactSet
+from ..system.memory import Memory
 from ..system.sensors_contact import ContactState
 from ..system.system import State, System
 from .contact_ledger import Ledger
@@ -21,6 +22,12 @@ class ContactStepper:
         self.ledger = Ledger(system)
         self.local_error = 0.0
         self.state: ContactState = self.ledger.open(state)
+
+    def remember(self, m: Memory) -> None:
+        """State with contact forces, and the books."""
+        self.state, self.local_error = m.state("state", self.state), m("local error", self.local_error)
+        self.ledger.remember(m.inside("ledger"))
+        self.compliance.remember(m.inside("compliance"))
 
     @property
     def counters(self) -> dict[str, float]:

@@ -26,6 +26,7 @@ import numpy as np
 from ..errors import ConvergenceError, require
 from ..rotations import Array
 from ..system.linearise import Sizes
+from ..system.memory import Memory
 from ..system.system import State, System
 
 ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the tolerance are accepted
@@ -65,6 +66,11 @@ class ErrorNorm:
             fast[block] = fast[block].max(initial=0.0)
         self.v_size = np.maximum(self.v_size, fast)
         self.wv = self.rtol * self.v_size + 1e-4 * self.wq / h
+
+    def remember(self, m: Memory) -> None:
+        """The sizes seen so far, and the weights of the last step."""
+        weights = (self.q_size, self.v_size, self.wq, self.wv)
+        self.q_size, self.v_size, self.wq, self.wv = m("sizes", weights)
 
     def __call__(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
         """The norm (1) of errors like v, (n,), or the largest over several, (s, n)."""

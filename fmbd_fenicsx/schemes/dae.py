@@ -40,6 +40,7 @@ from ..linear.schur import StepSolver, Weights
 from ..rotations import Array
 from ..system.copies import Many, copies
 from ..system.linearise import differences, many
+from ..system.memory import Memory
 from ..system.system import State, System
 
 
@@ -207,6 +208,13 @@ class StepEquations:
         self.normal: Array = self.U
         self.origin: Array = np.zeros(0)
         self._inverse_mass: Any = None
+
+    def remember(self, m: Memory) -> None:
+        """Metric, normal directions and the counts of work."""
+        work = self.residuals, self.jacobians
+        self.residuals, self.jacobians = m("work", work)
+        metric = self.U, self.normal, self.origin, self._inverse_mass
+        self.U, self.normal, self.origin, self._inverse_mass = m("metric", metric)
 
     def begin(self, state: State) -> None:
         """Local coordinates about the state."""

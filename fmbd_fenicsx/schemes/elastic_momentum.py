@@ -25,6 +25,7 @@ import numpy as np
 from ..energies import StoredEnergy
 from ..errors import ConvergenceError, InputError
 from ..rotations import Array
+from ..system.memory import Memory
 from ..system.system import State, System
 from .newton import Newton
 
@@ -171,6 +172,10 @@ class FieldStepper:
             )
         self.system, self.newton, self.state = system, newton, state
         self.bodies = [_Body(p) for _, p in system.fields]
+
+    def remember(self, m: Memory) -> None:
+        """The state."""
+        self.state = m.state("state", self.state)
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton's iteration fails."""

@@ -34,6 +34,7 @@ from ..mechanics.frames import Kinematics
 from ..mechanics.laws import ScalarLoads
 from ..mechanics.relative import Separation
 from ..rotations import Array
+from ..system.memory import Memory
 from ..system.system import Evaluation, State, System
 from .newton import Newton
 
@@ -113,6 +114,10 @@ class Stepper:
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.system, self.solver, self.newton, self.state = system, solver, newton, state
         self._kept: tuple[float, Array] | None = None  # step and tangent, where Newton converges well with an old one
+
+    def remember(self, m: Memory) -> None:
+        """State and the tangent that is kept."""
+        self.state, self._kept = m.state("state", self.state), m("tangent", self._kept)
 
     def advance(self, h: float) -> State:
         """One step of size h (s). Raises ConvergenceError when Newton's iteration fails."""

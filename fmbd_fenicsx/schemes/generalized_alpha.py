@@ -35,6 +35,7 @@ import numpy as np
 from ..errors import ConvergenceError, LinearSolveError, require
 from ..linear.schur import StepSolver, Weights
 from ..rotations import Array
+from ..system.memory import Memory
 from ..system.system import State, System
 from . import kernel as slots
 from .dae import GGL, Form, Index3
@@ -142,6 +143,14 @@ class Stepper:
             miss = h * h * (c * rate + spin_of_acceleration(system, s.v, s.a) / 12)
             v = v + self.solver.solve(np.zeros(system.n_v), system.at(s.t, s.q).jacobian.times(miss))[0]
         return v, s.a + (am - af) * h * rate, s.a + h * rate, s.lam + h * lam_rate
+
+    def remember(self, m: Memory) -> None:
+        """State, algorithmic acceleration and the past of the predictor."""
+        self.state, self.A = m.state("state", self.state), m.like_v("A", self.A)
+        self.fresh, self.local_error, counters = m("rest", (self.fresh, self.local_error, self.counters))
+        self.counters |= counters  # a compiled step may be there on one rank only
+        past = m.each("past", self._past, 3)
+        self._past = [(i("t", t), i.like_v("a", a), i("lam", lam)) for i, (t, a, lam) in past]
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged.

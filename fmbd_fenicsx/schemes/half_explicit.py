@@ -24,6 +24,7 @@ import numpy as np
 from ..errors import CallbackError, ConvergenceError, LinearSolveError
 from ..linear.schur import StepSolver, Weights
 from ..rotations import Array
+from ..system.memory import Memory
 from ..system.system import State, System
 from .control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
 from .newton import Newton
@@ -84,6 +85,13 @@ class Stepper:
         """Accelerations and multipliers behind a kink at t."""
         self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
         self.proposed, self.control.h_old = None, 0.0
+
+    def remember(self, m: Memory) -> None:
+        """State, sizes of the error norm, step control."""
+        self.state = m.state("state", self.state)
+        self.control, self.stats = m("control", (self.control, self.stats), StepControl, Statistics)
+        self.proposed, self.local_error = m("step", (self.proposed, self.local_error))
+        self.norm.remember(m)
 
     def advance(self, h: float) -> State:
         """One accepted step: of size h, or with error control of at most h (s); collective."""

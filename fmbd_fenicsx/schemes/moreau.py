@@ -26,6 +26,7 @@ from ..errors import FmbdError, InputError
 from ..linear.schur import StepSolver, Weights
 from ..log import log
 from ..rotations import Array
+from ..system.memory import Memory
 from ..system.sensors_contact import forces_of
 from ..system.system import Evaluation, State, System
 from .contact_ledger import StepForces
@@ -80,6 +81,12 @@ class Stepper(ContactStepper):
     def counters(self) -> dict[str, float]:
         """Statistics of contact, with the impacts found at their own times."""
         return {**super().counters, "impacts": self.located, "accumulations": self.accumulations}
+
+    def remember(self, m: Memory) -> None:
+        """With the impulses and the contacts that carry a force."""
+        super().remember(m)
+        self.impulse, self.carrying = m.candidates("impulse", self.impulse), m.candidates("carrying", self.carrying)
+        self.located, self.accumulations = m("impacts", (self.located, self.accumulations))
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then

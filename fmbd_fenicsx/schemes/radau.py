@@ -19,7 +19,6 @@ doi:10.1007/BFb0093947; local coordinates: Munthe-Kaas, doi:10.1007/BF02510919.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -29,7 +28,9 @@ from ..linear.pencil import Pencil, Tangent, stacked
 from ..linear.residual import Judge
 from ..linear.schur import StepSolver
 from ..rotations import Array
+from ..system.memory import Memory
 from ..system.system import State, System
+from .collocation import lagrange, tableau
 from .control import (
     ROUNDOFF,
     STAGNATION,
@@ -46,50 +47,6 @@ from .newton import Newton
 from .start import accelerations, project
 
 CAUTIOUS = 0.05  # with constant steps no rate below this is believed
-
-
-@dataclass(frozen=True)
-class Tableau:
-    """Nodes c, inverse W of the coefficients, eigenvalues and vectors of W, weights of the error estimate."""
-
-    c: Array
-    W: Array
-    values: Array  # one of each complex pair
-    vectors: Array  # (s, p), those of complex pairs doubled: y = Re(vectors z)
-    inverse: Array  # (p, s)
-    gamma: float  # of the real matrix in the error estimate
-    error: Array  # e_i, with error ~ y'_n + sum_i e_i (y_i - y_n) / h
-    basis: Array  # (s + 1, s + 1): powers of t / h to Lagrange polynomials of 0, c
-    stage_basis: Array  # (s, s): the same of c
-
-
-@lru_cache
-def tableau(stages: int) -> Tableau:
-    """Radau IIA: collocation at the zeros of P_s - P_s-1, so the coefficients integrate the Lagrange polynomials."""
-    s = stages
-    series = np.polynomial.Legendre([*np.zeros(s - 1), -1.0, 1.0])
-    roots = np.sort(series.roots().real)
-    roots -= series(roots) / series.deriv()(roots)  # to the last digit
-    c = np.append(0.5 * (1 + roots[:-1]), 1.0)
-    x, w = np.polynomial.legendre.leggauss(s)
-    A = np.array([0.5 * ci * (w @ _lagrange(c, 0.5 * ci * (1 + x))) for ci in c])
-    W = np.linalg.inv(A)
-    values, vectors = np.linalg.eig(W)
-    real = np.abs(values.imag) < 1e-9 * np.abs(values)
-    values = np.where(real, values.real, values)
-    keep = np.flatnonzero(values.imag >= 0)
-    keep = keep[np.argsort(values[keep].imag)]
-    inverse = np.linalg.inv(vectors)[keep]
-    gamma = float(values[keep[0]].real) if values[keep[0]].imag == 0 else 3.0
-    # quadrature of order s with the nodes 0, c_i and the weight 1 / gamma at 0; e = gamma (b_hat - b) W
-    powers = np.arange(1, s + 1)
-    moments = 1 / powers - np.where(powers == 1, 1 / gamma, 0.0)
-    weights = np.linalg.solve((c[:, None] ** (powers - 1)).T, moments)
-    error = gamma * (weights - A[-1]) @ W
-    nodes = np.append(0.0, c)
-    bases = (np.linalg.inv(z[:, None] ** np.arange(len(z))) for z in (nodes, c))
-    double = np.where(values[keep].imag == 0, 1.0, 2.0)
-    return Tableau(c, W, values[keep].astype(complex), vectors[:, keep] * double, inverse, gamma, error, *bases)
 
 
 @dataclass(frozen=True)
@@ -163,6 +120,24 @@ class Stepper:
             self.judge.solves,
         )
         return self.stats.as_dict()
+
+    def remember(self, m: Memory) -> None:
+        """Tangent, the last collocation polynomial and the step control."""
+        self.state, self.mult = m.state("state", self.state), m("mult", self.mult)
+        self._last, self._tangent = m("last", (self._last, self._tangent), Points, Tangent)
+        flags = m("flags", (self._fresh, self._full, self._trouble, self._pencil is not None, self._filter is not None))
+        self._fresh, self._full, self._trouble, *made = flags
+        steps = self.proposed, self.local_error, self._theta, self._eta, self._h_factor
+        self.proposed, self.local_error, self._theta, self._eta, self._h_factor = m("step", steps)
+        self.judge = m("judge", self.judge, Judge)
+        if m.reading:
+            self._pencil = self._filter = None
+            if self._tangent is not None and made[0]:
+                self._prepare(self._h_factor)
+                self._filter = self._error_filter(self._h_factor) if made[1] else None
+        self.control, self.stats = m("control", (self.control, self.stats), StepControl, Statistics)
+        self.norm.remember(m)
+        self.eq.remember(m.inside("equations"))
 
     # -- one accepted step --------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:
@@ -251,7 +226,7 @@ class Stepper:
         """Tangent in the middle of the step as predicted, where it serves all stages best."""
         s, W = self.state, self.tab.W
         xi, v, mult = self._predict(h)
-        weights = _lagrange(np.concatenate(([0.0], self.tab.c)), np.array([0.5]))[0, 1:]
+        weights = lagrange(np.concatenate(([0.0], self.tab.c)), np.array([0.5]))[0, 1:]
         vd = (W @ (v - s.v) / h).mean(axis=0)
         lam = mult.mean(axis=0)[: self.system.n_lam] if self.eq.levels else s.lam
         q = self.system.compose(s.q, weights @ xi)
@@ -414,12 +389,15 @@ class Stepper:
         return moved, v0 + basis @ (points.v - v0), powers[:, :-1] @ self.tab.stage_basis @ points.mult
 
     # -- error --------------------------------------------------------------------------------------------------
+    def _error_filter(self, h: float) -> Pencil:
+        assert self._tangent is not None
+        return Pencil(self._tangent, np.array([self.tab.gamma / h]), self.judge, self.solver.core.redundant)
+
     def _estimate(self, h: float, points: Points) -> float:
         s, tab, m = self.state, self.tab, self.system.n_lam
         assert self._tangent is not None
         if self._filter is None:
-            gamma = np.array([tab.gamma / h])
-            self._filter = Pencil(self._tangent, gamma, self.judge, self.solver.core.redundant)
+            self._filter = self._error_filter(h)
             self.stats.factorisations += 1
         v, a = self.eq.consistent_rates(s) if self.scheme.form.index == 3 else (s.v, s.a)
         kin = v + tab.error @ points.xi / h
@@ -430,13 +408,3 @@ class Stepper:
         errors, e_m = self._filter.solve(-kin[None], np.concatenate((-self._tangent.M @ push, zero))[None])
         e_q, e_v = errors.reshape(2, -1)
         return self.norm(h, e_q, e_v, self.eq.U @ e_m[0, :m] if self.eq.levels else None)
-
-
-def _lagrange(nodes: Array, x: Array) -> Array:
-    """Values of the Lagrange polynomials of the nodes at points x, (len(x), len(nodes))."""
-    out = np.ones((len(x), len(nodes)))
-    for j, nj in enumerate(nodes):
-        for k, nk in enumerate(nodes):
-            if k != j:
-                out[:, j] *= (x - nk) / (nj - nk)
-    return out

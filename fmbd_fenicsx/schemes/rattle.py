@@ -22,6 +22,7 @@ import numpy as np
 from ..errors import ConvergenceError
 from ..linear.schur import StepSolver, Weights
 from ..rotations import Array
+from ..system.memory import Memory
 from ..system.system import Evaluation, State, System
 from .newton import Newton
 
@@ -56,6 +57,11 @@ class Stepper:
             self._factored = None  # should the factorisation fail
             self.solver.prepare(ev, MASS)
             self._factored = ev.q
+
+    def remember(self, m: Memory) -> None:
+        """State and the multipliers of the last half step."""
+        self.state, self.half = m.state("state", self.state), m("half", self.half)
+        self._factored = None if m.reading else self._factored
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when the iteration for (1) fails."""

@@ -16,6 +16,7 @@ import numpy as np
 from ..errors import require
 from ..linear.schur import StepSolver
 from ..mechanics.sliding import HeadSide, WireSide
+from ..system.memory import Memory
 from ..system.system import State, System
 from .generalized_alpha import GeneralizedAlpha
 from .newton import Newton
@@ -72,6 +73,14 @@ class Switching:
     def counters(self) -> dict[str, float]:
         """How often contact was lost and found again."""
         return {**getattr(self.inner, "counters", {}), "contact lost": self.opened, "contact found": self.returned}
+
+    def remember(self, m: Memory) -> None:
+        """Which contacts are closed, and the inner scheme."""
+        closed = m("closed", [wire.status.closed for wire, _ in self.pairs])
+        for (wire, _), now in zip(self.pairs, closed, strict=True):
+            wire.status.closed = now
+        self.opened, self.returned = m("changes", (self.opened, self.returned))
+        self.inner.remember(m.inside("inner"))
 
     def gap(self, state: State, pair: tuple[Any, Any]) -> float:
         """y - w, m: negative where the contact is open."""

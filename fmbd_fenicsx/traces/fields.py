@@ -23,6 +23,7 @@ from ..log import together
 from ..rotations import Array, motions
 from .field_checks import check_field
 from .loads import AppliedLoads, Load
+from .numbering import Numbering
 from .surfaces import Moments
 
 
@@ -347,6 +348,11 @@ class Field:
             return cache[surface]
 
         return of
+
+    @cached_property
+    def numbering(self) -> Numbering:
+        """Numbers of the nodes that do not depend on the ranks; collective."""
+        return Numbering(self.space)
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""

@@ -22,6 +22,7 @@ Source: Boffi, Brezzi and Fortin, Mixed Finite Element Methods, doi:10.1007/978-
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from ..energies import MixedEnergy
 from ..errors import InputError
 from ..rotations import Array
 from .fields import ElasticForms, Field
+from .numbering import Numbering
 
 
 class MixedField(Field):
@@ -211,6 +213,11 @@ class MixedField(Field):
         """The pressure that belongs to displacements U (n d,), as a dolfinx function (carried: the present one); collective."""
         self._place(U)
         return self._p
+
+    @cached_property
+    def pressure_numbering(self) -> Numbering:
+        """As :attr:`numbering`, of the pressure; collective."""
+        return Numbering(self.pressure)
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""

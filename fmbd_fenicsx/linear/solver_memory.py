@@ -1,0 +1,27 @@
+"""What the solver of a run in progress remembers (:mod:`fmbd_fenicsx.system.memory`)."""
+
+from __future__ import annotations
+
+from ..system.memory import Memory
+from ..system.system import State
+from .schur import StepSolver, Weights
+
+
+def remember_solver(solver: StepSolver, m: Memory, state: State) -> None:
+    """Elastic factors, made again for ``state``, the pressures that bodies carry, and counts; collective.
+
+    Tangents must have been taken up before: a carried pressure belongs to the factor that was made with it.
+    """
+    system = solver.system
+    weights = m("weights", solver.weights, Weights)
+    if m.reading and system.fields:
+        solver.prepare(system.at(state.t, state.q, state.v), weights)
+    for k, part in system.fields:
+        field = part.field
+        if field.carried:
+            x = m.nodal(f"pressure {k}", field.pressure_values, field.pressure_numbering)  # type: ignore[attr-defined]
+            field.pressure_values = x  # type: ignore[attr-defined]
+    counts = (solver.factorisations, solver.core.factorisations, solver.back_solves, solver.worst_residual)
+    solver.factorisations, solver.core.factorisations, solves, worst = m("counts", counts)
+    solver._retired.append(solves - solver.back_solves)
+    solver.core.judge.worst = max(solver.core.judge.worst, worst)

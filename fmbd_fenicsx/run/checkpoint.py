@@ -1,0 +1,212 @@
+"""Checkpoints: the complete state of a run in a folder, and how it is taken up again.
+
+A checkpoint holds the state, the scheme's memory (:mod:`fmbd_fenicsx.system.memory`), the series recorded so far, and what tells
+whether a scene is the same (:mod:`.fingerprint`). On the same number of ranks, with direct solvers, the run goes on bit by bit as
+if nothing had happened. Fields are kept in the order of the mesh as it was read, so the number of ranks may change; the figures
+then agree to roundoff. Files are complete or not there, and checked by their hashes before they are used (:mod:`.archive`).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import CheckpointError, InputError, require
+from ..log import StopRequests, log, together, world_rank, world_size
+from ..system.memory import Memory
+from ..system.system import System
+from . import archive
+from .course import Course
+from .fingerprint import compare
+
+STOP = "STOP"  # a file of this name in the folder asks the run to stop
+LOOK = 0.5  # s between looks for it
+INTERRUPTED, STOPPED = 130, 75  # exit codes after Ctrl-C, and of a run that was asked to stop and can be taken up again
+GO_ON, WRITE, WRITE_AND_STOP = 0, 1, 2
+
+Loaded = tuple[dict[str, Any], dict[str, str], Path]
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Where and how often checkpoints are written, and how many are kept.
+
+    Args:
+        folder: of this run alone; made when it does not exist.
+        every: steps from one to the next; None: by the clock only.
+        seconds: of wall-clock time after which one is written in any case.
+        keep: how many of the newest are kept.
+
+    One is written at the end of the run too. SIGUSR1, SIGTERM, or a file named STOP in the folder let the run finish its step,
+    write a checkpoint and end (exit code 75); so does Ctrl-C in a serial run (exit code 130).
+    """
+
+    folder: str | Path
+    every: int | None = None
+    seconds: float = 600.0
+    keep: int = 2
+
+    def __post_init__(self) -> None:
+        require(self.every is None or self.every >= 1, f"Checkpoint: every = {self.every} must be at least 1 step.")
+        require(self.seconds > 0, f"Checkpoint: seconds = {self.seconds} must be positive.")
+        require(self.keep >= 1, f"Checkpoint: keep = {self.keep} must be at least 1.")
+
+    @property
+    def newest(self) -> Path | None:
+        """The newest checkpoint in the folder, None where there is none: for ``solve(..., restart=checkpoint.newest)``."""
+        found = _numbered(Path(self.folder))
+        return found[-1][1] if found else None
+
+
+def _numbered(folder: Path) -> list[tuple[int, Path]]:
+    """Complete checkpoints of a folder with their numbers, oldest first."""
+    made = [(re.fullmatch(r"(\d{6,})_step\d+", p.name), p) for p in (folder.iterdir() if folder.is_dir() else ())]
+    return sorted((int(match[1]), p) for match, p in made if match)
+
+
+class Keeper:
+    """Takes up and writes the checkpoints of one run, and listens to requests to stop.
+
+    Methods are collective over the ranks of the fields; without fields every rank does the same, and rank 0 writes. ``given``:
+    settings and scene as text, see :mod:`.fingerprint`.
+    """
+
+    def __init__(
+        self, plan: Checkpoint | None, restart: str | Path | None, system: System, given: dict[str, str]
+    ) -> None:
+        self.plan, self.restart, self.system, self.given = plan, restart, system, given
+        self.comm = system.comm
+        self.writes = self.comm.rank == 0 if self.comm is not None and self.comm.size > 1 else world_rank() == 0
+        self.written, self.last, self.looked = -1, clock.monotonic(), 0.0
+        self.exit_code = INTERRUPTED
+        self.newest: Path | None = None
+        if plan is not None:
+            self.folder = Path(plan.folder)
+            self._together(self._begin)
+
+    def _begin(self) -> None:
+        """Refuse a folder that cannot be written or belongs to another run."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            probe = self.folder / f".probe{os.getpid()}"
+            probe.touch()
+            probe.unlink()
+        except OSError as error:
+            raise CheckpointError(
+                f"The folder {self.folder} of the checkpoints cannot be written: {error.strerror}. Choose another one."
+            ) from error
+        found = _numbered(self.folder)
+        self.number = found[-1][0] if found else 0
+        if self.restart is None and found:
+            raise InputError(
+                f"The folder {self.folder} holds checkpoints of an earlier run, the newest is {found[-1][1].name}. Take them up "
+                "with restart=..., remove them, or choose another folder."
+            )
+        for rest in self.folder.glob(".*_step*"):  # what a killed run left
+            archive.discard(rest)
+
+    def _together(self, action: Callable[[], Any]) -> Any:
+        """What the writing process does, its error raised on all ranks."""
+        error, out = None, None
+        if self.writes:
+            try:
+                out = action()
+            except (CheckpointError, InputError) as found:
+                error = found
+        together(self.comm, error)
+        return out
+
+    def resume(self, course: Course) -> None:
+        """Take up the checkpoint that was asked for, if any.
+
+        Raises:
+            CheckpointError: there is none, it is damaged, or it belongs to another run.
+        """
+        if self.restart is None:
+            return
+        values, known, self.newest = self._load(Path(self.restart))
+        compare(known, self.given, self.newest)
+        course.remember(Memory(self.system, values), self.newest)
+        self.written = course.done
+        log.info("restarted from %s", self.newest)
+
+    def _load(self, path: Path) -> Loaded:
+        """Read on rank 0, equal on all ranks."""
+        error, found = None, None
+        if self.comm is None or self.comm.rank == 0:
+            try:
+                found = _load(path)
+            except CheckpointError as exc:
+                error = exc
+        together(self.comm, error)
+        if self.comm is not None and self.comm.size > 1:
+            found = self.comm.bcast(found)
+        assert found is not None
+        return found
+
+    def listen(self) -> StopRequests:
+        """Context in which requests to stop are noticed."""
+        return StopRequests(() if self.plan is None else (signal.SIGUSR1, signal.SIGTERM))
+
+    def after_step(self, course: Course, stop: StopRequests) -> bool:
+        """Write when it is time; True when the run is to stop."""
+        verdict = WRITE_AND_STOP if stop.asked else GO_ON
+        if self.plan is None:
+            return stop.asked
+        if self.writes:
+            verdict = max(verdict, self._due(course.done, self.plan))
+        if self.comm is not None and self.comm.size > 1:
+            verdict = max(self.comm.allgather(verdict))
+        if verdict == GO_ON:
+            return False
+        self.write(course)
+        if verdict == WRITE_AND_STOP:
+            self.exit_code = INTERRUPTED if stop.by == signal.SIGINT else STOPPED
+            if self.writes:
+                (self.folder / STOP).unlink(missing_ok=True)
+        return verdict == WRITE_AND_STOP
+
+    def _due(self, done: int, plan: Checkpoint) -> int:
+        now = clock.monotonic()
+        if now - self.looked > LOOK:
+            self.looked = now
+            if (self.folder / STOP).exists():
+                return WRITE_AND_STOP
+        return WRITE if (plan.every and done % plan.every == 0) or now - self.last > plan.seconds else GO_ON
+
+    def write(self, course: Course) -> None:
+        """Write a checkpoint, unless there is one already, and remove the oldest."""
+        done = course.done
+        if self.plan is None or done == self.written:
+            return
+        m = Memory(self.system)
+        course.remember(m)
+        keep = self.plan.keep
+        self._together(lambda: self._store(done, m.values, keep))
+        self.written, self.last = done, clock.monotonic()
+
+    def _store(self, done: int, values: dict[str, Any], keep: int) -> None:
+        self.number += 1
+        path = self.folder / f"{self.number:06d}_step{done}"
+        archive.write(path, values, {"step": done, "ranks": world_size(), "given": self.given})
+        self.newest = path
+        for _, old in _numbered(self.folder)[:-keep]:
+            archive.remove(old)
+        log.info("checkpoint %s written", path)
+
+
+def _load(path: Path) -> Loaded:
+    """Values, what was given, and place of a checkpoint, or of the newest in a folder."""
+    if not (path / archive.SUMS).exists():
+        inside = _numbered(path)
+        if not inside:
+            raise CheckpointError(f"There is no checkpoint in {path} (looked in {Path.cwd()}).")
+        path = inside[-1][1]
+    values, header = archive.read(path)
+    return values, header["given"], path

@@ -1,0 +1,56 @@
+"""How far a march has come, and everything that its next step depends on."""
+
+from __future__ import annotations
+
+import time as clock
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from ..linear.schur import StepSolver
+from ..schemes.newton import Newton
+from ..system.system import System
+from .output import Recorder
+
+if TYPE_CHECKING:
+    from ..system.memory import Memory
+
+
+@dataclass
+class Course:
+    """The workers of a march, steps ``done``, largest ``local_error``, back-solves of the ``first`` step, and the seconds
+    that processes before a restart took.
+    """
+
+    system: System
+    solver: StepSolver
+    newton: Newton
+    stepper: Any
+    recorder: Recorder
+    done: int = 0
+    local_error: float = 0.0
+    first: int = 0
+    earlier: float = 0.0
+    begun: float = field(default_factory=clock.perf_counter)
+
+    def remember(self, m: Memory, where: Any = "") -> None:
+        """Write all of it, or read it from the checkpoint ``where``; see :mod:`fmbd_fenicsx.system.memory`. Collective."""
+        from ..linear.solver_memory import remember_solver
+        from ..system.memory import count_from, turns_of
+        from .fingerprint import check_effect
+
+        counted = m("turns", [turn.last for turn in turns_of(self.system)])
+        for k, part in enumerate(self.system.parts):
+            if hasattr(part, "remember"):
+                part.remember(m.inside(f"part {k}"))
+        self.stepper.remember(m.inside("stepper"))
+        remember_solver(self.solver, m.inside("solver"), self.stepper.state)
+        self.newton.iterations, self.newton.theta = m("Newton", (self.newton.iterations, self.newton.theta))
+        self.recorder.remember(m.inside("recorder"))
+        self.done, self.local_error, self.first = m("course", (self.done, self.local_error, self.first))
+        now = clock.perf_counter()
+        spent = m("seconds", self.earlier + now - self.begun)
+        if m.reading:
+            self.earlier, self.begun = spent, now
+        count_from(self.system, counted)
+        check_effect(self.system, self.stepper.state, m.inside("effect"), where)
+        count_from(self.system, counted)

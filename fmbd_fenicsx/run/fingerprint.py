@@ -1,0 +1,139 @@
+"""Whether a checkpoint and a scene belong together: what was given, and what it does.
+
+What was given are names, sizes, numbers and strings of bodies, joints, forces, sensors, scheme and tolerances. What it does are
+the balance of forces, constraints and energies in the state of the checkpoint: they tell another weak form, mesh or law from
+the one that was used, however it was written. Functions themselves are not compared: a load that differs only later is not
+seen.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from ..errors import CheckpointError
+from ..rotations import Array
+from ..system.memory import Memory
+from ..system.scene import Scene
+from ..system.system import State, System
+
+SAME = 1e-6  # relative difference of forces and energies
+SMALL = 24  # arrays up to this size are compared entry by entry
+
+
+def given(scene: Scene, system: System, settings: dict[str, Any]) -> dict[str, str]:
+    """What was given, as text: name -> value."""
+    out: dict[str, str] = {}
+    for name, value in settings.items():
+        _describe(name, value, out)
+    for name in ("gravity", "gravity_ramp", "breakpoints", "settle"):
+        _describe(name, getattr(scene, name), out)
+    for kind in ("bodies", "joints", "forces", "contacts", "sliders", "ties", "sensors"):
+        for name, part in getattr(scene, kind).items():
+            _describe(f'{kind} "{name}"', part, out)
+    for _, part in system.fields:
+        out[f'unknowns of "{part.name}"'] = str(getattr(part.field, "n_global", part.n))
+    out["constraint rows"] = ", ".join(f"{b.name} ({b.rows.stop - b.rows.start})" for b in system.blocks)
+    return out
+
+
+def compare(known: dict[str, str], now: dict[str, str], where: Any) -> None:
+    """Raise CheckpointError with what differs."""
+    names = [n for n in dict.fromkeys((*known, *now)) if known.get(n) != now.get(n)]
+    if names:
+        lines = [f"{n}: {known.get(n, 'absent')} in the checkpoint, {now.get(n, 'absent')} here" for n in names]
+        more = f"; and {len(lines) - 5} more" if len(lines) > 5 else ""
+        raise CheckpointError(
+            f"The checkpoint {where} is not of this run. {'; '.join(lines[:5])}{more}. Restart with the scene, scheme and "
+            "settings of the first run."
+        )
+
+
+def _describe(name: str, x: Any, out: dict[str, str], depth: int = 0) -> None:
+    """Enter a value, or the fields of an object, under their names."""
+    if isinstance(x, np.ndarray | list | tuple) and _numbers(x):
+        a = np.asarray(x, dtype=float)
+        out[name] = np.array2string(a, precision=12) if a.size <= SMALL else f"array {a.shape}"
+    elif x is None or isinstance(x, bool | int | float | str | np.generic):
+        out[name] = repr(x.item() if isinstance(x, np.generic) else x)
+    elif isinstance(x, list | tuple):
+        for k, y in enumerate(x):
+            _describe(f"{name}[{k}]", y, out, depth + 1)
+    elif isinstance(x, dict):
+        for k, y in x.items():
+            _describe(f"{name}[{k!r}]", y, out, depth + 1)
+    elif depth and isinstance(getattr(x, "name", None), str):
+        body = getattr(getattr(x, "body", None), "name", "")
+        out[name] = f'{type(x).__name__} "{x.name}"' + (f' of "{body}"' if body else "")
+    elif dataclasses.is_dataclass(x) and not isinstance(x, type) and depth < 4 and not hasattr(x, "dolfinx"):
+        out[name] = type(x).__name__
+        for f in dataclasses.fields(x):
+            _describe(f"{name}.{f.name}", getattr(x, f.name), out, depth + 1)
+    else:
+        out[name] = getattr(x, "__qualname__", type(x).__name__)
+
+
+def _numbers(x: Any) -> bool:
+    try:
+        a = np.asarray(x)
+    except ValueError:
+        return False
+    return a.dtype.kind in "fiub"
+
+
+def check_effect(system: System, state: State, m: Memory, where: Any) -> None:
+    """Forces, constraints, energies and nodes in a state: noted when writing, compared when reading; collective.
+
+    Raises:
+        CheckpointError: one of them differs, naming the body or joint.
+    """
+    for k, part in system.fields:
+        numbering = getattr(part.field, "numbering", None)
+        if numbering is None:
+            continue
+        x = part.field.X_world
+        apart = np.abs(m.nodal(f"nodes {k}", x.ravel(), numbering) - x.ravel()).max(initial=0.0)
+        if max(part.comm.allgather(float(apart))) > 1e-9 * part.field.size:
+            raise CheckpointError(
+                f'The checkpoint {where} cannot be used for body "{part.name}": its mesh is another one, or is numbered '
+                "otherwise (a mesh that was refined on other ranks)."
+            )
+    for name, (value, scale) in _effect(system, state).items():
+        known = m(name, value)
+        if not np.abs(known - value).max(initial=0.0) <= SAME * scale:
+            raise CheckpointError(
+                f"The checkpoint {where} is not of this scene: {name} in its state are {_text(known)}, this scene gives "
+                f"{_text(value)}. A form, a law, a mesh or a load has changed."
+            )
+
+
+def _effect(system: System, state: State) -> dict[str, tuple[Array, float]]:
+    """What the system does in a state: name -> numbers and what they are measured by, equal on all ranks; collective."""
+    ev = system.at(state.t, state.q, state.v)
+    forces = ev.balance(np.zeros_like(state.a))
+    inertia = ev.balance(state.a) - forces
+    d, n = system.motions.dim, system.motions.n_twist
+    rows: dict[str, list[Array]] = {}
+    for i, name in enumerate(system.frame_names):
+        rows[f'on "{name}"'] = [r[i * n : (i + 1) * n] for r in (forces, inertia)]
+    for k, part in enumerate(system.parts):
+        own = [np.array([float(r @ r)]) for r in (system.local_v(forces, k), system.local_v(inertia, k))]
+        rows[f'in "{part.name}"'] = [np.sqrt(part.field.total(x) if part.distributed else x) for x in own]  # type: ignore[attr-defined]
+    largest = max([float(np.abs(x[:d]).max()) for pair in rows.values() for x in pair], default=0.0)
+    out: dict[str, tuple[Array, float]] = {}
+    for where, pair in rows.items():
+        size = max(1e-9 * largest, *(float(np.abs(x[:d]).max()) for x in pair))
+        turning = max(size * system.length, *(float(np.abs(x[d:]).max(initial=0.0)) for x in pair))
+        for what, x in zip(("forces", "inertia forces"), pair, strict=True):
+            out[f"{what} {where}"] = x[:d], size
+            out[f"moments of {what} {where}"] = x[d:], turning
+    energies = np.array(list(ev.energies().values()))
+    out["energies"] = energies, max(float(np.abs(energies).max(initial=0.0)), 1e-9 * largest * system.length)
+    out["constraints"] = ev.constraint(), system.length
+    return out
+
+
+def _text(x: Array) -> str:
+    return np.array2string(np.asarray(x).ravel()[:6], precision=6)
