@@ -83,5 +83,8 @@ def scene():
     """The mechanism at rest."""
     made = fmbd.Scene("Andrews' mechanism")
     made.add(fmbd.CoordinateBody("squeezer", mass, force, START, constraint=constraint, vectorized=True))
-    made.sensor("angles", fmbd.coordinates("squeezer", unit="rad"))
+    made.sensor(
+        "angles",
+        fmbd.coordinates("squeezer", unit="rad", names=("beta", "Theta", "gamma", "Phi", "delta", "Omega", "epsilon")),
+    )
     return made

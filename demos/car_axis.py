@@ -46,7 +46,7 @@ def scene():
     made = fmbd.Scene("car axis")
     start, rate = [0.0, 0.5, 1.0, 0.5], [-0.5, 0.0, -0.5, 0.0]
     made.add(fmbd.CoordinateBody("axle", K * np.eye(4), force, start, rate, constraint=constraint, vectorized=True))
-    made.sensor("ends", fmbd.coordinates("axle", unit="m"))
+    made.sensor("ends", fmbd.coordinates("axle", unit="m", names=("x_l", "y_l", "x_r", "y_r")))
     made.sensor("rates", fmbd.coordinates("axle", level=1, unit="m/s"))
     return made
 

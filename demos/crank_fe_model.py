@@ -7,7 +7,6 @@ smoothly from rest to OMEGA within two turns, so that both models follow the smo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -112,75 +111,3 @@ def expected_difference(slenderness: float) -> float:
     """
     s, shear = slenderness, 2 * (1 + model.NU)
     return 3.0**-6 + (shear - 5 / 6) * s**2 + 1.5 * shear * s**3
-
-
-def picture(pairs: dict[float, tuple[fmbd.Run, fmbd.Run]], file: object, grow: float = 30.0) -> None:
-    """The crank in the last turn with the deflection grown; deflections over the crank angle; the difference. Collective.
-
-    ``pairs``: height of the rod -> runs of beam and finite elements (full, with snapshots).
-    """
-    from fmbd_fenicsx.faces.picture import gather
-    from fmbd_fenicsx.log import world_rank
-
-    heights = sorted(pairs)
-    thin = pairs[heights[0]][1]
-    skins, moments = gather(thin)
-    if world_rank() != 0:
-        return
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import FixedLocator, NullLocator
-
-    figure = Figure(figsize=(13, 4.2), layout="constrained")
-    left, middle, right = figure.subplots(1, 3, width_ratios=(1.9, 1.3, 1))
-    shown = [(s, m) for s, m in zip(thin.snapshots, moments, strict=True) if s.t >= RAMP - 1e-9][:-1]
-    _mechanism(left, skins[0].triangles, moments[0].nodes[0][:, :2], shown, grow)
-    for k, height in enumerate(heights):
-        b, f = pairs[height]
-        scale = 1e3 * (height / heights[0]) ** 2
-        phi = np.degrees(model.OMEGA * (f.times[f.times >= RAMP] - RAMP))
-        middle.plot(phi, scale * deflection(f), f"C{k}", lw=2.5, alpha=0.5, label=f"{1e3 * height:g} mm, elements")
-        middle.plot(phi, scale * deflection(b), "k--", lw=0.8, label="two sine modes" if k == 0 else None)
-    middle.set(xlabel="crank angle (degrees)", ylabel=f"deflection x (height / {1e3 * heights[0]:g} mm)$^2$ (mm)")
-    middle.set(xticks=range(0, 361, 90))
-    middle.legend(frameon=False)
-    s = np.array(heights) / model.L2
-    line = np.geomspace(0.6 * s[0], 1.5 * s[-1], 50)
-    right.loglog(line, [100 * expected_difference(x) for x in line], "0.5", label="estimate")
-    right.loglog(s, [100 * difference(f, b) for b, f in pairs.values()], "o", label="measured")
-    for axis in (right.xaxis, right.yaxis):
-        axis.set_major_locator(FixedLocator([0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5]))
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_locator(NullLocator())
-    right.grid(alpha=0.3)
-    right.set(xlabel="height / length of the rod", ylabel="elements deflect more by (%)")
-    right.legend(frameon=False)
-    figure.savefig(str(file), dpi=110)
-
-
-def _mechanism(ax: Any, triangles: np.ndarray, X: np.ndarray, shown: Sequence[Any], grow: float) -> None:
-    """Snapshots: crank as a bar, the rod's cells with their distance from the chord grown, slider on its guide."""
-    from matplotlib import colormaps
-    from matplotlib.patches import Rectangle
-
-    turn = np.linspace(0, 2 * np.pi, 100)
-    ax.plot(model.L1 * np.cos(turn), model.L1 * np.sin(turn), ":", color="0.6", lw=1)
-    ax.plot([0.1, 0.52], [-0.022, -0.022], color="0.5", lw=2)
-    for k, (state, m) in enumerate(shown):
-        phi, color = run_up(state.t)[0], colormaps["viridis"](0.9 * k / len(shown))
-        a, x = model.L1 * np.array([np.cos(phi), np.sin(phi)]), m.nodes[0][:, :2]
-        b = np.array([a[0] + np.sqrt(model.L2**2 - a[1] ** 2), 0.0])
-        e = (b - a) / model.L2
-        straight = a + (X - [model.L1, 0.0]) @ np.array([e, [-e[1], e[0]]])
-        drawn = straight + grow * (x - straight)
-        ax.plot([0, a[0]], [0, a[1]], color=color, lw=4, solid_capstyle="round")
-        ax.tripcolor(*drawn.T, triangles, facecolors=np.zeros(len(triangles)), cmap=_one(color))
-        ax.add_patch(Rectangle((b[0] - 0.018, -0.022), 0.036, 0.044, facecolor=color, alpha=0.5, edgecolor="k"))
-        ax.plot(*np.array([a, b]).T, ".", color="k", ms=4)
-    ax.plot(0, 0, "ko", ms=7)
-    ax.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title=f"last turn, deflection x {grow:g}")
-
-
-def _one(color: Any) -> Any:
-    from matplotlib.colors import ListedColormap
-
-    return ListedColormap([color])

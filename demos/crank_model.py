@@ -78,6 +78,23 @@ class Rod:
         return out if self.damped else 0.0 * out
 
 
+# References: at the end; frequencies (rad/s) with printed and consistent axial mass
+ENDS = {  # end (s), consistent, nonlinear: phi2, q1..q4, lambda, and to what share q and lambda are known
+    (0.01, False, False): (-5.2216396918854e-01, [8.31920513008e-4, 4.7387526529218e-5, -3.4977307824339e-6, -5.6622714711243e-6],
+                           [-35.892818883497, -127.38311391763, 38.637431826448], 1e-5),
+    (0.1, False, False): (-0.331173498825626, [1.893192899613509e-4, 2.375751249879174e-5, -5.323896770569702e-6,
+                          -8.363313279112129e-6], [-62.32935833287916, -163.7920993367306, 25.29857947066878], 1e-8),
+    (0.1, True, False): (-0.331173430332826, [1.893081681938e-4, 2.376201085077e-5, -5.281024759897e-6, -8.303554444834e-6],
+                         [-62.20521365688933, -163.46412923635248, 24.97218490190467], 1e-7),
+    (0.1, False, True): (-0.33117388762831856, [-1.180767246912e-4, 2.365146392725e-5, -5.475025837718e-6, -8.702536690209e-6],
+                         [-87.39734041071817, -163.55290066837492, 29.319751697448616], 1e-7),
+}  # fmt: skip
+FREQUENCIES = {
+    False: [1276.6864363, 5106.74574521, 6840.81686358, 24612.65840743],
+    True: [1276.6864363, 5106.74574521, 26494.36978712, 95324.41611789],
+}
+
+
 # shape integrals: of u, v, x u, x v, and of u_i v_j - v_i u_j over the rod
 C1, C2 = F * np.array([0, 0, 2 / 3, 1 / 6]), F * np.array([2 / PI, 0, 0, 0])
 C12, C21 = L2 * F * np.array([0, 0, 1 / 3, 1 / 6]), L2 * F * np.array([1 / PI, -1 / (2 * PI), 0, 0])
@@ -179,7 +196,9 @@ def scene(rod: Rod, start: np.ndarray) -> fmbd.Scene:
     made = fmbd.Scene("slider crank")
     body = crank(rod, start)
     made.add(body)
-    made.sensor("coordinates", fmbd.coordinates(body))
+    made.sensor(
+        "coordinates", fmbd.coordinates(body, unit="m, rad", names=("phi1", "phi2", "x3", "q1", "q2", "q3", "q4"))
+    )
     made.sensor("multipliers", fmbd.reaction("crank"))
     return made
 

@@ -7,8 +7,8 @@ from matplotlib.figure import Figure
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import plot
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.faces.picture import gather, moment, render, skin
-from fmbd_fenicsx.faces.plot import _history
+from fmbd_fenicsx.faces.picture import gather, moment, painted, render, skin
+from fmbd_fenicsx.faces.plot import _history, components
 from fmbd_fenicsx.traces.fields import ElasticForms, Field
 
 STEEL = fmbd.materials.linear_elastic(5e6, 0.3)
@@ -87,6 +87,26 @@ def test_both_placements_draw_a_resting_body_where_its_mesh_lies(rod_mesh, kind)
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("degree", [1, 2])
+def test_painted_triangles_have_the_values_of_their_middles(rod_mesh, degree):
+    rod = fmbd.AbsoluteBody(
+        "rod",
+        rod_mesh(),
+        degree=degree,
+        density=1e3,
+        elastic=STEEL,
+        displacement=lambda X: np.array([X[0] ** degree, 0 * X[1]]),
+    )
+    scene = fmbd.Scene("stretched")
+    scene.add(rod)
+    run = fmbd.solve(scene, t_end=1e-9, dt=1e-9, output=fmbd.Output(snapshots=2))
+    values = painted(run, rod, lambda u: u[0].dx(0))[0]
+    triangles, x = gather(run)[0][0].triangles, everywhere(run.system.parts[0].field)
+    middles = x[triangles][:, :, 0].mean(1) + run.system.parts[0].field.center[0]
+    assert values == pytest.approx(1.0 if degree == 1 else 2 * middles, abs=1e-7)
+
+
+@pytest.mark.mpi
 def test_reduced_bodies_are_drawn_as_bars(rod_mesh):
     full = fmbd.FloatingBody("rod", rod_mesh(), degree=2, density=1e3, elastic=STEEL)
     rod = full.reduced(modes=2)
@@ -154,6 +174,30 @@ def test_series_are_named_by_sensor_or_component_and_drawn_over_what_is_known(ro
     assert (y.get_ydata() == run["tip"][:, 1]).all() and axes.get_ylabel() == "tip y (m)"
     with pytest.raises(InputError, match='No sensor "tip z"'):
         _history(axes, run, "tip z")
+
+
+@pytest.mark.serial
+def test_components_have_the_names_of_axes_or_coordinates_or_numbers():
+    scene = fmbd.Scene("named")
+    scene.add(fmbd.CoordinateBody("mass", np.eye(3), lambda q, v, t: 0 * q, np.zeros(3)))
+    scene.sensor("q", fmbd.coordinates("mass", unit="m", names=("left", "right")))
+    run = fmbd.solve(scene, t_end=0.1, dt=0.1)
+    assert components(run, "q") == ["q left", "q right", "q 3"] and run.scene.sensors["q"].unit == "m"
+
+
+@pytest.mark.mpi
+def test_shapes_lie_where_the_bodies_are(rod_mesh):
+    run = swing(rod_mesh)
+    axes = Figure().subplots()
+    plot.shapes(axes, run)
+    if run.system.comm.rank == 0:
+        drawn = [c.get_datalim(axes.transData) for c in axes.collections]
+        assert len(drawn) == len(run.snapshots)
+        for box, m in zip(drawn, gather(run)[1], strict=True):
+            assert (box.min, box.max) == (pytest.approx(m.nodes[0].min(0)[:2]), pytest.approx(m.nodes[0].max(0)[:2]))
+        assert axes.get_aspect() == 1.0
+    else:
+        gather(run)
 
 
 @pytest.mark.serial

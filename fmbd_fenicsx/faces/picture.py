@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, require
+from ..mechanics.recovery import displacement
 from ..rotations import Array
 from ..run.solve import Run
 from ..system.system import Evaluation, State
@@ -104,13 +105,33 @@ def skin(field: Any) -> Skin:
     return Skin(triangles, _gathered(msh.comm, numbers, [s for line in lines for s in line], 2))
 
 
+def painted(run: Run, body: Any, quantity: Any) -> list[Array]:
+    """A scalar quantity(u) in UFL on every triangle of a plane body's :func:`skin`, one array for each snapshot; collective.
+
+    u is the displacement in the body's axes, as for ``fmbd.largest``.
+    """
+    from dolfinx import fem
+
+    found = []
+    for state in run.snapshots:
+        u = displacement(run, body, state)
+        V, msh = u.function_space, u.function_space.mesh
+        nodes = V.element.interpolation_points
+        nodes = np.asarray(nodes() if callable(nodes) else nodes)
+        middles = np.array([nodes[t].mean(0) for t in _triangles(np.arange(len(nodes)))])
+        cells = np.arange(msh.topology.index_map(msh.topology.dim).size_local, dtype=np.int32)
+        values = fem.Expression(quantity(u), middles).eval(msh, cells)
+        found.append(np.concatenate(msh.comm.allgather(values.ravel())))
+    return found
+
+
 def _gathered(comm: Any, numbers: Any, local: list[Any], width: int) -> Array:
     """Rows of local node numbers as global ones, of all ranks."""
     own = np.array(local, dtype=np.int32).reshape(-1, width)
     return np.concatenate(comm.allgather(numbers(own.ravel()).reshape(-1, width)))
 
 
-def _triangles(n: Array) -> list[list[int]]:
+def _triangles(n: Any) -> list[list[int]]:
     """Triangles of a face: 3 nodes, 6 (corners, then the mid nodes opposite to them), 4 or 9 (tensor
     order).
     """

@@ -79,7 +79,8 @@ def components(run: Run, sensor: str) -> list[str]:
     size = run[sensor].shape[1]
     if size == 1:
         return [sensor]
-    return [f"{sensor} {'xyz'[k] if run.scene.sensors[sensor].along_axes else k + 1}" for k in range(size)]
+    given = run.scene.sensors[sensor].labels
+    return [f"{sensor} {given[k] if k < len(given) else k + 1}" for k in range(size)]
 
 
 def _series(run: Run, name: str) -> tuple[list[str], Array, str]:
@@ -127,7 +128,12 @@ def _legend(axes: Any) -> None:
 
 @contextmanager
 def figure(
-    file: str | Path, rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None
+    file: str | Path,
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    size: tuple[float, float] | None = None,
+    widths: Sequence[float] | None = None,
 ) -> Iterator[Any]:
     """Axes to draw on, written to ``file`` at the end; on every rank, rank 0 writes.
 
@@ -136,17 +142,45 @@ def figure(
             left.plot(t, force, label="P1")
             left.set(xlabel="time (s)", ylabel="force (N)")
 
-    Yields one matplotlib axes or an array of them; ``size`` in inches. Axes with several labels get a legend above them.
+    Yields one matplotlib axes or an array of them; ``size`` in inches, ``widths`` of the columns
+    against each other. Axes with several labels get a legend above them.
     """
     matplotlib, made = _figure(*(size or (2.4 + 4.0 * columns, 1.2 + 2.6 * rows)))
+    made.get_layout_engine().set(w_pad=0.1)
     with matplotlib.rc_context(STYLE):
-        axes = made.subplots(rows, columns, squeeze=False)
+        axes = made.subplots(rows, columns, squeeze=False, width_ratios=widths)
         yield axes[0, 0] if axes.size == 1 else axes.squeeze()
         for one in axes.ravel():
             if one.get_legend() is None and len(one.get_legend_handles_labels()[1]) > 1:
                 _legend(one)
         if world_rank() == 0:
             made.savefig(file, dpi=160)
+
+
+def shapes(axes: Any, run: Run, *, paint: tuple[Any, Callable[[Any], Any], str] | None = None) -> None:
+    """Draw the snapshots' elastic bodies of a plane scene on axes of :func:`figure`, deformed, coloured by time; collective.
+
+    ``paint``: (body, scalar quantity(u) in UFL, label with unit) colours this body's cells instead.
+    """
+    from .picture import gather, painted
+
+    skins, moments = gather(run)
+    values = None if paint is None else painted(run, paint[0], paint[1])
+    if world_rank() != 0:
+        return
+    names = [part.name for part in run.system.parts if hasattr(part, "field")]
+    times, shown = [s.t for s in run.snapshots], None
+    span = (times[0], times[-1]) if values is None else (min(v.min() for v in values), max(v.max() for v in values))
+    for k, moment in enumerate(moments):
+        for name, skin, x in zip(names, skins, moment.nodes, strict=True):
+            axes.plot(*x[skin.edges].transpose(2, 1, 0)[:2], color="0.25", linewidth=0.6, zorder=1.5 + k)
+            if paint is None or name == paint[0].name:
+                faces = np.full(len(skin.triangles), times[k]) if values is None else values[k]
+                look = {"facecolors": faces, "vmin": span[0], "vmax": span[1], "zorder": 1 + k}
+                shown = axes.tripcolor(*x.T[:2], skin.triangles, **look)
+    axes.figure.colorbar(shown, ax=axes, label="time (s)" if paint is None else paint[2], shrink=0.9)
+    axes.grid(False)
+    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
 
 
 def plot_curves(

@@ -29,15 +29,15 @@ class Sensor:
         raise NotImplementedError
 
     @property
-    def along_axes(self) -> bool:
-        """Whether the components are those of a vector along the world axes."""
-        return False
+    def labels(self) -> Sequence[str]:
+        """Names of the components; numbers where there are none."""
+        return ()
 
 
 class _Vector(Sensor):
     @property
-    def along_axes(self) -> bool:
-        return True
+    def labels(self) -> Sequence[str]:
+        return "xyz"
 
 
 class Position(_Vector):
@@ -149,6 +149,12 @@ class Coordinates(Sensor):
 
     body: str = ""
     level: int = 0
+    names: Sequence[str] = ()
+
+    @property
+    def labels(self) -> Sequence[str]:
+        """The names that were given."""
+        return self.names
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The coordinates of the body, or their rates."""
@@ -160,12 +166,12 @@ class Coordinates(Sensor):
         raise KeyError(self.body)
 
 
-def coordinates(body: Any, *, level: int = 0, unit: str = "-") -> Sensor:
+def coordinates(body: Any, *, level: int = 0, unit: str = "-", names: Sequence[str] = ()) -> Sensor:
     """Coordinates of a body with equations of its own or nodal values of a line, or their first or second rates, (n,).
 
-    ``unit``: of these numbers, for figures.
+    ``unit`` and ``names`` of these numbers, for figures.
     """
-    return Coordinates(None, unit, None, body if isinstance(body, str) else body.name, level)
+    return Coordinates(None, unit, None, body if isinstance(body, str) else body.name, level, names)
 
 
 def joint_rate(coordinate: JointCoordinate) -> Sensor:

@@ -83,9 +83,9 @@ class ContactSensor(Sensor):
         return np.array([c.gap[on].min(initial=np.inf)])
 
     @property
-    def along_axes(self) -> bool:
+    def labels(self) -> str:
         """Forces and impulses have components along the world axes."""
-        return self.quantity in ("force", "impulse")
+        return "xyz" if self.quantity in ("force", "impulse") else ""
 
 
 def _name(contact: Any) -> str:
