@@ -8,7 +8,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
-from fmbd_fenicsx.faces.study import Configuration, orders, work_precision
+from fmbd_fenicsx.faces.study import Configuration, compare, orders, work_precision
 
 SYSTEM = SimpleNamespace(n_q=1, n_lam=0)
 SCENE = SimpleNamespace(sensors={"x": SimpleNamespace(unit="m")})
@@ -25,8 +25,9 @@ def made_up(order, size=1.0):
             series=series,
             system=SYSTEM,
             scene=SCENE,
-            seconds={"steps": 1 / h},
+            seconds={"set-up": 0.5, "start": 0.25, "steps": 1 / h},
             counters={"steps": 1 / h},
+            reduction_error={},
         )
 
     return run
@@ -83,14 +84,16 @@ def test_work_precision_lists_failures_and_takes_medians(tmp_path):
 
     def timed(h):
         run = made_up(2)(h)
-        run.seconds = {"steps": next(seconds)}
+        run.seconds["steps"] = next(seconds)
         return run
 
     def broken(h):
         raise ConvergenceError("Newton stopped")
 
     found = work_precision([Configuration("a", timed, [0.1]), Configuration("b", broken, [0.1, 0.05])], reference=EXACT)
-    assert found.points[0].seconds == 2.0
+    assert found.points[0].seconds == 2.0 and found.points[0].setup == 0.75
+    row = dict(zip(*found.rows()[:2], strict=True))
+    assert row["ms/step"] == "200" and row["set-up, s"] == "0.75" and row["newton_iterations"] == ""
     assert found.points[0].errors["x"] == pytest.approx(0.01 * np.sin(1.0))
     assert [p.label for p in found.failures] == ["b", "b"]
     assert "failed: b at 0.05: ConvergenceError: Newton stopped" in str(found)
@@ -111,3 +114,29 @@ def test_work_precision_of_two_damping_parameters(tmp_path):
     found.figure(tmp_path / "wp2.pdf", work="newton_iterations")
     assert min(p.stat().st_size for p in tmp_path.iterdir()) > 5000 and found.units == {"bob": "m"}
     assert all(p.counters["steps"] == round(0.8 / p.value) for p in found.points)
+
+
+def test_compare_formulations_and_mode_counts_in_one_call(rod_mesh):
+    rod = fmbd.FloatingBody("rod", rod_mesh(h=0.2), density=1e3, elastic=fmbd.materials.plane_stress(2e7, 0.3))
+
+    def swing(body):
+        scene = fmbd.Scene("swing", gravity=(0, -9.81))
+        scene.add(body, fmbd.revolute("pin", fmbd.ground, body.surface("pin")))
+        scene.sensor("tip", fmbd.position(body.surface("tip")))
+        return fmbd.solve(scene, t_end=0.2, dt=4e-3, output=fmbd.Output(energy=False, estimate_reduction=True))
+
+    bodies = {"rigid": rod.reduced(modes=0), "4 modes": rod.reduced(modes=4), "floating": rod, "broken": None}
+
+    def run(body):
+        if body is None:
+            raise ConvergenceError("Newton stopped")
+        return swing(body)
+
+    table = compare(run, bodies, reference=swing(rod), names=["tip"], repeats=1)
+    rigid, few, full, broken = table.points
+    assert (rigid.value, few.value) == (5, 9) and full.value > 100
+    assert rigid.errors["tip"] > few.errors["tip"] > full.errors["tip"] == 0
+    assert rigid.errors["tip"] <= rigid.stated["tip"] and few.errors["tip"] <= few.stated["tip"] and not full.stated
+    assert rigid.setup > 0 and broken.failure
+    assert table.rows()[0][:4] == ["variant", "unknowns", "tip", "tip, stated"]
+    assert table.rows()[3][3] == "" and table.rows()[4][1:4] == ["", "failed", "failed"]

@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -206,13 +206,16 @@ class Configuration:
 @dataclass(frozen=True)
 class Point:
     """One run of a work-precision study; ``seconds`` is the median over repeats of the time spent in
-    steps.
+    steps, ``setup`` the seconds before the first step of the first of them: modes, forms, the consistent start.
+    ``stated``: errors of reduction that the run states itself, where it does.
     """
 
     label: str
     value: float
     errors: dict[str, float] = field(default_factory=dict)
+    stated: dict[str, float] = field(default_factory=dict)
     seconds: float = float("nan")
+    setup: float = float("nan")
     counters: dict[str, float] = field(default_factory=dict)
     failure: str = ""
 
@@ -223,6 +226,7 @@ class WorkPrecision:
 
     points: tuple[Point, ...]
     units: Mapping[str, str] = field(default_factory=dict)
+    heads: tuple[str, str] = ("configuration", "parameter")
 
     @property
     def failures(self) -> tuple[Point, ...]:
@@ -235,19 +239,22 @@ class WorkPrecision:
         return list(dict.fromkeys(n for p in self.points for n in p.errors))
 
     def rows(self, counters: Sequence[str] = ("steps", "newton_iterations", "back_solves")) -> list[list[str]]:
-        """Cells of the table, the header first."""
-        names = self.quantities
-        table = [["configuration", "parameter", *names, "seconds", *counters]]
+        """Cells of the table, the header first: errors, with those that runs state themselves, and work."""
+        names, saying = self.quantities, {n for p in self.points for n in p.stated}
+        shown = [c for n in names for c in ([n, f"{n}, stated"] if n in saying else [n])]
+        table = [[*self.heads, *shown, "seconds", "ms/step", "set-up, s", *counters]]
         for p in self.points:
-            if p.failure:
-                table.append([p.label, f"{p.value:.4g}", *("failed" for _ in names), *("" for _ in ["s", *counters])])
-                continue
-            work = [f"{p.counters.get(c, float('nan')):.0f}" for c in counters]
-            table.append([p.label, f"{p.value:.4g}", *(f"{p.errors[n]:.2e}" for n in names), f"{p.seconds:.3g}", *work])
+            known = {**p.errors, **{f"{n}, stated": x for n, x in p.stated.items()}}
+            errors = [_cell(known.get(c), ".2e", "failed" if p.failure else "") for c in shown]
+            steps = p.counters.get("steps")
+            work = [_cell(x, ".3g") for x in (p.seconds, 1e3 * p.seconds / steps if steps else None, p.setup)]
+            work += [_cell(p.counters.get(c), ".0f") for c in counters]
+            table.append([p.label, _cell(p.value, ".4g"), *errors, *work])
         return table
 
     def __str__(self) -> str:
-        failed = [f"failed: {p.label} at {p.value:.4g}: {p.failure.splitlines()[0]}" for p in self.failures]
+        where = {p: "" if np.isnan(p.value) else f" at {p.value:.4g}" for p in self.failures}
+        failed = [f"failed: {p.label}{at}: {p.failure.splitlines()[0]}" for p, at in where.items()]
         return "\n".join([aligned(self.rows()), *failed])
 
     def markdown(self) -> str:
@@ -264,6 +271,10 @@ class WorkPrecision:
         from .plot import plot_work_precision
 
         plot_work_precision(self, file, work)
+
+
+def _cell(x: float | None, form: str, missing: str = "") -> str:
+    return missing if x is None or np.isnan(x) else f"{x:{form}}"
 
 
 def work_precision(
@@ -284,7 +295,7 @@ def work_precision(
         "work_precision: at least one configuration and one repeat are needed.",
     )
     against = _reference(reference)
-    _attempt(configurations[0].run, configurations[0].values[0])
+    warm = _attempt(configurations[0].run, configurations[0].values[0])
     done = [(c, value, *_trials(c.run, value, repeats)) for c in configurations for value in c.values]
     traces = [trace for _, _, trace, _ in done if isinstance(trace, _Trace)]
     times: Array = np.zeros(0)
@@ -296,11 +307,42 @@ def work_precision(
     for c, value, trace, seconds in done:
         if isinstance(trace, str):
             points.append(Point(c.label, value, failure=trace))
-        else:
-            counters = {k: float(x) for k, x in trace.run.counters.items()}
-            points.append(Point(c.label, value, _errors(trace, against, times, kept), seconds, counters))
+            continue
+        first = warm if not points and isinstance(warm, Run) else trace.run
+        counters = {k: float(x) for k, x in trace.run.counters.items()}
+        stated = {n: x for n, x in trace.run.reduction_error.items() if n in kept}
+        errors, setup = _errors(trace, against, times, kept), first.seconds["set-up"] + first.seconds["start"]
+        points.append(Point(c.label, value, errors, stated, seconds, setup, counters))
     sensors = traces[0].run.scene.sensors if traces else {}
     return WorkPrecision(tuple(points), {n: sensors[n].unit for n in kept if n in sensors})
+
+
+def compare(
+    run: Callable[[Any], Run],
+    variants: Mapping[str, Any],
+    *,
+    reference: Run | Exact,
+    names: Sequence[str] | None = None,
+    repeats: int = 3,
+) -> WorkPrecision:
+    """One scene with several bodies, or several of anything else, in one table; collective.
+
+        compare(swing, {"rigid": rod.reduced(modes=0), "16 modes": rod.reduced(modes=16), "floating": rod}, reference=...)
+
+    ``run`` makes a run from a variant; a row has the number of its unknowns, the errors against the reference and, where its
+    output asks for them, those of reduction that the run states itself, the time of a step and of the set-up.
+    """
+    sizes: dict[str, float] = {}
+
+    def made(label: str) -> Run:
+        found = run(variants[label])
+        sizes[label] = sum(n for _, n in found.plan.unknowns)
+        return found
+
+    each = [Configuration(k, lambda _, k=k: made(k), [float("nan")]) for k in variants]  # type: ignore[misc]
+    table = work_precision(each, reference=reference, names=names, repeats=repeats)
+    points = tuple(replace(p, value=sizes.get(p.label, p.value)) for p in table.points)
+    return replace(table, points=points, heads=("variant", "unknowns"))
 
 
 def _trials(run: Callable[[float], Run], value: float, repeats: int) -> tuple[_Trace | str, float]:
