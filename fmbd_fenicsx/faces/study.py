@@ -253,8 +253,9 @@ class WorkPrecision:
         return table
 
     def __str__(self) -> str:
-        where = {p: "" if np.isnan(p.value) else f" at {p.value:.4g}" for p in self.failures}
-        failed = [f"failed: {p.label}{at}: {p.failure.splitlines()[0]}" for p, at in where.items()]
+        where = ["" if np.isnan(p.value) else f" at {p.value:.4g}" for p in self.failures]
+        why = [p.failure.splitlines()[0] for p in self.failures]
+        failed = [f"failed: {p.label}{at}: {w}" for p, at, w in zip(self.failures, where, why, strict=True)]
         return "\n".join([aligned(self.rows()), *failed])
 
     def markdown(self) -> str:

@@ -10,6 +10,7 @@ from ..errors import ConvergenceError
 from ..log import log
 from ..rotations import Array
 from ..system.finer import finer_system
+from ..system.memory import rewind
 from .march import Problem, begin, make_solver, march
 from .output import Output, Recorder
 from .pace import Pace
@@ -50,7 +51,7 @@ def time_error(problem: Problem, fine: Recorder, pace: Pace) -> tuple[dict[str, 
 
 def _again(problem: Problem, pace: Pace, factor: int) -> Recorder:
     """The march once more with steps larger by a factor, sensors recorded in every step; collective."""
-    problem.system.rewind()
+    rewind(problem.system)
     solver = make_solver(problem.scene, problem.system, problem.linear)
     newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
     solver.pressures = problem.pressures
@@ -83,7 +84,7 @@ def reduction_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str,
     if made is None:
         return {}
     system, given = made
-    system.rewind()
+    rewind(system)
     solver = make_solver(problem.scene, system, problem.linear)
     newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
     wanted = replace(coarse.output, snapshots=0, energy=False, progress=False)

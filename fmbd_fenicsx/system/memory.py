@@ -129,6 +129,12 @@ def count_from(system: System, angles: list[Any]) -> None:
         turn.last = angle
 
 
+def rewind(system: System) -> None:
+    """Count revolutions anew: a motion starts from the initial configuration once more."""
+    for turn in turns_of(system):
+        turn.last = np.zeros_like(turn.last)
+
+
 def _order(system: System) -> np.ndarray:
     """Candidates sorted by pair, then by the number of their node that does not depend on the ranks; collective."""
     pair, nodes = [], []

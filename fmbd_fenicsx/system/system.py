@@ -25,7 +25,6 @@ from ..mechanics.coordinates import PortConstraint
 from ..mechanics.frames import Kinematics, Markers
 from ..mechanics.laws import Loads
 from ..mechanics.placements import DistributedPart, FrameMotion, Part, RigidBlock, is_distributed
-from ..mechanics.relative import Turn
 from ..rotations import Array, Motions
 from ..traces.fields import rank_sum
 from .system_jacobian import Jacobian, force_tangent
@@ -83,14 +82,6 @@ class System:
             if block.name == name:
                 return block
         raise InputError(f'No joint "{name}". {near(name, [b.name for b in self.blocks])}')
-
-    def rewind(self) -> None:
-        """Count the revolutions of joint angles anew: a motion starts from the initial configuration once more."""
-        seen = [r for batch, _ in self.batches for r, _, _ in getattr(batch, "terms", ())]
-        seen += [getattr(f, "relative", None) for f in self.forces] + list(self.cache.values())
-        for relative in seen:
-            if isinstance(relative, Turn):
-                relative.last = np.zeros_like(relative.last)
 
     # -- sizes --------------------------------------------------------------------------------------------------
     @property
