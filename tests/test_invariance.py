@@ -45,10 +45,12 @@ def run_of(rod_mesh: Callable[..., Any], kind: str, moved: bool) -> fmbd.Run:
 @pytest.mark.mpi
 @pytest.mark.parametrize("kind", ["mean", "attached", "chord", "mean, reduced", "attached, reduced", "absolute"])
 def test_superposed_rigid_motion(rod_mesh: Callable[..., Any], kind: str) -> None:
-    """Every placement and frame; Newton takes the same number of iterations, but for roundoff at its tolerance."""
+    """Every placement and frame; Newton takes as many iterations, but for steps whose last increment lies at its tolerance:
+    the largest component of an increment depends on the axes, and here iterations come in pairs.
+    """
     here, there = (run_of(rod_mesh, kind, moved) for moved in (False, True))
     assert np.ptp(here["pin"][:, 1]) > 1e-3
     for name in ("pin", "disk"):
         expected = here[name] @ Q.T + SHIFT + np.outer(here.times, BOOST)
         np.testing.assert_allclose(there[name], expected, atol=1e-9)
-    assert abs(here.counters["newton_iterations"] / there.counters["newton_iterations"] - 1) < 0.05
+    assert abs(here.counters["newton_iterations"] / there.counters["newton_iterations"] - 1) < 0.1

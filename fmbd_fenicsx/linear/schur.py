@@ -121,12 +121,16 @@ class StepSolver:
         worst = [b.factor.judge.worst for blocks in self._blocks.values() for b in blocks]
         return max([self.core.judge.worst, 0.0 if self.split is None else self.split.judge.worst, *worst])
 
-    def prepare(self, ev: Evaluation, weights: Weights, stiffness: Any = None) -> None:
+    def prepare(self, ev: Evaluation, weights: Weights, stiffness: Any = None, *, keep: bool = False) -> None:
         """Set up (1) for a configuration; elastic factors are kept from earlier calls with the same weights.
 
-        ``stiffness``: extra core matrix (n_core, n_core), already weighted (springs, geometric terms), or None.
+        ``stiffness``: extra core matrix (n_core, n_core), already weighted (springs, geometric terms), or None. ``keep``: the
+        matrix stays as it is, until :meth:`refresh` takes it at this configuration.
         """
         s = self.system
+        if keep:
+            self._ev = ev
+            return
         s.move(ev.t)
         w = self.weights = weights
         self._ev, self._stiffness = ev, stiffness
@@ -407,7 +411,9 @@ class StepSolver:
         return np.concatenate([x[:n], *(_turned(x, turn) for x, turn in zip(parts, self._turns, strict=True))]), x[n:]
 
     def refresh(self) -> bool:
-        """New tangents of nonlinear parts at the configuration evaluated last; False when all are constant. Collective."""
+        """New tangents of nonlinear parts at the configuration evaluated last, and rows at the one given last to
+        :meth:`prepare`; False when all are constant. Collective.
+        """
         changed = [f.relinearise() for _, f in self.system.fields]
         if any(changed):
             self.prepare(self._ev, self.weights, self._stiffness)

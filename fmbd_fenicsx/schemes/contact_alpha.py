@@ -136,9 +136,8 @@ class _Step:
         system, solver = p.system, p.solver
         q = system.compose(s.q, self.xi)
         ev = self.ev = system.at(s.t + h, q, self.v)
-        if not self.prepared:
-            solver.prepare(ev, Weights(1.0, h * self.gamma * (1 - self.af) / (1 - self.am), self.scale))
-            self.prepared = True
+        solver.prepare(ev, Weights(1.0, h * self.gamma * (1 - self.af) / (1 - self.am), self.scale), keep=self.prepared)
+        self.prepared = True
         residuals = ev.balance(self.a, self.lam), ev.constraint()
         if self.near.any():
             rows: Rows = p.contacts.rows(system, s.t + h, q, since=(s.t, h)).take(self.near)

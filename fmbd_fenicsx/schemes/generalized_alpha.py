@@ -44,6 +44,8 @@ from .kernel import LOOK, Kernel, kernel_library, kernel_of
 from .newton import Newton, not_converged
 from .start import jerk, spin_of_acceleration, worst_block
 
+# of the model's length: after a larger increment, rows and the core's matrix are taken where it led
+FAR = 1e-4
 PATIENCE = 4  # iterations with the tangent of the first one, where a new tangent is cheap
 DEPTH = 6  # times that a step of a body with large displacements may be halved
 
@@ -219,7 +221,7 @@ class Stepper:
         A = ((1 - af) * a + af * s.a - am * A0) / (1 - am)
         xi = fixed_a + h * h * beta * A
         tolerance = self._tolerance(scale, a)
-        done = 0
+        done, far = 0, True
         last: Array = np.zeros(0)
         stabilised = bool(system.n_lam) and isinstance(self.scheme.form, GGL)
 
@@ -231,12 +233,12 @@ class Stepper:
             return scale * ev.balance(a + d / scale, lam), ev.constraint()
 
         def increment() -> float:
-            nonlocal a, lam, A, xi, done, last
+            nonlocal a, lam, A, xi, done, last, far
             q = system.compose(s.q, xi)
             v = fixed_v + h * gamma * A
             ev = system.at(t, q, v)
-            if done == 0 or tangent is not None or (done > patience and not system.fields):
-                self.solver.prepare(ev, weights)
+            new = far or tangent is not None or (done > patience and not system.fields)
+            self.solver.prepare(ev, weights, keep=not new)
             done += 1
             g = ev.constraint()
             r = ev.balance(a, lam)
@@ -258,12 +260,14 @@ class Stepper:
             A = A + d_xi / (h * h * beta)
             a = a + d_xi / scale
             last = g
-            return system.max_abs(dq + closing) / tolerance
+            size = system.max_abs(dq + closing)
+            far = size > FAR * system.length
+            return size / tolerance
 
         begun = xi
         converged, history = self.newton.solve(increment)
-        far = patience == 0 and system.max_abs(xi - begun) > 2 * system.max_abs(begun)  # another solution
-        if not converged or far:
+        other = patience == 0 and system.max_abs(xi - begun) > 2 * system.max_abs(begun)  # solution
+        if not converged or other:
             where = f"; the largest open constraint is {worst_block(system, last)}" if last.size else ""
             damping = ", or a smaller rho_inf" if self.scheme.rho_inf > 0.8 else ""
             looser = (
@@ -312,6 +316,7 @@ class CompiledStepper(Stepper):
         p[1:5] = scheme.parameters
         p[slots.TOL], p[slots.LENGTH] = newton.tolerance, system.length
         p[slots.FLOOR] = 64 * np.finfo(float).eps * system.length
+        p[slots.FAR] = FAR * system.length
         p[slots.SLOW], p[slots.MAXIT], p[slots.PATIENCE] = newton.slow, newton.max_iterations, PATIENCE
         p[slots.NEW_TANGENT] = newton.patience
 

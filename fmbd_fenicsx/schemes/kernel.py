@@ -30,7 +30,7 @@ FRAME_ROW = 4  # kind of a frame condition
 LOOK = 3  # verdict: something to be warned of or refused by the NumPy path
 # fmt: off
 (H, AM, AF, GAMMA, BETA, GX, GY, GZ, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT,
- ITERATIONS, LOCAL, RESIDUAL) = range(20)
+ FAR, ITERATIONS, LOCAL, RESIDUAL) = range(21)
 # fmt: on
 
 
@@ -127,7 +127,7 @@ class Kernel:
         self.c = _structure("System")(*counts, body=body, marker=marker, **pointers)
         self._kept.append(markers)
         self.address = ctypes.addressof(self.c)
-        self.parameters, self.offset = np.zeros(20), np.zeros(max(self.m, 1))
+        self.parameters, self.offset = np.zeros(21), np.zeros(max(self.m, 1))
         self.driven = [(batch, rows) for batch, rows in system.batches if batch.driven]
         self.look()
 

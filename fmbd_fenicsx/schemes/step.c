@@ -76,7 +76,7 @@ typedef struct {
     double *R, *work, *units;                      /* D D (nb + 1); see step; n */
 } System;
 
-enum { H, AM, AF, GAMMA, BETA, GX, GY, GZ, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, /* in */
+enum { H, AM, AF, GAMMA, BETA, GX, GY, GZ, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, /* in */
        ITERATIONS, LOCAL, RESIDUAL };                                                                /* out */
 enum { DONE, NEWTON, DEPENDENT, LOOK }; /* verdicts; LOOK: something to be warned of or refused by the NumPy path */
 
@@ -982,7 +982,7 @@ int step(const System *s, double *p, const double *now, const double *before, co
     if (typical < 1e-12 * p[LENGTH]) typical = 1e-12 * p[LENGTH];
     double tolerance = p[TOL] * scale * typical, theta = p[THETA], last = 0.0, older[64];
     if (tolerance < p[FLOOR]) tolerance = p[FLOOR];
-    int iterations = 0, converged = 0, verdict;
+    int iterations = 0, converged = 0, far = 1, verdict;
     p[RESIDUAL] = 0.0;
     while (iterations < (int)p[MAXIT] && iterations < 64) {
         configuration(s, q0, xi, q);
@@ -991,7 +991,7 @@ int step(const System *s, double *p, const double *now, const double *before, co
         constraints(s, q, offset);
         for (int b = 0; b < s->nb; b++)
             if ((verdict = inertia(s, s->body + b, b, q, v, a, p + GX, r))) return verdict;
-        if (iterations == 0 || (iterations > (int)p[PATIENCE] && s->n == s->n_core)) {
+        if (far || (iterations > (int)p[PATIENCE] && s->n == s->n_core)) {
             for (int b = 0; b < s->nb; b++)
                 if (s->body[b].T && (verdict = factor_body(s, s->body + b, b, q, damp, scale))) return verdict;
             for (int b = 0; b < s->nb; b++)
@@ -999,8 +999,10 @@ int step(const System *s, double *p, const double *now, const double *before, co
             if ((verdict = factor(s))) return verdict;
         }
         add_reactions(s, lam, r);
-        double open = solve(s, scale, r, x, xb, y), size = largest_of(s->units, x, n) / tolerance, left;
+        double open = solve(s, scale, r, x, xb, y), size = largest_of(s->units, x, n), left;
         if (open == -1.0) return NEWTON;
+        far = size > p[FAR];
+        size /= tolerance;
         if (!(open <= p[RESIDUAL])) p[RESIDUAL] = open;
         for (int k = 0; k < m; k++) lam[k] += y[k] / scale;
         for (int b = 0; b < s->nb; b++) rate(xi + TWIST * b, x + TWIST * b);
