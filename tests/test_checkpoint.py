@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import checkpoint_scenes
 import numpy as np
 import pytest
 from checkpoint_scenes import SCENES, links, wheel
+from rank_scenes import largest_difference
+from test_ranks import launch
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.log import world_size
 
 SCHEMES: dict[str, Any] = {
     "compiled": fmbd.GeneralizedAlpha(0.8),
@@ -79,3 +84,43 @@ def test_schemes_go_on_to_the_last_bit(name: str, tmp_path: Path) -> None:
 def test_bodies_and_contacts_go_on_to_the_last_bit(name: str, tmp_path: Path) -> None:
     scene, arguments = SCENES[name]()
     at_every_step(lambda: scene, tmp_path, (1, 3), **arguments)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", ["floating", "soft", "rubber", "glued", "impact, midpoint"])
+def test_on_another_number_of_ranks(name: str, shared_tmp: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From one rank to all, and from all to one."""
+    if world_size() == 1:
+        pytest.skip("needs several ranks")
+    from mpi4py import MPI
+
+    wholes, halves = [], []
+    for comm in (MPI.COMM_SELF, MPI.COMM_WORLD):
+        monkeypatch.setattr(checkpoint_scenes, "COMM", comm)
+        scene, arguments = SCENES[name]()
+        folder = shared_tmp / f"from {comm.size}"
+        wholes.append(fmbd.solve(scene, **arguments, checkpoint=fmbd.Checkpoint(folder, every=4)))
+        MPI.COMM_WORLD.barrier()
+        halves.append(next(folder.glob("*_step4")))
+    for comm, whole, half in zip((MPI.COMM_WORLD, MPI.COMM_SELF), wholes, halves, strict=True):
+        monkeypatch.setattr(checkpoint_scenes, "COMM", comm)
+        scene, arguments = SCENES[name]()
+        taken_up = fmbd.solve(scene, **arguments, restart=half)
+        for sensor in scene.sensors:
+            scale = np.abs(whole[sensor]).max()
+            assert np.abs(whole[sensor] - taken_up[sensor]).max() < 1e-9 * scale, sensor
+        kinetic = whole.energy["kinetic"], taken_up.energy["kinetic"]
+        assert np.abs(kinetic[0] - kinetic[1]).max() < 1e-9 * kinetic[0].max()
+
+
+@pytest.mark.slow
+@pytest.mark.serial
+@pytest.mark.parametrize("writers, readers", [(1, 2), (2, 1), (2, 3)])
+def test_every_scene_on_other_ranks(writers: int, readers: int, tmp_path: Path) -> None:
+    code = Path(checkpoint_scenes.__file__).read_text().replace("__file__", repr(checkpoint_scenes.__file__))
+    whole, taken_up = (
+        json.loads(launch(code, n, str(tmp_path), *more).stdout.splitlines()[-1])
+        for n, more in ((writers, ()), (readers, ("from",)))
+    )
+    for name in SCENES:
+        assert largest_difference(whole[name], taken_up[name]) < 1e-9, name

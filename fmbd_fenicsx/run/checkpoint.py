@@ -8,7 +8,6 @@ then agree to roundoff. Files are complete or not there, and checked by their ha
 
 from __future__ import annotations
 
-import os
 import re
 import signal
 import time as clock
@@ -43,8 +42,8 @@ class Checkpoint:
         seconds: of wall-clock time after which one is written in any case.
         keep: how many of the newest are kept.
 
-    One is written at the end of the run too. SIGUSR1, SIGTERM, or a file named STOP in the folder let the run finish its step,
-    write a checkpoint and end (exit code 75); so does Ctrl-C in a serial run (exit code 130).
+    One is written at the start and at the end of the run too. SIGUSR1, SIGTERM, or a file named STOP in the folder let the run
+    finish its step, write a checkpoint and end (exit code 75); so does Ctrl-C in a serial run (exit code 130).
     """
 
     folder: str | Path
@@ -94,9 +93,6 @@ class Keeper:
         """Refuse a folder that cannot be written or belongs to another run."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            probe = self.folder / f".probe{os.getpid()}"
-            probe.touch()
-            probe.unlink()
         except OSError as error:
             raise CheckpointError(
                 f"The folder {self.folder} of the checkpoints cannot be written: {error.strerror}. Choose another one."
@@ -123,12 +119,13 @@ class Keeper:
         return out
 
     def resume(self, course: Course) -> None:
-        """Take up the checkpoint that was asked for, if any.
+        """Take up the checkpoint that was asked for, or write one of the start: what cannot be kept shows at once.
 
         Raises:
-            CheckpointError: there is none, it is damaged, or it belongs to another run.
+            CheckpointError: there is none, it is damaged or belongs to another run; or none can be written.
         """
         if self.restart is None:
+            self.write(course)
             return
         values, known, self.newest = self._load(Path(self.restart))
         compare(known, self.given, self.newest)

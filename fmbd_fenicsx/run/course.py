@@ -35,14 +35,14 @@ class Course:
     def remember(self, m: Memory, where: Any = "") -> None:
         """Write all of it, or read it from the checkpoint ``where``; see :mod:`fmbd_fenicsx.system.memory`. Collective."""
         from ..linear.solver_memory import remember_solver
-        from ..system.memory import count_from, turns_of
+        from ..system.memory import count_from, remember_stepper, turns_of
         from .fingerprint import check_effect
 
         counted = m("turns", [turn.last for turn in turns_of(self.system)])
         for k, part in enumerate(self.system.parts):
             if hasattr(part, "remember"):
                 part.remember(m.inside(f"part {k}"))
-        self.stepper.remember(m.inside("stepper"))
+        remember_stepper(self.stepper, m.inside("stepper"))
         remember_solver(self.solver, m.inside("solver"), self.stepper.state)
         self.newton.iterations, self.newton.theta = m("Newton", (self.newton.iterations, self.newton.theta))
         self.recorder.remember(m.inside("recorder"))

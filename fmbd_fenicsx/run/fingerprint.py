@@ -42,6 +42,8 @@ def given(scene: Scene, system: System, settings: dict[str, Any]) -> dict[str, s
 def compare(known: dict[str, str], now: dict[str, str], where: Any) -> None:
     """Raise CheckpointError with what differs."""
     names = [n for n in dict.fromkeys((*known, *now)) if known.get(n) != now.get(n)]
+    whole = tuple(f"{n}." for n in names if (n in known) != (n in now))
+    names = [n for n in names if not n.startswith(whole)]  # of what is absent its name is enough
     if names:
         lines = [f"{n}: {known.get(n, 'absent')} in the checkpoint, {now.get(n, 'absent')} here" for n in names]
         more = f"; and {len(lines) - 5} more" if len(lines) > 5 else ""
@@ -72,7 +74,7 @@ def _describe(name: str, x: Any, out: dict[str, str], depth: int = 0) -> None:
         for f in dataclasses.fields(x):
             _describe(f"{name}.{f.name}", getattr(x, f.name), out, depth + 1)
     else:
-        out[name] = getattr(x, "__qualname__", type(x).__name__)
+        out[name] = "a function" if callable(x) else type(x).__name__
 
 
 def _numbers(x: Any) -> bool:

@@ -22,7 +22,7 @@ from ..mechanics.bodies import CoordinateBody
 from ..mechanics.couplings import OwnBatch
 from ..mechanics.laws import ScalarLoads
 from ..mechanics.wires import Wires
-from ..system.memory import Memory
+from ..system.memory import Memory, remember_stepper
 from ..system.scene import Scene
 from ..system.system import Evaluation, State, System
 
@@ -68,7 +68,7 @@ class Guarded:
 
     def remember(self, m: Memory) -> None:
         """The stepper, and what was seen of energies."""
-        self.stepper.remember(m.inside("stepper"))
+        remember_stepper(self.stepper, m.inside("stepper"))
         steps = self.halvings, self.rejections, self.largest, self.local_error, self.settling
         self.halvings, self.rejections, self.largest, self.local_error, self.settling = m("steps", steps)
         self.turnover, self.highest = m("energies", (self.turnover, self.highest))

@@ -249,7 +249,7 @@ def _keeper(
         "scheme": problem.scheme,
         "Newton": {n: getattr(newton, n) for n in ("tolerance", "max_iterations", "slow", "patience", "tangent")},
         "linear": problem.linear,
-        "step": f"{pace.t_end / pace.steps:.12g}" if pace.steps else "by error control",
+        "step": float(f"{pace.t_end / pace.steps:.12g}") if pace.steps else None,
         "recorded": {n: getattr(output, n) for n in ("every", "energy")},
     }
     return Keeper(plan, restart, problem.system, given(problem.scene, problem.system, settings))

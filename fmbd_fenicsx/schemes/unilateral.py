@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import require
 from ..linear.schur import StepSolver
 from ..mechanics.sliding import HeadSide, WireSide
-from ..system.memory import Memory
+from ..system.memory import Memory, remember_stepper
 from ..system.system import State, System
 from .generalized_alpha import GeneralizedAlpha
 from .newton import Newton
@@ -80,7 +80,7 @@ class Switching:
         for (wire, _), now in zip(self.pairs, closed, strict=True):
             wire.status.closed = now
         self.opened, self.returned = m("changes", (self.opened, self.returned))
-        self.inner.remember(m.inside("inner"))
+        remember_stepper(self.inner, m.inside("inner"))
 
     def gap(self, state: State, pair: tuple[Any, Any]) -> float:
         """y - w, m: negative where the contact is open."""

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InputError
 from ..mechanics.relative import Turn
 from .system import State, System
 
@@ -113,6 +114,20 @@ class Memory:
             keep = m if f.name in ("names", "time", "impulse", "work") else m.candidates
             found[f.name] = keep(f.name, getattr(forces, f.name, None))
         return ContactState(t, q, v, a, lam, ContactForces(**found)) if self.reading else s
+
+
+def remember_stepper(stepper: Any, m: Memory) -> None:
+    """Memory of a stepper.
+
+    Raises:
+        InputError: a scheme of the user's own that has none.
+    """
+    if not hasattr(stepper, "remember"):
+        raise InputError(
+            f"{type(stepper).__module__}.{type(stepper).__qualname__} does not say what it remembers: give it a method "
+            "remember(m), see docs/contributing.md, or leave out checkpoint."
+        )
+    stepper.remember(m)
 
 
 def turns_of(system: System) -> list[Turn]:
