@@ -87,7 +87,7 @@ def test_bodies_and_contacts_go_on_to_the_last_bit(name: str, tmp_path: Path) ->
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("name", ["floating", "soft", "rubber", "glued", "impact, midpoint"])
+@pytest.mark.parametrize("name", ["floating", "rubber", "glued", "impact, midpoint"])
 def test_on_another_number_of_ranks(name: str, shared_tmp: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From one rank to all, and from all to one."""
     if world_size() == 1:

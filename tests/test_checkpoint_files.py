@@ -128,7 +128,10 @@ def test_everything_comes_back_as_it_was() -> None:
     "change, text",
     [
         ({"scene": lambda: pendulum(mass=1.1)}, r'bodies "arm".mass: 1.0 in the checkpoint, 1.1 here'),
-        ({"scene": lambda: pendulum(pin="hinge")}, r'joints "pin": Joint in the checkpoint, absent here; .*rows: pin \(2\)'),
+        (
+            {"scene": lambda: pendulum(pin="hinge")},
+            r'joints "pin": Joint in the checkpoint, absent here; .*rows: pin \(2\)',
+        ),
         ({"scene": lambda: pendulum(law=lambda t: (0.0, 1.001))}, 'forces on "arm" in its state'),
         ({"scheme": fmbd.GeneralizedAlpha(0.7)}, "scheme.rho_inf: 0.8 in the checkpoint, 0.7 here"),
         ({"dt": 0.005}, "step: 0.01 in the checkpoint, 0.005 here"),
