@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from ..traces.loads import Load
 from .placements import Attached, Chord, MeanAxis
 
 Vector = Sequence[float] | Array
+Same = TypeVar("Same", bound="ElasticBody")
 
 
 def _vector(value: Vector | None, size: int, what: str) -> Array:
@@ -117,24 +118,21 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
-class FloatingBody:
-    """An elastic body in a floating frame: x = r + R (X + u), u small, in V_h.
+class ElasticBody:
+    """What elastic bodies have in common, however they are placed.
 
     Args:
         name: what messages and sensors call it.
-        mesh: from :func:`fmbd_fenicsx.read_gmsh`, in world coordinates of the start (``mesh.placed(..)`` moves it).
+        mesh: from :func:`fmbd_fenicsx.read_gmsh`, in world coordinates of the start, or of the stress-free state.
         degree: of the Lagrange displacements (2 by default: P1 is far too stiff in bending).
         density: kg/m^3 (in the plane: kg/m^2 of the sheet).
-        elastic: the elastic form a(u, v, dx) in UFL, symmetric and bilinear; or a
+        elastic: the elastic form a(u, v, dx) in UFL, symmetric and bilinear; or
+        energy: the elastic energy Pi(u, dx) in UFL, J, for instance from :mod:`fmbd_fenicsx.materials`. Either may be a
             :class:`~fmbd_fenicsx.MixedEnergy` of displacement and pressure, for nu up to 1/2.
-        energy: instead of it, an elastic energy Pi(u, dx) in J: with the full nonlinear strain it carries the stiffening by
-            initial stress, which a linear form leaves out.
-        frame: :class:`MeanAxis` (default), :class:`Attached` or :class:`Chord`.
-        velocity, angular_velocity: of the rigid motion at the start; the latter is world axes = body axes, rad/s.
+        velocity, angular_velocity: of a rigid motion at the start (about the centre of mass), added to
+            ``displacement_rate``; world axes = body axes, m/s, rad/s.
         displacement, displacement_rate: initial u(x), u'(x): functions of the coordinates (d, n) -> (d, n) in m, m/s.
         mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
-        stiffening: True adds the geometric stiffness of the stress by inertia forces, held by the surface of an attached
-            frame; the name of a surface does the same in any frame, with that surface holding the body.
         quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks for.
         loads: of :mod:`fmbd_fenicsx.traces.loads`: tractions, pressure, body forces, thermal stress, own forms.
         viscous: bilinear form (u, v, dx) of Kelvin-Voigt damping, acting on the rate of the local displacements (absolute
@@ -146,21 +144,94 @@ class FloatingBody:
     degree: int = 2
     density: float = 1.0
     elastic: Callable[[Any, Any, Any], Any] | None = None
-    frame: MeanAxis | Attached | Chord = MeanAxis()
+    energy: Callable[[Any, Any], Any] | None = None
     velocity: Vector | None = None
     angular_velocity: Any = None
     displacement: Callable[[Array], Array] | None = None
     displacement_rate: Callable[[Array], Array] | None = None
     mass_damping: float = 0.0
     stiffness_damping: float = 0.0
-    energy: Callable[[Any, Any], Any] | None = None
     quadrature: int | None = None
     loads: Sequence[Load] = ()
     viscous: Callable[[Any, Any, Any], Any] | None = None
+
+    def __post_init__(self) -> None:
+        """Check density, degree, damping, and one description of elasticity."""
+        n = self.name
+        require(
+            (self.elastic is None) != (self.energy is None),
+            f'Body "{n}": give either elastic(u, v, dx), a bilinear form, or energy(u, dx), in J.',
+        )
+        given = self.elastic if self.energy is None else self.energy
+        require(
+            callable(given), f'Body "{n}": elastic must be a function (u, v, dx) -> UFL form, energy one of (u, dx).'
+        )
+        require(
+            bool(np.isfinite(self.density)) and self.density > 0,
+            f'Body "{n}": density {self.density} must be positive.',
+        )
+        require(self.degree in (1, 2, 3), f'Body "{n}": degree {self.degree} must be 1, 2 or 3.')
+        require(
+            self.mass_damping >= 0 and self.stiffness_damping >= 0,
+            f'Body "{n}": damping coefficients must not be negative.',
+        )
+
+    @property
+    def dim(self) -> int:
+        """Space dimension, from the mesh."""
+        return int(self.mesh.dim)
+
+    def surface(self, name: str) -> Surface:
+        """The named surface of the mesh."""
+        known = self.mesh.surface_names
+        if name not in known:
+            raise InputError(f'Body "{self.name}": no surface "{name}" in {self.mesh.label}. {near(name, known)}')
+        return Surface(self, name)
+
+    def forms(self) -> ElasticForms:
+        """What the field needs to know."""
+        return ElasticForms(
+            self.elastic,
+            self.density,
+            self.degree,
+            self.mass_damping,
+            self.stiffness_damping,
+            self.energy,
+            self.quadrature,
+            tuple(self.loads),
+            self.viscous,
+        )
+
+    def start_twist(self) -> Array:
+        """Rigid velocity of the centre of mass and angular velocity at the start, (n_twist,)."""
+        inertia = 1.0 if self.dim == 2 else (1.0, 1.0, 1.0)
+        velocities = {"velocity": self.velocity, "angular_velocity": self.angular_velocity}
+        return RigidBody(self.name, 1.0, inertia, **velocities).start_twist()
+
+    def with_(self: Same, **changes: Any) -> Same:
+        """A copy with some arguments changed."""
+        return replace(self, **changes)
+
+
+@dataclass(frozen=True, eq=False)
+class FloatingBody(ElasticBody):
+    """An elastic body in a floating frame: x = r + R (X + u), u small, in V_h.
+
+    With ``elastic`` strains are linear in the frame. An ``energy`` with the full nonlinear strain carries the stiffening by
+    initial stress, which a linear form leaves out.
+
+    Args:
+        name, mesh, ... viscous: see :class:`ElasticBody`.
+        frame: :class:`MeanAxis` (default), :class:`Attached` or :class:`Chord`.
+        stiffening: True adds the geometric stiffness of the stress by inertia forces, held by the surface of an attached
+            frame; the name of a surface does the same in any frame, with that surface holding the body.
+    """
+
+    frame: MeanAxis | Attached | Chord = MeanAxis()
     stiffening: bool | str = False
 
     def __post_init__(self) -> None:
-        _check_elastic(self)
+        super().__post_init__()
         require(
             self.stiffening is not True or isinstance(self.frame, Attached),
             f'Body "{self.name}": stiffening=True needs a frame attached to the surface that holds the body: '
@@ -179,32 +250,11 @@ class FloatingBody:
             self.surface(self.frame.end)
 
     @property
-    def dim(self) -> int:
-        """Space dimension, from the mesh."""
-        return int(self.mesh.dim)
-
-    @property
     def held_at(self) -> str | None:
         """Name of the surface that holds the inertia forces which stiffen the body; None without stiffening."""
         if self.stiffening is True and isinstance(self.frame, Attached):
             return self.frame.surface
         return self.stiffening or None  # type: ignore[return-value]
-
-    def surface(self, name: str) -> Surface:
-        """The named surface of the mesh."""
-        return _surface(self, name)
-
-    def forms(self) -> ElasticForms:
-        """What the field needs to know."""
-        return _forms(self)
-
-    def start_twist(self) -> Array:
-        """Rigid velocity of the centre of mass and angular velocity at the start, (n_twist,)."""
-        return _rigid_start(self)
-
-    def with_(self, **changes: Any) -> FloatingBody:
-        """A copy with some arguments changed."""
-        return replace(self, **changes)
 
     def reduced(self, *, modes: int | None = None, frequency: float | None = None, basis: Any = None) -> Any:
         """This body by a few modes: by their number, up to a frequency (Hz), or with a basis of ``mechanics.reduction``.
@@ -217,115 +267,12 @@ class FloatingBody:
 
 
 @dataclass(frozen=True, eq=False)
-class AbsoluteBody:
-    """An elastic body in absolute coordinates: x = X + u, u in V_h; no floating frame.
+class AbsoluteBody(ElasticBody):
+    """An elastic body in absolute coordinates: x = X + u, u in V_h; no floating frame. Arguments of :class:`ElasticBody`.
 
     With ``elastic`` (linear, bilinear form) displacements and rotations must stay small; the matrix is factored once. With an
     ``energy`` they are of any size (total Lagrangian).
-
-    Args:
-        name: what messages and sensors call it.
-        mesh: from :func:`fmbd_fenicsx.read_gmsh`, in world coordinates of the stress-free state.
-        degree: of the Lagrange displacements.
-        density: kg/m^3 (in the plane: kg/m^2 of the sheet).
-        elastic: the elastic form a(u, v, dx) in UFL, symmetric and bilinear; or
-        energy: the elastic energy Pi(u, dx) in UFL, J, for instance from :mod:`fmbd_fenicsx.materials`. Either may be a
-            :class:`~fmbd_fenicsx.MixedEnergy` of displacement and pressure, for nu up to 1/2.
-        velocity, angular_velocity: of a rigid motion at the start (about the centre of mass), added to ``displacement_rate``.
-        displacement, displacement_rate: initial u(x), u'(x): functions of the coordinates (d, n) -> (d, n) in m, m/s.
-        mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
-        quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks for.
-        loads: of :mod:`fmbd_fenicsx.traces.loads`: tractions, pressure, body forces, thermal stress, own forms.
-        viscous: bilinear form (u, v, dx) of Kelvin-Voigt damping, acting on the rate of the local displacements (absolute
-            bodies with large rotations: give stiffness_damping instead, it turns with the body).
     """
-
-    name: str
-    mesh: Any
-    degree: int = 2
-    density: float = 1.0
-    elastic: Callable[[Any, Any, Any], Any] | None = None
-    energy: Callable[[Any, Any], Any] | None = None
-    velocity: Vector | None = None
-    angular_velocity: Any = None
-    displacement: Callable[[Array], Array] | None = None
-    displacement_rate: Callable[[Array], Array] | None = None
-    mass_damping: float = 0.0
-    stiffness_damping: float = 0.0
-    quadrature: int | None = None
-    loads: Sequence[Load] = ()
-    viscous: Callable[[Any, Any, Any], Any] | None = None
-
-    def __post_init__(self) -> None:
-        _check_elastic(self)
-
-    @property
-    def dim(self) -> int:
-        """Space dimension, from the mesh."""
-        return int(self.mesh.dim)
-
-    def surface(self, name: str) -> Surface:
-        """The named surface of the mesh."""
-        return _surface(self, name)
-
-    def forms(self) -> ElasticForms:
-        """What the field needs to know."""
-        return _forms(self)
-
-    def start_twist(self) -> Array:
-        """Rigid velocity of the centre of mass and angular velocity at the start, (n_twist,)."""
-        return _rigid_start(self)
-
-    def with_(self, **changes: Any) -> AbsoluteBody:
-        """A copy with some arguments changed."""
-        return replace(self, **changes)
-
-
-def _check_elastic(body: Any) -> None:
-    """Density, degree, damping, and one description of elasticity."""
-    n = body.name
-    require(
-        (body.elastic is None) != (body.energy is None),
-        f'Body "{n}": give either elastic(u, v, dx), a bilinear form, or energy(u, dx), in J.',
-    )
-    given = body.elastic if body.energy is None else body.energy
-    require(callable(given), f'Body "{n}": elastic must be a function (u, v, dx) -> UFL form, energy one of (u, dx).')
-    require(
-        bool(np.isfinite(body.density)) and body.density > 0,
-        f'Body "{n}": density {body.density} must be positive.',
-    )
-    require(body.degree in (1, 2, 3), f'Body "{n}": degree {body.degree} must be 1, 2 or 3.')
-    require(
-        body.mass_damping >= 0 and body.stiffness_damping >= 0,
-        f'Body "{n}": damping coefficients must not be negative.',
-    )
-
-
-def _surface(body: Any, name: str) -> Surface:
-    known = body.mesh.surface_names
-    if name not in known:
-        raise InputError(f'Body "{body.name}": no surface "{name}" in {body.mesh.label}. {near(name, known)}')
-    return Surface(body, name)
-
-
-def _forms(body: Any) -> ElasticForms:
-    return ElasticForms(
-        body.elastic,
-        body.density,
-        body.degree,
-        body.mass_damping,
-        body.stiffness_damping,
-        body.energy,
-        body.quadrature,
-        tuple(body.loads),
-        body.viscous,
-    )
-
-
-def _rigid_start(body: Any) -> Array:
-    inertia = 1.0 if body.dim == 2 else (1.0, 1.0, 1.0)
-    stand_in = RigidBody(body.name, 1.0, inertia, velocity=body.velocity, angular_velocity=body.angular_velocity)
-    return stand_in.start_twist()
 
 
 @dataclass(frozen=True, eq=False)
