@@ -15,10 +15,10 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, study
 
 TIGHT = fmbd.Newton(tolerance=1e-11, max_iterations=30)
-FORMS = [fmbd.Index3(), fmbd.Index2(), fmbd.GGL(), fmbd.Index1(), fmbd.Projected(fmbd.Index1()), fmbd.Baumgarte(5, 5),
-         fmbd.Overdetermined(), fmbd.StateSpace()]  # fmt: skip
-BASIC = FORMS[:4]
-EXPECTED = {2: {3: (3, 2, 1), 2: (3, 3, 2), 1: (3, 3, 3)}, 3: {3: (5, 3, 2), 2: (5, 5, 3), 1: (5, 5, 5)}}
+BASIC = [fmbd.Index3(), fmbd.Index2(), fmbd.GGL(), fmbd.Index1()]
+ALL = [*BASIC, fmbd.Projected(fmbd.Index1()), fmbd.Baumgarte(5, 5), fmbd.Overdetermined(), fmbd.StateSpace()]
+EXPECTED = {3: (3, 2, 1), 2: (3, 3, 2), 1: (3, 3, 3)}  # of q, v, lambda by Radau IIA(2), by the index
+SHOWN = {f"{n}, {f}" for n in ("Radau IIA(3)", "BDF") for f in ("Index3", "GGL", "StateSpace")} | {"half-explicit (4)"}
 
 
 def scene():
@@ -31,69 +31,42 @@ def scene():
         jacobian=lambda q, t: q[None], gamma=lambda q, v, t: np.array([v[0] ** 2 + v[1] ** 2]), vectorized=True,
     )  # fmt: skip
     made.add(body)
-    made.sensor("x", fmbd.coordinates(body))
     return made
 
 
-def constant(scheme):
-    """A run with constant steps as a function of the step."""
-    return lambda h: fmbd.solve(scene(), t_end=1.0, dt=h, scheme=scheme, newton=TIGHT)
+args = demo.arguments(__doc__, {"--markdown": ""})
+forms, quantities = (BASIC if args.fast else ALL), ["q", "v", "lam"]
+exact = fmbd.Radau(3, fmbd.StateSpace(), 1e-12)
+reference = fmbd.solve(scene(), t_end=1.0, scheme=exact, newton=fmbd.Newton(max_iterations=20))
 
+short, usual = {3: (40, 80, 160), 2: (20, 40, 80), 1: (8, 16, 32)}, (80, 160, 320)  # three stages: above roundoff
+cases = [(fmbd.Radau(2, f, None), short[3]) for f in forms]
+cases += [] if args.fast else [(fmbd.Radau(3, f, None), short[f.index]) for f in forms]
+cases += [(fmbd.BDF(k, f, None), usual) for k in (2, 3) for f in (BASIC[:3] if args.fast else ALL)]
+cases += [(fmbd.GeneralizedAlpha(0.8, form=f), usual) for f in (fmbd.Index3(), fmbd.GGL())]
+cases += [(s, usual) for s in (fmbd.Rattle(), fmbd.EnergyMomentum(), fmbd.HalfExplicit(None))]
+rows, checks = [["scheme", "form", "q", "v", "lambda"]], []
+for scheme, steps in cases:
+    solved = lambda h, s=scheme: fmbd.solve(scene(), t_end=1.0, dt=h, scheme=s, newton=TIGHT)
+    table = study.orders(solved, [1.0 / n for n in steps], reference=reference, names=quantities)
+    found, form = [table.order(n) for n in quantities], getattr(scheme, "form", None)
+    label = scheme.name.split(", ")[0].replace("rho_inf=0.8)", "0.8)").replace("(rho_inf=0.8", "(0.8)")
+    rows.append([label, "" if form is None else form.name, *(f"{x:.2f}" for x in found)])
+    if isinstance(scheme, fmbd.Radau) and scheme.stages == 2 and form in BASIC:
+        lost = max(e - f for e, f in zip(EXPECTED[form.index], found, strict=True))
+        checks.append(demo.Check(f"{label}, {form.name}: orders short by", max(lost, 0.0), 0.0, 0.15))
+demo.say(study.aligned(rows))
 
-def order_rows(reference, fast):
-    """Rows (scheme and form, orders of q, v, lambda) and checks against the known orders."""
-    rows, checks = [["scheme", "form", "q", "v", "lambda"]], []
-    steps = {3: (40, 80, 160), 2: (20, 40, 80), 1: (8, 16, 32)}  # three stages: above roundoff
-    cases = [(fmbd.Radau(2, f, None), steps[3]) for f in (BASIC if fast else FORMS)]
-    cases += [] if fast else [(fmbd.Radau(3, f, None), steps[f.index]) for f in FORMS]
-    cases += [(fmbd.BDF(k, f, None), (80, 160, 320)) for k in (2, 3) for f in (BASIC[:3] if fast else FORMS)]
-    cases += [(fmbd.GeneralizedAlpha(0.8, form=f), (80, 160, 320)) for f in (fmbd.Index3(), fmbd.GGL())]
-    cases += [(s, (80, 160, 320)) for s in (fmbd.Rattle(), fmbd.EnergyMomentum(), fmbd.HalfExplicit(None))]
-    for scheme, steps in cases:
-        table = study.orders(constant(scheme), [1.0 / n for n in steps], reference=reference, names=["q", "v", "lam"])
-        found = [table.order(n) for n in ("q", "v", "lam")]
-        form = getattr(scheme, "form", None)
-        label = scheme.name.split(", ")[0].replace("rho_inf=0.8)", "0.8)").replace("(rho_inf=0.8", "(0.8)")
-        rows.append([label, "" if form is None else form.name, *(f"{x:.2f}" for x in found)])
-        if isinstance(scheme, fmbd.Radau) and scheme.stages == 2 and form in BASIC:
-            short = max(e - f for e, f in zip(EXPECTED[2][form.index], found, strict=True))
-            checks.append(demo.Check(f"{label}, {form.name}: orders short by", max(short, 0.0), 0.0, 0.15))
-    return rows, checks
-
-
-def work(reference, fast):
-    """Error against work of the error-controlled schemes."""
-    tolerances = [1e-3, 1e-5] if fast else [1e-3, 1e-5, 1e-7, 1e-9]
-    makers = {f"Radau IIA(3), {f.name}": lambda r, f=f: fmbd.Radau(3, f, r) for f in (BASIC if fast else FORMS)}
-    makers |= {f"BDF, {f.name}": lambda r, f=f: fmbd.BDF(5, f, r) for f in (BASIC if fast else FORMS)}
-    makers["half-explicit (4)"] = lambda r: fmbd.HalfExplicit(r)
-    made = [
-        study.Configuration(n, lambda r, m=m: fmbd.solve(scene(), t_end=1.0, scheme=m(r)), tolerances)
-        for n, m in makers.items()
-    ]
-    return study.work_precision(made, reference=reference, names=["q", "v", "lam"], repeats=1 if fast else 3)
-
-
-def main():
-    """Both tables."""
-    args = demo.arguments(__doc__, {"--markdown": ""})
-    reference = fmbd.solve(
-        scene(), t_end=1.0, scheme=fmbd.Radau(3, fmbd.StateSpace(), 1e-12), newton=fmbd.Newton(max_iterations=20)
-    )
-    rows, checks = order_rows(reference, args.fast)
-    demo.say(study.aligned(rows))
-    done = work(reference, args.fast)
-    demo.say(done)
-    checks.append(demo.Check("failed runs", float(len(done.failures)), 0.0, 0.5))
-    if args.picture:
-        shown = {f"{n}, {f}" for n in ("Radau IIA(3)", "BDF") for f in ("Index3", "GGL", "StateSpace")} | {
-            "half-explicit (4)"
-        }
-        replace(done, points=tuple(p for p in done.points if p.label in shown)).figure(args.picture)
-    if args.markdown:
-        Path(args.markdown).write_text(study.markdown(rows) + "\n\n" + done.markdown() + "\n")
-    demo.finish(checks, None, args)
-
-
-if __name__ == "__main__":
-    main()
+makers = {f"Radau IIA(3), {f.name}": lambda r, f=f: fmbd.Radau(3, f, r) for f in forms}
+makers |= {f"BDF, {f.name}": lambda r, f=f: fmbd.BDF(5, f, r) for f in forms} | {"half-explicit (4)": fmbd.HalfExplicit}
+runs = {n: lambda r, m=m: fmbd.solve(scene(), t_end=1.0, scheme=m(r)) for n, m in makers.items()}
+tolerances = [1e-3, 1e-5] if args.fast else [1e-3, 1e-5, 1e-7, 1e-9]
+lines = [study.Configuration(name, run, tolerances) for name, run in runs.items()]
+done = study.work_precision(lines, reference=reference, names=quantities, repeats=1 if args.fast else 3)
+demo.say(done)
+checks.append(demo.Check("failed runs", len(done.failures), 0.0, 0.5))
+if args.picture:
+    replace(done, points=tuple(p for p in done.points if p.label in SHOWN)).figure(args.picture)
+if args.markdown:
+    Path(args.markdown).write_text(study.markdown(rows) + "\n\n" + done.markdown() + "\n")
+demo.finish(checks, None, args)

@@ -109,15 +109,18 @@ def _history(axes: Any, run: Run, name: str, known: Known | None = None) -> None
 
 
 def _legend(axes: Any) -> None:
-    """A legend above the axes, or beside them when it is long: never on a curve."""
-    labels = axes.get_legend_handles_labels()[1]
+    """A legend above the axes, or beside them when it is long: never on a curve; each label once."""
+    named = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    labels = list(named)
     if len(labels) > 9:
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        axes.legend(named.values(), labels, loc="center left", bbox_to_anchor=(1.0, 0.5))
         return
     room = axes.get_position().width * axes.figure.get_figwidth()  # inches
     columns = int(room / (0.5 + 0.07 * max(len(label) for label in labels)))
     above = 1.0 if not axes.get_title() else 1.0 + 0.3 / (axes.get_position().height * axes.figure.get_figheight())
     axes.legend(
+        named.values(),
+        labels,
         loc="lower left",
         bbox_to_anchor=(0.0, above),
         ncols=min(max(columns, 1), len(labels)),
@@ -288,5 +291,5 @@ def plot_work_precision(study: Comparison, file: str | Path, work: str) -> None:
             axes.set_xlabel("time in steps (s)" if work == "seconds" else work.replace("_", " "))
             unit = f" ({study.units[name]})" if name in study.units else ""
             axes.set_ylabel(f"largest error of {name}{unit}")
-        _legend(axes)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2 * len(names))
         figure.savefig(file, dpi=200)

@@ -12,6 +12,7 @@ Lazarov, Pasciak and Vassilevski (space, doi:10.1137/S0036142900367065).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -21,7 +22,7 @@ import scipy.sparse as sp
 
 from ..errors import InputError
 from ..rotations import Array
-from .traces import Trace, reference_mass, scatter
+from .traces import Trace, quadrature, reference_mass, scatter, shape_functions
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +71,14 @@ class Multipliers:
         """Facet-wise nodal values of mu, (n, ...) -> (n_f, k_p, ...)."""
         flat = self.basis.T @ values.reshape(self.n, -1)
         return np.asarray(flat).reshape(len(self.trace.nodes), -1, *values.shape[1:])
+
+    def error(self, values: Array, exact: Callable[[Array], Array], degree: int = 8) -> float:
+        """L2 norm of the multiplier with values (n, c) minus a function of points (n, d) -> (n, c)."""
+        t = self.trace
+        q, w = quadrature(t.dim - 1, degree)
+        found = np.einsum("qa,fac->fqc", shape_functions(t.dim - 1, self.degree, q), self.coefficients(values))
+        off = found - np.asarray(exact(t.place(q).reshape(-1, t.dim))).reshape(found.shape)
+        return float(np.sqrt(np.einsum("f,q,fqc->", t.sizes, w, off**2)))
 
     def without(self, rows: np.ndarray) -> Multipliers:
         """The space without some of its functions."""

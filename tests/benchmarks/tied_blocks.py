@@ -4,7 +4,7 @@ Run:  ./with-dolfinx python3 tests/benchmarks/tied_blocks.py [--skfem PYTHON] [-
 
 PYTHON are interpreters that have the peers (also: the variables SKFEM_PYTHON, GETFEM_PYTHON), say
     python3 -m venv peers && peers/bin/pip install scikit-fem; Debian's python3-getfem
-The smooth solution of ``demos/mortar_blocks.py``, meshes of 7 n and 5 n cells. All outer faces are held: by multipliers here,
+The smooth solution of ``demos/blocks_model.py``, meshes of 7 n and 5 n cells. All outer faces are held: by multipliers here,
 eliminated there. CPU seconds from the mesh to the solution, the median of three, forms compiled before. One thread.
 """
 
@@ -41,7 +41,7 @@ def write_meshes(n, file):
 
 def ours(degree, meshes):
     """Errors of u in L2 and H1, CPU seconds."""
-    from mortar_blocks import BEND, Problem
+    from blocks_model import BEND, Problem
 
     seconds = []
     for _ in range(4):
