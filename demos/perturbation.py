@@ -17,13 +17,14 @@ import numpy as np
 from mpi4py import MPI
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx import demo
+from fmbd_fenicsx import demo, plot
+from fmbd_fenicsx.faces.demo import Check
 from fmbd_fenicsx.traces.fields import ElasticForms, Field
 from fmbd_fenicsx.traces.traces import trace_of
 
 DELTA, CELLS = 1e-3, 4  # m, m/s or m/s^2
-LOW, HIGH = 2 * np.pi * np.array([0.005, 0.01, 0.02]), 2 * np.pi * np.array([50.0, 100.0, 200.0])
-NAMES = ("displacement", "velocity", "clamp force")
+RANGES = {"below": 2 * np.pi * np.array([0.005, 0.01, 0.02]), "above": 2 * np.pi * np.array([50.0, 100.0, 200.0])}
+FORMS, NAMES = {3: fmbd.Index3, 2: fmbd.Index2, 1: fmbd.Index1}, ("displacement", "velocity", "clamp force")
 
 
 class Perturbed:
@@ -34,14 +35,6 @@ class Perturbed:
         r = np.minimum(t * self.omega / (2 * np.pi), 1.0)
         on = r**4 * (35 - 84 * r + 70 * r**2 - 20 * r**3)
         return super().rows(ev, a) - DELTA * on * np.sin(self.omega * t) * self.shape
-
-
-FORMS = {3: fmbd.Index3, 2: fmbd.Index2, 1: fmbd.Index1}
-
-
-def perturbed(index, omega, shape):
-    """The form of an index with the error in its equations."""
-    return type(f"Perturbed{index}", (Perturbed, FORMS[index]), {"omega": omega, "shape": shape})()
 
 
 def block():
@@ -59,14 +52,13 @@ def response(index, omega, M, K, B, d):
     body = fmbd.CoordinateBody("block", M, lambda q, v, t: -K @ q, np.zeros(len(M)),
                                constraint=lambda q, t: B @ q, jacobian=lambda q, t: B,
                                gamma=lambda q, v, t: np.zeros(len(B)))  # fmt: skip
-    scene = fmbd.Scene("perturbed clamp")
+    scene, period = fmbd.Scene("perturbed clamp"), 2 * np.pi / omega
     scene.add(body)
     scene.sensor("u", fmbd.coordinates(body))
     scene.sensor("v", fmbd.coordinates(body, level=1))
-    period = 2 * np.pi / omega
-    scheme = fmbd.Radau(3, perturbed(index, omega, d), rtol=None)
+    form = type(f"Perturbed{index}", (Perturbed, FORMS[index]), {"omega": omega, "shape": d})()
     end = 3.5 if index == 2 else 3.25  # of the clamp force's extremes, sin or cos
-    run = fmbd.solve(scene, t_end=end * period, dt=period / 40, scheme=scheme)
+    run = fmbd.solve(scene, t_end=end * period, dt=period / 40, scheme=fmbd.Radau(3, form, rtol=None))
     late, m = run.times > 1.5 * period, M.sum() / 2
     rms = lambda x: np.sqrt(np.einsum("ti,ij,tj->t", x, M, x) / m)[late].max()
     return rms(run["u"]), rms(run["v"]), abs(d @ run.state.lam)
@@ -80,40 +72,31 @@ def harmonic(omega, M, K, B, d):
     return u, omega * u, abs(d @ x[len(M) :])
 
 
-if __name__ == "__main__":
-    args = demo.arguments(__doc__)
-    model = M, K, B, d = block()
-    weight = {"below": M.sum() / 2, "above": d @ np.linalg.solve(B @ np.linalg.solve(M, B.T), d)}
-    checks, found = [], {}
-    for where, omegas in (("below", LOW), ("above", HIGH)):
-        omegas = omegas[-2:] if args.fast else omegas
-        for index in FORMS:
-            table = found[where, index] = np.array([response(index, w, *model) for w in omegas])
-            growth = np.polyfit(np.log(omegas), np.log(table), 1)[0]
-            demo.say(
-                f"{where} the eigenfrequencies, index {index}: powers of omega of {', '.join(NAMES)}: {growth.round(3)}"
-            )
-            for k, name in enumerate(NAMES):
-                checks.append(
-                    demo.Check(f"index {index}, {where}: power of omega, {name}", growth[k], k + index - 3, 0.05)
-                )
-            force = table[:, 2] / (weight[where] * DELTA * omegas ** (index - 1))
-            checks.append(demo.Check(f"index {index}, {where}: clamp force over inertia", force[-1], 1.0, 0.05))
-    if args.picture is not None and MPI.COMM_WORLD.rank == 0:
-        import matplotlib.pyplot as plt
-
-        _, axes = plt.subplots(1, 3, figsize=(11, 3.8), layout="constrained")
-        w = np.geomspace(LOW[0] / 2, HIGH[-1] * 2, 400)
-        curve = np.array([harmonic(x, *model) for x in w])
-        for k, (axis, name) in enumerate(
-            zip(axes, ("displacement, m", "velocity, m/s", "clamp force, N"), strict=True)
-        ):
-            for j, index in enumerate(FORMS):
-                axis.loglog(w, curve[:, k] * w ** (index - 3.0), f"C{j}-", lw=1, label=f"index {index}")
-                for where, omegas in (("below", LOW), ("above", HIGH)):
-                    axis.loglog(omegas[-len(found[where, index]) :], found[where, index][:, k], f"C{j}o", ms=4)
-            axis.set(xlabel="omega, rad/s", title=name)
-            axis.grid(alpha=0.3)
-        axes[0].legend(title="lines: steady state\ndots: time integration", fontsize=8, title_fontsize=8)
-        plt.savefig(args.picture, dpi=110)
-    demo.finish(checks, None, args)
+args = demo.arguments(__doc__)
+model = M, K, B, d = block()
+weight = {"below": M.sum() / 2, "above": d @ np.linalg.solve(B @ np.linalg.solve(M, B.T), d)}
+checks, found = [], []
+for where, all_omegas in RANGES.items():
+    omegas = all_omegas[-2:] if args.fast else all_omegas
+    for index in FORMS:
+        table = np.array([response(index, w, *model) for w in omegas])
+        found.append((index, omegas, table))
+        growth = np.polyfit(np.log(omegas), np.log(table), 1)[0]
+        demo.say(
+            f"{where} the eigenfrequencies, index {index}: powers of omega of {', '.join(NAMES)}: {growth.round(3)}"
+        )
+        for k, name in enumerate(NAMES):
+            checks.append(Check(f"index {index}, {where}: power of omega, {name}", growth[k], k + index - 3, 0.05))
+        force = table[-1, 2] / (weight[where] * DELTA * omegas[-1] ** (index - 1))
+        checks.append(Check(f"index {index}, {where}: clamp force over inertia", force, 1.0, 0.05))
+if args.picture:
+    w = np.geomspace(RANGES["below"][0] / 2, RANGES["above"][-1] * 2, 400)
+    curves = np.array([harmonic(x, *model) for x in w])
+    with plot.figure(args.picture, 1, 3, size=(12.0, 4.0)) as panels:
+        for k, axes in enumerate(panels):
+            for index in FORMS:
+                axes.loglog(w, curves[:, k] * w ** (index - 3.0), f"C{index}-", lw=0.8, label=f"index {index}")
+            for index, omegas, table in found:
+                axes.loglog(omegas, table[:, k], f"C{index}o", ms=4)
+            axes.set(xlabel="omega (rad/s); dots: runs", ylabel=f"{NAMES[k]} ({('m', 'm/s', 'N')[k]})")
+demo.finish(checks, None, args)

@@ -13,7 +13,8 @@ space (Chapelle and Bathe, doi:10.1016/0045-7949(93)90340-J): it must not fall w
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx import demo
+from fmbd_fenicsx import demo, plot, study
+from fmbd_fenicsx.faces.demo import Check
 from fmbd_fenicsx.linear.presets import Direct
 from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, hold
 from fmbd_fenicsx.traces.fields import ElasticForms, Field
@@ -34,25 +35,8 @@ def square(n):
     return fmbd.read_gmsh("meshes/block.py", cells=n)
 
 
-def table(sizes):
-    """Lines of the table, and a check of each constant at n = 8."""
-    meshes = {n: square(n) for n in {*sizes, *(min(4 * n, 64) for n in sizes)}}
-    checks = []
-    demo.say("V / multipliers                     neighbours free" + " " * 10 * (len(sizes) - 1) + "neighbours clamped")
-    for degree, space, free, clamped in SPACES:
-        found = {c: [infsup((meshes[n], "bottom"), space, degree=degree, clamped=c, reference=(meshes[min(4 * n, 64)], 2))
-                     for n in sizes]
-                 for c in ((), SIDES)}  # fmt: skip
-        line = "   ".join(" ".join(f"{r.constant:.3f} ({r.zero_modes})" for r in found[c]) for c in found)
-        demo.say(f"{found[()][0].name:<34}  {line}")
-        for c, wanted in (((), free), (SIDES, clamped)):
-            where = "clamped" if c else "free"
-            checks.append(demo.Check(f"{found[c][1].name}, {where}", found[c][1].constant, wanted, 2e-3))
-    return checks
-
-
 def clamped_plate(n):
-    """Trace of the clamp, multiplier values, total clamp force; load 0.1 N/m downwards on the right face."""
+    """Multiplier space on the clamp, its values; load 0.1 N/m downwards on the right face."""
     plate = Field("plate", square(n), ElasticForms(fmbd.materials.linear_elastic(1.0, 0.3), 1.0, 2))
     mu, face = P1.on(trace_of(plate.space, plate.mesh, "left")), trace_of(plate.space, plate.mesh, "right")
     load, mine = np.zeros((plate.n, 2)), face.owned >= 0
@@ -60,28 +44,31 @@ def clamped_plate(n):
     system = SaddlePoint([Elastic(plate)], [hold("clamp", 0, mu)])
     solver = Direct().solver(system)
     lam = -solver.solve([load.ravel()], [np.zeros(2 * mu.n)]).multipliers[0].reshape(-1, 2)  # force on the plate
-    force = np.asarray(mu.coupling().sum(axis=1)).T @ lam
     solver.destroy(), system.destroy(), plate.destroy()
-    return mu, lam, force[0]
+    return mu, lam
 
 
-if __name__ == "__main__":
-    args = demo.arguments(__doc__)
-    checks = table((4, 8) if args.fast else (4, 8, 16, 32))
-    mu, lam, force = clamped_plate(16)
-    checks += [
-        demo.Check("clamp force, x", force[0], 0.0, 1e-12),
-        demo.Check("clamp force, y", force[1], 0.1, 1e-12),
-    ]
-    if args.picture is not None and mu.trace.comm.rank == 0:
-        import matplotlib.pyplot as plt
-
-        values = mu.coefficients(lam)
+args = demo.arguments(__doc__)
+sizes = (4, 8) if args.fast else (4, 8, 16, 32)
+meshes = {n: square(n) for n in {*sizes, *(min(4 * n, 64) for n in sizes)}}
+rows, checks = [["V / multipliers", *(f"{where}, n = {n}" for where in ("free", "clamped") for n in sizes)]], []
+for degree, space, *wanted in SPACES:
+    line = []
+    for clamped, where, value in zip(((), SIDES), ("free", "clamped"), wanted, strict=True):
+        fine = lambda n: (meshes[min(4 * n, 64)], 2)
+        found = [infsup((meshes[n], "bottom"), space, degree=degree, clamped=clamped, reference=fine(n)) for n in sizes]
+        line += [f"{r.constant:.3f} ({r.zero_modes})" for r in found]
+        checks.append(Check(f"{found[1].name}, {where}", found[1].constant, value, 2e-3))
+    rows.append([found[0].name, *line])
+demo.say(study.aligned(rows))
+mu, lam = clamped_plate(16)
+force = (np.asarray(mu.coupling().sum(axis=1)).T @ lam)[0]
+checks += [Check("clamp force, x", force[0], 0.0, 1e-12), Check("clamp force, y", force[1], 0.1, 1e-12)]
+if args.picture:
+    y, traction = mu.trace.corners[:, :, 1], mu.coefficients(lam)
+    with plot.figure(args.picture) as axes:
         for k, name in enumerate(("normal", "shear")):
-            y = mu.trace.corners[:, :, 1]
-            for f in range(len(y)):
-                plt.plot(y[f], values[f, :, k], f"C{k}-", label=name if f == 0 else None)
-        plt.title("P1 multipliers beside P2, 16 cells; the plate's corners are singular points", fontsize=10)
-        plt.xlabel("y, m"), plt.ylabel("traction on the clamp, Pa"), plt.legend(), plt.grid(alpha=0.3)
-        plt.savefig(args.picture, dpi=110)
-    demo.finish(checks, None, args)
+            axes.plot(y.T, traction[:, :, k].T, f"C{k}.-", label=name)
+        axes.axhline(0.1, **plot.REFERENCE, label="mean shear, by equilibrium")
+        axes.set(xlabel="y (m); the corners are singular points", ylabel="traction on the clamp (Pa)")
+demo.finish(checks, None, args)
