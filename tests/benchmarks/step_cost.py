@@ -5,9 +5,10 @@ Run:  ./with-dolfinx python3 tests/benchmarks/step_cost.py               (10^5 u
 two minutes)
       ./with-dolfinx python3 tests/benchmarks/step_cost.py --unknowns 20000
 
-Time: the median of the steps of an elastic pendulum over the median of one back-solve with the same factor,
-both in one process. Memory: peak resident size of a process that makes the whole run over that of one that reads the
-mesh, assembles E = M + s K with DOLFINx, factors it and solves once. Exit code 1 when a bound is missed.
+Time: the median of the steps of an elastic pendulum over the median of one back-solve with the same factor, both CPU
+time of one process; under gravity that grows within half a second, and under gravity that is there at once. Memory: peak
+resident size of a process that makes the whole run over that of one that reads the mesh, assembles E = M + s K with
+DOLFINx, factors it and solves once. Exit code 1 when a bound is missed.
 """
 
 from __future__ import annotations
@@ -70,8 +71,8 @@ def bare(unknowns: int) -> dict[str, float]:
     return {"peak": peak(), "unknowns": float(E.size[0])}
 
 
-def whole(unknowns: int) -> dict[str, float]:
-    """A run of 30 steps; medians of a step and of a back-solve."""
+def whole(unknowns: int, ramp: float = 0.5) -> dict[str, float]:
+    """A run of 30 steps with gravity growing within ``ramp`` (s); medians of a step and of a back-solve."""
     import numpy as np
 
     import fmbd_fenicsx as fmbd
@@ -80,7 +81,7 @@ def whole(unknowns: int) -> dict[str, float]:
 
     elastic = fmbd.materials.linear_elastic(5e6, 0.3)
     rod = fmbd.FloatingBody("rod", mesh_of(unknowns), density=1000.0, elastic=elastic)
-    scene = fmbd.Scene("cost", gravity=(0, -9.81, 0), gravity_ramp=0.5)
+    scene = fmbd.Scene("cost", gravity=(0, -9.81, 0), gravity_ramp=ramp)
     scene.add(rod, fmbd.revolute("pin", rod.surface("pin"), fmbd.ground, center=(0, 0, 0)))
     system, state, _ = scene.build()
     built = peak()
@@ -94,12 +95,12 @@ def whole(unknowns: int) -> dict[str, float]:
     x, b = factor.createVecs()
     b.array[:] = np.random.default_rng(0).standard_normal(b.local_size)
     for _ in range(30):
-        begin = time.perf_counter()
+        begin = time.process_time()
         stepper.advance(STEP)
-        steps.append(time.perf_counter() - begin)
-        begin = time.perf_counter()
+        steps.append(time.process_time() - begin)
+        begin = time.process_time()
         factor.solve(b, x)
-        backs.append(time.perf_counter() - begin)
+        backs.append(time.process_time() - begin)
     return {
         "peak": peak(),
         "peak_built": built,
@@ -126,25 +127,27 @@ def main() -> int:
     """Measure, print and judge."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--unknowns", type=int, default=100_000)
-    parser.add_argument("--measure", choices=["bare", "whole"], help=argparse.SUPPRESS)
+    parser.add_argument("--measure", choices=["bare", "whole", "sudden"], help=argparse.SUPPRESS)
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     args = parser.parse_args()
     if args.measure:
-        print(json.dumps(bare(args.unknowns) if args.measure == "bare" else whole(args.unknowns)))
+        made = bare(args.unknowns) if args.measure == "bare" else whole(args.unknowns, 0.5 * (args.measure == "whole"))
+        print(json.dumps(made))
         return 0
-    factor, run = child("bare", args.unknowns), child("whole", args.unknowns)
-    ratio, memory = run["step"] / run["back_solve"], run["peak"] / factor["peak"]
+    factor, run, sudden = (child(what, args.unknowns) for what in ("bare", "whole", "sudden"))
+    ratios, memory = [r["step"] / r["back_solve"] for r in (run, sudden)], run["peak"] / factor["peak"]
     print(f"unknowns            {factor['unknowns']:12.0f}")
-    print(f"back-solve          {1e3 * run['back_solve']:12.1f} ms")
-    print(f"step                {1e3 * run['step']:12.1f} ms")
-    print(f"  Newton iterations {run['iterations']:12.2f}   back-solves {run['back_solves']:.2f}")
-    print(f"  in back-solves    {ratio:12.2f}   (at most {TIME_BOUND})")
+    for how, r, ratio in zip(("gravity grows", "gravity at once"), (run, sudden), ratios, strict=True):
+        print(f"{how:20}{1e3 * r['step']:12.1f} ms a step, {1e3 * r['back_solve']:.1f} ms a back-solve")
+        print(f"  Newton iterations {r['iterations']:12.2f}   back-solves {r['back_solves']:.2f}")
+        print(f"  in back-solves    {ratio:12.2f}   (at most {TIME_BOUND})")
     print(f"peak of the factor  {factor['peak']:12.0f} MB")
     print(f"peak of the run     {run['peak']:12.0f} MB (before the factorisation {run['peak_built']:.0f} MB)")
     print(f"  ratio             {memory:12.2f}   (at most {MEMORY_BOUND})")
-    ok = ratio <= TIME_BOUND and memory <= MEMORY_BOUND
+    ok = max(ratios) <= TIME_BOUND and memory <= MEMORY_BOUND
     if args.json:
-        args.json.write_text(json.dumps({"factor": factor, "run": run, "time": ratio, "memory": memory, "ok": ok}))
+        found = {"factor": factor, "run": run, "sudden": sudden, "time": ratios, "memory": memory, "ok": ok}
+        args.json.write_text(json.dumps(found))
     return 0 if ok else 1
 
 
