@@ -1,17 +1,19 @@
-"""Coulomb friction in small dense problems: semismooth Newton, proximal points, pivoting.
+"""Coulomb friction on contact points: semismooth Newton with a line search, proximal points, pivoting.
 
     0 <= L  _|_  q + W L >= 0   in normal directions                                                        (1)
     tau in disk of radius mu L,  tau = projection(tau - c s),  s = q_t + W_t (L, tau)                       (2)
-    x_k+1 solves (1), (2) with W + rho D and q - rho D x_k,  D = diag W                                     (3)
+    x_k+1 solves (1), (2) with W + rho_k / c and q - rho_k x_k / c                                          (3)
 
-(2) is Alart and Curnier's function (doi:10.1016/0045-7825(91)90022-X). Contacts that depend on each other (a plate on
-four corners) make W singular; the proximal points (3) choose one of the force distributions, near the start, and
-converge in a few steps since rho is small (Rockafellar, doi:10.1137/0314056).
+(2) is Alart and Curnier's function (doi:10.1016/0045-7825(91)90022-X), solved to 1e-12 of the largest force. Contacts that
+depend on each other (a plate on four corners) make W singular; the proximal points (3) choose one of the force
+distributions, near the start (Rockafellar, doi:10.1137/0314056). rho falls with every point found, so that slips much slower
+than the impact, which move the forces by s / rho, are found too; a larger c on slips makes their direction visible to (2).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,8 +21,11 @@ from ..errors import ConvergenceError
 from ..rotations import Array
 from .complementarity import ContactCounts, solve_least
 
-PROXIMAL = (0.0, 1e-8, 1e-6, 1e-4, 1e-10)  # rho of (3), tried in turn
-ACCEPTED = 1e-6  # residual where all attempts miss 1e-12: the direction of a slip much slower than the impact is lost
+ATTEMPTS = ((1.0, 0, 0.0), (1.0, 0, 1e-4), (1e3, 16, 1e-4), (3e3, 64, 1e-4), (1e4, 16, 1e-4), (1.0, 64, 1e-4))
+"""Tried in turn: factor of c on slips; facets of the pyramid whose pivoting gives the start (0: the forces given); rho_0."""
+FOUND = 1e-12  # residual of a solution, of the largest force
+ACCEPTED = 1e-10  # the same where roundoff in W (an elastic step of many wave transits) allows no better
+SHORTEST = 1e-2  # share of a Newton step below which the line search takes it
 
 
 def solve_friction(W: Array, q: Array, mu: Array, start: Array, counts: ContactCounts) -> Array:
@@ -37,22 +42,22 @@ def solve_friction(W: Array, q: Array, mu: Array, start: Array, counts: ContactC
     m, d = q.shape
     c = np.stack([1.0 / np.maximum(np.diag(W)[k::d], 1e-300) for k in range(d)], axis=1)
     c[:, 1:] = c[:, 1:].min(axis=1)[:, None]
-    problem = _Coulomb(W, q, mu, c)
+    return solved(Coulomb(W, q, mu, c), start, counts)
+
+
+def solved(problem: Coulomb, start: Array, counts: ContactCounts) -> Array:
+    """As :func:`solve_friction`, for a problem that may know W by its products only."""
     best: tuple[float, Array] = (np.inf, start)
-    for first in (lambda: start, lambda: _pivoted(problem, 16), lambda: _pivoted(problem, 64)):
-        x0 = first()
-        for rho in PROXIMAL:
-            x, size, iterations = _proximal_points(problem, x0, rho)
-            counts.iterations += iterations
-            best = min(best, (size, x), key=lambda found: found[0])
-            if size <= 1e-12:
-                break
-            counts.cycles += 1
-        if best[0] <= 1e-12:
+    counts.solves += 1
+    for slips, facets, rho in problem.attempts:
+        x0 = _pivoted(problem, facets) if facets else start
+        size, x = _proximal_points(problem, x0, (rho, slips), counts)
+        best = min(best, (size, x), key=lambda found: found[0])
+        if size <= FOUND:
             break
+        counts.cycles += 1
     size, x = best
     if size <= ACCEPTED:
-        counts.most, counts.solves = max(counts.most, iterations), counts.solves + 1
         counts.residual = max(counts.residual, size)
         return x
     raise ConvergenceError(
@@ -62,7 +67,7 @@ def solve_friction(W: Array, q: Array, mu: Array, start: Array, counts: ContactC
     )
 
 
-def _pivoted(problem: _Coulomb, facets: int) -> Array:
+def _pivoted(problem: Coulomb, facets: int) -> Array:
     """Forces (m, d) by Lemke's pivoting with the cone of (2) as a pyramid (in the plane: as it is).
 
     Stewart and Trinkle, doi:10.1002/(SICI)1097-0207(19960815)39:15<2673::AID-NME972>3.0.CO;2-I. It finds a solution
@@ -130,57 +135,100 @@ def _lexicographic(A: Array, enter: int, rows: np.ndarray, basis: np.ndarray) ->
 
 
 @dataclass(frozen=True)
-class _Coulomb:
-    """Data of (1), (2): W (m d, m d), q (m, d), mu (m,), and c (m, d), which makes gaps and forces comparable."""
+class Iterate:
+    """(1), (2) at forces x with gaps and slips u: the function F, its derivatives dx, du (m, d, d), and whether each point
+    is open (0), sticks (1) or slips (2)."""
 
-    W: Array
+    x: Array
+    u: Array
+    F: Array
+    dx: Array
+    du: Array
+    state: np.ndarray
+
+
+@dataclass(frozen=True)
+class Coulomb:
+    """Data of (1), (2): W (m d, m d), q (m, d), mu (m,), c (m, d), which makes gaps and forces comparable, and the
+    ``shift`` (m, d) of W by (3)."""
+
+    W: Any
     q: Array
     mu: Array
     c: Array
+    shift: Array | float = 0.0
+    attempts: ClassVar[tuple[tuple[float, int, float], ...]] = ATTEMPTS
+    enough: ClassVar[float] = 1e-13  # residual at which Newton's iteration stops
 
-    def residual(self, x: Array) -> tuple[Array, Array, Array]:
-        """Alart and Curnier's function at forces x and its derivatives."""
-        return _alart_curnier(x, self.q + (self.W @ x.ravel()).reshape(x.shape), self.c, self.mu)
+    def gap(self, x: Array) -> Array:
+        """Gaps and slips under forces x."""
+        return np.asarray(self.q + (self.W @ x.ravel()).reshape(x.shape) + self.shift * x)
+
+    def at(self, x: Array, u: Array) -> Iterate:
+        """Alart and Curnier's function."""
+        return Iterate(x, u, *_alart_curnier(x, u, self.c, self.mu))
 
     def size(self, F: Array, x: Array) -> float:
         """Largest residual over the largest force."""
-        free = np.abs(self.c * self.q).max(initial=0.0)
+        free = np.abs(self.c[:, :1] * self.q).max(initial=0.0)
         scale = free + min(np.abs(x).max(initial=0.0), 1e3 * free)  # large forces that cancel each other do not count
         return float(np.abs(F).max(initial=0.0) / max(scale, 1e-300))
 
+    def step(self, it: Iterate) -> Array:
+        """Newton's step of the forces."""
+        W = self.W + np.diag(np.broadcast_to(self.shift, it.x.shape).ravel())
+        return solve_least(_blocks(it.dx) + _blocks(it.du) @ W, -it.F.ravel()).reshape(it.x.shape)
 
-def _proximal_points(problem: _Coulomb, x: Array, rho: float) -> tuple[Array, float, int]:
-    """Forces, their residual in the original problem, and Newton iterations, by (3) from x."""
-    m, d = x.shape
-    D = rho * np.repeat(np.diag(problem.W).reshape(m, d).mean(axis=1), d)
-    total = 0
-    for _ in range(10 if rho else 1):
-        near = problem
-        if rho:
-            near = replace(problem, W=problem.W + np.diag(D), q=problem.q - (D * x.ravel()).reshape(m, d))
-        x, iterations = _newton(near, x)
-        total += iterations
-        size = problem.size(problem.residual(x)[0], x)
-        if size <= 1e-12 or not np.isfinite(size):
+
+def _proximal_points(
+    problem: Coulomb, x: Array, choice: tuple[float, float], counts: ContactCounts
+) -> tuple[float, Array]:
+    """Residual in the original problem, and forces, by (3) from x; ``choice``: rho_0 and the factor of c on slips."""
+    rho, slips = choice
+    sharp = replace(problem, c=problem.c * np.r_[1.0, np.full(x.shape[1] - 1, slips)])
+    best, restart, before = (np.inf, x), rho, counts.iterations
+    for _ in range(40 if rho else 1):
+        D = rho / problem.c
+        near = replace(sharp, q=problem.q - D * x, shift=D) if rho else sharp
+        x, found = _newton(near, x, counts)
+        size = problem.size(problem.at(x, problem.gap(x)).F, x)
+        best = min(best, (size, x), key=lambda pair: pair[0])
+        if size <= FOUND or not np.isfinite(size):
             break
-    return x, size, total
+        rho = 0.1 * rho if found else 10.0 * rho
+        rho = restart if rho > 1.0 else rho
+    counts.most = max(counts.most, counts.iterations - before)
+    return best
 
 
-def _newton(problem: _Coulomb, x: Array) -> tuple[Array, int]:
-    """Semismooth Newton from x, until the residual is small or does not fall; forces and iterations."""
-    best = np.inf
+def _newton(problem: Coulomb, x: Array, counts: ContactCounts) -> tuple[Array, bool]:
+    """Semismooth Newton from x, until the residual is small or does not fall; forces, and whether it is small."""
+    best, it = np.inf, problem.at(x, problem.gap(x))
     for k in range(40):
-        F, dx, du = problem.residual(x)
-        size = problem.size(F, x)
-        if size <= 1e-13 or not np.isfinite(size) or (k > 8 and size > 0.5 * best):
-            return x, k
+        size = problem.size(it.F, it.x)
+        if size <= problem.enough or not np.isfinite(size) or (k > 8 and size > 0.5 * best):
+            break
         best = min(best, size)
-        x = x + solve_least(_blocks(dx) + _blocks(du) @ problem.W, -F.ravel()).reshape(x.shape)
-    return x, 40
+        new = _searched(problem, it)
+        counts.iterations += 1
+        counts.changes += int((new.state != it.state).sum())
+        it = new
+    return it.x, problem.size(it.F, it.x) <= FOUND
 
 
-def _alart_curnier(x: Array, u: Array, c: Array, mu: Array) -> tuple[Array, Array, Array]:
-    """F(x, u) of (1), (2) and its derivatives (m, d, d) with respect to x and u."""
+def _searched(problem: Coulomb, it: Iterate) -> Iterate:
+    """The iterate after a Newton step, halved while the function does not fall."""
+    s, norm, share = problem.step(it), np.linalg.norm(it.F), 1.0
+    full = problem.gap(it.x + s)
+    while True:
+        new = problem.at(it.x + share * s, it.u + share * (full - it.u))
+        if np.linalg.norm(new.F) <= (1.0 - 1e-4 * share) * norm or share < SHORTEST:
+            return new
+        share *= 0.5
+
+
+def _alart_curnier(x: Array, u: Array, c: Array, mu: Array) -> tuple[Array, Array, Array, np.ndarray]:
+    """F(x, u) of (1), (2), its derivatives (m, d, d) with respect to x and u, and the states of :class:`Iterate`."""
     m, d = x.shape
     F, dx, du = np.zeros((m, d)), np.zeros((m, d, d)), np.zeros((m, d, d))
     trial = x[:, 0] - c[:, 0] * u[:, 0]
@@ -207,7 +255,7 @@ def _alart_curnier(x: Array, u: Array, c: Array, mu: Array) -> tuple[Array, Arra
             P = (radius[s] / size[s])[:, None, None] * (np.eye(2) - e[:, :, None] * e[:, None, :])
             dx[s, 1:, 1:] -= P
             du[s, 1:, 1:] += ct[s, None, None] * P
-    return F, dx, du
+    return F, dx, du, on + slip.astype(int)
 
 
 def _blocks(B: Array) -> Array:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..mechanics.contact_rows import ContactSet, Linear, Rows
+from ..mechanics.contact_rows import ContactSet, Linear
 from ..rotations import Array
 from ..system.memory import Memory
 from .delassus_applied import MANY, Applied, SlaveBlocks
@@ -42,11 +42,13 @@ class Compliance:
         self._together = m("together", self._together)
         self.columns, self.blocks.products = m("solved", (self.columns, self.blocks.products))
 
-    def normal(self, rows: Rows, scale: float) -> Any:
-        """s W for the normal rows: a matrix, or an :class:`Applied` for many candidates on elastic surfaces."""
-        if len(rows.trace) > MANY and (rows.trace >= 0).all():
-            return Applied(self.blocks, rows.N, rows.trace, scale)
-        return scale * self.matrix(rows.N)
+    def of(self, rows: Linear, trace: np.ndarray, scale: float) -> Any:
+        """s W for the rows of points, d' after each other, whose multipliers the given traces (m,) carry: a matrix, or an
+        :class:`Applied` for many candidates on elastic surfaces.
+        """
+        if len(trace) > MANY and (trace >= 0).all():
+            return Applied(self.blocks, rows, np.repeat(trace, rows.core.shape[0] // len(trace)), scale)
+        return scale * self.matrix(rows)
 
     def matrix(self, rows: Linear) -> Array:
         """W, (m, m), for the configuration the solver was last prepared for."""

@@ -98,7 +98,7 @@ class Stepper(ContactStepper):
         N = rows.N
         rate = self.contacts.gap_rate(self.system, self.state.t + step.h, step.ev.q, step.h)[step.near][closed]
         u = self.contacts.times(self.system, N, v) + rate
-        P = normal_forces(self.compliance.normal(rows, 1.0), u, np.zeros(len(u)), self.ledger.counts)
+        P = normal_forces(self.compliance.of(N, rows.trace, 1.0), u, np.zeros(len(u)), self.ledger.counts)
         if not P.any():
             return v
         dv, _ = self.solver.solve(self.contacts.transposed(self.system, N, P), np.zeros(self.system.n_lam))

@@ -46,14 +46,11 @@ class Unilateral:
         z, dl = solver.solve(-scale * r, -residuals[1])
         blocks = getattr(solver, "blocks", None)
         if self._W is None or blocks is not self._blocks:  # also after Newton asked for a new tangent
-            self._W = self.compliance.normal(rows, scale) if d == 1 else scale * self.compliance.matrix(L)
+            self._W = self.compliance.of(L, rows.trace, scale)
             self._blocks = blocks
         W, gap = self._W, u.ravel() + contacts.times(system, L, z)
         if d > 1:
-            q = (gap - W @ self.force.ravel()).reshape(-1, d)
-            from ..linear.coulomb import solve_friction  # frictionless scenes carry no code of friction
-
-            force = solve_friction(W, q, rows.friction, self.force, self.counts)
+            force = frictional_forces(W, gap, rows.friction, self.force, self.counts)
         else:
             force = normal_forces(W, gap, self.force[:, 0], self.counts)[:, None]
         change, self.force = force - self.force, force
@@ -67,6 +64,18 @@ def normal_forces(W: Any, gap: Array, force: Array, counts: ContactCounts) -> Ar
     if isinstance(W, np.ndarray):
         return solve_normal(W, gap - W @ force, force > 0, counts)
     return np.asarray(W.complementary(gap, force, counts))
+
+
+def frictional_forces(W: Any, gap: Array, mu: Array, force: Array, counts: ContactCounts) -> Array:
+    """Forces (m, d) of Coulomb's law for gaps and slips gap + W (f - force); frictionless scenes import none of this."""
+    q = (gap - W @ force.ravel()).reshape(force.shape)
+    if isinstance(W, np.ndarray):
+        from ..linear.coulomb import solve_friction
+
+        return solve_friction(W, q, mu, force, counts)
+    from ..linear.coulomb_applied import solve_many
+
+    return solve_many(W, q, mu, force, counts)
 
 
 def openings(contacts: ContactSet, system: Any, rows: Rows, gap: Array, xi: Array) -> Array:
