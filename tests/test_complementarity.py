@@ -68,8 +68,42 @@ def test_friction_of_contacts_that_depend_on_each_other(seed: int, m: int, d: in
     W, q = A @ A.T, (A @ rng.standard_normal(A.shape[1])).reshape(m, d)
     counts = ContactCounts()
     x = solve_friction(W, q, np.full(m, mu), np.zeros((m, d)), counts)
-    u, size = q + (W @ x.ravel()).reshape(m, d), max(np.abs(q).max(), 1.0)
-    assert counts.residual <= 1e-6
-    assert x[:, 0].min() >= -1e-6 * size and u[:, 0].min() > -1e-4 * size
-    assert np.abs(x[:, 0] * u[:, 0]).max() <= 1e-4 * size**2
-    assert (np.linalg.norm(x[:, 1:], axis=1) <= mu * x[:, 0] + 1e-4 * size).all()
+    check_coulomb((W, q, mu), x, counts)
+
+
+def check_coulomb(problem: tuple[np.ndarray, np.ndarray, float], x: np.ndarray, counts: ContactCounts) -> None:
+    """Signorini's and Coulomb's laws, to 1e-12 of the largest force."""
+    W, q, mu = problem
+    m, d = q.shape
+    force = max(np.abs(x).max(), np.abs(q).max() / np.diag(W).max())
+    u, speed = q + (W @ x.ravel()).reshape(m, d), np.diag(W).max() * force
+    assert counts.residual <= 1e-12
+    assert x[:, 0].min() >= -1e-11 * force and u[:, 0].min() > -1e-11 * speed
+    assert np.abs(np.minimum(x[:, 0] / force, u[:, 0] / speed)).max() <= 1e-10
+    slip, t = np.linalg.norm(u[:, 1:], axis=1), np.linalg.norm(x[:, 1:], axis=1)
+    assert (t <= mu * x[:, 0] + 1e-11 * force).all()
+    assert (np.minimum(mu * x[:, 0] - t, force) * np.minimum(slip, speed)).max() <= 1e-10 * force * speed
+    for i in np.flatnonzero((slip > 1e-6 * speed) & (x[:, 0] > 1e-6 * force)):
+        assert x[i, 1:] == pytest.approx(-mu * x[i, 0] * u[i, 1:] / slip[i], abs=1e-5 * force)
+
+
+@pytest.mark.parametrize("seed", [33, 62, 91, 140, 302, 318, 860, 934, 1349, *range(30)])
+def test_slips_much_slower_than_the_impact(seed: int) -> None:
+    """Points of a rigid plate that hits a floor while it hardly slides: more points than the plate has freedoms."""
+    rng = np.random.default_rng(seed)
+    m, mu = int(rng.integers(2, 9)), float(rng.choice([0.3, 1.0, 2.0, 3.0]))
+    e, flat = float(rng.choice([0, 0.4, 0.8])), rng.random() < 0.7
+    X = np.c_[rng.uniform(-0.5, 0.5, (m, 2)), np.full(m, -0.05) if flat else rng.uniform(-0.3, 0, m)]
+    turn = np.cross(np.eye(3)[None], X[:, None]).swapaxes(1, 2)  # omega x X
+    J = np.concatenate((np.broadcast_to(np.eye(3), (m, 3, 3)), turn), axis=2)[:, [2, 0, 1]].reshape(3 * m, 6)
+    W = (J / np.array([1, 1, 1, 0.0842, 0.0842, 0.1667])) @ J.T
+    slow = 10.0 ** -rng.integers(0, 8)
+    v = rng.standard_normal(6) * np.array([slow, slow, 1, 1, 1, slow])
+    v[2] = -abs(v[2])
+    if rng.random() < 0.3:
+        v[3:5] *= slow
+    q = (J @ v).reshape(m, 3)
+    q[:, 0] += e * np.minimum(q[:, 0], 0.0)
+    counts = ContactCounts()
+    x = solve_friction(W, q, np.full(m, mu), np.zeros((m, 3)), counts)
+    check_coulomb((W, q, mu), x, counts)

@@ -39,45 +39,50 @@ def tilted(kind: str, dim: int) -> Any:
     return make("block", mesh, degree=1, density=1.0, velocity=speed, angular_velocity=spin, **law)
 
 
-def on_a_plate(kind: str, dim: int) -> fmbd.Scene:
+def on_a_plate(kind: str, dim: int, friction: float = 0.0) -> fmbd.Scene:
     """The block falls on a plate, a rigid body that carries the obstacle."""
     body, up = tilted(kind, dim), np.eye(dim)[-1]
     inertia = 0.1 if dim == 2 else (0.1, 0.1, 0.1)
     plate = fmbd.RigidBody("plate", 1.0, inertia, position=tuple(-0.06 * up))
     box = fmbd.Obstacle("plate", fmbd.Box((3.0,) * (dim - 1) + (0.1,)), on=plate)
     scene = fmbd.Scene("drop")
-    scene.add(body, plate, fmbd.contact("hit", body.surface("bottom" if dim == 2 else "back"), box))
+    face = body.surface("bottom" if dim == 2 else "back")
+    scene.add(body, plate, fmbd.contact("hit", face, box, friction=friction))
     return scene
 
 
-def on_a_block(kind: str, dim: int) -> fmbd.Scene:
+def on_a_block(kind: str, dim: int, friction: float = 0.0) -> fmbd.Scene:
     """The block falls on another one."""
     body = tilted(kind, dim)
     low = fmbd.read_gmsh(BLOCK, size=(1.2,) * (dim - 1) + (0.3,), cells=4, origin=(-0.1,) * (dim - 1) + (-0.31,))
     other = fmbd.AbsoluteBody("low", low, degree=1, density=1.0, elastic=LINEAR)
     names = ("bottom", "top") if dim == 2 else ("back", "front")
     scene = fmbd.Scene("drop")
-    scene.add(body, other, fmbd.contact("hit", body.surface(names[0]), other.surface(names[1])))
+    scene.add(body, other, fmbd.contact("hit", body.surface(names[0]), other.surface(names[1]), friction=friction))
     return scene
 
 
 @pytest.mark.mpi
 @pytest.mark.parametrize(
-    ("make", "kind", "dim", "scheme"),
+    ("make", "kind", "dim", "friction", "scheme"),
     [
-        (on_a_plate, "absolute", 2, fmbd.ContactMidpoint()),
-        (on_a_plate, "floating", 2, fmbd.ContactAlpha(0.8)),
-        (on_a_plate, "nonlinear", 2, fmbd.ContactMidpoint()),
-        (on_a_block, "absolute", 3, fmbd.ContactMidpoint()),
+        (on_a_plate, "absolute", 2, 0.0, fmbd.ContactMidpoint()),
+        (on_a_plate, "floating", 2, 0.0, fmbd.ContactAlpha(0.8)),
+        (on_a_plate, "nonlinear", 2, 0.0, fmbd.ContactMidpoint()),
+        (on_a_block, "absolute", 3, 0.0, fmbd.ContactMidpoint()),
+        (on_a_plate, "absolute", 2, 0.3, fmbd.ContactAlpha(0.8)),
+        (on_a_plate, "floating", 3, 0.3, fmbd.ContactMidpoint()),
+        (on_a_block, "absolute", 3, 0.3, fmbd.ContactMidpoint()),
+        (on_a_block, "absolute", 3, 1.0, fmbd.ContactMidpoint()),
     ],
 )
 def test_columns_and_products_give_the_same(
-    make: Any, kind: str, dim: int, scheme: Any, monkeypatch: pytest.MonkeyPatch
+    make: Any, kind: str, dim: int, friction: float, scheme: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runs = []
     for many in (10**6, 1):
         monkeypatch.setattr(delassus, "MANY", many)
-        runs.append(fmbd.solve(make(kind, dim), t_end=0.1, dt=0.01, scheme=scheme))
+        runs.append(fmbd.solve(make(kind, dim, friction), t_end=0.1, dt=0.01, scheme=scheme))
     few, many_ = runs
     assert few.counters["compliance_columns"] > 0 and few.counters["compliance_products"] == 0
     assert many_.counters["compliance_columns"] == 0 and many_.counters["compliance_products"] > 0
@@ -87,7 +92,7 @@ def test_columns_and_products_give_the_same(
     assert many_.state.contact.impulse == pytest.approx(
         few.state.contact.impulse, abs=1e-8 * np.abs(few.state.contact.impulse).max()
     )
-    assert many_.counters["complementarity_residual"] < 1e-10
+    assert many_.counters["complementarity_residual"] < (1e-12 if friction else 1e-10)
 
 
 def test_failure_of_the_iteration_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,10 +108,36 @@ class Stored:
     def __init__(self, W: np.ndarray) -> None:
         import scipy.sparse as sp
 
-        self.W, self.inverse = W, sp.diags(1 / np.diag(W)).tocsr()
+        self.W, self.inverse, self.products = W, sp.diags(1 / np.diag(W)).tocsr(), 0
 
     def __matmul__(self, f: np.ndarray) -> np.ndarray:
+        self.products += 1
         return np.asarray(self.W @ f)
+
+
+def test_friction_by_products_against_the_matrix() -> None:
+    """Random problems with sticking, slipping and open points; few products, since the preconditioner knows the cone."""
+    import scipy.sparse as sp
+
+    from fmbd_fenicsx.linear.coulomb import solve_friction
+    from fmbd_fenicsx.linear.coulomb_applied import solve_many
+
+    rng = np.random.default_rng(7)
+    for m, d, mu in ((4, 2, 0.3), (40, 3, 0.3), (40, 3, 0.8)):
+        x = rng.random((m, 2))
+        near = np.exp(-3 * np.linalg.norm(x[:, None] - x[None], axis=2))
+        W = np.kron(near, np.diag([1.0, 1.2, 1.2][:d]))
+        q = np.c_[0.3 - rng.random(m), 0.1 * rng.standard_normal((m, d - 1))]
+        stored, counts = Stored(W), ContactCounts()
+        stored.inverse = sp.csr_matrix(np.linalg.inv(W))
+        found = solve_many(stored, q, np.full(m, mu), np.zeros((m, d)), counts)  # type: ignore[arg-type]
+        exact = solve_friction(W, q, np.full(m, mu), np.zeros((m, d)), ContactCounts())
+        across = np.linalg.norm(exact[:, 1:], axis=1)
+        slips = (exact[:, 0] > 0) & (across > (1 - 1e-9) * mu * exact[:, 0])
+        assert m == 4 or (slips.any() and (~slips & (exact[:, 0] > 0)).any() and (exact[:, 0] == 0).any())
+        assert found == pytest.approx(exact, abs=1e-9 * np.abs(exact).max())
+        assert counts.residual <= 1e-12
+        assert stored.products < 12 * counts.iterations  # two of them not in GMRES
 
 
 def test_random_problems_against_the_matrix() -> None:

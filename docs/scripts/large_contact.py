@@ -4,7 +4,8 @@ Run:  ./with-dolfinx python3 docs/scripts/large_contact.py --save one.npz       
       mpirun -n 2 ./with-dolfinx python3 docs/scripts/large_contact.py --compare one.npz               (also -n 3)
 
 Half a ball hits a block; meshes do not match, and the ball is graded towards the contact. ``--h 0.03 --cells 12`` is a small
-version, ``--columns`` solves the same by columns of the compliance matrix, ``--friction 0.3`` adds friction and an oblique impact.
+version, ``--columns`` solves the same by columns of the compliance matrix, ``--friction 0.3`` adds
+friction and an oblique impact.
 """
 
 import argparse
@@ -61,7 +62,7 @@ demo.say(
     f"{n['compliance_products']:.0f} products, {n['compliance_columns']:.0f} columns, "
     f"{n['contact_newton_iterations'] / n['contact_steps']:.2f} Newton iterations a step, "
     f"residual {n['complementarity_residual']:.1e}, energy gain {energy.max() / energy[0] - 1:.1e}\n"
-    f"{time.perf_counter() - start:.0f} s, CPU {cpu:.0f} s, steps {run.seconds['steps']:.0f} s, peak of all ranks {memory:.1f} GiB"
+    f"{time.perf_counter() - start:.0f} s, CPU {cpu:.0f} s, steps {run.seconds['steps']:.0f} s, peak {memory:.1f} GiB"
 )
 forces = {"x": found.x, "pressure": found.pressure, "force": run["force"], "impulse": run["impulse"], "energy": energy}
 if args.save and MPI.COMM_WORLD.rank == 0:

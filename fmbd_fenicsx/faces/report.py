@@ -39,6 +39,8 @@ def run_report(run: Run) -> str:
         + _n(start.iterations, "iteration"),
     )
     lines += _entry("constraint drift", f"position {gap:.2g} m, velocity {slip:.2g} m/s")
+    if c.get("contact_steps"):
+        lines += _entry("contact", _contact(c))
     lines += _entry("time error", _time_error(run))
     lines += _reduction_error(run)
     if run.energy:
@@ -82,6 +84,17 @@ def _linear(run: Run) -> str:
         f"{_n(c['factorisations'], 'elastic factorisation')}, {c['back_solves']:.0f} back-solves "
         f"({c['back_solves_per_step']:.2f} a step), {_n(c['core_factorisations'], 'core factorisation')}, "
         f"worst relative residual {c['worst_linear_residual']:.1e}"
+    )
+
+
+def _contact(c: Mapping[str, float]) -> str:
+    """How the complementarity problems of a run were solved, and how well."""
+    cycles = f", {_n(c['cycles_broken'], 'cycle')} broken" if c["cycles_broken"] else ""
+    newton = c["contact_newton_iterations"] / c["contact_steps"]
+    sets = f"{_n(c['active_set_iterations'], 'iteration')} on sets with {_n(c['active_set_changes'], 'change')}{cycles}"
+    return (
+        f"{_n(c['contact_steps'], 'step')} with forces, {newton:.2f} Newton iterations each, {sets}, complementarity to "
+        f"{c['complementarity_residual']:.1e} of the largest force"
     )
 
 

@@ -137,7 +137,8 @@ def _lexicographic(A: Array, enter: int, rows: np.ndarray, basis: np.ndarray) ->
 @dataclass(frozen=True)
 class Iterate:
     """(1), (2) at forces x with gaps and slips u: the function F, its derivatives dx, du (m, d, d), and whether each point
-    is open (0), sticks (1) or slips (2)."""
+    is open (0), sticks (1) or slips (2).
+    """
 
     x: Array
     u: Array
@@ -150,7 +151,8 @@ class Iterate:
 @dataclass(frozen=True)
 class Coulomb:
     """Data of (1), (2): W (m d, m d), q (m, d), mu (m,), c (m, d), which makes gaps and forces comparable, and the
-    ``shift`` (m, d) of W by (3)."""
+    ``shift`` (m, d) of W by (3).
+    """
 
     W: Any
     q: Array

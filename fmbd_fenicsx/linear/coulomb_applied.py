@@ -11,16 +11,22 @@ so that with forces ds = V y + s_0 and tests Z (V without the cone's slope mu), 
 
 on normal forces of closed points, both tangential forces where they stick and one where they slip (3D). It is not symmetric
 (friction has no potential); GMRES solves it to 1e-3, which makes Newton's iteration linear with this factor, at the products
-that one accurate solve would need. The lumped preconditioner of :mod:`.delassus_applied`, restricted by Z, serves it; r scales rows
-and columns of (1).
+that one accurate solve would need. With the sparse P ~ W^-1 of :mod:`.delassus_applied` its preconditioner is the solution of
+
+    P w = V y,     Z^T w + D y = r                                                                          (3)
+
+where y follows from w, so that one sparse system on the known and the turning forces remains: three to six times fewer
+products than with Z^T P Z. r scales rows and columns of (1).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+import scipy.sparse as sp
 
 from ..rotations import Array
 from .complementarity import ContactCounts
@@ -61,26 +67,20 @@ class Products(Coulomb):
             r = r - cone.tested(self._response(s))
         if not r.any():
             return s
-        n = r.size
+        n, inverse = r.size, cone.inverse(self.W.inverse)
 
         def product(y: Array) -> Array:
             forces = cone.forces(y.reshape(s.shape))
             return (cone.tested(self._response(forces)) + cone.stiffness * y.reshape(s.shape)).ravel()
 
-        def precondition(z: Array) -> Array:
-            return cone.tested(self._inverse(cone.plain(z.reshape(s.shape)))).ravel()
-
         y, _ = spl.gmres(
             spl.LinearOperator((n, n), product), r.ravel(), rtol=INNER, restart=RESTART, maxiter=CYCLES,
-            M=spl.LinearOperator((n, n), precondition),
+            M=spl.LinearOperator((n, n), inverse),
         )  # fmt: skip
         return np.asarray(s + cone.forces(y.reshape(s.shape)))
 
     def _response(self, s: Array) -> Array:
         return np.asarray((self.W @ s.ravel()).reshape(s.shape) + self.shift * s)
-
-    def _inverse(self, r: Array) -> Array:
-        return np.asarray((self.W.inverse @ r.ravel()).reshape(r.shape))
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class _Cone:
         weight[:, 2:] *= np.where(r > SHARE, np.sqrt(r), 0.0)[:, None]
         share, stiffness = np.ones((m, d)), np.zeros((m, d))
         share[:, 2:] = np.maximum(r, SHARE)[:, None]
-        stiffness[:, 2:] = (np.where(r > SHARE, 1.0 - r, 0.0) / problem.c[:, 1])[:, None]
+        stiffness[:, 2:] = (np.where(slip & (r > SHARE), np.maximum(1.0 - r, SHARE), 0.0) / problem.c[:, 1])[:, None]
         return cls(turn, weight, share, np.where(slip & (x[:, 0] > 0), problem.mu, 0.0), stiffness)
 
     def known(self, it: Iterate) -> Array:
@@ -126,13 +126,38 @@ class _Cone:
         a[:, 1] += self.slope * a[:, 0]
         return self._out(a)
 
-    def plain(self, y: Array) -> Array:
-        """Z y."""
-        return self._out(self.weight * y)
-
     def tested(self, g: Array) -> Array:
         """Z^T g."""
         return self.weight * self._into(g)
+
+    def inverse(self, P: Any) -> Callable[[Array], Array]:
+        """y of (3) for r, arrays (m d,) scaled like those of (2)."""
+        import scipy.sparse.linalg as spl
+
+        m, d = self.weight.shape
+        turn = np.zeros((m, d, d))
+        turn[:, 0, 0], turn[:, 1:, 1:] = 1.0, self.turn
+        Q = sp.bsr_matrix((turn, np.arange(m), np.arange(m + 1)))
+        P = (Q.T @ P @ Q).tocsr()
+        along = np.arange(m) * d
+        back = sp.csr_matrix((self.slope, (along + 1, along)), shape=P.shape)
+        P = (P - back @ P).tocsr()  # P w - V y has no share in the known forces
+        weight, soft = self.weight.ravel(), self.stiffness.ravel() > 0
+        free = (weight > 0) & ~soft
+        rest = ~free
+        give = np.zeros(m * d)
+        give[soft] = weight[soft] ** 2 / self.stiffness.ravel()[soft]
+        solve = spl.splu((P[rest][:, rest] + sp.diags(give[rest])).tocsc()).solve
+        held = P[rest][:, free]
+
+        def y(r: Array) -> Array:
+            w = np.where(free, r, 0.0)
+            load = np.zeros(m * d)
+            load[soft] = give[soft] * r[soft] / weight[soft]
+            w[rest] = solve(load[rest] - held @ r[free])
+            return np.where(weight > 0, P @ w, 0.0) / np.where(weight > 0, weight, 1.0)
+
+        return y
 
     def _into(self, g: Array) -> Array:
         return np.concatenate((g[:, :1], np.einsum("mij,mi->mj", self.turn, g[:, 1:])), axis=1)
