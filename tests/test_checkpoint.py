@@ -107,19 +107,24 @@ def test_on_another_number_of_ranks(name: str, shared_tmp: Path, monkeypatch: py
         scene, arguments = SCENES[name]()
         taken_up = fmbd.solve(scene, **arguments, restart=half)
         for sensor in scene.sensors:
-            scale = np.abs(whole[sensor]).max()
-            assert np.abs(whole[sensor] - taken_up[sensor]).max() < 1e-9 * scale, sensor
+            before, after = whole[sensor], taken_up[sensor]
+            if sensor == "pressure":  # in the order of the candidates
+                before, after = (
+                    x[:, np.argsort(r.state.contact.x[:, 0])] for x, r in ((before, whole), (after, taken_up))
+                )
+            assert np.abs(before - after).max() < 1e-9 * np.abs(before).max(), sensor
         kinetic = whole.energy["kinetic"], taken_up.energy["kinetic"]
         assert np.abs(kinetic[0] - kinetic[1]).max() < 1e-9 * kinetic[0].max()
 
 
 @pytest.mark.slow
 @pytest.mark.serial
+@pytest.mark.timeout(2400)
 @pytest.mark.parametrize("writers, readers", [(1, 2), (2, 1), (2, 3)])
 def test_every_scene_on_other_ranks(writers: int, readers: int, tmp_path: Path) -> None:
     code = Path(checkpoint_scenes.__file__).read_text().replace("__file__", repr(checkpoint_scenes.__file__))
     whole, taken_up = (
-        json.loads(launch(code, n, str(tmp_path), *more).stdout.splitlines()[-1])
+        json.loads(launch(code, n, str(tmp_path), *more, timeout=1200).stdout.splitlines()[-1])
         for n, more in ((writers, ()), (readers, ("from",)))
     )
     for name in SCENES:

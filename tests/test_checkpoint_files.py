@@ -123,6 +123,26 @@ def test_everything_comes_back_as_it_was() -> None:
         archive.pack(np.array([None]), {})
 
 
+def test_the_page_runs_as_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    block = (ROOT / "docs/running.md").read_text().split("```python")[1].split("```")[0]
+    monkeypatch.chdir(tmp_path)
+    runs = []
+    for _ in range(2):
+        found: dict[str, Any] = {}
+        exec(compile(block, "running.md", "exec"), found)
+        runs.append(found["run"])
+    assert np.array_equal(runs[0]["tip"], runs[1]["tip"]) and steps(tmp_path / "pendulum") == [900, 1000]
+
+
+def test_a_run_without_checkpoints_loads_nothing_of_them(tmp_path: Path) -> None:
+    code = PROGRAM.partition("plan =")[0] + "fmbd.solve(scene, t_end=0.02, dt=0.01)\n"
+    code += 'print([m for m in sys.modules if m.endswith(("run.checkpoint", "run.archive", "run.fingerprint", "numbering"))])'
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=120, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
 # -- the same run? -----------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     "change, text",

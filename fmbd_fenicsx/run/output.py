@@ -96,7 +96,8 @@ class Recorder:
         """All that was recorded so far."""
         self.indices, self.times = m("steps", (np.array(self.indices), np.array(self.times)))
         self.indices, self.times = [int(n) for n in self.indices], [float(t) for t in self.times]
-        self.values = {n: list(m(f"sensor {n}", np.array(x))) for n, x in self.values.items()}
+        sensors = self.scene.sensors
+        self.values = {n: list(sensors[n].remember(m, f"sensor {n}", np.array(x))) for n, x in self.values.items()}
         kinds = m("kinds", list(self.energies))
         self.energies = {k: list(m(f"energy {k}", np.array(self.energies.get(k, ())))) for k in kinds}
         self.gap, self.slip, self.seconds, self._due = m("drift", (self.gap, self.slip, self.seconds, self._due))

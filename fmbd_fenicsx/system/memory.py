@@ -84,11 +84,15 @@ class Memory:
             own.append(inner.nodal(f"part {k}", mine, getattr(part.field, "numbering", None)))
         return np.concatenate((core, *own)) if self.reading else x
 
-    def candidates(self, name: str, x: Any) -> Any:
-        """Rows of the contacts' candidates, (m, ...)."""
+    def candidates(self, name: str, x: Any, pair: int | None = None) -> Any:
+        """Rows of the contacts' candidates, (m, ...), or of those of one pair."""
         if "candidate order" not in self.system.cache:
             self.system.cache["candidate order"] = _order(self.system)
         order = self.system.cache["candidate order"]
+        if pair is not None:
+            counts = [p.count for p in self.system.contacts.pairs]
+            first = sum(counts[:pair])
+            order = order[first : first + counts[pair]] - first
         if not self.reading:
             self.values[name] = x[order]
             return x

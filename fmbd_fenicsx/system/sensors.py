@@ -28,6 +28,10 @@ class Sensor:
         """The value, a flat array; collective."""
         raise NotImplementedError
 
+    def remember(self, m: Any, name: str, x: Array) -> Array:
+        """A series of it, (n, size), in a checkpoint; see :mod:`.memory`."""
+        return np.asarray(m(name, x))
+
     @property
     def labels(self) -> Sequence[str]:
         """Names of the components; numbers where there are none."""

@@ -82,6 +82,12 @@ class ContactSensor(Sensor):
             return c.pressure[on].copy()
         return np.array([c.gap[on].min(initial=np.inf)])
 
+    def remember(self, m: Any, name: str, x: Array) -> Array:
+        """Pressures are in the order of the candidates."""
+        if self.quantity != "pressure":
+            return super().remember(m, name, x)
+        return np.asarray(m.candidates(name, x.T, m.system.contacts.names.index(self.contact)).T)
+
     @property
     def labels(self) -> str:
         """Forces and impulses have components along the world axes."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,8 +23,10 @@ from ..log import together
 from ..rotations import Array, motions
 from .field_checks import check_field
 from .loads import AppliedLoads, Load
-from .numbering import Numbering
 from .surfaces import Moments
+
+if TYPE_CHECKING:
+    from .numbering import Numbering
 
 
 def rank_sum(comm: Any, x: Array) -> Array:
@@ -352,6 +354,8 @@ class Field:
     @cached_property
     def numbering(self) -> Numbering:
         """Numbers of the nodes that do not depend on the ranks; collective."""
+        from .numbering import Numbering
+
         return Numbering(self.space)
 
     def destroy(self) -> None:

@@ -23,7 +23,7 @@ Source: Boffi, Brezzi and Fortin, Mixed Finite Element Methods, doi:10.1007/978-
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,7 +31,9 @@ from ..energies import MixedEnergy
 from ..errors import InputError
 from ..rotations import Array
 from .fields import ElasticForms, Field
-from .numbering import Numbering
+
+if TYPE_CHECKING:
+    from .numbering import Numbering
 
 
 class MixedField(Field):
@@ -217,6 +219,8 @@ class MixedField(Field):
     @cached_property
     def pressure_numbering(self) -> Numbering:
         """As :attr:`numbering`, of the pressure; collective."""
+        from .numbering import Numbering
+
         return Numbering(self.pressure)
 
     def destroy(self) -> None:
