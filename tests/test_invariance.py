@@ -54,3 +54,25 @@ def test_superposed_rigid_motion(rod_mesh: Callable[..., Any], kind: str) -> Non
         expected = here[name] @ Q.T + SHIFT + np.outer(here.times, BOOST)
         np.testing.assert_allclose(there[name], expected, atol=1e-9)
     assert abs(here.counters["newton_iterations"] / there.counters["newton_iterations"] - 1) < 0.1
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_pure_rigid_motion_in_every_frame(rod_mesh: Callable[..., Any], dim: int) -> None:
+    """A flying body under gravity, full and reduced: every frame gives the parabola to roundoff."""
+    v, g = np.array([2.0, 3.0, -1.0])[:dim], np.array([0.5, -9.81, 2.0])[:dim]
+    for frame in FRAMES.values():
+        full = fmbd.FloatingBody(
+            "rod",
+            rod_mesh(dim=dim, h=0.5, height=0.4),
+            density=1000.0,
+            elastic=linear_elastic(5e6, 0.3),
+            frame=frame,
+            velocity=v,
+        )
+        for rod in (full, full.reduced(modes=4)):
+            scene = fmbd.Scene("fall", gravity=g)
+            scene.add(rod)
+            scene.sensor("tip", fmbd.position(rod.surface("tip")))
+            run = fmbd.solve(scene, t_end=0.2, dt=0.01, output=QUIET)
+            t = run.times[:, None]
+            np.testing.assert_allclose(run["tip"] - run["tip"][0], v * t + 0.5 * g * t**2, atol=1e-13)

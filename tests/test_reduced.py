@@ -11,7 +11,7 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.materials import linear_elastic, plane_stress
-from fmbd_fenicsx.mechanics.bodies import Attached, MeanAxis
+from fmbd_fenicsx.mechanics.bodies import Attached, Chord, MeanAxis
 from fmbd_fenicsx.mechanics.floating import FloatingField
 from fmbd_fenicsx.mechanics.placements import FrameMotion
 from fmbd_fenicsx.mechanics.reduced import ReducedPart
@@ -22,6 +22,7 @@ from fmbd_fenicsx.traces.fields import Field
 MODULUS, DENSITY = 5e6, 1000.0
 FREE_FREE = (22.3733, 61.6728, 120.9034)  # (beta L)^2 of the free-free Euler-Bernoulli beam
 CLAMPED = (3.51602, 22.0345, 61.6972)
+PINNED = tuple((n * np.pi) ** 2 for n in (1, 2, 3))  # at both ends, one of which slides
 
 
 def rod(mesh: Any, **changes: Any) -> fmbd.FloatingBody:
@@ -96,8 +97,8 @@ def test_mass_blocks_are_the_derivative_of_the_force(rod_mesh: Callable[..., Any
 
 @pytest.mark.smoke
 @pytest.mark.mpi
-def test_free_and_clamped_modes_of_a_beam(rod_mesh: Callable[..., Any]) -> None:
-    """Slender rod, plane stress: Euler-Bernoulli frequencies, free-free and clamped on average."""
+def test_free_clamped_and_pinned_modes_of_a_beam(rod_mesh: Callable[..., Any]) -> None:
+    """Slender rod, plane stress: Euler-Bernoulli frequencies, free-free, clamped and pinned on average."""
     length, height = 1.0, 0.01
     mesh = rod_mesh(dim=2, h=0.02, length=length, height=height)
     body = fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=plane_stress(MODULUS, 0.3))
@@ -106,6 +107,8 @@ def test_free_and_clamped_modes_of_a_beam(rod_mesh: Callable[..., Any]) -> None:
     np.testing.assert_allclose(free, FREE_FREE, rtol=3e-3)
     clamped = body.with_(frame=Attached("pin")).reduced(modes=3).reduction.omega / unit
     np.testing.assert_allclose(clamped, CLAMPED, rtol=3e-3)
+    pinned = body.with_(frame=Chord("pin", "tip")).reduced(modes=3).reduction.omega / unit
+    np.testing.assert_allclose(pinned, PINNED, rtol=3e-3)
 
 
 @pytest.mark.mpi

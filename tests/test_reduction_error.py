@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from typing import Any
 
@@ -140,3 +141,22 @@ def test_refused_with_error_control(rod_mesh: Callable[..., Any]) -> None:
     few = rod(rod_mesh(h=0.2)).reduced(modes=4)
     with pytest.raises(InputError, match="constant steps"):
         fmbd.solve(pendulum(few), t_end=0.1, scheme=fmbd.Radau(), output=fmbd.Output(estimate_reduction=True))
+
+
+def test_stopped_runs_of_the_estimates_give_none(rod_mesh: Callable[..., Any], caplog: Any) -> None:
+    """Ctrl-C in a run behind the first ends the estimate, not the program: the run itself is complete."""
+    few, done = rod(rod_mesh(h=0.2)).reduced(modes=4), []
+
+    class Once(fmbd.GeneralizedAlpha):
+        def stepper(self, system: Any, *others: Any) -> Any:
+            made = super().stepper(system, *others)
+            done.append(system)
+            if len(done) > 1:
+                made.advance = lambda h, advance=made.advance: (signal.raise_signal(signal.SIGINT), advance(h))[1]
+            return made
+
+    both = fmbd.Output(energy=False, estimate_error=True, estimate_reduction=True)
+    run = fmbd.solve(pendulum(few), t_end=0.02, dt=1e-3, scheme=Once(), output=both)
+    assert run.status == "finished" and len(done) == 3
+    assert run.error_estimate == {} == run.reduction_error
+    assert "stopped at t = 0.002 s" in caplog.text and "more modes did not end: stopped at t = 0.001 s" in caplog.text

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import ConvergenceError
+from ..linear.schur import StepSolver
 from ..log import log
 from ..rotations import Array
 from ..system.finer import finer_system
@@ -32,7 +33,7 @@ def time_error(problem: Problem, fine: Recorder, pace: Pace) -> tuple[dict[str, 
     try:
         half = _again(problem, pace, 2)
     except ConvergenceError as error:
-        log.warning("no error estimate: the run with twice the step failed: %s", error)
+        log.warning("no error estimate: the run with twice the step did not end: %s", error)
         return {}, {}
     try:
         quarter = _again(problem, pace, 4)
@@ -57,9 +58,17 @@ def _again(problem: Problem, pace: Pace, factor: int) -> Recorder:
     solver.pressures = problem.pressures
     wanted = Output(energy=False, progress=False)
     try:
-        return march(replace(problem, newton=newton), solver, Pace(pace.t_end, pace.steps // factor), wanted).recorder
+        return _whole(replace(problem, newton=newton), solver, Pace(pace.t_end, pace.steps // factor), wanted)
     finally:
         solver.destroy()
+
+
+def _whole(problem: Problem, solver: StepSolver, pace: Pace, output: Output) -> Recorder:
+    """What a march recorded that was not stopped on request; collective."""
+    marched = march(problem, solver, pace, output)
+    if marched.status != "finished":
+        raise ConvergenceError(f"stopped at t = {marched.state.t:g} s")
+    return marched.recorder
 
 
 def _distance(indices: list[int], x: Array, coarse: Array) -> float:
@@ -91,9 +100,9 @@ def reduction_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str,
     try:
         start, _ = begin(problem.scene, problem.scheme, system, given, solver=solver, h=pace.next(0.0))
         finer = replace(problem, system=system, given=given, start=start, newton=newton, pressures=solver.pressures)
-        fine = march(finer, solver, pace, wanted).recorder
+        fine = _whole(finer, solver, pace, wanted)
     except ConvergenceError as error:
-        log.warning("no error of reduction: the run with more modes failed: %s", error)
+        log.warning("no error of reduction: the run with more modes did not end: %s", error)
         return {}
     finally:
         solver.destroy()
