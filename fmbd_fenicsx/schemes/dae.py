@@ -199,7 +199,7 @@ class StepEquations:
             names = ", ".join(f'"{p.name}"' for _, p in system.fields)
             raise InputError(
                 f"This scheme needs the tangent as one dense matrix and does not take elastic fields ({names}). Use "
-                "GeneralizedAlpha, or a ReducedBody."
+                "GeneralizedAlpha, or body.reduced(modes=..)."
             )
         self.system, self.form, self.solver = system, form, solver
         self.levels = len(form.levels) if system.n_lam else 0

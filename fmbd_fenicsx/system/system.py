@@ -253,10 +253,16 @@ class System:
         local = float(np.abs(self.units * x).max(initial=0.0))
         return local if not self.fields else float(np.max(self.comm.allgather(local)))
 
-    def max_abs_core(self, x: Array) -> float:
-        """The same for the core; for all of x where there is no core. Collective then."""
+    def typical(self, x: Array) -> float:
+        """The largest entry of the core, or root mean square of a field that no frame carries, as lengths; collective."""
         n = self.n_core
-        return float(np.abs(self.units[:n] * x[:n]).max(initial=0.0)) if n else self.max_abs(x)
+        sizes = [float(np.abs(self.units[:n] * x[:n]).max(initial=0.0))]
+        for k, p in self.fields:
+            if p.frame == self.n_frames:
+                y = self.local_v(x, k)
+                square, count = rank_sum(self.comm, np.array([y @ y, len(y)]))
+                sizes.append(float(np.sqrt(square / count)))
+        return max(sizes)
 
     def at(self, t: float, q: Array, v: Array | None = None) -> Evaluation:
         """The system in one configuration (and velocity); collective."""

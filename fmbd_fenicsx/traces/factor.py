@@ -123,7 +123,17 @@ def _factored(E: Any, definite: bool) -> Any:
     pc.setType("cholesky")
     cholmod = E.getComm().size == 1 and definite
     pc.setFactorSolverType("cholmod" if cholmod else "mumps")
-    if cholmod:  # it takes the order with the least fill: this one, best for slender bodies, or those it makes itself
-        pc.setFactorOrdering("rcm")
-    ksp.setUp()
+    if not cholmod:
+        ksp.setUp()
+        return ksp
+    pc.setFactorOrdering("rcm")  # CHOLMOD takes this order, good for slender bodies, or its own: that of least fill
+    options, warnings = PETSc.Options(), "mat_cholmod_print"
+    quiet = not options.hasName(warnings)  # an indefinite tangent is no news to the user
+    if quiet:
+        options[warnings] = 0
+    try:
+        ksp.setUp()
+    finally:
+        if quiet:
+            options.delValue(warnings)
     return ksp
