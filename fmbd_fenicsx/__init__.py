@@ -1,7 +1,7 @@
 """Computational flexible multibody dynamics on FEniCSx, by the differential-algebraic approach."""
 
 from . import errors, materials
-from .energies import MixedEnergy
+from .energies import MixedEnergy, ViscousForm
 from .log import say
 from .mechanics.beams import Beam, Section
 from .mechanics.bodies import (

@@ -1,4 +1,4 @@
-"""Elastic energies as data: W(C) of the strain, and energies of displacement and pressure."""
+"""Elastic energies as data: W(C) of the strain, energies of displacement and pressure; and viscous forms."""
 
 from __future__ import annotations
 
@@ -40,3 +40,19 @@ class StoredEnergy:
 
         F = Identity(u.ufl_shape[0]) + grad(u)
         return self.density(dx.ufl_domain())(F.T * F) * dx
+
+
+@dataclass(frozen=True)
+class ViscousForm:
+    """A law of Kelvin-Voigt damping as a form(u, rate, v, dx), linear in v, not linear in the displacements u in general.
+
+    To be given as ``viscous`` to an :class:`~fmbd_fenicsx.AbsoluteBody` with an energy. Its power is
+    form(u, rate, rate, dx) >= 0; a law F S_v(E') : grad v with E' = sym(F^T grad rate) and a symmetric S_v leaves rigid
+    motions and momenta alone.
+    """
+
+    form: Callable[[Any, Any, Any, Any], Any]
+
+    def __call__(self, u: Any, rate: Any, v: Any, dx: Any) -> Any:
+        """The form."""
+        return self.form(u, rate, v, dx)

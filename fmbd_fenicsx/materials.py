@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .energies import MixedEnergy, StoredEnergy
+from .energies import MixedEnergy, StoredEnergy, ViscousForm
 from .errors import require
 
 Form = Callable[[Any, Any, Any], Any]
@@ -102,6 +102,28 @@ def neo_hookean(youngs_modulus: float, poisson_ratio: float) -> StoredEnergy:
         return 0.5 * m * (tr(C) - C.ufl_shape[0] - 2 * ln(J)) + 0.5 * k * (J - 1) ** 2
 
     return _energy(density, mu, lmbda)
+
+
+def kelvin_voigt(viscosity: float, volume_viscosity: float = 0.0) -> ViscousForm:
+    """Viscous stress of the rate of the Green-Lagrange strain, S_v = eta E' + zeta tr(E') 1, E' = sym(F^T grad u'); Pa s.
+
+    To be given as ``viscous`` to an absolute body with an energy. Rigid motion of any size is not damped, momenta are kept,
+    and the power eta E' : E' + zeta (tr E')^2 is never negative. In the plane: times the thickness, as the energy.
+    """
+    ok = np.isfinite(viscosity) and np.isfinite(volume_viscosity) and viscosity >= 0 and volume_viscosity >= 0
+    require(bool(ok), f"Viscosities {viscosity}, {volume_viscosity} Pa s must be finite and not negative.")
+
+    def form(u: Any, rate: Any, v: Any, dx: Any) -> Any:
+        from dolfinx import fem
+        from ufl import Identity, grad, inner, sym, tr
+
+        eta, zeta = fem.Constant(dx.ufl_domain(), viscosity), fem.Constant(dx.ufl_domain(), volume_viscosity)
+        one = Identity(u.ufl_shape[0])
+        F = one + grad(u)
+        strain_rate = sym(F.T * grad(rate))
+        return inner(F * (eta * strain_rate + zeta * tr(strain_rate) * one), grad(v)) * dx
+
+    return ViscousForm(form)
 
 
 STIFFEST = 1e8  # lambda over mu of a linear body that counts as incompressible

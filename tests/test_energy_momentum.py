@@ -38,7 +38,7 @@ def test_stiff_spring_at_large_steps(eps: float, h: float) -> None:
 
 def test_order_two() -> None:
     found = observed(fmbd.EnergyMomentum(), (40, 80, 160))
-    assert (np.abs(found[:2] - 2) < 0.15).all() and found[2] > 0.9, found
+    assert (np.abs(found - 2) < 0.15).all(), found
 
 
 def test_joint_in_space_keeps_energy_and_the_vertical_angular_momentum() -> None:
@@ -70,7 +70,7 @@ def test_hinges_do_no_work() -> None:
 def test_elastic_fields_are_refused(rod_mesh: object) -> None:
     scene = fmbd.Scene("rod")
     scene.add(fmbd.FloatingBody("rod", rod_mesh(), degree=1, elastic=fmbd.materials.linear_elastic(1e7, 0.3)))
-    with pytest.raises(InputError, match="EnergyMomentum takes either rigid bodies"):
+    with pytest.raises(InputError, match='absolute coordinates only, and "rod" is not one'):
         fmbd.solve(scene, t_end=0.1, dt=0.1, scheme=fmbd.EnergyMomentum())
     with pytest.raises(InputError, match='does not take elastic fields \\("rod"\\)'):
         fmbd.solve(scene, t_end=0.1, scheme=fmbd.Radau())

@@ -35,7 +35,7 @@ TABLE: list[tuple[Any, tuple[int, int, int], tuple[int, ...]]] = [
     (fmbd.BDF(2, fmbd.Index2(), None), (2, 2, 2), (80, 160, 320)),
     (fmbd.BDF(3, fmbd.Index2(), None), (3, 3, 3), (80, 160, 320)),
     (fmbd.HalfExplicit(rtol=None), (4, 4, 4), (40, 80, 160)),
-    (fmbd.EnergyMomentum(), (2, 2, 1), (40, 80, 160)),
+    (fmbd.EnergyMomentum(), (2, 2, 2), (40, 80, 160)),
 ]
 
 

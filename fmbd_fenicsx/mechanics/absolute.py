@@ -4,10 +4,13 @@
 
 There is no frame: the mass matrix is constant and inertia has no further terms. With a linear elastic form the matrix is
 constant and factored once. With an energy Pi(u) (total Lagrangian) the tangent is taken at one configuration and turned with
-the body: its mean rotation T is the polar rotation of sum_n (M x)_n X_n^T, and K(u) = T K_0 T^T up to the strain.
+the body: its mean rotation T is the polar rotation of sum_n (M x)_n X_n^T, and K(u) = T K_0 T^T up to the strain. Loads on the
+deformed surface and a viscous law F S_v(E') : grad v are in the tangent by their derivatives.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +32,10 @@ class AbsoluteField(FieldPart):
             self.reference[k * per : k * per + field.dim] += field.center
         self._moment_columns = field.mass(field.X)
         self._turn_at_tangent: Array = np.eye(field.dim)
-        self._last = np.zeros(self.n)
+        self._last = 0.0, np.zeros(self.n), np.zeros(self.n)  # t, u, u' of the forces evaluated last
+        self._taken_at: Any = None  # the same of the last own tangent, and its pressure
+        if field.loads.moving or field.viscous.law is not None:
+            self.field.linearise_motion(*self._last)
 
     # -- tangent ------------------------------------------------------------------------------------------------
     def turn(self, u: Array) -> Array | None:
@@ -52,17 +58,26 @@ class AbsoluteField(FieldPart):
         """Take the tangent at the configuration whose forces were evaluated last; collective."""
         if not self.field.nonlinear:
             return False
-        self.field.linearise(self._last)
-        self._turn_at_tangent = self._mean_rotation(self._last)
+        self.field.linearise_motion(*self._last)
+        self._turn_at_tangent = self._mean_rotation(self._last[1])
         pressure = self.field.pressure_values if self.field.carried else None  # type: ignore[attr-defined]
-        self._tangent_at = (self._last, None, pressure)
+        self._taken_at = (*self._last, pressure)
         return True
 
-    def _take_tangent(self, U: Array, load: Array | None, pressure: Array | None) -> None:
-        self._last = U
-        if pressure is not None:
-            self.field.pressure_values = pressure  # type: ignore[attr-defined]
-        self.relinearise()
+    def remember(self, m: Any) -> None:
+        """Take the tangent again where it was taken last (see :mod:`fmbd_fenicsx.system.memory`); collective."""
+        t, U, Ud, pressure = self._taken_at or (None,) * 4
+        if not m("own tangent", U is not None):
+            return
+        t, order = m("time", t), self.field.numbering
+        U, Ud = m.nodal("displacement", U, order), m.nodal("rate", Ud, order)
+        if self.field.carried:
+            pressure = m.nodal("pressure", pressure, self.field.pressure_numbering)  # type: ignore[attr-defined]
+        if m.reading:
+            self._last = t, U, Ud
+            if pressure is not None:
+                self.field.pressure_values = pressure  # type: ignore[attr-defined]
+            self.relinearise()
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
@@ -72,12 +87,12 @@ class AbsoluteField(FieldPart):
         A = Udd.reshape(-1, d) - motion.gravity
         if forms.mass_damping:
             A = A + forms.mass_damping * Ud.reshape(-1, d)
-        self._last = U
+        self._last = motion.t, U, Ud
         rows = self.field.mass(A).ravel() + self.field.internal(U)
         if forms.stiffness_damping:
             rows += forms.stiffness_damping * self._turned_stiffness(U, Ud)
         if self.field.D is not None:
-            rows += self.field.damping(Ud)
+            rows += self.field.viscous.force(U, Ud)
         if self.field.loads.loads:
             outer, inner = self.field.loads.nodal(motion.t, np.eye(d), U)
             rows -= (outer + inner).ravel()

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ..energies import ViscousForm
 from ..errors import InputError, near, require
 from ..rotations import Array, motions
 from ..traces.fields import ElasticForms
@@ -135,8 +136,9 @@ class ElasticBody:
         mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
         quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks for.
         loads: of :mod:`fmbd_fenicsx.traces.loads`: tractions, pressure, body forces, thermal stress, own forms.
-        viscous: bilinear form (u, v, dx) of Kelvin-Voigt damping, acting on the rate of the local displacements (absolute
-            bodies with large rotations: give stiffness_damping instead, it turns with the body).
+        viscous: Kelvin-Voigt damping: a bilinear form (u, v, dx) of the rate u of the local displacements; or, of absolute
+            bodies with an energy, a :class:`~fmbd_fenicsx.ViscousForm` (u, rate, v, dx), for instance
+            :func:`~fmbd_fenicsx.materials.kelvin_voigt`, which damps strain and never rigid motion.
     """
 
     name: str
@@ -153,7 +155,7 @@ class ElasticBody:
     stiffness_damping: float = 0.0
     quadrature: int | None = None
     loads: Sequence[Load] = ()
-    viscous: Callable[[Any, Any, Any], Any] | None = None
+    viscous: Callable[[Any, Any, Any], Any] | ViscousForm | None = None
 
     def __post_init__(self) -> None:
         """Check density, degree, damping, and one description of elasticity."""
@@ -171,6 +173,10 @@ class ElasticBody:
             f'Body "{n}": density {self.density} must be positive.',
         )
         require(self.degree in (1, 2, 3), f'Body "{n}": degree {self.degree} must be 1, 2 or 3.')
+        require(
+            not isinstance(self.viscous, ViscousForm) or (isinstance(self, AbsoluteBody) and self.energy is not None),
+            f'Body "{n}": a ViscousForm needs an AbsoluteBody with an energy. Else give viscous(u, v, dx), bilinear in the rate.',
+        )
         require(
             self.mass_damping >= 0 and self.stiffness_damping >= 0,
             f'Body "{n}": damping coefficients must not be negative.',

@@ -132,7 +132,8 @@ class ScalarLoads(Loads):
         ra, rb = self.relative.rows(kin)
         return s - self.free, (ra * kin.twist[self.a] + rb * kin.twist[self.b]).sum(1), ra, rb
 
-    def _effort(self, s: Array, rate: Array, t: float) -> Array:
+    def effort(self, s: Array, rate: Array, t: float) -> Array:
+        """N of elongations s and rates, (m,)."""
         N = self.k * s + self.c * rate
         for i, f in self.own:
             now = time_of(t, i, len(N))
@@ -142,7 +143,7 @@ class ScalarLoads(Loads):
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """N along the direction of the coordinate, opposite on the two markers."""
         s, rate, ra, rb = self._state(kin)
-        N = self._effort(s, rate, t)[:, None]
+        N = self.effort(s, rate, t)[:, None]
         return -N * ra, -N * rb
 
     def energy(self, kin: Kinematics, t: float) -> float:
@@ -154,7 +155,7 @@ class ScalarLoads(Loads):
     def tangent(self, kin: Kinematics, t: float) -> Tangent:
         """Material stiffness k and damping c, and the geometric stiffness of N."""
         s, rate, ra, rb = self._state(kin)
-        N, k, c = self._effort(s, rate, t), self.k.copy(), self.c.copy()
+        N, k, c = self.effort(s, rate, t), self.k.copy(), self.c.copy()
         for i, f in self.own:
             hs, hv = 1e-6 * max(abs(float(s[i])), 1e-3), 1e-6 * max(abs(float(rate[i])), 1e-3)
 

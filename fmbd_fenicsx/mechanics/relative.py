@@ -61,6 +61,12 @@ class Relative:
         ra, rb = self.rows(kin)
         return dot(ra, kin.twist[self.a]) + dot(rb, kin.twist[self.b])
 
+    def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array) -> Array:
+        """Factor of the rows at the mean of two configurations with which s_1 - s_0 is their product with the motion between,
+        ``linear`` without it; 1 for coordinates of second order.
+        """
+        return np.ones(len(linear))
+
     def _linear(self, row: Array) -> tuple[Array, Array]:
         row = np.concatenate((row, np.zeros((len(row), self.motions.n_rot))), axis=1)
         return -row, row
@@ -79,6 +85,10 @@ class Separation(Relative):
         """s = |d|, m."""
         d = kin.x[self.b] - kin.x[self.a]
         return np.sqrt(dot(d, d))
+
+    def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array) -> Array:
+        """The distance of the mean points over the mean distance."""
+        return np.asarray(2 * self.values(mean) / (ends[0] + ends[1]))
 
     def direction(self, kin: Kinematics) -> tuple[Array, Array]:
         """Unit vectors from a to b (zero where the points coincide) and distances."""
@@ -169,6 +179,11 @@ class Turn(Relative):
         out = self.last + step
         self.last = np.where(np.abs(step) < _FAR, out, self.last)
         return out
+
+    def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array) -> Array:
+        """The angle turned over 2 tan of its half: w is that of the Cayley map."""
+        far = np.abs(linear) > 1e-6
+        return np.where(far, np.clip((ends[1] - ends[0]) / np.where(far, linear, 1.0), -10.0, 10.0), 1.0)
 
     def rows(self, kin: Kinematics) -> tuple[Array, Array]:
         """Rows of the angle on w_b - w_a."""

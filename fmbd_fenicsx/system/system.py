@@ -357,13 +357,17 @@ class Evaluation:
 
     def spread(self, wrench: Array) -> Array:
         """Generalised forces of wrenches on the markers: the transpose of the marker Jacobians, like v."""
+        return self.gather(*self.on_ports(wrench))
+
+    def on_ports(self, wrench: Array) -> tuple[Array, Array]:
+        """Forces of wrenches on the frames, and on the ports (n_port,)."""
         s, m = self.system, self.system.markers
         core = np.zeros((s.n_frames + 1, s.motions.n_twist))
         np.add.at(core, m.frame, (self.kin.jac_frame.swapaxes(1, 2) @ wrench[..., None])[..., 0])
         port = np.zeros(s.n_port)
         if m.surface.size:
             np.add.at(port, m.port, (self.kin.jac_port.swapaxes(1, 2) @ wrench[m.surface][..., None])[..., 0])
-        return self.gather(core[:-1].ravel(), port)
+        return core[:-1].ravel(), port
 
     def gather(self, core: Array, port: Array) -> Array:
         """An array like v from forces on the frames and on the ports."""

@@ -18,12 +18,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..energies import ViscousForm
 from ..errors import InputError
 from ..log import together
 from ..rotations import Array, motions
 from .field_checks import check_field
 from .loads import AppliedLoads, Load
 from .surfaces import Moments
+from .viscous import Viscous, symmetric
 
 if TYPE_CHECKING:
     from .numbering import Numbering
@@ -41,7 +43,8 @@ class ElasticForms:
     """What a user says of an elastic body: density, degree, Rayleigh damping, and its elasticity.
 
     Either the bilinear form ``elastic(u, v, dx)``, or an ``energy(u, dx)`` in J, not quadratic in general. ``quadrature`` is the
-    degree of the quadrature of both (None: what UFL estimates). ``viscous(u, v, dx)`` is the form of Kelvin-Voigt damping.
+    degree of the quadrature of both (None: what UFL estimates). ``viscous(u, v, dx)`` is the form of Kelvin-Voigt damping in
+    the rate u, or a :class:`~fmbd_fenicsx.energies.ViscousForm` of displacement and rate.
     """
 
     elastic: Callable[[Any, Any, Any], Any] | None
@@ -52,7 +55,7 @@ class ElasticForms:
     energy: Callable[[Any, Any], Any] | None = None
     quadrature: int | None = None
     loads: tuple[Load, ...] = ()
-    viscous: Callable[[Any, Any, Any], Any] | None = None
+    viscous: Callable[[Any, Any, Any], Any] | ViscousForm | None = None
 
 
 class Field:
@@ -103,7 +106,13 @@ class Field:
         self._rigid_properties()
         check_field(self)
         self.loads = AppliedLoads(self, forms.loads)
-        self.D = self._viscous_matrix()
+        self.viscous = Viscous(self, forms.viscous)
+        self.D = self.viscous.matrix
+
+    @property
+    def argument(self) -> Any:
+        """The function of the displacements in the forms of an energy."""
+        return self._w
 
     @property
     def nonlinear(self) -> bool:
@@ -217,26 +226,26 @@ class Field:
         self._place(U)
         return float(self.total(np.array(fem.assemble_scalar(self._energy_form))))
 
-    def _viscous_matrix(self) -> Any:
-        """Matrix of the viscous form, None without one."""
-        import dolfinx.fem.petsc as fp
+    @cached_property
+    def moving_tangent(self) -> Any:
+        """Compiled stiffness of loads on the deformed body and of a nonlinear viscous law, symmetric half; None without."""
         import ufl
 
         from .. import dolfinx_compat as compat
 
-        if self.forms.viscous is None:
+        parts = [self.viscous.law] if self.viscous.law is not None else []
+        if self.loads.moving:
+            parts.append(-self.loads.moving_form(self._w, ufl.TestFunction(self.space)))
+        if not parts:
             return None
-        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        try:
-            self._viscous_form = compat.form(self.forms.viscous(u, v, self.elastic_measure))
-            D = fp.create_matrix(self._viscous_form, "baij")
-        except Exception as error:
-            raise InputError(
-                f'Body "{self.name}": viscous(u, v, dx) did not give a bilinear UFL form: {type(error).__name__}: {error}'
-            ) from error
-        fp.assemble_matrix(D, self._viscous_form)
-        D.assemble()
-        return D
+        return compat.form(symmetric(ufl.derivative(sum(parts), self._w, ufl.TrialFunction(self.space))))
+
+    def linearise_motion(self, t: float, U: Array, Ud: Array) -> None:
+        """:meth:`linearise` at displacements U with rates Ud (n d,), moving loads and viscous law included; collective."""
+        self.loads.at(t)
+        self._place(U)
+        self.viscous.linearise(Ud)
+        self.linearise(U, self.moving_tangent)
 
     def damping(self, U: Array) -> Array:
         """D U, (n d,) -> (n d,); zero without a viscous form."""
@@ -264,6 +273,7 @@ class Field:
 
         if self.nonlinear:
             self._place(np.zeros(self.n * self.dim) if self._linearised is None else self._linearised)
+            self.viscous.restore()
         E = fp.create_matrix(self._stiffness_form)
         E.zeroEntries()
         if self.redistributed:
@@ -279,7 +289,7 @@ class Field:
         E.scale(ck)
         if cd and self.D is not None:
             E.scale(1.0 / cd)
-            fp.assemble_matrix(E, self._viscous_form)
+            fp.assemble_matrix(E, self.viscous.form)
             E.assemble()
             E.scale(cd)
         return E

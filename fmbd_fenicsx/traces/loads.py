@@ -6,7 +6,9 @@ A load is L(v) times a function of time; its nodal vector b is assembled once. A
     dead, follower   translation  sum_n b_n,     rotation  sum_n P_n x b_n,     elastic rows  b                (1)
 
 with b turned into body axes where it is dead. The same load acts on floating, reduced and absolute bodies. On an absolute
-body with large displacements a pressure is integrated over the deformed surface, J F^-T N dS.
+body with large displacements a pressure is integrated over the deformed surface, J F^-T N dS. The stiffness of such
+loads, -dL(u; v)[du], is part of the body's tangent by its symmetric half; the other half comes from the surface's edges and
+vanishes where these are held or the surface is closed (Schweizerhof and Ramm, doi:10.1016/0045-7949(84)90161-5).
 """
 
 from __future__ import annotations
@@ -132,14 +134,15 @@ class AppliedLoads:
         def ds(surface: str) -> Any:
             return measure(field.mesh.surface_tag(surface))
 
-        dx, v = ufl.Measure("dx", domain=msh), ufl.TestFunction(field.space)
-        self._w = fem.Function(field.space)
+        self._measures = ufl.Measure("dx", domain=msh), ds
+        v = ufl.TestFunction(field.space)
         self.vectors: list[Array | None] = []
         self._forms: list[Any] = []
+        self.moving: list[tuple[Load, Any]] = []  # loads on the deformed body, with their present factors
         for load in self.loads:
             moving = load.deformed is not None and field.nonlinear
             try:
-                form = load.deformed(self._w, v, dx, ds) if moving else load.form(v, dx, ds)  # type: ignore[misc]
+                form = load.deformed(field.argument, v, *self._measures) if moving else load.form(v, *self._measures)  # type: ignore[misc]
                 if not isinstance(form, ufl.Form) or len(form.arguments()) != 1:
                     raise TypeError(f"found {form!r:.80}; integrate over dx or ds, once linear in v")
                 compiled = compat.form(form)
@@ -149,6 +152,8 @@ class AppliedLoads:
                 raise InputError(
                     f'A load on body "{field.name}" is not a linear UFL form in v: {type(error).__name__}: {error}'
                 ) from error
+            if moving:
+                self.moving.append((load, fem.Constant(msh, 0.0)))
             self._forms.append(compiled if moving else None)
             self.vectors.append(None if moving else self._assemble(compiled))
 
@@ -159,18 +164,39 @@ class AppliedLoads:
         b.scatter_reverse(la.InsertMode.add)
         return np.array(b.array[: self.field.n * self.field.dim]).reshape(-1, self.field.dim)
 
-    def nodal(self, t: float, R: Array, U: Array | None = None) -> tuple[Array, Array]:
-        """Nodal forces (n, d) in the axes R at time t: those that act on the frame too, and the internal ones."""
+    def moving_form(self, u: Any, v: Any) -> Any:
+        """UFL form of all loads on the deformed body, L(u; v) times the factors of :meth:`at`; 0 without such loads."""
+        return sum(factor * load.deformed(u, v, *self._measures) for load, factor in self.moving)  # type: ignore[misc]
+
+    def at(self, t: float) -> None:
+        """Set the factors of :meth:`moving_form` to those at time t."""
+        for load, factor in self.moving:
+            factor.value = load.factor(t, self.field.name)
+
+    def constant(self, t: float, R: Array) -> tuple[Array, Array]:
+        """Nodal forces (n, d) in the axes R at time t of the loads that do not depend on the deformation: those that act on
+        the frame too, and the internal ones.
+        """
         outer, inner = np.zeros((2, self.field.n, self.field.dim))
-        for load, b, form in zip(self.loads, self.vectors, self._forms, strict=True):
+        for load, b in zip(self.loads, self.vectors, strict=True):
+            if b is None:
+                continue
             factor = load.factor(t, self.field.name)
-            if form is not None:
-                assert U is not None
-                self._w.x.array[: len(U)] = U
-                self._w.x.scatter_forward()
-                outer += factor * self._assemble(form)
-            elif load.internal:
-                inner += factor * b  # type: ignore[operator]
+            if load.internal:
+                inner += factor * b
             else:
-                outer += factor * (b if load.follower else b @ R)  # type: ignore[operator]
+                outer += factor * (b if load.follower else b @ R)
+        return outer, inner
+
+    def nodal(self, t: float, R: Array, U: Array | None = None) -> tuple[Array, Array]:
+        """As :meth:`constant`, of all loads, for displacements U (n d,); collective."""
+        outer, inner = self.constant(t, R)
+        if self.moving:
+            assert U is not None
+            argument = self.field.argument
+            argument.x.array[: len(U)] = U
+            argument.x.scatter_forward()
+        for load, form in zip(self.loads, self._forms, strict=True):
+            if form is not None:
+                outer += load.factor(t, self.field.name) * self._assemble(form)
         return outer, inner

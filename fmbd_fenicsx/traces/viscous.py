@@ -1,0 +1,95 @@
+"""Kelvin-Voigt damping of a displacement field: a constant matrix, or a law of displacement and rate with its tangent.
+
+The first is f = D u' with D from viscous(u', v, dx), the second f(u, u') . w = form(u, u', w, dx) of a
+:class:`~fmbd_fenicsx.energies.ViscousForm` with D the symmetric half of df/du' where the field is linearised.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..energies import ViscousForm
+from ..errors import InputError
+from ..rotations import Array
+
+
+def symmetric(a: Any) -> Any:
+    """(a(u, v) + a(v, u)) / 2 of a bilinear UFL form."""
+    import ufl
+
+    return 0.5 * (a + ufl.adjoint(a))
+
+
+class Viscous:
+    """Damping of one field; collective to build. ``matrix``: D, or None; ``form``: its compiled form; ``law``: the UFL form
+    of a :class:`.ViscousForm` at (field.argument, rate), or None.
+    """
+
+    def __init__(self, field: Any, viscous: Any) -> None:
+        import dolfinx.fem.petsc as fp
+        import ufl
+        from dolfinx import fem
+
+        from .. import dolfinx_compat as compat
+
+        self.field = field
+        self.law: Any = None
+        self.matrix: Any = None
+        if viscous is None:
+            return
+        u, v, dx = ufl.TrialFunction(field.space), ufl.TestFunction(field.space), field.elastic_measure
+        try:
+            if isinstance(viscous, ViscousForm):
+                self.rate = fem.Function(field.space)
+                self._linearised: Array = np.zeros(field.n * field.dim)
+                self.law = viscous(field.argument, self.rate, v, dx)
+                self._residual = compat.form(self.law)
+                self.form = compat.form(symmetric(ufl.derivative(self.law, self.rate, u)))
+            else:
+                self.form = compat.form(viscous(u, v, dx))
+            self.matrix = fp.create_matrix(self.form, "baij")
+        except Exception as error:
+            raise InputError(
+                f'Body "{field.name}": viscous did not give a UFL form, (u, v, dx) bilinear or a ViscousForm of (u, rate, v, dx) '
+                f"linear in v: {type(error).__name__}: {error}"
+            ) from error
+        self._assemble()
+
+    def _assemble(self) -> None:
+        import dolfinx.fem.petsc as fp
+
+        self.matrix.zeroEntries()
+        fp.assemble_matrix(self.matrix, self.form)
+        self.matrix.assemble()
+
+    def linearise(self, rate: Array) -> None:
+        """Take D of a law at the field's argument and a rate (n d,); collective."""
+        if self.law is not None:
+            self._linearised = rate
+            self.restore()
+            self._assemble()
+
+    def restore(self) -> None:
+        """Put the rate back to where D was taken; collective."""
+        if self.law is not None:
+            self._place(self._linearised)
+
+    def _place(self, rate: Array) -> None:
+        self.rate.x.array[: len(rate)] = rate
+        self.rate.x.scatter_forward()
+
+    def force(self, U: Array, rate: Array) -> Array:
+        """Nodal forces (n d,) at displacements U and rates (n d,); collective."""
+        if self.law is None:
+            return np.asarray(self.field.damping(rate))
+        from dolfinx import fem, la
+
+        argument = self.field.argument
+        argument.x.array[: len(U)] = U
+        argument.x.scatter_forward()
+        self._place(rate)
+        b = fem.assemble_vector(self._residual)
+        b.scatter_reverse(la.InsertMode.add)
+        return np.array(b.array[: len(U)])
