@@ -73,7 +73,7 @@ def gather(run: Run) -> tuple[list[Skin], list[Moment]]:
     number = sum(len(s.triangles) for s in skins)
     require(
         number <= LARGEST,
-        f"The surface has {number} triangles, too many for a picture: use field output and ParaView.",
+        f"The surface has {number} triangles, too many for a picture: use run.save_fields() and ParaView.",
     )
     return skins, [moment(run, state) for state in run.snapshots]
 

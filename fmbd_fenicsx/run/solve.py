@@ -109,6 +109,22 @@ class Run:
 
         plot_series(self, sensors, file, reference)
 
+    def save(self, file: str | Path) -> None:
+        """Write times, sensors with units and energies as comma-separated values; rank 0 writes."""
+        from ..faces.export import save_series
+
+        save_series(self, file)
+
+    def save_fields(self, folder: str | Path, quantities: Mapping[str, Any] | None = None) -> list[Path]:
+        """Write the snapshots of elastic bodies for ParaView, ``folder/<body>.pvd``; collective. Returns the files.
+
+        Each holds the displacement x - X of the true motion, for "Warp by Vector", and the mean in each cell of ``quantities``:
+        name -> UFL expression of the displacement in the body's axes, as for :func:`fmbd_fenicsx.stress`.
+        """
+        from ..faces.export import save_fields
+
+        return save_fields(self, folder, quantities)
+
     def picture(self, file: str | Path, *, sensor: str | None = None) -> None:
         """Write a picture of the snapshots (pyvista), with the history of a sensor beside it; collective,
         rank 0 writes.

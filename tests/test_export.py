@@ -1,0 +1,86 @@
+"""Results for other programs: a table of the time histories, and fields that show the true motion."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ufl import Identity, dev, grad, inner, sqrt, sym, tr
+
+import fmbd_fenicsx as fmbd
+
+E, NU = 5e6, 0.3
+
+
+def von_mises(u: Any) -> Any:
+    """Of the linear stress, Pa."""
+    mu, lmbda = fmbd.materials.lame(E, NU)
+    eps = sym(grad(u))
+    s = dev(2 * mu * eps + lmbda * tr(eps) * Identity(2))
+    return sqrt(1.5 * inner(s, s))
+
+
+@pytest.fixture(scope="module")
+def pendulums(rod_mesh: Callable[..., Any]) -> fmbd.Run:
+    """A full, a reduced and an absolute rod, each on a pin."""
+    mesh = rod_mesh(dim=2, h=0.25, height=0.2)
+    rod = fmbd.FloatingBody("full", mesh, density=1e3, elastic=fmbd.materials.linear_elastic(E, NU))
+    low, high = (mesh.placed((0.0, y)) for y in (-1.0, 1.0))
+    energy = fmbd.materials.saint_venant_kirchhoff(E, NU)
+    bodies = (
+        rod,
+        rod.with_(name="few", mesh=low).reduced(modes=4),
+        fmbd.AbsoluteBody("free", high, 2, 1e3, energy=energy),
+    )
+    scene = fmbd.Scene("three", gravity=(0, -9.81))
+    for body, y in zip(bodies, (0.0, -1.0, 1.0), strict=True):
+        scene.add(body, fmbd.revolute(f"pin of {body.name}", fmbd.ground, body.surface("pin"), center=(0.0, y)))
+        scene.sensor(body.name, fmbd.position(body.surface("tip")))
+    return fmbd.solve(scene, t_end=0.1, dt=5e-3, output=fmbd.Output(snapshots=3))
+
+
+@pytest.mark.mpi
+def test_time_histories_with_units(pendulums: fmbd.Run, shared_tmp: Path) -> None:
+    file = shared_tmp / "run.csv"
+    pendulums.save(file)
+    if pendulums.system.comm.rank == 0:
+        with file.open() as rows:
+            head, *lines = csv.reader(rows)
+        assert head[:3] == ["time (s)", "full x (m)", "full y (m)"] and "elastic energy (J)" in head
+        values = np.array(lines, dtype=float)
+        np.testing.assert_array_equal(values[:, 0], pendulums.times)
+        np.testing.assert_array_equal(values[:, 1:3], pendulums["full"])
+    with pytest.raises(fmbd.errors.InputError, match="cannot be written"):
+        pendulums.save(shared_tmp / "nowhere" / "run.csv")
+
+
+@pytest.mark.mpi
+@pytest.mark.smoke
+def test_fields_show_the_true_motion(pendulums: fmbd.Run, shared_tmp: Path) -> None:
+    pv = pytest.importorskip("pyvista")
+    files = pendulums.save_fields(shared_tmp / "fields", {"von Mises (Pa)": von_mises})
+    assert [f.stem for f in files] == ["full", "few", "free"]
+    pendulums.system.comm.barrier()
+    for file in files:
+        reader = pv.get_reader(str(file))
+        np.testing.assert_allclose(reader.time_values, [0.0, 0.05, 0.1])
+        reader.set_active_time_value(reader.time_values[-1])
+        cells = reader.read().combine(merge_points=True)
+        tip = np.isclose(cells.points[:, 0], 1.0)
+        x = (cells.points + cells["displacement"])[tip, :2]
+        ends = [x[np.argmin(x[:, 1])], x[np.argmax(x[:, 1])]]  # P2 facets: the mean of a straight end is its middle
+        np.testing.assert_allclose(np.mean(ends, axis=0), pendulums[file.stem][-1], atol=2e-4)
+        assert cells["von Mises (Pa)"].max() > 1e2
+
+
+def test_fields_need_snapshots_and_elastic_bodies() -> None:
+    scene = fmbd.Scene("rigid")
+    scene.add(fmbd.RigidBody("b", 1.0, 1.0))
+    with pytest.raises(fmbd.errors.InputError, match="snapshots=50"):
+        fmbd.solve(scene, t_end=0.1, dt=0.1).save_fields("unused")
+    with pytest.raises(fmbd.errors.InputError, match="no elastic body"):
+        fmbd.solve(scene, t_end=0.1, dt=0.1, output=fmbd.Output(snapshots=2)).save_fields("unused")
