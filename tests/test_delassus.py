@@ -95,6 +95,32 @@ def test_columns_and_products_give_the_same(
     assert many_.counters["complementarity_residual"] < (1e-12 if friction else 1e-10)
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_contact_of_bodies_with_many_tie_multipliers(friction: float) -> None:
+    """Two blocks tied to each other slide on a floor: multipliers of the tie by iteration and in the dense core."""
+    runs = []
+    for linear in (None, fmbd.Schur(limit=1)):
+        bodies = [
+            fmbd.AbsoluteBody(
+                name, fmbd.read_gmsh(BLOCK, size=(1.0, 0.4), cells=cells, origin=(0.0, y)), degree=1, density=1.0,
+                elastic=LINEAR, velocity=(0.2, -0.5),
+            )
+            for name, cells, y in (("low", 8, 0.0), ("high", 6, 0.4))
+        ]  # fmt: skip
+        floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0.0, -0.01), (0.0, 1.0)))
+        scene = fmbd.Scene("tied")
+        scene.add(*bodies, fmbd.tie_surface("glue", bodies[0].surface("top"), bodies[1].surface("bottom")))
+        scene.add(fmbd.contact("floor", bodies[0].surface("bottom"), floor, friction=friction))
+        runs.append(fmbd.solve(scene, t_end=0.08, dt=0.01, linear=linear))
+    dense, many = runs
+    assert many.counters["tie_iterations"] > 0 and many.counters["compliance_products"] > 0
+    assert dense.state.contact.impulse[0, 1] > 0
+    assert many.state.q == pytest.approx(dense.state.q, abs=1e-10)
+    assert many.state.contact.impulse == pytest.approx(dense.state.contact.impulse, abs=1e-10)
+    assert many.counters["complementarity_residual"] < 1e-10
+
+
 def test_failure_of_the_iteration_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(delassus, "MANY", 1)
     monkeypatch.setattr("fmbd_fenicsx.linear.delassus_applied.LIMIT", 2)

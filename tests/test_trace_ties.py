@@ -124,6 +124,16 @@ def test_too_many_multipliers_and_wrong_partners_are_refused() -> None:
         fmbd.tie_surface("wrong", upper.surface("top"), fmbd.ground, motion=lambda t: t)
 
 
+def test_sliding_tie_of_a_curved_surface_is_refused() -> None:
+    """The normal of a sliding tie is one vector; a curved surface has none, flat ones at any angle have."""
+    disk = fmbd.read_gmsh(ROOT / "meshes/half_ball.py", dim=2, radius=1.0, h=0.3, near=0.5, coarse=0.3)
+    curved = fmbd.AbsoluteBody("disk", disk, degree=1, density=1.0, elastic=LAW)
+    scene = fmbd.Scene("curved")
+    scene.add(curved, fmbd.tie_surface("guide", curved.surface("contact"), fmbd.ground, sliding=True))
+    with pytest.raises(InputError, match=r'"guide".*is curved; a sliding tie needs a flat surface'):
+        fmbd.solve(scene, t_end=0.1, dt=0.1)
+
+
 def _tip(partner: str, E: float = 1.0) -> np.ndarray:
     """Path of the near face of a block that hangs on a soft one: rigid, or elastic with modulus E."""
     soft = fmbd.AbsoluteBody(

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ..errors import require
 from ..mechanics.contact_rows import ContactSet, Linear
 from ..rotations import Array
 from ..system.memory import Memory
@@ -46,7 +47,12 @@ class Compliance:
         """s W for the rows of points, d' after each other, whose multipliers the given traces (m,) carry: a matrix, or an
         :class:`Applied` for many candidates on elastic surfaces.
         """
-        if len(trace) > MANY and (trace >= 0).all():
+        elastic = bool((trace >= 0).all())
+        if self.solver.many is not None:
+            require(
+                elastic, "Contact of rigid points beside ties with many multipliers is not offered: use coarser spaces."
+            )
+        if elastic and (len(trace) > MANY or self.solver.many is not None):
             return Applied(self.blocks, rows, np.repeat(trace, rows.core.shape[0] // len(trace)), scale)
         return scale * self.matrix(rows)
 

@@ -32,6 +32,7 @@ from .spd import CholeskyFactor, MassInverse
 from .sway import frame_moments
 
 TIE_LIMIT = 1500  # multipliers of surface ties that the dense core takes
+CONTACT_RTOL = 1e-13  # of the iterations on many multipliers where contact iterates on top of them
 LOOK_LIMIT = 600  # constraint rows up to which the solver itself looks for redundant ones
 
 
@@ -84,14 +85,15 @@ class StepSolver:
         limit = getattr(self.linear, "limit", TIE_LIMIT)
         if count <= limit:
             return None
-        if not hasattr(self.linear, "multiplier") or s.contacts is not None:
+        if not hasattr(self.linear, "multiplier"):
             raise InputError(
-                f"The surface ties have {count} multipliers; the direct solver takes up to {TIE_LIMIT}, and so does a scene with "
-                "contact. Use solve(..., linear=fmbd.Schur()), or coarser multiplier spaces."
+                f"The surface ties have {count} multipliers; the direct solver takes up to {TIE_LIMIT}. "
+                "Use solve(..., linear=fmbd.Schur()), or coarser multiplier spaces."
             )
         from .many import ManyMultipliers
 
-        return ManyMultipliers(s, self.linear.multiplier, self.linear.rtol)
+        rtol = self.linear.rtol if s.contacts is None else min(self.linear.rtol, CONTACT_RTOL)
+        return ManyMultipliers(s, self.linear.multiplier, rtol)
 
     @property
     def back_solves(self) -> int:
