@@ -31,6 +31,7 @@ from .precondition import Fractional, lumped
 from .residual import Judge
 from .saddle import Elastic, TraceTie, rigid_modes
 
+CONTACT_RTOL = 1e-13  # of scenes with contact, whose own iteration needs products of that accuracy
 CHANGED = 0.1  # relative change of G after which S~ is made anew
 
 
@@ -38,7 +39,7 @@ class ManyMultipliers:
     """Equation (1) for the ties of a system; ``iterations`` counts those of all solves. Collective throughout."""
 
     def __init__(self, system: System, multiplier: Any, rtol: float) -> None:
-        self.system, self.rtol = system, rtol
+        self.system, self.rtol = system, rtol if system.contacts is None else min(rtol, CONTACT_RTOL)
         self.multiplier = multiplier if isinstance(multiplier, Fractional) else None
         self.rows = np.concatenate([np.arange(span.start, span.stop) for _, span in system.traces])
         self.few = np.setdiff1d(np.arange(system.n_lam), self.rows)

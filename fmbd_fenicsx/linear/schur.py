@@ -32,7 +32,6 @@ from .spd import CholeskyFactor, MassInverse
 from .sway import frame_moments
 
 TIE_LIMIT = 1500  # multipliers of surface ties that the dense core takes
-CONTACT_RTOL = 1e-13  # of the iterations on many multipliers where contact iterates on top of them
 LOOK_LIMIT = 600  # constraint rows up to which the solver itself looks for redundant ones
 
 
@@ -92,8 +91,7 @@ class StepSolver:
             )
         from .many import ManyMultipliers
 
-        rtol = self.linear.rtol if s.contacts is None else min(self.linear.rtol, CONTACT_RTOL)
-        return ManyMultipliers(s, self.linear.multiplier, rtol)
+        return ManyMultipliers(s, self.linear.multiplier, self.linear.rtol)
 
     @property
     def back_solves(self) -> int:
