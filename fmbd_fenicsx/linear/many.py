@@ -97,7 +97,7 @@ class ManyMultipliers:
         """G x - c of the ties, and the size of the terms that cancel in it; collective."""
         s = self.system
         parts = [np.asarray(self.G.core @ x[: s.n_core]), -c]
-        parts += [self.G.port[:, s.port_slice(k)] @ p.ports_of(s.local_v(x, k)) for k, p in s.fields]
+        parts += [self.G.port[:, s.port_slice(k)] @ self.G.ports_of(k, p, s.local_v(x, k)) for k, p in s.fields]
         return np.sum(parts, axis=0)[self.rows], float(sum(np.linalg.norm(y[self.rows]) for y in parts))
 
     def _count(self, _: float) -> None:

@@ -345,7 +345,9 @@ class StepSolver:
 
     def _project(self, f: DistributedPart, block: Block, z: Array) -> Array:
         """H^T z of a field."""
-        ports = f.ports_of(z)
+        ports, shown = f.ports_of(z), getattr(f, "shown", None)
+        if shown is not None:  # columns of a bent body
+            ports = ports + shown.along(z)
         q = ports[: f.n_frame_rows] if f.shared_columns else f.field.total(f.inertia_columns.T @ z)
         return np.concatenate((q, ports[block.used]))
 

@@ -270,8 +270,10 @@ class _Assembly:
         return K
 
     def stiffening(self) -> Array:
-        """Geometric stiffness for unit a_x and unit L_xx in beam axes, (2, n, n): N(x) = -int_x^l rhoA (a_x + L_xx s) ds."""
-        G = np.zeros((2, self.n, self.n))
+        """Geometric stiffness for unit a_x, unit L_xx and a unit tension at the end, in beam axes, (3, n, n): the axial force
+        is N(x) = F - int_x^l rhoA (a_x + L_xx s) ds.
+        """
+        G = np.zeros((3, self.n, self.n))
         top = self.beam.length - self.origin
         for e in range(self.beam.elements):
             for x, w in zip(0.5 * (1 + GAUSS_X), 0.5 * self.a * GAUSS_W, strict=True):
@@ -280,6 +282,7 @@ class _Assembly:
                 work = w * slopes.T @ slopes
                 G[0] -= self.s.rhoA * (top - s) * work
                 G[1] -= self.s.rhoA * 0.5 * (top**2 - s**2) * work
+                G[2] += work
         return G
 
     def basis(self, K: Array, M: Array) -> Array:
@@ -347,6 +350,7 @@ class _Assembly:
             G = np.concatenate(
                 (np.multiply.outer(R[:, 0], Gx[0]), np.multiply.outer(np.outer(R[:, 0], R[:, 0]).ravel(), Gx[1]))
             )
+            surfaces["end"] = replace(surfaces["end"], bend=np.multiply.outer(R[:, 0], Gx[2]))
         return Constants(self.s.rhoA * beam.length, S, T, K, D, surfaces, center, beam.length, G)
 
     def _section(self, e: int, x: float, R: Array, W: Array, at: Array) -> SurfaceData:

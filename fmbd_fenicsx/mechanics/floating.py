@@ -23,6 +23,7 @@ from .field_part import FieldPart
 from .limits import TOO_LARGE, too_large, warn_of_spin
 from .modes import first_eigenvalue_bound, first_frequency
 from .placements import Attached, Chord, FrameMotion, MeanAxis
+from .shortening import Bent, Shortening
 from .stiffening import Stiffening
 
 
@@ -42,12 +43,18 @@ class FloatingField(FieldPart):
         held_at: str | None = None,
     ) -> None:
         super().__init__(field, frame, surfaces, frame_conditions(field, kind))
-        self.stiffening = None if held_at is None else Stiffening(field, attachment(field, held_at))
-        self._load = np.zeros(field.dim + field.dim**2)
+        self.stiffening: Stiffening | None = None
+        self.shortening: Shortening | None = None
+        if held_at is not None:
+            moved = [s for s in surfaces if s != held_at]
+            self.stiffening = Stiffening(field, attachment(field, held_at), moved)
+            self.shortening = self.stiffening.shortening(surfaces, self.n_frame_rows, self.n_port)
         self.shared_columns = isinstance(kind, MeanAxis)
         self.inertia_columns = field.Q
         self.moment, self.inertia = np.zeros(field.dim), field.inertia
         self._last, self.warned = np.zeros(self.n), False
+        self._load = np.zeros(0 if self.stiffening is None else self.stiffening.count)
+        self.shown: Bent | None = None
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
@@ -77,7 +84,7 @@ class FloatingField(FieldPart):
         if self.field.D is not None:
             rows += self.field.damping(local[1])
         if self.stiffening is not None:
-            self._load = inertia_load(a, motion.twist[d:], accel[d:])
+            self._load = self.stiffening.coefficients(inertia_load(a, motion.twist[d:], accel[d:]), motion.t, R)
             rows += self.stiffening.force(self._load, local[0])
         if self.field.forms.mass_damping:
             rows += self.field.forms.mass_damping * self.field.mass(Ud).ravel()
@@ -109,6 +116,11 @@ class FloatingField(FieldPart):
         f = self.field.internal(U)
         return f + beta * self.field.stiffness(Ud) if beta else f
 
+    def port_columns(self, used: np.ndarray) -> Array:
+        """Columns (n d, count) of port forces, of the body as it was bent at the last :meth:`relinearise`."""
+        columns = super().port_columns(used)
+        return columns if self.shown is None else columns - self.shown.slopes @ self.shown.N[used].T
+
     @property
     def tangent_version(self) -> int:
         """Number of tangents taken so far."""
@@ -122,7 +134,7 @@ class FloatingField(FieldPart):
         """
         f, m, d = self.field, self.motions, self.field.dim
         if self.stiffening is not None:
-            self.stiffening.set_load(self._load)
+            self.stiffening.set_load(self._load, self.shortening)
             f.linearise(None, self.stiffening.matrix_form)
         elif f.nonlinear:
             f.linearise(self._last)
@@ -136,6 +148,7 @@ class FloatingField(FieldPart):
         self.moment = f.total(f.mass(P).sum(0))
         self.inertia_columns = Q.reshape(self.n, m.n_twist)
         self.shared_columns = False
+        self.shown = None if self.shortening is None else self.shortening.at(self._last)
         self.column_version += 1
         self._tangent_at = (self._last, self._load, None)
         return True

@@ -27,15 +27,20 @@ from ..errors import ConvergenceError
 from ..rotations import Array, axial, hat, motions, spin_matrix
 from .limits import TOO_LARGE, too_large, warn_of_spin
 from .placements import FrameMotion
+from .shortening import of_constants
 
 
 @dataclass(frozen=True)
 class SurfaceData:
-    """Moments of a surface as linear functions of the modes: reference (1 + d, d), modes ((1 + d) d, m), centroid (d,)."""
+    """Moments of a surface as linear functions of the modes: reference (1 + d, d), modes ((1 + d) d, m), centroid (d,).
+
+    ``bend`` (r, m, m): G_r of :mod:`.shortening` for unit forces (and moments) on the surface; None without stiffening.
+    """
 
     reference: Array
     modes: Array
     center: Array
+    bend: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +50,7 @@ class Constants:
     Attributes: ``mass`` kg; ``S`` (d, m + 1) and ``T`` (m + 1, m + 1, d, d) of (1); ``K``, ``D`` (m, m) stiffness and
     damping; ``surfaces`` by name; ``center`` (d,) origin of the frame at the start, world axes; ``size`` m;
     ``stiffening`` (d + d^2, m, m): G of (2) for unit a and L, or None; ``loads``: pairs of a load of ``traces.loads`` and its
-    (m + 1, d, d): sum_n b_n Z_a,n^T.
+    (m + 1, d, d): sum_n b_n Z_a,n^T; ``load_stress``: G of their stress, (d, d, m, m): the nodal component i along axis j.
     """
 
     mass: float
@@ -59,6 +64,7 @@ class Constants:
     stiffening: Array | None = None
     loads: tuple[tuple[Any, Array], ...] = ()
     load_sums: dict[Any, Array] = field(default_factory=dict)
+    load_stress: dict[Any, Array] = field(default_factory=dict)
 
     @property
     def n_modes(self) -> int:
@@ -95,6 +101,8 @@ class ReducedPart:
         self.n_port = d * (1 + d) * len(used)
         self.reference = np.concatenate([np.zeros(0), *(s.reference.ravel() for s in used)])
         self.port_matrix = np.concatenate([np.zeros((0, self.n)), *(s.modes for s in used)])
+        self.shortening = of_constants(self.motions, used, self.n_port)
+        self._stress = np.zeros((self.n, self.n))
         k = self.n + 1
         self._T = np.ascontiguousarray(constants.T.transpose(0, 2, 3, 1)).reshape(k * d * d, k)
         self._modal_mass = np.trace(constants.T[1:, 1:], axis1=2, axis2=3).copy()
@@ -159,7 +167,11 @@ class ReducedPart:
         frame[d:] = axial(N)
         rows: Array = a @ c.S[:, 1:] + np.trace(B[1:], axis1=1, axis2=2) + c.K @ eta + c.D @ rate
         if c.stiffening is not None:
-            rows = rows + np.tensordot(np.concatenate((a, L.ravel())), c.stiffening, 1) @ eta
+            self._stress = np.tensordot(np.concatenate((a, L.ravel())), c.stiffening, 1)
+            for load in c.load_stress:
+                axes = np.eye(d) if load.follower else motion.R
+                self._stress += load.factor(motion.t, self.name) * np.tensordot(axes, c.load_stress[load], 2)
+            rows = rows + self._stress @ eta
         for load, b in c.loads:
             self._apply(load, b, motion, p[:, 0], (frame, rows))
         return frame, rows
@@ -204,8 +216,13 @@ class ReducedPart:
         return M, low, self._modal_mass
 
     def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
-        """K and D of the modes."""
-        return self.constants.K, self.constants.D
+        """K and D of the modes; K with the stress of the forces evaluated last."""
+        K = self.constants.K
+        if self.constants.stiffening is not None:
+            K = K + self._stress
+        if self.shortening is not None and self.shortening.G is not None:
+            K = K + np.tensordot(self.shortening.pull, self.shortening.G, 1)
+        return K, self.constants.D
 
     def _momentum(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array, float]:
         """sum M W and sum P x M W in body axes, and the kinetic energy."""

@@ -252,7 +252,11 @@ def reduce_body(body: Any, basis: FrameModes | CraigBampton | Finer) -> Reductio
     omega: Array = np.zeros(0)
     phi: Array = np.zeros((f.n * f.dim, 0))
     V = basis.columns(f, frame)
-    stress = Stiffening(f, attachment(f, body.held_at)) if body.held_at and V.shape[1] else None
+    stress = None
+    if body.held_at and V.shape[1]:
+        stress = Stiffening(
+            f, attachment(f, body.held_at), [s for s in f.mesh.surface_names if s != body.held_at]
+        )
     if stress is not None:
         V = np.concatenate((V, stress.columns), axis=1)  # the stretch of steady rotation is then exact
     if V.shape[1]:
@@ -267,13 +271,18 @@ def reduce_body(body: Any, basis: FrameModes | CraigBampton | Finer) -> Reductio
         ports = f.total(
             np.einsum("na,ndk->adk", mom.weights, phi.reshape(f.n, d, m)[mom.nodes]).reshape((1 + d) * d, m)
         )
-        surfaces[name] = SurfaceData(mom.reference, ports, mom.center)
+        bend = stress.modal(phi, stress.section_columns[name]) if stress and name != body.held_at else None
+        surfaces[name] = SurfaceData(mom.reference, ports, mom.center, bend)
     K = np.diag(omega**2)
     D = body.mass_damping * np.eye(m) + body.stiffness_damping * K
     if f.D is not None and m:
         D = D + f.total(phi.T @ np.stack([f.damping(a) for a in phi.T], axis=1))
-    stiffening = None if stress is None else stress.modal(phi)
-    made = Constants(f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z))
+    stiffening, load_stress = None, {}
+    if stress is not None:
+        stiffening = stress.modal(phi, stress.columns)
+        for (load, _), columns in zip(stress.loads, stress.load_columns, strict=True):
+            load_stress[load] = stress.modal(phi, columns).reshape(d, d, m, m)
+    made = Constants(f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z), load_stress)
     start = framed_start(body, f, frame)
     local = _amplitudes(f, start.U, phi), _amplitudes(f, start.Ud, phi)
     space = f.space

@@ -47,7 +47,8 @@ def _structure(name: str, dim: int = 0) -> type[ctypes.Structure]:
         "Body": [(x, i) for x in ("m", "at_v", "at_q", "at_x")]
         + [(x, r) for x in ("mass", "large", "spin")]
         + [(x, p) for x in ("inertia", "S", "T", "V", "modal", "K", "C", "stress", "chol", "U", "field")],
-        "Marker": [("frame", i), ("surface", i), ("reference", p), ("ports", p), ("slot", p), ("p", r * dim)]
+        "Marker": [("frame", i), ("surface", i), ("reference", p), ("ports", p)]
+        + [("bends", i), ("N", p), ("G", p), ("now", p), ("slot", p), ("p", r * dim)]
         + [("x", r * dim), ("arm", r * dim), ("R", r * dim**2)]
         + [("lever", r * dim), ("turn", r * dim**2), ("Z", r * rot**2)],
         "System": [(x, i) for x in ("nb", "markers", "m", "nc", "n", "nq", "n_core", "n_x")]
@@ -254,8 +255,19 @@ class Kernel:
                     one.slot = self._keep(self.fields[one.frame].slot[ports].astype(np.int32))
                 else:
                     one.ports = self._keep(s.parts[k].port_matrix[ports])
+                    self._bends(one, self.parts[one.frame][1], ports)
             made.append(one)
         return (kind * max(len(made), 1))(*made)
+
+    def _bends(self, one: Any, part: ReducedPart, ports: np.ndarray) -> None:
+        """What makes the ports of a marker of second order."""
+        if part.shortening is None or part.shortening.G is None:
+            return
+        N = part.shortening.N[ports]
+        mine = np.flatnonzero(np.abs(N).max(axis=0) > 0)
+        if mine.size:
+            one.bends, one.N, one.G = len(mine), self._keep(N[:, mine]), self._keep(part.shortening.G[mine])
+            one.now = self._keep(np.zeros((len(ports), part.n)))
 
     def _rows(self, used: np.ndarray) -> dict[str, np.ndarray]:
         """Constraint rows: kinds, markers, and directions in the axes that markers turn with."""

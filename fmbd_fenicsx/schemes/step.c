@@ -53,6 +53,8 @@ typedef struct {
 typedef struct {
     int frame, surface;
     double *reference, *ports;                     /* of the surface: PORT, PORT x modes */
+    int bends;                                     /* number of its G of second order, 0 without */
+    double *N, *G, *now;                           /* PORT x bends, bends x m x m; work: PORT x modes, the ports' rates */
     int *slot;                                     /* of a field's surface: PORT, column of H less TWIST */
     double p[D];                                   /* place, for surfaces the lever from the centroid */
     double x[D], arm[D], R[D * D];                 /* in one configuration; world axes */
@@ -318,6 +320,17 @@ static int polar(const double *b, double *turn, double *Z)
 }
 #endif
 
+/* The rates of the ports of a surface at the modes eta: ports - N (G eta), see mechanics/shortening.py. */
+static void bend(Marker *k, const double *eta, int m)
+{
+    memcpy(k->now, k->ports, PORT * m * sizeof(double));
+    for (int r = 0; r < k->bends; r++)
+        for (int i = 0; i < m; i++) {
+            double slope = dot(k->G + (r * m + i) * m, eta, m);
+            for (int j = 0; j < PORT; j++) k->now[j * m + i] -= k->N[j * k->bends + r] * slope;
+        }
+}
+
 /* Frames' rotations and all markers for a configuration. */
 static int place(const System *s, const double *q)
 {
@@ -330,9 +343,12 @@ static int place(const System *s, const double *q)
         if (k->surface) {
             const Body *body = s->body + k->frame;
             double b[PORT];
+            if (k->bends) bend(k, q + body->at_q, body->m);
             for (int j = 0; j < PORT; j++)
                 b[j] = k->reference[j] + (body->field ? column(body->field, TWIST + k->slot[j], q + body->at_q)
                                                       : dot(k->ports + body->m * j, q + body->at_q, body->m));
+            for (int j = 0; k->bends && j < PORT; j++) /* the mean of both rates times the modes */
+                b[j] = 0.5 * (b[j] + k->reference[j] + dot(k->now + body->m * j, q + body->at_q, body->m));
             if (polar(b + D, k->turn, k->Z)) return LOOK;
             double Rs[D * D];
             for (int j = 0; j < D; j++)
@@ -372,14 +388,14 @@ static void on_body(const System *s, const Marker *k, const double *l, const dou
     if (k->slot)
         for (int i = 0; i < D; i++) J[2 * TWIST + k->slot[i]] = lb[i];
     else
-        for (int i = 0; i < D; i++) add(J + TWIST, lb[i], k->ports + m * i, m);
+        for (int i = 0; i < D; i++) add(J + TWIST, lb[i], (k->bends ? k->now : k->ports) + m * i, m);
     for (int j = 0; j < D; j++) {
         spin(z, k->turn + D * j, grad);
         if (k->slot) {
             for (int i = 0; i < D; i++) J[2 * TWIST + k->slot[D * (1 + j) + i]] = grad[i];
             continue;
         }
-        for (int i = 0; i < D; i++) add(J + TWIST, grad[i], k->ports + m * (D * (1 + j) + i), m);
+        for (int i = 0; i < D; i++) add(J + TWIST, grad[i], (k->bends ? k->now : k->ports) + m * (D * (1 + j) + i), m);
     }
 }
 

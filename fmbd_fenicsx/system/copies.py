@@ -108,6 +108,9 @@ class Many:
         self.t: Any = float(t) if np.ndim(t) == 0 else self.times
         m, nf = s.motions, s.n_frames
         self.port, self.port_rate = self._ports(q, True), self._ports(v, False)
+        self.matrices = {number: p.port_matrix for number, p in enumerate(s.parts)}
+        for number, p in s.curved:
+            self._bend(number, p)
         self.pose = np.concatenate((q[:, : nf * m.n_pose].reshape(-1, m.n_pose), s.ground))
         self.twist = self._twists(v)
         rates = (self.twist, self.port_rate.ravel())
@@ -119,6 +122,15 @@ class Many:
         if s.n_frames:
             out[:-1] = v[:, : s.n_frames * n].reshape(-1, n)
         return out
+
+    def _bend(self, number: int, part: Any) -> None:
+        """Ports of second order: their values, rates and matrices (k, n_port, n)."""
+        s = self.system
+        u, v, at = self.q[:, s.slices[0][number]], self.v[:, s.slices[1][number]], s.port_slice(number)
+        change = -np.einsum("pr,rij,kj->kpi", part.shortening.N, part.shortening.G, u, optimize=True)
+        self.port[:, at] += 0.5 * (change @ u[..., None])[..., 0]
+        self.port_rate[:, at] += (change @ v[..., None])[..., 0]
+        self.matrices[number] = part.port_matrix + change
 
     def _ports(self, x: Array, position: bool) -> Array:
         """Port values, (k, n_port), of arrays like q (``position``: the reference added) or v."""
@@ -180,7 +192,12 @@ class Many:
                 value += np.bincount(number, (side * kin.bias[marker]).sum(1), len(value))
             return value
 
-        return self._rows(one, lambda law, k: law.many("gamma", self.times, self.port[:, k], self.port_rate[:, k]))
+        g = self._rows(one, lambda law, k: law.many("gamma", self.times, self.port[:, k], self.port_rate[:, k]))
+        for number, p in self.system.curved:
+            v = self.v[:, self.system.slices[1][number]]
+            bias = -np.einsum("pr,ki,rij,kj->kp", p.shortening.N, v, p.shortening.G, v, optimize=True)
+            g = g + (self.jacobian.port[:, :, self.system.port_slice(number)] @ bias[..., None])[..., 0]
+        return g
 
     @cached_property
     def jacobian(self) -> ManyJacobian:
@@ -269,7 +286,8 @@ class Many:
             port = np.zeros(k * s.n_port)
             np.add.at(port, m.port, (self.kin.jac_port.swapaxes(1, 2) @ wrench[m.surface][..., None])[..., 0])
             for number, p in enumerate(s.parts):
-                out[:, s.slices[1][number]] = port.reshape(k, -1)[:, s.port_slice(number)] @ p.port_matrix
+                f = port.reshape(k, -1)[:, s.port_slice(number)]
+                out[:, s.slices[1][number]] = (f[:, None] @ self.matrices[number])[:, 0]
         return out
 
 
@@ -290,11 +308,11 @@ class ManyJacobian:
             self.core = np.bincount(frames, entries.ravel(), self.core.size).astype(float).reshape(self.core.shape)
         if not s.parts:
             return
-        port: Array = np.zeros((k, s.n_lam, s.n_port))
+        self.port = port = np.zeros((k, s.n_lam, s.n_port))
         if s.batches and pattern.on.size:
             jac = many.kin.jac_port.reshape(k, -1, *many.kin.jac_port.shape[1:])
             entries = (side[:, pattern.on, None, :] @ jac[:, pattern.surface])[:, :, 0]
-            port = np.bincount(ports, entries.ravel(), port.size).astype(float).reshape(port.shape)
+            port += np.bincount(ports, entries.ravel(), port.size).reshape(port.shape)
         for law, span in s.port_constraints:
             at = s.port_slice(law.part)
             port[:, span, at] += law.many("jacobian", many.times, many.port[:, at])
@@ -303,7 +321,7 @@ class ManyJacobian:
             return
         for number, p in enumerate(s.parts):
             if p.n_port:
-                self.core[:, :, s.slices[1][number]] += port[:, :, s.port_slice(number)] @ p.port_matrix
+                self.core[:, :, s.slices[1][number]] += port[:, :, s.port_slice(number)] @ many.matrices[number]
 
     def times(self, v: Array) -> Array:
         """G v, (k, n_lam)."""

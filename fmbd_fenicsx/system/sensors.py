@@ -12,6 +12,7 @@ from ..mechanics.bodies import Surface
 from ..mechanics.drives import JointCoordinate
 from ..mechanics.relative import Relative
 from ..rotations import Array
+from .bent import port_acceleration
 from .scene_joints import relative_of
 from .system import Evaluation, State
 
@@ -80,7 +81,7 @@ class Acceleration(_Vector):
         out = kin.bias[marker] + kin.jac_frame[marker] @ s.twists(state.a)[m.frame[marker]]
         on = np.flatnonzero(m.surface == marker)
         if on.size:
-            out = out + kin.jac_port[on[0]] @ s.ports(state.a, s.slices[1], False)[m.port[on[0]]]
+            out = out + kin.jac_port[on[0]] @ port_acceleration(ev, state.a)[m.port[on[0]]]
         return np.asarray(out[: kin.x.shape[1]])
 
 

@@ -27,6 +27,7 @@ from ..mechanics.laws import Loads
 from ..mechanics.placements import DistributedPart, FrameMotion, Part, RigidBlock, is_distributed
 from ..rotations import Array, Motions
 from ..traces.fields import rank_sum
+from .bent import bend, note_forces, port_bias
 from .system_jacobian import Jacobian, force_tangent
 
 
@@ -108,6 +109,11 @@ class System:
     def core_parts(self) -> tuple[tuple[int, Part], ...]:
         """Replicated parts with their numbers."""
         return tuple((k, p) for k, p in enumerate(self.parts) if not p.distributed)
+
+    @cached_property
+    def curved(self) -> tuple[tuple[int, Any], ...]:
+        """Parts whose ports are of second order in their coordinates, with their numbers (``mechanics.shortening``)."""
+        return tuple((k, p) for k, p in enumerate(self.parts) if getattr(p, "shortening", None) is not None)
 
     @cached_property
     def n_core(self) -> int:
@@ -277,11 +283,11 @@ class Evaluation:
         system.move(t)
         self.pose = system.poses(q)
         in_q, in_v, _ = system.slices
-        port = system.ports(q, in_q, True)
-        self.port = port
+        self.port = system.ports(q, in_q, True)
         if v is not None:
             self.twist = system.twists(v)
             self.port_rate = system.ports(v, in_v, False)
+        self.bent = bend(self) if system.curved else {}
 
     @cached_property
     def kin(self) -> Kinematics:
@@ -339,7 +345,7 @@ class Evaluation:
             g[span] += law.gamma(self.port[k], self.port_rate[k], self.t)
         for tie, span in self.system.traces:
             g[span] = tie.gamma(self)
-        return g
+        return g + self.jacobian.port @ port_bias(self) if self.bent else g
 
     # -- balance ----------------------------------------------------------------------------------------------------
     def wrenches(self) -> Array:
@@ -375,7 +381,10 @@ class Evaluation:
         if not s.parts:
             return core
         s.move(self.t)
-        return np.concatenate((core, *(p.port_force(port[s.port_slice(k)]) for k, p in enumerate(s.parts))))
+        forces = [p.port_force(port[s.port_slice(k)]) for k, p in enumerate(s.parts)]
+        for k, bent in self.bent.items():
+            forces[k] = forces[k] + bent.force(port[s.port_slice(k)])
+        return np.concatenate((core, *forces))
 
     def balance(self, a: Array, lam: Array | None = None) -> Array:
         """M a + h + G^T lambda (lambda left out when None), like v."""
@@ -393,8 +402,11 @@ class Evaluation:
             core[p.frame] += sums
             local_rows.append(rows)
         out = np.concatenate((core[:-1].ravel(), *local_rows)) if s.parts else core[:-1].ravel()
-        if s.forces:
-            out -= self.spread(self.wrenches())
+        wrench = self.wrenches() if s.forces else None
+        if wrench is not None:
+            out -= self.spread(wrench)
+        if s.curved:
+            note_forces(self, wrench, lam)
         if lam is not None and s.n_lam:
             out += self.jacobian.transposed(lam)
         if not np.isfinite(out[: s.n_core]).all():

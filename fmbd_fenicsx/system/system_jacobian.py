@@ -62,7 +62,7 @@ class Jacobian:
 
     def __init__(self, ev: Evaluation) -> None:
         s = self.system = ev.system
-        self.t = ev.t
+        self.t, self.bent = ev.t, ev.bent
         kin, m = ev.kin, s.markers
         numbers, markers = [np.zeros(0, int)], [np.zeros(0, int)]
         sides: list[Array] = [np.zeros((0, kin.jac_frame.shape[1]))]
@@ -126,12 +126,13 @@ class Jacobian:
         """Ports of replicated parts into the core."""
         s = self.system
         for k, p in s.core_parts:
+            matrix = p.port_matrix + self.bent[k].matrix if k in self.bent else p.port_matrix
             if p.n_port and isinstance(self.core, np.ndarray):
                 if self.core.dtype.kind != "f":  # an empty pattern
                     self.core = self.core.astype(float)
-                self.core[:, s.slices[1][k]] += self.port[:, s.port_slice(k)] @ p.port_matrix
+                self.core[:, s.slices[1][k]] += self.port[:, s.port_slice(k)] @ matrix
             elif p.n_port:
-                wide = sp.csr_matrix(self.port[:, s.port_slice(k)] @ p.port_matrix)
+                wide = sp.csr_matrix(self.port[:, s.port_slice(k)] @ matrix)
                 before = s.slices[1][k].start
                 after = s.n_core - s.slices[1][k].stop
                 left, right = sp.csr_matrix((s.n_lam, before)), sp.csr_matrix((s.n_lam, after))
@@ -143,8 +144,13 @@ class Jacobian:
         s.move(self.t)
         out = np.asarray(self.core @ v[: s.n_core])
         for k, p in s.fields:
-            out = out + self.port[:, s.port_slice(k)] @ p.ports_of(s.local_v(v, k))
+            out = out + self.port[:, s.port_slice(k)] @ self.ports_of(k, p, s.local_v(v, k))
         return out
+
+    def ports_of(self, k: int, part: Any, w: Array) -> Array:
+        """Rates of the ports of part k for rates w of its coordinates; collective."""
+        ports = part.ports_of(w)
+        return ports + self.bent[k].along(w) if k in self.bent else ports
 
     def transposed(self, lam: Array) -> Array:
         """G^T lambda, like v."""
@@ -154,6 +160,9 @@ class Jacobian:
         if not s.fields:
             return core
         forces = [p.port_force(self.port[:, s.port_slice(k)].T @ lam) for k, p in s.fields]
+        for i, (k, _) in enumerate(s.fields):
+            if k in self.bent:
+                forces[i] = forces[i] + self.bent[k].force(self.port[:, s.port_slice(k)].T @ lam)
         return np.concatenate((core, *forces))
 
 

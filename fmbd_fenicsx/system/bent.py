@@ -1,0 +1,59 @@
+"""Ports of second order in a system: what bent bodies add to the ports, their rates and accelerations.
+
+See ``mechanics.shortening``. A system without such parts has none of it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..mechanics.shortening import Bent
+from ..rotations import Array
+
+if TYPE_CHECKING:
+    from .system import Evaluation
+
+
+def bend(ev: Evaluation) -> dict[int, Bent]:
+    """Add the second order to the ports of a configuration and to their rates; its derivatives by part. Collective."""
+    s, found = ev.system, {}
+    for k, p in s.curved:
+        u = s.local_q(ev.q, k)
+        found[k] = p.shortening.at(u)
+        ev.port[s.port_slice(k)] += found[k].values(u)
+        if ev.v is not None:
+            ev.port_rate[s.port_slice(k)] += found[k].along(s.local_v(ev.v, k))
+    return found
+
+
+def note_forces(ev: Evaluation, wrench: Array | None, lam: Array | None) -> None:
+    """Keep the forces on the surfaces of bent bodies, of joints (multipliers lam) and of wrenches on the markers, for tangents."""
+    s, m = ev.system, ev.system.markers
+    port = np.zeros(s.n_port)
+    if wrench is not None:
+        np.add.at(port, m.port, (ev.kin.jac_port.swapaxes(1, 2) @ wrench[m.surface][..., None])[..., 0])
+    if lam is not None and s.n_lam:
+        port -= ev.jacobian.port.T @ lam
+    for k, p in s.curved:
+        p.shortening.pull = p.shortening.N.T @ port[s.port_slice(k)]
+
+
+def port_bias(ev: Evaluation) -> Array:
+    """Accelerations of the ports by the rates of the local coordinates alone, (n_port,); collective."""
+    assert ev.v is not None
+    s = ev.system
+    out = np.zeros(s.n_port)
+    for k, p in s.curved:
+        out[s.port_slice(k)] = p.shortening.bias(s.local_v(ev.v, k))
+    return out
+
+
+def port_acceleration(ev: Evaluation, a: Array) -> Array:
+    """Accelerations of the ports, (n_port,), for accelerations a like v; collective."""
+    s = ev.system
+    out = s.ports(a, s.slices[1], False)
+    for k, bent in ev.bent.items():
+        out[s.port_slice(k)] += bent.along(s.local_v(a, k))
+    return out + port_bias(ev) if ev.bent else out
