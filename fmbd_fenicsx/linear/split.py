@@ -153,7 +153,9 @@ class SplitSolver:
                 mixed[:n] += C.T @ f.field.total(f.inertia_columns.T @ u)
         rows = [np.asarray(self.G.core @ v[:n])]
         s.move(self.G.t)
-        rows += [np.asarray(self.G.port[:, s.port_slice(k)] @ self.G.ports_of(k, p, s.local_v(v, k))) for k, p in s.fields]
+        rows += [
+            np.asarray(self.G.port[:, s.port_slice(k)] @ self.G.ports_of(k, p, s.local_v(v, k))) for k, p in s.fields
+        ]
         return [own, mixed, self.G.transposed(lam)], rows
 
     def product(self, x: Array) -> Array:

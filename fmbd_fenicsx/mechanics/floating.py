@@ -53,7 +53,7 @@ class FloatingField(FieldPart):
         self.inertia_columns = field.Q
         self.moment, self.inertia = np.zeros(field.dim), field.inertia
         self._last, self.warned = np.zeros(self.n), False
-        self._load = np.zeros(0 if self.stiffening is None else self.stiffening.count)
+        self._load: Array = np.zeros(0 if self.stiffening is None else self.stiffening.count)
         self.shown: Bent | None = None
 
     # -- mechanics ----------------------------------------------------------------------------------------------

@@ -254,9 +254,7 @@ def reduce_body(body: Any, basis: FrameModes | CraigBampton | Finer) -> Reductio
     V = basis.columns(f, frame)
     stress = None
     if body.held_at and V.shape[1]:
-        stress = Stiffening(
-            f, attachment(f, body.held_at), [s for s in f.mesh.surface_names if s != body.held_at]
-        )
+        stress = Stiffening(f, attachment(f, body.held_at), [s for s in f.mesh.surface_names if s != body.held_at])
     if stress is not None:
         V = np.concatenate((V, stress.columns), axis=1)  # the stretch of steady rotation is then exact
     if V.shape[1]:
@@ -277,7 +275,8 @@ def reduce_body(body: Any, basis: FrameModes | CraigBampton | Finer) -> Reductio
     D = body.mass_damping * np.eye(m) + body.stiffness_damping * K
     if f.D is not None and m:
         D = D + f.total(phi.T @ np.stack([f.damping(a) for a in phi.T], axis=1))
-    stiffening, load_stress = None, {}
+    stiffening = None
+    load_stress: dict[Any, Array] = {}
     if stress is not None:
         stiffening = stress.modal(phi, stress.columns)
         for (load, _), columns in zip(stress.loads, stress.load_columns, strict=True):

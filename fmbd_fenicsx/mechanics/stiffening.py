@@ -27,6 +27,7 @@ import numpy as np
 
 from ..rotations import Array
 from ..traces.fields import Field
+from ..traces.loads import Load
 from .frames import polar
 from .shortening import Shortening, rigid_ports
 
@@ -90,7 +91,9 @@ class Stiffening:
             np.outer(field.X[:, j], np.eye(d)[i]) for i, j in pairs
         ]
         self.columns = static([-field.mass(X) for X in inertia])  # (n d, d + d^2): u_0 for unit a_c and unit L_ij
-        self.loads = [(f, b) for f, b in zip(field.loads.loads, field.loads.vectors, strict=True) if not f.internal]
+        self.loads: list[tuple[Load, Any]] = [
+            (f, b) for f, b in zip(field.loads.loads, field.loads.vectors, strict=True) if not f.internal
+        ]
         self.load_columns = [static([np.outer(b[:, i], np.eye(d)[j]) for i, j in pairs]) for _, b in self.loads]
         self.section_columns = {s: static(resultant_columns(field, s).T) for s in surfaces}
         body.destroy()
@@ -115,7 +118,8 @@ class Stiffening:
     def shortening(self, surfaces: Sequence[str], first: int, n_port: int) -> Shortening | None:
         """(1) of ``mechanics.shortening`` for the ports of surfaces in this order, the first at number ``first``."""
         m, d, f = self.field.motions, self.field.dim, self.field
-        G, blocks = [], []
+        G: list[Any] = []
+        blocks: list[Array] = []
         for i, s in enumerate(surfaces):
             if s in self.section_columns:
                 own = rigid_ports(m, f.moments(s).reference)

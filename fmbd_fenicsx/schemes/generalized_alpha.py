@@ -237,11 +237,11 @@ class Stepper:
             q = system.compose(s.q, xi)
             v = fixed_v + h * gamma * A
             ev = system.at(t, q, v)
+            g = ev.constraint()
+            r = ev.balance(a, lam)
             new = far or tangent is not None or (done > patience and not system.fields)
             self.solver.prepare(ev, weights, keep=not new)
             done += 1
-            g = ev.constraint()
-            r = ev.balance(a, lam)
             if stabilised:
                 slip = ev.jacobian.times(v) + ev.constraint_rate()
                 dq, dlam = self.solver.solve(-scale * r, -scale / weights.cd * slip)

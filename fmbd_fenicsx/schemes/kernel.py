@@ -37,7 +37,7 @@ LOOK = 3  # verdict: something to be warned of or refused by the NumPy path
 def _structure(name: str, dim: int = 0) -> type[ctypes.Structure]:
     """The C structures Body, Marker (for its dimension) and System."""
     i, r, p, n = ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_long
-    rot = 2 * dim - 3
+    rot = max(2 * dim - 3, 0)
     fields: dict[str, list[tuple[str, Any]]] = {
         "Field": [("n", n), ("nodes", n), ("solved", i), ("frames", i), ("row", i), ("sways", i), ("frame_slot", p)]
         + [(x, p) for x in ("X", "Q", "port", "Y", "HY", "inertia", "moment", "port_start", "port_col")]
@@ -46,9 +46,10 @@ def _structure(name: str, dim: int = 0) -> type[ctypes.Structure]:
         + [("R", r * dim**2), ("L", r * (dim + rot) ** 2), ("solve", p)],
         "Body": [(x, i) for x in ("m", "at_v", "at_q", "at_x")]
         + [(x, r) for x in ("mass", "large", "spin")]
-        + [(x, p) for x in ("inertia", "S", "T", "V", "modal", "K", "C", "stress", "chol", "U", "field")],
+        + [(x, p) for x in ("inertia", "S", "T", "V", "modal", "K", "C", "stress", "chol", "U", "now", "field")],
         "Marker": [("frame", i), ("surface", i), ("reference", p), ("ports", p)]
-        + [("bends", i), ("N", p), ("G", p), ("now", p), ("slot", p), ("p", r * dim)]
+        + [("bends", i), ("N", p), ("G", p), ("now", p), ("row", r * (dim + rot)), ("pull", r * (dim + rot))]
+        + [("slot", p), ("p", r * dim)]
         + [("x", r * dim), ("arm", r * dim), ("R", r * dim**2)]
         + [("lever", r * dim), ("turn", r * dim**2), ("Z", r * rot**2)],
         "System": [(x, i) for x in ("nb", "markers", "m", "nc", "n", "nq", "n_core", "n_x")]
@@ -175,7 +176,7 @@ class Kernel:
                 "U": np.zeros((m + 1) * (d * d + 2 * d - 3) + 2 * m),
             }
             if c.stiffening is not None:
-                arrays["stress"] = c.stiffening.transpose(0, 2, 1)
+                arrays |= {"stress": c.stiffening.transpose(0, 2, 1), "now": np.zeros((m, m))}
             made.append(
                 kind(
                     m=m,

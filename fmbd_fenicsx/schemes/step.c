@@ -46,7 +46,7 @@ typedef struct {
     double mass, large, spin;                      /* bounds: eta . modal mass . eta and |omega|^2 */
     double *inertia;                               /* rigid: ROT x ROT */
     double *S, *T, *V, *modal, *K, *C, *stress;    /* reduced: see Python; stress NULL without stiffening */
-    double *chol, *U;                              /* L (inverse diagonal); work: T(e_a, p) */
+    double *chol, *U, *now;                        /* L (inverse diagonal); work: T(e_a, p), stiffness of the present stress */
     Field *field;                                  /* of a floating body: m counts the columns of H */
 } Body;
 
@@ -55,6 +55,7 @@ typedef struct {
     double *reference, *ports;                     /* of the surface: PORT, PORT x modes */
     int bends;                                     /* number of its G of second order, 0 without */
     double *N, *G, *now;                           /* PORT x bends, bends x m x m; work: PORT x modes, the ports' rates */
+    double row[D + ROT], pull[D + ROT];            /* forces and moments on the surface: of one row, of all reactions */
     int *slot;                                     /* of a field's surface: PORT, column of H less TWIST */
     double p[D];                                   /* place, for surfaces the lever from the centroid */
     double x[D], arm[D], R[D * D];                 /* in one configuration; world axes */
@@ -340,6 +341,7 @@ static int place(const System *s, const double *q)
         Marker *k = s->marker + i;
         const double *R = s->R + D * D * k->frame, *local = k->p;
         double centre[D];
+        memset(k->pull, 0, sizeof k->pull);
         if (k->surface) {
             const Body *body = s->body + k->frame;
             double b[PORT];
@@ -367,7 +369,7 @@ static int place(const System *s, const double *q)
 }
 
 /* The row l . x' + w . omega of a marker (world axes) as a row on its body. */
-static void on_body(const System *s, const Marker *k, const double *l, const double *w, double *J)
+static void on_body(const System *s, Marker *k, const double *l, const double *w, double *J)
 {
     const double *R = s->R + D * D * k->frame;
     double turning[ROT];
@@ -385,6 +387,10 @@ static void on_body(const System *s, const Marker *k, const double *l, const dou
     moment(k->lever, lb, t);
     for (int i = 0; i < ROT; i++) t[i] += wb[i];
     for (int i = 0; i < ROT; i++) z[i] = dot(k->Z + ROT * i, t, ROT);
+    for (int r = 0; r < k->bends; r++) {
+        k->row[r] = 0.0;
+        for (int i = 0; i < D; i++) k->row[r] += lb[i] * k->N[k->bends * i + r];
+    }
     if (k->slot)
         for (int i = 0; i < D; i++) J[2 * TWIST + k->slot[i]] = lb[i];
     else
@@ -395,12 +401,15 @@ static void on_body(const System *s, const Marker *k, const double *l, const dou
             for (int i = 0; i < D; i++) J[2 * TWIST + k->slot[D * (1 + j) + i]] = grad[i];
             continue;
         }
-        for (int i = 0; i < D; i++) add(J + TWIST, grad[i], (k->bends ? k->now : k->ports) + m * (D * (1 + j) + i), m);
+        for (int i = 0; i < D; i++) {
+            add(J + TWIST, grad[i], (k->bends ? k->now : k->ports) + m * (D * (1 + j) + i), m);
+            for (int r = 0; r < k->bends; r++) k->row[r] += grad[i] * k->N[k->bends * (D * (1 + j) + i) + r];
+        }
     }
 }
 
-/* g and G for the markers as they stand. */
-static void constraints(const System *s, const double *q, const double *offset)
+/* g and G for the markers as they stand, and the forces of the multipliers on bent surfaces. */
+static void constraints(const System *s, const double *q, const double *offset, const double *lam)
 {
     for (int k = 0; k < s->m; k++) {
         if (s->kind[k] == 4) { /* a frame condition: column ma of H */
@@ -410,7 +419,7 @@ static void constraints(const System *s, const double *q, const double *offset)
             s->jac[s->js[2 * k] + TWIST + s->ma[k]] = 1.0;
             continue;
         }
-        const Marker *a = s->marker + s->ma[k], *b = s->marker + s->mb[k];
+        Marker *a = s->marker + s->ma[k], *b = s->marker + s->mb[k];
         const double *e = s->e + D * k;
         double d[D], l[D], minus[D], wa[ROT] = {0.0}, wb[ROT] = {0.0};
         for (int i = 0; i < D; i++) { d[i] = b->x[i] - a->x[i]; l[i] = 0.0; }
@@ -444,7 +453,9 @@ static void constraints(const System *s, const double *q, const double *offset)
         for (int i = 0; i < D; i++) minus[i] = -l[i];
         long ja = s->js[2 * k], jb = s->js[2 * k + 1];
         if (ja >= 0) on_body(s, a, minus, wa, s->jac + ja);
+        if (ja >= 0) add(a->pull, -lam[k], a->row, a->bends);
         if (jb >= 0) on_body(s, b, l, wb, s->jac + jb);
+        if (jb >= 0) add(b->pull, -lam[k], b->row, b->bends);
     }
 }
 
@@ -568,10 +579,9 @@ static int inertia(const System *s, const Body *o, int b, const double *q, const
         add(elastic, rate[c], o->C + m * c, m);
     }
     if (o->stress) {
-        for (int c = 0; c < D + DD; c++) {
-            double load = c < D ? acc[c] : L[c - D];
-            for (int i = 0; i < m; i++) add(elastic, load * eta[i], o->stress + (m * c + i) * m, m);
-        }
+        memset(o->now, 0, m * m * sizeof(double));
+        for (int c = 0; c < D + DD; c++) add(o->now, c < D ? acc[c] : L[c - D], o->stress + m * m * c, m * m);
+        for (int i = 0; i < m; i++) add(elastic, eta[i], o->now + m * i, m);
     }
     for (int i = 0; i < m; i++) {
         double force = dot(U + DD * (i + 1), L, DD) + 2.0 * dot(Vp + ROT * (i + 1), w, ROT) + elastic[i];
@@ -579,6 +589,15 @@ static int inertia(const System *s, const Body *o, int b, const double *q, const
         rows[i] = force;
     }
     return dot(eta, Me, m) <= o->large && dot(w, w, ROT) <= o->spin ? DONE : LOOK;
+}
+
+/* The stress of the reactions on bent surfaces added to that of inertia. */
+static void reactions_stress(const System *s)
+{
+    for (const Marker *k = s->marker; k < s->marker + s->markers; k++) {
+        const Body *o = s->body + k->frame;
+        for (int r = 0; r < k->bends; r++) add(o->now, k->pull[r], k->G + r * o->m * o->m, o->m * o->m);
+    }
 }
 
 /* L_b of a reduced body at the configuration evaluated last. */
@@ -619,6 +638,7 @@ static int factor_body(const System *s, const Body *o, int b, const double *q, d
         for (int j = 0; j < ROT; j++) row[D + j] = T[pair[j]] - T[other[j]];
         for (int j = 0; j <= i; j++)
             row[TWIST + j] = o->modal[m * i + j] + cd * o->C[m * i + j] + ck * o->K[m * i + j];
+        for (int j = 0; o->now && j <= i; j++) row[TWIST + j] += ck * o->now[m * i + j];
     }
     for (int i = 0; i < n; i++) {
         double *Li = A + n * i;
@@ -1004,10 +1024,11 @@ int step(const System *s, double *p, const double *now, const double *before, co
         configuration(s, q0, xi, q);
         for (int i = 0; i < n; i++) v[i] = v0[i] + h * (1 - gamma) * A0[i] + h * gamma * A[i];
         if ((verdict = place(s, q))) return verdict;
-        constraints(s, q, offset);
+        constraints(s, q, offset, lam);
         for (int b = 0; b < s->nb; b++)
             if ((verdict = inertia(s, s->body + b, b, q, v, a, p + GX, r))) return verdict;
         if (far || (iterations > (int)p[PATIENCE] && s->n == s->n_core)) {
+            reactions_stress(s);
             for (int b = 0; b < s->nb; b++)
                 if (s->body[b].T && (verdict = factor_body(s, s->body + b, b, q, damp, scale))) return verdict;
             for (int b = 0; b < s->nb; b++)
