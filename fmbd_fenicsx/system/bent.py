@@ -29,7 +29,7 @@ def bend(ev: Evaluation) -> dict[int, Bent]:
 
 
 def note_forces(ev: Evaluation, wrench: Array | None, lam: Array | None) -> None:
-    """Keep the forces on the surfaces of bent bodies, of joints (multipliers lam) and of wrenches on the markers, for tangents."""
+    """Keep the forces of joints (multipliers lam) and of wrenches on the surfaces of bent bodies, for tangents."""
     s, m = ev.system, ev.system.markers
     port = np.zeros(s.n_port)
     if wrench is not None:

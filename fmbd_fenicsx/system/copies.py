@@ -285,7 +285,7 @@ class Many:
         if m.surface.size:
             port = np.zeros(k * s.n_port)
             np.add.at(port, m.port, (self.kin.jac_port.swapaxes(1, 2) @ wrench[m.surface][..., None])[..., 0])
-            for number, p in enumerate(s.parts):
+            for number in range(len(s.parts)):
                 f = port.reshape(k, -1)[:, s.port_slice(number)]
                 out[:, s.slices[1][number]] = (f[:, None] @ self.matrices[number])[:, 0]
         return out
