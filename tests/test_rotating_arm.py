@@ -156,7 +156,7 @@ def turning(system: System, start: Any, rate: float) -> Any:
         G = np.array([ev.jacobian.times(e) for e in np.eye(n)]).T
         K = derivative(lambda x, z=z: rows(z + x, o, o), steps)
         big = np.block([[K, G.T], [G, np.zeros((len(G), len(G)))]])
-        s = np.linalg.lstsq(big, -np.concatenate((rows(z, o, o), ev.constraint())), rcond=None)[0]
+        s = np.linalg.solve(big, -np.concatenate((rows(z, o, o), ev.constraint())))
         z, lam = z + s[:n], lam + s[n:]
     assert np.abs(rows(z, o, o)).max() <= 1e-6 * max(np.abs(lam).max(), 1e-12)
     Z = sl.null_space(G)
@@ -172,7 +172,7 @@ def with_tip_mass(body: Any, root: str, tip: str, mass: float, rate: float) -> f
     scene.add(body, hub, end, fmbd.fixed("weld", hub, body.surface(root)))
     scene.add(fmbd.revolute("axle", fmbd.ground, hub, center=(0, 0)))
     scene.add(fmbd.drive_rotation("motor", fmbd.ground, hub, lambda t: (rate * t, rate, 0.0)))
-    scene.add(fmbd.revolute("head", end, body.surface(tip), center=(1.0, 0.0)))
+    scene.add(fmbd.fixed("head", end, body.surface(tip)))
     return scene
 
 

@@ -23,6 +23,7 @@ from ..errors import InputError, LinearSolveError, require
 from ..log import log
 from ..mechanics.placements import DistributedPart, FrameMotion
 from ..rotations import Array
+from ..system.bent import tangent_ports
 from ..system.mobility import NEAR_SINGULAR, mobility, nearly_dependent
 from ..system.system import Evaluation, System
 from .core import ADVICE, CoreSolver
@@ -345,9 +346,7 @@ class StepSolver:
 
     def _project(self, f: DistributedPart, block: Block, z: Array) -> Array:
         """H^T z of a field."""
-        ports, shown = f.ports_of(z), getattr(f, "shown", None)
-        if shown is not None:  # columns of a bent body
-            ports = ports + shown.along(z)
+        ports = tangent_ports(f, z)
         q = ports[: f.n_frame_rows] if f.shared_columns else f.field.total(f.inertia_columns.T @ z)
         return np.concatenate((q, ports[block.used]))
 

@@ -5,7 +5,7 @@ See ``mechanics.shortening``. A system without such parts has none of it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -38,6 +38,13 @@ def note_forces(ev: Evaluation, wrench: Array | None, lam: Array | None) -> None
         port -= ev.jacobian.port.T @ lam
     for k, p in s.curved:
         p.shortening.pull = p.shortening.N.T @ port[s.port_slice(k)]
+
+
+def tangent_ports(part: Any, w: Array) -> Array:
+    """Rates of the ports for rates w of a field, with the columns that its tangent holds; collective."""
+    shown = getattr(part, "shown", None)
+    ports: Array = part.ports_of(w)
+    return ports if shown is None else ports + shown.along(w)
 
 
 def port_bias(ev: Evaluation) -> Array:
