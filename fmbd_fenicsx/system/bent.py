@@ -28,12 +28,19 @@ def bend(ev: Evaluation) -> dict[int, Bent]:
     return found
 
 
+def port_forces(ev: Evaluation, port: Array) -> list[Array]:
+    """Forces on the local coordinates of each part, of forces on the ports (n_port,)."""
+    s = ev.system
+    forces = [p.port_force(port[s.port_slice(k)]) for k, p in enumerate(s.parts)]
+    for k, bent in ev.bent.items():
+        forces[k] = forces[k] + bent.force(port[s.port_slice(k)])
+    return forces
+
+
 def note_forces(ev: Evaluation, wrench: Array | None, lam: Array | None) -> None:
     """Keep the forces of joints (multipliers lam) and of wrenches on the surfaces of bent bodies, for tangents."""
-    s, m = ev.system, ev.system.markers
-    port = np.zeros(s.n_port)
-    if wrench is not None:
-        np.add.at(port, m.port, (ev.kin.jac_port.swapaxes(1, 2) @ wrench[m.surface][..., None])[..., 0])
+    s = ev.system
+    port = np.zeros(s.n_port) if wrench is None else ev.on_ports(wrench)[1]
     if lam is not None and s.n_lam:
         port -= ev.jacobian.port.T @ lam
     for k, p in s.curved:

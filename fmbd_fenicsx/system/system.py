@@ -27,7 +27,7 @@ from ..mechanics.laws import Loads
 from ..mechanics.placements import DistributedPart, FrameMotion, Part, RigidBlock, is_distributed
 from ..rotations import Array, Motions
 from ..traces.fields import rank_sum
-from .bent import bend, note_forces, port_bias
+from .bent import bend, note_forces, port_bias, port_forces
 from .system_jacobian import Jacobian, force_tangent
 
 
@@ -381,10 +381,7 @@ class Evaluation:
         if not s.parts:
             return core
         s.move(self.t)
-        forces = [p.port_force(port[s.port_slice(k)]) for k, p in enumerate(s.parts)]
-        for k, bent in self.bent.items():
-            forces[k] = forces[k] + bent.force(port[s.port_slice(k)])
-        return np.concatenate((core, *forces))
+        return np.concatenate((core, *port_forces(self, port)))
 
     def balance(self, a: Array, lam: Array | None = None) -> Array:
         """M a + h + G^T lambda (lambda left out when None), like v."""
