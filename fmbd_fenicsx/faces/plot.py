@@ -129,6 +129,18 @@ def _legend(axes: Any) -> None:
     )
 
 
+def _ticks(axes: Any) -> None:
+    """1, 2 and 5 on logarithmic axes of little more than a decade, where powers of ten would leave most of them bare."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = sorted(axis.get_view_interval())
+        if isinstance(axis.get_major_locator(), LogLocator) and high < 50 * low:
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter(NullFormatter())
+
+
 @contextmanager
 def figure(
     file: str | Path,
@@ -154,6 +166,7 @@ def figure(
         axes = made.subplots(rows, columns, squeeze=False, width_ratios=widths)
         yield axes[0, 0] if axes.size == 1 else axes.squeeze()
         for one in axes.ravel():
+            _ticks(one)
             if one.get_legend() is None and len(one.get_legend_handles_labels()[1]) > 1:
                 _legend(one)
         if world_rank() == 0:
@@ -291,5 +304,6 @@ def plot_work_precision(study: Comparison, file: str | Path, work: str) -> None:
             axes.set_xlabel("time in steps (s)" if work == "seconds" else work.replace("_", " "))
             unit = f" ({study.units[name]})" if name in study.units else ""
             axes.set_ylabel(f"largest error of {name}{unit}")
+            _ticks(axes)
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2 * len(names))
         figure.savefig(file, dpi=200)
