@@ -14,7 +14,7 @@ import catenary_model as model
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.faces.plot import plot_curves
+from fmbd_fenicsx import plot
 from fmbd_fenicsx.log import say, world_rank
 
 SPEED, SECTION = 250 / 3.6, (60.0, 150.0)  # m/s, m
@@ -79,8 +79,10 @@ def work(file: str) -> dict[str, list[tuple[float, float]]]:
                 f"{abs(off).max():6.3f} N, at element borders {border_share(run, drive.cell):.1e} N, rate off the wire "
                 f"{run.drift[1]:.1e} m/s, {run.seconds['steps']:.2f} s, {real:.2f} times real time"
             )
-    curves = {name: tuple(np.array(points).T) for name, points in found.items()}
-    plot_curves(curves, file, ("time in steps (s)", "error of the contact force up to 20 Hz (N)"), log=True)
+    with plot.figure(file) as axes:
+        for name, points in found.items():
+            axes.loglog(*np.array(points).T, "o-", label=name)
+        axes.set(xlabel="time in steps (s)", ylabel="error of the contact force up to 20 Hz (N)")
     return found
 
 
@@ -88,24 +90,23 @@ def picture(runs: Mapping[int, fmbd.Run], file: object) -> None:
     """The wires over the pantograph at one instant, contact forces over the place, and the uplift; rank 0 writes."""
     if world_rank() != 0:
         return
-    from matplotlib.figure import Figure
+    with plot.figure(file, len(runs) + 2, 1, size=(9.5, 9.5)) as (top, *axes):
+        _wires(top, next(iter(runs.values())), next(iter(runs)))
+        _forces(axes, runs)
 
-    figure = Figure(figsize=(9.5, 8.5), layout="constrained")
-    top, *axes = figure.subplots(len(runs) + 2, 1, height_ratios=(1.1, *(1 for _ in runs), 0.8))
-    _wires(top, next(iter(runs.values())), next(iter(runs)))
+
+def _forces(axes: Any, runs: Mapping[int, fmbd.Run]) -> None:
+    """Contact force of each run over the place of the pantograph; on the last axes the uplift of a support."""
     for ax, (kmh, run) in zip(axes, runs.items(), strict=False):
         x = 10.0 + kmh / 3.6 * (run.times - model.RAMP / 2)
         ax.plot(x, run["contact"][:, 0], color="0.8", lw=0.6, label="multiplier")
         ax.plot(x, model.low_pass(run.times, run["contact"][:, 0]), color="C0", lw=1.2, label="up to 20 Hz")
-        ax.set(ylabel="contact force (N)", title=f"{kmh} km/h", xlim=(0, x[-1]), ylim=(0, None))
+        ax.set(ylabel=f"force at {kmh} km/h (N)", xlim=(0, x[-1]), ylim=(0, None))
         ax.vlines(model.SPAN * np.arange(1, int(x[-1] / model.SPAN) + 1), 0, 20, color="0.3", lw=1)
-        ax.legend(loc="lower right", ncols=2, frameon=False)
         at = min(3, run["supports"].shape[1] - 1)
         axes[-1].plot(x, 1e3 * (run["supports"][:, at] - run["supports"][0, at]), label=f"{kmh} km/h")
         axes[-1].set(xlim=(0, x[-1]))
     axes[-1].set(ylabel=f"uplift at support {at + 1} (mm)", xlabel="place of the pantograph (m); supports: ticks")
-    axes[-1].legend(loc="upper left", frameon=False)
-    figure.savefig(str(file), dpi=110)
 
 
 def _wires(ax: Any, run: fmbd.Run, kmh: int, grow: float = 20.0, apart: float = 3.0) -> None:
@@ -140,4 +141,3 @@ def _wires(ax: Any, run: fmbd.Run, kmh: int, grow: float = 20.0, apart: float = 
         f"{kmh} km/h, t = {state.t:.2f} s: shape at rest x 4, displacements x {grow:g}; red: slack droppers",
         fontsize=10,
     )
-    ax.legend(loc="upper left", ncols=2, frameon=False)

@@ -83,5 +83,5 @@ if args.picture:
             axes.plot(*places.transpose(2, 1, 0), **look)
         for row, place in zip(rows, places, strict=True):
             axes.annotate(f"{run.times[row]:.3g} s", place[0], xytext=(4, 4), textcoords="offset points", size=9)
-        axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="grey: half the step, half the cells")
+        axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="grey: half the step and cell size")
 demo.finish(checks, run, args)

@@ -31,8 +31,8 @@ def picture(runs: Mapping[str, tuple[fmbd.Run, fmbd.Run]], file: object) -> None
         return
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12, 5.8), layout="constrained")
-    above, below = figure.subfigures(2, 1, height_ratios=(0.75, 1))
+    figure = Figure(figsize=(12, 6.4), layout="constrained")
+    above, below = figure.subfigures(2, 1, height_ratios=(0.75, 1.2))
     ax = above.subplots()
     axes = below.subplot_mosaic([["acceleration", "pitch", "stress"]])
     for k, (state, moment) in enumerate(zip(elastic.snapshots, moments, strict=True)):
@@ -46,7 +46,7 @@ def picture(runs: Mapping[str, tuple[fmbd.Run, fmbd.Run]], file: object) -> None
     for k, (name, (rigid, soft)) in enumerate(runs.items()):
         for run, kind, look in ((rigid, "rigid", {"lw": 4, "alpha": 0.35}), (soft, "elastic", {"lw": 1})):
             label = f"{kind}, {name}"
-            axes["acceleration"].plot(run.times, run["cab acceleration"][:, 1], color=f"C{k}", **look)
+            axes["acceleration"].plot(run.times, run["cab acceleration"][:, 1], color=f"C{k}", label=label, **look)
             axes["pitch"].plot(run.times, 1e3 * run["cab pitch"][:, 0], color=f"C{k}", label=label, **look)
         change = soft["stress"][:, 0] - soft["stress"][0, 0]
         axes["stress"].plot(
@@ -56,9 +56,14 @@ def picture(runs: Mapping[str, tuple[fmbd.Run, fmbd.Run]], file: object) -> None
                         ("stress", "change of the largest stress (N/m)")):  # fmt: skip
         axes[name].set(xlabel="time (s)", ylabel=label)
         axes[name].grid(alpha=0.3)
-    axes["pitch"].legend(frameon=False, fontsize=6.5, loc="upper right")
-    axes["stress"].legend(frameon=False, fontsize=6.5, loc="upper left")
-    axes["stress"].margins(y=0.2)
+    for one in axes.values():
+        one.legend(
+            frameon=False,
+            fontsize=8,
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            ncols=1 if one is axes["stress"] else 2,
+        )
     figure.savefig(str(file), dpi=110)
 
 

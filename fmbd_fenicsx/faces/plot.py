@@ -199,18 +199,6 @@ def shapes(axes: Any, run: Run, *, paint: tuple[Any, Callable[[Any], Any], str] 
     axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
 
 
-def plot_curves(
-    curves: Mapping[str, tuple[Array, Array]], file: str | Path, labels: tuple[str, str], log: bool = False
-) -> None:
-    """Write named curves (x, y) in one axes; ``labels`` of x and y with units; ``log``: logarithmic axes."""
-    with figure(file) as axes:
-        for k, (name, (x, y)) in enumerate(curves.items()):
-            axes.plot(x, y, label=name, marker=MARKS[k % len(MARKS)] if log else None)
-        axes.set(xlabel=labels[0], ylabel=labels[1])
-        if log:
-            axes.set(xscale="log", yscale="log")
-
-
 def plot_series(
     run: Run, sensors: Sequence[str], file: str | Path, reference: Mapping[str, Known] | None = None
 ) -> None:
