@@ -17,6 +17,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import truck_figures as figures
 import truck_model as model
 
 import fmbd_fenicsx as fmbd
@@ -26,17 +27,6 @@ from fmbd_fenicsx.log import world_rank
 
 args = demo.arguments(__doc__, {"--coordinates": "", "--study": ""})
 t_end, dt, size = (2.0, 4e-2, 0.6) if args.fast else (10.0, 1e-2, 0.3)
-PIN_FORCE = 68056.2088888888  # N, of the source
-NINE = {  # of truck_model.nine_coordinates at t_end: pinned, on springs
-    2.0: ([0.50290005089995, 2.0047517733927, 0.0013548853582886, 0.50676408485884, 2.908354490238,
-           0.0013489881476636, -1.4612023238746, 2.9027391611411, 0.0013339690333247],
-          [0.50290803829768, 2.0047275813676, 0.001318841197048, 0.50674866256439, 2.9082307868551,
-           0.00131269932479, -1.4613981101619, 2.9027195234796, 0.0013112318521282]),
-    10.0: ([0.55399417622006, 2.0491685230494, -0.0031125674025083, 0.54719915194705, 2.9406191205869,
-            -0.0031127007852364, -1.4571738542069, 2.9536700504442, -0.0031364173050055],
-           [0.55419826684956, 2.0479691507847, -0.0042835917934678, 0.54679152812889, 2.9362140954371,
-            -0.0042829498155047, -1.4415234292275, 2.9540275722563, -0.0045271952826608]),
-}  # fmt: skip
 SUSPENSIONS = {"pin and spring": True, "three springs": False}
 
 
@@ -63,15 +53,14 @@ def unbalanced(pin):
 
 
 checks, runs, soft = [], {}, model.elastic_load(h=size)
-for (name, pinned), expected in zip(SUSPENSIONS.items(), NINE[t_end], strict=True):
+for (name, pinned), expected in zip(SUSPENSIONS.items(), model.NINE_AT[t_end], strict=True):
     found = model.nine_coordinates([0.0, t_end], pinned=pinned)
-    checks.append(
-        Check(f"{name}: nine coordinates at the end, m, rad", abs(found["p"][-1] - expected).max(), 0.0, 1e-11)
-    )
+    error = abs(found["p"][-1] - expected).max()
+    checks.append(Check(f"{name}: nine coordinates at the end, m, rad", error, 0.0, 1e-11))
     digits = 1e-9 if pinned else 1e-8  # the source prints the nominal forces of the two rear springs to 1e-8 N
     checks.append(Check(f"{name}: out of balance at the start, N", unbalanced(found.get("pin")), 0.0, digits))
     if pinned:
-        checks.append(Check.relative("pin force at the start, N", found["pin"][0, 1], PIN_FORCE, 1e-9))
+        checks.append(Check.relative("pin force at the start, N", found["pin"][0, 1], model.PIN_FORCE, 1e-9))
     rigid, full = drive(model.rigid_load(), pinned), drive(soft, pinned, snapshots=4)
     runs[name] = rigid, full
     far = [deviation(drive(model.elastic_load(E, h=size), pinned, E), rigid) for E in (1e9, 1e10)]
@@ -91,11 +80,8 @@ if args.coordinates:
     if world_rank() == 0:
         content = {name: {k: x.tolist() for k, x in one.items()} for name, one in found.items()}
         Path(args.coordinates).write_text(json.dumps(content) + "\n")
-if args.study or args.picture:
-    import truck_figures
-
-    if args.picture:
-        truck_figures.picture(runs, args.picture)
-    if args.study:
-        truck_figures.work(args.study, t_end)
+if args.picture:
+    figures.picture(runs, args.picture)
+if args.study:
+    figures.work(args.study, t_end)
 demo.finish(checks, full, args)
