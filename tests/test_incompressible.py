@@ -11,8 +11,10 @@ import pytest
 from scipy.integrate import quad
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.errors import ConstraintError, InputError
+from fmbd_fenicsx.linear.schur import StepSolver
 from fmbd_fenicsx.materials import neo_hookean_incompressible, neo_hookean_mixed
+from fmbd_fenicsx.schemes.start import consistent
 
 ROOT = Path(__file__).resolve().parents[1]
 E, DENSITY = 3e6, 1000.0
@@ -148,7 +150,7 @@ def test_volume_in_motion(rod_mesh: Callable[..., Any], dim: int) -> None:
 
 
 def test_refused(rod_mesh: Callable[..., Any]) -> None:
-    """What does not move the pressure is refused: other schemes, the stabilised form, floating frames, Rayleigh damping."""
+    """What does not move the pressure is refused: other schemes, the stabilised form, floating frames; a wrong start."""
     mesh, energy = rod_mesh(dim=2, h=0.25), neo_hookean_incompressible(1e5)
     for scheme in (fmbd.BDF(), fmbd.GeneralizedAlpha(form=fmbd.GGL())):
         with pytest.raises(InputError, match="pressure that is an unknown"):
@@ -160,7 +162,82 @@ def test_refused(rod_mesh: Callable[..., Any]) -> None:
     scene.add(fmbd.FloatingBody("rod", mesh, density=DENSITY, energy=energy))
     with pytest.raises(InputError, match="needs an AbsoluteBody"):
         scene.build()
-    damped = fmbd.Scene("damped")
-    damped.add(fmbd.AbsoluteBody("rod", mesh, density=DENSITY, energy=energy, stiffness_damping=1e-3))
-    with pytest.raises(InputError, match="stiffness_damping"):
-        damped.build()
+    squeezed = fmbd.Scene("squeezed")
+    squeezed.add(fmbd.AbsoluteBody("rod", mesh, density=DENSITY, energy=energy, displacement=lambda X: 0.1 * X))
+    with pytest.raises(ConstraintError, match="keeps its volume"):
+        fmbd.solve(squeezed, t_end=1e-3, dt=1e-3)
+
+
+@pytest.mark.mpi
+def test_first_pressure_is_that_of_the_motion() -> None:
+    """A ring set spinning: div grad p = -2 rho w^2 with p = 0 at both edges, and accelerations that keep the volume."""
+    ri, ro, w = 0.5, 1.5, 3.0
+    mesh = fmbd.read_gmsh(ROOT / "meshes/ring.py", radius=1.0, width=1.0, h=0.1)
+    body = fmbd.AbsoluteBody("ring", mesh, density=DENSITY, energy=neo_hookean_incompressible(E), angular_velocity=w)
+    scene = fmbd.Scene("ring")
+    scene.add(body)
+    system, given, _ = scene.build()
+    start, _ = consistent(system, given, StepSolver(system))
+    field: Any = system.fields[0][1].field
+    r = np.hypot(*field.pressure.tabulate_dof_coordinates()[: field.n_pressure, :2].T)
+    c = (ro**2 - ri**2) / np.log(ro / ri)
+    exact = 0.5 * DENSITY * w**2 * (ri**2 - r**2 + c * np.log(r / ri))
+    size = float(max(field.comm.allgather(np.abs(exact).max())))
+    np.testing.assert_allclose(field.pressure_values, exact, atol=0.02 * size)
+    rate, rest = field.volume_rate(start.a), field.volume_bias(start.q, start.v)
+    assert np.abs(rate + rest).max(initial=0.0) < 1e-10 * float(
+        max(field.comm.allgather(np.abs(rest).max(initial=0.0)))
+    )
+    assert np.abs(field.volume_rate(start.v)).max(initial=0.0) < 1e-12
+
+
+def test_pressure_converges_from_the_first_step_on(rod_mesh: Callable[..., Any]) -> None:
+    """The pressure of a swinging rod, largest error of all steps: second order, so the start is that of the motion."""
+    rod = fmbd.AbsoluteBody("rod", rod_mesh(dim=2, h=0.5, height=0.3), density=DENSITY, angular_velocity=2.0,
+                            velocity=(0.0, 1.0), energy=neo_hookean_incompressible(2e4))  # fmt: skip
+    scene = fmbd.Scene("pendulum", gravity=(0.0, -9.81))
+    scene.add(rod, fmbd.revolute("pin", rod.surface("pin"), fmbd.ground))
+
+    def history(n: int) -> Any:
+        system, given, _ = scene.build()
+        solver = StepSolver(system)
+        start, _ = consistent(system, given, solver)
+        newton = fmbd.Newton(1e-10, 25)
+        newton.refresh = solver.refresh
+        stepper = fmbd.GeneralizedAlpha(0.8).stepper(system, solver, newton, start)
+        out = [system.fields[0][1].field.pressure_values]  # type: ignore[attr-defined]
+        for _ in range(n):
+            stepper.advance(0.04 / n)
+            out.append(system.fields[0][1].field.pressure_values)  # type: ignore[attr-defined]
+        return np.array(out)
+
+    fine = history(256)
+    errors = [np.abs(history(n) - fine[:: 256 // n]).max() for n in (16, 32, 64)]
+    assert np.log2(errors[1] / errors[2]) > 1.8, errors
+
+
+def test_stiffness_damping(rod_mesh: Callable[..., Any]) -> None:
+    """Rayleigh damping leaves a spinning body alone, damps a swinging one, and leaves its volume alone."""
+    energy = neo_hookean_incompressible(1e5)
+    body = fmbd.AbsoluteBody("rod", rod_mesh(dim=2, h=0.25), density=DENSITY, energy=energy, stiffness_damping=0.05)
+    part = the_part(body)
+    turn, x = 0.7, part.field.X
+    R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    spun = (x @ R.T - x).ravel(), (x @ R.T @ np.array([[0.0, 1.0], [-1.0, 0.0]])).ravel()
+    assert np.abs(part._turned_stiffness(*spun)).max() < 1e-9 * np.abs(part.field.stiffness(x.ravel())).max()
+    damped, free = (pendulum_of(body.with_(stiffness_damping=beta)) for beta in (0.05, 0.0))
+    lost, kept = (float(sum(run.energy.values())[-1]) for run in (damped, free))
+    assert lost < kept - 0.05 * free.energy["kinetic"].max()
+    assert volume_gap(damped) < 1e-8
+
+
+def the_part(body: Any) -> Any:
+    scene = fmbd.Scene("one")
+    scene.add(body)
+    return scene.build()[0].fields[0][1]
+
+
+def pendulum_of(body: Any) -> fmbd.Run:
+    scene = fmbd.Scene("pendulum", gravity=(0.0, -9.81))
+    scene.add(body, fmbd.revolute("pin", body.surface("pin"), fmbd.ground))
+    return fmbd.solve(scene, t_end=0.2, dt=2.5e-3, output=QUIET)

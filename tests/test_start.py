@@ -127,7 +127,7 @@ def test_jerk_is_the_rate_of_accelerations(dim: int) -> None:
     scene = jointed(dim, kick=True)
     system, s, _ = started(scene)
     solver = StepSolver(system)
-    a_rate, l_rate = jerk(system, s, solver, Weights(1.0, 0.0, 0.0), 1e-2)
+    a_rate, l_rate, _ = jerk(system, s, solver, Weights(1.0, 0.0, 0.0), 1e-2)
 
     def later(x: float) -> State:
         q = system.compose(s.q, x * s.v + 0.5 * x * x * s.a)

@@ -31,6 +31,7 @@ from .options import check_options
 from .residual import Judge
 from .spd import CholeskyFactor, MassInverse
 from .sway import frame_moments
+from .volume import VolumeMass, turned
 
 TIE_LIMIT = 1500  # multipliers of surface ties that the dense core takes
 LOOK_LIMIT = 600  # constraint rows up to which the solver itself looks for redundant ones
@@ -304,7 +305,7 @@ class StepSolver:
     def _factor(self, f: Any, cm: float, ck: float, cd: float) -> Any:
         """A new factor of cm M + ck K, with the field's own damping where it has one."""
         if ck == 0:
-            return MassInverse(f.field, cm)
+            return VolumeMass(f.field, cm) if f.field.keeps_volume else MassInverse(f.field, cm)
         slack = getattr(f, "slack", None)
         if slack is None and self.linear is not None:
             return self.linear.block(f.field, (cm, cd, ck), f"{self.prefix}{f.name}.u_")
@@ -374,10 +375,10 @@ class StepSolver:
         b = b.copy()
         for i, k, f in carried:
             at = s.slices[1][k]
-            b[at] -= self.weights.ck * _turned(f.field.volume_load(), self._turns[i])  # type: ignore[attr-defined]
+            b[at] -= self.weights.ck * turned(f.field.volume_load(), self._turns[i])  # type: ignore[attr-defined]
         dq, dlam = self.solve(b, c)
         for i, k, f in carried:
-            f.field.move_pressure(_turned(s.local_v(dq, k), self._turns[i], back=True))  # type: ignore[attr-defined]
+            f.field.move_pressure(turned(s.local_v(dq, k), self._turns[i], back=True))  # type: ignore[attr-defined]
         return dq, dlam
 
     @property
@@ -398,7 +399,7 @@ class StepSolver:
         rhs = np.concatenate((b[:n], c))
         zs = []
         for i, ((k, f), block) in enumerate(zip(s.fields, self.blocks, strict=True)):
-            z = block.factor.solve(_turned(s.local_v(b, k), self._turns[i], back=True))
+            z = block.factor.solve(turned(s.local_v(b, k), self._turns[i], back=True))
             rhs -= self._S[i].T @ self._project(f, block, z)
             zs.append(z)
         x = np.concatenate(self.core.solve(rhs[:n], rhs[n:]))
@@ -409,7 +410,7 @@ class StepSolver:
             x += more
             for part, S, block in zip(parts, self._S, self.blocks, strict=True):
                 part -= block.Y @ (S @ more)
-        return np.concatenate([x[:n], *(_turned(x, turn) for x, turn in zip(parts, self._turns, strict=True))]), x[n:]
+        return np.concatenate([x[:n], *(turned(x, turn) for x, turn in zip(parts, self._turns, strict=True))]), x[n:]
 
     def refresh(self) -> bool:
         """New tangents of nonlinear parts at the configuration evaluated last, and rows at the one given last to
@@ -439,12 +440,10 @@ def dense(A: Any) -> Array:
 def _made_of(f: DistributedPart, w: Weights) -> tuple[float, float, float, int]:
     """Coefficients of M, of an own damping form and of K in the matrix of a field, and the number of its tangent."""
     forms = f.field.forms
-    cm, ck = w.cm + w.cd * forms.mass_damping, w.ck + w.cd * forms.stiffness_damping
-    return cm, w.cd if f.field.D is not None else 0.0, ck, f.tangent_version if ck else 0
-
-
-def _turned(x: Array, R: Array | None, back: bool = False) -> Array:
-    """Nodal vectors x (n d,) turned by R (d, d), or back by R^T; x itself without a rotation."""
-    if R is None:
-        return x
-    return (x.reshape(-1, len(R)) @ (R if back else R.T)).ravel()
+    cm, ck = w.cm + w.cd * forms.mass_damping, w.ck
+    damped = f.field.D is not None
+    if f.field.carried:  # its stiffness_damping leaves the volume alone, see MixedField.combination
+        damped |= forms.stiffness_damping > 0
+    else:
+        ck += w.cd * forms.stiffness_damping
+    return cm, w.cd if damped else 0.0, ck, f.tangent_version if ck or f.field.keeps_volume else 0

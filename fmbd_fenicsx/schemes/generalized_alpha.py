@@ -34,6 +34,7 @@ import numpy as np
 
 from ..errors import ConvergenceError, LinearSolveError, require
 from ..linear.schur import StepSolver, Weights
+from ..linear.volume import volume_push
 from ..rotations import Array
 from ..system.memory import Memory
 from ..system.system import State, System
@@ -138,12 +139,13 @@ class Stepper:
         """v_0 and A_0 without a transient (see the module), and a, lambda predicted for the end of the first step."""
         system, s = self.system, self.state
         am, af, _, beta = self.scheme.parameters
-        rate, lam_rate = jerk(system, s, self.solver, weights, h)
+        rate, lam_rate, volume = jerk(system, s, self.solver, weights, h)
         v = s.v
-        if system.n_lam and not isinstance(self.scheme.form, GGL):
+        if (system.n_lam or volume) and not isinstance(self.scheme.form, GGL):
             c = 1 / 6 - beta - 0.5 * (am - af)
             miss = h * h * (c * rate + spin_of_acceleration(system, s.v, s.a) / 12)
-            v = v + self.solver.solve(np.zeros(system.n_v), system.at(s.t, s.q).jacobian.times(miss))[0]
+            push = volume_push(self.solver, {k: h * h * c * x for k, x in volume.items()})
+            v = v + self.solver.solve(push, system.at(s.t, s.q).jacobian.times(miss))[0]
         return v, s.a + (am - af) * h * rate, s.a + h * rate, s.lam + h * lam_rate
 
     def remember(self, m: Memory) -> None:

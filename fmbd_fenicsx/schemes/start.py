@@ -8,11 +8,13 @@ Inconsistent data cost an index-3 scheme errors of size delta / h^2 in the multi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ..errors import ConstraintError, FmbdError
 from ..linear.schur import StepSolver, Weights
+from ..linear.volume import VolumeMass, kept_volumes, volume_push
 from ..rotations import Array, cross3
 from ..system.system import State, System
 
@@ -39,6 +41,7 @@ def consistent(
         ConstraintError: the bodies do not fit together (correction above 1e-3 of the model's length), naming the joint.
     """
     mass = Weights(1.0, 0.0, 0.0) if metric is None else metric
+    state = keep_volumes(system, state, solver)
     q, moved, n_it = state.q, 0.0, 0
     zero = np.zeros(system.n_v)
     first = system.at(state.t, q).constraint() if system.n_lam else np.zeros(0)
@@ -92,17 +95,31 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
     """Accelerations and multipliers of a consistent (q, v), the third of (1); collective."""
     ev = system.at(state.t, state.q, state.v)
     h = ev.balance(np.zeros(system.n_v))
+    for _, part in system.fields:
+        if part.field.keeps_volume:
+            part.relinearise()
     solver.prepare(ev, Weights(1.0, 0.0, 0.0))
-    a, lam = solver.solve(-h, -ev.gamma())
+    bent = _volume_accelerations(system, state, solver)
+    if bent is None:
+        a, lam = solver.solve(-h, -ev.gamma())
+    else:
+        a, lam = solver.solve(-ev.balance(bent), -ev.gamma() - ev.jacobian.times(bent))
+        a = a + bent
     # refinement: inertia at the deformed configuration is not exactly the solver's matrix
     typical = max(system.max_abs(a), system.max_abs(state.v) ** 2 / system.length)  # of zero in equilibrium
     # forces that cancel in an equilibrium leave their roundoff in the balance
     forces = max(system.max_abs(h), float(np.abs(ev.wrenches()).max(initial=0.0)) if system.forces else 0.0)
+    forces = max([forces, *(part.field.pressure_force() for _, part, _ in kept_volumes(solver))])
     last = np.inf
     for k in range(40):
         if k == 8:  # slow: take the inertia of the deformed bodies
             solver.refresh()
         r = ev.balance(a, lam)
+        if bent is not None and k < 2:  # the rest is roundoff of the pressure
+            for at, part, volume in kept_volumes(solver):
+                field: Any = part.field
+                field.pressure_values = field.pressure_values - volume.both(r[at], np.zeros(field.n_pressure))[1]
+            r = ev.balance(a, lam)
         c = ev.jacobian.times(a) + ev.gamma()
         da, dl = solver.solve(-r, -c)
         a, lam = a + da, lam + dl
@@ -115,6 +132,61 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
     else:
         raise FmbdError("The accelerations at the start did not converge: the initial deformation is too large.")
     return replace(state, a=a, lam=lam)
+
+
+def keep_volumes(system: System, state: State, solver: StepSolver) -> State:
+    """Bodies whose pressure is an unknown at a start: J = 1, then B v = 0, by the smallest change in the mass metric, or, below
+    nu = 1/2, the pressure of their law; collective.
+
+    Raises ConstraintError where the initial displacements are far from keeping the volume.
+    """
+    q, v = state.q.copy(), state.v.copy()
+    for k, part in system.fields:
+        field: Any = part.field
+        in_q, in_v = system.slices[0][k], system.slices[1][k]
+        if field.carried and not field.keeps_volume:
+            field.pressure_values = field.constitutive_pressure(q[in_q])
+        if not field.keeps_volume:
+            continue
+        for _ in range(8):
+            system.at(state.t, q, v).balance(np.zeros(system.n_v))
+            part.relinearise()
+            mass = VolumeMass(field, 1.0)
+            dU = mass.both(np.zeros(part.n), -field.volume_gap())[0]
+            dV = mass.both(np.zeros(part.n), -field.volume_rate(v[in_v]))[0]
+            mass.destroy()
+            size, total = (
+                float(np.sqrt(field.total(np.array(x @ x / field.n)))) for x in (dU, q[in_q] - state.q[in_q] + dU)
+            )
+            if total > REFUSED * field.size:
+                raise ConstraintError(
+                    f'Body "{part.name}" keeps its volume, but its initial displacements change it: points would have to move by '
+                    f"{total:.3g} m. Give displacements with det(1 + grad u) = 1, or none."
+                )
+            if size <= 1e-14 * field.size:
+                v[in_v] += dV
+                break
+            q[in_q] += dU
+    return replace(state, q=q, v=v)
+
+
+def _second_rate(system: System, state: State, k: int) -> Array:
+    """B a + d/dt(B) v of part k."""
+    field: Any = system.parts[k].field  # type: ignore[attr-defined]
+    return np.asarray(
+        field.volume_bias(system.local_q(state.q, k), system.local_v(state.v, k), system.local_v(state.a, k))
+    )
+
+
+def _volume_accelerations(system: System, state: State, solver: StepSolver) -> Array | None:
+    """Accelerations that fulfil the hidden constraint of the volumes, like v; None without such bodies."""
+    held, out = kept_volumes(solver), np.zeros(system.n_v)
+    for at, part, mass in held:
+        field: Any = part.field
+        k = system.slices[1].index(at)
+        bias = field.volume_bias(system.local_q(state.q, k), state.v[at])
+        out[at] = mass.both(np.zeros(part.n), -bias)[0]
+    return out if held else None
 
 
 def _refuse_open(system: System, t: float, g: np.ndarray, solver: StepSolver) -> None:
@@ -137,8 +209,11 @@ def worst_block(system: System, g: np.ndarray) -> str:
     return "a constraint"
 
 
-def jerk(system: System, state: State, solver: StepSolver, weights: Weights, h: float) -> tuple[Array, Array]:
-    """Rates a' and lambda' of accelerations and multipliers along the motion of a consistent state; collective.
+def jerk(
+    system: System, state: State, solver: StepSolver, weights: Weights, h: float
+) -> tuple[Array, Array, dict[int, Array]]:
+    """Rates a' and lambda' of accelerations and multipliers along the motion of a consistent state, and the third rates of
+    volume B a' of the parts that keep theirs; collective.
 
     M a' + G^T lambda' = -d/dt (M a + h + G^T lambda) at fixed a, lambda;   G a' = -d/dt (G a + gamma) at fixed a      (2)
 
@@ -148,14 +223,23 @@ def jerk(system: System, state: State, solver: StepSolver, weights: Weights, h: 
     ev = system.at(state.t, state.q, state.v)
     d = 0.02 * h
 
-    def defects(s: float) -> tuple[Array, Array]:
+    kept = [k for k, part in system.fields if part.field.keeps_volume]
+
+    def defects(s: float) -> tuple[Array, Array, list[Array]]:
         q, v = system.compose(state.q, s * state.v + 0.5 * s * s * state.a), state.v + s * state.a
         at = ev if s == 0.0 else system.at(state.t + s, q, v)
-        return at.balance(state.a, state.lam), at.jacobian.times(state.a) + at.gamma()
+        volume = [
+            _second_rate(system, State(state.t + s, at.q, state.v + s * state.a, state.a, state.lam), k) for k in kept
+        ]
+        return at.balance(state.a, state.lam), at.jacobian.times(state.a) + at.gamma(), volume
 
-    (r0, c0), (r1, c1), (r2, c2) = defects(0.0), defects(d), defects(2 * d)
+    (r0, c0, w0), (r1, c1, w1), (r2, c2, w2) = defects(0.0), defects(d), defects(2 * d)
     solver.prepare(ev, weights)
-    return solver.solve((3 * r0 - 4 * r1 + r2) / (2 * d), (3 * c0 - 4 * c1 + c2) / (2 * d))
+    rates = {k: (3 * x - 4 * y + z) / (2 * d) for k, x, y, z in zip(kept, w0, w1, w2, strict=True)}
+    a, lam = solver.solve(
+        (3 * r0 - 4 * r1 + r2) / (2 * d) + volume_push(solver, rates), (3 * c0 - 4 * c1 + c2) / (2 * d)
+    )
+    return a, lam, rates
 
 
 def spin_of_acceleration(system: System, v: Array, a: Array) -> Array:

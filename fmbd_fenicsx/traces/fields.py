@@ -67,6 +67,7 @@ class Field:
 
     mixed = False  # whether a pressure belongs to the displacements
     carried = False  # whether that pressure is an unknown of its own
+    keeps_volume: bool = False  # whether that pressure keeps J = 1
 
     def __init__(self, name: str, mesh: Any, forms: ElasticForms) -> None:
         import dolfinx.fem.petsc as fp

@@ -83,11 +83,9 @@ class MixedField(Field):
             ) from error
         self.n_pressure = Q.dofmap.index_map.size_local
         self.carried = self._energy.carried
-        if self.carried and self.forms.stiffness_damping:
-            raise InputError(
-                f'Body "{self.name}": stiffness_damping does not go with a pressure that is an unknown: its stiffness holds '
-                "that of the volume. Use mass_damping or viscous."
-            )
+        self.keeps_volume = self.carried and self._energy.incompressible
+        self._balance = balance
+        self._rest: Any = None  # A of the stress-free body, for stiffness_damping
         self._make_compliance()
 
     def _make_compliance(self) -> None:
@@ -114,6 +112,8 @@ class MixedField(Field):
 
         self._place(np.zeros(self.n * self.dim) if U is None else U)
         super().linearise(U, extra)
+        if self.carried and self._rest is None:
+            self._rest = self.K.copy()
         if self._B is None:
             self._B = fp.create_matrix(self._coupling_form)
             self._bu, self._bp = self._B.createVecs()
@@ -149,10 +149,74 @@ class MixedField(Field):
             self._gap = b.array[: self.n_pressure] + self._pb.array
         else:
             self._gap = b.array[: self.n_pressure].copy()
-        self._pb.array[:] = self._gap
+        return self.volume_push(self._gap)
+
+    def volume_push(self, gap: Array) -> Array:
+        """B^T C^-1 gap, (n d,); collective."""
+        self._pb.array[:] = gap
         self._solve_p.solve(self._pb, self._px)
         self._B.multTranspose(self._px, self._bu)
         return np.array(self._bu.array)
+
+    def pressure_force(self) -> float:
+        """Largest nodal force B^T p of the pressure, N; collective."""
+        self._px.array[:] = self._p.x.array[: self.n_pressure]
+        self._B.multTranspose(self._px, self._bu)
+        return float(max(self.comm.allgather(np.abs(self._bu.array).max(initial=0.0))))
+
+    def volume_gap(self) -> Array:
+        """int q (J - 1) at the displacements placed last, for a body that keeps its volume; collective."""
+        self.volume_load()
+        return self._gap
+
+    def volume_rate(self, V: Array) -> Array:
+        """B v of velocities (n d,), where the field is linearised; collective."""
+        self._bu.array[:] = V
+        self._B.mult(self._bu, self._pb)
+        return np.array(self._pb.array)
+
+    @cached_property
+    def _bias_form(self) -> tuple[Any, Any, Any]:
+        """Second rate of the volume, compiled, and the functions that hold velocity and acceleration."""
+        import ufl
+        from dolfinx import fem
+
+        from .. import dolfinx_compat as compat
+
+        V, A = fem.Function(self.space), fem.Function(self.space)
+        first = ufl.derivative(self._balance, self._w, V)
+        second = ufl.derivative(first, self._w, V) + ufl.derivative(self._balance, self._w, A)
+        return compat.form(second), V, A
+
+    def volume_bias(self, U: Array, V: Array, A: Array | None = None) -> Array:
+        """B a + d/dt(B) v at displacements U, velocities V, accelerations A (n d,), None: zero; collective."""
+        from dolfinx import fem, la
+
+        form, *functions = self._bias_form
+        super()._place(U)
+        for function, values in zip(functions, (V, np.zeros_like(V) if A is None else A), strict=True):
+            function.x.array[: len(V)] = values
+            function.x.scatter_forward()
+        b = fem.assemble_vector(form)
+        b.scatter_reverse(la.InsertMode.add)
+        return np.array(b.array[: self.n_pressure])
+
+    def coupling_matrix(self) -> Any:
+        """B where the field is linearised; the caller destroys it."""
+        return self._B.copy()
+
+    def compliance_matrix(self) -> Any:
+        """C; the caller destroys it."""
+        return self._C.copy()
+
+    def constitutive_pressure(self, U: Array) -> Array:
+        """The pressure that the law gives for displacements U, nu below 1/2; collective."""
+        carried, self.carried = self.carried, False
+        try:
+            self._place(U)
+        finally:
+            self.carried = carried
+        return self.pressure_values
 
     def move_pressure(self, dU: Array) -> None:
         """p + dp of (2) for the increment dU (n d,) in the axes of the tangent; collective."""
@@ -173,7 +237,9 @@ class MixedField(Field):
         self._p.x.scatter_forward()
 
     def stiffness(self, U: Array) -> Array:
-        """A U + B^T C^-1 B U, (n d,)."""
+        """A U + B^T C^-1 B U, (n d,); with a pressure of its own A U of the stress-free body: what stiffness_damping acts by."""
+        if self.carried:
+            return self._times(self._rest, U)
         self._bu.array[:] = U
         self._B.mult(self._bu, self._pb)
         self._solve_p.solve(self._pb, self._px)
@@ -200,7 +266,10 @@ class MixedField(Field):
 
         if self.nonlinear and self._linearised is not None:
             self._place(self._linearised)
-        E = super().combination(cm, ck, cd)
+        if self.carried:
+            E = super().combination(cm, ck + cd * self.forms.stiffness_damping, cd if self.D is not None else 0.0)
+        else:
+            E = super().combination(cm, ck, cd)
         B, C = self._B.copy(), self._C.copy()
         B.scale(ck)
         C.scale(-ck)
@@ -225,6 +294,8 @@ class MixedField(Field):
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""
+        if self._rest is not None:
+            self._rest.destroy()
         for x in (self._B, self._bu, self._bp, self._px, self._pb, self._C, self._solve_p):
             x.destroy()
         super().destroy()
