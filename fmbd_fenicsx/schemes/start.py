@@ -131,6 +131,8 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
         last = size
     else:
         raise FmbdError("The accelerations at the start did not converge: the initial deformation is too large.")
+    for _, part, _ in kept_volumes(solver):
+        part.relinearise()  # with the pressure found
     return replace(state, a=a, lam=lam)
 
 
