@@ -12,7 +12,8 @@ from test_energy_momentum import spinner
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
-from fmbd_fenicsx.run.guard import Guarded, closed
+from fmbd_fenicsx.run.guard import Guarded, Watch, closed
+from fmbd_fenicsx.run.halving import Constant
 from fmbd_fenicsx.system.system import State
 
 
@@ -98,19 +99,27 @@ class ControlledHeater(Heater):
         pass
 
 
+def guard(kind: type[Heater], state: State, longest: float, system: Any) -> Any:
+    """A stepper under guard, with error control or with constant steps."""
+    stepper, watch = kind(state, longest), Watch(system, state)
+    if kind is ControlledHeater:
+        return Guarded(stepper, watch)
+    return Constant(stepper, system, lambda s: kind(s, longest), watch)
+
+
 @pytest.mark.parametrize("kind", [Heater, ControlledHeater])
 def test_halving_and_stop(kind: type[Heater]) -> None:
     scene = fmbd.Scene("free")
     scene.add(fmbd.RigidBody("body", 2.0, 1.0, velocity=(1.0, 0.0)))
     system, state, _ = scene.build()
-    guarded = Guarded(kind(state, 0.3), system, lambda s: kind(s, 0.3))
+    guarded = guard(kind, state, 0.3, system)
     found = guarded.advance(1.0)
-    assert guarded.rejections == 2 and found.v[0] == 1.0
+    assert guarded.watch.rejections == 2 and found.v[0] == 1.0
     assert found.t == pytest.approx(1.0 if kind is Heater else 0.25)
     assert guarded.evaluation.t == found.t
     again = guarded.advance(0.25)
-    assert again.t == pytest.approx(found.t + 0.25) and guarded.rejections == 2
-    hot = Guarded(kind(state, 0.0), system, lambda s: kind(s, 0.0))
+    assert again.t == pytest.approx(found.t + 0.25) and guarded.watch.rejections == 2
+    hot = guard(kind, state, 0.0, system)
     with pytest.raises(ConvergenceError, match=r"gains 0\.2.* J from nothing.*EnergyMomentum"):
         hot.advance(1.0)
     assert np.isfinite(hot.state.v).all()
@@ -121,10 +130,18 @@ def test_elastic_bodies_may_settle() -> None:
     scene = fmbd.Scene("free")
     scene.add(fmbd.RigidBody("body", 2.0, 1.0, velocity=(1.0, 0.0)))
     system, state, _ = scene.build()
-    elastic = SimpleNamespace(at=system.at, mass=2.0, gravity=system.gravity, length=1.0, parts=("rod",))
-    guarded = Guarded(Heater(state, 0.3), elastic, lambda s: Heater(s, 0.3))
+    elastic = SimpleNamespace(
+        at=system.at,
+        mass=2.0,
+        gravity=system.gravity,
+        length=1.0,
+        parts=("rod",),
+        turns=[],
+        count_from=lambda turns: None,
+    )
+    guarded = guard(Heater, state, 0.3, elastic)
     for _ in range(10):
         guarded.advance(1.0)
-    assert guarded.rejections == 0 and guarded.state.v[0] > 2.0
+    assert guarded.watch.rejections == 0 and guarded.state.v[0] > 2.0
     guarded.advance(1.0)
-    assert guarded.rejections == 2
+    assert guarded.watch.rejections == 2

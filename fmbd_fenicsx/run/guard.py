@@ -12,7 +12,6 @@ damping of the scheme then removes it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -42,76 +41,18 @@ def closed(scene: Scene, system: System) -> bool:
     return not (own or loaded or driven or moved or forced or ramp or scene.contacts or scene.sliders)
 
 
-class Guarded:
-    """A stepper under guard. ``renew`` makes a stepper from a state; ``rejections`` counts the steps that were taken back.
+class Watch:
+    """What (1) needs of the states so far; ``rejections`` counts the steps that were taken back."""
 
-    A scheme with constant steps goes on with the smaller step; one with error control is told to start again from before.
-    """
-
-    def __init__(self, stepper: Any, system: System, renew: Callable[[State], Any]) -> None:
-        self.stepper, self.system, self.renew = stepper, system, renew
-        self.halvings, self.rejections, self.largest = 0, 0, float("inf")
+    def __init__(self, system: System, state: State) -> None:
+        self.system, self.rejections = system, 0
         self.weight = system.mass * float(np.linalg.norm(system.gravity(0.0))) * system.length
         self.turnover, self.highest = 0.0, -float("inf")
-        self.local_error, self.settling = 0.0, SETTLING + 1 if system.parts else 1
-        self._gain()
+        self.settling = SETTLING + 1 if system.parts else 1
+        self.gain(state)
 
-    @property
-    def state(self) -> State:
-        """The state of the stepper."""
-        return self.stepper.state
-
-    @property
-    def counters(self) -> dict[str, float]:
-        """Those of the stepper, and the steps taken back."""
-        return {**getattr(self.stepper, "counters", {}), "energy_rejections": self.rejections}
-
-    def remember(self, m: Memory) -> None:
-        """The stepper, and what was seen of energies."""
-        remember_stepper(self.stepper, m.inside("stepper"))
-        steps = self.halvings, self.rejections, self.largest, self.local_error, self.settling
-        self.halvings, self.rejections, self.largest, self.local_error, self.settling = m("steps", steps)
-        self.turnover, self.highest = m("energies", (self.turnover, self.highest))
-
-    def restart(self, t: float) -> None:
-        """Go on behind a kink at t."""
-        self.stepper.restart(t)
-
-    def advance(self, h: float) -> State:
-        """One step, or several that make it up (constant steps); collective."""
-        if hasattr(self.stepper, "restart"):
-            return self._controlled(h)
-        done, self.local_error = 0, 0.0
-        while done < 2**self.halvings:
-            before = self.stepper.state
-            self.stepper.advance(h / 2**self.halvings)
-            if (gain := self._gain()) is None:
-                done += 1
-                self.local_error = max(self.local_error, self.stepper.local_error)
-                continue
-            self.halvings, done = self.halvings + 1, 2 * done
-            self._count(before, gain, self.halvings > HALVINGS)
-            self.stepper = self.renew(before)
-        return self.stepper.state
-
-    def _controlled(self, h: float) -> State:
-        """One step of a scheme with error control, of at most h."""
-        before = self.stepper.state
-        for left in range(HALVINGS, -1, -1):
-            after = self.stepper.advance(min(h, self.largest))
-            if (gain := self._gain()) is None:
-                self.largest *= 2.0
-                self.local_error = self.stepper.local_error
-                return after
-            self.largest = 0.5 * (after.t - before.t)
-            self._count(before, gain, left == 0)
-            self.stepper.state = before
-            self.stepper.restart(before.t)
-        return self.stepper.state
-
-    def _gain(self) -> float | None:
+    def gain(self, s: State) -> float | None:
         """Gain of energy (J) of the newest state when it is too large, else None; keeps what was seen."""
-        s = self.stepper.state
         self.evaluation: Evaluation = self.system.at(s.t, s.q, s.v)
         parts = self.evaluation.energies()
         energy = sum(parts.values())
@@ -123,10 +64,64 @@ class Guarded:
         self.turnover, self.highest = turnover, max(energy, self.highest)
         return None
 
-    def _count(self, before: State, gain: float, stop: bool) -> None:
+    def remember(self, m: Memory) -> None:
+        """What was seen of energies."""
+        self.turnover, self.highest = m("energies", (self.turnover, self.highest))
+        self.rejections, self.settling = m("steps", (self.rejections, self.settling))
+
+    def count(self, before: State, gain: float, stop: bool) -> None:
+        """One more step from ``before`` taken back; raises ConvergenceError when it must ``stop``."""
         self.rejections += 1
         if stop:
             raise ConvergenceError(
                 f"The step at t = {before.t:.6g} s gains {gain:.3g} J from nothing, also in 1/{2**HALVINGS} of the step: the "
                 "scheme does not follow a stiff part that turns. Take a much smaller dt, fmbd.EnergyMomentum() or fmbd.Radau()."
             )
+
+
+class Guarded:
+    """A stepper with error control under guard: told to start again from before. Constant steps: :mod:`.halving`."""
+
+    def __init__(self, stepper: Any, watch: Watch) -> None:
+        self.stepper, self.watch, self.largest = stepper, watch, float("inf")
+        self.local_error = 0.0
+
+    @property
+    def state(self) -> State:
+        """The state of the stepper."""
+        return self.stepper.state
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """At the newest state."""
+        return self.watch.evaluation
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Those of the stepper, and the steps taken back."""
+        return {**getattr(self.stepper, "counters", {}), "energy_rejections": self.watch.rejections}
+
+    def remember(self, m: Memory) -> None:
+        """The stepper, its largest step, and what was seen of energies."""
+        remember_stepper(self.stepper, m.inside("stepper"))
+        self.watch.remember(m.inside("watch"))
+        self.largest, self.local_error = m("steps", (self.largest, self.local_error))
+
+    def restart(self, t: float) -> None:
+        """Go on behind a kink at t."""
+        self.stepper.restart(t)
+
+    def advance(self, h: float) -> State:
+        """One step of at most h; collective."""
+        before = self.stepper.state
+        for left in range(HALVINGS, -1, -1):
+            after = self.stepper.advance(min(h, self.largest))
+            if (gain := self.watch.gain(after)) is None:
+                self.largest *= 2.0
+                self.local_error = self.stepper.local_error
+                return after
+            self.largest = 0.5 * (after.t - before.t)
+            self.watch.count(before, gain, left == 0)
+            self.stepper.state = before
+            self.stepper.restart(before.t)
+        return self.stepper.state

@@ -15,7 +15,8 @@ from ..schemes.statics import equilibrium
 from ..system.scene import Scene
 from ..system.system import State, System
 from .course import Course
-from .guard import Guarded, closed
+from .guard import Guarded, Watch, closed
+from .halving import Constant
 from .output import Output, Progress, Recorder
 from .pace import Pace
 
@@ -75,23 +76,29 @@ def begin(
     return consistent(system, given, solver)
 
 
-def _stepper(problem: Problem, solver: StepSolver, *, guarded: bool) -> Any:
-    """The scheme's worker from the consistent start, under the energy guard where that makes sense."""
+def _stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: bool) -> Any:
+    """The scheme's worker from the consistent start: constant steps in parts where that must be, under the energy guard where
+    that makes sense.
+    """
     made = problem.scheme.stepper(problem.system, solver, problem.newton, problem.start)
-    if not guarded:
-        return made
+    watch = Watch(problem.system, made.state) if guarded else None
 
     def renew(state: State) -> Any:
         problem.newton.theta = 0.5
+        if problem.system.fields:  # tangents of a failed iteration are of no use
+            problem.system.at(state.t, state.q, state.v).balance(state.a, state.lam)
+            solver.refresh()
         start, _ = consistent(problem.system, state, solver)
         return problem.scheme.stepper(problem.system, solver, problem.newton, start)
 
-    return Guarded(made, problem.system, renew)
+    if pace.steps:
+        return Constant(made, problem.system, None if hasattr(problem.scheme, "start") else renew, watch)
+    return made if watch is None else Guarded(made, watch)
 
 
 def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keeper: Keeper | None = None) -> March:
     """All steps from a consistent start, or from the checkpoint that the ``keeper`` takes up; collective."""
-    stepper = _stepper(problem, solver, guarded=output.energy and closed(problem.scene, problem.system))
+    stepper = _stepper(problem, solver, pace, guarded=output.energy and closed(problem.scene, problem.system))
     recorder = Recorder(problem.scene, problem.system, problem.markers, output, pace.t_end)
     recorder.take(0, stepper.state, getattr(stepper, "evaluation", None))
     course = Course(problem.system, solver, problem.newton, stepper, recorder)

@@ -277,6 +277,7 @@ def _counters(march: March, newton: Newton, solver: StepSolver) -> dict[str, flo
     """
     later = solver.back_solves - march.first
     return {
+        **march.counters,
         "steps": march.done,
         "newton_iterations": newton.iterations,
         "factorisations": solver.factorisations,
@@ -287,5 +288,4 @@ def _counters(march: March, newton: Newton, solver: StepSolver) -> dict[str, flo
         "saddle_iterations": solver.saddle_iterations,
         "core_factorisations": solver.core.factorisations,
         "worst_linear_residual": solver.worst_residual,
-        **march.counters,
     }

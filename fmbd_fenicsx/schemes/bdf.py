@@ -42,7 +42,7 @@ from .control import (
     moves,
 )
 from .dae import GGL, Form, Points, StepEquations
-from .newton import Newton
+from .newton import Newton, strayed
 from .radau import Radau
 from .start import accelerations, project
 
@@ -301,7 +301,7 @@ class Stepper:
                     return "Newton diverged"
             last = size
             if theta / (1 - min(theta, 0.95)) * size <= tolerance or size <= 1e-2 * tolerance:
-                if self._full and np.abs(p.xi - xi).max() > 2 * np.abs(xi).max():
+                if self._full and strayed(self.system, p.xi[0], xi):
                     return "Newton found another solution, far from the predicted one"
                 return p
         return "Newton too slow"

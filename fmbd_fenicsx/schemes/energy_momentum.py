@@ -176,7 +176,12 @@ class Stepper:
             A[n : n + p] = self.fields.W @ J[n : n + p]
             A[n : n + p, n : n + p] += np.eye(p)
         b = np.concatenate((core, back, g))
-        dy = -np.linalg.lstsq(A, b, rcond=1e-14)[0] if self.solver.core.redundant else -_solve(A, b)
+        try:
+            dy = -np.linalg.lstsq(A, b, rcond=1e-14)[0] if self.solver.core.redundant else -_solve(A, b)
+        except np.linalg.LinAlgError:
+            raise ConvergenceError(
+                f"Newton's iteration diverged from t = {self.state.t:.6g} s. Take a smaller dt."
+            ) from None
         self._change = float(np.abs(dy[:n]).max(initial=0.0) / size[0]) if n else 0.0
         y = y + dy
         if self.fields is not None:

@@ -42,13 +42,12 @@ from . import kernel as slots
 from .dae import GGL, Form, Index3
 from .exact_tangent import exact_increment
 from .kernel import LOOK, Kernel, kernel_library, kernel_of
-from .newton import Newton, not_converged
+from .newton import Newton, not_converged, strayed
 from .start import jerk, spin_of_acceleration, worst_block
 
 # of the model's length: after a larger increment, rows and the core's matrix are taken where it led
 FAR = 1e-4
 PATIENCE = 4  # iterations with the tangent of the first one, where a new tangent is cheap
-DEPTH = 6  # times that a step of a body with large displacements may be halved
 
 
 @dataclass(frozen=True)
@@ -121,7 +120,6 @@ class Stepper:
         self._past: list[tuple[float, Array, Array]] = []
         self.local_error = 0.0
         self.counters: dict[str, float] = {}
-        self._depth = 0
 
     def _predict(self, h: float) -> tuple[Array, Array]:
         """a and lambda extrapolated by the parabola through the last steps (less at the start)."""
@@ -157,52 +155,17 @@ class Stepper:
         self._past = [(i("t", t), i.like_v("a", a), i("lam", lam)) for i, (t, a, lam) in past]
 
     def advance(self, h: float) -> State:
-        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged.
-
-        A step of bodies with an energy that fails is made in halves (counted as ``halved_steps``).
-        """
+        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
         weights, motion = self._predicted(h)
         pressures = self.solver.pressures
         try:
             return self._newton(h, weights, motion, PATIENCE)
-        except (ConvergenceError, LinearSolveError) as error:
+        except (ConvergenceError, LinearSolveError):
             self.solver.pressures = pressures
-            if any(p.field.nonlinear for _, p in self.system.fields):
-                return self._in_halves(h, error)
             if self.system.fields:
                 raise
         self.newton.theta = 0.5
         return self._newton(h, weights, motion, 0)  # stiff springs that turn need Newton's own tangent
-
-    def _in_halves(self, h: float, error: Exception) -> State:
-        """Two steps of half the size, for bodies with large displacements that snap through; halves may be halved again.
-
-        Raises the error of the whole step, with the state unchanged, where the halves fail too.
-        """
-        if self._depth == DEPTH:
-            raise error
-        before, pressures = (self.state, self.A, self.fresh, self._past), self.solver.pressures
-        self._depth += 1
-        self.counters["halved_steps"] = self.counters.get("halved_steps", 0.0) + 1.0
-        try:
-            for _ in range(2):
-                self.newton.theta = 0.5
-                self._tangents_here()
-                self.advance(0.5 * h)
-        except (ConvergenceError, LinearSolveError):
-            self.state, self.A, self.fresh, self._past = before
-            self.solver.pressures = pressures
-            raise error from None
-        finally:
-            self._depth -= 1
-        return self.state
-
-    def _tangents_here(self) -> None:
-        """Tangents of the present state: those of a failed iteration are of no use."""
-        s = self.state
-        self.system.at(s.t, s.q, s.v).balance(s.a, s.lam)
-        for _, part in self.system.fields:
-            part.relinearise()
 
     def _predicted(self, h: float) -> tuple[Weights, tuple[Array, Array, Array, Array]]:
         """Weights of the step's matrix; v and A at its start, a and lambda predicted for its end."""
@@ -223,7 +186,7 @@ class Stepper:
         A = ((1 - af) * a + af * s.a - am * A0) / (1 - am)
         xi = fixed_a + h * h * beta * A
         tolerance = self._tolerance(scale, a)
-        done, far = 0, True
+        done, far, turns = 0, True, system.turns
         last: Array = np.zeros(0)
         stabilised = bool(system.n_lam) and isinstance(self.scheme.form, GGL)
 
@@ -238,6 +201,7 @@ class Stepper:
             nonlocal a, lam, A, xi, done, last, far
             q = system.compose(s.q, xi)
             v = fixed_v + h * gamma * A
+            system.count_from(turns)
             ev = system.at(t, q, v)
             g = ev.constraint()
             r = ev.balance(a, lam)
@@ -268,13 +232,13 @@ class Stepper:
 
         begun = xi
         converged, history = self.newton.solve(increment)
-        other = patience == 0 and system.max_abs(xi - begun) > 2 * system.max_abs(begun)  # solution
-        if not converged or other:
+        if not converged or (patience == 0 and strayed(system, xi, begun)):
             where = f"; the largest open constraint is {worst_block(system, last)}" if last.size else ""
             damping = ", or a smaller rho_inf" if self.scheme.rho_inf > 0.8 else ""
             looser = (
                 f", or a larger Newton tolerance than {self.newton.tolerance:g}" if self.newton.tolerance < 1e-6 else ""
             )
+            system.count_from(turns)
             raise not_converged(t, h, history, f"{where}. Try a smaller dt{damping}{looser}.")
         self.local_error = h * h * abs(beta - 1.0 / 6.0) * system.max_abs(A - A0)
         self._past = [(s.t, s.a, s.lam), *self._past][:2]

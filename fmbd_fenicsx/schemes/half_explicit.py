@@ -103,7 +103,9 @@ class Stepper:
         if self.proposed is None:
             self.norm.update(self.state, limit)
             self.proposed = first_step(self.norm, self.state, 4.0, limit)
+        turns = self.system.turns
         while True:
+            self.system.count_from(turns)
             h = lands(self.proposed, limit)
             self.norm.update(self.state, h)
             try:

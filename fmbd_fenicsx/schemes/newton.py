@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from ..errors import ConvergenceError, require
+from ..rotations import Array
+from ..system.system import System
 
 FINEST = 1e-13  # increments are known to about this share
 
@@ -89,6 +91,12 @@ class Newton:
             if left <= 1.0 or size <= 1e-3:
                 return True, history
         return False, history
+
+
+def strayed(system: System, xi: Array, predicted: Array) -> bool:
+    """Whether an iteration ended far from the increments of a step as predicted: on another solution. Collective."""
+    near = max(2.0 * system.max_abs(predicted), 0.01 * min(system.length, 1.0))
+    return system.max_abs(xi - predicted) > near
 
 
 def not_converged(t: float, h: float, history: list[float], more: str = ". Try a smaller dt.") -> ConvergenceError:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ConstraintError, FmbdError
+from ..errors import ConstraintError, ConvergenceError
 from ..linear.schur import StepSolver, Weights
 from ..linear.volume import VolumeMass, kept_volumes, volume_push
 from ..rotations import Array, cross3
@@ -130,7 +130,7 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
             break
         last = size
     else:
-        raise FmbdError("The accelerations at the start did not converge: the initial deformation is too large.")
+        raise ConvergenceError("The accelerations at the start did not converge: the initial deformation is too large.")
     for _, part, _ in kept_volumes(solver):
         part.relinearise()  # with the pressure found
     return replace(state, a=a, lam=lam)

@@ -136,10 +136,7 @@ def remember_stepper(stepper: Any, m: Memory) -> None:
 
 def turns_of(system: System) -> list[Turn]:
     """All angles that are followed beyond a full turn: of laws, of couplings, of sensors that have been read."""
-    found: list[Any] = [getattr(loads, "relative", None) for loads in system.forces]
-    for batch, _ in system.batches:
-        found += [term[0] for term in getattr(batch, "terms", ())]
-    return [x for x in (*found, *system.cache.values()) if isinstance(x, Turn)]
+    return [*system.turning, *(x for x in system.cache.values() if isinstance(x, Turn))]
 
 
 def count_from(system: System, angles: list[Any]) -> None:

@@ -25,6 +25,7 @@ from ..mechanics.coordinates import PortConstraint
 from ..mechanics.frames import Kinematics, Markers
 from ..mechanics.laws import Loads
 from ..mechanics.placements import DistributedPart, FrameMotion, Part, RigidBlock, is_distributed
+from ..mechanics.relative import Turn
 from ..rotations import Array, Motions
 from ..traces.fields import rank_sum
 from .bent import bend, note_forces, port_bias, port_forces
@@ -104,6 +105,23 @@ class System:
         """Put moving ports where they are at time t."""
         for p in self.moving:
             p.move(t)
+
+    @cached_property
+    def turning(self) -> tuple[Turn, ...]:
+        """The angles of joints that constraints and forces use."""
+        used = [r for batch, _ in self.batches for r, _, _ in getattr(batch, "terms", ())]
+        used += [getattr(f, "relative", None) for f in self.forces]
+        return tuple(r for r in used if isinstance(r, Turn))
+
+    @property
+    def turns(self) -> list[Array]:
+        """Angles of joints as counted last (rad), for :meth:`count_from`."""
+        return [r.last for r in self.turning]
+
+    def count_from(self, values: list[Array]) -> None:
+        """Count revolutions from earlier angles: a step that is repeated must not count those of iterates that failed."""
+        for r, last in zip(self.turning, values, strict=True):
+            r.last = last
 
     @cached_property
     def core_parts(self) -> tuple[tuple[int, Part], ...]:

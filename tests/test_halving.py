@@ -1,0 +1,151 @@
+"""Constant steps in parts where a whole one fails: all schemes, recorded on the grid of whole steps, counted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError, LinearSolveError
+from fmbd_fenicsx.run.guard import Watch
+from fmbd_fenicsx.run.halving import Constant
+from fmbd_fenicsx.system.system import State, System
+
+TOUCH = -0.5  # rad
+
+
+def rod(stiffness: float, power: float, damping: float) -> tuple[fmbd.Scene, float]:
+    """A rod falls on a stop, stiffness x^power, that switches on within a step; and the angle at which it comes to rest."""
+
+    def stop(s: float) -> float:
+        return -stiffness * max(-s, 0.0) ** power
+
+    scene = fmbd.Scene("stop", gravity=(0, -9.81))
+    body = fmbd.RigidBody("rod", 1.0, 1 / 12, position=(0.5, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, body, center=(0, 0))
+    scene.add(body, pin)
+    scene.add(fmbd.joint_spring("stop", fmbd.angle(pin), free=TOUCH, law=lambda s, rate, t: stop(s) + damping * rate))
+    scene.sensor("phi", fmbd.angle(pin))
+    return scene, float(brentq(lambda phi: stop(phi - TOUCH) + 9.81 * 0.5 * np.cos(phi), -1.5, TOUCH))
+
+
+CASES = [
+    (fmbd.GeneralizedAlpha(0.8), (1e12, 3.0, 10.0), 0.02, 3.0, 1e-6),
+    (fmbd.GeneralizedAlpha(0.8, form=fmbd.GGL()), (1e12, 3.0, 10.0), 0.02, 3.0, 1e-6),
+    (fmbd.Radau(3, rtol=None), (1e9, 1.5, 5.0), 0.05, 2.0, 1e-9),
+    (fmbd.BDF(2, rtol=None), (1e12, 3.0, 10.0), 0.04, 2.4, 1e-9),
+]
+
+
+@pytest.mark.parametrize(("scheme", "law", "dt", "end", "near"), CASES, ids=lambda x: getattr(x, "name", None))
+def test_a_stiff_law_that_switches_on(
+    scheme: Any, law: tuple[float, float, float], dt: float, end: float, near: float
+) -> None:
+    """h omega up to 1e4 at the stop: single steps fail, the motion ends at rest on it, on the grid of whole steps."""
+    scene, rest = rod(*law)
+    run = fmbd.solve(scene, t_end=end, dt=dt, scheme=scheme)
+    assert 0 < run.counters["halved_steps"] < 30
+    assert "halving" in run.report()
+    assert run["phi"].min() > rest - 1e-3
+    assert abs(run["phi"][-1, 0] - rest) < near
+    steps = round(end / dt)
+    assert run.counters["steps"] == steps
+    assert run.times == pytest.approx(np.linspace(0.0, end, steps + 1), abs=1e-13)
+
+
+class Brittle:
+    """Steps that fail when they are longer than ``longest``, or after ``end``; counts what it does."""
+
+    local_error = 0.1
+
+    def __init__(self, state: State, longest: float, end: float = np.inf) -> None:
+        self.state, self.longest, self.end = state, longest, end
+        self.made = 0
+
+    @property
+    def counters(self) -> dict[str, float]:
+        return {"made": self.made}
+
+    def restart(self, t: float) -> None:
+        raise AssertionError("constant steps begin from a consistent state")
+
+    def advance(self, h: float) -> State:
+        if h > self.longest:
+            raise ConvergenceError(f"h = {h}")
+        if self.state.t + h > self.end:
+            raise LinearSolveError(f"t = {self.state.t + h}")
+        self.made += 1
+        self.state = replace(self.state, t=self.state.t + h)
+        return self.state
+
+
+def body() -> tuple[System, State]:
+    scene = fmbd.Scene("free")
+    scene.add(fmbd.RigidBody("body", 2.0, 1.0, velocity=(1.0, 0.0)))
+    return scene.build()[:2]
+
+
+def test_parts_and_renewals() -> None:
+    """A worker for each size; counters add up; times are those of whole steps."""
+    system, state = body()
+    renewed: list[float] = []
+
+    def renew(s: State) -> Brittle:
+        renewed.append(s.t)
+        return Brittle(s, 0.3)
+
+    stepper = Constant(Brittle(state, 0.3), system, renew, None)
+    assert stepper.advance(1.0).t == 1.0 and stepper.counters == {"made": 4, "halved_steps": 3}
+    assert renewed == [0.0, 0.0, 0.5, 0.5]  # to 1/2, to 1/4, back to 1/2, to 1/4
+    assert stepper.advance(0.1).t == 1.1 and stepper.advance(0.1).t == 1.1 + 0.1
+    assert renewed[4:] == [1.0] and stepper.counters == {"made": 6, "halved_steps": 3}
+    assert stepper.local_error == 0.1
+
+
+def test_without_renewal_the_worker_goes_on() -> None:
+    system, state = body()
+    worker = Brittle(state, 0.3)
+    stepper = Constant(worker, system, None, None)
+    assert stepper.advance(1.0).t == 1.0 and stepper.stepper is worker and worker.made == 4
+
+
+def test_the_error_is_that_of_the_whole_step() -> None:
+    system, state = body()
+    stepper = Constant(Brittle(state, 0.01), system, lambda s: Brittle(s, 0.01), None)
+    with pytest.raises(ConvergenceError, match=r"h = 1\.0 Parts of this step fail too, down to 1/64"):
+        stepper.advance(1.0)
+    late = Constant(Brittle(state, 1.0, 0.7), system, lambda s: Brittle(s, 1.0, 0.7), None)
+    with pytest.raises(LinearSolveError, match=r"t = 1\.0 Parts"):
+        late.advance(1.0)
+
+
+def test_a_worker_that_can_restart_stays_on_the_grid_under_guard() -> None:
+    """Radau and BDF restart; with constant steps a part of a step that gained energy is no step."""
+    system, state = body()
+    stepper = Constant(Brittle(state, 0.3), system, lambda s: Brittle(s, 0.3), Watch(system, state))
+    assert stepper.advance(1.0).t == 1.0
+    assert stepper.evaluation is not None and stepper.evaluation.t == 1.0
+    assert stepper.counters["energy_rejections"] == 0
+
+
+def test_iterates_that_go_around_count_no_revolution() -> None:
+    """Angles are counted from the start of a step: what a diverging iteration visits leaves no trace."""
+    scene, _ = rod(1e3, 1.0, 0.0)
+    system, state, _ = scene.build()
+
+    def at(phi: float) -> float:
+        q = state.q.copy()
+        q[2] += phi
+        system.at(0.0, q, state.v).wrenches()
+        return float(system.turns[0][0])
+
+    before = system.turns
+    for k in range(1, 7):
+        at(-1.1 * k)
+    assert at(-0.1) == pytest.approx(-0.1 - 2 * np.pi)
+    system.count_from(before)
+    assert at(-0.1) == pytest.approx(-0.1)
