@@ -208,6 +208,8 @@ class StepEquations:
         self.normal: Array = self.U
         self.origin: Array = np.zeros(0)
         self._begun: State | None = None
+        self._closed: State | None = None
+        self._start: tuple[Array, Array, Array] = (self.origin,) * 3
         self._turns: list[Array] = []
         self._inverse_mass: Any = None
 
@@ -258,20 +260,25 @@ class StepEquations:
         ev = self.system.at(state.t, state.q, state.v)
         self._inverse_mass = np.linalg.inv(_dense(self.solver.core_matrix(ev, Weights(1.0, 0.0, 0.0))))
 
-    def consistent_rates(self, state: State) -> tuple[Array, Array]:
-        """v projected on G v + g_t = 0, and the acceleration that belongs to it.
+    def consistent_start(self, state: State) -> tuple[Array, Array, Array]:
+        """What closes the constraints of a step's start: increments of q, the velocity on G v + g_t = 0, its acceleration.
 
-        Index-3 schemes leave errors of lower order across the constraints in v and a, which the next step forgets; an error
-        estimate must not take them for its own.
+        Above index 1 schemes leave errors of lower order across the constraints in a (index 3: in v too), and what Newton's
+        tolerance permits in all of them. The next step forgets these; an error estimate must not take them for its own: they do
+        not fall with the step.
         """
-        if not self.levels:
-            return state.v, state.a
-        s, zero = self.system, np.zeros(self.system.n_v)
-        ev = s.at(state.t, state.q, state.v)
-        self.solver.prepare(ev, Weights(1.0, 0.0, 0.0))
-        v = state.v + self.solver.solve(zero, -(ev.jacobian.times(state.v) + ev.constraint_rate()))[0]
-        ev = s.at(state.t, state.q, v)
-        return v, self.solver.solve(-ev.balance(zero), -ev.gamma())[0]
+        if self.form.index == 1 or not self.levels:
+            return np.zeros(self.system.n_v), state.v, state.a
+        if self._closed is not state:
+            s, zero = self.system, np.zeros(self.system.n_v)
+            ev = s.at(state.t, state.q, state.v)
+            self.solver.prepare(ev, Weights(1.0, 0.0, 0.0))
+            dq = self.solver.solve(zero, -ev.constraint())[0] if 0 in self.form.levels else zero
+            v = state.v + self.solver.solve(zero, -(ev.jacobian.times(state.v) + ev.constraint_rate()))[0]
+            ev = s.at(state.t, state.q, v)
+            self._start = dq, v, self.solver.solve(-ev.balance(zero), -ev.gamma())[0]
+            self._closed = state
+        return self._start
 
     def refresh(self, state: State) -> Tangent:
         """The tangent of (1), (2) at a state; also refreshes the metric W.

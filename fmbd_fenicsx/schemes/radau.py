@@ -399,11 +399,14 @@ class Stepper:
         if self._filter is None:
             self._filter = self._error_filter(h)
             self.stats.factorisations += 1
-        v, a = self.eq.consistent_rates(s) if self.scheme.form.index == 3 else (s.v, s.a)
-        kin = v + tab.error @ points.xi / h
+        dq, v, a = self.eq.consistent_start(s)
+        moved, change = points.xi - dq, points.v - v
+        if self.scheme.form.index == 3:  # its velocities follow all increments of the stages
+            change = change - np.outer(tab.W.sum(axis=1) / h, dq)
+        kin = v + tab.error @ moved / h
         if self.eq.levels > 1:
             kin = kin - self.eq.U @ self.mult[m : 2 * m]
-        push = a + tab.error @ (points.v - v) / h
+        push = a + tab.error @ change / h
         zero = np.zeros(self.eq.levels * m)
         errors, e_m = self._filter.solve(-kin[None], np.concatenate((-self._tangent.M @ push, zero))[None])
         e_q, e_v = errors.reshape(2, -1)
