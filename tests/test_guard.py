@@ -130,15 +130,7 @@ def test_elastic_bodies_may_settle() -> None:
     scene = fmbd.Scene("free")
     scene.add(fmbd.RigidBody("body", 2.0, 1.0, velocity=(1.0, 0.0)))
     system, state, _ = scene.build()
-    elastic = SimpleNamespace(
-        at=system.at,
-        mass=2.0,
-        gravity=system.gravity,
-        length=1.0,
-        parts=("rod",),
-        turns=[],
-        count_from=lambda turns: None,
-    )
+    elastic = SimpleNamespace(at=system.at, mass=2.0, gravity=system.gravity, length=1.0, parts=("rod",), turning=())
     guarded = guard(Heater, state, 0.3, elastic)
     for _ in range(10):
         guarded.advance(1.0)

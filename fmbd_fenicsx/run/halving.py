@@ -3,8 +3,8 @@
 A step whose Newton iteration or linear solve fails is made in two halves, these again in halves, down to 1/64. So is one that
 gains energy from nothing (:mod:`.guard`), down to 1/1024, and then every later one too. Recorded states stay on the grid of whole
 steps. A scheme remembers accelerations, past values or predictors of one step size, so before each change of size its worker is
-made anew from the consistent state nearest to the present one, as at the start of a run. Workers of schemes with contact go on as
-they are: the contact forces are their memory, and their rules hold for steps of any size.
+made anew from the consistent state nearest to the present one, as at the start of a run. Workers of schemes whose rule holds for
+steps of any size go on as they are: with contact (its forces are their memory), RATTLE, energy-momentum (which conserves).
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from typing import Any
 from ..errors import ConstraintError, ConvergenceError, LinearSolveError
 from ..system.memory import Memory, remember_stepper
 from ..system.system import Evaluation, State, System
+from ..system.turns import count_from
+from ..system.turns import turns as turns_of
 from .guard import HALVINGS, Watch
 
 DEPTH = 6  # times that a step that fails may be halved
@@ -92,14 +94,14 @@ class Constant:
             return self._halves(h, depth)
         if self._size not in (None, h):
             self._begin(self.stepper.state)
-        before, turns, self._size = self.stepper.state, self.system.turns, h
+        before, turns, self._size = self.stepper.state, turns_of(self.system), h
         try:
             after = self.stepper.advance(h)
         except (ConvergenceError, LinearSolveError) as error:
             if depth - self.whole == DEPTH:
                 raise
             self.halved += 1
-            self.system.count_from(turns)
+            count_from(self.system, turns)
             try:
                 self._begin(before)
                 return self._halves(h, depth)
@@ -110,7 +112,7 @@ class Constant:
             return None
         self.whole = depth + 1
         self.watch.count(before, gain, self.whole > HALVINGS)
-        self.system.count_from(turns)
+        count_from(self.system, turns)
         self._begin(before)
         return self._halves(h, depth)
 
@@ -120,7 +122,9 @@ class Constant:
 
     def _begin(self, state: State) -> None:
         """A new stepper from a state."""
-        if self.renew is not None:
+        if self.renew is None:
+            self.stepper.state = state
+        else:
             self._past, self._size = self._sum(), None
             try:
                 self.stepper = self.renew(state)

@@ -92,7 +92,8 @@ def _stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: bool)
         return problem.scheme.stepper(problem.system, solver, problem.newton, start)
 
     if pace.steps:
-        return Constant(made, problem.system, None if hasattr(problem.scheme, "start") else renew, watch)
+        goes_on = hasattr(problem.scheme, "start") or getattr(problem.scheme, "free_steps", False)
+        return Constant(made, problem.system, None if goes_on else renew, watch)
     return made if watch is None else Guarded(made, watch)
 
 

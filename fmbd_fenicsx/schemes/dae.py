@@ -42,6 +42,8 @@ from ..system.copies import Many, copies
 from ..system.linearise import differences, many
 from ..system.memory import Memory
 from ..system.system import State, System
+from ..system.turns import count_from
+from ..system.turns import turns as turns_of
 
 
 @dataclass(frozen=True)
@@ -223,7 +225,7 @@ class StepEquations:
     def begin(self, state: State) -> None:
         """Local coordinates about the state; every residual counts revolutions from there, through its stages."""
         if self._begun is not state:
-            self._begun, self._turns = state, self.system.turns
+            self._begun, self._turns = state, turns_of(self.system)
         self.origin = state.q
         if self.form.frozen and self.levels:
             ev = self.system.at(state.t, state.q, state.v)
@@ -233,7 +235,7 @@ class StepEquations:
         """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) of (1), (2) at the times t (k,)."""
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
-        s.count_from(self._turns)
+        count_from(s, self._turns)
         ev = copies(s, len(t)).at(t, s.compose(self.origin, p.xi), p.v)
         lam = p.mult[:, :m] if self.levels else None
         v, a = p.v, p.vd

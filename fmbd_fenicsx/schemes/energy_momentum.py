@@ -46,7 +46,6 @@ from .newton import Newton
 from .start import accelerations
 
 SLOW = 0.1  # rate of Newton's iteration above which a new tangent is taken
-DEPTH = 6  # times that a step may be halved
 WITH_FIELDS = 40  # iterations at most of scenes with fields: their large steps turn bodies far
 
 
@@ -56,6 +55,7 @@ class EnergyMomentum:
 
     order = 2
     name = "energy-momentum"
+    free_steps = True  # any size may follow any other
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
@@ -77,7 +77,6 @@ class Stepper:
         self.ports = np.zeros(0, int) if self.fields is None else self.fields.used
         self.n, self.n_q = system.n_core, system.n_q - (system.n_v - system.n_core)
         self._last = state.a[: self.n], state.lam  # means over the last step
-        self._depth = 0
         self.counters: dict[str, float] = {}
         self._kept: tuple[float, Array] | None = None  # step and tangent, where Newton converges well with an old one
 
@@ -91,29 +90,7 @@ class Stepper:
         self.counters = m("counters", self.counters)
 
     def advance(self, h: float) -> State:
-        """One step of size h (s); collective. A step that fails is made in halves, which keep the same quantities (counted as
-        ``halved_steps``). Raises ConvergenceError when these fail too, the state is then unchanged.
-        """
-        before, last = self.state, self._last
-        try:
-            return self._step(h)
-        except ConvergenceError:
-            if self._depth == DEPTH:
-                raise
-            self._depth += 1
-            self.counters["halved_steps"] = self.counters.get("halved_steps", 0.0) + 1.0
-            self._kept = None
-            try:
-                self.advance(0.5 * h)
-                return self.advance(0.5 * h)
-            except ConvergenceError:
-                self.state, self._last = before, last
-                raise
-            finally:
-                self._depth -= 1
-
-    def _step(self, h: float) -> State:
-        """One step of size h (s). Raises ConvergenceError when Newton's iteration fails."""
+        """One step of size h (s); collective. Raises ConvergenceError when Newton's iteration fails."""
         s, system, n = self.state, self.system, self.n
         old = self._old()
         self._g_old = old.constraint()

@@ -38,6 +38,8 @@ from ..linear.volume import volume_push
 from ..rotations import Array
 from ..system.memory import Memory
 from ..system.system import State, System
+from ..system.turns import count_from
+from ..system.turns import turns as turns_of
 from . import kernel as slots
 from .dae import GGL, Form, Index3
 from .exact_tangent import exact_increment
@@ -186,7 +188,7 @@ class Stepper:
         A = ((1 - af) * a + af * s.a - am * A0) / (1 - am)
         xi = fixed_a + h * h * beta * A
         tolerance = self._tolerance(scale, a)
-        done, far, turns = 0, True, system.turns
+        done, far, turns = 0, True, turns_of(system)
         last: Array = np.zeros(0)
         stabilised = bool(system.n_lam) and isinstance(self.scheme.form, GGL)
 
@@ -201,7 +203,7 @@ class Stepper:
             nonlocal a, lam, A, xi, done, last, far
             q = system.compose(s.q, xi)
             v = fixed_v + h * gamma * A
-            system.count_from(turns)
+            count_from(system, turns)
             ev = system.at(t, q, v)
             g = ev.constraint()
             r = ev.balance(a, lam)
@@ -238,7 +240,7 @@ class Stepper:
             looser = (
                 f", or a larger Newton tolerance than {self.newton.tolerance:g}" if self.newton.tolerance < 1e-6 else ""
             )
-            system.count_from(turns)
+            count_from(system, turns)
             raise not_converged(t, h, history, f"{where}. Try a smaller dt{damping}{looser}.")
         self.local_error = h * h * abs(beta - 1.0 / 6.0) * system.max_abs(A - A0)
         self._past = [(s.t, s.a, s.lam), *self._past][:2]

@@ -26,6 +26,8 @@ from ..linear.schur import StepSolver, Weights
 from ..rotations import Array
 from ..system.memory import Memory
 from ..system.system import State, System
+from ..system.turns import count_from
+from ..system.turns import turns as turns_of
 from .control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
 from .newton import Newton
 from .start import accelerations, project
@@ -103,9 +105,9 @@ class Stepper:
         if self.proposed is None:
             self.norm.update(self.state, limit)
             self.proposed = first_step(self.norm, self.state, 4.0, limit)
-        turns = self.system.turns
+        turns = turns_of(self.system)
         while True:
-            self.system.count_from(turns)
+            count_from(self.system, turns)
             h = lands(self.proposed, limit)
             self.norm.update(self.state, h)
             try:

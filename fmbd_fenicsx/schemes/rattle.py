@@ -35,6 +35,7 @@ class Rattle:
 
     order = 2
     name = "RATTLE"
+    free_steps = True  # any size may follow any other
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""

@@ -113,16 +113,6 @@ class System:
         used += [getattr(f, "relative", None) for f in self.forces]
         return tuple(r for r in used if isinstance(r, Turn))
 
-    @property
-    def turns(self) -> list[Array]:
-        """Angles of joints as counted last (rad), for :meth:`count_from`."""
-        return [r.last for r in self.turning]
-
-    def count_from(self, values: list[Array]) -> None:
-        """Count revolutions from earlier angles: a step that is repeated must not count those of iterates that failed."""
-        for r, last in zip(self.turning, values, strict=True):
-            r.last = last
-
     @cached_property
     def core_parts(self) -> tuple[tuple[int, Part], ...]:
         """Replicated parts with their numbers."""
