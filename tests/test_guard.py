@@ -130,7 +130,9 @@ def test_elastic_bodies_may_settle() -> None:
     scene = fmbd.Scene("free")
     scene.add(fmbd.RigidBody("body", 2.0, 1.0, velocity=(1.0, 0.0)))
     system, state, _ = scene.build()
-    elastic = SimpleNamespace(at=system.at, mass=2.0, gravity=system.gravity, length=1.0, parts=("rod",), turning=())
+    elastic = SimpleNamespace(
+        at=system.at, mass=2.0, gravity=system.gravity, length=1.0, parts=("rod",), cache={"turning": ()}
+    )
     guarded = guard(Heater, state, 0.3, elastic)
     for _ in range(10):
         guarded.advance(1.0)

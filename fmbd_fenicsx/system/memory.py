@@ -24,6 +24,7 @@ import numpy as np
 from ..errors import InputError
 from ..mechanics.relative import Turn
 from .system import State, System
+from .turns import turning
 
 
 class Memory:
@@ -136,7 +137,7 @@ def remember_stepper(stepper: Any, m: Memory) -> None:
 
 def turns_of(system: System) -> list[Turn]:
     """All angles that are followed beyond a full turn: of laws, of couplings, of sensors that have been read."""
-    return [*system.turning, *(x for x in system.cache.values() if isinstance(x, Turn))]
+    return [*turning(system), *(x for x in system.cache.values() if isinstance(x, Turn))]
 
 
 def count_from(system: System, angles: list[Any]) -> None:

@@ -25,7 +25,6 @@ from ..mechanics.coordinates import PortConstraint
 from ..mechanics.frames import Kinematics, Markers
 from ..mechanics.laws import Loads
 from ..mechanics.placements import DistributedPart, FrameMotion, Part, RigidBlock, is_distributed
-from ..mechanics.relative import Turn
 from ..rotations import Array, Motions
 from ..traces.fields import rank_sum
 from .bent import bend, note_forces, port_bias, port_forces
@@ -105,13 +104,6 @@ class System:
         """Put moving ports where they are at time t."""
         for p in self.moving:
             p.move(t)
-
-    @cached_property
-    def turning(self) -> tuple[Turn, ...]:
-        """The angles of joints that constraints and forces use."""
-        used = [r for batch, _ in self.batches for r, _, _ in getattr(batch, "terms", ())]
-        used += [getattr(f, "relative", None) for f in self.forces]
-        return tuple(r for r in used if isinstance(r, Turn))
 
     @cached_property
     def core_parts(self) -> tuple[tuple[int, Part], ...]:
