@@ -183,7 +183,7 @@ def bouncing() -> Case:
     scene.add(body, pair)
     scene.sensor("force", fmbd.contact_force(pair))
     scene.sensor("impulse", fmbd.contact_impulse(pair))
-    return scene, {"t_end": 0.16, "dt": 0.02, "scheme": fmbd.Moreau()}
+    return scene, {"t_end": 0.2, "dt": 0.02, "scheme": fmbd.Moreau()}
 
 
 def sliding() -> Case:

@@ -80,10 +80,23 @@ def test_schemes_go_on_to_the_last_bit(name: str, tmp_path: Path) -> None:
         assert whole["turn"][-1, 0] > 2 * np.pi
 
 
+def test_step_control_goes_on(tmp_path: Path) -> None:
+    """Through steps that are refused: the next step depends on the last two."""
+    whole = at_every_step(lambda: links()[0], tmp_path, (5, 11), t_end=1.5, scheme=fmbd.Radau(rtol=1e-3))
+    assert whole.counters["rejections"] > 1
+
+
+def test_the_rate_of_newtons_iteration_goes_on(tmp_path: Path) -> None:
+    """At a loose tolerance a step takes one or two increments, as the rate of the step before tells."""
+    scheme = fmbd.GeneralizedAlpha(0.8, compiled=False)
+    at_every_step(lambda: links()[0], tmp_path, (2, 4, 6), t_end=0.08, dt=0.01, scheme=scheme, newton=fmbd.Newton(1e-3))
+
+
 @pytest.mark.parametrize("name", [n for n in SCENES if n not in ("links", "wheel")])
 def test_bodies_and_contacts_go_on_to_the_last_bit(name: str, tmp_path: Path) -> None:
     scene, arguments = SCENES[name]()
-    at_every_step(lambda: scene, tmp_path, (1, 3), **arguments)
+    steps = round(arguments["t_end"] / arguments["dt"])
+    at_every_step(lambda: scene, tmp_path, (1, steps // 2 - 1, steps - 1), **arguments)
 
 
 @pytest.mark.mpi
