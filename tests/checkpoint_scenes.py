@@ -91,6 +91,18 @@ def blade() -> Case:
     return scene, {"t_end": 0.08, "dt": 0.01}
 
 
+def modes() -> Case:
+    """The blade by its modes: tangents with the stress of the last evaluation."""
+    body = fmbd.FloatingBody(
+        "blade", rod(h=0.1, height=0.04), density=1000.0, elastic=plane_stress(1e8, 0.3), frame=fmbd.Attached("pin"),
+        stiffening=True,
+    ).reduced(modes=3)  # fmt: skip
+    scene = fmbd.Scene("modes", gravity=(0, -9.81))
+    scene.add(body, fmbd.revolute("pin", body.surface("pin"), fmbd.ground, center=(0, 0)))
+    scene.sensor("tip", fmbd.position(body.surface("tip")))
+    return scene, {"t_end": 0.08, "dt": 0.01}
+
+
 def soft() -> Case:
     """A soft rod that falls about a pin: tangents frozen on the way."""
     body = fmbd.AbsoluteBody("rod", rod(), density=1000.0, energy=sheet_saint_venant_kirchhoff(1e5, 0.3))
@@ -205,6 +217,7 @@ SCENES: dict[str, Callable[[], Case]] = {
     "floating": floating,
     "space": space,
     "blade": blade,
+    "modes": modes,
     "soft": soft,
     "rubber": rubber,
     "glued": glued,

@@ -26,7 +26,7 @@ class FieldPart:
     port_matrix = np.zeros((0, 0))
     shared_columns = False
     column_version = 0  # a new number asks for new columns E^-1 H
-    _tangent_at: tuple[Array, Array | None, Array | None] | None = None  # U, load and pressure of the last own tangent
+    _tangent_at: tuple[Array, Any, Array | None] | None = None  # U, load and pressure of the last own tangent
 
     def __init__(self, field: Field, frame: int, surfaces: list[str], conditions: Array) -> None:
         self.field, self.frame, self.name, self.comm = field, frame, field.name, field.comm
@@ -129,7 +129,7 @@ class FieldPart:
         if m.reading and U is not None:
             self._take_tangent(U, load, pressure)
 
-    def _take_tangent(self, U: Array, load: Array | None, pressure: Array | None) -> None:
+    def _take_tangent(self, U: Array, load: Any, pressure: Array | None) -> None:
         """The tangent of a configuration, with what else it depends on."""
         raise NotImplementedError
 

@@ -13,6 +13,7 @@ in V_h and M commutes with node-wise rotations (Galerkin mass, unlumped).
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -150,12 +151,13 @@ class FloatingField(FieldPart):
         self.shared_columns = False
         self.shown = None if self.shortening is None else self.shortening.at(self._last)
         self.column_version += 1
-        self._tangent_at = (self._last, self._load, None)
+        self._tangent_at = (self._last, (self._load, None if self.shortening is None else self.shortening.pull), None)
         return True
 
-    def _take_tangent(self, U: Array, load: Array | None, pressure: Array | None) -> None:
-        assert load is not None
-        self._last, self._load = U, load
+    def _take_tangent(self, U: Array, load: Any, pressure: Array | None) -> None:
+        self._last, (self._load, pull) = U, load
+        if self.shortening is not None:
+            self.shortening.pull = pull
         self.relinearise()
 
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:

@@ -139,6 +139,17 @@ class ReducedPart:
         w = spin_matrix(motion.twist[d:])
         return motion.R.T @ (motion.accel[:d] - motion.gravity), w, spin_matrix(motion.accel[d:]) + w @ w
 
+    @property
+    def evaluated(self) -> Any:
+        """What the last evaluation of forces left for the next tangent; kept in checkpoints."""
+        return self._stress, None if self.shortening is None else self.shortening.pull
+
+    @evaluated.setter
+    def evaluated(self, value: Any) -> None:
+        self._stress, pull = value
+        if self.shortening is not None:
+            self.shortening.pull = pull
+
     def _watch(self, motion: FrameMotion, eta: Array) -> None:
         """Warn of a spin above the first frequency; refuse displacements of the size of the body."""
         c = self.constants

@@ -39,6 +39,8 @@ class Course:
         from .fingerprint import check_effect
 
         counted = m("turns", [turn.last for turn in turns_of(self.system)])
+        tangents = [p for p in self.system.parts if hasattr(p, "evaluated")]
+        left = m("evaluated", [p.evaluated for p in tangents])
         for k, part in enumerate(self.system.parts):
             if hasattr(part, "remember"):
                 part.remember(m.inside(f"part {k}"))
@@ -54,3 +56,5 @@ class Course:
         count_from(self.system, counted)
         check_effect(self.system, self.stepper.state, m.inside("effect"), where)
         count_from(self.system, counted)
+        for p, value in zip(tangents, left, strict=True):
+            p.evaluated = value
