@@ -54,6 +54,7 @@ class Mean(Evaluation):
         self.port = 0.5 * (old.port + new.port)
         self.port_rate = (new.port - old.port) / h
         self.twist = self.system.twists(self.v)
+        self.bent = {}  # bodies in floating frames are not taken here
 
     @cached_property
     def kin(self) -> Kinematics:
