@@ -141,7 +141,7 @@ class LineField:
     dim = 1
     D = None  # no damping form
     redistributed = False
-    nonlinear = mixed = carried = keeps_volume = False
+    nonlinear = mixed = indefinite = carried = keeps_volume = False
 
     def __init__(self, body: Wires) -> None:
         import basix

@@ -23,7 +23,7 @@ class Factor:
 
         self.field, self.cm, self.ck, self.cd = field, cm, ck, cd
         E = field.combination(cm, ck, cd)
-        definite = not field.mixed
+        definite = not (field.mixed or field.indefinite)
         try:
             ksp = _factored(E, definite)
         except PETSc.Error as error:
@@ -32,7 +32,10 @@ class Factor:
                     f'Body "{field.name}": the elastic block cm M + ck K (cm = {cm:.3g}, ck = {ck:.3g}) could not be factored '
                     f"(PETSc error {error.ierr}). Check density and moduli for their signs and units."
                 ) from error
-            ksp = _factored(E, False)  # compressed bodies have indefinite tangents
+            field.indefinite = (
+                True  # from now on LDL^T: a Cholesky factorisation that fails leaves memory behind in PETSc
+            )
+            ksp = _factored(E, False)
         pc = ksp.getPC()
         self.factor = pc.getFactorMatrix()
         self.factor.incRef()
@@ -123,16 +126,17 @@ def _factored(E: Any, definite: bool) -> Any:
     pc.setType("cholesky")
     cholmod = E.getComm().size == 1 and definite
     pc.setFactorSolverType("cholmod" if cholmod else "mumps")
-    if not cholmod:
-        ksp.setUp()
-        return ksp
-    pc.setFactorOrdering("rcm")  # CHOLMOD takes this order, good for slender bodies, or its own: that of least fill
     options, warnings = PETSc.Options(), "mat_cholmod_print"
-    quiet = not options.hasName(warnings)  # an indefinite tangent is no news to the user
+    quiet = cholmod and not options.hasName(warnings)  # an indefinite tangent is no news to the user
+    if cholmod:
+        pc.setFactorOrdering("rcm")  # CHOLMOD takes this order, good for slender bodies, or its own: that of least fill
     if quiet:
         options[warnings] = 0
     try:
         ksp.setUp()
+    except PETSc.Error:
+        ksp.destroy()
+        raise
     finally:
         if quiet:
             options.delValue(warnings)

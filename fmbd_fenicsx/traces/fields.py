@@ -66,6 +66,7 @@ class Field:
     """
 
     mixed = False  # whether a pressure belongs to the displacements
+    indefinite = False  # whether a tangent of it was found to be so: compressed bodies
     carried = False  # whether that pressure is an unknown of its own
     keeps_volume: bool = False  # whether that pressure keeps J = 1
 
