@@ -35,10 +35,11 @@ class Course:
     def remember(self, m: Memory, where: Any = "") -> None:
         """Write all of it, or read it from the checkpoint ``where``; see :mod:`fmbd_fenicsx.system.memory`. Collective."""
         from ..linear.solver_memory import remember_solver
-        from ..system.memory import count_from, remember_stepper, turns_of
+        from ..system.memory import remember_stepper
+        from ..system.turns import count_from, turns
         from .fingerprint import check_effect
 
-        counted = m("turns", [turn.last for turn in turns_of(self.system)])
+        counted = m("turns", turns(self.system, sensors=True))
         tangents = [p for p in self.system.parts if hasattr(p, "evaluated")]
         left = m("evaluated", [p.evaluated for p in tangents])
         for k, part in enumerate(self.system.parts):

@@ -11,7 +11,7 @@ from ..linear.schur import StepSolver
 from ..log import log
 from ..rotations import Array
 from ..system.finer import finer_system
-from ..system.memory import rewind
+from ..system.turns import rewind
 from .march import Problem, begin, make_solver, march
 from .output import Output, Recorder
 from .pace import Pace

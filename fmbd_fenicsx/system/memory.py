@@ -22,9 +22,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..mechanics.relative import Turn
 from .system import State, System
-from .turns import turning
 
 
 class Memory:
@@ -133,23 +131,6 @@ def remember_stepper(stepper: Any, m: Memory) -> None:
             "remember(m), see docs/contributing.md, or leave out checkpoint."
         )
     stepper.remember(m)
-
-
-def turns_of(system: System) -> list[Turn]:
-    """All angles that are followed beyond a full turn: of laws, of couplings, of sensors that have been read."""
-    return [*turning(system), *(x for x in system.cache.values() if isinstance(x, Turn))]
-
-
-def count_from(system: System, angles: list[Any]) -> None:
-    """Count revolutions from these angles, in the order of :func:`turns_of`."""
-    for turn, angle in zip(turns_of(system), angles, strict=True):
-        turn.last = angle
-
-
-def rewind(system: System) -> None:
-    """Count revolutions anew: a motion starts from the initial configuration once more."""
-    for turn in turns_of(system):
-        turn.last = np.zeros_like(turn.last)
 
 
 def _order(system: System) -> np.ndarray:
