@@ -226,3 +226,10 @@ SPACE = Motions(dim=3, n_rot=3, n_pose=7, n_twist=6)
 def motions(dim: int) -> Motions:
     """The rigid motions of the plane (2) or of space (3)."""
     return {2: PLANE, 3: SPACE}[dim]
+
+
+def turned(x: Array, R: Array | None, back: bool = False) -> Array:
+    """Nodal vectors x (n d,) turned by R (d, d), or back by R^T; x itself without a rotation."""
+    if R is None:
+        return x
+    return np.asarray((x.reshape(-1, len(R)) @ (R if back else R.T)).ravel())

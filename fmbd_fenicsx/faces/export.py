@@ -25,7 +25,11 @@ Quantity = Callable[[Any], Any]
 
 
 def save_series(run: Run, file: str | Path) -> None:
-    """Time, every component of every sensor with its unit, and the energies, as comma-separated values; rank 0 writes."""
+    """Time, every component of every sensor with its unit, and the energies, as comma-separated values; collective, rank 0
+    writes.
+
+    Raises InputError where the file cannot be written.
+    """
     names = ["time (s)"]
     for sensor in run.series:
         names += [f"{label} ({run.scene.sensors[sensor].unit})" for label in components(run, sensor)]

@@ -88,7 +88,7 @@ class _Cone:
     """V, Z and D of (2) at an iterate, on arrays (m, d) in axes (normal, e, t) where points slip; zero where unknowns are known.
 
     ``turn`` (m, d - 1, d - 1): these axes in columns; ``weight`` (m, d): sqrt(r) on t, 1 on other unknowns, 0 elsewhere;
-    ``share`` (m, d): r on t, 1 elsewhere; ``slope`` (m,): mu where a point slips.
+    ``share`` (m, d): r on t, 1 elsewhere; ``slope`` (m,): mu where a point slips; ``stiffness`` (m, d): D.
     """
 
     turn: Array

@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from ..errors import InputError, LinearSolveError, require
 from ..log import log
 from ..mechanics.placements import DistributedPart, FrameMotion
-from ..rotations import Array
+from ..rotations import Array, turned
 from ..system.bent import tangent_ports
 from ..system.mobility import NEAR_SINGULAR, mobility, nearly_dependent
 from ..system.system import Evaluation, System
@@ -31,7 +31,7 @@ from .options import check_options
 from .residual import Judge
 from .spd import CholeskyFactor, MassInverse
 from .sway import frame_moments
-from .volume import VolumeMass, turned
+from .volume import VolumeMass
 
 TIE_LIMIT = 1500  # multipliers of surface ties that the dense core takes
 LOOK_LIMIT = 600  # constraint rows up to which the solver itself looks for redundant ones

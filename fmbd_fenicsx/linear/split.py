@@ -23,7 +23,7 @@ import scipy.sparse as sp
 
 from ..errors import InputError, LinearSolveError
 from ..log import together
-from ..rotations import Array
+from ..rotations import Array, turned
 from ..system.system import System
 from .blocks import Bddc, Cholesky
 from .many import CHANGED, _Seen
@@ -115,7 +115,7 @@ class SplitSolver:
         """This rank's entries of a PETSc vector of forces; nodal values turned back to where the factor is."""
         s, comm = self.system, self.system.comm
         core = [_share(v[: s.n_core], comm)] if s.n_core else []
-        local = [_turn(s.local_v(v, k), R, back=True) for (k, _), R in zip(s.fields, self._turns, strict=True)]
+        local = [turned(s.local_v(v, k), R, back=True) for (k, _), R in zip(s.fields, self._turns, strict=True)]
         parts = (*core, *local, *(_share(lam[r], comm) for r in self.rows.values()))
         return np.concatenate([d * x for d, x in zip(self.scale, parts, strict=True)])
 
@@ -130,7 +130,7 @@ class SplitSolver:
         lam = np.zeros(s.n_lam)
         for r, y in zip(self.rows.values(), whole[first:], strict=True):
             lam[r] = y
-        local = [_turn(u, R) for u, R in zip(parts[first : first + n], self._turns, strict=True)]
+        local = [turned(u, R) for u, R in zip(parts[first : first + n], self._turns, strict=True)]
         return np.concatenate((*whole[:first], *local)), lam
 
     # -- matrix -------------------------------------------------------------------------------------------------
@@ -141,15 +141,15 @@ class SplitSolver:
         own[:n] = self.A @ v[:n]
         for i, (k, f) in enumerate(s.fields):
             at, R, C = s.slices[1][k], self._turns[i], self._C[i]
-            u = _turn(v[at], R, back=True)
+            u = turned(v[at], R, back=True)
             E = self._blocks[i].factor.E
             x, y = E.createVecs()
             x.array[:] = u
             E.mult(x, y)
-            own[at] = _turn(y.array.copy(), R)
+            own[at] = turned(y.array.copy(), R)
             x.destroy(), y.destroy()
             if len(C):
-                mixed[at] = _turn(f.inertia_columns @ (C @ v[:n]), R)
+                mixed[at] = turned(f.inertia_columns @ (C @ v[:n]), R)
                 mixed[:n] += C.T @ f.field.total(f.inertia_columns.T @ u)
         rows = [np.asarray(self.G.core @ v[:n])]
         s.move(self.G.t)
@@ -392,8 +392,3 @@ def _share(x: Array, comm: Any) -> Array:
     """This rank's entries of a replicated array."""
     low = sum(share_of(len(x), comm, r) for r in range(comm.rank))
     return x[low : low + share_of(len(x), comm)]
-
-
-def _turn(x: Array, R: Array | None, back: bool = False) -> Array:
-    """Nodal vectors x (n d,) turned by R (d, d), or back by R^T; x itself without a rotation."""
-    return x if R is None else (x.reshape(-1, len(R)) @ (R if back else R.T)).ravel()

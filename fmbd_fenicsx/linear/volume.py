@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..rotations import Array
+from ..rotations import Array, turned
 from .residual import Judge
 
 
@@ -48,7 +48,10 @@ class VolumeMass:
         self.n = field.n * field.dim
 
     def both(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """x (n d,) and p of (1), judged by the true residual."""
+        """x (n d,) and p (n_pressure,) of (1), judged by the true residual; collective.
+
+        Raises LinearSolveError.
+        """
         right = np.concatenate((b, self.scale * c))
         found = np.zeros_like(right)
         for _ in range(2):  # once more for its own residual: zero pivots cost digits
@@ -76,13 +79,6 @@ class VolumeMass:
         """Free the factor; collective."""
         for obj in (self.ksp, self.E, self.x, self.b, self.r):
             obj.destroy()
-
-
-def turned(x: Array, R: Array | None, back: bool = False) -> Array:
-    """Nodal vectors x (n d,) turned by R (d, d), or back by R^T; x itself without a rotation."""
-    if R is None:
-        return x
-    return np.asarray((x.reshape(-1, len(R)) @ (R if back else R.T)).ravel())
 
 
 def kept_volumes(solver: Any) -> list[tuple[slice, Any, VolumeMass]]:

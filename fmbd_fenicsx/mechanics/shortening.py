@@ -47,16 +47,17 @@ class Bent:
         return -self.N @ self.slopes.T
 
     def values(self, u: Array) -> Array:
-        """N y(u) at this same u, (n_port,); collective."""
+        """N y(u) at this same u, (n_port,): y_r = -1/2 u^T G_r u is half its derivative along u. Collective."""
         return 0.5 * self.along(u)
 
 
 @dataclass(eq=False)
 class Shortening:
-    """(1) of one part: ``products`` gives the columns G_r u of a u, ``N`` (n_port, r) what (1) does to the ports.
+    """(1) of one part: ``products`` gives the columns G_r u (n, r) of a u (n,), ``N`` (n_port, r) what (1) does to the ports,
+    ``total`` the sum over ranks.
 
-    ``G`` (r, n, n): the matrices themselves, replicated parts only. ``pull`` (r,): forces and moments on the surfaces when
-    forces were evaluated last, for tangents.
+    ``G`` (r, n, n): the matrices themselves, replicated parts only. ``pull`` (r,): forces (N) and moments (N m) on the surfaces
+    when forces were evaluated last, for tangents.
     """
 
     products: Callable[[Array], Array]

@@ -1,8 +1,8 @@
 """Checkpoints: the complete state of a run in a folder, and how it is taken up again.
 
 A checkpoint holds the state, the scheme's memory (:mod:`fmbd_fenicsx.system.memory`), the series recorded so far, and what tells
-whether a scene is the same (:mod:`.fingerprint`). On the same number of ranks, with direct solvers, the run goes on bit by bit as
-if nothing had happened. Fields are kept in the order of the mesh as it was read, so the number of ranks may change; the figures
+whether a scene is the same (:mod:`.fingerprint`). In serial runs with direct solvers the run goes on bit by bit as if nothing
+had happened. Fields are kept in the order of the mesh as it was read, so the number of ranks may change; the figures
 then agree to roundoff. Files are complete or not there, and checked by their hashes before they are used (:mod:`.archive`).
 """
 

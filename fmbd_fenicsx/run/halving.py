@@ -1,10 +1,11 @@
 """Constant steps, made in parts where a whole one fails: one mechanism for all schemes.
 
 A step whose Newton iteration or linear solve fails is made in two halves, these again in halves, down to 1/64. So is one that
-gains energy from nothing (:mod:`.guard`), down to 1/1024, and then every later one too. Recorded states stay on the grid of whole
-steps. A scheme remembers accelerations, past values or predictors of one step size, so before each change of size its worker is
-made anew from the consistent state nearest to the present one, as at the start of a run. Workers of schemes whose rule holds for
-steps of any size go on as they are: with contact (its forces are their memory), RATTLE, energy-momentum (which conserves).
+gains energy from nothing (:mod:`.guard`), down to 1/1024; all later steps are then made in parts of that size. Recorded states
+stay on the grid of whole steps. A scheme remembers accelerations, past values or predictors of one step size, so before each
+change of size its worker is made anew from the consistent state nearest to the present one, as at the start of a run. Workers
+of schemes whose rule holds for steps of any size go on as they are: with contact (its forces are their memory), RATTLE,
+energy-momentum (which conserves).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ DEPTH = 6  # times that a step that fails may be halved
 
 
 class Constant:
-    """A stepper with constant steps.
+    """A stepper with constant steps, whole or in parts.
 
     ``renew`` makes a stepper from a state, None: the stepper goes on with another size. ``watch``: the energy guard, if any.
     """
