@@ -10,12 +10,15 @@ from typing import Any
 import checkpoint_scenes
 import numpy as np
 import pytest
-from checkpoint_scenes import SCENES, links, wheel
+from checkpoint_scenes import SCENES, links, soft, wheel
 from rank_scenes import largest_difference
 from test_ranks import launch
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear.schur import StepSolver, Weights
+from fmbd_fenicsx.linear.solver_memory import remember_solver
 from fmbd_fenicsx.log import world_size
+from fmbd_fenicsx.system.memory import Memory
 
 SCHEMES: dict[str, Any] = {
     "compiled": fmbd.GeneralizedAlpha(0.8),
@@ -97,6 +100,25 @@ def test_bodies_and_contacts_go_on_to_the_last_bit(name: str, tmp_path: Path) ->
     scene, arguments = SCENES[name]()
     steps = round(arguments["t_end"] / arguments["dt"])
     at_every_step(lambda: scene, tmp_path, (1, steps // 2 - 1, steps - 1), **arguments)
+
+
+def test_a_tangent_found_indefinite_is_remembered() -> None:
+    """A compressed body is factored by LDL^T from then on, after a restart too."""
+
+    def worker() -> tuple[Any, Any, StepSolver]:
+        system, state, _ = soft()[0].build()
+        solver = StepSolver(system)
+        solver.prepare(system.at(state.t, state.q, state.v), Weights(1.0, 0.1, 0.01))
+        return system, state, solver
+
+    system, state, solver = worker()
+    system.fields[0][1].field.indefinite = True
+    written = Memory(system)
+    remember_solver(solver, written, state)
+    system, state, solver = worker()
+    assert not system.fields[0][1].field.indefinite
+    remember_solver(solver, Memory(system, written.values), state)
+    assert system.fields[0][1].field.indefinite
 
 
 @pytest.mark.mpi

@@ -8,12 +8,14 @@ from .schur import StepSolver, Weights
 
 
 def remember_solver(solver: StepSolver, m: Memory, state: State) -> None:
-    """Elastic factors, made again for ``state``, the pressures that bodies carry, and counts; collective.
+    """Elastic factors, made again for ``state`` by the same method, the pressures that bodies carry, and counts; collective.
 
     Tangents must have been taken up before: a carried pressure belongs to the factor that was made with it.
     """
     system = solver.system
     weights = m("weights", solver.weights, Weights)
+    for k, part in system.fields:
+        part.field.indefinite = m(f"indefinite {k}", part.field.indefinite)
     if m.reading and system.fields:
         solver.prepare(system.at(state.t, state.q, state.v), weights)
     for k, part in system.fields:

@@ -32,9 +32,7 @@ class Factor:
                     f'Body "{field.name}": the elastic block cm M + ck K (cm = {cm:.3g}, ck = {ck:.3g}) could not be factored '
                     f"(PETSc error {error.ierr}). Check density and moduli for their signs and units."
                 ) from error
-            field.indefinite = (
-                True  # from now on LDL^T: a Cholesky factorisation that fails leaves memory behind in PETSc
-            )
+            field.indefinite = True  # LDL^T from now on: Cholesky factorisations that fail leave memory behind
             ksp = _factored(E, False)
         pc = ksp.getPC()
         self.factor = pc.getFactorMatrix()
