@@ -163,7 +163,7 @@ def test_sparse_saddle_keeps_its_pattern() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("compiled_step, steps", [(True, 1_000_000), (False, 20_000)])
 def test_pendulum_over_many_steps(compiled_step: bool, steps: int) -> None:
-    """T7: the constraint at roundoff, velocities and energy bounded, memory flat over a million steps of h = 0.01."""
+    """The constraint at roundoff, velocities and energy bounded, memory flat over a million steps of h = 0.01."""
     import resource
 
     theta = 2.0

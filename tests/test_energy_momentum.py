@@ -1,4 +1,4 @@
-"""The energy-momentum scheme: order two, energy and momenta to roundoff whatever the step (T6)."""
+"""The energy-momentum scheme: order two, energy and momenta to roundoff whatever the step."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def changes(scene: fmbd.Scene, states: list) -> tuple[float, float]:
 
 @pytest.mark.parametrize(("eps", "h"), [(1e-2, 0.2), (1e-2, 0.5), (1e-3, 0.1), (1e-3, 0.5)])
 def test_stiff_spring_at_large_steps(eps: float, h: float) -> None:
-    """T6: h / eps up to 500; the trapezoidal rule gains a factor of 68, the midpoint rule blows up."""
+    """Steps h up to 500 eps; the trapezoidal rule gains a factor of 68, the midpoint rule blows up."""
     scene = spinner(eps)
     states = march(scene, fmbd.EnergyMomentum(), 20.0, round(20 / h), 1e-12)
     assert max(changes(scene, states)) < 1e-12

@@ -1,4 +1,4 @@
-"""T13: a torque-free asymmetric body tumbling about its middle axis; invariants, attitude, period by elliptic integrals."""
+"""A torque-free asymmetric body tumbling about its middle axis; invariants, attitude, period by elliptic integrals."""
 
 from __future__ import annotations
 

@@ -154,7 +154,7 @@ def test_increments_are_turned_into_local_coordinates() -> None:
 
 
 def test_newton_count_does_not_depend_on_the_step() -> None:
-    """T9: h = 1e-8 takes no more iterations than h = 1e-2."""
+    """A step of 1e-8 takes no more iterations than h = 1e-2."""
     counts = []
     for h in (1e-2, 1e-4, 1e-6, 1e-8):
         run = fmbd.solve(swinging(3), t_end=5 * h, dt=h)
@@ -164,7 +164,7 @@ def test_newton_count_does_not_depend_on_the_step() -> None:
 
 @pytest.mark.parametrize("rho", [1.0, 0.8, 0.0])
 def test_stabilised_form_is_second_order_from_the_first_step(rho: float) -> None:
-    """T3: q, v and lambda over the whole interval, the first step included."""
+    """Of q, v and lambda over the whole interval, the first step included."""
     scheme = fmbd.GeneralizedAlpha(rho, form=fmbd.GGL())
     errors = []
     for n in (40, 80, 160):
@@ -180,7 +180,7 @@ def test_stabilised_form_is_second_order_from_the_first_step(rho: float) -> None
 
 
 def test_stabilised_form_holds_both_levels_and_permits_no_damping() -> None:
-    """rho_inf = 1 blows up within 1e4 steps of the index-3 form (T4); with both levels the energy stays."""
+    """rho_inf = 1 blows up within 1e4 steps of the index-3 form; with both levels the energy stays."""
     scheme = fmbd.GeneralizedAlpha(1.0, form=fmbd.GGL())
     states = dae_problems.march(dae_problems.pendulum(2.0, 0.0, 1.0), scheme, 50.0, 5000, 1e-9)
     energy = np.array([0.5 * s.v @ s.v + s.q[1] for s in states])

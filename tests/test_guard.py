@@ -1,4 +1,4 @@
-"""The energy guard (T6): unexplained gains are taken back, everything else is left alone."""
+"""The energy guard: unexplained gains are taken back, everything else is left alone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from test_energy_momentum import spinner
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.run.guard import Guarded, Watch, closed
-from fmbd_fenicsx.run.halving import Constant
+from fmbd_fenicsx.run.halving import ConstantSteps
 from fmbd_fenicsx.system.system import State
 
 
@@ -26,7 +26,7 @@ def rod() -> fmbd.Scene:
 
 @pytest.mark.parametrize(("rho", "eps", "h"), [(0.9, 1e-2, 0.5), (0.8, 1e-3, 0.5)])
 def test_a_stiff_spring_that_turns_gains_nothing(rho: float, eps: float, h: float) -> None:
-    """T6: without the guard these runs end with 1164 and 274 J instead of 0.5."""
+    """Without the guard these runs end with 1164 and 274 J instead of 0.5."""
     run = fmbd.solve(spinner(eps), t_end=20.0, dt=h, scheme=fmbd.GeneralizedAlpha(rho))
     energy = sum(run.energy.values())
     assert energy.max() < 1.02 * energy[0]
@@ -104,7 +104,7 @@ def guard(kind: type[Heater], state: State, longest: float, system: Any) -> Any:
     stepper, watch = kind(state, longest), Watch(system, state)
     if kind is ControlledHeater:
         return Guarded(stepper, watch)
-    return Constant(stepper, system, lambda s: kind(s, longest), watch)
+    return ConstantSteps(stepper, system, lambda s: kind(s, longest), watch)
 
 
 @pytest.mark.parametrize("kind", [Heater, ControlledHeater])

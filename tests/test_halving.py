@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, LinearSolveError
 from fmbd_fenicsx.run.guard import Watch
-from fmbd_fenicsx.run.halving import Constant
+from fmbd_fenicsx.run.halving import ConstantSteps
 from fmbd_fenicsx.system.system import State, System
 from fmbd_fenicsx.system.turns import count_from, turns
 
@@ -99,7 +99,7 @@ def test_parts_and_renewals() -> None:
         renewed.append(s.t)
         return Brittle(s, 0.3)
 
-    stepper = Constant(Brittle(state, 0.3), system, renew, None)
+    stepper = ConstantSteps(Brittle(state, 0.3), system, renew, None)
     assert stepper.advance(1.0).t == 1.0 and stepper.counters == {"made": 4, "halved_steps": 3}
     assert renewed == [0.0, 0.0, 0.5, 0.5]  # to 1/2, to 1/4, back to 1/2, to 1/4
     assert stepper.advance(0.1).t == 1.1 and stepper.advance(0.1).t == 1.1 + 0.1
@@ -110,16 +110,16 @@ def test_parts_and_renewals() -> None:
 def test_without_renewal_the_worker_goes_on() -> None:
     system, state = body()
     worker = Brittle(state, 0.3)
-    stepper = Constant(worker, system, None, None)
+    stepper = ConstantSteps(worker, system, None, None)
     assert stepper.advance(1.0).t == 1.0 and stepper.stepper is worker and worker.made == 4
 
 
 def test_the_error_is_that_of_the_whole_step() -> None:
     system, state = body()
-    stepper = Constant(Brittle(state, 0.01), system, lambda s: Brittle(s, 0.01), None)
+    stepper = ConstantSteps(Brittle(state, 0.01), system, lambda s: Brittle(s, 0.01), None)
     with pytest.raises(ConvergenceError, match=r"h = 1\.0 Parts of this step fail too, down to 1/64"):
         stepper.advance(1.0)
-    late = Constant(Brittle(state, 1.0, 0.7), system, lambda s: Brittle(s, 1.0, 0.7), None)
+    late = ConstantSteps(Brittle(state, 1.0, 0.7), system, lambda s: Brittle(s, 1.0, 0.7), None)
     with pytest.raises(LinearSolveError, match=r"t = 1\.0 Parts"):
         late.advance(1.0)
 
@@ -127,7 +127,7 @@ def test_the_error_is_that_of_the_whole_step() -> None:
 def test_a_worker_that_can_restart_stays_on_the_grid_under_guard() -> None:
     """Radau and BDF restart; with constant steps a part of a step that gained energy is no step."""
     system, state = body()
-    stepper = Constant(Brittle(state, 0.3), system, lambda s: Brittle(s, 0.3), Watch(system, state))
+    stepper = ConstantSteps(Brittle(state, 0.3), system, lambda s: Brittle(s, 0.3), Watch(system, state))
     assert stepper.advance(1.0).t == 1.0
     assert stepper.evaluation is not None and stepper.evaluation.t == 1.0
     assert stepper.counters["energy_rejections"] == 0

@@ -238,7 +238,7 @@ def test_condition_does_not_depend_on_masses(ratio: float) -> None:
 
 @pytest.mark.serial
 def test_condition_does_not_depend_on_the_step(rod_mesh: Callable[..., Any]) -> None:
-    """T9 for an elastic scene: s = beta h^2 from h = 1e-2 to 1e-8."""
+    """An elastic scene: s = beta h^2 from h = 1e-2 to 1e-8."""
     scene = scene_of(rod_mesh(dim=2, h=0.5, height=0.4), fmbd.MeanAxis())
     found = [scaled_condition(scene, Weights(1.0, 0.0, 0.3 * h * h)) for h in (1e-2, 1e-4, 1e-6, 1e-8)]
     assert max(found) < 1e5
@@ -247,7 +247,7 @@ def test_condition_does_not_depend_on_the_step(rod_mesh: Callable[..., Any]) -> 
 
 @pytest.mark.parametrize("light", [1e-6, 1e-9])
 def test_light_body_between_heavy_ones_moves_like_none(light: float) -> None:
-    """T10: a pendulum whose rod is a body of mass 1e-9 moves like one with a massless rod."""
+    """A pendulum whose rod is a body of mass 1e-9 moves like one with a massless rod."""
     bob = fmbd.RigidBody("bob", 1.0, 0.1, (1.0, 0.0))
     link = fmbd.RigidBody("link", light, 0.1 * light, (0.5, 0.0))
     real, ideal = fmbd.Scene("link", gravity=(0, -9.81)), fmbd.Scene("ideal", gravity=(0, -9.81))

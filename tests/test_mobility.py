@@ -1,6 +1,4 @@
-"""Mobility and redundancy (K1), singular configurations (K2), contradicting joints, locked and loose bodies, mass ratios
-(T10).
-"""
+"""Mobility and redundancy, singular configurations, contradicting joints, locked and loose bodies, mass ratios."""
 
 from __future__ import annotations
 
@@ -38,7 +36,7 @@ def four_bar(hinges: str = "rrrr", gap: float = 0.0) -> fmbd.Scene:
 
 
 def test_rank_of_the_four_bar() -> None:
-    """K1: 20 rows, rank 17, 18 velocities: 3 redundant, 1 degree of freedom."""
+    """20 rows, rank 17, 18 velocities: 3 redundant, 1 degree of freedom."""
     found = four_bar().check()
     assert (found.velocities, found.rows, found.rank, found.redundant, found.freedom) == (18, 20, 17, 3, 1)
     assert set(found.shares) == {"A", "B", "C", "D"}
@@ -63,7 +61,7 @@ def test_rank_does_not_depend_on_units() -> None:
 
 
 def test_duplicated_joint_is_redundant() -> None:
-    """K1: all rows of a copy are redundant, and the two joints share them."""
+    """All rows of a copy are redundant, and the two joints share them."""
     rod = fmbd.RigidBody("rod", 1.0, BAR, position=(0.5, 0, 0))
     scene = fmbd.Scene("twice")
     scene.add(rod)
@@ -76,7 +74,7 @@ def test_duplicated_joint_is_redundant() -> None:
 
 
 def test_redundant_mechanism_moves_as_the_one_without() -> None:
-    """K1 (iii): positions to 1e-9; forces of the redundant group add up to the same."""
+    """Positions to 1e-9; forces of the redundant group add up to the same."""
     runs = []
     for hinges in (
         "rrrr",
@@ -105,7 +103,7 @@ def test_redundant_mechanism_moves_as_the_one_without() -> None:
 
 
 def test_contradicting_redundancy_is_refused() -> None:
-    """K1 (iv): a strut between points that the hinges hold 1 m apart, 1e-4 m too long."""
+    """A strut between points that the hinges hold 1 m apart, 1e-4 m too long."""
     with pytest.raises(ConstraintError, match="contradict each other.*stays open"):
         fmbd.solve(four_bar(gap=1e-4), t_end=0.1, dt=0.01)
 
@@ -151,7 +149,7 @@ def slider_crank(ratio: float, angle: float, speed: float) -> fmbd.Scene:
 
 @pytest.mark.parametrize("distance, expected", [(1.0, 2.47e-2), (0.1, 2.47e-3), (0.01, 2.47e-4)])
 def test_conditioning_at_the_dead_centre(distance: float, expected: float) -> None:
-    """K2: with equal arms sigma_min falls linearly with the distance (degrees) from the dead centre at 90 degrees."""
+    """With equal arms sigma_min falls linearly with the distance (degrees) from the dead centre at 90 degrees."""
     found = slider_crank(1.0, np.radians(90.0 - distance), 1.0).check()
     near = slider_crank(1.0, np.radians(90.0 - distance / 2), 1.0).check()
     assert found.freedom == 1
@@ -161,7 +159,7 @@ def test_conditioning_at_the_dead_centre(distance: float, expected: float) -> No
 
 @pytest.mark.parametrize("phase", np.arange(20) / 20)
 def test_released_through_the_dead_centre(phase: float) -> None:
-    """K2: equal arms, 20 phases of the time grid: no failure, no change of branch; the energy error over two dead centres is
+    """Equal arms, 20 phases of the time grid: no failure, no change of branch; the energy error over two dead centres is
     at most three times that of arms 1 : 1.2, which has none.
     """
     error = {}
@@ -186,7 +184,7 @@ def energy_at(arms: float, angle: float) -> float:
 
 @pytest.mark.parametrize("phase", [0.0, 1e-6, *(np.arange(1, 20) / 20)])
 def test_driven_through_the_dead_centre(phase: float, caplog: pytest.LogCaptureFixture) -> None:
-    """K2: with phase 0 a step ends in the singular configuration itself: one line names the joint and the time. The kinetic
+    """With phase 0 a step ends in the singular configuration itself: one line names the joint and the time. The kinetic
     energy, known from the crank's angle, has at most three times the error of arms 1 : 1.2.
     """
     runs, errors = {}, {}
@@ -236,7 +234,7 @@ def test_loose_body_is_mentioned(caplog: pytest.LogCaptureFixture) -> None:
 
 @pytest.mark.parametrize("light", [1e-9, 1e-6, 1e6, 1e9])
 def test_mass_ratios(light: float) -> None:
-    """T10: a rod of mass ratio ``light`` between two bodies; the tip follows the model with that mass reduced.
+    """A rod of mass ratio ``light`` between two bodies; the tip follows the model with that mass reduced.
 
     Two rods in line hanging from a pin, the second held straight by a weld: one compound pendulum.
     """
@@ -267,7 +265,7 @@ def test_mass_ratios(light: float) -> None:
 
 @pytest.mark.parametrize("held", [False, True])
 def test_massless_coordinate(held: bool) -> None:
-    """T10: a coordinate without mass is solved when a joint holds it, and refused by the name of its body when none does."""
+    """A coordinate without mass is solved when a joint holds it, and refused by the name of its body when none does."""
     body = fmbd.CoordinateBody(
         "ghost",
         np.diag([2.0, 0.0]),
@@ -308,7 +306,7 @@ def rotor(light: float | None) -> fmbd.Run:
 
 
 def test_heavy_rotor_on_a_light_shaft() -> None:
-    """T10: a shaft of a billionth of the rotor's mass; the rotor moves as a top without it."""
+    """A shaft of a billionth of the rotor's mass; the rotor moves as a top without it."""
     top, run = rotor(None), rotor(1e-9)
     assert np.ptp(top["tip"][:, 0]) > 0.05
     assert np.abs(run["tip"] - top["tip"]).max() < 1e-8 * 0.5
@@ -329,7 +327,7 @@ def bob_on_elastic_rod(mesh: Any, density: float) -> fmbd.Scene:
 
 
 def test_elastic_body_almost_without_mass(rod_mesh: Any) -> None:
-    """T10: an elastic rod of 1e-7 of the bob's mass is the spring of its static compliance; with 1e-10 the run is refused."""
+    """An elastic rod of 1e-7 of the bob's mass is the spring of its static compliance; with 1e-10 the run is refused."""
     mesh = rod_mesh(dim=2, h=0.25, height=0.2)
     still = bob_on_elastic_rod(mesh, 1e-6)
     still.gravity_ramp, still.settle = 0.0, True
@@ -365,7 +363,7 @@ def double_four_bar(angle: float) -> fmbd.Scene:
 
 
 def test_mobility_of_the_flat_double_four_bar() -> None:
-    """K1: one degree of freedom, three where it lies flat; a degree beside it, it is near-singular but regular."""
+    """One degree of freedom, three where it lies flat; a degree beside it, it is near-singular but regular."""
     assert double_four_bar(np.pi / 2).check().freedom == 1
     assert double_four_bar(0.0).check().freedom == 3
     close = double_four_bar(1e-7).check()
@@ -375,7 +373,7 @@ def test_mobility_of_the_flat_double_four_bar() -> None:
 
 @pytest.mark.mpi
 def test_doubled_joint_on_an_elastic_surface(rod_mesh: Any) -> None:
-    """K1: the copy on the same trace is redundant, both pins carry half; motion as with one pin."""
+    """The copy on the same trace is redundant, both pins carry half; motion as with one pin."""
     from motion import elastic_rod
 
     runs = []

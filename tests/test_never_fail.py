@@ -121,7 +121,7 @@ def test_andrews_to_nine_digits() -> None:
     "scheme", [fmbd.Radau(3, fmbd.Index3(), None), fmbd.BDF(2, fmbd.Index3(), None)], ids=lambda s: s.name
 )
 def test_small_steps_cost_no_more_iterations(scheme: Any) -> None:
-    """T9: the scaled matrix has one condition number for all h."""
+    """The scaled matrix has one condition number for all h."""
     counts = []
     for h in (1e-2, 1e-8):
         run = fmbd.solve(pendulum(), t_end=5 * h, dt=h, scheme=scheme, newton=fmbd.Newton(tolerance=1e-6))

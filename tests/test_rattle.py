@@ -50,7 +50,7 @@ def test_going_back_returns_to_the_start() -> None:
 
 
 def long_run(steps: int) -> tuple[np.ndarray, float, float]:
-    """|dE| at each step, largest |g| and |G v| of a pendulum from angle 2 with h = 0.01 (T7)."""
+    """|dE| at each step, largest |g| and |G v| of a pendulum from angle 2 with h = 0.01."""
     system, given, _ = pendulum(2.0, 0.0, 1.0).build()
     solver = StepSolver(system)
     stepper = fmbd.Rattle().stepper(system, solver, Newton(1e-10, 25), consistent(system, given, solver)[0])
@@ -64,7 +64,7 @@ def long_run(steps: int) -> tuple[np.ndarray, float, float]:
 
 
 def test_energy_error_is_bounded() -> None:
-    """T7 in short: no growth between 1000 and 10000 steps."""
+    """No growth between 1000 and 10000 steps."""
     energy, gap, slip = long_run(10_000)
     assert gap < 1e-12 and slip < 1e-12
     assert energy.max() < 1.05 * energy[:1000].max() < 1e-4
@@ -73,7 +73,7 @@ def test_energy_error_is_bounded() -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_a_million_steps() -> None:
-    """T7: 1e6 steps."""
+    """The same over 1e6 steps."""
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     energy, gap, slip = long_run(1_000_000)
     assert gap < 1e-12 and slip < 1e-12

@@ -1,4 +1,4 @@
-"""T5: decay per step of an undamped vibration, as the spectral radius of the amplification matrix that a scheme carries out.
+"""Decay per step of an undamped vibration, as the spectral radius of the amplification matrix that a scheme carries out.
 
 The matrix is built column by column from steps of independent starts, so that double eigenvalues (rho_inf = 0) and complex
 pairs cost no accuracy, as they do where a radius is read off the decay of one run.
@@ -69,7 +69,7 @@ def test_radau(stages: int, at_1e3: float, at_1e6: float) -> None:
 def test_conserving_schemes(scheme: Any) -> None:
     assert radius(scheme, 0.1) == pytest.approx(1.0, abs=1e-9)
     if isinstance(scheme, fmbd.EnergyMomentum):
-        return  # own coordinates are taken at the mean point: what T6 asks of springs is tested there
+        return  # own coordinates are taken at the mean point: springs are tested in test_energy_momentum
     assert radius(scheme, 1.9) == pytest.approx(1.0, abs=1e-9)
     assert radius(scheme, 2.1) > 1.2  # steps must resolve every vibration
 

@@ -1,4 +1,4 @@
-"""T1: a pendulum on a spring of stiffness 1 / eps^2: errors at h >> eps like those of a rod; back to the slow motion."""
+"""A pendulum on a spring of stiffness 1 / eps^2: errors at h >> eps like those of a rod; back to the slow motion."""
 
 from __future__ import annotations
 

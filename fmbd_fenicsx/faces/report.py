@@ -117,7 +117,9 @@ def _reduction_error(run: Run) -> list[str]:
         return _entry("reduction error", text) if known else []
     if not run.reduction_error:
         return []
-    return _entry("reduction error", f"at most, by a run with more modes: {_listed(run, run.reduction_error)}")
+    return _entry(
+        "reduction error", f"estimated from above by a run with more modes: {_listed(run, run.reduction_error)}"
+    )
 
 
 def _listed(run: Run, errors: Mapping[str, float]) -> str:

@@ -24,7 +24,7 @@ from .guard import HALVINGS, Watch
 DEPTH = 6  # times that a step that fails may be halved
 
 
-class Constant:
+class ConstantSteps:
     """A stepper with constant steps, whole or in parts.
 
     ``renew`` makes a stepper from a state, None: the stepper goes on with another size. ``watch``: the energy guard, if any.

@@ -16,7 +16,7 @@ from ..system.scene import Scene
 from ..system.system import State, System
 from .course import Course
 from .guard import Guarded, Watch, closed
-from .halving import Constant
+from .halving import ConstantSteps
 from .output import Output, Progress, Recorder
 from .pace import Pace
 
@@ -93,7 +93,7 @@ def _stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: bool)
 
     if pace.steps:
         goes_on = hasattr(problem.scheme, "start") or getattr(problem.scheme, "free_steps", False)
-        return Constant(made, problem.system, None if goes_on else renew, watch)
+        return ConstantSteps(made, problem.system, None if goes_on else renew, watch)
     return made if watch is None else Guarded(made, watch)
 
 

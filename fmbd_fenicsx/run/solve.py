@@ -46,8 +46,8 @@ class Run:
             not asked for.
         observed_order: sensor name -> order in h seen in the runs of the estimate, nan where it could not be
             seen.
-        reduction_error: sensor name -> bound of the error by left-out modes of reduced bodies, in the sensor's unit; empty
-            when not asked for and without reduced bodies.
+        reduction_error: sensor name -> estimate from above of the error by left-out modes of reduced bodies, in the
+            sensor's unit; empty when not asked for and without reduced bodies.
         memory: peak memory of the largest rank, bytes.
         status: "finished", or "stopped" on request.
     """

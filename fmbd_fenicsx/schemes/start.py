@@ -99,12 +99,12 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
         if part.field.keeps_volume:
             part.relinearise()
     solver.prepare(ev, Weights(1.0, 0.0, 0.0))
-    bent = _volume_accelerations(system, state, solver)
-    if bent is None:
+    volume_a = _volume_accelerations(system, state, solver)
+    if volume_a is None:
         a, lam = solver.solve(-h, -ev.gamma())
     else:
-        a, lam = solver.solve(-ev.balance(bent), -ev.gamma() - ev.jacobian.times(bent))
-        a = a + bent
+        a, lam = solver.solve(-ev.balance(volume_a), -ev.gamma() - ev.jacobian.times(volume_a))
+        a = a + volume_a
     # refinement: inertia at the deformed configuration is not exactly the solver's matrix
     typical = max(system.max_abs(a), system.max_abs(state.v) ** 2 / system.length)  # of zero in equilibrium
     # forces that cancel in an equilibrium leave their roundoff in the balance
@@ -115,7 +115,7 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
         if k == 8:  # slow: take the inertia of the deformed bodies
             solver.refresh()
         r = ev.balance(a, lam)
-        if bent is not None and k < 2:  # the rest is roundoff of the pressure
+        if volume_a is not None and k < 2:  # the rest is roundoff of the pressure
             for at, part, volume in kept_volumes(solver):
                 field: Any = part.field
                 field.pressure_values = field.pressure_values - volume.both(r[at], np.zeros(field.n_pressure))[1]
