@@ -312,7 +312,7 @@ def killed(folder: Path, times: int, t_end: float) -> None:
 
 
 def test_killed_at_random_moments(tmp_path: Path) -> None:
-    killed(tmp_path, 3, 0.4)
+    killed(tmp_path, 3, 1.2)
 
 
 @pytest.mark.slow

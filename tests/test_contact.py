@@ -269,8 +269,10 @@ def test_tunnelling_is_refused_with_a_safe_step() -> None:
         return fmbd.solve(scene, t_end=0.1, dt=dt, scheme=fmbd.Moreau())
 
     with pytest.raises(ConvergenceError, match=r"could pass through. Use dt <= 0\.0005 s"):
-        shot(0.01)
+        shot(0.1)
     assert shot(0.0005).state.q[0] < 0.05
+    parts = shot(0.01)
+    assert parts.counters["halved_steps"] > 0 and parts.state.q[0] < 0.05
 
 
 def test_level_function_that_is_no_distance_is_normalised(caplog: pytest.LogCaptureFixture) -> None:

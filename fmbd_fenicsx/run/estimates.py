@@ -58,16 +58,20 @@ def _again(problem: Problem, pace: Pace, factor: int) -> Recorder:
     solver.pressures = problem.pressures
     wanted = Output(energy=False, progress=False)
     try:
-        return _whole(replace(problem, newton=newton), solver, Pace(pace.t_end, pace.steps // factor), wanted)
+        return _whole(
+            replace(problem, newton=newton), solver, Pace(pace.t_end, pace.steps // factor), wanted, parts=False
+        )
     finally:
         solver.destroy()
 
 
-def _whole(problem: Problem, solver: StepSolver, pace: Pace, output: Output) -> Recorder:
-    """What a march recorded that was not stopped on request; collective."""
+def _whole(problem: Problem, solver: StepSolver, pace: Pace, output: Output, *, parts: bool = True) -> Recorder:
+    """What a march recorded that was not stopped on request; collective. ``parts``: whether steps may be made in parts."""
     marched = march(problem, solver, pace, output)
     if marched.status != "finished":
         raise ConvergenceError(f"stopped at t = {marched.state.t:g} s")
+    if not parts and marched.counters.get("halved_steps"):
+        raise ConvergenceError("steps had to be made in parts, so their size is not known")
     return marched.recorder
 
 

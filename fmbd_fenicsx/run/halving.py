@@ -15,6 +15,7 @@ from dataclasses import replace
 from typing import Any
 
 from ..errors import ConstraintError, ConvergenceError, LinearSolveError
+from ..log import log
 from ..system.memory import Memory, remember_stepper
 from ..system.system import Evaluation, State, System
 from ..system.turns import count_from
@@ -101,6 +102,8 @@ class ConstantSteps:
         except (ConvergenceError, LinearSolveError) as error:
             if depth - self.whole == DEPTH:
                 raise
+            if not self.halved:
+                log.warning("t = %g s: a step of h = %g s failed and is made in parts. %s", before.t, h, error)
             self.halved += 1
             count_from(self.system, turns)
             try:

@@ -228,7 +228,7 @@ class Stepper:
             A = A + d_xi / (h * h * beta)
             a = a + d_xi / scale
             last = g
-            size = system.max_abs(dq + closing)
+            size = max(system.max_abs(dq), system.max_abs(closing))
             far = size > FAR * system.length
             return size / tolerance
 
