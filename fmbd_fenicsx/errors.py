@@ -6,7 +6,7 @@ Each message says what happened, where (body, joint, time), what was found and w
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 
@@ -48,6 +48,10 @@ class CallbackError(InputError):
     """A function given by the user returned something unusable."""
 
 
+class LawError(InputError):
+    """A function given by the user raised an exception, its ``__cause__``; no scheme tries another step then."""
+
+
 class CheckpointError(FmbdError):
     """A checkpoint cannot be written, is damaged, or belongs to another run."""
 
@@ -72,6 +76,32 @@ def near(name: str, known: Iterable[str]) -> str:
     hint = f'Did you mean "{close[0]}"? ' if close else ""
     listed = ", ".join(f'"{k}"' for k in known) or "none"
     return f"{hint}Known: {listed}."
+
+
+def named(what: str, name: str, function: Callable[..., Any], *, time: int | None = -1) -> Callable[..., Any]:
+    """A user's function whose exceptions become a :class:`LawError`: 'What "name" failed at t = 0.1 s: KeyError: ...'.
+
+    Args:
+        what: whose function it is, for example "The law of spring".
+        time: which argument is the time (s; of complex steps the real part is shown), None for none.
+    """
+
+    def call(*args: Any) -> Any:
+        try:
+            return function(*args)
+        except FmbdError:
+            raise
+        except Exception as error:
+            when = "" if time is None else f" at t = {_times(args[time])} s"
+            raise LawError(f'{what} "{name}" failed{when}: {type(error).__name__}: {error}') from error
+
+    return call
+
+
+def _times(t: Any) -> str:
+    """A time, or the first and the last of an array of them."""
+    found = sorted(x.real for x in getattr(t, "flat", (t,)))
+    return f"{found[0]:g}" if found[0] == found[-1] else f"{found[0]:g} to {found[-1]:g}"
 
 
 def require(condition: bool, message: str) -> None:

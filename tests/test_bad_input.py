@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import CallbackError, ConstraintError, ConvergenceError, InputError
+from fmbd_fenicsx.errors import CallbackError, ConstraintError, ConvergenceError, InputError, LawError
 
 BALL = (0.4, 0.4, 0.4)
 
@@ -125,6 +127,74 @@ def test_law_that_fails_later_names_the_time() -> None:
     scene = law_scene(lambda body, hinge: fmbd.force("gust", body, lambda t: (0, 0, nan if t > 0.045 else 0)))
     with pytest.raises(CallbackError, match=r'"gust".*t = 0\.05'):
         fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
+def broken(t: Any) -> Any:
+    """Zero, and a KeyError after 45 ms."""
+    return 0.0 * t if np.real(t) < 0.045 else {}["gone"]
+
+
+def crank_body(**functions: Any) -> Any:
+    given = {"force": lambda q, v, t: 0 * q, "constraint": lambda q, t: np.array([q[0] - q[1]])} | functions
+    return lambda body, hinge: fmbd.CoordinateBody("own", np.eye(2), start=[0.0, 0.0], **given)
+
+
+BROKEN = {
+    'The law of spring "wind"': lambda body, hinge: fmbd.Spring(
+        "wind", fmbd.ground, body, law=lambda s, v, t: broken(t)
+    ),
+    'The law of joint spring or effort "wind"': lambda body, hinge: fmbd.effort("wind", fmbd.angle(hinge), broken),
+    'The law of force "wind"': lambda body, hinge: fmbd.force("wind", body, lambda t: (0, 0, broken(t))),
+    'The law of torque "wind"': lambda body, hinge: fmbd.torque("wind", body, lambda t: (0, 0, broken(t))),
+    'The law of force "own wind"': lambda body, hinge: fmbd.own_force(
+        "own wind", body, None, lambda t, a: (np.zeros(3), np.full(3, broken(t)))
+    ),
+    'The road of tyre "wheel"': lambda body, hinge: fmbd.Tyre(
+        "wheel", body, road=lambda x, t: broken(t) - 9.0, stiffness=1.0, up=(0, 0, 1)
+    ),
+    'The motion of drive "motor"': lambda body, hinge: fmbd.drive("motor", fmbd.angle(hinge), broken),
+    'The motion of drive "pusher"': lambda body, hinge: fmbd.drive(
+        "pusher", fmbd.angle(hinge), lambda t: (broken(t), 0.0, 0.0)
+    ),
+    'The constraint of joint "mine"': lambda body, hinge: fmbd.own_joint(
+        "mine", fmbd.ground, body, lambda xa, Ra, xb, Rb, t: np.array([xb[1] + broken(t)])
+    ),
+    'The force of body "own"': crank_body(force=lambda q, v, t: 0 * q + broken(t)),
+    'The constraint of body "own"': crank_body(constraint=lambda q, t: np.array([q[0] - q[1] + broken(t)])),
+    'The constraint\'s jacobian of body "own"': crank_body(jacobian=lambda q, t: np.array([[1.0, -1.0]]) + broken(t)),
+}
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("scheme", [None, fmbd.Radau(rtol=1e-3)], ids=str)
+@pytest.mark.parametrize("words", BROKEN)
+def test_exception_in_a_law_is_one_error_with_its_cause(words: str, scheme: Any) -> None:
+    """Whose function, when, and what it raised; on every rank, and without trying smaller steps."""
+    scene = law_scene(BROKEN[words])
+    with pytest.raises(LawError, match=words + r" failed at t = 0\.0\d.* s: KeyError: 'gone'$") as found:
+        fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=scheme)
+    assert isinstance(found.value.__cause__, KeyError)
+    assert float(re.findall(r"t = (\S+)", str(found.value))[0]) < 0.09
+
+
+def test_exception_at_the_start_and_of_a_vectorized_body() -> None:
+    with pytest.raises(LawError, match='The motion of drive "motor" failed at t = 0 s: ZeroDivisionError'):
+        law_scene(lambda body, hinge: fmbd.drive("motor", fmbd.angle(hinge), lambda t: 1 / 0))
+    with pytest.raises(LawError, match='The constraint of joint "mine" failed at t = 0 s: ZeroDivisionError'):
+        law_scene(lambda body, hinge: fmbd.own_joint("mine", fmbd.ground, body, lambda *args: 1 / 0)).build()
+    many = crank_body(force=lambda q, v, t: 0 * q if np.max(np.real(t)) < 0.045 else {}["gone"])
+    scene = fmbd.Scene("many")
+    scene.add(replace(many(None, None), vectorized=True))
+    with pytest.raises(LawError, match=r'The force of body "own" failed at t = 0.0\d+ to 0.0\d+ s: KeyError'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.Radau(rtol=None))
+
+
+def test_functions_that_do_not_take_complex_numbers_are_no_error() -> None:
+    """TypeError and ValueError at complex times: derivatives of a drive by differences."""
+    for motion in (lambda t: 0.1 * math.sin(t), lambda t: 0.1 * np.sin(float(str(t)))):
+        scene = law_scene(lambda body, hinge, motion=motion: fmbd.drive("motor", fmbd.angle(hinge), motion))
+        run = fmbd.solve(scene, t_end=0.05, dt=0.01)
+        assert run.status == "finished"
 
 
 @pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-4), fmbd.BDF(rtol=1e-4), fmbd.HalfExplicit(rtol=1e-4)], ids=str)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import CallbackError, ConvergenceError
+from fmbd_fenicsx.errors import CallbackError, ConvergenceError, LawError
 from fmbd_fenicsx.log import world_rank
 
 BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
@@ -99,6 +99,15 @@ def test_prescribed_obstacle_that_would_pass_through() -> None:
     scene.add(body, fmbd.contact("hit", body.surface("bottom"), fist))
     with pytest.raises(ConvergenceError, match=r"moves 10 m in one step.*0\.1 m it would hit.*Use dt <= 0\.0025 s"):
         fmbd.solve(scene, t_end=0.5, dt=0.5)
+
+
+def test_exception_in_the_motion_of_an_obstacle_is_named() -> None:
+    body = block("block", 0.0)
+    fist = fmbd.Obstacle("fist", fmbd.Box((4.0, 0.1)), motion=lambda t: ((0.0, -0.05), 0.0 if t < 0.015 else 1 / 0))
+    scene = fmbd.Scene("fist")
+    scene.add(body, fmbd.contact("hit", body.surface("bottom"), fist))
+    with pytest.raises(LawError, match=r'The motion of obstacle "fist" failed at t = 0\.0\d+ s: ZeroDivisionError'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
 
 
 def test_fast_sliding_is_no_passing_through() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import CallbackError, InputError
+from fmbd_fenicsx.errors import CallbackError, InputError, LawError
 from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
 from fmbd_fenicsx.mechanics.floating import FloatingField
 from fmbd_fenicsx.mechanics.placements import Attached, FrameMotion, MeanAxis
@@ -133,3 +133,14 @@ def test_bad_loads(rod_mesh: Callable[..., Any]) -> None:
         Field("rod", mesh, rod(mesh, body_force((1.0,))).forms())
     with pytest.raises(CallbackError, match="function of time"):
         clamped_tip(rod(mesh, traction("tip", (1.0, 0.0), time=lambda t: float("nan"))))
+
+
+@pytest.mark.mpi
+def test_exception_in_a_function_of_time_names_body_and_time(rod_mesh: Callable[..., Any]) -> None:
+    late = lambda t: 0.0 if t < 0.045 else {}["gone"]  # noqa: E731
+    scene = fmbd.Scene("late")
+    scene.add(rod(rod_mesh(dim=2, h=0.25), traction("tip", (1.0, 0.0), time=late)))
+    words = r"""The function of time of a load on body "rod" failed at t = 0\.0\d+ s: KeyError: 'gone'"""
+    with pytest.raises(LawError, match=words) as found:
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+    assert isinstance(found.value.__cause__, KeyError)

@@ -9,7 +9,7 @@ from motion import Motion, first, second
 from test_traces import ROOT
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.errors import InputError, LawError
 
 LAW = fmbd.materials.linear_elastic(1e4, 0.3)
 
@@ -122,6 +122,8 @@ def test_too_many_multipliers_and_wrong_partners_are_refused() -> None:
         fmbd.tie_surface("wrong", upper.surface("top"), upper)
     with pytest.raises(InputError, match="needs a shape"):
         fmbd.tie_surface("wrong", upper.surface("top"), fmbd.ground, motion=lambda t: t)
+    with pytest.raises(LawError, match='The motion of tie "late" failed at t = 0 s: ZeroDivisionError'):
+        fmbd.tie_surface("late", upper.surface("top"), fmbd.ground, shape=lambda x: x, motion=lambda t: 1 / t)
 
 
 def test_sliding_tie_of_a_curved_surface_is_refused() -> None:

@@ -361,7 +361,9 @@ def _attempt(run: Callable[[float], Run], value: float) -> Run | str:
     """A run, or the message with which it failed (numerical failures only; input errors are raised)."""
     try:
         return run(value)
-    except InputError:
+    except InputError as error:
+        if isinstance(error.__cause__, ArithmeticError):  # in a function of the user's
+            return f"{type(error).__name__}: {error}"
         raise
     except (FmbdError, ArithmeticError, np.linalg.LinAlgError) as error:
         return f"{type(error).__name__}: {error}"

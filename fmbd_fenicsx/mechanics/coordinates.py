@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import CallbackError
+from ..errors import CallbackError, named
 from ..rotations import Array
 from .placements import FrameMotion
 
@@ -152,6 +152,23 @@ class PortConstraint:
         return np.asarray((8 * (plus - minus) - (plus2 - minus2)) / (12 * h))
 
 
+def own_constraint(body: Any, part: int) -> PortConstraint:
+    """The constraint of a body given by its own equations, exceptions of its functions named."""
+
+    def safe(of: str, function: Any) -> Any:
+        return None if function is None else named(f"The constraint{of} of body", body.name, function)
+
+    return PortConstraint(
+        body.name,
+        part,
+        safe("", body.constraint),
+        safe("'s jacobian", body.jacobian),
+        safe("'s gamma", body.gamma),
+        safe("'s rate", body.rate),
+        body.vectorized,
+    )
+
+
 class CoordinatePart:
     """Equations (1) as a part of a system: the ports are the coordinates themselves."""
 
@@ -165,6 +182,10 @@ class CoordinatePart:
         self.n = self.n_port = len(np.asarray(body.start))
         self.reference = np.zeros(self.n)
         self.port_matrix = np.eye(self.n)
+        self._force = named("The force of body", body.name, body.force)
+        tangent = body.force_jacobian
+        self._tangent = None if tangent is None else named("The force_jacobian of body", body.name, tangent)
+        self._mass = named("The mass of body", body.name, body.mass, time=None) if callable(body.mass) else body.mass
 
     def ports_of(self, w: Array) -> Array:
         """The coordinates."""
@@ -176,12 +197,12 @@ class CoordinatePart:
 
     def mass(self, q: Array) -> Array:
         """M(q), (n, n)."""
-        return np.asarray(self.body.mass(q) if callable(self.body.mass) else self.body.mass, dtype=float)
+        return np.asarray(self._mass(q) if callable(self._mass) else self._mass, dtype=float)
 
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """M q'' - f."""
         q, v, a = local
-        f = np.asarray(self.body.force(q, v, motion.t), dtype=float)
+        f = np.asarray(self._force(q, v, motion.t), dtype=float)
         if f.shape != (self.n,) or not np.isfinite(f).all():
             raise CallbackError(
                 f'Body "{self.name}": force(q, v, t) returned {f!r} at t = {motion.t:g} s, expected {self.n} finite numbers.'
@@ -193,14 +214,14 @@ class CoordinatePart:
         q, v, a = local
         body = self.body
         if not body.vectorized:
-            f = np.array([body.force(x, y, float(now)) for x, y, now in zip(q, v, t, strict=True)], dtype=float)
-            if callable(body.mass):
+            f = np.array([self._force(x, y, float(now)) for x, y, now in zip(q, v, t, strict=True)], dtype=float)
+            if callable(self._mass):
                 inertia = np.array([self.mass(q[i]) @ a[i] for i in range(len(q))])
             else:
                 inertia = a @ self.mass(q[0]).T
         else:
-            f = np.asarray(body.force(q.T, v.T, t), dtype=float).T
-            M = np.asarray(body.mass(q.T) if callable(body.mass) else body.mass, dtype=float)
+            f = np.asarray(self._force(q.T, v.T, t), dtype=float).T
+            M = np.asarray(self._mass(q.T) if callable(self._mass) else self._mass, dtype=float)
             inertia = a @ M.T if M.ndim == 2 else np.einsum("ijk,kj->ki", M, a)
         if f.shape != q.shape or not np.isfinite(f).all():
             bad = 0 if f.shape != q.shape else int(np.argmin(np.isfinite(f).all(axis=1)))
@@ -218,11 +239,11 @@ class CoordinatePart:
     def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
         """-df/dq and -df/dv."""
         q, v = local
-        if self.body.force_jacobian is not None:
-            K, C = self.body.force_jacobian(q, v, motion.t)
+        if self._tangent is not None:
+            K, C = self._tangent(q, v, motion.t)
             return -np.asarray(K, dtype=float), -np.asarray(C, dtype=float)
-        K = -derivative(lambda z: self.body.force(z, v, motion.t), q)
-        return K, -derivative(lambda z: self.body.force(q, z, motion.t), v)
+        K = -derivative(lambda z: self._force(z, v, motion.t), q)
+        return K, -derivative(lambda z: self._force(q, z, motion.t), v)
 
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic energy, and the body's potential where it gives one."""

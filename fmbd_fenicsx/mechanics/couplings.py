@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import CallbackError
+from ..errors import CallbackError, named
 from ..log import log
 from ..rotations import Array, Motions, hat
 from .constraints import Batch, Motion, Sides
@@ -24,12 +24,14 @@ from .frames import Kinematics
 from .relative import Relative
 
 
-def smooth_motion(name: str, function: Callable[[float], Any]) -> Motion:
+def smooth_motion(name: str, function: Callable[[float], Any], *, of: str = "drive") -> Motion:
     """A prescribed motion t -> (s, s', s'') from a function that returns either these three or s alone.
 
     Derivatives of s alone are computed: s' by a complex step when the function accepts complex numbers (NumPy functions
     do), else by differences of sixth order; s'' by differences of sixth order of s'. The function must be smooth.
+    ``of``: what is moved, in messages.
     """
+    function = named(f"The motion of {of}", name, function)
 
     def checked(value: Any, t: float) -> Array:
         found = np.asarray(value, dtype=float).ravel()
@@ -50,7 +52,7 @@ def smooth_motion(name: str, function: Callable[[float], Any]) -> Motion:
     def rate(t: float) -> float:
         try:
             return float(np.imag(function(t + 1e-30j)) / 1e-30)  # type: ignore[arg-type]
-        except TypeError:
+        except (TypeError, ValueError):  # also LawError: what fails for real times fails again
             return _sixth(lambda x: float(function(x)), t, 1e-2)
 
     def computed(t: float) -> tuple[float, float, float]:
@@ -115,7 +117,7 @@ class OwnBatch(Batch):
     """Rows (2) of one joint of the user's own, between markers a and b."""
 
     def __init__(self, motions: Motions, name: str, function: Callable[..., Any], markers: tuple[int, int]) -> None:
-        self.motions, self.name, self.function = motions, name, function
+        self.motions, self.name, self.function = motions, name, named("The constraint of joint", name, function)
         self.markers = np.array(markers)
         self.driven: list[tuple[int, Motion]] = []
         self.by_differences: bool | None = None  # decided at the first derivative

@@ -42,6 +42,7 @@ class Force:
     point_b: Point = None
 
     batch: ClassVar[type[Loads]] = Loads
+    kind: ClassVar[str] = "force"  # its name in messages
 
     @property
     def coordinate(self) -> JointCoordinate | None:
@@ -69,6 +70,7 @@ class Torque(Force):
 
     batch: ClassVar[type[Loads]] = TimeLoads
     turns: ClassVar[bool] = True
+    kind: ClassVar[str] = "torque"
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,7 @@ class Spring(Force):
     law: Law | None = None
 
     batch: ClassVar[type[Loads]] = ScalarLoads
+    kind: ClassVar[str] = "spring"
 
     def __post_init__(self) -> None:
         _constants(self.name, self.stiffness, self.damping, self.length)
@@ -100,6 +103,7 @@ class CoordinateForce(Force):
     law: Law | None = None
 
     batch: ClassVar[type[Loads]] = ScalarLoads
+    kind: ClassVar[str] = "joint spring or effort"
 
     @property
     def coordinate(self) -> JointCoordinate:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import CallbackError, InputError
+from ..errors import CallbackError, InputError, named
 from ..rotations import Array, Motions
 from .constraints import time_of
 from .frames import Kinematics
@@ -61,8 +61,14 @@ class Loads:
 
     def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]]) -> None:
         self.motions, self.forces = motions, forces
+        self.laws = [self.law_of(f) for f in forces]
         self.a = np.array([a for a, _ in markers])
         self.b = np.array([b for _, b in markers])
+
+    @staticmethod
+    def law_of(f: Any) -> Any:
+        """The user's function of a force, its exceptions named; None without one."""
+        return None if f.law is None else named(f"The law of {f.kind}", f.name, f.law)
 
     def repeated(self, k: int, markers: int) -> Loads | None:
         """These forces k times, copy c on the markers numbered ``c markers`` higher; None where only one copy at a time can be
@@ -92,9 +98,9 @@ class TimeLoads(Loads):
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Forces and torques prescribed in time."""
         d, out = self.motions.dim, self._zero()
-        for i, f in enumerate(self.forces):
+        for i, (f, law) in enumerate(zip(self.forces, self.laws, strict=True)):
             part = slice(d, None) if f.turns else slice(0, d)
-            value = checked(f.name, f.law(t), out.shape[1] - d if f.turns else d, t)
+            value = checked(f.name, law(t), out.shape[1] - d if f.turns else d, t)
             follow = f.follower and len(value) == d
             out[i, part] = kin.R[self.a[i]] @ value if follow else value
         return out, self._zero()
@@ -109,7 +115,7 @@ class ScalarLoads(Loads):
         self.k = np.array([f.stiffness for f in forces], dtype=float)
         self.c = np.array([f.damping for f in forces], dtype=float)
         self.free = np.array([f.length for f in forces], dtype=float)
-        self.own = [(i, f) for i, f in enumerate(forces) if f.law is not None]
+        self.own = [(i, f.name, self.laws[i]) for i, f in enumerate(forces) if f.law is not None]
 
     def repeated(self, k: int, markers: int) -> Loads | None:
         """All copies as arrays; laws of the user's own one by one; none for angles, which count their revolutions."""
@@ -119,7 +125,7 @@ class ScalarLoads(Loads):
         out, m = copy(self), len(self.forces)
         out.relative, out.forces, out.a, out.b = relative, self.forces * k, relative.a, relative.b
         out.k, out.c, out.free = (np.tile(x, k) for x in (self.k, self.c, self.free))
-        out.own = [(i + c * m, f) for c in range(k) for i, f in self.own]
+        out.own = [(i + c * m, name, law) for c in range(k) for i, name, law in self.own]
         return out
 
     def _state(self, kin: Kinematics) -> tuple[Array, Array, Array, Array]:
@@ -135,9 +141,9 @@ class ScalarLoads(Loads):
     def effort(self, s: Array, rate: Array, t: float) -> Array:
         """N of elongations s and rates, (m,)."""
         N = self.k * s + self.c * rate
-        for i, f in self.own:
+        for i, name, law in self.own:
             now = time_of(t, i, len(N))
-            N[i] = checked(f.name, f.law(s[i], rate[i], now), 1, now)[0]
+            N[i] = checked(name, law(s[i], rate[i], now), 1, now)[0]
         return N
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
@@ -156,14 +162,14 @@ class ScalarLoads(Loads):
         """Material stiffness k and damping c, and the geometric stiffness of N."""
         s, rate, ra, rb = self._state(kin)
         N, k, c = self.effort(s, rate, t), self.k.copy(), self.c.copy()
-        for i, f in self.own:
+        for i, name, law in self.own:
             hs, hv = 1e-6 * max(abs(float(s[i])), 1e-3), 1e-6 * max(abs(float(rate[i])), 1e-3)
 
-            def law(ds: float, dv: float, f: Any = f, i: int = i) -> float:
-                return float(checked(f.name, f.law(s[i] + ds, rate[i] + dv, t), 1, t)[0])
+            def at(ds: float, dv: float, name: str = name, law: Any = law, i: int = i) -> float:
+                return float(checked(name, law(s[i] + ds, rate[i] + dv, t), 1, t)[0])
 
-            k[i] = (law(hs, 0.0) - law(-hs, 0.0)) / (2 * hs)
-            c[i] = (law(0.0, hv) - law(0.0, -hv)) / (2 * hv)
+            k[i] = (at(hs, 0.0) - at(-hs, 0.0)) / (2 * hs)
+            c[i] = (at(0.0, hv) - at(0.0, -hv)) / (2 * hv)
         r = np.concatenate((ra, rb), axis=1)
         rr = r[:, :, None] * r[:, None, :]
         K, D = k[:, None, None] * rr, c[:, None, None] * rr
@@ -179,18 +185,23 @@ class ScalarLoads(Loads):
 class TyreLoads(Loads):
     """Radial springs between a wheel centre and a road: N = k c + d c' while c = radius - height over the road > 0, N >= 0."""
 
+    @staticmethod
+    def law_of(f: Any) -> Any:
+        """The road."""
+        return named("The road of tyre", f.name, f.road)
+
     def _compression(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array, Array]:
         """c, c', the directions up, and -dc/dx: up minus the slope of the road."""
         assert kin.twist is not None
         d = self.motions.dim
         up = np.array([f.up[:d] for f in self.forces], dtype=float)
         c, rate, row = np.zeros(len(self.forces)), np.zeros(len(self.forces)), up.copy()
-        for i, f in enumerate(self.forces):
+        for i, (f, road) in enumerate(zip(self.forces, self.laws, strict=True)):
             x = kin.x[self.a[i]]
-            c[i] = float(checked(f.name, f.road(x, t), 1, t)[0]) + f.radius - float(up[i] @ x)
-            rate[i] = (float(f.road(x, t + 1e-6)) - float(f.road(x, t - 1e-6))) / 2e-6
+            c[i] = float(checked(f.name, road(x, t), 1, t)[0]) + f.radius - float(up[i] @ x)
+            rate[i] = (float(road(x, t + 1e-6)) - float(road(x, t - 1e-6))) / 2e-6
             for k, e in enumerate(1e-5 * f.radius * np.eye(d)):
-                row[i, k] -= (float(f.road(x + e, t)) - float(f.road(x - e, t))) / (2e-5 * f.radius)
+                row[i, k] -= (float(road(x + e, t)) - float(road(x - e, t))) / (2e-5 * f.radius)
         return c, rate - (row * kin.twist[self.a, :d]).sum(1), up, row
 
     def _constants(self) -> tuple[Array, Array]:
@@ -223,16 +234,22 @@ class TyreLoads(Loads):
 class OwnLoads(Loads):
     """Forces law(t, a, b) of the user's own; tangents by differences where no Jacobian is given."""
 
-    def _one(self, f: Any, kin: Kinematics, twist: Array, t: float, markers: tuple[int, int]) -> Array:
+    @staticmethod
+    def law_of(f: Any) -> Any:
+        """The law, and the Jacobian or None."""
+        jacobian = None if f.jacobian is None else named("The Jacobian of force", f.name, f.jacobian, time=0)
+        return named("The law of force", f.name, f.law, time=0), jacobian
+
+    def _one(self, k: int, kin: Kinematics, twist: Array, t: float, markers: tuple[int, int]) -> Array:
         """Wrenches on (a, b) of one force, (2 n,)."""
-        d = self.motions.dim
+        d, f, law = self.motions.dim, self.forces[k], self.laws[k][0]
         a, b = markers
         motion = [MarkerMotion(kin.x[i], kin.R[i], twist[i, :d], twist[i, d:]) for i in markers]
         n = d + self.motions.n_rot
         if f.b is None:
-            found = checked(f.name, np.concatenate([np.atleast_1d(x) for x in f.law(t, motion[0])]), n, t)
+            found = checked(f.name, np.concatenate([np.atleast_1d(x) for x in law(t, motion[0])]), n, t)
             return np.concatenate((found, np.zeros(n)))
-        on_b = checked(f.name, np.concatenate([np.atleast_1d(x) for x in f.law(t, *motion)]), n, t)
+        on_b = checked(f.name, np.concatenate([np.atleast_1d(x) for x in law(t, *motion)]), n, t)
         on_a = -on_b
         on_a[d:] -= self.motions.moment(kin.x[b] - kin.x[a], on_b[:d])
         return np.concatenate((on_a, on_b))
@@ -241,7 +258,7 @@ class OwnLoads(Loads):
         """Wrenches of the user's laws on both markers."""
         assert kin.twist is not None
         n = self.motions.dim + self.motions.n_rot
-        found = [self._one(f, kin, kin.twist, t, (a, b)) for f, a, b in zip(self.forces, self.a, self.b, strict=True)]
+        found = [self._one(k, kin, kin.twist, t, (a, b)) for k, (a, b) in enumerate(zip(self.a, self.b, strict=True))]
         both = np.array(found)
         return both[:, :n], both[:, n:]
 
@@ -252,13 +269,13 @@ class OwnLoads(Loads):
         K, D = np.zeros((2, len(self.forces), 2 * n, 2 * n))
         for i, f in enumerate(self.forces):
             markers = (int(self.a[i]), int(self.b[i]))
-            if f.jacobian is not None:
-                K[i], D[i] = f.jacobian(
+            if (jacobian := self.laws[i][1]) is not None:
+                K[i], D[i] = jacobian(
                     t,
                     *(MarkerMotion(kin.x[j], kin.R[j], kin.twist[j, :d], kin.twist[j, d:]) for j in markers),
                 )
                 continue
-            base = self._one(f, kin, kin.twist, t, markers)
+            base = self._one(i, kin, kin.twist, t, markers)
             for c in range(n if f.b is None else 2 * n):
                 j, k = markers[c // n], c % n
                 h = 1e-7
@@ -270,7 +287,7 @@ class OwnLoads(Loads):
                     turn[k - d] = h
                     R[j] = R[j] + self.motions.spin(turn, R[j].T).T
                 moved = Kinematics(x, R, kin.jac_frame, kin.jac_port)
-                K[i, :, c] = -(self._one(f, moved, kin.twist, t, markers) - base) / h
+                K[i, :, c] = -(self._one(i, moved, kin.twist, t, markers) - base) / h
                 twist[j, k] += h
-                D[i, :, c] = -(self._one(f, kin, twist, t, markers) - base) / h
+                D[i, :, c] = -(self._one(i, kin, twist, t, markers) - base) / h
         return Tangent(self.a, self.b, K, D)

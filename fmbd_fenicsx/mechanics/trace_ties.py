@@ -84,7 +84,7 @@ def tie_surface(
         motion is None or shape is not None,
         f'Tie "{name}": motion(t) needs a shape(X), the displacement that it scales.',
     )
-    law = None if motion is None else smooth_motion(name, motion)
+    law = None if motion is None else smooth_motion(name, motion, of="tie")
     if law is None and shape is not None:
         law = lambda t: (1.0, 0.0, 0.0)
     return SurfaceTie(name, a, b, space, sliding, law, shape)

@@ -11,7 +11,7 @@ from ..errors import InputError, near, require
 from ..mechanics.beams import Beam
 from ..mechanics.bodies import AbsoluteBody, CoordinateBody, FloatingBody, RigidBody, Surface
 from ..mechanics.constraints import Batch
-from ..mechanics.coordinates import CoordinatePart, PortConstraint
+from ..mechanics.coordinates import CoordinatePart, PortConstraint, own_constraint
 from ..mechanics.forces import Force
 from ..mechanics.frames import Markers
 from ..mechanics.joints import Joint, ground
@@ -371,9 +371,7 @@ class Builder:
         for k, part in enumerate(self.fields):
             body = getattr(part, "body", None)
             if isinstance(body, CoordinateBody) and body.constraint is not None:
-                law = PortConstraint(
-                    body.name, k, body.constraint, body.jacobian, body.gamma, body.rate, body.vectorized
-                )
+                law = own_constraint(body, k)
                 m = len(law.values(np.asarray(body.start), 0.0))
                 own.append((law, slice(row, row + m)))
                 blocks.append(RowBlock(body.name, slice(row, row + m), "constraint"))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, near, require
+from ..errors import InputError, named, near, require
 from ..log import log
 from ..mechanics.bodies import RigidBody, Surface
 from ..mechanics.contact import Contact, RigidPoints
@@ -149,6 +149,7 @@ def _carrier(name: str, obstacle: Obstacle, m: Motions, frame_of: dict[str, int]
 def _prescribed(obstacle: Obstacle, m: Motions) -> Callable[[float], Array]:
     motion = obstacle.motion
     assert motion is not None
+    motion = named("The motion of obstacle", obstacle.name, motion)
 
     def pose(t: float) -> Array:
         found = motion(t)

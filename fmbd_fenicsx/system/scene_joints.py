@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..errors import InputError, near, require
+from ..errors import InputError, named, near, require
 from ..mechanics.constraints import Batch, Pair
 from ..mechanics.couplings import CouplingBatch, OwnBatch
 from ..mechanics.drives import Coupling, JointCoordinate, OwnJoint
@@ -53,12 +53,8 @@ class JointRows:
         """Number of rows of a joint of the user's own, by one call."""
         d = self.motions.dim
         point = np.zeros(d) if joint.center_a is None else joint.center_a
-        try:
-            found = np.atleast_1d(np.asarray(joint.function(point, np.eye(d), point, np.eye(d), 0.0)))
-        except Exception as error:
-            raise InputError(
-                f'Joint "{joint.name}": its function failed on (x_a, R_a, x_b, R_b, t): {type(error).__name__}: {error}'
-            ) from error
+        function = named("The constraint of joint", joint.name, joint.function)  # (x_a, R_a, x_b, R_b, t)
+        found = np.atleast_1d(np.asarray(function(point, np.eye(d), point, np.eye(d), 0.0)))
         require(
             found.ndim == 1 and found.size > 0,
             f'Joint "{joint.name}": its function returned {found!r}, expected (m,) numbers.',

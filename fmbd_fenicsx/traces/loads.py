@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import CallbackError, InputError, require
+from ..errors import CallbackError, InputError, named, require
 from ..rotations import Array
 
 Time = Callable[[float], float]
@@ -46,7 +46,7 @@ class Load:
 
     def factor(self, t: float, body: str) -> float:
         """The checked value of ``time`` at t."""
-        value = float(self.time(t))
+        value = float(named("The function of time of a load on body", body, self.time)(t))
         if not np.isfinite(value):
             raise CallbackError(f'A load on body "{body}": its function of time returned {value} at t = {t:g} s.')
         return value
