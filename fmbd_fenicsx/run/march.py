@@ -87,7 +87,8 @@ def _stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: bool)
         problem.newton.theta = 0.5
         if problem.system.fields:  # tangents of a failed iteration are of no use
             problem.system.at(state.t, state.q, state.v).balance(state.a, state.lam)
-            solver.refresh()
+            for _, part in problem.system.fields:
+                part.relinearise()
         start, _ = consistent(problem.system, state, solver)
         return problem.scheme.stepper(problem.system, solver, problem.newton, start)
 
