@@ -66,3 +66,8 @@ def test_demo_support_loads_neither_mpi_nor_dolfinx():
     code = "import sys, fmbd_fenicsx.faces.demo; print(sys.modules.keys() & {'mpi4py', 'dolfinx', 'petsc4py'})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+def test_a_figure_on_its_bound_passes_and_beyond_it_fails() -> None:
+    assert Check("release", 1.99, 2.0, 0.01).ok and not Check("release", 1.99 - 1e-13, 2.0, 0.01).ok
+    assert not Check("exact", 1e-300, 0.0).ok

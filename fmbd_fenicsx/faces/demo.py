@@ -47,9 +47,10 @@ class Check:
 
     @property
     def ok(self) -> bool:
-        """Whether the figure is finite and within its tolerance."""
-        within = self.value >= self.reference if self.least else abs(self.value - self.reference) <= self.tolerance
-        return math.isfinite(self.value) and bool(within)
+        """Whether the figure is finite and within its tolerance, up to roundoff of the difference."""
+        roundoff = 4 * math.ulp(float(self.reference)) if self.reference else 0.0
+        within = abs(self.value - self.reference) <= self.tolerance + roundoff
+        return math.isfinite(self.value) and bool(self.value >= self.reference if self.least else within)
 
     def __str__(self) -> str:
         verdict = "ok" if self.ok else "FAILED"
