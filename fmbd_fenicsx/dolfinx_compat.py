@@ -82,6 +82,12 @@ def geometry_dofmap(msh: Any) -> np.ndarray:
     return np.asarray(g.dofmaps[0] if hasattr(g, "dofmaps") else g.dofmap)
 
 
+def interpolation_points(space: Any) -> np.ndarray:
+    """Points of the reference cell where expressions are evaluated for a space, (n, d)."""
+    points = space.element.interpolation_points
+    return np.asarray(points() if callable(points) else points)
+
+
 def form(ufl_form: Any) -> Any:
     """Compile a UFL form; collective. Waits for other processes that compile the same form."""
     from dolfinx import fem

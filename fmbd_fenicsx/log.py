@@ -12,6 +12,7 @@ import resource
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
@@ -138,3 +139,14 @@ def together(comm: Any, error: BaseException | None) -> None:
                 common = RuntimeError(text)
             common.common = True
             raise common
+
+
+def on_root(comm: Any, action: Callable[[], Any]) -> None:
+    """Do something on rank 0 alone, its error raised on all ranks; collective over ``comm`` (None: this process alone)."""
+    error: Exception | None = None
+    if comm is None or comm.rank == 0:
+        try:
+            action()
+        except Exception as found:  # told to all ranks
+            error = found
+    together(comm, error)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, require
-from ..log import together
-from ..mechanics.recovery import displacement
+from ..log import on_root
+from ..mechanics.recovery import displacement, within_cells
 from ..mechanics.reduction import ReducedBody
 from ..run.solve import Run
 from ..system.system import State
@@ -36,19 +36,20 @@ def save_series(run: Run, file: str | Path) -> None:
     names += [f"{kind} energy (J)" for kind in run.energy]
     columns = np.column_stack((run.times, *run.series.values(), *run.energy.values()))
     heads = ",".join('"' + name.replace('"', '""') + '"' for name in names)
-    error, comm = None, run.system.comm
-    if comm is None or comm.rank == 0:
+
+    def write() -> None:
         try:
             np.savetxt(file, columns, delimiter=",", header=heads, comments="", fmt="%.17g")
-        except OSError as found:  # told to all ranks
-            error = InputError(f"The time histories cannot be written to {file}: {found.strerror or found}.")
-    together(comm, error)
+        except OSError as error:
+            raise InputError(f"The time histories cannot be written to {file}: {error.strerror or error}.") from error
+
+    on_root(run.system.comm, write)
 
 
 def save_fields(run: Run, folder: str | Path, quantities: Mapping[str, Quantity] | None = None) -> list[Path]:
     """Displacements and quantities of every elastic body at the snapshots, ``folder/<body>.pvd``; collective.
 
-    ``quantities`` are taken as their mean in each cell. Returns the files.
+    ``quantities`` are those of the middle of each cell. Returns the files.
     """
     require(bool(run.snapshots), "Fields are those of snapshots: solve(..., output=Output(snapshots=50)).")
     bodies = [b for b in run.scene.bodies.values() if hasattr(b, "mesh") or isinstance(b, ReducedBody)]
@@ -63,17 +64,14 @@ def _save_body(run: Run, body: Any, folder: Path, quantities: dict[str, Quantity
     u = displacement(run, body, run.snapshots[0])
     mesh = u.function_space.mesh
     moved = fem.Function(u.function_space, name="displacement")
-    cells = {name: _cell_means(u, of) for name, of in quantities.items()}
+    cells = [within_cells(u, quantity, degree=0, name=name) for name, quantity in quantities.items()]
     with io.VTKFile(mesh.comm, file, "w") as out:
         for state in run.snapshots:
             u.x.array[:] = displacement(run, body, state).x.array
             moved.x.array[:] = _motion(run, body, state, u)
-            found = []
-            for name, (function, expression) in cells.items():
+            for function, expression in cells:
                 function.interpolate(expression)
-                function.name = name
-                found.append(function)
-            out.write_function([moved, *found], state.t)
+            out.write_function([moved, *(function for function, _ in cells)], state.t)
     return file
 
 
@@ -88,14 +86,3 @@ def _motion(run: Run, body: Any, state: State, u: Any) -> np.ndarray:
     origin = part.constants.center if isinstance(body, ReducedBody) else part.origin
     P = X - origin + u.x.array.reshape(-1, d)
     return np.asarray((ev.pose[part.frame, :d] + P @ ev.rotation[part.frame].T - X).ravel())
-
-
-def _cell_means(u: Any, quantity: Quantity) -> tuple[Any, Any]:
-    """A function that is constant in each cell, and the expression that it takes."""
-    from dolfinx import fem
-
-    expression = quantity(u)
-    shape = expression.ufl_shape
-    space = fem.functionspace(u.function_space.mesh, ("DG", 0, shape) if shape else ("DG", 0))
-    points = space.element.interpolation_points
-    return fem.Function(space), fem.Expression(expression, points() if callable(points) else points)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import dolfinx_compat as compat
 from ..errors import InputError, require
 from ..mechanics.recovery import displacement
 from ..rotations import Array
@@ -116,8 +117,7 @@ def painted(run: Run, body: Any, quantity: Any) -> list[Array]:
     for state in run.snapshots:
         u = displacement(run, body, state)
         V, msh = u.function_space, u.function_space.mesh
-        nodes = V.element.interpolation_points
-        nodes = np.asarray(nodes() if callable(nodes) else nodes)
+        nodes = compat.interpolation_points(V)
         middles = np.array([nodes[t].mean(0) for t in _triangles(np.arange(len(nodes)))])
         cells = np.arange(msh.topology.index_map(msh.topology.dim).size_local, dtype=np.int32)
         values = fem.Expression(quantity(u), middles).eval(msh, cells)

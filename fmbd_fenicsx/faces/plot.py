@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..errors import InputError
-from ..log import together, world_rank
+from ..log import on_root, world_rank
 from ..rotations import Array
 from ..run.solve import Run
 
@@ -61,17 +61,6 @@ def _figure(width: float, height: float) -> tuple[Any, Any]:
 
 def _comm(run: Run) -> Any:
     return run.system.comm
-
-
-def _on_root(comm: Any, draw: Any) -> None:
-    """Draw on rank 0; its error is raised on all ranks."""
-    error: Exception | None = None
-    if comm is None or comm.rank == 0:
-        try:
-            draw()
-        except Exception as found:  # told to all ranks
-            error = found
-    together(comm, error)
 
 
 def components(run: Run, sensor: str) -> list[str]:
@@ -218,7 +207,7 @@ def plot_series(
             rows[-1].set_xlabel("time (s)")
             figure.savefig(file, dpi=200)
 
-    _on_root(_comm(run), draw)
+    on_root(_comm(run), draw)
 
 
 def picture(run: Run, file: str | Path, *, sensor: str | None = None) -> None:
@@ -249,7 +238,7 @@ def picture(run: Run, file: str | Path, *, sensor: str | None = None) -> None:
             figure.suptitle(f"{run.scene.name}: {run.scheme.name}, h = {run.dt:g} s", fontsize=10)
             figure.savefig(file, dpi=200)
 
-    _on_root(_comm(run), draw)
+    on_root(_comm(run), draw)
 
 
 def _show(axes: Any, view: Any) -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from ..errors import InputError
 from .reduction import ReducedBody
 
@@ -42,13 +40,18 @@ def stress(u: Any, sigma: Callable[[Any], Any], *, degree: int = 1) -> Any:
 
     ``u`` from :func:`displacement`. The degree of the result is that of sigma(u): one less than that of u for linear bodies.
     """
+    out, expression = within_cells(u, sigma, degree=degree, name="stress")
+    out.interpolate(expression)
+    return out
+
+
+def within_cells(u: Any, quantity: Callable[[Any], Any], *, degree: int, name: str) -> tuple[Any, Any]:
+    """A Function, discontinuous between cells, and the fem.Expression of quantity(u), in UFL, that it is to interpolate."""
     from dolfinx import fem
 
-    expression = sigma(u)
+    from .. import dolfinx_compat as compat
+
+    expression = quantity(u)
     shape = expression.ufl_shape
     space = fem.functionspace(u.function_space.mesh, ("DG", degree, shape) if shape else ("DG", degree))
-    points = space.element.interpolation_points
-    points = points() if callable(points) else points
-    out = fem.Function(space, name="stress")
-    out.interpolate(fem.Expression(expression, np.asarray(points)))
-    return out
+    return fem.Function(space, name=name), fem.Expression(expression, compat.interpolation_points(space))

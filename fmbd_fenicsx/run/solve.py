@@ -118,7 +118,7 @@ class Run:
     def save_fields(self, folder: str | Path, quantities: Mapping[str, Any] | None = None) -> list[Path]:
         """Write the snapshots of elastic bodies for ParaView, ``folder/<body>.pvd``; collective. Returns the files.
 
-        Each holds the displacement x - X of the true motion, for "Warp by Vector", and the mean in each cell of ``quantities``:
+        Each holds the displacement x - X of the true motion, for "Warp by Vector", and ``quantities`` in the middle of each cell:
         name -> UFL expression of the displacement in the body's axes, as for :func:`fmbd_fenicsx.stress`.
         """
         from ..faces.export import save_fields
