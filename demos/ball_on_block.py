@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 args = demo.arguments(__doc__, {"--h": 0.0})
 h, cells, t_end = (0.06, 6, 2.0) if args.fast else (0.035, 10, 6.0)

@@ -13,7 +13,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 args = demo.arguments(__doc__, {"--cells": 0})
 n = args.cells or (50 if args.fast else 100)

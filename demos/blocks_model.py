@@ -9,12 +9,12 @@ from dolfinx import fem, la
 from mpi4py import MPI
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.presets import Direct
-from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, data, hold, tie
-from fmbd_fenicsx.traces.fields import ElasticForms, Field
-from fmbd_fenicsx.traces.mortar import mortar
-from fmbd_fenicsx.traces.multipliers import default_space
-from fmbd_fenicsx.traces.traces import trace_of
+from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.traces.mortar import mortar
+from fmbd_fenicsx.fem.traces.multipliers import default_space
+from fmbd_fenicsx.fem.traces.traces import trace_of
+from fmbd_fenicsx.linear.saddle.presets import Direct
+from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, data, hold, tie
 
 MU, LAMBDA = fmbd.materials.lame(1.0, 0.3)
 BEND = lambda x, f: (f.sin(2 * x[0]) * f.exp(x[1] / 2) / 5, f.cos(x[0] + x[1]) * x[1] / 5)

@@ -11,7 +11,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 args = demo.arguments(__doc__, {"--cells": 0, "--periods": 0})
 n, courant = (args.cells or 60, 1.0) if args.fast else (args.cells or 40, 0.5)

@@ -9,7 +9,7 @@ Rods along the edges of a unit cube, 1 m, 1 kg, section 0.1 m x 0.1 m; axes y, z
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.faces.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, finish
 
 args = arguments(__doc__)
 t_end, dt = (1.0, 4e-3) if args.fast else (10.0, 2e-3)

@@ -14,7 +14,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 args = demo.arguments(__doc__, {"--cells": 6})
 r, e, w = 0.03, 0.008, 2 * np.pi * 5.0  # m, m, rad/s

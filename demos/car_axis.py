@@ -11,7 +11,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 L, L0, EPS, M, R, OMEGA, G = 1.0, 0.5, 0.01, 10.0, 0.1, 10.0, 1.0
 K = 0.5 * M * EPS**2

@@ -8,7 +8,7 @@ Uniform links of 0.1 m and 0.1 kg, released from a straight line at 45 degrees; 
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.faces.demo import Check, arguments, finish, say
+from fmbd_fenicsx.post.demo import Check, arguments, finish, say
 
 args = arguments(__doc__, {"--links": 0})
 LENGTH, MASS = 0.1, 0.1

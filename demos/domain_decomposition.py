@@ -16,12 +16,12 @@ from mpi4py import MPI
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot
-from fmbd_fenicsx.faces.demo import Check
-from fmbd_fenicsx.linear.domain_decomposition import DualInterface, shared_traces
-from fmbd_fenicsx.linear.saddle import Elastic
-from fmbd_fenicsx.traces.fields import ElasticForms, Field
-from fmbd_fenicsx.traces.multipliers import Continuous, Ends
-from fmbd_fenicsx.traces.traces import trace_of
+from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.traces.multipliers import Continuous, Ends
+from fmbd_fenicsx.fem.traces.traces import trace_of
+from fmbd_fenicsx.linear.blocks.domain_decomposition import DualInterface, shared_traces
+from fmbd_fenicsx.linear.saddle.saddle import Elastic
+from fmbd_fenicsx.post.demo import Check
 
 LENGTH, HEIGHT, PULSE, T_END = 2.0, 0.25, 1.2, 5.5  # m, m, s, s
 LAW = ElasticForms(fmbd.materials.linear_elastic(1.0, 0.0), 1.0, 2)  # wave speed 1 m/s

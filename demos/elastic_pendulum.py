@@ -16,7 +16,7 @@ from ufl import Identity, grad, inner, sym, tr
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 nu, rho, g = 0.3, 1000.0, 9.81  # -, kg/m^3, m/s^2
 

@@ -11,7 +11,7 @@ Run:  ./with-dolfinx python3 demos/flyball.py [--fast] [--json FILE] [--picture 
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.faces.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, finish
 
 args = arguments(__doc__)
 HEIGHT = {1.0: 0.501420922380, 10.0: 0.619622917061}  # of the slider, m

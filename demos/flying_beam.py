@@ -16,7 +16,7 @@ from ufl import as_vector, cos, sin
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 L, EA, GA, EI, RHO_A, RHO_I = 10.0, 1e4, 1e4, 1e2, 1.0, 10.0  # m, N, N, N m^2, kg/m, kg m
 ANGLE, DIRECTION, END = -atan2(4.0, 3.0), np.array([0.6, -0.8]), 2.5  # rad, -, s: until then the beam is pushed

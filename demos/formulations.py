@@ -13,7 +13,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 E, NU, RHO, L, HEIGHT, DT = 2e7, 0.3, 1000.0, 1.0, 0.1, 2e-3  # Pa, -, kg/m^3, m, m, s
 MODES = (2, 4, 8, 16, 32)

@@ -10,7 +10,7 @@ Run:  ./with-dolfinx python3 demos/four_bar.py [--fast] [--json FILE] [--picture
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.faces.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, finish
 
 args = arguments(__doc__)
 END = {2.0: 0.057815795767660286, 10.0: 0.328458111534}  # x of B0, from one degree of freedom, to 1e-11

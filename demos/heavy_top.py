@@ -9,7 +9,7 @@ figure; spin 150 rad/s, weight along -z. Reference: Euler's equations by an expl
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.faces.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, finish
 
 args = arguments(__doc__)
 REFERENCE = {0.1: (0.4212966589253617, 0.8945719743456066, -0.14916470056193187),

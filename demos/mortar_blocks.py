@@ -14,8 +14,8 @@ from blocks_model import BEND, PATCH, Problem, interface_traction
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot, study
-from fmbd_fenicsx.faces.demo import Check
-from fmbd_fenicsx.traces.stability import DualNorm
+from fmbd_fenicsx.fem.traces.stability import DualNorm
+from fmbd_fenicsx.post.demo import Check
 
 NAMES = ("u L2", "u H1", "traction H^-1/2", "traction L2")
 

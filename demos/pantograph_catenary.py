@@ -14,7 +14,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.faces.demo import Check, say
+from fmbd_fenicsx.post.demo import Check, say
 
 args = demo.arguments(__doc__, {"--study": ""})
 dt, spans, until = (4e-3, 3, 130.0) if args.fast else (2e-3, 10, 390.0)

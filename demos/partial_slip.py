@@ -13,7 +13,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 args = demo.arguments(__doc__, {"--cells": 24})
 R, E, nu, mu, share, n = 1.0, 1.0, 0.3, 0.3, 0.6, 12 if args.fast else args.cells

@@ -11,7 +11,7 @@ from elastic_pendulum import build
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot, study
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 args = demo.arguments(__doc__, {"--dim": (2, 3)})
 NAMES, QUIET = ["tip", "tip velocity", "pin force"], fmbd.Output(energy=False)

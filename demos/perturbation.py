@@ -18,9 +18,9 @@ from mpi4py import MPI
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot
-from fmbd_fenicsx.faces.demo import Check
-from fmbd_fenicsx.traces.fields import ElasticForms, Field
-from fmbd_fenicsx.traces.traces import trace_of
+from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.traces.traces import trace_of
+from fmbd_fenicsx.post.demo import Check
 
 DELTA, CELLS = 1e-3, 4  # m, m/s or m/s^2
 RANGES = {"below": 2 * np.pi * np.array([0.005, 0.01, 0.02]), "above": 2 * np.pi * np.array([50.0, 100.0, 200.0])}

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ellipj, ellipk
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.faces.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, finish
 
 args = arguments(__doc__)
 g = 9.81

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import quad
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.faces.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, finish
 
 args = arguments(__doc__)
 turns, per_turn = (1, 400) if args.fast else (4, 800)

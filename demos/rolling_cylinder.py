@@ -14,7 +14,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 args = demo.arguments(__doc__, {"--cells": 10})
 R, E, nu, rho, mu = 1.0, 1.0, 0.45, 0.01, 0.3

@@ -18,7 +18,7 @@ import slider_crank_fe
 from scipy.linalg import eigh
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.faces.demo import Check, arguments, finish, say
+from fmbd_fenicsx.post.demo import Check, arguments, finish, say
 
 OWN = {"--consistent": False, "--nonlinear": False, "--damped": False, "--start": ("smooth", "rigid"), "--forms": False}
 args = arguments(__doc__, {"--rod": ("modes", "elements"), **OWN, **slider_crank_fe.OWN})

@@ -17,7 +17,7 @@ import crank_fe_model as fe
 import crank_model as model
 
 from fmbd_fenicsx import demo, study
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 OWN = {"--dim": (2, 3), "--study": ""}
 

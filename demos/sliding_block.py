@@ -12,7 +12,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 args = demo.arguments(__doc__)
 g, mu, E, rho, cells = 9.81, 0.3, 1e7, 1000.0, 4 if args.fast else 8

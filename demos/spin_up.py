@@ -16,7 +16,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 L, EA, EI, RHO_A, RHO_I, GA = 10.0, 2.8e7, 1.4e4, 1.2, 6e-4, 1e7
 OMEGA, T, LARGEST = 6.0, 15.0, -0.5744  # rad/s, s, m

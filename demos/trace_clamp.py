@@ -14,13 +14,13 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot, study
-from fmbd_fenicsx.faces.demo import Check
-from fmbd_fenicsx.linear.presets import Direct
-from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, hold
-from fmbd_fenicsx.traces.fields import ElasticForms, Field
-from fmbd_fenicsx.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends
-from fmbd_fenicsx.traces.stability import infsup
-from fmbd_fenicsx.traces.traces import trace_of
+from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends
+from fmbd_fenicsx.fem.traces.stability import infsup
+from fmbd_fenicsx.fem.traces.traces import trace_of
+from fmbd_fenicsx.linear.saddle.presets import Direct
+from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, hold
+from fmbd_fenicsx.post.demo import Check
 
 KEPT, P1 = Continuous(ends=Ends.KEPT), Continuous(1, Ends.KEPT)
 # degree of V_h, multiplier space, constants at n = 8 with free and with clamped neighbours

@@ -11,8 +11,8 @@ import truck_model as model
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import study
-from fmbd_fenicsx.faces.picture import gather
 from fmbd_fenicsx.log import say, world_rank
+from fmbd_fenicsx.post.picture import gather
 
 MOTION, BENDING, APART = 10.0, 15.0, 11.5  # growth of motion and deformation in the drawing, m from truck to truck
 SHAPES = {  # corners about the place at the start, m

@@ -2,9 +2,10 @@
 
 from . import errors, materials
 from .energies import MixedEnergy, ViscousForm
+from .fem.loads import Load, body_force, pressure, thermal_stress, traction
 from .log import say
-from .mechanics.beams import Beam, Section
-from .mechanics.bodies import (
+from .mechanics.bodies.beams import Beam, Section
+from .mechanics.bodies.bodies import (
     AbsoluteBody,
     Attached,
     Chord,
@@ -14,9 +15,10 @@ from .mechanics.bodies import (
     RigidBody,
     Surface,
 )
-from .mechanics.drives import angle, displacement, drive, gear, own_joint, screw
-from .mechanics.forces import Spring, Tyre, effort, force, joint_spring, own_force, torque
-from .mechanics.joints import (
+from .mechanics.bodies.line_body import LineBody
+from .mechanics.forces.forces import Spring, Tyre, effort, force, joint_spring, own_force, torque
+from .mechanics.joints.drives import angle, displacement, drive, gear, own_joint, screw
+from .mechanics.joints.joints import (
     cylindrical,
     distance,
     drive_rotation,
@@ -30,22 +32,21 @@ from .mechanics.joints import (
     spherical,
     universal,
 )
-from .mechanics.line_body import LineBody
-from .mechanics.recovery import displacement as displacement_field
-from .mechanics.recovery import stress
-from .mechanics.reduction import CraigBampton
+from .mechanics.reduction.craig_bampton import CraigBampton
+from .mechanics.reduction.recovery import displacement as displacement_field
+from .mechanics.reduction.recovery import stress
 from .run.output import Output
 from .run.solve import Run, solve
-from .schemes.bdf import BDF
 from .schemes.dae import GGL, Baumgarte, Index1, Index2, Index3, Overdetermined, Projected, StateSpace
-from .schemes.energy_momentum import EnergyMomentum
-from .schemes.generalized_alpha import GeneralizedAlpha
-from .schemes.half_explicit import HalfExplicit
+from .schemes.multistep.bdf import BDF
 from .schemes.newton import ExactTangent, Newton
-from .schemes.radau import Radau
-from .schemes.rattle import Rattle
-from .system.scene import Scene
-from .system.sensors import (
+from .schemes.onestep.energy_momentum import EnergyMomentum
+from .schemes.onestep.generalized_alpha import GeneralizedAlpha
+from .schemes.onestep.half_explicit import HalfExplicit
+from .schemes.onestep.radau import Radau
+from .schemes.onestep.rattle import Rattle
+from .system.scene.scene import Scene
+from .system.sensors.sensors import (
     acceleration,
     angular_velocity,
     coordinates,
@@ -57,27 +58,26 @@ from .system.sensors import (
     rotation,
     velocity,
 )
-from .traces.loads import Load, body_force, pressure, thermal_stress, traction
 
 __version__ = "0.1.0"
 
 
 _LATER = {
-    "system.sensors_field": ("largest",),
-    "system.sensors_wires": ("wire_height", "dropper_forces"),
-    "mechanics.wires": ("Dropper", "PointSupport", "Wire", "Wires"),
-    "mechanics.sliding": ("SlidingContact",),
-    "schemes.unilateral": ("Unilateral",),
-    "mechanics.trace_ties": ("tie_surface", "SurfaceTie", "finer_first"),
-    "traces.multipliers": ("Aggregated", "Continuous", "Discontinuous", "Dual", "Ends", "Linear"),
-    "traces.stability": ("infsup",),
-    "linear.presets": ("Bddc", "Cholesky", "Direct", "FieldSplit", "Multigrid", "Schur"),
-    "mechanics.contact": ("contact", "ball", "corners", "cylinder_end"),
-    "mechanics.contact_shapes": ("Box", "Cylinder", "HalfSpace", "Obstacle", "SignedDistance", "Sphere"),
-    "system.sensors_contact": ("contact_force", "contact_gap", "contact_impulse", "contact_pressure", "contact_work"),
-    "schemes.contact_midpoint": ("ContactMidpoint",),
-    "schemes.contact_alpha": ("ContactAlpha",),
-    "schemes.moreau": ("Moreau",),
+    "system.sensors.field": ("largest",),
+    "system.sensors.wires": ("wire_height", "dropper_forces"),
+    "mechanics.catenary.wires": ("Dropper", "PointSupport", "Wire", "Wires"),
+    "mechanics.catenary.sliding": ("SlidingContact",),
+    "schemes.impacts.unilateral": ("Unilateral",),
+    "mechanics.joints.surface_ties": ("tie_surface", "SurfaceTie", "finer_first"),
+    "fem.traces.multipliers": ("Aggregated", "Continuous", "Discontinuous", "Dual", "Ends", "Linear"),
+    "fem.traces.stability": ("infsup",),
+    "linear.saddle.presets": ("Bddc", "Cholesky", "Direct", "FieldSplit", "Multigrid", "Schur"),
+    "mechanics.contact.contact": ("contact", "ball", "corners", "cylinder_end"),
+    "mechanics.contact.shapes": ("Box", "Cylinder", "HalfSpace", "Obstacle", "SignedDistance", "Sphere"),
+    "system.sensors.contact": ("contact_force", "contact_gap", "contact_impulse", "contact_pressure", "contact_work"),
+    "schemes.impacts.contact_midpoint": ("ContactMidpoint",),
+    "schemes.impacts.contact_alpha": ("ContactAlpha",),
+    "schemes.impacts.moreau": ("Moreau",),
     "run.checkpoint": ("Checkpoint",),
 }
 
@@ -96,5 +96,5 @@ def __getattr__(name: str) -> object:
 
         return getattr(mesh, name)
     if name in ("demo", "plot", "study"):
-        return import_module(f".faces.{name}", __name__)
+        return import_module(f".post.{name}", __name__)
     raise AttributeError(f"module 'fmbd_fenicsx' has no attribute {name!r}")

@@ -11,7 +11,7 @@ from typing import Any
 class MixedEnergy:
     """An energy Pi(u, p, dx) in J of displacement and pressure, quadratic in p; ``linear``: quadratic in u too.
 
-    ``carried``: p is an unknown of its own beside u instead of being eliminated (absolute bodies, see ``traces.mixed``).
+    ``carried``: p is an unknown of its own beside u instead of being eliminated (absolute bodies, see ``fem.mixed``).
     ``incompressible``: the part quadratic in p serves the tangent only, so that J = 1 holds without it.
     """
 

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.schur import StepSolver
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.newton import Newton
-from fmbd_fenicsx.schemes.start import consistent
 
 GRAVITY = 9.81
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import Newton
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.materials import linear_elastic, neo_hookean, saint_venant_kirchhoff
 from fmbd_fenicsx.rotations import motions
-from fmbd_fenicsx.traces.fields import Field
 
 MODULUS, DENSITY = 5e6, 1000.0
 ENERGIES = [saint_venant_kirchhoff(MODULUS, 0.3), neo_hookean(MODULUS, 0.3)]

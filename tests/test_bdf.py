@@ -8,7 +8,7 @@ from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, s
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.schemes.bdf import _derivative, _weights
+from fmbd_fenicsx.schemes.multistep.bdf import _derivative, _weights
 
 
 @pytest.mark.parametrize(

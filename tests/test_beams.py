@@ -11,7 +11,7 @@ import scipy.linalg as sl
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.mechanics.placements import FrameMotion
-from fmbd_fenicsx.mechanics.reduced import ReducedPart
+from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 
 L, EI, RHO_A = 1.0, 1.0, 1.0
 SLENDER = fmbd.Section(EA=1e8, EI=EI, rhoA=RHO_A, EI_y=EI, GJ=1e3, rhoI=1e-9, rhoI_y=1e-9)

@@ -15,10 +15,10 @@ from rank_scenes import largest_difference
 from test_ranks import launch
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.schur import StepSolver, Weights
-from fmbd_fenicsx.linear.solver_memory import remember_solver
+from fmbd_fenicsx.linear.blocks.solver_memory import remember_solver
+from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.log import world_size
-from fmbd_fenicsx.system.memory import Memory
+from fmbd_fenicsx.system.serialisation import Memory
 
 SCHEMES: dict[str, Any] = {
     "compiled": fmbd.GeneralizedAlpha(0.8),

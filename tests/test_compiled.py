@@ -13,8 +13,8 @@ from test_mobility import slider_crank
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
-from fmbd_fenicsx.schemes import compiled
-from fmbd_fenicsx.schemes.generalized_alpha import CompiledStepper, GeneralizedAlpha, Stepper
+from fmbd_fenicsx.schemes.onestep import compiled
+from fmbd_fenicsx.schemes.onestep.generalized_alpha import CompiledStepper, GeneralizedAlpha, Stepper
 from fmbd_fenicsx.system.system import State
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -72,8 +72,8 @@ def test_same_digits_as_numpy(make: Any) -> None:
 
 
 def stepper_of(scene: fmbd.Scene, scheme: GeneralizedAlpha | None = None) -> Stepper:
-    from fmbd_fenicsx.linear.schur import StepSolver
-    from fmbd_fenicsx.schemes.start import consistent
+    from fmbd_fenicsx.linear.condensation import StepSolver
+    from fmbd_fenicsx.schemes.consistent import consistent
 
     system, given, _ = scene.build()
     solver = StepSolver(system)

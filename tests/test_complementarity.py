@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmbd_fenicsx.linear.complementarity import ContactCounts, solve_normal
-from fmbd_fenicsx.linear.coulomb import solve_friction
+from fmbd_fenicsx.linear.complementarity.coulomb import solve_friction
+from fmbd_fenicsx.linear.complementarity.normal import ContactCounts, solve_normal
 
 
 def matrix(seed: int, m: int) -> np.ndarray:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.mechanics.contact_mass import redistribute_mass
-from fmbd_fenicsx.mechanics.contact_trace import surface_nodes
-from fmbd_fenicsx.traces.fields import Field
+from fmbd_fenicsx.fem.fields import Field
+from fmbd_fenicsx.mechanics.contact.mass import redistribute_mass
+from fmbd_fenicsx.mechanics.contact.trace import surface_nodes
 
 BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
 

@@ -10,9 +10,9 @@ from dae_problems import pendulum, spinning_top
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError
-from fmbd_fenicsx.linear.schur import StepSolver
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.dae import Baumgarte, Overdetermined, StepEquations
-from fmbd_fenicsx.system.copies import copies
+from fmbd_fenicsx.system.batch import copies
 from fmbd_fenicsx.system.system import State
 
 

@@ -14,12 +14,12 @@ from test_traces import ROOT
 from tied import release, surface
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.presets import Direct
-from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, data, hold, tie
-from fmbd_fenicsx.traces.fields import ElasticForms, Field
-from fmbd_fenicsx.traces.mortar import mortar
-from fmbd_fenicsx.traces.multipliers import Continuous, Ends, default_space
-from fmbd_fenicsx.traces.tie_stability import infsup_together
+from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.traces.mortar import mortar
+from fmbd_fenicsx.fem.traces.multipliers import Continuous, Ends, default_space
+from fmbd_fenicsx.fem.traces.tie_stability import infsup_together
+from fmbd_fenicsx.linear.saddle.presets import Direct
+from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, data, hold, tie
 
 MU, LAMBDA = fmbd.materials.lame(1.0, 0.3)
 # name -> (origin, size, cells along x); ties (finer, coarser): block and face

@@ -10,9 +10,9 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
-from fmbd_fenicsx.linear import delassus
-from fmbd_fenicsx.linear.complementarity import ContactCounts
-from fmbd_fenicsx.linear.delassus_applied import _Iterated
+from fmbd_fenicsx.linear.complementarity import delassus
+from fmbd_fenicsx.linear.complementarity.delassus_matrix_free import _Iterated
+from fmbd_fenicsx.linear.complementarity.normal import ContactCounts
 
 ROOT = Path(__file__).resolve().parents[1]
 BLOCK = ROOT / "meshes/block.py"
@@ -123,7 +123,7 @@ def test_contact_of_bodies_with_many_tie_multipliers(friction: float) -> None:
 
 def test_failure_of_the_iteration_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(delassus, "MANY", 1)
-    monkeypatch.setattr("fmbd_fenicsx.linear.delassus_applied.LIMIT", 2)
+    monkeypatch.setattr("fmbd_fenicsx.linear.complementarity.delassus_matrix_free.LIMIT", 2)
     with pytest.raises(ConvergenceError, match="closed points did not converge in 2 iterations"):
         fmbd.solve(on_a_plate("absolute", 2), t_end=0.1, dt=0.01)
 
@@ -145,8 +145,8 @@ def test_friction_by_products_against_the_matrix() -> None:
     """Random problems with sticking, slipping and open points; few products, since the preconditioner knows the cone."""
     import scipy.sparse as sp
 
-    from fmbd_fenicsx.linear.coulomb import solve_friction
-    from fmbd_fenicsx.linear.coulomb_applied import solve_many
+    from fmbd_fenicsx.linear.complementarity.coulomb import solve_friction
+    from fmbd_fenicsx.linear.complementarity.coulomb_matrix_free import solve_many
 
     rng = np.random.default_rng(7)
     for m, d, mu in ((4, 2, 0.3), (40, 3, 0.3), (40, 3, 0.8)):
@@ -170,7 +170,7 @@ def test_friction_by_products_against_the_matrix() -> None:
 
 
 def test_random_problems_against_the_matrix() -> None:
-    from fmbd_fenicsx.linear.complementarity import active_set, solve_normal
+    from fmbd_fenicsx.linear.complementarity.normal import active_set, solve_normal
 
     rng = np.random.default_rng(5)
     for m in (3, 12, 40):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.faces.demo import Check
+from fmbd_fenicsx.post.demo import Check
 
 RUN = SimpleNamespace(counters={"steps": 3}, seconds={"total": 0.5}, report=lambda: "3 steps")
 
@@ -63,7 +63,7 @@ def test_finish_exits_with_1_when_a_check_fails_and_still_writes(monkeypatch, tm
 
 
 def test_demo_support_loads_neither_mpi_nor_dolfinx():
-    code = "import sys, fmbd_fenicsx.faces.demo; print(sys.modules.keys() & {'mpi4py', 'dolfinx', 'petsc4py'})"
+    code = "import sys, fmbd_fenicsx.post.demo; print(sys.modules.keys() & {'mpi4py', 'dolfinx', 'petsc4py'})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.mechanics.coordinates import PortConstraint, derivative
+from fmbd_fenicsx.mechanics.bodies.coordinates import PortConstraint, derivative
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "demos"))

@@ -8,13 +8,13 @@ from test_traces import ROOT
 from tied import block, manufactured, release, surface, tied
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.domain_decomposition import DualInterface, shared_traces, unassembled
-from fmbd_fenicsx.linear.presets import Bddc, FieldSplit, Schur, set_bddc
-from fmbd_fenicsx.linear.saddle import Elastic, elastic_matrix
-from fmbd_fenicsx.linear.spd import CholeskyFactor
-from fmbd_fenicsx.traces.fields import ElasticForms, Field
-from fmbd_fenicsx.traces.multipliers import Continuous, Ends
-from fmbd_fenicsx.traces.traces import trace_of
+from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.traces.multipliers import Continuous, Ends
+from fmbd_fenicsx.fem.traces.traces import trace_of
+from fmbd_fenicsx.linear.blocks.domain_decomposition import DualInterface, shared_traces, unassembled
+from fmbd_fenicsx.linear.blocks.spd import CholeskyFactor
+from fmbd_fenicsx.linear.saddle.presets import Bddc, FieldSplit, Schur, set_bddc
+from fmbd_fenicsx.linear.saddle.saddle import Elastic, elastic_matrix
 
 KEPT1 = Continuous(1, Ends.KEPT)
 
@@ -108,9 +108,9 @@ def _whole(piece, parts: int, cells: tuple[int, int], cm: float):
     """The same by a direct solve on one rank."""
     from mpi4py import MPI
 
-    from fmbd_fenicsx.linear.presets import Direct
-    from fmbd_fenicsx.linear.saddle import SaddlePoint, hold, tie
-    from fmbd_fenicsx.traces.mortar import mortar
+    from fmbd_fenicsx.fem.traces.mortar import mortar
+    from fmbd_fenicsx.linear.saddle.presets import Direct
+    from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint, hold, tie
 
     bodies = [piece(i, MPI.COMM_SELF) for i in range(parts)]
     ties = [hold("clamp", 0, KEPT1.on(surface(bodies[0], "left")))]

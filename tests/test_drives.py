@@ -12,7 +12,7 @@ from test_joints import AXIS, CENTER, check_derivatives
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, InputError
-from fmbd_fenicsx.mechanics.couplings import smooth_motion
+from fmbd_fenicsx.mechanics.joints.couplings import smooth_motion
 
 
 def joints(dim: int) -> tuple[fmbd.Scene, list[Any]]:

@@ -10,6 +10,8 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.fem.field_checks import SLENDER
+from fmbd_fenicsx.fem.mixed import make_field
 from fmbd_fenicsx.materials import (
     linear_elastic,
     nearly_incompressible,
@@ -19,8 +21,6 @@ from fmbd_fenicsx.materials import (
 )
 from fmbd_fenicsx.mesh import Mesh
 from fmbd_fenicsx.rotations import Array
-from fmbd_fenicsx.traces.field_checks import SLENDER
-from fmbd_fenicsx.traces.mixed import make_field
 
 
 def sheet(shape: Callable[[Array], Array], nx: int, ny: int, crossed: bool = True) -> Mesh:

@@ -7,10 +7,10 @@ import pytest
 from tied import block, manufactured, release, surface, tied
 
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.linear.elimination import Eliminated
-from fmbd_fenicsx.linear.presets import Direct
-from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, hold
-from fmbd_fenicsx.traces.multipliers import Continuous, Dual, Ends
+from fmbd_fenicsx.fem.traces.multipliers import Continuous, Dual, Ends
+from fmbd_fenicsx.linear.saddle.elimination import Eliminated
+from fmbd_fenicsx.linear.saddle.presets import Direct
+from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, hold
 
 
 @pytest.mark.mpi

@@ -13,7 +13,7 @@ from motion import elastic_rod
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, InputError
-from fmbd_fenicsx.traces.fields import Field
+from fmbd_fenicsx.fem.fields import Field
 
 pytestmark = pytest.mark.mpi
 

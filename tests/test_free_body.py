@@ -7,8 +7,8 @@ import pytest
 from scipy.special import ellipk
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.schur import StepSolver
-from fmbd_fenicsx.schemes.start import consistent
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.consistent import consistent
 
 J = np.array([1.0, 2.0, 2.5])
 SPIN = np.array([0.4, 3.0, 0.2])

@@ -12,8 +12,8 @@ from test_energy_momentum import spinner
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
-from fmbd_fenicsx.run.guard import Guarded, Watch, closed
-from fmbd_fenicsx.run.halving import ConstantSteps
+from fmbd_fenicsx.run.energy_check import Guarded, Watch, closed
+from fmbd_fenicsx.run.step_bisection import ConstantSteps
 from fmbd_fenicsx.system.system import State
 
 

@@ -7,7 +7,7 @@ import pytest
 from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, state_errors
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.schemes.half_explicit import coefficients
+from fmbd_fenicsx.schemes.onestep.half_explicit import coefficients
 
 
 def test_order_conditions() -> None:

@@ -11,10 +11,10 @@ from scipy.optimize import brentq
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, LinearSolveError
-from fmbd_fenicsx.run.guard import Watch
-from fmbd_fenicsx.run.halving import ConstantSteps
+from fmbd_fenicsx.run.energy_check import Watch
+from fmbd_fenicsx.run.step_bisection import ConstantSteps
+from fmbd_fenicsx.system.revolutions import count_from, turns
 from fmbd_fenicsx.system.system import State, System
-from fmbd_fenicsx.system.turns import count_from, turns
 
 TOUCH = -0.5  # rad
 

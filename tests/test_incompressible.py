@@ -12,9 +12,9 @@ from scipy.integrate import quad
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConstraintError, InputError
-from fmbd_fenicsx.linear.schur import StepSolver
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.materials import neo_hookean_incompressible, neo_hookean_mixed
-from fmbd_fenicsx.schemes.start import consistent
+from fmbd_fenicsx.schemes.consistent import consistent
 
 ROOT = Path(__file__).resolve().parents[1]
 E, DENSITY = 3e6, 1000.0

@@ -14,8 +14,8 @@ from test_compiled import pair, stepper_of
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
-from fmbd_fenicsx.schemes import compiled
-from fmbd_fenicsx.schemes.generalized_alpha import CompiledStepper, GeneralizedAlpha, Stepper
+from fmbd_fenicsx.schemes.onestep import compiled
+from fmbd_fenicsx.schemes.onestep.generalized_alpha import CompiledStepper, GeneralizedAlpha, Stepper
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.skipif(compiled.library(3) is None, reason="no C compiler")
@@ -168,8 +168,8 @@ def test_warnings_and_refusals_are_those_of_numpy(
 TIME_LOOP = """
 import sys, pickle
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.schur import StepSolver
-from fmbd_fenicsx.schemes.start import consistent
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.consistent import consistent
 sys.path.insert(0, "tests")
 from test_kernel import soft_pendulum
 from dolfinx import jit

@@ -10,13 +10,13 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, InputError, LawError
+from fmbd_fenicsx.fem.fields import Field
+from fmbd_fenicsx.fem.loads import Load, body_force, pressure, thermal_stress, traction
 from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
-from fmbd_fenicsx.mechanics.floating import FloatingField
+from fmbd_fenicsx.mechanics.bodies.floating import FloatingField
 from fmbd_fenicsx.mechanics.placements import Attached, FrameMotion, MeanAxis
-from fmbd_fenicsx.mechanics.reduced import ReducedPart
+from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 from fmbd_fenicsx.rotations import motions
-from fmbd_fenicsx.traces.fields import Field
-from fmbd_fenicsx.traces.loads import Load, body_force, pressure, thermal_stress, traction
 
 MODULUS, DENSITY = 5e6, 1000.0
 

@@ -11,10 +11,10 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.fem.fields import Field
+from fmbd_fenicsx.fem.mixed import make_field
 from fmbd_fenicsx.materials import linear_elastic, nearly_incompressible, neo_hookean, neo_hookean_mixed
 from fmbd_fenicsx.mesh import Mesh
-from fmbd_fenicsx.traces.fields import Field
-from fmbd_fenicsx.traces.mixed import make_field
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -172,7 +172,7 @@ def test_warning_of_locking(
 
 def test_inf_sup_of_displacement_and_pressure() -> None:
     """Taylor-Hood keeps its constant as the mesh is refined; equal degrees have zero modes; the deep check prints it."""
-    from fmbd_fenicsx.traces.pressure_stability import infsup_pressure
+    from fmbd_fenicsx.fem.pressure_stability import infsup_pressure
 
     outside = ("left", "right", "bottom", "top")
     coarse, fine = (fmbd.read_gmsh(ROOT / "meshes/block.py", cells=n) for n in (4, 8))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from test_traces import block
 
-from fmbd_fenicsx.traces.multipliers import Continuous, Discontinuous, Ends
-from fmbd_fenicsx.traces.traces import trace_of
+from fmbd_fenicsx.fem.traces.multipliers import Continuous, Discontinuous, Ends
+from fmbd_fenicsx.fem.traces.traces import trace_of
 
 
 def coupling_by_dolfinx(

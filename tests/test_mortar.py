@@ -10,9 +10,9 @@ from test_traces import ROOT
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.traces.mortar import mortar
-from fmbd_fenicsx.traces.multipliers import Continuous, Discontinuous, Ends
-from fmbd_fenicsx.traces.traces import trace_of
+from fmbd_fenicsx.fem.traces.mortar import mortar
+from fmbd_fenicsx.fem.traces.multipliers import Continuous, Discontinuous, Ends
+from fmbd_fenicsx.fem.traces.traces import trace_of
 
 
 def pair(dim: int, slave: int, master: int, degree: int = 1, shift: float = 0.0, gap: float = 0.0):

@@ -7,7 +7,7 @@ import pytest
 from test_traces import make
 
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends, Linear, default_space
+from fmbd_fenicsx.fem.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends, Linear, default_space
 
 SPACES = [
     Continuous(),

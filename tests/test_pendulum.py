@@ -13,11 +13,11 @@ from motion import elastic_rod
 from scipy.special import ellipk
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.schur import StepSolver
+from fmbd_fenicsx.fem.fields import Field
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.rotations import Array
-from fmbd_fenicsx.schemes.start import consistent
+from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.system.system import State, System
-from fmbd_fenicsx.traces.fields import Field
 
 LENGTH, DENSITY = 1.0, 1000.0
 

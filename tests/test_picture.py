@@ -7,9 +7,9 @@ from matplotlib.figure import Figure
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import plot
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.faces.picture import gather, moment, painted, render, skin
-from fmbd_fenicsx.faces.plot import _history, components
-from fmbd_fenicsx.traces.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.post.picture import gather, moment, painted, render, skin
+from fmbd_fenicsx.post.plot import _history, components
 
 STEEL = fmbd.materials.linear_elastic(5e6, 0.3)
 

@@ -8,12 +8,12 @@ from tied import ROOT, block, manufactured, release, surface, tied
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, LinearSolveError
-from fmbd_fenicsx.linear.exact import Exact
-from fmbd_fenicsx.linear.precondition import Lumped
-from fmbd_fenicsx.linear.presets import Direct, FieldSplit, Multigrid, Schur
-from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, data, hold, slide, stiffen, tie
-from fmbd_fenicsx.traces.mortar import mortar
-from fmbd_fenicsx.traces.multipliers import Continuous, Discontinuous, Dual, Ends, default_space
+from fmbd_fenicsx.fem.traces.mortar import mortar
+from fmbd_fenicsx.fem.traces.multipliers import Continuous, Discontinuous, Dual, Ends, default_space
+from fmbd_fenicsx.linear.blocks.exact import Exact
+from fmbd_fenicsx.linear.saddle.precondition import Lumped
+from fmbd_fenicsx.linear.saddle.presets import Direct, FieldSplit, Multigrid, Schur
+from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, data, hold, slide, stiffen, tie
 
 KEPT1 = Continuous(1, Ends.KEPT)
 
@@ -337,7 +337,7 @@ def test_many_multipliers_in_a_scene(kinds: str) -> None:
 
 
 def test_many_multipliers_need_a_preset(monkeypatch) -> None:
-    from fmbd_fenicsx.linear import schur
+    from fmbd_fenicsx.linear import condensation as schur
 
     monkeypatch.setattr(schur, "TIE_LIMIT", 10)
     with pytest.raises(InputError, match=r"28 multipliers; the direct solver takes up to 10.*linear=fmbd\.Schur\(\)"):

@@ -14,8 +14,8 @@ import pytest
 from scipy.integrate import solve_bvp
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.materials import saint_venant_kirchhoff
-from fmbd_fenicsx.traces.fields import Field
 
 ROOT = Path(__file__).resolve().parents[1]
 L, H, W, E, NU, RHO, F = 0.508, 0.0123777, 0.0032024, 71.7e9, 0.31, 2700.0, 8.896  # m, Pa, -, kg/m^3, N

@@ -8,7 +8,7 @@ from dae_problems import march, observed, pendulum, pendulum_at, pendulum_errors
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
-from fmbd_fenicsx.schemes.collocation import tableau
+from fmbd_fenicsx.schemes.onestep.collocation import tableau
 
 ORDERS = [
     (2, fmbd.Index3(), (3, 2, 1)),

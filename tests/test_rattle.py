@@ -9,9 +9,9 @@ import pytest
 from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, state_errors
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.schur import StepSolver
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.newton import Newton
-from fmbd_fenicsx.schemes.start import consistent
 
 
 def test_order_two_and_half_step_multipliers_of_order_one() -> None:

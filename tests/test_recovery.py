@@ -11,7 +11,7 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.materials import lame, linear_elastic
-from fmbd_fenicsx.mechanics.recovery import displacement, stress
+from fmbd_fenicsx.mechanics.reduction.recovery import displacement, stress
 
 MODULUS, NU, DENSITY = 5e6, 0.0, 1000.0
 

@@ -10,14 +10,14 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.materials import linear_elastic, plane_stress
-from fmbd_fenicsx.mechanics.bodies import Attached, Chord, MeanAxis
-from fmbd_fenicsx.mechanics.floating import FloatingField
+from fmbd_fenicsx.mechanics.bodies.bodies import Attached, Chord, MeanAxis
+from fmbd_fenicsx.mechanics.bodies.floating import FloatingField
 from fmbd_fenicsx.mechanics.placements import FrameMotion
-from fmbd_fenicsx.mechanics.reduced import ReducedPart
-from fmbd_fenicsx.mechanics.reduction import FrameModes
+from fmbd_fenicsx.mechanics.reduction.craig_bampton import FrameModes
+from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 from fmbd_fenicsx.rotations import motions
-from fmbd_fenicsx.traces.fields import Field
 
 MODULUS, DENSITY = 5e6, 1000.0
 FREE_FREE = (22.3733, 61.6728, 120.9034)  # (beta L)^2 of the free-free Euler-Bernoulli beam

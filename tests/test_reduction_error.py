@@ -13,7 +13,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import CraigBampton
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.materials import linear_elastic, plane_stress
-from fmbd_fenicsx.mechanics.reduction import FrameModes
+from fmbd_fenicsx.mechanics.reduction.craig_bampton import FrameModes
 
 SILLY = 5.0  # a bound this many times the error says nothing
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.faces.report import conservative
+from fmbd_fenicsx.post.report import conservative
 
 
 def pendulum(n=1, **changes):

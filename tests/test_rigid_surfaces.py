@@ -8,9 +8,9 @@ from test_traces import ROOT
 from tied import surface
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.presets import Direct
-from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, hold, stiffen
-from fmbd_fenicsx.traces.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.linear.saddle.presets import Direct
+from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, hold, stiffen
 
 KEPT = fmbd.Continuous(ends=fmbd.Ends.KEPT)
 
@@ -48,7 +48,7 @@ def test_face_tied_to_a_rigid_body_turns_with_it(dim: int, frame) -> None:
     scene.sensor("turn", fmbd.rotation(plate))
     start, run = fmbd.solve(scene, t_end=1e-6, dt=1e-6), fmbd.solve(scene, t_end=3.5, dt=0.02)
     part = next(p for p in run.system.parts if p.name == "block")
-    from fmbd_fenicsx.traces.traces import trace_of
+    from fmbd_fenicsx.fem.traces.traces import trace_of
 
     trace = trace_of(part.field.space, mesh, "right")
     x = face_points(run, block, trace)

@@ -18,7 +18,7 @@ from numpy.polynomial import Legendre, Polynomial
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import linear_elastic, plane_stress
 from fmbd_fenicsx.mechanics.placements import Attached, FrameMotion
-from fmbd_fenicsx.mechanics.reduced import Constants, ReducedPart
+from fmbd_fenicsx.mechanics.reduction.reduced import Constants, ReducedPart
 from fmbd_fenicsx.system.system import System
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.schur import StepSolver
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.newton import Newton
 from fmbd_fenicsx.system.system import State
 

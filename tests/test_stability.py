@@ -7,8 +7,8 @@ import pytest
 from test_traces import ROOT, make
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends
-from fmbd_fenicsx.traces.stability import DualNorm, half_norm, infsup
+from fmbd_fenicsx.fem.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends
+from fmbd_fenicsx.fem.traces.stability import DualNorm, half_norm, infsup
 
 KEPT, DROPPED = Continuous(ends=Ends.KEPT), Continuous(ends=Ends.DROPPED)
 P1 = Continuous(1, Ends.KEPT)
@@ -57,7 +57,7 @@ def test_table(squares, degree: int, space, free, clamped, zero: int) -> None:
 def test_half_norms_of_a_cosine() -> None:
     """cos(k x) on [0, 1] with k = 2 pi: the norm of order s is sqrt((1 + k^2)^s / 2)."""
     _, _, t = make(2, 3)
-    from fmbd_fenicsx.traces.traces import refined
+    from fmbd_fenicsx.fem.traces.traces import refined
 
     fine, _, _ = refined(t, 5, 2)
     k = 2 * np.pi

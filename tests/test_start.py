@@ -11,8 +11,8 @@ from motion import elastic_scene, first, plane_scene, space_scene
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConstraintError, InputError
-from fmbd_fenicsx.linear.schur import StepSolver, Weights
-from fmbd_fenicsx.schemes.start import consistent, jerk
+from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+from fmbd_fenicsx.schemes.consistent import consistent, jerk
 from fmbd_fenicsx.system.system import State, System
 
 
@@ -122,7 +122,7 @@ def test_nothing_is_changed_in_a_consistent_scene() -> None:
 @pytest.mark.parametrize("dim", [2, 3])
 def test_jerk_is_the_rate_of_accelerations(dim: int) -> None:
     """a' and lambda' against differences of accelerations computed along the exact motion."""
-    from fmbd_fenicsx.schemes.start import accelerations
+    from fmbd_fenicsx.schemes.consistent import accelerations
 
     scene = jointed(dim, kick=True)
     system, s, _ = started(scene)

@@ -11,11 +11,11 @@ import scipy.linalg as sl
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
+from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.materials import plane_stress
-from fmbd_fenicsx.mechanics.floating import FloatingField
+from fmbd_fenicsx.mechanics.bodies.floating import FloatingField
 from fmbd_fenicsx.mechanics.placements import Attached, FrameMotion
-from fmbd_fenicsx.mechanics.reduced import ReducedPart
-from fmbd_fenicsx.traces.fields import Field
+from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 
 MODULUS, DENSITY, HEIGHT = 1e9, 1000.0, 0.02
 UNIT = np.sqrt(MODULUS * HEIGHT**2 / 12 / DENSITY)  # rad/s, length 1 m

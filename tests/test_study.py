@@ -8,7 +8,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
-from fmbd_fenicsx.faces.study import Configuration, compare, orders, work_precision
+from fmbd_fenicsx.post.study import Configuration, compare, orders, work_precision
 
 SYSTEM = SimpleNamespace(n_q=1, n_lam=0)
 SCENE = SimpleNamespace(sensors={"x": SimpleNamespace(unit="m")})

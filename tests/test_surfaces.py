@@ -11,7 +11,7 @@ from motion import elastic_rod, elastic_scene
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, MeshError
-from fmbd_fenicsx.traces.fields import Field
+from fmbd_fenicsx.fem.fields import Field
 
 pytestmark = pytest.mark.mpi
 

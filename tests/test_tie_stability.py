@@ -10,8 +10,8 @@ from test_traces import ROOT
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.traces.tie_stability import halved, infsup_refined, infsup_together
-from fmbd_fenicsx.traces.traces import surface_trace
+from fmbd_fenicsx.fem.traces.tie_stability import halved, infsup_refined, infsup_together
+from fmbd_fenicsx.fem.traces.traces import surface_trace
 
 KEPT = fmbd.Continuous(ends=fmbd.Ends.KEPT)
 LAW = fmbd.materials.linear_elastic(1.0, 0.3)

@@ -10,7 +10,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import MeshError
-from fmbd_fenicsx.traces.traces import refined, shape_functions, trace_of
+from fmbd_fenicsx.fem.traces.traces import refined, shape_functions, trace_of
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -12,8 +12,8 @@ from ufl import Identity, SpatialCoordinate, as_vector, grad, inner, sym
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, saint_venant_kirchhoff
-from fmbd_fenicsx.traces.fields import Field
 
 ROOT = Path(__file__).resolve().parents[1]
 QUIET = fmbd.Output(progress=False)

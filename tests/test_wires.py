@@ -12,7 +12,7 @@ import scipy.linalg as sl
 import scipy.sparse.linalg as spl
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.mechanics.wires import LineField
+from fmbd_fenicsx.mechanics.catenary.wires import LineField
 
 WIRE = fmbd.Wire(1.35, 20e3, 195.0)
 
@@ -119,7 +119,7 @@ def test_contact_is_lost_and_found() -> None:
 
 def test_solves_with_slack_droppers_are_judged() -> None:
     """Against a dense solve; a damaged correction does not pass."""
-    from fmbd_fenicsx.linear.slack import SlackFactor
+    from fmbd_fenicsx.linear.blocks.low_rank import SlackFactor
 
     droppers = tuple(fmbd.Dropper(1, 0, x, 1e5) for x in (5.0, 15.0, 25.0))
     field = LineField(fmbd.Wires("w", 30.0, 60, (WIRE, fmbd.Wire(1.07, 16e3)), (), droppers))

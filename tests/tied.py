@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.saddle import Elastic, SaddlePoint, hold, tie
-from fmbd_fenicsx.traces.fields import ElasticForms, Field
-from fmbd_fenicsx.traces.mortar import mortar
-from fmbd_fenicsx.traces.multipliers import default_space
-from fmbd_fenicsx.traces.traces import trace_of
+from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.traces.mortar import mortar
+from fmbd_fenicsx.fem.traces.multipliers import default_space
+from fmbd_fenicsx.fem.traces.traces import trace_of
+from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, hold, tie
 
 ROOT = Path(__file__).resolve().parents[1]
 

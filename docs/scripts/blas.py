@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.traces.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.fields import ElasticForms, Field
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.linear import delassus
+from fmbd_fenicsx.linear.complementarity import delassus
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--h", type=float, default=0.0075)

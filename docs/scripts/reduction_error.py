@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.faces.study import aligned
+from fmbd_fenicsx.post.study import aligned
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "demos"))

@@ -18,13 +18,13 @@ from tied import block, manufactured, release, tied  # noqa: E402
 
 import fmbd_fenicsx as fmbd  # noqa: E402
 from fmbd_fenicsx import demo  # noqa: E402
-from fmbd_fenicsx.linear.domain_decomposition import unassembled  # noqa: E402
-from fmbd_fenicsx.linear.precondition import Lumped, ScaledMass  # noqa: E402
-from fmbd_fenicsx.linear.presets import FieldSplit, Multigrid, Preset, Schur, set_bddc  # noqa: E402
-from fmbd_fenicsx.linear.saddle import Elastic, elastic_matrix  # noqa: E402
-from fmbd_fenicsx.traces.fields import Field  # noqa: E402
-from fmbd_fenicsx.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends  # noqa: E402
-from fmbd_fenicsx.traces.stability import infsup  # noqa: E402
+from fmbd_fenicsx.fem.fields import Field  # noqa: E402
+from fmbd_fenicsx.fem.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends  # noqa: E402
+from fmbd_fenicsx.fem.traces.stability import infsup  # noqa: E402
+from fmbd_fenicsx.linear.blocks.domain_decomposition import unassembled  # noqa: E402
+from fmbd_fenicsx.linear.saddle.precondition import Lumped, ScaledMass  # noqa: E402
+from fmbd_fenicsx.linear.saddle.presets import FieldSplit, Multigrid, Preset, Schur, set_bddc  # noqa: E402
+from fmbd_fenicsx.linear.saddle.saddle import Elastic, elastic_matrix  # noqa: E402
 
 SIDES = ("left", "right", "back", "front")
 

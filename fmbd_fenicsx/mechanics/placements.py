@@ -1,7 +1,8 @@
 """Placements: how the points of a body move. What every part of a system offers, and all rigid bodies at once.
 
 A rigid body has x = r + R X and the inertia m (r'' - g), J w' + w x J w. Elastic placements have files of their own:
-``mechanics.floating`` x = r + R (X + u), ``mechanics.absolute`` x = X + u, ``mechanics.reduced`` x = r + R (X + Phi eta).
+``mechanics.bodies.floating`` x = r + R (X + u), ``mechanics.bodies.absolute`` x = X + u,
+``mechanics.reduction.reduced`` x = r + R (X + Phi eta).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from ..rotations import Array, Motions
 
 if TYPE_CHECKING:
-    from ..traces.fields import Field
+    from ..fem.fields import Field
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Checkpoints: the complete state of a run in a folder, and how it is taken up again.
 
-A checkpoint holds the state, the scheme's memory (:mod:`fmbd_fenicsx.system.memory`), the series recorded so far, and what tells
+A checkpoint holds the state, the scheme's memory (:mod:`fmbd_fenicsx.system.serialisation`), the series recorded so
+far, and what tells
 whether a scene is the same (:mod:`.fingerprint`). In serial runs with direct solvers the run goes on bit by bit as if nothing
 had happened. Fields are kept in the order of the mesh as it was read, so the number of ranks may change; the figures
 then agree to roundoff. Files are complete or not there, and checked by their hashes before they are used (:mod:`.archive`).
@@ -18,11 +19,11 @@ from typing import Any
 
 from ..errors import CheckpointError, InputError, require
 from ..log import StopRequests, log, together, world_rank, world_size
-from ..system.memory import Memory
+from ..system.serialisation import Memory
 from ..system.system import System
 from . import archive
-from .course import Course
 from .fingerprint import compare
+from .progress import Course
 
 STOP = "STOP"  # a file of this name in the folder asks the run to stop
 LOOK = 0.5  # s between looks for it

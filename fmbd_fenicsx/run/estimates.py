@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import ConvergenceError
-from ..linear.schur import StepSolver
+from ..linear.condensation import StepSolver
 from ..log import log
 from ..rotations import Array
-from ..system.finer import finer_system
-from ..system.turns import rewind
-from .march import Problem, begin, make_solver, march
+from ..system.revolutions import rewind
+from ..system.scene.refined_basis import finer_system
 from .output import Output, Recorder
-from .pace import Pace
+from .schedule import Pace
+from .time_loop import Problem, begin, make_solver, march
 
 SATURATION = 2.0  # the error of the finer basis counts as at most half of that of the given one
 
@@ -86,7 +86,8 @@ def _distance(indices: list[int], x: Array, coarse: Array) -> float:
 def reduction_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str, float]:
     """Error of each sensor by the modes that reduced bodies leave out; collective. Empty without reduced bodies.
 
-    The run is made once more, with the same steps, by finer bases that contain the given ones (``mechanics.reduction.Finer``):
+    The run is made once more, with the same steps, by finer bases that contain the given ones
+    (``mechanics.reduction.craig_bampton.Finer``):
 
         |x_m - x| <= |x_m - x_f| + |x_f - x| <= 2 |x_m - x_f|     as long as  |x_f - x| <= |x_m - x| / 2         (1)
 

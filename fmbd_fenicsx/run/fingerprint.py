@@ -15,8 +15,8 @@ import numpy as np
 
 from ..errors import CheckpointError
 from ..rotations import Array
-from ..system.memory import Memory
-from ..system.scene import Scene
+from ..system.scene.scene import Scene
+from ..system.serialisation import Memory
 from ..system.system import State, System
 
 SAME = 1e-6  # relative difference of forces and energies

@@ -14,8 +14,8 @@ import numpy as np
 from ..errors import require
 from ..log import world_rank
 from ..rotations import Array
-from ..system.memory import Memory
-from ..system.scene import Scene
+from ..system.scene.scene import Scene
+from ..system.serialisation import Memory
 from ..system.system import Evaluation, State, System
 
 

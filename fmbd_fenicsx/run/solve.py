@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InputError, Stopped, near, require
-from ..linear.schur import StepSolver
+from ..linear.condensation import StepSolver
 from ..log import install_hooks, peak_memory
 from ..rotations import Array
+from ..schemes.consistent import Correction
 from ..schemes.dae import Index3
-from ..schemes.generalized_alpha import GeneralizedAlpha
 from ..schemes.newton import Newton
-from ..schemes.start import Correction
-from ..system.plan import Plan, make_plan
-from ..system.scene import Scene
+from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
+from ..system.scene.plan import Plan, make_plan
+from ..system.scene.scene import Scene
 from ..system.system import State, System
 from .estimates import reduction_error, time_error
-from .march import March, Problem, begin, make_solver, march
 from .output import Output
-from .pace import Pace, pace_of
+from .schedule import Pace, pace_of
+from .time_loop import March, Problem, begin, make_solver, march
 
 if TYPE_CHECKING:
     from .checkpoint import Checkpoint, Keeper
@@ -83,7 +83,7 @@ class Run:
         """Steps, iterations, error estimate, drift, energy, seconds by phase, and the plan, as text; not
         collective.
         """
-        from ..faces.report import run_report
+        from ..post.report import run_report
 
         return run_report(self)
 
@@ -105,13 +105,13 @@ class Run:
             reference: name -> exact value as a function of time (s), drawn behind the curve, or (times, values),
                 drawn as crosses.
         """
-        from ..faces.plot import plot_series
+        from ..post.plot import plot_series
 
         plot_series(self, sensors, file, reference)
 
     def save(self, file: str | Path) -> None:
         """Write times, sensors with units and energies as comma-separated values; rank 0 writes."""
-        from ..faces.export import save_series
+        from ..post.export import save_series
 
         save_series(self, file)
 
@@ -121,7 +121,7 @@ class Run:
         Each holds the displacement x - X of the true motion, for "Warp by Vector", and ``quantities`` in the middle of each cell:
         name -> UFL expression of the displacement in the body's axes, as for :func:`fmbd_fenicsx.stress`.
         """
-        from ..faces.export import save_fields
+        from ..post.export import save_fields
 
         return save_fields(self, folder, quantities)
 
@@ -129,7 +129,7 @@ class Run:
         """Write a picture of the snapshots (pyvista), with the history of a sensor beside it; collective,
         rank 0 writes.
         """
-        from ..faces.plot import picture
+        from ..post.plot import picture
 
         picture(self, file, sensor=sensor)
 
@@ -248,7 +248,7 @@ def _default_scheme(scene: Scene) -> Any:
     """Generalized-alpha; the contact-implicit midpoint rule for a scene with contact."""
     if not scene.contacts:
         return GeneralizedAlpha()
-    from ..schemes.contact_midpoint import ContactMidpoint
+    from ..schemes.impacts.contact_midpoint import ContactMidpoint
 
     return ContactMidpoint()
 

@@ -26,7 +26,7 @@ import numpy as np
 from ..errors import ConvergenceError, require
 from ..rotations import Array
 from ..system.linearise import Sizes
-from ..system.memory import Memory
+from ..system.serialisation import Memory
 from ..system.system import State, System
 
 ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the tolerance are accepted

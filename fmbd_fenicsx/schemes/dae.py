@@ -35,15 +35,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..errors import InputError, require
-from ..linear.pencil import Tangent
-from ..linear.schur import StepSolver, Weights
+from ..linear.condensation import StepSolver, Weights
+from ..linear.saddle.pencil import Tangent
 from ..rotations import Array
-from ..system.copies import Many, copies
+from ..system.batch import Many, copies
 from ..system.linearise import differences, many
-from ..system.memory import Memory
+from ..system.revolutions import count_from
+from ..system.revolutions import turns as turns_of
+from ..system.serialisation import Memory
 from ..system.system import State, System
-from ..system.turns import count_from
-from ..system.turns import turns as turns_of
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Newton's increment with the exact tangent: GMRES on its action, preconditioned by the frozen one.
 
-With P the matrix of :class:`~fmbd_fenicsx.linear.schur.StepSolver` and J the derivative of the residual, velocity-dependent
+With P the matrix of the :class:`.StepSolver` and J the derivative of the residual, velocity-dependent
 inertia, turned reactions and the inertia of the deformed body included, an increment x = (dq, s dlambda) is
 
     J x = b      or      dq + T dq = dq_0,     x_0 = P^-1 b,     T d = P^-1 (J - P) (d, 0)                        (1)

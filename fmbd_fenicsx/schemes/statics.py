@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import ConvergenceError, LinearSolveError
-from ..linear.schur import StepSolver, Weights
+from ..linear.condensation import StepSolver, Weights
 from ..rotations import Array
 from ..system.system import State, System
 

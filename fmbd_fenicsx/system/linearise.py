@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from ..rotations import Array
-from .copies import Many, copies
+from .batch import Many, copies
 from .system import System
 
 LARGEST = 2_000_000  # entries of matrices that are evaluated at once

@@ -16,10 +16,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..energies import MixedEnergy
-from ..mechanics.bodies import CoordinateBody
-from ..mechanics.coordinates import CoordinatePart
-from ..mechanics.joints import ground
-from ..mechanics.laws import ScalarLoads
+from ..mechanics.bodies.bodies import CoordinateBody
+from ..mechanics.bodies.coordinates import CoordinatePart
+from ..mechanics.forces.force_elements import ScalarLoads
+from ..mechanics.joints.joints import ground
 from ..rotations import Array
 from .system import Evaluation, System
 
@@ -183,7 +183,7 @@ def check(scene: Any, deep: bool = False) -> Mobility:
 
 def _weak_ties(scene: Any) -> list[str]:
     """Ties whose multipliers are not controlled by the displacements, one by one and together."""
-    from ..traces.tie_stability import infsup_refined, infsup_together
+    from ..fem.traces.tie_stability import infsup_refined, infsup_together
 
     if not scene.ties:
         return []
@@ -204,7 +204,7 @@ def _pressures(scene: Any) -> list[str]:
     ]
     if not mixed:
         return []
-    from ..traces.pressure_stability import infsup_pressure
+    from ..fem.pressure_stability import infsup_pressure
 
     constants = [(b.name, infsup_pressure(b.mesh, b.degree)[0]) for b in mixed]
     return [

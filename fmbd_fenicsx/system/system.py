@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 
 from ..errors import CallbackError, InputError, near
-from ..mechanics.constraints import Batch
-from ..mechanics.coordinates import PortConstraint
+from ..fem.fields import rank_sum
+from ..mechanics.bodies.coordinates import PortConstraint
+from ..mechanics.forces.force_elements import Loads
 from ..mechanics.frames import Kinematics, Markers
-from ..mechanics.laws import Loads
+from ..mechanics.joints.constraints import Batch
 from ..mechanics.placements import DistributedPart, FrameMotion, Part, RigidBlock, is_distributed
 from ..rotations import Array, Motions
-from ..traces.fields import rank_sum
-from .bent import bend, note_forces, port_bias, port_forces
-from .system_jacobian import Jacobian, force_tangent
+from .foreshortened_ports import bend, note_forces, port_bias, port_forces
+from .jacobian import Jacobian, force_tangent
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class System:
 
     @cached_property
     def curved(self) -> tuple[tuple[int, Any], ...]:
-        """Parts whose ports are of second order in their coordinates, with their numbers (``mechanics.shortening``)."""
+        """Parts whose ports are of second order in their coordinates, with their numbers (:mod:`~.reduction.foreshortening`)."""
         return tuple((k, p) for k, p in enumerate(self.parts) if getattr(p, "shortening", None) is not None)
 
     @cached_property

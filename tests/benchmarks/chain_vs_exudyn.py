@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.schur import StepSolver
-from fmbd_fenicsx.schemes.start import consistent
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.consistent import consistent
 
 HERE = Path(__file__).parent
 CASES = {

@@ -26,8 +26,8 @@ import crank_model as model
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.schur import StepSolver
-from fmbd_fenicsx.schemes.start import consistent
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.consistent import consistent
 
 END = np.array(
     [-0.331173498825626, 1.893192899613509e-4, 2.375751249879174e-5, -5.323896770569702e-6, -8.363313279112129e-6]

@@ -25,9 +25,9 @@ from pathlib import Path
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.schur import StepSolver
-from fmbd_fenicsx.schemes.start import consistent
-from fmbd_fenicsx.traces.mixed import make_field
+from fmbd_fenicsx.fem.mixed import make_field
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.consistent import consistent
 
 HERE = Path(__file__).parent
 GRAVITY = (0.0, 0.0, -9.81)

@@ -76,8 +76,8 @@ def whole(unknowns: int, ramp: float = 0.5) -> dict[str, float]:
     import numpy as np
 
     import fmbd_fenicsx as fmbd
-    from fmbd_fenicsx.linear.schur import StepSolver
-    from fmbd_fenicsx.schemes.start import consistent
+    from fmbd_fenicsx.linear.condensation import StepSolver
+    from fmbd_fenicsx.schemes.consistent import consistent
 
     elastic = fmbd.materials.linear_elastic(5e6, 0.3)
     rod = fmbd.FloatingBody("rod", mesh_of(unknowns), density=1000.0, elastic=elastic)

@@ -1,0 +1,376 @@
+"""Displacement fields of elastic bodies: UFL forms in, constant matrices and nodal arrays out.
+
+For displacements u in V_h (Lagrange, any degree) with nodal values U and material points X, in body axes,
+
+    M_ij = int rho phi_i phi_j,   K = elastic form a(u, v),   Q = [M 1_k, M (e_k x X)]                       (1)
+
+and, for every surface in use, the moments b_0, b_k of ``mechanics.frames`` as rows T of weights on its nodes. All of it is
+assembled once. Arrays hold the nodes that this rank owns; sums over all ranks are made in a fixed order, so that
+replicated numbers are equal on all ranks to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..energies import ViscousForm
+from ..errors import InputError
+from ..log import together
+from ..rotations import Array, motions
+from .field_checks import check_field
+from .loads import AppliedLoads, Load
+from .surfaces import Moments
+from .viscous import Viscous, symmetric
+
+if TYPE_CHECKING:
+    from .numbering import Numbering
+
+
+def rank_sum(comm: Any, x: Array) -> Array:
+    """Sum over ranks in the order of ranks: the same bits everywhere; collective."""
+    if comm.size == 1:
+        return x
+    return np.sum(comm.allgather(x), axis=0)
+
+
+@dataclass(frozen=True)
+class ElasticForms:
+    """What a user says of an elastic body: density, degree, Rayleigh damping, and its elasticity.
+
+    Either the bilinear form ``elastic(u, v, dx)``, or an ``energy(u, dx)`` in J, not quadratic in general. ``quadrature`` is the
+    degree of the quadrature of both (None: what UFL estimates). ``viscous(u, v, dx)`` is the form of Kelvin-Voigt damping in
+    the rate u, or a :class:`~fmbd_fenicsx.energies.ViscousForm` of displacement and rate.
+    """
+
+    elastic: Callable[[Any, Any, Any], Any] | None
+    density: float
+    degree: int
+    mass_damping: float = 0.0  # 1/s
+    stiffness_damping: float = 0.0  # s
+    energy: Callable[[Any, Any], Any] | None = None
+    quadrature: int | None = None
+    loads: tuple[Load, ...] = ()
+    viscous: Callable[[Any, Any, Any], Any] | ViscousForm | None = None
+
+
+class Field:
+    """Matrices and nodal data of one displacement field on one mesh; collective to build.
+
+    Attributes: ``X`` (n, d) owned nodes (m, relative to the centre of mass), ``mass_total`` (kg), ``center`` (d,),
+    ``inertia`` (n_rot, n_rot) about the centre of mass, ``Q`` (n d, n_twist), ``n`` owned nodes.
+    """
+
+    mixed = False  # whether a pressure belongs to the displacements
+    indefinite = False  # whether a tangent of it was found to be so: compressed bodies
+    carried = False  # whether that pressure is an unknown of its own
+    keeps_volume: bool = False  # whether that pressure keeps J = 1
+
+    def __init__(self, name: str, mesh: Any, forms: ElasticForms) -> None:
+        import dolfinx.fem.petsc as fp
+        import ufl
+        from dolfinx import fem
+
+        from .. import dolfinx_compat as compat
+
+        compat.check_versions()
+        self.name, self.forms, self.mesh = name, forms, mesh
+        self.redistributed = False
+        msh = mesh.dolfinx
+        self.comm = msh.comm
+        self.dim = d = mesh.dim
+        self.motions = motions(d)
+        self.space = fem.functionspace(msh, ("Lagrange", forms.degree, (d,)))
+        self.n = self.space.dofmap.index_map.size_local
+        scalar = fem.functionspace(msh, ("Lagrange", forms.degree))
+        same = np.array_equal(self.space.dofmap.list, scalar.dofmap.list)
+        together(self.comm, None if same else RuntimeError("DOLFINx numbered scalar and vector spaces differently"))
+        dx = ufl.Measure("dx", domain=msh)
+        p, q = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
+        rho = fem.Constant(msh, float(forms.density))
+        self.M = fp.assemble_matrix(compat.form(rho * p * q * dx))
+        self.M.assemble()
+        self.elastic_measure = dx if forms.quadrature is None else dx(metadata={"quadrature_degree": forms.quadrature})
+        self._elastic_form(self.elastic_measure)
+        self.K = fp.create_matrix(self._stiffness_form, "baij")
+        self.tangents = -1
+        self._with_extra: Any = None
+        self.linearise(None)
+        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        self._mass_form = compat.form(rho * ufl.inner(u, v) * dx)
+        self.n_global = self.space.dofmap.index_map.size_global * d
+        self._work = [self.M.createVecRight(), self.M.createVecLeft()]
+        self._big = [self.K.createVecRight(), self.K.createVecLeft()]
+        self._rigid_properties()
+        check_field(self)
+        self.loads = AppliedLoads(self, forms.loads)
+        self.viscous = Viscous(self, forms.viscous)
+        self.D = self.viscous.matrix
+
+    @property
+    def argument(self) -> Any:
+        """The function of the displacements in the forms of an energy."""
+        return self._w
+
+    @property
+    def nonlinear(self) -> bool:
+        """Whether the internal forces come from an energy."""
+        return self.forms.energy is not None
+
+    def _elastic_form(self, dx: Any) -> None:
+        """Compile the stiffness form, and for an energy Pi(u) the residual dPi/du and Pi itself."""
+        import ufl
+        from dolfinx import fem
+
+        from .. import dolfinx_compat as compat
+
+        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        what = "elastic(u, v, dx) did not give a bilinear UFL form"
+        try:
+            if self.forms.energy is None:
+                assert self.forms.elastic is not None
+                a = self.forms.elastic(u, v, dx)
+                if not isinstance(a, ufl.Form) or len(a.arguments()) != 2:
+                    raise TypeError(f"found {a!r:.80}; integrate over dx, once linear in u and once in v")
+                self._stiffness_form = compat.form(a)
+                return
+            what = "energy(u, dx) did not give a UFL form of rank 0"
+            self._w = fem.Function(self.space)
+            energy = self.forms.energy(self._w, dx)
+            if not isinstance(energy, ufl.Form) or len(energy.arguments()) != 0:
+                raise TypeError(f"found {energy!r:.80}; integrate an energy density over dx")
+            residual = ufl.derivative(energy, self._w, v)
+            self._energy_form, self._residual_form = compat.form(energy), compat.form(residual)
+            self._stiffness_form = compat.form(ufl.derivative(residual, self._w, u))
+        except Exception as error:
+            raise InputError(f'Body "{self.name}": {what}: {type(error).__name__}: {error}') from error
+
+    def stress_form(self, u: Any, v: Any) -> tuple[Any, Any]:
+        """Work of the linear stress of u on grad v, UFL, and the pressure in it as a function (None without one)."""
+        assert self.forms.elastic is not None
+        return self.forms.elastic(u, v, self.elastic_measure), None
+
+    def pressure_of(self, U: Array) -> Any:
+        """The pressure that belongs to displacements U, as a dolfinx function: only bodies with a pressure have one."""
+        raise NotImplementedError
+
+    def linearise(self, U: Array | None, extra: Any = None) -> None:
+        """Assemble K, for an energy at the displacements U (n d,) (None: zero), plus an ``extra`` compiled form; collective."""
+        import dolfinx.fem.petsc as fp
+
+        if self.nonlinear:
+            self._place(np.zeros(self.n * self.dim) if U is None else U)
+        if self.tangents < 0 or self.nonlinear:
+            self.K.zeroEntries()
+            fp.assemble_matrix(self.K, self._stiffness_form)
+            self.K.assemble()
+        if extra is not None:
+            if self._with_extra is None:
+                self._with_extra = fp.create_matrix(self._stiffness_form, "baij")
+            self._with_extra.zeroEntries()
+            for form in (self._stiffness_form, extra):
+                fp.assemble_matrix(self._with_extra, form)
+            self._with_extra.assemble()
+        self._linearised, self._extra = U, extra
+        self.tangents += 1
+
+    def _place(self, U: Array) -> None:
+        """Nodal values of the energy's argument, ghosts included; collective."""
+        self._w.x.array[: len(U)] = U
+        self._w.x.scatter_forward()
+
+    # -- products -----------------------------------------------------------------------------------------------
+    def mass(self, A: Array) -> Array:
+        """M A for nodal vectors, (n, d) -> (n, d)."""
+        x, y = self._work
+        out = np.empty_like(A)
+        for k in range(self.dim):
+            x.array[:] = A[:, k]
+            self.M.mult(x, y)
+            out[:, k] = y.array
+        return out
+
+    def stiffness(self, U: Array) -> Array:
+        """K U, (n d,) -> (n d,)."""
+        return self._times(self.K, U)
+
+    def tangent(self, U: Array) -> Array:
+        """K U with the extra form of :meth:`linearise`: the matrix that :meth:`combination` holds."""
+        return self._times(self.K if self._extra is None else self._with_extra, U)
+
+    def _times(self, A: Any, U: Array) -> Array:
+        x, y = self._big
+        x.array[:] = U
+        A.mult(x, y)
+        return y.array.copy()
+
+    def internal(self, U: Array) -> Array:
+        """Internal forces K U, or dPi/du, (n d,) -> (n d,); collective."""
+        if not self.nonlinear:
+            return self.stiffness(U)
+        from dolfinx import fem, la
+
+        self._place(U)
+        b = fem.assemble_vector(self._residual_form)
+        b.scatter_reverse(la.InsertMode.add)
+        return b.array[: self.n * self.dim].copy()
+
+    def energy(self, U: Array) -> float:
+        """Elastic energy in J; collective."""
+        if not self.nonlinear:
+            return float(self.total(np.array(0.5 * U @ self.stiffness(U))))
+        from dolfinx import fem
+
+        self._place(U)
+        return float(self.total(np.array(fem.assemble_scalar(self._energy_form))))
+
+    @cached_property
+    def moving_tangent(self) -> Any:
+        """Compiled stiffness of loads on the deformed body and of a nonlinear viscous law, symmetric half; None without."""
+        import ufl
+
+        from .. import dolfinx_compat as compat
+
+        parts = [self.viscous.law] if self.viscous.law is not None else []
+        if self.loads.moving:
+            parts.append(-self.loads.moving_form(self._w, ufl.TestFunction(self.space)))
+        if not parts:
+            return None
+        return compat.form(symmetric(ufl.derivative(sum(parts), self._w, ufl.TrialFunction(self.space))))
+
+    def linearise_motion(self, t: float, U: Array, Ud: Array) -> None:
+        """:meth:`linearise` at displacements U with rates Ud (n d,), moving loads and viscous law included; collective."""
+        self.loads.at(t)
+        self._place(U)
+        self.viscous.linearise(Ud)
+        self.linearise(U, self.moving_tangent)
+
+    def damping(self, U: Array) -> Array:
+        """D U, (n d,) -> (n d,); zero without a viscous form."""
+        return np.zeros_like(U) if self.D is None else self._times(self.D, U)
+
+    def total(self, x: Array) -> Array:
+        """Sum of a rank-local contribution over the ranks."""
+        return rank_sum(self.comm, x)
+
+    def points(self, U: Array) -> Array:
+        """P = X + U, (n, d)."""
+        return self.X + U.reshape(-1, self.dim)
+
+    def mass_matrix(self) -> Any:
+        """The PETSc matrix M on vectors (aij); collective. The caller destroys it."""
+        import dolfinx.fem.petsc as fp
+
+        M = fp.assemble_matrix(self._mass_form)
+        M.assemble()
+        return M
+
+    def combination(self, cm: float, ck: float, cd: float = 0.0) -> Any:
+        """The PETSc matrix cm M + cd D + ck K (symmetric, aij); collective. The caller destroys it."""
+        import dolfinx.fem.petsc as fp
+
+        if self.nonlinear:
+            self._place(np.zeros(self.n * self.dim) if self._linearised is None else self._linearised)
+            self.viscous.restore()
+        E = fp.create_matrix(self._stiffness_form)
+        E.zeroEntries()
+        if self.redistributed:
+            return self._with_own_mass(E, cm, ck)
+        fp.assemble_matrix(E, self._mass_form)
+        E.assemble()
+        E.scale(cm / ck)
+        fp.assemble_matrix(E, self._stiffness_form)
+        E.assemble()
+        if self._extra is not None:
+            fp.assemble_matrix(E, self._extra)
+            E.assemble()
+        E.scale(ck)
+        if cd and self.D is not None:
+            E.scale(1.0 / cd)
+            fp.assemble_matrix(E, self.viscous.form)
+            E.assemble()
+            E.scale(cd)
+        return E
+
+    def replace_mass(self, M: Any) -> None:
+        """Use another scalar mass matrix with the same layout from now on (see ``mechanics.contact.mass``); collective."""
+        self.M.destroy()
+        self.M, self.redistributed = M, True
+        self._rigid_properties()
+
+    def _with_own_mass(self, E: Any, cm: float, ck: float) -> Any:
+        """cm M + ck K for a mass matrix that is not the form's: each scalar entry acts on all components."""
+        import dolfinx.fem.petsc as fp
+        from petsc4py import PETSc
+
+        fp.assemble_matrix(E, self._stiffness_form)
+        E.assemble()
+        if self._extra is not None:
+            fp.assemble_matrix(E, self._extra)
+            E.assemble()
+        E.scale(ck)
+        d, (low, high) = self.dim, self.M.getOwnershipRange()
+        start, cols, values = self.M.getValuesCSR()
+        big = PETSc.Mat().createAIJ(E.getSizes(), nnz=int(np.diff(start).max(initial=1)), comm=self.comm)
+        big.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+        for k in range(d):
+            indptr = np.zeros((high - low) * d + 1, dtype=PETSc.IntType)
+            indptr[1:][k::d] = np.diff(start)
+            big.setValuesCSR(np.cumsum(indptr).astype(PETSc.IntType), (cols * d + k).astype(PETSc.IntType), values)
+        big.assemble()
+        E.axpy(cm, big, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        big.destroy()
+        return E
+
+    # -- constants ----------------------------------------------------------------------------------------------
+    def _rigid_properties(self) -> None:
+        d, m = self.dim, self.motions
+        x = self.space.tabulate_dof_coordinates()[: self.n, :d]
+        one = self.mass(np.ones((self.n, d)))
+        self.mass_total = float(self.total(np.array(one[:, 0].sum())))
+        self.center = self.total((one * x).sum(0)) / self.mass_total
+        self.X = x - self.center
+        self.X_world = x
+        low = self.comm.allgather(x.min(0) if self.n else np.full(d, np.inf))
+        high = self.comm.allgather(x.max(0) if self.n else np.full(d, -np.inf))
+        self.size = float(np.linalg.norm(np.max(high, axis=0) - np.min(low, axis=0)))
+        Q = np.zeros((self.n, d, m.n_twist))
+        for k in range(d):
+            Q[:, k, k] = one[:, 0]
+        for k in range(m.n_rot):
+            w = np.zeros((1, m.n_rot))
+            w[0, k] = 1.0
+            Q[:, :, d + k] = self.mass(m.spin(w, self.X))
+        self.Q = Q.reshape(self.n * d, m.n_twist)
+        J = np.empty((m.n_rot, m.n_rot))
+        for k in range(m.n_rot):
+            J[:, k] = m.moment(self.X, Q[:, :, d + k]).sum(0)
+        self.inertia = self.total(J)
+
+    @cached_property
+    def moments(self) -> Callable[[str], Moments]:
+        """Moments of a named surface, assembled at first use: ``field.moments("pin")``; collective."""
+        cache: dict[str, Moments] = {}
+
+        def of(surface: str) -> Moments:
+            if surface not in cache:
+                cache[surface] = Moments(self.space, self.mesh, surface, self.center, self.n)
+            return cache[surface]
+
+        return of
+
+    @cached_property
+    def numbering(self) -> Numbering:
+        """Numbers of the nodes that do not depend on the ranks; collective."""
+        from .numbering import Numbering
+
+        return Numbering(self.space)
+
+    def destroy(self) -> None:
+        """Free the PETSc objects; collective."""
+        for x in (self.M, self.K, *self._work, *self._big, *(A for A in (self._with_extra, self.D) if A is not None)):
+            x.destroy()

@@ -1,0 +1,301 @@
+"""Named surfaces of elastic bodies as meshes of their own: the trace of V_h on Gamma.
+
+The trace of a Lagrange space on a flat facet is the Lagrange space of the same degree on the facet, so the whole of it is
+known from the facets' node numbers and points. These few numbers are gathered to all ranks, sorted by place and not by rank:
+multiplier spaces, norms and mortar integrals are then plain arrays, equal on any number of ranks, with or without facets on a
+rank, and on every version of DOLFINx. Only the columns of the coupling matrices are distributed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...errors import MeshError
+from ...log import together
+from ...rotations import Array
+
+
+@lru_cache(maxsize=32)
+def lagrange(dim: int, degree: int, broken: bool = False) -> Any:
+    """Basix element on the reference facet of the given dimension (1: interval, 2: triangle)."""
+    import basix
+
+    cell = {1: basix.CellType.interval, 2: basix.CellType.triangle}[dim]
+    variant = basix.LagrangeVariant.gll_warped
+    return basix.create_element(basix.ElementFamily.P, cell, degree, variant, discontinuous=broken or degree == 0)
+
+
+def shape_functions(dim: int, degree: int, points: Array) -> Array:
+    """Values of the Lagrange functions at reference points (..., dim) -> (..., k); vertices come first."""
+    flat = np.ascontiguousarray(points.reshape(-1, dim))
+    if len(flat) == 0:
+        return np.zeros((*points.shape[:-1], lagrange(dim, degree).dim))
+    values = lagrange(dim, degree).tabulate(0, flat)[0, :, :, 0]
+    return np.asarray(values.reshape(*points.shape[:-1], -1))
+
+
+def quadrature(dim: int, degree: int) -> tuple[Array, Array]:
+    """Points (n, dim) and weights with sum 1 on the reference facet, exact for the given degree."""
+    import basix
+
+    cell = {1: basix.CellType.interval, 2: basix.CellType.triangle}[dim]
+    points, weights = basix.make_quadrature(cell, max(degree, 1))
+    return np.asarray(points), np.asarray(weights) / np.sum(weights)
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """A surface as a mesh with the nodes of V_h, replicated; facets and nodes are sorted by place.
+
+    Attributes: ``points`` (n, d) nodes in the mesh's coordinates (m), ``nodes`` (n_f, k) node numbers of the
+    facets, vertices first, ``normals`` (n_f, d) outward, ``degree`` of V_h, ``owned`` (n,) the node's number on this
+    rank or -1, ``n_owned`` nodes of the body on this rank, ``label`` for messages.
+    """
+
+    label: str
+    points: Array
+    nodes: np.ndarray
+    normals: Array
+    degree: int
+    owned: np.ndarray
+    n_owned: int
+    comm: Any
+
+    @property
+    def dim(self) -> int:
+        """Dimension of space."""
+        return int(self.points.shape[1])
+
+    @property
+    def n(self) -> int:
+        """Nodes."""
+        return len(self.points)
+
+    @cached_property
+    def corners(self) -> Array:
+        """Vertices of the facets, (n_f, d, d)."""
+        return np.asarray(self.points[self.nodes[:, : self.dim]])
+
+    @cached_property
+    def sizes(self) -> Array:
+        """Lengths (m) or areas (m^2) of the facets, (n_f,)."""
+        e = self.corners[:, 1:] - self.corners[:, :1]
+        if self.dim == 2:
+            return np.asarray(np.linalg.norm(e[:, 0], axis=1))
+        return np.asarray(0.5 * np.linalg.norm(np.cross(e[:, 0], e[:, 1]), axis=1))
+
+    @cached_property
+    def h(self) -> float:
+        """Mean facet diameter, m."""
+        edges = [self.corners[:, i] - self.corners[:, j] for i in range(self.dim) for j in range(i)]
+        return float(np.mean(np.max([np.linalg.norm(e, axis=1) for e in edges], axis=0)))
+
+    @cached_property
+    def border(self) -> np.ndarray:
+        """Nodes on the border of the surface: end points in the plane, border edges in space; sorted."""
+        if self.dim == 2:
+            ends, count = np.unique(self.nodes[:, :2], return_counts=True)
+            return np.asarray(ends[count == 1])
+        sides = lagrange(2, self.degree).entity_closure_dofs[1]
+        edges = np.concatenate([self.nodes[:, s] for s in sides])
+        _, first, count = np.unique(np.sort(edges[:, :2], axis=1), axis=0, return_index=True, return_counts=True)
+        return np.unique(edges[first[count == 1]])
+
+    def place(self, reference: Array) -> Array:
+        """Points (n_f, m, d) at reference points (m, d-1) of every facet."""
+        return np.einsum("ma,fad->fmd", shape_functions(self.dim - 1, 1, reference), self.corners)
+
+    def columns(self, B: sp.spmatrix) -> sp.csr_matrix:
+        """Columns of a matrix on all trace nodes that this rank owns: (rows, n) -> (rows, n_owned)."""
+        mine = np.flatnonzero(self.owned >= 0)
+        B = sp.coo_matrix(B.tocsc()[:, mine])
+        return sp.csr_matrix((B.data, (B.row, self.owned[mine][B.col])), shape=(B.shape[0], self.n_owned))
+
+    def values(self, u: Array) -> Array:
+        """Nodal values on all trace nodes from this rank's share, (n_owned, ...) -> (n, ...); collective."""
+        out = np.zeros((self.n, *u.shape[1:]))
+        mine = np.flatnonzero(self.owned >= 0)
+        for at, part in self.comm.allgather((mine, u[self.owned[mine]])):
+            out[at] = part
+        return out
+
+    def mass(self, weight: Array | None = None) -> sp.csr_matrix:
+        """int phi_i phi_j (times a facet-wise weight), (n, n)."""
+        k = self.degree
+        w = self.sizes if weight is None else self.sizes * weight
+        M = reference_mass(self.dim - 1, k, k)
+        return scatter(w[:, None, None] * M, self.nodes, self.nodes, (self.n, self.n))
+
+    def stiffness(self) -> sp.csr_matrix:
+        """int grad_Gamma phi_i . grad_Gamma phi_j, (n, n)."""
+        m, k = self.dim - 1, self.degree
+        q, w = quadrature(m, 2 * k)
+        grad = lagrange(m, k).tabulate(1, q)[1:, :, :, 0]  # (m, q, k)
+        J = np.swapaxes(self.corners[:, 1:] - self.corners[:, :1], 1, 2)  # (f, d, m)
+        inverse = np.linalg.inv(np.swapaxes(J, 1, 2) @ J)
+        K = np.einsum("f,q,aqi,fab,bqj->fij", self.sizes, w, grad, inverse, grad, optimize=True)
+        return scatter(K, self.nodes, self.nodes, (self.n, self.n))
+
+
+def scatter(blocks: Array, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]) -> sp.csr_matrix:
+    """Sum of element matrices (n, r, c) with row numbers (n, r) and column numbers (n, c)."""
+    i = np.broadcast_to(rows[:, :, None], blocks.shape).ravel()
+    j = np.broadcast_to(columns[:, None, :], blocks.shape).ravel()
+    return sp.coo_matrix((blocks.ravel(), (i, j)), shape=shape).tocsr()
+
+
+@lru_cache(maxsize=64)
+def reference_mass(dim: int, rows: int, columns: int) -> Array:
+    """int psi_a phi_b over the reference facet of size 1, Lagrange of degrees ``rows`` and ``columns``."""
+    q, w = quadrature(dim, rows + columns)
+    return np.einsum("q,qa,qb->ab", w, shape_functions(dim, rows, q), shape_functions(dim, columns, q))
+
+
+def trace_of(space: Any, mesh: Any, surface: str) -> Trace:
+    """The trace of a Lagrange space (scalar or vector) on a named surface; collective.
+
+    Raises:
+        MeshError: no facets on the boundary, next to no area, or facets that are not straight simplices.
+    """
+    d, comm = mesh.dim, mesh.dolfinx.comm
+    degree = int(space.ufl_element().embedded_superdegree)
+    label = f'surface "{surface}" of {mesh.label}'
+    error, local = None, None
+    try:
+        local = _own_facets(space, mesh, mesh.surface_tag(surface), degree)
+    except MeshError as exc:
+        error = MeshError(f"{label}: {exc}")
+    together(comm, error)
+    parts = [p for p in comm.allgather(local) if len(p[0])]
+    if not parts:
+        raise MeshError(f"{label}: it has no facets on the boundary.")
+    ids, x, normals = (np.concatenate([p[i] for p in parts]) for i in range(3))
+    unique, first, inverse = np.unique(ids.ravel(), return_index=True, return_inverse=True)
+    points = x.reshape(-1, d)[first]
+    order = _by_place(points)
+    number = np.empty_like(order)
+    number[order] = np.arange(len(order))
+    nodes = number[inverse.reshape(ids.shape)]
+    middle = _by_place(points[order][nodes[:, :d]].mean(axis=1))
+    low, high = space.dofmap.index_map.local_range
+    found = unique[order]
+    owned = np.where((found >= low) & (found < high), found - low, -1)
+    made = Trace(label, points[order], nodes[middle], normals[middle], degree, owned, high - low, comm)
+    mesh.check_area(surface, float(made.sizes.sum()))
+    return made
+
+
+def surface_trace(mesh: Any, surface: str, degree: int = 1) -> Trace:
+    """The trace of the scalar Lagrange space of a degree on a named surface; collective."""
+    from dolfinx import fem
+
+    return trace_of(fem.functionspace(mesh.dolfinx, ("Lagrange", degree)), mesh, surface)
+
+
+def _by_place(x: Array) -> np.ndarray:
+    """Order of points by their coordinates, rounded so that it does not depend on roundoff."""
+    size = float(np.ptp(x, axis=0).max()) or 1.0
+    return np.lexsort(np.round((x - x.min(0)) / size, 9).T[::-1])
+
+
+def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarray, Array, Array]:
+    """Own facets: global node numbers (n, k), their points (n, k, d), outward normals (n, d)."""
+    from dolfinx.mesh import exterior_facet_indices
+
+    msh, d = mesh.dolfinx, mesh.dim
+    topology = msh.topology
+    topology.create_connectivity(d - 1, d)
+    topology.create_connectivity(d, d - 1)
+    kind = topology.cell_name()
+    if kind not in ("triangle", "tetrahedron") or msh.ufl_domain().ufl_coordinate_element().embedded_superdegree != 1:
+        raise MeshError(
+            f"field multipliers need straight triangles or tetrahedra; this mesh has {kind} cells of its own degree."
+        )
+    facets = np.intersect1d(mesh.facet_tags.find(tag), exterior_facet_indices(topology))
+    facets = facets[facets < topology.index_map(d - 1).size_local]
+    k = lagrange(d - 1, degree).dim
+    if len(facets) == 0:
+        return np.zeros((0, k), dtype=np.int64), np.zeros((0, k, d)), np.zeros((0, d))
+    to_cell, to_facet = topology.connectivity(d - 1, d), topology.connectivity(d, d - 1)
+    cells = np.array([to_cell.links(f)[0] for f in facets])
+    sides = np.array([int(np.flatnonzero(to_facet.links(c) == f)[0]) for c, f in zip(cells, facets, strict=True)])
+    closure = np.array(space.element.basix_element.entity_closure_dofs[d - 1])
+    dofs = np.take_along_axis(space.dofmap.list[cells], closure[sides], axis=1)
+    coordinates = space.tabulate_dof_coordinates()[:, :d]
+    x = coordinates[dofs]
+    edge = x[:, 1:d] - x[:, :1]
+    if d == 2:
+        normals = np.stack((edge[:, 0, 1], -edge[:, 0, 0]), axis=1)
+    else:
+        normals = np.cross(edge[:, 0], edge[:, 1])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    inside = coordinates[space.dofmap.list[cells]].mean(axis=1)
+    normals *= np.where(((x[:, 0] - inside) * normals).sum(1) < 0, -1.0, 1.0)[:, None]
+    rank_order = _reference_order(x, degree)
+    dofs, x = (
+        np.take_along_axis(dofs, rank_order, axis=1),
+        np.take_along_axis(x, rank_order[:, :, None], axis=1),
+    )
+    ids = space.dofmap.index_map.local_to_global(dofs.ravel().astype(np.int32)).reshape(dofs.shape)
+    return ids.astype(np.int64), x, normals
+
+
+def _reference_order(x: Array, degree: int) -> np.ndarray:
+    """Permutation of each facet's nodes into the order of the reference element spanned by its first d nodes."""
+    n, k, d = x.shape
+    wanted = np.asarray(lagrange(d - 1, degree).points)
+    at = np.einsum("ma,fad->fmd", shape_functions(d - 1, 1, wanted), x[:, :d])
+    distance = np.linalg.norm(at[:, :, None] - x[:, None, :], axis=3)
+    order = distance.argmin(axis=2)
+    if (np.sort(order, axis=1) != np.arange(k)).any():
+        raise MeshError("nodes of a facet do not lie at the points of a straight Lagrange facet.")
+    return np.asarray(order)
+
+
+def refined(trace: Trace, times: int, degree: int) -> tuple[Trace, np.ndarray, Array]:
+    """The surface cut into finer facets with Lagrange nodes of the given degree, for norms.
+
+    Returns the finer trace (it owns no nodes of the body), the parent facet of each of its facets (n,), and the
+    corners in the parent's reference coordinates (n, d, d-1).
+    """
+    m = trace.dim - 1
+    pieces = np.concatenate((np.zeros((1, m)), np.eye(m)))[None]
+    for _ in range(times):
+        pieces = np.concatenate([cut(pieces) for cut in _halves(m)])
+    n_f, n_p = len(trace.nodes), len(pieces)
+    parent = np.repeat(np.arange(n_f), n_p)
+    corners = np.tile(pieces, (n_f, 1, 1))
+    x = np.einsum("pva,fad->fpvd", shape_functions(m, 1, pieces), trace.corners).reshape(-1, trace.dim, trace.dim)
+    nodes = np.einsum("ka,fad->fkd", shape_functions(m, 1, np.asarray(lagrange(m, degree).points)), x)
+    flat = nodes.reshape(-1, trace.dim)
+    key = np.round((flat - flat.min(0)) / float(np.ptp(flat, axis=0).max()), 9)
+    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    none = np.full(len(first), -1)
+    number = inverse.reshape(nodes.shape[:2])
+    fine = Trace(trace.label, flat[first], number, trace.normals[parent], degree, none, 0, trace.comm)
+    return fine, parent, corners
+
+
+def _halves(m: int) -> list[Callable[[Array], Array]]:
+    """The maps that cut an interval in two, a triangle in four; on corners (n, m+1, m)."""
+    if m == 1:
+        return [
+            lambda p: np.stack((p[:, 0], p.mean(1)), axis=1),
+            lambda p: np.stack((p.mean(1), p[:, 1]), axis=1),
+        ]
+
+    def middle(p: Array, i: int, j: int) -> Array:
+        return np.asarray(0.5 * (p[:, i] + p[:, j]))
+
+    return [
+        lambda p: np.stack((p[:, 0], middle(p, 0, 1), middle(p, 0, 2)), axis=1),
+        lambda p: np.stack((p[:, 1], middle(p, 1, 2), middle(p, 0, 1)), axis=1),
+        lambda p: np.stack((p[:, 2], middle(p, 0, 2), middle(p, 1, 2)), axis=1),
+        lambda p: np.stack((middle(p, 0, 1), middle(p, 1, 2), middle(p, 0, 2)), axis=1),
+    ]

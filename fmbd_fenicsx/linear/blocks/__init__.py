@@ -1,0 +1,1 @@
+"""Elastic blocks: factors and iterations for the matrices of one field."""

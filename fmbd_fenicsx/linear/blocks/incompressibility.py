@@ -1,0 +1,98 @@
+"""The mass matrix of a body that keeps its volume: accelerations and corrections with no rate of volume, and their pressure.
+
+    [ cm M   B^T ] [ x ]   [ b ]
+    [ B      0   ] [ p ] = [ c ]         B = d/du int q (J - 1), where the field is linearised                            (1)
+
+With c = 0 the map b -> x is the inverse of M on the motions that keep the volume: it stands for M^-1 wherever bodies whose
+pressure is an unknown start or are projected, so that joints and volume hold together. The hidden constraints of J = 1 are
+B v = 0 and B a + d/dt(B) v = 0; p is the pressure that belongs to them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...rotations import Array, turned
+from ..residual import Judge
+
+
+class VolumeMass:
+    """(1) of a field, factored (LDL^T by MUMPS); the interface of a factor of a field. Collective."""
+
+    def __init__(self, field: Any, cm: float) -> None:
+        from petsc4py import PETSc
+
+        self.field, self.cm = field, cm
+        self.judge = Judge(f'the mass matrix of body "{field.name}" at constant volume')
+        M, B = field.mass_matrix(), field.coupling_matrix()
+        M.scale(cm)
+        self.scale = float(M.norm(PETSc.NormType.INFINITY) / B.norm(PETSc.NormType.INFINITY))
+        B.scale(self.scale)
+        BT, none = B.transpose(PETSc.Mat()), field.compliance_matrix()
+        none.scale(0.0)
+        nest = PETSc.Mat().createNest([[M, BT], [B, none]], comm=field.comm)
+        self.E = nest.convert("aij", PETSc.Mat())
+        for x in (nest, M, B, BT, none):
+            x.destroy()
+        self.E.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self.ksp = PETSc.KSP().create(field.comm)
+        self.ksp.setOperators(self.E)
+        self.ksp.setType("preonly")
+        self.ksp.getPC().setType("cholesky")
+        self.ksp.getPC().setFactorSolverType("mumps")
+        self.ksp.setUp()
+        self.x, self.b = self.E.createVecs()
+        self.r = self.b.duplicate()
+        self.n = field.n * field.dim
+
+    def both(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """x (n d,) and p (n_pressure,) of (1), judged by the true residual; collective.
+
+        Raises LinearSolveError.
+        """
+        right = np.concatenate((b, self.scale * c))
+        found = np.zeros_like(right)
+        for _ in range(2):  # once more for its own residual: zero pivots cost digits
+            self.x.array[:] = found
+            self.E.mult(self.x, self.r)
+            self.b.array[:] = right - self.r.array
+            self.ksp.solve(self.b, self.x)
+            found = found + self.x.array
+        self.x.array[:] = found
+        self.E.mult(self.x, self.r)
+        left = self.r.array - right
+        sums = self.field.total(np.array([left @ left, right @ right]))
+        self.judge.check(float(np.sqrt(sums[0])), float(np.sqrt(sums[1])))
+        return found[: self.n], self.scale * found[self.n :]
+
+    def solve(self, b: Array) -> Array:
+        """x for c = 0."""
+        return self.both(b, np.zeros(self.field.n_pressure))[0]
+
+    def solve_columns(self, B: Array) -> Array:
+        """The same for columns (n d, k)."""
+        return np.stack([self.solve(B[:, j]) for j in range(B.shape[1])], axis=1) if B.shape[1] else B.copy()
+
+    def destroy(self) -> None:
+        """Free the factor; collective."""
+        for obj in (self.ksp, self.E, self.x, self.b, self.r):
+            obj.destroy()
+
+
+def kept_volumes(solver: Any) -> list[tuple[slice, Any, VolumeMass]]:
+    """Bodies that keep their volume: places in v, parts, and matrices (1) of the configuration that a solver has prepared."""
+    s = solver.system
+    pairs = zip(s.fields, solver.blocks, strict=True) if s.fields else ()
+    return [(s.slices[1][k], f, b.factor) for (k, f), b in pairs if isinstance(b.factor, VolumeMass)]
+
+
+def volume_push(solver: Any, rates: dict[int, Array]) -> Array:
+    """Right-hand side, like v, that makes a step's matrix change volumes by ``rates`` of parts; collective."""
+    s = solver.system
+    out = np.zeros(s.n_v)
+    for i, (k, f) in enumerate(s.fields):
+        if k in rates:
+            out[s.slices[1][k]] = solver.weights.ck * turned(f.field.volume_push(rates[k]), solver._turns[i])
+    return out

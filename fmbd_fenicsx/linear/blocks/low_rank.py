@@ -1,0 +1,73 @@
+"""Wires with slack droppers: the factor with all droppers taut serves, corrected by a small system for the slack ones.
+
+With B_S the rows of the slack droppers and D = ck k their stiffness (Woodbury),
+
+    (E - B_S^T D B_S)^-1 = E^-1 + Y_S (D^-1 - B_S Y_S)^-1 B_S E^-1,       Y = E^-1 B^T                         (1)
+
+Y is computed once for a ratio cm : ck; a change of the slack set costs a small dense factorisation.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+
+from ...rotations import Array
+from ..residual import Judge
+from .spd import CholeskyFactor
+
+KEPT = 3  # factors for different ratios cm : ck
+
+
+class SlackFactor:
+    """(cm M + ck K) of wires with the droppers ``slack`` (numbers) left out; same interface as :class:`CholeskyFactor`."""
+
+    def __init__(self, field: Any, cm: float, ck: float, slack: np.ndarray) -> None:
+        made = field.factors
+        self.fresh = (cm, ck) not in made
+        if self.fresh:
+            while len(made) >= KEPT:
+                made.pop(next(iter(made)))[0].destroy()
+            base = CholeskyFactor(field, cm, ck)
+            made[cm, ck] = (base, base.solve_columns(field.B.T.toarray()))
+        self.base, Y = made[cm, ck]
+        self.judge = Judge(f'the wires of body "{field.name}"')
+        self.field, self.weights = field, (cm, ck)
+        self.B, self.Y = field.B[slack], Y[:, slack]
+        self.push = ck * field.stiff[slack]
+        self.small = None
+        if slack.size:
+            self.small = sl.lu_factor(np.diag(1.0 / self.push) - self.B @ self.Y)
+
+    def solve(self, b: Array) -> Array:
+        """x = (1) b, judged by its true residual."""
+        z = self.base.solve(b)
+        if self.small is not None:
+            z = z + self.Y @ sl.lu_solve(self.small, self.B @ z)
+        return self._judged(z, b)
+
+    def solve_columns(self, H: Array) -> Array:
+        """The same for columns (n, k)."""
+        Z = self.base.solve_columns(H)
+        if self.small is not None and H.shape[1]:
+            Z = Z + self.Y @ sl.lu_solve(self.small, self.B @ Z)
+        for z, h in zip(Z.T, H.T, strict=True):
+            self._judged(z, np.asarray(h))
+        return np.asarray(Z)
+
+    def _judged(self, x: Array, b: Array) -> Array:
+        """x, when it solves (E - B_S^T D B_S) x = b; the judge of E has seen the solve without slack droppers."""
+        if self.small is None:
+            self.judge.solves += 1
+            self.judge.worst = max(self.judge.worst, self.base.judge.worst)
+            return x
+        f, (cm, ck) = self.field, self.weights
+        r = cm * f.mass(x[:, None])[:, 0] + ck * f.tangent(x) - self.B.T @ (self.push * (self.B @ x)) - b
+        norm = np.linalg.norm
+        self.judge.check(float(norm(r)), float(norm(b)), grown=self.base.factor.norm * float(norm(x)))
+        return x
+
+    def destroy(self) -> None:
+        """Nothing: the factor belongs to the field, :meth:`~fmbd_fenicsx.mechanics.catenary.wires.LineField.forget` frees it."""

@@ -1,0 +1,29 @@
+"""What the solver of a run in progress remembers (:mod:`fmbd_fenicsx.system.serialisation`)."""
+
+from __future__ import annotations
+
+from ...system.serialisation import Memory
+from ...system.system import State
+from ..condensation import StepSolver, Weights
+
+
+def remember_solver(solver: StepSolver, m: Memory, state: State) -> None:
+    """Elastic factors, made again for ``state`` by the same method, the pressures that bodies carry, and counts; collective.
+
+    Tangents must have been taken up before: a carried pressure belongs to the factor that was made with it.
+    """
+    system = solver.system
+    weights = m("weights", solver.weights, Weights)
+    for k, part in system.fields:
+        part.field.indefinite = m(f"indefinite {k}", part.field.indefinite)
+    if m.reading and system.fields:
+        solver.prepare(system.at(state.t, state.q, state.v), weights)
+    for k, part in system.fields:
+        field = part.field
+        if field.carried:
+            x = m.nodal(f"pressure {k}", field.pressure_values, field.pressure_numbering)  # type: ignore[attr-defined]
+            field.pressure_values = x  # type: ignore[attr-defined]
+    counts = (solver.factorisations, solver.core.factorisations, solver.back_solves, solver.worst_residual)
+    solver.factorisations, solver.core.factorisations, solves, worst = m("counts", counts)
+    solver._retired.append(solves - solver.back_solves)
+    solver.core.judge.worst = max(solver.core.judge.worst, worst)

@@ -1,0 +1,1 @@
+"""Complementarity: contact forces with their sign, friction."""

@@ -1,0 +1,135 @@
+"""The compliance of contact points: how gaps answer to contact forces in one step (the Delassus matrix).
+
+    W = N A^-1 N^T,     A the step's matrix with its constraints                                            (1)
+
+For elastic bodies the dual multipliers meet their own nodes only, so W needs the inverse of the elastic block on the
+contact nodes alone, C_s = I_s^T E^-1 I_s. Its columns are solved once, when a node first comes near, and kept as long
+as the factor of E; directions, active sets and rotations change small dense products only. With the columns Y of
+:mod:`.schur` the coupling of the nodes to frames, joints and frame conditions is
+
+    X = core^-1 (N_core^T - S^T Y_s^T N_s^T),   W = N_core X + N_s (C_s N_s^T - Y_s S X).                   (2)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...errors import require
+from ...mechanics.contact.rows import ContactSet, Linear
+from ...rotations import Array
+from ...system.serialisation import Memory
+from ..condensation import StepSolver
+from .delassus_matrix_free import MANY, Applied, SlaveBlocks
+
+CHUNK = 64  # columns solved together
+
+
+class Compliance:
+    """W for rows of a contact set; columns of C_s are kept from step to step. Methods are collective."""
+
+    def __init__(self, solver: StepSolver, contacts: ContactSet) -> None:
+        self.solver, self.contacts = solver, contacts
+        self._kept: dict[int, tuple[Any, Array, np.ndarray]] = {}  # trace -> factor, C_s, known columns
+        self._together: dict[int, list[np.ndarray]] = {}  # which of them were solved together: roundoff depends on it
+        self._surface: dict[int, tuple[Any, Array]] = {}
+        self.columns = 0
+        self.blocks = SlaveBlocks(solver, contacts)
+
+    def remember(self, m: Memory) -> None:
+        """Which columns are known (they are solved again when they are needed), and counts."""
+        self._together = m("together", self._together)
+        self.columns, self.blocks.products = m("solved", (self.columns, self.blocks.products))
+
+    def of(self, rows: Linear, trace: np.ndarray, scale: float) -> Any:
+        """s W for the rows of points, d' after each other, whose multipliers the given traces (m,) carry: a matrix, or an
+        :class:`Applied` for many candidates on elastic surfaces.
+        """
+        elastic = bool((trace >= 0).all())
+        if self.solver.many is not None:
+            require(
+                elastic, "Contact of rigid points beside ties with many multipliers is not offered: use coarser spaces."
+            )
+        if elastic and (len(trace) > MANY or self.solver.many is not None):
+            return Applied(self.blocks, rows, np.repeat(trace, rows.core.shape[0] // len(trace)), scale)
+        return scale * self.matrix(rows)
+
+    def matrix(self, rows: Linear) -> Array:
+        """W, (m, m), for the configuration the solver was last prepared for."""
+        s, n = self.solver.system, self.solver.system.n_core
+        m = rows.core.shape[0]
+        rhs = np.zeros((n + s.n_lam, m))
+        rhs[:n] = rows.core.T
+        local = []
+        for i, tr in enumerate(self.contacts.traces):
+            position = next(j for j, (k, _) in enumerate(s.fields) if k == tr.part)
+            block = self.solver.blocks[position]
+            N = sp.csr_matrix(rows.field[i])
+            turn, used = self.solver._turns[position], np.unique(N.indices)
+            if turn is not None:  # all components of a node
+                used = (np.unique(used // tr.dim)[:, None] * tr.dim + np.arange(tr.dim)).ravel()
+            C = self._columns(i, block.factor, used)
+            dense = N[:, used].toarray()
+            if turn is not None:
+                dense = (dense.reshape(m, -1, tr.dim) @ turn).reshape(m, -1)
+            Y, S = self._rows_of_Y(i, block)[used], self.solver._S[position]
+            if Y.shape[1]:
+                rhs -= S.T @ (Y.T @ dense.T)
+            local.append((dense, C[np.ix_(used, used)], Y, S))
+        X = self._core(rhs)
+        W = rows.core @ X[:n]
+        for dense, C, Y, S in local:
+            answer = C @ dense.T
+            if Y.shape[1]:
+                answer -= Y @ (S @ X)
+            W = W + dense @ answer
+        return 0.5 * (W + W.T)
+
+    def _core(self, rhs: Array) -> Array:
+        n, s = self.solver.system.n_core, self.solver.system
+        if n + s.n_lam == 0 or not np.abs(rhs).any():
+            return np.zeros_like(rhs)
+        return np.stack([np.concatenate(self.solver.core.solve(b[:n], b[n:])) for b in rhs.T], axis=1)
+
+    def _columns(self, i: int, factor: Any, used: np.ndarray) -> Array:
+        """C_s with at least the columns ``used``."""
+        tr = self.contacts.traces[i]
+        size = tr.n * tr.dim
+        kept = self._kept.get(i)
+        if kept is None or kept[0] is not factor:
+            again = self._together.get(i, []) if kept is None else []
+            kept = (factor, np.zeros((size, size)), np.zeros(size, dtype=bool))
+            self._kept[i], self._together[i] = kept, []
+            for earlier in again:
+                self._solve(i, earlier)
+                self.columns -= len(earlier)
+        missing = used[~kept[2][used]]
+        if len(missing):
+            self._solve(i, missing)
+        return kept[1]
+
+    def _solve(self, i: int, missing: np.ndarray) -> None:
+        """Further columns of C_s."""
+        (factor, C, known), tr = self._kept[i], self.contacts.traces[i]
+        for k in range(0, len(missing), CHUNK):
+            part = missing[k : k + CHUNK]
+            Z = factor.solve_columns(tr.unit_columns(part))
+            C[:, part] = np.stack([tr.gather(Z[:, j]).ravel() for j in range(len(part))], axis=1)
+            self.columns += len(part)
+        known[missing] = True
+        self._together[i].append(missing)
+
+    def _rows_of_Y(self, i: int, block: Any) -> Array:
+        """Rows of the constant columns Y at the contact nodes, (n d, k)."""
+        kept = self._surface.get(i)
+        if kept is None or kept[0] is not block:
+            tr = self.contacts.traces[i]
+            Y = block.Y
+            rows = np.zeros((tr.n * tr.dim, Y.shape[1]))
+            for j in range(Y.shape[1]):
+                rows[:, j] = tr.gather(np.ascontiguousarray(Y[:, j])).ravel()
+            kept = (block, rows)
+            self._surface[i] = kept
+        return kept[1]

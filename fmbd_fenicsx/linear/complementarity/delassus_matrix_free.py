@@ -1,0 +1,168 @@
+"""The compliance of many contact points, known by its products: one back-solve with the factors of the step each.
+
+    W f = s N A^-1 N^T f                                                                                  (1)
+
+For n candidates the matrix W of :mod:`.delassus` asks for up to d n columns of E^-1 before the first step is done, and for n^2
+numbers. Here the active-set iteration solves its problems W_aa L_a = -q_a by conjugate gradients, warm-started with the forces
+of the last iterate, first roughly and, once the set stays, to the end. With the block E_s of the slave's contact nodes,
+
+    P = (N N^T)^-1 N E_s N^T (N N^T)^-1 / s                                                               (2)
+
+is a sparse approximation of W^-1, the lumped preconditioner of FETI (Farhat, Mandel and Roux, doi:10.1016/0045-7825(94)90068-X);
+N N^T is nearly diagonal with dual multipliers. Forces are kept on all ranks alike.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...errors import ConvergenceError
+from ...mechanics.contact.rows import ContactSet, Linear
+from ...rotations import Array
+from ..condensation import StepSolver
+from .normal import ContactCounts, active_set
+
+MANY = 300  # candidates above which W is applied instead of stored
+ROUGH, FINE = 1e-3, 1e-12  # errors of the forces over the largest force
+LIMIT = 500  # conjugate-gradient iterations
+
+
+class SlaveBlocks:
+    """E_s of (2) for the traces of a contact set, and a count of products; one object for a whole run. Collective."""
+
+    def __init__(self, solver: StepSolver, contacts: ContactSet) -> None:
+        self.solver, self.contacts = solver, contacts
+        self.products = 0
+        self._kept: dict[int, tuple[tuple[Any, ...], Any]] = {}
+
+    def of(self, i: int) -> Any:
+        """cm M + ck K on the nodes of trace i, (n d, n d) sparse, the same on all ranks."""
+        tr, w = self.contacts.traces[i], self.solver.weights
+        field = tr.field
+        key = (w, field.tangents)
+        if i not in self._kept or self._kept[i][0] != key:
+            low = field.space.dofmap.index_map.local_range[0]
+            nodes = tr.own + low
+            M = _principal(field.M, nodes, tr.n)
+            K = _principal(field.K, (nodes[:, None] * tr.dim + np.arange(tr.dim)).ravel(), tr.n * tr.dim)
+            self._kept[i] = key, (w.cm * sp.kron(M, sp.identity(tr.dim)) + w.ck * K).tocsr()
+        return self._kept[i][1]
+
+
+def _principal(A: Any, mine: np.ndarray, n: int) -> Any:
+    """The principal submatrix of a PETSc matrix for the owned rows ``mine`` of each rank, gathered on all; collective."""
+    from petsc4py import PETSc
+
+    comm = A.getComm().tompi4py()
+    rows = PETSc.IS().createGeneral(mine.astype(PETSc.IntType), comm=comm)
+    part = A.createSubMatrix(rows, rows)
+    found = [comm.allgather(x) for x in part.getValuesCSR()]
+    rows.destroy()
+    part.destroy()
+    blocks = [sp.csr_matrix((v, j, p), shape=(len(p) - 1, n)) for p, j, v in zip(*found, strict=True)]
+    return sp.vstack(blocks, format="csr")
+
+
+class Applied:
+    """W for rows of elastic surfaces in the configuration the solver was last prepared for; methods are collective."""
+
+    def __init__(self, blocks: SlaveBlocks, rows: Linear, slave: np.ndarray, scale: float) -> None:
+        """``slave`` (m,): number of the trace that carries each row's multiplier."""
+        self.blocks, self.rows, self.scale = blocks, rows, scale
+        self.inverse = self._lumped(slave)
+
+    def __matmul__(self, force: Array) -> Array:
+        """W f, (m,)."""
+        solver, contacts = self.blocks.solver, self.blocks.contacts
+        system = solver.system
+        self.blocks.products += 1
+        x, _ = solver.solve(contacts.transposed(system, self.rows, force), np.zeros(system.n_lam))
+        return self.scale * contacts.times(system, self.rows, x)
+
+    def _lumped(self, slave: np.ndarray) -> Any:
+        """P of (2), (m, m) sparse."""
+        solver, contacts = self.blocks.solver, self.blocks.contacts
+        m = len(slave)
+        P: Any = sp.csr_matrix((m, m))
+        for i in np.unique(slave):
+            tr = contacts.traces[i]
+            position = next(j for j, (k, _) in enumerate(solver.system.fields) if k == tr.part)
+            N = sp.diags((slave == i).astype(float)) @ sp.csr_matrix(self.rows.field[i])
+            turn = solver._turns[position]
+            if turn is not None:
+                N = N @ sp.kron(sp.identity(tr.n), turn)
+            size = np.asarray(N.multiply(N).sum(1)).ravel()
+            N = sp.diags(np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0)) @ N
+            P = P + N @ self.blocks.of(int(i)) @ N.T / self.scale
+        return P.tocsr()
+
+    def complementary(self, gap: Array, force: Array, counts: ContactCounts) -> Array:
+        """L >= 0 complementary to gap + W (L - force), from the active set of ``force`` or of the gaps, (m,)."""
+        start = force > 0 if force.any() else gap < 0
+        return active_set(_Iterated(self, gap, force), start, counts)
+
+
+class _Iterated:
+    """The problem of :func:`.complementarity.active_set` by conjugate gradients."""
+
+    noise = 10 * FINE
+
+    def __init__(self, W: Applied, gap: Array, force: Array) -> None:
+        self.W, self.m = W, len(gap)
+        self.L, self.g = force.copy(), gap.copy()
+        self.c = np.maximum(W.inverse.diagonal(), 1e-300)
+        self.tolerance = ROUGH
+
+    @property
+    def size(self) -> float:
+        """Scale of the forces."""
+        return float(np.abs(self.L).max(initial=0.0) + np.abs(self.c * self.g).max(initial=0.0))
+
+    def trial(self, active: np.ndarray) -> tuple[Array, Array]:
+        """Forces that close the gaps of ``active``, and all gaps."""
+        dropped = np.where(active, 0.0, self.L)
+        if dropped.any():
+            self.L = self.L - dropped
+            self.g = self.g - self.W @ dropped
+        P = self.W.inverse[active][:, active]
+        r = -self.g[active]
+        z = P @ r
+        p, rz, step = z.copy(), float(r @ z), np.zeros(self.m)
+        largest = float(np.abs(z).max(initial=0.0))
+        for _ in range(LIMIT):
+            largest = max(largest, float(np.abs(self.L).max(initial=0.0)))
+            if np.abs(z).max(initial=0.0) <= self.tolerance * largest:
+                break
+            step[active] = p
+            answer = self.W @ step
+            alpha = rz / float(p @ answer[active])
+            self.L, self.g = self.L + alpha * step, self.g + alpha * answer
+            r = -self.g[active]
+            z = P @ r
+            rz, before = float(r @ z), rz
+            p = z + rz / before * p
+        else:
+            raise ConvergenceError(
+                f"Contact: conjugate gradients for {int(active.sum())} closed points did not converge in {LIMIT} iterations "
+                f"(error {np.abs(z).max() / largest:.1e} of the largest force). Contacts depend on each other."
+            )
+        return self.L, np.where(active, 0.0, self.g)
+
+    def sharpen(self) -> bool:
+        """Ask for the final accuracy; False when this was it."""
+        rough, self.tolerance = self.tolerance > FINE, FINE
+        return rough
+
+    def pivot(self) -> Array:
+        """No pivoting by products: the iteration has cycled at full accuracy."""
+        raise ConvergenceError(
+            "Contact: the active set of many contact points came back to an earlier one at full accuracy. Use a smaller dt."
+        )
+
+    def gap(self, L: Array) -> Array:
+        """Gaps under forces L."""
+        change = L - self.L
+        return self.g + self.W @ change if change.any() else self.g

@@ -1,0 +1,394 @@
+"""The whole matrix of a scene's step as named PETSc blocks, solved by a Krylov method with one split for each block.
+
+    [ A    C     G_c^T ] [ x ]   frame: twists of all frames and small parts            A, C, E: cm M + cd D + ck K
+    [ C^T  E     G_u^T ] [ u ]   <body>.u: nodal values, one block for each body                                    (1)
+    [ G_c  G_u   0     ] [ l ]   <joint>.force, <body>.frame.force: multipliers
+
+The matrix is applied, never assembled: C has constant columns, G is known by its ports. The preconditioner is block-diagonal,
+
+    diag(|A|, E_k~, S~_j),    S~_j = G_c,j |A|^-1 G_c,j^T + sum_k G_k,j E_k~^-1 G_k,j^T                             (2)
+
+with E_k~ a factor or a multigrid cycle, S~_j as it stands for joints and by :mod:`.precondition` for ties of field
+multipliers. C has rank n_twist for each floating body, so it adds a number of iterations that does not depend on the mesh.
+Options of PETSc: ``-<scene>_ksp_...`` for the Krylov method, ``-<scene>_fieldsplit_<block>_...`` for the splits. The theory is
+that of block-diagonal preconditioners, Benzi, Golub and Liesen, doi:10.1017/S0962492904000212.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..errors import InputError, LinearSolveError
+from ..log import together
+from ..rotations import Array, turned
+from ..system.system import System
+from .blocks.elastic_blocks import Bddc, Cholesky
+from .iterated_multipliers import CHANGED, _Seen
+from .options import check_options
+from .residual import Judge, krylov_reason
+from .saddle.precondition import Fractional, lumped, rigid_term, to_petsc
+from .saddle.saddle import Elastic, elastic_matrix, share_of
+
+LEAST = 1e-10  # eigenvalues of preconditioning blocks, scaled to a unit diagonal, are at least this
+
+
+class SplitBlock:
+    """E~^-1 of one body for (2): the PC of its split, also used for the constant columns of ports. Collective throughout."""
+
+    def __init__(self, block: Elastic, elastic: Any, prefix: str, cd: float) -> None:
+        from petsc4py import PETSc
+
+        self.field = block.body
+        self.judge = Judge(
+            f'the elastic block of body "{block.body.name}"'
+        )  # counts; the whole solve is what is judged
+        self.E = elastic_matrix(block.body, block.cm, block.ck, cd)
+        self.ksp = PETSc.KSP().create(block.body.comm)
+        self.ksp.setOptionsPrefix(prefix)
+        self.ksp.setOperators(self.E)
+        elastic.set_up(self.ksp, block)
+        self.ksp.setFromOptions()
+        self.ksp.setUp()
+
+    def solve_columns(self, B: Array) -> Array:
+        """E~^-1 B for dense columns (n, k)."""
+        X = np.empty_like(B)
+        x, b = self.E.createVecs()
+        for j in range(B.shape[1]):
+            b.array[:] = B[:, j]
+            self.ksp.solve(b, x)
+            X[:, j] = x.array
+            self.judge.solves += 1
+        x.destroy(), b.destroy()
+        return X
+
+    def destroy(self) -> None:
+        """Free the solver; collective."""
+        self.ksp.destroy(), self.E.destroy()
+
+
+class _Product:
+    """What PETSc calls for a product with (1)."""
+
+    def __init__(self, solver: SplitSolver) -> None:
+        self.solver = solver
+
+    def mult(self, _: Any, x: Any, y: Any) -> None:
+        """y = matrix times x."""
+        y.array[:] = self.solver.product(x.array_r.copy())
+
+
+class SplitSolver:
+    """Solves (1) for one configuration after another; ``iterations`` counts those of all solves. Collective throughout."""
+
+    def __init__(self, system: System, preset: Any, prefix: str) -> None:
+        if not system.fields:
+            raise InputError(
+                "FieldSplit() splits elastic bodies; this scene has none with nodal unknowns. Use linear=fmbd.Direct()."
+            )
+        together(system.comm, _refusal(system, preset, prefix))
+        self.system, self.preset, self.prefix = system, preset, prefix
+        self.judge = Judge("the whole matrix of a step", 100 * preset.rtol)
+        self.iterations = 0
+        self._made: tuple[Any, ...] | None = None
+        self._own: list[Any] = []
+        self.rows: dict[str, slice] = {}
+        for block in system.blocks:
+            name = f"{block.name.removeprefix('frame of ')}.frame" if block.kind == "frame" else block.name
+            if not any(block.rows == r for r in self.rows.values()) and block.rows.stop > block.rows.start:
+                self.rows[f"{name}.force".replace(" ", "_")] = block.rows
+        self.names = [*(["frame"] if system.n_core else []), *(_split(f.name) for _, f in system.fields), *self.rows]
+        comm, n = system.comm, [system.n_core] if system.n_core else []
+        self.replicated = [*n, *(r.stop - r.start for r in self.rows.values())]
+        self.sizes = [
+            *(share_of(k, comm) for k in n), *(f.n for _, f in system.fields),
+            *(share_of(r.stop - r.start, comm) for r in self.rows.values()),
+        ]  # fmt: skip
+
+        self.scale = np.ones(len(self.names))
+
+    # -- arrays -------------------------------------------------------------------------------------------------
+    def pack(self, v: Array, lam: Array) -> Array:
+        """This rank's entries of a PETSc vector of forces; nodal values turned back to where the factor is."""
+        s, comm = self.system, self.system.comm
+        core = [_share(v[: s.n_core], comm)] if s.n_core else []
+        local = [turned(s.local_v(v, k), R, back=True) for (k, _), R in zip(s.fields, self._turns, strict=True)]
+        parts = (*core, *local, *(_share(lam[r], comm) for r in self.rows.values()))
+        return np.concatenate([d * x for d, x in zip(self.scale, parts, strict=True)])
+
+    def unpack(self, x: Array) -> tuple[Array, Array]:
+        """An array like v and all multipliers from a PETSc vector of unknowns; collective."""
+        s = self.system
+        first, n = int(s.n_core > 0), len(s.fields)
+        parts = [d * y for d, y in zip(self.scale, np.split(x, np.cumsum(self.sizes)[:-1]), strict=True)]
+        mine = [*parts[:first], *parts[first + n :]]
+        ranks = s.comm.allgather(mine)
+        whole = [np.concatenate([r[j] for r in ranks]) for j in range(len(mine))]
+        lam = np.zeros(s.n_lam)
+        for r, y in zip(self.rows.values(), whole[first:], strict=True):
+            lam[r] = y
+        local = [turned(u, R) for u, R in zip(parts[first : first + n], self._turns, strict=True)]
+        return np.concatenate((*whole[:first], *local)), lam
+
+    # -- matrix -------------------------------------------------------------------------------------------------
+    def terms(self, v: Array, lam: Array) -> tuple[list[Array], list[Array]]:
+        """Terms of (1) times (v, lam): those of the balance, like v, and those of the constraints; their sums are the product."""
+        s, n = self.system, self.system.n_core
+        own, mixed = np.zeros(s.n_v), np.zeros(s.n_v)
+        own[:n] = self.A @ v[:n]
+        for i, (k, f) in enumerate(s.fields):
+            at, R, C = s.slices[1][k], self._turns[i], self._C[i]
+            u = turned(v[at], R, back=True)
+            E = self._blocks[i].factor.E
+            x, y = E.createVecs()
+            x.array[:] = u
+            E.mult(x, y)
+            own[at] = turned(y.array.copy(), R)
+            x.destroy(), y.destroy()
+            if len(C):
+                mixed[at] = turned(f.inertia_columns @ (C @ v[:n]), R)
+                mixed[:n] += C.T @ f.field.total(f.inertia_columns.T @ u)
+        rows = [np.asarray(self.G.core @ v[:n])]
+        s.move(self.G.t)
+        rows += [
+            np.asarray(self.G.port[:, s.port_slice(k)] @ self.G.ports_of(k, p, s.local_v(v, k))) for k, p in s.fields
+        ]
+        return [own, mixed, self.G.transposed(lam)], rows
+
+    def product(self, x: Array) -> Array:
+        """The matrix times x, PETSc's arrays; collective."""
+        balance, rows = self.terms(*self.unpack(x))
+        return self.pack(np.sum(balance, axis=0), np.sum(rows, axis=0))
+
+    def relative_residual(self, x: Array, b: Array) -> float:
+        """Largest |b - A x| of a block over the size of its own terms, PETSc's arrays; collective.
+
+        Rows that x leaves at zero have terms of roundoff only: constraints are measured at least against 1e-6 of
+        (tr S~_j x . diag(A, E) x)^1/2, which |G_j x| cannot exceed.
+        """
+        v, lam = self.unpack(x)
+        balance, rows = self.terms(v, lam)
+        zero_v, zero = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
+        parts = [b, *(-self.pack(y, zero) for y in balance), *(-self.pack(zero_v, y) for y in rows)]
+        norms = self._norms([np.sum(parts, axis=0), *parts])
+        if not np.isfinite(norms).all():
+            return np.inf
+        error, sizes, m = norms[0], norms[1:].sum(0), len(self.names) - len(self.rows)
+        sizes[m:] = np.maximum(sizes[m:], 1e-6 * self._bounds * np.sqrt(abs(self.system.dot(v, balance[0]))))
+        worst = 0.0
+        for kind in (slice(0, m), slice(m, None)):  # forces, constraints
+            least = max(1e-6 * sizes[kind].max(initial=0.0), 1e-300)
+            worst = max(worst, float((error[kind] / np.maximum(sizes[kind], least)).max(initial=0.0)))
+        return worst
+
+    def _norms(self, arrays: list[Array]) -> Array:
+        """Norms of the blocks of PETSc arrays of forces, in their own units, (arrays, blocks); collective."""
+        ends = np.cumsum(self.sizes)[:-1]
+        squares = np.array([[float(p @ p) for p in np.split(x, ends)] for x in arrays])
+        return np.asarray(np.sqrt(self.system.fields[0][1].field.total(squares)) / self.scale)
+
+    # -- set-up -------------------------------------------------------------------------------------------------
+    def prepare(self, solver: Any, A: Array, couplings: list[Array]) -> None:
+        """Take a configuration of a :class:`.schur.StepSolver`: A of (1), and S of :mod:`.schur` for each field."""
+        n = self.system.n_core
+        self.A, self.G, self._turns, self._blocks = A, solver._G, solver._turns, solver.blocks
+        self._C = [S[: f.inertia_columns.shape[1], :n] for S, (_, f) in zip(couplings, self.system.fields, strict=True)]
+        if self.preset.method == "minres" and np.abs(A - A.T).max(initial=0.0) > 1e-9 * np.abs(A).max(initial=1e-300):
+            raise InputError(
+                "FieldSplit(method='minres') needs a symmetric matrix; forces of this scene (say, follower loads or rotating "
+                "dampers) make it unsymmetric. Use FieldSplit(method='fgmres')."
+            )
+        made = tuple(b.factor for b in self._blocks), A, self.G.core, self.G.port
+        if self._made is None or self._far(made):
+            self._release()
+            self._made = made
+            self._build(solver, couplings)
+
+    def _far(self, now: tuple[Any, ...]) -> bool:
+        """Whether a preconditioner made earlier should be made anew."""
+        assert self._made is not None
+        if any(x is not y for x, y in zip(now[0], self._made[0], strict=True)):
+            return True
+        pairs = zip(now[1:], self._made[1:], strict=True)
+        return any(min(x.shape) and abs(x - y).max() > CHANGED * abs(y).max() for x, y in pairs)
+
+    def _build(self, solver: Any, couplings: list[Array]) -> None:
+        """The splits of (2), and the Krylov method."""
+        from petsc4py import PETSc
+
+        s, comm, first = self.system, self.system.comm, int(self.system.n_core > 0)
+        frame = positive(self.A)
+        force = self._complements(frame, solver, couplings)
+        self._bounds = np.sqrt([S.diagonal().sum() for S in force])
+        small = self._scaled([*([sp.csr_matrix(frame)] if first else []), *force])
+        own = [to_petsc(S, s) for S in small]
+        diagonal = [*own[:first], *(b.factor.E for b in self._blocks), *own[first:]]
+        start = (comm.exscan(sum(self.sizes)) or 0) + np.cumsum([0, *self.sizes])
+        sets = [PETSc.IS().createStride(k, int(i), 1, comm=comm) for k, i in zip(self.sizes, start, strict=False)]
+        table = [[M if i == j else None for j in range(len(diagonal))] for i, M in enumerate(diagonal)]
+        P = PETSc.Mat().createNest(table, isrows=sets, iscols=sets, comm=comm)
+        P.assemble()
+        matrix = PETSc.Mat().createPython(P.getSizes(), _Product(self), comm=comm)
+        matrix.setUp()
+        self.x, self.b = P.createVecs()
+        self.ksp = self._krylov(matrix, P, sets)
+        self._own = [self.ksp, matrix, P, *own, *sets, self.x, self.b]
+        self._checked = False
+
+    def _scaled(self, small: list[sp.csr_matrix]) -> list[sp.csr_matrix]:
+        """Replicated blocks in units where their diagonal is like those of E_k: FGMRES minimises over all blocks at once."""
+        total, count = np.zeros(2)
+        for block in self._blocks:
+            v = block.factor.E.getDiagonal()
+            total, count = total + v.sum(), count + v.getSize()
+            v.destroy()
+        first, n = int(self.system.n_core > 0), len(self.system.fields)
+        d = [np.sqrt(total / count / S.diagonal().mean()) for S in small]
+        self.scale = np.array([*d[:first], *np.ones(n), *d[first:]])
+        return [S * x**2 for S, x in zip(small, d, strict=True)]
+
+    def _krylov(self, matrix: Any, P: Any, sets: list[Any]) -> Any:
+        """KSP with a split for each block; options of the user override it."""
+        from petsc4py import PETSc
+
+        preset, first = self.preset, int(self.system.n_core > 0)
+        ksp = PETSc.KSP().create(self.system.comm)
+        ksp.setOptionsPrefix(self.prefix)
+        ksp.setOperators(matrix, P)
+        ksp.setType(preset.method)
+        ksp.setTolerances(rtol=preset.rtol, atol=0.0, max_it=preset.max_iterations)
+        if preset.method != "minres":
+            ksp.setGMRESRestart(preset.max_iterations)
+        pc = ksp.getPC()
+        pc.setType("fieldsplit")
+        pc.setFieldSplitType(PETSc.PC.CompositeType.ADDITIVE)
+        pc.setFieldSplitIS(*zip(self.names, sets, strict=True))
+        ksp.setFromOptions()
+        pc.setUp()
+        factors = dict(enumerate((b.factor for b in self._blocks), first))
+        for k, sub in enumerate(pc.getFieldSplitSubKSP()):
+            if k in factors:
+                made = factors[k].ksp
+                sub.setType(made.getType())
+                sub.setTolerances(*made.getTolerances())
+                sub.setNormType(made.getNormType())
+                sub.setPC(made.getPC())  # one factor serves the split and the columns
+            else:
+                Cholesky().set_up(sub)
+                sub.setFromOptions()
+        ksp.setConvergenceTest(self._converged)
+        return ksp
+
+    def _complements(self, frame: Array, solver: Any, couplings: list[Array]) -> list[sp.csr_matrix]:
+        """S~_j of (2), one for each block of rows, replicated; collective."""
+        s, n = self.system, self.system.n_core
+        ties = {span.start: i for i, (_, span) in enumerate(s.traces)}
+        seen = _Seen(s, solver.weights) if ties else None
+        core = self.G.core.toarray() if sp.issparse(self.G.core) else np.asarray(self.G.core)
+        out = []
+        for r in self.rows.values():
+            S = core[r] @ np.linalg.solve(frame, core[r].T) if n else np.zeros((r.stop - r.start,) * 2)
+            for block, coupling in zip(self._blocks, couplings, strict=True):
+                part = coupling[:, n + r.start : n + r.stop]
+                S += part.T @ block.W @ part
+            if r.start in ties and seen is not None:
+                i, m = ties[r.start], self.preset.multiplier
+                S += (m.block(seen, i) if isinstance(m, Fractional) else lumped(seen, i)).toarray()
+                for k, e in enumerate(seen.elastic):
+                    gram, BR = rigid_term(e, k, [seen.ties[i]])
+                    S += BR @ np.linalg.solve(gram, BR.T)
+            out.append(sp.csr_matrix(positive(S)))
+        return out
+
+    # -- solution -----------------------------------------------------------------------------------------------
+    def _converged(self, ksp: Any, iteration: int, norm: float) -> Any:
+        """PETSc's reason to stop; collective."""
+        if iteration == 0:
+            self._first = norm
+
+        def accurate() -> bool:
+            true = self.relative_residual(ksp.buildSolution().array_r.copy(), self.given)
+            return bool(true <= 0.5 * self.judge.tolerance)
+
+        return krylov_reason(ksp, iteration, norm, self._first, accurate)
+
+    def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """Increment like v and multipliers for right-hand sides b (like v) and c (n_lam,)."""
+        self.given = self.pack(b, c)
+        self.b.array[:] = self.given
+        self.x.set(0.0)
+        self.ksp.solve(self.b, self.x)
+        count, reason = self.ksp.getIterationNumber(), self.ksp.getConvergedReason()
+        self.iterations += count
+        if not self._checked:
+            check_options(self.prefix, self.system.comm)
+            self._checked = True
+        x = self.x.array.copy()
+        residual = self.relative_residual(x, self.given)
+        if not residual <= self.judge.tolerance:
+            raise LinearSolveError(
+                f"Linear solve of {self.judge.what}: relative residual {residual:.1e} after {count} iterations (PETSc reason "
+                f"{reason}), allowed {self.judge.tolerance:.0e}. Raise FieldSplit(max_iterations=...), or use Direct()."
+            )
+        self.judge.check(residual, 1.0)
+        return self.unpack(x)
+
+    def _release(self) -> None:
+        for obj in self._own:
+            obj.destroy()
+        self._own, self._made = [], None
+
+    def destroy(self) -> None:
+        """Free all PETSc objects; collective."""
+        self._release()
+
+
+def positive(A: Array) -> Array:
+    """|A| of a symmetric matrix scaled to a unit diagonal, its eigenvalues at least :data:`LEAST`; scaled back."""
+    size = np.sqrt(np.abs(np.diag(A)))
+    size = np.where(size > 0, size, size.max(initial=0.0) or 1.0)
+    values, vectors = np.linalg.eigh(0.5 * (A + A.T) / np.outer(size, size))
+    return np.asarray((vectors * np.maximum(np.abs(values), LEAST)) @ vectors.T * np.outer(size, size))
+
+
+def _refusal(system: System, preset: Any, prefix: str) -> Exception | None:
+    """What has no splits: contact, slack wires, pressure fields, and options that need an assembled matrix."""
+    from petsc4py import PETSc
+
+    if system.contacts is not None:
+        return InputError("FieldSplit() does not take contact. Use linear=fmbd.Direct() or Schur().")
+    for _, f in system.fields:
+        if getattr(f, "slack", None) is not None or getattr(f.field, "mixed", False):
+            kind = "a pressure" if getattr(f.field, "mixed", False) else "wires that go slack"
+            return InputError(f'FieldSplit() does not take body "{f.name}" with {kind}. Use linear=fmbd.Direct().')
+    if isinstance(preset.elastic, Bddc):
+        return InputError(
+            "FieldSplit(elastic=Bddc()) does not work in scenes. Use Cholesky(), Multigrid(), or Schur(Bddc())."
+        )
+    if PETSc.Options().getString(f"{prefix}pc_fieldsplit_type", "additive") != "additive":
+        return InputError(f"-{prefix}pc_fieldsplit_type: splits of a scene are additive, its matrix is not assembled.")
+    if PETSc.Options().getString(f"{prefix}pc_type", "fieldsplit") != "fieldsplit":
+        return InputError(
+            f"-{prefix}pc_type: a scene under FieldSplit() has splits: -{prefix}fieldsplit_<block>_pc_type."
+        )
+    if preset.method not in ("minres", "fgmres", "gmres"):
+        return InputError(f'FieldSplit(method="{preset.method}") in a scene: "minres", "fgmres" or "gmres".')
+    return None
+
+
+def split_prefix(prefix: str, body: str) -> str:
+    """Prefix of a body's split from that of its block, ``<scene>_<body>.u_``."""
+    return f"{prefix.removesuffix(f'{body}.u_')}fieldsplit_{_split(body)}_"
+
+
+def _split(body: str) -> str:
+    return f"{body}.u".replace(" ", "_")
+
+
+def _share(x: Array, comm: Any) -> Array:
+    """This rank's entries of a replicated array."""
+    low = sum(share_of(len(x), comm, r) for r in range(comm.rank))
+    return x[low : low + share_of(len(x), comm)]

@@ -1,0 +1,188 @@
+"""Ties of many field multipliers in a scene: iterations on their Schur complement, everything else eliminated exactly.
+
+With K the step's matrix and the few other constraint rows (joints, frame conditions), which :mod:`.schur` solves with one
+back-solve for each elastic field, and G the rows of the ties,
+
+    (G K^-1 G^T) mu = G K^-1 b - c,        x = K^-1 (b - G^T mu)                                                     (1)
+
+by GMRES (K need not be symmetric: follower forces), preconditioned by
+
+    S~ = blockdiag(S~_i) + W W^T                                                                                     (2)
+
+with the fractional operators S~_i of :mod:`.precondition` on the surfaces of each tie, and W W^T what the rows see of the
+motion of all bodies as rigid ones, held by the other constraints: it connects the ties, and keeps counts flat in chains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
+
+from ..errors import LinearSolveError
+from ..rotations import Array
+from ..system.system import Evaluation, System
+from .residual import Judge
+from .saddle.precondition import Fractional, lumped
+from .saddle.saddle import Elastic, TraceTie, rigid_modes
+
+CONTACT_RTOL = 1e-13  # of scenes with contact, whose own iteration needs products of that accuracy
+CHANGED = 0.1  # relative change of G after which S~ is made anew
+
+
+class ManyMultipliers:
+    """Equation (1) for the ties of a system; ``iterations`` counts those of all solves. Collective throughout."""
+
+    def __init__(self, system: System, multiplier: Any, rtol: float) -> None:
+        self.system, self.rtol = system, rtol if system.contacts is None else min(rtol, CONTACT_RTOL)
+        self.multiplier = multiplier if isinstance(multiplier, Fractional) else None
+        self.rows = np.concatenate([np.arange(span.start, span.stop) for _, span in system.traces])
+        self.few = np.setdiff1d(np.arange(system.n_lam), self.rows)
+        self.judge = Judge("the multipliers of surface ties", max(1e-9, 100 * rtol))
+        self.iterations = 0
+        self._made: tuple[Any, ...] | None = None
+
+    def prepare(self, ev: Evaluation, weights: Any, core: Array) -> None:
+        """Take the rows of a configuration; ``core`` is the core's block of K (dense)."""
+        self.G = ev.jacobian
+        key = (weights.cm, weights.ck)
+        if self._made is None or self._made[0] != key or self._moved():
+            self._made = (key, self.G.core, self.G.port)
+            self._inverse = self._preconditioner(weights, core)
+
+    def _moved(self) -> bool:
+        """Whether G is far from the one that S~ was made with."""
+        assert self._made is not None
+        for old, new in zip(self._made[1:], (self.G.core, self.G.port), strict=True):
+            if min(old.shape) and abs(new - old).max() > CHANGED * abs(old).max():
+                return True
+        return False
+
+    def solve(self, few: Callable[[Array, Array], tuple[Array, Array]], b: Array, c: Array) -> tuple[Array, Array]:
+        """x and all multipliers; ``few(b, c)`` solves K with the few rows alone."""
+        x, lam = few(b, c[self.few])
+        r, terms = self._gap(x, c)
+        mu = self._iterate(few, r, 1e-15 * terms)
+        x, lam = few(b - self._force(mu), c[self.few])
+        gap, after = self._gap(x, c)
+        self.judge.check(float(np.linalg.norm(gap)), max(terms, after))
+        out = np.zeros(self.system.n_lam)
+        out[self.rows], out[self.few] = mu, lam
+        return x, out
+
+    def _iterate(self, few: Callable[[Array, Array], tuple[Array, Array]], r: Array, floor: float) -> Array:
+        """mu with G K^-1 G^T mu = r, to the relative residual ``rtol`` or the residual ``floor``."""
+        zero, n = np.zeros(len(self.few)), len(r)
+
+        def apply(mu: Array) -> Array:
+            return self.G.times(few(self._force(mu), zero)[0])[self.rows]
+
+        mu, info = spl.gmres(
+            spl.LinearOperator((n, n), apply), r, rtol=self.rtol, atol=floor, restart=100, maxiter=3,
+            M=spl.LinearOperator((n, n), self._inverse), callback=self._count, callback_type="pr_norm",
+        )  # fmt: skip
+        if info:
+            raise LinearSolveError(
+                f"GMRES on {n} multipliers of surface ties did not reach {self.rtol:g} in 300 iterations: ties that depend "
+                "on each other, or a multiplier space that fails inf-sup. See scene.check(deep=True)."
+            )
+        return np.asarray(mu)
+
+    def _gap(self, x: Array, c: Array) -> tuple[Array, float]:
+        """G x - c of the ties, and the size of the terms that cancel in it; collective."""
+        s = self.system
+        parts = [np.asarray(self.G.core @ x[: s.n_core]), -c]
+        parts += [self.G.port[:, s.port_slice(k)] @ self.G.ports_of(k, p, s.local_v(x, k)) for k, p in s.fields]
+        return np.sum(parts, axis=0)[self.rows], float(sum(np.linalg.norm(y[self.rows]) for y in parts))
+
+    def _count(self, _: float) -> None:
+        self.iterations += 1
+
+    def _force(self, mu: Array) -> Array:
+        """G^T mu, like v."""
+        lam = np.zeros(self.system.n_lam)
+        lam[self.rows] = mu
+        return self.G.transposed(lam)
+
+    # -- preconditioner -----------------------------------------------------------------------------------------
+    def _preconditioner(self, weights: Any, core: Array) -> Callable[[Array], Array]:
+        """S~^-1 of (2), by the factors of its blocks and Woodbury's formula."""
+        seen = _Seen(self.system, weights)
+        blocks: list[Callable[[Array], Array]] = []
+        for i in range(len(seen.ties)):
+            S = lumped(seen, i) if weights.ck == 0 or self.multiplier is None else self.multiplier.block(seen, i)
+            dense = S.nnz > 0.2 * S.shape[0] ** 2
+            blocks.append(partial(sl.cho_solve, sl.cho_factor(S.toarray())) if dense else spl.splu(S.tocsc()).solve)
+        ends = np.cumsum([t.rows for t in seen.ties])[:-1]
+
+        def local(r: Array) -> Array:
+            return np.concatenate([solve(part) for solve, part in zip(blocks, np.split(r, ends), strict=True)])
+
+        W = self._rigid(seen, core)
+        Y = np.stack([local(w) for w in W.T], axis=1) if W.shape[1] else W
+        small = sl.cho_factor(np.eye(W.shape[1]) + W.T @ Y) if W.shape[1] else None
+
+        def inverse(r: Array) -> Array:
+            z = local(np.ravel(r))
+            return z if small is None else z - Y @ sl.cho_solve(small, W.T @ z)
+
+        return inverse
+
+    def _rigid(self, seen: _Seen, core: Array) -> Array:
+        """W of (2): bodies that can only move as rigid ones, held by the few rows."""
+        s = self.system
+        masses, columns = [np.asarray(core)], [self.G.core.toarray() if sp.issparse(self.G.core) else self.G.core]
+        for (k, p), e in zip(s.fields, seen.elastic, strict=True):
+            if p.frame < s.n_frames:
+                continue  # its frame carries the rigid motion
+            R = rigid_modes(e.body)
+            MR = np.stack([e.body.mass(r.reshape(-1, e.body.dim)).ravel() for r in R.T], axis=1)
+            masses.append(e.cm * e.body.total(R.T @ MR))
+            ports = np.stack([p.ports_of(r) for r in R.T], axis=1)
+            columns.append(np.asarray(self.G.port[:, s.port_slice(k)] @ ports))
+        A, B = sl.block_diag(*masses), np.concatenate(columns, axis=1)
+        m, few = len(A), B[self.few]
+        size = np.sqrt(np.maximum(np.abs(np.diag(A)), 1e-300))
+        A, few = A / np.outer(size, size), few / size
+        norms = np.linalg.norm(few, axis=1)
+        few = few[norms > 0] / norms[norms > 0, None]
+        whole = np.block([[0.5 * (A + A.T), few.T], [few, np.zeros((len(few), len(few)))]])
+        motion = np.linalg.pinv(whole, rcond=1e-10, hermitian=True)[:m, :m]
+        values, vectors = np.linalg.eigh(0.5 * (motion + motion.T))
+        keep = values > 1e-10 * max(float(values.max(initial=0.0)), 1e-300)
+        return (B[self.rows] / size) @ (vectors[:, keep] * np.sqrt(values[keep]))
+
+
+class _Seen:
+    """The ties of a system as :mod:`.precondition` wants to see them."""
+
+    def __init__(self, system: System, weights: Any) -> None:
+        self.comm = system.comm
+        self.elastic = [Elastic(p.field, weights.cm, weights.ck) for _, p in system.fields]
+        position = {k: i for i, (k, _) in enumerate(system.fields)}
+        self.ties = []
+        for t, _ in system.traces:
+            sides = tuple((position[x.part], x.trace, x.coupling) for x in t.sides if x.part is not None)
+            d = 1 if t.normal is not None else t.data.shape[1]
+            columns = tuple((k, _columns(trace, B, t)) for k, trace, B in sides)
+            self.ties.append(TraceTie(t.name, columns, t.multipliers, d, sides))
+
+    def diagonal(self, k: int) -> Array:
+        """diag(cm M + ck K) on this rank; collective."""
+        e = self.elastic[k]
+        M, K = e.body.M.getDiagonal(), e.body.K.getDiagonal()
+        out = e.cm * np.repeat(M.array, e.body.dim) + e.ck * K.array[: e.rows]
+        M.destroy(), K.destroy()
+        return np.asarray(out)
+
+
+def _columns(trace: Any, B: sp.csr_matrix, tie: Any) -> sp.csr_matrix:
+    """B of a side on this rank's displacements, all components or the normal one."""
+    d = tie.data.shape[1]
+    part = np.eye(d) if tie.normal is None else np.atleast_2d(tie.normal)
+    return sp.kron(trace.columns(B), part, format="csr")

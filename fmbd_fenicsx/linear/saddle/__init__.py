@@ -1,0 +1,1 @@
+"""Saddle points of their own, and preconditioners for them."""

@@ -1,0 +1,120 @@
+"""Why a saddle point is singular: its null vector, told in terms of bodies and ties."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...rotations import Array
+from .saddle import SaddlePoint, rigid_modes
+
+NULL = 1e-7  # |A x| / (|A| |x|) below which x counts as a null vector
+
+
+def diagnose(saddle: SaddlePoint) -> str:
+    """A sentence on the null vector of the saddle point, found by inverse iteration with a small shift;
+    collective.
+    """
+    x, size = _null_vector(saddle)
+    if not size < NULL:
+        return "No null vector was found: the system is badly scaled, or the iteration needs more steps."
+    u, lam = x
+    energy = [float(e.body.total(np.array(v @ v))) for e, v in zip(saddle.elastic, u, strict=True)]
+    forces = [float(np.linalg.norm(v)) for v in lam]
+    sentences = []
+    if energy and np.sqrt(max(energy)) > 1e-3:
+        moving = [k for k, v in enumerate(energy) if v > 1e-2 * max(energy)]
+        sentences += [_motion(saddle.elastic[k], u[k]) for k in moving]
+    elif forces:
+        names = [f'"{t.name}"' for t, v in zip(saddle.ties, forces, strict=True) if v > 1e-2 * max(forces)]
+        if len(names) == 1:
+            sentences.append(
+                f"Multipliers of {names[0]} are not determined: its multiplier space does not satisfy the inf-sup condition "
+                "beside V_h, or rows repeat. See infsup(), or choose another space."
+            )
+        else:
+            sentences.append(
+                f"Multipliers of {' and '.join(names)} depend on each other: they hold the same nodes. Use "
+                "merged ends, or remove one."
+            )
+    return " ".join(sentences)
+
+
+def _null_vector(saddle: SaddlePoint) -> tuple[tuple[list[Array], list[Array]], float]:
+    """Blocks of the (scaled) null vector and its relative residual."""
+    from petsc4py import PETSc
+
+    A = saddle.matrix.copy()
+    A.convert("aij")
+    scale = A.createVecRight()
+    top = A.getDiagonal().array
+    n = sum(saddle.rows[: len(saddle.elastic)])
+    d = np.ones(len(top))
+    d[:n] = 1.0 / np.sqrt(np.maximum(np.abs(top[:n]), 1e-300))
+    scale.array[:] = d
+    A.diagonalScale(scale, scale)
+    norms = _row_norms(A)
+    d2 = np.ones(len(d))
+    d2[n:] = 1.0 / np.maximum(norms[n:], 1e-300)
+    extra = A.createVecRight()
+    extra.array[:] = d2
+    A.diagonalScale(extra, extra)
+    shifted = A.copy()
+    shifted.shift(1e-9)
+    ksp = PETSc.KSP().create(saddle.comm)
+    ksp.setOperators(shifted)
+    ksp.setType("preonly")
+    ksp.getPC().setType("lu")
+    ksp.getPC().setFactorSolverType("mumps")
+    x, y = A.createVecRight(), A.createVecRight()
+    x.array[:] = np.random.default_rng(3 + saddle.comm.rank).standard_normal(len(d))
+    for _ in range(4):
+        x.normalize()
+        ksp.solve(x, y)
+        y.copy(x)
+    x.normalize()
+    A.mult(x, y)
+    size = y.norm() if np.isfinite(x.norm()) else np.inf
+    x.array[:] *= d * d2
+    x.normalize()
+    blocks = saddle.blocks(x)
+    for obj in (A, shifted, ksp, x, y, scale, extra):
+        obj.destroy()
+    return blocks, size
+
+
+def _row_norms(A: Any) -> Array:
+    low, high = A.getOwnershipRange()
+    indptr, _, values = A.getValuesCSR()
+    out = np.zeros(high - low)
+    np.add.at(out, np.repeat(np.arange(high - low), np.diff(indptr)), values**2)
+    return np.sqrt(out)
+
+
+def _motion(e: Any, u: Array) -> str:
+    """The rigid motion nearest to u, in words."""
+    body = e.body
+    modes = rigid_modes(body)
+    gram, right, norm = (
+        body.total(modes.T @ modes),
+        body.total(modes.T @ u),
+        float(body.total(np.array(u @ u))),
+    )
+    c = np.linalg.solve(gram, right)
+    rigid = float(c @ gram @ c) / norm
+    d = body.dim
+    if rigid < 0.99:
+        return (
+            f'Zero-energy motion of body "{body.name}" that is not rigid: its elastic form leaves a deformation free.'
+        )
+    t, w = c[:d], c[d:] / body.size
+    if np.linalg.norm(w) * body.size < 1e-3 * np.linalg.norm(t):
+        return f'Zero-energy motion: body "{body.name}" translates along {np.round(t / np.linalg.norm(t), 3).tolist()}.'
+    if d == 2:
+        center = body.center + np.array([-t[1], t[0]]) / w[0]
+        return f'Zero-energy motion: body "{body.name}" rotates about {np.round(center, 4).tolist()}.'
+    axis = w / np.linalg.norm(w)
+    center = body.center + np.cross(w, t) / (w @ w)
+    where = f"{np.round(axis, 3).tolist()} through {np.round(center, 4).tolist()}"
+    return f'Zero-energy motion: body "{body.name}" rotates about the axis {where}.'

@@ -1,0 +1,180 @@
+"""The exact Schur complement of the multipliers: dense where there are few, conjugate gradients where there are many.
+
+    S lam = sum_k B_k E_k^-1 f_k - g,    S = sum_k B_k E_k^-1 B_k^T,    u_k = E_k^-1 (f_k - B_k^T lam)                  (1)
+
+Conjugate gradients on S need about half the iterations of MINRES on the whole with the same S~ (:mod:`.precondition`): the
+spectrum lies on one side of zero. One iteration is one solve with each E_k either way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
+
+from ...errors import ConvergenceError, InputError, LinearSolveError
+from ...fem.fields import Field
+from ...rotations import Array
+from ..blocks.elastic_blocks import Bddc, Cholesky, Multigrid, block_solver
+from ..options import check_options
+from ..residual import Judge
+from .diagnosis import diagnose
+from .precondition import Fractional, MultiplierPreconditioner
+from .saddle import SaddlePoint, Solution
+
+
+@dataclass(frozen=True)
+class Schur:
+    """Equation (1), for systems with inertia: S dense up to ``limit`` multipliers, conjugate gradients above.
+
+    ``elastic``: :class:`Cholesky`, or :class:`Multigrid` as preconditioner of conjugate gradients to the relative residual
+    ``rtol``. ``multiplier``: the preconditioner S~ for many multipliers.
+    """
+
+    elastic: Cholesky | Multigrid | Bddc = Cholesky()
+    rtol: float = 1e-11
+    limit: int = 1500
+    multiplier: MultiplierPreconditioner = Fractional()
+
+    def block(self, field: Field, weights: tuple[float, float, float], prefix: str) -> Any:
+        """A Cholesky factor, or conjugate gradients; collective."""
+        return block_solver(self.elastic, field, weights, self.rtol, prefix)
+
+    def solver(self, saddle: SaddlePoint, prefix: str = "fmbd_") -> SchurSolver:
+        """Factor the elastic blocks, and S or S~; collective."""
+        static = [e.body.name for e in saddle.elastic if e.cm == 0]
+        if static:
+            raise InputError(
+                f"Schur() needs inertia: the elastic block of {static} is singular in statics. Use Direct() or FieldSplit()."
+            )
+        return SchurSolver(saddle, self, prefix)
+
+
+class SchurSolver:
+    """Solves (1); ``iterations`` of the last solve are those on S, or inside the elastic blocks where S is dense."""
+
+    def __init__(self, saddle: SaddlePoint, preset: Schur, prefix: str) -> None:
+        self.saddle, self.rtol = saddle, preset.rtol
+        self.judge = Judge("the saddle point by its Schur complement", max(1e-9, 1000 * preset.rtol))
+        self.blocks = [
+            block_solver(preset.elastic, e.body, (e.cm, 0.0, e.ck), preset.rtol, f"{prefix}{e.name}_")
+            for e in saddle.elastic
+        ]
+        self._B = self._columns()
+        self.complement: Array | None = None
+        self._inverse: Callable[[Array], Array] | None = None
+        if saddle.n_multipliers <= preset.limit:
+            self._factor_complement()
+        else:
+            self._inverse = factored(preset.multiplier.groups(saddle), saddle)
+        check_options(prefix, saddle.comm)
+
+    def _factor_complement(self) -> None:
+        """S itself, and its Cholesky factor; collective."""
+        n = self.saddle.n_multipliers
+        S: Array = np.zeros((n, n))
+        for block, B in zip(self.blocks, self._B, strict=True):
+            S += block.field.total(B @ block.solve_columns(B.T.toarray()))
+        self.complement = S = 0.5 * (S + S.T)
+        self._scale = 1.0 / np.sqrt(np.maximum(np.diag(S), 1e-300))
+        try:
+            self._factor = sl.cho_factor(self._scale[:, None] * S * self._scale)
+        except sl.LinAlgError as error:
+            raise LinearSolveError(
+                f"The Schur complement of the multipliers is singular. {diagnose(self.saddle)}"
+            ) from error
+
+    def _columns(self) -> list[Any]:
+        """B_k of each body with the rows of all ties."""
+        s = self.saddle
+        stacks: list[list[Any]] = [[] for _ in s.elastic]
+        for t in s.ties:
+            found = dict(t.columns)
+            for k, e in enumerate(s.elastic):
+                stacks[k].append(found.get(k, sp.csr_matrix((t.rows, e.rows))))
+        return [sp.vstack(x, format="csr") for x in stacks]
+
+    def _total(self, x: Any) -> Array:
+        return self.saddle.elastic[0].body.total(np.asarray(x))
+
+    def _apply(self, lam: Array) -> Array:
+        """S lam; collective."""
+        return self._total(sum(B @ block.solve(B.T @ lam) for B, block in zip(self._B, self.blocks, strict=True)))
+
+    def solve(self, f: Sequence[Array], g: Sequence[Array]) -> Solution:
+        """Displacements and multipliers; collective."""
+        s = self.saddle
+        before = sum(getattr(block, "iterations", 0) for block in self.blocks)
+        z = [block.solve(fk) for block, fk in zip(self.blocks, f, strict=True)]
+        r = self._total(sum(B @ zk for B, zk in zip(self._B, z, strict=True))) - np.concatenate([*g, np.zeros(0)])
+        if self._inverse is None:
+            lam, count = self._scale * sl.cho_solve(self._factor, self._scale * r), 0
+        else:
+            lam, count = conjugate_gradients(self._apply, self._inverse, r, rtol=self.rtol)
+        u: list[Array] = [zk - block.solve(B.T @ lam) for block, B, zk in zip(self.blocks, self._B, z, strict=True)]
+        parts: list[Array] = np.split(lam, np.cumsum([t.rows for t in s.ties])[:-1])
+        x, b = s.vector(u, parts), s.vector(f, g)
+        residual = s.relative_residual(x, b)
+        x.destroy(), b.destroy()
+        self.judge.check(residual, 1.0, diagnose(s) if not residual <= self.judge.tolerance else "")
+        inner = sum(getattr(block, "iterations", 0) for block in self.blocks) - before
+        return Solution(u, parts, count or inner, residual)
+
+    def destroy(self) -> None:
+        """Free the elastic blocks; collective."""
+        for block in self.blocks:
+            block.destroy()
+
+
+def factored(groups: Sequence[tuple[str, list[int], sp.csr_matrix]], saddle: SaddlePoint) -> Callable[[Array], Array]:
+    """r -> S~^-1 r on replicated multipliers, S~ given by groups of ties."""
+    first = np.cumsum([0, *(t.rows for t in saddle.ties)])
+    parts: list[tuple[np.ndarray, Callable[[Array], Array]]] = []
+    for _, ties, S in groups:
+        rows = np.concatenate([np.arange(first[i], first[i + 1]) for i in ties])
+        if S.nnz > 0.2 * S.shape[0] ** 2:
+            parts.append((rows, partial(sl.cho_solve, sl.cho_factor(S.toarray()))))
+        else:
+            parts.append((rows, spl.splu(S.tocsc()).solve))
+
+    def inverse(r: Array) -> Array:
+        out = np.empty_like(r)
+        for rows, solve in parts:
+            out[rows] = solve(r[rows])
+        return out
+
+    return inverse
+
+
+def conjugate_gradients(
+    operator: Callable[[Array], Array],
+    precondition: Callable[[Array], Array],
+    d: Array,
+    *,
+    rtol: float,
+    limit: int = 500,
+) -> tuple[Array, int]:
+    """Preconditioned conjugate gradients on replicated vectors: the same numbers on all ranks; solution and iterations."""
+    lam, r = np.zeros_like(d), d.copy()
+    y = precondition(r)
+    p, size = y.copy(), float(r @ y)
+    start = size
+    for k in range(limit):
+        if size <= rtol**2 * start or start == 0:
+            return lam, k
+        q = operator(p)
+        alpha = size / float(p @ q)
+        lam, r = lam + alpha * p, r - alpha * q
+        y = precondition(r)
+        size, old = float(r @ y), size
+        p = y + (size / old) * p
+    raise ConvergenceError(
+        f"Conjugate gradients on the multipliers did not converge in {limit} iterations (rtol {rtol:g}). "
+        "Try a better preconditioner."
+    )

@@ -1,0 +1,153 @@
+"""The matrix of an implicit step of a constrained system with velocities as unknowns, for a real or complex frequency s.
+
+The equations of a step, with U = M^-1 G^T the normal directions, multipliers lambda, mu, tau (see
+:mod:`fmbd_fenicsx.schemes.dae`) and increments d,
+
+    s dxi - J dxi - dv + U dmu = -r_kin,        a = s v + U tau
+    [K; P] dxi + [C; Q] dv + [M; S] da + [G^T dlambda; 0] = -r_low                                             (1)
+
+are reduced to the unknowns (dxi, dlambda, dmu, dtau): with D = s - J the first row gives dv = D dxi + U dmu + r_kin. The rest is
+dense, scaled by rows and columns, and inverted by LAPACK, all frequencies of a scheme in one call: the matrices are small, and a
+step solves with them many times. Every solve is judged by its residual. A stiffly damped mode, a free body and an index-3
+constraint all have the same condition number, whatever s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import scipy.linalg as sl
+
+from ...errors import LinearSolveError
+from ...rotations import Array
+from ..residual import Judge
+
+REFINED = 1e-12  # relative residuals above this are refined once
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Coefficients of (1): J, M (n, n); G (m, n); U (n, m); derivatives of the lower rows by xi, v, a: (n + k m, n) each."""
+
+    J: Array
+    M: Array
+    G: Array
+    U: Array
+    by_q: Array
+    by_v: Array
+    by_a: Array
+
+
+def stacked(tangents: list[Tangent]) -> Tangent:
+    """The tangent of several stages together: variables and balances stage by stage, then each constraint level stage by
+    stage.
+    """
+    n, m = tangents[0].M.shape[0], tangents[0].G.shape[0]
+
+    def lower(name: str) -> Array:
+        blocks = [getattr(t, name) for t in tangents]
+        cuts = [0, *range(n, blocks[0].shape[0] + 1, m)] if m else [0, n]
+        return np.concatenate([sl.block_diag(*(b[i:j] for b in blocks)) for i, j in pairwise(cuts)])
+
+    def diagonal(name: str) -> Array:
+        return np.asarray(sl.block_diag(*(getattr(t, name) for t in tangents)))
+
+    J, M, G, U = (diagonal(name) for name in ("J", "M", "G", "U"))
+    return Tangent(J, M, G, U, lower("by_q"), lower("by_v"), lower("by_a"))
+
+
+class Pencil:
+    """(1) inverted for frequencies s, (p,) real or complex, all in one array; or for a matrix s (n, n) of coupled stages, p = 1.
+
+    ``redundant``: dependent constraints are solved with multipliers of least norm.
+    """
+
+    def __init__(self, tangent: Tangent, s: Array, judge: Judge, redundant: bool = False) -> None:
+        self.s, self.judge, self.t, self.redundant = s, judge, tangent, redundant
+        T, n, m = tangent, tangent.M.shape[0], tangent.G.shape[0]
+        self.n, self.m, self.levels = n, m, (T.by_q.shape[0] - n) // m if m else 0
+        L = self.levels
+        if s.ndim == 2:
+            self.D = (s - T.J)[None]
+            self.va = (T.by_v + T.by_a @ s)[None]  # lower rows by v, with a = s v
+        else:
+            self.D = s[:, None, None] * np.eye(n) - T.J
+            self.va = T.by_v + s[:, None, None] * T.by_a
+        K = np.zeros((len(self.D), n + L * m, n + L * m), dtype=self.va.dtype)
+        K[:, :, :n] = T.by_q + self.va @ self.D
+        if L > 0:
+            K[:, :n, n : n + m] = T.G.T
+        if L > 1:
+            K[:, :, n + m : n + 2 * m] = self.va @ T.U
+        if L > 2:
+            K[:, :, n + 2 * m :] = T.by_a @ T.U
+        self._factor(K)
+
+    def _factor(self, K: Array) -> None:
+        if not np.isfinite(K).all():
+            raise LinearSolveError(f"{self.judge.what}: the matrix is not finite.")
+        self.rows, self.columns = _balance(K)
+        self.matrix = self.rows[:, :, None] * K * self.columns[:, None, :]
+        try:
+            self.inverse = np.linalg.pinv(self.matrix, rcond=1e-11) if self.redundant else np.linalg.inv(self.matrix)
+        except np.linalg.LinAlgError as error:
+            raise LinearSolveError(
+                f"{self.judge.what}: the matrix is singular. Constraints depend on each other, or a body without "
+                "mass is not held. See scene.check()."
+            ) from error
+
+    def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
+        """Increments dxi, dv side by side (p, 2 n) and multipliers (p, levels m), for residuals r_kin (p, n) and r_low
+        (p, n + levels m).
+        """
+        n, m = self.n, self.m
+        rhs = -self.rows * (low + _times(self.va, kin))
+        y = _times(self.inverse, rhs)
+        left, size = self._left(rhs, y)
+        if (
+            left > REFINED * size
+        ):  # an inverse leaves cond(A) roundoffs, one refinement brings them down to those of a factor
+            y = y + _times(self.inverse, rhs - _times(self.matrix, y))
+            left, size = self._left(rhs, y)
+        self.judge.check(left, size, "Constraints depend on each other, or a body is not held.")
+        self.judge.solves += len(y) - 1
+        z = self.columns * y
+        dxi, mult = z[:, :n], z[:, n:]
+        dv = _times(self.D, dxi) + kin
+        if self.levels > 1:
+            dv = dv + mult[:, m : 2 * m] @ self.t.U.T
+        return np.concatenate((dxi, dv), axis=1), mult
+
+    def _left(self, rhs: Array, y: Array) -> tuple[float, float]:
+        """Largest residual and its scale, of the frequency where the two are farthest apart."""
+        left = np.abs(_times(self.matrix, y) - rhs)
+        if self.redundant:  # dependent rows agree up to the nonlinear residual only
+            left = left[:, : self.n]
+        size = np.abs(rhs).max(axis=1, initial=0.0) + np.abs(y).max(axis=1, initial=0.0)
+        most = left.max(axis=1, initial=0.0)
+        worst = int(np.argmax(most / np.where(size > 0, size, 1.0)))
+        return float(most[worst]), float(size[worst])
+
+
+def _times(A: Array, x: Array) -> Array:
+    """Matrices (p, k, n) times vectors (p, n)."""
+    return np.asarray((A @ x[..., None])[..., 0])
+
+
+def _balance(K: Array) -> tuple[Array, Array]:
+    """Row and column scales, (p, n) each, that bring all largest entries near one (two sweeps), as powers of two: no rounding."""
+    A = np.abs(K)
+    rows, columns = np.ones(A.shape[:2]), np.ones(A.shape[:2])
+    for _ in range(2):
+        r = _power(np.sqrt(A.max(axis=2, initial=0.0)))
+        A /= r[:, :, None]
+        c = _power(np.sqrt(A.max(axis=1, initial=0.0)))
+        A /= c[:, None, :]
+        rows, columns = rows / r, columns / c
+    return rows / _power(A.max(axis=2, initial=0.0)), columns
+
+
+def _power(x: Array) -> Array:
+    return np.exp2(np.round(np.log2(np.where(x > 0, x, 1.0))))

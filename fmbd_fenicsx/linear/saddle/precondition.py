@@ -1,0 +1,199 @@
+"""Preconditioners of the multipliers' Schur complement S = sum_k B_k E_k^-1 B_k^T.
+
+E_k = cm M + ck K of an elastic body answers to a surface force with the symbol (wave number k, shear modulus G)
+
+    1 / (ck G (sqrt(k^2 + 1/l^2) + c h / l^2)),       l^2 = ck G / (cm rho),                                   (1)
+
+quasi-static for waves longer than l, added mass of the first cell layer (c h) where the mesh cannot see l. With the pencil
+(K + M / l^2) X = M X L of the surface that is a fractional power of L: :class:`Fractional` builds
+
+    S~ = sum_k  C X (s ck G)^-1 ((L + g (h L)^2)^1/2 + c h / l^2)^-1 X^T C^T                                   (2)
+
+with each body's own surface mesh and coupling C. Normal forces also move mass that shear alone does not reach: their symbol has
+l^-2 (K + 1/l_p^2)^-1/2 more, l_p^2 = l^2 (lambda + 2 G) / G (potential flow when incompressible). Waves longer than the body
+move it as a whole: its rigid modes R add
+
+    sum_k  B_k R (cm R^T M R)^-1 R^T B_k^T                                                                     (3)
+
+and connect the ties of a body, so that counts do not grow with the number of bodies. :class:`Lumped` takes B diag(E)^-1 B^T:
+cheap, but its iterations grow like h^-1/2 outside dt ~ h. Sources: Toselli and Widlund, Domain Decomposition Methods
+(doi:10.1007/b137868), for the Steklov-Poincare operator; Kuchta, Nordaas, Verschaeve, Mortensen and Mardal
+(doi:10.1137/15M1052822) for fractional powers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...fem.traces.stability import pencil
+from ...fem.traces.traces import Trace
+from ...rotations import Array
+from .saddle import Elastic, SaddlePoint, TraceTie, rigid_modes, share_of
+
+Group = tuple[str, list[int], sp.csr_matrix]
+
+
+class MultiplierPreconditioner(Protocol):
+    """Makes S~, one matrix for each group of ties."""
+
+    def groups(self, saddle: SaddlePoint) -> list[Group]:
+        """Groups: name of the split, numbers of the ties, S~ (replicated); collective."""
+
+
+def _each(saddle: SaddlePoint, make: Callable[[int], sp.csr_matrix]) -> list[Group]:
+    return [(t.name, [i], make(i)) for i, t in enumerate(saddle.ties)]
+
+
+@dataclass(frozen=True)
+class Lumped:
+    """B diag(E)^-1 B^T, tie by tie."""
+
+    def groups(self, saddle: SaddlePoint) -> list[Group]:
+        """One group for each tie; collective."""
+        return _each(saddle, lambda i: lumped(saddle, i))
+
+
+@dataclass(frozen=True)
+class ScaledMass:
+    """h M_lambda / G, the h-weighted L2 product, tie by tie; for comparison."""
+
+    def groups(self, saddle: SaddlePoint) -> list[Group]:
+        """One group for each tie; collective."""
+
+        def one(i: int) -> sp.csr_matrix:
+            t = saddle.ties[i]
+            assert t.multipliers is not None
+            scale = sum(
+                t.multipliers.trace.h / (saddle.elastic[k].ck * saddle.elastic[k].modulus) for k, _ in t.columns
+            )
+            return sp.kron(scale * t.multipliers.mass(), sp.identity(t.components), format="csr")
+
+        return _each(saddle, one)
+
+
+@dataclass(frozen=True)
+class Fractional:
+    """Equations (2) and (3) for all ties together.
+
+    Above ``limit`` multipliers in all, each tie is a group of its own without (3); above ``limit`` functions on one
+    surface (the eigenproblem is dense) its block is :class:`Lumped`. ``layer`` is c, ``grid`` is g (a mesh is stiffer
+    than the continuum for its shortest waves), ``stiffness`` is s (a half space under normal and tangential forces);
+    all three were fitted once to the spectrum of S~^-1 S on a square.
+    """
+
+    limit: int = 2500
+    layer: float = 0.35
+    grid: float = 0.5
+    stiffness: float = 1.7
+
+    def groups(self, saddle: SaddlePoint) -> list[Group]:
+        """One group "multipliers" (the tie's name when there is one only), or one for each tie;
+        collective.
+        """
+        if saddle.n_multipliers > self.limit:
+            return _each(saddle, lambda i: self.block(saddle, i))
+        S = sp.block_diag([self.block(saddle, i) for i in range(len(saddle.ties))]).toarray()
+        S += self.rigid(saddle)
+        name = saddle.ties[0].name if len(saddle.ties) == 1 else "multipliers"
+        return [(name, list(range(len(saddle.ties))), sp.csr_matrix(S))]
+
+    def block(self, saddle: Any, i: int) -> sp.csr_matrix:
+        """S~ of tie i, replicated."""
+        t = saddle.ties[i]
+        if not t.sides or max(side.n for _, side, _ in t.sides) > self.limit:
+            return lumped(saddle, i)
+        along: Any = 0
+        across: Any = 0
+        for k, surface, B in t.sides:
+            a, b = self._answers(saddle.elastic[k], surface, B)
+            along, across = along + a, across + b
+        if t.components == 1:
+            return sp.csr_matrix(across)
+        side = t.sides[0][1]
+        n = (side.sizes[:, None] * side.normals).sum(0) / side.sizes.sum()
+        N = np.outer(n, n)
+        return (sp.kron(sp.csr_matrix(along), np.eye(len(n)) - N) + sp.kron(sp.csr_matrix(across), N)).tocsr()
+
+    def _answers(self, e: Any, surface: Trace, B: sp.csr_matrix) -> tuple[Array, Array]:
+        """Terms of (2) for tangential and normal forces on one body, (n, n) each."""
+        shear, axial = e.moduli
+        h, depth = surface.h / surface.degree, e.depth
+        _, K, X = pencil(surface, np.inf)
+        C = B @ X
+        L = K + 1.0 / min(depth, e.size) ** 2
+        symbol = self.stiffness * (np.sqrt(L + self.grid * (h * L) ** 2) + self.layer * h / depth**2)
+        pressed = symbol + 1.0 / (depth**2 * np.sqrt(K + 1.0 / min(depth**2 * axial / shear, e.size**2)))
+        out = [(C / (e.ck * shear * s)) @ C.T for s in (symbol, pressed)]
+        return 0.5 * (out[0] + out[0].T), 0.5 * (out[1] + out[1].T)
+
+    def rigid(self, saddle: SaddlePoint) -> Array:
+        """Equation (3), (n, n)."""
+        S = np.zeros((saddle.n_multipliers,) * 2)
+        for k, e in enumerate(saddle.elastic):
+            gram, BR = rigid_term(e, k, saddle.ties)
+            S += BR @ np.linalg.solve(gram, BR.T)
+        return S
+
+
+def rigid_term(e: Elastic, k: int, ties: Sequence[TraceTie]) -> tuple[Array, Array]:
+    """cm R^T M R and B R of body k, the latter with the rows of all ties; collective over the body's
+    ranks.
+    """
+    R = rigid_modes(e.body)
+    MR = np.stack([e.body.mass(r.reshape(-1, e.body.dim)).ravel() for r in R.T], axis=1)
+    first = np.cumsum([0, *(t.rows for t in ties)])
+    BR = np.zeros((first[-1], R.shape[1]))
+    for i, t in enumerate(ties):
+        for body, B in t.columns:
+            if body == k:
+                BR[first[i] : first[i + 1]] += B @ R
+    return e.inertia * e.body.total(R.T @ MR), e.body.total(BR)
+
+
+def lumped(saddle: Any, i: int) -> sp.csr_matrix:
+    """B diag(E)^-1 B^T, replicated."""
+    out: Any = 0
+    for k, B in saddle.ties[i].columns:
+        part = (B @ sp.diags(1.0 / saddle.diagonal(k)) @ B.T).tocsr()
+        out = out + sum(saddle.comm.allgather(part))
+    return out.tocsr()
+
+
+def to_petsc(S: sp.csr_matrix, saddle: Any, parts: list[int] | None = None) -> Any:
+    """Own rows of a replicated matrix; its rows are those of ties with ``parts`` rows each, every one split
+    evenly.
+    """
+    from petsc4py import PETSc
+
+    comm = saddle.comm
+    order, mine = rank_order([S.shape[0]] if parts is None else parts, comm)
+    S = S[order][:, order].tocsr()
+    S.sort_indices()
+    S = S[mine]
+    n, m = S.shape
+    csr = (S.indptr.astype(PETSc.IntType), S.indices.astype(PETSc.IntType), S.data)
+    A = PETSc.Mat().createAIJ(((n, m), (n, m)), csr=csr, comm=comm)
+    A.assemble()
+    A.setOption(PETSc.Mat.Option.SPD, True)
+    return A
+
+
+def rank_order(parts: list[int], comm: Any) -> tuple[np.ndarray, slice]:
+    """Replicated rows of consecutive parts in the order of ranks that hold them, and this rank's slice of
+    it.
+    """
+    starts = np.cumsum([0, *parts])
+    chunks, before = [], 0
+    for rank in range(comm.size):
+        for first, n in zip(starts, parts, strict=False):
+            low = sum(share_of(n, comm, r) for r in range(rank))
+            chunks.append(np.arange(first + low, first + low + share_of(n, comm, rank)))
+            if rank < comm.rank:
+                before += len(chunks[-1])
+    own = sum(share_of(n, comm) for n in parts)
+    return np.concatenate(chunks), slice(before, before + own)

@@ -1,0 +1,231 @@
+"""Ways to solve the saddle point of :mod:`.saddle`, as small frozen objects.
+
+* :class:`Direct`: one factorisation of the whole (MUMPS, L D L^T).
+* :class:`Schur`: exact Schur complement of the multipliers, see :mod:`.multiplier_schur`.
+* :class:`FieldSplit`: MINRES or FGMRES with the block preconditioner diag(E_k, S~).
+
+Each gives a solver with ``solve(f, g) -> Solution``. Every solve is judged by its own true residual, block by block.
+Options of PETSc under the solver's prefix override the presets; an option there that nothing consumed is an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from ...errors import LinearSolveError
+from ...fem.fields import Field
+from ...rotations import Array
+from ...system.system import System
+from ..blocks.elastic_blocks import Bddc, Cholesky, Multigrid, block_solver, set_bddc
+from ..fieldsplit import SplitBlock, SplitSolver, split_prefix
+from ..options import check_options
+from ..residual import Judge, krylov_reason
+from .diagnosis import diagnose
+from .multiplier_schur import Schur
+from .precondition import Fractional, MultiplierPreconditioner, to_petsc
+from .saddle import Elastic, SaddlePoint, Solution, elastic_matrix
+
+__all__ = ["Bddc", "Cholesky", "Direct", "FieldSplit", "Multigrid", "Preset", "SaddleSolver", "Schur", "set_bddc"]
+
+
+class Preset(Protocol):
+    """Makes a solver for a saddle point."""
+
+    def solver(self, saddle: SaddlePoint, prefix: str) -> SaddleSolver:
+        """Set up; collective."""
+
+    def block(self, field: Field, weights: tuple[float, float, float], prefix: str) -> Any:
+        """The solver of cm M + cd D + ck K, weights (cm, cd, ck), of one body in a scene, see :mod:`.schur`; collective."""
+
+
+class SaddleSolver(Protocol):
+    """Solves (1) of :mod:`.saddle`."""
+
+    def solve(self, f: Sequence[Array], g: Sequence[Array]) -> Solution:
+        """Displacements and multipliers for loads f (this rank's, one per body) and data g (replicated, one
+        per tie).
+        """
+
+    def destroy(self) -> None:
+        """Free PETSc objects; collective."""
+
+
+@dataclass(frozen=True)
+class Direct:
+    """One factorisation of the assembled saddle point (MUMPS L D L^T with pivoting); in scenes a Cholesky factor for each
+    elastic body and the exact Schur complement of all else.
+    """
+
+    def block(self, field: Field, weights: tuple[float, float, float], prefix: str) -> Any:
+        """A Cholesky factor; collective."""
+        return block_solver(Cholesky(), field, weights, 1.0, prefix)
+
+    def solver(self, saddle: SaddlePoint, prefix: str = "fmbd_") -> _Krylov:
+        """Factor; collective. A singular system is diagnosed at the first solve."""
+        from petsc4py import PETSc
+
+        A = saddle.matrix.copy()
+        A.convert("aij")
+        A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        ksp = PETSc.KSP().create(saddle.comm)
+        ksp.setOptionsPrefix(prefix)
+        ksp.setOperators(A)
+        ksp.setType("preonly")
+        ksp.getPC().setType("cholesky")
+        ksp.getPC().setFactorSolverType("mumps")
+        ksp.getPC().setFactorSetUpSolverType()
+        ksp.getPC().getFactorMatrix().setMumpsIcntl(14, 150)  # % of memory beyond the estimate: pivoting needs it
+        return _Krylov(saddle, ksp, prefix, [A], Judge("the saddle point", 1e-9))
+
+
+@dataclass(frozen=True)
+class FieldSplit:
+    """MINRES (or FGMRES) with diag(E_k, S~); ``rtol`` on the preconditioned residual.
+
+    ``elastic``: :class:`Cholesky` or :class:`Multigrid`. ``multiplier``: how S~ is made, see
+    :mod:`.precondition`. In scenes: the whole matrix of a step, see :mod:`.split`.
+    """
+
+    elastic: Cholesky | Multigrid | Bddc = Cholesky()
+    multiplier: MultiplierPreconditioner = Fractional()
+    method: str = "minres"
+    rtol: float = 1e-8
+    max_iterations: int = 400
+
+    def split(self, system: System, prefix: str) -> SplitSolver:
+        """The solver of a scene's steps; collective."""
+        return SplitSolver(system, self, prefix)
+
+    def block(self, field: Field, weights: tuple[float, float, float], prefix: str) -> SplitBlock:
+        """The split of one body, its options under ``<scene>_fieldsplit_<body>.u_``; collective."""
+        cm, cd, ck = weights
+        return SplitBlock(Elastic(field, cm, ck), self.elastic, split_prefix(prefix, field.name), cd)
+
+    def solver(self, saddle: SaddlePoint, prefix: str = "fmbd_") -> _Krylov:
+        """Set up all blocks; collective."""
+        from petsc4py import PETSc
+
+        groups = [
+            (name, ties, to_petsc(S, saddle, [saddle.ties[i].rows for i in ties]))
+            for name, ties, S in self.multiplier.groups(saddle)
+        ]
+        n = len(saddle.elastic)
+        own = [S for _, _, S in groups]
+        diagonal = []
+        for E, e in zip(saddle.E, saddle.elastic, strict=True):
+            diagonal.append(E if e.cm > 0 else elastic_matrix(e.body, e.inertia, e.ck))
+            if e.cm == 0:
+                own.append(diagonal[-1])
+        diagonal += [S for _, _, S in groups]
+        sets = [*saddle.sets[:n], *(_union(saddle, ties) for _, ties, _ in groups)]
+        names = [*saddle.names[:n], *(name for name, _, _ in groups)]
+        P = block_diagonal(diagonal, sets, saddle)
+        ksp = PETSc.KSP().create(saddle.comm)
+        ksp.setOptionsPrefix(prefix)
+        ksp.setOperators(saddle.matrix, P)
+        ksp.setType(self.method)
+        ksp.setTolerances(rtol=self.rtol, atol=0.0, max_it=self.max_iterations)
+        pc = ksp.getPC()
+        pc.setType("fieldsplit")
+        pc.setFieldSplitType(PETSc.PC.CompositeType.ADDITIVE)
+        pc.setFieldSplitIS(*zip(names, sets, strict=True))
+        pc.setUp()
+        for k, sub in enumerate(pc.getFieldSplitSubKSP()):
+            if k < n:
+                self.elastic.set_up(sub, saddle.elastic[k])
+            else:
+                Cholesky().set_up(sub)
+            sub.setFromOptions()
+        return _Krylov(saddle, ksp, prefix, [P, *own], Judge("the saddle point", 100 * self.rtol))
+
+
+def _union(saddle: SaddlePoint, ties: list[int]) -> Any:
+    """Rows of several ties on this rank."""
+    from petsc4py import PETSc
+
+    n = len(saddle.elastic)
+    rows = np.concatenate([saddle.sets[n + i].getIndices() for i in ties])
+    return PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=saddle.comm)
+
+
+def block_diagonal(blocks: Sequence[Any], sets: Sequence[Any], saddle: SaddlePoint) -> Any:
+    """A nest with the given diagonal blocks on the given row sets; collective."""
+    from petsc4py import PETSc
+
+    table = [[B if i == j else None for j in range(len(blocks))] for i, B in enumerate(blocks)]
+    P = PETSc.Mat().createNest(table, isrows=list(sets), iscols=list(sets), comm=saddle.comm)
+    P.assemble()
+    return P
+
+
+class _Krylov:
+    """A KSP on the whole saddle point, judged by its true residual.
+
+    A Krylov method goes on until both its own norm and the true residual, block by block, are small enough; a factor is
+    refined.
+    """
+
+    def __init__(self, saddle: SaddlePoint, ksp: Any, prefix: str, own: list[Any], judge: Judge) -> None:
+        self.saddle, self.ksp, self.prefix, self._own, self.judge = saddle, ksp, prefix, own, judge
+        ksp.setFromOptions()
+        self.direct = ksp.getType() == "preonly"
+        self._checked, self._b, self._first = False, None, 0.0
+        if not self.direct:
+            ksp.setConvergenceTest(self._converged)
+
+    def _converged(self, ksp: Any, iteration: int, norm: float) -> Any:
+        """PETSc's reason to stop; collective."""
+        if iteration == 0:
+            self._first = norm
+
+        def accurate() -> bool:
+            true = self.saddle.relative_residual(ksp.buildSolution(), self._b)
+            return bool(true <= 0.5 * self.judge.tolerance)
+
+        return krylov_reason(ksp, iteration, norm, self._first, accurate)
+
+    def solve(self, f: Sequence[Array], g: Sequence[Array]) -> Solution:
+        s = self.saddle
+        b = self._b = s.vector(f, g)
+        x = b.duplicate()
+        x.set(0.0)
+        self.ksp.solve(b, x)
+        iterations, reason = self.ksp.getIterationNumber(), self.ksp.getConvergedReason()
+        residual = s.relative_residual(x, b)
+        if self.direct:
+            residual = self._refine(x, b, residual)
+        if not self._checked:
+            check_options(self.prefix, s.comm)
+            self._checked = True
+        if not residual <= self.judge.tolerance:
+            found = diagnose(s)
+            raise LinearSolveError(
+                f"Linear solve of {self.judge.what}: relative residual {residual:.1e} after {iterations} "
+                f"iterations (PETSc reason {reason}), allowed {self.judge.tolerance:.0e}. {found}"
+            )
+        self.judge.check(residual, 1.0)
+        u, lam = s.blocks(x)
+        x.destroy(), b.destroy()
+        return Solution(u, lam, iterations, residual)
+
+    def _refine(self, x: Any, b: Any, residual: float) -> float:
+        """Up to three steps of iterative refinement of x with the factor; the residual then. Collective."""
+        for _ in range(3):
+            if not np.isfinite(residual) or residual <= 1e-13:
+                break
+            r, dx = b.duplicate(), b.duplicate()
+            self.saddle.matrix.mult(x, r)
+            r.aypx(-1.0, b)
+            self.ksp.solve(r, dx)
+            x.axpy(1.0, dx)
+            r.destroy(), dx.destroy()
+            residual = self.saddle.relative_residual(x, b)
+        return residual
+
+    def destroy(self) -> None:
+        for obj in (self.ksp, *self._own):
+            obj.destroy()

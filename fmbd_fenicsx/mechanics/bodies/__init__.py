@@ -1,0 +1,1 @@
+"""Bodies: what each kind is, in formulas."""

@@ -1,0 +1,123 @@
+"""Elastic bodies in absolute coordinates: x = X + u, large displacements by the elastic energy itself.
+
+    M (u'' - g) + f_int(u) + D u' + B^T lambda = 0,        f_int = K u  or  dPi/du                              (1)
+
+There is no frame: the mass matrix is constant and inertia has no further terms. With a linear elastic form the matrix is
+constant and factored once. With an energy Pi(u) (total Lagrangian) the tangent is taken at one configuration and turned with
+the body: its mean rotation T is the polar rotation of sum_n (M x)_n X_n^T, and K(u) = T K_0 T^T up to the strain. Loads on the
+deformed surface and a viscous law F S_v(E') : grad v are in the tangent by their derivatives.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...fem.fields import Field
+from ...rotations import Array
+from ..frames import polar_rotation
+from ..placements import FrameMotion
+from .field_part import FieldPart
+
+
+class AbsoluteField(FieldPart):
+    """A displacement field against the ground; equation (1). ``ground`` is the index of the ground's frame."""
+
+    def __init__(self, field: Field, ground: int, surfaces: list[str]) -> None:
+        super().__init__(field, ground, surfaces, np.zeros((field.n * field.dim, 0)))
+        self.origin = np.zeros(field.dim)
+        per = field.dim * (1 + field.dim)
+        for k in range(len(self.surfaces)):
+            self.reference[k * per : k * per + field.dim] += field.center
+        self._moment_columns = field.mass(field.X)
+        self._turn_at_tangent: Array = np.eye(field.dim)
+        self._last = 0.0, np.zeros(self.n), np.zeros(self.n)  # t, u, u' of the forces evaluated last
+        self._taken_at: Any = None  # the same of the last own tangent, and its pressure
+        if field.loads.moving or field.viscous.law is not None:
+            self.field.linearise_motion(*self._last)
+
+    # -- tangent ------------------------------------------------------------------------------------------------
+    def turn(self, u: Array) -> Array | None:
+        """Mean rotation of the body since its tangent was taken, (d, d); None for linear bodies."""
+        if not self.field.nonlinear:
+            return None
+        return self._mean_rotation(u) @ self._turn_at_tangent.T
+
+    def _mean_rotation(self, u: Array) -> Array:
+        d = self.field.dim
+        F = self.field.total((self.field.X + u.reshape(-1, d)).T @ self._moment_columns)
+        return polar_rotation(F[None])[0]
+
+    @property
+    def tangent_version(self) -> int:
+        """Number of tangents taken so far."""
+        return self.field.tangents
+
+    def relinearise(self) -> bool:
+        """Take the tangent at the configuration whose forces were evaluated last; collective."""
+        if not self.field.nonlinear:
+            return False
+        self.field.linearise_motion(*self._last)
+        self._turn_at_tangent = self._mean_rotation(self._last[1])
+        pressure = self.field.pressure_values if self.field.carried else None  # type: ignore[attr-defined]
+        self._taken_at = (*self._last, pressure)
+        return True
+
+    def remember(self, m: Any) -> None:
+        """Take the tangent again where it was taken last (see :mod:`fmbd_fenicsx.system.serialisation`); collective."""
+        t, U, Ud, pressure = self._taken_at or (None,) * 4
+        if not m("own tangent", U is not None):
+            return
+        t, order = m("time", t), self.field.numbering
+        U, Ud = m.nodal("displacement", U, order), m.nodal("rate", Ud, order)
+        if self.field.carried:
+            pressure = m.nodal("pressure", pressure, self.field.pressure_numbering)  # type: ignore[attr-defined]
+        if m.reading:
+            self._last = t, U, Ud
+            if pressure is not None:
+                self.field.pressure_values = pressure  # type: ignore[attr-defined]
+            self.relinearise()
+
+    # -- mechanics ----------------------------------------------------------------------------------------------
+    def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """Rows of (1); those of the ground are zero. Collective."""
+        U, Ud, Udd = local
+        d, forms = self.field.dim, self.field.forms
+        A = Udd.reshape(-1, d) - motion.gravity
+        if forms.mass_damping:
+            A = A + forms.mass_damping * Ud.reshape(-1, d)
+        self._last = motion.t, U, Ud
+        rows = self.field.mass(A).ravel() + self.field.internal(U)
+        if forms.stiffness_damping:
+            rows += forms.stiffness_damping * self._turned_stiffness(U, Ud)
+        if self.field.D is not None:
+            rows += self.field.viscous.force(U, Ud)
+        if self.field.loads.loads:
+            outer, inner = self.field.loads.nodal(motion.t, np.eye(d), U)
+            rows -= (outer + inner).ravel()
+        return np.zeros(self.motions.n_twist), rows
+
+    def _turned_stiffness(self, U: Array, Ud: Array) -> Array:
+        """T K_0 T^T u': damping by the co-rotated tangent leaves rigid motion alone."""
+        T = self.turn(U)
+        if T is None:
+            return self.field.stiffness(Ud)
+        d = self.field.dim
+        return (self.field.stiffness((Ud.reshape(-1, d) @ T).ravel()).reshape(-1, d) @ T.T).ravel()
+
+    def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
+        """Kinetic, elastic and weight energy, J; collective."""
+        d, (U, Ud) = self.field.dim, local
+        W = Ud.reshape(-1, d)
+        moved = self.field.mass(self.field.X_world + U.reshape(-1, d)).sum(0)
+        sums = self.field.total(np.concatenate(([0.5 * float((W * self.field.mass(W)).sum())], moved)))
+        return float(sums[0]), self.field.energy(U), -float(motion.gravity @ sums[1:])
+
+    def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Linear and angular momentum about the world origin, world axes; collective."""
+        m, d = self.motions, self.field.dim
+        x = self.field.X_world + local[0].reshape(-1, d)
+        MW = self.field.mass(local[1].reshape(-1, d))
+        sums = self.field.total(np.concatenate((MW.sum(0), m.moment(x, MW).sum(0))))
+        return sums[:d], sums[d:]

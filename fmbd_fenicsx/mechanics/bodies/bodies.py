@@ -1,0 +1,328 @@
+"""Bodies as a user describes them: data and checks, no computation.
+
+Every body has a ``name``, a dimension ``dim`` and can be attached to joints and forces. An elastic body is attached by its
+named surfaces, a rigid body by any point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ...energies import ViscousForm
+from ...errors import InputError, near, require
+from ...fem.fields import ElasticForms
+from ...fem.loads import Load
+from ...rotations import Array, motions
+from ..placements import Attached, Chord, MeanAxis
+
+Vector = Sequence[float] | Array
+Same = TypeVar("Same", bound="ElasticBody")
+
+
+def _vector(value: Vector | None, size: int, what: str) -> Array:
+    out = np.zeros(size) if value is None else np.asarray(value, dtype=float)
+    require(
+        out.shape == (size,) and bool(np.isfinite(out).all()),
+        f"{what} must be {size} finite numbers, found {value!r}.",
+    )
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBody:
+    """A rigid body, placed by x = r + R X with X from the centre of mass.
+
+    Args:
+        name: what messages and sensors call it.
+        mass: kg, positive.
+        inertia: about the centre of mass in body axes, kg m^2: a number (plane), or (3,) principal values or (3, 3) (space).
+        position: centre of mass at the start, world axes, m, (d,).
+        rotation: attitude at the start: an angle (rad) in the plane, a matrix (3, 3) or quaternion (scalar last) in space.
+        velocity: of the centre of mass at the start, m/s, (d,).
+        angular_velocity: at the start, body axes, rad/s: a number or (3,).
+        locked: True keeps the body where it is; it then has no unknowns.
+    """
+
+    name: str
+    mass: float
+    inertia: Any
+    position: Vector = (0.0, 0.0, 0.0)
+    rotation: Any = None
+    velocity: Vector | None = None
+    angular_velocity: Any = None
+    locked: bool = False
+    dim: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        J = np.asarray(self.inertia, dtype=float)
+        object.__setattr__(self, "dim", 2 if J.ndim == 0 else 3)
+        require(
+            np.asarray(self.mass).dtype.kind in "iuf" and np.isfinite(self.mass) and self.mass > 0,
+            f'Body "{self.name}": mass {self.mass} kg must be positive.',
+        )
+        if self.dim == 2:
+            require(bool(J > 0), f'Body "{self.name}": inertia {J} kg m^2 must be positive.')
+            return
+        J = np.diag(J) if J.shape == (3,) else J
+        require(J.shape == (3, 3), f'Body "{self.name}": inertia must have shape (3,) or (3, 3), found {J.shape}.')
+        if not np.allclose(J, J.T, rtol=1e-12, atol=1e-12 * np.abs(J).max()):
+            raise InputError(f'Body "{self.name}": inertia is not symmetric: {J.tolist()}.')
+        p = np.linalg.eigvalsh(J)
+        require(p[0] > 0, f'Body "{self.name}": principal inertias {p} must be positive.')
+        require(
+            p[0] + p[1] >= p[2] * (1 - 1e-9),
+            f'Body "{self.name}": principal inertias {p} violate J1 + J2 >= J3; no mass distribution has them.',
+        )
+
+    @property
+    def inertia_matrix(self) -> Array:
+        """(n_rot, n_rot)."""
+        J = np.asarray(self.inertia, dtype=float)
+        return J.reshape(1, 1) if J.ndim == 0 else np.diag(J) if J.ndim == 1 else J
+
+    def start_pose(self) -> Array:
+        """Pose at the start, (n_pose,)."""
+        position = np.asarray(self.position, dtype=float)[: self.dim]
+        return motions(self.dim).pose(_vector(position, self.dim, f'Body "{self.name}": position'), self.rotation)
+
+    def start_twist(self) -> Array:
+        """Twist at the start, (n_twist,)."""
+        m = motions(self.dim)
+        v = None if self.velocity is None else np.asarray(self.velocity, dtype=float)[: self.dim]
+        w = None if self.angular_velocity is None else np.atleast_1d(np.asarray(self.angular_velocity, dtype=float))
+        return np.concatenate(
+            (
+                _vector(v, m.dim, f'Body "{self.name}": velocity'),
+                _vector(w, m.n_rot, f'Body "{self.name}": angular_velocity'),
+            )
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A named surface of an elastic body: what joints, forces and sensors attach to."""
+
+    body: Any
+    name: str
+
+    @property
+    def dim(self) -> int:
+        """Space dimension of the body."""
+        return int(self.body.dim)
+
+    def __repr__(self) -> str:
+        return f'surface "{self.name}" of "{self.body.name}"'
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticBody:
+    """What elastic bodies have in common, however they are placed.
+
+    Args:
+        name: what messages and sensors call it.
+        mesh: from :func:`fmbd_fenicsx.read_gmsh`, in world coordinates of the start, or of the stress-free state.
+        degree: of the Lagrange displacements (2 by default: P1 is far too stiff in bending).
+        density: kg/m^3 (in the plane: kg/m^2 of the sheet).
+        elastic: the elastic form a(u, v, dx) in UFL, symmetric and bilinear; or
+        energy: the elastic energy Pi(u, dx) in UFL, J, for instance from :mod:`fmbd_fenicsx.materials`. Either may be a
+            :class:`~fmbd_fenicsx.MixedEnergy` of displacement and pressure, for nu up to 1/2.
+        velocity, angular_velocity: of a rigid motion at the start (about the centre of mass), added to
+            ``displacement_rate``; world axes = body axes, m/s, rad/s.
+        displacement, displacement_rate: initial u(x), u'(x): functions of the coordinates (d, n) -> (d, n) in m, m/s.
+        mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
+        quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks for.
+        loads: of :mod:`fmbd_fenicsx.fem.loads`: tractions, pressure, body forces, thermal stress, own forms.
+        viscous: Kelvin-Voigt damping: a bilinear form (u, v, dx) of the rate u of the local displacements; or, of absolute
+            bodies with an energy, a :class:`~fmbd_fenicsx.ViscousForm` (u, rate, v, dx), for instance
+            :func:`~fmbd_fenicsx.materials.kelvin_voigt`, which damps strain and never rigid motion.
+    """
+
+    name: str
+    mesh: Any
+    degree: int = 2
+    density: float = 1.0
+    elastic: Callable[[Any, Any, Any], Any] | None = None
+    energy: Callable[[Any, Any], Any] | None = None
+    velocity: Vector | None = None
+    angular_velocity: Any = None
+    displacement: Callable[[Array], Array] | None = None
+    displacement_rate: Callable[[Array], Array] | None = None
+    mass_damping: float = 0.0
+    stiffness_damping: float = 0.0
+    quadrature: int | None = None
+    loads: Sequence[Load] = ()
+    viscous: Callable[[Any, Any, Any], Any] | ViscousForm | None = None
+
+    def __post_init__(self) -> None:
+        """Check density, degree, damping, and one description of elasticity."""
+        n = self.name
+        require(
+            (self.elastic is None) != (self.energy is None),
+            f'Body "{n}": give either elastic(u, v, dx), a bilinear form, or energy(u, dx), in J.',
+        )
+        given = self.elastic if self.energy is None else self.energy
+        require(
+            callable(given), f'Body "{n}": elastic must be a function (u, v, dx) -> UFL form, energy one of (u, dx).'
+        )
+        require(
+            bool(np.isfinite(self.density)) and self.density > 0,
+            f'Body "{n}": density {self.density} must be positive.',
+        )
+        require(self.degree in (1, 2, 3), f'Body "{n}": degree {self.degree} must be 1, 2 or 3.')
+        require(
+            not isinstance(self.viscous, ViscousForm) or (isinstance(self, AbsoluteBody) and self.energy is not None),
+            f'Body "{n}": a ViscousForm needs an AbsoluteBody with an energy. Else give viscous(u, v, dx), bilinear in the rate.',
+        )
+        require(
+            self.mass_damping >= 0 and self.stiffness_damping >= 0,
+            f'Body "{n}": damping coefficients must not be negative.',
+        )
+
+    @property
+    def dim(self) -> int:
+        """Space dimension, from the mesh."""
+        return int(self.mesh.dim)
+
+    def surface(self, name: str) -> Surface:
+        """The named surface of the mesh."""
+        known = self.mesh.surface_names
+        if name not in known:
+            raise InputError(f'Body "{self.name}": no surface "{name}" in {self.mesh.label}. {near(name, known)}')
+        return Surface(self, name)
+
+    def forms(self) -> ElasticForms:
+        """What the field needs to know."""
+        return ElasticForms(
+            self.elastic,
+            self.density,
+            self.degree,
+            self.mass_damping,
+            self.stiffness_damping,
+            self.energy,
+            self.quadrature,
+            tuple(self.loads),
+            self.viscous,
+        )
+
+    def start_twist(self) -> Array:
+        """Rigid velocity of the centre of mass and angular velocity at the start, (n_twist,)."""
+        inertia = 1.0 if self.dim == 2 else (1.0, 1.0, 1.0)
+        velocities = {"velocity": self.velocity, "angular_velocity": self.angular_velocity}
+        return RigidBody(self.name, 1.0, inertia, **velocities).start_twist()
+
+    def with_(self: Same, **changes: Any) -> Same:
+        """A copy with some arguments changed."""
+        return replace(self, **changes)
+
+
+@dataclass(frozen=True, eq=False)
+class FloatingBody(ElasticBody):
+    """An elastic body in a floating frame: x = r + R (X + u), u small, in V_h.
+
+    With ``elastic`` strains are linear in the frame. An ``energy`` with the full nonlinear strain carries the stiffening by
+    initial stress, which a linear form leaves out.
+
+    Args:
+        name, mesh, ... viscous: see :class:`ElasticBody`.
+        frame: :class:`MeanAxis` (default), :class:`Attached` or :class:`Chord`.
+        stiffening: True adds the geometric stiffness of the stress by inertia forces, held by the surface of an attached
+            frame; the name of a surface does the same in any frame, with that surface holding the body.
+    """
+
+    frame: MeanAxis | Attached | Chord = MeanAxis()
+    stiffening: bool | str = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(
+            self.stiffening is not True or isinstance(self.frame, Attached),
+            f'Body "{self.name}": stiffening=True needs a frame attached to the surface that holds the body: '
+            'frame=Attached(...). In other frames name that surface: stiffening="pin".',
+        )
+        require(
+            not self.stiffening or self.elastic is not None,
+            f'Body "{self.name}": stiffening belongs to a linear form; an energy stiffens by itself.',
+        )
+        if isinstance(self.stiffening, str):
+            self.surface(self.stiffening)
+        if isinstance(self.frame, Attached):
+            self.surface(self.frame.surface)
+        if isinstance(self.frame, Chord):
+            self.surface(self.frame.start)
+            self.surface(self.frame.end)
+
+    @property
+    def held_at(self) -> str | None:
+        """Name of the surface that holds the inertia forces which stiffen the body; None without stiffening."""
+        if self.stiffening is True and isinstance(self.frame, Attached):
+            return self.frame.surface
+        return self.stiffening or None  # type: ignore[return-value]
+
+    def reduced(self, *, modes: int | None = None, frequency: float | None = None, basis: Any = None) -> Any:
+        """This body by a few modes: by their number, up to a frequency (Hz), or with a basis of
+        ``mechanics.reduction.craig_bampton``.
+
+        ``modes=0`` gives the rigid body with the same mass, inertia and surfaces.
+        """
+        from ..reduction.craig_bampton import FrameModes, ReducedBody
+
+        return ReducedBody(self, FrameModes(modes, frequency) if basis is None else basis)
+
+
+@dataclass(frozen=True, eq=False)
+class AbsoluteBody(ElasticBody):
+    """An elastic body in absolute coordinates: x = X + u, u in V_h; no floating frame. Arguments of :class:`ElasticBody`.
+
+    With ``elastic`` (linear, bilinear form) displacements and rotations must stay small; the matrix is factored once. With an
+    ``energy`` they are of any size (total Lagrangian).
+    """
+
+
+@dataclass(frozen=True, eq=False)
+class CoordinateBody:
+    """A body or mechanism given by its own equations: M(q) q'' = f(q, q', t) - G^T lambda, 0 = g(q, t).
+
+    Args:
+        name: what messages and sensors call it.
+        mass: M, (n, n), or a function q -> M(q).
+        force: f(q, v, t) -> (n,).
+        start, start_rate: q and q' at the start, (n,).
+        constraint: g(q, t) -> (m,), or None.
+        jacobian, gamma: dg/dq (q, t) -> (m, n), and the part of g'' without q'' (q, v, t) -> (m,); by complex-step
+            differences where missing.
+        rate: dg/dt at fixed q, (q, t) -> (m,); by a complex step where missing.
+        force_jacobian: (df/dq, df/dq') (q, v, t) -> two (n, n); by complex-step differences where missing.
+        potential: q -> J, for the energy balance; None counts as zero.
+        vectorized: mass, force, constraint, jacobian, gamma and rate also take many configurations in one call, with arrays
+            that have one more, last axis: q (n, k), t (k,) -> f (n, k), M (n, n, k), dg/dq (m, n, k). Several times faster.
+    """
+
+    name: str
+    mass: Any
+    force: Callable[[Array, Array, float], Any]
+    start: Vector
+    start_rate: Vector | None = None
+    constraint: Callable[[Any, float], Any] | None = None
+    jacobian: Callable[[Array, float], Array] | None = None
+    gamma: Callable[[Array, Array, float], Array] | None = None
+    potential: Callable[[Array], float] | None = None
+    rate: Callable[[Array, float], Array] | None = None
+    force_jacobian: Callable[[Array, Array, float], tuple[Any, Any]] | None = None
+    vectorized: bool = False
+    dim: int | None = None  # fits scenes of any dimension
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.start))
+        object.__setattr__(self, "start", _vector(self.start, n, f'Body "{self.name}": start'))
+        object.__setattr__(self, "start_rate", _vector(self.start_rate, n, f'Body "{self.name}": start_rate'))
+        M = np.asarray(self.mass(self.start) if callable(self.mass) else self.mass, dtype=float)
+        require(M.shape == (n, n), f'Body "{self.name}": mass has shape {M.shape}, expected ({n}, {n}).')
+        if np.abs(M - M.T).max(initial=0.0) > 1e-10 * np.abs(M).max(initial=0.0):
+            raise InputError(f'Body "{self.name}": the mass matrix is not symmetric.')
+        p = np.linalg.eigvalsh(M) if n else np.ones(1)
+        if p[0] < -1e-10 * p[-1]:
+            raise InputError(f'Body "{self.name}": the mass matrix has the negative eigenvalue {p[0]:g}.')

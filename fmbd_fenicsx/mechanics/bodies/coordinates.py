@@ -1,0 +1,258 @@
+"""Bodies and mechanisms given by their own equations of motion in coordinates of the user's choice.
+
+    M(q) q'' = f(q, q', t) - G^T lambda,     0 = g(q, t)                                                       (1)
+
+Missing Jacobians are taken from complex-step differences, exact to roundoff, when the user's functions accept complex
+numbers (NumPy functions do), else from central differences. Functions declared as ``vectorized`` take many configurations in
+one call, as in SciPy: arrays get a last axis, q (n, k), t (k,), and so do the results, f (n, k), M and dg/dq (m, n, k).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...errors import CallbackError, named
+from ...rotations import Array
+from ..placements import FrameMotion
+
+_STEP = 1e-30
+
+
+def derivative(function: Callable[[Any], Any], x: Array) -> Array:
+    """d function / d x, (m, n), by complex steps; by central differences of fourth order when complex numbers do not pass."""
+    n = len(x)
+    try:
+        columns = []
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", np.exceptions.ComplexWarning)  # an imaginary part dropped on the way
+            for k in range(n):
+                z = x.astype(complex)
+                z[k] += 1j * _STEP
+                columns.append(np.imag(np.asarray(function(z), dtype=complex)) / _STEP)
+        return np.stack(columns, axis=-1) if n else np.zeros((np.size(function(x)), 0))
+    except (TypeError, ValueError, np.exceptions.ComplexWarning):
+        pass
+    return differences(function, x)
+
+
+def derivative_many(function: Callable[[Any, Any], Any], x: Array, t: Array) -> Array:
+    """d function(x, t) / d x of a vectorized function, (k, m, n), at x (k, n), t (k,): all complex steps in one call.
+
+    Raises TypeError or ValueError where complex numbers do not pass.
+    """
+    k, n = x.shape
+    z = np.repeat(x.T.astype(complex)[:, None], n, axis=1)  # (n, directions, k)
+    z[range(n), range(n)] += 1j * _STEP
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", np.exceptions.ComplexWarning)
+        found = np.asarray(function(z.reshape(n, n * k), np.tile(t, (n, *(1,) * (t.ndim - 1)))), dtype=complex)
+    return np.imag(found.reshape(-1, n, k)).transpose(2, 0, 1) / _STEP
+
+
+def differences(function: Callable[[Any], Any], x: Array) -> Array:
+    """d function / d x, (m, n), by central differences of fourth order."""
+    n = len(x)
+    columns = []
+    for k in range(n):
+        h = 1e-3 * max(1.0, abs(float(x[k])))
+        e = np.zeros(n)
+        e[k] = h
+
+        def at(s: float, e: Array = e) -> Array:
+            return np.asarray(function(x + s * e), dtype=float)
+
+        columns.append((8 * (at(1.0) - at(-1.0)) - (at(2.0) - at(-2.0))) / (12 * h))
+    return np.stack(columns, axis=-1) if n else np.zeros((np.size(function(x)), 0))
+
+
+@dataclass(frozen=True, eq=False)
+class PortConstraint:
+    """g(p, t) = 0 on the ports p of one part; ``jacobian``, ``gamma`` and ``rate`` from differences unless given.
+
+    function(p, t) -> (m,); jacobian_(p, t) -> (m, n); gamma_(p, p', t) -> (m,), the part of g'' without p''; rate_(p, t) ->
+    (m,), dg/dt at fixed p. ``vectorized``: they take many p at once, see the module.
+    """
+
+    name: str
+    part: int
+    function: Callable[[Any, float], Any]
+    jacobian_: Callable[[Array, float], Array] | None = None
+    gamma_: Callable[[Array, Array, float], Array] | None = None
+    rate_: Callable[[Array, float], Array] | None = None
+    vectorized: bool = False
+
+    def many(self, what: str, t: Array, *arrays: Array) -> Array:
+        """``values``, ``jacobian``, ``rate`` or ``gamma`` of k configurations, arrays (k, n), t (k,): one call where possible."""
+        given: Any = {"values": self.function, "jacobian": self.jacobian_, "rate": self.rate_, "gamma": self.gamma_}[
+            what
+        ]
+        if self.vectorized and given is not None:
+            found = np.asarray(given(*(x.T for x in arrays), t), dtype=float)
+            return (
+                np.moveaxis(found, -1, 0)
+                if found.shape[-1:] == t.shape
+                else np.broadcast_to(found, (len(t), *found.shape))
+            )
+        if self.vectorized and what in ("jacobian", "rate"):
+            try:
+                if what == "jacobian":
+                    return derivative_many(self.function, arrays[0], t)
+                return derivative_many(lambda s, p: self.function(p.T, s[0]), t[:, None], arrays[0])[:, :, 0]
+            except (TypeError, ValueError, np.exceptions.ComplexWarning):
+                pass
+        if self.vectorized and what == "gamma":
+            return self._gamma_many(t, *arrays)
+        one: Any = getattr(self, what)
+        return np.array([one(*(x[i] for x in arrays), float(t[i])) for i in range(len(t))])
+
+    def _gamma_many(self, t: Array, p: Array, pd: Array) -> Array:
+        """As :meth:`gamma`, of k configurations."""
+
+        def velocity_level(s: float) -> Array:
+            at, now = p + s * pd, t + s
+            return (self.many("jacobian", now, at) @ pd[..., None])[..., 0] + self.many("rate", now, at)
+
+        h = 1e-4 / max(1.0, float(np.abs(pd).max(initial=0.0)))
+        first, second = velocity_level(h) - velocity_level(-h), velocity_level(2 * h) - velocity_level(-2 * h)
+        return np.asarray((8 * first - second) / (12 * h))
+
+    def values(self, p: Array, t: float) -> Array:
+        """g, (m,)."""
+        return np.asarray(self.function(p, t), dtype=float)
+
+    def jacobian(self, p: Array, t: float) -> Array:
+        """dg/dp, (m, n)."""
+        if self.jacobian_ is not None:
+            return np.asarray(self.jacobian_(p, t), dtype=float)
+        return derivative(lambda z: self.function(z, t), p)
+
+    def rate(self, p: Array, t: float) -> Array:
+        """dg/dt at fixed p, (m,)."""
+        if self.rate_ is not None:
+            return np.asarray(self.rate_(p, t), dtype=float)
+        return derivative(lambda s: self.function(p, s[0]), np.array([t]))[:, 0]
+
+    def gamma(self, p: Array, pd: Array, t: float) -> Array:
+        """g'' - G p'', (m,)."""
+        if self.gamma_ is not None:
+            return np.asarray(self.gamma_(p, pd, t), dtype=float)
+
+        def velocity_level(s: Array) -> Array:
+            at = p + s[0] * pd
+            return self.jacobian(at, t + s[0]) @ pd + self.rate(at, t + s[0])
+
+        h = 1e-4 / max(1.0, float(np.abs(pd).max(initial=0.0)))
+        plus, minus = velocity_level(np.array([h])), velocity_level(np.array([-h]))
+        plus2, minus2 = velocity_level(np.array([2 * h])), velocity_level(np.array([-2 * h]))
+        return np.asarray((8 * (plus - minus) - (plus2 - minus2)) / (12 * h))
+
+
+def own_constraint(body: Any, part: int) -> PortConstraint:
+    """The constraint of a body given by its own equations, exceptions of its functions named."""
+
+    def safe(of: str, function: Any) -> Any:
+        return None if function is None else named(f"The constraint{of} of body", body.name, function)
+
+    return PortConstraint(
+        body.name,
+        part,
+        safe("", body.constraint),
+        safe("'s jacobian", body.jacobian),
+        safe("'s gamma", body.gamma),
+        safe("'s rate", body.rate),
+        body.vectorized,
+    )
+
+
+class CoordinatePart:
+    """Equations (1) as a part of a system: the ports are the coordinates themselves."""
+
+    distributed = False
+    plain = True  # the ports are the coordinates
+    n_frame_rows = 0
+    comm = None
+
+    def __init__(self, body: Any, frame: int) -> None:
+        self.body, self.name, self.frame = body, body.name, frame
+        self.n = self.n_port = len(np.asarray(body.start))
+        self.reference = np.zeros(self.n)
+        self.port_matrix = np.eye(self.n)
+        self._force = named("The force of body", body.name, body.force)
+        tangent = body.force_jacobian
+        self._tangent = None if tangent is None else named("The force_jacobian of body", body.name, tangent)
+        self._mass = named("The mass of body", body.name, body.mass, time=None) if callable(body.mass) else body.mass
+
+    def ports_of(self, w: Array) -> Array:
+        """The coordinates."""
+        return w
+
+    def port_force(self, f: Array) -> Array:
+        """Forces on the coordinates."""
+        return f
+
+    def mass(self, q: Array) -> Array:
+        """M(q), (n, n)."""
+        return np.asarray(self._mass(q) if callable(self._mass) else self._mass, dtype=float)
+
+    def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """M q'' - f."""
+        q, v, a = local
+        f = np.asarray(self._force(q, v, motion.t), dtype=float)
+        if f.shape != (self.n,) or not np.isfinite(f).all():
+            raise CallbackError(
+                f'Body "{self.name}": force(q, v, t) returned {f!r} at t = {motion.t:g} s, expected {self.n} finite numbers.'
+            )
+        return np.zeros_like(motion.twist), self.mass(q) @ a - f
+
+    def force_many(self, t: Array, local: tuple[Array, ...]) -> Array:
+        """M q'' - f of k configurations: q, v, a (k, n), t (k,); one call of each function where the body is vectorized."""
+        q, v, a = local
+        body = self.body
+        if not body.vectorized:
+            f = np.array([self._force(x, y, float(now)) for x, y, now in zip(q, v, t, strict=True)], dtype=float)
+            if callable(self._mass):
+                inertia = np.array([self.mass(q[i]) @ a[i] for i in range(len(q))])
+            else:
+                inertia = a @ self.mass(q[0]).T
+        else:
+            f = np.asarray(self._force(q.T, v.T, t), dtype=float).T
+            M = np.asarray(self._mass(q.T) if callable(self._mass) else self._mass, dtype=float)
+            inertia = a @ M.T if M.ndim == 2 else np.einsum("ijk,kj->ki", M, a)
+        if f.shape != q.shape or not np.isfinite(f).all():
+            bad = 0 if f.shape != q.shape else int(np.argmin(np.isfinite(f).all(axis=1)))
+            raise CallbackError(
+                f'Body "{self.name}": force(q, v, t) returned {f[bad] if len(f) > bad else f!r} at t = {t[bad]:g} s, expected '
+                f"{self.n} finite numbers."
+            )
+        return inertia - f
+
+    def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
+        """M(q)."""
+        n = len(motion.twist)
+        return np.zeros((n, n)), np.zeros((self.n, n)), self.mass(u)
+
+    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """-df/dq and -df/dv."""
+        q, v = local
+        if self._tangent is not None:
+            K, C = self._tangent(q, v, motion.t)
+            return -np.asarray(K, dtype=float), -np.asarray(C, dtype=float)
+        K = -derivative(lambda z: self._force(z, v, motion.t), q)
+        return K, -derivative(lambda z: self._force(q, z, motion.t), v)
+
+    def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
+        """Kinetic energy, and the body's potential where it gives one."""
+        q, v = local
+        potential = self.body.potential
+        return 0.5 * float(v @ self.mass(q) @ v), 0.0 if potential is None else float(potential(q)), 0.0
+
+    def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Unknown for general coordinates: zero."""
+        n = len(motion.twist)
+        d = len(motion.gravity)
+        return np.zeros(d), np.zeros(n - d)

@@ -1,0 +1,144 @@
+"""What all displacement fields have in common as parts of a system: ports, and how they act on the nodes.
+
+The ports of a field are its frame conditions (n_frame_rows numbers C^T U, zero by constraint; none for absolute bodies)
+followed by the moments b_0, b_k of each surface in use. They are linear in the nodal displacements.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...fem.fields import Field
+from ...rotations import Array, motions
+from ..placements import FrameMotion
+
+
+class FieldPart:
+    """A displacement field as a part of a system; local coordinates are the owned nodal displacements, (n d,).
+
+    ``inertia_columns`` (n d, k): constant columns that couple the field's inertia to the twist of its frame (k = n_twist, or 0
+    where there is no moving frame). ``shared_columns``: the frame conditions have these same columns.
+    """
+
+    distributed = True
+    port_matrix = np.zeros((0, 0))
+    shared_columns = False
+    column_version = 0  # a new number asks for new columns E^-1 H
+    _tangent_at: tuple[Array, Any, Array | None] | None = None  # U, load and pressure of the last own tangent
+
+    def __init__(self, field: Field, frame: int, surfaces: list[str], conditions: Array) -> None:
+        self.field, self.frame, self.name, self.comm = field, frame, field.name, field.comm
+        self.motions = motions(field.dim)
+        self.n = field.n * field.dim
+        self.surfaces = [field.moments(s) for s in surfaces]
+        self.conditions = conditions
+        self.mass_total, self.size = field.mass_total, field.size
+        self.n_frame_rows = conditions.shape[1]
+        self.inertia_columns = np.zeros((self.n, 0))
+        self.n_port = self.n_frame_rows + field.dim * (1 + field.dim) * len(self.surfaces)
+        self.reference = np.concatenate([np.zeros(self.n_frame_rows), *(s.reference.ravel() for s in self.surfaces)])
+        self.origin = field.center  # of the frame, world axes at the start
+        self.traces: list[Any] = []
+
+    def add_trace(self, B: Any) -> slice:
+        """Further ports B u of a tie by field multipliers, B (rows, n d) sparse; returns their place among the ports."""
+        first = self.n_port
+        self.traces.append(B)
+        self.n_port += B.shape[0]
+        self.reference = np.concatenate((self.reference, np.zeros(B.shape[0])))
+        return slice(first, self.n_port)
+
+    def surface_center(self, surface: str) -> Array:
+        """Centroid of a surface at the start, world axes."""
+        return self.field.moments(surface).center
+
+    # -- ports --------------------------------------------------------------------------------------------------
+    def ports_of(self, w: Array) -> Array:
+        """Port values of a nodal vector without its reference part, (n d,) -> (n_port,); collective."""
+        d = self.field.dim
+        W = w.reshape(-1, d)
+        parts = [self.conditions.T @ w] + [(s.weights.T @ W[s.nodes]).ravel() for s in self.surfaces]
+        parts += [B @ w for B in self.traces]
+        return self.field.total(np.concatenate(parts))
+
+    def port_force(self, f: Array) -> Array:
+        """Nodal forces of port forces, the transpose of :meth:`ports_of`; (n_port,) -> (n d,)."""
+        d, k = self.field.dim, self.n_frame_rows
+        out = (self.conditions @ f[:k]).reshape(-1, d)
+        for s in self.surfaces:
+            block = f[k : k + d * (1 + d)].reshape(1 + d, d)
+            out[s.nodes] += s.weights @ block
+            k += d * (1 + d)
+        flat = out.ravel()
+        for B in self.traces:
+            flat += B.T @ f[k : k + B.shape[0]]
+            k += B.shape[0]
+        return flat
+
+    def port_columns(self, used: np.ndarray) -> Array:
+        """Dense columns (n d, count) of :meth:`port_force` for the port numbers ``used``."""
+        out = np.empty((self.n, len(used)))
+        for i, p in enumerate(used):
+            e = np.zeros(self.n_port)
+            e[p] = 1.0
+            out[:, i] = self.port_force(e)
+        return out
+
+    def port_gram(self) -> Array:
+        """P P^T of the ports p = P w, (n_port, n_port): ports of neighbouring surfaces share nodes; collective."""
+        import scipy.sparse as sp
+
+        d = self.field.dim
+        rows = [sp.csr_matrix(self.conditions.T)]
+        for s in self.surfaces:
+            place = sp.csr_matrix(
+                (np.ones(len(s.nodes)), (np.arange(len(s.nodes)), s.nodes)), (len(s.nodes), self.n // d)
+            )
+            rows.append(sp.kron(sp.csr_matrix(s.weights.T) @ place, sp.identity(d), format="csr"))
+        P = sp.vstack([*rows, *self.traces], format="csr")
+        return self.field.total((P @ P.T).toarray())
+
+    # -- tangent ------------------------------------------------------------------------------------------------
+    def turn(self, u: Array) -> Array | None:
+        """Rotation (d, d) in which the factored tangent acts, None for the field's own axes; collective."""
+        return None
+
+    def sway(self, u: Array) -> Array | None:
+        """M u (nodes, d) where its moments on the frame are not in the columns of inertia, else None; collective."""
+        return None
+
+    @property
+    def tangent_version(self) -> int:
+        """Number of the tangent that :class:`Field` holds; a new number asks for a new factor."""
+        return 0
+
+    def relinearise(self) -> bool:
+        """Take the tangent at the configuration evaluated last; False when it is constant anyway. Collective."""
+        return False
+
+    def remember(self, m: Any) -> None:
+        """Take the tangent again where it was taken last (see :mod:`fmbd_fenicsx.system.serialisation`); collective."""
+        U, load, pressure = self._tangent_at or (None, None, None)
+        if not m("own tangent", U is not None):
+            return
+        U, load = m.nodal("displacement", U, self.field.numbering), m("load", load)
+        if self.field.carried:
+            pressure = m.nodal("pressure", pressure, self.field.pressure_numbering)  # type: ignore[attr-defined]
+        if m.reading and U is not None:
+            self._take_tangent(U, load, pressure)
+
+    def _take_tangent(self, U: Array, load: Any, pressure: Array | None) -> None:
+        """The tangent of a configuration, with what else it depends on."""
+        raise NotImplementedError
+
+    # -- the core's share ---------------------------------------------------------------------------------------
+    def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
+        """Mass block of the frame (zero without one); the field's own blocks stay with its factor."""
+        n = self.motions.n_twist
+        return np.zeros((n, n)), np.zeros((0, n)), np.zeros((0, 0))
+
+    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """None in the core."""
+        return np.zeros((0, 0)), np.zeros((0, 0))

@@ -1,0 +1,258 @@
+"""Elastic bodies in a floating frame.
+
+A flexible body in a moving frame has x = r + R P, P = X + U. Its nodal accelerations and inertia forces in body axes are
+
+    a = R^T (r'' - g) + w' x P + w x (w x P) + 2 w x U' + U'',     F = M a                                   (1)
+
+    translation:  R sum_n F_n        rotation:  sum_n P_n x F_n      field:  F + K U + D U'                  (2)
+
+and nothing else: no inertia shape integrals, no gyroscopic terms by hand, because constants and linear functions lie
+in V_h and M commutes with node-wise rotations (Galerkin mass, unlumped).
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...errors import ConvergenceError, InputError
+from ...fem.fields import Field
+from ...rotations import Array, axial, motions, spin_matrix
+from ..placements import Attached, Chord, FrameMotion, MeanAxis
+from ..reduction.foreshortening import Bent, Shortening
+from ..reduction.modes import first_eigenvalue_bound, first_frequency
+from ..reduction.stiffening import Stiffening
+from ..validity import TOO_LARGE, too_large, warn_of_spin
+from .field_part import FieldPart
+
+
+class FloatingField(FieldPart):
+    """A displacement field in a floating frame; equations (1), (2). One per body.
+
+    ``frame`` is the index of its frame, ``kind`` says how it follows the body; ``held_at``: the surface that holds the inertia
+    forces whose stress stiffens the body, None for no stiffening.
+    """
+
+    def __init__(
+        self,
+        field: Field,
+        frame: int,
+        surfaces: list[str],
+        kind: MeanAxis | Attached | Chord,
+        held_at: str | None = None,
+    ) -> None:
+        super().__init__(field, frame, surfaces, frame_conditions(field, kind))
+        self.stiffening: Stiffening | None = None
+        self.shortening: Shortening | None = None
+        if held_at is not None:
+            moved = [s for s in surfaces if s != held_at]
+            self.stiffening = Stiffening(field, attachment(field, held_at), moved)
+            self.shortening = self.stiffening.shortening(surfaces, self.n_frame_rows, self.n_port)
+        self.shared_columns = isinstance(kind, MeanAxis)
+        self.inertia_columns = field.Q
+        self.moment, self.inertia = np.zeros(field.dim), field.inertia
+        self._last, self.warned = np.zeros(self.n), False
+        self._load: Array = np.zeros(0 if self.stiffening is None else self.stiffening.count)
+        self.shown: Bent | None = None
+
+    # -- mechanics ----------------------------------------------------------------------------------------------
+    def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """Rows of (2): the frame's (n_twist,), world translation and body rotation, and the field's (n d,); collective."""
+        d, R, accel = self.field.dim, motion.R, motion.accel
+        assert accel is not None
+        U, Ud, Udd = (x.reshape(-1, d) for x in local)
+        P = self.field.X + U
+        w = motion.twist[d:]
+        a, spin = R.T @ (accel[:d] - motion.gravity), spin_matrix(w)
+        A = P @ (spin_matrix(accel[d:]) + spin @ spin).T
+        A += Ud @ (2.0 * spin.T)
+        A += Udd
+        A += a
+        F = self.field.mass(A)
+        inner = None
+        if self.field.loads.loads:
+            outer, inner = self.field.loads.nodal(motion.t, R, local[0])
+            F = F - outer
+        sums = self.field.total(np.concatenate((F.sum(0), axial(P.T @ F), [float(local[0] @ local[0])])))
+        self._watch(float(np.linalg.norm(w)), sums[-1])
+        sums = sums[:-1]
+        sums[:d] = R @ sums[:d]
+        rows = F.ravel() + self.internal(local[0], local[1])
+        if inner is not None:
+            rows -= inner.ravel()
+        if self.field.D is not None:
+            rows += self.field.damping(local[1])
+        if self.stiffening is not None:
+            self._load = self.stiffening.coefficients(inertia_load(a, motion.twist[d:], accel[d:]), motion.t, R)
+            rows += self.stiffening.force(self._load, local[0])
+        if self.field.forms.mass_damping:
+            rows += self.field.forms.mass_damping * self.field.mass(Ud).ravel()
+        return sums, rows
+
+    def _watch(self, spin: float, square: float) -> None:
+        """Warn of a spin above the first frequency; refuse displacements of the size of the body. Linear bodies only."""
+        f = self.field
+        if f.nonlinear:
+            return
+        mean = np.sqrt(square * f.dim / f.n_global)
+        if not mean <= TOO_LARGE * f.size:
+            raise ConvergenceError(too_large(self.name, mean, f.size))
+        if self.stiffening is None and not self.warned and spin > self.spin_to_check:
+            self.warned = True
+            warn_of_spin(self.name, spin, first_frequency(f, self.conditions))
+
+    @cached_property
+    def spin_to_check(self) -> float:
+        """Angular velocity (rad/s) below which no beam under any support is near its first frequency."""
+        return 0.1 * float(np.sqrt(first_eigenvalue_bound(self.field)))
+
+    def internal(self, U: Array, Ud: Array) -> Array:
+        """f_int(U) + beta K U', (n d,)."""
+        beta = self.field.forms.stiffness_damping
+        self._last = U
+        if not self.field.nonlinear:
+            return self.field.stiffness(U + beta * Ud if beta else U)
+        f = self.field.internal(U)
+        return f + beta * self.field.stiffness(Ud) if beta else f
+
+    def port_columns(self, used: np.ndarray) -> Array:
+        """Columns (n d, count) of port forces, of the body as it was bent at the last :meth:`relinearise`."""
+        columns = super().port_columns(used)
+        return columns if self.shown is None else columns - self.shown.slopes @ self.shown.N[used].T
+
+    @property
+    def tangent_version(self) -> int:
+        """Number of tangents taken so far."""
+        return self.field.tangents
+
+    def relinearise(self) -> bool:
+        """Take tangent and inertia of the configuration whose forces were evaluated last; collective.
+
+        The columns of the frame's inertia M (e x P), frozen at P = X before, follow the deformed body: an attached frame
+        with large displacements needs them. They cost a few back-solves, no factor.
+        """
+        f, m, d = self.field, self.motions, self.field.dim
+        if self.stiffening is not None:
+            self.stiffening.set_load(self._load, self.shortening)
+            f.linearise(None, self.stiffening.matrix_form)
+        elif f.nonlinear:
+            f.linearise(self._last)
+        P = f.points(self._last)
+        Q = f.Q.reshape(f.n, d, m.n_twist).copy()
+        J = np.empty((m.n_rot, m.n_rot))
+        for k in range(m.n_rot):
+            Q[:, :, d + k] = f.mass(m.spin(np.eye(m.n_rot)[k : k + 1], P))
+            J[:, k] = m.moment(P, Q[:, :, d + k]).sum(0)
+        self.inertia = f.total(J)
+        self.moment = f.total(f.mass(P).sum(0))
+        self.inertia_columns = Q.reshape(self.n, m.n_twist)
+        self.shared_columns = False
+        self.shown = None if self.shortening is None else self.shortening.at(self._last)
+        self.column_version += 1
+        self._tangent_at = (self._last, (self._load, None if self.shortening is None else self.shortening.pull), None)
+        return True
+
+    def _take_tangent(self, U: Array, load: Any, pressure: Array | None) -> None:
+        self._last, (self._load, pull) = U, load
+        if self.shortening is not None:
+            self.shortening.pull = pull
+        self.relinearise()
+
+    def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
+        """Mass block of the frame with the columns in use; the field's own blocks stay with its factor."""
+        d, n = self.field.dim, self.motions.n_twist
+        M = np.zeros((n, n))
+        M[range(d), range(d)] = self.field.mass_total
+        M[d:, d:] = self.inertia
+        if self.column_version:
+            c = self.moment[None]
+            turn = np.eye(n - d)
+            for k in range(n - d):
+                M[:d, d + k] = motion.R @ self.motions.spin(turn[k : k + 1], c)[0]
+            M[d:, :d] = M[:d, d:].T
+        return M, np.zeros((0, n)), np.zeros((0, 0))
+
+    def sway(self, u: Array) -> Array | None:
+        """M U (nodes, d) where the columns of inertia are those of P = X; collective."""
+        return self.field.mass(u.reshape(-1, self.field.dim)) if self.shared_columns else None
+
+    def _velocity(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        """Points P, nodal velocities W in body axes and M W."""
+        d = self.field.dim
+        P = self.field.points(local[0])
+        W = motion.R.T @ motion.twist[:d] + self.motions.spin(motion.twist[None, d:], P) + local[1].reshape(-1, d)
+        return P, W, self.field.mass(W)
+
+    def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
+        """Kinetic, elastic and weight energy, J; collective."""
+        d, U = self.field.dim, local[0]
+        P, W, MW = self._velocity(motion, local)
+        sums = self.field.total(np.concatenate(([0.5 * float((W * MW).sum())], self.field.mass(P).sum(0))))
+        weight = -float(motion.gravity @ (self.field.mass_total * pose[:d] + motion.R @ sums[1:]))
+        return float(sums[0]), self.field.energy(U), weight
+
+    def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Linear and angular momentum about the world origin, world axes; collective."""
+        m, d = self.motions, self.field.dim
+        P, _, MW = self._velocity(motion, local)
+        sums = self.field.total(np.concatenate((MW.sum(0), m.moment(P, MW).sum(0))))
+        p = motion.R @ sums[:d]
+        return p, m.moment(pose[:d], p) + m.turn(motion.R, sums[d:])
+
+
+def inertia_load(a: Array, w: Array, alpha: Array) -> Array:
+    """(a, L) with L = alpha~ + w~ w~ as a flat array (d + d^2,); body axes."""
+    turn, spin = spin_matrix(alpha), spin_matrix(w)
+    return np.concatenate((a, (turn + spin @ spin).ravel()))
+
+
+def moment_columns(field: Field, surface: str) -> Array:
+    """Columns (n d, (1 + d) d) of the moments b_0, b_k of a surface as functions of the nodal displacements."""
+    moments, d = field.moments(surface), field.dim
+    C = np.zeros((field.n, d, 1 + d, d))
+    C[moments.nodes[:, None], range(d), :, range(d)] = moments.weights[:, None, :]
+    return C.reshape(field.n * d, -1)
+
+
+def frame_conditions(field: Field, frame: MeanAxis | Attached | Chord) -> Array:
+    """Columns C (n d, n_twist) of the conditions C^T U = 0 that tie a frame to its body."""
+    if isinstance(frame, MeanAxis):
+        return field.Q
+    if isinstance(frame, Chord):
+        return _chord(field, frame)
+    return attachment(field, frame.surface)
+
+
+def attachment(field: Field, surface: str) -> Array:
+    """Columns of the linear conditions "the surface does not move in the frame, on average"."""
+    m, d, moments = motions(field.dim), field.dim, field.moments(surface)
+    b = moments.reference[1:]  # (k, d)
+    C = np.zeros((field.n, d, m.n_twist))
+    C[moments.nodes[:, None], range(d), range(d)] = moments.weights[:, :1]
+    for c in range(d):
+        turn = m.moment(b, np.eye(d)[c])  # (k, n_rot): b_k x e_c
+        C[moments.nodes, c, d:] = moments.weights[:, 1:] @ turn
+    return C.reshape(-1, m.n_twist) * field.mass_total
+
+
+def _chord(field: Field, frame: Chord) -> Array:
+    """Columns of the conditions of a chord frame: the mean of one surface, the mean of another across the chord, the twist."""
+    m, d = motions(field.dim), field.dim
+    a, b = field.moments(frame.start), field.moments(frame.end)
+    chord = b.center - a.center
+    length = float(np.linalg.norm(chord))
+    if not length > 1e-6 * field.size:
+        raise InputError(
+            f'Body "{field.name}": the surfaces of its chord frame, "{frame.start}" and "{frame.end}", coincide.'
+        )
+    across = np.linalg.svd(chord[None] / length)[2][1:]  # (d - 1, d), perpendicular to the chord
+    C = np.zeros((field.n, d, m.n_twist))
+    C[a.nodes[:, None], range(d), range(d)] = a.weights[:, :1]
+    for k, n in enumerate(across):
+        C[b.nodes, :, d + k] = b.weights[:, :1] * n
+    C = C.reshape(-1, m.n_twist) * field.mass_total
+    if d == 3:
+        C[:, 5] = attachment(field, frame.start)[:, 3:] @ (chord / length)
+    return C

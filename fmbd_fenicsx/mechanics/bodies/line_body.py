@@ -1,0 +1,212 @@
+"""Planar lines by a user's own weak form: beams, cables and the like on an interval mesh, with large rotations.
+
+A line has the fields z(s) = (x, y, theta, ...) over 0 <= s <= length: the place of its sections in world axes (m), the angle of
+a section (rad), and what else the user needs. Its motion follows from two forms of the user,
+
+    int m(z'', w) ds  +  dPi(z)[w]  =  loads,          m bilinear and constant, Pi the energy in J                      (1)
+
+Ends are the surfaces "start" and "end": rigid sections at (x, y) that turn with theta, for joints, forces and sensors as on any
+body. Lines are small: every rank holds all of it, and its matrices belong to the core of the system.
+
+The energy is integrated with ``degree`` Gauss points in each cell: the reduced rule that keeps shear and stretch of curved
+configurations from locking. Masses are integrated exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...errors import CallbackError, InputError, near, require
+from ...rotations import Array
+from ..placements import FrameMotion
+from .bodies import Surface
+
+ENDS = ("start", "end")
+
+
+@dataclass(frozen=True, eq=False)
+class LineBody:
+    """A planar line by its own weak form, equation (1) of ``mechanics.bodies.line_body``.
+
+    Args:
+        name: what messages call it. Its surfaces are the end sections "start" and "end".
+        length: of the interval, m.
+        mass: bilinear form m(z, w, ds) in UFL, symmetric; z'' in the place of z gives the inertia.
+        energy: Pi(z, ds) in UFL, J.
+        start: z at the start, a function of s (n,) -> (fields, n); its first three rows are x, y (m) and theta (rad).
+        start_rate: z' at the start, likewise; None for rest.
+        cells, degree: of the mesh and of the Lagrange elements.
+        mass_damping: alpha (1/s): forces alpha m(z', w).
+    """
+
+    name: str
+    length: float
+    mass: Callable[[Any, Any, Any], Any]
+    energy: Callable[[Any, Any], Any]
+    start: Callable[[Array], Any]
+    start_rate: Callable[[Array], Any] | None = None
+    cells: int = 20
+    degree: int = 2
+    mass_damping: float = 0.0
+    dim: int = 2
+
+    def __post_init__(self) -> None:
+        require(self.length > 0, f'Line "{self.name}": length {self.length} m must be positive.')
+        require(self.cells >= 1 and self.degree >= 1, f'Line "{self.name}": cells and degree must be at least 1.')
+        require(self.mass_damping >= 0, f'Line "{self.name}": damping must not be negative.')
+
+    def surface(self, name: str) -> Surface:
+        """An end section: "start" or "end"."""
+        if name not in ENDS:
+            raise InputError(f'Line "{self.name}": no surface "{name}". {near(name, list(ENDS))}')
+        return Surface(self, name)
+
+
+class LinePart:
+    """A line as a replicated part of a system: local coordinates are the nodal values of z, in world axes.
+
+    Ports: at each end in use x, y, the turn since the start, and three zeros (the size of any other surface).
+    """
+
+    distributed = False
+    n_frame_rows = 0
+    comm = None
+
+    def __init__(self, body: LineBody, frame: int, surfaces: list[str]) -> None:
+        self.body, self.name, self.frame = body, body.name, frame
+        self._forms()
+        self.start, self.start_rate = self._nodal(body.start), self._nodal(body.start_rate)
+        self._place(self.start)
+        value = self._scalar(self._energy)
+        if not np.isfinite(value):
+            raise InputError(f'Line "{self.name}": its energy is {value} J at the start.')
+        self.n_port = 6 * len(surfaces)
+        self.port_matrix, self.reference = np.zeros((self.n_port, self.n)), np.zeros(self.n_port)
+        for k, name in enumerate(surfaces):
+            node = self._ends[name]
+            self.port_matrix[6 * k + np.arange(3), node + np.arange(3)] = 1.0
+            self.reference[6 * k + 2] = -self.start[node + 2]
+        self.mass_total, self.size = float(self._weight[0].sum()), body.length
+
+    def _forms(self) -> None:
+        """Mesh, space and compiled forms; the mass matrix."""
+        import ufl
+        from dolfinx import fem, mesh
+        from mpi4py import MPI
+
+        from ... import dolfinx_compat as compat
+
+        compat.check_versions()
+        b = self.body
+        line = mesh.create_interval(MPI.COMM_SELF, b.cells, [0.0, b.length])
+        count = len(np.asarray(b.start(np.zeros(1))))
+        require(count >= 3, f'Line "{b.name}": start(s) must give x, y and theta at least, found {count} rows.')
+        self.fields = count
+        self.space = fem.functionspace(line, ("Lagrange", b.degree, (count,)))
+        self.s = self.space.tabulate_dof_coordinates()[:, 0]
+        self.n = len(self.s) * count
+        self._ends = {"start": count * int(np.argmin(self.s)), "end": count * int(np.argmax(self.s))}
+        z, w, dz = ufl.TrialFunction(self.space), ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
+        ds = ufl.Measure("dx", domain=line)
+        try:
+            M = fem.assemble_matrix(compat.form(b.mass(z, w, ds)))
+            self.M = M.to_dense()
+            self._z = fem.Function(self.space)
+            energy = b.energy(self._z, ds(metadata={"quadrature_degree": 2 * b.degree - 1}))
+            force = ufl.derivative(energy, self._z, w)
+            self._energy, self._force, self._stiffness = (
+                compat.form(x) for x in (energy, force, ufl.derivative(force, self._z, dz))
+            )
+        except Exception as error:
+            raise InputError(
+                f'Line "{b.name}": mass(z, w, ds) must be a bilinear form and energy(z, ds) a form of rank 0: '
+                f"{type(error).__name__}: {error}"
+            ) from error
+        self._K = fem.create_matrix(self._stiffness)
+        if np.abs(self.M - self.M.T).max() > 1e-10 * np.abs(self.M).max():
+            raise InputError(f'Line "{b.name}": its mass form is not symmetric.')
+        unit = np.zeros((2, self.n))
+        unit[0, 0::count], unit[1, 1::count] = 1.0, 1.0
+        self._weight = unit @ self.M  # rows: what gravity along x and y does
+
+    def _nodal(self, function: Callable[[Array], Any] | None) -> Array:
+        """Nodal values of z(s)."""
+        if function is None:
+            return np.zeros(self.n)
+        found = np.asarray(function(self.s), dtype=float)
+        if found.shape != (self.fields, len(self.s)) or not np.isfinite(found).all():
+            raise CallbackError(
+                f'Line "{self.name}": start functions must return {self.fields} finite rows of one value for each s; '
+                f"found shape {found.shape}."
+            )
+        return found.T.ravel().copy()
+
+    def _place(self, z: Array) -> None:
+        self._z.x.array[:] = z
+
+    @staticmethod
+    def _scalar(form: Any) -> float:
+        from dolfinx import fem
+
+        return float(fem.assemble_scalar(form))
+
+    @cached_property
+    def _at(self) -> dict[str, Array]:
+        return {name: self.start[k : k + 2].copy() for name, k in self._ends.items()}
+
+    # -- ports --------------------------------------------------------------------------------------------------
+    def surface_center(self, surface: str) -> Array:
+        """Place of an end section at the start, world axes."""
+        return self._at[surface]
+
+    def ports_of(self, w: Array) -> Array:
+        """Port values of nodal values, (n,) -> (n_port,)."""
+        return np.asarray(self.port_matrix @ w)
+
+    def port_force(self, f: Array) -> Array:
+        """Nodal forces of port forces."""
+        return np.asarray(self.port_matrix.T @ f)
+
+    # -- mechanics ----------------------------------------------------------------------------------------------
+    def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """Rows of (1): inertia, energy and weight."""
+        from dolfinx import fem
+
+        z, v, a = local
+        self._place(z)
+        inner = fem.assemble_vector(self._force).array
+        alpha = self.body.mass_damping
+        rows = self.M @ (a + alpha * v if alpha else a) + inner - motion.gravity @ self._weight
+        return np.zeros_like(motion.twist), rows
+
+    def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
+        """M, constant."""
+        n = len(motion.twist)
+        return np.zeros((n, n)), np.zeros((self.n, n)), self.M
+
+    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Second derivative of the energy, and the damping."""
+        from dolfinx import fem
+
+        self._place(local[0])
+        self._K.set_value(0.0)
+        fem.assemble_matrix(self._K, self._stiffness)
+        return self._K.to_dense(), self.body.mass_damping * self.M
+
+    def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
+        """Kinetic, elastic and weight energy, J."""
+        z, v = local
+        self._place(z)
+        weight = -float(motion.gravity @ self._weight @ z)
+        return 0.5 * float(v @ self.M @ v), self._scalar(self._energy), weight
+
+    def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Linear momentum, and angular momentum about the world origin with the spin of the sections."""
+        z, p = local[0].reshape(-1, self.fields), (self.M @ local[1]).reshape(-1, self.fields)
+        spin = z[:, 0] @ p[:, 1] - z[:, 1] @ p[:, 0] + p[:, 2].sum()
+        return p[:, :2].sum(0), np.array([float(spin)])

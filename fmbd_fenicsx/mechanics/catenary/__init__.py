@@ -1,0 +1,1 @@
+"""Catenary: wires, droppers and what slides along them."""

@@ -1,0 +1,418 @@
+"""Parallel tensioned wires with bending stiffness, hung from each other by droppers: catenaries, cable nets in a plane.
+
+Transverse displacements w_i(x, t) of wires i over the interval (0, L), one weak form in UFL,
+
+    sum_i int mu_i w_i'' v_i + T_i w_i,x v_i,x + EI_i w_i,xx v_i,xx dx  + point springs  =  sum_i int mu_i g v_i dx            (1)
+
+with cubic Hermite elements (C^1: a load that travels over an element border sees no kink; Basix's "Hermite" on a uniform
+interval). Droppers pull, N = k max(e, 0), and never push. Mass and stiffness are constant and factored once; only the slack of
+droppers is nonlinear. Wires are small against the rest of a scene, so every rank holds all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError, require
+from ...rotations import Array, motions
+from ..bodies.field_part import FieldPart
+from ..placements import FrameMotion
+
+
+@dataclass(frozen=True)
+class Wire:
+    """One wire: mass per length (kg/m), tension (N), bending stiffness (N m^2)."""
+
+    mass: float
+    tension: float
+    bending: float = 0.0
+
+    @property
+    def wave_speed(self) -> float:
+        """sqrt(T / mu), m/s."""
+        return float(np.sqrt(self.tension / self.mass))
+
+
+@dataclass(frozen=True)
+class PointSupport:
+    """A spring (N/m) between wire number ``wire`` at x (m) and the ground, free of force at w = 0."""
+
+    wire: int
+    x: float
+    stiffness: float
+
+
+@dataclass(frozen=True)
+class Dropper:
+    """Hangs ``lower`` from ``upper`` (numbers of wires) at x (m): N = stiffness max(w_upper - w_lower + offset, 0), N.
+
+    ``offset`` (m) is how much shorter than the distance of the undisplaced wires it is; see :meth:`Wires.hung`.
+    """
+
+    upper: int
+    lower: int
+    x: float
+    stiffness: float
+    offset: float = 0.0
+    one_sided: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Wires:
+    """Parallel wires over (0, length), ends held by stiff anchors; transverse to x, positive against gravity.
+
+    Args:
+        name: what messages and sensors call it.
+        length: m. ``cells``: number of Hermite elements of one length.
+        wires, supports, droppers: what it is made of.
+        mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s) of wires and supports.
+        anchor: stiffness (N/m) with which both ends of every wire are held.
+    """
+
+    name: str
+    length: float
+    cells: int
+    wires: tuple[Wire, ...]
+    supports: tuple[PointSupport, ...] = ()
+    droppers: tuple[Dropper, ...] = ()
+    mass_damping: float = 0.0
+    stiffness_damping: float = 0.0
+    anchor: float = 1e7
+    dim: int | None = None
+
+    def __post_init__(self) -> None:
+        require(self.length > 0 and self.cells > 0, f'Wires "{self.name}": length and cells must be positive.')
+        for w in self.wires:
+            require(w.mass > 0 and w.tension >= 0 and w.bending >= 0, f'Wires "{self.name}": unusable data {w}.')
+        for x in (*(s.x for s in self.supports), *(d.x for d in self.droppers)):
+            if not 0 <= x <= self.length:
+                raise InputError(
+                    f'Wires "{self.name}": a support or dropper at x = {x:g} m lies outside (0, {self.length:g}) m.'
+                )
+
+    def hung(self, sag: Any = 0.0, *, gravity: float = 9.81) -> Wires:
+        """Form finding: the same wires with droppers so long that the lower wire hangs at ``sag`` (m, or a function of x) at
+        each.
+
+        With f the weights, the lower wire held at the droppers gives their tensions N, the upper wire under N its shape, and
+        offset = N / k - (w_upper - w_lower). Raises InputError where a dropper would have to push.
+        """
+        import scipy.sparse as sp
+        import scipy.sparse.linalg as sl
+
+        free = replace(self, droppers=())
+        field = LineField(free)
+        K, f = field.csr(), -gravity * field.weight
+        x = np.array([d.x for d in self.droppers])
+        low = sp.vstack([field.row(d.lower, d.x) for d in self.droppers]).tocsr()
+        high = sp.vstack([field.row(d.upper, d.x) for d in self.droppers]).tocsr()
+        target = -np.array([sag(xi) if callable(sag) else sag for xi in x], dtype=float)
+        held = sp.bmat([[K, low.T], [low, None]]).tocsc()
+        solution = sl.spsolve(held, np.concatenate((f, target)))
+        N = -solution[field.n :]
+        if N.min() < 0:
+            raise InputError(
+                f'Wires "{self.name}": the dropper at x = {x[N.argmin()]:g} m would have to push for this sag.'
+            )
+        w = sl.spsolve(K.tocsc(), f - (high - low).T @ N)
+        gap = (high - low) @ w
+        field.destroy()
+        hung = [replace(d, offset=float(n / d.stiffness - g)) for d, n, g in zip(self.droppers, N, gap, strict=True)]
+        return replace(self, droppers=tuple(hung))
+
+
+@dataclass(frozen=True)
+class _Damping:
+    mass_damping: float
+    stiffness_damping: float
+    energy: Any = None
+
+
+class LineField:
+    """Matrices of (1) on one rank; what the solver's factors need of a field.
+
+    Unknowns are values and slopes (with respect to the cell's own coordinate) of all wires at the nodes.
+    """
+
+    dim = 1
+    D = None  # no damping form
+    redistributed = False
+    nonlinear = mixed = indefinite = carried = keeps_volume = False
+
+    def __init__(self, body: Wires) -> None:
+        import basix
+        import basix.ufl
+        import dolfinx.fem.petsc as fp
+        import ufl
+        from dolfinx import fem, mesh
+        from mpi4py import MPI
+
+        from ... import dolfinx_compat as compat
+
+        compat.check_versions()
+        self.name, self.body, self.comm = body.name, body, MPI.COMM_SELF
+        self.factors: dict[tuple[float, float], Any] = {}  # of the solver, see linear/blocks/low_rank.py
+        self.forms = _Damping(body.mass_damping, body.stiffness_damping)
+        line = mesh.create_interval(self.comm, body.cells, [0.0, body.length])
+        cell = basix.create_element(basix.ElementFamily.Hermite, basix.CellType.interval, 3)
+        hermite = basix.ufl.wrap_element(cell)
+        count = len(body.wires)
+        self.space = fem.functionspace(line, basix.ufl.blocked_element(hermite, shape=(count,)))
+        u, v, dx = ufl.TrialFunction(self.space), ufl.TestFunction(self.space), ufl.dx(domain=line)
+        mu, T, EI = (
+            fem.Constant(line, np.array([getattr(w, a) for w in body.wires], dtype=float))
+            for a in ("mass", "tension", "bending")
+        )
+
+        def weighted(c: Any, order: int) -> Any:
+            def d(w: Any, i: int) -> Any:
+                out = w[i]
+                for _ in range(order):
+                    out = out.dx(0)
+                return out
+
+            return sum(c[i] * d(u, i) * d(v, i) for i in range(count)) * dx
+
+        self.M = fp.assemble_matrix(compat.form(weighted(mu, 0)))
+        self.M.assemble()
+        self.K = fp.assemble_matrix(compat.form(weighted(T, 1) + weighted(EI, 2)))
+        self.K.assemble()
+        self.n = self.n_global = self.M.size[0]
+        self._cells(cell, line, count)
+        self._point_springs()
+        self._work = [self.K.createVecRight(), self.K.createVecLeft()]
+        ones = np.zeros(self.n)
+        ones[self.dofs[:, 0::2].ravel()] = 1.0
+        self.weight: Array = self.mass(ones[:, None])[:, 0]
+        self.mass_total, self.size = float(self.weight.sum()), body.length
+
+    def _cells(self, cell: Any, line: Any, count: int) -> None:
+        """Unknowns (value, slope, value, slope) of each wire on each cell from left to right, (cells, 4 count)."""
+        self.element, self.h = cell, self.body.length / self.body.cells
+        from ...dolfinx_compat import geometry_dofmap
+
+        corners = line.geometry.x[geometry_dofmap(line), 0]
+        middle = corners.mean(1)
+        order = np.argsort(middle)
+        local = self.space.dofmap.list[order]
+        first = corners[order, 0]
+        require(bool(np.allclose(first, self.h * np.arange(len(order)))), "DOLFINx turned cells of an interval around.")
+        self.by_wire = local[:, :, None] * count + np.arange(count)  # (cells, 4, count)
+        self.dofs = self.by_wire.transpose(0, 2, 1).reshape(len(order), -1)
+
+    def shape(self, wire: int, x: float, derivatives: int = 0) -> tuple[np.ndarray, Array]:
+        """Unknowns (4,) of a wire at x, and values and x-derivatives (1 + derivatives, 4) of their shape functions."""
+        c = min(max(int(x / self.h), 0), self.body.cells - 1)
+        table = self.element.tabulate(derivatives, np.array([[x / self.h - c]]))[:, 0, :, 0]
+        return self.by_wire[c, :, wire], table / self.h ** np.arange(derivatives + 1)[:, None]
+
+    def row(self, wire: int, x: float) -> Any:
+        """w_wire(x) as a sparse row (1, n)."""
+        import scipy.sparse as sp
+
+        dofs, values = self.shape(wire, x)
+        return sp.csr_matrix((values[0], (np.zeros(4, int), dofs)), shape=(1, self.n))
+
+    def _point_springs(self) -> None:
+        """Supports, anchors and (taut) droppers into K; B and offsets of the droppers."""
+        import scipy.sparse as sp
+
+        b = self.body
+        ends = [PointSupport(i, x, b.anchor) for i in range(len(b.wires)) for x in (0.0, b.length)]
+        rows = [self.row(s.wire, s.x) for s in (*b.supports, *ends)]
+        weights = [s.stiffness for s in (*b.supports, *ends)]
+        drop = [self.row(d.upper, d.x) - self.row(d.lower, d.x) for d in b.droppers]
+        self.B = sp.vstack(drop).tocsr() if drop else sp.csr_matrix((0, self.n))
+        self.offset = np.array([d.offset for d in b.droppers])
+        self.stiff = np.array([d.stiffness for d in b.droppers])
+        self.one_sided = np.array([d.one_sided for d in b.droppers], dtype=bool)
+        self.K = self._with(self.K, sp.vstack([*rows, self.B]).tocsr(), np.concatenate((weights, self.stiff)))
+
+    def _with(self, K: Any, rows: Any, weights: Array) -> Any:
+        """K + sum_r weights_r row_r^T row_r as a PETSc matrix."""
+        import scipy.sparse as sp
+        from petsc4py import PETSc
+
+        start, cols, values = K.getValuesCSR()
+        total = (sp.csr_matrix((values, cols, start), shape=K.size) + rows.T @ sp.diags(weights) @ rows).tocsr()
+        total.sort_indices()
+        K.destroy()
+        indices = (total.indptr.astype(PETSc.IntType), total.indices.astype(PETSc.IntType), total.data)
+        return PETSc.Mat().createAIJ(total.shape, csr=indices, comm=self.comm)
+
+    def csr(self) -> Any:
+        """K as a SciPy matrix."""
+        import scipy.sparse as sp
+
+        start, cols, values = self.K.getValuesCSR()
+        return sp.csr_matrix((values, cols, start), shape=self.K.size)
+
+    def _product(self, A: Any, u: Array) -> Array:
+        x, y = self._work
+        x.array[:] = u
+        A.mult(x, y)
+        return np.asarray(y.array.copy())
+
+    def mass(self, A: Array) -> Array:
+        """M A, (n, 1) -> (n, 1)."""
+        return self._product(self.M, A[:, 0])[:, None]
+
+    def tangent(self, u: Array) -> Array:
+        """K u with all droppers taut."""
+        return self._product(self.K, u)
+
+    def damping(self, v: Array) -> Array:
+        """Of a damping form: none."""
+        return np.zeros_like(v)
+
+    def tension(self, u: Array) -> tuple[Array, Array]:
+        """Tensions (N) of the droppers and what they would be if all could push."""
+        full = self.stiff * (self.B @ u + self.offset)
+        return np.where(self.one_sided, np.maximum(full, 0.0), full), full
+
+    def internal(self, u: Array) -> Array:
+        """K u + B^T (N - k B u)."""
+        N, _ = self.tension(u)
+        return self.tangent(u) + self.B.T @ (N - self.stiff * (self.B @ u))
+
+    def energy(self, u: Array) -> float:
+        """Of wires, supports and droppers, J."""
+        N, _ = self.tension(u)
+        linear = 0.5 * float(u @ self.tangent(u)) - 0.5 * float((self.stiff * (self.B @ u) ** 2).sum())
+        return linear + 0.5 * float((N**2 / np.maximum(self.stiff, 1e-300)).sum())
+
+    def total(self, x: Array) -> Array:
+        """The value itself: every rank holds all wires."""
+        return x
+
+    def combination(self, cm: float, ck: float, cd: float = 0.0) -> Any:
+        """cm M + ck K (cd: a damping form of its own, which wires have not); the caller destroys it."""
+        from petsc4py import PETSc
+
+        E = self.K.copy()
+        E.scale(ck)
+        E.axpy(cm, self.M, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        return E
+
+    def forget(self) -> None:
+        """Free the factors."""
+        for factor, _ in self.factors.values():
+            factor.destroy()
+        self.factors.clear()
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        self.forget()
+        for x in (self.M, self.K, *self._work):
+            x.destroy()
+
+
+class WiresPart(FieldPart):
+    """Wires as a part of a system. Ports: w, w_x, w_xx at each point that slides along a wire, and a zero.
+
+    ``sliders``: (wire, function t -> x). The ports move with time: :meth:`move` puts them where they are at t.
+    """
+
+    PORTS = 4
+
+    def __init__(self, body: Wires, frame: int, sliders: Sequence[tuple[int, Any]]) -> None:
+        self.field: Any = LineField(body)
+        self.body, self.name, self.frame, self.comm = body, body.name, frame, self.field.comm
+        self.motions = motions(2)
+        self.sliders = tuple(sliders)
+        self.n, self.n_port = self.field.n, self.PORTS * len(self.sliders)
+        self.n_frame_rows, self.surfaces = 0, []
+        self.inertia_columns = np.zeros((self.n, 0))
+        self.reference = np.zeros(self.n_port)
+        self.mass_total, self.size = self.field.mass_total, self.field.size
+        self.t = np.nan
+        self.slack: np.ndarray = np.zeros(0, dtype=int)  # droppers that the tangent leaves out
+        self._chosen = False  # whether Newton has just asked for the present set
+        self._tangents, self._last = 0, np.zeros(self.n)
+        self.statuses: list[Any] = []  # of the contacts at the sliding ports
+        self.move(0.0)
+
+    @property
+    def column_version(self) -> Any:  # type: ignore[override]
+        """Where the ports are and which of them are in use."""
+        return (self.t, *(s.closed for s in self.statuses))
+
+    def move(self, t: float) -> None:
+        """Put the sliding ports where they are at time t."""
+        if t == self.t:
+            return
+        self.t = t
+        self._at = []
+        for wire, path in self.sliders:
+            x = float(path(t))
+            if not 0 <= x <= self.body.length:
+                raise InputError(f'A point that slides on wires "{self.name}" leaves them: x = {x:g} m at t = {t:g} s.')
+            self._at.append(self.field.shape(wire, x, 2))
+
+    # -- tangent ------------------------------------------------------------------------------------------------
+    def turn(self, u: Array) -> None:
+        """No rotation; a step starts with the slack droppers of its first configuration."""
+        if not self._chosen:
+            self._see(u)
+        self._chosen = False
+
+    def _see(self, u: Array) -> bool:
+        N, full = self.field.tension(u)
+        slack = np.flatnonzero(full != N)
+        if np.array_equal(slack, self.slack):
+            return False
+        self.slack = slack
+        self._tangents += 1
+        return True
+
+    @property
+    def tangent_version(self) -> int:
+        """Number of slack sets taken so far."""
+        return self._tangents
+
+    def relinearise(self) -> bool:
+        """Take the slack droppers of the configuration evaluated last; False when they are the same."""
+        self._chosen = self._see(self._last)
+        return self._chosen
+
+    # -- mechanics ----------------------------------------------------------------------------------------------
+    def ports_of(self, w: Array) -> Array:
+        """w, w_x, w_xx, 0 at each sliding point."""
+        return np.concatenate([np.zeros(0), *(np.append(table @ w[dofs], 0.0) for dofs, table in self._at)])
+
+    def port_force(self, f: Array) -> Array:
+        """Its transpose."""
+        out = np.zeros(self.n)
+        for (dofs, table), fi in zip(self._at, f.reshape(-1, self.PORTS), strict=True):
+            out[dofs] += table.T @ fi[:3]
+        return out
+
+    def port_gram(self) -> Array:
+        """P P^T of the ports where they are now; every rank holds all wires."""
+        columns = self.port_columns(np.arange(self.n_port))
+        return columns.T @ columns
+
+    def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """Rows of (1)."""
+        u, v, a = local
+        self._last = u
+        f, forms = self.field, self.field.forms
+        inertia = a + forms.mass_damping * v if forms.mass_damping else a
+        rows = f.mass(inertia[:, None])[:, 0] - motion.gravity[1] * f.weight + f.internal(u)
+        if forms.stiffness_damping:
+            rows += forms.stiffness_damping * (f.tangent(v) - f.B.T @ (f.stiff * (f.B @ v)))
+        return np.zeros(self.motions.n_twist), rows
+
+    def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
+        """Kinetic, elastic and weight energy, J."""
+        u, v = local
+        kinetic = 0.5 * float(v @ self.field.mass(v[:, None])[:, 0])
+        return kinetic, self.field.energy(u), -float(motion.gravity[1] * (self.field.weight @ u))
+
+    def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Transverse momentum; angular momentum is not kept."""
+        return np.array([0.0, float(self.field.weight @ local[1])]), np.zeros(1)

@@ -1,0 +1,1 @@
+"""Contact: shapes, gaps and their rows."""

@@ -1,0 +1,153 @@
+"""Contact as a user describes it: which surface may touch which obstacle or surface, and by which law.
+
+    gap g >= 0,   force Lambda >= 0,   Lambda g = 0                         (Signorini)                     (1)
+    |tau| <= mu Lambda,   tau = -mu Lambda s / |s| where it slips           (Coulomb)                       (2)
+
+Both are unilateral rows of the same saddle point as the joints. On elastic surfaces the multiplier is a field on the
+trace with the dual (biorthogonal) basis psi_i of the Lagrange basis phi_i, so that the row of a node couples to this
+node only:
+
+    int psi_i phi_j = delta_ij D_i,   D_i = int phi_i,   force on node i: Lambda_i = p_i D_i with the
+    pressure p_i.    (3)
+
+Source: Wohlmuth, "Variationally consistent discretization schemes and numerical algorithms for contact
+problems", doi:10.1017/S0962492911000079.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError, require
+from ...rotations import Array
+from ..bodies.bodies import RigidBody, Surface
+from .shapes import Obstacle
+
+
+@dataclass(frozen=True, eq=False)
+class RigidPoints:
+    """Points of a rigid body that may touch, each the centre of a ball of ``radius`` m (0: a corner).
+
+    ``points`` (n, d) in body axes from the centre of mass; see :func:`ball`, :func:`corners`,
+    :func:`cylinder_end`.
+    """
+
+    body: RigidBody
+    points: Array
+    radius: float = 0.0
+
+    @property
+    def dim(self) -> int:
+        """Space dimension of the body."""
+        return self.body.dim
+
+    def __repr__(self) -> str:
+        return f'points of "{self.body.name}"'
+
+
+def ball(body: RigidBody, radius: float, *, center: Sequence[float] | None = None) -> RigidPoints:
+    """The surface of a ball (plane: a disk) of ``radius`` m about ``center`` in body axes (the centre of
+    mass by default).
+    """
+    require(radius > 0, f'ball("{body.name}"): radius {radius} m must be positive.')
+    c = np.zeros(body.dim) if center is None else np.asarray(center, dtype=float)[: body.dim]
+    return RigidPoints(body, c[None], radius)
+
+
+def corners(body: RigidBody, points: Sequence[Sequence[float]] | Array) -> RigidPoints:
+    """Corners of a rigid body in body axes, (n, d) m."""
+    found = np.asarray(points, dtype=float)
+    require(
+        found.ndim == 2 and found.shape[1] == body.dim and bool(np.isfinite(found).all()),
+        f'corners("{body.name}"): points must be (n, {body.dim}) finite numbers, found shape {found.shape}.',
+    )
+    return RigidPoints(body, found)
+
+
+def cylinder_end(
+    body: RigidBody, radius: float, *, center: Sequence[float], axis: Sequence[float], points: int = 12
+) -> RigidPoints:
+    """The rim of a cylinder's end in body axes, as a ring of points (3D)."""
+    require(
+        body.dim == 3 and radius > 0 and points >= 3,
+        f'cylinder_end("{body.name}"): 3D, radius > 0, points >= 3.',
+    )
+    e = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    a = np.cross(e, np.eye(3)[np.argmin(np.abs(e))])
+    a /= np.linalg.norm(a)
+    angle = 2 * np.pi * np.arange(points) / points
+    ring = np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * np.cross(e, a)
+    return RigidPoints(body, np.asarray(center, dtype=float) + radius * ring)
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """A pair that may touch; made by :func:`contact`, which documents the fields."""
+
+    name: str
+    slave: Any
+    master: Any
+    friction: float = 0.0
+    restitution: float = 0.0
+    search: float | None = None
+    redistribute_mass: bool = True
+
+
+def contact(
+    name: str,
+    slave: Surface | RigidPoints,
+    master: Obstacle | Surface,
+    *,
+    friction: float = 0.0,
+    restitution: float = 0.0,
+    search: float | None = None,
+    redistribute_mass: bool = True,
+) -> Contact:
+    """Unilateral contact (1) of a surface with an obstacle or another surface, with Coulomb friction (2).
+
+    Args:
+        name: what messages, sensors and the plan call the pair.
+        slave: a surface of an elastic body, or points of a rigid one.
+        master: an obstacle, or a surface of another elastic body.
+        friction: Coulomb's coefficient mu; 0 carries no friction rows.
+        restitution: ratio e of normal velocities after and before an impact; read by the Moreau scheme only.
+        search: distance (m) up to which points are candidates; by default chosen from the speed and the size.
+        redistribute_mass: no inertia on the contact nodes, total mass, centre and inertia kept; see
+        ``docs/contact.md``.
+
+    Raises:
+        InputError: slave and master are the same surface, or values out of range.
+    """
+    require(
+        isinstance(slave, Surface | RigidPoints),
+        f'Contact "{name}": {slave!r} is neither a surface nor rigid points.',
+    )
+    require(
+        isinstance(master, Surface | Obstacle),
+        f'Contact "{name}": {master!r} is neither an obstacle nor a surface.',
+    )
+    require(
+        bool(np.isfinite(friction)) and friction >= 0,
+        f'Contact "{name}": friction {friction} must not be negative.',
+    )
+    require(0 <= restitution <= 1, f'Contact "{name}": restitution {restitution} must lie in [0, 1].')
+    require(search is None or search > 0, f'Contact "{name}": search {search} m must be positive.')
+    if isinstance(master, Surface):
+        if isinstance(slave, RigidPoints):
+            raise InputError(
+                f'Contact "{name}": give the elastic surface as slave, and an Obstacle on the rigid body as master.'
+            )
+        if slave.body is master.body and slave.name == master.name:
+            raise InputError(
+                f'Contact "{name}": slave and master are the same facets, {slave!r}. Name two different surfaces.'
+            )
+        if slave.body is master.body:
+            raise InputError(f'Contact "{name}": contact of "{slave.body.name}" with itself is not offered.')
+    return Contact(name, slave, master, float(friction), float(restitution), search, redistribute_mass)
+
+
+__all__ = ["Contact", "RigidPoints", "ball", "contact", "corners", "cylinder_end"]

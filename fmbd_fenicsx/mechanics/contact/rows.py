@@ -1,0 +1,429 @@
+"""Gaps and their derivatives: the unilateral rows of all contacts in one configuration.
+
+For a candidate point j of a slave with world position x_j and an obstacle with pose (r_o, R_o) and signed
+distance d,
+
+    g_j = sum_k T_jk d(R_o^T (x_k - r_o)) - radius,   n_k = R_o grad d,   g' = sum_k T_jk n_k . (x_k' -
+    obstacle's velocity)   (1)
+
+with T = 1 except on quadratic triangles (see ``mechanics.contact.trace``). The derivative with respect to velocities
+is the matrix N; forces Lambda >= 0 on the candidates enter the balance as -N^T Lambda. Rows of tangents have the same
+form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...rotations import Array, Motions
+from .trace import SurfaceNodes, Trace
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Rows on velocities: ``core`` (m, n_core) and, for each trace, ``field`` (m, n_trace d) in the body's
+    axes.
+    """
+
+    core: Array
+    field: tuple[Any, ...]
+
+    def take(self, rows: np.ndarray) -> Linear:
+        """Some of the rows."""
+        return Linear(self.core[rows], tuple(f[rows] for f in self.field))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """All candidates: gap (m,) m, normal rows, tangential rows, laws.
+
+    ``normal`` (m, d): from the obstacle to the slave, world axes; ``drift`` (m, d - 1) m: tangential motion
+    of prescribed obstacles, over the step given by ``since``; ``trace`` (m,): number of the trace that carries the multiplier, -1
+    for a rigid point.
+    """
+
+    gap: Array
+    N: Linear
+    tangents: tuple[Linear, ...]
+    friction: Array
+    restitution: Array
+    normal: Array
+    drift: Array
+    trace: np.ndarray
+
+    def take(self, rows: np.ndarray) -> Rows:
+        """Some of the candidates."""
+        return replace(
+            self,
+            **{n: getattr(self, n)[rows] for n in _PER_ROW},
+            N=self.N.take(rows),
+            tangents=tuple(t.take(rows) for t in self.tangents),
+        )
+
+
+_PER_ROW = ("gap", "friction", "restitution", "normal", "drift", "trace")
+
+
+@dataclass(frozen=True)
+class Side:
+    """Slave points: nodes of a trace (``trace`` its number, ``surface``), or points of a rigid frame."""
+
+    trace: int
+    surface: SurfaceNodes | None
+    frame: int
+    points: Array
+    radius: float
+
+
+@dataclass(frozen=True)
+class Carrier:
+    """Pose of an obstacle: a frame of the system (its number, the ground included) times an optional
+    prescribed motion.
+    """
+
+    frame: int
+    offset: Array  # pose of a locked body, (n_pose,)
+    motion: Callable[[float], Array] | None
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One contact with an obstacle, ready to evaluate."""
+
+    name: str
+    slave: Side
+    shape: Any
+    carrier: Carrier
+    friction: float
+    restitution: float
+    search: float | None
+    massless: bool
+
+    @property
+    def rigid(self) -> bool:
+        """Whether no elastic surface takes part."""
+        return self.slave.surface is None
+
+    @property
+    def moving(self) -> bool:
+        """Whether the obstacle moves as prescribed."""
+        return self.carrier.motion is not None
+
+    @property
+    def weight(self) -> Array:
+        """Dual weights D of the candidates, 1 on rigid points, (m,)."""
+        return np.ones(self.count) if self.slave.surface is None else self.slave.surface.weights
+
+    @property
+    def trace_nodes(self) -> np.ndarray | None:
+        """Numbers in the trace of the candidates' nodes, None for rigid points."""
+        return None if self.slave.surface is None else self.slave.surface.nodes
+
+    @property
+    def count(self) -> int:
+        """Candidates."""
+        return len(self.slave.points) if self.slave.surface is None else len(self.slave.surface.nodes)
+
+
+class ContactSet:
+    """All contacts of a system; evaluates :class:`Rows`. Attributes: ``pairs``, ``traces``, ``frictional``,
+    ``names``.
+    """
+
+    def __init__(self, motions: Motions, pairs: tuple[Any, ...], traces: tuple[Trace, ...], n_core: int) -> None:
+        self.m, self.pairs, self.traces, self.n_core = motions, pairs, traces, n_core
+        self.frictional = any(p.friction > 0 for p in pairs)
+        self.names = tuple(p.name for p in pairs)
+
+    # -- kinematics ------------------------------------------------------------------------------------------
+    def nodes(self, system: Any, q: Array, trace: int) -> tuple[Array, Array, Array]:
+        """World positions (n, d) of a trace's nodes, positions in the body's axes, and the body's rotation;
+        collective.
+        """
+        tr = self.traces[trace]
+        pose = system.poses(q)[tr.frame]
+        R = self.m.matrix(pose)
+        P = tr.X + tr.gather(system.local_q(q, tr.part))
+        return pose[: self.m.dim] + P @ R.T, P, R
+
+    def pose(self, system: Any, carrier: Carrier, t: float, q: Array) -> Array:
+        """Pose of an obstacle."""
+        if carrier.motion is not None:
+            return carrier.motion(t)
+        return carrier.offset if carrier.frame < 0 else system.poses(q)[carrier.frame]
+
+    def rows(self, system: Any, t: float, q: Array, since: tuple[float, float] | None = None) -> Rows:
+        """All candidates at (t, q); ``since`` = (start, h) of the step over which the tangential drift of
+        obstacles counts. Collective.
+        """
+        nodes = self._cached_nodes(system, q)
+        parts = [p.rows(self, system, (t, q, since), nodes) for p in self.pairs]
+        return _stack(parts)
+
+    def touch(self, system: Any, t: float, q: Array) -> Touch:
+        """Gaps, points and normals of all candidates at (t, q), without derivatives; collective."""
+        nodes = self._cached_nodes(system, q)
+        parts = [p.touch(self, system, (t, q), nodes) for p in self.pairs]
+        if len(parts) == 1:
+            return parts[0]
+        return Touch(
+            *(np.concatenate([getattr(p, n) for p in parts]) for n in ("gap", "x", "normal", "relative", "geometric"))
+        )
+
+    def _cached_nodes(self, system: Any, q: Array) -> Callable[[int], tuple[Array, Array, Array]]:
+        cache: dict[int, tuple[Array, Array, Array]] = {}
+
+        def nodes(trace: int) -> tuple[Array, Array, Array]:
+            if trace not in cache:
+                cache[trace] = self.nodes(system, q, trace)
+            return cache[trace]
+
+        return nodes
+
+    @cached_property
+    def thickness(self) -> Array:
+        """Shortest way through the master of each candidate, m, (m,)."""
+        return np.concatenate([np.full(p.count, p.thickness) for p in self.pairs])
+
+    @cached_property
+    def weight(self) -> Array:
+        """Integrals of the multiplier functions of the candidates (1 on rigid points), (m,)."""
+        return np.concatenate([p.weight for p in self.pairs])
+
+    @cached_property
+    def pair(self) -> np.ndarray:
+        """Number of the pair of each candidate, (m,)."""
+        return np.concatenate([np.full(p.count, i) for i, p in enumerate(self.pairs)])
+
+    def search(self, now: Array, then: Array, length: float) -> Array:
+        """Search distances (m,) from the gaps now and one step ahead: twice the approach, or the pair's own
+        choice.
+        """
+        reach = np.empty_like(now)
+        first = 0
+        for p in self.pairs:
+            rows = slice(first, first + p.count)
+            first += p.count
+            both = np.isfinite(now[rows]) & np.isfinite(then[rows])
+            approach = np.abs(then[rows][both] - now[rows][both]).max(initial=0.0)
+            reach[rows] = max(2.0 * approach, 1e-6 * length) if p.search is None else p.search
+        return reach
+
+    def fastest(self, system: Any, v: Array) -> float:
+        """A bound of the speed of any contact node, m/s; collective."""
+        speed = 0.0
+        twist = system.twists(v)
+        for tr in self.traces:
+            body = (
+                np.abs(twist[tr.frame, : self.m.dim]).sum()
+                + np.abs(twist[tr.frame, self.m.dim :]).sum() * tr.field.size
+            )
+            speed = max(
+                speed,
+                float(np.linalg.norm(tr.gather(system.local_v(v, tr.part)), axis=1).max() + tr.moving * body),
+            )
+        return 2.0 * speed
+
+    def update(self, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
+        """Pair two-body contacts anew for a step that starts at q; ``keep``: overlaps found stay.
+        Collective.
+        """
+        for p in self.pairs:
+            if hasattr(p, "update"):
+                p.update(self, system, q, reach, keep=keep)
+
+    def gap_rate(self, system: Any, t: float, q: Array, h: float) -> Array:
+        """Part of the gaps' rates that comes from prescribed motion, m/s, (m,), by central differences;
+        collective.
+        """
+        if not any(getattr(p, "moving", False) for p in self.pairs):
+            return np.zeros(len(self.pair))
+        e = 1e-3 * h
+        return (self.touch(system, t + e, q).gap - self.touch(system, t - e, q).gap) / (2 * e)
+
+    # -- products --------------------------------------------------------------------------------------------
+    def times(self, system: Any, rows: Linear, v: Array) -> Array:
+        """N v, (m,); collective."""
+        out = rows.core @ v[: self.n_core]
+        for tr, f in zip(self.traces, rows.field, strict=True):
+            out = out + f @ tr.gather(system.local_v(v, tr.part)).ravel()
+        return np.asarray(out)
+
+    def transposed(self, system: Any, rows: Linear, force: Array) -> Array:
+        """N^T Lambda, like v."""
+        out = np.zeros(system.n_v)
+        out[: self.n_core] = rows.core.T @ force
+        for tr, f in zip(self.traces, rows.field, strict=True):
+            system.local_v(out, tr.part)[:] += tr.spread(np.asarray(f.T @ force).reshape(-1, self.m.dim))
+        return out
+
+    # -- building blocks of rows -----------------------------------------------------------------------------
+    def blank(self, m: int) -> tuple[Array, list[Any]]:
+        """Empty core rows and sparse field rows."""
+        return np.zeros((m, self.n_core)), [sp.csr_matrix((m, t.n * self.m.dim)) for t in self.traces]
+
+    def add_nodes(
+        self, linear: tuple[Array, list[Any]], trace: int, entries: tuple[Any, Array], at: tuple[Array, Array],
+        *, by_row: bool = False,
+    ) -> None:  # fmt: skip
+        """Add rows sum_k W_jk n . x_k' of a trace: entries = (W csr (m, n_trace), n), n a node (n_trace, d),
+        or ``by_row`` (m, d).
+        """
+        (core, field), (W, direction), (P, R), d = linear, entries, at, self.m.dim
+        tr = self.traces[trace]
+        coo = W.tocoo()
+        which = coo.row if by_row else coo.col
+        world = direction[which] * coo.data[:, None]
+        local = world @ R
+        rows = np.repeat(coo.row, d)
+        cols = (coo.col[:, None] * d + np.arange(d)).ravel()
+        field[trace] = field[trace] + sp.csr_matrix((local.ravel(), (rows, cols)), shape=field[trace].shape)
+        n_twist = self.m.n_twist
+        if tr.frame * n_twist < self.n_core and tr.frame >= 0 and tr.moving:
+            at_frame = slice(tr.frame * n_twist, (tr.frame + 1) * n_twist)
+            block = np.concatenate((world, self.m.moment(P[coo.col], local)), axis=1)
+            np.add.at(core[:, at_frame], coo.row, block)
+
+    def add_frame(self, core: Array, frame: int, geometry: tuple[Array, Array, Array, Array]) -> None:
+        """Add rows n . x' of points x on a moving frame: geometry = (n (m, d), x (m, d), r, R)."""
+        n, x, r, R = geometry
+        d, k = self.m.dim, self.m.n_twist
+        core[:, frame * k : frame * k + d] += n
+        core[:, frame * k + d : (frame + 1) * k] += self.m.moment((x - r) @ R, n @ R)
+
+
+def tangents_of(normal: Array) -> list[Array]:
+    """d - 1 unit vectors orthogonal to each normal (m, d)."""
+    if normal.shape[1] == 2:
+        return [np.stack((-normal[:, 1], normal[:, 0]), axis=1)]
+    pick = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    a = np.cross(normal, pick)
+    a /= np.linalg.norm(a, axis=1)[:, None]
+    return [a, np.cross(normal, a)]
+
+
+def _stack(parts: list[Rows]) -> Rows:
+    """Rows of all pairs, one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+
+    def join(linears: list[Linear]) -> Linear:
+        n = len(linears[0].field)
+        return Linear(
+            np.concatenate([x.core for x in linears]),
+            tuple(sp.vstack([x.field[i] for x in linears], format="csr") for i in range(n)),
+        )
+
+    return replace(
+        parts[0],
+        **{n: np.concatenate([getattr(p, n) for p in parts]) for n in _PER_ROW},
+        N=join([p.N for p in parts]),
+        tangents=tuple(join([p.tangents[i] for p in parts]) for i in range(len(parts[0].tangents))),
+    )
+
+
+@dataclass(frozen=True)
+class Touch:
+    """Where a pair stands, without derivatives: gap (m,), points x and normals (m, d).
+
+    ``relative`` (m, d): position against the master, in the obstacle's axes or as the vector between two surfaces.
+    ``true_gap``: where the step's constraint differs from the geometric gap (see ``mechanics.contact.mortar``),
+    the latter.
+    """
+
+    gap: Array
+    x: Array
+    normal: Array
+    relative: Array
+    true_gap: Array | None = None
+
+    @property
+    def geometric(self) -> Array:
+        """Geometric gap, m."""
+        return self.gap if self.true_gap is None else self.true_gap
+
+
+class ObstaclePair(Pair):
+    """Rows (1) of a slave against an obstacle."""
+
+    @property
+    def thickness(self) -> float:
+        """Shortest way through the obstacle, m."""
+        return float(self.shape.thickness)
+
+    def _place(
+        self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Any
+    ) -> tuple[Touch, tuple[Any, ...]]:
+        t, q = at
+        m, side = contacts.m, self.slave
+        pose = contacts.pose(system, self.carrier, t, q)
+        r, R = pose[: m.dim], m.matrix(pose)
+        P, origin = np.zeros((0, m.dim)), np.zeros(m.dim)
+        if side.surface is not None:
+            x_all, P, Rb = nodes(side.trace)
+            x = x_all[side.surface.nodes]
+        else:
+            own = system.poses(q)[side.frame]
+            origin, Rb = own[: m.dim], m.matrix(own)
+            x = origin + side.points @ Rb.T
+        y = (x - r) @ R
+        dist, grad = self.shape.evaluate(y)
+        normal = grad @ R.T
+        gap = dist - side.radius if side.surface is None else side.surface.transform @ dist
+        return Touch(np.asarray(gap), x - side.radius * normal, normal, y), (r, R, P, origin, Rb)
+
+    def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Any) -> Touch:
+        """Gaps of this pair; collective."""
+        return self._place(contacts, system, at, nodes)[0]
+
+    def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], nodes: Any) -> Rows:
+        """Candidates of this pair; collective."""
+        t, q, since = at
+        side, d = self.slave, contacts.m.dim
+        touch, (r, R, P, origin, Rb) = self._place(contacts, system, (t, q), nodes)
+        count = len(touch.gap)
+
+        def linear(direction: Array) -> Linear:
+            core, field = contacts.blank(count)
+            if side.surface is not None:
+                full = np.zeros((contacts.traces[side.trace].n, d))
+                full[side.surface.nodes] = direction
+                W = side.surface.transform @ _selection(side.surface.nodes, len(full))
+                contacts.add_nodes((core, field), side.trace, (W, full), (P, Rb))
+            else:
+                contacts.add_frame(core, side.frame, (direction, touch.x, origin, Rb))
+            if 0 <= self.carrier.frame < system.n_frames and self.carrier.motion is None:
+                contacts.add_frame(core, self.carrier.frame, (-direction, touch.x, r, R))
+            return Linear(core, tuple(field))
+
+        directions = tangents_of(touch.normal) if contacts.frictional else []
+        drift = np.zeros((count, len(directions)))
+        if since is not None and self.carrier.motion is not None and directions:
+            before, after = self.carrier.motion(since[0]), self.carrier.motion(since[0] + since[1])
+            y = (touch.x - r) @ R
+            turned = y @ (contacts.m.matrix(after) - contacts.m.matrix(before)).T
+            moved = after[:d] - before[:d] + turned
+            drift = np.stack([(e * moved).sum(1) for e in directions], axis=1)
+        one = np.ones(count)
+        return Rows(
+            gap=touch.gap,
+            N=linear(touch.normal),
+            tangents=tuple(linear(e) for e in directions),
+            friction=self.friction * one,
+            restitution=self.restitution * one,
+            normal=touch.normal,
+            drift=drift,
+            trace=np.full(count, side.trace),
+        )
+
+
+def _selection(nodes: np.ndarray, n: int) -> Any:
+    """Matrix that picks ``nodes`` out of n."""
+    k = len(nodes)
+    return sp.csr_matrix((np.ones(k), (np.arange(k), nodes)), shape=(k, n))

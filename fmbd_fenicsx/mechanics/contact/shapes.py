@@ -1,0 +1,234 @@
+"""Rigid obstacles by their signed distance: shape and motion.
+
+A shape gives d(y) in metres, positive outside, and its unit gradient, in its own axes. An obstacle places
+the shape in the
+world: at rest, moving as prescribed, or carried by a rigid body, on which it then reacts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...errors import CallbackError, InputError, require
+from ...log import log
+from ...rotations import Array
+
+Vector = Sequence[float] | Array
+
+
+def _unit(v: Vector, what: str) -> Array:
+    a = np.asarray(v, dtype=float)
+    length = float(np.linalg.norm(a))
+    require(
+        bool(np.isfinite(a).all()) and length > 0,
+        f"{what} must be a finite vector that is not zero, found {v!r}.",
+    )
+    return a / length
+
+
+class Shape:
+    """A signed distance in the shape's own axes. ``thickness`` (m) is the shortest way through it."""
+
+    thickness: float = np.inf
+
+    def evaluate(self, y: Array) -> tuple[Array, Array]:
+        """Distances (n,) and unit gradients (n, d) at points y (n, d)."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class HalfSpace(Shape):
+    """Everything below a plane through ``point``; ``normal`` points out of the obstacle."""
+
+    point: Vector
+    normal: Vector
+
+    def evaluate(self, y: Array) -> tuple[Array, Array]:
+        """Gap over the plane and its normal; see :class:`Shape`."""
+        n = _unit(self.normal, "HalfSpace: normal")[: y.shape[1]]
+        return (y - np.asarray(self.point, dtype=float)[: y.shape[1]]) @ n, np.broadcast_to(n, y.shape).copy()
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere(Shape):
+    """A ball (in the plane: a disk) of ``radius`` m; ``inside`` makes it a hollow in which bodies lie."""
+
+    radius: float
+    center: Vector = (0.0, 0.0, 0.0)
+    inside: bool = False
+
+    def __post_init__(self) -> None:
+        require(self.radius > 0, f"Sphere: radius {self.radius} m must be positive.")
+
+    @property
+    def thickness(self) -> float:  # type: ignore[override]
+        """Diameter; a hollow has no other side."""
+        return np.inf if self.inside else 2.0 * self.radius
+
+    def evaluate(self, y: Array) -> tuple[Array, Array]:
+        """Distance from the circle or sphere and its radial normal; see :class:`Shape`."""
+        r = y - np.asarray(self.center, dtype=float)[: y.shape[1]]
+        length = np.linalg.norm(r, axis=1)
+        n = np.where(length[:, None] > 0, r / np.where(length > 0, length, 1.0)[:, None], np.eye(y.shape[1])[0])
+        sign = -1.0 if self.inside else 1.0
+        return sign * (length - self.radius), sign * n
+
+
+@dataclass(frozen=True, eq=False)
+class Cylinder(Shape):
+    """A solid cylinder of ``radius`` about ``axis`` through ``center``, of ``length`` (m; infinite by
+    default). 3D.
+    """
+
+    radius: float
+    axis: Vector
+    center: Vector = (0.0, 0.0, 0.0)
+    length: float = np.inf
+
+    def __post_init__(self) -> None:
+        require(
+            self.radius > 0 and self.length > 0,
+            f"Cylinder: radius {self.radius} and length {self.length} must be positive.",
+        )
+
+    @property
+    def thickness(self) -> float:  # type: ignore[override]
+        """The smaller of diameter and length."""
+        return min(2.0 * self.radius, self.length)
+
+    def evaluate(self, y: Array) -> tuple[Array, Array]:
+        """Distance from the cylinder, rounded outside its rims, and its gradient; see :class:`Shape`."""
+        require(y.shape[1] == 3, "Cylinder is a shape of space; use Sphere for a disk in the plane.")
+        e = _unit(self.axis, "Cylinder: axis")
+        r = y - np.asarray(self.center, dtype=float)
+        z = r @ e
+        across = r - z[:, None] * e
+        rho = np.linalg.norm(across, axis=1)
+        n_side = across / np.where(rho > 0, rho, 1.0)[:, None]
+        if not np.isfinite(self.length):
+            return rho - self.radius, n_side
+        side, cap = rho - self.radius, np.abs(z) - self.length / 2
+        n_cap = np.sign(z)[:, None] * e
+        return _rounded(side, cap, n_side, n_cap)
+
+
+def _rounded(a: Array, b: Array, na: Array, nb: Array) -> tuple[Array, Array]:
+    """Distance to the intersection of two orthogonal convex sets at distances a, b."""
+    both = (a > 0) & (b > 0)
+    d = np.where(both, np.hypot(a, b), np.maximum(a, b))
+    w = np.where(both, a / np.where(both, d, 1.0), (a >= b).astype(float))
+    u = np.where(both, b / np.where(both, d, 1.0), (a < b).astype(float))
+    return d, w[:, None] * na + u[:, None] * nb
+
+
+@dataclass(frozen=True, eq=False)
+class Box(Shape):
+    """A box (in the plane: a rectangle) with edges ``size`` (m, (d,)) along the shape's axes."""
+
+    size: Vector
+    center: Vector = (0.0, 0.0, 0.0)
+
+    @property
+    def thickness(self) -> float:  # type: ignore[override]
+        """The shortest edge."""
+        return float(np.min(np.asarray(self.size, dtype=float)))
+
+    def evaluate(self, y: Array) -> tuple[Array, Array]:
+        """Distance from the box, rounded outside its edges, and its gradient; see :class:`Shape`."""
+        dim = y.shape[1]
+        half = np.asarray(self.size, dtype=float)[:dim] / 2
+        require(
+            len(half) == dim and bool((half > 0).all()),
+            f"Box: size {self.size!r} must be {dim} positive lengths.",
+        )
+        r = y - np.asarray(self.center, dtype=float)[:dim]
+        over = np.abs(r) - half
+        outside = np.maximum(over, 0.0)
+        far = np.linalg.norm(outside, axis=1)
+        inner = over.max(axis=1)
+        d = np.where(far > 0, far, inner)
+        side = np.where(r < 0, -1.0, 1.0)
+        n_in = side * (np.arange(dim) == over.argmax(axis=1)[:, None])
+        n_out = side * outside / np.where(far > 0, far, 1.0)[:, None]
+        return d, np.where(far[:, None] > 0, n_out, n_in)
+
+
+@dataclass(frozen=True, eq=False)
+class SignedDistance(Shape):
+    """A user's level function phi(x), negative inside: a NumPy function (d, n) -> (n,) or a UFL expression
+    of a coordinate.
+
+    Where |grad phi| is not one, phi / |grad phi| is used, the distance to first order, and a warning says so once.
+    Gradients by central differences of fourth order with steps of 1e-4 ``scale`` (m).
+    """
+
+    function: Any
+    scale: float = 1.0
+    thickness: float = np.inf
+    _warned: list[bool] = field(default_factory=list, repr=False)
+
+    def values(self, y: Array) -> Array:
+        """phi at points (n, d)."""
+        if hasattr(self.function, "ufl_shape"):
+            return np.array([float(self.function(tuple(p))) for p in y])
+        found = np.asarray(self.function(y.T), dtype=float)
+        if found.shape != (len(y),) or not np.isfinite(found).all():
+            raise CallbackError(
+                f"SignedDistance: the function returned shape {found.shape}"
+                f"{'' if np.isfinite(found).all() else ' with values that are not finite'}, expected "
+                f"({len(y)},) finite numbers."
+            )
+        return found
+
+    def evaluate(self, y: Array) -> tuple[Array, Array]:
+        """The function over the length of its gradient, by central differences, and the normal; see :class:`Shape`."""
+        phi, h = self.values(y), 1e-4 * self.scale
+        grad = np.empty_like(y)
+        for k in range(y.shape[1]):
+            e = np.eye(y.shape[1])[k] * h
+            plus, minus, plus2, minus2 = (self.values(y + c * e) for c in (1, -1, 2, -2))
+            grad[:, k] = (8 * (plus - minus) - (plus2 - minus2)) / (12 * h)
+        size = np.linalg.norm(grad, axis=1)
+        if (size <= 0).any():
+            raise CallbackError(
+                "SignedDistance: the gradient vanishes at a contact point; a distance has a unit gradient."
+            )
+        if not self._warned and np.abs(size - 1).max(initial=0.0) > 1e-6:
+            self._warned.append(True)
+            log.warning(
+                "SignedDistance: the gradient has size %.3g ... %.3g instead of 1; the function is divided by it.",
+                size.min(),
+                size.max(),
+            )
+        return phi / size, grad / size[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """A rigid obstacle: a shape at rest, moving as ``motion(t) -> (position (d,), rotation)``, or carried by
+    a rigid body.
+
+    Args:
+        name: what messages call it.
+        shape: its signed distance, in the obstacle's axes: the world's, those of ``motion``, or those of the
+        body ``on``
+            (origin in its centre of mass).
+        motion: position (m) and rotation (an angle in the plane, a matrix in space) at time t (s).
+        on: the rigid body that carries it.
+    """
+
+    name: str
+    shape: Shape
+    motion: Callable[[float], tuple[Any, Any]] | None = None
+    on: Any = None
+
+    def __post_init__(self) -> None:
+        require(isinstance(self.shape, Shape), f'Obstacle "{self.name}": {self.shape!r} is not a shape.')
+        if self.motion is not None and self.on is not None:
+            raise InputError(
+                f'Obstacle "{self.name}" is carried by a body and also moves by prescription: give one of them.'
+            )

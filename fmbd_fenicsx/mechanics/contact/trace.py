@@ -1,0 +1,188 @@
+"""The nodes of elastic surfaces that may touch, equal on all ranks, with the weights of their dual
+multipliers.
+
+The traces of contact surfaces are small against the bodies, so every rank keeps all of their nodes; only products
+with nodal fields of the body are distributed. For quadratic triangles int phi_i vanishes at the vertices. There the
+basis
+
+    phi~_v = phi_v + a sum_e phi_e,   phi~_e = (1 - 2 a) phi_e,   a = 1/5                                   (1)
+
+of the same space has positive integrals D~; the values to it are u~ = T u with T_ee = 1 / (1 - 2a), T_ev = -a / (1 -
+2a) (Popp, Wohlmuth, Gee and Wall, doi:10.1137/110848190).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...errors import MeshError
+from ...rotations import Array
+
+_SHIFT = 0.2  # a in (1)
+
+
+@dataclass(frozen=True)
+class SurfaceNodes:
+    """One surface of a trace: numbers in the trace (n_s,), dual weights D (n_s,), T (n_s, n_s), facets (n_f,
+    n_loc).
+    """
+
+    nodes: np.ndarray
+    weights: Array
+    transform: Any
+    facets: np.ndarray  # numbers in ``nodes``: vertices first, in order, then the nodes on edges
+
+
+class Trace:
+    """All contact nodes of one elastic part; collective to build.
+
+    Attributes: ``part`` its number, ``own`` owned node numbers of this rank, ``first`` where they start in
+    the common list, ``X`` (n, d) reference positions in the body's axes (the world's without a ``moving`` frame),
+    ``n``, ``dim``, ``surfaces``.
+    """
+
+    def __init__(self, part: int, body: Any, surfaces: list[str], moving: bool) -> None:
+        field = body.field
+        self.part, self.body, self.field, self.comm = part, body, field, field.comm
+        self.dim, self.frame, self.moving = field.dim, body.frame, moving
+        lists = {s: _facet_dofs(field, s) for s in surfaces}
+        used = np.unique(np.concatenate([f.ravel() for f, _ in lists.values()]))
+        low, high = field.space.dofmap.index_map.local_range
+        self.own = (used[(used >= low) & (used < high)] - low).astype(int)
+        self.first = int(np.searchsorted(used, low))
+        self.n = len(used)
+        reference = field.X if moving else field.X_world
+        self.X = np.concatenate(self.comm.allgather(reference[self.own])).reshape(self.n, self.dim)
+        self.at_rest = np.concatenate(self.comm.allgather(field.X_world[self.own])).reshape(self.n, self.dim)
+        self.surfaces = {s: self._surface(s, np.searchsorted(used, f), w) for s, (f, w) in lists.items()}
+
+    @property
+    def thickness(self) -> float:
+        """Shortest edge of the box around the body at rest, m; collective."""
+        X = self.field.X_world
+        none = np.full(self.dim, np.inf)
+        low = np.min(self.comm.allgather(X.min(0) if len(X) else none), axis=0)
+        return float((np.max(self.comm.allgather(X.max(0) if len(X) else -none), axis=0) - low).min())
+
+    def _surface(self, name: str, facets: np.ndarray, weights: dict[int, float]) -> SurfaceNodes:
+        nodes = np.unique(facets)
+        local = np.searchsorted(nodes, facets)
+        D = np.array([weights[int(g)] for g in self.global_nodes(nodes)])
+        n = len(nodes)
+        transform: Any = sp.identity(n, format="csr")
+        if self.dim == 3 and facets.shape[1] == 6:
+            vertices = _edge_vertices(self.X[nodes], local)
+            rows, cols, values = [], [], []
+            for e, pair in vertices.items():
+                rows += [e, e, e]
+                cols += [e, *pair]
+                values += [1 / (1 - 2 * _SHIFT) - 1, -_SHIFT / (1 - 2 * _SHIFT), -_SHIFT / (1 - 2 * _SHIFT)]
+            transform = (transform + sp.csr_matrix((values, (rows, cols)), shape=(n, n))).tocsr()
+            shifted = D.copy()
+            for e, pair in vertices.items():
+                shifted[e] = (1 - 2 * _SHIFT) * D[e]
+                for v in pair:
+                    shifted[v] += _SHIFT * D[e]
+            D = shifted
+        if (D <= 0).any():
+            raise MeshError(
+                f'Contact surface "{name}": a shape function has no positive integral on it; use degree 1 or 2.'
+            )
+        return SurfaceNodes(nodes, D, transform, local)
+
+    def global_nodes(self, nodes: np.ndarray) -> np.ndarray:
+        """Global numbers of the body's nodes for numbers in the trace; collective at the first call."""
+        if not hasattr(self, "_gids"):
+            low = self.field.space.dofmap.index_map.local_range[0]
+            self._gids = np.concatenate(self.comm.allgather(self.own + low))
+        return self._gids[nodes]
+
+    # -- values on all ranks ---------------------------------------------------------------------------------
+    def gather(self, w: Array) -> Array:
+        """Values of a nodal vector (n_own d,) of the part at the contact nodes, (n, d), on all ranks;
+        collective.
+        """
+        mine = w.reshape(-1, self.dim)[self.own]
+        if self.comm.size == 1:
+            return mine
+        return np.concatenate(self.comm.allgather(mine))
+
+    def spread(self, f: Array) -> Array:
+        """Nodal vector (n_own d,) of this rank from values (n, d) at the contact nodes."""
+        out = np.zeros((self.field.n, self.dim))
+        out[self.own] = f.reshape(-1, self.dim)[self.first : self.first + len(self.own)]
+        return out.ravel()
+
+    def unit_columns(self, dofs: np.ndarray) -> Array:
+        """Unit nodal vectors (n_own d, len(dofs)) of trace unknowns (node d + component)."""
+        out = np.zeros((self.field.n * self.dim, len(dofs)))
+        node, c = dofs // self.dim - self.first, dofs % self.dim
+        mine = np.flatnonzero((node >= 0) & (node < len(self.own)))
+        out[self.own[node[mine]] * self.dim + c[mine], mine] = 1.0
+        return out
+
+
+def surface_nodes(field: Any, surfaces: list[str]) -> np.ndarray:
+    """Owned nodes on some surfaces of a field, ascending; collective."""
+    used = np.unique(np.concatenate([_facet_dofs(field, s)[0].ravel() for s in surfaces]))
+    low, high = field.space.dofmap.index_map.local_range
+    return (used[(used >= low) & (used < high)] - low).astype(int)
+
+
+def _facet_dofs(field: Any, surface: str) -> tuple[np.ndarray, dict[int, float]]:
+    """Global scalar dofs of the facets of a surface (n_f, n_loc), and int phi_i of each dof; equal on all
+    ranks.
+    """
+    import ufl
+    from dolfinx import fem, la
+
+    from ... import dolfinx_compat as compat
+
+    msh, comm, d = field.mesh.dolfinx, field.comm, field.dim
+    tag = field.mesh.surface_tag(surface)
+    tags = field.mesh.facet_tags
+    top = msh.topology
+    top.create_connectivity(d - 1, d)
+    top.create_connectivity(d, d - 1)
+    closure = field.space.element.basix_element.entity_closure_dofs[d - 1]
+    to_cell, to_facet = top.connectivity(d - 1, d), top.connectivity(d, d - 1)
+    owned_cells, rows = top.index_map(d).size_local, []
+    index_map = field.space.dofmap.index_map
+    for f in tags.indices[tags.values == tag]:
+        cell = int(to_cell.links(int(f))[0])
+        if cell >= owned_cells:
+            continue
+        k = int(np.flatnonzero(to_facet.links(cell) == f)[0])
+        dofs = field.space.dofmap.cell_dofs(cell)[closure[k]]
+        rows.append(index_map.local_to_global(dofs.astype(np.int32)))
+    n_loc = len(closure[0])
+    facets = np.concatenate(comm.allgather(np.array(rows, dtype=np.int64).reshape(-1, n_loc)))
+    if len(facets) == 0:
+        raise MeshError(f'Surface "{surface}" of {field.mesh.label} has no facets on the boundary.')
+    scalar = fem.functionspace(msh, ("Lagrange", field.forms.degree))
+    ds = ufl.Measure("ds", domain=msh, subdomain_data=tags)(tag)
+    b = fem.assemble_vector(compat.form(ufl.TestFunction(scalar) * ds))
+    b.scatter_reverse(la.InsertMode.add)
+    low, high = index_map.local_range
+    mine = np.unique(facets)
+    mine = mine[(mine >= low) & (mine < high)]
+    weights = {
+        int(g): float(w) for part in comm.allgather(list(zip(mine, b.array[mine - low], strict=True))) for g, w in part
+    }
+    return facets, weights
+
+
+def _edge_vertices(X: Array, facets: np.ndarray) -> dict[int, tuple[int, int]]:
+    """The two vertices of each node on an edge of six-node triangles, by its position."""
+    out = {}
+    for f in facets:
+        for e in f[3:]:
+            pairs = [(f[0], f[1]), (f[0], f[2]), (f[1], f[2])]
+            away = [float(np.linalg.norm(0.5 * (X[a] + X[b]) - X[e])) for a, b in pairs]
+            a, b = pairs[int(np.argmin(away))]
+            out[int(e)] = (int(a), int(b))
+    return out

@@ -1,0 +1,293 @@
+"""Applied forces in batches of one kind: wrenches on markers in world axes, potential energies, tangents.
+
+A law on a relative coordinate s (see ``mechanics.joints.relative``) with restoring effort N(s, s', t) has the wrenches
+
+    w_a = -N r_a,   w_b = -N r_b,        K = dN/ds r r^T + N ds-rows,   D = dN/ds' r r^T,    r = (r_a, r_b)        (1)
+
+K and D are minus the derivatives of the wrenches with respect to displacements and velocities of the two markers; they
+serve as Newton tangents only. User functions are checked on every call; an error names the force.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...errors import CallbackError, InputError, named
+from ...rotations import Array, Motions
+from ..frames import Kinematics
+from ..joints.constraints import time_of
+from ..joints.relative import Relative, Separation
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Stiffness and damping (m, 2 n, 2 n) over the displacements of markers a and b, n = d + n_rot."""
+
+    a: np.ndarray
+    b: np.ndarray
+    K: Array
+    D: Array
+
+
+@dataclass(frozen=True)
+class MarkerMotion:
+    """What a force law of the user's own sees of a marker: position (m), rotation since the start, velocity, angular velocity."""
+
+    x: Array
+    R: Array
+    v: Array
+    w: Array
+
+
+def checked(name: str, value: Any, size: int, t: float) -> Array:
+    """A user's result as an array of the right size, or an error that names the force."""
+    try:
+        found = np.atleast_1d(np.asarray(value, dtype=float))
+    except (TypeError, ValueError):
+        raise CallbackError(f'Force "{name}": the law returned {value!r} at t = {t:g} s, expected numbers.') from None
+    if found.shape != (size,):
+        raise CallbackError(f'Force "{name}": the law returned shape {found.shape} at t = {t:g} s, expected ({size},).')
+    if not np.isfinite(found).all():
+        raise CallbackError(f'Force "{name}": the law returned {found} at t = {t:g} s.')
+    return found
+
+
+class Loads:
+    """Forces of one kind with their markers. ``wrench``: (m, n) on markers a and on markers b."""
+
+    def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]]) -> None:
+        self.motions, self.forces = motions, forces
+        self.laws = [self.law_of(f) for f in forces]
+        self.a = np.array([a for a, _ in markers])
+        self.b = np.array([b for _, b in markers])
+
+    @staticmethod
+    def law_of(f: Any) -> Any:
+        """The user's function of a force, its exceptions named; None without one."""
+        return None if f.law is None else named(f"The law of {f.kind}", f.name, f.law)
+
+    def repeated(self, k: int, markers: int) -> Loads | None:
+        """These forces k times, copy c on the markers numbered ``c markers`` higher; None where only one copy at a time can be
+        evaluated.
+        """
+        return None
+
+    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """Wrenches (force, torque) in world axes on markers a and b, each (m, d + n_rot)."""
+        raise NotImplementedError
+
+    def energy(self, kin: Kinematics, t: float) -> float:
+        """Potential energy, J."""
+        return 0.0
+
+    def tangent(self, kin: Kinematics, t: float) -> Tangent | None:
+        """Minus the derivatives of the wrenches, or None where they are neglected."""
+        return None
+
+    def _zero(self) -> Array:
+        return np.zeros((len(self.forces), self.motions.dim + self.motions.n_rot))
+
+
+class TimeLoads(Loads):
+    """Forces and torques that depend on time (and, as followers, on the rotation of their marker)."""
+
+    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """Forces and torques prescribed in time."""
+        d, out = self.motions.dim, self._zero()
+        for i, (f, law) in enumerate(zip(self.forces, self.laws, strict=True)):
+            part = slice(d, None) if f.turns else slice(0, d)
+            value = checked(f.name, law(t), out.shape[1] - d if f.turns else d, t)
+            follow = f.follower and len(value) == d
+            out[i, part] = kin.R[self.a[i]] @ value if follow else value
+        return out, self._zero()
+
+
+class ScalarLoads(Loads):
+    """Efforts N on relative coordinates, (1): linear springs and dampers, and laws of the user's own."""
+
+    def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]], relative: Relative) -> None:
+        super().__init__(motions, forces, markers)
+        self.relative = relative
+        self.k = np.array([f.stiffness for f in forces], dtype=float)
+        self.c = np.array([f.damping for f in forces], dtype=float)
+        self.free = np.array([f.length for f in forces], dtype=float)
+        self.own = [(i, f.name, self.laws[i]) for i, f in enumerate(forces) if f.law is not None]
+
+    def repeated(self, k: int, markers: int) -> Loads | None:
+        """All copies as arrays; laws of the user's own one by one; none for angles, which count their revolutions."""
+        relative = self.relative.repeated(k, markers)
+        if relative is None:
+            return None
+        out, m = copy(self), len(self.forces)
+        out.relative, out.forces, out.a, out.b = relative, self.forces * k, relative.a, relative.b
+        out.k, out.c, out.free = (np.tile(x, k) for x in (self.k, self.c, self.free))
+        out.own = [(i + c * m, name, law) for c in range(k) for i, name, law in self.own]
+        return out
+
+    def _state(self, kin: Kinematics) -> tuple[Array, Array, Array, Array]:
+        assert kin.twist is not None
+        s = self.relative.values(kin)
+        if isinstance(self.relative, Separation) and not s.all():
+            raise InputError(
+                f'Spring "{self.forces[int(np.argmin(s))].name}": its two points coincide, so it has no direction.'
+            )
+        ra, rb = self.relative.rows(kin)
+        return s - self.free, (ra * kin.twist[self.a] + rb * kin.twist[self.b]).sum(1), ra, rb
+
+    def effort(self, s: Array, rate: Array, t: float) -> Array:
+        """N of elongations s and rates, (m,)."""
+        N = self.k * s + self.c * rate
+        for i, name, law in self.own:
+            now = time_of(t, i, len(N))
+            N[i] = checked(name, law(s[i], rate[i], now), 1, now)[0]
+        return N
+
+    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """N along the direction of the coordinate, opposite on the two markers."""
+        s, rate, ra, rb = self._state(kin)
+        N = self.effort(s, rate, t)[:, None]
+        return -N * ra, -N * rb
+
+    def energy(self, kin: Kinematics, t: float) -> float:
+        """k s^2 / 2 of the linear springs, J."""
+        s = self.relative.values(kin) - self.free
+        linear = np.array([f.law is None for f in self.forces])
+        return 0.5 * float((self.k * s**2)[linear].sum())
+
+    def tangent(self, kin: Kinematics, t: float) -> Tangent:
+        """Material stiffness k and damping c, and the geometric stiffness of N."""
+        s, rate, ra, rb = self._state(kin)
+        N, k, c = self.effort(s, rate, t), self.k.copy(), self.c.copy()
+        for i, name, law in self.own:
+            hs, hv = 1e-6 * max(abs(float(s[i])), 1e-3), 1e-6 * max(abs(float(rate[i])), 1e-3)
+
+            def at(ds: float, dv: float, name: str = name, law: Any = law, i: int = i) -> float:
+                return float(checked(name, law(s[i] + ds, rate[i] + dv, t), 1, t)[0])
+
+            k[i] = (at(hs, 0.0) - at(-hs, 0.0)) / (2 * hs)
+            c[i] = (at(0.0, hv) - at(0.0, -hv)) / (2 * hv)
+        r = np.concatenate((ra, rb), axis=1)
+        rr = r[:, :, None] * r[:, None, :]
+        K, D = k[:, None, None] * rr, c[:, None, None] * rr
+        if isinstance(self.relative, Separation):
+            d, n = self.motions.dim, self.motions.dim + self.motions.n_rot
+            unit = rb[:, :d]
+            across = (N / (s + self.free))[:, None, None] * (np.eye(d) - unit[:, :, None] * unit[:, None, :])
+            for i, j, sign in ((0, 0, 1), (0, n, -1), (n, 0, -1), (n, n, 1)):
+                K[:, i : i + d, j : j + d] += sign * across
+        return Tangent(self.a, self.b, K, D)
+
+
+class TyreLoads(Loads):
+    """Radial springs between a wheel centre and a road: N = k c + d c' while c = radius - height over the road > 0, N >= 0."""
+
+    @staticmethod
+    def law_of(f: Any) -> Any:
+        """The road."""
+        return named("The road of tyre", f.name, f.road)
+
+    def _compression(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array, Array]:
+        """c, c', the directions up, and -dc/dx: up minus the slope of the road."""
+        assert kin.twist is not None
+        d = self.motions.dim
+        up = np.array([f.up[:d] for f in self.forces], dtype=float)
+        c, rate, row = np.zeros(len(self.forces)), np.zeros(len(self.forces)), up.copy()
+        for i, (f, road) in enumerate(zip(self.forces, self.laws, strict=True)):
+            x = kin.x[self.a[i]]
+            c[i] = float(checked(f.name, road(x, t), 1, t)[0]) + f.radius - float(up[i] @ x)
+            rate[i] = (float(road(x, t + 1e-6)) - float(road(x, t - 1e-6))) / 2e-6
+            for k, e in enumerate(1e-5 * f.radius * np.eye(d)):
+                row[i, k] -= (float(road(x + e, t)) - float(road(x - e, t))) / (2e-5 * f.radius)
+        return c, rate - (row * kin.twist[self.a, :d]).sum(1), up, row
+
+    def _constants(self) -> tuple[Array, Array]:
+        return np.array([f.stiffness for f in self.forces]), np.array([f.damping for f in self.forces])
+
+    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """Force of the compressed tyres; none while lifted."""
+        c, rate, up, _ = self._compression(kin, t)
+        k, damping = self._constants()
+        out = self._zero()
+        out[:, : self.motions.dim] = np.where(c > 0, np.maximum(k * c + damping * rate, 0.0), 0.0)[:, None] * up
+        return out, self._zero()
+
+    def energy(self, kin: Kinematics, t: float) -> float:
+        """k c^2 / 2 of the compressed ones, J."""
+        c = np.maximum(self._compression(kin, t)[0], 0.0)
+        return 0.5 * float((self._constants()[0] * c**2).sum())
+
+    def tangent(self, kin: Kinematics, t: float) -> Tangent:
+        """k and c along the direction of compression, of those in contact."""
+        c, rate, up, row = self._compression(kin, t)
+        k, damping = self._constants()
+        on = (c > 0) & (k * c + damping * rate > 0)
+        d, n = self.motions.dim, self.motions.dim + self.motions.n_rot
+        outer = np.zeros((len(c), 2 * n, 2 * n))
+        outer[:, :d, :d] = up[:, :, None] * row[:, None, :]
+        return Tangent(self.a, self.b, (on * k)[:, None, None] * outer, (on * damping)[:, None, None] * outer)
+
+
+class OwnLoads(Loads):
+    """Forces law(t, a, b) of the user's own; tangents by differences where no Jacobian is given."""
+
+    @staticmethod
+    def law_of(f: Any) -> Any:
+        """The law, and the Jacobian or None."""
+        jacobian = None if f.jacobian is None else named("The Jacobian of force", f.name, f.jacobian, time=0)
+        return named("The law of force", f.name, f.law, time=0), jacobian
+
+    def _one(self, k: int, kin: Kinematics, twist: Array, t: float, markers: tuple[int, int]) -> Array:
+        """Wrenches on (a, b) of one force, (2 n,)."""
+        d, f, law = self.motions.dim, self.forces[k], self.laws[k][0]
+        a, b = markers
+        motion = [MarkerMotion(kin.x[i], kin.R[i], twist[i, :d], twist[i, d:]) for i in markers]
+        n = d + self.motions.n_rot
+        if f.b is None:
+            found = checked(f.name, np.concatenate([np.atleast_1d(x) for x in law(t, motion[0])]), n, t)
+            return np.concatenate((found, np.zeros(n)))
+        on_b = checked(f.name, np.concatenate([np.atleast_1d(x) for x in law(t, *motion)]), n, t)
+        on_a = -on_b
+        on_a[d:] -= self.motions.moment(kin.x[b] - kin.x[a], on_b[:d])
+        return np.concatenate((on_a, on_b))
+
+    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """Wrenches of the user's laws on both markers."""
+        assert kin.twist is not None
+        n = self.motions.dim + self.motions.n_rot
+        found = [self._one(k, kin, kin.twist, t, (a, b)) for k, (a, b) in enumerate(zip(self.a, self.b, strict=True))]
+        both = np.array(found)
+        return both[:, :n], both[:, n:]
+
+    def tangent(self, kin: Kinematics, t: float) -> Tangent:
+        """Central differences of the wrenches by displacements and velocities of both markers."""
+        assert kin.twist is not None
+        d, n = self.motions.dim, self.motions.dim + self.motions.n_rot
+        K, D = np.zeros((2, len(self.forces), 2 * n, 2 * n))
+        for i, f in enumerate(self.forces):
+            markers = (int(self.a[i]), int(self.b[i]))
+            if (jacobian := self.laws[i][1]) is not None:
+                K[i], D[i] = jacobian(
+                    t,
+                    *(MarkerMotion(kin.x[j], kin.R[j], kin.twist[j, :d], kin.twist[j, d:]) for j in markers),
+                )
+                continue
+            base = self._one(i, kin, kin.twist, t, markers)
+            for c in range(n if f.b is None else 2 * n):
+                j, k = markers[c // n], c % n
+                h = 1e-7
+                x, R, twist = kin.x.copy(), kin.R.copy(), kin.twist.copy()
+                if k < d:
+                    x[j, k] += h
+                else:
+                    turn = np.zeros(self.motions.n_rot)
+                    turn[k - d] = h
+                    R[j] = R[j] + self.motions.spin(turn, R[j].T).T
+                moved = Kinematics(x, R, kin.jac_frame, kin.jac_port)
+                K[i, :, c] = -(self._one(i, moved, kin.twist, t, markers) - base) / h
+                twist[j, k] += h
+                D[i, :, c] = -(self._one(i, kin, twist, t, markers) - base) / h
+        return Tangent(self.a, self.b, K, D)

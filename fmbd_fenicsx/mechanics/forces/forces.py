@@ -1,0 +1,219 @@
+"""Applied forces as a user describes them; ``mechanics.forces.force_elements`` evaluates all of one kind at a time.
+
+====================  ====================================================================================
+:func:`force`         a force law(t) at a point, space axes or body axes (``follower``)
+:func:`torque`        a torque law(t), space axes or body axes
+:class:`Spring`       spring and damper between two points, linear or law(s, s', t)
+:func:`joint_spring`  spring and damper on a joint coordinate (angle or displacement), linear or law(s, s', t)
+:func:`effort`        prescribed drive torque or force law(t) on a joint coordinate
+:class:`Tyre`         radial spring and damper between a wheel and a road profile
+:func:`own_force`     any law of the motions of one or two points
+====================  ====================================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...errors import require
+from ...rotations import Array
+from ..joints.drives import JointCoordinate
+from .force_elements import Loads, OwnLoads, ScalarLoads, TimeLoads, TyreLoads
+
+Law = Callable[..., Any]
+Point = Sequence[float] | Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class Force:
+    """A force (and torque) on one or two attachments: ``a``, ``b`` (None: one-sided), points in world axes at the start.
+
+    ``batch`` is the class of ``mechanics.forces.force_elements`` that evaluates all forces of this kind.
+    """
+
+    name: str
+    a: Any
+    b: Any = None
+    point_a: Point = None
+    point_b: Point = None
+
+    batch: ClassVar[type[Loads]] = Loads
+    kind: ClassVar[str] = "force"  # its name in messages
+
+    @property
+    def coordinate(self) -> JointCoordinate | None:
+        """The joint coordinate that it acts on, if any."""
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class PointForce(Force):
+    """A force law(t) in N, (d,), on a point of a body or on a surface (its mean displacement); ``follower``: body axes."""
+
+    law: Law = None  # type: ignore[assignment]
+    follower: bool = False
+
+    batch: ClassVar[type[Loads]] = TimeLoads
+    turns: ClassVar[bool] = False
+
+
+@dataclass(frozen=True, eq=False)
+class Torque(Force):
+    """A torque law(t) in N m on a body: a number (plane) or (3,) in world axes (space); ``follower``: body axes."""
+
+    law: Law = None  # type: ignore[assignment]
+    follower: bool = False
+
+    batch: ClassVar[type[Loads]] = TimeLoads
+    turns: ClassVar[bool] = True
+    kind: ClassVar[str] = "torque"
+
+
+@dataclass(frozen=True, eq=False)
+class Spring(Force):
+    """Spring and damper between two points: tension N(s, s') along the line, s the elongation from ``length`` (m).
+
+    Linear: N = stiffness s + damping s'. A user's law(s, rate, t) -> N replaces it. Points must not coincide.
+    """
+
+    stiffness: float = 0.0  # N/m
+    damping: float = 0.0  # N s/m
+    length: float = 0.0  # m, unstressed
+    law: Law | None = None
+
+    batch: ClassVar[type[Loads]] = ScalarLoads
+    kind: ClassVar[str] = "spring"
+
+    def __post_init__(self) -> None:
+        _constants(self.name, self.stiffness, self.damping, self.length)
+
+
+@dataclass(frozen=True, eq=False)
+class CoordinateForce(Force):
+    """A restoring effort N(s - length, s', t) on a joint coordinate s, N or N m; ``length`` is its unstressed value."""
+
+    on: JointCoordinate = None  # type: ignore[assignment]
+    stiffness: float = 0.0
+    damping: float = 0.0
+    length: float = 0.0
+    law: Law | None = None
+
+    batch: ClassVar[type[Loads]] = ScalarLoads
+    kind: ClassVar[str] = "joint spring or effort"
+
+    @property
+    def coordinate(self) -> JointCoordinate:
+        """The joint coordinate on which the force acts."""
+        return self.on
+
+
+@dataclass(frozen=True, eq=False)
+class Tyre(Force):
+    """A wheel on a road: N = stiffness c + damping c' along ``up`` while the compression c > 0, never pulling.
+
+    c = radius + road(x, t) - up . x with x the world position (d,) of the wheel centre ``point_a``; road(x, t) is the height of
+    the road along ``up`` under that point, smooth; let it depend on t to drive the road past a vehicle that stays in place.
+    The force acts at the centre; there is no friction.
+    """
+
+    road: Law = None  # type: ignore[assignment]
+    radius: float = 0.3  # m
+    stiffness: float = 0.0  # N/m
+    damping: float = 0.0  # N s/m
+    up: Sequence[float] = (0.0, 1.0, 0.0)
+
+    batch: ClassVar[type[Loads]] = TyreLoads
+
+    def __post_init__(self) -> None:
+        require(
+            callable(self.road),
+            f'Tyre "{self.name}": road must be a function of position and time, found {self.road!r}.',
+        )
+        require(self.radius > 0, f'Tyre "{self.name}": radius {self.radius} m must be positive.')
+        size = float(np.linalg.norm(np.asarray(self.up, dtype=float)))
+        require(abs(size - 1.0) < 1e-9, f'Tyre "{self.name}": up {self.up} must be a unit vector.')
+        _constants(self.name, self.stiffness, self.damping, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class OwnForce(Force):
+    """A law of the user's own, see :func:`own_force`."""
+
+    law: Law = None  # type: ignore[assignment]
+    jacobian: Law | None = None
+
+    batch: ClassVar[type[Loads]] = OwnLoads
+
+
+def _constants(name: str, stiffness: float, damping: float, length: float) -> None:
+    for what, value in (("stiffness", stiffness), ("damping", damping), ("length", length)):
+        require(bool(np.isfinite(value)), f'Spring "{name}": {what} {value} must be finite.')
+    require(damping >= 0, f'Spring "{name}": damping {damping} must not be negative.')
+
+
+def force(name: str, on: Any, law: Law, *, point: Point = None, follower: bool = False) -> PointForce:
+    """A force law(t) -> (d,) N on a rigid body's point (world, initial configuration) or on an elastic surface.
+
+    World axes, or the body's axes as they were turned since the start (``follower``).
+    """
+    require(callable(law), f'Force "{name}": law must be a function of time, found {law!r}.')
+    return PointForce(name, on, None, point, None, law, follower)
+
+
+def torque(name: str, on: Any, law: Law, *, follower: bool = False) -> Torque:
+    """A torque law(t) in N m on a body or an elastic surface; world axes, or the body's with ``follower``."""
+    require(callable(law), f'Torque "{name}": law must be a function of time, found {law!r}.')
+    return Torque(name, on, None, None, None, law, follower)
+
+
+def joint_spring(
+    name: str,
+    on: JointCoordinate,
+    *,
+    stiffness: float = 0.0,
+    damping: float = 0.0,
+    free: float = 0.0,
+    law: Law | None = None,
+) -> CoordinateForce:
+    """Spring and damper on a joint coordinate s: restoring effort stiffness (s - free) + damping s', or law(s - free, s', t)."""
+    _coordinate(name, on)
+    _constants(name, stiffness, damping, free)
+    return CoordinateForce(name, on.joint.a, on.joint.b, None, None, on, stiffness, damping, free, law)
+
+
+def effort(name: str, on: JointCoordinate, law: Law) -> CoordinateForce:
+    """Prescribed effort law(t) of a drive on a joint coordinate: torque (N m) or force (N), positive where s increases."""
+    _coordinate(name, on)
+    require(callable(law), f'Effort "{name}": law must be a function of time, found {law!r}.')
+    return CoordinateForce(name, on.joint.a, on.joint.b, None, None, on, law=lambda s, rate, t: -np.asarray(law(t)))
+
+
+def _coordinate(name: str, on: JointCoordinate) -> None:
+    require(
+        isinstance(on, JointCoordinate),
+        f'Force "{name}": expected fmbd.angle(...) or fmbd.displacement(...), found {on!r}.',
+    )
+
+
+def own_force(
+    name: str,
+    a: Any,
+    b: Any,
+    law: Law,
+    *,
+    points: tuple[Point, Point] = (None, None),
+    jacobian: Law | None = None,
+) -> OwnForce:
+    """Any force: law(t, a) -> (force, torque) on a (b None), or law(t, a, b) -> (force, torque) on b, the reaction on a.
+
+    a and b are :class:`~fmbd_fenicsx.mechanics.forces.force_elements.MarkerMotion` (x, R, v, w) of the two points;
+    force (d,) N and torque
+    N m in world axes. ``jacobian``(t, a, b) -> (K, D), each (2 n, 2 n): minus the derivatives of the wrenches on (a, b)
+    with respect to displacements and velocities of the markers, n = d + n_rot; by differences where missing.
+    """
+    require(callable(law), f'Force "{name}": law must be a function, found {law!r}.')
+    return OwnForce(name, a, b, points[0], points[1], law, jacobian)

@@ -1,0 +1,1 @@
+"""Joints: elementary constraints, joint coordinates, drives, ties."""

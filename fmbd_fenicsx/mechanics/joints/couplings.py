@@ -1,0 +1,211 @@
+"""Constraints on joint coordinates and constraints of the user's own: gears, screws, drives, any g(poses, t) = 0.
+
+    coupling     sum_k c_k s_k(q) - motion(t) = 0            s_k: relative coordinates of markers                 (1)
+    own joint    g(x_a, R_a, x_b, R_b, t) = 0                a function of two marker poses                       (2)
+
+The rows of (2) are derivatives of g under x -> x + delta and R -> (1 + delta~) R, by complex steps (exact to roundoff) when g
+accepts complex arrays, else by central differences; its g'' is the change of the row products along the motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...errors import CallbackError, named
+from ...log import log
+from ...rotations import Array, Motions, hat
+from ..bodies.coordinates import derivative, differences
+from ..frames import Kinematics
+from .constraints import Batch, Motion, Sides
+from .relative import Relative
+
+
+def smooth_motion(name: str, function: Callable[[float], Any], *, of: str = "drive") -> Motion:
+    """A prescribed motion t -> (s, s', s'') from a function that returns either these three or s alone.
+
+    Derivatives of s alone are computed: s' by a complex step when the function accepts complex numbers (NumPy functions
+    do), else by differences of sixth order; s'' by differences of sixth order of s'. The function must be smooth.
+    ``of``: what is moved, in messages.
+    """
+    function = named(f"The motion of {of}", name, function)
+
+    def checked(value: Any, t: float) -> Array:
+        found = np.asarray(value, dtype=float).ravel()
+        if found.shape not in ((1,), (3,)) or not np.isfinite(found).all():
+            raise CallbackError(
+                f"Joint \"{name}\": the motion returned {value!r} at t = {t:g} s, expected s or (s, s', s'')."
+            )
+        return found
+
+    if len(checked(function(0.0), 0.0)) == 3:
+
+        def given(t: float) -> tuple[float, float, float]:
+            s = checked(function(t), t)
+            return float(s[0]), float(s[1]), float(s[2])
+
+        return given
+
+    def rate(t: float) -> float:
+        try:
+            return float(np.imag(function(t + 1e-30j)) / 1e-30)  # type: ignore[arg-type]
+        except (TypeError, ValueError):  # also LawError: what fails for real times fails again
+            return _sixth(lambda x: float(function(x)), t, 1e-2)
+
+    def computed(t: float) -> tuple[float, float, float]:
+        s = checked((checked(function(t), t)[0], rate(t), _sixth(rate, t, 1e-3)), t)
+        return float(s[0]), float(s[1]), float(s[2])
+
+    return computed
+
+
+def _sixth(f: Callable[[float], float], t: float, h: float) -> float:
+    """f'(t) by central differences of sixth order."""
+    d = [f(t + k * h) - f(t - k * h) for k in (1, 2, 3)]
+    return (45 * d[0] - 9 * d[1] + d[2]) / (60 * h)
+
+
+class CouplingBatch(Batch):
+    """Rows (1). ``terms``: (relative coordinates of one kind, constraint numbers, coefficients)."""
+
+    def __init__(self, terms: list[tuple[Relative, np.ndarray, Array]], motions: list[Motion | None]) -> None:
+        self.terms, self.size = terms, len(motions)
+        self.driven = [(i, m) for i, m in enumerate(motions) if m is not None]
+
+    def repeated(self, k: int, markers: int) -> Batch | None:
+        """None: angles count their revolutions one configuration after another."""
+        return None
+
+    def offsets(self, t: float) -> Array:
+        """(3, m) array of s, s', s''."""
+        s = np.zeros((3, self.size))
+        for i, motion in self.driven:
+            s[:, i] = motion(t)
+        return s
+
+    def _sum(self, parts: list[Array]) -> Array:
+        out = np.zeros(self.size)
+        for (_, rows, c), value in zip(self.terms, parts, strict=True):
+            out += np.bincount(rows, c * value, self.size)
+        return out
+
+    def values(self, kin: Kinematics, t: float) -> Array:
+        """g = sum c_k s_k - s(t)."""
+        return self._sum([r.values(kin) for r, _, _ in self.terms]) - self.offsets(t)[0]
+
+    def rate(self, kin: Kinematics, t: float) -> Array:
+        """g_t = -s'(t)."""
+        return -self.offsets(t)[1]
+
+    def gamma(self, kin: Kinematics, t: float) -> Array:
+        """sum c_k gamma_k - s''(t)."""
+        return self._sum([r.gamma(kin) for r, _, _ in self.terms]) - self.offsets(t)[2]
+
+    def sides(self, kin: Kinematics, t: float) -> Sides:
+        """Rows of every joint coordinate times its factor c_k."""
+        out = []
+        for relative, rows, c in self.terms:
+            ra, rb = relative.rows(kin)
+            out += [(rows, relative.a, c[:, None] * ra), (rows, relative.b, c[:, None] * rb)]
+        return out
+
+
+class OwnBatch(Batch):
+    """Rows (2) of one joint of the user's own, between markers a and b."""
+
+    def __init__(self, motions: Motions, name: str, function: Callable[..., Any], markers: tuple[int, int]) -> None:
+        self.motions, self.name, self.function = motions, name, named("The constraint of joint", name, function)
+        self.markers = np.array(markers)
+        self.driven: list[tuple[int, Motion]] = []
+        self.by_differences: bool | None = None  # decided at the first derivative
+
+    def repeated(self, k: int, markers: int) -> Batch | None:
+        """None: a function of the user's own."""
+        return None
+
+    def _checked(self, value: Any, t: float) -> Any:
+        found = np.atleast_1d(np.asarray(value))
+        if found.ndim != 1 or not np.isfinite(found).all():
+            raise CallbackError(
+                f'Joint "{self.name}": its function returned {value!r} at t = {t:g} s, expected finite numbers.'
+            )
+        return found
+
+    def _at(self, x: Array, R: Array, t: float) -> Any:
+        return self._checked(self.function(x[0], R[0], x[1], R[1], t), t)
+
+    def _poses(self, kin: Kinematics) -> tuple[Array, Array]:
+        return kin.x[self.markers], kin.R[self.markers]
+
+    def _moved(self, x: Array, R: Array, twist: Any, s: float = 1.0) -> tuple[Any, Any]:
+        """Poses after the small displacement s twist, (2, d + n_rot), to first order in the rotation."""
+        d = self.motions.dim
+        turn = s * twist[:, d:]
+        W = hat(turn) if d == 3 else turn[:, :, None] * np.array([[0.0, -1.0], [1.0, 0.0]])
+        return x + s * twist[:, :d], R + W @ R
+
+    def _derivative(self, x: Array, R: Array, t: float) -> Array:
+        """dg / d(displacements of both markers), (m, 2 (d + n_rot))."""
+        n = self.motions.dim + self.motions.n_rot
+
+        def g(z: Any) -> Any:
+            return self._at(*self._moved(x, R, z.reshape(2, n)), t)
+
+        if self.by_differences is None:  # abs() and the like drop the imaginary part without a word
+            exact, rough = derivative(g, np.zeros(2 * n)), differences(g, np.zeros(2 * n))
+            self.by_differences = bool(np.abs(exact - rough).max() > 1e-5 * max(1.0, np.abs(rough).max()))
+            if self.by_differences:
+                log.warning(
+                    'joint "%s": complex steps fail in its function (abs, float?); using differences',
+                    self.name,
+                )
+        return differences(g, np.zeros(2 * n)) if self.by_differences else derivative(g, np.zeros(2 * n))
+
+    def _time(self, x: Array, R: Array, t: float) -> Array:
+        return derivative(lambda s: self._at(x, R, s[0]), np.array([t]))[:, 0]
+
+    def values(self, kin: Kinematics, t: float) -> Array:
+        """The given function of the poses of its markers and of time."""
+        return np.asarray(np.real(self._at(*self._poses(kin), t)), dtype=float)
+
+    def rate(self, kin: Kinematics, t: float) -> Array:
+        """g_t by a complex step in time."""
+        return self._time(*self._poses(kin), t)
+
+    def sides(self, kin: Kinematics, t: float) -> Sides:
+        """Rows by complex steps in the twists of the markers."""
+        n = self.motions.dim + self.motions.n_rot
+        J = self._derivative(*self._poses(kin), t)
+        rows = np.arange(len(J))
+        return [(rows, np.full(len(J), marker), J[:, i * n : (i + 1) * n]) for i, marker in enumerate(self.markers)]
+
+    def gamma(self, kin: Kinematics, t: float) -> Array:
+        """Second derivative along the motion with frozen twists, by differences."""
+        assert kin.twist is not None
+        x, R, twist = *self._poses(kin), kin.twist[self.markers]
+        d = self.motions.dim
+        fast = max(1.0, float(np.abs(twist).max()))
+
+        def level(s: float) -> Array:
+            turn = s * twist[:, d:]
+            if d == 3:
+                from scipy.spatial.transform import Rotation
+
+                Rs = Rotation.from_rotvec(turn).as_matrix() @ R
+            else:
+                c, w = np.cos(turn[:, 0]), np.sin(turn[:, 0])
+                Rs = np.array([[[ci, -wi], [wi, ci]] for ci, wi in zip(c, w, strict=True)]) @ R
+            xs = x + s * twist[:, :d]
+            return self._derivative(xs, Rs, t + s) @ twist.ravel() + self._time(xs, Rs, t + s)
+
+        h = 1e-3 / fast
+        steps = [level(k * h) - level(-k * h) for k in (1, 2, 3)]
+        return np.asarray((45 * steps[0] - 9 * steps[1] + steps[2]) / (60 * h))
+
+
+def lead_ratio(lead: float) -> float:
+    """Displacement per angle of a screw that advances ``lead`` (m) in one turn, m/rad."""
+    return lead / (2 * math.pi)

@@ -1,0 +1,254 @@
+"""Joints: named lists of elementary constraints between two bodies.
+
+A joint connects two *attachments*: a rigid body, an elastic surface, or the ``ground``. Its ``center`` and ``axis`` are given in
+world coordinates of the configuration in which the bodies were defined. The reaction is the force that the joint exerts on
+the *first* attachment.
+
+=====================  ===========  ===============================================================
+joint                  rows         relative motion left free
+                       plane/space
+=====================  ===========  ===============================================================
+:func:`fixed`          3 / 6        none
+:func:`revolute`       2 / 5        rotation about the axis
+:func:`spherical`      - / 3        rotation
+:func:`universal`      - / 4        rotation about two perpendicular axes
+:func:`prismatic`      2 / 5        translation along the axis
+:func:`cylindrical`    - / 4        translation along and rotation about the axis
+:func:`planar`         - / 3        two translations, rotation about the normal
+:func:`distance`       1 / 1        all but the distance of two points
+:func:`point_on_line`  1 / 2        translation along a line of the first body, rotation
+=====================  ===========  ===============================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError, require
+from ...rotations import Array
+from . import constraints as ct
+from .couplings import smooth_motion
+
+Vector = Sequence[float]
+
+
+class Ground:
+    """The fixed world frame; carries joints and forces, has no unknowns."""
+
+    name = "ground"
+
+    def __repr__(self) -> str:
+        return "ground"
+
+
+ground = Ground()
+
+
+@dataclass(frozen=True)
+class Row:
+    """One elementary constraint of a joint; directions in world axes of the initial configuration."""
+
+    kind: type[ct.Batch]
+    direction: Array
+    other: Array | None = None
+    motion: ct.Motion = ct.standstill
+    axis: Array | None = None
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Two attachments, their marker points (world, initial configuration; None: a surface's centroid), and rows."""
+
+    name: str
+    a: Any
+    b: Any
+    rows: tuple[Row, ...]
+    center_a: Array | None = None
+    center_b: Array | None = None
+    length: float = 1.0
+    kind: str = field(default="joint")
+    axis: Array | None = None  # of the joint's angle and displacement, unit vector, world, initial configuration
+
+    def __post_init__(self) -> None:
+        require(bool(self.name), "A joint needs a name.")
+        ends = [(getattr(x, "body", x), x.name) for x in (self.a, self.b)]  # surfaces are made anew at each call
+        same = ends[0][0] is ends[1][0] and ends[0][1] == ends[1][1]
+        require(not same, f'Joint "{self.name}" connects {getattr(self.a, "name", self.a)!r} with itself.')
+
+
+def dimension(a: Any, b: Any, name: str) -> int:
+    """Space dimension of two attachments (the ground has none of its own)."""
+    sides = [x for x in (a, b) if x is not ground]
+    for side in sides:
+        if not hasattr(side, "dim"):
+            raise InputError(
+                f'Joint "{name}" connects {side!r}; expected a body, a surface of an elastic body, or fmbd.ground.'
+            )
+    require(bool(sides), f'Joint "{name}" connects the ground with the ground.')
+    dims = {x.dim for x in sides}
+    if len(dims) != 1:
+        raise InputError(f'Joint "{name}" needs bodies of one dimension, found {sorted(dims)} for {a!r} and {b!r}.')
+    return int(dims.pop())
+
+
+def basis(axis: Vector | Array, name: str = "") -> Array:
+    """Rows e_1, e_2, e_3: an orthonormal right-handed basis whose third vector points along the axis."""
+    n = np.asarray(axis, dtype=float)
+    length = float(np.linalg.norm(n))
+    require(
+        n.shape == (3,) and np.isfinite(length) and length > 0,
+        f'Joint "{name}": axis {axis} must have three components, not all zero.',
+    )
+    n = n / length
+    helper = np.eye(3)[int(np.argmin(np.abs(n)))]
+    e1 = np.cross(n, helper)
+    e1 /= np.linalg.norm(e1)
+    return np.array([e1, np.cross(n, e1), n])
+
+
+def _point(center: Vector | None, dim: int, name: str) -> Array | None:
+    if center is None:
+        return None
+    c = np.asarray(center, dtype=float)
+    require(
+        c.shape in ((dim,), (3,)) and bool(np.isfinite(c).all()),
+        f'Joint "{name}": center {center} must be {dim} finite numbers.',
+    )
+    return c[:dim]
+
+
+def _joint(
+    joint: tuple[str, str, Any, Any], center: Vector | None, rows: list[Row], axis: Array | None = None
+) -> Joint:
+    """A joint from (name, kind, a, b), its point, rows and axis."""
+    name, kind, a, b = joint
+    c = _point(center, dimension(a, b, name), name)
+    return Joint(name, a, b, tuple(rows), c, c, kind=kind, axis=axis)
+
+
+def direction(axis: Vector, dim: int, name: str) -> Array:
+    """Unit vector (dim,) along an axis given by dim or three finite numbers, not all zero."""
+    n = np.asarray(axis, dtype=float)
+    require(
+        n.shape in ((dim,), (3,)) and bool(np.isfinite(n).all()) and float(np.linalg.norm(n[:dim])) > 0,
+        f'Joint "{name}": axis {axis} must be {dim} finite numbers, not all zero.',
+    )
+    return np.asarray(n[:dim] / np.linalg.norm(n[:dim]))
+
+
+def _meet(dim: int) -> list[Row]:
+    return [Row(ct.Coincident, n) for n in np.eye(dim)]
+
+
+def _upright(E: Array) -> list[Row]:
+    """The axis of a stays perpendicular to the two cross axes of b."""
+    return [Row(ct.Perpendicular, E[2], E[0]), Row(ct.Perpendicular, E[2], E[1])]
+
+
+def fixed(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
+    """Weld two attachments at ``center``: no relative motion (on elastic surfaces: on average)."""
+    dim = dimension(a, b, name)
+    e = np.eye(dim)
+    turn = [(0, 1)] if dim == 2 else [(0, 1), (1, 2), (2, 0)]
+    rows = _meet(dim) + [Row(ct.Perpendicular, e[i], e[j]) for i, j in turn]
+    return _joint((name, "fixed", a, b), center, rows)
+
+
+def revolute(name: str, a: Any, b: Any, *, center: Vector | None = None, axis: Vector = (0.0, 0.0, 1.0)) -> Joint:
+    """Hinge: the markers coincide at ``center`` (m); in space the body axes along ``axis`` stay parallel."""
+    dim = dimension(a, b, name)
+    E = basis(axis, name)
+    return _joint((name, "revolute", a, b), center, _meet(dim) + (_upright(E) if dim == 3 else []), E[2])
+
+
+def spherical(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
+    """Ball and socket: the markers coincide at ``center`` (m), all rotations are free."""
+    return _joint((name, "spherical", a, b), center, _meet(dimension(a, b, name)))
+
+
+def universal(
+    name: str,
+    a: Any,
+    b: Any,
+    *,
+    center: Vector | None = None,
+    axis_a: Vector = (1, 0, 0),
+    axis_b: Vector = (0, 1, 0),
+) -> Joint:
+    """Cardan joint: the markers coincide and ``axis_a`` (fixed in a) stays perpendicular to ``axis_b`` (fixed in b)."""
+    ea, eb = basis(axis_a, name)[2], basis(axis_b, name)[2]
+    require(abs(float(ea @ eb)) < 1e-9, f'Joint "{name}": axis_a {axis_a} and axis_b {axis_b} must be perpendicular.')
+    rows = [*_meet(dimension(a, b, name)), Row(ct.Perpendicular, ea, eb)]
+    return _joint((name, "universal", a, b), center, rows)
+
+
+def prismatic(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None = None) -> Joint:
+    """Slider: b translates along ``axis`` (fixed in a), without rotation."""
+    dim = dimension(a, b, name)
+    if dim == 2:
+        n = direction(axis, 2, name)
+        cross = np.array([-n[1], n[0]])
+        rows = [Row(ct.Along, cross), Row(ct.Perpendicular, cross, n)]
+    else:
+        E = basis(axis, name)
+        rows = [Row(ct.Along, E[0]), Row(ct.Along, E[1]), *_upright(E), Row(ct.Perpendicular, E[0], E[1])]
+    return _joint((name, "prismatic", a, b), center, rows, n if dim == 2 else E[2])
+
+
+def cylindrical(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None = None) -> Joint:
+    """b translates along and turns about ``axis`` (fixed in a)."""
+    E = basis(axis, name)
+    rows = [Row(ct.Along, E[0]), Row(ct.Along, E[1]), *_upright(E)]
+    return _joint((name, "cylindrical", a, b), center, rows, E[2])
+
+
+def planar(name: str, a: Any, b: Any, *, normal: Vector, center: Vector | None = None) -> Joint:
+    """b slides and turns in the plane through ``center`` with the given normal (fixed in a)."""
+    E = basis(normal, name)
+    return _joint((name, "planar", a, b), center, [Row(ct.Along, E[2]), *_upright(E)], E[2])
+
+
+def point_on_line(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None = None) -> Joint:
+    """A point of b stays on a line of a along ``axis``; b turns freely."""
+    dim = dimension(a, b, name)
+    if dim == 2:
+        n = direction(axis, 2, name)
+        rows = [Row(ct.Along, np.array([-n[1], n[0]]))]
+    else:
+        E = basis(axis, name)
+        rows = [Row(ct.Along, E[0]), Row(ct.Along, E[1])]
+    return _joint((name, "point on line", a, b), center, rows, n if dim == 2 else E[2])
+
+
+def distance(
+    name: str, a: Any, b: Any, *, point_a: Vector | None = None, point_b: Vector | None = None, length: float
+) -> Joint:
+    """Massless rod of the given length (m) between a point of a and a point of b; multiplier: its tension (N)."""
+    require(length > 0 and np.isfinite(length), f'Joint "{name}": length {length} must be positive.')
+    dim = dimension(a, b, name)
+    pa, pb = _point(point_a, dim, name), _point(point_b, dim, name)
+    return Joint(name, a, b, (Row(ct.Distance, np.zeros(dim)),), pa, pb, length, "distance")
+
+
+def drive_rotation(name: str, a: Any, b: Any, motion: ct.Motion, *, axis: Vector = (0.0, 0.0, 1.0)) -> Joint:
+    """Prescribe the rotation of b against a about ``axis`` (fixed in a): motion(t) = angle or (angle, rate, acceleration)."""
+    dim = dimension(a, b, name)
+    if dim == 2:
+        row = Row(ct.Perpendicular, np.array([0.0, 1.0]), np.array([1.0, 0.0]), smooth_motion(name, motion))
+    else:
+        E = basis(axis, name)
+        row = Row(ct.Perpendicular, E[1], E[0], smooth_motion(name, motion), E[2])
+    return _joint((name, "drive", a, b), None, [row], None if dim == 2 else E[2])
+
+
+def drive_translation(
+    name: str, a: Any, b: Any, motion: ct.Motion, *, axis: Vector, center: Vector | None = None
+) -> Joint:
+    """Prescribe the displacement of b against a along ``axis`` (fixed in a): motion(t) = s or (s, s', s'')."""
+    dim = dimension(a, b, name)
+    n = direction(axis, dim, name)
+    return _joint((name, "drive", a, b), center, [Row(ct.Along, n, motion=smooth_motion(name, motion))], n)

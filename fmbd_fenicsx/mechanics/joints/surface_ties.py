@@ -1,0 +1,311 @@
+"""Ties of whole surfaces by field multipliers: weak Dirichlet data, rigid faces, non-matching interfaces, sliding.
+
+    int_Gamma mu . (x_b + s(t) d(X) - x_a) dS = 0    for all mu of a multiplier space on the surface of a     (1)
+
+x_a is the placement of an elastic surface, x_b that of another elastic surface (over the intersections of their facets), of a
+rigid body, or of the ground; s(t) d(X) is a displacement that is imposed on top. Every side is linear in its ports,
+
+    y_j = m_j r + R (s_j + p_j),     m_j = int mu_j,  s_j = int mu_j X,  p_j = int mu_j u     (2)
+
+with the pose (r, R) of its frame (the ground for absolute bodies), so that one kind of row serves all of them. The multiplier
+is the traction on the surface of a, world axes (of a sliding tie: along the normal).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...errors import InputError, require
+from ...fem.traces.mortar import mortar
+from ...fem.traces.multipliers import Multipliers, MultiplierSpace, default_space
+from ...fem.traces.traces import Trace, surface_trace, trace_of
+from ...rotations import Array, motions
+from ..bodies.bodies import AbsoluteBody, FloatingBody, RigidBody, Surface
+from .constraints import Motion, standstill
+from .couplings import smooth_motion
+from .joints import ground
+
+LOOK_LIMIT = 1500  # multiplier functions up to which a tie looks for combinations that see nothing
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceTie:
+    """What a user says of a tie (1); see :func:`tie_surface`."""
+
+    name: str
+    a: Surface
+    b: Any
+    space: MultiplierSpace | None = None
+    sliding: bool = False
+    motion: Motion | None = None
+    shape: Callable[[Array], Array] | None = None
+
+    def __post_init__(self) -> None:
+        require(bool(self.name), "A tie needs a name.")
+        for side, first in ((self.a, True), (self.b, False)):
+            elastic = isinstance(side, Surface) and isinstance(side.body, AbsoluteBody | FloatingBody)
+            if not elastic and (first or not (side is ground or isinstance(side, RigidBody))):
+                raise InputError(
+                    f'Tie "{self.name}": {side!r} cannot be tied. a must be a surface of an AbsoluteBody or '
+                    "FloatingBody; b such a "
+                    "surface, a rigid body, or fmbd.ground."
+                )
+        if isinstance(self.b, Surface) and self.b.body is self.a.body and self.b.name == self.a.name:
+            raise InputError(f'Tie "{self.name}" ties {self.a!r} with itself.')
+
+
+def tie_surface(
+    name: str,
+    a: Surface,
+    b: Any,
+    *,
+    space: MultiplierSpace | None = None,
+    sliding: bool = False,
+    motion: Callable[[float], float] | Motion | None = None,
+    shape: Callable[[Array], Array] | None = None,
+) -> SurfaceTie:
+    """Tie the surface ``a`` of an elastic body to ``b`` point by point, in the weak sense (1).
+
+    Args:
+        name: what messages call it.
+        a: surface that carries the multipliers (of two elastic surfaces the finer one).
+        b: another elastic surface, a rigid body, or ``fmbd.ground``.
+        space: multiplier space; by default P1 with merged ends beside P1, P1 beside P2.
+        sliding: True ties only the component normal to ``a`` (flat surfaces).
+        motion: s(t) of an imposed displacement, 1 by default where ``shape`` is given.
+        shape: d(X), function of world coordinates (d, n) -> (d, n), m.
+    """
+    require(
+        motion is None or shape is not None,
+        f'Tie "{name}": motion(t) needs a shape(X), the displacement that it scales.',
+    )
+    law = None if motion is None else smooth_motion(name, motion, of="tie")
+    if law is None and shape is not None:
+        law = lambda t: (1.0, 0.0, 0.0)
+    return SurfaceTie(name, a, b, space, sliding, law, shape)
+
+
+def finer_first(a: Surface, b: Surface) -> tuple[Surface, Surface]:
+    """Two elastic surfaces, the one with the smaller facets first: ``tie_surface("glue", *finer_first(a, b))``; collective.
+
+    The finer side should carry the multipliers. Sides are never exchanged unasked: the multiplier is the force on the first.
+    """
+    h = []
+    for s in (a, b):
+        require(isinstance(s, Surface), f"finer_first takes two surfaces of elastic bodies; found {s!r}.")
+        h.append(surface_trace(s.body.mesh, s.name).h)
+    return (a, b) if h[0] <= h[1] else (b, a)
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One side (2): its frame, its part (None: rigid or ground) with the ports p, and the constants m (n,), s (n, d).
+
+    ``trace`` and ``coupling`` (functions, nodes of the trace) of an elastic side: p = coupling u on the trace.
+    """
+
+    frame: int
+    part: int | None
+    ports: slice
+    m: Array
+    s: Array
+    trace: Trace | None = None
+    coupling: sp.csr_matrix | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class TraceRows:
+    """Rows (1) of one tie: sides a and b, imposed data D_j = int mu_j d (n, d), motion, and the normal of a sliding tie."""
+
+    name: str
+    multipliers: Multipliers
+    sides: tuple[Side, Side]
+    data: Array
+    motion: Motion
+    normal: Array | None  # (d,), in the axes of b's frame
+
+    @property
+    def rows(self) -> int:
+        """Constraint rows."""
+        n, d = self.data.shape
+        return n if self.normal is not None else n * d
+
+    def tractions(self, lam: Array) -> Array:
+        """Facet-wise nodal values (n_f, k_p, d) of the force on a per area, Pa, world axes at the start, for rows ``lam``."""
+        values = lam.reshape(-1, 1) * self.normal if self.normal is not None else lam.reshape(self.data.shape)
+        return self.multipliers.coefficients(values)
+
+    def _arms(self, ev: Any, rate: bool = False) -> list[Array]:
+        """s + p of both sides (or p'), (n, d), axes of their frames."""
+        out = []
+        for side in self.sides:
+            p = np.zeros_like(side.s)
+            if side.part is not None:
+                source = ev.port_rate if rate else ev.port
+                p = source[ev.system.port_slice(side.part)][side.ports].reshape(side.s.shape)
+            out.append(p if rate else side.s + p)
+        return out
+
+    def _difference(self, ev: Any) -> Array:
+        d, (a, b) = self.data.shape[1], self._arms(ev)
+        A, B = self.sides
+        y = [s.m[:, None] * ev.pose[s.frame, :d] + z @ ev.rotation[s.frame].T for s, z in ((A, a), (B, b))]
+        return np.asarray(y[1] - y[0] + self.motion(ev.t)[0] * self.data)
+
+    def values(self, ev: Any) -> Array:
+        """g, (rows,)."""
+        g = self._difference(ev)
+        return g.ravel() if self.normal is None else g @ (ev.rotation[self.sides[1].frame] @ self.normal)
+
+    def rate(self, ev: Any) -> Array:
+        """dg/dt at rest, (rows,)."""
+        g = self.motion(ev.t)[1] * self.data
+        return g.ravel() if self.normal is None else g @ (ev.rotation[self.sides[1].frame] @ self.normal)
+
+    def jacobian(self, ev: Any) -> list[tuple[str, int, Any]]:
+        """Blocks ("frame", number of the frame, (rows, n_twist)) and ("port", number of the side, sparse (rows, ports))."""
+        m, (n, d) = ev.system.motions, self.data.shape
+        blocks: list[tuple[str, int, Any]] = []
+        nu = None if self.normal is None else ev.rotation[self.sides[1].frame] @ self.normal
+        for number, (side, z, sign) in enumerate(zip(self.sides, self._arms(ev), (-1.0, 1.0), strict=True)):
+            R = ev.rotation[side.frame]
+            if side.frame < ev.system.n_frames:
+                G = np.zeros((n, d, m.n_twist))
+                G[:, :, :d] = side.m[:, None, None] * np.eye(d)
+                G[:, :, d:] = R @ m.lever(z)
+                if nu is not None:
+                    G = np.einsum("i,nij->nj", nu, G)[:, None]
+                blocks.append(("frame", side.frame, sign * G.reshape(-1, m.n_twist)))
+            if side.part is not None:
+                row = R if nu is None else (nu @ R)[None]
+                blocks.append(("port", number, sp.kron(sp.identity(n), sign * row, format="csr")))
+        if nu is not None and self.normal is not None and self.sides[1].frame < ev.system.n_frames:
+            R = ev.rotation[self.sides[1].frame]
+            turned = np.zeros((n, m.n_twist))
+            turned[:, d:] = self._difference(ev) @ (R @ m.lever(self.normal[None])[0])
+            blocks.append(("frame", self.sides[1].frame, turned))
+        return blocks
+
+    def gamma(self, ev: Any) -> Array:
+        """g'' without the accelerations, (rows,)."""
+        m, d = ev.system.motions, self.data.shape[1]
+        total = np.zeros_like(self.data)
+        speed = self.motion(ev.t)[1] * self.data
+        for side, z, zd, sign in zip(self.sides, self._arms(ev), self._arms(ev, rate=True), (-1.0, 1.0), strict=True):
+            R, twist = ev.rotation[side.frame], ev.twist[side.frame]
+            w = np.broadcast_to(twist[None, d:], (len(z), m.n_rot))
+            total += sign * (m.spin(w, m.spin(w, z) + 2.0 * zd) @ R.T)
+            speed += sign * (side.m[:, None] * twist[:d] + (m.spin(w, z) + zd) @ R.T)
+        total += self.motion(ev.t)[2] * self.data
+        if self.normal is None:
+            return total.ravel()
+        frame = self.sides[1].frame
+        R, w = ev.rotation[frame], ev.twist[frame][None, d:]
+        n0 = self.normal[None]
+        n1 = m.spin(w, n0)
+        n2 = m.spin(w, n1)
+        return np.asarray(total @ (R @ n0[0]) + 2 * speed @ (R @ n1[0]) + self._difference(ev) @ (R @ n2[0]))
+
+
+def build_surface_ties(
+    ties: dict[str, SurfaceTie], parts: list[Any], part_of: dict[str, int], frame_of: dict[str, int]
+) -> list[TraceRows]:
+    """Rows of all ties of a scene; collective."""
+
+    def place(body: Any) -> tuple[int, Array, Array]:
+        """Frame, position and rotation at the start of a rigid body or the ground."""
+        if body is ground or body.locked:
+            d = next(iter(ties.values())).a.dim
+            return len(frame_of), np.zeros(d), np.eye(d)
+        pose, m = body.start_pose(), motions(body.dim)
+        return frame_of[body.name], pose[: body.dim], m.matrix(pose)
+
+    return [build_trace_rows(t, parts, part_of, place) for t in ties.values()]
+
+
+def build_trace_rows(
+    tie: SurfaceTie, parts: list[Any], part_of: dict[str, int], place: Callable[[Any], Any]
+) -> TraceRows:
+    """Rows of a tie; adds the ports that they need to the parts. ``place(rigid body)``: (frame, position, rotation).
+    Collective.
+    """
+    part = parts[part_of[tie.a.body.name]]
+    trace = _trace(part, tie.a)
+    space = tie.space or default_space(trace.degree)
+    other: Any = None
+    if isinstance(tie.b, Surface):
+        other = parts[part_of[tie.b.body.name]]
+        other_trace = _trace(other, tie.b)
+        coupling = mortar(trace, other_trace, space)
+        mu, A, B = coupling.multipliers, coupling.slave, coupling.master
+    else:
+        mu = space.on(trace)
+        A = mu.coupling()
+    _refuse_unseen(tie.name, mu, A)
+    a, start = _elastic_side(part, part_of[tie.a.body.name], trace, A)
+    if other is not None:
+        b, end = _elastic_side(other, part_of[tie.b.body.name], other_trace, B)
+        b = replace(b, s=b.s + (start - end))  # gaps of curved or distant meshes stay as they are
+    else:
+        frame, r, R = place(tie.b)
+        b = Side(frame, None, slice(0, 0), a.m, (start - a.m[:, None] * r) @ R)
+    normal = None
+    if tie.sliding:
+        mean = (trace.sizes[:, None] * trace.normals).sum(0) / trace.sizes.sum()
+        if np.linalg.norm(mean) < 1 - 1e-6:
+            raise InputError(f'Tie "{tie.name}": {trace.label} is curved; a sliding tie needs a flat surface.')
+        normal = mean if other is not None or tie.b is ground else place(tie.b)[2].T @ mean
+    return TraceRows(tie.name, mu, (a, b), _imposed(tie, mu), tie.motion or standstill, normal)
+
+
+def _refuse_unseen(name: str, mu: Multipliers, A: sp.csr_matrix) -> None:
+    """Raise when combinations of multipliers see no displacement of the surface: the inf-sup constant is zero."""
+    if mu.n > LOOK_LIMIT:
+        return
+    gram = (A @ A.T).toarray()
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    unseen = int((np.linalg.eigvalsh(gram / np.outer(size, size)) < 1e-12 * mu.n).sum())
+    if unseen:
+        raise InputError(
+            f'Tie "{name}": {unseen} of {mu.n} multiplier functions ({mu.name}, each for every component) see no displacement of '
+            f"{mu.trace.label} (degree {mu.trace.degree}): they fail the inf-sup condition, and the traction is not unique. Use "
+            "the default space, or see infsup(tie)."
+        )
+
+
+def _trace(part: Any, surface: Surface) -> Trace:
+    return trace_of(part.field.space, surface.body.mesh, surface.name)
+
+
+def _elastic_side(part: Any, number: int, trace: Trace, A: sp.csr_matrix) -> tuple[Side, Array]:
+    """Side with the ports p = A u (rows d) of a part, and int mu X in world axes at the start."""
+    ports = part.add_trace(sp.kron(trace.columns(A), sp.identity(trace.dim), format="csr"))
+    m = np.asarray(A.sum(axis=1)).ravel()
+    start = np.asarray(A @ trace.points)
+    return Side(part.frame, number, ports, m, start - m[:, None] * part.origin, trace, A), start
+
+
+def _imposed(tie: SurfaceTie, mu: Multipliers) -> Array:
+    """D_j = int mu_j d(X), (n, d)."""
+    from ...errors import CallbackError
+    from ...fem.traces.traces import quadrature, scatter, shape_functions
+
+    t, m = mu.trace, mu.trace.dim - 1
+    if tie.shape is None:
+        return np.zeros((mu.n, t.dim))
+    q, w = quadrature(m, 6 + mu.degree)
+    x = t.place(q).reshape(-1, t.dim)
+    found = np.asarray(tie.shape(x.T), dtype=float)
+    if found.shape != x.T.shape or not np.isfinite(found).all():
+        raise CallbackError(f'Tie "{tie.name}": shape(X) returned {found.shape}, expected {x.T.shape} finite numbers.')
+    values = found.T.reshape(len(t.nodes), len(q), t.dim)
+    blocks = np.einsum("f,q,qa,fqc->fac", t.sizes, w, shape_functions(m, mu.degree, q), values, optimize=True)
+    k = blocks.shape[1]
+    rows = np.arange(len(t.nodes) * k).reshape(len(t.nodes), k)
+    one = scatter(blocks, rows, np.broadcast_to(np.arange(t.dim), (len(rows), t.dim)), (rows.size, t.dim))
+    return np.asarray((mu.basis @ one).toarray())

@@ -1,0 +1,1 @@
+"""Reduction: modes, reduced bodies, and what large motion adds to them."""

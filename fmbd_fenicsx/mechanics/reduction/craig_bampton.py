@@ -1,0 +1,307 @@
+"""Reduced bodies from elastic ones: which modes, and the constants of ``mechanics.reduction.reduced`` computed with them.
+
+    rod.reduced(modes=20)                                    free-free modes (mean axes) or clamped ones (attached frame)
+    rod.reduced(frequency=500.0)                             all modes up to 500 Hz
+    rod.reduced(basis=CraigBampton(("pin", "tip"), 10))      static interface modes and 10 modes with fixed interfaces
+    rod.reduced(basis=CraigBampton(("pin", "tip"), 10, inertia=True))    ... and the static sag under rigid accelerations
+
+For a jointed body take CraigBampton with the surfaces that its joints hold: beside their static modes few others are enough.
+A body with geometric stiffening keeps the static displacements under its inertia forces beside the modes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError, require
+from ...fem.fields import Field
+from ...fem.mixed import make_field
+from ...log import log
+from ...rotations import Array
+from ..bodies.floating import attachment, frame_conditions, moment_columns
+from ..bodies.floating_start import framed_start
+from .reduced import Constants, SurfaceData, constants_of
+from .stiffening import Stiffening
+
+LEFT_OUT = 1e-4  # share of the mean square of an initial displacement above which modes that miss it are warned of
+
+
+@dataclass(frozen=True)
+class FrameModes:
+    """Vibration modes in the body's own frame: free-free for mean axes, clamped on average for an attached frame.
+
+    Either ``count`` modes, or all modes up to ``frequency`` (Hz).
+    """
+
+    count: int | None = None
+    frequency: float | None = None
+
+    def __post_init__(self) -> None:
+        require(
+            (self.count is None) != (self.frequency is None), "Give either the number of modes or a frequency limit."
+        )
+        require(self.count is None or self.count >= 0, f"modes = {self.count} must not be negative.")
+        require(self.frequency is None or self.frequency > 0, f"frequency = {self.frequency} Hz must be positive.")
+
+    def columns(self, field: Field, frame: Array) -> Array:
+        """Nodal fields that span the basis, (n d, m)."""
+        return _select(field, frame, self)
+
+
+@dataclass(frozen=True)
+class CraigBampton:
+    """Static modes of the moments of the ``interfaces`` (surfaces), and vibration modes with these moments at rest.
+
+    ``inertia`` adds the static displacements under rigid accelerations, one for each rigid motion, interfaces at rest: weight and
+    slow inertia forces are then exact, and stresses converge fast.
+    """
+
+    interfaces: tuple[str, ...]
+    count: int | None = None
+    frequency: float | None = None
+    inertia: bool = False
+
+    def __post_init__(self) -> None:
+        require(len(self.interfaces) > 0, "CraigBampton needs at least one interface surface.")
+        FrameModes(self.count, self.frequency)
+
+    def columns(self, field: Field, frame: Array) -> Array:
+        """Nodal fields that span the basis, (n d, m)."""
+        from .modes import ConditionedBody
+
+        C = _independent(field, np.concatenate([moment_columns(field, s) for s in self.interfaces], axis=1))
+        fixed = _select(field, C, self)
+        body = ConditionedBody(field, C)
+        static = [body.static_modes()]
+        if self.inertia:
+            static.append(np.stack([body.solve_static(f) for f in field.Q.T], axis=1))
+        body.destroy()
+        return np.concatenate((*static, fixed), axis=1)
+
+
+@dataclass(frozen=True)
+class Finer:
+    """A ``basis`` and much of what it leaves out: what the error of reduction of a run is measured against.
+
+    It adds the static modes of the ``surfaces`` in use and, with these surfaces at rest, the static displacements under the
+    inertia forces M (a + L X) of rigid motion and under the body's loads, and as many vibration modes as the basis has, at
+    least eight.
+    """
+
+    basis: Any
+    surfaces: tuple[str, ...]
+
+    def columns(self, field: Field, frame: Array) -> Array:
+        """Nodal fields that span the basis, (n d, m)."""
+        from .modes import ConditionedBody
+
+        given = self.basis.columns(field, frame)
+        C = frame
+        if self.surfaces:
+            C = _independent(field, np.concatenate([moment_columns(field, s) for s in self.surfaces], axis=1))
+        room = field.n_global - C.shape[1]
+        body = ConditionedBody(field, C)
+        static = [body.solve_static(f) for f in (*_inertia_patterns(field), *_load_patterns(field))]
+        added = [body.static_modes()] if self.surfaces else []
+        added.append(body.vibration_modes(min(max(given.shape[1], 8), room))[1])
+        body.destroy()
+        return np.concatenate((given, *added, np.stack(static, axis=1)), axis=1)
+
+
+def _inertia_patterns(field: Field) -> list[Array]:
+    """Nodal forces (n d,) M e_i and M X_j e_i: the inertia forces of any rigid motion are their sums."""
+    shapes = (np.ones(field.n), *field.X.T)
+    return [field.mass(np.outer(s, e)).ravel() for s in shapes for e in np.eye(field.dim)]
+
+
+def _load_patterns(field: Field) -> list[Array]:
+    """Nodal forces (n d,) whose sums are the body's loads in its axes: a dead load turns in them, its components mix."""
+    found: list[Array] = []
+    for load, b in zip(field.loads.loads, field.loads.vectors, strict=True):
+        assert b is not None  # a reduced body is linear
+        axes = np.eye(field.dim)
+        turned = [b] if load.follower or load.internal else [np.outer(c, e) for c in b.T for e in axes]
+        found += [x.ravel() for x in turned if field.total(np.array(np.abs(x).sum())) > 0]
+    return found
+
+
+def _independent(field: Field, C: Array) -> Array:
+    """Orthonormal columns that span C: on a plane surface the moment along its normal is zero."""
+    s, U = np.linalg.eigh(field.total(C.T @ C))
+    keep = s > 1e-12 * s.max()
+    return np.asarray(C @ (U[:, keep] / np.sqrt(s[keep])) * field.mass_total)
+
+
+def _select(field: Field, conditions: Array, wanted: Any) -> Array:
+    """Modes by number or by frequency."""
+    from .modes import ConditionedBody
+
+    if wanted.count == 0:
+        return np.zeros((field.n * field.dim, 0))
+    body = ConditionedBody(field, conditions)
+    try:
+        if wanted.count is not None:
+            return body.vibration_modes(wanted.count)[1]
+        limit, n = 2 * np.pi * wanted.frequency, 8
+        room = field.n_global - conditions.shape[1]
+        while True:
+            omega, phi = body.vibration_modes(min(n, room))
+            if omega[-1] > limit or n >= room:
+                return phi[:, omega <= limit]
+            n *= 2
+    finally:
+        body.destroy()
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedBody:
+    """An elastic body by a few modes in its floating frame; made by ``FloatingBody.reduced``.
+
+    The reduction is computed at first use and kept: later runs of the body start at once. ``source`` is the full body.
+    """
+
+    source: Any
+    basis: FrameModes | CraigBampton | Finer
+
+    @property
+    def name(self) -> str:
+        """Name of the full body."""
+        return str(self.source.name)
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return int(self.source.dim)
+
+    def surface(self, name: str) -> Any:
+        """The named surface of the mesh."""
+        return replace(self.source.surface(name), body=self)
+
+    def start_twist(self) -> Array:
+        """Rigid velocity at the start."""
+        return np.asarray(self.source.start_twist())
+
+    @cached_property
+    def reduction(self) -> Reduction:
+        """Modes and constants; collective at first use."""
+        return reduce_body(self.source, self.basis)
+
+    @property
+    def constants(self) -> Constants:
+        """What the time loop needs."""
+        return self.reduction.constants
+
+    @cached_property
+    def _finer(self) -> dict[tuple[str, ...], ReducedBody]:
+        return {}
+
+    def finer(self, surfaces: tuple[str, ...]) -> ReducedBody:
+        """The same body with the basis :class:`Finer`, made once for the surfaces in use."""
+        return self._finer.setdefault(surfaces, ReducedBody(self.source, Finer(self.basis, surfaces)))
+
+    def start_local(self) -> tuple[Array, Array]:
+        """Modal amplitudes and rates at the start."""
+        return self.reduction.start
+
+    def start_frame(self) -> tuple[Array, Array]:
+        """Pose and twist of the frame at the start."""
+        return self.reduction.frame
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """Constants, frequencies omega (rad/s) of the modes, and the modes phi (n d, m) on this rank's nodes of ``space``.
+
+    ``start``: amplitudes (m,) of the initial displacement and of its rate; ``frame``: pose and twist of the frame with them.
+    """
+
+    constants: Constants
+    omega: Array
+    phi: Array
+    space: Any
+    start: tuple[Array, Array]
+    frame: tuple[Array, Array]
+
+
+def _loads(f: Field, Z: Array) -> tuple[tuple[tuple[Any, Array], ...], dict[Any, Array]]:
+    """Loads with sum_n b_n Z_a,n^T (m + 1, d, d), and their sums over the nodes (d,)."""
+    tensors, sums = [], {}
+    for load, b in zip(f.loads.loads, f.loads.vectors, strict=True):
+        assert b is not None  # a reduced body is linear
+        tensors.append((load, np.asarray(f.total(np.einsum("ni,nja->aij", b, Z)))))
+        sums[load] = np.asarray(f.total(b.sum(0)))
+    return tuple(tensors), sums
+
+
+def reduce_body(body: Any, basis: FrameModes | CraigBampton | Finer) -> Reduction:
+    """Modes and constants of an elastic body; collective.
+
+    Raises:
+        InputError: an energy instead of a linear form, or more modes than unknowns.
+    """
+    from .modes import orthonormal_modes
+
+    if body.elastic is None:
+        raise InputError(f'Body "{body.name}": modes need the linear form elastic(u, v, dx), not an energy.')
+    f = make_field(body.name, body.mesh, body.forms())
+    frame = frame_conditions(f, body.frame)
+    omega: Array = np.zeros(0)
+    phi: Array = np.zeros((f.n * f.dim, 0))
+    V = basis.columns(f, frame)
+    stress = None
+    if body.held_at and V.shape[1]:
+        stress = Stiffening(f, attachment(f, body.held_at), [s for s in f.mesh.surface_names if s != body.held_at])
+    if stress is not None:
+        V = np.concatenate((V, stress.columns), axis=1)  # the stretch of steady rotation is then exact
+    if V.shape[1]:
+        omega, phi = orthonormal_modes(f, V, frame)
+    d, m = f.dim, phi.shape[1]
+    Z = np.concatenate((f.X[:, :, None], phi.reshape(f.n, d, m)), axis=2)
+    MZ = np.stack([f.mass(np.ascontiguousarray(Z[:, :, a])) for a in range(m + 1)], axis=2)
+    S, T = (f.total(x) for x in constants_of(Z, MZ))
+    surfaces = {}
+    for name in f.mesh.surface_names:
+        mom = f.moments(name)
+        ports = f.total(
+            np.einsum("na,ndk->adk", mom.weights, phi.reshape(f.n, d, m)[mom.nodes]).reshape((1 + d) * d, m)
+        )
+        bend = stress.modal(phi, stress.section_columns[name]) if stress and name != body.held_at else None
+        surfaces[name] = SurfaceData(mom.reference, ports, mom.center, bend)
+    K = np.diag(omega**2)
+    D = body.mass_damping * np.eye(m) + body.stiffness_damping * K
+    if f.D is not None and m:
+        D = D + f.total(phi.T @ np.stack([f.damping(a) for a in phi.T], axis=1))
+    stiffening = None
+    load_stress: dict[Any, Array] = {}
+    if stress is not None:
+        stiffening = stress.modal(phi, stress.columns)
+        for (load, _), columns in zip(stress.loads, stress.load_columns, strict=True):
+            load_stress[load] = stress.modal(phi, columns).reshape(d, d, m, m)
+    made = Constants(f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z), load_stress)
+    start = framed_start(body, f, frame)
+    local = _amplitudes(f, start.U, phi), _amplitudes(f, start.Ud, phi)
+    space = f.space
+    f.destroy()
+    return Reduction(made, omega, phi, space, local, (start.pose, start.twist))
+
+
+def _amplitudes(f: Field, U: Array, phi: Array) -> Array:
+    """Amplitudes (m,) of the modes in nodal displacements U or their rate; a warning of what they leave out."""
+    if not f.total(np.array(np.abs(U).sum())):
+        return np.zeros(phi.shape[1])
+    MU = f.mass(U.reshape(-1, f.dim)).ravel()
+    eta = np.asarray(f.total(phi.T @ MU))
+    whole = float(f.total(np.array(U @ MU)))
+    left = 1.0 - float(eta @ eta) / whole if whole > 0 else 0.0
+    if left > LEFT_OUT:
+        log.warning(
+            'body "%s": its %d modes leave out %.2g of the mean square of its initial displacement or rate',
+            f.name,
+            phi.shape[1],
+            left,
+        )
+    return eta

@@ -1,0 +1,222 @@
+"""Modes of an elastic body under linear conditions C^T u = 0: the bases of reduced bodies.
+
+    K phi + C mu = omega^2 M phi,   C^T phi = 0          vibration                                            (1)
+    K psi + C mu = 0,               C^T psi = e_p        static, one for every condition p                    (2)
+
+With the mean-axis conditions C = [M 1, M (e x X)] the modes (1) are the free-free modes without the rigid ones; with the
+conditions of surfaces that stand still on average they are clamped modes. The Craig-Bampton basis holds the modes (1) with
+all moments of the interfaces at rest and the static modes (2) of these moments. K is singular, so the shifted K + s M
+is factored once and used for all of it: by SLEPc's Krylov-Schur method on the shift-inverted operator for (1), by
+refinement for (2), which converges like (s / (s + omega_1^2))^k.
+
+Source: Craig and Bampton, doi:10.2514/3.4741.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...errors import FmbdError, InputError
+from ...fem.factor import Factor
+from ...fem.fields import Field
+from ...rotations import Array
+
+SHIFT = 1e-3  # of an upper bound of the first eigenvalue
+
+
+def rigid_fields(field: Field) -> Array:
+    """Nodal displacements of the rigid motions, (n d, n_twist)."""
+    d, m = field.dim, field.motions
+    Z = np.zeros((field.n, d, m.n_twist))
+    Z[:, range(d), range(d)] = 1.0
+    for k in range(m.n_rot):
+        Z[:, :, d + k] = m.spin(np.eye(m.n_rot)[k : k + 1], field.X)
+    return Z.reshape(-1, m.n_twist)
+
+
+def first_eigenvalue_bound(field: Field) -> float:
+    """Rayleigh quotients of quadratic displacements without their rigid part: an upper bound.
+
+    Bending u_k = X_i^2, u_i = -2 X_i X_k has no shear and comes close for slender bodies; e_k X_i X_j for the others.
+    """
+    f, d = field, field.dim
+    X = f.X / f.size
+    Z = rigid_fields(f)
+    G = f.total(Z.T @ f.Q)
+    best = np.inf
+    for k in range(d):
+        for i in range(d):
+            for j in range(i, d):
+                u = np.zeros((f.n, d))
+                u[:, k] = X[:, i] * X[:, j]
+                if i == j != k:
+                    u[:, i] = -2.0 * X[:, i] * X[:, k]
+                u = u.ravel() - Z @ np.linalg.solve(G, f.total(f.Q.T @ u.ravel()))
+                kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, d)).ravel()]))
+                best = min(best, float(kk / mm))
+    return best
+
+
+def first_frequency(field: Field, conditions: Array) -> float:
+    """Lowest frequency omega (rad/s) under the conditions, by inverse iteration, to about a percent; collective."""
+    body = ConditionedBody(field, conditions)
+    rng = np.random.default_rng(5 + field.comm.rank)
+    u, value, before = rng.standard_normal(field.n * field.dim), np.inf, 0.0
+    for _ in range(50):
+        Mu = field.mass(u.reshape(-1, field.dim)).ravel()
+        u = body.solve_shifted(Mu)
+        kk, mm = field.total(np.array([u @ field.stiffness(u), u @ field.mass(u.reshape(-1, field.dim)).ravel()]))
+        value, before = float(kk / mm), value
+        u = u / np.sqrt(mm)
+        if abs(value - before) < 1e-3 * value:
+            break
+    body.destroy()
+    return float(np.sqrt(value))
+
+
+class ConditionedBody:
+    """K + s M of a field, factored, with conditions C (n d, c); collective to build, to use and to destroy."""
+
+    def __init__(self, field: Field, conditions: Array) -> None:
+        self.field, self.C = field, conditions
+        self.shift = SHIFT * first_eigenvalue_bound(field)
+        self.factor = Factor(field, self.shift, 1.0)
+        self.Y = np.stack([self.factor.solve(c) for c in conditions.T], axis=1) if conditions.shape[1] else conditions
+        self.W = field.total(conditions.T @ self.Y)
+
+    def _bordered(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """u and mu with (K + s M) u + C mu = b and C^T u = c."""
+        z = self.factor.solve(b)
+        mu = np.linalg.solve(self.W, self.field.total(self.C.T @ z) - c)
+        return z - self.Y @ mu, np.asarray(mu, dtype=float)
+
+    def solve_shifted(self, b: Array) -> Array:
+        """u with (K + s M) u + C mu = b and C^T u = 0."""
+        return self._bordered(b, np.zeros(self.C.shape[1]))[0]
+
+    def solve_static(self, b: Array, c: Array | None = None) -> Array:
+        """u with K u + C mu = b and C^T u = c, by refinement; the conditions must hold the body."""
+        f = self.field
+        c = np.zeros(self.C.shape[1]) if c is None else c
+        u, mu = self._bordered(b, c)
+        before = np.inf
+        for _ in range(100):
+            du, dmu = self._bordered(b - f.stiffness(u) - self.C @ mu, c - f.total(self.C.T @ u))
+            u, mu = u + du, mu + dmu
+            size, change = f.total(np.array([u @ u, du @ du]))
+            if change <= 1e-24 * size or (change >= 0.25 * before and change <= 1e-12 * size):
+                return u  # to roundoff: corrections do not fall any more
+            before = change
+        raise FmbdError(f'Body "{f.name}": static modes did not converge; the conditions do not hold the body.')
+
+    def static_modes(self) -> Array:
+        """The modes (2), (n d, c)."""
+        c = self.C.shape[1]
+        zero = np.zeros(len(self.C))
+        return np.stack([self.solve_static(zero, np.eye(c)[p]) for p in range(c)], axis=1)
+
+    def vibration_modes(self, count: int) -> tuple[Array, Array]:
+        """The first ``count`` modes (1): omega (rad/s) ascending, and phi (n d, count)."""
+        from petsc4py import PETSc
+        from slepc4py import SLEPc
+
+        f = self.field
+        if count == 0:
+            return np.zeros(0), np.zeros((len(self.C), 0))
+        if count > f.n_global - self.C.shape[1]:
+            raise InputError(
+                f'Body "{f.name}": {count} modes asked for, but its field has only {f.n_global} unknowns and '
+                f"{self.C.shape[1]} conditions."
+            )
+        M = f.mass_matrix()
+        K = PETSc.Mat().createPython(M.getSizes(), _Stiffness(f), comm=f.comm)
+        K.setUp()
+        eps = SLEPc.EPS().create(f.comm)
+        eps.setOperators(K, M)
+        eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
+        eps.setDimensions(count, min(max(2 * count, count + 15), f.n_global))
+        eps.setTarget(-self.shift)
+        eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_REAL)
+        eps.setTolerances(1e-12, 500)
+        st = eps.getST()
+        st.setType("sinvert")
+        st.setShift(-self.shift)
+        st.setMatMode(SLEPc.ST.MatMode.SHELL)
+        ksp = st.getKSP()
+        ksp.setType("preonly")
+        ksp.getPC().setType("python")
+        ksp.getPC().setPythonContext(_Inverse(self))
+        start = M.createVecRight()
+        rng = np.random.default_rng(3 + f.comm.rank)
+        start.array[:] = self.solve_shifted(f.mass(rng.standard_normal((f.n, f.dim))).ravel())
+        eps.setInitialSpace(start)
+        eps.solve()
+        found = eps.getConverged()
+        values, modes = [], []
+        for k in range(min(found, count)):
+            values.append(eps.getEigenpair(k, start).real)
+            modes.append(start.array.copy())
+        for obj in (eps, start, K, M):
+            obj.destroy()
+        if found < count:
+            raise FmbdError(f'Body "{f.name}": SLEPc found {found} of {count} modes.')
+        order = np.argsort(values)
+        return np.sqrt(np.maximum(np.array(values)[order], 0.0)), np.stack(modes, axis=1)[:, order]
+
+    def destroy(self) -> None:
+        """Free the factor; collective."""
+        self.factor.destroy()
+
+
+class _Stiffness:
+    """K of a field as a PETSc matrix that only multiplies; the pressure of a mixed field stays inside."""
+
+    def __init__(self, field: Field) -> None:
+        self.field = field
+
+    def mult(self, A: Any, x: Any, y: Any) -> None:
+        """y = K x."""
+        y.array[:] = self.field.stiffness(x.array_r)
+
+
+class _Inverse:
+    """The conditioned inverse of K + s M as a PETSc preconditioner, so that SLEPc uses it as its shift-inverted operator."""
+
+    def __init__(self, body: ConditionedBody) -> None:
+        self.body = body
+
+    def apply(self, pc: Any, x: Any, y: Any) -> None:
+        """y = (K + s M)^-1 x under the conditions."""
+        y.array[:] = self.body.solve_shifted(x.array_r)
+
+
+def orthonormal_modes(field: Field, V: Array, conditions: Array) -> tuple[Array, Array]:
+    """A basis of span V in the frame given by ``conditions``, M-orthonormal with diagonal K: omega (rad/s) and phi (n d, m).
+
+    Rigid parts of V are taken out by the frame's conditions; directions that vanish with them, against the size that they had
+    before, are dropped: static modes of one interface hold all rigid motions.
+    """
+    import scipy.linalg as sl
+
+    Z = rigid_fields(field)
+    before = np.array([field.total(np.array(v @ field.mass(v.reshape(-1, field.dim)).ravel())) for v in V.T])
+    V = V - Z @ np.linalg.solve(field.total(conditions.T @ Z), field.total(conditions.T @ V))
+
+    def product(A: Array, B: Array) -> Array:
+        return field.total(A.T @ B)
+
+    def mass(A: Array) -> Array:
+        return np.stack([field.mass(a.reshape(-1, field.dim)).ravel() for a in A.T], axis=1)
+
+    V = V / np.sqrt(np.maximum(before, 1e-300))
+    for _ in range(2):  # twice is enough: the second pass cleans the roundoff of the first
+        G = product(V, mass(V))
+        s, U = np.linalg.eigh(0.5 * (G + G.T))
+        keep = s > 1e-12 * s.max()
+        V = V @ (U[:, keep] / np.sqrt(s[keep]))
+    KV = np.stack([field.stiffness(a) for a in V.T], axis=1)
+    K, M = product(V, KV), product(V, mass(V))
+    values, U = sl.eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
+    return np.sqrt(np.maximum(values, 0.0)), V @ U

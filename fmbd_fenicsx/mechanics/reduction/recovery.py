@@ -1,0 +1,57 @@
+"""Displacements and stresses of elastic bodies after a run, through the user's own form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ...errors import InputError
+from .craig_bampton import ReducedBody
+
+
+def displacement(run: Any, body: Any, state: Any = None) -> Any:
+    """Displacements u of an elastic body as a dolfinx Function on its mesh, in its frame's axes; collective.
+
+    Works for floating, reduced and absolute bodies. ``state``: an entry of ``run.snapshots``; the last state by default.
+    """
+    from dolfinx import fem
+
+    system, state = run.system, run.state if state is None else state
+    for k, part in enumerate(system.parts):  # noqa: B007, used below
+        if part.name == body.name:
+            break
+    else:
+        raise InputError(f'Body "{body.name}" is no elastic body of the run.')
+    local = system.local_q(state.q, k)
+    if isinstance(body, ReducedBody):
+        space, values = body.reduction.space, body.reduction.phi @ local
+    elif hasattr(part, "field"):
+        space, values = part.field.space, local
+    else:
+        raise InputError(f'Body "{body.name}" has no displacement field on a mesh.')
+    u = fem.Function(space, name="displacement")
+    u.x.array[: len(values)] = values
+    u.x.scatter_forward()
+    return u
+
+
+def stress(u: Any, sigma: Callable[[Any], Any], *, degree: int = 1) -> Any:
+    """sigma(u), the user's UFL stress (or any tensor), as a Function, discontinuous between cells; collective.
+
+    ``u`` from :func:`displacement`. The degree of the result is that of sigma(u): one less than that of u for linear bodies.
+    """
+    out, expression = within_cells(u, sigma, degree=degree, name="stress")
+    out.interpolate(expression)
+    return out
+
+
+def within_cells(u: Any, quantity: Callable[[Any], Any], *, degree: int, name: str) -> tuple[Any, Any]:
+    """A Function, discontinuous between cells, and the fem.Expression of quantity(u), in UFL, that it is to interpolate."""
+    from dolfinx import fem
+
+    from ... import dolfinx_compat as compat
+
+    expression = quantity(u)
+    shape = expression.ufl_shape
+    space = fem.functionspace(u.function_space.mesh, ("DG", degree, shape) if shape else ("DG", degree))
+    return fem.Function(space, name=name), fem.Expression(expression, compat.interpolation_points(space))

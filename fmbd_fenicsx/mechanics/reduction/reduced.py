@@ -1,0 +1,262 @@
+"""Reduced elastic bodies: a floating frame and a few modes, x = r + R (X + Phi eta), with constants instead of a field.
+
+With the nodal fields Z_0 = X, Z_k = Phi_k and p = (1, eta) the points are P = sum_a p_a Z_a. All inertia follows from
+
+    S_a = sum_n (M Z_a)_n,    T_ab = sum_nm Z_a,n M_nm Z_b,m^T,    T(p, q) = sum_ab p_a q_b T_ab               (1)
+
+computed once. With a = R^T (r'' - g), w~ the matrix of the angular velocity and L = w'~ + w~ w~ the nodal accelerations in
+body axes are a + L P + 2 w~ P' + P'', hence
+
+    translation  R (m a + L S p + 2 w~ S p' + S p'')
+    rotation     axial vector of  N = (S p) a^T + T(p, p) L^T + 2 T(p, p') w~^T + T(p, p'')                    (2)
+    mode k       S_k . a + tr(T(e_k, p) L^T) + 2 tr(T(e_k, p') w~^T) + tr(T(e_k, p'')) + (K eta + D eta')_k
+
+No term is left out: with all modes of a field (2) is the field's inertia. Nothing here knows of a mesh. With no modes at all the
+body is rigid. Stiffening by the stress of the inertia forces adds (sum_c a_c G_c + sum_ij L_ij G_ij) eta to the modal rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...errors import ConvergenceError
+from ...rotations import Array, axial, hat, motions, spin_matrix
+from ..placements import FrameMotion
+from ..validity import TOO_LARGE, too_large, warn_of_spin
+from .foreshortening import of_constants
+
+
+@dataclass(frozen=True)
+class SurfaceData:
+    """Moments of a surface as linear functions of the modes: reference (1 + d, d), modes ((1 + d) d, m), centroid (d,).
+
+    ``bend`` (r, m, m): G_r of :mod:`.shortening` for unit forces (and moments) on the surface; None without stiffening.
+    """
+
+    reference: Array
+    modes: Array
+    center: Array
+    bend: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Constants:
+    """All that a reduced body is made of.
+
+    Attributes: ``mass`` kg; ``S`` (d, m + 1) and ``T`` (m + 1, m + 1, d, d) of (1); ``K``, ``D`` (m, m) stiffness and
+    damping; ``surfaces`` by name; ``center`` (d,) origin of the frame at the start, world axes; ``size`` m;
+    ``stiffening`` (d + d^2, m, m): G of (2) for unit a and L, or None; ``loads``: pairs of a load of ``fem.loads`` and its
+    (m + 1, d, d): sum_n b_n Z_a,n^T; ``load_stress``: G of their stress, (d, d, m, m): the nodal component i along axis j.
+    """
+
+    mass: float
+    S: Array
+    T: Array
+    K: Array
+    D: Array
+    surfaces: dict[str, SurfaceData]
+    center: Array
+    size: float
+    stiffening: Array | None = None
+    loads: tuple[tuple[Any, Array], ...] = ()
+    load_sums: dict[Any, Array] = field(default_factory=dict)
+    load_stress: dict[Any, Array] = field(default_factory=dict)
+
+    @property
+    def n_modes(self) -> int:
+        """Number of modes."""
+        return len(self.K)
+
+
+def constants_of(Z: Array, MZ: Array) -> tuple[Array, Array]:
+    """S and T of (1) from nodal fields Z (n, d, m + 1) and M Z; sums over this rank only."""
+    n, d, m = Z.shape
+    S = MZ.sum(0)
+    T = (Z.reshape(n, d * m).T @ MZ.reshape(n, d * m)).reshape(d, m, d, m).transpose(1, 3, 0, 2)
+    return S, T
+
+
+class ReducedPart:
+    """A reduced body as a replicated part of a system: local coordinates are the modal amplitudes eta, (m,)."""
+
+    distributed = False
+    n_frame_rows = 0
+    comm = None
+    body: Any = None  # the reduced body of a scene
+
+    def __init__(self, name: str, constants: Constants, frame: int, surfaces: Sequence[str]) -> None:
+        import scipy.linalg as sl
+
+        self.name, self.constants, self.frame, self.surfaces = name, constants, frame, tuple(surfaces)
+        self.dim = d = constants.S.shape[0]
+        self.motions = motions(d)
+        self.n = constants.n_modes
+        self.mass_total, self.size = constants.mass, constants.size
+        self.unit = constants.mass**-0.5  # of amplitudes of M-orthonormal modes: m
+        used = [constants.surfaces[s] for s in surfaces]
+        self.n_port = d * (1 + d) * len(used)
+        self.reference = np.concatenate([np.zeros(0), *(s.reference.ravel() for s in used)])
+        self.port_matrix = np.concatenate([np.zeros((0, self.n)), *(s.modes for s in used)])
+        self.shortening = of_constants(self.motions, used, self.n_port)
+        self._stress = np.zeros((self.n, self.n))
+        k = self.n + 1
+        self._T = np.ascontiguousarray(constants.T.transpose(0, 2, 3, 1)).reshape(k * d * d, k)
+        self._modal_mass = np.trace(constants.T[1:, 1:], axis1=2, axis2=3).copy()
+        self.first_frequency = (
+            float(np.sqrt(sl.eigh(constants.K, self._modal_mass, eigvals_only=True)[0])) if self.n else np.inf
+        )
+        self.warned = False
+
+    def surface_center(self, surface: str) -> Array:
+        """Centroid of a surface at the start, world axes."""
+        return self.constants.surfaces[surface].center
+
+    def ports_of(self, w: Array) -> Array:
+        """Port values of modal amplitudes, (m,) -> (n_port,)."""
+        return self.port_matrix @ w
+
+    def port_force(self, f: Array) -> Array:
+        """Modal forces of port forces."""
+        return self.port_matrix.T @ f
+
+    # -- mechanics ----------------------------------------------------------------------------------------------
+    def _with_shape(self, *amplitudes: Array) -> Array:
+        """p, p', ... as columns (m + 1, count): the first amplitude is completed by 1, the others by 0."""
+        out = np.zeros((self.n + 1, len(amplitudes)))
+        out[0, 0] = 1.0
+        for k, x in enumerate(amplitudes):
+            out[1:, k] = x
+        return out
+
+    def _motion(self, motion: FrameMotion) -> tuple[Array, Array, Array]:
+        """a, w~ and L of (2)."""
+        d = self.dim
+        assert motion.accel is not None
+        w = spin_matrix(motion.twist[d:])
+        return motion.R.T @ (motion.accel[:d] - motion.gravity), w, spin_matrix(motion.accel[d:]) + w @ w
+
+    @property
+    def evaluated(self) -> Any:
+        """What the last evaluation of forces left for the next tangent; kept in checkpoints."""
+        return self._stress, None if self.shortening is None else self.shortening.pull
+
+    @evaluated.setter
+    def evaluated(self, value: Any) -> None:
+        self._stress, pull = value
+        if self.shortening is not None:
+            self.shortening.pull = pull
+
+    def _watch(self, motion: FrameMotion, eta: Array) -> None:
+        """Warn of a spin above the first frequency; refuse displacements of the size of the body."""
+        c = self.constants
+        mean = float(np.sqrt(max(eta @ self._modal_mass @ eta, 0.0) / c.mass))
+        if not mean <= TOO_LARGE * c.size:
+            raise ConvergenceError(too_large(self.name, mean, c.size))
+        if c.stiffening is None and not self.warned:
+            spin = float(np.linalg.norm(motion.twist[self.dim :]))
+            if spin > self.first_frequency:
+                self.warned = True
+                warn_of_spin(self.name, spin, self.first_frequency)
+
+    def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """Rows of (2): the frame's (n_twist,), world translation and body rotation, and the modes' (m,)."""
+        c, d = self.constants, self.dim
+        eta, rate, second = local
+        a, w, L = self._motion(motion)
+        self._watch(motion, eta)
+        p = self._with_shape(eta, rate, second)
+        Sp = c.S @ p
+        Tp = (self._T @ p).reshape(-1, d, d, 3)
+        B = Tp[..., 0] @ L.T + 2.0 * (Tp[..., 1] @ w.T) + Tp[..., 2]
+        N = np.tensordot(p[:, 0], B, 1) + np.outer(Sp[:, 0], a)
+        frame = np.empty(d + self.motions.n_rot)
+        frame[:d] = motion.R @ (c.mass * a + L @ Sp[:, 0] + 2.0 * (w @ Sp[:, 1]) + Sp[:, 2])
+        frame[d:] = axial(N)
+        rows: Array = a @ c.S[:, 1:] + np.trace(B[1:], axis1=1, axis2=2) + c.K @ eta + c.D @ rate
+        if c.stiffening is not None:
+            self._stress = np.tensordot(np.concatenate((a, L.ravel())), c.stiffening, 1)
+            for load in c.load_stress:
+                axes = np.eye(d) if load.follower else motion.R
+                self._stress += load.factor(motion.t, self.name) * np.tensordot(axes, c.load_stress[load], 2)
+            rows = rows + self._stress @ eta
+        for load, b in c.loads:
+            self._apply(load, b, motion, p[:, 0], (frame, rows))
+        return frame, rows
+
+    def _apply(self, load: Any, B: Array, motion: FrameMotion, p: Array, out: tuple[Array, Array]) -> None:
+        """Subtract a load from the rows of the frame and of the modes."""
+        d, factor = self.dim, load.factor(motion.t, self.name)
+        if not load.follower:
+            B = motion.R.T @ B  # nodal forces in body axes
+        out[1][:] -= factor * np.trace(B[1:], axis1=1, axis2=2)
+        if not load.internal:
+            out[0][:d] -= factor * (motion.R @ self._load_sum(load, motion.R))
+            out[0][d:] -= factor * axial(np.tensordot(p, B, 1).T)
+
+    def _load_sum(self, load: Any, R: Array) -> Array:
+        total = self.constants.load_sums[load]
+        return total if load.follower else R.T @ total
+
+    def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
+        """Mass blocks (frame, frame), (modes, frame), (modes, modes) at the amplitudes u."""
+        c, d, m = self.constants, self.dim, self.motions
+        p = self._with_shape(u)[:, 0]
+        n = m.n_twist
+        Tp = (self._T @ p).reshape(-1, d, d)  # T(e_a, p)
+        Tpp = np.tensordot(p, Tp, 1)
+        M = np.zeros((n, n))
+        M[:d, :d] = c.mass * np.eye(d)
+        arm = c.S @ p
+        if d == 3:
+            M[3:, 3:] = np.trace(Tpp) * np.eye(3) - 0.5 * (Tpp + Tpp.T)
+            M[3:, :3] = hat(arm) @ motion.R.T
+        else:
+            M[2, 2] = np.trace(Tpp)
+            M[2, :2] = motion.R @ np.array([-arm[1], arm[0]])
+        M[:d, d:] = M[d:, :d].T
+        low = np.empty((self.n, n))
+        low[:, :d] = c.S[:, 1:].T @ motion.R.T
+        T = Tp[1:]
+        pairs = ((2, 1), (0, 2), (1, 0)) if d == 3 else ((1, 0),)
+        for k, (i, j) in enumerate(pairs):
+            low[:, d + k] = T[:, i, j] - T[:, j, i]
+        return M, low, self._modal_mass
+
+    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """K and D of the modes; K with the stress of the forces evaluated last."""
+        K = self.constants.K
+        if self.constants.stiffening is not None:
+            K = K + self._stress
+        if self.shortening is not None and self.shortening.G is not None:
+            K = K + np.tensordot(self.shortening.pull, self.shortening.G, 1)
+        return K, self.constants.D
+
+    def _momentum(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array, float]:
+        """sum M W and sum P x M W in body axes, and the kinetic energy."""
+        c, d = self.constants, self.dim
+        p = self._with_shape(*local)
+        w, v = spin_matrix(motion.twist[d:]), motion.R.T @ motion.twist[:d]
+        Sp = c.S @ p
+        Tp = (self._T @ p).reshape(-1, d, d, 2)
+        pp, pq, qq = (np.tensordot(p[:, i], Tp[..., j], 1) for i, j in ((0, 0), (0, 1), (1, 1)))
+        flow = w @ Sp[:, 0] + Sp[:, 1]
+        twice = c.mass * v @ v + 2 * v @ flow + np.trace(w @ pp @ w.T) + 2 * np.trace(w @ pq) + np.trace(qq)
+        return c.mass * v + flow, axial(np.outer(Sp[:, 0], v) + pp @ w.T + pq), 0.5 * float(twice)
+
+    def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
+        """Kinetic, elastic and weight energy, J."""
+        c, d, eta = self.constants, self.dim, local[0]
+        center = c.mass * pose[:d] + motion.R @ (c.S @ self._with_shape(eta)[:, 0])
+        elastic = 0.5 * float(eta @ c.K @ eta)
+        return self._momentum(motion, local)[2], elastic, -float(motion.gravity @ center)
+
+    def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Linear and angular momentum about the world origin, world axes."""
+        m, d = self.motions, self.dim
+        p, spin, _ = self._momentum(motion, local)
+        p = motion.R @ p
+        return p, m.moment(pose[:d], p) + m.turn(motion.R, spin)

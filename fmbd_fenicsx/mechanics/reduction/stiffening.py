@@ -1,0 +1,210 @@
+"""Geometric stiffening: the stress of the forces on a floating body acts on its small displacements.
+
+A body that is held by a surface, accelerated by a, turned with L = w'~ + w~ w~ and loaded by nodal forces f carries, to first
+order, the stress of
+
+    K u_0 + C mu = f - M (a + L X),     C^T u_0 = 0                                                          (1)
+
+with C the mean motion of that surface: the surface of an attached frame, or one that the user names.
+Displacements u then work against this stress on the nonlinear part of the strain,
+
+    K_g(u_0)(w, v) = int sigma(u_0) : sym(grad w^T grad v)                                                   (2)
+
+It is linear in (a, L, f): d + d^2 constant fields for inertia, d^2 for each load of ``fem.loads``, and one for each unit
+force and moment on every other surface, which joints, springs and forces act on
+(``mechanics.reduction.foreshortening``). Thermal stress is
+left out. (2) is made from the user's own elastic form a(u, v): in a(u_0, v) each grad(v) becomes grad(w)^T grad(v). Without (2)
+a beam that spins faster than its first bending frequency (in the plane of rotation) has no stable linear solution.
+
+Source: Wallrapp and Schwertassek, doi:10.1002/nme.1620320818.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ...fem.fields import Field
+from ...fem.loads import Load
+from ...rotations import Array
+from ..frames import polar
+from .foreshortening import Shortening, rigid_ports
+
+
+def geometric_form(form: Any, v: Any, w: Any) -> Any:
+    """``form`` with every grad(v) replaced by grad(w)^T grad(v), v its test function."""
+    import ufl
+    from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+    from ufl.algorithms.apply_derivatives import apply_derivatives
+    from ufl.algorithms.map_integrands import map_integrand_dags
+    from ufl.corealg.multifunction import MultiFunction
+
+    class Replace(MultiFunction):  # type: ignore[misc]
+        expr = MultiFunction.reuse_if_untouched
+
+        def grad(self, o: Any) -> Any:
+            return ufl.dot(ufl.transpose(ufl.grad(w)), o) if o.ufl_operands[0] is v else o
+
+    return map_integrand_dags(Replace(), apply_derivatives(apply_algebra_lowering(form)))
+
+
+def resultant_columns(field: Field, surface: str) -> Array:
+    """Nodal forces (n d, d + n_rot) of a unit force and a unit moment on a surface, as its marker puts them there."""
+    moments, m, d = field.moments(surface), field.motions, field.dim
+    F = moments.reference[1:].T[None]
+    Z = polar(F)[1][0]
+    out = np.zeros((field.n, d, d + m.n_rot))
+    out[moments.nodes[:, None], range(d), range(d)] = moments.weights[:, :1]
+    for k in range(m.n_rot):
+        out[moments.nodes, :, d + k] = moments.weights[:, 1:] @ m.spin(Z[k : k + 1], np.eye(d))
+    return out.reshape(field.n * d, -1)
+
+
+class Stiffening:
+    """(1), (2) for one field; collective to build and to use.
+
+    ``surfaces``: those whose forces stiffen the body, beside inertia and loads; the one that holds it is not among them.
+    """
+
+    def __init__(self, field: Field, conditions: Array, surfaces: Sequence[str] = ()) -> None:
+        import ufl
+        from dolfinx import fem
+
+        from ... import dolfinx_compat as compat
+        from .modes import ConditionedBody
+
+        self.field = field
+        d = field.dim
+        body = ConditionedBody(field, conditions)
+
+        def static(loads: Any) -> Array:
+            """u_0 (n d, k) of nodal forces; those that are zero cost nothing."""
+            found = [f.ravel() for f in loads]
+            size = [field.total(np.array(np.abs(f).sum())) for f in found]
+            return np.stack(
+                [body.solve_static(f) if s > 0 else np.zeros(len(f)) for f, s in zip(found, size, strict=True)], axis=1
+            )
+
+        pairs = [(i, j) for i in range(d) for j in range(d)]
+        inertia = [np.tile(e, (field.n, 1)) for e in np.eye(d)] + [
+            np.outer(field.X[:, j], np.eye(d)[i]) for i, j in pairs
+        ]
+        self.columns = static([-field.mass(X) for X in inertia])  # (n d, d + d^2): u_0 for unit a_c and unit L_ij
+        self.loads: list[tuple[Load, Any]] = [
+            (f, b) for f, b in zip(field.loads.loads, field.loads.vectors, strict=True) if not f.internal
+        ]
+        self.load_columns = [static([np.outer(b[:, i], np.eye(d)[j]) for i, j in pairs]) for _, b in self.loads]
+        self.section_columns = {s: static(resultant_columns(field, s).T) for s in surfaces}
+        body.destroy()
+        self._all = np.concatenate([self.columns, *self.load_columns], axis=1)
+        self._u0, self._w = fem.Function(field.space), fem.Function(field.space)
+        u, v = ufl.TrialFunction(field.space), ufl.TestFunction(field.space)
+        stress, self._p0 = field.stress_form(self._u0, v)
+        self._force_form = compat.form(geometric_form(stress, v, self._w))
+        self.matrix_form = compat.form(geometric_form(stress, v, u))
+
+    @property
+    def count(self) -> int:
+        """Number of :meth:`coefficients`."""
+        return int(self._all.shape[1])
+
+    def coefficients(self, inertia: Array, t: float, R: Array) -> Array:
+        """Of inertia (a, L), (d + d^2,), and of the loads at time t in the axes R."""
+        axes = np.eye(self.field.dim)
+        factors = [f.factor(t, self.field.name) * (axes if f.follower else R).ravel() for f, _ in self.loads]
+        return np.concatenate((inertia, *factors))
+
+    def shortening(self, surfaces: Sequence[str], first: int, n_port: int) -> Shortening | None:
+        """(1) of ``mechanics.reduction.foreshortening`` for the ports of surfaces in this order, the first at number
+        ``first``."""
+        m, d, f = self.field.motions, self.field.dim, self.field
+        G: list[Any] = []
+        blocks: list[Array] = []
+        for i, s in enumerate(surfaces):
+            if s in self.section_columns:
+                own = rigid_ports(m, f.moments(s).reference)
+                block = np.zeros((n_port, own.shape[1]))
+                block[first + i * len(own) : first + (i + 1) * len(own)] = own
+                blocks.append(block)
+                G += [self._scalar(u) for u in self.section_columns[s].T]
+        if not G:
+            return None
+        x, y = G[0].createVecs()
+
+        def products(U: Array) -> Array:
+            out = np.empty((f.n, d, len(G)))
+            for c in range(d):
+                x.array[:] = U[c::d]
+                for k, A in enumerate(G):
+                    A.mult(x, y)
+                    out[:, c, k] = y.array
+            return out.reshape(f.n * d, -1)
+
+        return Shortening(products, np.concatenate(blocks, axis=1), f.total)
+
+    def _scalar(self, u: Array) -> Any:
+        """K_g(u) on one component, a PETSc matrix like the scalar mass: (2) acts on each component alike."""
+        import dolfinx.fem.petsc as fp
+        from petsc4py import PETSc
+
+        self._hold(u)
+        A = fp.assemble_matrix(self.matrix_form)
+        A.assemble()
+        low, _ = A.getOwnershipRange()
+        rows = PETSc.IS().createStride(self.field.n, low, self.field.dim, A.comm)
+        out = A.createSubMatrix(rows, rows)
+        A.destroy()
+        rows.destroy()
+        return out
+
+    def _place(self, function: Any, U: Array) -> None:
+        function.x.array[: len(U)] = U
+        function.x.scatter_forward()
+
+    def _hold(self, U: Array) -> None:
+        """Take U as u_0, with its pressure where the body has one."""
+        self._place(self._u0, U)
+        if self._p0 is not None:
+            self._p0.x.array[:] = self.field.pressure_of(U).x.array
+
+    def set_load(self, coefficients: Array, surfaces: Shortening | None = None) -> None:
+        """Take u_0 for the numbers of :meth:`coefficients`, and for the forces on ``surfaces`` that were evaluated last."""
+        U = self._all @ coefficients
+        if surfaces is not None:
+            U = U + np.concatenate(list(self.section_columns.values()), axis=1) @ surfaces.pull
+        self._hold(U)
+
+    def force(self, coefficients: Array, U: Array) -> Array:
+        """K_g U, (n d,); collective."""
+        from dolfinx import fem, la
+
+        self.set_load(coefficients)
+        self._place(self._w, U)
+        b = fem.assemble_vector(self._force_form)
+        b.scatter_reverse(la.InsertMode.add)
+        return np.array(b.array[: len(U)])
+
+    def modal(self, phi: Array, columns: Array) -> Array:
+        """phi^T K_g phi for every column u_0, (columns, m, m); collective."""
+        import dolfinx.fem.petsc as fp
+
+        f, m = self.field, phi.shape[1]
+        out = np.zeros((columns.shape[1], m, m))
+        A = fp.create_matrix(self.matrix_form)
+        x, y = A.createVecs()
+        for k in range(len(out)):
+            if not f.total(np.array(np.abs(columns[:, k]).sum())):
+                continue
+            self._hold(columns[:, k])
+            A.zeroEntries()
+            fp.assemble_matrix(A, self.matrix_form)
+            A.assemble()
+            for j in range(m):
+                x.array[:] = phi[:, j]
+                A.mult(x, y)
+                out[k, :, j] = phi.T @ y.array
+        for obj in (A, x, y):
+            obj.destroy()
+        return np.asarray(f.total(out))

@@ -1,0 +1,88 @@
+"""Results for other programs: time histories as a table, fields of the snapshots for ParaView.
+
+Fields are written with the true motion: the displacement of the points x = r + R (X + u) from where the mesh lies, so that
+ParaView's "Warp by Vector" shows the bodies where they are. One ``.pvd`` for each elastic body, full or reduced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, require
+from ..log import on_root
+from ..mechanics.reduction.craig_bampton import ReducedBody
+from ..mechanics.reduction.recovery import displacement, within_cells
+from ..run.solve import Run
+from ..system.system import State
+from .plot import components
+
+Quantity = Callable[[Any], Any]
+"""A UFL expression of the displacement u in the body's axes, scalar, vector or tensor: say von Mises' stress."""
+
+
+def save_series(run: Run, file: str | Path) -> None:
+    """Time, every component of every sensor with its unit, and the energies, as comma-separated values; collective, rank 0
+    writes.
+
+    Raises InputError where the file cannot be written.
+    """
+    names = ["time (s)"]
+    for sensor in run.series:
+        names += [f"{label} ({run.scene.sensors[sensor].unit})" for label in components(run, sensor)]
+    names += [f"{kind} energy (J)" for kind in run.energy]
+    columns = np.column_stack((run.times, *run.series.values(), *run.energy.values()))
+    heads = ",".join('"' + name.replace('"', '""') + '"' for name in names)
+
+    def write() -> None:
+        try:
+            np.savetxt(file, columns, delimiter=",", header=heads, comments="", fmt="%.17g")
+        except OSError as error:
+            raise InputError(f"The time histories cannot be written to {file}: {error.strerror or error}.") from error
+
+    on_root(run.system.comm, write)
+
+
+def save_fields(run: Run, folder: str | Path, quantities: Mapping[str, Quantity] | None = None) -> list[Path]:
+    """Displacements and quantities of every elastic body at the snapshots, ``folder/<body>.pvd``; collective.
+
+    ``quantities`` are those of the middle of each cell. Returns the files.
+    """
+    require(bool(run.snapshots), "Fields are those of snapshots: solve(..., output=Output(snapshots=50)).")
+    bodies = [b for b in run.scene.bodies.values() if hasattr(b, "mesh") or isinstance(b, ReducedBody)]
+    require(bool(bodies), f'Scene "{run.scene.name}" has no elastic body on a mesh.')
+    return [_save_body(run, b, Path(folder), dict(quantities or {})) for b in bodies]
+
+
+def _save_body(run: Run, body: Any, folder: Path, quantities: dict[str, Quantity]) -> Path:
+    from dolfinx import fem, io
+
+    file = folder / f"{body.name.replace('/', '_')}.pvd"
+    u = displacement(run, body, run.snapshots[0])
+    mesh = u.function_space.mesh
+    moved = fem.Function(u.function_space, name="displacement")
+    cells = [within_cells(u, quantity, degree=0, name=name) for name, quantity in quantities.items()]
+    with io.VTKFile(mesh.comm, file, "w") as out:
+        for state in run.snapshots:
+            u.x.array[:] = displacement(run, body, state).x.array
+            moved.x.array[:] = _motion(run, body, state, u)
+            for function, expression in cells:
+                function.interpolate(expression)
+            out.write_function([moved, *(function for function, _ in cells)], state.t)
+    return file
+
+
+def _motion(run: Run, body: Any, state: State, u: Any) -> np.ndarray:
+    """x - X at the nodes, world axes: r + R (X - r_0 + u) - X with a frame, else u."""
+    s = run.system
+    part: Any = next(p for p in s.parts if p.name == body.name)
+    if part.frame == s.n_frames:
+        return np.asarray(u.x.array)
+    ev, d = s.at(state.t, state.q), s.motions.dim
+    X = u.function_space.tabulate_dof_coordinates()[:, :d]
+    origin = part.constants.center if isinstance(body, ReducedBody) else part.origin
+    P = X - origin + u.x.array.reshape(-1, d)
+    return np.asarray((ev.pose[part.frame, :d] + P @ ev.rotation[part.frame].T - X).ravel())

@@ -1,0 +1,286 @@
+"""Figures (matplotlib): sensor series, snapshots beside a history, error against work, own axes. Rank 0 writes,
+no window opens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..errors import InputError
+from ..log import on_root, world_rank
+from ..rotations import Array
+from ..run.solve import Run
+
+MARKS = "osD^vP*X"
+STYLE = {
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "font.size": 10,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+}
+REFERENCE: dict[str, Any] = {"color": "0.75", "linewidth": 4.5, "linestyle": "-", "zorder": 0}
+"""How an exact or finer solution is drawn: wide and grey, behind the results (``axes.plot(t, x, **REFERENCE)``)."""
+
+Known = Callable[[float], Any] | tuple[Any, Any]
+"""What is known of a sensor: its value as a function of time (s), or (times, values) that are drawn as crosses."""
+
+
+class Comparison(Protocol):
+    """What a work-precision figure needs of a :class:`~fmbd_fenicsx.post.study.WorkPrecision`."""
+
+    @property
+    def points(self) -> Sequence[Any]:
+        """Runs: label, errors by quantity, seconds, counters, failure."""
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the errors."""
+
+    @property
+    def quantities(self) -> list[str]:
+        """Names of the compared quantities."""
+
+
+def _figure(width: float, height: float) -> tuple[Any, Any]:
+    """A matplotlib module and an empty figure (inches) that belongs to no window."""
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise InputError("A figure needs matplotlib: install fmbd_fenicsx[plot].") from error
+    return matplotlib, Figure(figsize=(width, height), layout="constrained")
+
+
+def _comm(run: Run) -> Any:
+    return run.system.comm
+
+
+def components(run: Run, sensor: str) -> list[str]:
+    """Labels of a sensor's components: "tip x" and so on; the bare name of a scalar."""
+    size = run[sensor].shape[1]
+    if size == 1:
+        return [sensor]
+    given = run.scene.sensors[sensor].labels
+    return [f"{sensor} {given[k] if k < len(given) else k + 1}" for k in range(size)]
+
+
+def _series(run: Run, name: str) -> tuple[list[str], Array, str]:
+    """Labels, values (n, size) and unit of a sensor ("tip"), or of one of its components ("tip y")."""
+    for sensor in run.series:
+        labels = components(run, sensor)
+        if name in labels and len(labels) > 1:
+            return [name], run[sensor][:, labels.index(name)][:, None], run.scene.sensors[sensor].unit
+    return components(run, name), run[name], run.scene.sensors[name].unit
+
+
+def _history(axes: Any, run: Run, name: str, known: Known | None = None) -> None:
+    """Curves of a sensor's components over time, with units, and what is known of them."""
+    labels, values, unit = _series(run, name)
+    if known is not None:
+        points = isinstance(known, tuple)
+        t, x = known if isinstance(known, tuple) else (run.times, [known(float(t)) for t in run.times])
+        look = {"color": "k", "linestyle": "", "marker": "x", "zorder": 3} if points else REFERENCE
+        lines = axes.plot(t, np.reshape(x, (np.size(t), -1)), **look)
+        lines[0].set_label("reference")
+    for label, x in zip(labels, values.T, strict=True):
+        axes.plot(run.times, x, label=label, linewidth=1.4)
+    axes.set_ylabel(f"{name} ({unit})")
+    if len(labels) > 1 or known is not None:
+        _legend(axes)
+
+
+def _legend(axes: Any) -> None:
+    """A legend above the axes, or beside them when it is long: never on a curve; each label once."""
+    named = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    labels = list(named)
+    if len(labels) > 9:
+        axes.legend(named.values(), labels, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        return
+    room = axes.get_position().width * axes.figure.get_figwidth()  # inches
+    columns = int(room / (0.5 + 0.07 * max(len(label) for label in labels)))
+    above = 1.0 if not axes.get_title() else 1.0 + 0.3 / (axes.get_position().height * axes.figure.get_figheight())
+    axes.legend(
+        named.values(),
+        labels,
+        loc="lower left",
+        bbox_to_anchor=(0.0, above),
+        ncols=min(max(columns, 1), len(labels)),
+        borderaxespad=0.0,
+        columnspacing=1.2,
+    )
+
+
+def _ticks(axes: Any) -> None:
+    """1, 2 and 5 on logarithmic axes of little more than a decade, where powers of ten would leave most of them bare."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = sorted(axis.get_view_interval())
+        if isinstance(axis.get_major_locator(), LogLocator) and high < 50 * low:
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter(NullFormatter())
+
+
+@contextmanager
+def figure(
+    file: str | Path,
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    size: tuple[float, float] | None = None,
+    widths: Sequence[float] | None = None,
+) -> Iterator[Any]:
+    """Axes to draw on, written to ``file`` at the end; on every rank, rank 0 writes.
+
+        with plot.figure("wave.png", 1, 2) as (left, right):
+            left.plot(t, exact, **plot.REFERENCE, label="exact")
+            left.plot(t, force, label="P1")
+            left.set(xlabel="time (s)", ylabel="force (N)")
+
+    Yields one matplotlib axes or an array of them; ``size`` in inches, ``widths`` of the columns
+    against each other. Axes with several labels get a legend above them.
+    """
+    matplotlib, made = _figure(*(size or (2.4 + 4.0 * columns, 1.2 + 2.6 * rows)))
+    made.get_layout_engine().set(w_pad=0.1)
+    with matplotlib.rc_context(STYLE):
+        axes = made.subplots(rows, columns, squeeze=False, width_ratios=widths)
+        yield axes[0, 0] if axes.size == 1 else axes.squeeze()
+        for one in axes.ravel():
+            _ticks(one)
+            if one.get_legend() is None and len(one.get_legend_handles_labels()[1]) > 1:
+                _legend(one)
+        if world_rank() == 0:
+            made.savefig(file, dpi=160)
+
+
+def shapes(axes: Any, run: Run, *, paint: tuple[Any, Callable[[Any], Any], str] | None = None) -> None:
+    """Draw the snapshots' elastic bodies of a plane scene on axes of :func:`figure`, deformed, coloured by time; collective.
+
+    ``paint``: (body, scalar quantity(u) in UFL, label with unit) colours this body's cells instead.
+    """
+    from .picture import gather, painted
+
+    skins, moments = gather(run)
+    values = None if paint is None else painted(run, paint[0], paint[1])
+    if world_rank() != 0:
+        return
+    names = [part.name for part in run.system.parts if hasattr(part, "field")]
+    times, shown = [s.t for s in run.snapshots], None
+    span = (times[0], times[-1]) if values is None else (min(v.min() for v in values), max(v.max() for v in values))
+    for k, moment in enumerate(moments):
+        for name, skin, x in zip(names, skins, moment.nodes, strict=True):
+            axes.plot(*x[skin.edges].transpose(2, 1, 0)[:2], color="0.25", linewidth=0.6, zorder=1.5 + k)
+            if paint is None or name == paint[0].name:
+                faces = np.full(len(skin.triangles), times[k]) if values is None else values[k]
+                look = {"facecolors": faces, "vmin": span[0], "vmax": span[1], "zorder": 1 + k}
+                shown = axes.tripcolor(*x.T[:2], skin.triangles, **look)
+    axes.figure.colorbar(shown, ax=axes, label="time (s)" if paint is None else paint[2], shrink=0.9)
+    axes.grid(False)
+    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+
+
+def plot_series(
+    run: Run, sensors: Sequence[str], file: str | Path, reference: Mapping[str, Known] | None = None
+) -> None:
+    """Write sensor series over time, one axes for each sensor or component ("tip y"), all sensors when none is named, with
+    what is known of them; collective.
+    """
+    names, known = list(sensors) or list(run.series), dict(reference or {})
+    for name in [*names, *known]:
+        _series(run, name)
+
+    def draw() -> None:
+        matplotlib, figure = _figure(6.4, 1.0 + 2.0 * len(names))
+        with matplotlib.rc_context(STYLE):
+            rows = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
+            for axes, name in zip(rows, names, strict=True):
+                _history(axes, run, name, known.get(name))
+            rows[-1].set_xlabel("time (s)")
+            figure.savefig(file, dpi=200)
+
+    on_root(_comm(run), draw)
+
+
+def picture(run: Run, file: str | Path, *, sensor: str | None = None) -> None:
+    """Write the run's snapshots, coloured by time, and the history of a sensor beside them; collective."""
+    from .picture import gather, render
+
+    geometry = gather(run)
+    times = np.array([s.t for s in run.snapshots])
+    if sensor is not None:
+        _ = run[sensor]
+
+    def draw() -> None:
+        matplotlib, figure = _figure(10.5 if sensor else 6.4, 4.2)
+        norm = matplotlib.colors.Normalize(times.min(), max(times.max(), times.min() + 1e-300))
+        colormap = matplotlib.colormaps["viridis"]
+        colors = np.array([colormap(norm(t))[:3] for t in times])
+        view = render(run, geometry, colors)
+        with matplotlib.rc_context(STYLE):
+            left, *right = np.atleast_1d(figure.subplots(1, 2 if sensor else 1))
+            _show(left, view)
+            if len(times) > 1:
+                scale = matplotlib.cm.ScalarMappable(norm, colormap)
+                figure.colorbar(scale, ax=left, label="time (s)", shrink=0.8)
+            if sensor is not None:
+                _history(right[0], run, sensor)
+                _dots(right[0], run, sensor, colors)
+                right[0].set_xlabel("time (s)")
+            figure.suptitle(f"{run.scene.name}: {run.scheme.name}, h = {run.dt:g} s", fontsize=10)
+            figure.savefig(file, dpi=200)
+
+    on_root(_comm(run), draw)
+
+
+def _show(axes: Any, view: Any) -> None:
+    """The image; in the plane with its coordinates."""
+    axes.grid(False)
+    axes.imshow(view.image, extent=view.extent, interpolation="antialiased")
+    if view.extent is None:
+        axes.axis("off")
+    else:
+        axes.set_xlabel("x (m)")
+        axes.set_ylabel("y (m)")
+        axes.locator_params(nbins=6)
+
+
+def _dots(axes: Any, run: Run, sensor: str, colors: Array) -> None:
+    """Mark the instants of the snapshots on a history, in their colours."""
+    rows = [int(np.argmin(np.abs(run.times - s.t))) for s in run.snapshots]
+    for x in run[sensor].T:
+        axes.scatter(run.times[rows], x[rows], c=colors, s=30, zorder=3, edgecolors="#303030", linewidths=0.6)
+
+
+def plot_work_precision(study: Comparison, file: str | Path, work: str) -> None:
+    """Write error over work, both logarithmic, one axes for each quantity, one line for each configuration;
+    rank 0.
+    """
+    if world_rank() != 0:
+        return
+    names = study.quantities
+    if not names:
+        raise InputError("No run of this study finished: there is nothing to draw.")
+    matplotlib, figure = _figure(1.2 + 3.6 * len(names), 4.0)
+    labels = list(dict.fromkeys(p.label for p in study.points))
+    with matplotlib.rc_context(STYLE):
+        for axes, name in zip(np.atleast_1d(figure.subplots(1, len(names))), names, strict=True):
+            for k, label in enumerate(labels):
+                points = [p for p in study.points if p.label == label and not p.failure]
+                x = [p.seconds if work == "seconds" else p.counters[work] for p in points]
+                mark = MARKS[k % len(MARKS)]
+                axes.loglog(x, [p.errors[name] for p in points], marker=mark, markersize=4, label=label)
+            axes.set_xlabel("time in steps (s)" if work == "seconds" else work.replace("_", " "))
+            unit = f" ({study.units[name]})" if name in study.units else ""
+            axes.set_ylabel(f"largest error of {name}{unit}")
+            _ticks(axes)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2 * len(names))
+        figure.savefig(file, dpi=200)

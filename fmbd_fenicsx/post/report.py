@@ -1,0 +1,208 @@
+"""A run as text: what was done, how accurate it is, what it cost, and what it was made of."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..mechanics.forces.forces import Spring
+from ..mechanics.joints.constraints import standstill
+from ..mechanics.reduction.craig_bampton import ReducedBody
+from ..system.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from ..run.solve import Run
+
+WIDTH = 112
+LABEL = 18
+APART = ("error estimate", "reduction estimate")  # phases behind the run itself
+SHOWN = 4  # sensors or phases listed by name
+
+
+def run_report(run: Run) -> str:
+    """Steps, iterations, solves, start, drift, time error, energy ledger, seconds, memory and the plan; not
+    collective.
+    """
+    c, (gap, slip), start = run.counters, run.drift, run.correction
+    steps = max(int(c["steps"]), 1)
+    lines = [f"{run.scene.name}: {run.status} at t = {run.state.t:.6g} s"]
+    lines += _entry("scheme", f"{run.scheme.name}, {_steps(run, steps)}")
+    newton = c["newton_iterations"]
+    lines += _entry("Newton", f"{newton:.0f} iterations, {newton / steps:.2f} a step")
+    lines += _entry("linear solves", _linear(run))
+    lines += _entry(
+        "consistent start",
+        f"positions moved by {start.position:.2g} m, velocities by {start.velocity:.2g} m/s, "
+        + _n(start.iterations, "iteration"),
+    )
+    lines += _entry("constraint drift", f"position {gap:.2g} m, velocity {slip:.2g} m/s")
+    if c.get("contact_steps"):
+        lines += _entry("contact", _contact(c))
+    lines += _entry("time error", _time_error(run))
+    lines += _reduction_error(run)
+    if run.energy:
+        lines += _ledger(run)
+    lines += _entry("seconds", _seconds(run.seconds, steps))
+    lines += _entry("peak memory", f"{run.memory / 1e6:.0f} MB" + _ranks(run))
+    return "\n".join(lines + _plan(run))
+
+
+def _steps(run: Run, steps: int) -> str:
+    """Constant steps, or those that the error control chose and refused."""
+    rtol = getattr(run.scheme, "rtol", None)
+    if rtol is None:
+        halved = run.counters.get("halved_steps", 0.0)
+        return f"h = {run.dt:.6g} s, {steps} steps" + (f", {_n(halved, 'halving')}" if halved else "")
+    causes = [f"{n:.0f} for {k.split(': ')[1]}" for k, n in run.counters.items() if k.startswith("rejected: ")]
+    rejected = _n(run.counters["rejections"], "rejection") + (f" ({', '.join(causes)})" if causes else "")
+    return (
+        f"rtol = {rtol:g}, {steps} steps of {run.dt:.3g} s on average, {rejected}, "
+        f"{_n(run.counters['jacobians'], 'tangent')}, "
+        f"{_n(run.counters['residuals'], 'residual')}"
+    )
+
+
+def _n(count: float, what: str) -> str:
+    return f"{count:.0f} {what}{'' if count == 1 else 's'}"
+
+
+def _entry(label: str, text: str) -> list[str]:
+    """A label and its text, wrapped under itself."""
+    first = f"  {label:<{LABEL}}"
+    return textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * len(first)) or [first.rstrip()]
+
+
+def _linear(run: Run) -> str:
+    c = run.counters
+    if not run.system.fields:
+        done = _n(c["core_factorisations"], "core factorisation")
+        return f"{done}, worst relative residual {c['worst_linear_residual']:.1e}"
+    return (
+        f"{_n(c['factorisations'], 'elastic factorisation')}, {c['back_solves']:.0f} back-solves "
+        f"({c['back_solves_per_step']:.2f} a step), {_n(c['core_factorisations'], 'core factorisation')}, "
+        f"worst relative residual {c['worst_linear_residual']:.1e}"
+    )
+
+
+def _contact(c: Mapping[str, float]) -> str:
+    """How the complementarity problems of a run were solved, and how well."""
+    cycles = f", {_n(c['cycles_broken'], 'cycle')} broken" if c["cycles_broken"] else ""
+    newton = c["contact_newton_iterations"] / c["contact_steps"]
+    sets = f"{_n(c['active_set_iterations'], 'iteration')} on sets with {_n(c['active_set_changes'], 'change')}{cycles}"
+    return (
+        f"{_n(c['contact_steps'], 'step')} with forces, {newton:.2f} Newton iterations each, {sets}, complementarity to "
+        f"{c['complementarity_residual']:.1e} of the largest force"
+    )
+
+
+def _time_error(run: Run) -> str:
+    local = f"largest local indicator {run.local_error:.1e} a step"
+    if "error estimate" in run.seconds and not run.error_estimate and run.series:
+        return f"not estimated: the run with 2 h failed, h is near the largest usable step; {local}"
+    if not run.error_estimate:
+        return f"not estimated (Output(estimate_error=True) repeats the run with 2 h and 4 h); {local}"
+    text = f"estimated from runs with 2 h and 4 h: {_listed(run, run.error_estimate)}; {local}"
+    slow = [p for p in run.observed_order.values() if not p > run.scheme.order - 0.5]
+    return text + (f". Some orders are below {run.scheme.order}: the step does not resolve all motion" if slow else "")
+
+
+def _reduction_error(run: Run) -> list[str]:
+    """The error by left-out modes; nothing for a run without reduced bodies."""
+    if "reduction estimate" not in run.seconds:
+        known = any(isinstance(b, ReducedBody) for b in run.scene.bodies.values())
+        text = "not estimated (Output(estimate_reduction=True) repeats the run with more modes)"
+        return _entry("reduction error", text) if known else []
+    if not run.reduction_error:
+        return []
+    return _entry(
+        "reduction error", f"estimated from above by a run with more modes: {_listed(run, run.reduction_error)}"
+    )
+
+
+def _listed(run: Run, errors: Mapping[str, float]) -> str:
+    """The sensors with the largest errors, each in its unit and as a share of its range, with an observed order."""
+    shares = []
+    for name, error in errors.items():
+        spread = float(np.ptp(run.series[name], axis=0).max(initial=0.0))
+        shares.append((error / spread if spread > 0 else 0.0, name, error))
+    shares.sort(reverse=True)
+    listed = [_share(run, name, error, share, errors) for share, name, error in shares[:SHOWN]]
+    return ", ".join(listed) + (f", {len(shares) - SHOWN} sensors with less" if len(shares) > SHOWN else "")
+
+
+def _share(run: Run, name: str, error: float, share: float, errors: Mapping[str, float]) -> str:
+    """The error of a sensor in its unit and as a share of its range, with the observed order where it is one of time."""
+    order = run.observed_order.get(name, float("nan")) if errors is run.error_estimate else float("nan")
+    seen = f", order {order:.1f}" if np.isfinite(order) else ""
+    return f'"{name}" {error:.2g} {run.scene.sensors[name].unit} ({share:.1e} of its range{seen})'
+
+
+def conservative(scene: Scene) -> bool:
+    """Whether the exact motion of a scene keeps the sum of the recorded energies: no loads, drives, damping,
+    gravity ramp.
+    """
+    if scene.gravity is not None and scene.gravity_ramp > 0:
+        return False
+    for body in scene.bodies.values():
+        damped = getattr(body, "mass_damping", 0.0) or getattr(body, "stiffness_damping", 0.0)
+        unknown = hasattr(body, "potential") and body.potential is None
+        if damped or unknown:
+            return False
+    if any(row.motion is not standstill for joint in scene.joints.values() for row in joint.rows):
+        return False
+    return all(isinstance(f, Spring) and f.law is None and f.damping == 0 for f in scene.forces.values())
+
+
+def _ledger(run: Run) -> list[str]:
+    """Energies at start and end and their change; the loss of a conservative scene is numerical."""
+    kinds = {k: x for k, x in run.energy.items() if np.any(x)}
+    total = sum(run.energy.values())
+    assert isinstance(total, np.ndarray)
+    scale = max((float(np.ptp(x)) for x in kinds.values()), default=0.0)
+    lines = [f"  {'energy (J)':<{LABEL}}{'start':>14}{'end':>14}{'change':>14}"]
+    for name, x in {**kinds, "total": total}.items():
+        x = np.where(np.abs(x) < 1e-12 * scale, 0.0, x)  # roundoff of the weight at its zero level
+        lines.append(f"    {name:<{LABEL - 2}}{x[0]:>14.6g}{x[-1]:>14.6g}{x[-1] - x[0]:>14.3g}")
+    if conservative(run.scene):
+        loss = total[0] - total[-1]
+        share = f", {loss / scale:.1e} of the largest exchange" if scale > 0 else ""
+        lines += _entry(
+            "numerical loss", f"{loss:.3g} J{share}; largest deviation {np.abs(total - total[0]).max():.2g} J"
+        )
+    else:
+        lines += _entry("numerical loss", "not separable: loads, drives, damping or a gravity ramp do work here")
+    return lines
+
+
+def _seconds(seconds: Mapping[str, float], steps: int) -> str:
+    phases = [f"{name} {s:.3g}" for name, s in seconds.items() if name not in ("total", *APART)]
+    text = f"{', '.join(phases)}, total {seconds['total']:.3g}; {1e3 * seconds['steps'] / steps:.3g} ms a step"
+    apart = [f"{name} {seconds[name]:.3g}" for name in APART if name in seconds]
+    return text + (f"; apart: {', '.join(apart)}" if apart else "")
+
+
+def _ranks(run: Run) -> str:
+    comm = run.system.comm
+    return f" (largest of {comm.size} ranks)" if comm is not None and comm.size > 1 else ""
+
+
+def _plan(run: Run) -> list[str]:
+    """The plan, shortened: the largest unknowns by name, the others counted."""
+    plan = run.plan
+    listed = _shortened(plan.unknowns)
+    return [
+        *_entry("plan: unknowns", listed),
+        *_entry("constant", ", ".join(plan.constant) or "nothing"),
+        *_entry("left out", ", ".join(plan.left_out) or "nothing"),
+    ]
+
+
+def _shortened(unknowns: Sequence[tuple[str, int]], most: int = 8) -> str:
+    ordered = sorted(unknowns, key=lambda x: -x[1])
+    kept = [u for u in unknowns if u in ordered[:most]]
+    rest = sum(n for _, n in unknowns) - sum(n for _, n in kept)
+    text = ", ".join(f"{name} {n}" for name, n in kept)
+    return text + (f", {len(unknowns) - len(kept)} more blocks with {rest}" if len(kept) < len(unknowns) else "")

@@ -1,0 +1,127 @@
+"""The energy guard: where nothing puts energy into a scene, a step that gains energy is taken back and repeated in halves.
+
+    E_n+1 - max(E_0 .. E_n)  >  1e-3 (T + V + m g L)                                                       (1)
+
+with T and V the largest kinetic and elastic energies so far, L the length of the model and m g its weight: the energy that can
+turn into motion. Damping at high frequencies in the linear sense is no protection: a stiff spring that turns by half a radian
+in a step makes generalized-alpha with rho_inf = 0.9 gain a factor of thirty. Scenes with anything that may do work (loads in
+time, drives, laws of the user's own, contact) are not guarded, nor are runs that record no energies. Of a scene with elastic
+bodies the first ten steps are not guarded: an initial shape that contains vibrations of h omega >> 1 overshoots there, and the
+damping of the scheme then removes it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..errors import ConvergenceError
+from ..mechanics.bodies.bodies import CoordinateBody
+from ..mechanics.catenary.wires import Wires
+from ..mechanics.forces.force_elements import ScalarLoads
+from ..mechanics.joints.couplings import OwnBatch
+from ..system.scene.scene import Scene
+from ..system.serialisation import Memory, remember_stepper
+from ..system.system import Evaluation, State, System
+
+SHARE = 1e-3
+HALVINGS = 10
+SETTLING = 10
+
+
+def closed(scene: Scene, system: System) -> bool:
+    """Whether nothing can put energy into a scene."""
+    own = any(isinstance(b, CoordinateBody | Wires) for b in scene.bodies.values())
+    loaded = any(bool(getattr(b, "loads", False)) for b in scene.bodies.values())
+    driven = any(batch.driven or isinstance(batch, OwnBatch) for batch, _ in system.batches)
+    moved = any(tie.motion is not None for tie in scene.ties.values())
+    forced = any(not isinstance(f, ScalarLoads) or f.own for f in system.forces)
+    ramp = scene.gravity is not None and scene.gravity_ramp > 0
+    return not (own or loaded or driven or moved or forced or ramp or scene.contacts or scene.sliders)
+
+
+class Watch:
+    """What (1) needs of the states so far; ``rejections`` counts the steps that were taken back."""
+
+    def __init__(self, system: System, state: State) -> None:
+        self.system, self.rejections = system, 0
+        self.weight = system.mass * float(np.linalg.norm(system.gravity(0.0))) * system.length
+        self.turnover, self.highest = 0.0, -float("inf")
+        self.settling = SETTLING + 1 if system.parts else 1
+        self.gain(state)
+
+    def gain(self, s: State) -> float | None:
+        """Gain of energy (J) of the newest state when it is too large, else None; keeps what was seen."""
+        self.evaluation: Evaluation = self.system.at(s.t, s.q, s.v)
+        parts = self.evaluation.energies()
+        energy = sum(parts.values())
+        turnover = max(self.turnover, parts["kinetic"] + parts["elastic"] + parts["springs"])
+        gain = energy - self.highest
+        if self.settling == 0 and gain > SHARE * (turnover + self.weight):
+            return float(gain)
+        self.settling = max(self.settling - 1, 0)
+        self.turnover, self.highest = turnover, max(energy, self.highest)
+        return None
+
+    def remember(self, m: Memory) -> None:
+        """What was seen of energies."""
+        self.turnover, self.highest = m("energies", (self.turnover, self.highest))
+        self.rejections, self.settling = m("steps", (self.rejections, self.settling))
+
+    def count(self, before: State, gain: float, stop: bool) -> None:
+        """One more step from ``before`` taken back; raises ConvergenceError when it must ``stop``."""
+        self.rejections += 1
+        if stop:
+            raise ConvergenceError(
+                f"The step at t = {before.t:.6g} s gains {gain:.3g} J from nothing, also in 1/{2**HALVINGS} of the step: the "
+                "scheme does not follow a stiff part that turns. Take a much smaller dt, fmbd.EnergyMomentum() or fmbd.Radau()."
+            )
+
+
+class Guarded:
+    """A stepper with error control under guard: told to start again from before. Constant steps: :mod:`.halving`."""
+
+    def __init__(self, stepper: Any, watch: Watch) -> None:
+        self.stepper, self.watch, self.largest = stepper, watch, float("inf")
+        self.local_error = 0.0
+
+    @property
+    def state(self) -> State:
+        """The state of the stepper."""
+        return self.stepper.state
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """At the newest state."""
+        return self.watch.evaluation
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Those of the stepper, and the steps taken back."""
+        return {**getattr(self.stepper, "counters", {}), "energy_rejections": self.watch.rejections}
+
+    def remember(self, m: Memory) -> None:
+        """The stepper, its largest step, and what was seen of energies."""
+        remember_stepper(self.stepper, m.inside("stepper"))
+        self.watch.remember(m.inside("watch"))
+        self.largest, self.local_error = m("steps", (self.largest, self.local_error))
+
+    def restart(self, t: float) -> None:
+        """Go on behind a kink at t."""
+        self.stepper.restart(t)
+
+    def advance(self, h: float) -> State:
+        """One step of at most h; collective."""
+        before = self.stepper.state
+        for left in range(HALVINGS, -1, -1):
+            after = self.stepper.advance(min(h, self.largest))
+            if (gain := self.watch.gain(after)) is None:
+                self.largest *= 2.0
+                self.local_error = self.stepper.local_error
+                return after
+            self.largest = 0.5 * (after.t - before.t)
+            self.watch.count(before, gain, left == 0)
+            self.stepper.state = before
+            self.stepper.restart(before.t)
+        return self.stepper.state

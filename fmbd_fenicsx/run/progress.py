@@ -1,0 +1,61 @@
+"""How far a march has come, and everything that its next step depends on."""
+
+from __future__ import annotations
+
+import time as clock
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from ..linear.condensation import StepSolver
+from ..schemes.newton import Newton
+from ..system.system import System
+from .output import Recorder
+
+if TYPE_CHECKING:
+    from ..system.serialisation import Memory
+
+
+@dataclass
+class Course:
+    """The workers of a march, steps ``done``, largest ``local_error``, back-solves of the ``first`` step, and the seconds
+    that processes before a restart took.
+    """
+
+    system: System
+    solver: StepSolver
+    newton: Newton
+    stepper: Any
+    recorder: Recorder
+    done: int = 0
+    local_error: float = 0.0
+    first: int = 0
+    earlier: float = 0.0
+    begun: float = field(default_factory=clock.perf_counter)
+
+    def remember(self, m: Memory, where: Any = "") -> None:
+        """Write all of it, or read it from the checkpoint ``where``; see :mod:`fmbd_fenicsx.system.serialisation`. Collective."""
+        from ..linear.blocks.solver_memory import remember_solver
+        from ..system.revolutions import count_from, turns
+        from ..system.serialisation import remember_stepper
+        from .fingerprint import check_effect
+
+        counted = m("turns", turns(self.system, sensors=True))
+        tangents = [p for p in self.system.parts if hasattr(p, "evaluated")]
+        left = m("evaluated", [p.evaluated for p in tangents])
+        for k, part in enumerate(self.system.parts):
+            if hasattr(part, "remember"):
+                part.remember(m.inside(f"part {k}"))
+        remember_stepper(self.stepper, m.inside("stepper"))
+        remember_solver(self.solver, m.inside("solver"), self.stepper.state)
+        self.newton.iterations, self.newton.theta = m("Newton", (self.newton.iterations, self.newton.theta))
+        self.recorder.remember(m.inside("recorder"))
+        self.done, self.local_error, self.first = m("course", (self.done, self.local_error, self.first))
+        now = clock.perf_counter()
+        spent = m("seconds", self.earlier + now - self.begun)
+        if m.reading:
+            self.earlier, self.begun = spent, now
+        count_from(self.system, counted)
+        check_effect(self.system, self.stepper.state, m.inside("effect"), where)
+        count_from(self.system, counted)
+        for p, value in zip(tangents, left, strict=True):
+            p.evaluated = value

@@ -1,0 +1,64 @@
+"""Where the steps of a run end: equal ones, or as the error control of the scheme likes, hitting break points and the end
+exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, require
+from ..system.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Where the steps of a march end: ``steps`` equal ones, or (0) as the scheme likes, hitting each of ``stops`` and the end."""
+
+    t_end: float
+    steps: int
+    stops: tuple[float, ...] = ()
+    largest: float = np.inf
+
+    def next(self, t: float) -> float:
+        """Size of the next step, or the most it may be (s). Steps end a few roundings before a break point: on its near side."""
+        if self.steps:
+            return self.t_end / self.steps
+        for stop in self.stops:
+            if stop - 64 * np.spacing(stop) > t:
+                return min(stop - 16 * np.spacing(stop) - t, self.largest)
+        return min(self.t_end - t, self.largest)
+
+    def broken(self, t: float) -> float | None:
+        """The break point at t, where the solution may have a kink."""
+        return next((x for x in self.stops if abs(t - x) <= 64 * np.spacing(x)), None)
+
+    def ended(self, t: float, done: int) -> bool:
+        """Whether the march is over."""
+        return done == self.steps if self.steps else t >= self.t_end * (1 - 1e-12)
+
+
+def pace_of(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, multiple: int = 1) -> Pace:
+    """Steps of equal size, none above dt (but for roundoff), a ``multiple`` of them; or none for error control."""
+    require(bool(np.isfinite(t_end)) and t_end > 0, f"End time t_end = {t_end} s must be positive.")
+    adaptive = getattr(scheme, "rtol", None) is not None
+    if dt is None and not adaptive:
+        raise InputError(f"{scheme.name} takes constant steps: give dt (s). Schemes with rtol choose their own.")
+    if dt is not None:
+        require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
+        require(dt <= t_end * (1 + 1e-12), f"Step dt = {dt} s is larger than the whole run, t_end = {t_end} s.")
+        require(t_end + dt > t_end, f"Step dt = {dt} s is below the roundoff of t_end = {t_end} s: t + h == t.")
+    if adaptive:
+        require(
+            multiple == 1,
+            "estimate_error needs constant steps; with error control compare two values of rtol (study.py).",
+        )
+        stops = sorted({float(t) for t in scene.breakpoints if 0 < t < t_end})
+        return Pace(t_end, 0, tuple(stops), np.inf if dt is None else dt)
+    assert dt is not None
+    steps = max(1, round(t_end / dt))
+    if abs(steps * dt - t_end) > 1e-9 * t_end:
+        steps = int(np.ceil(t_end / dt))
+    return Pace(t_end, -(-steps // multiple) * multiple)

@@ -1,0 +1,138 @@
+"""Constant steps, made in parts where a whole one fails: one mechanism for all schemes.
+
+A step whose Newton iteration or linear solve fails is made in two halves, these again in halves, down to 1/64. So is one that
+gains energy from nothing (:mod:`.guard`), down to 1/1024; all later steps are then made in parts of that size. Recorded states
+stay on the grid of whole steps. A scheme remembers accelerations, past values or predictors of one step size, so before each
+change of size its worker is made anew from the consistent state nearest to the present one, as at the start of a run. Workers
+of schemes whose rule holds for steps of any size go on as they are: with contact (its forces are their memory), RATTLE,
+energy-momentum (which conserves).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from ..errors import ConstraintError, ConvergenceError, LinearSolveError
+from ..log import log
+from ..system.revolutions import count_from
+from ..system.revolutions import turns as turns_of
+from ..system.serialisation import Memory, remember_stepper
+from ..system.system import Evaluation, State, System
+from .energy_check import HALVINGS, Watch
+
+DEPTH = 6  # times that a step that fails may be halved
+
+
+class ConstantSteps:
+    """A stepper with constant steps, whole or in parts.
+
+    ``renew`` makes a stepper from a state, None: the stepper goes on with another size. ``watch``: the energy guard, if any.
+    """
+
+    def __init__(self, stepper: Any, system: System, renew: Callable[[State], Any] | None, watch: Watch | None) -> None:
+        self.stepper, self.system, self.renew, self.watch = stepper, system, renew, watch
+        self.local_error = 0.0
+        self.halved = 0  # steps and parts of steps that failed
+        self.whole = 0  # halvings that every step gets since energy was gained
+        self._size: float | None = None  # the stepper's last
+        self._past: dict[str, float] = {}  # counters of former steppers
+
+    @property
+    def state(self) -> State:
+        """The state of the stepper."""
+        return self.stepper.state
+
+    @property
+    def path(self) -> str:
+        """How the stepper computes."""
+        return getattr(self.stepper, "path", "NumPy")
+
+    @property
+    def evaluation(self) -> Evaluation | None:
+        """At the newest state, where the guard has made it."""
+        return None if self.watch is None else self.watch.evaluation
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Those of the steppers, the steps made in halves and those taken back for their energy."""
+        own = {**self._sum(), "halved_steps": self.halved}
+        return own if self.watch is None else {**own, "energy_rejections": self.watch.rejections}
+
+    def _sum(self) -> dict[str, float]:
+        found = getattr(self.stepper, "counters", {})
+        return {k: found.get(k, 0.0) + self._past.get(k, 0.0) for k in {**self._past, **found}}
+
+    def remember(self, m: Memory) -> None:
+        """The stepper, its size and what it counts, the guard."""
+        remember_stepper(self.stepper, m.inside("stepper"))
+        if self.watch is not None:
+            self.watch.remember(m.inside("watch"))
+        sizes = self.halved, self.whole, self._size, self.local_error
+        self.halved, self.whole, self._size, self.local_error = m("sizes", sizes)
+        self._past = m("past", self._past)
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s), whole or in parts; collective.
+
+        Raises ConvergenceError or LinearSolveError, that of the whole step, when its smallest parts fail too.
+        """
+        t = self.stepper.state.t + h
+        self.local_error = 0.0
+        try:
+            self._advance(h, 0)
+        except (ConvergenceError, LinearSolveError) as error:
+            raise type(error)(
+                f"{error} Parts of this step fail too, down to 1/{2 ** (self.whole + DEPTH)} of it."
+            ) from None
+        if self.stepper.state.t != t:  # sums of halves round
+            self.stepper.state = replace(self.stepper.state, t=t)
+        return self.stepper.state
+
+    def _advance(self, h: float, depth: int) -> None:
+        """One part of size h, 1/2^depth of the step."""
+        if depth < self.whole:
+            return self._halves(h, depth)
+        if self._size not in (None, h):
+            self._begin(self.stepper.state)
+        before, turns, self._size = self.stepper.state, turns_of(self.system), h
+        try:
+            after = self.stepper.advance(h)
+        except (ConvergenceError, LinearSolveError) as error:
+            if depth - self.whole == DEPTH:
+                raise
+            if not self.halved:
+                log.warning("t = %g s: a step of h = %g s failed and is made in parts. %s", before.t, h, error)
+            self.halved += 1
+            count_from(self.system, turns)
+            try:
+                self._begin(before)
+                return self._halves(h, depth)
+            except (ConvergenceError, LinearSolveError):
+                raise error from None
+        if self.watch is None or (gain := self.watch.gain(after)) is None:
+            self.local_error = max(self.local_error, self.stepper.local_error)
+            return None
+        self.whole = depth + 1
+        self.watch.count(before, gain, self.whole > HALVINGS)
+        count_from(self.system, turns)
+        self._begin(before)
+        return self._halves(h, depth)
+
+    def _halves(self, h: float, depth: int) -> None:
+        self._advance(0.5 * h, depth + 1)
+        self._advance(0.5 * h, depth + 1)
+
+    def _begin(self, state: State) -> None:
+        """A new stepper from a state."""
+        if self.renew is None:
+            self.stepper.state = state
+        else:
+            self._past, self._size = self._sum(), None
+            try:
+                self.stepper = self.renew(state)
+            except ConstraintError as error:
+                raise ConvergenceError(
+                    f"No step can begin from what parts of a step left: {error} Take a smaller dt."
+                ) from None

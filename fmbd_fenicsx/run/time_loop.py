@@ -1,0 +1,144 @@
+"""A march of a scheme from a consistent start to the end of a run, recorded on the way; one answer on all ranks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..errors import ConvergenceError, require
+from ..linear.condensation import StepSolver
+from ..log import StopRequests, log
+from ..rotations import Array
+from ..schemes.consistent import Correction, consistent
+from ..schemes.newton import Newton
+from ..schemes.statics import equilibrium
+from ..system.scene.scene import Scene
+from ..system.system import State, System
+from .energy_check import Guarded, Watch, closed
+from .output import Output, Progress, Recorder
+from .progress import Course
+from .schedule import Pace
+from .step_bisection import ConstantSteps
+
+if TYPE_CHECKING:
+    from .checkpoint import Keeper
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A consistent start and what a march from it needs."""
+
+    scene: Scene
+    system: System
+    markers: dict[str, int]
+    given: State
+    start: State
+    scheme: Any
+    newton: Newton
+    linear: Any
+    pressures: list[Array]  # that bodies carry as unknowns
+
+
+@dataclass(frozen=True)
+class March:
+    """What a march left: recorder, last state, largest local error, the first step's back-solves, the
+    scheme's statistics, the seconds before a restart.
+    """
+
+    recorder: Recorder
+    state: State
+    local_error: float
+    done: int
+    first: int
+    status: str
+    counters: dict[str, float]
+    path: str
+    earlier: float
+
+
+def make_solver(scene: Scene, system: System, linear: Any) -> StepSolver:
+    """The linear solver of a scene, with its own prefix of PETSc's options; collective."""
+    return StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
+
+
+def begin(
+    scene: Scene, scheme: Any, system: System, given: State, *, solver: StepSolver, h: float
+) -> tuple[State, Correction]:
+    """The consistent start of a scheme from a state as given, with first steps of h (s); collective."""
+    if scene.settle:
+        given = equilibrium(system, given, solver)
+    if hasattr(scheme, "start"):
+        return scheme.start(system, given, solver, h)  # type: ignore[no-any-return]
+    require(
+        system.contacts is None,
+        f"{scheme.name} does not treat contact. Use fmbd.ContactMidpoint(), ContactAlpha() or Moreau().",
+    )
+    return consistent(system, given, solver)
+
+
+def _stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: bool) -> Any:
+    """The scheme's worker from the consistent start: constant steps in parts where that must be, under the energy guard where
+    that makes sense.
+    """
+    made = problem.scheme.stepper(problem.system, solver, problem.newton, problem.start)
+    watch = Watch(problem.system, made.state) if guarded else None
+
+    def renew(state: State) -> Any:
+        problem.newton.theta = 0.5
+        if problem.system.fields:  # tangents of a failed iteration are of no use
+            problem.system.at(state.t, state.q, state.v).balance(state.a, state.lam)
+            for _, part in problem.system.fields:
+                part.relinearise()
+        start, _ = consistent(problem.system, state, solver)
+        return problem.scheme.stepper(problem.system, solver, problem.newton, start)
+
+    if pace.steps:
+        goes_on = hasattr(problem.scheme, "start") or getattr(problem.scheme, "free_steps", False)
+        return ConstantSteps(made, problem.system, None if goes_on else renew, watch)
+    return made if watch is None else Guarded(made, watch)
+
+
+def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keeper: Keeper | None = None) -> March:
+    """All steps from a consistent start, or from the checkpoint that the ``keeper`` takes up; collective."""
+    stepper = _stepper(problem, solver, pace, guarded=output.energy and closed(problem.scene, problem.system))
+    recorder = Recorder(problem.scene, problem.system, problem.markers, output, pace.t_end)
+    recorder.take(0, stepper.state, getattr(stepper, "evaluation", None))
+    course = Course(problem.system, solver, problem.newton, stepper, recorder)
+    if keeper is not None:
+        keeper.resume(course)
+    state = stepper.state
+    bar = Progress(problem.scene.name, pace.steps or None, output.progress)
+    try:
+        with StopRequests() if keeper is None else keeper.listen() as stop:
+            while not pace.ended(state.t, course.done):
+                state = stepper.advance(pace.next(state.t))
+                course.done += 1
+                course.local_error = max(course.local_error, stepper.local_error)
+                recorder.take(course.done, state, getattr(stepper, "evaluation", None))
+                bar.update()
+                course.first = course.first or solver.back_solves
+                if (kink := pace.broken(state.t)) is not None:
+                    stepper.restart(kink)
+                    state = stepper.state
+                if stop.asked if keeper is None else keeper.after_step(course, stop):
+                    log.warning("stopped on request at t = %g s", state.t)
+                    break
+        if keeper is not None:
+            keeper.write(course)
+    except ConvergenceError as error:
+        total = f" of {pace.steps}" if pace.steps else ""
+        kept = "" if keeper is None or keeper.newest is None else f" The newest checkpoint is {keeper.newest}."
+        raise ConvergenceError(f'Scene "{problem.scene.name}", step {course.done + 1}{total}: {error}{kept}') from error
+    finally:
+        bar.close()
+    return March(
+        recorder=recorder,
+        state=state,
+        local_error=course.local_error,
+        done=course.done,
+        first=course.first,
+        status="finished" if pace.ended(state.t, course.done) else "stopped",
+        counters=getattr(stepper, "counters", {}),
+        path=getattr(stepper, "path", "NumPy"),
+        earlier=course.earlier,
+    )

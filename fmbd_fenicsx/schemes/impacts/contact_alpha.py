@@ -1,0 +1,154 @@
+"""Generalized-alpha with contact: gaps at position level, persistency at velocity level.
+
+    M a + h + G^T lambda - N^T Lambda = 0,   g = 0,   0 <= Lambda _|_ gap >= 0     at t_n+1                 (1)
+    v_n+1 <- v_n+1 + A^-1 N^T P,   0 <= P _|_ N v_n+1 >= 0   for the contacts that are closed               (2)
+
+(1) is the step of :mod:`.generalized_alpha` with unilateral rows beside the joints; (2) removes the approach velocity
+of closed contacts (lambda g' = 0, persistency), in the metric A of the step. Contact nodes carry no inertia, so
+Lambda is bounded and the recursion of accelerations stays smooth; rigid impacts belong to :mod:`.moreau`. Energy is
+damped at high frequencies and at impacts; see :mod:`.contact_midpoint` for the rule that conserves it.
+
+Source: Bruels, Acary and Cardona, doi:10.1016/j.cma.2014.07.025.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...linear.condensation import StepSolver, Weights
+from ...mechanics.contact.rows import Rows
+from ...rotations import Array
+from ...system.serialisation import Memory
+from ...system.system import Evaluation, State, System
+from ..consistent import Correction
+from ..newton import Newton, not_converged
+from ..onestep.generalized_alpha import GeneralizedAlpha
+from .contact_detection import candidates
+from .contact_ledger import StepForces
+from .contact_midpoint import elastic_start
+from .contact_newton import Unilateral, normal_forces, openings
+from .contact_stepper import ContactStepper
+
+
+@dataclass(frozen=True)
+class ContactAlpha(GeneralizedAlpha):
+    """Scheme data: ``rho_inf`` in [0, 1) as in :class:`GeneralizedAlpha`."""
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+        return f"contact generalized-alpha(rho_inf={self.rho_inf:g})"
+
+    def start(self, system: System, state: State, solver: StepSolver, h: float) -> tuple[State, Correction]:
+        """As for the midpoint rule."""
+        return elastic_start(self.name, system, state, solver, 0.5 * h)
+
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:  # type: ignore[override]
+        """A run's worker, from a consistent state."""
+        return Stepper(self, system, solver, newton, state)
+
+
+class Stepper(ContactStepper):
+    """Advances a state; holds the algorithmic acceleration A."""
+
+    def __init__(self, scheme: ContactAlpha, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        super().__init__(system, solver, newton, state)
+        self.scheme = scheme
+        self.A = state.a.copy()
+
+    def remember(self, m: Memory) -> None:
+        """With the algorithmic acceleration."""
+        super().remember(m)
+        self.A = m.like_v("A", self.A)
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
+        unchanged.
+        """
+        system, s = self.system, self.state
+        near = candidates(system, self.contacts, s, h)
+        for _ in range(4):
+            step = _Step(self, h, near)
+            converged, history = self.newton.solve(step.increment)
+            if not converged:
+                raise not_converged(s.t + h, h, history)
+            q = system.compose(s.q, step.xi)
+            missed = (self.contacts.touch(system, s.t + h, q).gap < -1e-9 * system.length) & ~near
+            if not missed.any():
+                break
+            near = near | missed
+        v = self._persist(step, step.v)
+        beta = self.scheme.parameters[3]
+        self.local_error = h * h * abs(beta - 1 / 6) * system.max_abs(step.A - self.A)
+        self.A = step.A
+        forces = StepForces(near, step.contact.rows, step.contact.force, s.t + h)
+        self.state = self.ledger.write(State(s.t + h, q, v, step.a, step.lam), forces, (step.ev, step.xi, step.lam), h)
+        self.ledger.count(len(history))
+        return self.state
+
+    def _persist(self, step: _Step, v: Array) -> Array:
+        """Velocities by (2)."""
+        rows = step.contact.rows
+        closed = step.contact.force[:, 0] > 0
+        if rows is None or not closed.any():
+            return v
+        rows = rows.take(closed)
+        N = rows.N
+        rate = self.contacts.gap_rate(self.system, self.state.t + step.h, step.ev.q, step.h)[step.near][closed]
+        u = self.contacts.times(self.system, N, v) + rate
+        P = normal_forces(self.compliance.of(N, rows.trace, 1.0), u, np.zeros(len(u)), self.ledger.counts)
+        if not P.any():
+            return v
+        dv, _ = self.solver.solve(self.contacts.transposed(self.system, N, P), np.zeros(self.system.n_lam))
+        return v + dv
+
+
+class _Step:
+    """The Newton iteration of one step."""
+
+    def __init__(self, stepper: Stepper, h: float, near: np.ndarray) -> None:
+        self.p, self.h, self.near = stepper, h, near
+        s = stepper.state
+        self.am, self.af, self.gamma, self.beta = stepper.scheme.parameters
+        self.a, self.lam = s.a.copy(), s.lam.copy()
+        self.A = self._algorithmic()
+        self.fixed = h * s.v + h * h * (0.5 - self.beta) * stepper.A
+        self.xi = self.fixed + h * h * self.beta * self.A
+        self.scale = self.beta * h * h * (1 - self.af) / (1 - self.am)
+        self.contact = Unilateral(stepper.compliance, stepper.ledger.counts, stepper.ledger.force[near])
+        self.prepared = False
+        self.ev: Evaluation = None  # type: ignore[assignment]
+
+    def _algorithmic(self) -> Array:
+        s = self.p.state
+        return ((1 - self.af) * self.a + self.af * s.a - self.am * self.p.A) / (1 - self.am)
+
+    @property
+    def v(self) -> Array:
+        """Velocity at the end."""
+        return self.p.state.v + self.h * ((1 - self.gamma) * self.p.A + self.gamma * self.A)
+
+    def increment(self) -> float:
+        """One Newton step; returns its size over the tolerance."""
+        p, h, s = self.p, self.h, self.p.state
+        system, solver = p.system, p.solver
+        q = system.compose(s.q, self.xi)
+        ev = self.ev = system.at(s.t + h, q, self.v)
+        solver.prepare(ev, Weights(1.0, h * self.gamma * (1 - self.af) / (1 - self.am), self.scale), keep=self.prepared)
+        self.prepared = True
+        residuals = ev.balance(self.a, self.lam), ev.constraint()
+        if self.near.any():
+            rows: Rows = p.contacts.rows(system, s.t + h, q, since=(s.t, h)).take(self.near)
+            u = openings(p.contacts, system, rows, rows.gap, self.xi)
+            dq, dlam = self.contact.increment(rows, u, residuals, self.scale)
+        else:
+            dq, dlam = solver.solve(-self.scale * residuals[0], -residuals[1])
+        d_xi = system.rate(self.xi, dq)
+        self.lam = self.lam + dlam / self.scale
+        self.xi = self.xi + d_xi
+        self.A = self.A + d_xi / (h * h * self.beta)
+        self.a = self.a + d_xi / self.scale
+        size = max(system.max_abs(self.xi), h * system.max_abs(s.v), 1e-9 * system.length)
+        return system.max_abs(dq) / max(1e-4 * p.newton.tolerance * size, 100 * np.finfo(float).eps * system.length)

@@ -1,0 +1,95 @@
+"""What all schemes with contact do at a step: find candidates, refuse penetration at the start, refuse
+passing through.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...errors import ConvergenceError, InputError
+from ...log import log
+from ...mechanics.contact.rows import ContactSet, Linear, Rows, Touch, tangents_of
+from ...rotations import Array
+from ...system.system import State, System
+
+ALLOWED = 1e-8  # penetration at the start, as a share of the model's length
+
+
+def candidates(system: System, contacts: ContactSet, state: State, h: float, *, keep: bool = False) -> np.ndarray:
+    """Points that may touch within the step, (m,) bool: near now, or at the position reached with the
+    present velocity.
+
+    ``keep``: overlaps from the new pairing of two bodies are not pushed out (see
+    :mod:`fmbd_fenicsx.mechanics.contact.mortar`).
+    """
+    contacts.update(system, state.q, 2 * h * contacts.fastest(system, state.v), keep=keep)
+    now = contacts.touch(system, state.t, state.q)
+    then = contacts.touch(system, state.t + h, system.compose(state.q, h * state.v))
+    _refuse_tunnelling(system, contacts, state, (h, now, then))
+    reach = contacts.search(now.gap, then.gap, system.length)
+    return np.asarray((now.gap < reach) | (then.gap < reach))
+
+
+def components(rows: Rows) -> Linear:
+    """Normal and tangential rows of each point after each other, (m d, ...)."""
+    parts = [rows.N, *rows.tangents]
+    d, m = len(parts), len(rows.gap)
+    order = np.argsort(np.tile(np.arange(m), d), kind="stable")
+    core = np.concatenate([p.core for p in parts])[order]
+    n = len(rows.N.field)
+    return Linear(core, tuple(sp.vstack([p.field[i] for p in parts], format="csr")[order] for i in range(n)))
+
+
+def in_world(rows: Rows, force: Array) -> Array:
+    """Forces (m, d) in world axes from components (m, 1) or (m, d) along normal and tangents."""
+    out = force[:, :1] * rows.normal
+    if force.shape[1] > 1:
+        for k, e in enumerate(tangents_of(rows.normal)):
+            out = out + force[:, 1 + k : 2 + k] * e
+    return out
+
+
+def refuse_penetration(system: System, contacts: ContactSet, state: State) -> None:
+    """Raise InputError when bodies overlap at the start, naming pair and depth; collective."""
+    contacts.update(system, state.q, 1e-2 * system.length)
+    rows = contacts.touch(system, state.t, state.q)
+    for i, name in enumerate(contacts.names):
+        if not np.isfinite(rows.geometric[contacts.pair == i]).any():
+            log.info('contact "%s": the bodies start outside each other\'s search range', name)
+    worst = int(np.argmin(rows.geometric))
+    depth = -float(rows.geometric[worst])
+    if depth > ALLOWED * system.length:
+        raise InputError(
+            f'Contact "{contacts.names[contacts.pair[worst]]}": the bodies overlap at the start by '
+            f"{depth:.3g} m, at "
+            f"{np.round(rows.x[worst], 6).tolist()}. Move one of them apart along "
+            f"{np.round(rows.normal[worst], 3).tolist()}."
+        )
+
+
+def _refuse_tunnelling(system: System, contacts: ContactSet, state: State, step: tuple[float, Touch, Touch]) -> None:
+    """Raise ConvergenceError when a point would pass more than half of an obstacle's thickness in one step;
+    collective.
+    """
+    h, now, then = step
+    thick = contacts.thickness
+    if not np.isfinite(thick).any():
+        return
+    way = np.linalg.norm(then.relative - now.relative, axis=1)
+    fast = np.flatnonzero((way > (0.5 + 1e-9) * thick) & (now.gap > -0.1 * thick))
+    if not len(fast):
+        return
+    pieces = min(4 * int(np.ceil(np.max(way[fast] / thick[fast]))) + 1, 1000)
+    for k in range(1, pieces + 1):
+        part = h * k / pieces
+        at = contacts.touch(system, state.t + part, system.compose(state.q, part * state.v))
+        hit = fast[at.gap[fast] < -0.25 * thick[fast]]  # deep inside, not sliding along
+        if len(hit):
+            i = int(hit[0])
+            raise ConvergenceError(
+                f'Contact "{contacts.names[contacts.pair[i]]}" at t = {state.t:.6g} s: a point moves '
+                f"{way[i]:.3g} m in one step of "
+                f"{h:.3g} s, more than half of the {thick[i]:.3g} m it would hit, and could pass through. "
+                f"Use dt <= {0.5 * h * thick[i] / way[i]:.3g} s."
+            )

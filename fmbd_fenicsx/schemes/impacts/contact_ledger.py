@@ -1,0 +1,135 @@
+"""Books of a run with contact: forces of each step, impulses and works since the start, statistics of the
+active sets.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...linear.complementarity.normal import ContactCounts
+from ...mechanics.contact.rows import Rows, Touch
+from ...rotations import Array
+from ...system.sensors.contact import WORKS, ContactForces, ContactState, forces_of
+from ...system.serialisation import Memory
+from ...system.system import Evaluation, State, System
+from .contact_detection import in_world
+
+
+@dataclass(frozen=True)
+class StepForces:
+    """Forces of one step: which candidates were in reach (m,) bool, their rows, components (k, 1 or d) in N,
+    and the time.
+    """
+
+    near: np.ndarray
+    rows: Rows | None
+    force: Array
+    time: float
+
+
+@dataclass
+class Ledger:
+    """Sums over the steps; ``write`` after each step makes the state that sensors read. Methods are
+    collective.
+    """
+
+    system: System
+    counts: ContactCounts = field(default_factory=ContactCounts)
+    in_contact: int = 0
+    newton_in_contact: int = 0
+
+    def __post_init__(self) -> None:
+        self.contacts = self.system.contacts
+        d = self.system.motions.dim
+        self.components = d if self.contacts.frictional else 1
+        self.force = np.zeros((len(self.contacts.pair), self.components))
+        self.impulse: Array = np.zeros((len(self.contacts.pairs), d))
+        self.work: Array = np.zeros(len(WORKS))
+        self.energy = self.springs = 0.0
+
+    def remember(self, m: Memory) -> None:
+        """Forces, sums and statistics."""
+        self.force = m.candidates("force", self.force)
+        self.impulse, self.work, self.energy, self.springs = m(
+            "sums", (self.impulse, self.work, self.energy, self.springs)
+        )
+        counts = self.counts, self.in_contact, self.newton_in_contact
+        self.counts, self.in_contact, self.newton_in_contact = m("counts", counts, ContactCounts)
+
+    def open(self, state: State) -> ContactState:
+        """The first state: no forces yet."""
+        self.energy, self.springs = self._energy(state)
+        nothing = StepForces(np.zeros(len(self.force), dtype=bool), None, np.zeros((0, self.components)), state.t)
+        return self._carry(state, nothing, self.contacts.touch(self.system, state.t, state.q))
+
+    def write(self, state: State, forces: StepForces, step: tuple[Evaluation, Array, Array], h: float) -> ContactState:
+        """Close a step: ``step`` holds the evaluation, the increment xi and the multipliers that the balance
+        was written with.
+        """
+        system, c = self.system, self.contacts
+        ev, xi, lam = step
+        works = np.zeros(len(WORKS))
+        if forces.rows is not None:
+            works[0] = forces.force[:, 0] @ c.times(system, forces.rows.N, xi)
+            for k, tangent in enumerate(forces.rows.tangents):
+                works[1] += forces.force[:, 1 + k] @ c.times(system, tangent, xi)
+        energy, springs = self._energy(state)
+        if system.forces:
+            works[2] = system.dot(ev.spread(ev.wrenches()), xi) + springs - self.springs
+        if system.n_lam:
+            works[3] = -float(lam @ ev.jacobian.times(xi))
+        works[4] = energy - self.energy - works[:4].sum()
+        self.energy, self.springs, self.work = energy, springs, self.work + works
+        self.force = np.zeros_like(self.force)
+        self.force[forces.near] = forces.force
+        found = self._carry(state, forces, c.touch(system, state.t, state.q), h)
+        return found
+
+    def averaged(self, state: ContactState, time: float, force: Array) -> ContactState:
+        """The state at ``time`` with the mean contact forces (m, d) of a step of several parts."""
+        found = forces_of(state)
+        normal = (force * found.normal).sum(axis=1)
+        self.force = np.zeros_like(self.force)
+        self.force[:, 0] = normal
+        found = replace(found, force=force, normal_force=normal, pressure=normal / self.contacts.weight)
+        return replace(state, t=time, contact=found)
+
+    def count(self, iterations: int) -> None:
+        """A step was done; Newton iterations count when a force acted."""
+        if self.force.any():
+            self.in_contact += 1
+            self.newton_in_contact += iterations
+
+    def _energy(self, state: State) -> tuple[float, float]:
+        """Total energy, and the share of springs."""
+        found = self.system.at(state.t, state.q, state.v).energies()
+        return float(sum(found.values())), float(found["springs"])
+
+    def _carry(self, state: State, forces: StepForces, end: Touch, h: float = 0.0) -> ContactState:
+        c = self.contacts
+        force = np.zeros_like(end.x)
+        if forces.rows is not None:
+            force[forces.near] = in_world(forces.rows, forces.force)
+            self.impulse = self.impulse + h * np.array([force[c.pair == i].sum(0) for i in range(len(self.impulse))])
+        normal = self.force[:, 0].copy()
+        found = ContactForces(
+            c.names, forces.time, c.pair, end.x, end.normal, end.geometric, normal, force, normal / c.weight,
+            self.impulse, self.work.copy(),
+        )  # fmt: skip
+        return ContactState(state.t, state.q, state.v, state.a, state.lam, found)
+
+    def counters(self, columns: int, products: int = 0) -> dict[str, float]:
+        """Statistics for the run's counters; ``columns`` of the compliance solved, ``products`` with it."""
+        n = self.counts
+        return {
+            "contact_steps": self.in_contact,
+            "contact_newton_iterations": self.newton_in_contact,
+            "active_set_iterations": n.iterations,
+            "active_set_changes": n.changes,
+            "cycles_broken": n.cycles,
+            "complementarity_residual": n.residual,
+            "compliance_columns": columns,
+            "compliance_products": products,
+        }

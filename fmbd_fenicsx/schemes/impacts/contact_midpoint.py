@@ -1,0 +1,183 @@
+"""Contact-implicit midpoint rule with massless contact nodes: the default for scenes with contact.
+
+    q_1 = q_0 o exp(xi),   v_m = xi / h,   v_1 = 2 v_m - v_0                                                (1)
+    M (v_1 - v_0) / h + h(q_m, v_m) + G_m^T lambda - N_m^T Lambda = 0    at  q_m = q_0 o exp(xi / 2)        (2)
+    g(q_1) = 0,     0 <= Lambda _|_ gap(q_1) >= 0                                                           (3)
+
+The forces act in the middle of the step, the gap closes at its end. On a linear elastic body and a plane obstacle the
+contact's work in a step is Lambda (gap_1 - gap_0) = -Lambda gap_0 <= 0, nothing while it stays closed: energy never
+grows. Without inertia on the contact nodes (:mod:`fmbd_fenicsx.mechanics.contact.mass`) Lambda does not oscillate.
+Each Newton step solves the linearised (2) and (3) as one small complementarity problem on the candidates; the active
+set of the last step starts it. After the step the velocity is projected on the joints' velocity constraints, which
+takes energy, never gives it.
+
+With theta instead of 1/2 in (1), (2) the rule is q_theta = q_0 o exp(theta xi), v_1 = v_0 + (v_m - v_0) / theta;
+theta = 1 is the implicit Euler rule, of first order and strongly damped: for equilibria by large steps.
+
+Source: Khenous, Laborde, Renard, doi:10.1016/j.euromechsol.2008.01.001; Deuflhard, Krause, Ertel,
+doi:10.1002/nme.2119.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import InputError, require
+from ...linear.condensation import StepSolver, Weights
+from ...log import log
+from ...rotations import Array
+from ...system.system import Evaluation, State, System
+from ..consistent import Correction, consistent, worst_block
+from ..newton import Newton, not_converged
+from .contact_detection import candidates, refuse_penetration
+from .contact_ledger import StepForces
+from .contact_newton import Unilateral, openings
+from .contact_stepper import ContactStepper
+
+
+@dataclass(frozen=True)
+class ContactMidpoint:
+    """Scheme data: ``theta`` in [1/2, 1]; 1/2 conserves energy, 1 is the implicit Euler rule. Equations (1)
+    to (3).
+    """
+
+    theta: float = 0.5
+
+    def __post_init__(self) -> None:
+        require(0.5 <= self.theta <= 1.0, f"ContactMidpoint: theta = {self.theta} must lie in [1/2, 1].")
+
+    @property
+    def order(self) -> int:
+        """Order away from impacts."""
+        return 2 if self.theta == 0.5 else 1
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+        return "contact-implicit midpoint" if self.theta == 0.5 else f"contact-implicit theta rule ({self.theta:g})"
+
+    def start(self, system: System, state: State, solver: StepSolver, h: float) -> tuple[State, Correction]:
+        """Consistent positions and velocities; refuses overlap, and contact between rigid bodies."""
+        return elastic_start(self.name, system, state, solver, self.theta * h)
+
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+        """A run's worker, from a consistent state."""
+        return Stepper(self.theta, system, solver, newton, state)
+
+
+def elastic_start(name: str, system: System, state: State, solver: StepSolver, tau: float) -> tuple[State, Correction]:
+    """Start of a scheme for elastic contact: consistent in the metric M + tau^2 K (M is singular on massless
+    nodes); collective.
+
+    Raises:
+        InputError: no contact in the scene, a contact of rigid bodies, or bodies that overlap.
+    """
+    contacts = system.contacts
+    if contacts is None:
+        raise InputError(f"{name} is a scheme for scenes with contact; this scene has none. Use another scheme.")
+    rigid = [p.name for p in contacts.pairs if p.rigid]
+    if rigid:
+        raise InputError(
+            f'Contact "{rigid[0]}" is between rigid bodies: {name} has no impact law for inertia on '
+            "the contact "
+            "point, its rebound would depend on dt. Use fmbd.Moreau(), which takes the contact's restitution."
+        )
+    heavy = [p.name for p in contacts.pairs if not p.massless]
+    if heavy:
+        log.warning(
+            'contact "%s": inertia on contact nodes (redistribute_mass=False) lets the contact force '
+            "oscillate; see docs/contact.md",
+            heavy[0],
+        )
+    start, correction = consistent(system, state, solver, metric=Weights(1.0, 0.0, tau * tau), accelerated=False)
+    refuse_penetration(system, contacts, start)
+    return start, correction
+
+
+class Stepper(ContactStepper):
+    """Advances a state through contact."""
+
+    def __init__(self, theta: float, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        super().__init__(system, solver, newton, state)
+        self.theta = theta
+        self._projects = any(b.kind != "frame" for b in system.blocks)
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
+        unchanged.
+        """
+        system, s = self.system, self.state
+        near = candidates(system, self.contacts, s, h, keep=self.theta == 0.5)
+        for _ in range(4):
+            step = _Step(self, h, near)
+            converged, history = self.newton.solve(step.increment)
+            if not converged:
+                where = f"; the largest open constraint is {worst_block(system, step.g)}" if step.g.size else ""
+                raise not_converged(s.t + h, h, history, f"{where}. Try a smaller dt.")
+            missed = (self.contacts.touch(system, s.t + h, step.q).gap < -1e-9 * system.length) & ~near
+            if not missed.any():
+                break
+            near = near | missed
+        v = s.v + (step.xi / h - s.v) / self.theta
+        if self._projects:
+            v = self._project(step, v)
+        a = (v - s.v) / h
+        self.local_error = h * h / 12 * system.max_abs(a - s.a)
+        forces = StepForces(near, step.contact.rows, step.contact.force, s.t + self.theta * h)
+        self.state = self.ledger.write(State(s.t + h, step.q, v, a, step.lam), forces, (step.ev, step.xi, step.lam), h)
+        self.ledger.count(len(history))
+        return self.state
+
+    def _project(self, step: _Step, v: Array) -> Array:
+        """Velocity that satisfies the joints at the end of the step."""
+        ev = self.system.at(self.state.t + step.h, step.q, v)
+        slip = ev.jacobian.times(v) + ev.constraint_rate()
+        dv, _ = self.solver.solve(np.zeros(self.system.n_v), -slip)
+        return v + dv
+
+
+class _Step:
+    """The Newton iteration of one step."""
+
+    def __init__(self, stepper: Stepper, h: float, near: np.ndarray) -> None:
+        self.p, self.h, self.near = stepper, h, near
+        system, s = stepper.system, stepper.state
+        self.xi = h * s.v
+        self.lam = s.lam.copy()
+        self.contact = Unilateral(stepper.compliance, stepper.ledger.counts, stepper.ledger.force[near])
+        self.prepared = False
+        self.theta = stepper.theta
+        self.scale = self.theta * h * h
+        self.q = s.q
+        self.g: Array = np.zeros(0)
+        self.ev: Evaluation = None  # type: ignore[assignment]
+        self.floor = 100 * np.finfo(float).eps * system.length
+
+    def increment(self) -> float:
+        """One Newton step: predictor, complementarity problem, correction; returns its size over the
+        tolerance.
+        """
+        p, h, s = self.p, self.h, self.p.state
+        system, solver = p.system, p.solver
+        self.q = system.compose(s.q, self.xi)
+        middle = system.compose(s.q, self.theta * self.xi)
+        vm = self.xi / h
+        ev = self.ev = system.at(s.t + self.theta * h, middle, vm)
+        solver.prepare(ev, Weights(1.0, self.theta * h, (self.theta * h) ** 2), keep=self.prepared)
+        self.prepared = True
+        r = ev.balance((vm - s.v) / (self.theta * h), self.lam)
+        self.g = system.at(s.t + h, self.q).constraint() if system.n_lam else np.zeros(0)
+        if self.near.any():
+            rows = p.contacts.rows(system, s.t + self.theta * h, middle, since=(s.t, h)).take(self.near)
+            gap = p.contacts.touch(system, s.t + h, self.q).gap[self.near]
+            u = openings(p.contacts, system, rows, gap, self.xi)
+            dxi, dlam = self.contact.increment(rows, u, (r, self.g), self.scale)
+        else:
+            dxi, dlam = solver.solve(-self.scale * r, -self.g)
+        self.lam = self.lam + dlam / self.scale
+        self.xi = self.xi + system.rate(self.xi, dxi)
+        self.q = system.compose(s.q, self.xi)
+        tolerance = max(1e-4 * p.newton.tolerance * max(system.max_abs(self.xi), h * system.max_abs(s.v)), self.floor)
+        return system.max_abs(dxi) / tolerance

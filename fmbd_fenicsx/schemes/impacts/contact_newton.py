@@ -1,0 +1,84 @@
+"""The unilateral part of a Newton step, the same for all schemes with contact.
+
+For the residual r of the balance without contact forces, scaled by s, and u the gaps (velocities, for impacts) of the
+present iterate, with tangential slips where there is friction,
+
+    z = step without change of force,   W = s L A^-1 L^T,   u + L z + W (f_new - f)  complementary to  f_new   (1)
+
+L holds the rows of the candidates; f_new comes from one small problem, and a second back-solve gives the
+step.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...linear.complementarity.delassus import Compliance
+from ...linear.complementarity.normal import ContactCounts, solve_normal
+from ...mechanics.contact.rows import ContactSet, Rows
+from ...rotations import Array
+from .contact_detection import components
+
+
+class Unilateral:
+    """Forces ``force`` (m, 1 or d) on the candidates of one step, improved by each call of
+    :meth:`increment`.
+    """
+
+    def __init__(self, compliance: Compliance, counts: ContactCounts, force: Array) -> None:
+        self.compliance, self.counts, self.force = compliance, counts, force
+        self.solver, self.contacts = compliance.solver, compliance.contacts
+        self.rows: Rows | None = None
+        self._W: Any = None
+        self._blocks: Any = None
+
+    def increment(self, rows: Rows, u: Array, residuals: tuple[Array, Array], scale: float) -> tuple[Array, Array]:
+        """Steps of the unknowns and of the joints' multipliers (scaled) by (1); residuals of balance and
+        joints. Collective.
+        """
+        contacts: ContactSet = self.contacts
+        system, solver, d = self.solver.system, self.solver, self.force.shape[1]
+        self.rows = rows
+        L = components(rows) if d > 1 else rows.N
+        r = residuals[0] - contacts.transposed(system, L, self.force.ravel())
+        z, dl = solver.solve(-scale * r, -residuals[1])
+        blocks = getattr(solver, "blocks", None)
+        if self._W is None or blocks is not self._blocks:  # also after Newton asked for a new tangent
+            self._W = self.compliance.of(L, rows.trace, scale)
+            self._blocks = blocks
+        W, gap = self._W, u.ravel() + contacts.times(system, L, z)
+        if d > 1:
+            force = frictional_forces(W, gap, rows.friction, self.force, self.counts)
+        else:
+            force = normal_forces(W, gap, self.force[:, 0], self.counts)[:, None]
+        change, self.force = force - self.force, force
+        if not change.any():
+            return z, dl
+        return solver.solve(-scale * (r - contacts.transposed(system, L, change.ravel())), -residuals[1])
+
+
+def normal_forces(W: Any, gap: Array, force: Array, counts: ContactCounts) -> Array:
+    """Forces L complementary to gap + W (L - force); W as :meth:`Compliance.normal` gives it. Collective."""
+    if isinstance(W, np.ndarray):
+        return solve_normal(W, gap - W @ force, force > 0, counts)
+    return np.asarray(W.complementary(gap, force, counts))
+
+
+def frictional_forces(W: Any, gap: Array, mu: Array, force: Array, counts: ContactCounts) -> Array:
+    """Forces (m, d) of Coulomb's law for gaps and slips gap + W (f - force); frictionless scenes import none of this."""
+    q = (gap - W @ force.ravel()).reshape(force.shape)
+    if isinstance(W, np.ndarray):
+        from ...linear.complementarity.coulomb import solve_friction
+
+        return solve_friction(W, q, mu, force, counts)
+    from ...linear.complementarity.coulomb_matrix_free import solve_many
+
+    return solve_many(W, q, mu, force, counts)
+
+
+def openings(contacts: ContactSet, system: Any, rows: Rows, gap: Array, xi: Array) -> Array:
+    """Gaps, and slips over a step with the increment xi where there is friction: (m, 1 or d); collective."""
+    slips = [contacts.times(system, t, xi) - rows.drift[:, k] for k, t in enumerate(rows.tangents)]
+    return np.stack([gap, *slips], axis=1)

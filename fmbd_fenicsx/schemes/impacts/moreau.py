@@ -1,0 +1,252 @@
+"""Moreau-Jean time stepping with impacts at their own times; restitution as an impulse.
+
+    M (v_1 - v_0) / h + h(q_m, v_m) + G^T lambda = N^T P / h,     v_m = (v_0 + v_1) / 2,   q_m = q_0 o exp(h v_m / 2)   (1)
+    q_1 = q_0 o exp(h v_m),     G v_1 + g_t = 0                                                                         (2)
+    closed contacts:  0 <= P _|_ U_1 + e U_0 >= 0,     U = N v + g_t  the gap's rate                                    (3)
+
+The rows N are those of the middle predicted from the start of the step, so (3) is one complementarity problem. A step
+is cut where a gap closes (a root of the gap along the step's parabola), and the impact is a step of (almost) no length:
+between impacts the rule is of second order. Contacts that touch without approach are closed: they carry a force.
+When one contact hits more than three times in a step, its impacts accumulate (Zeno): it comes to rest there. When a step
+has more than ``impacts`` of them, the rest of it is taken as classical time stepping: contacts whose gap, extrapolated to
+the middle, is not positive are closed, and P is the impulse of all that happens. Energy: P (U_0 + U_1) / 2 =
+-(1 - e) / 2 P |U_0| <= 0. Joints are kept on velocity level by (2) and projected on position level after the step.
+
+Source: Moreau (1988), doi:10.1007/978-3-7091-2624-0_1; Jean, doi:10.1016/S0045-7825(98)00383-1.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import FmbdError, InputError
+from ...linear.condensation import StepSolver, Weights
+from ...log import log
+from ...rotations import Array
+from ...system.sensors.contact import forces_of
+from ...system.serialisation import Memory
+from ...system.system import Evaluation, State, System
+from ..consistent import Correction, consistent
+from ..newton import Newton, not_converged
+from .contact_detection import candidates, refuse_penetration
+from .contact_ledger import StepForces
+from .contact_newton import Unilateral, openings
+from .contact_stepper import ContactStepper
+
+IMPACT = 1e-9  # length of an impact, as a share of the step
+TOUCH = 1e-9  # gap of a closed contact, as a share of the model's length
+DRIFT = 1e-5  # the same of a contact that carries a force: positions of closed contacts drift by O(h^3) a step
+SLOW = 1e-8  # approach of a resting contact: this share of the model's length in a step
+REPEATS = 3  # impacts of one contact in a step before it comes to rest
+
+
+@dataclass(frozen=True)
+class Moreau:
+    """Scheme data; restitution and friction belong to the contacts. Equations (1) to (3).
+
+    ``impacts``: how many impacts of a step happen at their own times; 0 is classical time stepping.
+    """
+
+    impacts: int = 20
+    order = 1
+    name = "Moreau-Jean"
+
+    def start(self, system: System, state: State, solver: StepSolver, h: float) -> tuple[State, Correction]:
+        """Consistent positions and velocities; refuses overlap."""
+        if system.contacts is None:
+            raise InputError("Moreau is a scheme for scenes with contact; this scene has none. Use another scheme.")
+        start, correction = consistent(system, state, solver, metric=Weights(1.0, 0.0, h * h / 4), accelerated=False)
+        refuse_penetration(system, system.contacts, start)
+        return start, correction
+
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+        """A run's worker, from a consistent state."""
+        return Stepper(system, solver, newton, state, self.impacts)
+
+
+class Stepper(ContactStepper):
+    """Advances a state through impacts."""
+
+    def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State, impacts: int) -> None:
+        super().__init__(system, solver, newton, state)
+        self._joints = any(b.kind != "frame" for b in system.blocks)
+        self.impulse = np.zeros_like(self.ledger.force)
+        self.carrying = np.zeros(len(self.impulse), dtype=bool)  # contacts with a force that is no impact
+        self.impacts, self.located, self.accumulations = impacts, 0, 0
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Statistics of contact, with the impacts found at their own times."""
+        return {**super().counters, "impacts": self.located, "accumulations": self.accumulations}
+
+    def remember(self, m: Memory) -> None:
+        """With the impulses and the contacts that carry a force."""
+        super().remember(m)
+        self.impulse, self.carrying = m.candidates("impulse", self.impulse), m.candidates("carrying", self.carrying)
+        self.located, self.accumulations = m("impacts", (self.located, self.accumulations))
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
+        unchanged.
+        """
+        before = self.state, self.impulse, self.carrying, copy(self.ledger)
+        end, hits, parts, iterations = self.state.t + h, np.zeros(len(self.impulse), dtype=int), 0, 0
+        mean: Array = np.zeros_like(forces_of(self.state).force)
+        try:
+            while end - self.state.t > 2 * IMPACT * h:
+                part = self._part(end - self.state.t, h, hits, classical=parts >= 2 * self.impacts)
+                self._take(part)
+                mean, parts = mean + part.h / h * forces_of(self.state).force, parts + 1
+                iterations += part.iterations
+        except FmbdError:
+            self.state, self.impulse, self.carrying, self.ledger = before
+            raise
+        self.state = self.ledger.averaged(self.state, end, mean)
+        self.ledger.count(iterations)
+        return self.state
+
+    def _part(self, left: float, h: float, hits: np.ndarray, *, classical: bool) -> _Step:
+        """The step to the next impact, through it, or to the end; solved. ``hits`` (m,) counts impacts of contacts."""
+        system, contacts, s = self.system, self.contacts, self.state
+        near = candidates(system, contacts, s, left)
+        if classical:
+            middle = contacts.touch(system, s.t + left / 2, system.compose(s.q, 0.5 * left * s.v))
+            return _Step(self, left, near & (middle.gap <= 0.0), bounce=True)
+        reach = np.where(self.carrying, DRIFT, TOUCH) * system.length
+        touching = near & (contacts.touch(system, s.t, s.q).gap <= reach)
+        slow, rate = SLOW * system.length / h, self._rates(touching & ~self.carrying, h)
+        hit = rate < -slow
+        if hit.any():
+            hits += hit
+            self.located += int(hit.sum())
+            for i in np.flatnonzero(hit & (hits == REPEATS + 1)):
+                self.accumulations += 1
+                name = contacts.names[contacts.pair[i]]
+                log.info('contact "%s" at t = %.6g s: its impacts accumulate (Zeno); it comes to rest', name, s.t)
+            return _Step(self, IMPACT * h, touching, bounce=hit & (hits <= REPEATS), span=h)
+        closed = touching & (rate <= slow)
+        while True:
+            step = _Step(self, left, closed)
+            share, held = self._next_touch(step, near & ~closed)
+            if not held.any():
+                break
+            closed = closed | held
+        return step if share == 1.0 else _Step(self, share * left, closed)
+
+    def _rates(self, chosen: np.ndarray, h: float) -> Array:
+        """Rates of the gaps of the chosen contacts (m,) bool, zero elsewhere, m/s, (m,)."""
+        rates = np.zeros(len(chosen))
+        if chosen.any():
+            contacts, at = self.contacts, (self.system, self.state.t, self.state.q)
+            rows = contacts.rows(*at, since=(self.state.t, h)).take(chosen)
+            moving = contacts.gap_rate(*at, h)[chosen]
+            rates[chosen] = contacts.times(self.system, rows.N, self.state.v) + moving
+        return rates
+
+    def _next_touch(self, step: _Step, free: np.ndarray) -> tuple[float, np.ndarray]:
+        """Share of the step at which the first free contact closes (1: none does), and contacts (m,) that would
+        leave for less than 1/4096 of it.
+        """
+        system, s, none = self.system, self.state, np.zeros_like(free)
+
+        def gaps(share: float) -> Array:
+            way = step.h * share * (s.v + 0.5 * share * (step.v - s.v))
+            return self.contacts.touch(system, s.t + share * step.h, system.compose(s.q, way)).gap
+
+        closing = free & (gaps(1.0) < 0.0)
+        if not closing.any():
+            return 1.0, none
+        shares = 2.0 ** -np.arange(13)
+        open_ = np.array([gaps(x)[closing] > 0.0 for x in shares])
+        if not open_.any(axis=0).all():
+            held = none.copy()
+            held[closing] = ~open_.any(axis=0)
+            return 1.0, held
+        last = open_.argmax(axis=0)  # the largest share at which each is still open
+        first = int(np.argmax(last))
+        which = int(np.flatnonzero(closing)[first])
+        lower, upper = shares[last[first]], shares[last[first] - 1]
+        from scipy.optimize import brentq
+
+        return float(brentq(lambda x: gaps(x)[which], lower, upper, xtol=1e-14)), none
+
+    def _take(self, step: _Step) -> None:
+        """Make a solved step the present state."""
+        system, s, h, closed = self.system, self.state, step.h, step.closed
+        xi = 0.5 * h * (s.v + step.v)
+        q = self._closed_joints(system.compose(s.q, xi), s.t + h)
+        a = (step.v - s.v) / h
+        self.local_error = h * h / 12 * system.max_abs(a - s.a) if not closed.any() else 0.0
+        self.impulse = np.zeros_like(self.impulse)
+        self.impulse[closed] = step.contact.force
+        self.carrying = (self.impulse[:, 0] > 0.0) & ~step.bouncing
+        forces = StepForces(closed, step.rows, step.contact.force / h, s.t + h / 2)
+        self.state = self.ledger.write(State(s.t + h, q, step.v, a, step.lam), forces, (step.ev, xi, step.lam), h)
+
+    def _closed_joints(self, q: Array, t: float) -> Array:
+        """Positions projected on the joints."""
+        if not self._joints:
+            return q
+        system = self.system
+        for _ in range(3):
+            g = system.at(t, q).constraint()
+            if np.abs(g).max(initial=0.0) <= 1e-13 * system.length:
+                break
+            dq, _ = self.solver.solve(np.zeros(system.n_v), -g)
+            q = system.compose(q, dq)
+        return q
+
+
+class _Step:
+    """One solved step of length h from the stepper's state: v_1 ``v``, lambda ``lam``, P in ``contact.force``.
+
+    ``closed`` (m,) contacts take part, those in ``bounce`` with restitution; ``span``: length over which obstacles'
+    motion is measured.
+    """
+
+    def __init__(
+        self, stepper: Stepper, h: float, closed: np.ndarray, *, bounce: np.ndarray | bool = False, span: float = 0.0
+    ) -> None:
+        self.p, self.h, self.span, self.closed = stepper, h, span or h, closed
+        s, contacts = stepper.state, stepper.contacts
+        self.v, self.lam = s.v.copy(), s.lam.copy()
+        self.contact = Unilateral(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed])
+        self.bouncing = np.broadcast_to(bounce, closed.shape)
+        self.prepared, self.rows = False, None
+        self.ev: Evaluation = None  # type: ignore[assignment]
+        if closed.any():
+            middle = stepper.system.compose(s.q, 0.5 * h * s.v)
+            at = (stepper.system, s.t + h / 2, middle)
+            self.rows = contacts.rows(*at, since=(s.t, self.span)).take(closed)
+            self.rate = contacts.gap_rate(*at, self.span)[closed]
+            before = contacts.times(stepper.system, self.rows.N, s.v) + self.rate
+            self.rebound = np.where(self.bouncing[closed], self.rows.restitution * np.minimum(before, 0.0), 0.0)
+        converged, history = stepper.newton.solve(self.increment)
+        if not converged:
+            raise not_converged(s.t + h, h, history)
+        self.iterations = len(history)
+
+    def increment(self) -> float:
+        """One Newton step; returns its size over the tolerance."""
+        p, h, s = self.p, self.h, self.p.state
+        system, solver = p.system, p.solver
+        vm = 0.5 * (s.v + self.v)
+        ev = self.ev = system.at(s.t + h / 2, system.compose(s.q, 0.5 * h * vm), vm)
+        solver.prepare(ev, Weights(1.0, h / 2, h * h / 4), keep=self.prepared)
+        self.prepared = True
+        r = h * ev.balance((self.v - s.v) / h, self.lam)
+        slip = ev.jacobian.times(self.v) + ev.constraint_rate() if system.n_lam else np.zeros(0)
+        if self.rows is not None:
+            rate = p.contacts.times(system, self.rows.N, self.v) + self.rate + self.rebound
+            u = openings(p.contacts, system, self.rows, rate, self.span * self.v)
+            u[:, 1:] /= self.span  # slips over the step become velocities
+            dv, dlam = self.contact.increment(self.rows, u, (r, slip), 1.0)
+        else:
+            dv, dlam = solver.solve(-r, -slip)
+        self.lam = self.lam + dlam / h
+        self.v = self.v + dv
+        size = max(system.max_abs(self.v), system.max_abs(s.v), 1e-6 * system.length / self.span)
+        return system.max_abs(dv) / (1e-4 * p.newton.tolerance * size)

@@ -1,0 +1,119 @@
+"""Unilateral sliding contact on top of any scheme: loss of contact and return.
+
+A step is taken with each contact closed (g = 0) or open (lambda = 0). A closed contact that would pull is opened and the step
+repeated. An open contact whose gap has closed at the end of a step meets plastically: positions and velocities are projected in
+the mass metric, accelerations and multipliers computed anew; if the new multiplier pulls, the contact stays open.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...errors import require
+from ...linear.condensation import StepSolver
+from ...mechanics.catenary.sliding import HeadSide, WireSide
+from ...system.serialisation import Memory, remember_stepper
+from ...system.system import State, System
+from ..consistent import accelerations, project
+from ..newton import Newton
+from ..onestep.generalized_alpha import GeneralizedAlpha
+
+
+@dataclass(frozen=True)
+class Unilateral:
+    """``scheme`` with sliding contacts that may open and close; contacts without an idle coordinate stay closed."""
+
+    scheme: Any = GeneralizedAlpha(0.6)
+
+    @property
+    def name(self) -> str:
+        """For reports."""
+        return f"unilateral {self.scheme.name}"
+
+    @property
+    def order(self) -> int:
+        """Of the scheme between changes of contact."""
+        return int(self.scheme.order)
+
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Switching:
+        """A run's worker, from a consistent state with closed contacts."""
+        return Switching(self, system, solver, newton, state)
+
+
+class Switching:
+    """Advances the inner stepper and changes the contacts' status where their conditions are violated."""
+
+    def __init__(self, outer: Unilateral, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        self.outer, self.system, self.solver, self.newton = outer, system, solver, newton
+        laws: list[Any] = [law for law, _ in system.port_constraints]
+        heads = {law.status.rows.start: law for law in laws if isinstance(law, HeadSide)}
+        wires = {law.status.rows.start: law for law in laws if isinstance(law, WireSide)}
+        self.pairs: list[tuple[Any, Any]] = [(wires[r], h) for r, h in heads.items() if h.idle is not None]
+        require(
+            not hasattr(outer.scheme, "rtol") or outer.scheme.rtol is None, "Unilateral contact needs a constant step."
+        )
+        self.inner = outer.scheme.stepper(system, solver, newton, state)
+        self.opened = self.returned = 0
+
+    @property
+    def state(self) -> State:
+        """The last state."""
+        return self.inner.state  # type: ignore[no-any-return]
+
+    @property
+    def local_error(self) -> float:
+        """Of the inner scheme."""
+        return float(self.inner.local_error)
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """How often contact was lost and found again."""
+        return {**getattr(self.inner, "counters", {}), "contact lost": self.opened, "contact found": self.returned}
+
+    def remember(self, m: Memory) -> None:
+        """Which contacts are closed, and the inner scheme."""
+        closed = m("closed", [wire.status.closed for wire, _ in self.pairs])
+        for (wire, _), now in zip(self.pairs, closed, strict=True):
+            wire.status.closed = now
+        self.opened, self.returned = m("changes", (self.opened, self.returned))
+        remember_stepper(self.inner, m.inside("inner"))
+
+    def gap(self, state: State, pair: tuple[Any, Any]) -> float:
+        """y - w, m: negative where the contact is open."""
+        wire, head = pair
+        s = self.system
+        port = s.at(state.t, state.q).port
+        w = port[s.port_slice(wire.part)][4 * wire.slot]
+        return float(port[s.port_slice(head.part)][head.coordinate] - w)
+
+    def advance(self, h: float) -> State:
+        """One step; collective."""
+        before = copy.copy(self.inner)
+        state = self.inner.advance(h)
+        pulling = [p for p in self.pairs if p[0].status.closed and state.lam[p[0].status.rows.start] < 0]
+        if pulling:
+            for wire, _ in pulling:
+                wire.status.closed = False
+                self.opened += 1
+            self.inner = before
+            state = self.inner.advance(h)
+        met = [p for p in self.pairs if not p[0].status.closed and p not in pulling and self.gap(state, p) >= 0]
+        return self._close(state, met) if met else state
+
+    def _close(self, state: State, met: list[tuple[Any, Any]]) -> State:
+        """Close contacts at the end of a step, unless they would pull at once."""
+        for wire, _ in met:
+            wire.status.closed = True
+        closed = accelerations(self.system, project(self.system, state, self.solver), self.solver)
+        rows = [wire.status.rows.start for wire, _ in met]
+        if np.any(closed.lam[rows] < 0):
+            for wire, _ in met:
+                wire.status.closed = False
+            return state
+        self.returned += len(met)
+        self.inner = self.outer.scheme.stepper(self.system, self.solver, self.newton, closed)
+        return closed

@@ -1,0 +1,386 @@
+"""Backward differentiation: variable steps and orders one to five, or constant ones; any form of the constraints.
+
+With past values y_j = (xi_j, v_j) expressed in the local coordinates of the current step, xi_j = log(q_n^-1 o q_j), the
+derivative at t_n+1 is that of the polynomial through the new and the last k values (variable coefficients):
+
+    y'_n+1 = sum_j c_j y_n+1-j,        the equations of motion hold at (t_n+1, y_n+1, y'_n+1)                     (1)
+
+One Newton iteration solves with the frequency s = c_0; tangent and factor are kept while it converges fast, and corrected by
+2 / (1 + s / s_old) while s stays near. The error of a step of order k is h / (t_n+1 - t_n-k) (y_n+1 - y_predicted), the predictor
+running through k + 1 past values; the same formula serves the neighbouring orders. Multipliers stay out of the error test:
+they are no part of the memory of the formula.
+
+Index 3 keeps order k in all components with constant steps only; with error control GGL, or a form of lower index, is the choice.
+
+Sources: Brenan, Campbell and Petzold, doi:10.1137/1.9781611971224 (variable coefficients, error test); Hairer and Wanner, Solving
+ODEs II, sections III.5 and VII.3, doi:10.1007/978-3-642-05221-7; Gear, Gupta and Leimkuhler, doi:10.1016/0377-0427(85)90008-1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ...errors import CallbackError, ConvergenceError, LinearSolveError, require
+from ...linear.condensation import StepSolver
+from ...linear.residual import Judge
+from ...linear.saddle.pencil import Pencil, Tangent
+from ...rotations import Array
+from ...system.serialisation import Memory
+from ...system.system import State, System
+from ..consistent import accelerations, project
+from ..control import (
+    ROUNDOFF,
+    STAGNATION,
+    ErrorNorm,
+    Statistics,
+    StepControl,
+    check_tolerance,
+    first_step,
+    lands,
+    moves,
+)
+from ..dae import GGL, Form, Points, StepEquations
+from ..newton import Newton, strayed
+from ..onestep.radau import Radau
+
+
+@dataclass(frozen=True)
+class BDF:
+    """Scheme data.
+
+    Args:
+        order: the largest order used (1 to 5); with constant steps the order.
+        form: of the constraints, :class:`~fmbd_fenicsx.GGL` by default.
+        rtol: relative tolerance of the local error; None for constant steps dt and constant order, started by Radau IIA.
+        atol: absolute tolerance of coordinates (m, rad or own units); None: from the sizes in the model.
+    """
+
+    order: int = 5
+    form: Form = field(default_factory=GGL)
+    rtol: float | None = 1e-6
+    atol: float | None = None
+
+    def __post_init__(self) -> None:
+        require(
+            self.order in (1, 2, 3, 4, 5),
+            f"BDF: order = {self.order} must be 1 to 5; six and more are not stable enough.",
+        )
+        check_tolerance(self.rtol, self.atol, "BDF")
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+        return f"BDF({self.order}), {self.form.name}"
+
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+        """A run's worker, from a consistent state."""
+        return Stepper(self, system, solver, newton, state)
+
+
+@dataclass(frozen=True)
+class _Past:
+    """One earlier value: time, configuration, velocity, multipliers."""
+
+    t: float
+    q: Array
+    v: Array
+    mult: Array
+
+
+class Stepper:
+    """Advances a consistent state; holds the past values, tangent, factor and the choice of step and order."""
+
+    def __init__(self, scheme: BDF, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
+        self.eq = StepEquations(system, scheme.form, solver)
+        self.adaptive = scheme.rtol is not None
+        self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
+        self.control, self.stats = StepControl(2.0), Statistics()
+        self.judge = Judge("a BDF step")
+        self.local_error = 0.0
+        self.proposed: float | None = None
+        self.k, self.held = (1, 0) if self.adaptive else (scheme.order, 0)
+        self._tangent: Tangent | None = None
+        self._pencil: Pencil | None = None
+        self._fresh = False
+        self._theta, self._full = 1e-3, False
+        self._starter: Any = None
+        self._begin()
+
+    def _begin(self) -> None:
+        """The past at the start: one value, and with constant steps those of a Radau run to come."""
+        s = self.state
+        mult = np.zeros(self.eq.levels * self.system.n_lam)
+        if self.eq.levels:
+            mult[: self.system.n_lam] = s.lam
+        self.past = [_Past(s.t, s.q, s.v, mult)]
+        self.eq.weigh(s)
+        if not self.adaptive and self.scheme.order > 1:
+            scheme = Radau(stages=3, form=self.scheme.form, rtol=None)
+            self._starter = scheme.stepper(self.system, self.solver, self.newton, s)
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Work so far, for the counters of a run."""
+        self.stats.residuals, self.stats.jacobians, self.stats.solves = (
+            self.eq.residuals,
+            self.eq.jacobians,
+            self.judge.solves,
+        )
+        return self.stats.as_dict()
+
+    def restart(self, t: float) -> None:
+        """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
+        self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
+        self.proposed, self.k, self.held, self._tangent = None, 1, 0, None
+        self._begin()
+
+    def remember(self, m: Memory) -> None:
+        """Past values, tangent, and the choice of step and order."""
+        self.state, self.past = m.state("state", self.state), m("past", self.past, _Past)
+        self._tangent, self.judge = m("tangent", (self._tangent, self.judge), Tangent, Judge)
+        factored = m("factored", None if self._pencil is None else (self._pencil.t, self._pencil.s), Tangent)
+        if m.reading:
+            redundant = self.solver.core.redundant
+            self._pencil = None if factored is None else Pencil(factored[0], factored[1], self.judge, redundant)
+        self.k, self.held, self._fresh, self._full = m("order", (self.k, self.held, self._fresh, self._full))
+        self.proposed, self.local_error, self._theta = m("step", (self.proposed, self.local_error, self._theta))
+        self.control, self.stats = m("control", (self.control, self.stats), StepControl, Statistics)
+        self.norm.remember(m)
+        self.eq.remember(m.inside("equations"))
+        if self._starter is not None:
+            self._starter.remember(m.inside("starter"))
+
+    # -- steps --------------------------------------------------------------------------------------------------
+    def advance(self, h: float) -> State:
+        """One accepted step. Constant steps: of size h. Error control: of at most h (s), hit exactly at the end."""
+        if not self.adaptive:
+            return self._constant(h)
+        s, limit = self.state, h
+        self.control.span = max(self.control.span, limit)
+        if self.proposed is None:
+            self.norm.update(s, limit)
+            self.proposed = 0.1 * first_step(self.norm, s, 2.0, limit)
+            self._back(min(self.proposed, limit))
+        while True:
+            h = lands(self.proposed, limit)
+            moves(s.t, h)
+            self.norm.update(s, h)
+            found = self._newton(h, self.k)
+            if isinstance(found, str):
+                cause, error = found, np.inf
+                stale = self._tangent is not None and not self._fresh
+                self._tangent = None
+                if stale:
+                    continue  # once more with a new tangent
+            else:
+                error, cause = self._error(h, found, self.k), "error estimate"
+                if error <= 1.0:
+                    break
+            self.stats.rejected[cause] += 1
+            self.control.order = self.k + 1.0
+            self.proposed = self.control.rejected(s.t, h, error, cause)
+            if len(self.control.rejections) > 2:
+                self.k = max(1, self.k - 1)
+            if len(self.control.rejections) > 5 and self.k > 1:
+                self.k = 1
+            self.held = 0
+        self.local_error = error
+        new = self._choose(h, found, error)
+        self.control.rejections.clear()
+        self.proposed = new if h >= min(self.proposed, limit) * (1 - 1e-9) or new < h else self.proposed
+        return self._accept(h, found)
+
+    def _constant(self, h: float) -> State:
+        if len(self.past) < self.scheme.order and self._starter is not None:
+            self.state = self._starter.advance(h)
+            self._remember(self.state, self._starter.mult)
+            self.eq.weigh(self.state)
+            return self.state
+        self.norm.update(self.state, h)
+        found = self._newton(h, self.scheme.order)
+        if isinstance(found, str):
+            self._tangent = None
+            self._full = True  # Newton's own tangent in each iteration: stiff springs that turn
+            found = self._newton(h, self.scheme.order)
+        if isinstance(found, str):
+            t = self.state.t + h
+            raise ConvergenceError(
+                f"Newton's iteration failed at t = {t:.6g} s (h = {h:.3g} s): {found}. Take a smaller dt."
+            )
+        return self._accept(h, found)
+
+    def _back(self, h: float) -> None:
+        """A value before the start, by Taylor's formula, for the first predictor."""
+        s, p = self.state, self.past[0]
+        before = self.system.compose(s.q, -h * s.v + 0.5 * h * h * s.a)
+        self.past = [p, _Past(s.t - h, before, s.v - h * s.a, p.mult)]
+
+    def _accept(self, h: float, p: Points) -> State:
+        s = self.state
+        lam = p.mult[0, : self.system.n_lam] if self.eq.levels else s.lam
+        a = self.eq.accelerations(p)[0]
+        self.state = State(s.t + h, self.system.compose(s.q, p.xi[0]), p.v[0], a, lam)
+        if self.scheme.form.projected:
+            self.state = project(self.system, self.state, self.solver)
+        self._remember(self.state, p.mult[0])
+        self.stats.steps += 1
+        self._fresh = False
+        if self._theta > 0.2:
+            self._tangent = None
+        return self.state
+
+    def _remember(self, state: State, mult: Array) -> None:
+        self.past = [_Past(state.t, state.q, state.v, mult), *self.past][:8]
+
+    # -- one step of order k ------------------------------------------------------------------------------------
+    def _local(self, count: int) -> tuple[Array, Array, Array]:
+        """Times (count,), and past xi, v in the coordinates of the step, (count, n_v) each."""
+        s, past = self.state, self.past[:count]
+        xi = np.array(self.system.difference(s.q, np.array([p.q for p in past])))
+        xi[0] = 0.0
+        return np.array([p.t for p in past]), xi, np.array([p.v for p in past])
+
+    def _newton(self, h: float, k: int) -> Points | str:
+        try:
+            return self._iterate(h, k)
+        except (LinearSolveError, CallbackError) as error:
+            if isinstance(error, CallbackError) and not self.adaptive:
+                raise
+            if isinstance(error, LinearSolveError):
+                return "linear solve failed"
+            self.control.fault = str(error)
+            return "forces not finite"
+
+    def _iterate(self, h: float, k: int) -> Points | str:
+        s, t = self.state, self.state.t + h
+        times, xis, vs = self._local(max(k + 1, 2))
+        c = _derivative(np.concatenate(([t], times[:k])), t)
+        n_pred = min(k + 1, len(times))
+        w = _weights(times[:n_pred], t)
+        xi, v = w @ xis[:n_pred], w @ vs[:n_pred]
+        if len(times) == 1:
+            xi, v = h * s.v + 0.5 * h * h * s.a, s.v + h * s.a
+        m = min(k, len(self.past), 3)
+        mult = _weights(times[:m], t) @ np.array([p.mult for p in self.past[:m]])
+        fixed_xi, fixed_v = c[1:] @ xis[:k], c[1:] @ vs[:k]
+        self.eq.begin(s)
+        p = Points(*(x[None] for x in (xi, c[0] * xi + fixed_xi, v, c[0] * v + fixed_v, mult)))
+        relax = self._prepare(t, p, c[0])
+        n, now = self.system.n_v, np.array([t])
+        tolerance = (
+            1.0 if not self.adaptive else max(10 * np.finfo(float).eps / self.norm.rtol, min(0.03, self.norm.rtol**0.5))
+        )
+        last = 0.0
+        for i in range(self.newton.max_iterations):
+            kin, low = self.eq.residual(now, p)
+            if self._full and i > 0:
+                tangent = self.eq.tangent_at(t, p.xi[0], p.v[0], p.vd[0], p.mult[0])
+                self._pencil = Pencil(tangent, c[:1], self.judge, self.solver.core.redundant)
+                self.stats.factorisations += 1
+            assert self._pencil is not None
+            change, dmult = (relax * x for x in self._pencil.solve(kin, low))
+            dxi, dv = change[:, :n], change[:, n:]
+            p = Points(p.xi + dxi, p.rate + c[0] * dxi, p.v + dv, p.vd + c[0] * dv, p.mult + dmult)
+            self.newton.iterations += 1
+            self.stats.newton_iterations += 1
+            size = self._size(h, dxi, dv, dmult)
+            if not np.isfinite(size):
+                return "Newton diverged"
+            theta = 0.5 if i == 0 else min(size / last if last > 0 else 0.0, 2.0)
+            if i > 0:
+                self._theta = theta
+                if self.adaptive and theta > 0.5 and max(size, last) <= ROUNDOFF:
+                    size = 0.0
+                elif not self.adaptive and i > 2 and theta > 0.3 and size <= STAGNATION:
+                    size = 0.0
+                elif theta >= 0.95 and size > tolerance and (self.adaptive or i > 3):
+                    return "Newton diverged"
+            last = size
+            if theta / (1 - min(theta, 0.95)) * size <= tolerance or size <= 1e-2 * tolerance:
+                if self._full and strayed(self.system, p.xi[0], xi):
+                    return "Newton found another solution, far from the predicted one"
+                return p
+        return "Newton too slow"
+
+    def _prepare(self, t: float, p: Points, s: float) -> float:
+        """Tangent and factor for the frequency s; returns the correction of increments for an old factor."""
+        if self._tangent is None:
+            lam = p.mult[0, : self.system.n_lam] if self.eq.levels else self.state.lam
+            at = State(t, self.system.compose(self.eq.origin, p.xi[0]), p.v[0], p.vd[0], lam)
+            self._tangent, self._pencil, self._fresh = self.eq.refresh(at), None, True
+        old = None if self._pencil is None else float(self._pencil.s[0])
+        if old is None or not 0.8 <= s / old <= 1.25 or (not self.adaptive and s != old):
+            self._pencil = Pencil(self._tangent, np.array([s]), self.judge, self.solver.core.redundant)
+            self.stats.factorisations += 1
+            return 1.0
+        return 2.0 / (1.0 + s / old)
+
+    def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
+        push = None
+        if self.eq.levels and self.scheme.form.index > 1:
+            push = self.eq.U @ dmult[0, : self.system.n_lam]
+        if self.adaptive:
+            return self.norm(h, dxi[0], dv[0], push)
+        return self.norm.constant(h, self.state, dxi[0], dv[0], push)
+
+    # -- error and order ----------------------------------------------------------------------------------------
+    def _error(self, h: float, p: Points, k: int) -> float:
+        """Error of a step taken with order k if it had been taken with order ``k``."""
+        times, xis, vs = self._local(k + 1)
+        t = self.state.t + h
+        if len(times) < k + 1:
+            return np.inf
+        w = _weights(times, t)
+        share = h / (t - times[-1])
+        return self.norm(h, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
+
+    def _choose(self, h: float, p: Points, error: float) -> float:
+        """The next step; sets the next order. Changes only after k + 1 steps of one size and order."""
+        self.held += 1
+        k = self.k
+
+        def factor(e: float, order: int) -> float:
+            return 0.85 * max(e, 1e-8) ** (-1.0 / (order + 1))
+
+        if self.control.rejections:
+            self.held = 0
+            return h * min(factor(error, k), 1.0)
+        stay = factor(error, k)
+        if self.held <= k and stay > 0.9:
+            return h
+        best, order = stay, k
+        if k > 1 and (lower := factor(self._error(h, p, k - 1), k - 1)) > 1.05 * best:
+            best, order = lower, k - 1
+        if (
+            k < self.scheme.order
+            and len(self.past) >= k + 2
+            and (higher := factor(self._error(h, p, k + 1), k + 1)) > 1.1 * best
+        ):
+            best, order = higher, k + 1
+        if order == k and 0.9 <= best <= 1.2:
+            return h
+        self.k, self.held = order, 0
+        return h * min(max(best, 0.3), 2.0)
+
+
+def _weights(nodes: Array, t: float) -> Array:
+    """Weights of the values at the nodes in their interpolating polynomial at t."""
+    out = np.ones(len(nodes))
+    for j, a in enumerate(nodes):
+        others = np.delete(nodes, j)
+        out[j] = np.prod((t - others) / (a - others))
+    return out
+
+
+def _derivative(nodes: Array, t: float) -> Array:
+    """Weights of the values at the nodes in the derivative of their interpolating polynomial at t = nodes[0]."""
+    out = np.zeros(len(nodes))
+    for j in range(1, len(nodes)):
+        others = np.delete(nodes, [0, j])
+        out[j] = np.prod((t - others) / (nodes[j] - others)) / (nodes[j] - t)
+    out[0] = -out[1:].sum()
+    return out

@@ -1,0 +1,64 @@
+"""Coefficients of Radau IIA: collocation at the zeros of P_s - P_s-1, right end included."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from ...rotations import Array
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """Nodes c, inverse W of the coefficients, eigenvalues and vectors of W, weights of the error estimate."""
+
+    c: Array
+    W: Array
+    values: Array  # one of each complex pair
+    vectors: Array  # (s, p), those of complex pairs doubled: y = Re(vectors z)
+    inverse: Array  # (p, s)
+    gamma: float  # of the real matrix in the error estimate
+    error: Array  # e_i, with error ~ y'_n + sum_i e_i (y_i - y_n) / h
+    basis: Array  # (s + 1, s + 1): powers of t / h to Lagrange polynomials of 0, c
+    stage_basis: Array  # (s, s): the same of c
+
+
+@lru_cache
+def tableau(stages: int) -> Tableau:
+    """Radau IIA: collocation at the zeros of P_s - P_s-1, so the coefficients integrate the Lagrange polynomials."""
+    s = stages
+    series = np.polynomial.Legendre([*np.zeros(s - 1), -1.0, 1.0])
+    roots = np.sort(series.roots().real)
+    roots -= series(roots) / series.deriv()(roots)  # to the last digit
+    c = np.append(0.5 * (1 + roots[:-1]), 1.0)
+    x, w = np.polynomial.legendre.leggauss(s)
+    A = np.array([0.5 * ci * (w @ lagrange(c, 0.5 * ci * (1 + x))) for ci in c])
+    W = np.linalg.inv(A)
+    values, vectors = np.linalg.eig(W)
+    real = np.abs(values.imag) < 1e-9 * np.abs(values)
+    values = np.where(real, values.real, values)
+    keep = np.flatnonzero(values.imag >= 0)
+    keep = keep[np.argsort(values[keep].imag)]
+    inverse = np.linalg.inv(vectors)[keep]
+    gamma = float(values[keep[0]].real) if values[keep[0]].imag == 0 else 3.0
+    # quadrature of order s with the nodes 0, c_i and the weight 1 / gamma at 0; e = gamma (b_hat - b) W
+    powers = np.arange(1, s + 1)
+    moments = 1 / powers - np.where(powers == 1, 1 / gamma, 0.0)
+    weights = np.linalg.solve((c[:, None] ** (powers - 1)).T, moments)
+    error = gamma * (weights - A[-1]) @ W
+    nodes = np.append(0.0, c)
+    bases = (np.linalg.inv(z[:, None] ** np.arange(len(z))) for z in (nodes, c))
+    double = np.where(values[keep].imag == 0, 1.0, 2.0)
+    return Tableau(c, W, values[keep].astype(complex), vectors[:, keep] * double, inverse, gamma, error, *bases)
+
+
+def lagrange(nodes: Array, x: Array) -> Array:
+    """Values of the Lagrange polynomials of the nodes at points x, (len(x), len(nodes))."""
+    out = np.ones((len(x), len(nodes)))
+    for j, nj in enumerate(nodes):
+        for k, nk in enumerate(nodes):
+            if k != j:
+                out[:, j] *= (x - nk) / (nj - nk)
+    return out

@@ -1,0 +1,262 @@
+"""Absolute bodies in the energy-momentum scheme: forces as difference quotients of their energies, in every quadrature point.
+
+    u_1 - u_0 = h (v_0 + v_1) / 2,      M ((v_1 - v_0) / h - g) + f_dg(u_0, u_1) + H P = b                        (1)
+    f_dg . w = int F_m S : grad w,      F_m = (F_0 + F_1) / 2,     C_m = (C_0 + C_1) / 2,     dC = C_1 - C_0
+    S = 2 W'(C_m) + 2 (W(C_1) - W(C_0) - W'(C_m) : dC) / (dC : dC) dC                                          (2)
+
+S : dC / 2 = W(C_1) - W(C_0), so energy is conserved for any step, and F_m S with symmetric S keeps the momenta. W must be
+given as a function of C = F^T F (:class:`~fmbd_fenicsx.energies.StoredEnergy`); linear forms act on (u_0 + u_1) / 2.
+
+A viscous law acts at (u_0 + u_1) / 2 with the rate (u_1 - u_0) / h; there sym(F_m^T grad u') = (E_1 - E_0) / h, so its work
+is that of the strain that has changed, and a rigid rotation over any angle does none. Dead loads b do the work
+b . (u_1 - u_0), a pressure that of its mean over the way from u_0 to u_1 (two points: exact). P are the forces of joints
+and springs on the ports, see :mod:`.energy_momentum`. The tangent is exact; it is taken anew while Newton's iteration is
+slow: the scheme is for steps that turn bodies far.
+
+Source: Gonzalez, doi:10.1016/S0045-7825(00)00189-4; Simo and Tarnow, doi:10.1007/BF00913408.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...energies import StoredEnergy, ViscousForm
+from ...errors import InputError
+from ...mechanics.bodies.absolute import AbsoluteField
+from ...rotations import Array
+from ...system.system import State, System
+
+TINY = 1e-11  # dC : dC below which the correction in (2), of the third order in dC, is lost in roundoff
+POINTS = (0.5 - 1 / 12**0.5, 0.5 + 1 / 12**0.5)  # of Gauss's rule from u_0 to u_1
+
+
+class _Body:
+    """Forms, matrix and vectors of one body."""
+
+    def __init__(self, part: AbsoluteField) -> None:
+        import dolfinx.fem.petsc as fp
+        import ufl
+        from dolfinx import fem
+        from petsc4py import PETSc
+
+        from ... import dolfinx_compat as compat
+
+        self.part, self.field = part, part.field
+        field = part.field
+        v, du = ufl.TestFunction(field.space), ufl.TrialFunction(field.space)
+        self.u0, self.u1 = fem.Function(field.space), fem.Function(field.space)
+        self.h = fem.Constant(field.mesh.dolfinx, 1.0)
+        force = self._forces(v)
+        dx = ufl.Measure("dx", domain=field.mesh.dolfinx)
+        inertia = 2 * float(field.forms.density) / self.h**2 * ufl.inner(du, v) * dx
+        self._force = compat.form(force)
+        self._tangent = compat.form(inertia + ufl.derivative(force, self.u1, du))
+        self.J = fp.create_matrix(self._tangent)
+        self._assemble = fp.assemble_matrix
+        self.ksp = PETSc.KSP().create(field.comm)
+        self.ksp.setOperators(self.J)
+        self.ksp.setType("preonly")
+        self.ksp.getPC().setType("lu")
+        self.ksp.getPC().setFactorSolverType("mumps")
+        self.x, self.b = self.J.createVecs()
+
+    def _forces(self, v: Any) -> Any:
+        """UFL form of elastic and viscous forces and of loads on the deformed body."""
+        import ufl
+
+        field, forms = self.field, self.field.forms
+        dx, density = field.elastic_measure, float(forms.density)
+        mean, rate = 0.5 * (self.u0 + self.u1), (self.u1 - self.u0) / self.h
+        force = self._elastic(mean, v)
+        if isinstance(forms.viscous, ViscousForm):
+            force += forms.viscous(mean, rate, v, dx)
+        elif forms.viscous is not None:
+            force += forms.viscous(rate, v, dx)
+        if forms.mass_damping:
+            force += forms.mass_damping * density * ufl.inner(rate, v) * ufl.Measure("dx", domain=field.mesh.dolfinx)
+        if forms.stiffness_damping:
+            if forms.elastic is None:
+                raise InputError(
+                    f'Body "{field.name}": stiffness_damping does not go with EnergyMomentum and an energy: it would change the '
+                    "angular momentum of strained bodies. Use viscous=fmbd.materials.kelvin_voigt(...)."
+                )
+            force += forms.stiffness_damping * forms.elastic(rate, v, dx)
+        if field.loads.moving:
+            for x in POINTS:
+                force -= 0.5 * field.loads.moving_form((1 - x) * self.u0 + x * self.u1, v)
+        return force
+
+    def _elastic(self, mean: Any, v: Any) -> Any:
+        """(2), or the linear form at the mean."""
+        import ufl
+
+        field, stored = self.field, self.field.forms.energy
+        if stored is None and not field.mixed:
+            return field.stress_form(mean, v)[0]
+        if not isinstance(stored, StoredEnergy):
+            raise InputError(
+                f'Body "{field.name}": EnergyMomentum needs a StoredEnergy W(C), such as saint_venant_kirchhoff(...).'
+            )
+        eye = ufl.Identity(field.dim)
+        F0, F1 = eye + ufl.grad(self.u0), eye + ufl.grad(self.u1)
+        C0, C1 = F0.T * F0, F1.T * F1
+        Cm, dC = ufl.variable(0.5 * (C0 + C1)), C1 - C0
+        W = stored.density(field.mesh.dolfinx)
+        slope = ufl.diff(W(Cm), Cm)
+        slope = 0.5 * (slope + slope.T)
+        square = ufl.inner(dC, dC)
+        rest = (W(C1) - W(C0) - ufl.inner(slope, dC)) / ufl.max_value(square, TINY)
+        rest = ufl.conditional(ufl.gt(square, TINY), rest, 0.0)
+        S = 2 * (slope + rest * dC)
+        return ufl.inner(0.5 * (F0 + F1) * S, ufl.grad(v)) * field.elastic_measure
+
+    def begin(self, state: tuple[float, Array, Array], h: float, gravity: Array) -> None:
+        """A step of size h (s) from t, u_0, v_0, and a first u_1; collective."""
+        t, U, V = state
+        f = self.field
+        self.h.value = h
+        f.loads.at(t + 0.5 * h)
+        outer, inner = f.loads.constant(t + 0.5 * h, np.eye(f.dim)) if f.loads.loads else (0.0, 0.0)
+        drift = 2.0 / h * (U / h + V).reshape(-1, f.dim) + gravity
+        self._known = (f.mass(drift) + outer + inner).ravel()
+        self._place(self.u0, U)
+        self.U, self.U0, self.V0 = self._predict(U, V, h), U, V
+
+    def _place(self, function: Any, U: Array) -> None:
+        """Nodal values with ghosts."""
+        function.x.array[: len(U)] = U
+        function.x.scatter_forward()
+
+    def residual(self) -> Array:
+        """(1) without P at u_1, (n d,); collective."""
+        from dolfinx import fem, la
+
+        self._place(self.u1, self.U)
+        b = fem.assemble_vector(self._force)
+        b.scatter_reverse(la.InsertMode.add)
+        n = len(self.U)
+        inertia = self.field.mass((2.0 / self.h.value**2 * self.U).reshape(-1, self.field.dim)).ravel()
+        return np.array(inertia + b.array[:n] - self._known)
+
+    def linearise(self) -> None:
+        """J_f at u_1; factored at the next solve; collective."""
+        self._place(self.u1, self.U)
+        self.J.zeroEntries()
+        self._assemble(self.J, self._tangent)
+        self.J.assemble()
+
+    def solve(self, r: Array) -> Array:
+        """J_f^-1 r; collective."""
+        self.b.array[:] = r
+        self.ksp.solve(self.b, self.x)
+        return np.array(self.x.array)
+
+    def solve_columns(self, B: Array) -> Array:
+        """The same for columns (n d, k)."""
+        return np.stack([self.solve(B[:, k]) for k in range(B.shape[1])], axis=1) if B.shape[1] else B.copy()
+
+    def _predict(self, U0: Array, V0: Array, h: float) -> Array:
+        """The body moved on rigidly: with its mean velocity, and turned by its mean angular velocity."""
+        f = self.field
+        d, m = f.dim, f.motions
+        x = f.points(U0)
+        mass_x, V = f.mass(x), V0.reshape(-1, d)
+        first, speed, spin = f.total(mass_x.sum(0)), f.total(f.mass(V).sum(0)), f.total(m.moment(x, f.mass(V)).sum(0))
+        center, mean = first / f.mass_total, speed / f.mass_total
+        arm = x - center
+        inertia = np.empty((m.n_rot, m.n_rot))
+        for k in range(m.n_rot):
+            inertia[:, k] = m.moment(arm, f.mass(m.spin(np.eye(m.n_rot)[k : k + 1], arm))).sum(0)
+        w = np.linalg.solve(f.total(inertia), spin - m.moment(center, speed))
+        turn = m.matrix(m.compose(m.identity[None], np.concatenate((np.zeros(d), h * w))[None]))[0]
+        return np.asarray(U0 + (arm @ turn.T - arm + h * mean).ravel())
+
+    def destroy(self) -> None:
+        """Free the solver; collective."""
+        for obj in (self.ksp, self.J, self.x, self.b):
+            obj.destroy()
+
+
+class Fields:
+    """All absolute bodies of a system in a step, as the small system of :mod:`.energy_momentum` sees them: through the ports
+    ``used`` (numbers of the system's ports).
+    """
+
+    def __init__(self, system: System, used: np.ndarray) -> None:
+        parts: list[tuple[int, Any]] = list(system.fields)
+        for _, part in parts:
+            if not isinstance(part, AbsoluteField):
+                raise InputError(
+                    f'EnergyMomentum takes elastic fields in absolute coordinates only, and "{part.name}" is not one. Use an '
+                    "AbsoluteBody, a ReducedBody (energy not kept), or GeneralizedAlpha."
+                )
+        self.system, self.used = system, used
+        self.bodies: list[_Body] = []
+        self._at: list[tuple[np.ndarray, np.ndarray]] = []
+        self._H: list[Array] = []
+        self._reference: Array = np.zeros(len(used))
+        for k, part in parts:
+            ports = system.port_slice(k)
+            at = np.flatnonzero((used >= ports.start) & (used < ports.stop))
+            own = used[at] - ports.start
+            self.bodies.append(_Body(part))
+            self._at.append((at, own))
+            self._reference[at] = part.reference[own]
+            self._H.append(part.port_columns(own))
+        self.W: Array = np.zeros((len(used), len(used)))
+
+    def begin(self, s: State, h: float) -> None:
+        """A step of size h from a state; collective."""
+        in_q, in_v, _ = self.system.slices
+        g = self.system.gravity(s.t + 0.5 * h)
+        for body, (k, _) in zip(self.bodies, self.system.fields, strict=True):
+            body.begin((s.t, s.q[in_q[k]], s.v[in_v[k]]), h, g)
+
+    def port_values(self) -> Array:
+        """The ports in use at u_1; collective."""
+        out = self._reference.copy()
+        for body, (at, own) in zip(self.bodies, self._at, strict=True):
+            if len(at):
+                out[at] += body.part.ports_of(body.U)[own]
+        return out
+
+    def linearise(self) -> None:
+        """Tangents at u_1 and W = H^T J_f^-1 H; collective."""
+        self._Y = []
+        for body, (at, _), H in zip(self.bodies, self._at, self._H, strict=True):
+            body.linearise()
+            self._Y.append(body.solve_columns(H))
+            self.W[np.ix_(at, at)] = body.field.total(H.T @ self._Y[-1])
+
+    def back(self, port: Array) -> Array:
+        """H^T z, z = J_f^-1 r_f with the forces ``port`` on the ports; collective."""
+        out, self._z = np.zeros(len(self.used)), []
+        for body, (at, _), H in zip(self.bodies, self._at, self._H, strict=True):
+            self._z.append(body.solve(body.residual() + H @ port[at]))
+            out[at] = body.field.total(H.T @ self._z[-1])
+        return out
+
+    def move(self, dP: Array) -> float:
+        """u_1 moved by du = -z - J_f^-1 H dP; the largest mean increment of a body over its size; collective."""
+        found = []
+        for body, (at, _), Y, z in zip(self.bodies, self._at, self._Y, self._z, strict=True):
+            dU = -z - Y @ dP[at]
+            body.U = body.U + dU
+            f = body.field
+            moved, count = f.total(np.array([dU @ dU, float(f.n)]))
+            found.append(float(np.sqrt(moved / count)) / f.size)
+        return max(found)
+
+    def end(self, q: Array, v: Array) -> None:
+        """Write displacements and velocities at the end of the step into q and v, by the first of (1)."""
+        in_q, in_v, _ = self.system.slices
+        for body, (k, _) in zip(self.bodies, self.system.fields, strict=True):
+            q[in_q[k]] = body.U
+            v[in_v[k]] = 2.0 / body.h.value * (body.U - body.U0) - body.V0
+
+    def destroy(self) -> None:
+        """Free the solvers; collective."""
+        for body in self.bodies:
+            body.destroy()

@@ -1,0 +1,256 @@
+"""Energy-momentum scheme: difference quotients for bodies, springs and constraints; for stiff motion without losses.
+
+    q_n+1 = q_n o cay(h w),   w = (v_n + v_n+1) / 2,     M (v_n+1 - v_n) / h + f_dg + G_dg^T lambda = 0,   g(q_n+1) = 0     (1)
+
+cay is the Cayley map, so that R_n+1 - R_n = h (R_n + R_n+1) / 2 w~; displacements u of absolute bodies move by h w. All
+markers are taken at the mean of their old and new positions and rotations with exact Jacobians, see :mod:`.mean`; then
+
+    spring      N_dg = mean of N(s) from s_n to s_n+1, along rows whose product with h w is s_n+1 - s_n                     (2)
+    constraint  h G_dg w = g_n+1 - g_n: mean rows, plus a correction along M w where g is not of second order               (3)
+    body        torques in body axes R_mean^-1 (x x f),   R_mean = (R_n + R_n+1) / 2                                       (4)
+    field       forces of :mod:`.elastic_momentum`
+
+do as much work as energies change, and the constraint forces none. Weight and dead loads are linear. Energy is conserved
+for any step, also h omega >> 1, and so are linear and angular momentum: all joints are of second order, their correction
+in (3) is zero. Dampers and viscous laws take exactly their work at the mean point; other forces act at the mean point. Second
+order in q, v and lambda: accelerations and multipliers of a state are solved for at its end, those in (1) are means over the
+step. No damping at high frequencies, so the multipliers of stiff systems oscillate.
+
+One iteration solves for the core, the ports p = H^T u of the fields and lambda together. With the tangent J_f of a field, its
+residual r_f, z = J_f^-1 r_f and W = H^T J_f^-1 H, and forces P(a, p, lambda) of joints and springs on the ports,
+
+    [ dR_c  ]          [ R_c   ]
+    [ 1 p + W dP ]  = -[ H^T z ],          du = -z - J_f^-1 H dP                                                           (5)
+    [ dg    ]          [ g     ]
+
+The small tangent is taken by differences.
+
+Sources: Gonzalez, doi:10.1007/s003329900016 (discrete gradient), doi:10.1016/S0045-7825(98)00204-8 (constraints); Simo and Wong,
+doi:10.1002/nme.1620310103 (rotations); Betsch, doi:10.1007/s11044-005-0103-8.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...errors import ConvergenceError
+from ...linear.condensation import StepSolver
+from ...rotations import Array
+from ...system.serialisation import Memory
+from ...system.system import Evaluation, State, System
+from ..consistent import accelerations
+from ..newton import Newton
+from .discrete_gradient import End, Mean
+
+SLOW = 0.1  # rate of Newton's iteration above which a new tangent is taken
+WITH_FIELDS = 40  # iterations at most of scenes with fields: their large steps turn bodies far
+
+
+@dataclass(frozen=True)
+class EnergyMomentum:
+    """Scheme data; nothing to choose."""
+
+    order = 2
+    name = "energy-momentum"
+    free_steps = True  # any size may follow any other
+
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+        """A run's worker, from a consistent state."""
+        return Stepper(system, solver, newton, state)
+
+
+class Stepper:
+    """Advances a consistent state. The unknowns of a step: mean accelerations of the core, ports of fields in use, lambda."""
+
+    local_error = 0.0
+
+    def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        self.system, self.solver, self.newton, self.state = system, solver, newton, state
+        self.fields: Any = None
+        if system.fields:
+            from .elastic_momentum import Fields
+
+            self.fields = Fields(system, _ports_in_use(system.at(state.t, state.q, state.v)))
+        self.ports = np.zeros(0, int) if self.fields is None else self.fields.used
+        self.n, self.n_q = system.n_core, system.n_q - (system.n_v - system.n_core)
+        self._last = state.a[: self.n], state.lam  # means over the last step
+        self.counters: dict[str, float] = {}
+        self._kept: tuple[float, Array] | None = None  # step and tangent, where Newton converges well with an old one
+
+    def remember(self, m: Memory) -> None:
+        """State, means over the last step, counts, and the tangent that is kept."""
+        self.state, self._last, self._kept = (
+            m.state("state", self.state),
+            m("means", self._last),
+            m("tangent", self._kept),
+        )
+        self.counters = m("counters", self.counters)
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s); collective. Raises ConvergenceError when Newton's iteration fails."""
+        s, system, n = self.state, self.system, self.n
+        old = self._old()
+        self._g_old = old.constraint()
+        if self.fields is not None:
+            self.fields.begin(s, h)
+        y = np.concatenate((self._last[0], self._port_values(), self._last[1]))
+        size = np.concatenate(
+            (np.full(n, self._size(h)), np.full(len(self.ports), system.length), np.abs(self._last[1]) + 1.0)
+        )
+        history: list[float] = []
+        J = self._kept[1] if self._kept is not None and self._kept[0] == h else None
+        worst, limit = 0.0, self.newton.max_iterations if self.fields is None else WITH_FIELDS
+        for _ in range(limit):
+            r = self._residual(h, y, old)
+            if J is None:
+                J = self._differences(h, (y, r, size), old)
+                if self.fields is not None:
+                    self.fields.linearise()
+            y, history = self._increment(y, r, J, size), [*history, self._change]
+            self.newton.iterations += 1
+            rate = history[-1] / max(history[-2], 1e-300) if len(history) > 1 else 0.0
+            if history[-1] > 1e-11:
+                worst = max(worst, rate)
+            if rate > SLOW or (len(history) == 1 and self._kept is None):
+                J = None
+            if history[-1] <= 1e-13 or (len(history) > 2 and history[-1] <= 1e-10 and history[-1] > 0.2 * history[-2]):
+                break
+            if not np.isfinite(history[-1]):
+                break
+        if not history[-1] <= 1e-9:
+            raise ConvergenceError(
+                f"Newton's iteration failed at t = {s.t + h:.6g} s (h = {h:.3g} s): relative increments "
+                + " -> ".join(f"{x:.1e}" for x in history[-8:])
+                + ". Take a smaller dt."
+            )
+        self._kept = (h, J) if J is not None and worst < 0.5 * SLOW and self.fields is None else None
+        return self._take(h, y)
+
+    # -- one step -----------------------------------------------------------------------------------------------
+    def _old(self) -> End:
+        s = self.state
+        port = self.system.ports(s.q, self.system.slices[0], True) if self.system.parts else np.zeros(0)
+        return End(self.system, s.t, s.q[: self.n_q], port)
+
+    def _size(self, h: float) -> float:
+        s, n = self.state, self.n
+        a, v = (float(np.abs(x[:n]).max(initial=0.0)) for x in (s.a, s.v))
+        return max(a, v / h, 1e-8)
+
+    def _port_values(self) -> Array:
+        return np.zeros(0) if self.fields is None else self.fields.port_values()
+
+    def _increment(self, y: Array, r: tuple[Array, Array, Array], J: Array, size: Array) -> Array:
+        """y after one increment; (5). Sets the size of the increment."""
+        n, p, core, port, g = self.n, len(self.ports), *r
+        A, back = J, np.zeros(0)
+        if self.fields is not None:
+            back = self.fields.back(port)
+            A = J.copy()
+            A[n : n + p] = self.fields.W @ J[n : n + p]
+            A[n : n + p, n : n + p] += np.eye(p)
+        b = np.concatenate((core, back, g))
+        try:
+            dy = -np.linalg.lstsq(A, b, rcond=1e-14)[0] if self.solver.core.redundant else -_solve(A, b)
+        except np.linalg.LinAlgError:
+            raise ConvergenceError(
+                f"Newton's iteration diverged from t = {self.state.t:.6g} s. Take a smaller dt."
+            ) from None
+        self._change = float(np.abs(dy[:n]).max(initial=0.0) / size[0]) if n else 0.0
+        y = y + dy
+        if self.fields is not None:
+            self._change = max(self._change, 10.0 * self.fields.move(J[n : n + p] @ dy))
+            y[n : n + p] = self._port_values()
+        return y
+
+    def _take(self, h: float, y: Array) -> State:
+        """The state at the end of the step, its accelerations and multipliers solved for."""
+        s, n = self.state, self.n
+        self._last = y[:n], y[n + len(self.ports) :]
+        v_core, q_core, _, _ = self._motion(h, y[:n])
+        q, v = s.q.copy(), s.v.copy()
+        q[: self.n_q], v[:n] = q_core, v_core
+        if self.fields is not None:
+            self.fields.end(q, v)
+        made = State(s.t + h, q, v, s.a, self._last[1])
+        self.state = accelerations(self.system, made, self.solver)
+        return self.state
+
+    def _motion(self, h: float, a: Array) -> tuple[Array, Array, Array, Array]:
+        """v_n+1, q_n+1, w and the middle configuration of the core for a = (v_n+1 - v_n) / h."""
+        q, v = self.state.q[: self.n_q], self.state.v[: self.n]
+        w = v + 0.5 * h * a
+        turn = self._cayley(h * w)
+        return v + h * a, self.system.compose(q, turn), w, self.system.compose(q, 0.5 * turn)
+
+    def _cayley(self, xi: Array) -> Array:
+        """Increments whose exponential is the Cayley map of xi: rotation angles 2 atan(|xi| / 2)."""
+        m, n = self.system.motions, self.system.n_frames
+        out = xi.copy()
+        turn = out[: n * m.n_twist].reshape(n, m.n_twist)[:, m.dim :]
+        angle = np.sqrt((turn * turn).sum(1, keepdims=True))
+        turn *= np.where(angle > 1e-8, 2 * np.arctan(0.5 * angle) / np.maximum(angle, 1e-300), 1 - angle**2 / 12)
+        return out
+
+    def _residual(self, h: float, y: Array, old: End) -> tuple[Array, Array, Array]:
+        """(1) for y: rows of the core, forces on the ports in use, constraints divided by h^2 / 2."""
+        system, n, p = self.system, self.n, len(self.ports)
+        a, lam, port = y[:n], y[n + p :], old.port.copy()
+        port[self.ports] = y[n : n + p]
+        v, q, w, middle = self._motion(h, a)
+        t = self.state.t
+        new = End(system, t + h, q, port)
+        mean = Mean(old, new, (t + 0.5 * h, middle, w), h)
+        core, push = mean.small(a, lam)
+        if not system.n_lam:
+            return core, push[self.ports], np.zeros(0)
+        g = new.constraint()
+        missing = mean.missing(g, self._g_old)
+        if np.abs(missing).max() <= 1e-13 * system.length:
+            return core, push[self.ports], 2.0 / h**2 * g
+        left = float(lam @ missing)
+        Mw = mean.small(a + w, lam)[0] - core
+        moved = (port - old.port)[self.ports] * (system.mass / h**2)
+        left /= max(h * float(w @ Mw) + float((port - old.port)[self.ports] @ moved), 1e-300)
+        return core + left * Mw, push[self.ports] + left * moved, 2.0 / h**2 * g
+
+    def _differences(self, h: float, at: tuple[Array, tuple[Array, Array, Array], Array], old: End) -> Array:
+        """Derivatives of the residual by y."""
+        y, r, size = at
+        first = np.concatenate(r)
+        J = np.empty((len(first), len(y)))
+        for j, d in enumerate(1e-7 * size):
+            moved = y.copy()
+            moved[j] += d
+            J[:, j] = (np.concatenate(self._residual(h, moved, old)) - first) / d
+        return J
+
+
+def _ports_in_use(ev: Evaluation) -> np.ndarray:
+    """Ports of fields that constraints and forces may act on."""
+    system, m = ev.system, ev.system.markers
+    on = np.zeros(len(m.frame), dtype=bool)
+    for loads in system.forces:
+        on[loads.a] = on[loads.b] = True
+    for batch, _ in system.batches:
+        for _, marker, _ in batch.sides(ev.kin, ev.t):
+            on[marker] = True
+    used, inside = np.zeros((2, system.n_port), dtype=bool)
+    used[m.port[on[m.surface]].ravel()] = True
+    for k, part in system.fields:
+        ports, ties = system.port_slice(k), sum(B.shape[0] for B in part.traces)  # type: ignore[attr-defined]
+        inside[ports] = True
+        used[ports.stop - ties : ports.stop] = True
+    return np.flatnonzero(used & inside)
+
+
+def _solve(J: Array, r: Array) -> Array:
+    """J^-1 r with rows and columns scaled."""
+    if not len(r):
+        return r
+    rows = 1.0 / np.maximum(np.abs(J).max(axis=1), 1e-300)
+    columns = 1.0 / np.maximum((rows[:, None] * np.abs(J)).max(axis=0), 1e-300)
+    return columns * np.linalg.solve(rows[:, None] * J * columns, rows * r)

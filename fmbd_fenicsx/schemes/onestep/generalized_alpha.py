@@ -1,0 +1,371 @@
+"""Generalized-alpha on a Lie group, index-3 form.
+
+    q_n+1 = q_n o exp(h v_n + h^2 ((1/2 - beta) A_n + beta A_n+1))                                        (1)
+    v_n+1 = v_n + h ((1 - gamma) A_n + gamma A_n+1)                                                       (2)
+    (1 - alpha_m) A_n+1 + alpha_m A_n = (1 - alpha_f) a_n+1 + alpha_f a_n                                 (3)
+    M a + h + G^T lambda = 0,   g = 0     at t_n+1                                                        (4)
+
+A is the algorithmic acceleration; the alphas weight the *old* value. alpha_m = (2 rho - 1) / (rho + 1), alpha_f = rho / (rho
++ 1), gamma = 1/2 + alpha_f - alpha_m, beta = (gamma + 1/2)^2 / 4 with rho the spectral radius at infinite frequency. Newton
+solves for increments of q with the balance (4) multiplied by s = beta h^2 (1 - alpha_f) / (1 - alpha_m): the matrix is M +
+.. + s K and the multiplier s lambda, so its condition does not depend on h (Bottasso, Dopico and Trainelli,
+doi:10.1007/s11044-007-9051-9).
+
+The smooth solution of (1)..(3) along a constrained motion has A_n = a(t_n + (alpha_m - alpha_f) h) and velocities that miss
+the velocity constraints by h^2 G (c v'' + v x v' / 12) with c = 1/6 - beta - (alpha_m - alpha_f) / 2 (the product acts on
+rotations in space). Starting with exact values instead excites a transient that leaves q and v of second order but makes
+lambda of first order until rho^n is small. The first step therefore starts from A_0 = a_0 + (alpha_m - alpha_f) h a'_0 and
+from v_0 + dv with M dv + G^T mu = 0 and G dv equal to that expression (Arnold, Bruels and Cardona,
+doi:10.1007/s00211-014-0633-1). The recorded state at the start stays exact.
+
+The stabilised form, ``form=GGL()``, demands both levels: G v + g_t = 0 at t_n+1 goes with lambda, and (1) gains a correction
+-M^-1 G^T mu that closes g = 0. Velocities are then exact on their level, the start needs A_0 only, and rho_inf = 1 stays stable.
+One iteration costs a second solve with the same factor.
+
+Sources: Chung and Hulbert, doi:10.1115/1.2900803; Bruels, Cardona and Arnold, doi:10.1016/j.mechmachtheory.2011.07.017;
+Arnold and Bruels, doi:10.1007/s11044-007-9084-0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...errors import ConvergenceError, LinearSolveError, require
+from ...linear.blocks.incompressibility import volume_push
+from ...linear.condensation import StepSolver, Weights
+from ...rotations import Array
+from ...system.revolutions import count_from
+from ...system.revolutions import turns as turns_of
+from ...system.serialisation import Memory
+from ...system.system import State, System
+from ..consistent import jerk, spin_of_acceleration, worst_block
+from ..dae import GGL, Form, Index3
+from ..exact_tangent import exact_increment
+from ..newton import Newton, not_converged, strayed
+from . import kernel as slots
+from .kernel import LOOK, Kernel, kernel_library, kernel_of
+
+# of the model's length: after a larger increment, rows and the core's matrix are taken where it led
+FAR = 1e-4
+PATIENCE = 4  # iterations with the tangent of the first one, where a new tangent is cheap
+
+
+@dataclass(frozen=True)
+class GeneralizedAlpha:
+    """Scheme data: ``rho_inf`` in [0, 1), 1 is no damping at high frequencies, 0 the most; ``form``: Index3() or GGL().
+
+    rho_inf = 1 is refused: with index-3 constraints it is weakly unstable, roundoff in the multipliers grows until the run
+    fails (Cardona and Geradin, doi:10.1016/0045-7949(89)90050-9).
+
+    ``compiled`` = False keeps to NumPy where a compiled step exists (rigid and reduced bodies, see :mod:`.compiled`).
+    """
+
+    rho_inf: float = 0.8
+    compiled: bool = True
+    form: Form = field(default_factory=Index3)
+
+    def __post_init__(self) -> None:
+        require(
+            isinstance(self.form, Index3 | GGL),
+            f"GeneralizedAlpha takes form=Index3() or GGL(), found {self.form!r}. BDF and Radau take all forms.",
+        )
+        require(
+            0.0 <= self.rho_inf < 1.0 or (self.rho_inf == 1.0 and isinstance(self.form, GGL)),
+            f"rho_inf = {self.rho_inf} is not usable: it must lie in [0, 1). At 1 the index-3 multipliers are weakly unstable "
+            "and grow until the run fails; 0.9 damps little. form=GGL() permits 1.",
+        )
+
+    order = 2
+
+    @property
+    def carries_pressure(self) -> bool:
+        """Whether bodies may have a pressure that is an unknown."""
+        return isinstance(self.form, Index3)
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+        stabilised = ", GGL" if isinstance(self.form, GGL) else ""
+        return f"generalized-alpha(rho_inf={self.rho_inf:g}{stabilised})"
+
+    @property
+    def parameters(self) -> tuple[float, float, float, float]:
+        """alpha_m, alpha_f, gamma, beta."""
+        rho = self.rho_inf
+        am, af = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
+        gamma = 0.5 + af - am
+        return am, af, gamma, 0.25 * (gamma + 0.5) ** 2
+
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+        """A run's worker, from a consistent state."""
+        plain = self.compiled and isinstance(self.form, Index3) and not solver.core.redundant and newton.tangent is None
+        if not plain or kernel_library(system) is None:
+            return Stepper(self, system, solver, newton, state)
+        kernel = None if system.fields else kernel_of(system)
+        if kernel is None and not system.fields:
+            return Stepper(self, system, solver, newton, state)
+        return CompiledStepper((self, system, solver, newton, state), kernel)
+
+
+class Stepper:
+    """Advances a consistent state; holds the algorithmic acceleration and the history of the predictor."""
+
+    def __init__(
+        self, scheme: GeneralizedAlpha, system: System, solver: StepSolver, newton: Newton, state: State
+    ) -> None:
+        self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
+        self.state = state
+        self.A = state.a.copy()
+        self.fresh = True  # the next step is the first after a consistent start
+        self._past: list[tuple[float, Array, Array]] = []
+        self.local_error = 0.0
+        self.counters: dict[str, float] = {}
+
+    def _predict(self, h: float) -> tuple[Array, Array]:
+        """a and lambda extrapolated by the parabola through the last steps (less at the start)."""
+        s = self.state
+        t = s.t + h
+        points = [(s.t, s.a, s.lam), *self._past]
+        a, lam = np.zeros_like(s.a), np.zeros_like(s.lam)
+        for i, (ti, ai, li) in enumerate(points):
+            w = float(np.prod([(t - tj) / (ti - tj) for j, (tj, _, _) in enumerate(points) if j != i]))
+            a += w * ai
+            lam += w * li
+        return a, lam
+
+    def _first(self, h: float, weights: Weights) -> tuple[Array, Array, Array, Array]:
+        """v_0 and A_0 without a transient (see the module), and a, lambda predicted for the end of the first step."""
+        system, s = self.system, self.state
+        am, af, _, beta = self.scheme.parameters
+        rate, lam_rate, volume = jerk(system, s, self.solver, weights, h)
+        v = s.v
+        if (system.n_lam or volume) and not isinstance(self.scheme.form, GGL):
+            c = 1 / 6 - beta - 0.5 * (am - af)
+            miss = h * h * (c * rate + spin_of_acceleration(system, s.v, s.a) / 12)
+            push = volume_push(self.solver, {k: h * h * c * x for k, x in volume.items()})
+            v = v + self.solver.solve(push, system.at(s.t, s.q).jacobian.times(miss))[0]
+        return v, s.a + (am - af) * h * rate, s.a + h * rate, s.lam + h * lam_rate
+
+    def remember(self, m: Memory) -> None:
+        """State, algorithmic acceleration and the past of the predictor."""
+        self.state, self.A = m.state("state", self.state), m.like_v("A", self.A)
+        self.fresh, self.local_error, counters = m("rest", (self.fresh, self.local_error, self.counters))
+        self.counters |= counters  # a compiled step may be there on one rank only
+        past = m.each("past", self._past, 3)
+        self._past = [(i("t", t), i.like_v("a", a), i("lam", lam)) for i, (t, a, lam) in past]
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
+        weights, motion = self._predicted(h)
+        pressures = self.solver.pressures
+        try:
+            return self._newton(h, weights, motion, PATIENCE)
+        except (ConvergenceError, LinearSolveError):
+            self.solver.pressures = pressures
+            if self.system.fields:
+                raise
+        self.newton.theta = 0.5
+        return self._newton(h, weights, motion, 0)  # stiff springs that turn need Newton's own tangent
+
+    def _predicted(self, h: float) -> tuple[Weights, tuple[Array, Array, Array, Array]]:
+        """Weights of the step's matrix; v and A at its start, a and lambda predicted for its end."""
+        am, af, gamma, beta = self.scheme.parameters
+        weights = Weights(1.0, h * gamma * (1 - af) / (1 - am), beta * h * h * (1 - af) / (1 - am))
+        if self.fresh:
+            return weights, self._first(h, weights)
+        return weights, (self.state.v, self.A, *self._predict(h))
+
+    def _newton(self, h: float, weights: Weights, motion: tuple[Array, Array, Array, Array], patience: int) -> State:
+        """The step by Newton's iteration, its first ``patience`` iterations with one tangent."""
+        system, s = self.system, self.state
+        am, af, gamma, beta = self.scheme.parameters
+        v0, A0, a, lam = motion
+        t, scale = s.t + h, weights.ck  # dq = scale da
+        fixed_a, fixed_v = h * v0 + h * h * (0.5 - beta) * A0, v0 + h * (1 - gamma) * A0
+
+        A = ((1 - af) * a + af * s.a - am * A0) / (1 - am)
+        xi = fixed_a + h * h * beta * A
+        tolerance = self._tolerance(scale, a)
+        done, far, turns = 0, True, turns_of(system)
+        last: Array = np.zeros(0)
+        stabilised = bool(system.n_lam) and isinstance(self.scheme.form, GGL)
+
+        tangent = None if stabilised else self.newton.tangent
+
+        def moved(d: Array) -> tuple[Array, Array]:
+            d = system.rate(xi, d)
+            ev = system.at(t, system.compose(s.q, xi + d), fixed_v + h * gamma * (A + d / (h * h * beta)))
+            return scale * ev.balance(a + d / scale, lam), ev.constraint()
+
+        def increment() -> float:
+            nonlocal a, lam, A, xi, done, last, far
+            q = system.compose(s.q, xi)
+            v = fixed_v + h * gamma * A
+            count_from(system, turns)
+            ev = system.at(t, q, v)
+            g = ev.constraint()
+            r = ev.balance(a, lam)
+            new = far or tangent is not None or (done > patience and not system.fields)
+            self.solver.prepare(ev, weights, keep=not new)
+            done += 1
+            if stabilised:
+                slip = ev.jacobian.times(v) + ev.constraint_rate()
+                dq, dlam = self.solver.solve(-scale * r, -scale / weights.cd * slip)
+                closing, _ = self.solver.solve(np.zeros_like(dq), -g - ev.jacobian.times(dq))
+                xi = xi + system.rate(xi, closing)
+            elif tangent is not None:
+                dq, dlam, count = exact_increment(tangent, system, self.solver.solve, moved, (-scale * r, -g))
+                closing = np.zeros_like(dq)
+                self.counters["tangent_iterations"] = self.counters.get("tangent_iterations", 0.0) + count
+            else:
+                dq, dlam = self.solver.step(-scale * r, -g)
+                closing = np.zeros_like(dq)
+            lam = lam + dlam / scale
+            d_xi = system.rate(xi, dq)
+            xi = xi + d_xi
+            A = A + d_xi / (h * h * beta)
+            a = a + d_xi / scale
+            last = g
+            size = max(system.max_abs(dq), system.max_abs(closing))
+            far = size > FAR * system.length
+            return size / tolerance
+
+        begun = xi
+        converged, history = self.newton.solve(increment)
+        if not converged or (patience == 0 and strayed(system, xi, begun)):
+            where = f"; the largest open constraint is {worst_block(system, last)}" if last.size else ""
+            damping = ", or a smaller rho_inf" if self.scheme.rho_inf > 0.8 else ""
+            looser = (
+                f", or a larger Newton tolerance than {self.newton.tolerance:g}" if self.newton.tolerance < 1e-6 else ""
+            )
+            count_from(system, turns)
+            raise not_converged(t, h, history, f"{where}. Try a smaller dt{damping}{looser}.")
+        self.local_error = h * h * abs(beta - 1.0 / 6.0) * system.max_abs(A - A0)
+        self._past = [(s.t, s.a, s.lam), *self._past][:2]
+        self.A, self.fresh = A, False
+        self.state = State(t, system.compose(s.q, xi), fixed_v + h * gamma * A, a, lam)
+        return self.state
+
+    def _tolerance(self, scale: float, a: Array) -> float:
+        """Size of a position increment that changes accelerations by Newton's relative tolerance, above roundoff."""
+        s = self.system
+        typical = s.typical(a)
+        floor = 64 * np.finfo(float).eps * s.length
+        return max(self.newton.tolerance * scale * max(typical, 1e-12 * s.length), floor)
+
+
+class CompiledStepper(Stepper):
+    """The same steps by the kernel of :mod:`.kernel`; a step that it gives back is made in NumPy."""
+
+    path = "compiled (bodies, joints and gravity in C; NumPy for the first step and for steps it gives back)"
+
+    def __init__(self, data: tuple[GeneralizedAlpha, System, StepSolver, Newton, State], kernel: Kernel | None) -> None:
+        self._kernel: Kernel | None = None
+        self._blocks: list[tuple[Array, int]] = []  # newest first, with addresses: t, q, v, a, A, lambda
+        self._tail: State | None = None  # the state of the newest block
+        self._ahead = False  # blocks are newer than A and the past of the NumPy path
+        super().__init__(*data)
+        self.counters["compiled_steps"] = 0.0
+        if kernel is not None:
+            self._take(kernel)
+
+    @property
+    def kernel(self) -> Kernel:
+        """The kernel in use."""
+        assert self._kernel is not None
+        return self._kernel
+
+    def _take(self, kernel: Kernel) -> None:
+        """Use a kernel from now on."""
+        self._kernel, p = kernel, kernel.parameters
+        scheme, system, newton = self.scheme, self.system, self.newton
+        p[1:5] = scheme.parameters
+        p[slots.TOL], p[slots.LENGTH] = newton.tolerance, system.length
+        p[slots.FLOOR] = 64 * np.finfo(float).eps * system.length
+        p[slots.FAR] = FAR * system.length
+        p[slots.SLOW], p[slots.MAXIT], p[slots.PATIENCE] = newton.slow, newton.max_iterations, PATIENCE
+        p[slots.NEW_TANGENT] = newton.patience
+
+    @property
+    def A(self) -> Array:  # type: ignore[override]
+        """Algorithmic acceleration at the end of the last step."""
+        self._settle()
+        return self._A
+
+    @A.setter
+    def A(self, value: Array) -> None:
+        self._A = value
+
+    @property
+    def _past(self) -> list[tuple[float, Array, Array]]:  # type: ignore[override]
+        self._settle()
+        return self._earlier
+
+    @_past.setter
+    def _past(self, value: list[tuple[float, Array, Array]]) -> None:
+        self._earlier = value
+
+    def _settle(self) -> None:
+        """Give A and the past of the newest block to the NumPy path."""
+        if self._ahead and self._tail is self.state:
+            n, at = self.kernel.n, 1 + self.kernel.nq
+            self._A = self._blocks[0][0][at + 2 * n : at + 3 * n]
+            self._earlier = [(float(b[0]), b[at + n : at + 2 * n], b[at + 3 * n :]) for b, _ in self._blocks[1:]]
+        self._ahead = False
+
+    def _load(self) -> None:
+        """Blocks from the state, A and the past of the NumPy path."""
+        s = self.state
+        zero, place_ = np.zeros(self.kernel.n), np.zeros(self.kernel.nq)
+        parts = [(s.t, s.q, s.v, s.a, self.A, s.lam), *((t, place_, zero, a, zero, lam) for t, a, lam in self._past)]
+        blocks = [np.concatenate(([t], *arrays)) for t, *arrays in parts]
+        self._blocks = [(b, b.ctypes.data) for b in blocks]
+        self._tail = s
+
+    def _ready(self, h: float) -> bool:
+        """Whether there is a kernel for this step: with fields, one that has the solver's factors for the step size."""
+        if not self.system.fields:
+            return True
+        if self.solver.split is not None:
+            return False
+        _, af, _, beta = self.scheme.parameters
+        scale = beta * h * h * (1 - af) / (1 - self.scheme.parameters[0])
+        if self.solver.weights.ck != scale:
+            return False
+        if self._kernel is None or self._kernel.blocks is not self.solver.blocks:
+            found = kernel_of(self.system, self.solver.blocks)
+            if found is not None:
+                self._settle()
+                self._take(found)
+        return self._kernel is not None
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s), as :meth:`Stepper.advance`."""
+        if self.fresh or not self._ready(h):
+            return super().advance(h)
+        if self._tail is not self.state:
+            self._load()
+        kernel, newton, core = self.kernel, self.newton, self.solver.core
+        n, at, p = kernel.n, 1 + kernel.nq, kernel.parameters
+        p[slots.H], p[slots.THETA] = h, newton.theta
+        out = np.empty(kernel.block_size)
+        address = out.ctypes.data
+        if verdict := kernel.step(self._blocks, address, self.state.t + h):
+            if kernel.error is not None:
+                raise kernel.error
+            made = super().advance(h)
+            if verdict == LOOK:
+                kernel.look()
+            return made
+        self._blocks = [(out, address), *self._blocks[:2]]
+        self.counters["compiled_steps"] += 1
+        newton.iterations += int(p[slots.ITERATIONS])
+        newton.theta = float(p[slots.THETA])
+        core.factorisations += 1
+        core.judge.check(float(p[slots.RESIDUAL]), 1.0)
+        self.local_error, self._ahead = float(p[slots.LOCAL]), True
+        q, v, a = out[1:at], out[at : at + n], out[at + n : at + 2 * n]
+        self.state = self._tail = State(float(out[0]), q, v, a, out[at + 3 * n :])
+        return self.state

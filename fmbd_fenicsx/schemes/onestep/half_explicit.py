@@ -1,0 +1,186 @@
+"""A half-explicit Runge-Kutta method of order four for the velocity form: five stages, no iteration on forces; non-stiff motion.
+
+    xi_i = h sum_j a_ij rate(xi_j, v_j),     v_i = v_n + h sum_j a_ij a_j                                           (1)
+    M a_j + f(q_j, v_j) + G_j^T lambda_j = 0,     G_j+1 v_j+1 + g_t = 0                                             (2)
+
+Each stage is linear in (a_j, lambda_j): the multiplier of stage j is what makes the next stage's velocity (for the last
+stage, the new velocity) satisfy the constraints. Positions are closed by a projection in the mass metric at the end of the
+step. An embedded formula that meets the conditions of order three, freed of its share across the constraints, gives the error
+estimate; it falls like h^3 or faster. Orders of q and v: 4; the recorded a and lambda solve the
+accelerations at the new state and have the same order.
+
+Sources: Brasey and Hairer, doi:10.1137/0730025 (half-explicit methods, the coefficients HEM4); Hairer and Wanner, Solving
+ODEs II, section VII.6, doi:10.1007/978-3-642-05221-7.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from ...errors import CallbackError, ConvergenceError, LinearSolveError
+from ...linear.condensation import StepSolver, Weights
+from ...rotations import Array
+from ...system.revolutions import count_from
+from ...system.revolutions import turns as turns_of
+from ...system.serialisation import Memory
+from ...system.system import State, System
+from ..consistent import accelerations, project
+from ..control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
+from ..newton import Newton
+
+MASS = Weights(1.0, 0.0, 0.0)
+
+
+@lru_cache
+def coefficients() -> tuple[Array, Array, Array]:
+    """Nodes c (6,), rows a (6, 5) with the weights b last, and the embedded weights minus b, (5,)."""
+    r = float(np.sqrt(6))
+    c = np.array([0.0, 0.3, (4 - r) / 10, (4 + r) / 10, 1.0, 1.0])
+    a = np.zeros((6, 5))
+    a[1, 0] = 0.3
+    a[2, :2] = (1 + r) / 30, (11 - 4 * r) / 30
+    a[3, :3] = (-79 - 31 * r) / 150, (-1 - 4 * r) / 30, (24 + 11 * r) / 25
+    a[4, :4] = (14 + 5 * r) / 6, (-8 + 7 * r) / 6, (-9 - 7 * r) / 4, (9 - r) / 4
+    a[5] = 0.0, 0.0, (16 - r) / 36, (16 + r) / 36, 1 / 9
+    conditions = np.array([np.ones(5), c[:5], c[:5] ** 2, a[:5] @ c[:5]])
+    free = np.linalg.svd(conditions)[2][-1]  # leaves the conditions of order three untouched
+    return c, a, 0.1 * free / np.abs(free).max()
+
+
+@dataclass(frozen=True)
+class HalfExplicit:
+    """Scheme data. ``rtol``: relative tolerance of the local error, None for constant steps; ``atol`` as in Radau."""
+
+    rtol: float | None = 1e-6
+    atol: float | None = None
+    order = 4
+    name = "half-explicit Runge-Kutta (4)"
+
+    def __post_init__(self) -> None:
+        check_tolerance(self.rtol, self.atol, "HalfExplicit")
+
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+        """A run's worker, from a consistent state."""
+        return Stepper(self, system, solver, newton, state)
+
+
+class Stepper:
+    """Advances a consistent state."""
+
+    def __init__(self, scheme: HalfExplicit, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
+        self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, 1)
+        self.control, self.stats = StepControl(4.0), Statistics()
+        self.proposed: float | None = None
+        self.local_error = 0.0
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Work so far, for the counters of a run."""
+        return self.stats.as_dict()
+
+    def restart(self, t: float) -> None:
+        """Accelerations and multipliers behind a kink at t."""
+        self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
+        self.proposed, self.control.h_old = None, 0.0
+
+    def remember(self, m: Memory) -> None:
+        """State, sizes of the error norm, step control."""
+        self.state = m.state("state", self.state)
+        self.control, self.stats = m("control", (self.control, self.stats), StepControl, Statistics)
+        self.proposed, self.local_error = m("step", (self.proposed, self.local_error))
+        self.norm.remember(m)
+
+    def advance(self, h: float) -> State:
+        """One accepted step: of size h, or with error control of at most h (s); collective."""
+        if self.scheme.rtol is None:
+            made, _ = self._step(h)
+            return self._accept(made)
+        limit = h
+        self.control.span = max(self.control.span, limit)
+        if self.proposed is None:
+            self.norm.update(self.state, limit)
+            self.proposed = first_step(self.norm, self.state, 4.0, limit)
+        turns = turns_of(self.system)
+        while True:
+            count_from(self.system, turns)
+            h = lands(self.proposed, limit)
+            self.norm.update(self.state, h)
+            try:
+                made, (e_q, e_v) = self._step(h)
+                error, cause = self.norm(h, e_q, e_v), "error estimate"
+            except (ConvergenceError, LinearSolveError):
+                error, cause = np.inf, "constraints not closed"
+            except CallbackError as fault:
+                self.control.fault = str(fault)
+                error, cause = np.inf, "forces not finite"
+            if error <= 1.0:
+                break
+            self.stats.rejected[cause] += 1
+            self.proposed = self.control.rejected(self.state.t, h, error, cause)
+        new = self.control.accepted(h, error)
+        self.proposed = new if h >= self.proposed or new < h else self.proposed
+        self.local_error = error
+        return self._accept(made)
+
+    def _accept(self, made: State) -> State:
+        self.state = accelerations(self.system, project(self.system, made, self.solver), self.solver)
+        self.stats.steps += 1
+        return self.state
+
+    def _step(self, h: float) -> tuple[State, tuple[Array, Array]]:
+        """(1), (2): the new state before projection, and the errors of xi and v."""
+        system, s = self.system, self.state
+        c, A, difference = coefficients()
+        xi, v, lam = np.zeros_like(s.v), s.v, s.lam
+        rates: list[Array] = []
+        pushes: list[Array] = []
+        a = s.a
+        for i in range(5):
+            ev = system.at(s.t + c[i] * h, system.compose(s.q, xi), v)
+            self.stats.residuals += 1
+            rates.append(system.rate(xi, v))
+            xi = h * (A[i + 1, : i + 1] @ np.array(rates))
+            known = s.v + h * (A[i + 1, :i] @ np.array(pushes)) if i else s.v
+            after = system.at(s.t + c[i + 1] * h, system.compose(s.q, xi))
+            a, lam = self._stage(ev, after, (known, h * A[i + 1, i]), (a, lam))
+            pushes.append(a)
+            v = known + h * A[i + 1, i] * a
+        # stage multipliers are of low order: their share of the difference lies across the constraints and is projected out
+        errors = h * (difference @ np.array(rates)), h * (difference @ np.array(pushes))
+        if system.n_lam:
+            self.solver.prepare(after, MASS)
+            zero = np.zeros_like(v)
+            e_q, e_v = (e + self.solver.solve(zero, -after.jacobian.times(e))[0] for e in errors)
+            errors = e_q, e_v
+        return State(s.t + h, system.compose(s.q, xi), v, a, lam), errors
+
+    def _stage(self, ev: Any, after: Any, step: tuple[Array, float], guess: tuple[Array, Array]) -> tuple[Array, Array]:
+        """(2) for one stage: G_j gives the force, G_j+1 the constraint; solved with the symmetric matrix of the stage,
+        repeated.
+        """
+        (known, h), (a, lam) = step, guess
+        self.solver.prepare(ev, MASS)
+        self.stats.factorisations += 1
+        n = self.system.n_lam
+        rate = after.constraint_rate() if n else np.zeros(0)
+        last = np.inf
+        for _ in range(50):
+            r = ev.balance(a, lam)
+            slip = (after.jacobian.times(known + h * a) + rate) / h if n else np.zeros(0)
+            da, dlam = self.solver.solve(-r, -slip)
+            self.stats.solves += 1
+            a, lam = a + da, lam + dlam
+            size, scale = self.system.max_abs(da), max(self.system.max_abs(a), 1e-300)
+            if size <= 1e-13 * scale or (size >= 0.5 * last and size <= 1e-9 * scale):
+                return a, lam
+            if not np.isfinite(size) or size > 2 * last:
+                break
+            last = size
+        raise ConvergenceError(
+            f"A half-explicit stage at t = {ev.t:.6g} s did not close its constraints: take a smaller dt."
+        )

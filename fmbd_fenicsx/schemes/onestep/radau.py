@@ -1,0 +1,413 @@
+"""Radau IIA with two, three, five or seven stages: variable steps, simplified Newton iteration, any form of the constraints.
+
+In local coordinates y = (xi, v) about the step's start, collocation at the nodes c_i (c_s = 1) with A^-1 = (w_ij) reads
+
+    y'_i = (1 / h) sum_j w_ij (y_j - y_n),        the equations of motion hold at (t_n + c_i h, y_i, y'_i)        (1)
+
+so the scheme is stiffly accurate: the last stage is the new state, and it satisfies the constraints. Orders for q, v, lambda:
+index 3: 2s-1, s, s-1; index 2 and GGL: 2s-1, 2s-1, s; index 1 and state space: 2s-1 in all.
+
+One Newton iteration solves the stages together: the eigenvectors of A^-1 decouple them into one system for each complex pair
+(and, for an odd number of stages, a real one) with the frequencies gamma / h. Stages are evaluated in one call. Tangent and
+factors are kept while Newton converges fast and the step changes little. The local error is estimated by an embedded formula of
+order s, filtered by the real matrix gamma_0 / h.
+
+Sources: Hairer and Wanner, Solving ODEs II, sections IV.8 and VII.4, doi:10.1007/978-3-642-05221-7; Hairer, Lubich and Roche,
+doi:10.1007/BFb0093947; local coordinates: Munthe-Kaas, doi:10.1007/BF02510919.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from ...errors import CallbackError, ConvergenceError, LinearSolveError, require
+from ...linear.condensation import StepSolver
+from ...linear.residual import Judge
+from ...linear.saddle.pencil import Pencil, Tangent, stacked
+from ...rotations import Array
+from ...system.serialisation import Memory
+from ...system.system import State, System
+from ..consistent import accelerations, project
+from ..control import (
+    ROUNDOFF,
+    STAGNATION,
+    ErrorNorm,
+    Statistics,
+    StepControl,
+    check_tolerance,
+    first_step,
+    lands,
+    moves,
+)
+from ..dae import GGL, Form, Points, StepEquations
+from ..newton import Newton
+from .collocation import lagrange, tableau
+
+CAUTIOUS = 0.05  # with constant steps no rate below this is believed
+
+
+@dataclass(frozen=True)
+class Radau:
+    """Scheme data.
+
+    Args:
+        stages: 2, 3, 5 or 7; more stages pay at tight tolerances, five from about 1e-7 on.
+        form: of the constraints, :class:`~fmbd_fenicsx.GGL` by default.
+        rtol: relative tolerance of the local error; None for constant steps dt without error control.
+        atol: absolute tolerance of coordinates (m, rad or own units); None: from the sizes in the model.
+    """
+
+    stages: int = 3
+    form: Form = field(default_factory=GGL)
+    rtol: float | None = 1e-6
+    atol: float | None = None
+
+    def __post_init__(self) -> None:
+        require(self.stages in (2, 3, 5, 7), f"Radau: stages = {self.stages} must be 2, 3, 5 or 7.")
+        check_tolerance(self.rtol, self.atol, "Radau")
+
+    @property
+    def order(self) -> int:
+        """Classical order."""
+        return 2 * self.stages - 1
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+        return f"Radau IIA({self.stages}), {self.form.name}"
+
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+        """A run's worker, from a consistent state."""
+        return Stepper(self, system, solver, newton, state)
+
+
+class Stepper:
+    """Advances a consistent state; holds tangent, factors, the last collocation polynomial and the step control."""
+
+    def __init__(self, scheme: Radau, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
+        self.eq = StepEquations(system, scheme.form, solver)
+        self.tab = tableau(scheme.stages)
+        self.mult: Array = np.zeros(self.eq.levels * system.n_lam)
+        self._reset_multipliers()
+        self.adaptive = scheme.rtol is not None
+        self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
+        self.control = StepControl(scheme.stages + 1.0)
+        self.stats = Statistics()
+        self.judge = Judge("a Radau step")
+        self.local_error = 0.0
+        self.proposed: float | None = None
+        self._tangent: Tangent | None = None
+        self._fresh = self._full = False
+        self._pencil: Pencil | None = None
+        self._filter: Pencil | None = None  # of the error estimate
+        self._h_factor = 0.0
+        self._trouble = 0  # two for each failure of Newton's iteration, less one for each step
+        self._theta = 1e-3
+        self._eta = 1.0
+        self._last: tuple[float, Array, Array, Points] | None = None
+        self.eq.weigh(state)
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Work so far, for the counters of a run."""
+        self.stats.residuals, self.stats.jacobians, self.stats.solves = (
+            self.eq.residuals,
+            self.eq.jacobians,
+            self.judge.solves,
+        )
+        return self.stats.as_dict()
+
+    def remember(self, m: Memory) -> None:
+        """Tangent, the last collocation polynomial and the step control."""
+        self.state, self.mult = m.state("state", self.state), m("mult", self.mult)
+        self._last, self._tangent = m("last", (self._last, self._tangent), Points, Tangent)
+        flags = m("flags", (self._fresh, self._full, self._trouble, self._pencil is not None, self._filter is not None))
+        self._fresh, self._full, self._trouble, *made = flags
+        steps = self.proposed, self.local_error, self._theta, self._eta, self._h_factor
+        self.proposed, self.local_error, self._theta, self._eta, self._h_factor = m("step", steps)
+        self.judge = m("judge", self.judge, Judge)
+        if m.reading:
+            self._pencil = self._filter = None
+            if self._tangent is not None and made[0]:
+                self._prepare(self._h_factor)
+                self._filter = self._error_filter(self._h_factor) if made[1] else None
+        self.control, self.stats = m("control", (self.control, self.stats), StepControl, Statistics)
+        self.norm.remember(m)
+        self.eq.remember(m.inside("equations"))
+
+    # -- one accepted step --------------------------------------------------------------------------------------
+    def advance(self, h: float) -> State:
+        """One accepted step. Constant steps: of size h. Error control: of at most h (s), which is then hit exactly at the end.
+
+        Raises ConvergenceError when steps would have to be too small.
+        """
+        s = self.state
+        if not self.adaptive:
+            self.norm.update(s, h)
+            self.eq.begin(s)
+            point = "full" if self._full else self._newton(h)
+            if isinstance(point, str):
+                self._tangent, self._full = None, True
+                point = self._full_newton(h)
+            if isinstance(point, str):
+                raise ConvergenceError(
+                    f"Newton's iteration failed at t = {s.t + h:.6g} s (h = {h:.3g} s): {point}. Take a smaller dt."
+                )
+            return self._accept(h, point)
+        limit = h
+        self.control.span = max(self.control.span, limit)
+        if self.proposed is None:
+            self.norm.update(s, limit)
+            self.proposed = first_step(self.norm, s, self.control.order, limit)
+        while True:
+            h = lands(self.proposed, limit)
+            moves(s.t, h)
+            self.norm.update(s, h)
+            self.eq.begin(s)
+            point = self._newton(h)
+            if isinstance(point, str):
+                cause, error = point, np.inf
+                stale = self._tangent is not None and not self._fresh
+                self._tangent = None
+                if stale:
+                    continue  # once more with a new tangent
+                self._trouble += 2
+                if self._trouble > 4:
+                    point = self._own_tangents(h)
+            if not isinstance(point, str):
+                error, cause = self._estimate(h, point), "error estimate"
+                if error <= 1.0:
+                    break
+                self._theta = max(self._theta, 1e-3)
+            self.stats.rejected[cause] += 1
+            self.proposed = self.control.rejected(s.t, h, error, cause)
+        self.local_error = error
+        limit_newton = self.newton.max_iterations
+        effort = (2 * limit_newton + 1) / (2 * limit_newton + self._iterations)
+        new = self.control.accepted(h, error, effort)
+        if self._theta < 1e-2 and 1.0 <= new / h <= 1.2:
+            new = h  # keep the factors
+        self.proposed = new if h < limit or new < limit else max(new, self.proposed)
+        return self._accept(h, point)
+
+    def restart(self, t: float) -> None:
+        """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
+        self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
+        self._reset_multipliers()
+        self._last, self._tangent, self.proposed, self.control.h_old = None, None, None, 0.0
+
+    def _reset_multipliers(self) -> None:
+        self.mult = np.zeros_like(self.mult)
+        if self.eq.levels:
+            self.mult[: self.system.n_lam] = self.state.lam
+
+    def _accept(self, h: float, points: Points) -> State:
+        s, m = self.state, self.system.n_lam
+        t = s.t + h
+        self._last = (h, s.q, s.v, points)
+        self.mult = points.mult[-1]
+        lam = self.mult[:m] if self.eq.levels else s.lam
+        self.state = State(t, self.system.compose(s.q, points.xi[-1]), points.v[-1], self._acceleration, lam)
+        if self.scheme.form.projected:
+            self.state = project(self.system, self.state, self.solver)
+        self.stats.steps += 1
+        self._trouble = max(self._trouble - 1, 0)
+        self._fresh = False
+        if self._theta > 1e-2:
+            self._tangent = None
+        return self.state
+
+    # -- Newton -------------------------------------------------------------------------------------------------
+    def _refresh(self, h: float) -> None:
+        """Tangent in the middle of the step as predicted, where it serves all stages best."""
+        s, W = self.state, self.tab.W
+        xi, v, mult = self._predict(h)
+        weights = lagrange(np.concatenate(([0.0], self.tab.c)), np.array([0.5]))[0, 1:]
+        vd = (W @ (v - s.v) / h).mean(axis=0)
+        lam = mult.mean(axis=0)[: self.system.n_lam] if self.eq.levels else s.lam
+        q = self.system.compose(s.q, weights @ xi)
+        self._tangent = self.eq.refresh(State(s.t + 0.5 * h, q, s.v + weights @ (v - s.v), vd, lam))
+        self._fresh = True
+        self._pencil = None
+
+    def _prepare(self, h: float) -> None:
+        if self._tangent is None:
+            self._refresh(h)
+        if self._pencil is not None and self._h_factor == h:
+            return
+        assert self._tangent is not None
+        self._h_factor = h
+        redundant = self.solver.core.redundant
+        self._pencil = Pencil(self._tangent, self.tab.values / h, self.judge, redundant)
+        self.stats.factorisations += len(self.tab.values)
+        self._filter = None
+
+    def _newton(self, h: float) -> Points | str:
+        """The stages of a step of size h, or the cause of failure."""
+        try:
+            self._prepare(h)
+            return self._iterate(h)
+        except (LinearSolveError, CallbackError) as error:
+            if isinstance(error, CallbackError) and not self.adaptive:
+                raise
+            if isinstance(error, LinearSolveError):
+                return "linear solve failed"
+            self.control.fault = str(error)
+            return "forces not finite"
+
+    def _iterate(self, h: float) -> Points | str:
+        xi, v, mult = self._predict(h)
+        tolerance = self._newton_tolerance()
+        theta, last = max(self._eta, 1e-16) ** 0.8, 0.0
+        times = self.state.t + h * self.tab.c
+        for k in range(self.newton.max_iterations):
+            kin, low = self.eq.residual(times, self._stages(h, xi, v, mult))
+            dxi, dv, dmult = self._solve(kin, low)
+            xi, v, mult = xi + dxi, v + dv, mult + dmult
+            self.newton.iterations += 1
+            self.stats.newton_iterations += 1
+            size = self._size(h, dxi, dv, dmult)
+            if not np.isfinite(size):
+                return "Newton diverged"
+            if k > 0:
+                ratio = size / last if last > 0 else 0.0
+                self._theta = ratio if k == 1 else np.sqrt(ratio * max(self._theta, 1e-10))
+                if self.adaptive and ratio > 0.5 and size <= ROUNDOFF and max(size, last) <= 10 * ROUNDOFF:
+                    size = 0.0  # increments no longer fall: roundoff, harmless against the tolerance
+                elif not self.adaptive and k > 2 and ratio > 0.3 and size <= STAGNATION:
+                    size = 0.0
+                elif self._theta >= 0.99 and size > tolerance and (self.adaptive or k > 3):
+                    return "Newton diverged"
+                theta = self._theta / (1 - min(self._theta, 0.99))
+                if not self.adaptive:  # the first rate flatters: fast components go first
+                    theta = max(theta, CAUTIOUS)
+                left = self.newton.max_iterations - 1 - k
+                if self.adaptive and k > 1 and theta * size * self._theta**left > tolerance and size > tolerance:
+                    return "Newton too slow"
+            last = size
+            if theta * size <= tolerance or size <= 1e-2 * tolerance:
+                self._eta, self._iterations = theta, k + 1
+                return self._finished(h, xi, v, mult)
+        return "Newton too slow"
+
+    def _finished(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
+        points = self._stages(h, xi, v, mult)
+        self._acceleration = self.eq.accelerations(points)[-1]
+        return points
+
+    def _own_tangents(self, h: float) -> Points | str:
+        """Newton's iteration with a tangent for each stage where one for all has failed at falling step sizes: on the way through
+        a singular configuration directions of constraint forces turn within any step, however small.
+        """
+        try:
+            self._prepare(h)  # the error estimate needs a tangent in the middle
+            return self._full_newton(h)
+        except (LinearSolveError, CallbackError):
+            return "linear solve failed"
+
+    def _full_newton(self, h: float) -> Points | str:
+        """The stages by Newton's iteration with a tangent of its own for each stage.
+
+        For stiff springs that turn: with a frozen direction the iteration converges for h omega sqrt(k / m) h << 1 only (Lubich,
+        doi:10.1007/BF01385643); constant steps have no other way out. For singular configurations too.
+        """
+        n, m, stages = self.system.n_v, self.system.n_lam, len(self.tab.c)
+        xi, v, mult = self._predict(h)
+        coupling = np.kron(self.tab.W / h, np.eye(n))
+        last = np.inf
+        enough, floor, calm = 1.0, STAGNATION, 1
+        if self.adaptive:  # roundoff eps of a constraint leaves sqrt(eps) of the motion at a singular position
+            enough, floor, calm = ROUNDOFF, 1.0 + np.finfo(float).eps ** 0.5 / self.norm.rtol, 3
+        times = self.state.t + h * self.tab.c
+        cuts = [0, *range(n, n + self.eq.levels * m + 1, m)] if m else [0, n]
+        for k in range(2 * self.newton.max_iterations):  # at a singular position each halves the error
+            points = self._stages(h, xi, v, mult)
+            kin, low = self.eq.residual(times, points)
+            tangents = [self.eq.tangent_at(float(times[i]), xi[i], v[i], points.vd[i], mult[i]) for i in range(stages)]
+            pencil = Pencil(stacked(tangents), coupling, self.judge, self.solver.core.redundant)
+            below = np.concatenate([low[:, i:j].ravel() for i, j in pairwise(cuts)])
+            change, by_level = pencil.solve(kin.reshape(1, -1), below[None])
+            dxi, dv = change.reshape(2, stages, n)
+            dmult = by_level.reshape(self.eq.levels, stages, m).swapaxes(0, 1).reshape(stages, -1)
+            xi, v, mult = xi + dxi, v + dv, mult + dmult
+            self.newton.iterations += 1
+            self.stats.newton_iterations += 1
+            self.stats.factorisations += 1
+            size = self._size(h, dxi, dv, dmult)
+            if not np.isfinite(size):
+                return "Newton diverged"
+            if size <= enough or (k > calm and size <= floor and size > 0.3 * last):
+                self._iterations, self._theta = k + 1, 1.0
+                return self._finished(h, xi, v, mult)
+            last = size
+        return "Newton too slow"
+
+    def _newton_tolerance(self) -> float:
+        """Bound of the norm of the error left, in units of the error norm."""
+        if not self.adaptive:
+            return 1.0
+        return max(10 * np.finfo(float).eps / self.norm.rtol, min(0.03, self.norm.rtol**0.5))
+
+    def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
+        """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
+        push = None
+        if self.eq.levels and self.scheme.form.index > 1:
+            push = dmult[:, : self.system.n_lam] @ self.eq.U.T
+        if self.adaptive:
+            return self.norm(h, dxi, dv, push)
+        return max(
+            self.norm.constant(h, self.state, dxi[i], dv[i], None if push is None else push[i]) for i in range(len(dxi))
+        )
+
+    def _stages(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
+        W = self.tab.W / h
+        return Points(xi, W @ xi, v, W @ (v - self.state.v), mult)
+
+    def _solve(self, kin: Array, low: Array) -> tuple[Array, Array, Array]:
+        """Decoupled solves: y = Re(vectors z), z of the real eigenvalue and of one of each complex pair."""
+        tab, n = self.tab, self.system.n_v
+        assert self._pencil is not None
+        z = np.concatenate(self._pencil.solve(tab.inverse @ kin, tab.inverse @ low), axis=1)
+        y = (tab.vectors @ z).real
+        return y[:, :n], y[:, n : 2 * n], y[:, 2 * n :]
+
+    def _predict(self, h: float) -> tuple[Array, Array, Array]:
+        """Stages on the polynomial of the last step, or on the parabola at the start."""
+        s, c = self.state, self.tab.c
+        if self._last is None:
+            x = (c * h)[:, None]
+            xi, v = x * s.v + 0.5 * x * x * s.a, s.v + x * s.a
+            return xi, v, np.repeat(self.mult[None], len(c), axis=0)
+        h0, q0, v0, points = self._last
+        powers = (1.0 + c * h / h0)[:, None] ** np.arange(len(c) + 1)
+        basis = (powers @ self.tab.basis)[:, 1:]
+        moved = self.system.difference(s.q, self.system.compose(q0, basis @ points.xi))
+        return moved, v0 + basis @ (points.v - v0), powers[:, :-1] @ self.tab.stage_basis @ points.mult
+
+    # -- error --------------------------------------------------------------------------------------------------
+    def _error_filter(self, h: float) -> Pencil:
+        assert self._tangent is not None
+        return Pencil(self._tangent, np.array([self.tab.gamma / h]), self.judge, self.solver.core.redundant)
+
+    def _estimate(self, h: float, points: Points) -> float:
+        s, tab, m = self.state, self.tab, self.system.n_lam
+        assert self._tangent is not None
+        if self._filter is None:
+            self._filter = self._error_filter(h)
+            self.stats.factorisations += 1
+        dq, v, a = self.eq.consistent_start(s)
+        moved, change = points.xi - dq, points.v - v
+        if self.scheme.form.index == 3:  # its velocities follow all increments of the stages
+            change = change - np.outer(tab.W.sum(axis=1) / h, dq)
+        kin = v + tab.error @ moved / h
+        if self.eq.levels > 1:
+            kin = kin - self.eq.U @ self.mult[m : 2 * m]
+        push = a + tab.error @ change / h
+        zero = np.zeros(self.eq.levels * m)
+        errors, e_m = self._filter.solve(-kin[None], np.concatenate((-self._tangent.M @ push, zero))[None])
+        e_q, e_v = errors.reshape(2, -1)
+        return self.norm(h, e_q, e_v, self.eq.U @ e_m[0, :m] if self.eq.levels else None)

@@ -1,0 +1,122 @@
+"""RATTLE: second order, symmetric, position and velocity constraints both hold; for non-stiff motion over long times.
+
+    M (v_1/2 - v_n) = -(h/2) (f(q_n, v_1/2) + G_n^T lambda_n),         q_n+1 = q_n o exp(h v_1/2),   g(q_n+1) = 0       (1)
+    M (v_n+1 - v_1/2) = -(h/2) (f(q_n+1, v_1/2) + G_n+1^T mu_n+1),     G_n+1 v_n+1 + g_t = 0                            (2)
+
+with f all terms of the balance but M a. For a constant mass matrix and conservative forces the step is symplectic: the
+energy error stays bounded over any number of steps. With rotations in space, or M(q), it is symmetric. The multipliers of
+(1), (2) belong to the half steps: as values at t_n+1 they are of first order. The recorded a and lambda solve the
+accelerations at (q, v)_n+1 and are of second order.
+
+Sources: Andersen, doi:10.1016/0021-9991(83)90014-1; Leimkuhler and Skeel, doi:10.1006/jcph.1994.1085; Hairer, Lubich and Wanner,
+Geometric Numerical Integration, VII.1.4, doi:10.1007/3-540-30666-8.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import ConvergenceError
+from ...linear.condensation import StepSolver, Weights
+from ...rotations import Array
+from ...system.serialisation import Memory
+from ...system.system import Evaluation, State, System
+from ..newton import Newton
+
+MASS = Weights(1.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Rattle:
+    """Scheme data; nothing to choose. Steps must resolve every vibration: h omega < 2."""
+
+    order = 2
+    name = "RATTLE"
+    free_steps = True  # any size may follow any other
+
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+        """A run's worker, from a consistent state."""
+        return Stepper(system, solver, newton, state)
+
+
+class Stepper:
+    """Advances a consistent state; ``half`` holds the multipliers of the last second half step."""
+
+    local_error = 0.0
+
+    def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        self.system, self.solver, self.newton, self.state = system, solver, newton, state
+        self.half = state.lam
+        self._factored: Array | None = None  # the q whose M and G the solver holds
+
+    def _prepare(self, ev: Evaluation) -> None:
+        """The matrix at ev.q: it serves the end of a step, its accelerations, and the beginning of the next."""
+        if self._factored is not ev.q:
+            self._factored = None  # should the factorisation fail
+            self.solver.prepare(ev, MASS)
+            self._factored = ev.q
+
+    def remember(self, m: Memory) -> None:
+        """State and the multipliers of the last half step."""
+        self.state, self.half = m.state("state", self.state), m("half", self.half)
+        self._factored = None if m.reading else self._factored
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s); collective. Raises ConvergenceError when the iteration for (1) fails."""
+        system, s, t = self.system, self.state, self.state.t + h
+        a, _ = self._to_half(h)
+        v = s.v + 0.5 * h * a
+        q = system.compose(s.q, h * v)
+        a, self.half = self._solve_second(system.at(t, q, v), v, h)
+        v = v + 0.5 * h * a
+        ev = system.at(t, q, v)
+        self._prepare(ev)
+        a, lam = self._refine(ev, a, self.half, lambda a: ev.jacobian.times(a) + ev.gamma())
+        self.state = State(t, q, v, a, lam)
+        return self.state
+
+    def _to_half(self, h: float) -> tuple[Array, Array]:
+        """a = 2 (v_1/2 - v_n) / h and lambda of (1), by Newton's iteration with the matrix at q_n."""
+        system, s = self.system, self.state
+        a, lam = s.a.copy(), s.lam.copy()
+        floor = 64 * np.finfo(float).eps * system.length
+        tolerance = max(self.newton.tolerance * 0.5 * h * h * max(system.max_abs(s.a), 1e-300), floor)
+
+        def increment() -> float:
+            nonlocal a, lam
+            v = s.v + 0.5 * h * a
+            ev = system.at(s.t, s.q, v)
+            self._prepare(ev)
+            r = ev.balance(a, lam)
+            g = system.at(s.t + h, system.compose(s.q, h * v)).constraint() if system.n_lam else np.zeros(0)
+            da, dlam = self.solver.solve(-r, -2.0 / (h * h) * g)
+            a, lam = a + da, lam + dlam
+            return 0.5 * h * h * system.max_abs(da) / tolerance
+
+        converged, history = self.newton.solve(increment)
+        if not converged:
+            raise ConvergenceError(
+                f"RATTLE's position constraints did not close at t = {s.t + h:.6g} s (h = {h:.3g} s): increments over tolerance "
+                + " -> ".join(f"{x:.1e}" for x in history)
+                + ". Take a smaller dt."
+            )
+        return a, lam
+
+    def _solve_second(self, ev: Evaluation, v: Array, h: float) -> tuple[Array, Array]:
+        """a = 2 (v_n+1 - v_1/2) / h and mu of (2)."""
+        slip = ev.jacobian.times(v) + ev.constraint_rate() if self.system.n_lam else np.zeros(0)
+        self._prepare(ev)
+        return self._refine(ev, self.state.a, self.half, lambda a: ev.jacobian.times(a) + 2.0 / h * slip)
+
+    def _refine(self, ev: Evaluation, a: Array, lam: Array, rows: Callable[[Array], Array]) -> tuple[Array, Array]:
+        """Solve balance(a, lambda) = 0, rows(a) = 0; repeated where the solver's matrix is not exact (deformed bodies)."""
+        exact = not self.system.fields and self.solver.core.exact
+        for _ in range(self.newton.max_iterations):
+            da, dlam = self.solver.solve(-ev.balance(a, lam), -rows(a) if self.system.n_lam else np.zeros(0))
+            a, lam = a + da, lam + dlam
+            if exact or self.system.max_abs(da) <= 1e-12 * max(self.system.max_abs(a), 1e-300):
+                break
+        return a, lam

@@ -1,0 +1,73 @@
+"""Ports of second order in a system: what bent bodies add to the ports, their rates and accelerations.
+
+See ``mechanics.reduction.foreshortening``. A system without such parts has none of it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..mechanics.reduction.foreshortening import Bent
+from ..rotations import Array
+
+if TYPE_CHECKING:
+    from .system import Evaluation
+
+
+def bend(ev: Evaluation) -> dict[int, Bent]:
+    """Add the second order to the ports of a configuration and to their rates; its derivatives by part. Collective."""
+    s, found = ev.system, {}
+    for k, p in s.curved:
+        u = s.local_q(ev.q, k)
+        found[k] = p.shortening.at(u)
+        ev.port[s.port_slice(k)] += found[k].values(u)
+        if ev.v is not None:
+            ev.port_rate[s.port_slice(k)] += found[k].along(s.local_v(ev.v, k))
+    return found
+
+
+def port_forces(ev: Evaluation, port: Array) -> list[Array]:
+    """Forces on the local coordinates of each part, of forces on the ports (n_port,)."""
+    s = ev.system
+    forces = [p.port_force(port[s.port_slice(k)]) for k, p in enumerate(s.parts)]
+    for k, bent in ev.bent.items():
+        forces[k] = forces[k] + bent.force(port[s.port_slice(k)])
+    return forces
+
+
+def note_forces(ev: Evaluation, wrench: Array | None, lam: Array | None) -> None:
+    """Keep the forces of joints (multipliers lam) and of wrenches on the surfaces of bent bodies, for tangents."""
+    s = ev.system
+    port = np.zeros(s.n_port) if wrench is None else ev.on_ports(wrench)[1]
+    if lam is not None and s.n_lam:
+        port -= ev.jacobian.port.T @ lam
+    for k, p in s.curved:
+        p.shortening.pull = p.shortening.N.T @ port[s.port_slice(k)]
+
+
+def tangent_ports(part: Any, w: Array) -> Array:
+    """Rates of the ports for rates w of a field, with the columns that its tangent holds; collective."""
+    shown = getattr(part, "shown", None)
+    ports: Array = part.ports_of(w)
+    return ports if shown is None else ports + shown.along(w)
+
+
+def port_bias(ev: Evaluation) -> Array:
+    """Accelerations of the ports by the rates of the local coordinates alone, (n_port,); collective."""
+    assert ev.v is not None
+    s = ev.system
+    out = np.zeros(s.n_port)
+    for k, p in s.curved:
+        out[s.port_slice(k)] = p.shortening.bias(s.local_v(ev.v, k))
+    return out
+
+
+def port_acceleration(ev: Evaluation, a: Array) -> Array:
+    """Accelerations of the ports, (n_port,), for accelerations a like v; collective."""
+    s = ev.system
+    out = s.ports(a, s.slices[1], False)
+    for k, bent in ev.bent.items():
+        out[s.port_slice(k)] += bent.along(s.local_v(a, k))
+    return out + port_bias(ev) if ev.bent else out

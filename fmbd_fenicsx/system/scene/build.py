@@ -1,0 +1,398 @@
+"""How a scene becomes a :class:`~fmbd_fenicsx.system.system.System`: frames, parts, markers, constraints, forces, start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...errors import InputError, near, require
+from ...fem.initial import initial_fields
+from ...mechanics.bodies.beams import Beam
+from ...mechanics.bodies.bodies import AbsoluteBody, CoordinateBody, FloatingBody, RigidBody, Surface
+from ...mechanics.bodies.coordinates import CoordinatePart, PortConstraint, own_constraint
+from ...mechanics.bodies.line_body import LineBody, LinePart
+from ...mechanics.catenary.wires import Wires
+from ...mechanics.forces.force_elements import Loads, ScalarLoads
+from ...mechanics.forces.forces import Force
+from ...mechanics.frames import Markers
+from ...mechanics.joints.constraints import Batch
+from ...mechanics.joints.joints import Joint, ground
+from ...mechanics.joints.relative import Relative, Separation
+from ...mechanics.reduction.craig_bampton import ReducedBody
+from ...mechanics.reduction.reduced import ReducedPart
+from ...rotations import Array, Motions, motions
+from ..sensors.sensors import Sensor
+from ..system import RowBlock, State, System
+from .joints import JointRows, relative_of
+from .wires import slider_rows, wires_part
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+
+def smooth_step(t: float, duration: float) -> float:
+    """1 after ``duration``, 0 before 0, and 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 between: three continuous derivatives."""
+    if t >= duration:
+        return 1.0
+    s = max(t / duration, 0.0)
+    return s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
+
+
+def reduced_part(body: ReducedBody | Beam, frame: int, surfaces: Sequence[str]) -> ReducedPart:
+    """A reduced body or beam as a part of a system, with the ports of the named surfaces."""
+    part = ReducedPart(body.name, body.constants, frame, surfaces)
+    part.body = body
+    return part
+
+
+class Builder:
+    """Turns a scene into arrays; lives only during :meth:`Scene.build`."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.m: Motions = motions(scene.dim)
+        self.frame_of: dict[str, int] = {}
+        self.poses: list[Array] = []
+        self.twists: list[Array] = []
+        self.part_of: dict[str, int] = {}
+        self.fields: list[Any] = []
+        self.joint_markers: dict[str, tuple[int, int]] = {}
+        self.starts: list[tuple[Array, Array]] = []
+        self.keys: list[tuple[int, Array, Array, Any]] = []  # markers: frame, position, rotation, surface or None
+
+    def build(self) -> tuple[System, State, dict[str, int]]:
+        """The system, its state as given, and the marker of each sensor; collective."""
+        scene = self.scene
+        self._check()
+        moving = [b for b in scene.bodies.values() if not getattr(b, "locked", False)]
+        framed = [b for b in moving if not isinstance(b, CoordinateBody | LineBody | AbsoluteBody | Wires)]
+        elastic = [b for b in moving if isinstance(b, FloatingBody | AbsoluteBody)]
+        own = [b for b in moving if isinstance(b, CoordinateBody)]
+        for body in framed:
+            self.frame_of[body.name] = len(self.poses)
+            self.poses.append(np.zeros(0))
+            self.twists.append(body.start_twist())
+        used = self._surfaces_in_use()
+        for body in own:
+            self._put_part(CoordinatePart(body, len(framed)), np.array(body.start), np.array(body.start_rate))
+        for body in (b for b in moving if isinstance(b, LineBody)):
+            part = LinePart(body, len(framed), used[body.name])
+            self._put_part(part, part.start, part.start_rate)
+        for body in moving:
+            if isinstance(body, ReducedBody | Beam):
+                self._add_reduced(body, used[body.name])
+        for body in elastic:
+            self._add_field(body, used[body.name], len(framed))
+        for body in (b for b in moving if isinstance(b, Wires)):
+            part = wires_part(body, len(framed), self.scene.sliders)
+            self._put_part(part, np.zeros(part.n), np.zeros(part.n))
+        rigid = [b for b in moving if isinstance(b, RigidBody)]
+        for body in rigid:
+            self.poses[self.frame_of[body.name]] = body.start_pose()
+        traces = self._surface_ties()
+        batches, port_rows, blocks = self._constraints(traces)
+        forces = self._loads()
+        sensor_markers = {n: self._sensor_marker(s) for n, s in scene.sensors.items()}
+        markers = self._markers()
+        system = System(
+            motions=self.m,
+            frame_names=tuple(b.name for b in framed),
+            rigid=self._rigid_block(rigid),
+            parts=tuple(self.fields),
+            markers=markers,
+            batches=tuple(batches),
+            port_constraints=tuple(port_rows),
+            forces=forces,
+            gravity=self._gravity(),
+            blocks=tuple(blocks),
+            length=self._length(),
+            mass=self._mass(rigid),
+            ground=self.m.identity[None],
+            contacts=self._contacts(),
+            traces=tuple(traces),
+        )
+        return system, self._state(system), sensor_markers
+
+    def _contacts(self) -> Any:
+        """The contact set, None for a scene without contact."""
+        if not self.scene.contacts:
+            return None
+        from .contact import build_contacts
+
+        return build_contacts(self.scene, self.m, self.frame_of, self.fields)
+
+    def _surface_ties(self) -> list[Any]:
+        """Rows of the ties by field multipliers."""
+        if not self.scene.ties:
+            return []
+        from ...mechanics.joints.surface_ties import build_surface_ties
+
+        return build_surface_ties(self.scene.ties, self.fields, self.part_of, self.frame_of)
+
+    # -- checks -------------------------------------------------------------------------------------------------
+    def _check(self) -> None:
+        scene = self.scene
+        if scene.contacts:
+            from .contact import check_contacts
+
+            check_contacts(scene)
+        for joint in scene.joints.values():
+            for side in (joint.a, joint.b):
+                self._known(side, f'Joint "{joint.name}"')
+        for tie in scene.ties.values():
+            for side in (tie.a, tie.b):
+                self._known(side, f'Tie "{tie.name}"')
+        for force in scene.forces.values():
+            for side in (force.a, force.b):
+                if side is not None:
+                    self._known(side, f'Force "{force.name}"')
+        for body in scene.bodies.values():
+            if isinstance(body, FloatingBody) and body.frame is None:
+                raise InputError(
+                    f'Body "{body.name}" has no frame: its rigid motion is not determined. Use frame=MeanAxis() or Attached(...).'
+                )
+
+    def _known(self, side: Any, what: str) -> None:
+        if side is ground:
+            return
+        body = side.body if isinstance(side, Surface) else side
+        found = self.scene.bodies.get(getattr(body, "name", ""))
+        if found is not body:
+            name = getattr(body, "name", None)
+            named = f'body "{name}"' if name else repr(side)
+            raise InputError(
+                f"{what} refers to {named}, which is not in the scene. {near(name or '', self.scene.bodies)}"
+            )
+        if isinstance(side, FloatingBody | AbsoluteBody | ReducedBody | Beam | LineBody):
+            raise InputError(
+                f'{what}: attach to a surface of the elastic body "{body.name}", say {body.name}.surface("...").'
+            )
+
+    def _surfaces_in_use(self) -> dict[str, list[str]]:
+        used: dict[str, list[str]] = {n: [] for n in self.scene.bodies}
+        sides = [s for j in self.scene.joints.values() for s in (j.a, j.b)]
+        sides += [s for f in self.scene.forces.values() for s in (f.a, f.b)]
+        sides += [s.on for s in self.scene.sensors.values()]
+        for side in sides:
+            if isinstance(side, Surface) and side.name not in used[side.body.name]:
+                used[side.body.name].append(side.name)
+        return used
+
+    # -- bodies -------------------------------------------------------------------------------------------------
+    def _put_part(self, part: Any, q: Array, v: Array) -> None:
+        """Add a part with its local coordinates and rates at the start; parts in the core come first."""
+        self.part_of[part.name] = len(self.fields)
+        self.fields.append(part)
+        self.starts.append((q, v))
+
+    def _add_reduced(self, body: ReducedBody | Beam, surfaces: list[str]) -> None:
+        frame = self.frame_of[body.name]
+        self._put_part(reduced_part(body, frame, surfaces), *body.start_local())
+        self.poses[frame] = self.m.pose(body.constants.center)
+        if isinstance(body, ReducedBody):
+            self.poses[frame], self.twists[frame] = body.start_frame()
+
+    def _add_field(self, body: FloatingBody | AbsoluteBody, surfaces: list[str], ground_frame: int) -> None:
+        from ...fem.mixed import make_field
+        from ...mechanics.bodies.absolute import AbsoluteField
+        from ...mechanics.bodies.floating import FloatingField
+        from ...mechanics.bodies.floating_start import framed_start
+
+        field_ = make_field(body.name, body.mesh, body.forms())
+        if self.scene.contacts:
+            from .contact import make_massless
+
+            make_massless(self.scene, body, field_)
+        if isinstance(body, AbsoluteBody):
+            U, Ud = initial_fields(body, field_)
+            d, twist = self.m.dim, body.start_twist()
+            arm = field_.X + U.reshape(-1, d)
+            Ud = Ud + (twist[:d] + self.m.spin(twist[None, d:], arm)).ravel()
+            self._put_part(AbsoluteField(field_, ground_frame, surfaces), U, Ud)
+            return
+        require(
+            not field_.carried,
+            f'Body "{body.name}": an energy whose pressure is an unknown needs an AbsoluteBody. In a floating frame use '
+            "neo_hookean_mixed, or nearly_incompressible as elastic.",
+        )
+        frame = self.frame_of[body.name]
+        part = FloatingField(field_, frame, surfaces, body.frame, body.held_at)
+        start = framed_start(body, field_, part.conditions)
+        self._put_part(part, start.U, start.Ud)
+        self.poses[frame], self.twists[frame] = start.pose, start.twist
+
+    def _rigid_block(self, rigid: list[RigidBody]) -> Any:
+        from ...mechanics.placements import RigidBlock
+
+        if not rigid:
+            return None
+        return RigidBlock(
+            self.m,
+            np.array([self.frame_of[b.name] for b in rigid]),
+            np.array([float(b.mass) for b in rigid]),
+            np.array([b.inertia_matrix for b in rigid]),
+        )
+
+    def _mass(self, rigid: list[RigidBody]) -> float:
+        return sum(b.mass for b in rigid) + sum(p.mass_total for p in self.fields if hasattr(p, "mass_total"))
+
+    def _length(self) -> float:
+        points = [q[: self.m.dim] for q in self.poses]
+        points += [x for j in self.scene.joints.values() for x in (j.center_a, j.center_b) if x is not None]
+        spread = np.ptp(np.array(points), axis=0) if points else np.zeros(1)
+        return max([float(np.linalg.norm(spread)), *(p.size for p in self.fields if hasattr(p, "size"))]) or 1.0
+
+    def _gravity(self) -> Callable[[float], Array]:
+        d, ramp = self.m.dim, self.scene.gravity_ramp
+        g = np.zeros(d) if self.scene.gravity is None else np.asarray(self.scene.gravity, dtype=float)[:d]
+        require(
+            g.shape == (d,) and bool(np.isfinite(g).all()),
+            f'Scene "{self.scene.name}": gravity {self.scene.gravity} must be {d} finite numbers.',
+        )
+        require(ramp >= 0, f'Scene "{self.scene.name}": gravity_ramp {ramp} s must not be negative.')
+        if ramp == 0:
+            return lambda t: g
+        return lambda t: g * smooth_step(t, ramp)
+
+    # -- markers ------------------------------------------------------------------------------------------------
+    def _marker(self, side: Any, point: Array | None) -> int:
+        """Number of a new marker on an attachment at a world point (None: centroid or origin); world axes at the start."""
+        d = self.m.dim
+        if isinstance(side, Surface):
+            part = self.fields[self.part_of[side.body.name]]
+            center = part.surface_center(side.name)
+            lever = np.zeros(d) if point is None else np.asarray(point)[:d] - center
+            self.keys.append((part.frame, lever, np.eye(d), side))
+        elif side is ground:
+            self.keys.append(
+                (len(self.poses), np.zeros(d) if point is None else np.asarray(point)[:d], np.eye(d), None)
+            )
+        else:
+            locked = getattr(side, "locked", False)
+            pose = side.start_pose()
+            R = self.m.matrix(pose)
+            where = pose[:d] if point is None else np.asarray(point)[:d]
+            if locked:
+                self.keys.append((len(self.poses), where, np.eye(d), None))
+            else:
+                self.keys.append((self.frame_of[side.name], R.T @ (where - pose[:d]), R.T, None))
+        return len(self.keys) - 1
+
+    def _default_point(self, joint: Joint) -> Array | None:
+        """Where a joint without a center sits: the centroid of a surface, else the origin of its moving body."""
+        for side in (joint.a, joint.b):
+            if isinstance(side, Surface):
+                return self.fields[self.part_of[side.body.name]].surface_center(side.name)
+        for side in (joint.b, joint.a):
+            if isinstance(side, RigidBody):
+                return side.start_pose()[: self.m.dim]
+        return None
+
+    def _markers(self) -> Markers:
+        d = self.m.dim
+        surface = [i for i, k in enumerate(self.keys) if k[3] is not None]
+        ports = []
+        for i in surface:
+            side = self.keys[i][3]
+            k = self.part_of[side.body.name]
+            part = self.fields[k]
+            start = sum(f.n_port for f in self.fields[:k]) + part.n_frame_rows
+            names = self._surfaces_in_use()[side.body.name]
+            per = d * (1 + d)
+            start += names.index(side.name) * per
+            ports.append(np.arange(start, start + per))
+        n = len(self.keys)
+        section = np.array([isinstance(self.keys[i][3].body, LineBody) for i in surface], dtype=bool)
+        return Markers(
+            self.m,
+            np.array([k[0] for k in self.keys], dtype=int),
+            np.array([k[1] for k in self.keys]).reshape(n, d),
+            np.array([k[2] for k in self.keys]).reshape(n, d, d),
+            np.array(surface, dtype=int),
+            np.array(ports, dtype=int).reshape(len(surface), d * (1 + d)),
+            section if section.any() else None,
+        )
+
+    def _loads(self) -> tuple[Loads, ...]:
+        """The forces of the scene in batches of one kind."""
+        groups: dict[Any, list[tuple[Force, tuple[int, int]]]] = {}
+        for f in self.scene.forces.values():
+            s = f.coordinate
+            if s is not None and s.joint.name not in self.joint_markers:
+                raise InputError(
+                    f'Force "{f.name}" acts on joint "{s.joint.name}", which is not in the scene. '
+                    f"{near(s.joint.name, self.joint_markers)}"
+                )
+            kind = Separation if s is None else s.kind
+            markers = self._force_markers(f) if s is None else self.joint_markers[s.joint.name]
+            groups.setdefault((f.batch, kind), []).append((f, markers))
+        out: list[Loads] = []
+        for (batch, kind), found in groups.items():
+            fs, ms = [f for f, _ in found], [m for _, m in found]
+            if batch is ScalarLoads:
+                out.append(ScalarLoads(self.m, fs, ms, self._relative(kind, fs, ms)))
+            else:
+                out.append(batch(self.m, fs, ms))
+        return tuple(out)
+
+    def _relative(self, kind: type[Relative], fs: list[Force], ms: list[tuple[int, int]]) -> Relative:
+        if fs[0].coordinate is not None:
+            return relative_of(
+                self.m, kind, [(f.coordinate, a, b) for f, (a, b) in zip(fs, ms, strict=True) if f.coordinate]
+            )
+        markers = np.array(ms)
+        return kind(self.m, markers[:, 0], markers[:, 1], np.zeros((len(fs), self.m.dim)))
+
+    def _force_markers(self, f: Force) -> tuple[int, int]:
+        a = self._marker(f.a, None if f.point_a is None else np.asarray(f.point_a, dtype=float))
+        b = a if f.b is None else self._marker(f.b, None if f.point_b is None else np.asarray(f.point_b, dtype=float))
+        return a, b
+
+    def _sensor_marker(self, s: Sensor) -> int:
+        if s.on is None:
+            return -1
+        self._known(s.on, "A sensor")
+        return self._marker(s.on, None if s.point is None else np.asarray(s.point, dtype=float))
+
+    # -- constraints ----------------------------------------------------------------------------------------------
+    def _constraints(
+        self, traces: list[Any]
+    ) -> tuple[list[tuple[Batch, np.ndarray]], list[tuple[PortConstraint, slice]], list[RowBlock]]:
+        collected = JointRows(self.m)
+        for joint in self.scene.joints.values():
+            default = None if joint.kind == "distance" else self._default_point(joint)
+            a = self._marker(joint.a, default if joint.center_a is None else joint.center_a)
+            b = self._marker(joint.b, default if joint.center_b is None else joint.center_b)
+            collected.add(joint, (a, b))
+        row, blocks, self.joint_markers = collected.row, collected.blocks, collected.markers
+        own = []
+        for k, part in enumerate(self.fields):
+            body = getattr(part, "body", None)
+            if isinstance(body, CoordinateBody) and body.constraint is not None:
+                law = own_constraint(body, k)
+                m = len(law.values(np.asarray(body.start), 0.0))
+                own.append((law, slice(row, row + m)))
+                blocks.append(RowBlock(body.name, slice(row, row + m), "constraint"))
+                row += m
+        for law, rows in (sliding := slider_rows(self.scene, self.fields, self.part_of, row)):
+            if rows.start >= row:
+                blocks.append(RowBlock(law.name, rows, "sliding contact"))
+                row = rows.stop
+        own += sliding
+        for i, tie in enumerate(traces):
+            traces[i] = (tie, slice(row, row + tie.rows))
+            blocks.append(RowBlock(tie.name, traces[i][1], "surface tie"))
+            row += tie.rows
+        for part in self.fields:
+            if part.n_frame_rows:
+                blocks.append(RowBlock(f"frame of {part.name}", slice(row, row + part.n_frame_rows), "frame"))
+                row += part.n_frame_rows
+        return collected.batches(), own, blocks
+
+    # -- start ----------------------------------------------------------------------------------------------------
+    def _state(self, system: System) -> State:
+        q = [*self.poses, *(u for u, _ in self.starts)]
+        v = [*self.twists, *(ud for _, ud in self.starts)]
+        return State(0.0, np.concatenate(q), np.concatenate(v), np.zeros(system.n_v), np.zeros(system.n_lam))

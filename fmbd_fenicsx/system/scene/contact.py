@@ -1,0 +1,164 @@
+"""Contacts of a scene as arrays: traces, pairs, massless nodes. Loaded only by scenes that have contacts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError, named, near, require
+from ...log import log
+from ...mechanics.bodies.bodies import RigidBody, Surface
+from ...mechanics.contact.contact import Contact, RigidPoints
+from ...mechanics.contact.mass import redistribute_mass
+from ...mechanics.contact.rows import Carrier, ContactSet, ObstaclePair, Side
+from ...mechanics.contact.shapes import Obstacle
+from ...mechanics.contact.trace import Trace, surface_nodes
+from ...rotations import Array, Motions
+
+
+def check_contacts(scene: Any) -> None:
+    """Every body of a contact must be in the scene."""
+    for c in scene.contacts.values():
+        for side in (c.slave, c.master):
+            body = side.on if isinstance(side, Obstacle) else side.body
+            if body is not None and scene.bodies.get(body.name) is not body:
+                raise InputError(
+                    f'Contact "{c.name}" refers to {side!r}, whose body is not in the scene. '
+                    f"{near(body.name, scene.bodies)}"
+                )
+
+
+def contact_surfaces(scene: Any, body: Any) -> list[str]:
+    """Names of the surfaces of a body that take part in contacts."""
+    found: list[str] = []
+    for c in scene.contacts.values():
+        for side in (c.slave, c.master):
+            if isinstance(side, Surface) and side.body is body and side.name not in found:
+                found.append(side.name)
+    return found
+
+
+def make_massless(scene: Any, body: Any, field: Any) -> None:
+    """Take the inertia off the nodes of a body that may touch as slaves; collective."""
+    names = [
+        c.slave.name
+        for c in map(oriented, scene.contacts.values())
+        if isinstance(c.slave, Surface) and c.slave.body is body and c.redistribute_mass
+    ]
+    if not names:
+        return
+    redistribute_mass(field, surface_nodes(field, sorted(set(names))))
+
+
+def build_contacts(scene: Any, motions: Motions, frame_of: dict[str, int], parts: list[Any]) -> ContactSet:
+    """The contact set of a scene; ``frame_of`` body -> frame, ``parts`` in the system's order. Collective."""
+    n_frames = len(frame_of)
+    n_core = n_frames * motions.n_twist + sum(p.n for p in parts if not p.distributed)
+    traces: list[Trace] = []
+    number: dict[str, int] = {}
+    for k, part in enumerate(parts):
+        body = scene.bodies.get(part.name)
+        names = [] if body is None else contact_surfaces(scene, body)
+        if names:
+            number[body.name] = len(traces)
+            traces.append(Trace(k, part, names, part.frame < n_frames))
+    pairs = tuple(_pair(c, motions, frame_of, (traces, number)) for c in map(oriented, scene.contacts.values()))
+    return ContactSet(motions, pairs, tuple(traces), n_core)
+
+
+def _pair(c: Contact, m: Motions, frame_of: dict[str, int], known: tuple[list[Trace], dict[str, int]]) -> Any:
+    traces, number = known
+    if isinstance(c.slave, RigidPoints):
+        require(
+            not c.slave.body.locked,
+            f'Contact "{c.name}": the slave body "{c.slave.body.name}" is locked; it cannot move.',
+        )
+        side = Side(-1, None, frame_of[c.slave.body.name], c.slave.points, c.slave.radius)
+    else:
+        i = number[c.slave.body.name]
+        side = Side(i, traces[i].surfaces[c.slave.name], traces[i].frame, np.zeros((0, m.dim)), 0.0)
+    if isinstance(c.master, Surface):
+        return _mortar_pair(c, side, known)
+    return ObstaclePair(
+        c.name, side, c.master.shape, _carrier(c.name, c.master, m, frame_of), c.friction, c.restitution, c.search,
+        c.redistribute_mass,
+    )  # fmt: skip
+
+
+def _mortar_pair(c: Contact, slave: Side, known: tuple[list[Trace], dict[str, int]]) -> Any:
+    from ...fem.traces.traces import trace_of
+    from ...mechanics.contact.mortar import MortarPair
+
+    traces, number = known
+    i = number[c.master.body.name]
+    master = Side(i, traces[i].surfaces[c.master.name], traces[i].frame, slave.points, 0.0)
+    facets = tuple(
+        trace_of(traces[s.trace].field.space, traces[s.trace].field.mesh, name)
+        for s, name in ((slave, c.slave.name), (master, c.master.name))
+    )
+    return MortarPair(c.name, (slave, master), (facets[0], facets[1]), traces, c)
+
+
+@lru_cache(maxsize=256)
+def oriented(c: Contact) -> Contact:
+    """The pair with the finer of two elastic surfaces as slave; collective."""
+    if not isinstance(c.master, Surface):
+        return c
+    h = [_facet_size(s) for s in (c.slave, c.master)]
+    if h[0] <= h[1] * (1 + 1e-9):
+        return c
+    log.info(
+        'contact "%s": %r is the slave, its facets are smaller (%.3g m against %.3g m)',
+        c.name,
+        c.master,
+        h[1],
+        h[0],
+    )
+    return replace(c, slave=c.master, master=c.slave)
+
+
+def _facet_size(surface: Surface) -> float:
+    """Mean diameter of the facets of a surface, m; collective."""
+    mesh = surface.body.mesh
+    tags, msh = mesh.facet_tags, mesh.dolfinx
+    facets = tags.find(mesh.surface_tag(surface.name))
+    own = facets[facets < msh.topology.index_map(mesh.dim - 1).size_local]
+    found = msh.comm.allgather((float(msh.h(mesh.dim - 1, own).sum()) if len(own) else 0.0, len(own)))
+    return sum(s for s, _ in found) / max(sum(n for _, n in found), 1)
+
+
+def _carrier(name: str, obstacle: Obstacle, m: Motions, frame_of: dict[str, int]) -> Carrier:
+    """Where an obstacle sits."""
+    if obstacle.motion is not None:
+        return Carrier(-1, m.identity, _prescribed(obstacle, m))
+    if obstacle.on is None:
+        return Carrier(-1, m.identity, None)
+    if not isinstance(obstacle.on, RigidBody):
+        raise InputError(
+            f'Contact "{name}": obstacle "{obstacle.name}" must be carried by a rigid body, found {obstacle.on!r}.'
+        )
+    if obstacle.on.locked:
+        return Carrier(-1, obstacle.on.start_pose(), None)
+    return Carrier(frame_of[obstacle.on.name], m.identity, None)
+
+
+def _prescribed(obstacle: Obstacle, m: Motions) -> Callable[[float], Array]:
+    motion = obstacle.motion
+    assert motion is not None
+    motion = named("The motion of obstacle", obstacle.name, motion)
+
+    def pose(t: float) -> Array:
+        found = motion(t)
+        require(
+            isinstance(found, tuple) and len(found) == 2,
+            f'Obstacle "{obstacle.name}": motion(t) must return (position, rotation), found {found!r}.',
+        )
+        q = m.pose(np.asarray(found[0], dtype=float)[: m.dim], found[1])
+        require(bool(np.isfinite(q).all()), f'Obstacle "{obstacle.name}": motion({t:g}) is not finite.')
+        return q
+
+    return pose

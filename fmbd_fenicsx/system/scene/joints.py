@@ -1,0 +1,107 @@
+"""The joints of a scene as batches of constraint rows: part of building a :class:`~fmbd_fenicsx.system.system.System`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...errors import InputError, named, near, require
+from ...mechanics.joints.constraints import Batch, Pair
+from ...mechanics.joints.couplings import CouplingBatch, OwnBatch
+from ...mechanics.joints.drives import Coupling, JointCoordinate, OwnJoint
+from ...mechanics.joints.joints import Joint
+from ...mechanics.joints.relative import Relative, Separation, Turn
+from ...rotations import Motions
+from ..system import RowBlock
+
+
+@dataclass
+class JointRows:
+    """Collects the rows of joints; ``marker`` gives the markers (a, b) of a joint."""
+
+    motions: Motions
+    row: int = 0
+    blocks: list[RowBlock] = field(default_factory=list)
+    markers: dict[str, tuple[int, int]] = field(default_factory=dict)
+    _kinds: dict[type[Batch], tuple[list[Pair], list[int]]] = field(default_factory=dict)
+    _couplings: list[tuple[Coupling, int]] = field(default_factory=list)
+    _own: list[tuple[OwnJoint, int, int]] = field(default_factory=list)
+
+    def add(self, joint: Joint, markers: tuple[int, int]) -> None:
+        """Append the rows of one joint with its markers."""
+        if isinstance(joint, Coupling):
+            markers = self.markers.get(joint.terms[0][0].joint.name, markers)
+        self.markers[joint.name] = markers
+        first, (a, b) = self.row, markers
+        for r in joint.rows:
+            pairs, rows = self._kinds.setdefault(r.kind, ([], []))
+            pairs.append(Pair(r.kind, a, b, r.direction, r.other, joint.length, r.motion, r.axis))
+            rows.append(self.row)
+            self.row += 1
+        if isinstance(joint, Coupling):
+            self._couplings.append((joint, self.row))
+            self.row += 1
+        if isinstance(joint, OwnJoint):
+            size = self._size(joint)
+            self._own.append((joint, self.row, size))
+            self.row += size
+        self.blocks.append(RowBlock(joint.name, slice(first, self.row), joint.kind, a, b))
+
+    def _size(self, joint: OwnJoint) -> int:
+        """Number of rows of a joint of the user's own, by one call."""
+        d = self.motions.dim
+        point = np.zeros(d) if joint.center_a is None else joint.center_a
+        function = named("The constraint of joint", joint.name, joint.function)  # (x_a, R_a, x_b, R_b, t)
+        found = np.atleast_1d(np.asarray(function(point, np.eye(d), point, np.eye(d), 0.0)))
+        require(
+            found.ndim == 1 and found.size > 0,
+            f'Joint "{joint.name}": its function returned {found!r}, expected (m,) numbers.',
+        )
+        return found.size
+
+    def batches(self) -> list[tuple[Batch, np.ndarray]]:
+        """All batches with the numbers of their rows."""
+        out: list[tuple[Batch, np.ndarray]] = [
+            (kind(self.motions, p), np.array(r)) for kind, (p, r) in self._kinds.items()
+        ]
+        if self._couplings:
+            out.append((self._coupling_batch(), np.array([row for _, row in self._couplings])))
+        for joint, first, size in self._own:
+            batch = OwnBatch(self.motions, joint.name, joint.function, self.markers[joint.name])
+            out.append((batch, np.arange(first, first + size)))
+        return out
+
+    def _coupling_batch(self) -> CouplingBatch:
+        found: dict[type[Relative], list[tuple[JointCoordinate, int, float]]] = {}
+        for i, (joint, _) in enumerate(self._couplings):
+            for s, c in joint.terms:
+                if s.joint.name not in self.markers:
+                    raise InputError(
+                        f'Joint "{joint.name}" uses a coordinate of joint "{s.joint.name}", which is not in the scene before it. '
+                        + near(s.joint.name, self.markers)
+                    )
+                found.setdefault(s.kind, []).append((s, i, c))
+        terms = []
+        for kind, entries in found.items():
+            relative = relative_of(self.motions, kind, [(s, *self.markers[s.joint.name]) for s, _, _ in entries])
+            terms.append(
+                (
+                    relative,
+                    np.array([i for _, i, _ in entries]),
+                    np.array([c for *_, c in entries], dtype=float),
+                )
+            )
+        return CouplingBatch(terms, [joint.motion for joint, _ in self._couplings])
+
+
+def relative_of(m: Motions, kind: type[Relative], entries: Iterable[tuple[JointCoordinate, int, int]]) -> Relative:
+    """The batch of joint coordinates of one kind from (coordinate, marker a, marker b)."""
+    found = list(entries)
+    e = [
+        np.zeros(m.dim) if s.joint.axis is None or (kind is Turn and m.dim == 2) else s.joint.axis for s, _, _ in found
+    ]
+    if kind is Separation:
+        e = [np.zeros(m.dim)] * len(found)
+    return kind(m, np.array([a for _, a, _ in found]), np.array([b for _, _, b in found]), np.array(e))

@@ -1,0 +1,104 @@
+"""The scene: what a user builds of bodies, joints, forces and sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from ...errors import InputError, require
+from ...log import log
+from ...mechanics.bodies.beams import Beam
+from ...mechanics.bodies.bodies import AbsoluteBody, CoordinateBody, FloatingBody, RigidBody
+from ...mechanics.bodies.line_body import LineBody
+from ...mechanics.catenary.sliding import SlidingContact
+from ...mechanics.catenary.wires import Wires
+from ...mechanics.forces.forces import Force
+from ...mechanics.joints.drives import JointCoordinate
+from ...mechanics.joints.joints import Joint
+from ...mechanics.reduction.craig_bampton import ReducedBody
+from ..mobility import Mobility, check, loose_bodies
+from ..sensors.sensors import JointReading, Sensor
+from ..system import State, System
+from .build import Builder
+
+BODIES = (RigidBody, FloatingBody, AbsoluteBody, ReducedBody, Beam, LineBody, CoordinateBody, Wires)
+
+
+@dataclass
+class Scene:
+    """Bodies, joints, forces and sensors under gravity.
+
+    Args:
+        name: what messages call the scene.
+        gravity: acceleration in m/s^2, world axes, (d,) or (3,); None for no gravity.
+        gravity_ramp: duration (s) of a smooth switch-on of gravity; 0 for gravity from the start.
+        settle: start at rest in the static equilibrium near the given placement (loads of t = 0) instead of in the placement.
+        breakpoints: times (s) at which loads or drives are not smooth; schemes with error control hit them exactly.
+    """
+
+    name: str
+    gravity: Sequence[float] | None = None
+    gravity_ramp: float = 0.0
+    breakpoints: Sequence[float] = ()
+    settle: bool = False
+    bodies: dict[str, Any] = field(default_factory=dict)
+    joints: dict[str, Joint] = field(default_factory=dict)
+    forces: dict[str, Force] = field(default_factory=dict)
+    sensors: dict[str, Sensor] = field(default_factory=dict)
+    contacts: dict[str, Any] = field(default_factory=dict)
+    sliders: dict[str, SlidingContact] = field(default_factory=dict)
+    ties: dict[str, Any] = field(default_factory=dict)
+
+    def add(self, *parts: Any) -> None:
+        """Add bodies, joints, forces and contacts; names must be unique among each."""
+        for part in parts:
+            if isinstance(part, BODIES):
+                self._put(self.bodies, part, "body")
+            elif isinstance(part, SlidingContact):
+                self._put(self.sliders, part, "sliding contact")
+            elif isinstance(part, Joint):
+                self._put(self.joints, part, "joint")
+            elif isinstance(part, Force):
+                self._put(self.forces, part, "force")
+            elif hasattr(part, "space") and hasattr(part, "sliding"):  # a SurfaceTie, without loading its module
+                self._put(self.ties, part, "tie")
+            elif hasattr(part, "slave") and hasattr(part, "master"):  # a Contact, without loading its module
+                self._put(self.contacts, part, "contact")
+            else:
+                raise InputError(f"A scene takes bodies, joints, forces and contacts; found {part!r}.")
+
+    def sensor(self, name: str, quantity: Sensor | JointCoordinate) -> str:
+        """Record a quantity in every run, say ``scene.sensor("tip", fmbd.position(rod.surface("tip")))``; returns the name."""
+        require(name not in self.sensors, f'Two sensors are called "{name}".')
+        if isinstance(quantity, JointCoordinate):
+            quantity = JointReading(None, quantity.unit, coordinate=quantity)
+        require(isinstance(quantity, Sensor), f'Sensor "{name}": expected a quantity such as fmbd.position(...).')
+        self.sensors[name] = quantity
+        return name
+
+    def _put(self, where: dict[str, Any], part: Any, what: str) -> None:
+        require(part.name not in where and part.name != "ground", f'Two {what}s are called "{part.name}".')
+        where[part.name] = part
+
+    def check(self, *, deep: bool = False) -> Mobility:
+        """Degrees of freedom, redundant rows by joint, and what looks unusual; print it. Collective.
+
+        ``deep``: compute the inf-sup constants of surface ties too, one by one (also on a halved mesh) and all together, and name
+        those below 0.1 or falling like h.
+        """
+        return check(self, deep)
+
+    def build(self) -> tuple[System, State, dict[str, int]]:
+        """The system, its state as given (not yet consistent), and the marker of each sensor; collective."""
+        for name in loose_bodies(self.bodies, {**self.joints, **self.ties}, self.forces):
+            log.warning('scene "%s": body "%s" is attached to nothing', self.name, name)
+        return Builder(self).build()
+
+    @property
+    def dim(self) -> int:
+        """Space dimension of all bodies."""
+        require(bool(self.bodies), f'Scene "{self.name}" has no body.')
+        dims = {b.dim for b in self.bodies.values() if b.dim is not None} or {2}
+        require(len(dims) == 1, f'Scene "{self.name}" mixes bodies of dimensions {sorted(dims)}.')
+        return int(dims.pop())

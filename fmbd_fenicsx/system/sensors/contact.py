@@ -1,0 +1,127 @@
+"""Contact forces of a step: a state that carries them, and the sensors that read them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError, near
+from ...rotations import Array
+from ..system import Evaluation, State
+from .sensors import Sensor
+
+WORKS = ("contact", "friction", "loads", "joints", "numerical")
+
+
+@dataclass(frozen=True)
+class ContactForces:
+    """Forces on the slaves' candidates during the last step, all ranks alike.
+
+    Attributes: ``names`` of the pairs; ``pair`` (m,) their numbers; ``x``, ``normal`` (m, d); ``gap`` (m,) m
+    at the end of the step; ``normal_force`` (m,) N; ``force`` (m, d) N in world axes; ``pressure`` (m,) N/m^(d-1) (N
+    on rigid points); ``impulse`` (pairs, d) N s and ``work`` (J, in the order of WORKS) since the start; ``time`` s,
+    when the forces act.
+    """
+
+    names: tuple[str, ...]
+    time: float
+    pair: np.ndarray
+    x: Array
+    normal: Array
+    gap: Array
+    normal_force: Array
+    force: Array
+    pressure: Array
+    impulse: Array
+    work: Array
+
+    def of(self, name: str) -> np.ndarray:
+        """Which candidates belong to a pair, (m,) bool."""
+        if name not in self.names:
+            raise InputError(f'No contact "{name}" in this run. {near(name, self.names)}')
+        return self.pair == self.names.index(name)
+
+
+@dataclass(frozen=True)
+class ContactState(State):
+    """A state with the contact forces of the step that led to it."""
+
+    contact: ContactForces | None = field(default=None)
+
+
+def forces_of(state: Any) -> ContactForces:
+    """Contact forces of a state, or an error that says why there are none."""
+    found = getattr(state, "contact", None)
+    if found is None:
+        raise InputError("This run has no contact forces: add a contact to the scene, or use a scheme that treats it.")
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class ContactSensor(Sensor):
+    """A quantity of one pair: "force", "impulse", "pressure", "gap" or "work"; made by the functions
+    below.
+    """
+
+    contact: str = ""
+    quantity: str = "force"
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """The quantity of the last step."""
+        c = forces_of(state)
+        if self.quantity == "work":
+            return c.work.copy()
+        on = c.of(self.contact)
+        if self.quantity == "force":
+            return c.force[on].sum(0)
+        if self.quantity == "impulse":
+            return c.impulse[c.names.index(self.contact)].copy()
+        if self.quantity == "pressure":
+            return c.pressure[on].copy()
+        return np.array([c.gap[on].min(initial=np.inf)])
+
+    def remember(self, m: Any, name: str, x: Array) -> Array:
+        """Pressures are in the order of the candidates."""
+        if self.quantity != "pressure":
+            return super().remember(m, name, x)
+        return np.asarray(m.candidates(name, x.T, m.system.contacts.names.index(self.contact)).T)
+
+    @property
+    def labels(self) -> str:
+        """Forces and impulses have components along the world axes."""
+        return "xyz" if self.quantity in ("force", "impulse") else ""
+
+
+def _name(contact: Any) -> str:
+    return contact if isinstance(contact, str) else str(contact.name)
+
+
+def contact_force(contact: Any) -> Sensor:
+    """Resultant force of a pair on its slave, world axes, N, (d,); it acts in the middle of the last step."""
+    return ContactSensor(None, "N", None, _name(contact), "force")
+
+
+def contact_impulse(contact: Any) -> Sensor:
+    """Impulse of a pair on its slave since the start, world axes, N s, (d,)."""
+    return ContactSensor(None, "N s", None, _name(contact), "impulse")
+
+
+def contact_pressure(contact: Any) -> Sensor:
+    """Pressure at the candidates of a pair, N/m^2 (plane: N/m; rigid points: N), in the order of
+    ``state.contact.x``.
+    """
+    return ContactSensor(None, "N/m^2", None, _name(contact), "pressure")
+
+
+def contact_gap(contact: Any) -> Sensor:
+    """Smallest gap of a pair, m, (1,)."""
+    return ContactSensor(None, "m", None, _name(contact), "gap")
+
+
+def contact_work() -> Sensor:
+    """Work since the start, J, (5,): of contact forces, friction, applied loads, driven joints, and the
+    numerical rest.
+    """
+    return ContactSensor(None, "J", None, "", "work")

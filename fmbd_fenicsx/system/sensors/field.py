@@ -1,0 +1,66 @@
+"""Sensors of elastic fields: the largest value of a quantity given in UFL, such as a stress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...errors import require
+from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody
+from ...mechanics.reduction.craig_bampton import ReducedBody
+from ...rotations import Array
+from ..system import Evaluation, State
+from .sensors import Sensor
+
+
+@dataclass(frozen=True, eq=False)
+class Largest(Sensor):
+    """See :func:`largest`."""
+
+    body: Any = None
+    quantity: Callable[[Any], Any] = None  # type: ignore[assignment]
+    degree: int = 2
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """The largest value over the body, (1,); collective."""
+        key = f"largest {id(self)}"
+        if key not in ev.system.cache:
+            ev.system.cache[key] = self._prepare(ev)
+        k, u, expression, cells, basis = ev.system.cache[key]
+        local = ev.system.local_q(state.q, k)
+        nodal = local if basis is None else basis @ local
+        u.x.array[: len(nodal)] = nodal
+        u.x.scatter_forward()
+        mesh = u.function_space.mesh
+        values = expression.eval(mesh, cells) if len(cells) else np.full(1, -np.inf)
+        return np.array([max(mesh.comm.allgather(float(values.max())))])
+
+    def _prepare(self, ev: Evaluation) -> tuple[Any, ...]:
+        import basix
+        from dolfinx import fem
+
+        k = next(k for k, part in enumerate(ev.system.parts) if part.name == self.body.name)
+        part: Any = ev.system.parts[k]
+        modes = part.body.reduction if isinstance(self.body, ReducedBody) else None
+        space = part.field.space if modes is None else modes.space
+        u = fem.Function(space)
+        points, _ = basix.make_quadrature(space.mesh.basix_cell(), self.degree)
+        expression = fem.Expression(self.quantity(u), points)
+        cells = np.arange(space.mesh.topology.index_map(space.mesh.topology.dim).size_local, dtype=np.int32)
+        return k, u, expression, cells, None if modes is None else modes.phi
+
+
+def largest(body: Any, quantity: Callable[[Any], Any], *, unit: str = "Pa", degree: int = 2) -> Sensor:
+    """Largest value over an elastic body of a scalar quantity(u) in UFL, u the displacement in the body's axes.
+
+    Taken at the points of a quadrature rule of the given degree in each cell. Say the Mises stress:
+    ``scene.sensor("stress", fmbd.largest(rod, lambda u: sqrt(...)))``. Collective, each time it is read.
+    """
+    require(
+        isinstance(body, FloatingBody | AbsoluteBody | ReducedBody),
+        f"largest(...) reads an elastic body on a mesh, found {body!r}.",
+    )
+    return Largest(None, unit, None, body, quantity, degree)

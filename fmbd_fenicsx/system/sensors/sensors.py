@@ -1,0 +1,224 @@
+"""Sensors: named quantities recorded in every run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...mechanics.bodies.bodies import Surface
+from ...mechanics.joints.drives import JointCoordinate
+from ...mechanics.joints.relative import Relative
+from ...rotations import Array
+from ..foreshortened_ports import port_acceleration
+from ..scene.joints import relative_of
+from ..system import Evaluation, State
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """A quantity of one instant. ``on`` is the attachment whose marker it reads (None: none), ``unit`` labels axes."""
+
+    on: Any
+    unit: str
+    point: Sequence[float] | None = None
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """The value, a flat array; collective."""
+        raise NotImplementedError
+
+    def remember(self, m: Any, name: str, x: Array) -> Array:
+        """A series of it, (n, size), in a checkpoint; see :mod:`.memory`."""
+        return np.asarray(m(name, x))
+
+    @property
+    def labels(self) -> Sequence[str]:
+        """Names of the components; numbers where there are none."""
+        return ()
+
+
+class _Vector(Sensor):
+    @property
+    def labels(self) -> Sequence[str]:
+        return "xyz"
+
+
+class Position(_Vector):
+    """World position of a point or of a surface's mean, (d,)."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """x, m."""
+        return ev.kin.x[marker].copy()
+
+
+class Velocity(_Vector):
+    """World velocity of a point or of a surface's mean, (d,)."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """x', m/s."""
+        assert ev.kin.twist is not None
+        return ev.kin.twist[marker, : ev.kin.x.shape[1]].copy()
+
+
+class AngularVelocity(_Vector):
+    """World angular velocity of a body or of a surface's mean, (n_rot,)."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """w, rad/s."""
+        assert ev.kin.twist is not None
+        return ev.kin.twist[marker, ev.kin.x.shape[1] :].copy()
+
+
+class Acceleration(_Vector):
+    """World acceleration of a point or of a surface's mean, (d,)."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """x'', m/s^2, from the recorded accelerations."""
+        s, m, kin = ev.system, ev.system.markers, ev.kin
+        assert kin.bias is not None
+        out = kin.bias[marker] + kin.jac_frame[marker] @ s.twists(state.a)[m.frame[marker]]
+        on = np.flatnonzero(m.surface == marker)
+        if on.size:
+            out = out + kin.jac_port[on[0]] @ port_acceleration(ev, state.a)[m.port[on[0]]]
+        return np.asarray(out[: kin.x.shape[1]])
+
+
+class Rotation(Sensor):
+    """Rotation since the start: the angle (plane, in (-pi, pi]) or the matrix row by row (space)."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """Angle (rad) in the plane, the rotation matrix row by row in space."""
+        R = ev.kin.R[marker]
+        return np.array([np.arctan2(R[1, 0], R[0, 0])]) if R.shape[0] == 2 else R.ravel().copy()
+
+
+@dataclass(frozen=True, eq=False)
+class Reaction(Sensor):
+    """Multipliers of a joint: force (and torque) components on the first body, one a row of the joint."""
+
+    joint: str = ""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """The multipliers of the joint."""
+        for block in ev.system.blocks:
+            if block.name == self.joint:
+                return state.lam[block.rows].copy()
+        raise KeyError(self.joint)
+
+
+@dataclass(frozen=True, eq=False)
+class ReactionWrench(_Vector):
+    """Force (N) or torque (N m) of a joint on its first body, world axes, at the joint's point of that body."""
+
+    joint: str = ""
+    torque: bool = False
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """Force and moment of the joint on its first body."""
+        block = ev.system.block(self.joint)
+        d = ev.system.motions.dim
+        wrench = np.zeros(d + ev.system.motions.n_rot)
+        for batch, rows in ev.system.batches:
+            inside = (rows >= block.rows.start) & (rows < block.rows.stop)
+            if not inside.any():
+                continue
+            for number, markers, side in batch.sides(ev.kin, ev.t):
+                at = inside[number] & (markers == block.a)
+                wrench -= state.lam[rows[number[at]]] @ side[at]
+        return wrench[d:] if self.torque else wrench[:d]
+
+
+@dataclass(frozen=True, eq=False)
+class JointReading(Sensor):
+    """A joint coordinate (level 0) or its rate (1), see :func:`fmbd_fenicsx.angle` and ``displacement``."""
+
+    coordinate: JointCoordinate = None  # type: ignore[assignment]
+    level: int = 0
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """Value and rate of the joint coordinate."""
+        s = ev.system
+        key = f"reading {id(self)}"
+        if key not in s.cache:
+            block = s.block(self.coordinate.joint.name)
+            s.cache[key] = relative_of(s.motions, self.coordinate.kind, [(self.coordinate, block.a, block.b)])
+        relative: Relative = s.cache[key]
+        return relative.rates(ev.kin) if self.level else relative.values(ev.kin)
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates(Sensor):
+    """Coordinates of a :class:`~fmbd_fenicsx.CoordinateBody` (level 0), their rates (1) or second rates (2)."""
+
+    body: str = ""
+    level: int = 0
+    names: Sequence[str] = ()
+
+    @property
+    def labels(self) -> Sequence[str]:
+        """The names that were given."""
+        return self.names
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """The coordinates of the body, or their rates."""
+        for k, part in enumerate(ev.system.parts):
+            if part.name == self.body:
+                if self.level == 0:
+                    return ev.system.local_q(state.q, k).copy()
+                return ev.system.local_v(state.v if self.level == 1 else state.a, k).copy()
+        raise KeyError(self.body)
+
+
+def coordinates(body: Any, *, level: int = 0, unit: str = "-", names: Sequence[str] = ()) -> Sensor:
+    """Coordinates of a body with equations of its own or nodal values of a line, or their first or second rates, (n,).
+
+    ``unit`` and ``names`` of these numbers, for figures.
+    """
+    return Coordinates(None, unit, None, body if isinstance(body, str) else body.name, level, names)
+
+
+def joint_rate(coordinate: JointCoordinate) -> Sensor:
+    """Rate of a joint coordinate (rad/s or m/s), (1,); the coordinate itself is a sensor too."""
+    return JointReading(None, coordinate.unit + "/s", coordinate=coordinate, level=1)
+
+
+def reaction_force(joint: Any) -> Sensor:
+    """Force (N) that a joint exerts on its first body, world axes, (d,)."""
+    return ReactionWrench(None, "N", None, joint if isinstance(joint, str) else joint.name)
+
+
+def reaction_torque(joint: Any) -> Sensor:
+    """Torque (N m) that a joint exerts on its first body about the joint's point of that body, world axes, (n_rot,)."""
+    return ReactionWrench(None, "N m", None, joint if isinstance(joint, str) else joint.name, True)
+
+
+def position(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
+    """World position (m) of a point of a rigid body (world coordinates at the start), or of a surface's mean."""
+    return Position(on, "m", point)
+
+
+def velocity(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
+    """World velocity (m/s), as :func:`position`."""
+    return Velocity(on, "m/s", point)
+
+
+def acceleration(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
+    """World acceleration (m/s^2), as :func:`position`; of the scheme's own acceleration at the end of the step."""
+    return Acceleration(on, "m/s^2", point)
+
+
+def rotation(on: Any | Surface) -> Sensor:
+    """Rotation of a body or surface since the start: angle (rad) in the plane, matrix (9 numbers) in space."""
+    return Rotation(on, "rad")
+
+
+def angular_velocity(on: Any | Surface) -> Sensor:
+    """Angular velocity (rad/s) of a body or of a surface's mean, world axes: one number in the plane, three in space."""
+    return AngularVelocity(on, "rad/s")
+
+
+def reaction(joint: Any) -> Sensor:
+    """Multipliers of a joint, (rows,): the force by the joint on its first body in the rows' directions (N, N m)."""
+    return Reaction(None, "N", None, joint if isinstance(joint, str) else joint.name)

@@ -1,0 +1,55 @@
+"""Sensors of wires: heights at a place, forces of the droppers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...rotations import Array
+from ..system import Evaluation, State
+from .sensors import Sensor
+
+
+@dataclass(frozen=True, eq=False)
+class WireHeight(Sensor):
+    """See :func:`wire_height`."""
+
+    body: Any = None
+    wire: int = 0
+    x: tuple[float, ...] = ()
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """Displacements of the wire, m."""
+        k = next(k for k, p in enumerate(ev.system.parts) if p.name == self.body.name)
+        key = f"wire height {id(self)}"
+        if key not in ev.system.cache:
+            import scipy.sparse as sp
+
+            field: Any = ev.system.parts[k].field  # type: ignore[attr-defined]
+            ev.system.cache[key] = sp.vstack([field.row(self.wire, x) for x in self.x]).tocsr()
+        return np.asarray(ev.system.cache[key] @ ev.system.local_q(state.q, k))
+
+
+@dataclass(frozen=True, eq=False)
+class DropperForces(Sensor):
+    """See :func:`dropper_forces`."""
+
+    body: Any = None
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """Tensions, N."""
+        k = next(k for k, p in enumerate(ev.system.parts) if p.name == self.body.name)
+        field: Any = ev.system.parts[k].field  # type: ignore[attr-defined]
+        return np.asarray(field.tension(ev.system.local_q(state.q, k))[0])
+
+
+def wire_height(wires: Any, wire: int, x: Any) -> Sensor:
+    """Displacement (m) of a wire at one or several places x (m), (n,)."""
+    return WireHeight(None, "m", None, wires, wire, tuple(float(xi) for xi in np.atleast_1d(x)))
+
+
+def dropper_forces(wires: Any) -> Sensor:
+    """Tensions (N) of all droppers, 0 for slack ones."""
+    return DropperForces(None, "N", None, wires)

@@ -1,0 +1,164 @@
+"""What a run in progress remembers, written and read by one and the same method of each worker.
+
+A worker with a memory (a stepper, a part with a frozen tangent) has a method
+
+    def remember(self, m: Memory) -> None:
+        self.state = m.state("state", self.state)
+        self.A = m.like_v("A", self.A)
+        self.count = m("count", self.count)
+
+When a checkpoint is written each call takes note of the value and gives it back; when it is read, the call gives the value of
+the checkpoint. Numbers, strings, arrays, lists, tuples, dictionaries and dataclasses of these go through ``m(...)`` and are
+equal on all ranks. What is distributed has calls of its own: it is kept in an order that does not depend on the number of
+ranks (:mod:`fmbd_fenicsx.fem.numbering`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from .system import State, System
+
+
+class Memory:
+    """Names and values of one worker; ``reading`` tells the direction. Methods with arrays of fields are collective."""
+
+    def __init__(self, system: System, values: dict[str, Any] | None = None) -> None:
+        self.system, self.reading = system, values is not None
+        self.values: dict[str, Any] = {} if values is None else values
+
+    def inside(self, name: str) -> Memory:
+        """The memory of a worker inside this one."""
+        if self.reading:
+            return Memory(self.system, self.values[name])
+        made = Memory(self.system)
+        self.values[name] = made.values
+        return made
+
+    def each(self, name: str, items: Sequence[tuple[Any, ...]], width: int) -> Iterator[tuple[Memory, tuple[Any, ...]]]:
+        """A memory for each of several tuples of that width; the tuples hold None when reading."""
+        count = self(f"{name} count", len(items))
+        for k in range(count):
+            yield self.inside(f"{name} {k}"), (None,) * width if self.reading else items[k]
+
+    def __call__(self, name: str, value: Any, *types: type) -> Any:
+        """Plain data, equal on all ranks; ``types``: the dataclasses that it may hold."""
+        if self.reading:
+            return _made(self.values[name], {t.__name__: t for t in types})
+        self.values[name] = _plain(value)
+        return value
+
+    # -- distributed --------------------------------------------------------------------------------------------
+    def nodal(self, name: str, x: Any, numbering: Any) -> Any:
+        """Values at the nodes that this rank owns, (n k,); ``numbering`` None: equal on all ranks."""
+        if numbering is None:
+            return self(name, x)
+        if self.reading:
+            return numbering.pick(self.values[name])
+        self.values[name] = numbering.collect(x)
+        return x
+
+    def like_v(self, name: str, x: Any) -> Any:
+        """An array like v."""
+        return self._parts(name, x, self.system.slices[1], self.system.n_v)
+
+    def like_q(self, name: str, x: Any) -> Any:
+        """An array like q."""
+        return self._parts(name, x, self.system.slices[0], self.system.n_q)
+
+    def _parts(self, name: str, x: Any, slices: list[slice], size: int) -> Any:
+        fields = self.system.fields
+        if not fields:
+            return self(name, x)
+        inner, first = self.inside(name), slices[fields[0][0]].start
+        core = inner("core", None if self.reading else x[:first])
+        own = []
+        for k, part in fields:
+            mine = None if self.reading else x[slices[k]]
+            own.append(inner.nodal(f"part {k}", mine, getattr(part.field, "numbering", None)))
+        return np.concatenate((core, *own)) if self.reading else x
+
+    def candidates(self, name: str, x: Any, pair: int | None = None) -> Any:
+        """Rows of the contacts' candidates, (m, ...), or of those of one pair."""
+        if "candidate order" not in self.system.cache:
+            self.system.cache["candidate order"] = _order(self.system)
+        order = self.system.cache["candidate order"]
+        if pair is not None:
+            counts = [p.count for p in self.system.contacts.pairs]
+            first = sum(counts[:pair])
+            order = order[first : first + counts[pair]] - first
+        if not self.reading:
+            self.values[name] = x[order]
+            return x
+        out = np.empty_like(self.values[name])
+        out[order] = self.values[name]
+        return out
+
+    def state(self, name: str, s: Any) -> Any:
+        """A state, with contact forces where it has some."""
+        m = self.inside(name)
+        none = s is None
+        t = m("t", None if none else s.t)
+        q = m.like_q("q", None if none else s.q)
+        v, a = m.like_v("v", None if none else s.v), m.like_v("a", None if none else s.a)
+        lam = m("lam", None if none else s.lam)
+        touched = m("touched", getattr(s, "contact", None) is not None)
+        if not touched:
+            return State(t, q, v, a, lam) if self.reading else s
+        from .sensors.contact import ContactForces, ContactState
+
+        found, forces = {}, None if none else s.contact
+        for f in dataclasses.fields(ContactForces):
+            keep = m if f.name in ("names", "time", "impulse", "work") else m.candidates
+            found[f.name] = keep(f.name, getattr(forces, f.name, None))
+        return ContactState(t, q, v, a, lam, ContactForces(**found)) if self.reading else s
+
+
+def remember_stepper(stepper: Any, m: Memory) -> None:
+    """Memory of a stepper.
+
+    Raises:
+        InputError: a scheme of the user's own that has none.
+    """
+    if not hasattr(stepper, "remember"):
+        raise InputError(
+            f"{type(stepper).__module__}.{type(stepper).__qualname__} does not say what it remembers: give it a method "
+            "remember(m), see docs/contributing.md, or leave out checkpoint."
+        )
+    stepper.remember(m)
+
+
+def _order(system: System) -> np.ndarray:
+    """Candidates sorted by pair, then by the number of their node that does not depend on the ranks; collective."""
+    pair, nodes = [], []
+    for i, p in enumerate(system.contacts.pairs):
+        at = p.trace_nodes
+        if at is not None:
+            trace = system.contacts.traces[p.slave.trace]
+            at = trace.field.numbering.of[trace.global_nodes(at)]
+        nodes.append(np.arange(p.count) if at is None else at)
+        pair.append(np.full(p.count, i))
+    return np.lexsort((np.concatenate(nodes), np.concatenate(pair)))
+
+
+def _plain(x: Any) -> Any:
+    """Dataclasses as tuples ("dataclass", name, fields), all the way down."""
+    if dataclasses.is_dataclass(x) and not isinstance(x, type):
+        return ("dataclass", type(x).__name__, {f.name: _plain(getattr(x, f.name)) for f in dataclasses.fields(x)})
+    if type(x) in (list, tuple):
+        return type(x)(_plain(y) for y in x)
+    return {k: _plain(y) for k, y in x.items()} if type(x) is dict else x
+
+
+def _made(x: Any, types: dict[str, type]) -> Any:
+    """Back from :func:`_plain`."""
+    if type(x) is tuple and len(x) == 3 and isinstance(x[0], str) and x[0] == "dataclass":
+        return types[x[1]](**{k: _made(y, types) for k, y in x[2].items()})
+    if type(x) in (list, tuple):
+        return type(x)(_made(y, types) for y in x)
+    return {k: _made(y, types) for k, y in x.items()} if type(x) is dict else x
