@@ -10,6 +10,20 @@ import numpy as np
 from .energies import MixedEnergy, StoredEnergy, ViscousForm
 from .errors import require
 
+__all__ = [
+    "kelvin_voigt",
+    "lame",
+    "linear_elastic",
+    "nearly_incompressible",
+    "neo_hookean",
+    "neo_hookean_incompressible",
+    "neo_hookean_mixed",
+    "plane_strain",
+    "plane_stress",
+    "saint_venant_kirchhoff",
+    "sheet_saint_venant_kirchhoff",
+]
+
 Form = Callable[[Any, Any, Any], Any]
 
 

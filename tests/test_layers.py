@@ -9,14 +9,15 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "fmbd_fenicsx"
 FLOORS = [
-    {"errors", "log", "rotations", "dolfinx_compat", "mesh", "materials", "energies"},
+    {"_lazy", "errors", "log", "rotations", "dolfinx_compat", "mesh", "materials", "energies"},
     {"fem"},
     {"mechanics"},
     {"system"},
     {"linear"},
     {"schemes"},
     {"run"},
-    {"post", "__init__", "__main__"},
+    {"post"},
+    {"__init__", "contacts", "forces", "forms", "loads", "multipliers", "sensors", "solvers"},
 ]
 DOORS = {("run", "post")}  # run.report() and run.plot() open post at first use
 LONGEST_FILE, LONGEST_FUNCTION, MOST_PARAMETERS = 450, 90, 6  # what fails; the aim is 300 lines, 40 and 6

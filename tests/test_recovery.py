@@ -11,7 +11,7 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.materials import lame, linear_elastic
-from fmbd_fenicsx.mechanics.reduction.recovery import displacement, stress
+from fmbd_fenicsx.mechanics.reduction.recovery import displacement_field, stress
 
 MODULUS, NU, DENSITY = 5e6, 0.0, 1000.0
 
@@ -41,7 +41,7 @@ def test_stress_of_a_hanging_rod(rod_mesh: Callable[..., Any], kind: str) -> Non
     scene = fmbd.Scene("hanging", gravity=(9.81, 0.0), gravity_ramp=0.5)
     scene.add(body, fmbd.fixed("wall", fmbd.ground, body.surface("pin")))
     run = fmbd.solve(scene, t_end=2.0, dt=1e-2, scheme=fmbd.GeneralizedAlpha(0.5))
-    found = stress(displacement(run, body), sigma)
+    found = stress(displacement_field(run, body), sigma)
     space = found.function_space
     x = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local, 0]
     xx = found.x.array.reshape(-1, 4)[: len(x), 0]

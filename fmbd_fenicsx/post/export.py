@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import InputError, require
 from ..log import on_root
 from ..mechanics.reduction.craig_bampton import ReducedBody
-from ..mechanics.reduction.recovery import displacement, within_cells
+from ..mechanics.reduction.recovery import displacement_field, within_cells
 from ..run.solve import Run
 from ..system.system import State
 from .plot import components
@@ -61,13 +61,13 @@ def _save_body(run: Run, body: Any, folder: Path, quantities: dict[str, Quantity
     from dolfinx import fem, io
 
     file = folder / f"{body.name.replace('/', '_')}.pvd"
-    u = displacement(run, body, run.snapshots[0])
+    u = displacement_field(run, body, run.snapshots[0])
     mesh = u.function_space.mesh
     moved = fem.Function(u.function_space, name="displacement")
     cells = [within_cells(u, quantity, degree=0, name=name) for name, quantity in quantities.items()]
     with io.VTKFile(mesh.comm, file, "w") as out:
         for state in run.snapshots:
-            u.x.array[:] = displacement(run, body, state).x.array
+            u.x.array[:] = displacement_field(run, body, state).x.array
             moved.x.array[:] = _motion(run, body, state, u)
             for function, expression in cells:
                 function.interpolate(expression)

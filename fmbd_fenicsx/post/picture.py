@@ -17,7 +17,7 @@ import numpy as np
 
 from .. import dolfinx_compat as compat
 from ..errors import InputError, require
-from ..mechanics.reduction.recovery import displacement
+from ..mechanics.reduction.recovery import displacement_field
 from ..rotations import Array
 from ..run.solve import Run
 from ..system.system import Evaluation, State
@@ -115,7 +115,7 @@ def painted(run: Run, body: Any, quantity: Any) -> list[Array]:
 
     found = []
     for state in run.snapshots:
-        u = displacement(run, body, state)
+        u = displacement_field(run, body, state)
         V, msh = u.function_space, u.function_space.mesh
         nodes = compat.interpolation_points(V)
         middles = np.array([nodes[t].mean(0) for t in _triangles(np.arange(len(nodes)))])

@@ -1,1 +1,5 @@
-"""Time integrators. A scheme is frozen data; its stepper sees a system only through balance, constraints and the linear solve."""
+"""Time integration: one-step and multistep schemes, schemes with impacts; forms, consistent starts, Newton, step control."""
+
+from .._lazy import attach
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -9,7 +9,7 @@ from ...errors import InputError
 from .craig_bampton import ReducedBody
 
 
-def displacement(run: Any, body: Any, state: Any = None) -> Any:
+def displacement_field(run: Any, body: Any, state: Any = None) -> Any:
     """Displacements u of an elastic body as a dolfinx Function on its mesh, in its frame's axes; collective.
 
     Works for floating, reduced and absolute bodies. ``state``: an entry of ``run.snapshots``; the last state by default.
@@ -38,7 +38,7 @@ def displacement(run: Any, body: Any, state: Any = None) -> Any:
 def stress(u: Any, sigma: Callable[[Any], Any], *, degree: int = 1) -> Any:
     """sigma(u), the user's UFL stress (or any tensor), as a Function, discontinuous between cells; collective.
 
-    ``u`` from :func:`displacement`. The degree of the result is that of sigma(u): one less than that of u for linear bodies.
+    ``u`` from :func:`displacement_field`. The degree of the result is that of sigma(u): one less than that of u for linear bodies.
     """
     out, expression = within_cells(u, sigma, degree=degree, name="stress")
     out.interpolate(expression)

@@ -118,7 +118,8 @@ class Stiffening:
 
     def shortening(self, surfaces: Sequence[str], first: int, n_port: int) -> Shortening | None:
         """(1) of ``mechanics.reduction.foreshortening`` for the ports of surfaces in this order, the first at number
-        ``first``."""
+        ``first``.
+        """
         m, d, f = self.field.motions, self.field.dim, self.field
         G: list[Any] = []
         blocks: list[Array] = []

@@ -1,0 +1,18 @@
+"""Contact: shapes of obstacles, points and surfaces of rigid bodies that touch, unilateral ties."""
+
+from .mechanics.contact.contact import ball, corners, cylinder_end
+from .mechanics.contact.shapes import Box, Cylinder, HalfSpace, Obstacle, SignedDistance, Sphere
+from .schemes.impacts.unilateral import Unilateral
+
+__all__ = [
+    "Box",
+    "Cylinder",
+    "HalfSpace",
+    "Obstacle",
+    "SignedDistance",
+    "Sphere",
+    "Unilateral",
+    "ball",
+    "corners",
+    "cylinder_end",
+]

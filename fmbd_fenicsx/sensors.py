@@ -1,0 +1,41 @@
+"""Sensors: what a run records."""
+
+from .mechanics.joints.drives import angle, displacement
+from .system.sensors.contact import contact_force, contact_gap, contact_impulse, contact_pressure, contact_work
+from .system.sensors.field import largest
+from .system.sensors.sensors import (
+    acceleration,
+    angular_velocity,
+    coordinates,
+    joint_rate,
+    position,
+    reaction,
+    reaction_force,
+    reaction_torque,
+    rotation,
+    velocity,
+)
+from .system.sensors.wires import dropper_forces, wire_height
+
+__all__ = [
+    "acceleration",
+    "angle",
+    "angular_velocity",
+    "contact_force",
+    "contact_gap",
+    "contact_impulse",
+    "contact_pressure",
+    "contact_work",
+    "coordinates",
+    "displacement",
+    "dropper_forces",
+    "joint_rate",
+    "largest",
+    "position",
+    "reaction",
+    "reaction_force",
+    "reaction_torque",
+    "rotation",
+    "velocity",
+    "wire_height",
+]
