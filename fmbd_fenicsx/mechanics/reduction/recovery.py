@@ -38,7 +38,7 @@ def displacement_field(run: Any, body: Any, state: Any = None) -> Any:
 def stress(u: Any, sigma: Callable[[Any], Any], *, degree: int = 1) -> Any:
     """sigma(u), the user's UFL stress (or any tensor), as a Function, discontinuous between cells; collective.
 
-    ``u`` from :func:`displacement_field`. The degree of the result is that of sigma(u): one less than that of u for linear bodies.
+    ``u`` from :func:`displacement_field`. The degree of the result is that of sigma(u): one less than u has where linear.
     """
     out, expression = within_cells(u, sigma, degree=degree, name="stress")
     out.interpolate(expression)
