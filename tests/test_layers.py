@@ -9,7 +9,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "fmbd_fenicsx"
 FLOORS = [
-    {"_lazy", "errors", "log", "rotations", "dolfinx_compat", "mesh", "materials", "energies"},
+    {"_lazy", "errors", "log", "rotations", "dolfinx_compat", "mesh", "materials", "energies", "kernel_cache"},
     {"fem"},
     {"mechanics"},
     {"system"},

@@ -1,0 +1,109 @@
+"""Kept libraries: built once, loaded only when they are this user's own and whole."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fmbd_fenicsx import kernel_cache
+
+SOURCE = "int value(void) { return %d; }"
+pytestmark = pytest.mark.skipif(kernel_cache.compiler() is None, reason="no C compiler")
+
+
+@pytest.fixture
+def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """Empty folders of libraries and of their hashes; the second is made by the first use."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    libraries = kernel_cache.cache_folder()
+    return libraries, kernel_cache.notes_folder(libraries)
+
+
+def value(number: int) -> int:
+    """What the library of a number says, in a process of its own: a library once loaded stays loaded."""
+    code = f"from fmbd_fenicsx import kernel_cache as k; print(k.load('test', {SOURCE % number!r}).value())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return int(done.stdout)
+
+
+def kept(folder: Path) -> list[Path]:
+    return sorted(folder.glob("test_*.so"))
+
+
+def test_built_once_and_private(folders: tuple[Path, Path]) -> None:
+    libraries, notes = folders
+    assert value(7) == 7
+    first = kept(libraries)[0].stat().st_mtime_ns
+    assert value(7) == 7
+    assert [p.stat().st_mtime_ns for p in kept(libraries)] == [first]
+    for folder in folders:
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert [p.suffix for p in libraries.iterdir()] == [".so"]  # no hash beside the library, nothing left over
+    assert len(list(notes.iterdir())) == 1
+
+
+@pytest.mark.parametrize("damage", ["another library", "half", "empty", "writable by others", "link", "hash"])
+def test_what_is_not_as_built_is_built_again(folders: tuple[Path, Path], damage: str, tmp_path: Path) -> None:
+    """Another's library under the right name would say 8."""
+    libraries, notes = folders
+    value(8)
+    wrong = kept(libraries)[0]
+    wrong.rename(tmp_path / "wrong.so")
+    value(7)
+    (file,) = kept(libraries)
+    whole = (tmp_path / "wrong.so").read_bytes()
+
+    file.unlink()
+    if damage == "link":
+        file.symlink_to(tmp_path / "wrong.so")
+    else:
+        file.write_bytes({"half": whole[: len(whole) // 2], "empty": b""}.get(damage, whole))
+        file.chmod(0o777 if damage == "writable by others" else 0o700)
+    if damage == "hash":
+        for note in notes.iterdir():
+            note.write_text("0" * 64)
+    assert value(7) == 7
+    assert not kept(libraries)[0].is_symlink()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="gives folders to another user")
+@pytest.mark.parametrize("which", ["libraries", "above"])
+def test_folder_of_another_user_is_not_used(folders: tuple[Path, Path], which: str) -> None:
+    """Kernels are then built for the process alone; what the other put there is neither loaded nor touched."""
+    libraries, _ = folders
+    value(7)
+    (file,) = kept(libraries)
+    file.write_bytes(b"another user's")
+    if which == "libraries":
+        os.chown(libraries, 65534, 65534)
+    else:
+        libraries.parent.chmod(0o777)
+    assert value(7) == 7
+    assert file.read_bytes() == b"another user's"
+
+
+def test_own_folder_that_others_may_write_is_closed(folders: tuple[Path, Path]) -> None:
+    libraries, _ = folders
+    libraries.mkdir(parents=True)
+    libraries.chmod(0o777)
+    assert value(7) == 7
+    assert stat.S_IMODE(libraries.stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize("where", ["no such folder", "file"])
+def test_without_a_place_to_keep_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nothing" if where == "no such folder" else str(tmp_path / "file"))
+    assert value(7) == 7
+
+
+def test_source_that_does_not_compile_and_no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert kernel_cache.load("test", "no C at all") is None
+    monkeypatch.setenv("CC", "no-such-compiler")
+    assert kernel_cache.load("test", SOURCE % 1) is None
