@@ -82,6 +82,15 @@ def quaternion_log(p: Array) -> Array:
     return np.where(s > 1e-8, angle / np.maximum(s, 1e-300), 2.0 + s * s / 3.0) * p[..., :3]
 
 
+def nearest_rotation(theta: Array, near: Array) -> Array:
+    """The rotation vectors (..., 3) that turn as theta does, by whole turns more or less, and lie nearest to ``near``."""
+    angle = np.sqrt((theta * theta).sum(-1, keepdims=True))
+    guess = np.sqrt((near * near).sum(-1, keepdims=True))
+    axis = np.where(angle > 1e-8, theta / np.maximum(angle, 1e-300), near / np.maximum(guess, 1e-300))
+    turns = np.round(((near * axis).sum(-1, keepdims=True) - angle) / (2 * np.pi))
+    return np.asarray(theta + 2 * np.pi * turns * axis)
+
+
 def quaternion_matrix(p: Array) -> Array:
     """Rotation matrices of unit quaternions (scalar last), (..., 4) -> (..., 3, 3): 1 + (its products) times constants."""
     products = (p[..., :, None] * p[..., None, :]).reshape(*p.shape[:-1], 16)
@@ -156,14 +165,15 @@ class Motions:
         p = p / np.sqrt((p * p).sum(-1, keepdims=True))
         return np.concatenate((q[..., :3] + xi[..., :3], p), axis=-1)
 
-    def difference(self, q0: Array, q1: Array) -> Array:
-        """The increment xi with compose(q0, xi) = q1 (smallest rotation)."""
+    def difference(self, q0: Array, q1: Array, near: Array | None = None) -> Array:
+        """The increment xi with compose(q0, xi) = q1: the smallest rotation, or the one nearest to that of ``near``."""
         if self.dim == 2:
             return q1 - q0
         inverse = q0[..., 3:] * np.array([-1.0, -1.0, -1.0, 1.0])
-        return np.concatenate(
-            (q1[..., :3] - q0[..., :3], quaternion_log(quaternion_product(inverse, q1[..., 3:]))), axis=-1
-        )
+        rotation = quaternion_log(quaternion_product(inverse, q1[..., 3:]))
+        if near is not None:
+            rotation = nearest_rotation(rotation, near[..., 3:])
+        return np.concatenate((q1[..., :3] - q0[..., :3], rotation), axis=-1)
 
     def rate(self, xi: Array, v: Array) -> Array:
         """d(xi)/dt of the local coordinates for the twist v: (v_r, T(xi_theta)^-1 omega)."""

@@ -13,7 +13,6 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, LinearSolveError
 from fmbd_fenicsx.run.energy_check import Watch
 from fmbd_fenicsx.run.step_bisection import ConstantSteps
-from fmbd_fenicsx.system.revolutions import count_from, turns
 from fmbd_fenicsx.system.system import State, System
 
 TOUCH = -0.5  # rad
@@ -36,7 +35,7 @@ def rod(stiffness: float, power: float, damping: float) -> tuple[fmbd.Scene, flo
 
 CASES = [
     (fmbd.GeneralizedAlpha(0.8), (1e12, 3.0, 10.0), 0.02, 3.0, 1e-3),
-    (fmbd.GeneralizedAlpha(0.8, form=fmbd.GGL()), (1e12, 3.0, 10.0), 0.02, 3.0, 1e-3),
+    (fmbd.GeneralizedAlpha(0.8, form=fmbd.GGL()), (1.05e12, 3.0, 10.0), 0.02, 3.0, 1e-3),
     (fmbd.Radau(3, rtol=None), (1e9, 1.5, 5.0), 0.05, 2.0, 1e-9),
     (fmbd.BDF(2, rtol=None), (1e12, 3.0, 10.0), 0.04, 2.4, 1e-9),
 ]
@@ -133,20 +132,17 @@ def test_a_worker_that_can_restart_stays_on_the_grid_under_guard() -> None:
     assert stepper.counters["energy_rejections"] == 0
 
 
-def test_iterates_that_go_around_count_no_revolution() -> None:
-    """Angles are counted from the start of a step: what a diverging iteration visits leaves no trace."""
+def test_iterates_that_go_around_leave_no_trace() -> None:
+    """An angle belongs to its configuration: what a diverging iteration visits does not change it."""
     scene, _ = rod(1e3, 1.0, 0.0)
     system, state, _ = scene.build()
+    spring: Any = system.forces[0]
 
     def at(phi: float) -> float:
-        q = state.q.copy()
-        q[2] += phi
-        system.at(0.0, q, state.v).wrenches()
-        return float(turns(system)[0][0])
+        xi = np.zeros(system.n_v)
+        xi[2] = phi
+        return float(spring.relative.values(system.at(0.0, system.compose(state.q, xi)).kin)[0])
 
-    before = turns(system)
     for k in range(1, 7):
-        at(-1.1 * k)
-    assert at(-0.1) == pytest.approx(-0.1 - 2 * np.pi)
-    count_from(system, before)
+        assert at(-1.1 * k) == pytest.approx(-1.1 * k)
     assert at(-0.1) == pytest.approx(-0.1)

@@ -35,6 +35,7 @@ class Kinematics:
     jac_frame: Array
     jac_port: Array
     moving: Moving | None = None
+    turned: Array | None = None  # (n,) rad: differences of two markers are their counted angle, see joints.counted
 
     @cached_property
     def twist(self) -> Array | None:

@@ -10,7 +10,6 @@ from ..errors import ConvergenceError
 from ..linear.condensation import StepSolver
 from ..log import log
 from ..rotations import Array
-from ..system.revolutions import rewind
 from ..system.scene.refined_basis import finer_system
 from .output import Output, Recorder
 from .schedule import Pace
@@ -52,7 +51,6 @@ def time_error(problem: Problem, fine: Recorder, pace: Pace) -> tuple[dict[str, 
 
 def _again(problem: Problem, pace: Pace, factor: int) -> Recorder:
     """The march once more with steps larger by a factor, sensors recorded in every step; collective."""
-    rewind(problem.system)
     solver = make_solver(problem.scene, problem.system, problem.linear)
     newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
     solver.pressures = problem.pressures
@@ -98,7 +96,6 @@ def reduction_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str,
     if made is None:
         return {}
     system, given = made
-    rewind(system)
     solver = make_solver(problem.scene, system, problem.linear)
     newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
     wanted = replace(coarse.output, snapshots=0, energy=False, progress=False)

@@ -35,11 +35,9 @@ class Course:
     def remember(self, m: Memory, where: Any = "") -> None:
         """Write all of it, or read it from the checkpoint ``where``; see :mod:`fmbd_fenicsx.system.serialisation`. Collective."""
         from ..linear.blocks.solver_memory import remember_solver
-        from ..system.revolutions import count_from, turns
         from ..system.serialisation import remember_stepper
         from .fingerprint import check_effect
 
-        counted = m("turns", turns(self.system, sensors=True))
         tangents = [p for p in self.system.parts if hasattr(p, "evaluated")]
         left = m("evaluated", [p.evaluated for p in tangents])
         for k, part in enumerate(self.system.parts):
@@ -54,8 +52,6 @@ class Course:
         spent = m("seconds", self.earlier + now - self.begun)
         if m.reading:
             self.earlier, self.begun = spent, now
-        count_from(self.system, counted)
         check_effect(self.system, self.stepper.state, m.inside("effect"), where)
-        count_from(self.system, counted)
         for p, value in zip(tangents, left, strict=True):
             p.evaluated = value

@@ -16,8 +16,6 @@ from typing import Any
 
 from ..errors import ConstraintError, ConvergenceError, LinearSolveError
 from ..log import log
-from ..system.revolutions import count_from
-from ..system.revolutions import turns as turns_of
 from ..system.serialisation import Memory, remember_stepper
 from ..system.system import Evaluation, State, System
 from .energy_check import HALVINGS, Watch
@@ -96,7 +94,7 @@ class ConstantSteps:
             return self._halves(h, depth)
         if self._size not in (None, h):
             self._begin(self.stepper.state)
-        before, turns, self._size = self.stepper.state, turns_of(self.system), h
+        before, self._size = self.stepper.state, h
         try:
             after = self.stepper.advance(h)
         except (ConvergenceError, LinearSolveError) as error:
@@ -105,7 +103,6 @@ class ConstantSteps:
             if not self.halved:
                 log.warning("t = %g s: a step of h = %g s failed and is made in parts. %s", before.t, h, error)
             self.halved += 1
-            count_from(self.system, turns)
             try:
                 self._begin(before)
                 return self._halves(h, depth)
@@ -116,7 +113,6 @@ class ConstantSteps:
             return None
         self.whole = depth + 1
         self.watch.count(before, gain, self.whole > HALVINGS)
-        count_from(self.system, turns)
         self._begin(before)
         return self._halves(h, depth)
 

@@ -31,6 +31,7 @@ from ..system.system import State, System
 
 ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the tolerance are accepted
 STAGNATION = 100.0  # the same with constant steps, where the tolerance may lie below the roundoff of stiff forces
+TURN = 2.5  # rad
 FINEST = 100 * float(np.finfo(float).eps)
 
 
@@ -177,6 +178,35 @@ def first_step(norm: ErrorNorm, state: State, order: float, h_max: float) -> flo
     if push > 0:
         h = min(h, 0.5 * share / np.sqrt(push))
     return max(h, 1e-12 * h_max)
+
+
+def turn_limit(system: System, state: State, *, steps: int = 1) -> float:
+    """Largest step (s) in which, as it moves now, no frame in space turns by more than :data:`TURN` in that many steps.
+
+    Local coordinates of rotations in space are singular a full turn away from their origin. In the plane there is no limit.
+    """
+    spin, push = (_rotations(system, x) for x in (state.v, state.a))
+    if not len(spin):
+        return np.inf
+    w, e = (np.sqrt((x * x).sum(axis=1)) for x in (spin, push))
+    # w h + e h^2 / 2 = TURN / steps
+    turning = w + np.sqrt(w * w + 2.0 * e * TURN / steps)
+    fastest = float(turning.max())
+    return 2.0 * TURN / (steps * fastest) if fastest > 0 else np.inf
+
+
+def turns_too_far(system: System, xi: Array) -> bool:
+    """Whether increments, (..., n_v), come close to a full turn of a frame in space."""
+    rotation = _rotations(system, xi)
+    return bool((rotation * rotation).sum(axis=-1).max(initial=0.0) > (2.0 * TURN) ** 2)
+
+
+def _rotations(system: System, x: Array) -> Array:
+    """Components of all frames' rotations in space, (..., 3) of arrays like v; none in the plane."""
+    m, n = system.motions, system.n_frames
+    if m.dim == 2:
+        return np.zeros((0, 3))
+    return x[..., : n * m.n_twist].reshape(-1, m.n_twist)[:, m.dim :]
 
 
 def moves(t: float, h: float) -> None:

@@ -40,8 +40,6 @@ from ..linear.saddle.pencil import Tangent
 from ..rotations import Array
 from ..system.batch import Many, copies
 from ..system.linearise import differences, many
-from ..system.revolutions import count_from
-from ..system.revolutions import turns as turns_of
 from ..system.serialisation import Memory
 from ..system.system import State, System
 
@@ -209,10 +207,8 @@ class StepEquations:
         self.U: Array = np.zeros((system.n_v, system.n_lam))
         self.normal: Array = self.U
         self.origin: Array = np.zeros(0)
-        self._begun: State | None = None
         self._closed: State | None = None
         self._start: tuple[Array, Array, Array] = (self.origin,) * 3
-        self._turns: list[Array] = []
         self._inverse_mass: Any = None
 
     def remember(self, m: Memory) -> None:
@@ -223,9 +219,7 @@ class StepEquations:
         self.U, self.normal, self.origin, self._inverse_mass = m("metric", metric)
 
     def begin(self, state: State) -> None:
-        """Local coordinates about the state; every residual counts revolutions from there, through its stages."""
-        if self._begun is not state:
-            self._begun, self._turns = state, turns_of(self.system)
+        """Local coordinates about the state."""
         self.origin = state.q
         if self.form.frozen and self.levels:
             ev = self.system.at(state.t, state.q, state.v)
@@ -235,7 +229,6 @@ class StepEquations:
         """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) of (1), (2) at the times t (k,)."""
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
-        count_from(s, self._turns)
         ev = copies(s, len(t)).at(t, s.compose(self.origin, p.xi), p.v)
         lam = p.mult[:, :m] if self.levels else None
         v, a = p.v, p.vd

@@ -58,6 +58,7 @@ class Copies:
             port=np.tile(m.port, (k, 1)) + on[:, None] * system.n_port,
             section=None if m.section is None else np.tile(m.section, k),
         )
+        self.counted = None if system.counted is None else system.counted.repeated(k, self.markers)
         self.batches = [(b, rows, b.repeated(k, n)) for b, rows in system.batches]
         self.forces = [(f, f.repeated(k, n)) for f in system.forces]
         self.rigid: RigidBlock | None = None
@@ -115,6 +116,8 @@ class Many:
         self.twist = self._twists(v)
         rates = (self.twist, self.port_rate.ravel())
         self.kin = copies.markers.evaluate(self.pose, self.rotation, self.port.ravel(), rates)
+        if copies.counted is not None:
+            self.kin.turned = copies.counted.turned(self.pose, self.port.ravel(), q[:, s.counted_angles].ravel())
 
     def _twists(self, v: Array) -> Array:
         s, n = self.system, self.system.motions.n_twist
@@ -154,6 +157,7 @@ class Many:
             i, j = slice(c * n, (c + 1) * n), slice(c * ns, (c + 1) * ns)
             one = Kinematics(kin.x[i], kin.R[i], kin.jac_frame[i], kin.jac_port[j])
             one.moving = _Slice(kin, i)  # type: ignore[assignment]
+            one.turned = None if kin.turned is None else kin.turned[i]
             out.append(one)
         return out
 

@@ -5,7 +5,8 @@
 
 A state is four flat arrays: configuration q, velocity v, acceleration a, multipliers lambda. v and a hold the *core*, equal on
 every rank (the twists of all frames, then the coordinates of small parts such as reduced bodies), then the local
-coordinates of each elastic field (this rank's nodes); q holds poses instead of twists. lambda holds the rows of the joints,
+coordinates of each elastic field (this rank's nodes); q holds poses instead of twists, and after them the counted angles
+(:mod:`~.joints.counted`), which have no increments of their own. lambda holds the rows of the joints,
 then the frame conditions of the elastic bodies; it is replicated. Velocities are quasi-velocities: angular velocities in
 body axes.
 """
@@ -25,8 +26,10 @@ from ..mechanics.bodies.coordinates import PortConstraint
 from ..mechanics.forces.force_elements import Loads
 from ..mechanics.frames import Kinematics, Markers
 from ..mechanics.joints.constraints import Batch
+from ..mechanics.joints.counted import CountedAngles
 from ..mechanics.placements import DistributedPart, FrameMotion, Part, RigidBlock, is_distributed
 from ..rotations import Array, Motions
+from . import configurations
 from .foreshortened_ports import bend, note_forces, port_bias, port_forces
 from .jacobian import Jacobian, force_tangent
 
@@ -75,6 +78,7 @@ class System:
     ground: Array = field(repr=False, default_factory=lambda: np.zeros((1, 0)))  # pose of the ground, (1, n_pose)
     contacts: Any = None  # ContactSet of a scene with contact
     traces: tuple[tuple[Any, slice], ...] = ()  # ties by field multipliers (TraceRows) and their rows
+    counted: CountedAngles | None = None  # None where nothing depends on an angle beyond a turn
     cache: dict[Any, Any] = field(repr=False, default_factory=dict)  # patterns found at first use
 
     def block(self, name: str) -> RowBlock:
@@ -123,7 +127,7 @@ class System:
     @cached_property
     def slices(self) -> tuple[list[slice], list[slice], list[slice]]:
         """Slices of each part in q, in v, and in the ports."""
-        q, v, p = self.n_frames * self.motions.n_pose, self.n_frames * self.motions.n_twist, 0
+        q, v, p = self.counted_angles.stop, self.n_frames * self.motions.n_twist, 0
         in_q, in_v, in_p = [], [], []
         for part in self.parts:
             in_q.append(slice(q, q + part.n))
@@ -135,7 +139,13 @@ class System:
     @cached_property
     def n_q(self) -> int:
         """Length of q on this rank."""
-        return self.n_frames * self.motions.n_pose + sum(p.n for p in self.parts)
+        return self.counted_angles.stop + sum(p.n for p in self.parts)
+
+    @cached_property
+    def counted_angles(self) -> slice:
+        """Slice of the counted angles in q."""
+        poses = self.n_frames * self.motions.n_pose
+        return slice(poses, poses + (0 if self.counted is None else self.counted.count))
 
     @cached_property
     def n_v(self) -> int:
@@ -205,36 +215,18 @@ class System:
         """Ports of part k."""
         return self.slices[2][k]
 
-    # -- geometry of the configuration space ---------------------------------------------------------------------
+    # -- geometry of the configuration space, see :mod:`.configurations` ----------------------------------------------
     def compose(self, q: Array, xi: Array) -> Array:
         """Configuration after the increment xi (as v: body-axes rotation increments), q o exp(xi); leading axes broadcast."""
-        m, n, k = self.motions, self.n_frames * self.motions.n_pose, self.n_frames * self.motions.n_twist
-        if m.dim == 2 or not n:
-            return q + xi
-        lead = np.broadcast_shapes(q.shape[:-1], xi.shape[:-1])
-        q, xi = np.broadcast_to(q, (*lead, q.shape[-1])), np.broadcast_to(xi, (*lead, xi.shape[-1]))
-        frames = m.compose(q[..., :n].reshape(*lead, -1, m.n_pose), xi[..., :k].reshape(*lead, -1, m.n_twist))
-        return np.concatenate((frames.reshape(*lead, n), q[..., n:] + xi[..., k:]), axis=-1)
+        return configurations.compose(self, q, xi)
 
-    def difference(self, q0: Array, q1: Array) -> Array:
-        """The increment xi with compose(q0, xi) = q1."""
-        m, n, k = self.motions, self.n_frames * self.motions.n_pose, self.n_frames * self.motions.n_twist
-        if m.dim == 2 or not n:
-            return q1 - q0
-        lead = np.broadcast_shapes(q0.shape[:-1], q1.shape[:-1])
-        q0, q1 = np.broadcast_to(q0, (*lead, q0.shape[-1])), np.broadcast_to(q1, (*lead, q1.shape[-1]))
-        frames = m.difference(q0[..., :n].reshape(*lead, -1, m.n_pose), q1[..., :n].reshape(*lead, -1, m.n_pose))
-        return np.concatenate((frames.reshape(*lead, k), q1[..., n:] - q0[..., n:]), axis=-1)
+    def difference(self, q0: Array, q1: Array, *, near: Array | None = None) -> Array:
+        """The increment xi with compose(q0, xi) = q1: of all rotations the smallest, or the one nearest to that of ``near``."""
+        return configurations.difference(self, q0, q1, near)
 
     def rate(self, xi: Array, v: Array) -> Array:
         """d(xi)/dt of local coordinates q o exp(xi) for the velocity v."""
-        m, k = self.motions, self.n_frames * self.motions.n_twist
-        if m.dim == 2 or not k:
-            return v
-        lead = np.broadcast_shapes(xi.shape[:-1], v.shape[:-1])
-        xi, v = np.broadcast_to(xi, (*lead, xi.shape[-1])), np.broadcast_to(v, (*lead, v.shape[-1]))
-        frames = m.rate(xi[..., :k].reshape(*lead, -1, m.n_twist), v[..., :k].reshape(*lead, -1, m.n_twist))
-        return np.concatenate((frames.reshape(*lead, k), v[..., k:]), axis=-1)
+        return configurations.rate(self, xi, v)
 
     # -- inner products over all ranks -----------------------------------------------------------------------------
     def dot(self, x: Array, y: Array) -> float:
@@ -292,8 +284,12 @@ class Evaluation:
     @cached_property
     def kin(self) -> Kinematics:
         """The markers: positions, rotations, Jacobians, and velocities where v is given."""
+        s = self.system
         rates = None if self.v is None else (self.twist, self.port_rate)
-        return self.system.markers.evaluate(self.pose, self.rotation, self.port, rates)
+        kin = s.markers.evaluate(self.pose, self.rotation, self.port, rates)
+        if s.counted is not None:
+            kin.turned = s.counted.turned(self.pose, self.port, self.q[s.counted_angles])
+        return kin
 
     @cached_property
     def rotation(self) -> Array:

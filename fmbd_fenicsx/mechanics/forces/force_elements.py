@@ -118,10 +118,8 @@ class ScalarLoads(Loads):
         self.own = [(i, f.name, self.laws[i]) for i, f in enumerate(forces) if f.law is not None]
 
     def repeated(self, k: int, markers: int) -> Loads | None:
-        """All copies as arrays; laws of the user's own one by one; none for angles, which count their revolutions."""
+        """All copies as arrays; laws of the user's own one by one."""
         relative = self.relative.repeated(k, markers)
-        if relative is None:
-            return None
         out, m = copy(self), len(self.forces)
         out.relative, out.forces, out.a, out.b = relative, self.forces * k, relative.a, relative.b
         out.k, out.c, out.free = (np.tile(x, k) for x in (self.k, self.c, self.free))
@@ -286,7 +284,7 @@ class OwnLoads(Loads):
                     turn = np.zeros(self.motions.n_rot)
                     turn[k - d] = h
                     R[j] = R[j] + self.motions.spin(turn, R[j].T).T
-                moved = Kinematics(x, R, kin.jac_frame, kin.jac_port)
+                moved = Kinematics(x, R, kin.jac_frame, kin.jac_port, turned=kin.turned)
                 K[i, :, c] = -(self._one(i, moved, kin.twist, t, markers) - base) / h
                 twist[j, k] += h
                 D[i, :, c] = -(self._one(i, kin, twist, t, markers) - base) / h

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from ...log import log
 from ...rotations import Array, Motions, hat
 from ..bodies.coordinates import derivative, differences
 from ..frames import Kinematics
-from .constraints import Batch, Motion, Sides
+from .constraints import Batch, Motion, Sides, time_of
 from .relative import Relative
 
 
@@ -76,14 +77,22 @@ class CouplingBatch(Batch):
         self.driven = [(i, m) for i, m in enumerate(motions) if m is not None]
 
     def repeated(self, k: int, markers: int) -> Batch | None:
-        """None: angles count their revolutions one configuration after another."""
-        return None
+        """All copies as arrays."""
+        m, copies = self.size, np.arange(k)[:, None]
+        out = copy(self)
+        out.size = k * m
+        out.terms = [
+            (relative.repeated(k, markers), (rows + m * copies).ravel(), np.tile(c, k))
+            for relative, rows, c in self.terms
+        ]
+        out.driven = [(i + c * m, motion) for c in range(k) for i, motion in self.driven]
+        return out
 
-    def offsets(self, t: float) -> Array:
+    def offsets(self, t: Any) -> Array:
         """(3, m) array of s, s', s''."""
         s = np.zeros((3, self.size))
         for i, motion in self.driven:
-            s[:, i] = motion(t)
+            s[:, i] = motion(time_of(t, i, self.size))
         return s
 
     def _sum(self, parts: list[Array]) -> Array:

@@ -12,8 +12,9 @@ kind            s                                                               
 ``Turn``        atan2(e_2 . f_1 - e_1 . f_2, e_1 . f_1 + e_2 . f_2), the angle about e      (w_b - w_a) . e
 ==============  ==========================================================================  ===================
 
-``Turn`` counts revolutions: each value is the one nearest to the value before it. Its s' is written for parallel axes; the
-rows are those of the formula itself, also for axes that are not parallel.
+``Turn`` goes beyond a turn: of the values of atan2 it takes the one nearest to the counted angle of the configuration
+(:mod:`.counted`). Its s' is written for parallel axes; the rows are those of the formula itself, also for axes that are not
+parallel.
 """
 
 from __future__ import annotations
@@ -23,7 +24,11 @@ import numpy as np
 from ...rotations import Array, Motions
 from ..frames import Kinematics
 
-_FAR = 3.0  # rad; an angle that jumps by more (a rejected iterate) does not move the count of revolutions
+
+def nearest(angle: Array, wanted: Array) -> Array:
+    """The angles (rad) that differ from the given ones by whole turns and are nearest to those wanted."""
+    turns = np.round((wanted - angle) / (2 * np.pi))
+    return np.asarray(angle + 2 * np.pi * turns)
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -38,7 +43,7 @@ class Relative:
         self.motions, self.a, self.b = motions, np.asarray(a), np.asarray(b)
         self.e = np.asarray(e, dtype=float).reshape(len(self.a), motions.dim)
 
-    def repeated(self, k: int, markers: int) -> Relative | None:
+    def repeated(self, k: int, markers: int) -> Relative:
         """These coordinates k times, copy c on the markers numbered ``c markers`` higher."""
         shift = markers * np.repeat(np.arange(k), len(self.a))
         return type(self)(self.motions, np.tile(self.a, k) + shift, np.tile(self.b, k) + shift, np.tile(self.e, (k, 1)))
@@ -149,7 +154,7 @@ class Slide(Relative):
 
 
 class Turn(Relative):
-    """Rotation of b against a about directions fixed in a, counted over revolutions; 0 where the marker axes agree."""
+    """Rotation of b against a about directions fixed in a, beyond a turn; 0 where the marker axes agree."""
 
     def __init__(self, motions: Motions, a: np.ndarray, b: np.ndarray, e: Array) -> None:
         super().__init__(motions, a, b, e)
@@ -160,25 +165,22 @@ class Turn(Relative):
             self.e2 = np.cross(self.e, self.e1)
         else:
             self.e1, self.e2 = np.tile([1.0, 0.0], (len(self.a), 1)), np.tile([0.0, 1.0], (len(self.a), 1))
-        self.last: Array = np.zeros(len(self.a))
 
-    def repeated(self, k: int, markers: int) -> Relative | None:
-        """None: revolutions are counted along one motion."""
-        return None
-
-    def _axes(self, kin: Kinematics) -> tuple[Array, Array, Array, Array]:
-        Ra, Rb = kin.R[self.a], kin.R[self.b]
+    def _axes(self, R: Array) -> tuple[Array, Array, Array, Array]:
+        """e_1, e_2, f_1, f_2 in space for the rotations (..., markers, d, d) of all markers."""
+        Ra, Rb = R[..., self.a, :, :], R[..., self.b, :, :]
         e1, e2 = self.e1[..., None], self.e2[..., None]
         return (Ra @ e1)[..., 0], (Ra @ e2)[..., 0], (Rb @ e1)[..., 0], (Rb @ e2)[..., 0]
 
+    def attitude(self, R: Array) -> Array:
+        """Angles in (-pi, pi], rad, (..., m), for the rotations (..., markers, d, d) of all markers."""
+        e1, e2, f1, f2 = self._axes(R)
+        return np.asarray(np.arctan2(dot(e2, f1) - dot(e1, f2), dot(e1, f1) + dot(e2, f2)))
+
     def values(self, kin: Kinematics) -> Array:
         """Angle from a to b about the axis, rad, followed beyond a full turn."""
-        e1, e2, f1, f2 = self._axes(kin)
-        raw = np.arctan2(dot(e2, f1) - dot(e1, f2), dot(e1, f1) + dot(e2, f2))
-        step = np.remainder(raw - self.last + np.pi, 2 * np.pi) - np.pi
-        out = self.last + step
-        self.last = np.where(np.abs(step) < _FAR, out, self.last)
-        return out
+        assert kin.turned is not None
+        return nearest(self.attitude(kin.R), kin.turned[self.b] - kin.turned[self.a])
 
     def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array) -> Array:
         """The angle turned over 2 tan of its half: w is that of the Cayley map."""
@@ -187,7 +189,7 @@ class Turn(Relative):
 
     def rows(self, kin: Kinematics) -> tuple[Array, Array]:
         """Rows of the angle on w_b - w_a."""
-        e1, e2, f1, f2 = self._axes(kin)
+        e1, e2, f1, f2 = self._axes(kin.R)
         cross = self.motions.moment
         y, x = dot(e2, f1) - dot(e1, f2), dot(e1, f1) + dot(e2, f2)
         dy, dx = -(cross(e2, f1) - cross(e1, f2)), -(cross(e1, f1) + cross(e2, f2))  # on w_b - w_a
@@ -198,7 +200,7 @@ class Turn(Relative):
     def gamma(self, kin: Kinematics) -> Array:
         """Terms quadratic in the angular velocities."""
         m = self.motions
-        e1, e2, f1, f2 = self._axes(kin)
+        e1, e2, f1, f2 = self._axes(kin.R)
         _, wa, _, wb = self._twists(kin)
 
         def derivatives(e: Array, f: Array) -> Array:

@@ -41,6 +41,8 @@ from ..control import (
     first_step,
     lands,
     moves,
+    turn_limit,
+    turns_too_far,
 )
 from ..dae import GGL, Form, Points, StepEquations
 from ..newton import Newton, strayed
@@ -160,16 +162,19 @@ class Stepper:
         if not self.adaptive:
             return self._constant(h)
         s, limit = self.state, h
+        farthest = turn_limit(self.system, s, steps=self.k + 1)
         self.control.span = max(self.control.span, limit)
         if self.proposed is None:
             self.norm.update(s, limit)
             self.proposed = 0.1 * first_step(self.norm, s, 2.0, limit)
             self._back(min(self.proposed, limit))
         while True:
-            h = lands(self.proposed, limit)
+            h = lands(min(self.proposed, farthest), limit)
             moves(s.t, h)
             self.norm.update(s, h)
             found = self._newton(h, self.k)
+            if not isinstance(found, str) and turns_too_far(self.system, found.xi):
+                found = "turns too far"
             if isinstance(found, str):
                 cause, error = found, np.inf
                 stale = self._tangent is not None and not self._fresh
@@ -240,9 +245,12 @@ class Stepper:
     def _local(self, count: int) -> tuple[Array, Array, Array]:
         """Times (count,), and past xi, v in the coordinates of the step, (count, n_v) each."""
         s, past = self.state, self.past[:count]
-        xi = np.array(self.system.difference(s.q, np.array([p.q for p in past])))
+        t, v = np.array([p.t for p in past]), np.array([p.v for p in past])
+        back = 0.5 * np.diff(t)[:, None] * (v[1:] + v[:-1])  # tells how many turns lie between
+        guess = np.concatenate((np.zeros_like(v[:1]), np.cumsum(back, axis=0)))
+        xi = np.array(self.system.difference(s.q, np.array([p.q for p in past]), near=guess))
         xi[0] = 0.0
-        return np.array([p.t for p in past]), xi, np.array([p.v for p in past])
+        return t, xi, v
 
     def _newton(self, h: float, k: int) -> Points | str:
         try:

@@ -61,6 +61,8 @@ class Mean(Evaluation):
         """Means of the markers at both ends with the Jacobians of (1), and their mean velocities."""
         old, new = (ev.kin for ev in self.ends)
         kin = Kinematics(*(0.5 * (getattr(old, n) + getattr(new, n)) for n in ("x", "R", "jac_frame", "jac_port")))
+        if old.turned is not None and new.turned is not None:
+            kin.turned = 0.5 * (old.turned + new.turned)
         markers = self.system.markers
         if self.system.motions.dim == 3:
             self._turn(kin)

@@ -39,6 +39,7 @@ import numpy as np
 from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver
 from ...rotations import Array
+from ...system.configurations import count
 from ...system.serialisation import Memory
 from ...system.system import Evaluation, State, System
 from ..consistent import accelerations
@@ -175,6 +176,7 @@ class Stepper:
         q[: self.n_q], v[:n] = q_core, v_core
         if self.fields is not None:
             self.fields.end(q, v)
+            count(self.system, q)
         made = State(s.t + h, q, v, s.a, self._last[1])
         self.state = accelerations(self.system, made, self.solver)
         return self.state

@@ -24,12 +24,10 @@ import numpy as np
 from ...errors import CallbackError, ConvergenceError, LinearSolveError
 from ...linear.condensation import StepSolver, Weights
 from ...rotations import Array
-from ...system.revolutions import count_from
-from ...system.revolutions import turns as turns_of
 from ...system.serialisation import Memory
 from ...system.system import State, System
 from ..consistent import accelerations, project
-from ..control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands
+from ..control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands, turn_limit, turns_too_far
 from ..newton import Newton
 
 MASS = Weights(1.0, 0.0, 0.0)
@@ -105,14 +103,15 @@ class Stepper:
         if self.proposed is None:
             self.norm.update(self.state, limit)
             self.proposed = first_step(self.norm, self.state, 4.0, limit)
-        turns = turns_of(self.system)
+        farthest = turn_limit(self.system, self.state)
         while True:
-            count_from(self.system, turns)
-            h = lands(self.proposed, limit)
+            h = lands(min(self.proposed, farthest), limit)
             self.norm.update(self.state, h)
             try:
                 made, (e_q, e_v) = self._step(h)
                 error, cause = self.norm(h, e_q, e_v), "error estimate"
+                if turns_too_far(self.system, self.system.difference(self.state.q, made.q, near=h * made.v)):
+                    error, cause = np.inf, "turns too far"
             except (ConvergenceError, LinearSolveError):
                 error, cause = np.inf, "constraints not closed"
             except CallbackError as fault:

@@ -41,6 +41,8 @@ from ..control import (
     first_step,
     lands,
     moves,
+    turn_limit,
+    turns_too_far,
 )
 from ..dae import GGL, Form, Points, StepEquations
 from ..newton import Newton
@@ -160,15 +162,18 @@ class Stepper:
             return self._accept(h, point)
         limit = h
         self.control.span = max(self.control.span, limit)
+        farthest = turn_limit(self.system, s)
         if self.proposed is None:
             self.norm.update(s, limit)
             self.proposed = first_step(self.norm, s, self.control.order, limit)
         while True:
-            h = lands(self.proposed, limit)
+            h = lands(min(self.proposed, farthest), limit)
             moves(s.t, h)
             self.norm.update(s, h)
             self.eq.begin(s)
             point = self._newton(h)
+            if not isinstance(point, str) and turns_too_far(self.system, point.xi):
+                point = "turns too far"
             if isinstance(point, str):
                 cause, error = point, np.inf
                 stale = self._tangent is not None and not self._fresh
@@ -385,7 +390,8 @@ class Stepper:
         h0, q0, v0, points = self._last
         powers = (1.0 + c * h / h0)[:, None] ** np.arange(len(c) + 1)
         basis = (powers @ self.tab.basis)[:, 1:]
-        moved = self.system.difference(s.q, self.system.compose(q0, basis @ points.xi))
+        ahead = basis @ points.xi
+        moved = self.system.difference(s.q, self.system.compose(q0, ahead), near=ahead - points.xi[-1])
         return moved, v0 + basis @ (points.v - v0), powers[:, :-1] @ self.tab.stage_basis @ points.mult
 
     # -- error --------------------------------------------------------------------------------------------------

@@ -18,14 +18,16 @@ from ...mechanics.forces.force_elements import Loads, ScalarLoads
 from ...mechanics.forces.forces import Force
 from ...mechanics.frames import Markers
 from ...mechanics.joints.constraints import Batch
+from ...mechanics.joints.drives import Coupling
 from ...mechanics.joints.joints import Joint, ground
-from ...mechanics.joints.relative import Relative, Separation
+from ...mechanics.joints.relative import Relative, Separation, Turn
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...mechanics.reduction.reduced import ReducedPart
 from ...rotations import Array, Motions, motions
-from ..sensors.sensors import Sensor
+from ..configurations import count
+from ..sensors.sensors import JointReading, Sensor
 from ..system import RowBlock, State, System
-from .joints import JointRows, relative_of
+from .joints import JointRows, counted_angles, relative_of
 from .wires import slider_rows, wires_part
 
 if TYPE_CHECKING:
@@ -96,6 +98,7 @@ class Builder:
         forces = self._loads()
         sensor_markers = {n: self._sensor_marker(s) for n, s in scene.sensors.items()}
         markers = self._markers()
+        counted = self._counted(markers)
         system = System(
             motions=self.m,
             frame_names=tuple(b.name for b in framed),
@@ -112,6 +115,7 @@ class Builder:
             ground=self.m.identity[None],
             contacts=self._contacts(),
             traces=tuple(traces),
+            counted=counted,
         )
         return system, self._state(system), sensor_markers
 
@@ -392,7 +396,22 @@ class Builder:
         return collected.batches(), own, blocks
 
     # -- start ----------------------------------------------------------------------------------------------------
+    def _counted(self, markers: Markers) -> Any:
+        """The angles beyond a turn that constraints, forces and sensors of the scene use; None without any."""
+        joints: list[Any] = list(self.scene.joints.values())
+        used = [s for joint in joints if isinstance(joint, Coupling) for s, _ in joint.terms]
+        used += [f.coordinate for f in self.scene.forces.values() if f.coordinate is not None]
+        used += [s.coordinate for s in self.scene.sensors.values() if isinstance(s, JointReading)]
+        known = self.joint_markers  # a sensor of another joint is refused where it is read
+        angles = {known[s.joint.name]: s for s in used if s.kind is Turn and s.joint.name in known}
+        if not angles:
+            return None
+        return counted_angles(self.m, markers, angles, np.array([*self.poses, self.m.identity]))
+
     def _state(self, system: System) -> State:
-        q = [*self.poses, *(u for u, _ in self.starts)]
+        theta = np.zeros(0 if system.counted is None else system.counted.count)
+        q = [*self.poses, theta, *(u for u, _ in self.starts)]
         v = [*self.twists, *(ud for _, ud in self.starts)]
-        return State(0.0, np.concatenate(q), np.concatenate(v), np.zeros(system.n_v), np.zeros(system.n_lam))
+        start = np.concatenate(q)
+        count(system, start)
+        return State(0.0, start, np.concatenate(v), np.zeros(system.n_v), np.zeros(system.n_lam))

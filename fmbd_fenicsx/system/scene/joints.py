@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ...errors import InputError, named, near, require
+from ...mechanics.frames import Markers
 from ...mechanics.joints.constraints import Batch, Pair
+from ...mechanics.joints.counted import CountedAngles, turning_freely
 from ...mechanics.joints.couplings import CouplingBatch, OwnBatch
 from ...mechanics.joints.drives import Coupling, JointCoordinate, OwnJoint
 from ...mechanics.joints.joints import Joint
 from ...mechanics.joints.relative import Relative, Separation, Turn
-from ...rotations import Motions
+from ...rotations import Array, Motions
 from ..system import RowBlock
 
 
@@ -104,4 +106,18 @@ def relative_of(m: Motions, kind: type[Relative], entries: Iterable[tuple[JointC
     ]
     if kind is Separation:
         e = [np.zeros(m.dim)] * len(found)
-    return kind(m, np.array([a for _, a, _ in found]), np.array([b for _, _, b in found]), np.array(e))
+    a, b = (np.array([entry[i] for entry in found], dtype=int) for i in (1, 2))
+    return kind(m, a, b, np.reshape(e, (len(found), m.dim)))
+
+
+def counted_angles(
+    m: Motions, markers: Markers, angles: Mapping[tuple[int, int], JointCoordinate], poses: Array
+) -> CountedAngles:
+    """The counted angles of a scene from those in use by their markers; ``poses`` at the start: all frames, the ground last."""
+    ground = len(poses) - 1
+    free = turning_freely(markers, ground)
+    kept = [(s, a, b) for (a, b), s in angles.items() if m.dim == 3 or free[a] or free[b]]
+    turn = relative_of(m, Turn, kept)
+    assert isinstance(turn, Turn)
+    start = poses[markers.frame, 2] if m.dim == 2 else np.zeros(len(markers.frame))
+    return CountedAngles(markers, turn, start, free[turn.a] | free[turn.b])

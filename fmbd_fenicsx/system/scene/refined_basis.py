@@ -19,7 +19,7 @@ def finer_system(system: System, state: State) -> tuple[System, State] | None:
     """
     m = system.motions
     parts: list[Any] = []
-    q, v = [state.q[: system.n_frames * m.n_pose]], [state.v[: system.n_frames * m.n_twist]]
+    q, v = [state.q[: system.counted_angles.stop]], [state.v[: system.n_frames * m.n_twist]]
     for k, part in enumerate(system.parts):
         local = system.local_q(state.q, k), system.local_v(state.v, k)
         if isinstance(part, ReducedPart):

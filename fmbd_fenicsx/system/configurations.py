@@ -1,0 +1,112 @@
+"""Geometry of the configurations of a system: increments, local coordinates, counted angles.
+
+A configuration q holds the poses of all frames, then the counted angles, then the coordinates of the parts. An increment xi is
+an array like v. q o exp(xi) turns each frame by the rotation vector in its own axes, carries the counted angles along (by any
+number of turns, :mod:`~.joints.counted`) and adds what belongs to the parts. Leading axes of the arrays are many configurations.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..rotations import Array
+
+if TYPE_CHECKING:
+    from .system import System
+
+
+def _flat(system: System) -> bool:
+    """Whether configurations are added like vectors: in the plane, without counted angles."""
+    return system.counted_angles.stop == system.n_frames * system.motions.n_twist
+
+
+def _together(x: Array, y: Array) -> tuple[tuple[int, ...], Array, Array]:
+    """Two arrays with the same leading axes, and these."""
+    lead = np.broadcast_shapes(x.shape[:-1], y.shape[:-1])
+    return lead, np.broadcast_to(x, (*lead, x.shape[-1])), np.broadcast_to(y, (*lead, y.shape[-1]))
+
+
+def _poses(system: System, q: Array) -> Array:
+    """Poses of all frames, the ground left out, (..., n_frames, n_pose)."""
+    return q[..., : system.counted_angles.start].reshape(*q.shape[:-1], system.n_frames, system.motions.n_pose)
+
+
+def _twists(system: System, v: Array) -> Array:
+    """Twists of all frames, the ground left out, (..., n_frames, n_twist)."""
+    k = system.n_frames * system.motions.n_twist
+    return v[..., :k].reshape(*v.shape[:-1], system.n_frames, system.motions.n_twist)
+
+
+def compose(system: System, q: Array, xi: Array) -> Array:
+    """q o exp(xi). Collective where surfaces without a frame count their angles; a configuration of the core alone leaves these
+    to :func:`count`.
+    """
+    if _flat(system):
+        return q + xi
+
+    at, k = system.counted_angles, system.n_frames * system.motions.n_twist
+    lead, q, xi = _together(q, xi)
+    frames = system.motions.compose(_poses(system, q), _twists(system, xi))
+    out = np.concatenate((frames.reshape(*lead, at.start), q[..., at], q[..., at.stop :] + xi[..., k:]), axis=-1)
+
+    if at.stop > at.start:
+        count(system, out, xi)
+    return out
+
+
+def difference(system: System, q0: Array, q1: Array, near: Array | None = None) -> Array:
+    """The increment xi with q0 o exp(xi) = q1: of all rotations the smallest, or the one nearest to that of ``near``."""
+    if _flat(system):
+        return q1 - q0
+
+    at, k = system.counted_angles, system.n_frames * system.motions.n_twist
+    lead, q0, q1 = _together(q0, q1)
+    guess = None if near is None else _twists(system, near)
+    frames = system.motions.difference(_poses(system, q0), _poses(system, q1), guess)
+    return np.concatenate((frames.reshape(*lead, k), q1[..., at.stop :] - q0[..., at.stop :]), axis=-1)
+
+
+def rate(system: System, xi: Array, v: Array) -> Array:
+    """d(xi)/dt of the local coordinates q o exp(xi) for the velocity v."""
+    m, k = system.motions, system.n_frames * system.motions.n_twist
+    if m.dim == 2 or not k:
+        return v
+
+    lead, xi, v = _together(xi, v)
+    frames = m.rate(_twists(system, xi), _twists(system, v))
+    return np.concatenate((frames.reshape(*lead, k), v[..., k:]), axis=-1)
+
+
+# -- counted angles ---------------------------------------------------------------------------------------------------
+def count(system: System, q: Array, xi: Array | None = None) -> None:
+    """Put the counted angles in q where the increment xi leads them, then to the nearest values that the attitude allows.
+
+    ``q``: the new configuration with the old angles, changed in place. Without an increment only the second is done. Collective
+    as :func:`compose` is.
+    """
+    if system.counted is None or not system.counted.count:
+        return
+
+    at = system.counted_angles
+    if xi is not None:
+        twists = _twists(system, xi)
+        ground = np.zeros((*twists.shape[:-2], 1, twists.shape[-1]))
+        q[..., at] += system.counted.ahead(np.concatenate((twists, ground), axis=-2))
+
+    # surfaces without a frame are known where the coordinates of their bodies are part of q
+    surfaces = None
+    if system.counted.free.any() and q.shape[-1] == system.n_q:
+        each = [_marker_rotations(system, x) for x in q.reshape(-1, system.n_q)]
+        surfaces = np.reshape(each, (*q.shape[:-1], *each[0].shape))
+    ground = np.broadcast_to(system.ground, (*q.shape[:-1], *system.ground.shape))
+    rotation = system.motions.matrix(np.concatenate((_poses(system, q), ground), axis=-2))
+    q[..., at] = system.counted.followed(q[..., at], rotation, surfaces)
+
+
+def _marker_rotations(system: System, q: Array) -> Array:
+    """Rotations of all markers, (n, d, d); collective."""
+    pose = system.poses(q)
+    port = system.ports(q, system.slices[0], True)
+    return system.markers.evaluate(pose, system.motions.matrix(pose), port).R
