@@ -140,7 +140,7 @@ def _order(system: System) -> np.ndarray:
         at = p.trace_nodes
         if at is not None:
             trace = system.contacts.traces[p.slave.trace]
-            at = trace.field.numbering.of[trace.global_nodes(at)]
+            at = trace.body_nodes.numbering.of[trace.global_numbers[at]]
         nodes.append(np.arange(p.count) if at is None else at)
         pair.append(np.full(p.count, i))
     return np.lexsort((np.concatenate(nodes), np.concatenate(pair)))

@@ -63,7 +63,7 @@ class Compliance:
         rhs = np.zeros((n + s.n_lam, m))
         rhs[:n] = rows.core.T
         local = []
-        for i, tr in enumerate(self.contacts.traces):
+        for i, tr in self.contacts.on_fields.items():
             position = next(j for j, (k, _) in enumerate(s.fields) if k == tr.part)
             block = self.solver.blocks[position]
             N = sp.csr_matrix(rows.field[i])
@@ -95,7 +95,7 @@ class Compliance:
 
     def _columns(self, i: int, factor: Any, used: np.ndarray) -> Array:
         """C_s with at least the columns ``used``."""
-        tr = self.contacts.traces[i]
+        tr = self.contacts.on_fields[i]
         size = tr.n * tr.dim
         kept = self._kept.get(i)
         if kept is None or kept[0] is not factor:
@@ -112,7 +112,7 @@ class Compliance:
 
     def _solve(self, i: int, missing: np.ndarray) -> None:
         """Further columns of C_s."""
-        (factor, C, known), tr = self._kept[i], self.contacts.traces[i]
+        (factor, C, known), tr = self._kept[i], self.contacts.on_fields[i]
         for k in range(0, len(missing), CHUNK):
             part = missing[k : k + CHUNK]
             Z = factor.solve_columns(tr.unit_columns(part))
@@ -125,7 +125,7 @@ class Compliance:
         """Rows of the constant columns Y at the contact nodes, (n d, k)."""
         kept = self._surface.get(i)
         if kept is None or kept[0] is not block:
-            tr = self.contacts.traces[i]
+            tr = self.contacts.on_fields[i]
             Y = block.Y
             rows = np.zeros((tr.n * tr.dim, Y.shape[1]))
             for j in range(Y.shape[1]):

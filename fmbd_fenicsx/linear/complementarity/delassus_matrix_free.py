@@ -40,7 +40,7 @@ class SlaveBlocks:
 
     def of(self, i: int) -> Any:
         """cm M + ck K on the nodes of trace i, (n d, n d) sparse, the same on all ranks."""
-        tr, w = self.contacts.traces[i], self.solver.weights
+        tr, w = self.contacts.on_fields[i], self.solver.weights
         field = tr.field
         key = (w, field.tangents)
         if i not in self._kept or self._kept[i][0] != key:
@@ -88,7 +88,7 @@ class Applied:
         m = len(slave)
         P: Any = sp.csr_matrix((m, m))
         for i in np.unique(slave):
-            tr = contacts.traces[i]
+            tr = contacts.on_fields[i]
             position = next(j for j, (k, _) in enumerate(solver.system.fields) if k == tr.part)
             N = sp.diags((slave == i).astype(float)) @ sp.csr_matrix(self.rows.field[i])
             turn = solver._turns[position]

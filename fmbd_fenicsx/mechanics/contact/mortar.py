@@ -29,7 +29,7 @@ from ...fem.traces.traces import Trace as Facets
 from ...fem.traces.traces import scatter
 from ...rotations import Array
 from .rows import ContactSet, Linear, Rows, Side, Touch, tangents_of
-from .trace import Trace
+from .trace import ModalTrace, Trace
 
 COVERED = 0.05  # a multiplier with less than this share of its weight in the overlap is left out
 
@@ -56,7 +56,6 @@ class MortarPair:
 
     carrier = None
     shape = None
-    rigid = False
     restitution = 0.0
 
     def __init__(
@@ -68,7 +67,9 @@ class MortarPair:
         law: Any,
     ) -> None:
         self.name, self.slave, self.master = name, sides[0], sides[1]
-        self.friction, self.search, self.massless = law.friction, law.search, law.redistribute_mass
+        self.friction, self.search = law.friction, law.search
+        self.bounces = any(isinstance(traces[s.trace], ModalTrace) for s in sides)
+        self.massless = law.redistribute_mass and not self.bounces
         self.facets = facets
         self.order = [_match(f, s, traces[s.trace]) for f, s in zip(facets, sides, strict=True)]
         quadratic = facets[0].dim == 3 and facets[0].degree > 1
@@ -156,7 +157,7 @@ class MortarPair:
             restitution=0.0 * one,
             normal=touch.normal,
             drift=np.zeros((self.count, len(directions))),
-            trace=np.full(self.count, self.slave.trace),
+            trace=np.full(self.count, contacts.carrier_of(self.slave)),
         )
 
 

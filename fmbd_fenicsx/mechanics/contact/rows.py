@@ -22,13 +22,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...rotations import Array, Motions
-from .trace import SurfaceNodes, Trace
+from .trace import FieldTrace, ModalTrace, SurfaceNodes, Trace
 
 
 @dataclass(frozen=True)
 class Linear:
-    """Rows on velocities: ``core`` (m, n_core) and, for each trace, ``field`` (m, n_trace d) in the body's
-    axes.
+    """Rows on velocities: ``core`` (m, n_core) and, for each trace, ``field`` (m, n_trace d) in the body's axes; those of
+    a :class:`ModalTrace` are empty, it acts on the core.
     """
 
     core: Array
@@ -104,11 +104,7 @@ class Pair:
     restitution: float
     search: float | None
     massless: bool
-
-    @property
-    def rigid(self) -> bool:
-        """Whether no elastic surface takes part."""
-        return self.slave.surface is None
+    bounces: bool  # its points carry inertia that cannot be taken off: those of a rigid body, or of modes
 
     @property
     def moving(self) -> bool:
@@ -133,11 +129,20 @@ class Pair:
 
 class ContactSet:
     """All contacts of a system; evaluates :class:`Rows`. Attributes: ``pairs``, ``traces``, ``frictional``,
-    ``names``.
+    ``names``, ``amplitudes``: where the modes of each reduced part stand in the core.
     """
 
-    def __init__(self, motions: Motions, pairs: tuple[Any, ...], traces: tuple[Trace, ...], n_core: int) -> None:
-        self.m, self.pairs, self.traces, self.n_core = motions, pairs, traces, n_core
+    def __init__(
+        self,
+        motions: Motions,
+        pairs: tuple[Any, ...],
+        traces: tuple[Trace, ...],
+        amplitudes: dict[int, slice],
+        n_core: int,
+    ) -> None:
+        self.m, self.pairs, self.traces = motions, pairs, traces
+        self.amplitudes, self.n_core = amplitudes, n_core
+        self.on_fields = {i: tr for i, tr in enumerate(traces) if isinstance(tr, FieldTrace)}
         self.frictional = any(p.friction > 0 for p in pairs)
         self.names = tuple(p.name for p in pairs)
 
@@ -197,6 +202,11 @@ class ContactSet:
         return np.concatenate([p.weight for p in self.pairs])
 
     @cached_property
+    def massless(self) -> np.ndarray:
+        """Candidates whose nodes carry no inertia, (m,) bool."""
+        return np.concatenate([np.full(p.count, p.massless) for p in self.pairs])
+
+    @cached_property
     def pair(self) -> np.ndarray:
         """Number of the pair of each candidate, (m,)."""
         return np.concatenate([np.full(p.count, i) for i, p in enumerate(self.pairs)])
@@ -220,10 +230,7 @@ class ContactSet:
         speed = 0.0
         twist = system.twists(v)
         for tr in self.traces:
-            body = (
-                np.abs(twist[tr.frame, : self.m.dim]).sum()
-                + np.abs(twist[tr.frame, self.m.dim :]).sum() * tr.field.size
-            )
+            body = np.abs(twist[tr.frame, : self.m.dim]).sum() + np.abs(twist[tr.frame, self.m.dim :]).sum() * tr.size
             speed = max(
                 speed,
                 float(np.linalg.norm(tr.gather(system.local_v(v, tr.part)), axis=1).max() + tr.moving * body),
@@ -251,17 +258,22 @@ class ContactSet:
     def times(self, system: Any, rows: Linear, v: Array) -> Array:
         """N v, (m,); collective."""
         out = rows.core @ v[: self.n_core]
-        for tr, f in zip(self.traces, rows.field, strict=True):
-            out = out + f @ tr.gather(system.local_v(v, tr.part)).ravel()
+        for i, tr in self.on_fields.items():
+            out = out + rows.field[i] @ tr.gather(system.local_v(v, tr.part)).ravel()
         return np.asarray(out)
 
     def transposed(self, system: Any, rows: Linear, force: Array) -> Array:
         """N^T Lambda, like v."""
         out = np.zeros(system.n_v)
         out[: self.n_core] = rows.core.T @ force
-        for tr, f in zip(self.traces, rows.field, strict=True):
-            system.local_v(out, tr.part)[:] += tr.spread(np.asarray(f.T @ force).reshape(-1, self.m.dim))
+        for i, tr in self.on_fields.items():
+            system.local_v(out, tr.part)[:] += tr.spread(np.asarray(rows.field[i].T @ force).reshape(-1, self.m.dim))
         return out
+
+    def carrier_of(self, side: Side) -> int:
+        """Number of the trace whose field carries the multipliers of a slave, -1 where the core does."""
+        on_field = side.trace >= 0 and isinstance(self.traces[side.trace], FieldTrace)
+        return side.trace if on_field else -1
 
     # -- building blocks of rows -----------------------------------------------------------------------------
     def blank(self, m: int) -> tuple[Array, list[Any]]:
@@ -283,7 +295,11 @@ class ContactSet:
         local = world @ R
         rows = np.repeat(coo.row, d)
         cols = (coo.col[:, None] * d + np.arange(d)).ravel()
-        field[trace] = field[trace] + sp.csr_matrix((local.ravel(), (rows, cols)), shape=field[trace].shape)
+        nodal = sp.csr_matrix((local.ravel(), (rows, cols)), shape=(len(core), tr.n * d))
+        if isinstance(tr, ModalTrace):
+            core[:, self.amplitudes[tr.part]] += nodal @ tr.modes
+        else:
+            field[trace] = field[trace] + nodal
         n_twist = self.m.n_twist
         if tr.frame * n_twist < self.n_core and tr.frame >= 0 and tr.moving:
             at_frame = slice(tr.frame * n_twist, (tr.frame + 1) * n_twist)
@@ -419,7 +435,7 @@ class ObstaclePair(Pair):
             restitution=self.restitution * one,
             normal=touch.normal,
             drift=drift,
-            trace=np.full(count, side.trace),
+            trace=np.full(count, contacts.carrier_of(side)),
         )
 
 

@@ -14,12 +14,14 @@ of the same space has positive integrals D~; the values to it are u~ = T u with 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from ...errors import MeshError
+from ...fem.numbering import Numbering
 from ...rotations import Array
 
 _SHIFT = 0.2  # a in (1)
@@ -37,33 +39,61 @@ class SurfaceNodes:
     facets: np.ndarray  # numbers in ``nodes``: vertices first, in order, then the nodes on edges
 
 
+@dataclass(frozen=True, eq=False)
+class BodyNodes:
+    """All nodes of an elastic body: its scalar-blocked ``space`` on ``mesh``, positions (n, d) of this rank's nodes.
+
+    ``X``: in the axes of the body's frame, ``X_world``: where they lie at rest.
+    """
+
+    space: Any
+    mesh: Any
+    degree: int
+    X: Array
+    X_world: Array
+
+    @cached_property
+    def numbering(self) -> Numbering:
+        """Numbers of the nodes that do not depend on the ranks; collective at first use."""
+        return Numbering(self.space)
+
+
 class Trace:
     """All contact nodes of one elastic part; collective to build.
 
+    A :class:`FieldTrace` sees nodal values of a field, a :class:`ModalTrace` amplitudes of modes.
+
     Attributes: ``part`` its number, ``own`` owned node numbers of this rank, ``first`` where they start in
     the common list, ``X`` (n, d) reference positions in the body's axes (the world's without a ``moving`` frame),
-    ``n``, ``dim``, ``surfaces``.
+    ``n``, ``dim``, ``size`` of the body (m), ``surfaces``.
     """
 
-    def __init__(self, part: int, body: Any, surfaces: list[str], moving: bool) -> None:
-        field = body.field
-        self.part, self.body, self.field, self.comm = part, body, field, field.comm
-        self.dim, self.frame, self.moving = field.dim, body.frame, moving
-        lists = {s: _facet_dofs(field, s) for s in surfaces}
+    def __init__(self, number: int, part: Any, nodes: BodyNodes, surfaces: list[str], *, moving: bool) -> None:
+        self.part, self.body_nodes, self.comm = number, nodes, nodes.mesh.dolfinx.comm
+        self.dim, self.frame, self.moving, self.size = nodes.mesh.dim, part.frame, moving, part.size
+        lists = {s: _facet_dofs(nodes, s) for s in surfaces}
         used = np.unique(np.concatenate([f.ravel() for f, _ in lists.values()]))
-        low, high = field.space.dofmap.index_map.local_range
+        low, high = nodes.space.dofmap.index_map.local_range
         self.own = (used[(used >= low) & (used < high)] - low).astype(int)
         self.first = int(np.searchsorted(used, low))
         self.n = len(used)
-        reference = field.X if moving else field.X_world
-        self.X = np.concatenate(self.comm.allgather(reference[self.own])).reshape(self.n, self.dim)
-        self.at_rest = np.concatenate(self.comm.allgather(field.X_world[self.own])).reshape(self.n, self.dim)
+        self.at_rest = self._everywhere(nodes.X_world)
+        self.X = self._everywhere(nodes.X) if moving else self.at_rest
         self.surfaces = {s: self._surface(s, np.searchsorted(used, f), w) for s, (f, w) in lists.items()}
+
+    def _everywhere(self, x: Array) -> Array:
+        """Rows (n_own, k) of this rank's nodes at all contact nodes, (n, k), on all ranks; collective."""
+        mine = x[self.own]
+        return mine if self.comm.size == 1 else np.concatenate(self.comm.allgather(mine))
+
+    def gather(self, w: Array) -> Array:
+        """Values at the contact nodes, (n, d), on all ranks, of local coordinates of the part; collective."""
+        raise NotImplementedError
 
     @property
     def thickness(self) -> float:
         """Shortest edge of the box around the body at rest, m; collective."""
-        X = self.field.X_world
+        X = self.body_nodes.X_world
         none = np.full(self.dim, np.inf)
         low = np.min(self.comm.allgather(X.min(0) if len(X) else none), axis=0)
         return float((np.max(self.comm.allgather(X.max(0) if len(X) else -none), axis=0) - low).min())
@@ -71,7 +101,7 @@ class Trace:
     def _surface(self, name: str, facets: np.ndarray, weights: dict[int, float]) -> SurfaceNodes:
         nodes = np.unique(facets)
         local = np.searchsorted(nodes, facets)
-        D = np.array([weights[int(g)] for g in self.global_nodes(nodes)])
+        D = np.array([weights[int(g)] for g in self.global_numbers[nodes]])
         n = len(nodes)
         transform: Any = sp.identity(n, format="csr")
         if self.dim == 3 and facets.shape[1] == 6:
@@ -94,22 +124,24 @@ class Trace:
             )
         return SurfaceNodes(nodes, D, transform, local)
 
-    def global_nodes(self, nodes: np.ndarray) -> np.ndarray:
-        """Global numbers of the body's nodes for numbers in the trace; collective at the first call."""
-        if not hasattr(self, "_gids"):
-            low = self.field.space.dofmap.index_map.local_range[0]
-            self._gids = np.concatenate(self.comm.allgather(self.own + low))
-        return self._gids[nodes]
+    @cached_property
+    def global_numbers(self) -> np.ndarray:
+        """Global numbers of the body's nodes by their number in the trace, (n,); collective at first use."""
+        low = self.body_nodes.space.dofmap.index_map.local_range[0]
+        return np.concatenate(self.comm.allgather(self.own + low))
 
-    # -- values on all ranks ---------------------------------------------------------------------------------
+
+class FieldTrace(Trace):
+    """Contact nodes of an elastic field, whose local coordinates are nodal displacements."""
+
+    def __init__(self, number: int, part: Any, surfaces: list[str], *, moving: bool) -> None:
+        self.field = f = part.field
+        nodes = BodyNodes(f.space, f.mesh, f.forms.degree, f.X, f.X_world)
+        super().__init__(number, part, nodes, surfaces, moving=moving)
+
     def gather(self, w: Array) -> Array:
-        """Values of a nodal vector (n_own d,) of the part at the contact nodes, (n, d), on all ranks;
-        collective.
-        """
-        mine = w.reshape(-1, self.dim)[self.own]
-        if self.comm.size == 1:
-            return mine
-        return np.concatenate(self.comm.allgather(mine))
+        """Values of a nodal vector (n_own d,) of the part at the contact nodes, (n, d), on all ranks; collective."""
+        return self._everywhere(w.reshape(-1, self.dim))
 
     def spread(self, f: Array) -> Array:
         """Nodal vector (n_own d,) of this rank from values (n, d) at the contact nodes."""
@@ -126,14 +158,31 @@ class Trace:
         return out
 
 
+class ModalTrace(Trace):
+    """Contact nodes of a reduced body, u = Phi eta; its rows act on the amplitudes, which belong to the core.
+
+    ``modes`` (n d, m): Phi at the contact nodes.
+    """
+
+    def __init__(self, number: int, part: Any, nodes: BodyNodes, phi: Array, surfaces: list[str]) -> None:
+        super().__init__(number, part, nodes, surfaces, moving=True)
+        m = phi.shape[1]
+        self.modes: Array = self._everywhere(phi.reshape(len(nodes.X), self.dim * m)).reshape(self.n * self.dim, m)
+
+    def gather(self, w: Array) -> Array:
+        """Displacements Phi eta of the contact nodes, (n, d)."""
+        return (self.modes @ w).reshape(-1, self.dim)
+
+
 def surface_nodes(field: Any, surfaces: list[str]) -> np.ndarray:
     """Owned nodes on some surfaces of a field, ascending; collective."""
-    used = np.unique(np.concatenate([_facet_dofs(field, s)[0].ravel() for s in surfaces]))
+    nodes = BodyNodes(field.space, field.mesh, field.forms.degree, field.X, field.X_world)
+    used = np.unique(np.concatenate([_facet_dofs(nodes, s)[0].ravel() for s in surfaces]))
     low, high = field.space.dofmap.index_map.local_range
     return (used[(used >= low) & (used < high)] - low).astype(int)
 
 
-def _facet_dofs(field: Any, surface: str) -> tuple[np.ndarray, dict[int, float]]:
+def _facet_dofs(nodes: BodyNodes, surface: str) -> tuple[np.ndarray, dict[int, float]]:
     """Global scalar dofs of the facets of a surface (n_f, n_loc), and int phi_i of each dof; equal on all
     ranks.
     """
@@ -142,28 +191,28 @@ def _facet_dofs(field: Any, surface: str) -> tuple[np.ndarray, dict[int, float]]
 
     from ... import dolfinx_compat as compat
 
-    msh, comm, d = field.mesh.dolfinx, field.comm, field.dim
-    tag = field.mesh.surface_tag(surface)
-    tags = field.mesh.facet_tags
+    mesh, space = nodes.mesh, nodes.space
+    msh, comm, d = mesh.dolfinx, mesh.dolfinx.comm, mesh.dim
+    tag, tags = mesh.surface_tag(surface), mesh.facet_tags
     top = msh.topology
     top.create_connectivity(d - 1, d)
     top.create_connectivity(d, d - 1)
-    closure = field.space.element.basix_element.entity_closure_dofs[d - 1]
+    closure = space.element.basix_element.entity_closure_dofs[d - 1]
     to_cell, to_facet = top.connectivity(d - 1, d), top.connectivity(d, d - 1)
     owned_cells, rows = top.index_map(d).size_local, []
-    index_map = field.space.dofmap.index_map
+    index_map = space.dofmap.index_map
     for f in tags.indices[tags.values == tag]:
         cell = int(to_cell.links(int(f))[0])
         if cell >= owned_cells:
             continue
         k = int(np.flatnonzero(to_facet.links(cell) == f)[0])
-        dofs = field.space.dofmap.cell_dofs(cell)[closure[k]]
+        dofs = space.dofmap.cell_dofs(cell)[closure[k]]
         rows.append(index_map.local_to_global(dofs.astype(np.int32)))
     n_loc = len(closure[0])
     facets = np.concatenate(comm.allgather(np.array(rows, dtype=np.int64).reshape(-1, n_loc)))
     if len(facets) == 0:
-        raise MeshError(f'Surface "{surface}" of {field.mesh.label} has no facets on the boundary.')
-    scalar = fem.functionspace(msh, ("Lagrange", field.forms.degree))
+        raise MeshError(f'Surface "{surface}" of {mesh.label} has no facets on the boundary.')
+    scalar = fem.functionspace(msh, ("Lagrange", nodes.degree))
     ds = ufl.Measure("ds", domain=msh, subdomain_data=tags)(tag)
     b = fem.assemble_vector(compat.form(ufl.TestFunction(scalar) * ds))
     b.scatter_reverse(la.InsertMode.add)

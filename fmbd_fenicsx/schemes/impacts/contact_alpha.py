@@ -13,7 +13,7 @@ Source: Bruels, Acary and Cardona, doi:10.1016/j.cma.2014.07.025.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,8 +42,16 @@ class ContactAlpha(GeneralizedAlpha):
         return f"contact generalized-alpha(rho_inf={self.rho_inf:g})"
 
     def start(self, system: System, state: State, solver: StepSolver, h: float) -> tuple[State, Correction]:
-        """As for the midpoint rule."""
-        return elastic_start(self.name, system, state, solver, 0.5 * h)
+        """As for the midpoint rule, with accelerations.
+
+        M is singular on massless nodes; (M + h^2 K / 4) a = -h - G^T lambda gives them the acceleration of their neighbours,
+        and differs from a by what the step leaves out as well. A start with a = 0 would delay all forces by half a step.
+        """
+        start, correction = elastic_start(self.name, system, state, solver, 0.5 * h)
+        ev = system.at(start.t, start.q, start.v)
+        solver.prepare(ev, Weights(1.0, 0.0, 0.25 * h * h))
+        a, lam = solver.solve(-ev.balance(np.zeros(system.n_v)), -ev.gamma())
+        return replace(start, a=a, lam=lam), correction
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:  # type: ignore[override]
         """A run's worker, from a consistent state."""

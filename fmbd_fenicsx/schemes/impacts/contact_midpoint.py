@@ -77,12 +77,11 @@ def elastic_start(name: str, system: System, state: State, solver: StepSolver, t
     contacts = system.contacts
     if contacts is None:
         raise InputError(f"{name} is a scheme for scenes with contact; this scene has none. Use another scheme.")
-    rigid = [p.name for p in contacts.pairs if p.rigid]
-    if rigid:
+    bouncing = [p.name for p in contacts.pairs if p.bounces]
+    if bouncing:
         raise InputError(
-            f'Contact "{rigid[0]}" is between rigid bodies: {name} has no impact law for inertia on '
-            "the contact "
-            "point, its rebound would depend on dt. Use fmbd.Moreau(), which takes the contact's restitution."
+            f'Contact "{bouncing[0]}" is between rigid or reduced bodies: {name} has no impact law for inertia on the contact '
+            "point, its rebound would depend on dt. Use fmbd.schemes.Moreau(), which takes the contact's restitution."
         )
     heavy = [p.name for p in contacts.pairs if not p.massless]
     if heavy:

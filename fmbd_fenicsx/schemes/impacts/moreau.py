@@ -118,7 +118,7 @@ class Stepper(ContactStepper):
         reach = np.where(self.carrying, DRIFT, TOUCH) * system.length
         touching = near & (contacts.touch(system, s.t, s.q).gap <= reach)
         slow, rate = SLOW * system.length / h, self._rates(touching & ~self.carrying, h)
-        hit = rate < -slow
+        hit = (rate < -slow) & ~contacts.massless  # nothing bounces that has no inertia: it closes
         if hit.any():
             hits += hit
             self.located += int(hit.sum())
@@ -127,7 +127,7 @@ class Stepper(ContactStepper):
                 name = contacts.names[contacts.pair[i]]
                 log.info('contact "%s" at t = %.6g s: its impacts accumulate (Zeno); it comes to rest', name, s.t)
             return _Step(self, IMPACT * h, touching, bounce=hit & (hits <= REPEATS), span=h)
-        closed = touching & (rate <= slow)
+        closed = touching & (contacts.massless | (rate <= slow))
         while True:
             step = _Step(self, left, closed)
             share, held = self._next_touch(step, near & ~closed)

@@ -12,11 +12,13 @@ import numpy as np
 from ...errors import InputError, named, near, require
 from ...log import log
 from ...mechanics.bodies.bodies import RigidBody, Surface
+from ...mechanics.bodies.field_part import FieldPart
 from ...mechanics.contact.contact import Contact, RigidPoints
 from ...mechanics.contact.mass import redistribute_mass
 from ...mechanics.contact.rows import Carrier, ContactSet, ObstaclePair, Side
 from ...mechanics.contact.shapes import Obstacle
-from ...mechanics.contact.trace import Trace, surface_nodes
+from ...mechanics.contact.trace import BodyNodes, FieldTrace, ModalTrace, Trace, surface_nodes
+from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...rotations import Array, Motions
 
 
@@ -56,8 +58,13 @@ def make_massless(scene: Any, body: Any, field: Any) -> None:
 
 def build_contacts(scene: Any, motions: Motions, frame_of: dict[str, int], parts: list[Any]) -> ContactSet:
     """The contact set of a scene; ``frame_of`` body -> frame, ``parts`` in the system's order. Collective."""
-    n_frames = len(frame_of)
-    n_core = n_frames * motions.n_twist + sum(p.n for p in parts if not p.distributed)
+    start = len(frame_of) * motions.n_twist
+    amplitudes: dict[int, slice] = {}
+    for k, part in enumerate(parts):
+        if not part.distributed:
+            amplitudes[k] = slice(start, start + part.n)
+            start += part.n
+
     traces: list[Trace] = []
     number: dict[str, int] = {}
     for k, part in enumerate(parts):
@@ -65,9 +72,28 @@ def build_contacts(scene: Any, motions: Motions, frame_of: dict[str, int], parts
         names = [] if body is None else contact_surfaces(scene, body)
         if names:
             number[body.name] = len(traces)
-            traces.append(Trace(k, part, names, part.frame < n_frames))
+            traces.append(_trace(k, part, body, names, len(frame_of)))
     pairs = tuple(_pair(c, motions, frame_of, (traces, number)) for c in map(oriented, scene.contacts.values()))
-    return ContactSet(motions, pairs, tuple(traces), n_core)
+    return ContactSet(motions, pairs, tuple(traces), amplitudes, start)
+
+
+def _trace(number: int, part: Any, body: Any, surfaces: list[str], n_frames: int) -> Trace:
+    """The contact nodes of an elastic body; collective.
+
+    Raises:
+        InputError: a body without a mesh.
+    """
+    if isinstance(part, FieldPart):
+        return FieldTrace(number, part, surfaces, moving=part.frame < n_frames)
+    if isinstance(body, ReducedBody):
+        made = body.reduction
+        world = made.space.tabulate_dof_coordinates()[: len(made.phi) // body.dim, : body.dim]
+        nodes = BodyNodes(made.space, body.source.mesh, body.source.degree, world - made.constants.center, world)
+        return ModalTrace(number, part, nodes, made.phi, surfaces)
+    raise InputError(
+        f'Body "{body.name}" has no mesh whose surface could touch. Contact takes surfaces of FloatingBody, AbsoluteBody and '
+        "their reduced bodies, and points of a RigidBody (fmbd.contacts.corners, ball, cylinder_end)."
+    )
 
 
 def _pair(c: Contact, m: Motions, frame_of: dict[str, int], known: tuple[list[Trace], dict[str, int]]) -> Any:
@@ -83,9 +109,10 @@ def _pair(c: Contact, m: Motions, frame_of: dict[str, int], known: tuple[list[Tr
         side = Side(i, traces[i].surfaces[c.slave.name], traces[i].frame, np.zeros((0, m.dim)), 0.0)
     if isinstance(c.master, Surface):
         return _mortar_pair(c, side, known)
+    bounces = side.trace < 0 or not isinstance(traces[side.trace], FieldTrace)
     return ObstaclePair(
         c.name, side, c.master.shape, _carrier(c.name, c.master, m, frame_of), c.friction, c.restitution, c.search,
-        c.redistribute_mass,
+        c.redistribute_mass and not bounces, bounces,
     )  # fmt: skip
 
 
@@ -97,7 +124,7 @@ def _mortar_pair(c: Contact, slave: Side, known: tuple[list[Trace], dict[str, in
     i = number[c.master.body.name]
     master = Side(i, traces[i].surfaces[c.master.name], traces[i].frame, slave.points, 0.0)
     facets = tuple(
-        trace_of(traces[s.trace].field.space, traces[s.trace].field.mesh, name)
+        trace_of(traces[s.trace].body_nodes.space, traces[s.trace].body_nodes.mesh, name)
         for s, name in ((slave, c.slave.name), (master, c.master.name))
     )
     return MortarPair(c.name, (slave, master), (facets[0], facets[1]), traces, c)
@@ -123,7 +150,8 @@ def oriented(c: Contact) -> Contact:
 
 def _facet_size(surface: Surface) -> float:
     """Mean diameter of the facets of a surface, m; collective."""
-    mesh = surface.body.mesh
+    body = surface.body.source if isinstance(surface.body, ReducedBody) else surface.body
+    mesh = body.mesh
     tags, msh = mesh.facet_tags, mesh.dolfinx
     facets = tags.find(mesh.surface_tag(surface.name))
     own = facets[facets < msh.topology.index_map(mesh.dim - 1).size_local]
