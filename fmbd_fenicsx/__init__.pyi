@@ -89,6 +89,9 @@ from .mechanics.joints.surface_ties import tie_surface as tie_surface
 from .mechanics.reduction.craig_bampton import CraigBampton as CraigBampton
 from .mechanics.reduction.recovery import displacement_field as displacement_field
 from .mechanics.reduction.recovery import stress as stress
+from .mechanics.rods.rods import Rod as Rod
+from .mechanics.rods.rods import RodLoad as RodLoad
+from .mechanics.rods.sections import RodSection as RodSection
 from .mesh import Mesh as Mesh
 from .mesh import read_gmsh as read_gmsh
 from .post import demo as demo

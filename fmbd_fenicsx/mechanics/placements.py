@@ -126,6 +126,26 @@ def is_distributed(part: Part) -> TypeGuard[DistributedPart]:
     return part.distributed
 
 
+class FrameElements(Protocol):
+    """Elements between several moving frames, such as those of a rod; replicated.
+
+    Pairs (frames (m, k), values) name what belongs to which frames; a frame may occur in many.
+    """
+
+    name: str
+
+    def forces(self, t: float, pose: Array, twist: Array | None) -> list[tuple[np.ndarray, Array]]:
+        """What they add to the balance M a + h of the frames, values (m, k, n_twist)."""
+
+    def tangents(
+        self, t: float, pose: Array, twist: Array | None, weights: tuple[float, float]
+    ) -> list[tuple[np.ndarray, Array]]:
+        """cd D + ck K for ``weights`` = (cd, ck): derivatives of the forces, values (m, k n_twist, k n_twist)."""
+
+    def energy(self, pose: Array) -> float:
+        """Elastic energy, J."""
+
+
 @dataclass(frozen=True)
 class RigidBlock:
     """All rigid bodies at once: frames (n,), mass (n,) kg, inertia about the centre of mass (n, n_rot, n_rot) kg m^2."""

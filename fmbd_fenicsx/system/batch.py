@@ -229,6 +229,12 @@ class Many:
         accel = self._twists(a) if s.n_frames else core
         if self.copies.rigid is not None:
             core[self.copies.rigid.frame] += self.copies.rigid.force(self.twist, accel, self._gravity)
+        for elements in s.elements:
+            stacked = core[:-1].reshape(k, s.n_frames, -1)
+            poses, twists = (x[:-1].reshape(k, s.n_frames, -1) for x in (self.pose, self.twist))
+            for c in range(k):
+                for frames, rows in elements.forces(float(self.times[c]), poses[c], twists[c]):
+                    np.add.at(stacked[c], frames, rows)
         for number, p in enumerate(s.parts):
             local = tuple(
                 x[:, at[number]] for x, at in zip((self.q, self.v, a), (s.slices[0], *[s.slices[1]] * 2), strict=True)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from .system import Evaluation, System
 
 DENSE_LIMIT = 20_000  # entries of G up to which it is kept dense
+CORE_LIMIT = 150  # velocities of the core up to which a system with rods is kept dense
 PORT_LIMIT = 4_000_000  # the same for its part on the ports of elastic fields: ties of many multipliers make it sparse
 
 
@@ -28,6 +29,8 @@ class Pattern:
         at = np.repeat(rows[self.keep], n)
         self.shape = (system.n_lam, system.n_core)
         self.dense = self.shape[0] * self.shape[1] <= DENSE_LIMIT
+        if system.elements and not system.fields:
+            self.dense &= system.n_core <= CORE_LIMIT
         key = at * self.shape[1] + cols
         if self.dense:
             self.slot = key

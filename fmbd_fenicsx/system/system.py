@@ -27,9 +27,10 @@ from ..mechanics.forces.force_elements import Loads
 from ..mechanics.frames import Kinematics, Markers
 from ..mechanics.joints.constraints import Batch
 from ..mechanics.joints.counted import CountedAngles
-from ..mechanics.placements import DistributedPart, FrameMotion, Part, RigidBlock, is_distributed
+from ..mechanics.placements import DistributedPart, FrameElements, FrameMotion, Part, RigidBlock, is_distributed
 from ..rotations import Array, Motions
 from . import configurations
+from .element_tangent import with_elements
 from .foreshortened_ports import bend, note_forces, port_bias, port_forces
 from .jacobian import Jacobian, force_tangent
 
@@ -58,17 +59,14 @@ class RowBlock:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """All bodies, constraints and forces of a scene as arrays; see the module for the equations.
-
-    ``rows`` holds, for each batch of elementary constraints, the numbers of its rows in lambda.
-    """
+    """All bodies, constraints and forces of a scene as arrays; see the module for the equations."""
 
     motions: Motions
     frame_names: tuple[str, ...]
     rigid: RigidBlock | None
     parts: tuple[Part, ...]  # those in the core first, then the distributed ones
     markers: Markers
-    batches: tuple[tuple[Batch, np.ndarray], ...]
+    batches: tuple[tuple[Batch, np.ndarray], ...]  # with the numbers of their rows in lambda
     port_constraints: tuple[tuple[PortConstraint, slice], ...]
     forces: tuple[Loads, ...]
     gravity: Callable[[float], Array]
@@ -79,6 +77,7 @@ class System:
     contacts: Any = None  # ContactSet of a scene with contact
     traces: tuple[tuple[Any, slice], ...] = ()  # ties by field multipliers (TraceRows) and their rows
     counted: CountedAngles | None = None  # None where nothing depends on an angle beyond a turn
+    elements: tuple[FrameElements, ...] = ()  # between moving frames: rods
     cache: dict[Any, Any] = field(repr=False, default_factory=dict)  # patterns found at first use
 
     def block(self, name: str) -> RowBlock:
@@ -355,7 +354,8 @@ class Evaluation:
 
     def force_tangent(self, cd: float, ck: float) -> Any:
         """cd D + ck K of the applied forces in the core, (n_core, n_core); None without such forces."""
-        return force_tangent(self, cd, ck) if self.system.forces and self.v is not None else None
+        applied = force_tangent(self, cd, ck) if self.system.forces and self.v is not None else None
+        return with_elements(self, applied, cd, ck) if self.system.elements else applied
 
     def spread(self, wrench: Array) -> Array:
         """Generalised forces of wrenches on the markers: the transpose of the marker Jacobians, like v."""
@@ -387,6 +387,9 @@ class Evaluation:
         core = np.zeros((s.n_frames + 1, n))
         if s.rigid is not None:
             core[s.rigid.frame] += s.rigid.force(self.twist, accel, g)
+        for elements in s.elements:
+            for frames, rows in elements.forces(self.t, self.pose, self.twist):
+                np.add.at(core, frames, rows)
         local_rows = []
         for k, p in enumerate(s.parts):
             local = (s.local_q(self.q, k), s.local_v(self.v, k), s.local_v(a, k))
@@ -425,6 +428,7 @@ class Evaluation:
             motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], None, g)
             T, E, W = p.energies(motion, self.pose[p.frame], (s.local_q(self.q, k), s.local_v(self.v, k)))
             kinetic, elastic, weight = kinetic + T, elastic + E, weight + W
+        elastic += sum(elements.energy(self.pose) for elements in s.elements)
         springs = sum(f.energy(self.kin, self.t) for f in s.forces)
         return {"kinetic": kinetic, "elastic": elastic, "weight": weight, "springs": springs}
 

@@ -36,7 +36,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import ConvergenceError
+from ...errors import ConvergenceError, require
 from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.configurations import count
@@ -60,6 +60,9 @@ class EnergyMomentum:
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
+        require(
+            not system.elements, "EnergyMomentum() does not take rods yet: use GeneralizedAlpha(), Radau() or BDF()."
+        )
         return Stepper(system, solver, newton, state)
 
 

@@ -70,7 +70,7 @@ def supports(system: System) -> bool:
         _plain_field(p) if type(p) is FloatingField else type(p) is ReducedPart and not p.constants.loads for p in parts
     )
     plain = system.markers.section is None and not (
-        system.forces or system.contacts or system.port_constraints or system.traces
+        system.forces or system.elements or system.contacts or system.port_constraints or system.traces
     )
     kinds = all(type(batch) in KINDS for batch, _ in system.batches)
     return known and plain and kinds and system.n_frames > 0

@@ -23,11 +23,13 @@ from ...mechanics.joints.joints import Joint, ground
 from ...mechanics.joints.relative import Relative, Separation, Turn
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...mechanics.reduction.reduced import ReducedPart
+from ...mechanics.rods.rods import Rod
 from ...rotations import Array, Motions, motions
 from ..configurations import count
 from ..sensors.sensors import JointReading, Sensor
 from ..system import RowBlock, State, System
 from .joints import JointRows, counted_angles, relative_of
+from .rods import RodNodes
 from .wires import slider_rows, wires_part
 
 if TYPE_CHECKING:
@@ -62,6 +64,7 @@ class Builder:
         self.fields: list[Any] = []
         self.joint_markers: dict[str, tuple[int, int]] = {}
         self.starts: list[tuple[Array, Array]] = []
+        self.nodes = RodNodes()
         self.keys: list[tuple[int, Array, Array, Any]] = []  # markers: frame, position, rotation, surface or None
 
     def build(self) -> tuple[System, State, dict[str, int]]:
@@ -69,26 +72,30 @@ class Builder:
         scene = self.scene
         self._check()
         moving = [b for b in scene.bodies.values() if not getattr(b, "locked", False)]
-        framed = [b for b in moving if not isinstance(b, CoordinateBody | LineBody | AbsoluteBody | Wires)]
+        framed = [b for b in moving if not isinstance(b, CoordinateBody | LineBody | AbsoluteBody | Wires | Rod)]
         elastic = [b for b in moving if isinstance(b, FloatingBody | AbsoluteBody)]
         own = [b for b in moving if isinstance(b, CoordinateBody)]
         for body in framed:
             self.frame_of[body.name] = len(self.poses)
             self.poses.append(np.zeros(0))
             self.twists.append(body.start_twist())
-        used = self._surfaces_in_use()
+        for body in (b for b in moving if isinstance(b, Rod)):
+            self.frame_of |= self.nodes.add(body, len(self.poses))
+            self.poses.extend(body.poses)
+            self.twists.extend(body.start_twists())
+        used, ground_frame = self._surfaces_in_use(), len(self.poses)
         for body in own:
-            self._put_part(CoordinatePart(body, len(framed)), np.array(body.start), np.array(body.start_rate))
+            self._put_part(CoordinatePart(body, ground_frame), np.array(body.start), np.array(body.start_rate))
         for body in (b for b in moving if isinstance(b, LineBody)):
-            part = LinePart(body, len(framed), used[body.name])
+            part = LinePart(body, ground_frame, used[body.name])
             self._put_part(part, part.start, part.start_rate)
         for body in moving:
             if isinstance(body, ReducedBody | Beam):
                 self._add_reduced(body, used[body.name])
         for body in elastic:
-            self._add_field(body, used[body.name], len(framed))
+            self._add_field(body, used[body.name], ground_frame)
         for body in (b for b in moving if isinstance(b, Wires)):
-            part = wires_part(body, len(framed), self.scene.sliders)
+            part = wires_part(body, ground_frame, self.scene.sliders)
             self._put_part(part, np.zeros(part.n), np.zeros(part.n))
         rigid = [b for b in moving if isinstance(b, RigidBody)]
         for body in rigid:
@@ -101,8 +108,8 @@ class Builder:
         counted = self._counted(markers)
         system = System(
             motions=self.m,
-            frame_names=tuple(b.name for b in framed),
-            rigid=self._rigid_block(rigid),
+            frame_names=tuple(self.frame_of),
+            rigid=self.nodes.rigid_block(self.m, rigid, self.frame_of),
             parts=tuple(self.fields),
             markers=markers,
             batches=tuple(batches),
@@ -116,6 +123,7 @@ class Builder:
             contacts=self._contacts(),
             traces=tuple(traces),
             counted=counted,
+            elements=tuple(self.nodes.elements),
         )
         return system, self._state(system), sensor_markers
 
@@ -169,7 +177,7 @@ class Builder:
             raise InputError(
                 f"{what} refers to {named}, which is not in the scene. {near(name or '', self.scene.bodies)}"
             )
-        if isinstance(side, FloatingBody | AbsoluteBody | ReducedBody | Beam | LineBody):
+        if isinstance(side, FloatingBody | AbsoluteBody | ReducedBody | Beam | LineBody | Rod):
             raise InputError(
                 f'{what}: attach to a surface of the elastic body "{body.name}", say {body.name}.surface("...").'
             )
@@ -190,6 +198,13 @@ class Builder:
         self.part_of[part.name] = len(self.fields)
         self.fields.append(part)
         self.starts.append((q, v))
+
+    def _center(self, side: Surface) -> Array:
+        """Where a surface lies at the start."""
+        if isinstance(side.body, Rod):
+            return self.nodes.section(side)[1][: self.m.dim]
+        center: Array = self.fields[self.part_of[side.body.name]].surface_center(side.name)
+        return center
 
     def _add_reduced(self, body: ReducedBody | Beam, surfaces: list[str]) -> None:
         frame = self.frame_of[body.name]
@@ -227,20 +242,12 @@ class Builder:
         self._put_part(part, start.U, start.Ud)
         self.poses[frame], self.twists[frame] = start.pose, start.twist
 
-    def _rigid_block(self, rigid: list[RigidBody]) -> Any:
-        from ...mechanics.placements import RigidBlock
-
-        if not rigid:
-            return None
-        return RigidBlock(
-            self.m,
-            np.array([self.frame_of[b.name] for b in rigid]),
-            np.array([float(b.mass) for b in rigid]),
-            np.array([b.inertia_matrix for b in rigid]),
-        )
-
     def _mass(self, rigid: list[RigidBody]) -> float:
-        return sum(b.mass for b in rigid) + sum(p.mass_total for p in self.fields if hasattr(p, "mass_total"))
+        return (
+            self.nodes.mass
+            + sum(b.mass for b in rigid)
+            + sum(p.mass_total for p in self.fields if hasattr(p, "mass_total"))
+        )
 
     def _length(self) -> float:
         points = [q[: self.m.dim] for q in self.poses]
@@ -264,7 +271,12 @@ class Builder:
     def _marker(self, side: Any, point: Array | None) -> int:
         """Number of a new marker on an attachment at a world point (None: centroid or origin); world axes at the start."""
         d = self.m.dim
-        if isinstance(side, Surface):
+        if isinstance(side, Surface) and isinstance(side.body, Rod):
+            frame, pose = self.nodes.section(side)
+            R = self.m.matrix(pose)
+            where = pose[:d] if point is None else np.asarray(point)[:d]
+            self.keys.append((frame, R.T @ (where - pose[:d]), R.T, None))
+        elif isinstance(side, Surface):
             part = self.fields[self.part_of[side.body.name]]
             center = part.surface_center(side.name)
             lever = np.zeros(d) if point is None else np.asarray(point)[:d] - center
@@ -288,7 +300,7 @@ class Builder:
         """Where a joint without a center sits: the centroid of a surface, else the origin of its moving body."""
         for side in (joint.a, joint.b):
             if isinstance(side, Surface):
-                return self.fields[self.part_of[side.body.name]].surface_center(side.name)
+                return self._center(side)
         for side in (joint.b, joint.a):
             if isinstance(side, RigidBody):
                 return side.start_pose()[: self.m.dim]

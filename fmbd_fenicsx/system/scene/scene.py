@@ -17,12 +17,13 @@ from ...mechanics.forces.forces import Force
 from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.joints import Joint
 from ...mechanics.reduction.craig_bampton import ReducedBody
+from ...mechanics.rods.rods import Rod
 from ..mobility import Mobility, check, loose_bodies
 from ..sensors.sensors import JointReading, Sensor
 from ..system import State, System
 from .build import Builder
 
-BODIES = (RigidBody, FloatingBody, AbsoluteBody, ReducedBody, Beam, LineBody, CoordinateBody, Wires)
+BODIES = (RigidBody, FloatingBody, AbsoluteBody, ReducedBody, Beam, LineBody, Rod, CoordinateBody, Wires)
 
 
 @dataclass

@@ -1,0 +1,204 @@
+"""Reference curves: arc length, places and section axes along a rod as it is without load.
+
+A curve is given by points (a smooth spline through them), or by a function of u in [0, 1]. Section axis 1 is its tangent t.
+Axis 2 is the part of a given direction across t, or is carried along without twist (Bishop frame, by double reflection:
+Wang, Juettler, Zheng and Liu, doi:10.1145/1330511.1330513); a twist angle (rad) about t comes on top.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...errors import CallbackError, InputError, require
+from ...rotations import Array
+
+FINEST = 4096  # intervals up to which a curve is resolved
+SMOOTH = 1e-10  # of the length: what the last doubling may still change
+SHARPEST = np.radians(60.0)  # turn between neighbouring chords above which points make a kink
+GAUSS_U, GAUSS_W = np.polynomial.legendre.leggauss(6)
+
+
+class Curve:
+    """A smooth curve by its arc length: ``length`` (m), :meth:`at` places and tangents."""
+
+    def __init__(self, name: str, given: Any) -> None:
+        self.name = name
+        self._exact: Callable[[float], Any] | None = given if callable(given) else None
+        self._spline: Any = self._through_function() if callable(given) else self._through_points(given)
+        self._slope = self._spline.derivative()
+        self._measure()
+
+    # -- what was given ---------------------------------------------------------------------------------------------
+    def _through_points(self, given: Any) -> Any:
+        """A spline of degree 3 at most through points, by the lengths of their chords."""
+        from scipy.interpolate import make_interp_spline
+
+        try:
+            points = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            points = np.zeros(0)
+        require(
+            points.ndim == 2 and points.shape[1] == 3 and len(points) >= 2 and bool(np.isfinite(points).all()),
+            f'Rod "{self.name}": the curve must be two or more points in space, or a function of u in [0, 1]; found {given!r}.',
+        )
+        chords = np.diff(points, axis=0)
+        lengths = np.linalg.norm(chords, axis=1)
+        if not lengths.min() > 1e-12 * lengths.max():
+            raise InputError(
+                f'Rod "{self.name}": points {int(lengths.argmin()) + 1} and {int(lengths.argmin()) + 2} of its curve coincide: '
+                "there is no tangent."
+            )
+        directions = chords / lengths[:, None]
+        turns = np.arccos(np.clip((directions[1:] * directions[:-1]).sum(1), -1.0, 1.0))
+        if turns.size and turns.max() >= SHARPEST:
+            worst = int(turns.argmax()) + 1
+            raise InputError(
+                f'Rod "{self.name}": its curve turns by {np.degrees(turns.max()):.0f} degrees at point {worst + 1}, '
+                f"{np.round(points[worst], 6).tolist()}: a kink. Make two rods and "
+                "join them by fmbd.fixed(...), or give more points."
+            )
+        u = np.concatenate(([0.0], np.cumsum(lengths))) / lengths.sum()
+        return make_interp_spline(u, points, k=min(3, len(points) - 1))
+
+    def _value(self, u: float) -> Array:
+        """The user's function at u."""
+        assert self._exact is not None
+        try:
+            found = np.asarray(self._exact(float(u)), dtype=float)
+        except Exception as error:
+            raise CallbackError(
+                f'Rod "{self.name}": its curve failed at u = {u:g}: {type(error).__name__}: {error}'
+            ) from error
+        if found.shape != (3,) or not np.isfinite(found).all():
+            raise CallbackError(
+                f'Rod "{self.name}": its curve returned {found!r} at u = {u:g}, expected 3 finite numbers.'
+            )
+        return found
+
+    def _through_function(self) -> Any:
+        """A quintic spline of the function, refined until it does not change."""
+        from scipy.interpolate import make_interp_spline
+
+        n = 32
+        u = np.linspace(0.0, 1.0, n + 1)
+        points = np.array([self._value(x) for x in u])
+        while True:
+            spline = make_interp_spline(u, points, k=5)
+            between = 0.5 * (u[1:] + u[:-1])
+            found = np.array([self._value(x) for x in between])
+            error = np.linalg.norm(found - spline(between), axis=1)
+            size = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+            if not size > 0:
+                raise InputError(f'Rod "{self.name}": its curve is a single point: there is no tangent.')
+            if error.max() <= SMOOTH * 1e-3 * size:
+                return spline
+            if n >= FINEST:
+                break
+            n *= 2
+            u = np.linspace(0.0, 1.0, n + 1)
+            fine = np.empty((n + 1, 3))
+            fine[::2], fine[1::2] = points, found
+            points = fine
+        if error.max() > SMOOTH * size:
+            raise InputError(
+                f'Rod "{self.name}": its curve is not smooth near u = {between[error.argmax()]:.4f}: a kink. Make two '
+                "rods and join them by fmbd.fixed(...)."
+            )
+        return spline
+
+    # -- arc length ---------------------------------------------------------------------------------------------
+    def _measure(self) -> None:
+        """Arc length of the spline over its parameter."""
+        n = max(512, 4 * len(self._spline.c))
+        self._u = np.linspace(0.0, 1.0, n + 1)
+        middle, half = 0.5 * (self._u[1:] + self._u[:-1]), 0.5 / n
+        speed = np.linalg.norm(self._slope(middle[:, None] + half * GAUSS_U), axis=-1)
+        slowest = int(speed.min(axis=1).argmin())
+        if not speed.min() > 1e-6 * speed.max():
+            raise InputError(
+                f'Rod "{self.name}": the tangent of its curve is zero near u = {middle[slowest]:.4f}: '
+                "give a parameter that moves on."
+            )
+        self._s = np.concatenate(([0.0], np.cumsum(half * (speed @ GAUSS_W))))
+        self.length = float(self._s[-1])
+
+    def _parameter(self, s: Array) -> Array:
+        """u of arc lengths s, by Newton's method."""
+        u = np.interp(s, self._s, self._u)
+        for _ in range(8):
+            k = np.clip(np.searchsorted(self._u, u, side="right") - 1, 0, len(self._u) - 2)
+            half = 0.5 * (u - self._u[k])
+            inside = self._u[k][:, None] + half[:, None] * (1 + GAUSS_U)
+            found = self._s[k] + half * (np.linalg.norm(self._slope(inside), axis=-1) @ GAUSS_W)
+            u = np.clip(u - (found - s) / np.linalg.norm(self._slope(u), axis=-1), 0.0, 1.0)
+        return u
+
+    def at(self, s: Array) -> tuple[Array, Array]:
+        """Places (n, 3) and unit tangents (n, 3) at arc lengths s (n,)."""
+        u = self._parameter(np.asarray(s, dtype=float))
+        slope = self._slope(u)
+        x = self._spline(u) if self._exact is None else np.array([self._value(k) for k in u])
+        return x, slope / np.linalg.norm(slope, axis=-1, keepdims=True)
+
+    # -- axes -----------------------------------------------------------------------------------------------------
+    def axes(self, s: Array, normal: Any = None, twist: Callable[[float], float] | None = None) -> Array:
+        """Rotation matrices (n, 3, 3) of the sections at ascending arc lengths s, columns axis 1, 2, 3."""
+        _, t = self.at(s)
+        across = self._carried(s) if normal is None else self._directed(s, t, normal)
+        if twist is not None:
+            angle = np.array([float(twist(float(x))) for x in s])
+            require(
+                bool(np.isfinite(angle).all()),
+                f'Rod "{self.name}": its twist is not finite; it must be an angle (rad) of s (m).',
+            )
+            c, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+            across = c * across + sin * np.cross(t, across)
+        return np.stack((t, across, np.cross(t, across)), axis=-1)
+
+    def _directed(self, s: Array, t: Array, normal: Any) -> Array:
+        """Parts of a direction, constant or a function of s, across the tangents."""
+        n: Array = np.array([normal(float(x)) for x in s] if callable(normal) else [normal] * len(s), dtype=float)
+        require(
+            n.shape == (len(s), 3) and bool(np.isfinite(n).all()),
+            f'Rod "{self.name}": normal must be three finite numbers, or a function of s with three; found {normal!r}.',
+        )
+        part = n - (n * t).sum(1, keepdims=True) * t
+        size, whole = np.linalg.norm(part, axis=1), np.linalg.norm(n, axis=1)
+        bad = np.flatnonzero(~(size > 1e-6 * np.maximum(whole, 1e-300)))
+        if bad.size:
+            x = self.at(s[bad[:1]])[0][0]
+            raise InputError(
+                f'Rod "{self.name}": its twist is undefined at s = {s[bad[0]]:g} m, point {np.round(x, 6).tolist()}: '
+                f"normal {n[bad[0]].tolist()} is parallel to the tangent. Give another normal, or a function of s."
+            )
+        return np.asarray(part / size[:, None])
+
+    def _carried(self, s: Array) -> Array:
+        """Axis 2 carried along without twist, from the world axis most across the curve's start (y before z before x)."""
+        fine = np.unique(np.concatenate((np.linspace(0.0, self.length, 1024), s)))
+        x, t = self.at(fine)
+        order = np.array([1, 2, 0])
+        first = np.eye(3)[order[int(np.argmin(np.round(np.abs(t[0][order]), 9)))]]
+        n = first - (first @ t[0]) * t[0]
+        carried = np.empty_like(x)
+        carried[0] = n / np.linalg.norm(n)
+        for i in range(len(fine) - 1):
+            carried[i + 1] = _reflected(carried[i], (x[i], x[i + 1]), (t[i], t[i + 1]))
+        found: Array = carried[np.searchsorted(fine, s)]
+        return found
+
+
+def _reflected(r: Array, x: tuple[Array, Array], t: tuple[Array, Array]) -> Array:
+    """One step of the double reflection: the direction r at the first of two points, carried to the second."""
+    chord = x[1] - x[0]
+    square = chord @ chord
+    left = r - (2.0 / square) * (chord @ r) * chord
+    tangent = t[0] - (2.0 / square) * (chord @ t[0]) * chord
+    v = t[1] - tangent
+    left = left - (2.0 / (v @ v)) * (v @ left) * v if v @ v > 0 else left
+    left = left - (left @ t[1]) * t[1]
+    found: Array = left / np.linalg.norm(left)
+    return found

@@ -1,0 +1,163 @@
+"""The finite elements of a rod: forces between the frames of its nodes, energy, tangents; all elements at once.
+
+Nodes are moving frames of the system, with places x_i, quaternions p_i and twists (x_i', omega_i in the section's axes). With
+z = (x', P, P') at a Gauss point, Z = dz/d(twists of the nodes) and E = de/dz,
+
+    f = sum_q w (E Z)^T S,     S = dW/de (e - e_0) + beta C e',     e' = E Z (twists)                                   (1)
+    K = sum_q w Z^T (E^T C E + d^2(S . e)/dz^2) Z + (second derivative of p exp(theta))                               (2)
+
+with C = d^2 W / de^2 and beta the time of Kelvin-Voigt damping. (2) is the exact derivative of f by increments of the twists,
+but for the geometric part of the damping. Inertia and weight are those of rigid bodies at the nodes: the mass of the rod,
+lumped by Gauss-Lobatto weights, which keep the order 2 p of the element of degree p.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...rotations import Array, hat, quaternion_matrix
+from .strains import Shape, strain_hessian, strain_jacobian, strains
+
+Forces = tuple[np.ndarray, Array]  # numbers of frames (m, k), and what belongs to them
+
+
+@dataclass(frozen=True)
+class LineLoad:
+    """Forces and moments on nodes: ``law``(s, t) -> (3,) N/m or N m/m, times ``lengths`` (nodes,) m of each node.
+
+    ``follower``: in axes of the sections; ``turns``: a moment.
+    """
+
+    law: Any
+    lengths: Array
+    stations: Array
+    follower: bool
+    turns: bool
+
+
+class RodElements:
+    """All elements of one rod.
+
+    ``frames`` (m, k): numbers of the nodes' frames; ``half`` (m,): half lengths, m; ``natural`` (m, q, 6): strains free of
+    stress; ``law``: the section's law at all Gauss points; ``beta``: s.
+    """
+
+    def __init__(self, name: str, frames: np.ndarray, shape: Shape, half: Array, natural: Array) -> None:
+        self.name, self.frames, self.shape = name, frames, shape
+        self.weights = half[:, None] * shape.weights
+        self.slopes = shape.dN[None] / half[:, None, None]  # dN/ds, (m, q, k)
+        self.natural = natural
+        self.law: Any = None
+        self.beta = 0.0
+        self.loads: tuple[LineLoad, ...] = ()
+        self.nodes = np.unique(frames)[:, None]
+        self.points: Array = np.zeros((0, 0))  # arc lengths of the Gauss points, (m, q)
+        self.breaks: Array = np.zeros(0)  # and of the ends of the elements
+
+    # -- kinematics ---------------------------------------------------------------------------------------------
+    def _interpolated(self, pose: Array) -> tuple[tuple[Array, Array, Array], Array]:
+        """z at the Gauss points, and the quaternions of the nodes (m, k, 4), of one sign within each element."""
+        nodal = pose[self.frames]
+        x, p = nodal[..., :3], nodal[..., 3:].copy()
+        for i in range(1, p.shape[1]):
+            p[:, i] *= np.where((p[:, i] * p[:, i - 1]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
+        N = self.shape.N
+        return (self.slopes @ x, N @ p, self.slopes @ p), p
+
+    def strains(self, pose: Array) -> Array:
+        """Strains less those that are free of stress, (m, q, 6)."""
+        return strains(*self._interpolated(pose)[0]) - self.natural
+
+    def _directions(self, p: Array) -> Array:
+        """Z, (m, q, 11, 6 k)."""
+        m, k = p.shape[:2]
+        q = len(self.shape.points)
+        turn = spins(p)[:, None]  # (m, 1, k, 4, 3)
+        Z = np.zeros((m, q, 11, k, 6))
+        Z[:, :, range(3), :, range(3)] = self.slopes
+        Z[:, :, 3:7, :, 3:] = np.moveaxis(self.shape.N[None, :, :, None, None] * turn, 2, 3)
+        Z[:, :, 7:11, :, 3:] = np.moveaxis(self.slopes[..., None, None] * turn, 2, 3)
+        return Z.reshape(m, q, 11, 6 * k)
+
+    def _stress(self, e: Array, E: Array, Z: Array, twist: Array | None) -> Array:
+        """Section forces and moments with those of the damping, (m, q, 6)."""
+        S: Array = self.law.stress(e - self.natural)
+        if self.beta and twist is not None:
+            nodal = twist[self.frames].reshape(len(self.frames), 1, -1, 1)
+            rate = (E @ (Z @ nodal))[..., 0]
+            S = S + self.beta * (self.law.tangent(e - self.natural) @ rate[..., None])[..., 0]
+        return S
+
+    def section_forces(self, pose: Array, twist: Array | None) -> Array:
+        """Forces and moments (m, q, 6) of the sections at the Gauss points, in their axes."""
+        z, p = self._interpolated(pose)
+        e, E = strain_jacobian(*z)
+        return self._stress(e, E, self._directions(p), twist)
+
+    # -- mechanics ----------------------------------------------------------------------------------------------
+    def forces(self, t: float, pose: Array, twist: Array | None) -> list[Forces]:
+        """What the rod adds to the balance M a + h of its nodes: forces (1), less the loads along it."""
+        z, p = self._interpolated(pose)
+        e, E = strain_jacobian(*z)
+        Z = self._directions(p)
+        S = self._stress(e, E, Z, twist)
+        on_z = self.weights[..., None, None] * (S[..., None, :] @ E)
+        rows: Array = (on_z @ Z).sum(1).reshape(*self.frames.shape, 6)
+        return [(self.frames, rows), *((self.nodes, -self._load(x, t, pose)[0]) for x in self.loads)]
+
+    def tangents(self, t: float, pose: Array, twist: Array | None, weights: tuple[float, float]) -> list[Forces]:
+        """cd D + ck K of them, ``weights`` = (cd, ck), as (m, 6 k, 6 k); (2)."""
+        cd, ck = weights
+        z, p = self._interpolated(pose)
+        e, E = strain_jacobian(*z)
+        Z = self._directions(p)
+        S = self._stress(e, E, Z, twist)
+        C = self.law.tangent(e - self.natural)
+
+        inner = (ck + self.beta * cd) * np.swapaxes(E, -1, -2) @ C @ E
+        inner += ck * strain_hessian(z, e, E, S)
+        K: Array = (np.swapaxes(Z, -1, -2) @ (self.weights[..., None, None] * inner) @ Z).sum(1)
+
+        on_z = (self.weights[..., None, None] * (S[..., None, :] @ E))[..., 0, :]
+        self._add_turns(K, on_z, p, ck)
+        return [(self.frames, K), *((self.nodes, -ck * self._load(x, t, pose)[1]) for x in self.loads)]
+
+    def _add_turns(self, K: Array, on_z: Array, p: Array, ck: float) -> None:
+        """The part of (2) from the second derivative of p exp(theta): moment~ / 2 - (slope along p) / 4 for each node."""
+        slope = np.einsum("qi,mqc->mic", self.shape.N, on_z[..., 3:7])
+        slope += np.einsum("mqi,mqc->mic", self.slopes, on_z[..., 7:11])
+        moment = (slope[:, :, None, :] @ spins(p))[:, :, 0]
+        extra = 0.5 * hat(moment) - 0.25 * (slope * p).sum(-1)[..., None, None] * np.eye(3)
+        for i in range(p.shape[1]):
+            at = slice(6 * i + 3, 6 * i + 6)
+            K[:, at, at] += ck * extra[:, i]
+
+    def _load(self, load: LineLoad, t: float, pose: Array) -> tuple[Array, Array]:
+        """Forces and moments of a load on the nodes, (nodes, 1, 6), and their derivatives by increments, (nodes, 6, 6)."""
+        per_length = np.array([load.law(float(s), t) for s in load.stations], dtype=float)
+        value = load.lengths[:, None] * per_length
+        R = quaternion_matrix(pose[self.nodes[:, 0], 3:])
+        out, slope = np.zeros((len(value), 1, 6)), np.zeros((len(value), 6, 6))
+        if load.turns:
+            own = value if load.follower else (np.swapaxes(R, 1, 2) @ value[..., None])[..., 0]
+            out[:, 0, 3:] = own
+            slope[:, 3:, 3:] = 0.0 if load.follower else hat(own)
+        else:
+            out[:, 0, :3] = (R @ value[..., None])[..., 0] if load.follower else value
+            slope[:, :3, 3:] = -R @ hat(value) if load.follower else 0.0
+        return out, slope
+
+    def energy(self, pose: Array) -> float:
+        """Elastic energy, J."""
+        return float((self.weights * self.law.energy(self.strains(pose))).sum())
+
+
+def spins(p: Array) -> Array:
+    """d(p exp(theta))/d theta at theta = 0, (..., 4) -> (..., 4, 3)."""
+    out = np.empty((*p.shape, 3))
+    out[..., :3, :] = 0.5 * (p[..., 3, None, None] * np.eye(3) + hat(p[..., :3]))
+    out[..., 3, :] = -0.5 * p[..., :3]
+    return out

@@ -1,0 +1,226 @@
+"""Geometrically exact rods in space (Simo and Reissner): the body that a user describes, and its mesh.
+
+Large rotations and finite strains of stretch, shear, twist and bending in absolute coordinates. The nodes are moving frames of
+the system, exactly as rigid bodies are, so joints, springs, loads and sensors at them work in every scheme; the elements of
+:mod:`.elements` act between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError, near, require
+from ...rotations import SPACE, Array
+from ..bodies.bodies import RigidBody, Surface, Vector
+from .curves import Curve
+from .elements import LineLoad, RodElements
+from .sections import RodSection
+from .strains import shape_of
+
+ENDS = ("start", "end")
+LARGEST_TURN = np.pi / 2  # between neighbouring nodes of the reference
+
+
+@dataclass(frozen=True, eq=False)
+class RodLoad:
+    """A load along a rod: ``law``(s, t) -> (3,), N/m; ``turns``: a moment, N m/m; ``follower``: in axes of the sections.
+
+    s is the arc length (m) of the rod without load, t the time (s). World axes else, per length of the rod without load.
+    """
+
+    law: Callable[[float, float], Any]
+    follower: bool = False
+    turns: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Rod:
+    """A geometrically exact rod in space; sections stay plane, shear is free.
+
+    Args:
+        name: what messages call it.
+        curve: points (n, 3) in m, with a smooth spline through them (two: a straight rod), or a function of u in [0, 1].
+        section: stiffness and inertia of the cross-section, see :class:`RodSection`.
+        elements, degree: number of elements and degree (1, 2 or 3) of the interpolation; the order in space is twice the
+            degree. The quadrature follows from the degree: nothing locks.
+        normal: direction of section axis 2 (its part across the curve), (3,) or a function of s; None: carried along without
+            twist from the world axis most across the start.
+        twist: angle (rad) of the sections about the tangent, a function of s (m), on top.
+        stations: names of places along the rod: name -> arc length s (m). They become nodes, and surfaces like the ends.
+        loads: loads along the rod, :class:`RodLoad`.
+        damping: time (s) of Kelvin-Voigt damping: section forces C (e + damping e').
+        prestrain: strains (6,) at which the section is free of stress, or a function of s; None: those of the curve.
+        velocity, angular_velocity: of a rigid motion at the start, about the centre of mass; world axes, m/s, rad/s.
+
+    Surfaces are "start", "end" and the stations: sections that joints, ties, forces and sensors attach to.
+    """
+
+    name: str
+    curve: Any
+    section: RodSection
+    elements: int = 10
+    degree: int = 3
+    normal: Any = None
+    twist: Callable[[float], float] | None = None
+    stations: Mapping[str, float] = field(default_factory=dict)
+    loads: Sequence[RodLoad] = ()
+    damping: float = 0.0
+    prestrain: Any = None
+    velocity: Vector | None = None
+    angular_velocity: Any = None
+    dim: int = field(init=False, default=3)
+
+    def __post_init__(self) -> None:
+        n = self.name
+        require(
+            isinstance(self.section, RodSection), f'Rod "{n}": section must be a RodSection, found {self.section!r}.'
+        )
+        require(
+            self.degree in (1, 2, 3),
+            f'Rod "{n}": degree {self.degree} must be 1, 2 or 3: with these, as many Gauss points as the degree cannot lock.',
+        )
+        require(
+            isinstance(self.elements, int) and self.elements >= 1,
+            f'Rod "{n}": elements {self.elements} must be 1 at least.',
+        )
+        require(
+            bool(np.isfinite(self.damping)) and self.damping >= 0,
+            f'Rod "{n}": damping {self.damping} s must not be negative.',
+        )
+        for load in self.loads:
+            require(isinstance(load, RodLoad), f'Rod "{n}": loads are fmbd.RodLoad(...), found {load!r}.')
+        self._check_stations()
+        self._check_turns()
+
+    def _check_stations(self) -> None:
+        """Stations lie on the curve, and have names of their own."""
+        length = self.reference.length
+        for name, s in self.stations.items():
+            require(name not in ENDS, f'Rod "{self.name}": a station cannot be called "{name}": its ends are.')
+            require(
+                bool(np.isfinite(s)) and 1e-9 * length < s < (1 - 1e-9) * length,
+                f'Rod "{self.name}": station "{name}" at s = {s} m is off the curve, which is {length:.6g} m long. Its ends are '
+                'the surfaces "start" and "end".',
+            )
+
+    def _check_turns(self) -> None:
+        """Neighbouring nodes turn little against each other."""
+        R = self.poses_matrix
+        cosine = 0.5 * (np.einsum("nij,nij->n", R[1:], R[:-1]) - 1.0)
+        turn = np.arccos(np.clip(cosine, -1.0, 1.0))
+        worst = int(turn.argmax())
+        if turn[worst] > LARGEST_TURN:
+            raise InputError(
+                f'Rod "{self.name}": its sections turn by {np.degrees(turn[worst]):.0f} degrees from '
+                f"s = {self.nodes[worst]:.4g} m to {self.nodes[worst + 1]:.4g} m, too much between two nodes. Take at least "
+                f"{int(np.ceil(self.elements * turn[worst] / LARGEST_TURN))} elements."
+            )
+
+    # -- mesh -------------------------------------------------------------------------------------------------------
+    @cached_property
+    def reference(self) -> Curve:
+        """The curve by its arc length."""
+        return Curve(self.name, self.curve)
+
+    @cached_property
+    def breaks(self) -> Array:
+        """Arc lengths of the element ends, (m + 1,): equal lengths between stations."""
+        length = self.reference.length
+        stops = np.unique([0.0, *self.stations.values(), length])
+        parts = [max(1, round(self.elements * (b - a) / length)) for a, b in zip(stops[:-1], stops[1:], strict=True)]
+        pieces = [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(stops[:-1], stops[1:], parts, strict=True)]
+        return np.concatenate((*pieces, [length]))
+
+    @property
+    def length(self) -> float:
+        """Length of the curve, m."""
+        return self.reference.length
+
+    @cached_property
+    def nodes(self) -> Array:
+        """Arc lengths of the nodes, ascending."""
+        xi, half = shape_of(self.degree).nodes, 0.5 * np.diff(self.breaks)
+        inner = self.breaks[:-1, None] + half[:, None] * (1 + xi[:-1])
+        return np.concatenate((inner.ravel(), self.breaks[-1:]))
+
+    @cached_property
+    def poses_matrix(self) -> Array:
+        """Section axes at the nodes of the reference, (n, 3, 3)."""
+        return self.reference.axes(self.nodes, self.normal, self.twist)
+
+    @cached_property
+    def poses(self) -> Array:
+        """Poses of the nodes at the start, (n, 7)."""
+        x = self.reference.at(self.nodes)[0]
+        rotations = self.poses_matrix
+        return np.array([SPACE.pose(x[i], rotations[i]) for i in range(len(x))])
+
+    @cached_property
+    def connectivity(self) -> np.ndarray:
+        """Nodes of the elements, (m, degree + 1)."""
+        return np.arange(len(self.breaks) - 1)[:, None] * self.degree + np.arange(self.degree + 1)
+
+    @cached_property
+    def lengths(self) -> Array:
+        """Length of the rod that belongs to each node, m: Gauss-Lobatto weights."""
+        weights = 0.5 * np.diff(self.breaks)[:, None] * shape_of(self.degree).node_weights
+        return np.bincount(self.connectivity.ravel(), weights.ravel()).astype(float)
+
+    @cached_property
+    def inertia(self) -> tuple[Array, Array]:
+        """Masses (n,), kg, and rotary inertias (n, 3, 3), kg m^2, of the nodes."""
+        return self.lengths * self.section.masses(self.nodes), self.lengths[:, None, None] * self.section.inertias(
+            self.nodes
+        )
+
+    def start_twists(self) -> Array:
+        """Twists of the nodes at the start, (n, 6)."""
+        given = RigidBody(
+            self.name, 1.0, (1.0, 1.0, 1.0), velocity=self.velocity, angular_velocity=self.angular_velocity
+        ).start_twist()
+        mass, x = self.inertia[0], self.poses[:, :3]
+        arm = x - (mass @ x) / mass.sum()
+        linear = given[:3] + np.cross(given[3:], arm)
+        return np.concatenate((linear, np.einsum("nji,j->ni", self.poses_matrix, given[3:])), axis=1)
+
+    # -- surfaces ---------------------------------------------------------------------------------------------------
+    def surface(self, name: str) -> Surface:
+        """A section: "start", "end" or a station."""
+        known = [*ENDS, *self.stations]
+        if name not in known:
+            raise InputError(f'Rod "{self.name}": no section "{name}". {near(name, known)}')
+        return Surface(self, name)
+
+    def node_of(self, section: str) -> int:
+        """Number of the node of a named section."""
+        if section in ENDS:
+            return 0 if section == "start" else len(self.nodes) - 1
+        return int(np.argmin(np.abs(self.nodes - self.stations[section])))
+
+    def elements_on(self, first: int) -> RodElements:
+        """The elements of a system in which the nodes are the frames from ``first`` on."""
+        shape, half = shape_of(self.degree), 0.5 * np.diff(self.breaks)
+        points = self.breaks[:-1, None] + half[:, None] * (1 + shape.points)
+        made = RodElements(self.name, first + self.connectivity, shape, half, np.zeros((*points.shape, 6)))
+        made.natural = made.strains(np.concatenate((np.zeros((first, 7)), self.poses))) + self._prestrains(points)
+        made.points, made.breaks = points, self.breaks
+        made.law, made.beta = self.section.law(points), self.damping
+        made.loads = tuple(LineLoad(x.law, self.lengths, self.nodes, x.follower, x.turns) for x in self.loads)
+        return made
+
+    def _prestrains(self, points: Array) -> Array:
+        """Strains free of stress, beyond those of the curve, (m, q, 6)."""
+        if self.prestrain is None:
+            return np.zeros((*points.shape, 6))
+        given = self.prestrain
+        found = np.array([given(float(s)) if callable(given) else given for s in points.ravel()], dtype=float)
+        require(
+            found.shape == (points.size, 6) and bool(np.isfinite(found).all()),
+            f'Rod "{self.name}": prestrain must be six finite numbers, or a function of s with six; found {given!r}.',
+        )
+        return found.reshape(*points.shape, 6)

@@ -1,0 +1,185 @@
+"""Laws of a rod's cross-section: how its forces and moments follow from the strains.
+
+Section axes: 1 along the tangent of the curve, 2 and 3 across it. Strains e = (gamma_1, gamma_2, gamma_3, kappa_1, kappa_2,
+kappa_3): stretch, two shears, twist, two bendings; forces and moments S = (N, Q_2, Q_3, T, M_2, M_3) = dW/de.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...errors import CallbackError, InputError, require
+from ...rotations import Array
+
+
+@dataclass(frozen=True, eq=False)
+class RodSection:
+    """Stiffness and inertia of a rod's cross-section.
+
+    Args:
+        stiffness: symmetric, positive (6, 6): S = stiffness e; six numbers are a diagonal (EA, GA_2, GA_3, GJ, EI_2, EI_3); or
+            a function of s (m) that returns one of them; or
+        energy: the user's own W(gamma, kappa, s) in UFL, J/m, with vectors gamma and kappa of three components.
+        mass: kg/m, or a function of s.
+        inertia: rotary inertia about the curve in section axes, kg m: three numbers or (3, 3), or a function of s. Its first
+            entry belongs to spin about the tangent. The centre of mass lies on the curve.
+        outline: corners (n, 2) of the section across the curve, m, for pictures.
+    """
+
+    stiffness: Any = None
+    mass: Any = 0.0
+    inertia: Any = (0.0, 0.0, 0.0)
+    energy: Callable[[Any, Any, Any], Any] | None = None
+    outline: Array | None = None
+
+    def __post_init__(self) -> None:
+        require(
+            (self.stiffness is None) != (self.energy is None),
+            "A section needs either its stiffness, (6,) or (6, 6), or an energy(gamma, kappa, s) in UFL.",
+        )
+        self.matrices(np.zeros(1))
+        self.masses(np.zeros(1))
+        self.inertias(np.zeros(1))
+
+    @classmethod
+    def rectangle(
+        cls, *, youngs_modulus: float, poisson_ratio: float, density: float, width: float, height: float
+    ) -> RodSection:
+        """A solid rectangle: ``width`` along axis 2, ``height`` along axis 3 (m).
+
+        Shear factors 5/6; torsion constant by the series of Saint-Venant, to 1e-4.
+        """
+        A, I2, I3 = width * height, width * height**3 / 12, height * width**3 / 12
+        long, short = max(width, height), min(width, height)
+        n = np.arange(1, 40, 2)
+        series = float((np.tanh(n * np.pi * long / (2 * short)) / n**5).sum())
+        J = long * short**3 / 3 * (1 - 192 * short / (np.pi**5 * long) * series)
+        corners = 0.5 * np.array([[-width, -height], [width, -height], [width, height], [-width, height]])
+        return cls._of((A, I2, I3, J, 5 / 6), (youngs_modulus, poisson_ratio, density), corners)
+
+    @classmethod
+    def circle(
+        cls, *, youngs_modulus: float, poisson_ratio: float, density: float, radius: float, inner: float = 0.0
+    ) -> RodSection:
+        """A disc, or a ring with the radius ``inner`` (m).
+
+        Shear factor of Cowper, doi:10.1115/1.3625046: 6 (1 + nu) (1 + m^2)^2 / ((7 + 6 nu) (1 + m^2)^2 + (20 + 12 nu) m^2) with
+        m = inner / radius.
+        """
+        require(0 <= inner < radius, f"A ring needs 0 <= inner < radius, found inner {inner} m, radius {radius} m.")
+        nu, m = poisson_ratio, inner / radius
+        A, moment = np.pi * (radius**2 - inner**2), np.pi * (radius**4 - inner**4) / 4
+        full = (1 + m * m) ** 2
+        factor = 6 * (1 + nu) * full / ((7 + 6 * nu) * full + (20 + 12 * nu) * m * m)
+        angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+        ring = radius * np.stack((np.cos(angle), np.sin(angle)), axis=1)
+        return cls._of((A, moment, moment, 2 * moment, factor), (youngs_modulus, nu, density), ring)
+
+    @classmethod
+    def _of(cls, shape: Sequence[float], material: Sequence[float], outline: Array) -> RodSection:
+        """From area, second moments, torsion constant and shear factor, and (E, nu, rho)."""
+        A, I2, I3, J, factor = shape
+        E, nu, rho = material
+        for what, value in (("Young's modulus", E), ("density", rho), ("area", A), ("torsion constant", J)):
+            require(bool(np.isfinite(value)) and value > 0, f"Section: {what} {value} must be positive.")
+        require(-1 < nu <= 0.5, f"Section: Poisson's ratio {nu} must lie in (-1, 0.5].")
+        G = E / (2 * (1 + nu))
+        stiffness = (E * A, factor * G * A, factor * G * A, G * J, E * I2, E * I3)
+        return cls(stiffness, rho * A, (rho * (I2 + I3), rho * I2, rho * I3), outline=outline)
+
+    # -- along the curve ------------------------------------------------------------------------------------------
+    def matrices(self, s: Array) -> Array:
+        """Stiffness at the places s (n,), (n, 6, 6); checked. Zeros for an energy of the user's own."""
+        if self.stiffness is None:
+            return np.zeros((len(s), 6, 6))
+        places = [float(x) for x in s]
+        found = np.array(
+            [_matrix(x, 6, "stiffness", at) for x, at in zip(_along(self.stiffness, s), places, strict=True)]
+        )
+        for C, at in zip(found, places, strict=True):
+            check_matrix(C, "stiffness", at)
+        return found
+
+    def masses(self, s: Array) -> Array:
+        """kg/m at the places s, (n,)."""
+        found = np.array([float(np.asarray(x)) for x in _along(self.mass, s)])
+        bad = np.flatnonzero(~(np.isfinite(found) & (found > 0)))
+        if bad.size:
+            raise InputError(f"Section: mass {found[bad[0]]} kg/m at s = {s[bad[0]]:g} m must be positive.")
+        return found
+
+    def inertias(self, s: Array) -> Array:
+        """Rotary inertia at the places s, (n, 3, 3), kg m."""
+        places = [float(x) for x in s]
+        found = np.array([_matrix(x, 3, "inertia", at) for x, at in zip(_along(self.inertia, s), places, strict=True)])
+        for J, at in zip(found, places, strict=True):
+            check_matrix(J, "inertia", at)
+        return found
+
+    def law(self, s: Array) -> LinearLaw | Any:
+        """The law at the Gauss points s (m, q), m."""
+        if self.energy is None:
+            return LinearLaw(self.matrices(s.ravel()).reshape(*s.shape, 6, 6))
+        from .own_energy import OwnLaw
+
+        return OwnLaw(self.energy, s)
+
+
+@dataclass(frozen=True)
+class LinearLaw:
+    """W = e C e / 2 with C (m, q, 6, 6)."""
+
+    C: Array
+
+    def energy(self, e: Array) -> Array:
+        """W, J/m, (m, q)."""
+        value: Array = 0.5 * (e * self.stress(e)).sum(-1)
+        return value
+
+    def stress(self, e: Array) -> Array:
+        """C e, (m, q, 6)."""
+        found: Array = (self.C @ e[..., None])[..., 0]
+        return found
+
+    def tangent(self, e: Array) -> Array:
+        """C."""
+        return self.C
+
+
+def _along(given: Any, s: Array) -> list[Any]:
+    """A constant, or a function of s, at the places s."""
+    return [given(float(x)) for x in s] if callable(given) else [given] * len(s)
+
+
+def _matrix(given: Any, n: int, what: str, s: float) -> Array:
+    """A square matrix from one, or from its diagonal."""
+    try:
+        found = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise CallbackError(f"Section: {what} at s = {s:g} m is {given!r}, expected numbers.") from None
+    found = np.diag(found) if found.shape == (n,) else found
+    require(
+        found.shape == (n, n) and bool(np.isfinite(found).all()),
+        f"Section: {what} at s = {s:g} m must be ({n},) or ({n}, {n}) finite numbers, found {given!r}.",
+    )
+    return found
+
+
+def check_matrix(C: Array, what: str, s: float) -> None:
+    """Refuse a matrix that is not symmetric and positive."""
+    skew = np.abs(C - C.T)
+    if skew.max() > 1e-9 * np.abs(C).max():
+        i, j = np.unravel_index(int(skew.argmax()), C.shape)
+        raise InputError(
+            f"Section: {what} at s = {s:g} m is not symmetric: entry ({i + 1}, {j + 1}) is {C[i, j]:g}, "
+            f"entry ({j + 1}, {i + 1}) is {C[j, i]:g}."
+        )
+    size = np.sqrt(np.abs(np.diag(C)))
+    if not (size > 0).all() or np.linalg.eigvalsh(C / np.outer(size, size))[0] <= 1e-12:
+        raise InputError(
+            f"Section: {what} at s = {s:g} m is not positive: eigenvalues {np.round(np.linalg.eigvalsh(C), 12).tolist()}."
+        )

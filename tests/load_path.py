@@ -1,0 +1,59 @@
+"""Equilibrium of a scene along a path of loads: Newton's method with the exact tangent, a secant predictor, steps by need."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fmbd_fenicsx.errors import LinearSolveError
+from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+
+
+def follow(scene, stops, first=0.1, tolerance=1e-11):
+    """Configurations at the load factors ``stops``, ascending; laws of loads take the factor as their time."""
+    system, state, _ = scene.build()
+    solver, rest = StepSolver(system), np.zeros(system.n_v)
+    now, past, step, out = (0.0, state.q, state.lam), None, first, {}
+    for stop in stops:
+        while now[0] < stop:
+            made = _newton(system, solver, rest, _predicted(system, now, past, min(now[0] + step, stop)), tolerance)
+            if made is None:
+                step = 0.5 * min(step, stop - now[0])
+                assert step > 1e-7, f"no equilibrium beyond the load factor {now[0]}"
+                continue
+            past, now = now, made[0]
+            step *= 1.5 if made[1] <= 5 else 1.0
+        out[stop] = now[1]
+    return system, out
+
+
+def _predicted(system, now, past, target):
+    """Factor, configuration and multipliers along the secant."""
+    if past is None:
+        return target, now[1], now[2]
+    share = (target - now[0]) / (now[0] - past[0])
+    moved = share * system.difference(past[1], now[1])
+    return target, system.compose(now[1], moved), now[2] + share * (now[2] - past[2])
+
+
+def _newton(system, solver, rest, start, tolerance):
+    """The equilibrium near ``start`` and the number of iterations; None without one."""
+    factor, q, lam = start
+    for k in range(12):
+        ev = system.at(factor, q, rest)
+        try:
+            solver.prepare(ev, Weights(0.0, 0.0, 1.0))
+            dq, dlam = solver.solve(-ev.balance(rest, lam), -ev.constraint())
+        except LinearSolveError:
+            return None
+        size = system.max_abs(dq) / system.length
+        if not size < 0.5:
+            return None
+        q, lam = system.compose(q, dq), lam + dlam
+        if size < tolerance:
+            return (factor, q, lam), k + 1
+    return None
+
+
+def tip(system, q):
+    """Place of the last frame."""
+    return q[: system.n_frames * 7].reshape(-1, 7)[-1, :3]
