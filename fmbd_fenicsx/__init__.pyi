@@ -141,5 +141,17 @@ from .system.sensors.sensors import rotation as rotation
 from .system.sensors.sensors import velocity as velocity
 from .system.sensors.wires import dropper_forces as dropper_forces
 from .system.sensors.wires import wire_height as wire_height
+from .mechanics.forces.bushing import bushing as bushing
+from .mechanics.forces.joint_elements import dry_friction as dry_friction
+from .mechanics.forces.joint_elements import elastic_stop as elastic_stop
+from .mechanics.forces.joint_elements import joint_friction as joint_friction
+from .mechanics.forces.joint_elements import motor as motor
+from .run.stepper import stepper as stepper
+from .system.sensors.elements import element_effort as element_effort
+from .system.sensors.elements import element_force as element_force
+from .system.sensors.elements import element_power as element_power
+from .system.sensors.elements import element_torque as element_torque
+from .system.sensors.elements import elongation as elongation
+from .system.sensors.elements import tension as tension
 
 __version__: str

@@ -1,5 +1,20 @@
 """Forces between bodies: springs, dampers, motors, tyres, forces and moments of the user's own."""
 
+from .mechanics.forces.bushing import bushing
 from .mechanics.forces.forces import Spring, Tyre, effort, force, joint_spring, own_force, torque
+from .mechanics.forces.joint_elements import dry_friction, elastic_stop, joint_friction, motor
 
-__all__ = ["Spring", "Tyre", "effort", "force", "joint_spring", "own_force", "torque"]
+__all__ = [
+    "Spring",
+    "Tyre",
+    "bushing",
+    "dry_friction",
+    "effort",
+    "elastic_stop",
+    "force",
+    "joint_friction",
+    "joint_spring",
+    "motor",
+    "own_force",
+    "torque",
+]

@@ -2,6 +2,14 @@
 
 from .mechanics.joints.drives import angle, displacement
 from .system.sensors.contact import contact_force, contact_gap, contact_impulse, contact_pressure, contact_work
+from .system.sensors.elements import (
+    element_effort,
+    element_force,
+    element_power,
+    element_torque,
+    elongation,
+    tension,
+)
 from .system.sensors.field import largest
 from .system.sensors.sensors import (
     acceleration,
@@ -29,6 +37,11 @@ __all__ = [
     "coordinates",
     "displacement",
     "dropper_forces",
+    "element_effort",
+    "element_force",
+    "element_power",
+    "element_torque",
+    "elongation",
     "joint_rate",
     "largest",
     "position",
@@ -36,6 +49,7 @@ __all__ = [
     "reaction_force",
     "reaction_torque",
     "rotation",
+    "tension",
     "velocity",
     "wire_height",
 ]

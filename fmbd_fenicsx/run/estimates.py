@@ -98,7 +98,7 @@ def reduction_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str,
     system, given = made
     solver = make_solver(problem.scene, system, problem.linear)
     newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
-    wanted = replace(coarse.output, snapshots=0, energy=False, progress=False)
+    wanted = replace(coarse.output, snapshots=0, energy=False, progress=False, on_step=None)
     try:
         start, _ = begin(problem.scene, problem.scheme, system, given, solver=solver, h=pace.next(0.0))
         finer = replace(problem, system=system, given=given, start=start, newton=newton, pressures=solver.pressures)

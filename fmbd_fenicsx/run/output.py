@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import sys
 import time as clock
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -32,6 +33,8 @@ class Output:
             each sensor (about 3/4 of the time of the run itself, not counted in its seconds and counters).
         estimate_reduction: run again with more modes of each reduced body and estimate the error that the left-out modes cause
             in each sensor (one more run of about twice the modes, not counted either).
+        on_step: called after each step with a :class:`~fmbd_fenicsx.run.moment.Moment`: ``now.t``, ``now.step``, ``now["tip"]``
+            for the present value of a sensor. On all ranks; what it returns is ignored.
     """
 
     every: int = 1
@@ -40,9 +43,14 @@ class Output:
     progress: bool | None = None
     estimate_error: bool = False
     estimate_reduction: bool = False
+    on_step: Callable[[Any], Any] | None = None
 
     def __post_init__(self) -> None:
         require(self.every >= 1, f"Output: every = {self.every} must be at least 1.")
+        require(
+            self.on_step is None or callable(self.on_step),
+            f"Output: on_step must be a function of one argument, found {self.on_step!r}.",
+        )
         require(self.snapshots >= 0, f"Output: snapshots = {self.snapshots} must not be negative.")
 
 

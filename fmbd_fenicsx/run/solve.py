@@ -169,7 +169,7 @@ def solve(
         CheckpointError: a checkpoint is damaged, belongs to another run, or cannot be written.
     """
     install_hooks()
-    scheme = _default_scheme(scene) if scheme is None else scheme
+    scheme = default_scheme(scene) if scheme is None else scheme
     output = Output() if output is None else output
     newton = Newton() if newton is None else replace(newton, iterations=0, theta=0.5)
     require(
@@ -183,7 +183,7 @@ def solve(
     )
     called = clock.perf_counter()
     system, given, markers = scene.build()
-    _check_pressures(system, scheme)
+    check_pressures(system, scheme)
     built = clock.perf_counter()
     solver = make_solver(scene, system, linear)
     newton.refresh = solver.refresh
@@ -234,7 +234,7 @@ def solve(
     return run
 
 
-def _check_pressures(system: System, scheme: Any) -> None:
+def check_pressures(system: System, scheme: Any) -> None:
     """Bodies with a pressure as an unknown need a scheme that moves it."""
     names = [p.name for _, p in system.fields if p.field.carried]
     require(
@@ -244,7 +244,7 @@ def _check_pressures(system: System, scheme: Any) -> None:
     )
 
 
-def _default_scheme(scene: Scene) -> Any:
+def default_scheme(scene: Scene) -> Any:
     """Generalized-alpha; the contact-implicit midpoint rule for a scene with contact."""
     if not scene.contacts:
         return GeneralizedAlpha()

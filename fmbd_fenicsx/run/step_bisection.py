@@ -16,6 +16,7 @@ from typing import Any
 
 from ..errors import ConstraintError, ConvergenceError, LinearSolveError
 from ..log import log
+from ..system.element_memory import accept
 from ..system.serialisation import Memory, remember_stepper
 from ..system.system import Evaluation, State, System
 from .energy_check import HALVINGS, Watch
@@ -110,6 +111,7 @@ class ConstantSteps:
                 raise error from None
         if self.watch is None or (gain := self.watch.gain(after)) is None:
             self.local_error = max(self.local_error, self.stepper.local_error)
+            accept(self.system, after)
             return None
         self.whole = depth + 1
         self.watch.count(before, gain, self.whole > HALVINGS)

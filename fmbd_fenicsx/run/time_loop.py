@@ -12,9 +12,11 @@ from ..rotations import Array
 from ..schemes.consistent import Correction, consistent
 from ..schemes.newton import Newton
 from ..schemes.statics import equilibrium
+from ..system.element_memory import accept, reset
 from ..system.scene.scene import Scene
 from ..system.system import State, System
 from .energy_check import Guarded, Watch, closed
+from .moment import Moment
 from .output import Output, Progress, Recorder
 from .progress import Course
 from .schedule import Pace
@@ -65,6 +67,7 @@ def begin(
     scene: Scene, scheme: Any, system: System, given: State, *, solver: StepSolver, h: float
 ) -> tuple[State, Correction]:
     """The consistent start of a scheme from a state as given, with first steps of h (s); collective."""
+    reset(system, given)
     if scene.settle:
         given = equilibrium(system, given, solver)
     if hasattr(scheme, "start"):
@@ -76,7 +79,7 @@ def begin(
     return consistent(system, given, solver)
 
 
-def _stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: bool) -> Any:
+def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: bool) -> Any:
     """The scheme's worker from the consistent start: constant steps in parts where that must be, under the energy guard where
     that makes sense.
     """
@@ -100,7 +103,8 @@ def _stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: bool)
 
 def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keeper: Keeper | None = None) -> March:
     """All steps from a consistent start, or from the checkpoint that the ``keeper`` takes up; collective."""
-    stepper = _stepper(problem, solver, pace, guarded=output.energy and closed(problem.scene, problem.system))
+    reset(problem.system, problem.start)
+    stepper = make_stepper(problem, solver, pace, guarded=output.energy and closed(problem.scene, problem.system))
     recorder = Recorder(problem.scene, problem.system, problem.markers, output, pace.t_end)
     recorder.take(0, stepper.state, getattr(stepper, "evaluation", None))
     course = Course(problem.system, solver, problem.newton, stepper, recorder)
@@ -112,9 +116,13 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
         with StopRequests() if keeper is None else keeper.listen() as stop:
             while not pace.ended(state.t, course.done):
                 state = stepper.advance(pace.next(state.t))
+                if not pace.steps:  # constant steps note their parts one by one
+                    accept(problem.system, state)
                 course.done += 1
                 course.local_error = max(course.local_error, stepper.local_error)
                 recorder.take(course.done, state, getattr(stepper, "evaluation", None))
+                if output.on_step is not None:
+                    output.on_step(Moment(problem.scene, problem.system, problem.markers, state, course.done))
                 bar.update()
                 course.first = course.first or solver.back_solves
                 if (kink := pace.broken(state.t)) is not None:

@@ -21,6 +21,7 @@ from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..joints.constraints import time_of
 from ..joints.relative import Relative, Separation
+from .effort_laws import EffortLaw
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,20 @@ class Loads:
         """Minus the derivatives of the wrenches, or None where they are neglected."""
         return None
 
+    def scalar(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array] | None:
+        """Of elements on one coordinate: elongations s, rates s' and restoring efforts N, each (m,); None for others."""
+        return None
+
+    kept: Any = None  # memory of elements that have one: arrays, changed by accepted steps only, see ``accepted``
+
+    def first(self, kin: Kinematics, t: float) -> Any:
+        """The memory at the start of a run."""
+        return None
+
+    def accepted(self, kin: Kinematics, t: float) -> Any:
+        """The memory after a step that ended in this state."""
+        return self.kept
+
     def _zero(self) -> Array:
         return np.zeros((len(self.forces), self.motions.dim + self.motions.n_rot))
 
@@ -150,17 +165,28 @@ class ScalarLoads(Loads):
         N = self.effort(s, rate, t)[:, None]
         return -N * ra, -N * rb
 
+    def scalar(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array]:
+        """s, s' and N."""
+        s, rate, _, _ = self._state(kin)
+        return s, rate, self.effort(s, rate, t)
+
     def energy(self, kin: Kinematics, t: float) -> float:
-        """k s^2 / 2 of the linear springs, J."""
+        """k s^2 / 2 of the linear springs, and what laws of the package store, J."""
         s = self.relative.values(kin) - self.free
         linear = np.array([f.law is None for f in self.forces])
-        return 0.5 * float((self.k * s**2)[linear].sum())
+        stored = sum(f.law.stored(x) for f, x in zip(self.forces, s, strict=True) if isinstance(f.law, EffortLaw))
+        return 0.5 * float((self.k * s**2)[linear].sum()) + float(stored)
 
     def tangent(self, kin: Kinematics, t: float) -> Tangent:
         """Material stiffness k and damping c, and the geometric stiffness of N."""
-        s, rate, ra, rb = self._state(kin)
-        N, k, c = self.effort(s, rate, t), self.k.copy(), self.c.copy()
+        s, rate, _, _ = self._state(kin)
+        k, c = self.k.copy(), self.c.copy()
         for i, name, law in self.own:
+            formula = self.forces[i].law
+            if isinstance(formula, EffortLaw):
+                k[i], c[i] = formula.slopes(s[i], rate[i], t)
+                continue
+
             hs, hv = 1e-6 * max(abs(float(s[i])), 1e-3), 1e-6 * max(abs(float(rate[i])), 1e-3)
 
             def at(ds: float, dv: float, name: str = name, law: Any = law, i: int = i) -> float:
@@ -168,6 +194,12 @@ class ScalarLoads(Loads):
 
             k[i] = (at(hs, 0.0) - at(-hs, 0.0)) / (2 * hs)
             c[i] = (at(0.0, hv) - at(0.0, -hv)) / (2 * hv)
+        return self._tangent_of(kin, self.effort(s, rate, t), (k, c))
+
+    def _tangent_of(self, kin: Kinematics, N: Array, slopes: tuple[Array, Array]) -> Tangent:
+        """The tangent of efforts N with dN/ds and dN/ds', and the geometric stiffness of N, (1)."""
+        s, _, ra, rb = self._state(kin)
+        k, c = slopes
         r = np.concatenate((ra, rb), axis=1)
         rr = r[:, :, None] * r[:, None, :]
         K, D = k[:, None, None] * rr, c[:, None, None] * rr

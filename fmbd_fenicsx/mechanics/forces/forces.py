@@ -43,6 +43,7 @@ class Force:
 
     batch: ClassVar[type[Loads]] = Loads
     kind: ClassVar[str] = "force"  # its name in messages
+    joined: ClassVar[bool] = False  # without points both sides meet where a joint would sit
 
     @property
     def coordinate(self) -> JointCoordinate | None:

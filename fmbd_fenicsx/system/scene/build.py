@@ -296,8 +296,8 @@ class Builder:
                 self.keys.append((self.frame_of[side.name], R.T @ (where - pose[:d]), R.T, None))
         return len(self.keys) - 1
 
-    def _default_point(self, joint: Joint) -> Array | None:
-        """Where a joint without a center sits: the centroid of a surface, else the origin of its moving body."""
+    def _default_point(self, joint: Joint | Force) -> Array | None:
+        """Where a joint or bushing without a center sits: the centroid of a surface, else the origin of its moving body."""
         for side in (joint.a, joint.b):
             if isinstance(side, Surface):
                 return self._center(side)
@@ -347,8 +347,8 @@ class Builder:
         out: list[Loads] = []
         for (batch, kind), found in groups.items():
             fs, ms = [f for f, _ in found], [m for _, m in found]
-            if batch is ScalarLoads:
-                out.append(ScalarLoads(self.m, fs, ms, self._relative(kind, fs, ms)))
+            if issubclass(batch, ScalarLoads):
+                out.append(batch(self.m, fs, ms, self._relative(kind, fs, ms)))
             else:
                 out.append(batch(self.m, fs, ms))
         return tuple(out)
@@ -362,6 +362,9 @@ class Builder:
         return kind(self.m, markers[:, 0], markers[:, 1], np.zeros((len(fs), self.m.dim)))
 
     def _force_markers(self, f: Force) -> tuple[int, int]:
+        if f.joined and f.point_a is None:
+            point = self._default_point(f)
+            return self._marker(f.a, point), self._marker(f.b, point)
         a = self._marker(f.a, None if f.point_a is None else np.asarray(f.point_a, dtype=float))
         b = a if f.b is None else self._marker(f.b, None if f.point_b is None else np.asarray(f.point_b, dtype=float))
         return a, b

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any
 
 from ...errors import InputError, require
@@ -14,6 +15,7 @@ from ...mechanics.bodies.line_body import LineBody
 from ...mechanics.catenary.sliding import SlidingContact
 from ...mechanics.catenary.wires import Wires
 from ...mechanics.forces.forces import Force
+from ...mechanics.forces.inputs import Input
 from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.joints import Joint
 from ...mechanics.reduction.craig_bampton import ReducedBody
@@ -50,6 +52,7 @@ class Scene:
     contacts: dict[str, Any] = field(default_factory=dict)
     sliders: dict[str, SlidingContact] = field(default_factory=dict)
     ties: dict[str, Any] = field(default_factory=dict)
+    inputs: dict[str, Input] = field(default_factory=dict)
 
     def add(self, *parts: Any) -> None:
         """Add bodies, joints, forces and contacts; names must be unique among each."""
@@ -77,6 +80,15 @@ class Scene:
         require(isinstance(quantity, Sensor), f'Sensor "{name}": expected a quantity such as fmbd.position(...).')
         self.sensors[name] = quantity
         return name
+
+    def input(self, name: str, start: float = 0.0, *, lower: float = -inf, upper: float = inf) -> Input:
+        """A number that is set from outside between steps: ``fmbd.effort("motor", phi, scene.input("torque"))``.
+
+        :meth:`set` of a :func:`~fmbd_fenicsx.stepper` changes it; ``lower`` and ``upper`` are its range.
+        """
+        require(name not in self.inputs, f'Two inputs are called "{name}".')
+        self.inputs[name] = Input(name, start, lower=lower, upper=upper)
+        return self.inputs[name]
 
     def _put(self, where: dict[str, Any], part: Any, what: str) -> None:
         require(part.name not in where and part.name != "ground", f'Two {what}s are called "{part.name}".')

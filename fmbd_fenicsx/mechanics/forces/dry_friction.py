@@ -1,0 +1,83 @@
+"""Dry friction with true rest, by a point that sticks and is dragged along:
+
+    N = k (s - p) + c s',  cut at +- F;     after a step that slides   p := s - (N - c s') / k                     (1)
+
+It is the set-valued law of Coulomb with a stiffness k, and a damping c, before sliding (Prandtl's element, plasticity of one
+number); inside a step (1) is the return mapping of that law, with the slopes k and c while it sticks and 0 while it slides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...rotations import Array, Motions
+from ..frames import Kinematics
+from ..joints.drives import JointCoordinate
+from ..joints.relative import Relative
+from .force_elements import Loads, ScalarLoads, Tangent
+from .forces import Force
+
+
+class DryFrictionLoads(ScalarLoads):
+    """Elements (1) of one kind of coordinate; ``kept`` (m,): the points p where they stick."""
+
+    def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]], relative: Relative) -> None:
+        super().__init__(motions, forces, markers, relative)
+        self.limit = np.array([f.limit for f in forces])
+        self.kept: Array = np.zeros(len(forces))
+
+    def repeated(self, k: int, markers: int) -> Loads | None:
+        """None: the memory belongs to one motion."""
+        return None
+
+    def effort(self, s: Array, rate: Array, t: float) -> Array:
+        """N of (1), (m,)."""
+        return np.clip(self._trial(s, rate), -self.limit, self.limit)
+
+    def _trial(self, s: Array, rate: Array) -> Array:
+        """N if it sticks, (m,)."""
+        return np.asarray(self.k * (s - self.kept) + self.c * rate)
+
+    def energy(self, kin: Kinematics, t: float) -> float:
+        """k (s - p)^2 / 2 with p as it would be after this step: what is stored before sliding, J."""
+        stretch = self.relative.values(kin) - self.accepted(kin, t)
+        return 0.5 * float((self.k * stretch**2).sum())
+
+    def tangent(self, kin: Kinematics, t: float) -> Tangent:
+        """k and c where it sticks, 0 where it slides; the geometric stiffness of N."""
+        s, rate, _, _ = self._state(kin)
+        sticks = np.abs(self._trial(s, rate)) < self.limit
+        return self._tangent_of(kin, self.effort(s, rate, t), (self.k * sticks, self.c * sticks))
+
+    def first(self, kin: Kinematics, t: float) -> Array:
+        """p where the joint is: it starts without friction force."""
+        return self.relative.values(kin)
+
+    def accepted(self, kin: Kinematics, t: float) -> Array:
+        """p after a step, (m,)."""
+        s, rate, _, _ = self._state(kin)
+        slides = np.abs(self._trial(s, rate)) > self.limit
+        return np.where(slides, s - (self.effort(s, rate, t) - self.c * rate) / self.k, self.kept)
+
+
+@dataclass(frozen=True, eq=False)
+class DryFriction(Force):
+    """See :func:`~fmbd_fenicsx.dry_friction`; ``limit`` F, ``stiffness`` k and ``damping`` c of (1)."""
+
+    on: JointCoordinate = None  # type: ignore[assignment]
+    limit: float = 0.0
+    stiffness: float = 0.0
+    damping: float = 0.0
+    length: float = 0.0
+    law: None = None
+
+    batch: ClassVar[type[Loads]] = DryFrictionLoads
+    kind: ClassVar[str] = "dry friction"
+
+    @property
+    def coordinate(self) -> JointCoordinate:
+        """The joint coordinate on which it acts."""
+        return self.on

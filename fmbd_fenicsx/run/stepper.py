@@ -1,0 +1,197 @@
+"""A run step by step: take a step, keep the state, go back to it, change inputs.
+
+    with fmbd.stepper(scene, dt=1e-3) as s:
+        s.set("torque", 2.0)
+        kept = s.save()
+        s.step()
+        s.restore(kept)
+        tip = s["tip"]
+
+Steps of equal size give what :func:`~fmbd_fenicsx.solve` gives, to the last bit: it is the same stepper from the same start.
+After a change of size a scheme with constant steps begins anew from the consistent state, as after a failed step.
+"""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, near, require
+from ..rotations import Array
+from ..schemes.newton import Newton
+from ..system.element_memory import accept
+from ..system.scene.scene import Scene
+from ..system.serialisation import Memory
+from ..system.system import State
+from .energy_check import closed
+from .moment import Moment
+from .output import Output, Recorder
+from .progress import Course
+from .schedule import Pace
+from .solve import check_pressures, default_scheme
+from .time_loop import Problem, begin, make_solver, make_stepper
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A state of a run with all that its next step depends on; made by ``save``, valid for the stepper that made it."""
+
+    owner: int
+    values: dict[str, Any]
+    inputs: dict[str, float]
+    step: int
+
+
+class SceneStepper:
+    """See :func:`stepper`. Methods are collective."""
+
+    def __init__(self, scene: Scene, dt: float, *, scheme: Any, newton: Newton | None, linear: Any) -> None:
+        require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
+        scheme = default_scheme(scene) if scheme is None else scheme
+        newton = Newton() if newton is None else replace(newton, iterations=0, theta=0.5)
+        self.scene, self.dt = scene, dt
+        self._adaptive = getattr(scheme, "rtol", None) is not None
+        self._pace = Pace(dt, 0 if self._adaptive else 1)
+        self._inputs = {name: source.value for name, source in scene.inputs.items()}
+        system, given, markers = scene.build()
+        check_pressures(system, scheme)
+        self._solver = make_solver(scene, system, linear)
+        newton.refresh = self._solver.refresh
+        try:
+            start, _ = begin(scene, scheme, system, given, solver=self._solver, h=dt)
+            self._problem = Problem(
+                scene, system, markers, given, start, scheme, newton, linear, self._solver.pressures
+            )
+            made = make_stepper(self._problem, self._solver, self._pace, guarded=closed(scene, system))
+        except BaseException:
+            self._solver.destroy()
+            raise
+        recorder = Recorder(scene, system, markers, Output(progress=False), np.inf)
+        self._course = Course(system, self._solver, newton, made, recorder)
+        self._saved: Saved | None = None
+        self._open = True
+        self._look()
+
+    # -- what is seen ---------------------------------------------------------------------------------------------
+    @property
+    def t(self) -> float:
+        """Time, s."""
+        return self.state.t
+
+    @property
+    def state(self) -> State:
+        """The present state."""
+        return self._course.stepper.state  # type: ignore[no-any-return]
+
+    def __getitem__(self, sensor: str) -> Array:
+        """Present value of a sensor, (size,)."""
+        if sensor not in self._values:
+            raise InputError(f'No sensor "{sensor}". {near(sensor, self._values)}')
+        return self._values[sensor].copy()
+
+    def energies(self) -> dict[str, float]:
+        """Present energies by kind, J."""
+        return self._moment.energies()
+
+    def _look(self) -> None:
+        """Read all sensors: angles count their revolutions from step to step."""
+        p = self._problem
+        self._moment = Moment(self.scene, p.system, p.markers, self.state, self._course.done)
+        self._values = {name: np.asarray(self._moment[name]) for name in self.scene.sensors}
+
+    # -- what is done ---------------------------------------------------------------------------------------------
+    def step(self, dt: float | None = None) -> float:
+        """Advance by dt (s; the ``dt`` of the stepper by default); returns the new time.
+
+        A scheme with error control takes as many steps of its own as it needs.
+
+        Raises:
+            ConvergenceError: the step fails. ``restore`` an earlier state to go on from there.
+        """
+        self._ready()
+        dt = self.dt if dt is None else dt
+        require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
+        require(self.t + dt > self.t, f"Step dt = {dt} s is below the roundoff of t = {self.t} s.")
+        if self._adaptive:
+            self._advance_to(self.t + dt)
+        else:
+            self._course.stepper.advance(dt)
+        self._course.done += 1
+        self._look()
+        return self.t
+
+    def _advance_to(self, end: float) -> None:
+        """Steps of the scheme's own size to a time."""
+        course = self._course
+        while end - self.t > 64 * np.spacing(end):
+            accept(course.system, course.stepper.advance(end - self.t))
+
+    def set(self, name: str, value: float) -> None:
+        """Give an input of the scene (:meth:`Scene.input`) a new value, held until the next change.
+
+        Raises:
+            InputError: no such input, or a value outside its range.
+        """
+        self._ready()
+        if name not in self.scene.inputs:
+            raise InputError(f'No input "{name}" in scene "{self.scene.name}". {near(name, self.scene.inputs)}')
+        self.scene.inputs[name].set(value)
+
+    def save(self) -> Saved:
+        """All that the next step depends on, inputs included, to come back to with :meth:`restore` as often as needed."""
+        self._ready()
+        m = Memory(self._course.system)
+        self._course.remember(m)
+        inputs = {name: source.value for name, source in self.scene.inputs.items()}
+        self._saved = Saved(id(self), deepcopy(m.values), inputs, self._course.done)
+        return self._saved
+
+    def restore(self, saved: Saved | None = None) -> None:
+        """Go back to a saved state, the newest one by default."""
+        self._ready()
+        saved = self._saved if saved is None else saved
+        if saved is None:
+            raise InputError("Nothing to restore: call save() first.")
+        require(
+            saved.owner == id(self), "This state was saved by another stepper; save() and restore() belong together."
+        )
+        for name, value in saved.inputs.items():
+            self.scene.inputs[name].set(value)
+        self._course.remember(Memory(self._course.system, deepcopy(saved.values)), "saved state")
+        self._look()
+
+    # -- life -----------------------------------------------------------------------------------------------------
+    def _ready(self) -> None:
+        require(self._open, f'The stepper of scene "{self.scene.name}" is closed.')
+
+    def close(self) -> None:
+        """Free factors and give the inputs of the scene the values back that they had."""
+        if self._open:
+            self._open = False
+            self._solver.destroy()
+            for name, value in self._inputs.items():
+                self.scene.inputs[name].set(value)
+
+    def __enter__(self) -> SceneStepper:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def stepper(
+    scene: Scene, *, dt: float, scheme: Any = None, newton: Newton | None = None, linear: Any = None
+) -> SceneStepper:
+    """A scene at its consistent start, to be advanced step by step; collective. Use it in a ``with`` block.
+
+    Args:
+        dt: usual size of a step, s.
+        scheme, newton, linear: as for :func:`~fmbd_fenicsx.solve`.
+    """
+    return SceneStepper(scene, dt, scheme=scheme, newton=newton, linear=linear)

@@ -1,0 +1,207 @@
+"""Friction, stops and motors in joints, and the sensors of force elements."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.mechanics.forces.effort_laws import ElasticStop, Feedback, Friction
+from fmbd_fenicsx.rotations import Array
+
+INERTIA = 0.5
+
+
+def wheel(rate: float = 0.0, dim: int = 2) -> tuple[fmbd.Scene, Any]:
+    """A wheel on a hinge, and the angle of the hinge."""
+    inertia = INERTIA if dim == 2 else (0.3, 0.4, INERTIA)
+    body = fmbd.RigidBody("wheel", 1.0, inertia, angular_velocity=rate if dim == 2 else (0, 0, rate))
+    scene = fmbd.Scene("wheel")
+    hinge = fmbd.revolute("hinge", fmbd.ground, body, center=np.zeros(dim))
+    scene.add(body, hinge)
+    scene.sensor("phi", fmbd.angle(hinge))
+    return scene, fmbd.angle(hinge)
+
+
+LAWS = [
+    Friction(0.5, 0.1, 0.7, 0.4, 0.02),
+    ElasticStop(-0.3, 0.4, 50.0, 2.0, 0.1),
+    Feedback(20.0, 3.0, lambda t: (0.5 * t, 0.5, 0.0), 5.0),
+]
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda x: type(x).__name__)
+def test_slopes_are_the_derivatives(law: Any) -> None:
+    for s, rate, t in np.random.default_rng(1).uniform(-0.8, 0.8, (50, 3)):
+        h = 1e-6
+        by_s = (law(s + h, rate, t) - law(s - h, rate, t)) / (2 * h)
+        by_rate = (law(s, rate + h, t) - law(s, rate - h, t)) / (2 * h)
+        assert np.allclose(law.slopes(s, rate, t), (by_s, by_rate), rtol=1e-6, atol=1e-6)
+
+
+def coulomb_oscillator(t: Array, start: float, shift: float, omega: float) -> Array:
+    """Exact motion of J x'' + k x = -+F from rest at ``start``: half cycles about +-F/k = shift, until it sticks."""
+    out = np.empty_like(t)
+    halves = int(np.ceil((start - shift) / (2 * shift)))
+    for i, now in enumerate(t):
+        n = min(int(now * omega / np.pi), halves)
+        top = start - 2 * n * shift  # amplitude with which half cycle n begins
+        wave = top if n == halves else (top - shift) * np.cos(omega * now - n * np.pi) + shift
+        out[i] = (-1) ** n * wave
+    return out
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_dry_friction_against_the_analytic_decay(dim: int) -> None:
+    """Amplitudes fall by 2 F / k each half cycle; then it sticks, away from zero, and creeps no more."""
+    k, F, start = 20.0, 1.8, 1.0
+    scene, phi = wheel(dim=dim)
+    scene.add(fmbd.joint_spring("spring", phi, stiffness=k, free=start))
+    friction = fmbd.dry_friction("friction", phi, limit=F, stick=1e6, damping=500.0)
+    scene.add(friction)
+    scene.sensor("effort", fmbd.element_effort(friction))
+    run = fmbd.solve(scene, t_end=3.6, dt=2e-3)
+    omega = np.sqrt(k / INERTIA)
+    exact = start - coulomb_oscillator(run.times, start, F / k, omega)
+    assert np.abs(run["phi"][:, 0] - exact).max() < 2e-3  # six kinks, each passed within a step
+    rest = exact[-1] - start
+    assert abs(rest) > 0.05
+    assert abs(run["effort"][-1, 0] - k * rest) < 1e-2 * F, "held by friction below its limit"
+    assert np.ptp(run["phi"][-100:, 0]) < 1e-9, "no creep"
+
+
+def test_dry_friction_holds_a_load_that_smooth_friction_lets_creep() -> None:
+    load = 0.9
+    found = {}
+    for name in ("dry", "smooth"):
+        scene, phi = wheel()
+        scene.add(fmbd.effort("load", phi, lambda t: load))
+        if name == "dry":
+            scene.add(fmbd.dry_friction("friction", phi, limit=1.0, stick=1e4, damping=100.0))
+        else:
+            scene.add(fmbd.joint_friction("friction", phi, coulomb=1.0, speed=1e-2))
+        run = fmbd.solve(scene, t_end=2.0, dt=5e-3)
+        found[name] = run["phi"][-1, 0] - run["phi"][-201, 0]
+    assert abs(found["dry"]) < 1e-9
+    assert abs(found["smooth"] - 1e-2 * np.arctanh(load)) < 1e-4
+
+
+def test_smooth_friction_stops_a_wheel_in_its_time() -> None:
+    """J w' = -F: w falls linearly to rest at J w0 / F; work of friction = kinetic energy."""
+    scene, phi = wheel(rate=4.0)
+    friction = fmbd.joint_friction("friction", phi, coulomb=1.0, speed=1e-3)
+    scene.add(friction)
+    scene.sensor("power", fmbd.element_power(friction))
+    run = fmbd.solve(scene, t_end=2.5, dt=2e-3)
+    before = run.times <= 1.9
+    assert np.abs(run["phi"][before, 0] - (4 * run.times - run.times**2)[before]).max() < 1e-5
+    work = float(((run["power"][1:, 0] + run["power"][:-1, 0]) / 2 * np.diff(run.times)).sum())
+    assert abs(work + 4.0) < 5e-3
+
+
+def test_dry_friction_survives_a_checkpoint(tmp_path: Any) -> None:
+    """The point where it sticks goes into the checkpoint: the restarted run is the same to the last bit."""
+
+    def scene() -> fmbd.Scene:
+        made, phi = wheel()
+        made.add(fmbd.joint_spring("spring", phi, stiffness=20.0, free=1.0))
+        made.add(fmbd.dry_friction("friction", phi, limit=1.8, stick=1e3))
+        return made
+
+    whole = fmbd.solve(scene(), t_end=1.0, dt=5e-3)
+    plan = fmbd.Checkpoint(tmp_path, every=170, keep=9)
+    fmbd.solve(scene(), t_end=1.0, dt=5e-3, checkpoint=plan)
+    middle = next(p for p in sorted(tmp_path.iterdir()) if p.name.endswith("step170"))
+    again = fmbd.solve(scene(), t_end=1.0, dt=5e-3, restart=middle)
+    assert np.array_equal(again["phi"], whole["phi"])
+
+
+def test_elastic_stop_holds_and_returns_the_energy() -> None:
+    """A wheel flies between two stops without damping: speeds stay, turning points are those of the spring."""
+    scene, phi = wheel(rate=2.0)
+    stop = fmbd.elastic_stop("stop", phi, lower=-0.5, upper=0.5, stiffness=800.0)
+    scene.add(stop)
+    run = fmbd.solve(scene, t_end=1.2, dt=2e-3)
+    depth = 2.0 / np.sqrt(800.0 / INERTIA)
+    assert abs(run["phi"].max() - 0.5 - depth) < 3e-4
+    assert abs(run["phi"].min() + 0.5 + depth) < 3e-4
+    assert np.abs(run.total_energy - run.total_energy[0]).max() < 2e-2 * run.total_energy[0]
+
+
+def test_motor_and_its_effort() -> None:
+    """A motor on a free wheel is a damped oscillator; what it gives is J times the acceleration."""
+    scene, phi = wheel()
+    motor = fmbd.motor("motor", phi, target=0.8, kp=8.0, kd=1.0)
+    scene.add(motor)
+    for name, sensor in {
+        "effort": fmbd.element_effort(motor),
+        "torque": fmbd.element_torque(motor),
+        "s": fmbd.elongation(motor),
+        "power": fmbd.element_power(motor),
+    }.items():
+        scene.sensor(name, sensor)
+    run = fmbd.solve(scene, t_end=2.0, dt=2e-3)
+    root = np.roots((INERTIA, 1.0, 8.0))[0]
+    wave = np.exp(root * run.times) * -0.8
+    exact = 0.8 + wave.real - root.real / root.imag * wave.imag
+    assert np.abs(run["phi"][:, 0] - exact).max() < 4e-5
+    assert np.array_equal(run["effort"], run["torque"])
+    assert np.allclose(run["s"], run["phi"], rtol=0, atol=1e-14)
+    gain = float(((run["power"][1:, 0] + run["power"][:-1, 0]) / 2 * np.diff(run.times)).sum())
+    assert abs(gain - run.energy["kinetic"][-1]) < 3e-4  # trapezoids
+
+
+def test_motor_gives_no_more_than_its_limit() -> None:
+    scene, phi = wheel()
+    motor = fmbd.motor("motor", phi, target=5.0, kp=80.0, limit=0.5)
+    scene.add(motor)
+    scene.sensor("effort", fmbd.element_effort(motor))
+    run = fmbd.solve(scene, t_end=1.0, dt=1e-2)
+    assert np.allclose(run["effort"], 0.5)
+    assert np.abs(run["phi"][:, 0] - 0.5 * run.times**2).max() < 1e-4
+
+
+def test_sensors_of_a_spring_and_a_force() -> None:
+    body = fmbd.RigidBody("body", 2.0, 1.0, position=(1.5, 0.0))
+    scene = fmbd.Scene("spring")
+    spring = fmbd.Spring("spring", fmbd.ground, body, (0, 0), (1.5, 0), stiffness=10.0, length=1.0)
+    push = fmbd.force("push", body, lambda t: (3.0, 1.0))
+    scene.add(body, spring, push)
+    for name, sensor in {
+        "tension": fmbd.tension(spring),
+        "elongation": fmbd.elongation(spring),
+        "force": fmbd.element_force(spring),
+        "push": fmbd.element_force(push),
+    }.items():
+        scene.sensor(name, sensor)
+    run = fmbd.solve(scene, t_end=1e-3, dt=1e-3)
+    assert abs(run["tension"][0, 0] - 5.0) < 1e-12
+    assert abs(run["elongation"][0, 0] - 0.5) < 1e-12
+    assert np.allclose(run["force"][0], (-5.0, 0.0))
+    assert np.allclose(run["push"][0], (3.0, 1.0))
+
+
+def test_bad_input_is_named() -> None:
+    scene, phi = wheel()
+    for make, what in (
+        (lambda: fmbd.joint_friction("f", phi, coulomb=-1.0, speed=0.1), "coulomb"),
+        (lambda: fmbd.joint_friction("f", phi, coulomb=1.0, speed=0.0), "speed"),
+        (lambda: fmbd.joint_friction("f", phi, coulomb=1.0, speed=0.1, static=0.5), "static"),
+        (lambda: fmbd.dry_friction("f", phi, limit=1.0, stick=0.0), "stick"),
+        (lambda: fmbd.elastic_stop("f", phi, lower=1.0, upper=0.0, stiffness=1.0), "lower"),
+        (lambda: fmbd.elastic_stop("f", phi, stiffness=1.0), "give lower"),
+        (lambda: fmbd.motor("f", phi, target="far", kp=1.0), "target"),
+        (lambda: fmbd.motor("f", "phi", target=1.0, kp=1.0), "fmbd.angle"),
+        (lambda: fmbd.element_effort(fmbd.force("f", fmbd.ground, lambda t: (0, 0))), "no single coordinate"),
+        (lambda: fmbd.element_power("f"), "force element"),
+    ):
+        with pytest.raises(InputError, match=what):
+            make()
+    forgotten = fmbd.motor("elbo", phi, target=1.0, kp=1.0)
+    scene.sensor("effort", fmbd.element_effort(forgotten))
+    scene.add(fmbd.motor("elbow", phi, target=1.0, kp=1.0))
+    with pytest.raises(InputError, match='Did you mean "elbow"'):
+        fmbd.solve(scene, t_end=0.1, dt=0.1)
