@@ -39,6 +39,8 @@ def run_report(run: Run) -> str:
         + _n(start.iterations, "iteration"),
     )
     lines += _entry("constraint drift", f"position {gap:.2g} m, velocity {slip:.2g} m/s")
+    if run.not_unique:
+        lines += _entry("not unique", "reactions of " + ", ".join(run.not_unique) + "; the smallest are given")
     if c.get("contact_steps"):
         lines += _entry("contact", _contact(c))
     lines += _entry("time error", _time_error(run))

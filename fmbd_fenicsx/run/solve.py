@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import InputError, Stopped, near, require
 from ..linear.condensation import StepSolver
+from ..linear.redundancy import not_unique
 from ..log import install_hooks, peak_memory
 from ..rotations import Array
 from ..schemes.consistent import Correction
@@ -40,6 +41,7 @@ class Run:
         times: (n,) s; ``series``: sensor name -> (n, size) values; ``energy``: kind -> (n,) J.
         state, system: the last state and its system. ``snapshots``: states kept for pictures.
         counters: steps, Newton iterations, factorisations, back-solves. ``seconds``: by phase.
+        not_unique: joints whose reactions are not unique at the end, of which the smallest are given.
         drift: largest position constraint (m) and velocity constraint (m/s) residual seen.
         local_error: the scheme's own indicator of the error of one step, largest over the run (m, rad).
         error_estimate: sensor name -> estimated time-discretisation error, in the sensor's unit; empty when
@@ -72,6 +74,7 @@ class Run:
     reduction_error: dict[str, float] = field(default_factory=dict)
     memory: float = 0.0
     status: str = "finished"
+    not_unique: list[str] = field(default_factory=list)
 
     def __getitem__(self, sensor: str) -> Array:
         """Series of a sensor, (n, size)."""
@@ -195,6 +198,7 @@ def solve(
         marched = march(problem, solver, pace, output, keeper)
         ended = clock.perf_counter()
         counters = _counters(marched, newton, solver)
+        undetermined = not_unique(solver, marched.state)
     finally:
         solver.destroy()
     run = Run(
@@ -221,6 +225,7 @@ def solve(
         local_error=marched.local_error,
         memory=peak_memory(system.comm),
         status=marched.status,
+        not_unique=undetermined,
     )
     if run.status == "stopped":
         raise Stopped(run) if keeper is None else Stopped(run, keeper.exit_code)

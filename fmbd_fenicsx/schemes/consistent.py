@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import ConstraintError, ConvergenceError
 from ..linear.blocks.incompressibility import VolumeMass, kept_volumes, volume_push
 from ..linear.condensation import StepSolver, Weights
+from ..linear.redundancy import least
 from ..rotations import Array, cross3
 from ..system.system import State, System
 
@@ -133,7 +134,7 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
         raise ConvergenceError("The accelerations at the start did not converge: the initial deformation is too large.")
     for _, part, _ in kept_volumes(solver):
         part.relinearise()  # with the pressure found
-    return replace(state, a=a, lam=lam)
+    return replace(state, a=a, lam=least(solver, ev, lam))
 
 
 def keep_volumes(system: System, state: State, solver: StepSolver) -> State:

@@ -92,7 +92,8 @@ class Stepper(ContactStepper):
         self.local_error = h * h * abs(beta - 1 / 6) * system.max_abs(step.A - self.A)
         self.A = step.A
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + h)
-        self.state = self.ledger.write(State(s.t + h, q, v, step.a, step.lam), forces, (step.ev, step.xi, step.lam), h)
+        lam = self._reactions(s.t + h, q, step.lam)
+        self.state = self.ledger.write(State(s.t + h, q, v, step.a, lam), forces, (step.ev, step.xi, step.lam), h)
         self.ledger.count(len(history))
         return self.state
 

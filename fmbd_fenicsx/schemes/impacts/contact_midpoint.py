@@ -125,7 +125,8 @@ class Stepper(ContactStepper):
         a = (v - s.v) / h
         self.local_error = h * h / 12 * system.max_abs(a - s.a)
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + self.theta * h)
-        self.state = self.ledger.write(State(s.t + h, step.q, v, a, step.lam), forces, (step.ev, step.xi, step.lam), h)
+        lam = self._reactions(s.t + h, step.q, step.lam)
+        self.state = self.ledger.write(State(s.t + h, step.q, v, a, lam), forces, (step.ev, step.xi, step.lam), h)
         self.ledger.count(len(history))
         return self.state
 

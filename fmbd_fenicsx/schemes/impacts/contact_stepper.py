@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from ...linear.complementarity.delassus import Compliance
 from ...linear.condensation import StepSolver
+from ...linear.redundancy import least
 from ...mechanics.contact.rows import ContactSet
+from ...rotations import Array
 from ...system.sensors.contact import ContactState
 from ...system.serialisation import Memory
 from ...system.system import State, System
@@ -22,6 +24,12 @@ class ContactStepper:
         self.ledger = Ledger(system)
         self.local_error = 0.0
         self.state: ContactState = self.ledger.open(state)
+
+    def _reactions(self, t: float, q: Array, lam: Array) -> Array:
+        """Multipliers of a configuration; of those with the same forces the smallest."""
+        if not self.solver.core.redundant:
+            return lam
+        return least(self.solver, self.system.at(t, q), lam)
 
     def remember(self, m: Memory) -> None:
         """State with contact forces, and the books."""

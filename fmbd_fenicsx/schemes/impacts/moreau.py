@@ -184,7 +184,8 @@ class Stepper(ContactStepper):
         self.impulse[closed] = step.contact.force
         self.carrying = (self.impulse[:, 0] > 0.0) & ~step.bouncing
         forces = StepForces(closed, step.rows, step.contact.force / h, s.t + h / 2)
-        self.state = self.ledger.write(State(s.t + h, q, step.v, a, step.lam), forces, (step.ev, xi, step.lam), h)
+        lam = self._reactions(s.t + h, q, step.lam)
+        self.state = self.ledger.write(State(s.t + h, q, step.v, a, lam), forces, (step.ev, xi, step.lam), h)
 
     def _closed_joints(self, q: Array, t: float) -> Array:
         """Positions projected on the joints."""

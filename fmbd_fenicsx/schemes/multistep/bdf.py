@@ -25,11 +25,12 @@ import numpy as np
 
 from ...errors import CallbackError, ConvergenceError, LinearSolveError, require
 from ...linear.condensation import StepSolver
+from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import Pencil, Tangent
 from ...rotations import Array
 from ...system.serialisation import Memory
-from ...system.system import State, System
+from ...system.system import Evaluation, State, System
 from ..consistent import accelerations, project
 from ..control import (
     ROUNDOFF,
@@ -225,18 +226,25 @@ class Stepper:
         self.past = [p, _Past(s.t - h, before, s.v - h * s.a, p.mult)]
 
     def _accept(self, h: float, p: Points) -> State:
-        s = self.state
-        lam = p.mult[0, : self.system.n_lam] if self.eq.levels else s.lam
+        s, q = self.state, self.system.compose(self.state.q, p.xi[0])
+        mult = self._least(self.system.at(s.t + h, q), p.mult[0])
+        lam = mult[: self.system.n_lam] if self.eq.levels else s.lam
         a = self.eq.accelerations(p)[0]
-        self.state = State(s.t + h, self.system.compose(s.q, p.xi[0]), p.v[0], a, lam)
+        self.state = State(s.t + h, q, p.v[0], a, lam)
         if self.scheme.form.projected:
             self.state = project(self.system, self.state, self.solver)
-        self._remember(self.state, p.mult[0])
+        self._remember(self.state, mult)
         self.stats.steps += 1
         self._fresh = False
         if self._theta > 0.2:
             self._tangent = None
         return self.state
+
+    def _least(self, ev: Evaluation, mult: Array) -> Array:
+        """Of the multipliers with the same forces the smallest, level by level."""
+        if not self.solver.core.redundant or not self.eq.levels:
+            return mult
+        return np.concatenate([least(self.solver, ev, x) for x in mult.reshape(self.eq.levels, -1)])
 
     def _remember(self, state: State, mult: Array) -> None:
         self.past = [_Past(state.t, state.q, state.v, mult), *self.past][:8]

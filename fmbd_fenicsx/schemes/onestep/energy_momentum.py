@@ -38,6 +38,7 @@ import numpy as np
 
 from ...errors import ConvergenceError, require
 from ...linear.condensation import StepSolver
+from ...linear.redundancy import least
 from ...rotations import Array
 from ...system.configurations import count
 from ...system.serialisation import Memory
@@ -173,15 +174,18 @@ class Stepper:
     def _take(self, h: float, y: Array) -> State:
         """The state at the end of the step, its accelerations and multipliers solved for."""
         s, n = self.state, self.n
-        self._last = y[:n], y[n + len(self.ports) :]
+        means = y[n + len(self.ports) :]
         v_core, q_core, _, _ = self._motion(h, y[:n])
         q, v = s.q.copy(), s.v.copy()
         q[: self.n_q], v[:n] = q_core, v_core
         if self.fields is not None:
             self.fields.end(q, v)
             count(self.system, q)
-        made = State(s.t + h, q, v, s.a, self._last[1])
+        made = State(s.t + h, q, v, s.a, means)
         self.state = accelerations(self.system, made, self.solver)
+        if self.solver.core.redundant:
+            means = least(self.solver, self.system.at(made.t, q), means)
+        self._last = y[:n], means
         return self.state
 
     def _motion(self, h: float, a: Array) -> tuple[Array, Array, Array, Array]:

@@ -35,6 +35,7 @@ import numpy as np
 from ...errors import ConvergenceError, LinearSolveError, require
 from ...linear.blocks.incompressibility import volume_push
 from ...linear.condensation import StepSolver, Weights
+from ...linear.redundancy import least
 from ...rotations import Array
 from ...system.configurations import count
 from ...system.serialisation import Memory
@@ -242,8 +243,15 @@ class Stepper:
         self.local_error = h * h * abs(beta - 1.0 / 6.0) * system.max_abs(A - A0)
         self._past = [(s.t, s.a, s.lam), *self._past][:2]
         self.A, self.fresh = A, False
-        self.state = State(t, system.compose(s.q, xi), fixed_v + h * gamma * A, a, lam)
+        q, v = system.compose(s.q, xi), fixed_v + h * gamma * A
+        self.state = State(t, q, v, a, self._reactions(t, q, lam))
         return self.state
+
+    def _reactions(self, t: float, q: Array, lam: Array) -> Array:
+        """Multipliers of a configuration; of those with the same forces the smallest."""
+        if not self.solver.core.redundant:
+            return lam
+        return least(self.solver, self.system.at(t, q), lam)
 
     def _tolerance(self, scale: float, a: Array) -> float:
         """Size of a position increment that changes accelerations by Newton's relative tolerance, above roundoff."""

@@ -25,6 +25,7 @@ import numpy as np
 
 from ...errors import CallbackError, ConvergenceError, LinearSolveError, require
 from ...linear.condensation import StepSolver
+from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import Pencil, Tangent, stacked
 from ...rotations import Array
@@ -213,6 +214,8 @@ class Stepper:
     def _accept(self, h: float, points: Points) -> State:
         s, m = self.state, self.system.n_lam
         t = s.t + h
+        if m and self.eq.levels and self.solver.core.redundant:
+            points = self._least(h, points)
         self._last = (h, s.q, s.v, points)
         self.mult = points.mult[-1]
         lam = self.mult[:m] if self.eq.levels else s.lam
@@ -225,6 +228,16 @@ class Stepper:
         if self._theta > 1e-2:
             self._tangent = None
         return self.state
+
+    def _least(self, h: float, points: Points) -> Points:
+        """The stages with multipliers that are the smallest with their forces, so that predictions of them stay small."""
+        s, m, mult = self.state, self.system.n_lam, points.mult.copy()
+        for i, share in enumerate(self.tab.c):
+            ev = self.system.at(float(s.t + share * h), self.system.compose(s.q, points.xi[i]))
+            for level in range(self.eq.levels):
+                rows = slice(level * m, (level + 1) * m)
+                mult[i, rows] = least(self.solver, ev, mult[i, rows])
+        return replace(points, mult=mult)
 
     # -- Newton -------------------------------------------------------------------------------------------------
     def _refresh(self, h: float) -> None:

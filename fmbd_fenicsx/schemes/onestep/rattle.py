@@ -21,6 +21,7 @@ import numpy as np
 
 from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver, Weights
+from ...linear.redundancy import least
 from ...rotations import Array
 from ...system.serialisation import Memory
 from ...system.system import Evaluation, State, System
@@ -74,8 +75,9 @@ class Stepper:
         v = v + 0.5 * h * a
         ev = system.at(t, q, v)
         self._prepare(ev)
+        self.half = least(self.solver, ev, self.half)
         a, lam = self._refine(ev, a, self.half, lambda a: ev.jacobian.times(a) + ev.gamma())
-        self.state = State(t, q, v, a, lam)
+        self.state = State(t, q, v, a, least(self.solver, ev, lam))
         return self.state
 
     def _to_half(self, h: float) -> tuple[Array, Array]:

@@ -1,0 +1,85 @@
+"""Reactions of joints that depend on each other: the smallest with the same forces, at any time, in every scheme; named."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.linear.redundancy import least, null_space
+
+MASS, WIDTH, HEIGHT, LEVELS = 20.0, 0.8, 2.0, (0.2, 1.8)
+
+SCHEMES = [
+    (fmbd.GeneralizedAlpha(0.9), 0.02),
+    (fmbd.GeneralizedAlpha(0.9, form=fmbd.GGL()), 0.02),
+    (fmbd.Radau(3), None),
+    (fmbd.Radau(2, fmbd.Overdetermined(), None), 0.02),
+    (fmbd.BDF(rtol=1e-5), None),
+    (fmbd.Rattle(), 0.02),
+    (fmbd.HalfExplicit(), None),
+    (fmbd.EnergyMomentum(), 0.02),
+]
+
+
+def door(rate: float) -> fmbd.Scene:
+    """A door on two hinges that turns at a steady rate under its weight."""
+    moments = MASS / 12 * np.array([HEIGHT**2, WIDTH**2 + HEIGHT**2, WIDTH**2])
+    place = {"position": (WIDTH / 2, 0.0, HEIGHT / 2), "velocity": (0.0, rate * WIDTH / 2, 0.0)}
+    body = fmbd.RigidBody("door", MASS, moments, angular_velocity=(0.0, 0.0, rate), **place)
+    scene = fmbd.Scene("door", gravity=(0.0, 0.0, -9.81))
+    scene.add(body)
+    for name, z in zip(("low", "high"), LEVELS, strict=True):
+        scene.add(fmbd.revolute(name, fmbd.ground, body, center=(0.0, 0.0, z), axis=(0.0, 0.0, 1.0)))
+        scene.sensor(name, fmbd.reaction(name))
+    return scene
+
+
+def smallest(rate: float) -> float:
+    """Norm of the smallest ten reactions that carry weight and centripetal force, by hand."""
+    columns = []
+    for z in LEVELS:
+        columns += [np.r_[e, np.cross((0.0, 0.0, z), e)] for e in np.eye(3)]
+        columns += [np.r_[0.0, 0.0, 0.0, e] for e in np.eye(3)[:2]]
+    force = np.array([-MASS * rate**2 * WIDTH / 2, 0.0, MASS * 9.81])
+    load = np.r_[force, np.cross((WIDTH / 2, 0.0, HEIGHT / 2), force)]
+    return float(np.linalg.norm(np.linalg.lstsq(np.array(columns).T, load, rcond=None)[0]))
+
+
+@pytest.mark.parametrize(("scheme", "dt"), SCHEMES, ids=lambda x: getattr(x, "name", None))
+def test_a_door_on_two_hinges(scheme: Any, dt: float | None) -> None:
+    """The same smallest reactions at any angle of the door."""
+    rate = 2.0
+    run = fmbd.solve(door(rate), t_end=3.0, dt=dt, scheme=scheme)
+    found = np.linalg.norm(np.hstack([run["low"], run["high"]]), axis=1)
+    assert found == pytest.approx(smallest(rate), rel=1e-4)
+    assert run.not_unique == ["low", "high"]
+    assert "reactions of low, high" in run.report().replace("\n", " ")
+
+
+def test_a_stress_between_the_hinges_is_taken_away_and_nothing_else() -> None:
+    """The forces on the bodies stay; what is left is orthogonal to every state of stress."""
+    system, state, _ = door(1.0).build()
+    solver = StepSolver(system)
+    ev = system.at(state.t, state.q, state.v)
+    from fmbd_fenicsx.linear.condensation import Weights
+
+    solver.prepare(ev, Weights(1.0, 0.0, 0.0))
+    N = null_space(ev)
+    assert N.shape == (10, 5)
+    lam = np.random.default_rng(0).normal(size=10)
+    small = least(solver, ev, lam + N @ np.full(5, 1e6))
+    assert np.abs(N.T @ small).max() < 1e-8
+    assert np.abs(ev.jacobian.transposed(small - lam)).max() < 1e-8
+    solver.destroy()
+
+
+def test_unique_reactions_are_left_alone() -> None:
+    body = fmbd.RigidBody("b", 1.0, 0.1, position=(0.5, 0.0))
+    scene = fmbd.Scene("one pin", gravity=(0.0, -9.81))
+    scene.add(body, fmbd.revolute("pin", fmbd.ground, body, center=(0.0, 0.0)))
+    run = fmbd.solve(scene, t_end=0.1, dt=0.01)
+    assert run.not_unique == [] and "not unique" not in run.report()
