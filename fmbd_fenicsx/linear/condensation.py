@@ -6,7 +6,8 @@ unknowns x = (frames, multipliers), the step's system and its solution are
     [ E      H S ] [ dU ]   [ b_u ]        z = E^-1 b_u,   (A - S^T W S) x = b_x - S^T H^T z,   dU = z - Y S x
     [ S^T H^T  A ] [ x  ] = [ b_x ]        Y = E^-1 H,     W = H^T Y                                            (1)
 
-E is factored, Y and W are computed once for a ratio cm : ck. One step costs one back-solve per iteration. A nonlinear
+Springs and other force elements on surfaces of fields are further rows, see :mod:`.border`. E is factored, Y and W are
+computed once for a ratio cm : ck. One step costs one back-solve per iteration. A nonlinear
 absolute body turns: with its mean rotation T, E is T E_0 T^T to the order of the strain, ports turn alike, and the factor of
 E_0 serves all attitudes; new tangents are taken only when Newton's rate asks for them (:meth:`StepSolver.refresh`).
 """
@@ -20,16 +21,18 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..errors import InputError, LinearSolveError, require
-from ..log import log
 from ..mechanics.placements import DistributedPart, FrameMotion
 from ..rotations import Array, turned
+from ..system.force_tangent import force_tangent
 from ..system.foreshortened_ports import tangent_ports
-from ..system.mobility import NEAR_SINGULAR, mobility, nearly_dependent
+from ..system.mobility import mobility
 from ..system.system import Evaluation, System
 from .blocks.frame_moments import frame_moments
 from .blocks.incompressibility import VolumeMass
 from .blocks.spd import CholeskyFactor, MassInverse
-from .core import ADVICE, CoreSolver
+from .border import AroundSolver, Border, loaded_ports
+from .configuration_warnings import mover, warn_near_singular, warn_of_ties
+from .core import ADVICE, CoreSolver, dense
 from .options import check_options
 from .residual import Judge
 
@@ -139,7 +142,7 @@ class StepSolver:
         if self._look and s.n_lam <= LOOK_LIMIT:
             found = mobility(s, ev.t, ev.q)
             self.core.redundant = found.redundant > 0
-            self._warn_of_ties(found.shares)
+            warn_of_ties(s, found.shares)
         self._look = False
         try:
             self._assemble(ev, w, stiffness)
@@ -147,43 +150,19 @@ class StepSolver:
             if not hasattr(error, "motion"):
                 raise
             raise LinearSolveError(
-                f"{self._mover(error.motion)} has a motion without mass that no joint holds (t = {ev.t:g} s). {ADVICE}"
+                f"{mover(s, error.motion)} has a motion without mass that no joint holds (t = {ev.t:g} s). {ADVICE}"
             ) from error
         if s.n_lam and (self.core.ratio < 1e-5 or self._near_singular):
-            self._warn(ev)
-
-    def _warn_of_ties(self, shares: dict[str, float]) -> None:
-        """Say which surface ties depend on each other; their multipliers are then of minimum norm."""
-        names = [b.name for b in self.system.blocks if b.kind == "surface tie" and b.name in shares]
-        if names:
-            log.warning(
-                "ties %s depend on each other where their surfaces meet (%d redundant rows): tractions there are not unique. "
-                "Use spaces with merged ends, say fmbd.Continuous(1).", names, round(sum(shares.values())),
-            )  # fmt: skip
-
-    def _mover(self, motion: Array) -> str:
-        """The body with the largest part in a motion of the core."""
-        s, k = self.system, int(np.argmax(np.abs(motion)))
-        n = s.n_frames * s.motions.n_twist
-        if k < n:
-            return f'Body "{s.frame_names[k // s.motions.n_twist]}"'
-        owner = next(p for i, p in s.core_parts if s.slices[1][i].start <= k < s.slices[1][i].stop)
-        return f'Body "{owner.name}"'
-
-    def _warn(self, ev: Evaluation) -> None:
-        """One line for each time that the configuration comes close to a singular one."""
-        ratio, joint = nearly_dependent(ev, self.core.rank or self.system.n_lam)
-        if ratio < NEAR_SINGULAR and not self._near_singular:
-            log.warning('near-singular: sigma_min/sigma_max = %.1e, joint "%s", t = %g s', ratio, joint, ev.t)
-        self._near_singular = ratio < NEAR_SINGULAR
+            self._near_singular = warn_near_singular(ev, self.core.rank, self._near_singular)
 
     def _assemble(self, ev: Evaluation, w: Weights, stiffness: Any) -> None:
         """The matrices of (1), and the factor of the core."""
         s = self.system
         G = ev.jacobian
         A = self.core_matrix(ev, w)
-        applied = ev.force_tangent(w.cd, w.ck) if w.cd or w.ck else None
-        for extra in (applied, stiffness):
+        applied = force_tangent(ev, w.cd, w.ck) if (s.forces or s.elements) and (w.cd or w.ck) else None
+        self.border = Border.of(s, applied)
+        for extra in (None if applied is None else applied.core, stiffness):
             if extra is not None:
                 A = A + extra
         if not s.fields:
@@ -200,23 +179,25 @@ class StepSolver:
         if self._whole:
             self._refuse_redundant()
             self.split.prepare(self, A, [self._coupling(ev, i, w.cm) for i in range(len(self.blocks))])
+            self._around = AroundSolver(self.border, self.split.solve)
             return
         if self.many is not None:
             self.many.prepare(ev, w, A)
-        core_G = dense(G.core)[self.few].copy()
-        m = len(core_G)
-        C = np.zeros((m, m))
-        self._S = []
+        left, right = self.border.on_core()
+        joints = dense(G.core)[self.few]
+        lower, upper = np.concatenate((joints, right)), np.concatenate((joints.T, left), axis=1)
+        C = np.diag(np.repeat((0.0, -1.0), (len(joints), self.border.count)))
+        self._S, self._R = [], []
         for i, block in enumerate(self.blocks):
-            S = self._coupling(ev, i, w.cm)
-            if self.many is not None:
-                S = np.concatenate((S[:, :n], S[:, n:][:, self.few]), axis=1)
+            S, R = self._couplings(ev, i, w.cm)
             self._S.append(S)
-            WS = S.T @ block.W @ S
+            self._R.append(R)
+            WS = R.T @ block.W @ S
             A -= WS[:n, :n]
-            core_G = core_G - WS[n:, :n]
+            lower -= WS[n:, :n]
+            upper -= WS[:n, n:]
             C -= WS[n:, n:]
-        self.core.factor(A, core_G, C)
+        self.core.factor(A, lower, C, upper)
 
     @property
     def _whole(self) -> bool:
@@ -285,7 +266,7 @@ class StepSolver:
             factor = self._factor(f, cm, ck, cd)
             self.factorisations += ck != 0 and getattr(factor, "fresh", True)
         first = f.n_frame_rows
-        active = G.active(self.system.port_slice(k))
+        active = G.active(self.system.port_slice(k)) | loaded_ports(self.system)[self.system.port_slice(k)]
         if self.many is not None or self._whole:
             active &= ~self._on_traces(f)
         if f.shared_columns:
@@ -339,11 +320,28 @@ class StepSolver:
             rows = s.frame_rows[k]
             S[:c, s.n_core + rows.start : s.n_core + rows.stop] = np.eye(c)
         S[c:, s.n_core :] = dense(self._G.port[:, s.port_slice(k).start + block.used]).T
-        turn = self._turns[i]
-        if turn is not None and len(block.used):
-            rows_of = S[c:].reshape(-1, d, S.shape[1])
-            S[c:] = (turn.T @ rows_of).reshape(-1, S.shape[1])
+        S[c:] = self._turned_ports(i, S[c:])
         return S
+
+    def _couplings(self, ev: Evaluation, i: int, cm: float) -> tuple[Array, Array]:
+        """S of part i with the few rows and those of the border: what its balance sees, and what the others see of it."""
+        n, k = self.system.n_core, self.system.fields[i][0]
+        S = self._coupling(ev, i, cm)
+        if self.many is not None:
+            S = np.concatenate((S[:, :n], S[:, n:][:, self.few]), axis=1)
+        if not self.border.count:
+            return S, S
+        used = self.blocks[i].used
+        inertia = np.zeros((len(S) - len(used), self.border.count))
+        left, right = (np.concatenate((inertia, self._turned_ports(i, x))) for x in self.border.on_ports(k, used))
+        return np.concatenate((S, left), axis=1), np.concatenate((S, right), axis=1)
+
+    def _turned_ports(self, i: int, rows: Array) -> Array:
+        """Rows (used ports, columns) of part i as the turned factor sees them."""
+        turn = self._turns[i]
+        if turn is None or not len(rows):
+            return rows
+        return np.asarray((turn.T @ rows.reshape(-1, len(turn), rows.shape[1])).reshape(rows.shape))
 
     def _project(self, f: DistributedPart, block: Block, z: Array) -> Array:
         """H^T z of a field."""
@@ -358,7 +356,7 @@ class StepSolver:
             return self.core.solve(b, c)
         s.move(self._ev.t)
         if self._whole:
-            return self.split.solve(b, c)
+            return self._around.solve(b, c)
         if self.many is not None:
             return self.many.solve(self._solve_few, b, c)
         return self._solve_few(b, c)
@@ -396,21 +394,23 @@ class StepSolver:
         """The same with the rows that the core holds: all, or those of no surface tie where these are many."""
         s = self.system
         n = s.n_core
-        rhs = np.concatenate((b[:n], c))
+        rhs = np.concatenate((b[:n], c, np.zeros(self.border.count)))
         zs = []
         for i, ((k, f), block) in enumerate(zip(s.fields, self.blocks, strict=True)):
             z = block.factor.solve(turned(s.local_v(b, k), self._turns[i], back=True))
-            rhs -= self._S[i].T @ self._project(f, block, z)
+            rhs -= self._R[i].T @ self._project(f, block, z)
             zs.append(z)
         x = np.concatenate(self.core.solve(rhs[:n], rhs[n:]))
         parts = [z - block.Y @ (S @ x) for S, block, z in zip(self._S, self.blocks, zs, strict=True)]
         moments = frame_moments(s, self._sways, self.weights.cm, parts)
         if moments is not None:
-            more = np.concatenate(self.core.solve(moments, np.zeros(len(c))))
+            more = np.concatenate(self.core.solve(moments, np.zeros(len(x) - n)))
             x += more
             for part, S, block in zip(parts, self._S, self.blocks, strict=True):
                 part -= block.Y @ (S @ more)
-        return np.concatenate([x[:n], *(turned(x, turn) for x, turn in zip(parts, self._turns, strict=True))]), x[n:]
+        return np.concatenate([x[:n], *(turned(x, turn) for x, turn in zip(parts, self._turns, strict=True))]), x[
+            n : n + len(c)
+        ]
 
     def refresh(self) -> bool:
         """New tangents of nonlinear parts at the configuration evaluated last, and rows at the one given last to
@@ -430,11 +430,6 @@ class StepSolver:
             forget = getattr(f.field, "forget", None)  # wires keep factors for several sets of slack droppers
             if forget is not None:
                 forget()
-
-
-def dense(A: Any) -> Array:
-    """A as an array."""
-    return A.toarray() if sp.issparse(A) else np.asarray(A)
 
 
 def _made_of(f: DistributedPart, w: Weights) -> tuple[float, float, float, int]:

@@ -75,15 +75,18 @@ class CoreSolver:
         self.rank: int | None = None  # of the constraints, where they are redundant
         self._saddle: Saddle | None = None
 
-    def factor(self, A: Any, G: Any, C: Array | None = None) -> None:
-        """Factor for A (n, n) and rows G (m, n), both dense or both sparse; C (m, m) stands for the 0 where given."""
+    def factor(self, A: Any, G: Any, C: Array | None = None, upper: Array | None = None) -> None:
+        """Factor for A (n, n) and rows G (m, n), both dense or both sparse; C (m, m) stands for the 0 where given, and
+        ``upper`` (n, m) for G^T.
+        """
         self.A, self.G, self.C = A, G, C
+        self.upper: Any = G.T if upper is None else upper
         self.n, self.m = A.shape[0], G.shape[0]
         if self.n + self.m == 0:  # absolute bodies without joints: nothing replicated
             return
         self.factorisations += 1
         self.ratio = 1.0
-        D, E = _scales(A, G, C)
+        D, E = _scales(A, G, C, self.upper)
         self.scale = np.concatenate((D, E))
         self.exact = not self.redundant
         if sp.issparse(A) and not self.redundant:
@@ -95,7 +98,7 @@ class CoreSolver:
         K = np.empty((n + m, n + m))
         K[:n, :n] = D[:, None] * A * D
         K[n:, :n] = E[:, None] * G * D
-        K[:n, n:] = K[n:, :n].T
+        K[:n, n:] = D[:, None] * dense(self.upper) * E
         K[n:, n:] = 0.0 if C is None else E[:, None] * C * E
         if self.redundant:
             self._factor_redundant(K)
@@ -115,7 +118,7 @@ class CoreSolver:
         """Sparse LU; its pattern and the order of its columns are those of the first factorisation while they fit."""
         if self.C is not None:
             S = sp.diags(self.scale)
-            K = sp.bmat([[self.A, self.G.T], [self.G, self.C]], format="csc")
+            K = sp.bmat([[self.A, self.upper], [self.G, self.C]], format="csc")
             self._solve = self._lu((S @ K @ S).tocsc(), "COLAMD").solve
             return
         A, G = self.A.tocsr(), self.G.tocsr()
@@ -187,7 +190,7 @@ class CoreSolver:
         rhs = self.scale * np.concatenate((b, c))
         z = self.scale * self._solve(rhs)
         x, y = z[:n], z[n:]
-        upper = self.A @ x + self.G.T @ y - b
+        upper = self.A @ x + self.upper @ y - b
         lower = self.G @ x - c if self.C is None else self.G @ x + self.C @ y - c
         left = self.scale * np.concatenate((upper, lower if self.exact else np.zeros_like(lower)))
         residual, given, found = (math.sqrt(y @ y) for y in (left, rhs, z / self.scale))
@@ -197,11 +200,11 @@ class CoreSolver:
         return x, y
 
 
-def _scales(A: Any, G: Any, C: Array | None) -> tuple[Array, Array]:
+def _scales(A: Any, G: Any, C: Array | None, upper: Any) -> tuple[Array, Array]:
     """Scales of rows and columns: diag(A)^-1/2 and row norms of G D; with a block C, square roots of the row maxima."""
     if C is not None:
-        rows = np.concatenate((np.concatenate((A, G.T), axis=1), np.concatenate((G, C), axis=1)))
-        top = np.abs(rows).max(axis=1)
+        rows = np.abs(np.concatenate((np.concatenate((A, upper), axis=1), np.concatenate((G, C), axis=1))))
+        top = np.maximum(rows.max(axis=1), rows.max(axis=0))
         scale = 1.0 / np.sqrt(np.where(top > 0, top, 1.0))
         return scale[: len(A)], scale[len(A) :]
     diagonal = np.asarray(A.diagonal())
@@ -212,3 +215,8 @@ def _scales(A: Any, G: Any, C: Array | None) -> tuple[Array, Array]:
     else:
         norms = np.sqrt(((G * D) ** 2).sum(1))
     return D, 1.0 / np.where(norms > 0, norms, 1.0)
+
+
+def dense(A: Any) -> Array:
+    """A as an array."""
+    return A.toarray() if sp.issparse(A) else np.asarray(A)

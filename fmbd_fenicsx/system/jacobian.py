@@ -173,34 +173,3 @@ def _placed(block: sp.spmatrix, row: int, column: int, shape: tuple[int, int]) -
     """A matrix of the given shape with ``block`` at (row, column)."""
     b = block.tocoo()
     return sp.csr_matrix((b.data, (b.row + row, b.col + column)), shape=shape)
-
-
-def force_tangent(ev: Evaluation, cd: float, ck: float) -> Any:
-    """cd D + ck K of the applied forces in the core, (n_core, n_core), dense or sparse as G; None when there is none.
-
-    The displacement of an elastic surface in its frame is not part of it: there Newton's iteration does without.
-    """
-    s, n = ev.system, ev.system.motions.n_twist
-    data, at_rows, at_cols = [], [], []
-    for loads in s.forces:
-        tangent = loads.tangent(ev.kin, ev.t)
-        if tangent is None:
-            continue
-        block = ck * tangent.K + cd * tangent.D
-        sides = (tangent.a, tangent.b)
-        jac = [ev.kin.jac_frame[i] for i in sides]
-        size = jac[0].shape[1]
-        for i, a in enumerate(sides):
-            for j, b in enumerate(sides):
-                part = block[:, i * size : (i + 1) * size, j * size : (j + 1) * size]
-                fa, fb = s.markers.frame[a], s.markers.frame[b]
-                keep = (fa < s.n_frames) & (fb < s.n_frames)
-                data.append((jac[i].swapaxes(1, 2) @ part @ jac[j])[keep].ravel())
-                shape = (int(keep.sum()), n, n)
-                at_rows.append(np.broadcast_to(fa[keep, None, None] * n + np.arange(n)[None, :, None], shape).ravel())
-                at_cols.append(np.broadcast_to(fb[keep, None, None] * n + np.arange(n)[None, None, :], shape).ravel())
-    if not data:
-        return None
-    entries = (np.concatenate(data), (np.concatenate(at_rows), np.concatenate(at_cols)))
-    matrix = sp.csr_matrix(entries, shape=(s.n_core, s.n_core))
-    return matrix.toarray() if isinstance(ev.jacobian.core, np.ndarray) else matrix

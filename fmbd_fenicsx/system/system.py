@@ -30,9 +30,8 @@ from ..mechanics.joints.counted import CountedAngles
 from ..mechanics.placements import DistributedPart, FrameElements, FrameMotion, Part, RigidBlock, is_distributed
 from ..rotations import Array, Motions
 from . import configurations
-from .element_tangent import with_elements
 from .foreshortened_ports import bend, note_forces, port_bias, port_forces
-from .jacobian import Jacobian, force_tangent
+from .jacobian import Jacobian
 
 
 @dataclass(frozen=True)
@@ -351,11 +350,6 @@ class Evaluation:
             for marker, wrench in zip((loads.a, loads.b), loads.wrenches(self.kin, self.t), strict=True):
                 np.add.at(out, marker, wrench)
         return out
-
-    def force_tangent(self, cd: float, ck: float) -> Any:
-        """cd D + ck K of the applied forces in the core, (n_core, n_core); None without such forces."""
-        applied = force_tangent(self, cd, ck) if self.system.forces and self.v is not None else None
-        return with_elements(self, applied, cd, ck) if self.system.elements else applied
 
     def spread(self, wrench: Array) -> Array:
         """Generalised forces of wrenches on the markers: the transpose of the marker Jacobians, like v."""

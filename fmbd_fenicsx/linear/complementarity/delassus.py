@@ -60,7 +60,7 @@ class Compliance:
         """W, (m, m), for the configuration the solver was last prepared for."""
         s, n = self.solver.system, self.solver.system.n_core
         m = rows.core.shape[0]
-        rhs = np.zeros((n + s.n_lam, m))
+        rhs = np.zeros((n + s.n_lam + self.solver.border.count, m))
         rhs[:n] = rows.core.T
         local = []
         for i, tr in self.contacts.on_fields.items():
@@ -74,9 +74,9 @@ class Compliance:
             dense = N[:, used].toarray()
             if turn is not None:
                 dense = (dense.reshape(m, -1, tr.dim) @ turn).reshape(m, -1)
-            Y, S = self._rows_of_Y(i, block)[used], self.solver._S[position]
+            Y, S, R = self._rows_of_Y(i, block)[used], self.solver._S[position], self.solver._R[position]
             if Y.shape[1]:
-                rhs -= S.T @ (Y.T @ dense.T)
+                rhs -= R.T @ (Y.T @ dense.T)
             local.append((dense, C[np.ix_(used, used)], Y, S))
         X = self._core(rhs)
         W = rows.core @ X[:n]
@@ -88,8 +88,8 @@ class Compliance:
         return 0.5 * (W + W.T)
 
     def _core(self, rhs: Array) -> Array:
-        n, s = self.solver.system.n_core, self.solver.system
-        if n + s.n_lam == 0 or not np.abs(rhs).any():
+        n = self.solver.system.n_core
+        if len(rhs) == 0 or not np.abs(rhs).any():
             return np.zeros_like(rhs)
         return np.stack([np.concatenate(self.solver.core.solve(b[:n], b[n:])) for b in rhs.T], axis=1)
 

@@ -58,7 +58,11 @@ def checked(name: str, value: Any, size: int, t: float) -> Array:
 
 
 class Loads:
-    """Forces of one kind with their markers. ``wrench``: (m, n) on markers a and on markers b."""
+    """Forces of one kind with their markers. ``wrench``: (m, n) on markers a and on markers b. ``stiff``: whether they depend
+    on the motion of their markers in a way that :meth:`tangent` gives.
+    """
+
+    stiff = True
 
     def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]]) -> None:
         self.motions, self.forces = motions, forces
@@ -109,6 +113,8 @@ class Loads:
 
 class TimeLoads(Loads):
     """Forces and torques that depend on time (and, as followers, on the rotation of their marker)."""
+
+    stiff = False
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Forces and torques prescribed in time."""

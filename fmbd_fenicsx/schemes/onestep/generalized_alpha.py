@@ -49,6 +49,9 @@ from .kernel import LOOK, Kernel, kernel_library, kernel_of
 
 # of the model's length: after a larger increment, rows and the core's matrix are taken where it led
 FAR = 1e-4
+# rate above which force elements get a new tangent: a stiff spring has its true tension, and with it its
+# stiffness across, only after the first increment
+SLOW_TURN = 0.01
 PATIENCE = 4  # iterations with the tangent of the first one, where a new tangent is cheap
 
 
@@ -189,6 +192,7 @@ class Stepper:
         xi = fixed_a + h * h * beta * A
         tolerance = self._tolerance(scale, a)
         done, far = 0, True
+        stiff = any(loads.stiff for loads in system.forces)
         last: Array = np.zeros(0)
         stabilised = bool(system.n_lam) and isinstance(self.scheme.form, GGL)
 
@@ -206,7 +210,8 @@ class Stepper:
             ev = system.at(t, q, v)
             g = ev.constraint()
             r = ev.balance(a, lam)
-            new = far or tangent is not None or (done > patience and not system.fields)
+            turning = stiff and done > 0 and (done == 1 or self.newton.theta > SLOW_TURN)
+            new = far or tangent is not None or turning or (done > patience and not system.fields)
             self.solver.prepare(ev, weights, keep=not new)
             done += 1
             if stabilised:

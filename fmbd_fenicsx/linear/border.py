@@ -1,0 +1,105 @@
+"""Applied forces on the surfaces of elastic fields, as compliant rows beside the constraints of a step.
+
+See :mod:`fmbd_fenicsx.system.force_tangent`: with y the scaled efforts of the elements, in their r modes,
+
+    balance:  .. + L y,        rows:  R^T dq - y = 0                                                        (1)
+
+The fields are eliminated from (1) with the factors and columns that they have anyway, so their matrices stay constant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..rotations import Array
+from ..system.force_tangent import ForceTangent
+from ..system.foreshortened_ports import tangent_ports
+from ..system.system import System
+
+Solve = Callable[[Array, Array], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class Border:
+    """L and R of (1), (n_core + n_port, r) each, of one configuration."""
+
+    system: System
+    left: Array
+    right: Array
+
+    @classmethod
+    def of(cls, system: System, tangent: ForceTangent | None) -> Border:
+        """The border of a tangent; without columns where no element touches a field."""
+        if tangent is None:
+            none = np.zeros((system.n_core + system.n_port, 0))
+            return cls(system, none, none)
+        return cls(system, tangent.left, tangent.right)
+
+    @property
+    def count(self) -> int:
+        """Rows r."""
+        return self.left.shape[1]
+
+    def on_core(self) -> tuple[Array, Array]:
+        """L (n_core, r) and R^T (r, n_core) on the core."""
+        n = self.system.n_core
+        return self.left[:n], self.right[:n].T
+
+    def on_ports(self, k: int, used: np.ndarray) -> tuple[Array, Array]:
+        """L and R of the ports ``used`` of part k, (used, r) each."""
+        at = self.system.n_core + self.system.port_slice(k).start + used
+        return self.left[at], self.right[at]
+
+    def forces(self, j: int) -> Array:
+        """Column j of L as forces like v."""
+        s, n = self.system, self.system.n_core
+        ports = self.left[n:, j]
+        return np.concatenate((self.left[:n, j], *(p.port_force(ports[s.port_slice(k)]) for k, p in s.fields)))
+
+    def seen(self, v: Array) -> Array:
+        """R^T v, (r,); collective."""
+        s, n = self.system, self.system.n_core
+        y: Array = self.right[:n].T @ v[:n]
+        for k, p in s.fields:
+            y = y + self.right[n:][s.port_slice(k)].T @ tangent_ports(p, s.local_v(v, k))
+        return y
+
+
+class AroundSolver:
+    """(1) around a solver that knows nothing of the elements, by Woodbury's formula: r further solves a configuration.
+
+    ``solve(b, c)`` gives an increment like v and multipliers; collective.
+    """
+
+    def __init__(self, border: Border, solve: Solve) -> None:
+        self.border, self.inner = border, solve
+        none = np.zeros(border.system.n_lam)
+        self.answers = [solve(border.forces(j), none) for j in range(border.count)]
+        small = np.array([border.seen(x) for x, _ in self.answers]).reshape(border.count, border.count).T
+        self.small = np.eye(border.count) + small
+
+    def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """Increment like v and multipliers (n_lam,) for right-hand sides b (like v) and c (n_lam,)."""
+        x, lam = self.inner(b, c)
+        if not self.answers:
+            return x, lam
+        y = np.linalg.solve(self.small, self.border.seen(x))
+        for yj, (column, reaction) in zip(y, self.answers, strict=True):
+            x, lam = x - yj * column, lam - yj * reaction
+        return x, lam
+
+
+def loaded_ports(system: System) -> np.ndarray:
+    """Which ports belong to surfaces of fields that carry a force element with a tangent, (n_port,) bool."""
+    out = np.zeros(system.n_port, dtype=bool)
+    if not system.fields:
+        return out
+    m = system.markers
+    carrying = {int(i) for loads in system.forces if loads.stiff for i in (*loads.a, *loads.b)}
+    for slot, marker in enumerate(m.surface):
+        if int(marker) in carrying:
+            out[m.port[slot]] = True
+    return out

@@ -1,0 +1,38 @@
+"""What the solver of a step says of a configuration: ties that depend on each other, singular positions, motions not held."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..log import log
+from ..rotations import Array
+from ..system.mobility import NEAR_SINGULAR, nearly_dependent
+from ..system.system import Evaluation, System
+
+
+def warn_of_ties(system: System, shares: dict[str, float]) -> None:
+    """Say which surface ties depend on each other; their multipliers are then of minimum norm."""
+    names = [b.name for b in system.blocks if b.kind == "surface tie" and b.name in shares]
+    if names:
+        log.warning(
+            "ties %s depend on each other where their surfaces meet (%d redundant rows): tractions there are not unique. "
+            "Use spaces with merged ends, say fmbd.Continuous(1).", names, round(sum(shares.values())),
+        )  # fmt: skip
+
+
+def mover(system: System, motion: Array) -> str:
+    """The body with the largest part in a motion of the core."""
+    s, k = system, int(np.argmax(np.abs(motion)))
+    n = s.n_frames * s.motions.n_twist
+    if k < n:
+        return f'Body "{s.frame_names[k // s.motions.n_twist]}"'
+    owner = next(p for i, p in s.core_parts if s.slices[1][i].start <= k < s.slices[1][i].stop)
+    return f'Body "{owner.name}"'
+
+
+def warn_near_singular(ev: Evaluation, rank: int | None, warned: bool) -> bool:
+    """One line for each time that the configuration comes close to a singular one; whether it is close now."""
+    ratio, joint = nearly_dependent(ev, rank or ev.system.n_lam)
+    if ratio < NEAR_SINGULAR and not warned:
+        log.warning('near-singular: sigma_min/sigma_max = %.1e, joint "%s", t = %g s', ratio, joint, ev.t)
+    return bool(ratio < NEAR_SINGULAR)
