@@ -76,6 +76,7 @@ class StepSolver:
         self._near_singular = False
         self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
         self.factorisations = 0
+        self.kept = 1  # sets of elastic factors that stay when a new one is made: schemes with variable steps keep more
         self._blocks: dict[tuple[Any, ...], list[Block]] = {}
         self._retired: list[Any] = []
         self.split: Any = linear.split(system, prefix) if hasattr(linear, "split") else None
@@ -249,11 +250,13 @@ class StepSolver:
         key = tuple((_made_of(f, w), f.column_version) for _, f in self.system.fields)
         if key not in self._blocks:
             blocks = [self._block(i, G, w) for i in range(len(self.system.fields))]
-            self._drop(keep=1, live=[b.factor for b in blocks])
+            self._drop(keep=self.kept, live=[b.factor for b in blocks])
             if self.linear is not None and w.ck and self.split is None:
                 check_options(self.prefix, self.system.comm)
-            self._blocks[key] = blocks
-        return self._blocks[key]
+        else:
+            blocks = self._blocks.pop(key)
+        self._blocks[key] = blocks  # those used last are dropped last
+        return blocks
 
     def _block(self, i: int, G: Any, w: Weights) -> Block:
         """Factor of field i, an earlier one where its matrix is the same, and its columns."""

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConvergenceError, require
+from ..fem.fields import rank_sum
 from ..rotations import Array
 from ..system.linearise import Sizes
 from ..system.serialisation import Memory
@@ -47,41 +48,73 @@ def check_tolerance(rtol: float | None, atol: float | None, scheme: str) -> None
 
 
 class ErrorNorm:
-    """(1), with sizes that grow along the run. ``atol``: added to the tolerance of every coordinate (m, rad or its own unit)."""
+    """(1), with sizes that grow along the run. ``atol``: added to the tolerance of every coordinate (m, rad or its own unit).
+
+    A field counts by its root mean square: displacements against the largest one seen, at least a hundredth of the model's
+    length, rates as h e_v / w_q in all forms, so that a stiff body with vibrations too small to matter does not hold the steps
+    down.
+    """
 
     def __init__(self, system: System, rtol: float, atol: float | None, index: int) -> None:
         self.system, self.rtol, self.atol, self.index = system, rtol, atol, index
         self.sizes = Sizes(system)
         self.v_size: Array = np.zeros(system.n_core)
         self.q_size: Array = np.zeros(system.n_core)
-        self.wq: Array = np.ones(system.n_core)
-        self.wv: Array = np.ones(system.n_core)
+        self.field_size: Array = np.zeros(len(system.fields))  # m
+        self.wq: Array = np.ones(system.n_v)
+        self.wv: Array = np.ones(system.n_v)
 
     def update(self, state: State, h: float) -> None:
-        """Take notice of a state; ``h`` is the step about to be taken."""
+        """Take notice of a state; ``h`` is the step about to be taken. Collective where there are elastic fields."""
         s, v = self.system, np.abs(state.v[: self.system.n_core])
         self.q_size = np.maximum(self.q_size, self.sizes.positions(state.q))
-        self.wq = self.rtol * self.q_size + (0.0 if self.atol is None else self.atol)
         fast = np.maximum(v, h * np.abs(state.a[: s.n_core]))
         for block in self.sizes.blocks:
             fast[block] = fast[block].max(initial=0.0)
         self.v_size = np.maximum(self.v_size, fast)
-        self.wv = self.rtol * self.v_size + 1e-4 * self.wq / h
+
+        sizes = self._with_fields(state) if s.fields else self.q_size
+        self.wq = self.rtol * sizes + (0.0 if self.atol is None else self.atol)
+        n = s.n_core
+        self.wv = self.wq / h
+        self.wv[:n] = self.rtol * self.v_size + 1e-4 * self.wv[:n]
+
+    def _with_fields(self, state: State) -> Array:
+        """Sizes like v: those of the core, and the largest displacement of each field; collective."""
+        s = self.system
+        local = [float(np.abs(s.local_q(state.q, k)).max(initial=0.0)) for k, _ in s.fields]
+        seen = np.max(s.comm.allgather(np.array(local)), axis=0)
+        self.field_size = np.maximum(self.field_size, np.maximum(seen, 1e-2 * s.length))
+        own = (np.full(p.n, x) for (_, p), x in zip(s.fields, self.field_size, strict=True))
+        return np.concatenate((self.q_size, *own))
 
     def remember(self, m: Memory) -> None:
         """The sizes seen so far, and the weights of the last step."""
-        weights = (self.q_size, self.v_size, self.wq, self.wv)
-        self.q_size, self.v_size, self.wq, self.wv = m("sizes", weights)
+        sizes = (self.q_size, self.v_size, self.field_size)
+        self.q_size, self.v_size, self.field_size = m("sizes", sizes)
+        self.wq, self.wv = m.like_v("wq", self.wq), m.like_v("wv", self.wv)
 
     def __call__(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
-        """The norm (1) of errors like v, (n,), or the largest over several, (s, n)."""
+        """The norm (1) of errors like v, (n,), or the largest over several, (s, n); collective."""
         wq, wv = self.wq, self.wv
         if self.index == 3:
             kinds = [e_q / wq, e_v * (h / wq)] + ([] if e_a is None else [e_a * (h * h / wq)])
         else:
             kinds = [e_q / wq, e_v / wv] + ([] if e_a is None or self.index == 1 else [e_a * (h / wv)])
-        n = len(wq)
-        return float(max(np.sqrt(np.einsum("...i,...i->...", x, x).max() / n) for x in kinds)) if n else 0.0
+        return max((self.mean(x) for x in kinds), default=0.0)
+
+    def mean(self, x: Array) -> float:
+        """Root mean square of the core, or that of the worst field, of arrays like v, (..., n_v); collective."""
+        s, n = self.system, self.system.n_core
+        core = x[..., :n]
+        means = [float(np.einsum("...i,...i->...", core, core).max()) / n] if n else []
+        if s.fields:
+            parts = [x[..., s.slices[1][k]] for k, _ in s.fields]
+            squares = np.array([np.einsum("...i,...i->...", y, y) for y in parts])
+            counts = rank_sum(s.comm, np.array([float(p.n) for _, p in s.fields]))
+            total = rank_sum(s.comm, squares).reshape(len(parts), -1).max(axis=1)
+            means += list(total / np.maximum(counts, 1.0))
+        return float(np.sqrt(max(means, default=0.0)))
 
     def constant(self, h: float, state: State, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
         """Size of a Newton increment over its tolerance in runs with constant steps: rtol of the accelerations, above
@@ -163,12 +196,19 @@ class StepControl:
 
 
 def first_step(norm: ErrorNorm, state: State, order: float, h_max: float) -> float:
-    """An initial step from the sizes of velocity and acceleration (Hairer, Norsett, Wanner, Solving ODEs I, II.4, adapted)."""
-    n = norm.system.n_core
-    size = norm.q_size
+    """An initial step from the sizes of velocity and acceleration (Hairer, Norsett, Wanner, Solving ODEs I, II.4, adapted).
+
+    Collective where there are elastic fields; their own accelerations do not count: those of stiff vibrations fall to the
+    error test.
+    """
+    sizes = (norm.wq - (0.0 if norm.atol is None else norm.atol)) / norm.rtol
+    n, fields = norm.system.n_core, norm.system.fields
 
     def mean(x: Array) -> float:
-        return float(np.sqrt(np.mean((x[:n] / size) ** 2))) if n else 0.0
+        shares = x / sizes
+        if n and fields:
+            shares[n:] = 0.0
+        return norm.mean(shares)
 
     speed, push = mean(state.v), mean(state.a)
     share = norm.rtol ** (1.0 / order)

@@ -34,9 +34,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..errors import InputError, require
+from ..errors import require
 from ..linear.condensation import StepSolver, Weights
-from ..linear.saddle.pencil import Tangent
+from ..linear.residual import Judge
+from ..linear.saddle.pencil import Pencil, Tangent
 from ..rotations import Array
 from ..system.batch import Many, copies
 from ..system.linearise import differences, many
@@ -58,18 +59,22 @@ class Form:
         """Name in reports and tables."""
         return type(self).__name__
 
-    def rows(self, ev: Many, a: Array) -> Array:
+    def rows(self, ev: Any, a: Array) -> Array:
         """The constraints of all levels, one after another, (k, levels n_lam), of k configurations with accelerations a."""
         made = {0: self._position, 1: self._velocity, 2: self._acceleration}
-        return np.concatenate([made[level](ev, a) for level in self.levels], axis=1)
+        return np.concatenate([made[level](ev, a) for level in self.levels], axis=-1)
 
-    def _position(self, ev: Many, a: Array) -> Array:
+    def rows_scale(self, s: Any) -> Any:
+        """What a motion exp(s t) multiplies g by in the first of the rows, for a frequency s (1/s)."""
+        return s ** self.levels[0]
+
+    def _position(self, ev: Any, a: Array) -> Array:
         return ev.constraint()
 
-    def _velocity(self, ev: Many, a: Array) -> Array:
+    def _velocity(self, ev: Any, a: Array) -> Array:
         return ev.jacobian.times(ev.v) + ev.constraint_rate()
 
-    def _acceleration(self, ev: Many, a: Array) -> Array:
+    def _acceleration(self, ev: Any, a: Array) -> Array:
         return ev.jacobian.times(a) + ev.gamma()
 
 
@@ -114,7 +119,11 @@ class Baumgarte(Form):
         """With its two parameters."""
         return f"Baumgarte({self.alpha:g}, {self.beta:g})"
 
-    def _acceleration(self, ev: Many, a: Array) -> Array:
+    def rows_scale(self, s: Any) -> Any:
+        """s^2 + 2 alpha s + beta^2."""
+        return s**2 + 2 * self.alpha * s + self.beta**2
+
+    def _acceleration(self, ev: Any, a: Array) -> Array:
         rate = self._velocity(ev, a)
         return super()._acceleration(ev, a) + 2 * self.alpha * rate + self.beta**2 * ev.constraint()
 
@@ -172,7 +181,7 @@ class Projected(Form):
         """Of the inner form."""
         return self.of.index
 
-    def rows(self, ev: Many, a: Array) -> Array:
+    def rows(self, ev: Any, a: Array) -> Array:
         """The rows of the form that is projected."""
         return self.of.rows(ev, a)
 
@@ -191,16 +200,14 @@ class Points:
 class StepEquations:
     """(1), (2) in the local coordinates of one step; shared by the implicit schemes. Small systems: dense.
 
-    ``begin`` sets the origin of the coordinates, ``refresh`` the tangent, ``residual`` evaluates. Counts its work.
+    ``begin`` sets the origin of the coordinates, ``refresh`` the tangent, ``residual`` evaluates. Counts its work. Systems with
+    elastic fields have :class:`.field_stages.FieldEquations`, with the same names.
     """
 
+    dense = True
+    counters: ClassVar[dict[str, float]] = {}
+
     def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
-        if system.fields:
-            names = ", ".join(f'"{p.name}"' for _, p in system.fields)
-            raise InputError(
-                f"This scheme needs the tangent as one dense matrix and does not take elastic fields ({names}). Use "
-                "GeneralizedAlpha, or body.reduced(modes=..)."
-            )
         self.system, self.form, self.solver = system, form, solver
         self.levels = len(form.levels) if system.n_lam else 0
         self.residuals = self.jacobians = 0
@@ -249,6 +256,27 @@ class StepEquations:
     def accelerations(self, p: Points) -> Array:
         """a = v' + U tau, (k, n_v), with the U of the last residual."""
         return p.vd + self._normally(p.mult[:, 2 * self.system.n_lam :]) if self.levels > 2 else p.vd
+
+    def corrections(self, mult: Array, level: int) -> Array:
+        """U times the multipliers (k, levels n_lam) of one level, (k, n_v); zero where the form has no such level."""
+        m = self.system.n_lam
+        return (
+            mult[:, level * m : (level + 1) * m] @ self.U.T
+            if self.levels > level
+            else np.zeros((len(mult), self.system.n_v))
+        )
+
+    def pushes(self, mult: Array) -> Array | None:
+        """Accelerations U lambda that the multipliers (k, levels n_lam) cause, (k, n_v); None without constraints."""
+        return mult[:, : self.system.n_lam] @ self.U.T if self.levels else None
+
+    def inertia(self, tangent: Tangent, a: Array) -> Array:
+        """M a at the tangent's motion."""
+        return tangent.M @ a
+
+    def pencil(self, tangent: Tangent, s: Array, judge: Judge) -> Pencil:
+        """Solver of the stages for the frequencies s, (p,)."""
+        return Pencil(tangent, s, judge, self.solver.core.redundant)
 
     def weigh(self, state: State) -> None:
         """Take the mass matrix of a state for the normal directions."""
@@ -325,6 +353,15 @@ class StepEquations:
         made = self.refresh(State(t, self.system.compose(self.origin, xi), v, vd, lam))
         J, T = self._turning(xi, v)
         return replace(made, J=J, by_q=made.by_q @ T)
+
+
+def step_equations(system: System, form: Form, solver: StepSolver) -> Any:
+    """The equations of a step: with dense tangents, or by their action where there are elastic fields."""
+    if not system.fields:
+        return StepEquations(system, form, solver)
+    from .field_stages import FieldEquations
+
+    return FieldEquations(system, form, solver)
 
 
 def _dense(A: Any) -> Array:

@@ -27,7 +27,7 @@ from ...errors import CallbackError, ConvergenceError, LinearSolveError, require
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...linear.residual import Judge
-from ...linear.saddle.pencil import Pencil, Tangent
+from ...linear.saddle.pencil import Tangent
 from ...rotations import Array
 from ...system.serialisation import Memory
 from ...system.system import Evaluation, State, System
@@ -45,9 +45,11 @@ from ..control import (
     turn_limit,
     turns_too_far,
 )
-from ..dae import GGL, Form, Points, StepEquations
+from ..dae import GGL, Form, Points, step_equations
 from ..newton import Newton, strayed
 from ..onestep.radau import Radau
+
+STABLE = 2  # the highest order that damps undamped vibrations at any step
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,8 @@ class BDF:
     """Scheme data.
 
     Args:
-        order: the largest order used (1 to 5); with constant steps the order.
+        order: the largest order used (1 to 5); with constant steps the order. With elastic fields 2 at most: the higher ones
+            amplify vibrations that the step does not resolve.
         form: of the constraints, :class:`~fmbd_fenicsx.GGL` by default.
         rtol: relative tolerance of the local error; None for constant steps dt and constant order, started by Radau IIA.
         atol: absolute tolerance of coordinates (m, rad or own units); None: from the sizes in the model.
@@ -98,16 +101,21 @@ class Stepper:
 
     def __init__(self, scheme: BDF, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
-        self.eq = StepEquations(system, scheme.form, solver)
+        self.eq = step_equations(system, scheme.form, solver)
         self.adaptive = scheme.rtol is not None
         self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
         self.control, self.stats = StepControl(2.0), Statistics()
         self.judge = Judge("a BDF step")
         self.local_error = 0.0
         self.proposed: float | None = None
+        require(
+            self.adaptive or scheme.order <= STABLE or not system.fields,
+            f"BDF of order {scheme.order} amplifies vibrations of elastic fields: take order={STABLE}, or Radau.",
+        )
+        self.highest = min(scheme.order, STABLE) if system.fields else scheme.order
         self.k, self.held = (1, 0) if self.adaptive else (scheme.order, 0)
-        self._tangent: Tangent | None = None
-        self._pencil: Pencil | None = None
+        self._tangent: Any = None  # of the equations' own kind
+        self._pencil: Any = None
         self._fresh = False
         self._theta, self._full = 1e-3, False
         self._starter: Any = None
@@ -133,7 +141,7 @@ class Stepper:
             self.eq.jacobians,
             self.judge.solves,
         )
-        return self.stats.as_dict()
+        return {**self.stats.as_dict(), **self.eq.counters}
 
     def restart(self, t: float) -> None:
         """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
@@ -147,8 +155,7 @@ class Stepper:
         self._tangent, self.judge = m("tangent", (self._tangent, self.judge), Tangent, Judge)
         factored = m("factored", None if self._pencil is None else (self._pencil.t, self._pencil.s), Tangent)
         if m.reading:
-            redundant = self.solver.core.redundant
-            self._pencil = None if factored is None else Pencil(factored[0], factored[1], self.judge, redundant)
+            self._pencil = None if factored is None else self.eq.pencil(factored[0], factored[1], self.judge)
         self.k, self.held, self._fresh, self._full = m("order", (self.k, self.held, self._fresh, self._full))
         self.proposed, self.local_error, self._theta = m("step", (self.proposed, self.local_error, self._theta))
         self.control, self.stats = m("control", (self.control, self.stats), StepControl, Statistics)
@@ -236,7 +243,7 @@ class Stepper:
         self._remember(self.state, mult)
         self.stats.steps += 1
         self._fresh = False
-        if self._theta > 0.2:
+        if self._theta > 0.2 or not self.eq.dense:
             self._tangent = None
         return self.state
 
@@ -293,9 +300,9 @@ class Stepper:
         last = 0.0
         for i in range(self.newton.max_iterations):
             kin, low = self.eq.residual(now, p)
-            if self._full and i > 0:
+            if self._full and self.eq.dense and i > 0:
                 tangent = self.eq.tangent_at(t, p.xi[0], p.v[0], p.vd[0], p.mult[0])
-                self._pencil = Pencil(tangent, c[:1], self.judge, self.solver.core.redundant)
+                self._pencil = self.eq.pencil(tangent, c[:1], self.judge)
                 self.stats.factorisations += 1
             assert self._pencil is not None
             change, dmult = (relax * x for x in self._pencil.solve(kin, low))
@@ -330,15 +337,14 @@ class Stepper:
             self._tangent, self._pencil, self._fresh = self.eq.refresh(at), None, True
         old = None if self._pencil is None else float(self._pencil.s[0])
         if old is None or not 0.8 <= s / old <= 1.25 or (not self.adaptive and s != old):
-            self._pencil = Pencil(self._tangent, np.array([s]), self.judge, self.solver.core.redundant)
+            self._pencil = self.eq.pencil(self._tangent, np.array([s]), self.judge)
             self.stats.factorisations += 1
             return 1.0
         return 2.0 / (1.0 + s / old)
 
     def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
-        push = None
-        if self.eq.levels and self.scheme.form.index > 1:
-            push = self.eq.U @ dmult[0, : self.system.n_lam]
+        pushes = self.eq.pushes(dmult) if self.scheme.form.index > 1 else None
+        push = None if pushes is None else pushes[0]
         if self.adaptive:
             return self.norm(h, dxi[0], dv[0], push)
         return self.norm.constant(h, self.state, dxi[0], dv[0], push)
@@ -372,7 +378,7 @@ class Stepper:
         if k > 1 and (lower := factor(self._error(h, p, k - 1), k - 1)) > 1.05 * best:
             best, order = lower, k - 1
         if (
-            k < self.scheme.order
+            k < self.highest
             and len(self.past) >= k + 2
             and (higher := factor(self._error(h, p, k + 1), k + 1)) > 1.1 * best
         ):

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ from ..control import (
     turn_limit,
     turns_too_far,
 )
-from ..dae import GGL, Form, Points, StepEquations
+from ..dae import GGL, Form, Points, step_equations
 from ..newton import Newton
 from .collocation import lagrange, tableau
 
@@ -92,7 +93,7 @@ class Stepper:
 
     def __init__(self, scheme: Radau, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
-        self.eq = StepEquations(system, scheme.form, solver)
+        self.eq = step_equations(system, scheme.form, solver)
         self.tab = tableau(scheme.stages)
         self.mult: Array = np.zeros(self.eq.levels * system.n_lam)
         self._reset_multipliers()
@@ -103,10 +104,10 @@ class Stepper:
         self.judge = Judge("a Radau step")
         self.local_error = 0.0
         self.proposed: float | None = None
-        self._tangent: Tangent | None = None
+        self._tangent: Any = None  # of the equations' own kind
         self._fresh = self._full = False
-        self._pencil: Pencil | None = None
-        self._filter: Pencil | None = None  # of the error estimate
+        self._pencil: Any = None
+        self._filter: Any = None  # of the error estimate
         self._h_factor = 0.0
         self._trouble = 0  # two for each failure of Newton's iteration, less one for each step
         self._theta = 1e-3
@@ -122,12 +123,15 @@ class Stepper:
             self.eq.jacobians,
             self.judge.solves,
         )
-        return self.stats.as_dict()
+        return {**self.stats.as_dict(), **self.eq.counters}
 
     def remember(self, m: Memory) -> None:
         """Tangent, the last collocation polynomial and the step control."""
         self.state, self.mult = m.state("state", self.state), m("mult", self.mult)
-        self._last, self._tangent = m("last", (self._last, self._tangent), Points, Tangent)
+        if self.eq.dense:
+            self._last, self._tangent = m("last", (self._last, self._tangent), Points, Tangent)
+        else:  # every step takes its own derivatives
+            self._last = self.eq.remember_points(m.inside("last"), self._last)
         flags = m("flags", (self._fresh, self._full, self._trouble, self._pencil is not None, self._filter is not None))
         self._fresh, self._full, self._trouble, *made = flags
         steps = self.proposed, self.local_error, self._theta, self._eta, self._h_factor
@@ -225,7 +229,7 @@ class Stepper:
         self.stats.steps += 1
         self._trouble = max(self._trouble - 1, 0)
         self._fresh = False
-        if self._theta > 1e-2:
+        if self._theta > 1e-2 or not self.eq.dense:
             self._tangent = None
         return self.state
 
@@ -259,8 +263,7 @@ class Stepper:
             return
         assert self._tangent is not None
         self._h_factor = h
-        redundant = self.solver.core.redundant
-        self._pencil = Pencil(self._tangent, self.tab.values / h, self.judge, redundant)
+        self._pencil = self.eq.pencil(self._tangent, self.tab.values / h, self.judge)
         self.stats.factorisations += len(self.tab.values)
         self._filter = None
 
@@ -333,6 +336,8 @@ class Stepper:
         For stiff springs that turn: with a frozen direction the iteration converges for h omega sqrt(k / m) h << 1 only (Lubich,
         doi:10.1007/BF01385643); constant steps have no other way out. For singular configurations too.
         """
+        if not self.eq.dense:
+            return "Newton too slow"
         n, m, stages = self.system.n_v, self.system.n_lam, len(self.tab.c)
         xi, v, mult = self._predict(h)
         coupling = np.kron(self.tab.W / h, np.eye(n))
@@ -372,9 +377,7 @@ class Stepper:
 
     def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
         """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
-        push = None
-        if self.eq.levels and self.scheme.form.index > 1:
-            push = dmult[:, : self.system.n_lam] @ self.eq.U.T
+        push = self.eq.pushes(dmult) if self.scheme.form.index > 1 else None
         if self.adaptive:
             return self.norm(h, dxi, dv, push)
         return max(
@@ -408,9 +411,9 @@ class Stepper:
         return moved, v0 + basis @ (points.v - v0), powers[:, :-1] @ self.tab.stage_basis @ points.mult
 
     # -- error --------------------------------------------------------------------------------------------------
-    def _error_filter(self, h: float) -> Pencil:
+    def _error_filter(self, h: float) -> Any:
         assert self._tangent is not None
-        return Pencil(self._tangent, np.array([self.tab.gamma / h]), self.judge, self.solver.core.redundant)
+        return self.eq.pencil(self._tangent, np.array([self.tab.gamma / h]), self.judge)
 
     def _estimate(self, h: float, points: Points) -> float:
         s, tab, m = self.state, self.tab, self.system.n_lam
@@ -422,11 +425,11 @@ class Stepper:
         moved, change = points.xi - dq, points.v - v
         if self.scheme.form.index == 3:  # its velocities follow all increments of the stages
             change = change - np.outer(tab.W.sum(axis=1) / h, dq)
-        kin = v + tab.error @ moved / h
-        if self.eq.levels > 1:
-            kin = kin - self.eq.U @ self.mult[m : 2 * m]
+        kin = v + tab.error @ moved / h - self.eq.corrections(self.mult[None], 1)[0]
         push = a + tab.error @ change / h
         zero = np.zeros(self.eq.levels * m)
-        errors, e_m = self._filter.solve(-kin[None], np.concatenate((-self._tangent.M @ push, zero))[None])
+        low = np.concatenate((-self.eq.inertia(self._tangent, push), zero))
+        errors, e_m = self._filter.solve(-kin[None], low[None])
         e_q, e_v = errors.reshape(2, -1)
-        return self.norm(h, e_q, e_v, self.eq.U @ e_m[0, :m] if self.eq.levels else None)
+        pushed = self.eq.pushes(e_m)
+        return self.norm(h, e_q, e_v, None if pushed is None else pushed[0])

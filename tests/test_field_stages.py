@@ -1,0 +1,109 @@
+"""Radau and BDF with elastic fields: orders, stiff bodies in large steps, factors kept for a grid of step sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from dae_problems import march
+from test_wave_through_tie import tied_bar
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
+
+T_END = 0.25  # s
+
+
+def pendulum(mesh: Any, kind: str = "floating", E: float = 5e6, ramp: float = 0.0) -> fmbd.Scene:
+    """A rod on a pin under gravity that is switched on within ``ramp`` seconds."""
+    if kind == "floating":
+        rod: Any = fmbd.FloatingBody("rod", mesh, density=1000.0, elastic=linear_elastic(E, 0.3))
+    else:
+        rod = fmbd.AbsoluteBody("rod", mesh, density=1000.0, energy=saint_venant_kirchhoff(E, 0.3), quadrature=4)
+    scene = fmbd.Scene("pendulum", gravity=(0.0, -9.81, 0.0)[: rod.dim], gravity_ramp=ramp)
+    axis = {} if rod.dim == 2 else {"axis": (0, 0, 1)}
+    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0, 0)[: rod.dim], **axis))
+    scene.sensor("tip", fmbd.position(rod.surface("tip")))
+    return scene
+
+
+def orders(scene: fmbd.Scene, schemes: list[Any], reference: Any, steps: tuple[int, ...], t_end: float) -> np.ndarray:
+    """Orders of q, v, lambda of each scheme between the last two of some numbers of steps, (schemes, 3)."""
+    system = scene.build()[0]
+    exact = march(scene, reference, t_end, 4 * steps[-1], 1e-11)[-1]
+
+    def errors(scheme: Any, n: int) -> np.ndarray:
+        end = march(scene, scheme, t_end, n, 1e-11)[-1]
+        off = system.units * system.difference(exact.q, end.q), system.units * (end.v - exact.v), end.lam - exact.lam
+        return np.array([np.abs(x).max() for x in off])
+
+    found = np.array([[errors(s, n) for n in steps] for s in schemes])
+    return np.log2(found[:, -2] / found[:, -1])
+
+
+def test_orders_of_two_stages_on_the_elastic_pendulum(rod_mesh: Callable[..., Any]) -> None:
+    """2 s - 1, s, s - 1 at index 3; 2 s - 1, 2 s - 1, s at index 2; 2 s - 1 in q and v at index 1. The load is smooth; with the
+    highest vibrations, which these steps do not resolve, lambda of index 1 stays near s.
+    """
+    scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.2), ramp=T_END)
+    schemes = [fmbd.Radau(2, form, None) for form in (fmbd.Index3(), fmbd.Index2(), fmbd.Index1())]
+    found = orders(scene, schemes, fmbd.Radau(3, fmbd.Index2(), None), (20, 40), T_END)
+    expected = np.array([[3, 2, 1], [3, 3, 2], [3, 3, 2]])
+    assert (found > expected - 0.4).all(), found
+
+
+@pytest.mark.slow
+def test_orders_of_three_stages(rod_mesh: Callable[..., Any]) -> None:
+    """5, 5, 3 at index 2: v and lambda still lose to the stiffest modes."""
+    scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.2), ramp=T_END)
+    found = orders(scene, [fmbd.Radau(3, fmbd.Index2(), None)], fmbd.Radau(5, fmbd.Index2(), None), (10, 20), T_END)
+    assert (found > [[4.6, 3.8, 2.6]]).all(), found
+
+
+def test_orders_on_a_tied_bar() -> None:
+    """A standing wave through a tie of field multipliers. Its rows are linear: every form has full order."""
+    scene, _ = tied_bar(2, 1)
+    found = orders(scene, [fmbd.Radau(2, fmbd.GGL(), None)], fmbd.Radau(3, fmbd.Index2(), None), (10, 20), 0.1)
+    assert (found > [[2.7, 2.5, 2.5]]).all(), found
+
+
+def test_orders_of_an_absolute_nonlinear_body(rod_mesh: Callable[..., Any]) -> None:
+    """The rows of the pin are linear here too."""
+    scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.2), "absolute", ramp=T_END)
+    found = orders(
+        scene, [fmbd.Radau(2, fmbd.Index3(), None)], fmbd.Radau(3, fmbd.Index2(), None), (10, 20), 0.5 * T_END
+    )
+    assert (found > [[2.7, 1.9, 2.5]]).all(), found
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=lambda f: f.name)
+def test_a_stiff_rod_released_at_once_takes_large_steps(rod_mesh: Callable[..., Any], form: Any) -> None:
+    """Vibrations above 1e4 rad/s of amplitudes below the tolerance: 20 steps a second, not 300 a millisecond."""
+    scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.1), E=2e11)
+    run = fmbd.solve(scene, t_end=1.0, scheme=fmbd.Radau(3, form, 1e-4))
+    fine = fmbd.solve(scene, t_end=1.0, dt=1e-3)
+    assert np.abs(run["tip"][-1] - fine["tip"][-1]).max() < 3e-4
+    assert run.counters["steps"] + run.counters["rejections"] <= 40
+    # steps from 1e-3 s or so to 0.1 s: three factors for a decade, and the one at either end
+    span = np.log10(np.diff(run.times).max() / np.diff(run.times).min())
+    assert run.counters["factorisations"] <= 3 * span + 2
+
+
+@pytest.mark.parametrize(
+    "scheme", [fmbd.Radau(2, fmbd.Index2(), 1e-4), fmbd.BDF(2, fmbd.GGL(), 1e-4)], ids=lambda s: s.name
+)
+def test_error_control_of_an_absolute_body(rod_mesh: Callable[..., Any], scheme: Any) -> None:
+    scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.2), "absolute", ramp=0.2)
+    run = fmbd.solve(scene, t_end=0.4, scheme=scheme)
+    fine = fmbd.solve(scene, t_end=0.4, dt=5e-4)
+    assert np.abs(run["tip"][-1] - fine["tip"][-1]).max() < 2e-3
+
+
+def test_high_order_bdf_with_constant_steps_is_refused_for_fields(rod_mesh: Callable[..., Any]) -> None:
+    scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.2))
+    with pytest.raises(InputError, match="amplifies vibrations"):
+        fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.BDF(4, fmbd.Index3(), None))
