@@ -11,6 +11,7 @@ from .system.sensors.elements import (
     tension,
 )
 from .system.sensors.field import largest
+from .system.sensors.rods import section_forces, section_strains
 from .system.sensors.sensors import (
     acceleration,
     angular_velocity,
@@ -50,6 +51,8 @@ __all__ = [
     "reaction_torque",
     "rotation",
     "tension",
+    "section_forces",
+    "section_strains",
     "velocity",
     "wire_height",
 ]

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
-from load_path import follow, tip
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.mechanics.rods.elements import spins
 from fmbd_fenicsx.mechanics.rods.strains import shape_of, strain_hessian, strain_jacobian, strains
 from fmbd_fenicsx.rotations import hat, quaternion_exp, quaternion_matrix, quaternion_product
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "demos"))
+from rod_model import follow, tip  # noqa: E402
 
 UNIT = fmbd.RodSection((1e4, 1e4, 1e4, 100.0, 100.0, 100.0), 1.0, (0.2, 0.1, 0.1))
 
@@ -320,6 +325,75 @@ def test_own_energy_that_stiffens():
     system, found = follow(scene, (1.0,))
     stretch = tip(system, found[1.0])[0] - 1.0
     assert 100 * stretch + 400 * stretch**3 == pytest.approx(300.0, rel=1e-10)
+
+
+# -- motion ---------------------------------------------------------------------------------------------------------
+FREE = fmbd.RodSection((1e4, 1e4, 1e4, 500.0, 500.0, 500.0), 1.0, (20, 10, 10))
+
+
+def test_energy_momentum_keeps_energy_and_momenta():
+    """A free rod that starts with a violent bend and spin: all invariants to roundoff, for a step far above its periods."""
+    rod = fmbd.Rod("rod", [(6, 0, 0), (3, 4, 0), (0, 7, 1)], FREE, elements=2, degree=2, velocity=(1, 2, 3),
+                   angular_velocity=(1.0, -2.0, 3.0), prestrain=(0, 0, 0, 0.1, 0.1, 0.2))  # fmt: skip
+    scene = fmbd.Scene("free")
+    scene.add(rod)
+    run = fmbd.solve(scene, t_end=1.0, dt=0.05, scheme=fmbd.EnergyMomentum(), newton=fmbd.Newton(tolerance=1e-12))
+    total = run.total_energy
+    assert np.ptp(run.energy["elastic"]) > 0.02 * total[0]
+    assert np.ptp(total) < 1e-11 * total[0]
+    system, state, _ = scene.build()
+    for before, after in zip(run.momenta(state), run.momenta(), strict=True):
+        assert np.abs(after - before).max() < 1e-10 * np.abs(before).max()
+
+
+def swing(scheme, dt):
+    """Tip of a cantilever that swings under its weight for 0.1 s."""
+    section = fmbd.RodSection((1e4, 1e4, 1e4, 100.0, 100.0, 100.0), 1.0, (0.2, 0.1, 0.1))
+    rod = fmbd.Rod("rod", [(0, 0, 0), (2, 0, 0)], section, elements=2, degree=2)
+    scene = fmbd.Scene("swing", gravity=(0, -20, 5))
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("start")))
+    scene.sensor("tip", fmbd.sensors.position(rod.surface("end")))
+    return fmbd.solve(scene, t_end=0.1, dt=dt, scheme=scheme)["tip"][-1]
+
+
+@pytest.fixture(scope="module")
+def swung():
+    """The same by half of the step, to 1e-5."""
+    return swing(fmbd.GeneralizedAlpha(0.9), 5e-4)
+
+
+@pytest.mark.parametrize("make", [fmbd.GeneralizedAlpha, fmbd.Radau, fmbd.BDF, fmbd.EnergyMomentum, fmbd.Rattle])
+def test_every_scheme_takes_rods(make, swung):
+    assert swung[1] < -0.1
+    np.testing.assert_allclose(swing(make(), 1e-3), swung, atol=1e-4)
+
+
+def test_section_forces_are_those_of_statics():
+    """A cantilever with a dead load at its end and a station: forces and moments by hand."""
+    rod = fmbd.Rod("rod", [(0, 0, 0), (2, 0, 0)], fmbd.RodSection((1e9, 1e9, 1e9, 1e8, 1e8, 1e8), 1.0, (1, 1, 1)), elements=4,
+                   stations={"middle": 1.0})  # fmt: skip
+    end = rod.surface("end")
+    scene = cantilever(
+        rod, fmbd.forces.force("F", end, lambda t: (3, 4, 5)), fmbd.forces.torque("M", end, lambda t: (6, 7, 8))
+    )
+    system, found = follow(scene, (1.0,))
+    ev = system.at(1.0, found[1.0], np.zeros(system.n_v))
+    for name, arm in (("start", 2.0), ("middle", 1.0), ("end", 0.0)):
+        forces = fmbd.sensors.section_forces(rod.surface(name)).read(ev, None, -1)
+        np.testing.assert_allclose(forces, (3, 4, 5, 6, 7 - 5 * arm, 8 + 4 * arm), atol=1e-4)
+        e = fmbd.sensors.section_strains(rod.surface(name)).read(ev, None, -1)
+        np.testing.assert_allclose(e * (1e9, 1e9, 1e9, 1e8, 1e8, 1e8), forces, atol=1e-6)
+
+
+def test_skin_follows_the_sections():
+    """Rings around the curve, at the corners of the outline."""
+    from fmbd_fenicsx.mechanics.rods.skin import skin
+
+    section = fmbd.RodSection.rectangle(youngs_modulus=1.0, poisson_ratio=0.0, density=1.0, width=0.2, height=0.1)
+    rod = fmbd.Rod("rod", [(0, 0, 0), (2, 0, 0)], section, elements=2, twist=lambda s: 0.25 * np.pi * s)
+    rings = skin(rod, rod.poses)
+    np.testing.assert_allclose(rings[0], [(0, y, z) for y, z in section.outline], atol=1e-14)
+    np.testing.assert_allclose(rings[-1], [(2, -z, y) for y, z in section.outline], atol=1e-14)
 
 
 # -- bad input ------------------------------------------------------------------------------------------------------

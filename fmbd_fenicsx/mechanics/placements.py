@@ -142,6 +142,11 @@ class FrameElements(Protocol):
     ) -> list[tuple[np.ndarray, Array]]:
         """cd D + ck K for ``weights`` = (cd, ck): derivatives of the forces, values (m, k n_twist, k n_twist)."""
 
+    def mean_forces(
+        self, t: float, poses: tuple[Array, Array], twist: Array, h: float
+    ) -> list[tuple[np.ndarray, Array]]:
+        """As :meth:`forces`, over a step from old to new poses at the mean twist: their work is the change of energy."""
+
     def energy(self, pose: Array) -> float:
         """Elastic energy, J."""
 

@@ -37,7 +37,7 @@ def element_tangent(ev: Evaluation, cd: float, ck: float) -> Any:
 
     data, rows, columns = [], [], []
     for frames, block in blocks:
-        at = (frames[:, :, None] * n + np.arange(n)).reshape(len(frames), -1)
+        at = (frames[:, :, None] * n + np.arange(n)).reshape(len(frames), frames.shape[1] * n)
         data.append(block.ravel())
         rows.append(np.broadcast_to(at[:, :, None], block.shape).ravel())
         columns.append(np.broadcast_to(at[:, None, :], block.shape).ravel())

@@ -58,7 +58,7 @@ class RodElements:
         self.breaks: Array = np.zeros(0)  # and of the ends of the elements
 
     # -- kinematics ---------------------------------------------------------------------------------------------
-    def _interpolated(self, pose: Array) -> tuple[tuple[Array, Array, Array], Array]:
+    def interpolated(self, pose: Array) -> tuple[tuple[Array, Array, Array], Array]:
         """z at the Gauss points, and the quaternions of the nodes (m, k, 4), of one sign within each element."""
         nodal = pose[self.frames]
         x, p = nodal[..., :3], nodal[..., 3:].copy()
@@ -69,13 +69,12 @@ class RodElements:
 
     def strains(self, pose: Array) -> Array:
         """Strains less those that are free of stress, (m, q, 6)."""
-        return strains(*self._interpolated(pose)[0]) - self.natural
+        return strains(*self.interpolated(pose)[0]) - self.natural
 
-    def _directions(self, p: Array) -> Array:
-        """Z, (m, q, 11, 6 k)."""
-        m, k = p.shape[:2]
-        q = len(self.shape.points)
-        turn = spins(p)[:, None]  # (m, 1, k, 4, 3)
+    def directions(self, columns: Array) -> Array:
+        """Z, (m, q, 11, 6 k), with dp/d(turn) of the nodes, (m, k, 4, 3)."""
+        m, k = columns.shape[:2]
+        q, turn = len(self.shape.points), columns[:, None]
         Z = np.zeros((m, q, 11, k, 6))
         Z[:, :, range(3), :, range(3)] = self.slopes
         Z[:, :, 3:7, :, 3:] = np.moveaxis(self.shape.N[None, :, :, None, None] * turn, 2, 3)
@@ -93,16 +92,16 @@ class RodElements:
 
     def section_forces(self, pose: Array, twist: Array | None) -> Array:
         """Forces and moments (m, q, 6) of the sections at the Gauss points, in their axes."""
-        z, p = self._interpolated(pose)
+        z, p = self.interpolated(pose)
         e, E = strain_jacobian(*z)
-        return self._stress(e, E, self._directions(p), twist)
+        return self._stress(e, E, self.directions(spins(p)), twist)
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def forces(self, t: float, pose: Array, twist: Array | None) -> list[Forces]:
         """What the rod adds to the balance M a + h of its nodes: forces (1), less the loads along it."""
-        z, p = self._interpolated(pose)
+        z, p = self.interpolated(pose)
         e, E = strain_jacobian(*z)
-        Z = self._directions(p)
+        Z = self.directions(spins(p))
         S = self._stress(e, E, Z, twist)
         on_z = self.weights[..., None, None] * (S[..., None, :] @ E)
         rows: Array = (on_z @ Z).sum(1).reshape(*self.frames.shape, 6)
@@ -111,9 +110,9 @@ class RodElements:
     def tangents(self, t: float, pose: Array, twist: Array | None, weights: tuple[float, float]) -> list[Forces]:
         """cd D + ck K of them, ``weights`` = (cd, ck), as (m, 6 k, 6 k); (2)."""
         cd, ck = weights
-        z, p = self._interpolated(pose)
+        z, p = self.interpolated(pose)
         e, E = strain_jacobian(*z)
-        Z = self._directions(p)
+        Z = self.directions(spins(p))
         S = self._stress(e, E, Z, twist)
         C = self.law.tangent(e - self.natural)
 
@@ -149,6 +148,17 @@ class RodElements:
             out[:, 0, :3] = (R @ value[..., None])[..., 0] if load.follower else value
             slope[:, :3, 3:] = -R @ hat(value) if load.follower else 0.0
         return out, slope
+
+    def mean_forces(self, t: float, poses: tuple[Array, Array], twist: Array, h: float) -> list[Forces]:
+        """Forces over a step of a scheme that conserves energy, see :mod:`.discrete_gradient`; loads at the mean."""
+        from .discrete_gradient import mean_forces
+
+        middle = poses[0].copy()
+        p1 = poses[1][:, 3:] * np.where((poses[0][:, 3:] * poses[1][:, 3:]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
+        middle[:, 3:] += p1
+        middle[:, 3:] /= np.linalg.norm(middle[:, 3:], axis=-1, keepdims=True)
+        loads = [(self.nodes, -self._load(x, t, middle)[0]) for x in self.loads]
+        return [(self.frames, mean_forces(self, poses, twist, h)), *loads]
 
     def energy(self, pose: Array) -> float:
         """Elastic energy, J."""

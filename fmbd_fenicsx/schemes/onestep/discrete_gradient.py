@@ -118,6 +118,10 @@ class Mean(Evaluation):
         core = np.zeros((s.n_frames + 1, s.motions.n_twist))
         if s.rigid is not None:
             core[s.rigid.frame] += s.rigid.force(self.twist, accel, g)
+        poses = (self.ends[0].pose, self.ends[1].pose)
+        for elements in s.elements:
+            for frames, values in elements.mean_forces(self.t, poses, self.twist, self.h):
+                np.add.at(core, frames, values)
         rows = []
         for k, p in s.core_parts:
             motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], accel[p.frame], g)

@@ -36,7 +36,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import ConvergenceError, require
+from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...rotations import Array
@@ -61,9 +61,6 @@ class EnergyMomentum:
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
-        require(
-            not system.elements, "EnergyMomentum() does not take rods yet: use GeneralizedAlpha(), Radau() or BDF()."
-        )
         return Stepper(system, solver, newton, state)
 
 

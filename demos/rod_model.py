@@ -1,18 +1,18 @@
-"""Equilibrium of a scene along a path of loads: Newton's method with the exact tangent, a secant predictor, steps by need."""
-
-from __future__ import annotations
+"""What the demos of rods share: equilibrium along a path of loads, and a drawing of rods with their sections."""
 
 import numpy as np
 
-from fmbd_fenicsx.errors import LinearSolveError
+from fmbd_fenicsx.errors import FmbdError
 from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+from fmbd_fenicsx.mechanics.rods.skin import skin
 
 
 def follow(scene, stops, first=0.1, tolerance=1e-11):
-    """Configurations at the load factors ``stops``, ascending; laws of loads take the factor as their time."""
+    """System and configurations at the load factors ``stops``, ascending; laws of loads take the factor as their time."""
     system, state, _ = scene.build()
     solver, rest = StepSolver(system), np.zeros(system.n_v)
     now, past, step, out = (0.0, state.q, state.lam), None, first, {}
+
     for stop in stops:
         while now[0] < stop:
             made = _newton(system, solver, rest, _predicted(system, now, past, min(now[0] + step, stop)), tolerance)
@@ -43,7 +43,7 @@ def _newton(system, solver, rest, start, tolerance):
         try:
             solver.prepare(ev, Weights(0.0, 0.0, 1.0))
             dq, dlam = solver.solve(-ev.balance(rest, lam), -ev.constraint())
-        except LinearSolveError:
+        except FmbdError:
             return None
         size = system.max_abs(dq) / system.length
         if not size < 0.5:
@@ -54,6 +54,31 @@ def _newton(system, solver, rest, start, tolerance):
     return None
 
 
+def poses(system, q):
+    """Poses of all frames, (n, 7)."""
+    return q[: system.n_frames * 7].reshape(-1, 7)
+
+
 def tip(system, q):
     """Place of the last frame."""
-    return q[: system.n_frames * 7].reshape(-1, 7)[-1, :3]
+    return poses(system, q)[-1, :3]
+
+
+def panels(file, content):
+    """Pictures side by side: title -> [(rod, poses of its nodes), ...], from light to dark."""
+    from matplotlib.figure import Figure
+
+    page = Figure(figsize=(5.5 * len(content), 4.5), layout="constrained")
+    for k, (title, shapes) in enumerate(content.items()):
+        axes = page.add_subplot(1, len(content), k + 1, projection="3d")
+        for i, (rod, pose) in enumerate(shapes):
+            rings = skin(rod, pose)
+            rings = np.concatenate((rings, rings[:, :1]), axis=1)
+            shade = 0.25 + 0.75 * (i + 1) / len(shapes)
+            color = (1 - 0.8 * shade, 1 - 0.55 * shade, 1 - 0.3 * shade)
+            axes.plot_surface(*np.moveaxis(rings, -1, 0), color=color, rstride=1, cstride=1, linewidth=0)
+        axes.set(title=title, xlabel="x / m", ylabel="y / m", zlabel="z / m")
+        axes.set_aspect("equal")
+        if np.ptp(axes.get_zlim()) < 0.05 * np.ptp(axes.get_xlim()):
+            axes.set(zticks=[], zlabel="")
+    page.savefig(file, dpi=120)
