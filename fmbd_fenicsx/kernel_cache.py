@@ -16,6 +16,7 @@ import shutil
 import stat
 import subprocess
 import tempfile
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -44,33 +45,46 @@ def compiler() -> list[str] | None:
     return command if shutil.which(command[0]) else None
 
 
-def load(name: str, source: str | bytes, *, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL | None:
+def load(
+    name: str,
+    source: str | bytes | Callable[[], str],
+    *,
+    flags: tuple[str, ...] = FLAGS,
+    made_from: bytes = b"",
+) -> ctypes.CDLL | None:
     """The library of a C source, built when it is not kept yet; None, with a line in the log, where it cannot be had.
 
     Not collective: each process asks for itself, and several may build the same one at a time.
 
     Args:
         name: the first part of the file's name, for people.
-        source: the text of one translation unit; it is linked with the mathematical library.
+        source: the text of one translation unit; it is linked with the mathematical library. A function that generates it is
+            called only when the library has to be built.
         flags: of the compiler.
+        made_from: what a generated source follows from; stands for the text in the library's key.
     """
     command = compiler()
     if command is None:
         log.info("no C compiler: kernel %s runs in NumPy", name)
         return None
 
-    text = source.encode() if isinstance(source, str) else source
-    key = hashlib.sha256(text + repr((command, flags)).encode()).hexdigest()[:20]
+    known = made_from if callable(source) else _bytes(source)
+    key = hashlib.sha256(known + repr((command, flags)).encode()).hexdigest()[:20]
 
     try:
         folder, notes = _folders()
         file = folder / f"{name}_{key}.so"
         if not _as_noted(file, notes):
-            _build(file, notes, text, [*command, *flags])
+            text = source() if callable(source) else source
+            _build(file, notes, _bytes(text), [*command, *flags])
         return ctypes.CDLL(str(file))
     except (OSError, subprocess.SubprocessError) as error:
         log.info("the compiled kernel %s is not available (%s): it runs in NumPy", name, error)
         return None
+
+
+def _bytes(text: str | bytes) -> bytes:
+    return text.encode() if isinstance(text, str) else text
 
 
 def trusted(path: Path) -> bool:

@@ -89,6 +89,6 @@ def test_estimate_of_an_elastic_rod_is_honest_also_where_the_step_does_not_resol
 
 
 def test_a_second_run_that_fails_leaves_the_run_without_estimate():
-    run = fmbd.solve(pendulum(), t_end=2.4, dt=0.1, output=fmbd.Output(estimate_error=True))
+    run = fmbd.solve(pendulum(), t_end=2.4, dt=0.2, output=fmbd.Output(estimate_error=True))
     assert run.status == "finished" and run.error_estimate == {}
     assert "the run with 2 h failed" in run.report()

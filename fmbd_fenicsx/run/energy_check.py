@@ -64,6 +64,15 @@ class Watch:
         self.turnover, self.highest = turnover, max(energy, self.highest)
         return None
 
+    @property
+    def limits(self) -> tuple[float, ...]:
+        """Highest energy and turnover so far, energy of the weight (J), share, steps not yet guarded: what (1) compares with."""
+        return self.highest, self.turnover, self.weight, SHARE, float(self.settling)
+
+    @limits.setter
+    def limits(self, seen: tuple[float, ...]) -> None:
+        self.highest, self.turnover, self.settling = float(seen[0]), float(seen[1]), int(seen[4])
+
     def remember(self, m: Memory) -> None:
         """What was seen of energies."""
         self.turnover, self.highest = m("energies", (self.turnover, self.highest))

@@ -77,6 +77,13 @@ class Recorder:
         self.values: dict[str, list[Array]] = {n: [] for n in self.scene.sensors}
         self._due = list(np.linspace(0.0, self.t_end, self.output.snapshots)) if self.output.snapshots else []
 
+    def quiet(self, n: int, t: float, h: float) -> int:
+        """Steps of size h (s) after step n, at time t, up to the next that is recorded, it included."""
+        steps = self.output.every - n % self.output.every
+        if self._due:
+            steps = min(steps, int(np.ceil((self._due[0] - t) / h - 1e-6)))
+        return max(steps, 1)
+
     def take(self, n: int, state: State, seen: Evaluation | None = None) -> None:
         """Record step n when it is due; ``seen``: the system in that state, where known. Collective."""
         rounding = 1e-9 * self.t_end
@@ -136,10 +143,10 @@ class Progress:
             return
         self.bar = tqdm(total=steps, desc=name, unit="step", file=sys.stderr, mininterval=0.2)
 
-    def update(self) -> None:
-        """One step done."""
+    def update(self, steps: int = 1) -> None:
+        """So many steps done."""
         if self.bar is not None:
-            self.bar.update(1)
+            self.bar.update(steps)
 
     def close(self) -> None:
         """Leave the bar as it stands."""

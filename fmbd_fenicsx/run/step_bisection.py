@@ -51,7 +51,9 @@ class ConstantSteps:
     @property
     def evaluation(self) -> Evaluation | None:
         """At the newest state, where the guard has made it."""
-        return None if self.watch is None else self.watch.evaluation
+        if self.watch is None or self.watch.evaluation.q is not self.stepper.state.q:
+            return None
+        return self.watch.evaluation
 
     @property
     def counters(self) -> dict[str, float]:
@@ -71,6 +73,17 @@ class ConstantSteps:
         sizes = self.halved, self.whole, self._size, self.local_error
         self.halved, self.whole, self._size, self.local_error = m("sizes", sizes)
         self._past = m("past", self._past)
+
+    def march(self, h: float, steps: int) -> int:
+        """Up to so many whole steps of size h (s) in one call; how many were made, 0 where :meth:`advance` has to."""
+        many = getattr(self.stepper, "march", None)
+        remembering = any(loads.kept is not None for loads in self.system.forces)
+        if many is None or self.whole or self._size not in (None, h) or remembering:
+            return 0
+        made: int = many(h, steps, self.watch)
+        if made:
+            self._size, self.local_error = h, self.stepper.local_error
+        return made
 
     def advance(self, h: float) -> State:
         """One step of size h (s), whole or in parts; collective.

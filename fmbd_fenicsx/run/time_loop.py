@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time as clock
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -101,6 +102,26 @@ def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: b
     return made if watch is None else Guarded(made, watch)
 
 
+CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to stop
+
+
+def quietly(stepper: Any, pace: Pace, recorder: Recorder, done: int) -> int:
+    """Steps made in one call up to the next record, where the stepper can; how many."""
+    t, h = stepper.state.t, pace.next(stepper.state.t)
+    steps = min(recorder.quiet(done, t, h), pace.steps - done)
+    if steps == 1 or recorder.output.on_step is not None:
+        return 0
+
+    begin, made, chunk = clock.perf_counter(), 0, 64
+    while made < steps and clock.perf_counter() - begin < CHUNK:
+        now = stepper.march(h, min(chunk, steps - made))
+        made += now
+        if not now:
+            break
+        chunk *= 2
+    return made
+
+
 def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keeper: Keeper | None = None) -> March:
     """All steps from a consistent start, or from the checkpoint that the ``keeper`` takes up; collective."""
     reset(problem.system, problem.start)
@@ -115,15 +136,16 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
     try:
         with StopRequests() if keeper is None else keeper.listen() as stop:
             while not pace.ended(state.t, course.done):
-                state = stepper.advance(pace.next(state.t))
+                made = quietly(stepper, pace, recorder, course.done) if pace.steps and keeper is None else 0
+                state = stepper.state if made else stepper.advance(pace.next(state.t))
                 if not pace.steps:  # constant steps note their parts one by one
                     accept(problem.system, state)
-                course.done += 1
+                course.done += max(made, 1)
                 course.local_error = max(course.local_error, stepper.local_error)
                 recorder.take(course.done, state, getattr(stepper, "evaluation", None))
                 if output.on_step is not None:
                     output.on_step(Moment(problem.scene, problem.system, problem.markers, state, course.done))
-                bar.update()
+                bar.update(max(made, 1))
                 course.first = course.first or solver.back_solves
                 if (kink := pace.broken(state.t)) is not None:
                     stepper.restart(kink)

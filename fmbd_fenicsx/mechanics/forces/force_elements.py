@@ -67,8 +67,8 @@ class Loads:
     def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]]) -> None:
         self.motions, self.forces = motions, forces
         self.laws = [self.law_of(f) for f in forces]
-        self.a = np.array([a for a, _ in markers])
-        self.b = np.array([b for _, b in markers])
+        self.a: np.ndarray = np.array([a for a, _ in markers])
+        self.b: np.ndarray = np.array([b for _, b in markers])
 
     @staticmethod
     def law_of(f: Any) -> Any:
@@ -116,12 +116,17 @@ class TimeLoads(Loads):
 
     stiff = False
 
+    def value(self, i: int, t: float) -> Array:
+        """The force (N) or torque (N m) of load i at time t, in its own axes."""
+        f = self.forces[i]
+        return checked(f.name, self.laws[i](t), self.motions.n_rot if f.turns else self.motions.dim, t)
+
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Forces and torques prescribed in time."""
         d, out = self.motions.dim, self._zero()
-        for i, (f, law) in enumerate(zip(self.forces, self.laws, strict=True)):
+        for i, f in enumerate(self.forces):
             part = slice(d, None) if f.turns else slice(0, d)
-            value = checked(f.name, law(t), out.shape[1] - d if f.turns else d, t)
+            value = self.value(i, t)
             follow = f.follower and len(value) == d
             out[i, part] = kin.R[self.a[i]] @ value if follow else value
         return out, self._zero()
@@ -157,6 +162,31 @@ class ScalarLoads(Loads):
         ra, rb = self.relative.rows(kin)
         return s - self.free, (ra * kin.twist[self.a] + rb * kin.twist[self.b]).sum(1), ra, rb
 
+    def law(self, which: np.ndarray, s: Array, rate: Array, t: float) -> Array:
+        """N of the laws of the user's own of some forces, at their elongations s and rates: arrays like ``which``."""
+        out = np.empty(len(which))
+        for k, i in enumerate(which):
+            out[k] = checked(self.forces[i].name, self.laws[i](s[k], rate[k], t), 1, t)[0]
+        return out
+
+    def slopes(self, which: np.ndarray, s: Array, rate: Array, t: float) -> tuple[Array, Array]:
+        """dN/ds and dN/ds' of the same: by the law's own formula where it is one of the package's, else by differences."""
+        k, c = np.empty(len(which)), np.empty(len(which))
+        for n, i in enumerate(which):
+            formula = self.forces[i].law
+            if isinstance(formula, EffortLaw):
+                k[n], c[n] = formula.slopes(s[n], rate[n], t)
+                continue
+            one, at, speed = which[n : n + 1], s[n : n + 1], rate[n : n + 1]
+            hs, hv = 1e-6 * max(abs(float(s[n])), 1e-3), 1e-6 * max(abs(float(rate[n])), 1e-3)
+            k[n] = (self.law(one, at + hs, speed, t)[0] - self.law(one, at - hs, speed, t)[0]) / (2 * hs)
+            c[n] = (self.law(one, at, speed + hv, t)[0] - self.law(one, at, speed - hv, t)[0]) / (2 * hv)
+        return k, c
+
+    def given(self, which: np.ndarray, t: float) -> Array:
+        """N of drives whose effort depends on time only."""
+        return np.array([checked(self.forces[i].name, self.laws[i](0.0, 0.0, t), 1, t)[0] for i in which])
+
     def effort(self, s: Array, rate: Array, t: float) -> Array:
         """N of elongations s and rates, (m,)."""
         N = self.k * s + self.c * rate
@@ -187,19 +217,9 @@ class ScalarLoads(Loads):
         """Material stiffness k and damping c, and the geometric stiffness of N."""
         s, rate, _, _ = self._state(kin)
         k, c = self.k.copy(), self.c.copy()
-        for i, name, law in self.own:
-            formula = self.forces[i].law
-            if isinstance(formula, EffortLaw):
-                k[i], c[i] = formula.slopes(s[i], rate[i], t)
-                continue
-
-            hs, hv = 1e-6 * max(abs(float(s[i])), 1e-3), 1e-6 * max(abs(float(rate[i])), 1e-3)
-
-            def at(ds: float, dv: float, name: str = name, law: Any = law, i: int = i) -> float:
-                return float(checked(name, law(s[i] + ds, rate[i] + dv, t), 1, t)[0])
-
-            k[i] = (at(hs, 0.0) - at(-hs, 0.0)) / (2 * hs)
-            c[i] = (at(0.0, hv) - at(0.0, -hv)) / (2 * hv)
+        if self.own:
+            which = np.array([i for i, _, _ in self.own])
+            k[which], c[which] = self.slopes(which, s[which], rate[which], t)
         return self._tangent_of(kin, self.effort(s, rate, t), (k, c))
 
     def _tangent_of(self, kin: Kinematics, N: Array, slopes: tuple[Array, Array]) -> Tangent:

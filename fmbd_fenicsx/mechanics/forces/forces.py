@@ -88,6 +88,7 @@ class Spring(Force):
 
     batch: ClassVar[type[Loads]] = ScalarLoads
     kind: ClassVar[str] = "spring"
+    of_time: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         _constants(self.name, self.stiffness, self.damping, self.length)
@@ -102,6 +103,7 @@ class CoordinateForce(Force):
     damping: float = 0.0
     length: float = 0.0
     law: Law | None = None
+    of_time: bool = False  # the law depends on time only
 
     batch: ClassVar[type[Loads]] = ScalarLoads
     kind: ClassVar[str] = "joint spring or effort"
@@ -190,7 +192,9 @@ def effort(name: str, on: JointCoordinate, law: Law) -> CoordinateForce:
     """Prescribed effort law(t) of a drive on a joint coordinate: torque (N m) or force (N), positive where s increases."""
     _coordinate(name, on)
     require(callable(law), f'Effort "{name}": law must be a function of time, found {law!r}.')
-    return CoordinateForce(name, on.joint.a, on.joint.b, None, None, on, law=lambda s, rate, t: -np.asarray(law(t)))
+    return CoordinateForce(
+        name, on.joint.a, on.joint.b, None, None, on, law=lambda s, rate, t: -np.asarray(law(t)), of_time=True
+    )
 
 
 def _coordinate(name: str, on: JointCoordinate) -> None:

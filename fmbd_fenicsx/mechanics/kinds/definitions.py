@@ -1,0 +1,103 @@
+"""The definitions: every elementary constraint, joint coordinate and load, each one expression of two frames A and B.
+
+A *coordinate* s(A, B) is a length (m) or an angle (rad). A constraint demands that a sum of coordinates follows a motion of
+time; a spring, a damper or a drive exerts an effort N along one. A *flow* is a speed that is no rate of a coordinate: the power
+of a unit load, linear in the twists.
+
+==================  =========================================================================================
+``coincident``      n . d, n fixed in space
+``along``           e . d, e fixed in A
+``perpendicular``   e . f, f fixed in B
+``turned``          the same with e turned in A by a prescribed angle
+``distance``        (d . d / L - L) / 2
+``separation``      |d|
+``angle``           rotation of B against A about e, counted over revolutions
+``dead``            f . x_B, the load f fixed in space; ``couple``: its torque, ``follower`` and ``follower_couple``: fixed in B
+==================  =========================================================================================
+
+with d = x_b + R_b q - x_a - R_a p. What follows from a definition is in :mod:`.derivation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from .expressions import Expression, atan2, cos, nearest_turn, sin, sqrt
+from .frames import Constants, SymbolicFrame, Vector
+
+Definition = Callable[[SymbolicFrame, SymbolicFrame, Constants], Expression]
+
+
+def _between(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Vector:
+    """From the point p of A to the point q of B."""
+    return b.point(c.vector("q")) - a.point(c.vector("p"))
+
+
+def coincident(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Distance of the points along a direction fixed in space."""
+    return c.vector("e") @ _between(a, b, c)
+
+
+def along(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Distance of the points along a direction fixed in A."""
+    return a.axis(c.vector("e")) @ _between(a, b, c)
+
+
+def perpendicular(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Cosine of the angle between a direction of A and one of B."""
+    return a.axis(c.vector("e")) @ b.axis(c.vector("f"))
+
+
+def turned(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """The same; the direction of A turns from e towards g by the prescribed angle."""
+    e, g, f = (c.vector(name) for name in "egf")
+    s = c.scalar("drive")
+    return (a.axis(e) * cos(s) + a.axis(g) * sin(s)) @ b.axis(f)
+
+
+def distance(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Zero where the points are the length apart; the multiplier is a force."""
+    d, length = _between(a, b, c), c.scalar("length")
+    return ((d @ d) / length - length) * 0.5
+
+
+def separation(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Distance of the points."""
+    d = _between(a, b, c)
+    return sqrt(d @ d)
+
+
+def angle(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Rotation of B against A; in space about e of A with e, f, g a basis of both, next to the angle counted so far."""
+    if a.phi is not None and b.phi is not None:
+        return b.phi - a.phi - c.scalar("zero")
+    near = c.scalar("near")
+    fa, ga, fb, gb = (frame.axis(c.vector(name)) for frame, name in ((a, "fa"), (a, "ga"), (b, "fb"), (b, "gb")))
+    return nearest_turn(atan2(ga @ fb - fa @ gb, fa @ fb + ga @ gb), near)
+
+
+def dead(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Minus the potential of a force fixed in space at the point q of B."""
+    return c.vector("load") @ b.point(c.vector("q"))
+
+
+def couple(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Power of a torque fixed in space."""
+    return c.vector("load", len(b.w)) @ b.w
+
+
+def follower(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Power of a force fixed in B at its point q."""
+    return b.axis(c.vector("load")) @ b.velocity(c.vector("q"))
+
+
+def follower_couple(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Power of a torque fixed in B."""
+    load = c.vector("load", len(b.w))
+    return load @ b.w if b.dim == 2 else b.axis(load) @ b.w
+
+
+COORDINATES: dict[str, Definition] = {
+    f.__name__: f for f in (coincident, along, perpendicular, turned, distance, separation, angle, dead)
+}
+FLOWS: dict[str, Definition] = {f.__name__: f for f in (couple, follower, follower_couple)}

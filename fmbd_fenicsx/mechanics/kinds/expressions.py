@@ -1,0 +1,318 @@
+"""Scalar expressions as a graph: equal subexpressions are one node, derivatives are expressions again.
+
+An :class:`Expression` is made by arithmetic on symbols and constants. Two equal expressions are the same object, so common
+subexpressions are found while they are written, and code printed from the graph computes each of them once. Derivatives are
+taken backwards through the graph (the adjoint of every node), which costs a small multiple of the expression itself
+(Griewank and Walther, Evaluating Derivatives, doi:10.1137/1.9780898717761).
+
+The same graph is printed as C (:func:`c_lines`) and evaluated on NumPy arrays (:func:`evaluate`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+_NODES: dict[tuple[Any, ...], Expression] = {}
+
+
+class Expression:
+    """A node of the graph: an operation and its arguments. Made by arithmetic, never directly."""
+
+    __slots__ = ("arguments", "number", "operation")
+
+    def __init__(self, operation: str, arguments: tuple[Any, ...], number: int) -> None:
+        self.operation, self.arguments, self.number = operation, arguments, number
+
+    def __add__(self, other: Any) -> Expression:
+        return _sum(self, as_expression(other))
+
+    def __mul__(self, other: Any) -> Expression:
+        return _product(self, as_expression(other))
+
+    def __truediv__(self, other: Any) -> Expression:
+        return _quotient(self, as_expression(other))
+
+    def __neg__(self) -> Expression:
+        return _negative(self)
+
+    def __sub__(self, other: Any) -> Expression:
+        return _sum(self, _negative(as_expression(other)))
+
+    def __rsub__(self, other: Any) -> Expression:
+        return _sum(as_expression(other), _negative(self))
+
+    def __rtruediv__(self, other: Any) -> Expression:
+        return _quotient(as_expression(other), self)
+
+    def __pow__(self, exponent: int) -> Expression:
+        """Whole powers, by multiplication."""
+        out = ONE
+        for _ in range(abs(exponent)):
+            out = out * self
+        return out if exponent >= 0 else ONE / out
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def __repr__(self) -> str:
+        if self.operation in ("symbol", "constant"):
+            return str(self.arguments[0])
+        return f"{self.operation}({', '.join(map(repr, self.arguments))})"
+
+
+def _node(operation: str, *arguments: Any) -> Expression:
+    """The one node with this operation and these arguments."""
+    key = (operation, *arguments)
+    if key not in _NODES:
+        _NODES[key] = Expression(operation, arguments, len(_NODES))
+    return _NODES[key]
+
+
+def symbol(name: str) -> Expression:
+    """An unknown; ``name`` is how C code refers to it."""
+    return _node("symbol", name)
+
+
+def constant(value: float) -> Expression:
+    """A number."""
+    return _node("constant", float(value))
+
+
+def as_expression(value: Any) -> Expression:
+    """A number as a node; expressions as they are."""
+    return value if isinstance(value, Expression) else constant(value)
+
+
+ZERO, ONE = constant(0.0), constant(1.0)
+
+
+def _sum(a: Expression, b: Expression) -> Expression:
+    if a is ZERO or b is ZERO:
+        return b if a is ZERO else a
+    if a.operation == b.operation == "constant":
+        return constant(a.arguments[0] + b.arguments[0])
+    if (b.operation == "minus" and b.arguments[0] is a) or (a.operation == "minus" and a.arguments[0] is b):
+        return ZERO
+    if a is b:
+        return _product(constant(2.0), a)
+    # a + b and b + a are one node
+    return _node("+", *sorted((a, b), key=lambda x: x.number))
+
+
+def _negative(a: Expression) -> Expression:
+    if a.operation == "constant":
+        return constant(-a.arguments[0])
+    return a.arguments[0] if a.operation == "minus" else _node("minus", a)
+
+
+def _product(a: Expression, b: Expression) -> Expression:
+    if a is ZERO or b is ZERO:
+        return ZERO
+    if a is ONE or b is ONE:
+        return b if a is ONE else a
+    if a.operation == b.operation == "constant":
+        return constant(a.arguments[0] * b.arguments[0])
+    if b.operation == "constant":
+        a, b = b, a
+    if a.operation == "constant" and a.arguments[0] < 0:
+        return _negative(_product(constant(-a.arguments[0]), b))
+    if a.operation == "constant" and b.operation == "*" and b.arguments[0].operation == "constant":
+        return _product(constant(a.arguments[0] * b.arguments[0].arguments[0]), b.arguments[1])
+    if a.operation == "constant" and b.operation == "*" and b.arguments[1].operation == "constant":
+        return _product(constant(a.arguments[0] * b.arguments[1].arguments[0]), b.arguments[0])
+    # signs move outwards, so that equal products meet
+    if a.operation == "minus" or b.operation == "minus":
+        inner = [x.arguments[0] if x.operation == "minus" else x for x in (a, b)]
+        product = _product(*inner)
+        return product if a.operation == b.operation else _negative(product)
+    return _node("*", *sorted((a, b), key=lambda x: x.number))
+
+
+def _quotient(a: Expression, b: Expression) -> Expression:
+    if a is ZERO or b is ONE:
+        return a
+    if a.operation == b.operation == "constant":
+        return constant(a.arguments[0] / b.arguments[0])
+    if a.operation == "minus":
+        return _negative(_quotient(a.arguments[0], b))
+    return a * _node("/", ONE, b) if a is not ONE else _node("/", ONE, b)
+
+
+# ---- functions --------------------------------------------------------------------------------------------------------------
+
+
+def sqrt(x: Any) -> Expression:
+    """Square root."""
+    return _node("sqrt", as_expression(x))
+
+
+def sin(x: Any) -> Expression:
+    """Sine."""
+    return _node("sin", as_expression(x))
+
+
+def cos(x: Any) -> Expression:
+    """Cosine."""
+    return _node("cos", as_expression(x))
+
+
+def exp(x: Any) -> Expression:
+    """Exponential."""
+    return _node("exp", as_expression(x))
+
+
+def log(x: Any) -> Expression:
+    """Natural logarithm."""
+    return _node("log", as_expression(x))
+
+
+def tanh(x: Any) -> Expression:
+    """Hyperbolic tangent, a smooth sign."""
+    return _node("tanh", as_expression(x))
+
+
+def atan2(y: Any, x: Any) -> Expression:
+    """Angle of the point (x, y), rad, in (-pi, pi]."""
+    return _node("atan2", as_expression(y), as_expression(x))
+
+
+def nearest_turn(angle: Any, near: Any) -> Expression:
+    """``angle`` (rad) plus the whole turns that bring it next to ``near``; its derivative is that of ``angle``."""
+    return _node("nearest_turn", as_expression(angle), as_expression(near))
+
+
+# Derivatives of each operation by its arguments: (arguments, the node itself) -> one factor an argument.
+_DERIVATIVES: dict[str, Callable[..., tuple[Expression, ...]]] = {
+    "+": lambda a, b, y: (ONE, ONE),
+    "minus": lambda a, y: (-ONE,),
+    "*": lambda a, b, y: (b, a),
+    "/": lambda a, b, y: (y, -(y * y)),  # only 1 / b exists
+    "sqrt": lambda a, y: (0.5 / y,),
+    "sin": lambda a, y: (cos(a),),
+    "cos": lambda a, y: (-sin(a),),
+    "exp": lambda a, y: (y,),
+    "log": lambda a, y: (1.0 / a,),
+    "tanh": lambda a, y: (1.0 - y * y,),
+    "atan2": lambda a, b, y: (b / (a * a + b * b), -a / (a * a + b * b)),
+    "nearest_turn": lambda a, b, y: (ONE, ZERO),
+}
+
+
+def _ordered(results: Iterable[Expression]) -> list[Expression]:
+    """All nodes below some results, arguments before what uses them."""
+    done: dict[Expression, None] = {}
+    stack: list[tuple[Expression, bool]] = [(y, False) for y in reversed(list(results))]
+
+    while stack:
+        node, ready = stack.pop()
+        if node in done:
+            continue
+        inner = [] if node.operation in ("symbol", "constant") else node.arguments
+        if ready or not inner:
+            done[node] = None
+        else:
+            stack.append((node, True))
+            stack += [(x, False) for x in reversed(inner) if x not in done]
+    return list(done)
+
+
+def gradient(y: Expression, by: Sequence[Expression]) -> list[Expression]:
+    """Derivatives of y by some symbols, by adjoints."""
+    adjoint: dict[Expression, Expression] = {y: ONE}
+
+    for node in reversed(_ordered([y])):
+        factor = adjoint.get(node, ZERO)
+        if factor is ZERO or node.operation in ("symbol", "constant"):
+            continue
+        parts = _DERIVATIVES[node.operation](*node.arguments, node)
+        for argument, part in zip(node.arguments, parts, strict=True):
+            adjoint[argument] = adjoint.get(argument, ZERO) + factor * part
+    return [adjoint.get(x, ZERO) for x in by]
+
+
+def symbols_of(results: Iterable[Expression]) -> set[Expression]:
+    """All symbols that some expressions depend on."""
+    return {x for x in _ordered(results) if x.operation == "symbol"}
+
+
+# ---- evaluation ---------------------------------------------------------------------------------------------------------------
+
+
+def _nearest_turn(angle: Any, near: Any) -> Any:
+    return angle + 2 * math.pi * np.rint((near - angle) / (2 * math.pi))
+
+
+_NUMPY: dict[str, Callable[..., Any]] = {
+    "+": np.add,
+    "minus": np.negative,
+    "*": np.multiply,
+    "/": np.divide,
+    "sqrt": np.sqrt,
+    "sin": np.sin,
+    "cos": np.cos,
+    "exp": np.exp,
+    "log": np.log,
+    "tanh": np.tanh,
+    "atan2": np.arctan2,
+    "nearest_turn": _nearest_turn,
+}
+
+
+class Program:
+    """Expressions ready for NumPy: the steps of their graph in order."""
+
+    def __init__(self, results: Sequence[Expression]) -> None:
+        nodes = _ordered(results)
+        at = {node: i for i, node in enumerate(nodes)}
+        self.steps = [
+            (_NUMPY[x.operation], tuple(at[y] for y in x.arguments)) if x.operation in _NUMPY else (None, x.arguments)
+            for x in nodes
+        ]
+        self.results = [at[y] for y in results]
+
+    def __call__(self, values: Mapping[str, Any]) -> list[Any]:
+        """Numbers or arrays of all results; ``values``: symbol -> number or array."""
+        found: list[Any] = []
+        for function, arguments in self.steps:
+            if function is None:
+                found.append(values[arguments[0]] if isinstance(arguments[0], str) else arguments[0])
+            else:
+                found.append(function(*(found[i] for i in arguments)))
+        return [found[i] for i in self.results]
+
+
+_C = {"+": "{} + {}", "minus": "-{}", "*": "{}*{}", "/": "{}/{}", "nearest_turn": "nearest_turn({}, {})"}
+
+
+def c_lines(results: Sequence[Expression], targets: Sequence[str]) -> list[str]:
+    """C statements that assign expressions to ``targets``; nodes used once are written where they are used."""
+    nodes = _ordered(results)
+    uses: dict[Expression, int] = {}
+    for node in nodes:
+        for x in node.arguments if node.operation not in ("symbol", "constant") else ():
+            uses[x] = uses.get(x, 0) + 1
+    for y in results:
+        uses[y] = uses.get(y, 0) + 1
+
+    text: dict[Expression, str] = {}
+    lines: list[str] = []
+    for node in nodes:
+        if node.operation == "symbol":
+            text[node] = node.arguments[0]
+            continue
+        if node.operation == "constant":
+            text[node] = f"({node.arguments[0]!r})"
+            continue
+        pattern = _C.get(node.operation, node.operation + "(" + ", ".join("{}" for _ in node.arguments) + ")")
+        written = pattern.format(*(text[x] for x in node.arguments))
+        if uses[node] > 1:
+            name = f"t{len(lines)}"
+            lines.append(f"const double {name} = {written};")
+            text[node] = name
+        else:
+            text[node] = f"({written})"
+    return lines + [f"{target} = {text[y]};" for target, y in zip(targets, results, strict=True)]

@@ -1,0 +1,86 @@
+"""Generalized-alpha in the compiled driver: many steps in one call, for systems of rigid and reduced bodies.
+
+Joints, drives, gears, springs, dampers, loads and laws of the user's own are all items of the driver's tables; Python is entered
+once a step where something depends on time, and at evaluations where a law is given in Python.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...rotations import Array
+from ...system.compiled.calls import Calls
+from ...system.compiled.items import covers
+from ...system.compiled.library import driver_library
+from ...system.compiled.tables import Tables, covers_bodies
+from ...system.system import System
+
+if TYPE_CHECKING:
+    from ..newton import Newton
+
+STORAGE_LIMIT = 20_000_000  # numbers in the factor
+
+# fmt: off
+(H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, ITERATIONS, LOCAL,
+ GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING) = range(23)
+# fmt: on
+DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN = range(6)
+
+
+class AlphaDriver:
+    """The driver for one system: its tables, its calls into Python, and a ring of four states."""
+
+    def __init__(self, system: System, library: Any, *, redundant: bool) -> None:
+        self.system, self.library = system, library
+        self.tables = Tables(system, redundant=redundant)
+        self.calls = Calls(self.tables)
+        self.address = ctypes.addressof(self.tables.c)
+        self.n, self.nq, self.m = system.n_v, system.n_q, system.n_lam
+        self.block_size = 1 + self.nq + 3 * self.n + self.m
+
+        self.parameters = np.zeros(23)
+        self.blocks = np.zeros((4, self.block_size))
+        self.ring = np.array([x.ctypes.data for x in self.blocks], dtype=np.uintp)
+        self._verdict = ctypes.c_int(0)
+
+    def load(self, states: list[tuple[float, Array, Array, Array, Array, Array]]) -> None:
+        """Take t, q, v, a, A, lambda of the last states, the newest first, at most three."""
+        for block, (t, *arrays) in zip(self.blocks, states, strict=False):
+            np.concatenate(([t], *arrays), out=block)
+        self.ring[:] = [x.ctypes.data for x in self.blocks]
+        self.parameters[HISTORY] = len(states) - 1
+
+    def march(self, steps: int) -> tuple[int, int]:
+        """Make up to so many steps; the number made, and the verdict of the one that stopped them."""
+        self.parameters[LOCAL] = self.parameters[ITERATIONS] = 0.0
+        made = self.library.march(
+            self.address, self.parameters.ctypes.data, steps, self.ring.ctypes.data, ctypes.byref(self._verdict)
+        )
+        self.calls.raise_error()
+        return int(made), int(self._verdict.value)
+
+    def block(self, i: int) -> Array:
+        """The i-th newest state, a view: t, q, v, a, A, lambda."""
+        first = self.blocks.ctypes.data
+        return self.blocks[(int(self.ring[i]) - first) // (8 * self.block_size)]
+
+
+def settings(p: Array, parameters: tuple[float, float, float, float], system: System, newton: Newton) -> None:
+    """Fill the driver's parameters from a scheme's, a system and Newton's settings."""
+    p[1:5] = parameters
+    p[TOL], p[LENGTH], p[FLOOR] = newton.tolerance, system.length, 64 * np.finfo(float).eps * system.length
+    p[SLOW], p[MAXIT], p[NEW_TANGENT] = newton.slow, newton.max_iterations, newton.patience
+
+
+def alpha_driver(system: System, *, redundant: bool) -> AlphaDriver | None:
+    """The driver for a system, or None where the NumPy path has to do."""
+    if system.fields or not (covers_bodies(system) and covers(system)):
+        return None
+    library = driver_library(system.motions.dim)
+    if library is None:
+        return None
+    driver = AlphaDriver(system, library, redundant=redundant)
+    return driver if driver.tables.fronts.storage <= STORAGE_LIMIT else None

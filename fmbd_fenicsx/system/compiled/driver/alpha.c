@@ -1,0 +1,236 @@
+/* Generalized-alpha, index 3: the algorithm of schemes/onestep/generalized_alpha.py, many steps in one call.
+
+   A block of a state holds t, q (nq), v (nv), a (nv), A (nv), lambda (rows). */
+
+enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,           /* in */
+       ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING };                                       /* in and out */
+enum { MOST = 64 };
+static const double SLOW_TURN = 0.01; /* rate of Newton above which efforts get a new tangent */
+
+typedef struct {
+    double *t, *q, *v, *a, *A, *lam;
+} Block;
+
+static Block block_at(const System *s, double *x)
+{
+    Block b;
+    b.t = x;
+    b.q = x + 1;
+    b.v = b.q + s->nq;
+    b.a = b.v + s->nv;
+    b.A = b.a + s->nv;
+    b.lam = b.A + s->nv;
+    return b;
+}
+
+static double largest_of(const double *units, const double *x, int n)
+{
+    double found = 0.0;
+    for (int i = 0; i < n; i++)
+        if (found == found && !(fabs(units[i] * x[i]) <= found)) found = fabs(units[i] * x[i]); /* nan stays */
+    return found;
+}
+
+#if DIM == 3
+/* Counted angles: on with the increments of both frames, by any number of turns, then to the nearest angle of the attitude. */
+static void count_angles(const System *s, const double *q0, const double *xi, double *q)
+{
+    for (int i = 0; i < s->angles; i++) {
+        const Angle *o = s->angle + i;
+        double Ra[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, Rb[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, fa[3], ga[3], fb[3], gb[3];
+        double ahead = q0[POSE * s->bodies + i];
+        if (o->a < s->bodies) {
+            rotation(q + POSE * o->a, Ra);
+            ahead -= dot(o->ea, xi + TWIST * o->a + D, 3);
+        }
+        if (o->b < s->bodies) {
+            rotation(q + POSE * o->b, Rb);
+            ahead += dot(o->eb, xi + TWIST * o->b + D, 3);
+        }
+        times(Ra, o->fa, fa);
+        times(Ra, o->ga, ga);
+        times(Rb, o->fb, fb);
+        times(Rb, o->gb, gb);
+        double attitude = atan2(dot(ga, fb, 3) - dot(fa, gb, 3), dot(fa, fb, 3) + dot(ga, gb, 3));
+        q[POSE * s->bodies + i] = nearest_turn(attitude, ahead);
+    }
+}
+#endif
+
+static void configuration(const System *s, const double *q0, const double *xi, double *q)
+{
+    int poses = POSE * s->bodies + s->angles;
+    for (int b = 0; b < s->bodies; b++) compose(q0 + POSE * b, xi + TWIST * b, q + POSE * b);
+#if DIM == 3
+    count_angles(s, q0, xi, q);
+#endif
+    for (int i = TWIST * s->bodies, j = poses; i < s->nv; i++, j++) q[j] = q0[j] + xi[i];
+}
+
+/* Weights of the parabola through the last steps (less at the start) at the time t. */
+static void predictor(const Block *past, int known, double t, double *w)
+{
+    for (int i = 0; i <= known; i++) {
+        w[i] = 1.0;
+        for (int j = 0; j <= known; j++)
+            if (j != i) w[i] *= (t - *past[j].t) / (*past[i].t - *past[j].t);
+    }
+}
+
+/* Newton's judgement of an increment of this size (over the tolerance): 1 converged, -1 given up, 0 go on; as schemes/newton.py. */
+static int judge(double *p, const double *sizes, int done)
+{
+    double size = sizes[done - 1], left;
+    if (!(size < INFINITY)) return -1;
+    if (done == 1) {
+        double guess = p[THETA] > 0.02 ? p[THETA] : 0.02;
+        left = guess / (1 - (guess < 0.9 ? guess : 0.9)) * size;
+    } else {
+        double last = sizes[done - 2], theta = last > 0 ? size / last : 0.0;
+        theta = theta > 0.999 ? 0.999 : theta < 1e-4 ? 1e-4 : theta;
+        p[THETA] = theta;
+        left = theta / (1 - theta) * size;
+        if (size > 1.0 && done > 3 && size > p[SLOW] * sizes[done - 3]) return -1;
+    }
+    return left <= 1.0 || size <= 1e-3;
+}
+
+static void energies(System *s, const double *q, const double *v, const double *gravity, double *out)
+{
+    out[0] = out[1] = out[2] = out[3] = 0.0;
+    for (int b = 0; b < s->bodies; b++) {
+        const Body *o = s->body + b;
+        body_energies(o, s->frames + FRAME * b + TURN, q, v, q + POSE * b, v + TWIST * b, gravity, out);
+    }
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->role != LINEAR) continue;
+        KERNELS[k->kind][VALUE](k->n, k->pair, s->frames, k->P, 0, k->out);
+        for (long i = 0; i < k->n; i++) {
+            double stretch = k->out[i * k->outputs] - k->free[i];
+            out[3] += 0.5 * k->stiffness[i] * stretch * stretch;
+        }
+    }
+}
+
+/* Whether a step gained energy from nothing, as run/energy_check.py. */
+static int gained(System *s, double *p, const Block *now)
+{
+    double e[4], energy, motion;
+    if (place(s, now->q, now->v)) return 0;
+    energies(s, now->q, now->v, s->gravity, e);
+    energy = e[0] + e[1] + e[2] + e[3];
+    motion = e[0] + e[1] + e[3];
+    if (motion < p[TURNOVER]) motion = p[TURNOVER];
+    if (p[SETTLING] == 0.0 && energy - p[HIGHEST] > p[SHARE] * (motion + p[WEIGHT])) return 1;
+    if (p[SETTLING] > 0.0) p[SETTLING] -= 1.0;
+    p[TURNOVER] = motion;
+    if (energy > p[HIGHEST]) p[HIGHEST] = energy;
+    return 0;
+}
+
+/* Whether an iteration ended far from the increments as predicted: on another solution; as schemes/newton.py. */
+static int strayed(const System *s, const double *p, const double *xi, double *begun)
+{
+    double near = fmax(2.0 * largest_of(s->units, begun, s->nv), 0.01 * fmin(p[LENGTH], 1.0));
+    for (int i = 0; i < s->nv; i++) begun[i] = xi[i] - begun[i];
+    return largest_of(s->units, begun, s->nv) > near;
+}
+
+/* One step from past[0] to out; past: the newest first. */
+static int step(System *s, double *p, const Block *past, int known, Block out)
+{
+    const int n = s->nv, m = s->rows;
+    const double h = p[H], am = p[AM], af = p[AF], gamma = p[GAMMA], hb = h * h * p[BETA], t = *past[0].t + h;
+    const double scale = hb * (1 - af) / (1 - am), damp = h * gamma * (1 - af) / (1 - am);
+    const Block now = past[0];
+    double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, w[3], sizes[MOST];
+    int verdict, far = 1, converged = 0, done = 0;
+
+    if (s->samples) {
+        s->calls++;
+        if (s->python(SAMPLE, 0, t)) return FAILED;
+    }
+
+    predictor(past, known, t, w);
+    for (int i = 0; i < n; i++) {
+        out.a[i] = 0.0;
+        for (int j = 0; j <= known; j++) out.a[i] += w[j] * past[j].a[i];
+        out.A[i] = ((1 - af) * out.a[i] + af * now.a[i] - am * now.A[i]) / (1 - am);
+        begun[i] = xi[i] = h * now.v[i] + h * h * (0.5 - p[BETA]) * now.A[i] + hb * out.A[i];
+    }
+    for (int i = 0; i < m; i++) {
+        out.lam[i] = 0.0;
+        for (int j = 0; j <= known; j++) out.lam[i] += w[j] * past[j].lam[i];
+    }
+
+    double typical = fmax(largest_of(s->units, out.a, n), 1e-12 * p[LENGTH]);
+    double tolerance = fmax(p[TOL] * scale * typical, p[FLOOR]);
+
+    while (done < (int)p[MAXIT] && done < MOST && !converged) {
+        configuration(s, now.q, xi, out.q);
+        for (int i = 0; i < n; i++) out.v[i] = now.v[i] + h * ((1 - gamma) * now.A[i] + gamma * out.A[i]);
+
+        /* dependent rows: the multipliers themselves, not their increments, are those of minimum norm */
+        memcpy(lam, out.lam, m * sizeof(double));
+        if ((verdict = evaluate(s, out.q, out.v, out.a, s->redundant ? s->zero : out.lam, t))) return verdict;
+        /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment */
+        int turning = s->stiff && done > 0 && p[THETA] > SLOW_TURN;
+        if (turning) s->renew = 1;
+        if (far || turning || done > (int)p[PATIENCE])
+            if ((verdict = prepare(s, out.q, damp, scale, lam, done > (int)p[PATIENCE], t))) return verdict;
+
+        increment(s, scale, x, y);
+        double size = largest_of(s->units, x, n);
+        far = size > p[FAR];
+        sizes[done++] = size / tolerance;
+        for (int i = 0; i < m; i++) out.lam[i] = (s->redundant ? 0.0 : out.lam[i]) + y[i] / scale;
+        for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, x + TWIST * b);
+        for (int i = 0; i < n; i++) {
+            xi[i] += x[i];
+            out.A[i] += x[i] / hb;
+            out.a[i] += x[i] / scale;
+        }
+        converged = judge(p, sizes, done);
+        if (converged < 0) return NEWTON;
+    }
+    if (!converged || (done > (int)p[PATIENCE] + 1 && strayed(s, p, xi, begun))) return NEWTON;
+
+    p[ITERATIONS] += done;
+    configuration(s, now.q, xi, out.q);
+    for (int i = 0; i < n; i++) {
+        out.v[i] = now.v[i] + h * ((1 - gamma) * now.A[i] + gamma * out.A[i]);
+        x[i] = out.A[i] - now.A[i];
+    }
+    *out.t = t;
+    p[LOCAL] = fmax(p[LOCAL], h * h * fabs(p[BETA] - 1.0 / 6.0) * largest_of(s->units, x, n));
+    s->renew = done > 2;
+    return DONE;
+}
+
+/* Up to ``steps`` steps in a ring of four blocks: ring[0] is the newest, ring[3] free. Returns how many were made; the reason to
+   stop earlier is in ``verdict``, the state is then that of the last good step. */
+EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict)
+{
+    long made = 0;
+    *verdict = DONE;
+    while (made < steps) {
+        Block past[3], out = block_at(s, ring[3]);
+        int known = (int)p[HISTORY];
+        double theta = p[THETA];
+        for (int i = 0; i <= known; i++) past[i] = block_at(s, ring[i]);
+        if ((*verdict = step(s, p, past, known, out))) {
+            p[THETA] = theta;
+            break;
+        }
+        if (p[GUARDED] != 0.0 && gained(s, p, &out)) {
+            *verdict = GAIN;
+            break;
+        }
+        double *newest = ring[3];
+        for (int i = 3; i > 0; i--) ring[i] = ring[i - 1];
+        ring[0] = newest;
+        if (known < 2) p[HISTORY] = known + 1;
+        made++;
+    }
+    return made;
+}

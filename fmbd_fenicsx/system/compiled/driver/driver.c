@@ -1,0 +1,38 @@
+/* One translation unit: kernels of all kinds (generated), then the evaluation, the solver and the time stepping that use them.
+   Compiled for the plane (-DDIM=2) and for space (-DDIM=3). */
+
+#include "tables.h"
+#include "kernels.c"
+
+#if defined(__GNUC__)
+#define EXPORT __attribute__((visibility("default")))
+#else
+#define EXPORT
+#endif
+
+#include "rotations.c"
+#include "factor.c"
+#include "bodies.c"
+#include "evaluate.c"
+#include "matrix.c"
+#include "alpha.c"
+
+/* The evaluation, the factor and a solution for Python: what other schemes and tests call. */
+EXPORT int driver_evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t)
+{
+    return evaluate(s, q, v, a, lam, t);
+}
+
+EXPORT int driver_prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t)
+{
+    return prepare(s, q, cd, ck, lam, reactions, t);
+}
+
+EXPORT void driver_increment(System *s, double scale, double *x, double *y) { increment(s, scale, x, y); }
+
+EXPORT int driver_energies(System *s, const double *q, const double *v, const double *gravity, double *out)
+{
+    int verdict = place(s, q, v);
+    energies(s, q, v, gravity, out);
+    return verdict;
+}

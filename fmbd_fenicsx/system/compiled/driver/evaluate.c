@@ -1,0 +1,202 @@
+/* State in, everything out: frames -> kernels of every kind -> residual, open constraints, entries of the matrix. */
+
+/* The rates of the ports of a surface at the modes eta: ports - N (G eta), see mechanics/reduction/foreshortening.py. */
+static void bend(Surface *k, const double *eta, int m)
+{
+    memcpy(k->now, k->ports, PORT * m * sizeof(double));
+    for (int r = 0; r < k->bends; r++)
+        for (int i = 0; i < m; i++) {
+            double slope = dot(k->G + (r * m + i) * m, eta, m);
+            for (int j = 0; j < PORT; j++) k->now[j * m + i] -= k->N[j * k->bends + r] * slope;
+        }
+}
+
+/* The row of the surface's velocity or angular velocity (component i, world axes) on the body's rates: equation (2) of frames.py. */
+static void surface_row(const System *s, Surface *k, int i)
+{
+    const Body *body = s->body + k->body;
+    const double *R = s->frames + FRAME * k->body + TURN;
+    int m = body->modes;
+    double *row = k->map + i * (TWIST + m), l[D] = {0.0}, w[ROT] = {0.0}, local[D], turning[ROT], t[ROT], z[ROT], slope[D];
+
+    memset(row, 0, (TWIST + m) * sizeof(double));
+    if (i < D) l[i] = 1.0;
+    else w[i - D] = 1.0;
+    moment(k->arm, l, turning);
+    for (int j = 0; j < D; j++) row[j] = l[j];
+    for (int j = 0; j < ROT; j++) row[D + j] = turning[j] + w[j];
+
+    /* in body axes: the mean's rate, and the rotation of the surface by its ports' rates */
+    transposed(R, l, local);
+    to_body(R, w, t);
+    double across[ROT];
+    moment(k->lever, local, across);
+    for (int j = 0; j < ROT; j++) t[j] += across[j];
+    for (int j = 0; j < ROT; j++) z[j] = dot(k->Z + ROT * j, t, ROT);
+    const double *ports = k->bends ? k->now : k->ports;
+    for (int j = 0; j < D; j++) add(row + TWIST, local[j], ports + m * j, m);
+    for (int r = 0; r < k->bends; r++) {
+        k->bend_map[k->bends * i + r] = 0.0;
+        for (int j = 0; j < D; j++) k->bend_map[k->bends * i + r] += local[j] * k->N[k->bends * j + r];
+    }
+    for (int c = 0; c < D; c++) {
+        spin(z, k->turn + D * c, slope);
+        for (int j = 0; j < D; j++) {
+            add(row + TWIST, slope[j], ports + m * (D * (1 + c) + j), m);
+            for (int r = 0; r < k->bends; r++)
+                k->bend_map[k->bends * i + r] += slope[j] * k->N[k->bends * (D * (1 + c) + j) + r];
+        }
+    }
+}
+
+static int place_surface(System *s, int number, const double *q)
+{
+    Surface *k = s->surface + number;
+    const Body *body = s->body + k->body;
+    const double *frame = s->frames + FRAME * k->body, *R = frame + TURN, *eta = q + body->at_q;
+    double *x = s->frames + FRAME * (s->bodies + 1 + number), b[PORT], Rs[D * D], centre[D];
+    int m = body->modes;
+
+    if (k->bends) bend(k, eta, m);
+    for (int j = 0; j < PORT; j++) {
+        b[j] = k->reference[j] + dot(k->ports + m * j, eta, m);
+        if (k->bends) b[j] = 0.5 * (b[j] + k->reference[j] + dot(k->now + m * j, eta, m)); /* the mean of both rates */
+    }
+    if (polar(b + D, k->turn, k->Z)) return LOOK;
+    for (int j = 0; j < D; j++)
+        for (int c = 0; c < D; c++) Rs[D * c + j] = k->turn[D * j + c];
+    times(Rs, k->p, k->lever);
+    for (int j = 0; j < D; j++) centre[j] = b[j] + k->lever[j];
+    product(R, Rs, x + TURN);
+    times(R, centre, k->arm);
+    for (int j = 0; j < D; j++) x[j] = frame[j] + k->arm[j];
+#if DIM == 2
+    x[FRAME - 1] = frame[FRAME - 1] + atan2(Rs[2], Rs[0]);
+#endif
+
+    double *velocity = s->velocity + s->nu + TWIST * number;
+    for (int i = 0; i < TWIST; i++) {
+        surface_row(s, k, i);
+        velocity[i] = dot(k->map + i * (TWIST + m), s->velocity + body->at_u, TWIST + m);
+    }
+    memcpy(x + SPEED, velocity, TWIST * sizeof(double));
+    return DONE;
+}
+
+/* Frames of bodies and surfaces, and all velocities in world axes. */
+static int place(System *s, const double *q, const double *v)
+{
+    for (int b = 0; b < s->bodies; b++) {
+        const double *pose = q + POSE * b, *twist = v + TWIST * b;
+        const Body *o = s->body + b;
+        double *x = s->frames + FRAME * b, *velocity = s->velocity + o->at_u;
+        memcpy(x, pose, D * sizeof(double));
+        rotation(pose, x + TURN);
+        memcpy(x + SPEED, twist, D * sizeof(double));
+        to_world(x + TURN, twist + D, x + SPIN);
+#if DIM == 2
+        x[FRAME - 1] = pose[2];
+#endif
+        memcpy(velocity, x + SPEED, TWIST * sizeof(double));
+        memcpy(velocity + TWIST, v + o->at_v, o->modes * sizeof(double));
+    }
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++)
+        for (long i = 0; k->theta && i < k->n; i++) k->P[i * k->width + k->near] = q[k->theta[i]];
+    for (int k = 0; k < s->surfaces; k++) {
+        int verdict = place_surface(s, k, q);
+        if (verdict) return verdict;
+    }
+    return DONE;
+}
+
+static int inertia(System *s, const double *q, const double *v, const double *a)
+{
+    int verdict = DONE;
+    for (int b = 0; b < s->bodies; b++) {
+        const Body *o = s->body + b;
+        const double *R = s->frames + FRAME * b + TURN, *w = v + TWIST * b + D, *accel = a + TWIST * b;
+        double *f = s->residual + o->at_u;
+        if (!o->T) rigid_force(o, R, w, accel, s->gravity, f);
+        else if (reduced_force(o, R, q, v, a, w, s->gravity, accel, f, f + TWIST)) verdict = LOOK;
+    }
+    return verdict;
+}
+
+/* Coordinates s, rates s' and efforts of a batch; what a law in Python gives comes with one call for all items. */
+static int efforts(System *s, Batch *k, double t)
+{
+    const double *out = k->out;
+    const int *at = k->at;
+    for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
+        double rate = 0.0;
+        for (int e = 0; e < k->live; e++) rate += out[k->entry[e]] * s->velocity[at[e]];
+        k->s[i] = out[0];
+        k->rate[i] = rate;
+        k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
+    }
+    if (k->role != LAW) return DONE;
+    s->calls++;
+    return s->python(EFFORT, k->number, t) ? FAILED : DONE;
+}
+
+static int items(System *s, Batch *k, const double *lam, double t)
+{
+    KERNELS[k->kind][VALUE](k->n, k->pair, s->frames, k->P, 0, k->out);
+    if (k->role == LINEAR || k->role == LAW) {
+        int verdict = efforts(s, k, t);
+        if (verdict) return verdict;
+    }
+
+    const double *out = k->out;
+    const int *at = k->at;
+    for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
+        double force;
+        if (k->role == ROW) {
+            s->gap[k->row[i]] += k->factor[i] * out[0];
+            force = k->factor[i] * lam[k->row[i]];
+        } else force = k->effort[i];
+        for (int e = 0; e < k->live; e++) s->residual[at[e]] += force * out[k->entry[e]];
+    }
+    return DONE;
+}
+
+/* Residuals of the balance (bodies' blocks, world axes) and open constraints at a state. */
+static int evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t)
+{
+    int verdict = place(s, q, v), looked;
+    s->evaluations++;
+    s->q = q;
+    if (verdict) return verdict;
+    looked = inertia(s, q, v, a);
+    memset(s->residual + s->nu, 0, TWIST * s->surfaces * sizeof(double));
+    for (int i = 0; i < s->rows; i++) s->gap[i] = -s->motion[i];
+
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++)
+        if ((verdict = items(s, k, lam, t))) return verdict;
+
+    if (s->laws) {
+        s->calls++;
+        if (s->python(WRENCHES, 0, t)) return FAILED;
+        for (int i = 0; i < s->nu + TWIST * s->surfaces; i++) s->residual[i] -= s->wrench[i];
+    }
+
+    for (int i = 0; i < s->surfaces; i++) {
+        const Surface *k = s->surface + i;
+        const Body *o = s->body + k->body;
+        const double *wrench = s->residual + s->nu + TWIST * i;
+        for (int j = 0; j < TWIST; j++) add(s->residual + o->at_u, wrench[j], k->map + j * (TWIST + o->modes), TWIST + o->modes);
+    }
+
+    /* the stress of forces on surfaces whose ports are of second order is part of the tangent */
+    for (int i = 0; i < s->surfaces; i++) {
+        const Surface *k = s->surface + i;
+        const Body *o = s->body + k->body;
+        const double *wrench = s->residual + s->nu + TWIST * i;
+        for (int r = 0; r < k->bends; r++) {
+            double pull = 0.0;
+            for (int j = 0; j < TWIST; j++) pull -= wrench[j] * k->bend_map[k->bends * j + r];
+            add(o->now, pull, k->G + r * o->modes * o->modes, o->modes * o->modes);
+        }
+    }
+    return looked;
+}

@@ -1,0 +1,87 @@
+/* L D L^T of the step's matrix by fronts (Duff and Reid, doi:10.1145/356044.356047): each front is a dense lower half by columns;
+   the columns of its own unknowns are eliminated, what is left is added to the next front.
+
+   The matrix is symmetric and indefinite; the order, found by order.py, puts a row of constraints behind a body that it can
+   move, so that pivots of bodies are positive and those of rows negative while the rows do not depend on each other. */
+
+typedef double lanes __attribute__((vector_size(32), aligned(8), may_alias));
+enum { LANES = 4 };
+
+static void clear(System *s)
+{
+    memset(s->L, 0, (size_t)s->storage * sizeof(double));
+    memset(s->weight, 0, (size_t)s->rows * sizeof(double));
+}
+
+/* One pivot column: the columns behind it less its products. Columns begin at whole lanes; what stands above the diagonal is
+   not used. */
+static inline void eliminate(double *F, int ld, int rows, int k, double inverse)
+{
+    const double *column = F + (long)ld * k;
+    for (int j = k + 1; j < rows; j++) {
+        double c = column[j] * inverse;
+        if (c == 0.0) continue;
+        lanes *to = (lanes *)(F + (long)ld * j);
+        const lanes *from = (const lanes *)column;
+        for (int i = j / LANES; i < ld / LANES; i++) to[i] -= from[i] * c;
+    }
+}
+
+/* SINGULAR when a pivot has the wrong sign or is small against what it is made of. */
+static int factor(System *s)
+{
+    s->factors++;
+    for (int i = 0; s->redundant && i < s->rows; i++) s->L[s->row_dest[i]] -= 1e-9 * s->weight[i];
+
+    for (Front *f = s->front; f < s->front + s->fronts; f++) {
+        double *F = s->L + f->start;
+        int ld = f->ld;
+        for (int k = 0; k < f->pivots; k++) {
+            int u = f->unknown[k];
+            double pivot = F[(long)(ld + 1) * k] * s->sign[u];
+            double least = u < s->nu ? 1e-14 * s->diagonal[u] : (s->redundant ? 1e-10 : 1e-11) * s->weight[u - s->nu];
+            if (!(pivot > least)) return SINGULAR;
+            double inverse_ = s->sign[u] / pivot;
+            s->inverse[u] = inverse_;
+            eliminate(F, ld, f->rows, k, inverse_);
+        }
+
+        if (f->next < 0) continue;
+        Front *g = s->front + f->next;
+        for (int j = f->pivots; j < f->rows; j++) {
+            double *to = s->L + g->start + (long)g->ld * f->to[j - f->pivots];
+            const double *from = F + (long)ld * j;
+            for (int i = j; i < f->rows; i++) to[f->to[i - f->pivots]] += from[i];
+        }
+    }
+    return DONE;
+}
+
+/* b <- solution for the right-hand side b, in the order of the unknowns */
+static void back_solve(System *s, double *b)
+{
+    double *x = s->local;
+
+    for (Front *f = s->front; f < s->front + s->fronts; f++) {
+        const double *F = s->L + f->start;
+        for (int i = 0; i < f->rows; i++) x[i] = b[f->unknown[i]];
+        for (int k = 0; k < f->pivots; k++) {
+            const double *column = F + (long)f->ld * k;
+            double c = x[k] * s->inverse[f->unknown[k]];
+            for (int i = k + 1; i < f->rows; i++) x[i] -= column[i] * c;
+        }
+        for (int i = 0; i < f->rows; i++) b[f->unknown[i]] = x[i];
+    }
+
+    for (Front *f = s->front + s->fronts - 1; f >= s->front; f--) {
+        const double *F = s->L + f->start;
+        for (int i = 0; i < f->rows; i++) x[i] = b[f->unknown[i]];
+        for (int k = f->pivots - 1; k >= 0; k--) {
+            const double *column = F + (long)f->ld * k;
+            double sum = x[k];
+            for (int i = k + 1; i < f->rows; i++) sum -= column[i] * x[i];
+            x[k] = sum * s->inverse[f->unknown[k]];
+            b[f->unknown[k]] = x[k];
+        }
+    }
+}

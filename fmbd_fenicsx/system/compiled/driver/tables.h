@@ -1,0 +1,105 @@
+/* The tables of a system, filled by tables.py, and what is computed from them.
+
+   Unknowns of the linear system: the bodies' blocks one after another (twist in world axes, then modes), then the rows of the
+   constraints. Arrays of velocities and residuals have the same order, with the twists of the surfaces behind the bodies' blocks
+   instead of the rows. Frames: bodies, ground, surfaces. */
+
+#include <math.h>
+#include <string.h>
+
+#if DIM == 3
+enum { D = 3, ROT = 3, POSE = 7, TWIST = 6, PORT = 12, FRAME = 18 };
+#else
+enum { D = 2, ROT = 1, POSE = 3, TWIST = 3, PORT = 6, FRAME = 10 };
+#endif
+enum { TURN = D, SPEED = D + D * D, SPIN = SPEED + D };  /* where R, v, w begin in a frame */
+
+enum { VALUE, RATES, TANGENT };                           /* kernels of a kind */
+enum { ROW, LINEAR, GIVEN, LAW };                         /* roles of items: a term of a constraint; an effort that is linear, */
+                                                          /* given for the whole step, or from a law in Python */
+enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN };      /* verdicts; LOOK: the NumPy path has something to say; FAILED: a */
+                                                          /* law in Python raised; GAIN: energy from nothing */
+
+/* Items of one kind between frames of like sort: all entries of their rows that are not on the ground are ``live``. */
+typedef struct {
+    int kind, role, outputs, live, products, curved, number; /* outputs: of the value kernel; number: for calls into Python */
+    long n, width;                     /* width: constants of an item */
+    int *pair;                         /* n x 2 frames */
+    double *P, *out;                   /* constants; s and the entries of the row */
+    int *entry, *at;                   /* live: which output; n x live: place in velocities and residuals */
+    int *row;                          /* ROW: number of the constraint */
+    double *factor;                    /* ROW: coefficient of s in it */
+    int *dest;                         /* ROW: n x live places in the fronts */
+    double *stiffness, *damping, *free; /* efforts: N = stiffness (s - free) + damping s' */
+    double *s, *rate, *effort, *weight, *slope; /* n each */
+    int *first, *second, *product_to;  /* products: pairs of live entries; n x products places in the fronts */
+    int *curve, *curve_to, hessians;   /* curved: which outputs of the tangent kernel; n x curved places; outputs in all */
+    double *hessian;
+    int near, *theta;                  /* column of P with the counted angle; n: its place in q, NULL for other kinds */
+    int mapped;                        /* whether frames on surfaces are among them, which have places of their own: */
+    int *where;                        /* n x 2 x TWIST: entry of the value kernel (0: none) of each twist component */
+    int *lower;                        /* curved x 2: twist components of each output of the tangent kernel */
+    long *row_start, *square_start;    /* where an item's places begin in: */
+    int *row_to, *row_on, *square_to;  /* places of its row and the unknowns it acts on, places of the lower half of its block */
+} Batch;
+
+/* A surface of a reduced body, symbols as in mechanics/frames.py. */
+typedef struct {
+    int body;
+    double *reference, *ports, *now;   /* PORT, PORT x modes: of the surface; now: rates of ports of second order */
+    int bends;
+    double *N, *G;                     /* PORT x bends, bends x modes x modes */
+    double p[D];                       /* lever of the marker from the centroid */
+    double Z[ROT * ROT], turn[D * D], lever[D], arm[D];
+    double *map;                       /* TWIST x (TWIST + modes): twist of the surface from the body's rates, world axes */
+    double *bend_map;                  /* TWIST x bends */
+} Surface;
+
+typedef struct {
+    int modes, at_v, at_q, at_u;       /* places of the modes in v and q, of the block among the unknowns */
+    double mass, large, spin;          /* bounds: eta . modal mass . eta and |omega|^2 */
+    double *inertia;                   /* rigid: ROT x ROT, body axes */
+    double *S, *T, *V, *modal, *K, *C, *stress; /* reduced, see mechanics/reduction/reduced.py; stress NULL without stiffening */
+    double *U, *now, *block;           /* work: T(e_a, p), stiffness of the present stress, the block of the step's matrix */
+    int *dest;                         /* places of the lower half of the block */
+} Body;
+
+/* An angle counted over revolutions, mechanics/joints/counted.py: axes in the two frames, e the joint's, f, g across. */
+typedef struct {
+    int a, b;
+    double ea[D], fa[D], ga[D], eb[D], fb[D], gb[D];
+} Angle;
+
+/* A dense part of the factor: its first ``pivots`` columns are eliminated, the rest goes to the next front. */
+typedef struct {
+    int pivots, rows, ld, next;
+    long start;                        /* of its columns in the storage */
+    int *unknown;                      /* rows */
+    int *to;                           /* rows - pivots: their rows in the next front */
+} Front;
+
+typedef struct {
+    int bodies, surfaces, batches, fronts, angles, rows, nu, nv, nq, redundant;
+    Body *body;
+    Surface *surface;
+    Batch *batch;
+    Front *front;
+    Angle *angle;
+    double *frames, *velocity, *residual, *wrench; /* wrench: nu, loads given by Python for a step or an evaluation */
+    double *gap, *motion, *gravity, *weight, *diagonal;
+    int *row_dest;                     /* diagonal places of the rows */
+    long storage;
+    double *L, *inverse, *b, *local;
+    signed char *sign;                 /* of the pivots, by unknowns */
+    double *units;                     /* nv */
+    int (*python)(int what, int number, double t); /* what: see below; 0 when all is well */
+    int samples, laws, renew, stiff;   /* stiff: efforts depend on the motion; whether Python is asked once a step, at every evaluation; for new slopes of its laws */
+    double cd, ck;                     /* of the matrix in the fronts */
+    const double *q;                   /* the configuration evaluated last */
+    double *work, *big, *zero;
+    long evaluations, factors, calls;
+} System;
+
+enum { SAMPLE, EFFORT, SLOPES, WRENCHES };  /* what Python is asked for */
+
+typedef void kernel_type(long n, const int *pair, const double *frames, const double *P, const double *W, double *restrict out);

@@ -1,0 +1,215 @@
+"""Constraints and forces of a system as items of kinds: one description of both, that the tables are filled from.
+
+role ROW      a term c s of a constraint  sum c s - motion(t) = 0
+role LINEAR   an effort N = stiffness (s - free) + damping s'
+role GIVEN    an effort that is the same for the whole step: loads and drives that depend on time
+role LAW      an effort from a law in Python, N(s - free, s', t)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
+from ...mechanics.joints import constraints as ct
+from ...mechanics.joints import relative as rel
+from ...mechanics.joints.couplings import CouplingBatch
+from ...rotations import Array
+from ..system import System
+
+ROW, LINEAR, GIVEN, LAW = range(4)
+RELATIVE = {rel.Separation: "separation", rel.Reach: "coincident", rel.Slide: "along", rel.Turn: "angle"}
+CONSTRAINT = {
+    ct.Coincident: "coincident",
+    ct.Along: "along",
+    ct.Perpendicular: "perpendicular",
+    ct.Distance: "distance",
+}
+
+
+@dataclass
+class Items:
+    """Items of one kind and role: numbers of their markers (n, 2) and constants by name, (n,) or (n, size), in the axes of the
+    markers.
+
+    ``row``, ``factor``: of constraints. ``law``, ``stiffness``, ``damping``, ``free``: of efforts. ``drive``: per item t -> (s,
+    s', s'') of a prescribed angle. ``load``: t -> constants of all items that change in time, by name. ``given``: t -> efforts.
+    """
+
+    kind: str
+    role: int
+    markers: np.ndarray
+    constants: dict[str, Array]
+    row: np.ndarray | None = None
+    factor: Array | None = None
+    stiffness: Array | None = None
+    damping: Array | None = None
+    free: Array | None = None
+    effort: Array | None = None
+    law: Callable[..., Array] | None = None
+    slopes: Callable[..., tuple[Array, Array]] | None = None
+    drive: list[Any] = field(default_factory=list)
+    load: Callable[[float], dict[str, Array]] | None = None
+    given: Callable[[float], Array] | None = None
+    table: Array = field(default_factory=lambda: np.zeros((0, 0)))  # of constants, as C reads them
+    arrays: dict[str, Array] = field(default_factory=dict)  # coordinates, rates, efforts .. as C reads and writes them
+
+    def __len__(self) -> int:
+        return len(self.markers)
+
+    def part(self, which: np.ndarray) -> Items:
+        """Some of the items."""
+
+        def some(x: Any) -> Any:
+            return None if x is None else np.asarray(x)[which]
+
+        return Items(
+            self.kind, self.role, self.markers[which], {n: x[which] for n, x in self.constants.items()},
+            some(self.row), some(self.factor), some(self.stiffness), some(self.damping), some(self.free), some(self.effort),
+            *self._laws(which),
+        )  # fmt: skip
+
+    def _laws(self, which: np.ndarray) -> tuple[Any, ...]:
+        """What changes in time, of some items."""
+        law, slopes, load, given = self.law, self.slopes, self.load, self.given
+        if len(which) == len(self):
+            return law, slopes, self.drive, load, given
+
+        def loads(t: float) -> dict[str, Array]:
+            assert load is not None
+            return {n: x[which] for n, x in load(t).items()}
+
+        def values(t: float) -> Array:
+            assert given is not None
+            return given(t)[which]
+
+        def efforts(s: Array, rate: Array, t: float) -> Array:
+            assert law is not None
+            return law(s, rate, t, which)
+
+        def tangents(s: Array, rate: Array, t: float) -> tuple[Array, Array]:
+            assert slopes is not None
+            return slopes(s, rate, t, which)
+
+        drive = [self.drive[i] for i in which] if self.drive else []
+        return law and efforts, slopes and tangents, drive, load and loads, given and values
+
+
+def basis(relative: rel.Turn) -> dict[str, Array]:
+    """The axes across the axes of angles, of both frames."""
+    return {"fa": relative.e1, "ga": relative.e2, "fb": relative.e1, "gb": relative.e2}
+
+
+def coordinate(relative: rel.Relative) -> tuple[str, np.ndarray, dict[str, Array]]:
+    """Kind, markers and constants of the items of a joint coordinate."""
+    markers = np.stack((relative.a, relative.b), axis=1)
+    kind = RELATIVE[type(relative)]
+    if isinstance(relative, rel.Turn):
+        return kind, markers, basis(relative)
+    return kind, markers, {"e": relative.e} if kind in ("coincident", "along") else {}
+
+
+def _constraint(batch: ct.Batch, rows: np.ndarray, dim: int) -> list[Items]:
+    """Items of a batch of elementary constraints; driven angles are a kind of their own."""
+    markers = np.stack((batch.a, batch.b), axis=1)
+    kind, constants = CONSTRAINT[type(batch)], {"e": batch.e}
+    if kind == "distance":
+        constants = {"length": batch.length}
+    if kind != "perpendicular":
+        return [Items(kind, ROW, markers, constants, rows, np.ones(len(rows)))]
+
+    constants["f"] = batch.f
+    whole = Items(kind, ROW, markers, constants, rows, np.ones(len(rows)))
+    driven = np.array([i for i, _ in batch.driven], dtype=int)
+    out = []
+    if len(rest := np.setdiff1d(np.arange(len(rows)), driven)):
+        out.append(whole.part(rest))
+    if len(driven):
+        turned = whole.part(driven)
+        across = np.cross(batch.axis, batch.e) if dim == 3 else np.stack((-batch.e[:, 1], batch.e[:, 0]), -1)
+        turned.kind, turned.drive = "turned", [motion for _, motion in batch.driven]
+        turned.constants["g"] = across[driven]
+        out.append(turned)
+    return out
+
+
+def _loads(loads: TimeLoads, dim: int) -> list[Items]:
+    """Items of forces and torques that depend on time: an effort -1 along the flow of each load."""
+    out = []
+    for turns in (False, True):
+        for follower in (False, True):
+            fits = [f.turns == turns and bool(f.follower) == follower for f in loads.forces]
+            which = np.flatnonzero(np.array(fits))
+            if not len(which):
+                continue
+            kind = (("dead", "follower"), ("couple", "follower_couple"))[turns][follower]
+            size = dim if not turns else 2 * dim - 3
+
+            def load(t: float, which: np.ndarray = which, size: int = size) -> dict[str, Array]:
+                return {"load": np.array([loads.value(i, t) for i in which]).reshape(-1, size)}
+
+            markers = np.stack((loads.a, loads.a), axis=1)[which]
+            made = Items(kind, GIVEN, markers, {"load": np.zeros((len(which), size))}, load=load)
+            made.effort = -np.ones(len(which))
+            out.append(made)
+    return out
+
+
+def _efforts(loads: ScalarLoads) -> list[Items]:
+    """Items of springs, dampers, drives and laws on coordinates."""
+    kind, markers, constants = coordinate(loads.relative)
+    n = len(loads.forces)
+    whole = Items(kind, LINEAR, markers, constants)
+    whole.stiffness, whole.damping, whole.free = loads.k, loads.c, loads.free
+    own = np.array([i for i, _, _ in loads.own], dtype=int)
+    timed = np.array([i for i in own if loads.forces[i].of_time], dtype=int)
+    stated = np.setdiff1d(own, timed)
+    out = [whole.part(rest)] if len(rest := np.setdiff1d(np.arange(n), own)) else []
+
+    if len(timed):
+        part = whole.part(timed)
+        part.role = GIVEN
+        part.given = lambda t: loads.given(timed, t)
+        out.append(part)
+    if len(stated):
+        part = whole.part(stated)
+        part.role = LAW
+        part.law = lambda s, rate, t, which=slice(None): loads.law(stated[which], s, rate, t)
+        part.slopes = lambda s, rate, t, which=slice(None): loads.slopes(stated[which], s, rate, t)
+        out.append(part)
+    return out
+
+
+def items_of(system: System) -> list[Items]:
+    """All items of a system; constraints in the order of its batches, then efforts."""
+    dim = system.motions.dim
+    out: list[Items] = []
+    for batch, rows in system.batches:
+        if isinstance(batch, CouplingBatch):
+            for relative, number, factor in batch.terms:
+                kind, markers, constants = coordinate(relative)
+                out.append(Items(kind, ROW, markers, constants, rows[number], factor))
+        else:
+            out += _constraint(batch, rows, dim)
+    for loads in system.forces:
+        if type(loads) is TimeLoads:
+            out += _loads(loads, dim)
+        elif type(loads) is ScalarLoads:
+            out += _efforts(loads)
+    return out
+
+
+def other_loads(system: System) -> list[Loads]:
+    """Forces that Python evaluates as a whole."""
+    return [f for f in system.forces if type(f) not in (TimeLoads, ScalarLoads)]
+
+
+def covers(system: System) -> bool:
+    """Whether all constraints and forces are items, or loads that Python can evaluate."""
+    kinds = all(type(batch) in CONSTRAINT or isinstance(batch, CouplingBatch) for batch, _ in system.batches)
+    known = all(type(f.relative) in RELATIVE for f in system.forces if type(f) is ScalarLoads)
+    return kinds and known

@@ -1,0 +1,197 @@
+"""The order of elimination of the step's matrix, and its dense fronts.
+
+Unknowns are grouped in *nodes*: the rates of one body, or the rows of the constraints between the same bodies. A tree of joints
+is grown from the ground; the rows of a joint of the tree are eliminated with the body it leads to, which leaves a positive
+pivot for that body and a negative one for each row. Rows that close a loop, or couple joints, come after all their bodies. Among
+what may come next, the group with the fewest neighbours is taken (minimum degree): chains and trees fill nothing, the work is
+proportional to their length.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+
+LANES = 4  # columns of fronts begin at whole vectors of the processor
+
+
+@dataclass(frozen=True)
+class RowGroup:
+    """Rows of constraints that act on the same bodies; ``coupling``: they are sums of coordinates of several joints."""
+
+    bodies: tuple[int, ...]
+    rows: tuple[int, ...]
+    coupling: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """Unknowns of a dense part of the factor, the ``pivots`` eliminated there first; ``following``: the front it is added to."""
+
+    unknowns: np.ndarray
+    pivots: int
+    following: int
+
+
+def joint_tree(n_bodies: int, groups: list[RowGroup]) -> dict[int, list[int]]:
+    """Groups that lead to each body in a tree of joints grown from the ground (from some body where nothing is held)."""
+    touching: dict[int, list[int]] = {b: [] for b in range(-1, n_bodies)}
+    for number, group in enumerate(groups):
+        if group.coupling or not 1 <= len(group.bodies) <= 2:
+            continue
+        for body in (*group.bodies, -1)[:2]:
+            touching[body].append(number)
+
+    led: dict[int, list[int]] = {b: [] for b in range(n_bodies)}
+    seen: set[int] = set()
+    for root in (-1, *range(n_bodies)):
+        if root in seen:
+            continue
+        seen.add(root)
+        reached = [root]
+        for body in reached:
+            for number in touching[body]:
+                for other in groups[number].bodies:
+                    if other not in seen:
+                        seen.add(other)
+                        reached.append(other)
+                        led[other].append(number)
+    return led
+
+
+class Elimination:
+    """Groups of nodes in the order in which they are eliminated; see the module.
+
+    Nodes: bodies 0 .. n - 1, then the groups of rows. ``pairs``: bodies that a force couples.
+    """
+
+    def __init__(self, widths: list[int], groups: list[RowGroup], pairs: set[tuple[int, int]]) -> None:
+        n = len(widths)
+        self.widths = [*widths, *(len(g.rows) for g in groups)]
+        self.near: list[set[int]] = [set() for _ in self.widths]
+        for a, b in pairs:
+            self.near[a].add(b)
+            self.near[b].add(a)
+        for number, group in enumerate(groups):
+            for body in group.bodies:
+                self.near[n + number].add(body)
+                self.near[body].add(n + number)
+
+        led = joint_tree(n, groups)
+        self.units = [[b, *(n + g for g in led[b])] for b in range(n)]
+        self.unit_of = {node: u for u, unit in enumerate(self.units) for node in unit}
+        self.waiting = [0] * n
+        self.closers: dict[int, list[int]] = {}
+        for number, group in enumerate(groups):
+            if n + number in self.unit_of:
+                continue
+            # a loop: after all its bodies
+            self.unit_of[n + number] = len(self.units)
+            for body in group.bodies:
+                self.closers.setdefault(body, []).append(len(self.units))
+            self.units.append([n + number])
+            self.waiting.append(len(group.bodies))
+
+    def run(self) -> list[tuple[list[int], list[int]]]:
+        """(nodes eliminated together, nodes they are coupled with then) in order."""
+        done = [False] * len(self.units)
+        heap = [(self._degree(u), u) for u in range(len(self.units)) if not self.waiting[u]]
+        heapq.heapify(heap)
+        out = []
+
+        while heap:
+            degree, u = heapq.heappop(heap)
+            if done[u]:
+                continue
+            if degree < (now := self._degree(u)):
+                heapq.heappush(heap, (now, u))
+                continue
+            done[u] = True
+            unit = self.units[u]
+            around = set().union(*(self.near[x] for x in unit)) - set(unit)
+            out.append((unit, list(around)))
+
+            # what is left is coupled
+            for x in around:
+                self.near[x] |= around
+                self.near[x] -= {x, *unit}
+            for v in {self.unit_of[x] for x in around}:
+                if not self.waiting[v]:
+                    heapq.heappush(heap, (self._degree(v), v))
+            for v in self.closers.get(unit[0], ()):
+                self.waiting[v] -= 1
+                if not self.waiting[v]:
+                    heapq.heappush(heap, (self._degree(v), v))
+        return out
+
+    def _degree(self, u: int) -> int:
+        """Unknowns that a group is coupled with."""
+        unit = self.units[u]
+        around = set().union(*(self.near[x] for x in unit)) - set(unit)
+        return sum(self.widths[x] for x in around)
+
+
+class Fronts:
+    """The fronts of a matrix, and where its entries go.
+
+    ``unknowns``: of each node (bodies, then groups of rows). Storage: columns of one front after another, ``place`` of an entry.
+    """
+
+    def __init__(self, unknowns: list[np.ndarray], groups: list[RowGroup], pairs: set[tuple[int, int]]) -> None:
+        n = len(unknowns) - len(groups)
+        steps = Elimination([len(x) for x in unknowns[:n]], groups, pairs).run()
+        order = {node: (k, i) for k, (unit, _) in enumerate(steps) for i, node in enumerate(unit)}
+
+        self.fronts: list[Front] = []
+        for unit, around in steps:
+            rest = sorted(around, key=order.__getitem__)
+            rows = np.concatenate([unknowns[x] for x in (*unit, *rest)])
+            pivots = sum(len(unknowns[x]) for x in unit)
+            self.fronts.append(Front(rows, pivots, order[rest[0]][0] if rest else -1))
+
+        sizes = [len(f.unknowns) for f in self.fronts]
+        self.ld = [-(-size // LANES) * LANES for size in sizes]
+        lengths = [ld * size for ld, size in zip(self.ld, sizes, strict=True)]
+        self.start = np.concatenate(([0], np.cumsum(lengths))).astype(np.int64)
+        self._index(sum(len(x) for x in unknowns))
+
+    @property
+    def storage(self) -> int:
+        """Numbers that all fronts take."""
+        return int(self.start[-1])
+
+    def _index(self, size: int) -> None:
+        """Front and position of each unknown's pivot; sorted keys of (front, unknown) with their rows."""
+        self.size = size
+        self.front_of, self.position = np.zeros(size, np.int64), np.zeros(size, np.int64)
+        keys, rows, count = [], [], 0
+        for k, f in enumerate(self.fronts):
+            mine = f.unknowns[: f.pivots]
+            self.front_of[mine] = k
+            self.position[mine] = count + np.arange(f.pivots)
+            count += f.pivots
+            keys.append(k * size + f.unknowns)
+            rows.append(np.arange(len(f.unknowns)))
+        key = np.concatenate(keys) if keys else np.zeros(0, np.int64)
+        order = np.argsort(key)
+        self._keys, self._rows = key[order], (np.concatenate(rows) if rows else key)[order]
+
+    def row_in(self, front: np.ndarray, unknown: np.ndarray) -> np.ndarray:
+        """Rows of unknowns in fronts."""
+        key = front * self.size + unknown
+        at = np.searchsorted(self._keys, key)
+        assert np.array_equal(self._keys[at], key), "an entry outside of the fronts"
+        return self._rows[at]
+
+    def place(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """Places of the entries (i, j) in the storage; i and j in either order."""
+        i, j = np.broadcast_arrays(np.asarray(i, np.int64), np.asarray(j, np.int64))
+        if not i.size:
+            return np.zeros(i.shape, np.int64)
+        swap = self.position[i] < self.position[j]
+        late, early = np.where(swap, j, i), np.where(swap, i, j)
+        front = self.front_of[early]
+        ld = np.asarray(self.ld)[front]
+        return np.asarray(self.start[front] + ld * self.row_in(front, early) + self.row_in(front, late))

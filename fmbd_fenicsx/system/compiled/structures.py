@@ -1,0 +1,95 @@
+"""The structures of ``driver/tables.h``, field by field, and a store that keeps their arrays alive."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from ...rotations import Array
+
+_INT, _REAL, _LONG, _POINTER = ctypes.c_int, ctypes.c_double, ctypes.c_long, ctypes.c_void_p
+
+PYTHON = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_double)
+
+
+def _fields(text: str, kind: Any) -> list[tuple[str, Any]]:
+    return [(name, kind) for name in text.split()]
+
+
+@lru_cache
+def structure(name: str, dim: int) -> type[ctypes.Structure]:
+    """``Batch``, ``Surface``, ``Body``, ``Front`` or ``System`` of the driver in ``dim`` dimensions."""
+    rotations = 2 * dim - 3
+    fields = {
+        "Batch": [
+            *_fields("kind role outputs live products curved number", _INT),
+            *_fields("n width", _LONG),
+            *_fields("pair P out entry at row factor dest stiffness damping free s rate effort weight slope", _POINTER),
+            *_fields("first second product_to curve curve_to", _POINTER),
+            ("hessians", _INT),
+            ("hessian", _POINTER),
+            ("near", _INT),
+            ("theta", _POINTER),
+            ("mapped", _INT),
+            *_fields("where lower row_start square_start row_to row_on square_to", _POINTER),
+        ],
+        "Surface": [
+            ("body", _INT),
+            *_fields("reference ports now", _POINTER),
+            ("bends", _INT),
+            *_fields("N G", _POINTER),
+            ("p", _REAL * dim),
+            ("Z", _REAL * rotations**2),
+            ("turn", _REAL * dim**2),
+            *_fields("lever arm", _REAL * dim),
+            *_fields("map bend_map", _POINTER),
+        ],
+        "Body": [
+            *_fields("modes at_v at_q at_u", _INT),
+            *_fields("mass large spin", _REAL),
+            *_fields("inertia S T V modal K C stress U now block dest", _POINTER),
+        ],
+        "Angle": [*_fields("a b", _INT), *_fields("ea fa ga eb fb gb", _REAL * dim)],
+        "Front": [
+            *_fields("pivots rows ld next", _INT),
+            ("start", _LONG),
+            *_fields("unknown to", _POINTER),
+        ],
+        "System": [
+            *_fields("bodies surfaces batches fronts angles rows nu nv nq redundant", _INT),
+            *_fields("body surface batch front angle frames velocity residual wrench", _POINTER),
+            *_fields("gap motion gravity weight diagonal row_dest", _POINTER),
+            ("storage", _LONG),
+            *_fields("L inverse b local sign units", _POINTER),
+            ("python", PYTHON),
+            *_fields("samples laws renew stiff", _INT),
+            *_fields("cd ck", _REAL),
+            *_fields("q work big zero", _POINTER),
+            *_fields("evaluations factors calls", _LONG),
+        ],
+    }
+    return type(name, (ctypes.Structure,), {"_fields_": fields[name]})
+
+
+class Store:
+    """Arrays that C reads and writes: kept here as long as the tables live."""
+
+    def __init__(self) -> None:
+        self.kept: list[Any] = []
+
+    def array(self, values: Any, dtype: Any = np.float64) -> tuple[Array, int]:
+        """A contiguous copy and its address."""
+        copy = np.array(values, dtype=dtype, order="C")
+        self.kept.append(copy)
+        return copy, int(copy.ctypes.data)
+
+    def address(self, values: Any, dtype: Any = np.float64) -> int:
+        """The address of a contiguous copy."""
+        return self.array(values, dtype)[1]
+
+    def integers(self, values: Any) -> int:
+        """The address of a copy as C's int."""
+        return self.array(values, np.int32)[1]

@@ -1,0 +1,396 @@
+"""The tables of a system, as ``driver/tables.h`` describes them."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+
+from ...mechanics.kinds.derivation import Kind, kinds
+from ...mechanics.kinds.frames import FRAME
+from ...mechanics.reduction.reduced import ReducedPart
+from ...mechanics.validity import TOO_LARGE
+from ...rotations import Array
+from ..system import System
+from .items import GIVEN, ROW, Items, items_of, other_loads
+from .order import Fronts, RowGroup
+from .structures import Store, structure
+
+PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
+DIRECTIONS = {  # constants that are directions in the axes of a marker: of which side
+    "along": {"e": 0},
+    "perpendicular": {"e": 0, "f": 1},
+    "turned": {"e": 0, "g": 0, "f": 1},
+    "angle": {"fa": 0, "ga": 0, "fb": 1, "gb": 1},
+    "follower": {"load": 1},
+    "follower_couple": {"load": 1},
+}
+ONE_SIDED = ("dead", "couple", "follower", "follower_couple")
+
+
+class Tables:
+    """All tables of one system; ``c`` is the driver's System, ``batches`` the items behind its batches."""
+
+    def __init__(self, system: System, *, redundant: bool) -> None:
+        self.system, self.store, self.dim = system, Store(), system.motions.dim
+        self.kinds = kinds(self.dim)
+        self.nb, self.twist = system.n_frames, system.motions.n_twist
+        reduced: tuple[Any, ...] = system.parts
+        self.parts: dict[int, tuple[int, Any]] = {p.frame: (k, p) for k, p in enumerate(reduced)}
+        self.items = items_of(system)
+        self.loads = other_loads(system)
+        self.maps: list[Array] = []  # of surfaces: twist from the rates of the body
+        self._lay_out()
+        self._place_surfaces()
+        self._order()
+
+        made = [one for items in self.items for one in self._split(items)]
+        self.batches = [self._batch(items, number) for number, items in enumerate(made)]
+        self.sources = made
+        self._system(redundant)
+
+    # -- unknowns ----------------------------------------------------------------------------------------------------------
+    def _lay_out(self) -> None:
+        """Widths of the bodies' blocks and where they begin; the rows come behind."""
+        modes = [self.parts[b][1].n if b in self.parts else 0 for b in range(self.nb)]
+        self.modes = np.array(modes, dtype=int)
+        self.width = self.twist + self.modes
+        self.at_u = np.cumsum(self.width) - self.width
+        self.nu, self.rows = int(self.width.sum()), self.system.n_lam
+
+    def _place_surfaces(self) -> None:
+        """The markers on surfaces that something acts on, each a frame behind the ground."""
+        mk = self.system.markers
+        used: list[np.ndarray] = [items.markers.ravel() for items in self.items]
+        used += [x for f in self.loads for x in (f.a, f.b)]
+        numbers = np.unique(np.concatenate(used)).astype(int) if used else np.zeros(0, int)
+        self.surfaces = np.array([i for i in numbers if i in set(mk.surface.tolist())], dtype=int)
+        self.frame = mk.frame.copy()
+        self.frame[self.surfaces] = self.nb + 1 + np.arange(len(self.surfaces))
+        self.nothing = self.nu + self.twist * len(self.surfaces)  # place of what the ground would have
+
+    def body_of(self, frame: np.ndarray) -> np.ndarray:
+        """The body of frames, -1 for the ground."""
+        on = np.append(np.arange(self.nb), -1)
+        on = np.append(on, self.system.markers.frame[self.surfaces])
+        return np.asarray(on[frame])
+
+    def twist_places(self, frame: np.ndarray) -> np.ndarray:
+        """Places of the twists of frames in arrays of velocities, (..., n_twist)."""
+        first = np.concatenate((self.at_u, [self.nothing], self.nu + self.twist * np.arange(len(self.surfaces))))
+        places = first[frame][..., None] + np.arange(self.twist)
+        return np.where((frame == self.nb)[..., None], self.nothing, places)
+
+    def rates(self, frame: int) -> np.ndarray:
+        """The unknowns that move a frame."""
+        body = int(self.body_of(np.array(frame)))
+        if body < 0:
+            return np.zeros(0, int)
+        width = self.twist if frame < self.nb else self.width[body]
+        return np.asarray(self.at_u[body] + np.arange(width))
+
+    def frames_of(self, items: Items) -> np.ndarray:
+        """Frames of both sides, (n, 2); loads have the ground for their first."""
+        frames = self.frame[items.markers]
+        if items.kind in ONE_SIDED:
+            frames[:, 0] = self.nb
+        return frames
+
+    # -- order ---------------------------------------------------------------------------------------------------------------
+    def _order(self) -> None:
+        """Groups of rows, the order of elimination, and the fronts."""
+        touched: list[set[int]] = [set() for _ in range(self.rows)]
+        terms = np.zeros(self.rows, int)
+        pairs: set[tuple[int, int]] = set()
+        for items in self.items:
+            bodies: Any = self.body_of(self.frames_of(items))
+            if items.role == ROW:
+                assert items.row is not None
+                for number, pair in zip(items.row, bodies.tolist(), strict=True):
+                    touched[int(number)] |= {x for x in pair if x >= 0}
+                    terms[int(number)] += 1
+            pairs |= {(min(x), max(x)) for x in bodies.tolist() if x[0] != x[1] and min(x) >= 0}
+        for f in self.loads:
+            both: Any = self.body_of(self.frame[np.stack((f.a, f.b), axis=1)])
+            pairs |= {(min(x), max(x)) for x in both.tolist() if x[0] != x[1] and min(x) >= 0}
+
+        found: dict[tuple[tuple[int, ...], bool], list[int]] = {}
+        for row in range(self.rows):
+            found.setdefault((tuple(sorted(touched[row])), bool(terms[row] > 1)), []).append(row)
+        groups = [RowGroup(near, tuple(rows), coupling) for (near, coupling), rows in found.items()]
+        unknowns = [self.at_u[b] + np.arange(self.width[b]) for b in range(self.nb)]
+        unknowns += [self.nu + np.array(g.rows) for g in groups]
+        self.fronts = Fronts(unknowns, groups, pairs)
+
+    # -- batches -------------------------------------------------------------------------------------------------------------
+    def _split(self, items: Items) -> list[Items]:
+        """Items whose frames are of one sort: bodies, the ground on one side, or some on surfaces."""
+        frames = self.frames_of(items)
+        sort = np.where((frames > self.nb).any(axis=1), 9, (frames == self.nb) @ np.array([1, 2]))
+        return [items.part(np.flatnonzero(sort == k)) for k in np.unique(sort)]
+
+    def constants(self, items: Items, kind: Kind) -> Array:
+        """The table of constants, (n, width), in the axes of the frames."""
+        mk, n = self.system.markers, len(items)
+        P = np.zeros((n, kind.width))
+        on_surface = np.isin(items.markers, self.surfaces)
+        for name, side in PLACES.items():
+            if name in kind.constants:
+                place = mk.position[items.markers[:, side]].copy()
+                place[on_surface[:, side]] = 0.0
+                P[:, kind.place(name)] = place
+        if kind.name == "angle" and self.dim == 2:
+            assert self.system.counted is not None
+            start = self.system.counted.start[items.markers]
+            P[:, kind.place("zero").start] = start[:, 1] - start[:, 0]
+        for name, values in items.constants.items():
+            if name in kind.constants:
+                P[:, kind.place(name)] = self.turned(items, name, values)
+        return P
+
+    def theta_places(self, items: Items) -> np.ndarray:
+        """Places in q of the counted angles of items, in space."""
+        counted = self.system.counted
+        assert counted is not None
+        a, b = np.asarray(counted.turn.a), np.asarray(counted.turn.b)
+        number = {(int(i), int(j)): k for k, (i, j) in enumerate(zip(a, b, strict=True))}
+        first = self.system.counted_angles.start
+        return np.array([first + number[int(i), int(j)] for i, j in items.markers])
+
+    def _angles(self) -> list[Any]:
+        """Structures Angle of all counted angles, in the order of q."""
+        s, mk = self.system, self.system.markers
+        if s.counted is None or not s.counted.count:
+            return []
+        turn, vector = s.counted.turn, ctypes.c_double * self.dim
+        sides = {"a": turn.a, "b": turn.b}
+        axes = {"e": turn.e, "f": turn.e1, "g": turn.e2}
+        out = []
+        for i in range(s.counted.count):
+            local = {n + m: vector(*(mk.rotation[x[i]] @ e[i])) for n, e in axes.items() for m, x in sides.items()}
+            out.append(structure("Angle", self.dim)(a=int(mk.frame[turn.a[i]]), b=int(mk.frame[turn.b[i]]), **local))
+        return out
+
+    def turned(self, items: Items, name: str, values: Array) -> Array:
+        """Constants of items, directions turned from the axes of their markers into those of the frames; (n, size)."""
+        side = DIRECTIONS.get(items.kind, {}).get(name)
+        values = np.asarray(values, dtype=float).reshape(len(items), -1)
+        if side is None or values.shape[1] != self.dim:
+            return values
+        R = self.system.markers.rotation[items.markers[:, side]]
+        return np.asarray((R @ values[..., None])[..., 0])
+
+    def _batch(self, items: Items, number: int) -> Any:
+        """One structure Batch."""
+        kind, n = self.kinds[items.kind], len(items)
+        store, frames = self.store, self.frames_of(items)
+        mapped = bool((frames > self.nb).any())
+        components = np.array(kind.entries, dtype=int)
+        ground = np.repeat((frames[0] == self.nb), self.twist) & (not mapped)
+        live = np.flatnonzero(~ground[components])
+        places = self.twist_places(frames).reshape(n, -1)
+
+        items.table, P = store.array(self.constants(items, kind))
+        one = structure("Batch", self.dim)(
+            kind=list(self.kinds).index(items.kind), role=items.role, number=number, n=n,
+            width=kind.width, outputs=1 + len(components), live=len(live), mapped=int(mapped), P=P,
+            pair=store.integers(frames), out=store.address(np.zeros((n, 1 + len(components)))),
+            entry=store.integers(1 + live), at=store.integers(places[:, components[live]]),
+        )  # fmt: skip
+
+        zero = np.zeros(n)
+        given = {"effort": items.effort, "stiffness": items.stiffness, "damping": items.damping, "free": items.free}
+        for name in ("s", "rate", "effort", "weight", "slope", "stiffness", "damping", "free"):
+            values = given.get(name)
+            items.arrays[name], address = store.array(zero if values is None else values)
+            setattr(one, name, address)
+        if items.role == ROW:
+            one.row, one.factor = store.integers(items.row), store.address(items.factor)
+        if items.kind == "angle" and self.dim == 3:
+            one.near, one.theta = kind.place("near").start, store.integers(self.theta_places(items))
+        self._tangent_places(one, kind, frames, places, live)
+        return one
+
+    def _tangent_places(self, one: Any, kind: Kind, frames: np.ndarray, places: np.ndarray, live: np.ndarray) -> None:
+        """Where the entries of a batch go in the fronts: of rows, of products of rows, of geometric stiffness."""
+        store, fronts, n = self.store, self.fronts, len(frames)
+        components = np.array(kind.entries, dtype=int)[live]
+        pattern = np.array(kind.pattern, dtype=int).reshape(-1, 2)
+        one.hessians = len(pattern)
+        one.hessian = store.address(np.zeros((n, max(len(pattern), 1))))
+        if one.mapped:
+            self._mapped_places(one, kind, frames, pattern)
+            return
+
+        moving = np.repeat(frames[0] != self.nb, self.twist)
+        curve = np.flatnonzero(moving[pattern].all(axis=1))
+        one.curved, one.curve = len(curve), store.integers(curve)
+        one.curve_to = store.integers(fronts.place(places[:, pattern[curve, 0]], places[:, pattern[curve, 1]]))
+        if one.role == ROW:
+            rows = self.nu + np.ctypeslib.as_array((ctypes.c_int * n).from_address(one.row))
+            one.dest = store.integers(fronts.place(rows[:, None], places[:, components]))
+        elif one.role != GIVEN:
+            first, second = np.tril_indices(len(live))
+            one.products = len(first)
+            one.first, one.second = store.integers(1 + live[first]), store.integers(1 + live[second])
+            one.product_to = store.integers(fronts.place(places[:, components[first]], places[:, components[second]]))
+
+    def _mapped_places(self, one: Any, kind: Kind, frames: np.ndarray, pattern: np.ndarray) -> None:
+        """The same for items with frames on surfaces, whose rows act on all rates of the bodies."""
+        store, n = self.store, len(frames)
+        where = np.zeros(2 * self.twist, int)
+        where[list(kind.entries)] = 1 + np.arange(len(kind.entries))
+        one.where = store.integers(np.tile(where, (n, 1)))
+        one.curved, one.curve, one.lower = (
+            len(pattern),
+            store.integers(np.arange(len(pattern))),
+            store.integers(pattern),
+        )
+
+        rates = [np.concatenate([self.rates(int(f)) for f in pair]) for pair in frames]
+        counts = np.array([len(x) for x in rates])
+        starts = [np.concatenate(([0], np.cumsum(x))).astype(np.int64) for x in (counts, counts * (counts + 1) // 2)]
+        one.row_start, one.square_start = (store.array(x, np.int64)[1] for x in starts)
+        squares = []
+        for x in rates:
+            c, r = np.tril_indices(len(x))
+            squares.append(self.fronts.place(x[c], x[r]))
+        one.square_to = store.integers(np.concatenate(squares))
+        if one.role == ROW:
+            rows = self.nu + np.ctypeslib.as_array((ctypes.c_int * n).from_address(one.row))
+            one.row_on = store.integers(np.concatenate(rates))
+            one.row_to = store.integers(
+                np.concatenate([self.fronts.place(row, x) for row, x in zip(rows, rates, strict=True)])
+            )
+
+    # -- bodies --------------------------------------------------------------------------------------------------------------
+    def _body(self, b: int, rigid: dict[int, int]) -> Any:
+        """One structure Body."""
+        s, store = self.system, self.store
+        unknown = self.at_u[b] + np.arange(self.width[b])
+        kind = structure("Body", self.dim)
+        if b in rigid:
+            assert s.rigid is not None
+            # translations and rotations of a rigid body do not meet about its centre of mass
+            block = [(i, i) for i in range(self.dim)]
+            block += [(self.dim + i, self.dim + j) for i in range(2 * self.dim - 3) for j in range(i + 1)]
+            i, j = np.array(block).T
+            return kind(
+                at_u=int(self.at_u[b]), mass=float(s.rigid.mass[rigid[b]]), spin=np.inf, large=np.inf,
+                inertia=store.address(s.rigid.inertia[rigid[b]]),
+                dest=store.integers(self.fronts.place(unknown[i], unknown[j])),
+            )  # fmt: skip
+
+        k, part = self.parts[b]
+        c, m, d = part.constants, part.n, self.dim
+        T = c.T.transpose(1, 0, 2, 3)  # [b, a] = T_ab
+        pairs = ((2, 1), (0, 2), (1, 0)) if d == 3 else ((1, 0),)
+        i, j = np.tril_indices(int(self.width[b]))
+        arrays = {
+            "S": c.S, "T": T, "V": np.stack([T[..., i, j] - T[..., j, i] for i, j in pairs], axis=-1),
+            "modal": np.trace(c.T[1:, 1:], axis1=2, axis2=3), "K": c.K, "C": c.D,
+            "U": np.zeros((m + 1) * (d * d + 2 * d - 3) + 2 * m), "block": np.zeros((self.width[b], self.width[b])),
+        }  # fmt: skip
+        if c.stiffening is not None:
+            arrays |= {"stress": c.stiffening.transpose(0, 2, 1), "now": np.zeros((m, m))}
+        return kind(
+            modes=m, at_v=s.slices[1][k].start, at_q=s.slices[0][k].start, at_u=int(self.at_u[b]), mass=c.mass,
+            large=(TOO_LARGE * c.size) ** 2 * c.mass, dest=store.integers(self.fronts.place(unknown[i], unknown[j])),
+            **{name: store.address(x) for name, x in arrays.items()},
+        )  # fmt: skip
+
+    def _surface(self, marker: int) -> Any:
+        """One structure Surface."""
+        s, mk, d = self.system, self.system.markers, self.dim
+        body = int(mk.frame[marker])
+        k, part = self.parts[body]
+        ports = mk.port[np.searchsorted(mk.surface, marker)] - s.port_slice(k).start
+        one = structure("Surface", d)(
+            body=body, p=(ctypes.c_double * d)(*mk.position[marker]),
+            reference=self.store.address(part.reference[ports]), ports=self.store.address(part.port_matrix[ports]),
+        )  # fmt: skip
+        surface_map, one.map = self.store.array(np.zeros((self.twist, self.width[body])))
+        self.maps.append(surface_map)
+        if part.shortening is not None and part.shortening.G is not None:
+            N = part.shortening.N[ports]
+            mine = np.flatnonzero(np.abs(N).max(axis=0) > 0)
+            one.bends = len(mine)
+            one.N, one.G = self.store.address(N[:, mine]), self.store.address(part.shortening.G[mine])
+            one.now = self.store.address(np.zeros((len(ports), part.n)))
+            one.bend_map = self.store.address(np.zeros((self.twist, max(len(mine), 1))))
+        return one
+
+    # -- all of it -------------------------------------------------------------------------------------------------------------
+    def _system(self, redundant: bool) -> None:
+        """The structure System."""
+        s, store = self.system, self.store
+        rigid = {} if s.rigid is None else {int(f): i for i, f in enumerate(s.rigid.frame)}
+        bodies = [self._body(b, rigid) for b in range(self.nb)]
+        surfaces = [self._surface(int(i)) for i in self.surfaces]
+        angles = self._angles()
+        fronts = [self._front(k) for k in range(len(self.fronts.fronts))]
+
+        size = self.nu + self.rows
+        frames = np.zeros((self.nb + 1 + len(surfaces), FRAME[self.dim]))
+        frames[self.nb, self.dim : self.dim + self.dim**2] = np.eye(self.dim).ravel()
+        widest = int(self.width.max(initial=0))
+        sizes = {
+            "velocity": self.nothing + 1, "residual": self.nothing + 1, "wrench": self.nothing + 1,
+            "gap": self.rows, "motion": self.rows, "weight": self.rows, "zero": self.rows, "diagonal": size,
+            "L": self.fronts.storage + 8, "inverse": size, "b": size, "local": size,
+            "work": 3 * s.n_v + 2 * self.rows, "big": (2 * self.twist + 1) * 2 * widest + size,
+        }  # fmt: skip
+        arrays = {name: store.array(np.zeros(max(count, 1))) for name, count in sizes.items()}
+        arrays |= {"frames": store.array(frames), "gravity": store.array(s.gravity(0.0)), "units": store.array(s.units)}
+        self.arrays = {name: x for name, (x, _) in arrays.items()}
+        row = self.nu + np.arange(self.rows)
+        lists = {
+            "body": ("Body", bodies),
+            "surface": ("Surface", surfaces),
+            "front": ("Front", fronts),
+            "angle": ("Angle", angles),
+            "batch": ("Batch", self.batches),
+        }
+        pointers = {}
+        for name, (kind, made) in lists.items():
+            array = (structure(kind, self.dim) * max(len(made), 1))(*made)
+            store.kept.append(array)
+            pointers[name] = ctypes.addressof(array)
+            if name == "body":
+                self.body_array = array
+
+        self.c = structure("System", self.dim)(
+            bodies=self.nb, surfaces=len(surfaces), batches=len(self.batches), fronts=len(fronts), angles=len(angles),
+            rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), renew=1,
+            stiff=int(any(f.stiff for f in s.forces)), storage=self.fronts.storage,
+            row_dest=store.integers(self.fronts.place(row, row)),
+            sign=store.array(np.where(np.arange(size) < self.nu, 1, -1), np.int8)[1],
+            **pointers, **{name: address for name, (_, address) in arrays.items()},
+        )  # fmt: skip
+        self.look()
+
+    def _front(self, k: int) -> Any:
+        """One structure Front."""
+        f = self.fronts.fronts[k]
+        rest = f.unknowns[f.pivots :]
+        to = self.fronts.row_in(np.full(len(rest), f.following), rest) if len(rest) else rest
+        return structure("Front", self.dim)(
+            pivots=f.pivots, rows=len(f.unknowns), ld=self.fronts.ld[k], next=f.following, start=int(self.fronts.start[k]),
+            unknown=self.store.integers(f.unknowns), to=self.store.integers(to),
+        )  # fmt: skip
+
+    def look(self) -> None:
+        """Take the angular velocities above which a body is to be warned of; those warned of have none."""
+        for b, (_, part) in self.parts.items():
+            if isinstance(part, ReducedPart):
+                known = part.warned or part.constants.stiffening is not None
+                self.body_array[b].spin = np.inf if known else part.first_frequency**2
+
+
+def covers_bodies(system: System) -> bool:
+    """Whether all bodies are rigid or reduced, without loads that the driver does not know."""
+    parts: tuple[Any, ...] = system.parts
+    known = all(type(p) is ReducedPart and not p.constants.loads for p in parts)
+    plain = system.markers.section is None and system.contacts is None
+    return known and plain and not system.port_constraints and not system.traces and system.n_frames > 0

@@ -1,0 +1,210 @@
+"""The compiled driver: every force, drive and law on its path, in the plane and in space, with the digits of the NumPy path."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+from test_compiled import pair, stepper_of
+from test_kernel import flexible
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import LawError
+from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledStepper
+from fmbd_fenicsx.system.compiled.library import driver_library
+from fmbd_fenicsx.system.compiled.order import Elimination, Fronts, RowGroup, joint_tree
+
+compiled = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")
+
+
+def links(n: int, dim: int) -> fmbd.Scene:
+    """A chain; in space with skew hinges."""
+    scene = fmbd.Scene("links", gravity=(0.2, -9.81, 0.3)[:dim])
+    before: Any = fmbd.ground
+    for i in range(n):
+        inertia = 2e-5 if dim == 2 else np.diag([1e-6, 2e-5, 2.1e-5])
+        link = fmbd.RigidBody(f"{i}", 0.02, inertia, ((i + 0.5) * 0.1, 0.0, 0.0)[:dim])
+        axis = (0, 0, 1) if i % 2 == 0 else (0, 0.6, 0.8)
+        scene.add(link, fmbd.revolute(f"hinge {i}", before, link, center=(i * 0.1, 0, 0)[:dim], axis=axis))
+        before = link
+    return scene
+
+
+def joint_springs(dim: int) -> fmbd.Scene:
+    scene = links(4, dim)
+    for i, joint in enumerate(list(scene.joints.values())):
+        scene.add(fmbd.joint_spring(f"spring {i}", fmbd.angle(joint), stiffness=0.1, damping=1e-3, free=0.1 * i))
+    return scene
+
+
+def suspended(dim: int) -> fmbd.Scene:
+    """A body on spring-dampers, one of them with a law in Python."""
+    inertia = 0.02 if dim == 2 else (0.017, 0.017, 0.027)
+    body = fmbd.RigidBody("body", 4.0, inertia, (0.0, 0.0, 0.0)[:dim])
+    scene = fmbd.Scene("suspended", gravity=(0, -9.81, 0)[:dim])
+    scene.add(body)
+    for i, (x, z) in enumerate(itertools.product((-0.1, 0.1), (-0.1, 0.1))):
+        ends = (2 * x, 0.5, 2 * z)[:dim], (x, 0.05, z)[:dim]
+        scene.add(fmbd.Spring(f"{i}", fmbd.ground, body, *ends, stiffness=2000.0, damping=5.0, length=0.4))
+    ends = (0.3, -0.5, 0.1)[:dim], (0.0, -0.05, 0.0)[:dim]
+    scene.add(fmbd.Spring("law", fmbd.ground, body, *ends, law=lambda s, rate, t: 100 * s + 1e4 * s**3 + 2 * rate + t))
+    return scene
+
+
+def loaded(dim: int) -> fmbd.Scene:
+    """Every load in time, fixed in space and in the body, and a law of the whole motion of a point."""
+    scene = links(2, dim)
+    first, last = scene.bodies.values()
+
+    def turn(t: float) -> Any:
+        return 1e-3 * np.sin(20 * t) if dim == 2 else 1e-3 * np.array([1.0, np.sin(20 * t), 0.5])
+
+    scene.add(
+        fmbd.force("force", last, lambda t: 0.1 * np.array([np.sin(20 * t), 1, t])[:dim], point=(0.2, 0, 0)[:dim])
+    )
+    scene.add(
+        fmbd.force(
+            "follower", last, lambda t: 0.1 * np.array([t, 1, 1.0])[:dim], point=(0.2, 0, 0)[:dim], follower=True
+        )
+    )
+    scene.add(fmbd.torque("torque", first, turn), fmbd.torque("couple", last, turn, follower=True))
+    scene.add(
+        fmbd.own_force("drag", last, None, lambda t, a: (-0.02 * a.v, -1e-5 * a.w), points=((0.2, 0, 0)[:dim], None))
+    )
+    scene.add(fmbd.effort("motor", fmbd.angle(scene.joints["hinge 0"]), lambda t: 0.01 * np.sin(t)))
+    pd = fmbd.joint_spring(
+        "pd", fmbd.angle(scene.joints["hinge 1"]), law=lambda s, rate, t: 0.05 * (s - t) + 1e-3 * rate
+    )
+    scene.add(pd)
+    return scene
+
+
+def driven(dim: int) -> fmbd.Scene:
+    scene = links(3, dim)
+    scene.add(fmbd.drive("drive", fmbd.angle(scene.joints["hinge 0"]), lambda t: 20 * t + t**2))
+    scene.add(fmbd.gear("gear", fmbd.angle(scene.joints["hinge 0"]), fmbd.angle(scene.joints["hinge 1"]), ratio=-0.5))
+    return scene
+
+
+def redundant(dim: int) -> fmbd.Scene:
+    """A hinge twice, and a spring beside it."""
+    scene = joint_springs(dim)
+    scene.add(fmbd.revolute("again", fmbd.ground, scene.bodies["0"], center=(0, 0, 0)[:dim]))
+    return scene
+
+
+def tyre(dim: int) -> fmbd.Scene:
+    wheel = fmbd.RigidBody(
+        "wheel", 10.0, 0.1 if dim == 2 else (0.1, 0.1, 0.2), (0.0, 0.29, 0.0)[:dim], velocity=(3.0, 0, 0)[:dim]
+    )
+    scene = fmbd.Scene("tyre", gravity=(0, -9.81, 0)[:dim], gravity_ramp=0.05)
+    scene.add(wheel)
+    up = (0.0, 1.0, 0.0)
+    road = lambda x, t: 0.01 * np.sin(10 * x[0])  # noqa: E731
+    scene.add(fmbd.Tyre("tyre", wheel, None, (0, 0.29, 0)[:dim], None, road, 0.3, 1e5, 100.0, up))
+    return scene
+
+
+SCENES = [joint_springs, suspended, loaded, driven, redundant, tyre]
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("make", SCENES, ids=lambda f: f.__name__)
+def test_same_motion_as_numpy(make: Any, dim: int) -> None:
+    assert isinstance(stepper_of(make(dim)), CompiledStepper)
+    fast, slow = pair(lambda: make(dim), t_end=0.1, dt=1e-3)
+    assert fast.counters["compiled_steps"] == 99
+    assert fast.counters["newton_iterations"] <= slow.counters["newton_iterations"] + 5
+    size = np.abs(slow.state.q).max()
+    assert np.abs(fast.state.q - slow.state.q).max() < 2e-8 * size
+    assert np.abs(fast.state.a - slow.state.a).max() < 1e-4 * np.abs(slow.state.a).max()
+    if slow.state.lam.size:
+        assert np.abs(fast.state.lam - slow.state.lam).max() < 1e-5 * np.abs(slow.state.lam).max()
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+def test_marching_many_steps_is_stepping_often(dim: int) -> None:
+    """Ten records or all: the same bits, with the energy guard and without."""
+    for energy in (True, False):
+        ends = [
+            fmbd.solve(joint_springs(dim), t_end=0.2, dt=1e-3, output=fmbd.Output(every=k, energy=energy)).state
+            for k in (1, 20)
+        ]
+        assert all(np.array_equal(getattr(ends[0], x), getattr(ends[1], x)) for x in ("q", "v", "a", "lam"))
+
+
+@compiled
+def test_counted_angles_over_many_turns_between_records() -> None:
+    """Twenty turns a record, with a gear and a sensor."""
+    scene = links(1, 3)
+    wheel = scene.bodies["0"]
+    other = fmbd.RigidBody("other", 0.1, (1e-4, 1e-4, 1e-4), (1.0, 0, 0))
+    scene.add(other, fmbd.revolute("axle", fmbd.ground, other, center=(1.0, 0, 0)))
+    assert wheel is not other
+    first, second = fmbd.angle(scene.joints["hinge 0"]), fmbd.angle(scene.joints["axle"])
+    scene.add(fmbd.drive("drive", first, lambda t: 600.0 * t), fmbd.gear("gear", first, second, ratio=0.5))
+    scene.sensor("turned", second)
+    run = fmbd.solve(scene, t_end=1.0, dt=1e-3, output=fmbd.Output(every=200))
+    assert np.abs(run["turned"][:, 0] - 300.0 * run.times).max() < 1e-6
+
+
+@compiled
+def test_energies_are_those_of_the_evaluation() -> None:
+    for make in (
+        lambda: joint_springs(2),
+        lambda: joint_springs(3),
+        lambda: suspended(3),
+        lambda: flexible(2),
+        lambda: flexible(3),
+    ):
+        stepper = stepper_of(make())
+        for _ in range(5):
+            state = stepper.advance(1e-3)
+        driver, out = stepper.driver, np.zeros(4)
+        g = np.ascontiguousarray(stepper.system.gravity(np.inf))
+        q, v = np.ascontiguousarray(state.q), np.ascontiguousarray(state.v)
+        driver.library.driver_energies(driver.address, q.ctypes.data, v.ctypes.data, g.ctypes.data, out.ctypes.data)
+        wanted = list(stepper.system.at(state.t, state.q, state.v).energies().values())
+        assert np.abs(out - wanted).max() < 1e-10 * max(np.abs(wanted).max(), 1e-3)
+
+
+@compiled
+def test_law_that_raises_is_one_error_with_its_name() -> None:
+    scene = suspended(2)
+
+    def law(s: float, rate: float, t: float) -> float:
+        if t > 0.02:
+            raise RuntimeError("broken")
+        return 100.0 * s
+
+    scene.add(fmbd.Spring("bad", fmbd.ground, scene.bodies["body"], (0.5, 0.0), (0.1, 0.0), law=law))
+    with pytest.raises(LawError, match='"bad".*broken'):
+        fmbd.solve(scene, t_end=0.1, dt=1e-3)
+
+
+def test_tree_is_grown_from_the_ground() -> None:
+    groups = [RowGroup((0,), (0, 1), False), RowGroup((0, 1), (2, 3), False), RowGroup((1,), (4,), False)]
+    assert joint_tree(2, groups) == {0: [0], 1: [2]}
+
+
+@pytest.mark.parametrize("shape", ["chain", "tree", "star", "ring"])
+def test_fronts_solve_and_fill_nothing_where_bodies_form_a_tree(shape: str) -> None:
+    """A chain of any length has fronts of one size; the factor's storage is proportional to the number of bodies."""
+    storage = []
+    for n in (20, 40):
+        parent = {"chain": range(-1, n - 1), "tree": [(i - 1) // 2 for i in range(n)], "star": [-1, *[0] * (n - 1)]}
+        links_ = list(enumerate(parent.get(shape, range(-1, n - 1))))
+        groups = [RowGroup((i,) if p < 0 else (p, i), (2 * i, 2 * i + 1), False) for i, p in links_]
+        if shape == "ring":
+            groups.append(RowGroup((0, n - 1), (2 * n, 2 * n + 1), False))
+        unknowns = [3 * i + np.arange(3) for i in range(n)]
+        unknowns += [3 * n + np.array(g.rows) for g in groups]
+        fronts = Fronts(unknowns, groups, set())
+        assert sum(f.pivots for f in fronts.fronts) == 3 * n + 2 * len(groups)
+        storage.append(fronts.storage)
+    assert storage[1] < 2.3 * storage[0]
+    assert len(Elimination([3] * n, groups, set()).run()) == len(fronts.fronts)

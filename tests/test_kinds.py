@@ -1,0 +1,172 @@
+"""Every kind that the package defines: rows, rates, second derivatives and tangents against differences; C against NumPy."""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fmbd_fenicsx import kernel_cache
+from fmbd_fenicsx.mechanics.kinds.derivation import KERNELS, Kind, c_source, derive, kinds, numpy_kernel
+from fmbd_fenicsx.mechanics.kinds.expressions import atan2, exp, gradient, log, nearest_turn, sin, sqrt, symbol, tanh
+from fmbd_fenicsx.mechanics.kinds.frames import FRAME
+
+NAMES = list(kinds(3))
+FLOWS = ("couple", "follower", "follower_couple")
+BOTH = pytest.mark.parametrize("dim", [2, 3])
+
+
+def frame(dim: int, rng: np.random.Generator) -> np.ndarray:
+    """A random frame with a random twist."""
+    if dim == 2:
+        phi = float(rng.uniform(-9, 9))
+        c, s = np.cos(phi), np.sin(phi)
+        return np.concatenate((rng.normal(size=2), [c, -s, s, c], rng.normal(size=3), [phi]))
+    R = Rotation.random(random_state=int(rng.integers(1000))).as_matrix()
+    return np.concatenate((rng.normal(size=3), R.ravel(), rng.normal(size=6)))
+
+
+def moved(x: np.ndarray, dim: int, h: float, twist: np.ndarray | None = None) -> np.ndarray:
+    """A frame after the time h at its own or another constant twist."""
+    v = x[dim + dim * dim :][: 3 * dim - 3] if twist is None else twist
+    y = x.copy()
+    y[:dim] += h * v[:dim]
+    if dim == 2:
+        y[9] += h * v[2]
+        c, s = np.cos(y[9]), np.sin(y[9])
+        y[2:6] = c, -s, s, c
+    else:
+        y[3:12] = (Rotation.from_rotvec(h * v[3:]).as_matrix() @ x[3:12].reshape(3, 3)).ravel()
+    return y
+
+
+def item(kind: Kind, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Two frames and constants."""
+    rng = np.random.default_rng(seed)
+    A, B = frame(kind.dim, rng), frame(kind.dim, rng)
+    return A, B, rng.uniform(0.5, 1.5, kind.width)
+
+
+def driven(kind: Kind, P: np.ndarray, h: float) -> np.ndarray:
+    """Constants after the time h: the drive moves on by its rates."""
+    out = P.copy()
+    if kind.driven:
+        s, s1, s2 = (kind.place(n).start for n in ("drive", "drive1", "drive2"))
+        out[s] = P[s] + h * P[s1] + 0.5 * h * h * P[s2]
+        out[s1] = P[s1] + h * P[s2]
+    return out
+
+
+def defects(kind: Kind, seed: int = 1) -> dict[str, float]:
+    """What each kernel misses of differences of the one before it."""
+    A, B, P = item(kind, seed)
+    n, d, h = 3 * kind.dim - 3, kind.dim, 1e-4
+    value, rates, tangent = (numpy_kernel(kind, which) for which in KERNELS)
+    V = np.concatenate((A[d + d * d :][:n], B[d + d * d :][:n]))
+
+    def row(A: np.ndarray, B: np.ndarray, P: np.ndarray) -> np.ndarray:
+        out = np.zeros(2 * n)
+        out[list(kind.entries)] = value(A, B, P)[1:]
+        return out
+
+    def level(k: float) -> tuple[float, float]:
+        a, b, p = moved(A, d, k * h), moved(B, d, k * h), driven(kind, P, k * h)
+        return float(value(a, b, p)[0]), float(row(a, b, p) @ V + rates(a, b, p)[0])
+
+    at = {k: level(k) for k in (-2, -1, 1, 2)}
+    slope = [(8 * (at[1][i] - at[-1][i]) - at[2][i] + at[-2][i]) / (12 * h) for i in (0, 1)]
+    found = {"gamma": abs(float(rates(A, B, P)[1]) - slope[1])}
+    if kind.name not in FLOWS:
+        found["row"] = abs(level(0)[1] - slope[0])
+
+    # geometric stiffness: differences of the row along unit twists, symmetric part
+    H = np.zeros((2 * n, 2 * n))
+    for j, unit in enumerate(np.eye(2 * n)):
+        near, far = (
+            [row(moved(A, d, s * h, unit[:n]), moved(B, d, s * h, unit[n:]), P) for s in (k, -k)] for k in (1, 2)
+        )
+        H[:, j] = (8 * (near[0] - near[1]) - far[0] + far[1]) / (12 * h)
+    mine = np.zeros_like(H)
+    for (i, j), y in zip(kind.pattern, tangent(A, B, P, 1.0), strict=True):
+        mine[i, j] = mine[j, i] = y
+    found["tangent"] = float(np.abs(mine - 0.5 * (H + H.T)).max())
+    return found
+
+
+@BOTH
+@pytest.mark.parametrize("name", NAMES)
+def test_derivatives_are_those_of_differences(name: str, dim: int) -> None:
+    for seed in (1, 2):
+        for what, missed in defects(kinds(dim)[name], seed).items():
+            assert missed < 3e-7, (what, missed)
+
+
+@BOTH
+@pytest.mark.parametrize("name", ["along", "turned", "separation", "angle"])
+def test_a_wrong_sign_is_seen(name: str, dim: int) -> None:
+    """Each output negated by itself: the check above must fail."""
+    kind = kinds(dim)[name]
+    for which, seen, place in (("rates", "gamma", 1), ("value", "row", 1), ("tangent", "tangent", 0)):
+        if len(kind.outputs[which]) <= place or (name, dim, which) in QUIET:
+            continue
+        outputs = dict(kind.outputs)
+        outputs[which] = [-y if i == place else y for i, y in enumerate(outputs[which])]
+        assert defects(dataclasses.replace(kind, outputs=outputs))[seen] > 1e-4, which
+
+
+QUIET = {("angle", 2, "rates")}  # gamma of the angle in the plane is zero
+
+
+def c_library(found: dict[str, Kind]) -> Any:
+    """Kernels of some kinds with a door for tests."""
+    door = (
+        "void call(int kind, int which, long n, const int *pair, const double *frames, const double *P, const double *W,"
+        " double *out) { KERNELS[kind][which](n, pair, frames, P, W, out); }\n"
+    )
+    return kernel_cache.load("test_kinds", c_source(found) + door)
+
+
+@pytest.mark.skipif(kernel_cache.compiler() is None, reason="no C compiler")
+@BOTH
+def test_c_and_numpy_agree(dim: int) -> None:
+    found = kinds(dim)
+    library = c_library(found)
+    n, size = 7, FRAME[dim]
+    for number, kind in enumerate(found.values()):
+        items = [item(kind, seed) for seed in range(n)]
+        frames = np.array([x for A, B, _ in items for x in (A, B)])
+        P, W = np.array([p for *_, p in items]), np.linspace(0.5, 2.0, n)
+        pair = np.arange(2 * n, dtype=np.int32)
+        for which, name in enumerate(KERNELS):
+            out = np.zeros((n, len(kind.outputs[name])))
+            void = [ctypes.c_void_p(x.ctypes.data) for x in (pair, frames.reshape(-1, size), P, W, out)]
+            library.call(number, which, ctypes.c_long(n), *void)
+            wanted = numpy_kernel(kind, name)(frames[::2], frames[1::2], P, W)
+            assert np.abs(out - wanted).max(initial=0) < 1e-13 * max(1.0, np.abs(wanted).max(initial=0)), (
+                kind.name,
+                name,
+            )
+
+
+def test_gradient_of_every_operation() -> None:
+    x, y = symbol("x"), symbol("y")
+    made = sin(x * y) / sqrt(x + 2) - exp(-y) * log(x) + tanh(x - y) * atan2(y, x) ** 2 + 3 - nearest_turn(x, y)
+    from fmbd_fenicsx.mechanics.kinds.expressions import Program
+
+    value, slope = Program([made]), Program(gradient(made, [x, y]))
+    at, h = {"x": 1.3, "y": 0.4}, 1e-6
+    for name, found in zip("xy", slope(at), strict=True):
+        ends = [value(at | {name: at[name] + s * h})[0] for s in (1, -1)]
+        assert found == pytest.approx((ends[0] - ends[1]) / (2 * h), rel=1e-8)
+
+
+def test_equal_subexpressions_are_one_node() -> None:
+    x, y = symbol("x"), symbol("y")
+    assert x * y + 1 is y * x + 1
+    assert (x - y) * 0 is (x - x)
+    assert -1 * (-x) is x
+    assert len(c_source({"one": derive("one", 2, lambda a, b, c: (b.x - a.x) @ (b.x - a.x))})) > 100
