@@ -52,7 +52,7 @@ class Calls:
                 self._slopes(self.tables.sources[number], t)
             else:
                 assert self.whole is not None
-                self.whole.tangents(t, renew=number == -1)
+                self.whole.tangents(t)
         except Exception as error:
             self.error = error
             return 1
@@ -118,8 +118,6 @@ class WholeLoads:
         self.place = np.where(on_surface[:, None], 0.0, system.markers.position[self.markers])
         self.turn = system.markers.rotation[self.markers]
         self.to = tables.twist_places(self.frame)
-        self.kept: list[tuple[np.ndarray, Array, Array]] = []
-        self.weights = (0.0, 0.0)
 
     def _kinematics(self) -> tuple[Kinematics, Array]:
         """All markers of the system as far as these forces see them; the levers from their frames' origins, world axes."""
@@ -159,12 +157,10 @@ class WholeLoads:
         out[:] = 0.0
         np.add.at(out, self.to, mine)
 
-    def tangents(self, t: float, *, renew: bool) -> None:
-        """Stiffness and damping of these forces into the fronts; taken anew, or those taken last."""
+    def tangents(self, t: float) -> None:
+        """Stiffness and damping of these forces into the fronts."""
         tables = self.tables
-        if renew or not self.kept:
-            self.kept = self._blocks(t)
-        for place, K, D in self.kept:
+        for place, K, D in self._blocks(t):
             np.add.at(tables.arrays["L"], place, tables.c.ck * K + tables.c.cd * D)
 
     def _blocks(self, t: float) -> list[tuple[np.ndarray, Array, Array]]:

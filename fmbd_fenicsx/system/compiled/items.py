@@ -209,7 +209,9 @@ def other_loads(system: System) -> list[Loads]:
 
 
 def covers(system: System) -> bool:
-    """Whether all constraints and forces are items, or loads that Python can evaluate."""
+    """Whether all constraints and forces are items, or loads that Python can evaluate; elements with a memory are not."""
+    if any(loads.kept is not None for loads in system.forces):
+        return False
     kinds = all(type(batch) in CONSTRAINT or isinstance(batch, CouplingBatch) for batch, _ in system.batches)
     known = all(type(f.relative) in RELATIVE for f in system.forces if type(f) is ScalarLoads)
     return kinds and known

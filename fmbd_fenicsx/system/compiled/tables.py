@@ -13,7 +13,7 @@ from ...mechanics.reduction.reduced import ReducedPart
 from ...mechanics.validity import TOO_LARGE
 from ...rotations import Array
 from ..system import System
-from .items import GIVEN, ROW, Items, items_of, other_loads
+from .items import GIVEN, LAW, ROW, Items, items_of, other_loads
 from .order import Fronts, RowGroup
 from .structures import Store, structure
 
@@ -362,13 +362,19 @@ class Tables:
 
         self.c = structure("System", self.dim)(
             bodies=self.nb, surfaces=len(surfaces), batches=len(self.batches), fronts=len(fronts), angles=len(angles),
-            rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), renew=1,
-            stiff=int(any(f.stiff for f in s.forces)), storage=self.fronts.storage,
+            rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant),
+            stiff=self._stiff(), storage=self.fronts.storage,
             row_dest=store.integers(self.fronts.place(row, row)),
             sign=store.array(np.where(np.arange(size) < self.nu, 1, -1), np.int8)[1],
             **pointers, **{name: address for name, (_, address) in arrays.items()},
         )  # fmt: skip
         self.look()
+
+    def _stiff(self) -> int:
+        """Whether efforts depend on the motion: 0 no, 1 linearly, 2 by laws with slopes of their own."""
+        if self.loads or any(items.role == LAW for items in self.items):
+            return 2
+        return int(any(f.stiff for f in self.system.forces))
 
     def _front(self, k: int) -> Any:
         """One structure Front."""

@@ -163,6 +163,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         for (int j = 0; j <= known; j++) out.lam[i] += w[j] * past[j].lam[i];
     }
 
+    memset(y, 0, m * sizeof(double));
     double typical = fmax(largest_of(s->units, out.a, n), 1e-12 * p[LENGTH]);
     double tolerance = fmax(p[TOL] * scale * typical, p[FLOOR]);
 
@@ -173,9 +174,9 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         /* dependent rows: the multipliers themselves, not their increments, are those of minimum norm */
         memcpy(lam, out.lam, m * sizeof(double));
         if ((verdict = evaluate(s, out.q, out.v, out.a, s->redundant ? s->zero : out.lam, t))) return verdict;
-        /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment */
-        int turning = s->stiff && done > 0 && p[THETA] > SLOW_TURN;
-        if (turning) s->renew = 1;
+        /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment; a law may
+           have other slopes there */
+        int turning = s->stiff && done > 0 && (p[THETA] > SLOW_TURN || (done == 1 && s->stiff > 1));
         if (far || turning || done > (int)p[PATIENCE])
             if ((verdict = prepare(s, out.q, damp, scale, lam, done > (int)p[PATIENCE], t))) return verdict;
 
@@ -191,6 +192,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
             out.a[i] += x[i] / scale;
         }
         converged = judge(p, sizes, done);
+        if (s->redundant && done == 1 && converged > 0) converged = 0; /* the first solution leaves epsilon y open */
         if (converged < 0) return NEWTON;
     }
     if (!converged || (done > (int)p[PATIENCE] + 1 && strayed(s, p, xi, begun))) return NEWTON;
@@ -203,7 +205,6 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
     }
     *out.t = t;
     p[LOCAL] = fmax(p[LOCAL], h * h * fabs(p[BETA] - 1.0 / 6.0) * largest_of(s->units, x, n));
-    s->renew = done > 2;
     return DONE;
 }
 

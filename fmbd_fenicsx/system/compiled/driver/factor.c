@@ -27,11 +27,22 @@ static inline void eliminate(double *F, int ld, int rows, int k, double inverse)
     }
 }
 
+/* Dependent rows get -epsilon on the diagonal: G x - epsilon y = c instead of G x = c. Solving again with c less epsilon times
+   the last y closes the rows, and started from y = 0 it leads to the smallest of all multipliers (proximal point method;
+   Rockafellar, doi:10.1287/moor.1.2.97). */
+static void soften(System *s)
+{
+    double largest = 0.0;
+    for (int i = 0; i < s->rows; i++) largest = fmax(largest, s->weight[i]);
+    s->epsilon = s->redundant ? 1e-9 * largest : 0.0;
+    for (int i = 0; i < s->rows; i++) s->L[s->row_dest[i]] -= s->epsilon;
+}
+
 /* SINGULAR when a pivot has the wrong sign or is small against what it is made of. */
 static int factor(System *s)
 {
     s->factors++;
-    for (int i = 0; s->redundant && i < s->rows; i++) s->L[s->row_dest[i]] -= 1e-9 * s->weight[i];
+    soften(s);
 
     for (Front *f = s->front; f < s->front + s->fronts; f++) {
         double *F = s->L + f->start;
@@ -39,7 +50,7 @@ static int factor(System *s)
         for (int k = 0; k < f->pivots; k++) {
             int u = f->unknown[k];
             double pivot = F[(long)(ld + 1) * k] * s->sign[u];
-            double least = u < s->nu ? 1e-14 * s->diagonal[u] : (s->redundant ? 1e-10 : 1e-11) * s->weight[u - s->nu];
+            double least = u < s->nu ? 1e-14 * s->diagonal[u] : (s->redundant ? 0.1 * s->epsilon : 1e-11 * s->weight[u - s->nu]);
             if (!(pivot > least)) return SINGULAR;
             double inverse_ = s->sign[u] / pivot;
             s->inverse[u] = inverse_;

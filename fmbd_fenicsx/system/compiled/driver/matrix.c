@@ -139,7 +139,7 @@ static void plain_tangents(System *s, const Batch *k, const double *slope)
 static int tangents(System *s, Batch *k, double cd, double ck, double geometric, const double *lam, double t)
 {
     double *slope = 0;
-    if (k->role == LAW && s->renew) {
+    if (k->role == LAW) {
         s->calls++;
         if (s->python(SLOPES, k->number, t)) return FAILED;
     }
@@ -179,7 +179,7 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
     }
     if (s->laws) {
         s->calls++;
-        if (s->python(SLOPES, s->renew ? -1 : -2, t)) return FAILED;
+        if (s->python(SLOPES, -1, t)) return FAILED;
     }
     return factor(s);
 }
@@ -192,12 +192,13 @@ static int prepare(System *s, const double *q, double cd, double ck, const doubl
     return verdict == SINGULAR ? assemble(s, q, cd, ck, 0.0, lam, 0, t) : verdict;
 }
 
-/* Newton's increment: x (like v, body axes) and y from -scale times the residuals evaluated last and the open constraints. */
+/* Newton's increment: x (like v, body axes) and y from -scale times the residuals evaluated last and the open constraints; of
+   dependent rows y comes in as it was found last. */
 static void increment(System *s, double scale, double *x, double *y)
 {
     double *b = s->b;
     for (int i = 0; i < s->nu; i++) b[i] = -scale * s->residual[i];
-    for (int i = 0; i < s->rows; i++) b[s->nu + i] = -s->gap[i];
+    for (int i = 0; i < s->rows; i++) b[s->nu + i] = -s->gap[i] - s->epsilon * y[i];
     back_solve(s, b);
 
     for (int k = 0; k < s->bodies; k++) {

@@ -93,8 +93,8 @@ typedef struct {
     signed char *sign;                 /* of the pivots, by unknowns */
     double *units;                     /* nv */
     int (*python)(int what, int number, double t); /* what: see below; 0 when all is well */
-    int samples, laws, renew, stiff;   /* stiff: efforts depend on the motion; whether Python is asked once a step, at every evaluation; for new slopes of its laws */
-    double cd, ck;                     /* of the matrix in the fronts */
+    int samples, laws, stiff;   /* stiff: efforts depend on the motion (2: by laws); whether Python is asked once a step, at every evaluation */
+    double cd, ck, epsilon;            /* of the matrix in the fronts */
     const double *q;                   /* the configuration evaluated last */
     double *work, *big, *zero;
     long evaluations, factors, calls;
