@@ -202,11 +202,6 @@ class ContactSet:
         return np.concatenate([p.weight for p in self.pairs])
 
     @cached_property
-    def massless(self) -> np.ndarray:
-        """Candidates whose nodes carry no inertia, (m,) bool."""
-        return np.concatenate([np.full(p.count, p.massless) for p in self.pairs])
-
-    @cached_property
     def pair(self) -> np.ndarray:
         """Number of the pair of each candidate, (m,)."""
         return np.concatenate([np.full(p.count, i) for i, p in enumerate(self.pairs)])

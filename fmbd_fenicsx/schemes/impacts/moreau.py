@@ -58,6 +58,12 @@ class Moreau:
         """Consistent positions and velocities; refuses overlap."""
         if system.contacts is None:
             raise InputError("Moreau is a scheme for scenes with contact; this scene has none. Use another scheme.")
+        massless = [p.name for p in system.contacts.pairs if p.massless]
+        if massless:
+            raise InputError(
+                f'Contact "{massless[0]}" is of an elastic surface whose nodes carry no inertia: they take no impulse, and Moreau '
+                "has nothing else. Use fmbd.schemes.ContactMidpoint(), a reduced body, or contact(..., redistribute_mass=False)."
+            )
         start, correction = consistent(system, state, solver, metric=Weights(1.0, 0.0, h * h / 4), accelerated=False)
         refuse_penetration(system, system.contacts, start)
         return start, correction
@@ -118,7 +124,7 @@ class Stepper(ContactStepper):
         reach = np.where(self.carrying, DRIFT, TOUCH) * system.length
         touching = near & (contacts.touch(system, s.t, s.q).gap <= reach)
         slow, rate = SLOW * system.length / h, self._rates(touching & ~self.carrying, h)
-        hit = (rate < -slow) & ~contacts.massless  # nothing bounces that has no inertia: it closes
+        hit = rate < -slow
         if hit.any():
             hits += hit
             self.located += int(hit.sum())
@@ -127,7 +133,7 @@ class Stepper(ContactStepper):
                 name = contacts.names[contacts.pair[i]]
                 log.info('contact "%s" at t = %.6g s: its impacts accumulate (Zeno); it comes to rest', name, s.t)
             return _Step(self, IMPACT * h, touching, bounce=hit & (hits <= REPEATS), span=h)
-        closed = touching & (contacts.massless | (rate <= slow))
+        closed = touching & (rate <= slow)
         while True:
             step = _Step(self, left, closed)
             share, held = self._next_touch(step, near & ~closed)
