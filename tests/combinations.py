@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 T_END, DT, FINER = 0.04, 1e-3, 4
 YOUNG, DENSITY, HEIGHT = 1e8, 1000.0, 0.1  # a rod of 1 m: 5 Hz as a cantilever
 TOLERANCE = 2e-2  # of the way that the reference moves; the schemes of first order need it
+AT_IMPACTS = 0.15  # the same with contact: impacts are of first order, and waves of the step's size
 
 
 @dataclass(frozen=True)
@@ -187,11 +188,11 @@ FEATURES: dict[str, Callable[[fmbd.Scene, Hung], None]] = {
 SCHEMES: dict[str, Callable[[], Any]] = {
     "generalized-alpha": lambda: fmbd.GeneralizedAlpha(0.8),
     "generalized-alpha, GGL": lambda: fmbd.GeneralizedAlpha(0.8, form=fmbd.GGL()),
-    "Radau, index 2": lambda: fmbd.Radau(stages=2, form=fmbd.Index2()),
-    "Radau, GGL": lambda: fmbd.Radau(stages=3, form=fmbd.GGL()),
-    "BDF": lambda: fmbd.BDF(),
+    "Radau, index 2": lambda: fmbd.Radau(stages=2, form=fmbd.Index2(), rtol=None),
+    "Radau, GGL": lambda: fmbd.Radau(stages=3, form=fmbd.GGL(), rtol=None),
+    "BDF": lambda: fmbd.BDF(order=2, rtol=None),
     "RATTLE": lambda: fmbd.Rattle(),
-    "half-explicit": lambda: fmbd.HalfExplicit(),
+    "half-explicit": lambda: fmbd.HalfExplicit(rtol=None),
     "energy-momentum": lambda: fmbd.EnergyMomentum(),
     "Moreau": lambda: fmbd.Moreau(),
     "contact midpoint": lambda: fmbd.ContactMidpoint(),
@@ -227,17 +228,13 @@ def reference(body: str, feature: str) -> Any:
         scheme = fmbd.GeneralizedAlpha(0.8)
     else:
         scheme = fmbd.Moreau() if body in ("rigid", "reduced") else fmbd.ContactMidpoint()
+        scheme = fmbd.ContactAlpha(0.8) if body == "incompressible" else scheme
     return way(scene_of(body, feature, ""), scheme, DT / FINER)
 
 
 def way(scene: fmbd.Scene, scheme: Any, dt: float) -> np.ndarray:
     """How far the tip moves, (d,) m."""
-    try:
-        tip = fmbd.solve(scene, t_end=T_END, dt=dt, scheme=scheme)["tip"]
-    except InputError as error:
-        if "dt" not in str(error):
-            raise
-        tip = fmbd.solve(scene, t_end=T_END, scheme=scheme)["tip"]
+    tip = fmbd.solve(scene, t_end=T_END, dt=dt, scheme=scheme)["tip"]
     return np.asarray(tip[-1] - tip[0])
 
 
@@ -254,18 +251,48 @@ def cell(scheme: str, body: str, feature: str) -> tuple[str, str]:
     except FmbdError as error:
         return "wrong", f"no reference: {error}"
     miss = float(np.linalg.norm(found - exact) / max(np.linalg.norm(exact), 1e-4))
-    return ("ok" if miss <= TOLERANCE else "wrong"), f"{miss:.1e}"
+    allowed = AT_IMPACTS if feature == "contact" else TOLERANCE
+    return ("ok" if miss <= allowed else "wrong"), f"{miss:.0e}"
+
+
+PAGE = """# Combinations
+
+Every scheme with every kind of body, hung by every kind of joint, force, tie or contact: a rod of 1 m (a mesh of 0.25 m, 5 Hz
+as a cantilever) that falls for 0.04 s in 40 steps. A figure is the error of the way of its tip against a reference with a
+quarter of the step; a letter is a refusal, explained below the table. Written by `tests/combinations.py`; `tests/test_combinations.py` runs a part of the cells, all of them with `-m slow`.
+"""
+
+
+def page(cells: dict[tuple[str, str, str], tuple[str, str]]) -> str:
+    """The page of all cells: a table for each scheme, its refusals below."""
+    text = [PAGE]
+    for scheme in SCHEMES:
+        reasons: list[str] = []
+        text += [f"## {scheme}", "", "| body | " + " | ".join(FEATURES) + " |", "|---" * (len(FEATURES) + 1) + "|"]
+        for body in BODIES:
+            row = []
+            for feature in FEATURES:
+                verdict, found = cells[scheme, body, feature]
+                if verdict == "refused" and found not in reasons:
+                    reasons.append(found)
+                row.append(chr(ord("a") + reasons.index(found)) if verdict == "refused" else found)
+            text.append(f"| {body} | " + " | ".join(row) + " |")
+        text += ["", *(f"- {chr(ord('a') + k)}: {reason}" for k, reason in enumerate(reasons)), ""]
+    return "\n".join(text)
 
 
 def main() -> None:
     """All cells, or those of the schemes named."""
+    cells = {}
     for scheme in SCHEMES:
         if len(sys.argv) > 1 and not any(word in scheme for word in sys.argv[1:]):
             continue
         for body in BODIES:
             for feature in FEATURES:
-                verdict, text = cell(scheme, body, feature)
+                verdict, text = cells[scheme, body, feature] = cell(scheme, body, feature)
                 print(f"{verdict:8s}{scheme:24s}{body:16s}{feature:12s}{text[:150]}", flush=True)
+    if len(sys.argv) == 1:
+        (ROOT / "docs/combinations.md").write_text(page(cells))
 
 
 if __name__ == "__main__":

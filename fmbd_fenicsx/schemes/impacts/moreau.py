@@ -61,8 +61,8 @@ class Moreau:
         massless = [p.name for p in system.contacts.pairs if p.massless]
         if massless:
             raise InputError(
-                f'Contact "{massless[0]}" is of an elastic surface whose nodes carry no inertia: they take no impulse, and Moreau '
-                "has nothing else. Use fmbd.schemes.ContactMidpoint(), a reduced body, or contact(..., redistribute_mass=False)."
+                f'Contact "{massless[0]}" is of an elastic surface whose nodes carry no inertia: they take no impulse. '
+                "Use fmbd.schemes.ContactMidpoint(), a reduced body, or contact(..., redistribute_mass=False)."
             )
         start, correction = consistent(system, state, solver, metric=Weights(1.0, 0.0, h * h / 4), accelerated=False)
         refuse_penetration(system, system.contacts, start)
