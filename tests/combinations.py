@@ -259,7 +259,8 @@ PAGE = """# Combinations
 
 Every scheme with every kind of body, hung by every kind of joint, force, tie or contact: a rod of 1 m (a mesh of 0.25 m, 5 Hz
 as a cantilever) that falls for 0.04 s in 40 steps. A figure is the error of the way of its tip against a reference with a
-quarter of the step; a letter is a refusal, explained below the table. Written by `tests/combinations.py`; `tests/test_combinations.py` runs a part of the cells, all of them with `-m slow`.
+quarter of the step; a letter is a refusal, explained below the table. Written by `tests/combinations.py`;
+`tests/test_combinations.py` runs a part of the cells, and all of them with `-m slow`.
 """
 
 
