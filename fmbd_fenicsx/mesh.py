@@ -23,12 +23,39 @@ from .rotations import motions
 SMALLEST = 1e-12  # area of a surface over extent^(d - 1)
 
 
+@dataclass(frozen=True)
+class Recipe:
+    """How a mesh was made by a script, and where it was placed."""
+
+    source: Path
+    volume: str | None
+    comm: Any
+    parameters: dict[str, Any]
+    placed: tuple[tuple[Any, Any], ...] = ()
+
+    def halved(self, label: str) -> Mesh:
+        """The mesh of half the cell size; collective."""
+        p = dict(self.parameters)
+        if "h" in p:
+            p["h"] = 0.5 * p["h"]
+        elif p.get("counts") is not None:
+            p["counts"] = tuple(2 * n for n in p["counts"])
+        elif "cells" in p:
+            p["cells"] = 2 * p["cells"]
+        else:
+            raise MeshError(f"{label} cannot be refined: give its script the cell size, read_gmsh(..., h=0.1).")
+        mesh = read_gmsh(self.source, volume=self.volume, comm=self.comm, **p)
+        for position, rotation in self.placed:
+            mesh = mesh.placed(position, rotation)
+        return mesh
+
+
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """A distributed mesh of one body with named surfaces.
 
     Attributes: ``dolfinx`` the mesh, ``facet_tags`` its MeshTags, ``surfaces`` name -> tag, ``volume`` name of the solid group,
-    ``label`` what messages call it.
+    ``label`` what messages call it, ``recipe`` how it was made, None for a finished mesh.
     """
 
     dolfinx: Any
@@ -36,6 +63,21 @@ class Mesh:
     surfaces: dict[str, int]
     volume: str
     label: str
+    recipe: Recipe | None = None
+
+    def refined(self) -> Mesh:
+        """The mesh of half the cell size, by the same script at the same place; collective.
+
+        The script must take the cell size ``h``, or the numbers of ``cells`` or ``counts``, and must have been given it.
+
+        Raises:
+            MeshError: the mesh comes from a file, or its script was given no cell size.
+        """
+        if self.recipe is None:
+            raise MeshError(
+                f"{self.label} cannot be refined: it is a finished mesh. Read it from a script with a cell size h."
+            )
+        return self.recipe.halved(self.label)
 
     @property
     def dim(self) -> int:
@@ -78,7 +120,10 @@ class Mesh:
         mesh, tags = compat.moved(self.dolfinx, x), self.facet_tags
         if tags is not None:
             tags = meshtags(mesh, tags.dim, tags.indices, tags.values)
-        return replace(self, dolfinx=mesh, facet_tags=tags)
+        recipe = self.recipe
+        if recipe is not None:
+            recipe = replace(recipe, placed=(*recipe.placed, (position, rotation)))
+        return replace(self, dolfinx=mesh, facet_tags=tags, recipe=recipe)
 
     def check_area(self, name: str, area: float) -> None:
         """Refuse a surface without area, or with so little that a joint on it cannot carry a finite force; collective."""
@@ -124,7 +169,8 @@ def read_gmsh(source: str | Path, *, volume: str | None = None, comm: Any = None
         if gmsh.isInitialized():
             gmsh.finalize()
     msh.topology.create_connectivity(dim - 1, dim)
-    return Mesh(msh, facets, groups, name, label)
+    recipe = Recipe(path, volume, comm, parameters) if path.suffix == ".py" else None
+    return Mesh(msh, facets, groups, name, label, recipe)
 
 
 def _load(

@@ -210,6 +210,24 @@ def plot_series(
     on_root(_comm(run), draw)
 
 
+def plot_history(run: Run, file: str | Path) -> None:
+    """Stated error over tolerance against seconds, of every attempt of a run with ``tol``, in the order they were made."""
+    if not run.history:
+        raise InputError("This run has no history: it was made without tol=.")
+    if world_rank() != 0:
+        return
+    mpl, fig = _figure(6.0, 4.0)
+    with mpl.rc_context(STYLE):
+        axes = fig.add_subplot()
+        seconds, worst = [a.seconds for a in run.history], [a.worst for a in run.history]
+        axes.loglog(seconds, worst, "o-", color="C0")
+        axes.axhline(1.0, color="0.6", linestyle="--")
+        for a in run.history:
+            axes.annotate(f"  {a.step:.1g}", (a.seconds, a.worst), fontsize=8)
+        axes.set(xlabel="seconds, estimates included (s)", ylabel="stated error over tolerance", title=run.scene.name)
+        fig.savefig(file, dpi=150)
+
+
 def picture(run: Run, file: str | Path, *, sensor: str | None = None) -> None:
     """Write the run's snapshots, coloured by time, and the history of a sensor beside them; collective."""
     from .picture import gather, render

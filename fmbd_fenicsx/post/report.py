@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 WIDTH = 112
 LABEL = 18
-APART = ("error estimate", "reduction estimate")  # phases behind the run itself
+APART = ("error estimate", "reduction estimate", "space estimate")  # phases behind the run itself
 SHOWN = 4  # sensors or phases listed by name
 
 
@@ -45,6 +45,15 @@ def run_report(run: Run) -> str:
         lines += _entry("contact", _contact(c))
     lines += _entry("time error", _time_error(run))
     lines += _reduction_error(run)
+    if run.space_error or "space estimate" in run.seconds:
+        listed = _listed(run, run.space_error) if run.space_error else ""
+        lines += _entry("space error", "; ".join(filter(None, (listed, run.space_unstated))))
+    if run.space_error or run.history:
+        lines += _entry(
+            "certificate",
+            "sum of stated errors: " + _listed(run, {s.sensor: s.total for s in run.certificate.statements}),
+        )
+    lines += [line for k, a in enumerate(run.history) for line in _entry(f"attempt {k + 1}", str(a))]
     if run.energy:
         lines += _ledger(run)
     lines += _entry("seconds", _seconds(run.seconds, steps))

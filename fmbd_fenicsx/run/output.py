@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import sys
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,6 +18,7 @@ from ..rotations import Array
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory
 from ..system.system import Evaluation, State, System
+from .between import state_between
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class Output:
 
     Args:
         every: sensors and energies every so many steps (the last step always).
+        times: instants (s) at which sensors and energies are recorded, instead of at the ends of steps; the steps stay as they
+            are, and values between their ends are those of the scheme's own polynomial.
         snapshots: how many states are kept for pictures, evenly spaced, first and last included.
         energy: whether energies are recorded.
         progress: a progress bar; None shows it on rank 0 when standard error is a terminal.
@@ -33,6 +36,8 @@ class Output:
             each sensor (about 3/4 of the time of the run itself, not counted in its seconds and counters).
         estimate_reduction: run again with more modes of each reduced body and estimate the error that the left-out modes cause
             in each sensor (one more run of about twice the modes, not counted either).
+        estimate_space: run again with each body in a finer space (displacements of one degree more, or half the cell size) and
+            estimate the error that the mesh causes in each sensor.
         on_step: called after each step with a :class:`~fmbd_fenicsx.run.moment.Moment`: ``now.t``, ``now.step``, ``now["tip"]``
             for the present value of a sensor. On all ranks; what it returns is ignored.
     """
@@ -43,6 +48,8 @@ class Output:
     progress: bool | None = None
     estimate_error: bool = False
     estimate_reduction: bool = False
+    estimate_space: bool = False
+    times: Sequence[float] | None = None
     on_step: Callable[[Any], Any] | None = None
 
     def __post_init__(self) -> None:
@@ -51,6 +58,12 @@ class Output:
             self.on_step is None or callable(self.on_step),
             f"Output: on_step must be a function of one argument, found {self.on_step!r}.",
         )
+        if self.times is not None:
+            t = np.asarray(self.times, dtype=float)
+            require(
+                t.ndim == 1 and t.size > 0 and bool(np.isfinite(t).all() and (np.diff(t) > 0).all() and t[0] >= 0),
+                "Output: times must be an increasing list of times from 0 s on.",
+            )
         require(self.snapshots >= 0, f"Output: snapshots = {self.snapshots} must not be negative.")
 
 
@@ -75,23 +88,46 @@ class Recorder:
 
     def __post_init__(self) -> None:
         self.values: dict[str, list[Array]] = {n: [] for n in self.scene.sensors}
+        times = self.output.times
+        self._wanted = None if times is None else [float(t) for t in times if t <= self.t_end * (1 + 1e-12)]
+        self._before: State | None = None
         self._due = list(np.linspace(0.0, self.t_end, self.output.snapshots)) if self.output.snapshots else []
 
     def quiet(self, n: int, t: float, h: float) -> int:
         """Steps of size h (s) after step n, at time t, up to the next that is recorded, it included."""
+        if self._wanted is not None:  # values between the ends of every step may be asked for
+            return 1
         steps = self.output.every - n % self.output.every
         if self._due:
             steps = min(steps, int(np.ceil((self._due[0] - t) / h - 1e-6)))
         return max(steps, 1)
 
-    def take(self, n: int, state: State, seen: Evaluation | None = None) -> None:
-        """Record step n when it is due; ``seen``: the system in that state, where known. Collective."""
+    def take(self, n: int, state: State, seen: Evaluation | None = None, stepper: Any = None) -> None:
+        """Record step n when it is due; ``seen``: the system in that state, where known, ``stepper``: who made it. Collective."""
         rounding = 1e-9 * self.t_end
         if self._due and state.t >= self._due[0] - rounding:
             self.snapshots.append(state)
             self._due = [t for t in self._due if t > state.t + rounding]
+        if self._wanted is not None:
+            self._take_between(n, state, stepper, rounding)
+            return
         if n % self.output.every and state.t < self.t_end - rounding:
             return
+        self._record(n, state, seen)
+
+    def _take_between(self, n: int, state: State, stepper: Any, rounding: float) -> None:
+        """Record the times that the last step has passed."""
+        assert self._wanted is not None
+        while self._wanted and self._wanted[0] <= state.t + rounding:
+            t = self._wanted.pop(0)
+            at = state
+            if abs(t - state.t) > rounding and self._before is not None:
+                at = state_between(self.system, self._before, state, t, stepper)
+            self._record(n, at, None)
+        self._before = state
+
+    def _record(self, n: int, state: State, seen: Evaluation | None) -> None:
+        """Sensors, drift and energies of a state."""
         begin = clock.perf_counter()
         ev = self.system.at(state.t, state.q, state.v) if seen is None else seen
         self.indices.append(n)
@@ -116,6 +152,9 @@ class Recorder:
         kinds = m("kinds", list(self.energies))
         self.energies = {k: list(m(f"energy {k}", np.array(self.energies.get(k, ())))) for k in kinds}
         self.gap, self.slip, self.seconds, self._due = m("drift", (self.gap, self.slip, self.seconds, self._due))
+        self._wanted = m("wanted", self._wanted)
+        if self._wanted is not None:
+            self._before = m.state("before", self._before)
         self.snapshots = [i.state("state", s) for i, (s,) in m.each("snapshots", [(s,) for s in self.snapshots], 1)]
 
     @property

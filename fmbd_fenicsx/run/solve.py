@@ -22,12 +22,13 @@ from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.plan import Plan, make_plan
 from ..system.scene.scene import Scene
 from ..system.system import State, System
-from .estimates import reduction_error, time_error
+from .estimates import reduction_error, space_error, time_error, tolerance_error
 from .output import Output
 from .schedule import Pace, pace_of
 from .time_loop import March, Problem, begin, make_solver, march
 
 if TYPE_CHECKING:
+    from .certificate import Certificate
     from .checkpoint import Checkpoint, Keeper
 
 
@@ -50,6 +51,10 @@ class Run:
             seen.
         reduction_error: sensor name -> estimate from above of the error by left-out modes of reduced bodies, in the
             sensor's unit; empty when not asked for and without reduced bodies.
+        space_error: sensor name -> estimated error by the meshes, in the sensor's unit; empty when not asked for.
+            ``space_unstated``: what of it could not be stated, and why.
+        newton_tolerance: of Newton's iteration, relative.
+        history: attempts of :func:`solve` with ``tol``.
         memory: peak memory of the largest rank, bytes.
         status: "finished", or "stopped" on request.
     """
@@ -72,6 +77,10 @@ class Run:
     error_estimate: dict[str, float] = field(default_factory=dict)
     observed_order: dict[str, float] = field(default_factory=dict)
     reduction_error: dict[str, float] = field(default_factory=dict)
+    space_error: dict[str, float] = field(default_factory=dict)
+    space_unstated: str = ""
+    newton_tolerance: float = 1e-6
+    history: tuple[Any, ...] = ()
     memory: float = 0.0
     status: str = "finished"
     not_unique: list[str] = field(default_factory=list)
@@ -89,6 +98,19 @@ class Run:
         from ..post.report import run_report
 
         return run_report(self)
+
+    @property
+    def certificate(self) -> Certificate:
+        """Errors of space, time, reduction and algebra of every sensor, their sum, and what could not be stated."""
+        from .certificate import certificate_of
+
+        return certificate_of(self)
+
+    def plot_history(self, file: str | Path) -> None:
+        """Write the error against the seconds of every attempt of a run with ``tol`` (matplotlib); rank 0 writes."""
+        from ..post.plot import plot_history
+
+        plot_history(self, file)
 
     @property
     def total_energy(self) -> Array:
@@ -143,6 +165,7 @@ def solve(
     t_end: float,
     dt: float | None = None,
     scheme: Any = None,
+    tol: Mapping[str, Any] | None = None,
     newton: Newton | None = None,
     output: Output | None = None,
     linear: Any = None,
@@ -156,6 +179,10 @@ def solve(
             none above dt.
         scheme: a scheme object; :class:`GeneralizedAlpha` with rho_inf = 0.8 by default, ``ContactMidpoint``
             with contact.
+        tol: sensor name -> largest error (in the sensor's unit, or :func:`relative` to its range) that the run may state of
+            itself. Steps, modes and meshes are refined until the certificate is below; ``dt`` and the scene are where it
+            starts. Every attempt is a line of ``run.history``; where the tolerance is not reached the best run is given, with
+            a warning that says why.
         newton: tolerance and limits of Newton's iteration.
         output: what is recorded how often, and whether the time-discretisation error is estimated.
         linear: how elastic bodies and ties are solved: :class:`Direct` (the default), :class:`Schur`,
@@ -172,6 +199,13 @@ def solve(
         CheckpointError: a checkpoint is damaged, belongs to another run, or cannot be written.
     """
     install_hooks()
+    if tol is not None:
+        from .tolerance import solve_within
+
+        require(
+            checkpoint is None and restart is None, "A run with tol is made of several runs: no checkpoint, no restart."
+        )
+        return solve_within(scene, dict(tol), t_end=t_end, start=(scheme, dt), settings=(newton, output, linear))
     scheme = default_scheme(scene) if scheme is None else scheme
     output = Output() if output is None else output
     newton = Newton() if newton is None else replace(newton, iterations=0, theta=0.5)
@@ -179,11 +213,8 @@ def solve(
         newton.tangent is None or (type(scheme) is GeneralizedAlpha and isinstance(scheme.form, Index3)),
         f"{scheme.name} has no exact tangent. Use scheme=fmbd.GeneralizedAlpha(), or leave out Newton's tangent.",
     )
-    pace = pace_of(scene, scheme, t_end, dt, multiple=4 if output.estimate_error else 1)
-    require(
-        pace.steps > 0 or not output.estimate_reduction,
-        "estimate_reduction compares two runs step by step: it needs constant steps, a scheme without rtol.",
-    )
+    halvings = output.estimate_error and getattr(scheme, "rtol", None) is None
+    pace = pace_of(scene, scheme, t_end, dt, multiple=4 if halvings else 1)
     called = clock.perf_counter()
     system, given, markers = scene.build()
     check_pressures(system, scheme)
@@ -224,18 +255,26 @@ def solve(
         correction=correction,
         local_error=marched.local_error,
         memory=peak_memory(system.comm),
+        newton_tolerance=newton.tolerance,
         status=marched.status,
         not_unique=undetermined,
     )
     if run.status == "stopped":
         raise Stopped(run) if keeper is None else Stopped(run, keeper.exit_code)
-    if output.estimate_error:
+    if output.estimate_error and not pace.steps:
+        run.error_estimate = tolerance_error(problem, marched.recorder, pace)
+        run.seconds["error estimate"] = clock.perf_counter() - ended
+    elif output.estimate_error:
         run.error_estimate, run.observed_order = time_error(problem, marched.recorder, pace)
         run.seconds["error estimate"] = clock.perf_counter() - ended
     if output.estimate_reduction:
         ended = clock.perf_counter()
         run.reduction_error = reduction_error(problem, marched.recorder, pace)
         run.seconds["reduction estimate"] = clock.perf_counter() - ended
+    if output.estimate_space:
+        ended = clock.perf_counter()
+        run.space_error, run.space_unstated = space_error(problem, marched.recorder, pace)
+        run.seconds["space estimate"] = clock.perf_counter() - ended
     return run
 
 

@@ -142,7 +142,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
                     accept(problem.system, state)
                 course.done += max(made, 1)
                 course.local_error = max(course.local_error, stepper.local_error)
-                recorder.take(course.done, state, getattr(stepper, "evaluation", None))
+                recorder.take(course.done, state, getattr(stepper, "evaluation", None), stepper)
                 if output.on_step is not None:
                     output.on_step(Moment(problem.scene, problem.system, problem.markers, state, course.done))
                 bar.update(max(made, 1))

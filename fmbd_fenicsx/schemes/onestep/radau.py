@@ -204,6 +204,21 @@ class Stepper:
         self.proposed = new if h < limit or new < limit else max(new, self.proposed)
         return self._accept(h, point)
 
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step, by its collocation polynomial; None after a new start."""
+        if self._last is None:
+            return None
+        h, q0, v0, points = self._last
+        x, k, m = 1.0 - (self.state.t - t) / h, len(self.tab.c), self.system.n_lam
+        powers = x ** np.arange(k + 1)
+        slopes = np.arange(k + 1) * np.concatenate(([0.0], powers[:-1])) / h
+        values, rates = (powers @ self.tab.basis)[1:], (slopes @ self.tab.basis)[1:]
+        change = points.v - v0
+        lam = self.state.lam
+        if self.eq.levels:
+            lam = (powers[:-1] @ self.tab.stage_basis @ points.mult)[:m]
+        return State(t, self.system.compose(q0, values @ points.xi), v0 + values @ change, rates @ change, lam)
+
     def restart(self, t: float) -> None:
         """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
         self.state = accelerations(self.system, replace(self.state, t=t), self.solver)

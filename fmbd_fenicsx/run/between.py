@@ -1,0 +1,41 @@
+"""States between the ends of a step: what a run records at given times.
+
+A scheme whose steps are polynomials gives their values (:meth:`Dense.between`). Otherwise positions follow the cubic
+through the ends with their velocities, in the local coordinates of the step's start, and velocities, accelerations and
+multipliers the straight lines between their ends, all of at least second order in the step.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, runtime_checkable
+
+from ..system.system import State, System
+
+
+@runtime_checkable
+class Dense(Protocol):
+    """A stepper that knows the states between the ends of its last step."""
+
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step, None where it holds no step."""
+
+
+def state_between(system: System, before: State, after: State, t: float, stepper: Any = None) -> State:
+    """The state at a time t (s) between two ends of a step, in which the ``stepper`` made it where given."""
+    inner = getattr(stepper, "stepper", stepper)  # under guard, or in parts
+    if isinstance(inner, Dense) and inner.state is after:  # type: ignore[attr-defined]
+        found = inner.between(t)
+        if found is not None:
+            return found
+
+    h = after.t - before.t
+    x = (t - before.t) / h
+    moved = system.difference(before.q, after.q)
+    rate = system.rate(moved, after.v)
+    xi = x * (1 - x) ** 2 * h * before.v + x * x * (3 - 2 * x) * moved - x * x * (1 - x) * h * rate
+
+    def line(a: Any, b: Any) -> Any:
+        return (1 - x) * a + x * b
+
+    v, a, lam = line(before.v, after.v), line(before.a, after.a), line(before.lam, after.lam)
+    return State(t, system.compose(before.q, xi), v, a, lam)

@@ -1,0 +1,115 @@
+"""What a run states of its own accuracy: errors of space, time, reduction and algebra of every sensor, and their sum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import InputError, near
+from ..mechanics.bodies.bodies import ElasticBody
+from ..mechanics.reduction.craig_bampton import ReducedBody
+
+if TYPE_CHECKING:
+    from .solve import Run
+
+KINDS = ("space", "time", "modes", "algebra")
+
+
+@dataclass(frozen=True)
+class Statement:
+    """Errors of one sensor in its ``unit``: largest over the run; None where they were not stated."""
+
+    sensor: str
+    unit: str
+    space: float | None
+    time: float | None
+    modes: float | None
+    algebra: float | None
+    span: float  # largest less smallest value of the component that moves most
+
+    @property
+    def total(self) -> float:
+        """Sum of what was stated."""
+        return sum(x for x in (self.space, self.time, self.modes, self.algebra) if x is not None)
+
+    @property
+    def share(self) -> float:
+        """The sum as a share of the range of the sensor; infinite for a sensor that does not move."""
+        return self.total / self.span if self.span > 0 else (np.inf if self.total > 0 else 0.0)
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Statements of all sensors, the seconds of the run, and why a kind of error was not stated: kind -> reason."""
+
+    statements: tuple[Statement, ...]
+    seconds: float
+    unstated: dict[str, str]
+
+    def __getitem__(self, sensor: str) -> Statement:
+        """The statement of a sensor."""
+        for s in self.statements:
+            if s.sensor == sensor:
+                return s
+        raise InputError(f'No sensor "{sensor}". {near(sensor, [s.sensor for s in self.statements])}')
+
+    def __str__(self) -> str:
+        """A table, one line for each sensor."""
+        width = max([len(s.sensor) for s in self.statements] + [6])
+        lines = [f"{'sensor':<{width}} " + "".join(f"{k:>10}" for k in (*KINDS, "sum", "of range")) + "  unit"]
+        for s in self.statements:
+            numbers = [getattr(s, k) for k in KINDS]
+            shown = "".join(f"{'-':>10}" if x is None else f"{x:>10.1e}" for x in (*numbers, s.total, s.share))
+            lines.append(f"{s.sensor:<{width}} {shown}  {s.unit}")
+        lines += [f"{kind} not stated: {why}" for kind, why in self.unstated.items()]
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain data, for JSON."""
+        rows = {
+            s.sensor: {
+                **{k: getattr(s, k) for k in KINDS},
+                "sum": s.total,
+                "share": s.share if np.isfinite(s.share) else None,
+                "unit": s.unit,
+            }
+            for s in self.statements
+        }
+        return {"sensors": rows, "seconds": self.seconds, "unstated": self.unstated}
+
+
+def certificate_of(run: Run) -> Certificate:
+    """The certificate of a run from the estimates that it was asked for.
+
+    The error of algebra is that of Newton's iteration: its tolerance, relative to accelerations and reactions, as a share of the
+    range of each sensor.
+    """
+    bodies = run.scene.bodies.values()
+    reduced = any(isinstance(b, ReducedBody) for b in bodies)
+    meshed = reduced or any(isinstance(b, ElasticBody) for b in bodies)
+    controlled = getattr(run.scheme, "rtol", None) is not None
+
+    unstated = {}
+    if meshed and not run.space_error:
+        unstated["space"] = run.space_unstated or "not asked for: Output(estimate_space=True)"
+    elif run.space_unstated and meshed:
+        unstated["space"] = run.space_unstated
+    if not run.error_estimate:
+        asked = "error estimate" in run.seconds
+        unstated["time"] = (
+            "the runs to compare with did not end" if asked else "not asked for: Output(estimate_error=True)"
+        )
+    if reduced and not run.reduction_error:
+        unstated["modes"] = "not asked for: Output(estimate_reduction=True)"
+
+    made = []
+    for name, sensor in run.scene.sensors.items():
+        span = float(np.ptp(run.series[name], axis=0).max(initial=0.0)) if len(run.series[name]) else 0.0
+        space = run.space_error.get(name) if meshed else 0.0
+        modes = run.reduction_error.get(name) if reduced else 0.0
+        # with error control Newton's share is a part of the tolerance, and in the error of time
+        own = 0.0 if controlled else run.newton_tolerance * span
+        made.append(Statement(name, sensor.unit, space, run.error_estimate.get(name), modes, own, span))
+    return Certificate(tuple(made), run.seconds["total"], unstated)

@@ -1,0 +1,153 @@
+"""Errors that runs state, against true ones; runs that keep a tolerance; given times; scenes made again with finer bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from dae_problems import pendulum as point_pendulum
+from test_field_stages import pendulum
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError, MeshError
+from fmbd_fenicsx.run.certificate import KINDS
+from fmbd_fenicsx.system.scene.refinement import finer_space, more_modes, refined, with_bodies
+
+ALL = fmbd.Output(estimate_error=True, estimate_space=True, estimate_reduction=True)
+
+
+def loaded(mesh: Any, degree: int = 2, modes: int | None = None) -> fmbd.Scene:
+    """A soft rod on a pin whose load grows smoothly: no waves, so that orders are those of the schemes."""
+    scene = pendulum(mesh, E=1e6, ramp=0.4)
+    rod = scene.bodies["rod"].with_(degree=degree)
+    return with_bodies(scene, {"rod": rod if modes is None else rod.reduced(modes=modes)})
+
+
+def largest(a: fmbd.Run, b: fmbd.Run, every: int = 1) -> float:
+    """Largest distance of the tips."""
+    return float(np.abs(a["tip"] - b["tip"][::every]).max())
+
+
+# -- statements against true errors ---------------------------------------------------------------------------------
+@pytest.mark.parametrize("degree", [1, 2])
+def test_stated_error_in_space(rod_mesh: Callable[..., Any], degree: int) -> None:
+    mesh, fine = (rod_mesh(dim=2, h=h, height=0.1) for h in (0.1, 0.05))
+    settings: dict[str, Any] = {"t_end": 0.3, "dt": 5e-3}
+    run = fmbd.solve(loaded(mesh, degree), output=fmbd.Output(estimate_space=True), **settings)
+    true = largest(run, fmbd.solve(loaded(fine, 3), **settings))
+    assert 0.5 <= run.certificate["tip"].space / true <= 3.0
+    assert "time" in run.certificate.unstated and "space" not in run.certificate.unstated
+
+
+def test_stated_error_of_time_and_its_sum_with_space(rod_mesh: Callable[..., Any]) -> None:
+    mesh = rod_mesh(dim=2, h=0.2, height=0.1)
+    run = fmbd.solve(loaded(mesh), t_end=0.3, dt=0.3 / 32, output=ALL)
+    same = fmbd.solve(loaded(mesh), t_end=0.3, dt=0.3 / 512)
+    exact = fmbd.solve(loaded(rod_mesh(dim=2, h=0.05, height=0.1), 3), t_end=0.3, dt=0.3 / 256)
+    s = run.certificate["tip"]
+    assert 0.5 <= s.time / largest(run, same, 16) <= 3.0
+    assert 0.5 <= s.total / largest(run, exact, 8) <= 3.0
+    assert s.total == pytest.approx(sum(getattr(s, k) for k in KINDS))
+
+
+@pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.Index1()], ids=lambda f: f.name)
+def test_stated_error_of_an_error_controlled_run(form: Any) -> None:
+    scheme = fmbd.Radau(3, form, 1e-5)
+    times = tuple(np.linspace(0.0, 2.0, 41))
+    run = fmbd.solve(point_pendulum(), t_end=2.0, scheme=scheme, output=fmbd.Output(estimate_error=True, times=times))
+    exact = fmbd.solve(point_pendulum(), t_end=2.0, scheme=fmbd.Radau(5, rtol=1e-11), output=fmbd.Output(times=times))
+    true = float(np.abs(run["x"] - exact["x"]).max())
+    assert 0.5 <= run.certificate["x"].time / true <= 3.0
+
+
+# -- given times ----------------------------------------------------------------------------------------------------
+def test_values_at_given_times() -> None:
+    """Between the ends of steps a value is as good as the scheme: Radau to its tolerance, generalized-alpha of order 2."""
+    times = tuple(np.sort(np.random.default_rng(0).uniform(0.0, 1.0, 60)))
+    output = fmbd.Output(times=times)
+    exact = fmbd.solve(point_pendulum(), t_end=1.0, scheme=fmbd.Radau(5, rtol=1e-11), output=output)
+
+    def errors(**settings: Any) -> np.ndarray:
+        run = fmbd.solve(point_pendulum(), t_end=1.0, output=output, **settings)
+        assert run.times == pytest.approx(times)
+        return np.array([np.abs(run[name] - exact[name]).max() for name in ("x", "v")])
+
+    assert (errors(scheme=fmbd.Radau(3, rtol=1e-8)) < [1e-7, 1e-5]).all()
+    ratio = errors(dt=4e-3) / errors(dt=2e-3)
+    assert (ratio > 3.5).all() and (ratio < 4.5).all(), ratio
+
+
+def test_times_that_are_none_are_refused() -> None:
+    for times in ((), (0.2, 0.1), (-1.0, 0.5), (np.nan,)):
+        with pytest.raises(InputError, match="times must be"):
+            fmbd.Output(times=times)
+
+
+# -- tolerance ------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("tol", [1e-2, 1e-3])
+def test_a_run_keeps_its_tolerance(rod_mesh: Callable[..., Any], tol: float) -> None:
+    run = fmbd.solve(loaded(rod_mesh(dim=2, h=0.5, height=0.1), 1), t_end=0.3, dt=0.03, tol={"tip": tol})
+    exact = fmbd.solve(loaded(rod_mesh(dim=2, h=0.05, height=0.1), 3), t_end=0.3, dt=1e-3)
+    assert np.abs(run["tip"][-1] - exact["tip"][-1]).max() <= tol
+    assert run.certificate["tip"].total <= tol
+    assert len(run.history) > 1 and run.history[-1].then == "done"
+    assert "attempt 2" in run.report() and "certificate" in run.report()
+
+
+def test_tolerance_of_a_reduced_body_and_of_a_scheme_with_error_control(rod_mesh: Callable[..., Any]) -> None:
+    scene = loaded(rod_mesh(dim=2, h=0.25, height=0.1), 2, modes=2)
+    run = fmbd.solve(scene, t_end=0.3, dt=0.01, tol={"tip": fmbd.relative(1e-2)})
+    assert run.certificate["tip"].share <= 1e-2
+    assert run.history[-1].modes > 0
+
+    controlled = fmbd.solve(point_pendulum(), t_end=1.0, scheme=fmbd.Radau(3), tol={"x": 1e-7})
+    exact = fmbd.solve(point_pendulum(), t_end=1.0, scheme=fmbd.Radau(5, rtol=1e-12))
+    assert np.abs(controlled["x"][-1] - exact["x"][-1]).max() <= 1e-7
+
+
+def test_a_tolerance_that_cannot_be_kept_gives_the_best_run(rod_mesh: Callable[..., Any], caplog: Any) -> None:
+    scene = loaded(rod_mesh(dim=2, h=0.5, height=0.1), 3)
+    body = scene.bodies["rod"]
+    fixed = with_bodies(scene, {"rod": body.with_(mesh=replace(body.mesh, recipe=None), degree=2)})
+    run = fmbd.solve(fixed, t_end=0.1, dt=0.01, tol={"tip": 1e-9})
+    assert run.certificate["tip"].total > 1e-9 and run.history
+    assert "was not reached" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("tol", "message"),
+    [
+        ({"tipp": 1e-3}, 'no sensor "tipp"'),
+        ({"x": 0.0}, "positive number in"),
+        ({"x": -1.0}, "positive number"),
+        ({"x": "fine"}, "positive number"),
+        ({"x": 1e-16}, "below what roundoff allows"),
+        ({}, "must name a sensor"),
+    ],
+)
+def test_tolerances_that_are_none(tol: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        fmbd.solve(point_pendulum(), t_end=0.1, dt=0.01, tol=tol)
+
+
+# -- scenes made again ----------------------------------------------------------------------------------------------
+def test_a_scene_with_finer_bodies_shares_nothing_with_the_old_one_but_what_is_equal(
+    rod_mesh: Callable[..., Any],
+) -> None:
+    scene = loaded(rod_mesh(dim=2, h=0.25, height=0.1), 2)
+    finer, without = finer_space(scene)
+    assert scene.bodies["rod"].degree == 2 and finer.bodies["rod"].degree == 3 and not without
+    assert finer.joints["pin"].b.body is finer.bodies["rod"] and scene.joints["pin"].b.body is scene.bodies["rod"]
+    halved = refined(scene).bodies["rod"].mesh
+    assert halved.recipe.parameters["h"] == 0.125 and halved.dolfinx is not scene.bodies["rod"].mesh.dolfinx
+
+    reduced = loaded(rod_mesh(dim=2, h=0.25, height=0.1), 2, modes=3)
+    assert more_modes(reduced).bodies["rod"].basis.count == 6
+    assert finer_space(reduced)[0].bodies["rod"].source.degree == 3
+    with pytest.raises(InputError, match="no reduced body"):
+        more_modes(scene)
+    with pytest.raises(MeshError, match="finished mesh"):
+        replace(scene.bodies["rod"].mesh, recipe=None).refined()
