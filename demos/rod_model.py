@@ -1,10 +1,12 @@
 """What the demos of rods share: equilibrium along a path of loads, and a drawing of rods with their sections."""
 
 import numpy as np
+from scipy.linalg import eigh, null_space
 
 from fmbd_fenicsx.errors import FmbdError
-from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+from fmbd_fenicsx.linear.condensation import StepSolver, Weights, dense
 from fmbd_fenicsx.mechanics.rods.skin import skin
+from fmbd_fenicsx.system.force_tangent import force_tangent
 
 
 def follow(scene, stops, first=0.1, tolerance=1e-11):
@@ -82,3 +84,14 @@ def panels(file, content):
         if np.ptp(axes.get_zlim()) < 0.05 * np.ptp(axes.get_xlim()):
             axes.set(zticks=[], zlabel="")
     page.savefig(file, dpi=120)
+
+
+def frequencies(system, found, count):
+    """The lowest natural frequencies (rad/s) about an equilibrium, its constraints held."""
+    q = list(found.values())[-1]
+    ev = system.at(1.0, q, np.zeros(system.n_v))
+    M = dense(StepSolver(system).core_matrix(ev, Weights(1.0, 0.0, 0.0)))
+    K = dense(force_tangent(ev, 0.0, 1.0).core)
+    free = null_space(dense(ev.jacobian.core))
+    M, K = free.T @ M @ free, free.T @ (K + K.T) @ free / 2
+    return np.sqrt(np.maximum(eigh(K, M, eigvals_only=True, subset_by_index=(0, count - 1)), 0.0))
