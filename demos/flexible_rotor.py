@@ -69,5 +69,5 @@ when = float(run.times[swing[1].argmax()])
 checks.append(demo.Check.at_least("largest swing after the speed has passed the critical one, s", when, 1.0))
 
 if args.picture:
-    run.plot("middle", "root", file=args.picture)
+    run.plot("middle y", "middle z", "root M2", file=args.picture)
 demo.finish(checks, run, args)

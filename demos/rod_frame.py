@@ -80,7 +80,7 @@ def apart(name, runs):
 t_end, h = (3.0, 0.02) if args.fast else (15.0, 0.02)
 frames = [corner(n) for n in (2, 3)]
 runs = [
-    fmbd.solve(scene, t_end=t_end, dt=k, scheme=fmbd.GeneralizedAlpha(0.8), output=fmbd.Output(snapshots=7))
+    fmbd.solve(scene, t_end=t_end, dt=k, scheme=fmbd.GeneralizedAlpha(0.8), output=fmbd.Output(snapshots=4))
     for (scene, _), k in ((frames[0], h), (frames[0], h / 2), (frames[1], h / 2))
 ]
 checks = [
@@ -93,7 +93,7 @@ energy = runs[2].total_energy[runs[2].times > 2.0]
 checks.append(demo.Check("frame: energy lost after the kick, 1", 1 - energy[-1] / energy[0], 0.0, 0.02))
 
 strips, k = [strip(n) for n in (4, 6)], 1e-3 if args.fast else 5e-4
-until, kept, damped = 0.24 if args.fast else 0.4, fmbd.Output(snapshots=5), fmbd.GeneralizedAlpha(0.5)
+until, kept, damped = 0.24 if args.fast else 0.4, fmbd.Output(snapshots=4), fmbd.GeneralizedAlpha(0.5)
 buckled = [
     fmbd.solve(scene, t_end=until, dt=step, scheme=damped, output=kept)
     for (scene, _), step in zip(strips, (k, k / 2), strict=True)

@@ -81,6 +81,7 @@ def panels(file, content):
             axes.plot_surface(*np.moveaxis(rings, -1, 0), color=color, rstride=1, cstride=1, linewidth=0)
         axes.set(title=title, xlabel="x / m", ylabel="y / m", zlabel="z / m")
         axes.set_aspect("equal")
+        axes.locator_params(nbins=4)
         if np.ptp(axes.get_zlim()) < 0.05 * np.ptp(axes.get_xlim()):
             axes.set(zticks=[], zlabel="")
     page.savefig(file, dpi=120)

@@ -369,7 +369,6 @@ def test_every_scheme_takes_rods(make, swung):
     np.testing.assert_allclose(swing(make(), 1e-3), swung, atol=1e-4)
 
 
-@pytest.mark.mpi
 def test_runs_with_rods_are_taken_up_to_the_last_bit(tmp_path):
     """A damped rod on a pin: state and series from a checkpoint in the middle are those of the whole run."""
     rod = fmbd.Rod("rod", [(0, 0, 0), (1, 0, 0)], UNIT, elements=2, degree=2, damping=1e-3)
