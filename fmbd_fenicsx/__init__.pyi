@@ -11,6 +11,15 @@ from . import multipliers as multipliers
 from . import schemes as schemes
 from . import sensors as sensors
 from . import solvers as solvers
+from .analysis.arc_length import ArcLength as ArcLength
+from .analysis.campbell import campbell as campbell
+from .analysis.equilibrium import Equilibrium as Equilibrium
+from .analysis.equilibrium import equilibrium as equilibrium
+from .analysis.linear_model import frequency_response as frequency_response
+from .analysis.linear_model import linearise as linearise
+from .analysis.modes import Modes as Modes
+from .analysis.modes import modes as modes
+from .analysis.steady import Spin as Spin
 from .energies import MixedEnergy as MixedEnergy
 from .energies import ViscousForm as ViscousForm
 from .fem.loads import Load as Load

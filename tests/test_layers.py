@@ -15,6 +15,7 @@ FLOORS = [
     {"system"},
     {"linear"},
     {"schemes"},
+    {"analysis"},
     {"run"},
     {"post"},
     {"__init__", "contacts", "forces", "forms", "loads", "multipliers", "sensors", "solvers"},

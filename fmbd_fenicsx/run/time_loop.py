@@ -12,7 +12,6 @@ from ..log import StopRequests, log
 from ..rotations import Array
 from ..schemes.consistent import Correction, consistent
 from ..schemes.newton import Newton
-from ..schemes.statics import equilibrium
 from ..system.element_memory import accept, reset
 from ..system.scene.scene import Scene
 from ..system.system import State, System
@@ -70,7 +69,9 @@ def begin(
     """The consistent start of a scheme from a state as given, with first steps of h (s); collective."""
     reset(system, given)
     if scene.settle:
-        given = equilibrium(system, given, solver)
+        from ..analysis.equilibrium import settled
+
+        given = settled(system, given, solver)
     if hasattr(scheme, "start"):
         return scheme.start(system, given, solver, h)  # type: ignore[no-any-return]
     require(

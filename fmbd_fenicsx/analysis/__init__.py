@@ -1,0 +1,1 @@
+"""Equilibria, vibration about them, and linear models of whole scenes."""

@@ -1,0 +1,145 @@
+"""Motions in which a scene is described: all that the constraints leave, or those that its first modes need.
+
+Scenes of replicated coordinates (rigid and reduced bodies) take a basis of the null space of G. Those with elastic fields take a
+block Krylov space of the shifted operator (K + s M)^-1 M, solved by GMRES with the factors of the step's matrix; gyroscopic
+and damping terms add (K + s M)^-1 C, static answers to inputs can be put in. Projected on it, (M, C, K) are small and dense.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from ..linear.condensation import StepSolver, Weights
+from ..rotations import Array
+from ..schemes.exact_tangent import exact_increment
+from ..schemes.newton import ExactTangent
+from .perturbation import Perturbation
+
+RANK = 1e-9  # singular values of the scaled G below this share of the largest are zero
+BLOCK, MORE = 3, 24  # start vectors, and vectors beyond those asked for
+DENSE_LIMIT = 600  # replicated coordinates up to which all of them are taken
+EXACT = ExactTangent(rtol=1e-7, max_iterations=60)
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """M, C, K on a basis: ``vectors`` (k, n_v), each satisfying the constraints."""
+
+    vectors: Array
+    M: Array
+    C: Array
+    K: Array
+
+
+def projected(
+    about: Perturbation, solver: StepSolver, count: int, shift: float, inputs: Sequence[Array] = ()
+) -> Projected:
+    """The small matrices for the first ``count`` modes, and for static answers to ``inputs`` (forces like v); collective."""
+    system = about.system
+    if not system.fields and system.n_core <= DENSE_LIMIT:
+        V = free_motions(about)
+    else:
+        V = _krylov(about, solver, count, shift, inputs)
+    system_dot = system.dot
+
+    def project(product: object) -> Array:
+        images = [product(v) for v in V]  # type: ignore[operator]
+        return np.array([[system_dot(v, image) for image in images] for v in V]).reshape(len(V), len(V))
+
+    return Projected(V, project(about.mass), project(about.damping), project(about.stiffness))
+
+
+def free_motions(about: Perturbation) -> Array:
+    """Basis (k, n_v) of all motions that the constraints leave; replicated coordinates only."""
+    system = about.system
+    if not system.n_lam:
+        return np.diag(1.0 / system.units)
+    G = np.array([about.rows(e) for e in np.diag(1.0 / system.units)]).T
+    sizes = np.linalg.norm(G, axis=1)
+    _, s, Vt = np.linalg.svd(G / np.where(sizes > 0, sizes, 1.0)[:, None])
+    rank = int((s > RANK * s[0]).sum())
+    return np.asarray(Vt[rank:] / system.units)
+
+
+def _krylov(about: Perturbation, solver: StepSolver, count: int, shift: float, inputs: Sequence[Array]) -> Array:
+    """Orthonormal basis of a block Krylov space."""
+    system = about.system
+    limit = min(3 * count + MORE, _freedom(about))
+    inverse = _Shifted(about, solver, shift)
+    basis: list[Array] = []
+    waiting = [inverse.solve(b) for b in inputs] + [inverse.solve(about.mass(_random(about, i))) for i in range(BLOCK)]
+    turning = _turning(about, waiting[-1])
+    done = 0
+    while len(basis) < limit:
+        if not waiting:
+            if done == len(basis):
+                break
+            v = basis[done]
+            done += 1
+            waiting.append(inverse.solve(about.mass(v)))
+            if turning:
+                waiting.append(inverse.solve(about.damping(v)))
+        x = waiting.pop(0)
+        size = _norm(about, x)
+        for _ in range(2):
+            for v in basis:
+                x = x - system.dot(system.units**2 * v, x) * v
+        left = _norm(about, x)
+        if left > 1e-10 * size > 0.0:
+            basis.append(x / left)
+    return np.array(basis)
+
+
+def _norm(about: Perturbation, x: Array) -> float:
+    units = about.system.units
+    return float(np.sqrt(about.system.dot(units * x, units * x)))
+
+
+def _turning(about: Perturbation, x: Array) -> bool:
+    """Whether there are velocity-dependent forces."""
+    return _norm(about, about.damping(x)) > 1e-12 * _norm(about, about.stiffness(x))
+
+
+def _freedom(about: Perturbation) -> int:
+    system = about.system
+    fields = sum(p.field.n_global for _, p in system.fields)
+    return max(int(system.n_core + fields - system.n_lam), 1)
+
+
+def _random(about: Perturbation, k: int) -> Array:
+    """A random array like v, its core equal on all ranks."""
+    system = about.system
+    rank = 0 if system.comm is None else system.comm.rank
+    core = np.random.default_rng(k).standard_normal(system.n_core)
+    local = np.random.default_rng((k, 1 + rank)).standard_normal(system.n_v - system.n_core)
+    return np.concatenate((core, local)) / system.units
+
+
+class _Shifted:
+    """(K + s M)^-1 with the constraints, exact up to GMRES's tolerance."""
+
+    def __init__(self, about: Perturbation, solver: StepSolver, shift: float) -> None:
+        self.about, self.solver, self.shift = about, solver, shift
+        s = about.state
+        ev = about.system.at(s.t, s.q, s.v)
+        ev.balance(s.a, s.lam)
+        for _, part in about.system.fields:
+            part.relinearise()
+        solver.prepare(ev, Weights(shift, 0.0, 1.0))
+
+    def solve(self, b: Array) -> Array:
+        """x with (K + s M) x + G^T mu = b, G x = 0."""
+        about, system = self.about, self.about.system
+        none = np.zeros(system.n_lam)
+
+        def moved(d: Array) -> tuple[Array, Array]:
+            return about.stiffness(d) + self.shift * about.mass(d) - b, about.rows(d)
+
+        x, _, _ = exact_increment(EXACT, system, self.solver.solve, moved, (b, none))
+        if not np.isfinite(system.max_abs(x)):
+            raise InputError("The linearised scene is singular at this state: a body without mass is not held.")
+        return x

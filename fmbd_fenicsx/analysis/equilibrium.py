@@ -1,0 +1,210 @@
+"""Static equilibrium and steady rotation of a scene.
+
+fmbd.equilibrium(scene)                      at rest under the loads of t = 0
+fmbd.equilibrium(scene, t=2.0)               under those of t = 2 s, drives where they are then
+fmbd.equilibrium(scene, spin=Spin(30.0))     in rotation with 30 rad/s
+fmbd.equilibrium(scene, path=ArcLength(1.0)) along the loads of t = 0 ... 1 s, past limit points
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..errors import ConvergenceError, InputError, LinearSolveError, near, require
+from ..fem.fields import Field
+from ..linear.condensation import StepSolver
+from ..mechanics.reduction.modes import first_eigenvalue_bound
+from ..rotations import Array
+from ..system.scene.scene import Scene
+from ..system.system import State, System
+from .arc_length import ArcLength, Path, trace
+from .basis import free_motions
+from .perturbation import Perturbation
+from .static_newton import NoEquilibriumError, Point, StaticNewton, by_load_steps, relax
+from .steady import Residual, Spin, steady_rates
+
+FEW = 120  # coordinates up to which stability is looked at
+PERIODS = 300.0  # of the preconditioner's step, over a bound of elastic periods
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """A scene in equilibrium; sensors are read with ``equilibrium["name"]``.
+
+    Attributes:
+        state: configuration, steady velocities and accelerations, multipliers, at time ``state.t``.
+        path: the points of a path of equilibria, None for a single one.
+        counters: Newton iterations, iterations on the exact tangent, factorisations.
+    """
+
+    scene: Scene
+    system: System
+    state: State
+    markers: dict[str, int]
+    spin: Spin | None = None
+    path: Path | None = None
+    counters: dict[str, int] = field(default_factory=dict)
+
+    def __getitem__(self, sensor: str) -> Array:
+        """Value of a sensor, (size,); collective."""
+        if sensor not in self.scene.sensors:
+            raise InputError(f'No sensor "{sensor}". {near(sensor, self.scene.sensors)}')
+        return read(self, sensor, self.state)
+
+
+def read(where: Any, sensor: str, state: State) -> Array:
+    """Value of a sensor of ``where`` (scene, system, markers) in a state; collective."""
+    ev = where.system.at(state.t, state.q, state.v)
+    value = where.scene.sensors[sensor].read(ev, state, where.markers.get(sensor, -1))
+    return np.atleast_1d(np.asarray(value, dtype=float))
+
+
+def equilibrium(
+    scene: Scene, *, t: float = 0.0, spin: Spin | None = None, path: ArcLength | None = None, linear: Any = None
+) -> Equilibrium:
+    """The equilibrium of a scene near its given placement, under the loads of time t (s); collective.
+
+    Args:
+        spin: steady rotation of the whole scene instead of rest.
+        path: follow equilibria along the scene's time as load parameter, from t on.
+        linear: how elastic bodies are solved, as for :func:`~fmbd_fenicsx.solve`.
+
+    Raises:
+        ConvergenceError: there is none nearby: which body can move freely, or the load factor that was reached.
+    """
+    require(
+        not scene.contacts, "equilibrium() does not take contact yet: solve(...) with damping finds the resting state."
+    )
+    require(spin is None or isinstance(spin, Spin), f"equilibrium: spin must be fmbd.Spin(rate, ...), found {spin!r}.")
+    require(
+        path is None or isinstance(path, ArcLength), f"equilibrium: path must be fmbd.ArcLength(...), found {path!r}."
+    )
+    system, given, markers = scene.build()
+    solver = StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
+    try:
+        newton = static_newton(system, solver, t, spin)
+        point = find(newton, Point(given.q, np.zeros(system.n_lam)), t)
+        made = None if path is None else trace(newton, point, t, path)
+        if made is not None:
+            t, point = made.parameter[-1], made.points[-1]
+        counters = {
+            "newton_iterations": newton.iterations,
+            "tangent_iterations": newton.tangent_iterations,
+            "factorisations": solver.factorisations,
+        }
+    finally:
+        solver.destroy()
+    state = state_of(system, point, t, spin)
+    found = Equilibrium(scene, system, state, markers, spin, made, counters)
+    if made is not None:
+        states = [state_of(system, p, s, spin) for p, s in zip(made.points, made.parameter, strict=True)]
+        for name in scene.sensors:
+            made.series[name] = np.array([read(found, name, s) for s in states])
+    return found
+
+
+def settled(system: System, given: State, solver: StepSolver) -> State:
+    """The state at rest in equilibrium near a given one: the start of ``Scene(settle=True)``; collective."""
+    newton = static_newton(system, solver, given.t, None)
+    return state_of(system, find(newton, Point(given.q, np.zeros(system.n_lam)), given.t), given.t, None)
+
+
+def static_newton(system: System, solver: StepSolver, t: float, spin: Spin | None) -> StaticNewton:
+    """Newton's method for a system, its preconditioner a step that is long against a pendulum and against elastic periods."""
+    pull = float(np.abs(system.gravity(t)).max(initial=0.0))
+    taus = [10.0 * float(np.sqrt(system.length / pull))] if pull else []
+    taus += [
+        PERIODS / float(np.sqrt(first_eigenvalue_bound(p.field)))
+        for _, p in system.fields
+        if isinstance(p.field, Field)
+    ]
+    return StaticNewton(Residual(system, spin), solver, min(taus, default=10.0))
+
+
+def state_of(system: System, point: Point, t: float, spin: Spin | None) -> State:
+    """A point as a state with its steady velocities."""
+    v, a = steady_rates(system, point.q, spin)
+    return State(t, point.q, v, a, point.lam)
+
+
+def find(newton: StaticNewton, start: Point, t: float) -> Point:
+    """:func:`by_load_steps` with shorter preconditioning steps where elastic blocks are singular; errors say what moves."""
+    system = newton.residual.system
+    while True:
+        try:
+            found = by_load_steps(newton, start, t)
+            return _stable(newton, start, found, t)
+        except NoEquilibriumError as error:
+            try:
+                return by_load_steps(newton, relax(newton, start, t, _slow(system, t)), t)
+            except (ConvergenceError, LinearSolveError):
+                raise ConvergenceError(_why(newton, start, t, error)) from None
+        except LinearSolveError:
+            if newton.tau < 1e-4 * float(np.sqrt(system.length)):
+                raise
+            newton.tau /= 3.0
+            newton.__post_init__()
+
+
+def _stable(newton: StaticNewton, start: Point, found: Point, t: float) -> Point:
+    """The equilibrium found, or a stable one by descent where Newton went far and ended on an unstable one.
+
+    Looks at scenes of few replicated coordinates only: others rarely end there.
+    """
+    system = newton.residual.system
+    moved = system.max_abs(system.difference(start.q, found.q))
+    if system.fields or system.n_core > FEW or moved <= 0.1 * system.length:
+        return found
+    about = Perturbation(system, state_of(system, found, t, newton.residual.spin), newton.residual.spin)
+    V = free_motions(about)
+    images = [about.stiffness(v) for v in V]
+    K = np.array([[v @ image for image in images] for v in V])
+    if not K.size or np.linalg.eigvalsh(0.5 * (K + K.T)).min() >= -1e-9 * np.abs(K).max():
+        return found
+    try:
+        return by_load_steps(newton, relax(newton, start, t, _slow(system, t)), t)
+    except (ConvergenceError, LinearSolveError):
+        return found
+
+
+def _slow(system: System, t: float) -> float:
+    """Half the time unit of a pendulum of the model's length, s."""
+    pull = float(np.abs(system.gravity(t)).max(initial=0.0))
+    return 0.5 * float(np.sqrt(system.length / (pull or 1.0)))
+
+
+def _why(newton: StaticNewton, start: Point, t: float, error: NoEquilibriumError) -> str:
+    """What a missing equilibrium means: a body that moves freely, or a load above the limit."""
+    system, solver = newton.residual.system, newton.solver
+    newton.take(start, t)
+    motion: Array = np.ones(system.n_v)
+    zero, grown = np.zeros(system.n_lam), 0.0
+    for _ in range(6):
+        motion = motion / max(system.max_abs(motion), 1e-300)
+        ev = newton.residual.at(start.q, t)
+        inertia = ev.balance(motion) - ev.balance(np.zeros(system.n_v))
+        motion = solver.solve(newton.weights.cm * inertia, zero)[0]
+        grown = system.max_abs(motion)
+    if grown > 1.0 - 1e-6:
+        return f"No static equilibrium: {_mover(system, motion)} can move freely ({error}). Hold it by a joint or a spring."
+    return (
+        f"No static equilibrium was found from the given placement: {error}. The load may be above its limit: "
+        "follow the equilibria with path=fmbd.ArcLength(...), or give a start nearer to the solution."
+    )
+
+
+def _mover(system: System, motion: Array) -> str:
+    """The body with the largest part in a motion."""
+    n, sizes = system.motions.n_twist, {}
+    weighted = np.abs(system.units * motion)
+    for i, name in enumerate(system.frame_names):
+        sizes[name] = float(weighted[i * n : (i + 1) * n].max())
+    for k, p in enumerate(system.parts):
+        part = float(np.abs(weighted[system.slices[1][k]]).max(initial=0.0))
+        sizes[p.name] = max(
+            sizes.get(p.name, 0.0), part if not p.distributed else float(np.max(p.comm.allgather(part)))
+        )
+    return f'body "{max(sizes, key=lambda name: sizes[name])}"'

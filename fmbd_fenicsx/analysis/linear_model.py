@@ -1,0 +1,203 @@
+"""Linear models of a scene: state space from named inputs to named outputs, and its frequency response.
+
+With y = V z on the basis of :mod:`.basis` and u the inputs,
+
+    x = (z, z'),    x' = A x + B u,    o = C x + D u                                                         (1)
+
+    A = [0 1; -M^-1 K  -M^-1 C],    B = [0; M^-1 V^T F]
+
+minimal for rigid and reduced bodies: constraints are gone, whatever form a scheme would use. Outputs are the scene's sensors,
+differentiated by positions, velocities, accelerations and reactions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+
+from ..errors import InputError, near
+from ..mechanics.forces.force_elements import ScalarLoads, TimeLoads
+from ..rotations import Array
+from ..system.scene.scene import Scene
+from ..system.system import State
+from .basis import Projected, projected
+from .modes import Linearised, eigenpairs, prepare
+
+STEP = 1e-4
+AXES = ("x", "y", "z")
+NEAREST = 1e-9  # relative distance of a frequency to an undamped one that is refused
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Matrices of (1), with the names of inputs and outputs ("force y", "tip x")."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    @property
+    def state_space(self) -> Any:
+        """As a ``scipy.signal.StateSpace``."""
+        from scipy.signal import StateSpace
+
+        return StateSpace(self.A, self.B, self.C, self.D)
+
+    def frequency_response(self, omega: Sequence[float] | Array) -> Array:
+        """H(i omega) = C (i omega - A)^-1 B + D for angular frequencies (rad/s), (n, outputs, inputs) complex.
+
+        Raises InputError at an undamped resonance.
+        """
+        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        values = np.linalg.eigvals(self.A) if len(self.A) else np.zeros(0)
+        out = np.empty((len(omega), len(self.C), self.B.shape[1]), dtype=complex)
+        for k, w in enumerate(omega):
+            gap = np.abs(1j * w - values)
+            if len(gap) and gap.min() <= NEAREST * max(abs(float(w)), float(np.abs(values).max()) * 1e-6):
+                raise InputError(
+                    f"Undamped resonance at {w:.9g} rad/s: the response is unbounded. Add damping, or leave that frequency out."
+                )
+            out[k] = self.C @ np.linalg.solve(1j * w * np.eye(len(self.A)) - self.A, self.B) + self.D
+        return out
+
+
+def linearise(
+    scene: Scene, inputs: Sequence[str], outputs: Sequence[str], *, at: Any = None, modes: int | None = None
+) -> LinearModel:
+    """The linear model of a scene about a state; collective.
+
+    Args:
+        inputs: names of forces, torques, efforts or springs, whole ("push") or one component ("push y"); an input adds to the
+            force that is there, for a spring or an effort along its coordinate.
+        outputs: names of sensors, whole or one component ("tip y").
+        at: as for :func:`.modes`.
+        modes: keep the first so many modes only; scenes with elastic fields take 20 and static answers where None.
+
+    Raises:
+        InputError: an unknown input or output, or a state that is not in equilibrium.
+    """
+    made = prepare(scene, at, None)
+    try:
+        forces = _inputs(made, inputs)
+        small = projected(made.about, made.solver, modes or 20, made.shift, [f for _, f in forces])
+        if modes is not None:
+            small = _first_modes(small, modes)
+        return _model(made, small, forces, _outputs(made, outputs))
+    finally:
+        made.solver.destroy()
+
+
+def frequency_response(
+    scene: Scene, inputs: Sequence[str], outputs: Sequence[str], omega: Sequence[float] | Array, *, at: Any = None
+) -> Array:
+    """H(i omega), (n, outputs, inputs) complex, of :func:`linearise`; collective."""
+    return linearise(scene, inputs, outputs, at=at).frequency_response(omega)
+
+
+def _first_modes(small: Projected, n: int) -> Projected:
+    """The model on real and imaginary parts of its first modes."""
+    _, Y = eigenpairs(small, n)
+    Q = sl.orth(np.concatenate((Y.real, Y.imag), axis=1), rcond=1e-9)
+    return Projected(Q.T @ small.vectors, Q.T @ small.M @ Q, Q.T @ small.C @ Q, Q.T @ small.K @ Q)
+
+
+def _inputs(made: Linearised, names: Sequence[str]) -> list[tuple[str, Array]]:
+    """Labels and generalised forces of unit inputs, like v."""
+    system, state = made.about.system, made.about.state
+    ev = system.at(state.t, state.q, state.v)
+    d, count = system.motions.dim, system.motions.dim + system.motions.n_rot
+    known: dict[str, Array] = {}
+    for loads in system.forces:
+        for i, f in enumerate(loads.forces):
+            wrench = np.zeros((len(ev.kin.x), count))
+            if isinstance(loads, ScalarLoads):
+                ra, rb = loads.relative.rows(ev.kin)
+                wrench[loads.a[i]] += ra[i]
+                wrench[loads.b[i]] += rb[i]
+                known[f.name] = ev.spread(wrench)
+            elif isinstance(loads, TimeLoads):
+                first, n = (d, system.motions.n_rot) if f.turns else (0, d)
+                for c in range(n):
+                    unit = np.eye(n)[c]
+                    one = np.zeros_like(wrench)
+                    one[loads.a[i], first : first + n] = ev.kin.R[loads.a[i]] @ unit if f.follower and n == d else unit
+                    known[f.name if n == 1 else f"{f.name} {AXES[c]}"] = ev.spread(one)
+    return [(label, known[label]) for name in names for label in _chosen(name, known, "input")]
+
+
+def _chosen(name: str, known: Any, what: str) -> list[str]:
+    """The labels that a name stands for."""
+    found = [label for label in known if label == name or label.rsplit(" ", 1)[0] == name]
+    if not found:
+        raise InputError(f'Unknown {what} "{name}". {near(name, list(known))}')
+    return found
+
+
+def _outputs(made: Linearised, names: Sequence[str]) -> list[tuple[str, str, int]]:
+    """Label, sensor and component of each output."""
+    known = {}
+    for name, sensor in made.scene.sensors.items():
+        labels = list(sensor.labels)
+        for c, label in enumerate(labels):
+            known[name if len(labels) == 1 else f"{name} {label}"] = (name, c)
+    return [(label, *known[label]) for name in names for label in _chosen(name, known, "output")]
+
+
+def _model(
+    made: Linearised, small: Projected, forces: list[tuple[str, Array]], outputs: list[tuple[str, str, int]]
+) -> LinearModel:
+    """(1) from the projected matrices and the derivatives of the sensors."""
+    system, V, k = made.about.system, small.vectors, len(small.M)
+    F = np.array([[system.dot(v, f) for _, f in forces] for v in V]).reshape(k, len(forces))
+    accel = sl.solve(small.M, np.concatenate((-small.K, -small.C, F), axis=1)) if k else np.zeros((0, len(forces)))
+    A = np.block([[np.zeros((k, k)), np.eye(k)], [accel[:, : 2 * k]]])
+    B = np.concatenate((np.zeros((k, len(forces))), accel[:, 2 * k :]))
+
+    rows = []
+    for j in range(2 * k + len(forces)):
+        z, rate = np.zeros(k), np.zeros(k)
+        if j < k:
+            z[j] = 1.0
+        elif j < 2 * k:
+            rate[j - k] = 1.0
+        force = forces[j - 2 * k][1] if j >= 2 * k else np.zeros(system.n_v)
+        rows.append(_answer(made, (z @ V, rate @ V, accel[:, j] @ V), force, outputs))
+    CD = np.array(rows).reshape(2 * k + len(forces), len(outputs)).T
+    return LinearModel(
+        A, B, CD[:, : 2 * k], CD[:, 2 * k :], tuple(name for name, _ in forces), tuple(label for label, _, _ in outputs)
+    )
+
+
+def _answer(
+    made: Linearised, motion: tuple[Array, Array, Array], force: Array, outputs: list[tuple[str, str, int]]
+) -> Array:
+    """Derivatives of the outputs for a motion (y, y', y'') under a force."""
+    about, (y, rate, accel) = made.about, motion
+    system, s = about.system, about.state
+    v = rate + about._spun(y, 1.0, 1.0)
+    a = accel + about._spun(rate, 2.0, 1.0) + about._turned_twice(y)
+    reaction = np.zeros(system.n_lam)
+    if system.n_lam and not system.fields:
+        left = force - about.stiffness(y) - about.damping(rate) - about.mass(accel)
+        G = np.array([about.rows(e) for e in np.eye(system.n_v)]).T
+        reaction = np.linalg.lstsq(G.T, left, rcond=None)[0]
+    size = max(system.max_abs(y), system.max_abs(rate), system.max_abs(accel))
+    if size == 0.0 and not reaction.any():
+        return np.zeros(len(outputs))
+    h = STEP * system.length / size if size else 1.0
+
+    def read(e: float) -> Array:
+        state = State(s.t, system.compose(s.q, e * y), s.v + e * v, s.a + e * a, s.lam + e * reaction)
+        ev = system.at(state.t, state.q, state.v)
+        ev.balance(state.a, state.lam)
+        values = [made.scene.sensors[name].read(ev, state, made.markers.get(name, -1)) for _, name, _ in outputs]
+        return np.array([np.atleast_1d(x)[c] for x, (_, _, c) in zip(values, outputs, strict=True)], dtype=float)
+
+    return np.asarray((8.0 * (read(h) - read(-h)) - read(2 * h) + read(-2 * h)) / (12.0 * h))

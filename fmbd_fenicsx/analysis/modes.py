@@ -1,0 +1,167 @@
+"""Vibration of a whole scene about an equilibrium, a steady spin or a state: frequencies, damping ratios, shapes.
+
+    (l^2 M + l C + K) y + G^T mu = 0,    G y = 0                                                              (1)
+
+with all terms of :mod:`.perturbation`. Without velocity-dependent and circulatory terms the problem is symmetric and solved as
+such; otherwise as the eigenvalues of its companion matrix.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+
+from ..errors import InputError, require
+from ..linear.condensation import StepSolver
+from ..rotations import Array
+from ..schemes.consistent import consistent
+from ..system.scene.scene import Scene
+from ..system.system import State, System
+from .basis import Projected, projected
+from .equilibrium import Equilibrium, static_newton
+from .perturbation import Perturbation
+
+SYMMETRIC = 1e-7  # relative size of what a symmetric matrix may lack of symmetry, differences included
+FAR = 1e-3  # accelerations of a state "in equilibrium", over the largest of weights and of its own vibrations
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Modes of a scene, the slowest first; conjugate pairs once.
+
+    Attributes:
+        eigenvalues: (n,) complex, 1/s; motions are Re(shape exp(eigenvalue t)).
+        shapes: (n, n_v) complex increments of the configuration, largest displacement 1 m (this rank's nodes).
+        about: the state they are about.
+    """
+
+    scene: Scene
+    system: System
+    about: State
+    eigenvalues: Array
+    shapes: Array
+
+    @property
+    def omega(self) -> Array:
+        """Angular frequencies |Im l| (rad/s), (n,)."""
+        return np.abs(self.eigenvalues.imag)
+
+    @property
+    def frequencies(self) -> Array:
+        """Frequencies in Hz, (n,)."""
+        return self.omega / (2.0 * np.pi)
+
+    @property
+    def damping(self) -> Array:
+        """Damping ratios -Re l / |l|, (n,); 0 for l = 0."""
+        size = np.abs(self.eigenvalues)
+        return np.where(size > 0, -self.eigenvalues.real / np.where(size > 0, size, 1.0), 0.0)
+
+    def displaced(self, k: int, amplitude: float, phase: float = 0.0) -> State:
+        """The state with mode k at an amplitude (m) and phase (rad): for pictures and movies."""
+        require(0 <= k < len(self.eigenvalues), f"Mode {k} does not exist: there are {len(self.eigenvalues)}, from 0.")
+        y = amplitude * np.real(self.shapes[k] * np.exp(1j * phase))
+        return replace(self.about, q=self.system.compose(self.about.q, y))
+
+    def __str__(self) -> str:
+        rows = [f"  {k:>3} {f:14.6g} {w:14.6g} {z:10.2e}" for k, (f, w, z) in enumerate(self._table())]
+        return "\n".join([f'modes of scene "{self.scene.name}"', "           Hz          rad/s    damping", *rows])
+
+    def _table(self) -> list[tuple[float, float, float]]:
+        return list(zip(self.frequencies, self.omega, self.damping, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A scene about a state, ready for projections; close with ``solver.destroy()``."""
+
+    scene: Scene
+    about: Perturbation
+    solver: StepSolver
+    markers: dict[str, int]
+    shift: float
+
+
+def modes(scene: Scene, n: int, *, at: Any = None, linear: Any = None) -> Modes:
+    """The first n modes of a scene; collective.
+
+    Args:
+        at: an :class:`.Equilibrium` (rest or spin), a run (its last state), a State, or None for the placement as given.
+        linear: how elastic bodies are solved, as for :func:`~fmbd_fenicsx.solve`.
+
+    Raises:
+        InputError: more modes than the scene has; a state that is not in equilibrium, with how far.
+    """
+    require(isinstance(n, int) and n >= 1, f"modes: n must be a whole number of at least 1, found {n!r}.")
+    made = prepare(scene, at, linear)
+    try:
+        small = projected(made.about, made.solver, n, made.shift)
+        values, vectors = eigenpairs(small, n)
+    finally:
+        made.solver.destroy()
+    system = made.about.system
+    shapes = vectors.T @ small.vectors
+    sizes = [max(system.max_abs(x.real), system.max_abs(x.imag)) for x in shapes]
+    return Modes(scene, system, made.about.state, values, np.array([x / s for x, s in zip(shapes, sizes, strict=True)]))
+
+
+def prepare(scene: Scene, at: Any, linear: Any) -> Linearised:
+    """A scene linearised about a start, an equilibrium, a run's last state or a state; collective."""
+    require(
+        not scene.contacts, "Modes and linear models of scenes with contact are not offered: contact has no tangent."
+    )
+    system, given, markers = scene.build()
+    solver = StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
+    spin = at.spin if isinstance(at, Equilibrium) else None
+    state = at if isinstance(at, State) else getattr(at, "state", None)
+    if at is None:
+        state, _ = consistent(system, given, solver)
+    if not isinstance(state, State):
+        raise InputError(f"at must be an equilibrium, a run or a state of the same scene, found {at!r}.")
+    require(
+        len(state.q) == system.n_q and len(state.lam) == system.n_lam,
+        f'The state belongs to another scene or number of ranks: {len(state.q)} coordinates, "{scene.name}" has {system.n_q}.',
+    )
+    about = Perturbation(system, state, spin)
+    _refuse_moving(about, solver)
+    return Linearised(scene, about, solver, markers, static_newton(system, solver, state.t, spin).weights.cm)
+
+
+def _refuse_moving(about: Perturbation, solver: StepSolver) -> None:
+    """A state at rest that accelerates is no equilibrium: frequencies about it would mean nothing."""
+    if about.spin is not None:
+        return
+    system, state = about.system, about.state
+    speed, accel = system.max_abs(state.v), system.max_abs(state.a)
+    pull = float(np.abs(system.gravity(state.t)).max(initial=0.0))
+    if speed == 0.0 and accel > FAR * max(pull, 1e-12 * system.length):
+        solver.destroy()
+        raise InputError(
+            f"The scene is not in equilibrium at this state: bodies accelerate with {accel:.3g} m/s^2 at rest. "
+            "Take the modes about fmbd.equilibrium(scene)."
+        )
+
+
+def eigenpairs(small: Projected, n: int) -> tuple[Array, Array]:
+    """The n slowest eigenvalues (n,) of (1) on a basis and their vectors (k, n), one of each conjugate pair."""
+    M, C, K = small.M, small.C, small.K
+    k = len(M)
+    if n > k:
+        raise InputError(f"The scene has {k} modes, {n} were asked for.")
+    size_M, size_K = np.abs(M).max(initial=1e-300), np.abs(K).max(initial=1e-300)
+    quiet = np.abs(C).max(initial=0.0) <= SYMMETRIC * float(np.sqrt(size_M * size_K))
+    symmetric = np.abs(K - K.T).max(initial=0.0) <= SYMMETRIC * size_K
+    if quiet and symmetric:
+        squares, Y = sl.eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
+        order = np.argsort(np.abs(squares))[:n]
+        values = np.where(squares[order] >= 0, 1j * np.sqrt(np.abs(squares[order])), np.sqrt(np.abs(squares[order])))
+        return values, Y[:, order].astype(complex)
+    lu = sl.lu_factor(M)
+    zero, one = np.zeros_like(M), np.eye(k)
+    values, vectors = np.linalg.eig(np.block([[zero, one], [-sl.lu_solve(lu, K), -sl.lu_solve(lu, C)]]))
+    once = np.flatnonzero(values.imag >= 0)
+    order = once[np.argsort(np.abs(values[once]))][:n]
+    return values[order], vectors[:k, order]

@@ -1,0 +1,116 @@
+"""Equilibria against closed forms: hanging, stretched by rotation, along a path with limit points; what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError, InputError
+
+HEIGHT, HALF, STIFFNESS = 0.3, 1.0, 1000.0
+LENGTH = float(np.hypot(HALF, HEIGHT))
+
+
+def truss(load: float) -> fmbd.Scene:
+    """Two springs to an apex that slides upright, pushed down by ``load`` N for each second of the load parameter."""
+    scene = fmbd.Scene("truss")
+    apex = fmbd.RigidBody("apex", 1.0, 1.0, position=(0.0, HEIGHT))
+    scene.add(apex, fmbd.prismatic("guide", fmbd.ground, apex, axis=(0.0, 1.0)))
+    for name, x in (("left", -HALF), ("right", HALF)):
+        ends = {"point_a": (x, 0.0), "point_b": (0.0, HEIGHT)}
+        scene.add(fmbd.Spring(name, fmbd.ground, apex, stiffness=STIFFNESS, length=LENGTH, **ends))
+    scene.add(fmbd.force("push", apex, lambda t: (0.0, -load * t)))
+    scene.sensor("apex", fmbd.position(apex))
+    scene.sensor("guide", fmbd.reaction(scene.joints["guide"]))
+    return scene
+
+
+def push_of(y: Any) -> Any:
+    """Load that keeps the apex at the height y: 2 k (l_0 / l - 1) y."""
+    return 2.0 * STIFFNESS * (LENGTH / np.hypot(HALF, y) - 1.0) * y
+
+
+def test_path_passes_both_limit_points() -> None:
+    """Every point of the path is on the exact curve; the turns are at the exact limit loads."""
+    scene = truss(100.0)
+    found = fmbd.equilibrium(scene, path=fmbd.ArcLength(0.5, step=0.005, most=2000))
+    assert found.path is not None
+    load, y = 100.0 * np.array(found.path.parameter), found.path.series["apex"][:, 1]
+    assert np.abs(load - push_of(y)).max() < 1e-7
+    assert len(found.path.limits) == 2
+
+    heights = np.linspace(-HEIGHT, HEIGHT, 200_001)
+    limit = push_of(heights).max()
+    assert 100.0 * np.array(found.path.limit_parameters) == pytest.approx((limit, -limit), rel=1e-3)
+    assert found["apex"][1] < -HEIGHT
+    assert load[-1] == pytest.approx(50.0, abs=1e-9)
+
+
+def test_load_below_the_limit_and_above() -> None:
+    """Below the limit load the near equilibrium is found; where nothing near holds, the error says so."""
+    assert push_of(fmbd.equilibrium(truss(10.0), t=1.0)["apex"][1]) == pytest.approx(10.0, abs=1e-8)
+
+
+def test_hanging_from_a_horizontal_start() -> None:
+    """A chain that starts level under gravity is found hanging."""
+    scene = fmbd.Scene("chain", gravity=(0.0, -9.81))
+    before: Any = fmbd.ground
+    for i in range(3):
+        body = fmbd.RigidBody(f"link {i}", 1.0, 0.1, position=(i + 0.5, 0.0))
+        scene.add(body, fmbd.revolute(f"pin {i}", before, body, center=(float(i), 0.0)))
+        before = body
+    scene.sensor("end", fmbd.position(before, point=(3.0, 0.0)))
+    assert np.abs(fmbd.equilibrium(scene)["end"] - (0.0, -3.0)).max() < 1e-9
+
+
+def test_free_motion_is_refused_by_name() -> None:
+    """A body that nothing holds has no equilibrium under gravity."""
+    scene = fmbd.Scene("fall", gravity=(0.0, -9.81))
+    scene.add(fmbd.RigidBody("box", 1.0, 0.1))
+    with pytest.raises(ConvergenceError, match='body "box" can move freely'):
+        fmbd.equilibrium(scene)
+
+
+def test_rotation_stretches_a_spring() -> None:
+    """r = k l_0 / (k - m W^2) for a mass on a spring in steady rotation."""
+    scene = fmbd.Scene("sling")
+    mass = fmbd.RigidBody("mass", 2.0, 1.0, position=(1.0, 0.0))
+    scene.add(mass, fmbd.prismatic("arm", fmbd.ground, mass, axis=(1.0, 0.0)))
+    scene.add(fmbd.Spring("spring", fmbd.ground, mass, (0.0, 0.0), (1.0, 0.0), stiffness=100.0, length=1.0))
+    scene.sensor("mass", fmbd.position(mass))
+    found = fmbd.equilibrium(scene, spin=fmbd.Spin(4.0))
+    assert found["mass"][0] == pytest.approx(100.0 / (100.0 - 2.0 * 16.0), rel=1e-10)
+
+
+@pytest.mark.mpi
+def test_large_deflection_of_an_absolute_rod(rod_mesh: Any) -> None:
+    """A dead load in one call or after half of it: the same place, far beyond linear theory."""
+    ends = []
+    for start in (0.0, 0.5):
+        energy = fmbd.materials.saint_venant_kirchhoff(1e6, 0.3)
+        rod = fmbd.AbsoluteBody("rod", rod_mesh(), density=1.0, energy=energy)
+        scene = fmbd.Scene("rod")
+        scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
+        scene.add(fmbd.force("push", rod.surface("tip"), lambda t: (0.0, -100.0 * t)))
+        scene.sensor("tip", fmbd.position(rod.surface("tip")))
+        scene.sensor("force", fmbd.reaction_force(scene.joints["clamp"]))
+        path = fmbd.ArcLength(1.0, step=0.3) if start else None
+        found = fmbd.equilibrium(scene, t=start or 1.0, path=path)
+        ends.append(found["tip"])
+        assert np.abs(found["force"][:2]) == pytest.approx((0.0, 100.0), abs=1e-5)
+    assert ends[0][1] < -0.3
+    assert np.abs(ends[0] - ends[1]).max() < 1e-9
+
+
+def test_bad_input() -> None:
+    """Unknown sensors, spins and paths of another kind."""
+    scene = truss(10.0)
+    with pytest.raises(InputError, match="apex"):
+        fmbd.equilibrium(scene)["apx"]
+    with pytest.raises(InputError, match="Spin"):
+        fmbd.equilibrium(scene, spin=3.0)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="unit vector"):
+        fmbd.Spin(1.0, axis=(0.0, 0.0, 2.0))

@@ -1,0 +1,123 @@
+"""Modes and linear models against closed forms, between placements of bodies, and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+
+GRAVITY = 9.81
+
+
+def chain(n: int, dim: int) -> fmbd.Scene:
+    """Point masses on massless links of 1 m, hanging."""
+    down = (0.0, -GRAVITY) if dim == 2 else (0.0, -GRAVITY, 0.0)
+    scene, before = fmbd.Scene("chain", gravity=down), fmbd.ground
+    for i in range(n):
+        inertia: Any = 1e-12 if dim == 2 else (1e-8, 1e-8, 1e-8)
+        body = fmbd.RigidBody(f"mass {i}", 1.0, inertia, position=(0.0, -1.0 - i, 0.0)[:dim])
+        scene.add(body, fmbd.revolute(f"pin {i}", before, body, center=(0.0, -float(i), 0.0)[:dim]))
+        before = body
+    return scene
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_hung_chain(dim: int) -> None:
+    """omega^2 L / g are the zeros of the Laguerre polynomial."""
+    scene = chain(5, dim)
+    found = fmbd.modes(scene, 5, at=fmbd.equilibrium(scene))
+    exact = np.sqrt(GRAVITY * np.polynomial.laguerre.lagroots([0] * 5 + [1]))
+    assert np.abs(found.omega / exact - 1.0).max() < (1e-9 if dim == 2 else 1e-7)
+    assert np.abs(found.damping).max() < 1e-9
+
+
+def two_masses(damping: float) -> fmbd.Scene:
+    """Masses of 1 and 2 kg on springs of 3 and 5 N/m in a row."""
+    scene = fmbd.Scene("two")
+    a = fmbd.RigidBody("a", 1.0, 1.0, position=(1.0, 0.0))
+    b = fmbd.RigidBody("b", 2.0, 1.0, position=(2.0, 0.0))
+    guide_a = fmbd.prismatic("guide a", fmbd.ground, a, axis=(1.0, 0.0))
+    guide_b = fmbd.prismatic("guide b", fmbd.ground, b, axis=(1.0, 0.0))
+    scene.add(a, b, guide_a, guide_b, fmbd.Spring("middle", a, b, (1.0, 0.0), (2.0, 0.0), stiffness=5.0, length=1.0))
+    scene.add(fmbd.joint_spring("wall", fmbd.displacement(guide_a), stiffness=3.0, damping=damping))
+    scene.add(fmbd.force("push", a, lambda t: (0.0, 0.0)))
+    scene.sensor("b", fmbd.position(b))
+    scene.sensor("speed", fmbd.velocity(b))
+    scene.sensor("pull", fmbd.acceleration(b))
+    return scene
+
+
+def test_transfer_function_of_two_masses() -> None:
+    """Position, velocity and acceleration of the far mass for a force on the near one, to 1e-10."""
+    model = fmbd.linearise(two_masses(0.1), ["push x"], ["b x", "speed x", "pull x"])
+    assert model.A.shape == (4, 4)
+    omega = np.array([0.0, 0.3, 1.3, 2.9, 20.0])
+    s = 1j * omega
+    exact = 5.0 / ((s * s + 0.1 * s + 8.0) * (2.0 * s * s + 5.0) - 25.0)
+    found = model.frequency_response(omega)[:, :, 0]
+    for k in range(3):
+        assert np.abs(found[:, k] - exact * s**k).max() < 1e-10
+    assert model.state_space.A.shape == (4, 4)
+
+
+def test_damping_ratio_of_one_mass() -> None:
+    """zeta = c / 2 sqrt(k m)."""
+    scene = fmbd.Scene("one")
+    mass = fmbd.RigidBody("mass", 2.0, 1.0)
+    guide = fmbd.prismatic("guide", fmbd.ground, mass, axis=(1.0, 0.0))
+    scene.add(mass, guide, fmbd.joint_spring("spring", fmbd.displacement(guide), stiffness=8.0, damping=0.8))
+    found = fmbd.modes(scene, 1)
+    assert found.damping[0] == pytest.approx(0.1, rel=1e-9)
+    assert found.omega[0] == pytest.approx(2.0 * np.sqrt(1.0 - 0.01), rel=1e-9)
+
+
+def test_oscillator_in_turning_axes() -> None:
+    """An isotropic oscillator of w_0 is seen with w_0 - W and w_0 + W in axes that turn with W."""
+    scene, rate = fmbd.Scene("turning"), 0.7
+    mass = fmbd.RigidBody("mass", 1.0, 1.0)
+    scene.add(mass)
+    for i, (x, y) in enumerate(((10.0, 0.0), (-10.0, 0.0), (0.0, 10.0), (0.0, -10.0))):
+        scene.add(fmbd.Spring(f"spring {i}", fmbd.ground, mass, (x, y), (0.0, 0.0), stiffness=2.0, length=10.0))
+    hold = lambda t, at: (np.zeros(2), np.array([-50.0 * np.arctan2(at.R[1, 0], at.R[0, 0])]))  # noqa: E731
+    scene.add(fmbd.own_force("hold", mass, None, hold))
+    found = fmbd.campbell(lambda speed: scene, [rate], 2)
+    assert found.omega[0] == pytest.approx((2.0 - rate, 2.0 + rate), rel=1e-7)
+
+
+@pytest.mark.mpi
+def test_placements_agree(rod_mesh: Any) -> None:
+    """A clamped rod in a floating frame and in absolute coordinates; static gain as in the equilibrium under the load."""
+    omega, gain = [], []
+    for kind in (fmbd.FloatingBody, fmbd.AbsoluteBody):
+        rod = kind("rod", rod_mesh(), density=1000.0, elastic=fmbd.materials.plane_stress(5e8, 0.3))
+        scene = fmbd.Scene("rod")
+        scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
+        scene.add(fmbd.force("push", rod.surface("tip"), lambda t: (0.0, t)))
+        scene.sensor("tip", fmbd.position(rod.surface("tip")))
+        omega.append(fmbd.modes(scene, 3).omega)
+        gain.append(fmbd.linearise(scene, ["push y"], ["tip y"]).frequency_response(0.0)[0, 0, 0].real)
+        assert gain[-1] == pytest.approx(fmbd.equilibrium(scene, t=1.0)["tip"][1], rel=1e-4)
+    assert np.abs(omega[0] / omega[1] - 1.0).max() < 1e-8
+    assert gain[0] == pytest.approx(gain[1], rel=1e-8)
+
+
+def test_bad_input() -> None:
+    """Too many modes, states out of equilibrium, unknown names, resonance without damping."""
+    scene = two_masses(0.0)
+    with pytest.raises(InputError, match="has 2 modes, 3 were asked"):
+        fmbd.modes(scene, 3)
+    with pytest.raises(InputError, match='Unknown input "psh"'):
+        fmbd.linearise(scene, ["psh"], ["b"])
+    with pytest.raises(InputError, match='Unknown output "c"'):
+        fmbd.linearise(scene, ["push"], ["c"])
+    with pytest.raises(InputError, match="Undamped resonance"):
+        fmbd.frequency_response(scene, ["push x"], ["b x"], [fmbd.modes(scene, 1).omega[0]])
+    tilted = fmbd.Scene("tilted", gravity=(0.0, -GRAVITY))
+    rod = fmbd.RigidBody("rod", 1.0, 0.1, position=(0.5, 0.0))
+    tilted.add(rod, fmbd.revolute("pin", fmbd.ground, rod, center=(0.0, 0.0)))
+    with pytest.raises(InputError, match=r"not in equilibrium.*accelerate with"):
+        fmbd.modes(tilted, 1)
