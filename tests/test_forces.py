@@ -81,8 +81,6 @@ def test_power_is_minus_the_rate_of_energy(dim: int, what: str) -> None:
         motion.system.forces[0].c[:] = 0.0
     ev = motion.at(0.0)
     power = float(ev.spread(ev.wrenches()) @ motion.v)
-    if what == "joint spring" and dim == 3:
-        motion.system.forces[0].relative.last[:] = motion.system.forces[0].relative.values(ev.kin)
     rate = first(lambda s: motion.at(s).energies()["springs"])
     assert abs(power + rate) < 1e-7 * max(1.0, abs(power))
 

@@ -1,0 +1,213 @@
+"""Scenes of users against Exudyn 1.13.6: CPU time of a step from the difference of runs of N and 2 N steps, whole runs.
+
+Run:  ./with-dolfinx python3 tests/benchmarks/user_scenes.py [SCENE ...] [--repeat 3] [--json FILE]
+
+Both sides run in one interpreter, which must have exudyn, in turn: set-up cancels in the difference, the load of the machine in
+the median of the ratios. Same scheme (generalized-alpha, rho_inf = 0.8), same step, ten records a run, one thread; of Exudyn's
+two Newton iterations the faster one counts. Ends must agree to the error of the scheme.
+"""
+
+import argparse
+import json
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+import fmbd_fenicsx as fmbd
+
+sys.exudynFast = True  # the build without range checks
+warnings.filterwarnings("ignore", category=DeprecationWarning)
+H = 1e-3
+G = 9.81
+
+
+class Exudyn:
+    """A model being built in Exudyn."""
+
+    def __init__(self):
+        import exudyn as exu
+        import exudyn.itemInterface as items  # noqa: N813
+        import exudyn.utilities as utilities
+
+        self.exu, self.items, self.utilities = exu, items, utilities
+        self.mbs = exu.SystemContainer().AddSystem()
+        self.ground = self.mbs.AddObject(items.ObjectGround())
+
+    def marker(self, body, place, rigid=False):
+        kind = self.items.MarkerBodyRigid if rigid else self.items.MarkerBodyPosition
+        return self.mbs.AddMarker(kind(bodyNumber=body, localPosition=[*place, 0, 0][:3]))
+
+    def link(self, place, mass, inertia):
+        """A body of the plane with its weight."""
+        items, mbs = self.items, self.mbs
+        node = mbs.AddNode(items.NodeRigidBody2D(referenceCoordinates=[*place, 0.0]))
+        body = mbs.AddObject(items.ObjectRigidBody2D(physicsMass=mass, physicsInertia=inertia, nodeNumber=node))
+        load = items.Force(markerNumber=self.marker(body, [0, 0]), loadVector=[0, -mass * G, 0])
+        mbs.AddLoad(load)
+        return body
+
+    def run(self, steps, body, point, modified, sparse):
+        """CPU time of the steps and the place of a point at the end."""
+        exu, mbs = self.exu, self.mbs
+        mbs.Assemble()
+        s = exu.SimulationSettings()
+        s.timeIntegration.numberOfSteps, s.timeIntegration.endTime = steps, steps * H
+        s.timeIntegration.generalizedAlpha.spectralRadius = 0.8
+        s.timeIntegration.newton.useModifiedNewton = modified
+        s.timeIntegration.verboseMode = 0
+        s.parallel.numberOfThreads = 1
+        s.solutionSettings.writeSolutionToFile = False
+        s.solutionSettings.sensorsWritePeriod = steps * H / 10
+        s.linearSolverType = exu.LinearSolverType.EigenSparse if sparse else exu.LinearSolverType.EXUdense
+        begin = time.process_time()
+        mbs.SolveDynamic(s)
+        spent = time.process_time() - begin
+        end = mbs.GetObjectOutputBody(body, exu.OutputVariableType.Position, localPosition=[*point, 0, 0][:3])
+        return spent, np.array(end)
+
+
+# ---- scenes: ours -> scene, body, point in body axes; theirs -> Exudyn, body, point -----
+
+
+def planar(n, spring):
+    """n links of 0.1 m from the origin along x, with or without a spring-damper on each hinge."""
+    scene, before = fmbd.Scene("links", gravity=(0, -G)), fmbd.ground
+    for i in range(n):
+        link = fmbd.RigidBody(f"{i}", 0.1, 1e-3 / 12, ((i + 0.5) * 0.1, 0.0))
+        hinge = fmbd.revolute(f"hinge {i}", before, link, center=(i * 0.1, 0))
+        scene.add(link, hinge)
+        if spring:
+            scene.add(fmbd.joint_spring(f"spring {i}", fmbd.angle(hinge), stiffness=1.0, damping=0.01))
+        before = link
+    return scene, before, (0.05, 0.0)
+
+
+def planar_exudyn(n, spring):
+    e = Exudyn()
+    last, place = e.ground, [0, 0]
+    for i in range(n):
+        body = e.link([(i + 0.5) * 0.1, 0], 0.1, 1e-3 / 12)
+        ends = [e.marker(last, place, True), e.marker(body, [-0.05, 0], True)]
+        e.mbs.AddObject(e.items.RevoluteJoint2D(markerNumbers=ends))
+        if spring:
+            e.mbs.AddObject(e.items.TorsionalSpringDamper(markerNumbers=ends, stiffness=1.0, damping=0.01))
+        last, place = body, [0.05, 0]
+    return e, last, [0.05, 0, 0]
+
+
+def on_springs():
+    """One body in space on four spring-dampers."""
+    body = fmbd.RigidBody("body", 4.0, (0.05 / 3, 0.05 / 3, 0.08 / 3), (0, 0, 0))
+    scene = fmbd.Scene("on springs", gravity=(0, 0, -G))
+    scene.add(body)
+    for i, (x, y) in enumerate(CORNERS):
+        ends = (2 * x, 2 * y, 0.5), (x, y, 0.05)
+        scene.add(fmbd.Spring(f"{i}", fmbd.ground, body, *ends, stiffness=2000.0, damping=5.0, length=0.4))
+    return scene, body, (0.1, 0.1, 0.05)
+
+
+def on_springs_exudyn():
+    e = Exudyn()
+    inertia = e.utilities.RigidBodyInertia(4.0, np.diag([0.05 / 3, 0.05 / 3, 0.08 / 3]))
+    body = e.mbs.CreateRigidBody(inertia=inertia, gravity=[0, 0, -G])
+    for x, y in CORNERS:
+        e.mbs.AddObject(
+            e.items.SpringDamper(
+                markerNumbers=[e.marker(e.ground, [2 * x, 2 * y, 0.5]), e.marker(body, [x, y, 0.05])],
+                referenceLength=0.4,
+                stiffness=2000.0,
+                damping=5.0,
+            )
+        )
+    return e, body, [0.1, 0.1, 0.05]
+
+
+CORNERS = [(-0.1, -0.1), (-0.1, 0.1), (0.1, -0.1), (0.1, 0.1)]
+
+
+def pushed():
+    """A pendulum with a force that is a Python function of time."""
+    scene, link, point = planar(1, False)
+    scene.add(fmbd.force("push", link, lambda t: (0.1 * np.sin(20 * t), 0.0), point=(0.05, 0)))
+    return scene, link, point
+
+
+def pushed_exudyn():
+    e, body, point = planar_exudyn(1, False)
+
+    def push(mbs, t, load):
+        return [0.1 * np.sin(20 * t), 0.0, 0.0]
+
+    e.mbs.AddLoad(e.items.Force(markerNumber=e.marker(body, [0, 0]), loadVector=[0, 0, 0], loadVectorUserFunction=push))
+    return e, body, point
+
+
+SCENES = {  # name: ours, theirs, steps, goal of the ratio, sparse solver there
+    "links 10": (lambda: planar(10, False), lambda: planar_exudyn(10, False), 1000, 0.5, False),
+    "links 100": (lambda: planar(100, False), lambda: planar_exudyn(100, False), 400, 0.5, True),
+    "hinge springs 10": (lambda: planar(10, True), lambda: planar_exudyn(10, True), 1000, 0.5, False),
+    "hinge springs 100": (lambda: planar(100, True), lambda: planar_exudyn(100, True), 400, 0.5, True),
+    "body on springs": (on_springs, on_springs_exudyn, 3000, 0.5, False),
+    "Python force": (pushed, pushed_exudyn, 3000, 1.5, False),
+}
+
+
+def ours(made, steps):
+    """CPU time of a whole run, and the place of a point at its end."""
+    scene, body, point = made()
+    start = np.asarray(body.start_pose()[: scene.dim], dtype=float) + np.asarray(point)
+    scene.sensor("end", fmbd.sensors.position(body, point=start))
+    begin = time.process_time()
+    run = fmbd.solve(scene, t_end=steps * H, dt=H, output=fmbd.Output(every=max(steps // 10, 1), progress=False))
+    return time.process_time() - begin, run["end"][-1], run.counters["newton_iterations"] / steps
+
+
+def theirs(made, steps, sparse):
+    """The same in Exudyn."""
+    found = []
+    for modified in (False, True):
+        model, body, point = made()
+        found.append(model.run(steps, body, point, modified, sparse))
+    return min(found, key=lambda x: x[0])
+
+
+def compare(name, repeat):
+    """One row: microseconds a step on both sides, ratio, difference of the ends."""
+    made, other, steps, goal, sparse = SCENES[name]
+    ours(made, 10)  # kernels are kept from here on
+    rows = []
+    for _ in range(repeat):
+        (a, _, _), (b, end, iterations) = ours(made, steps), ours(made, 2 * steps)
+        (c, _), (d, there) = theirs(other, steps, sparse), theirs(other, 2 * steps, sparse)
+        rows.append(((b - a) / steps * 1e6, (d - c) / steps * 1e6, (2 * a - b) * 1e3))
+    mine, exudyn, setup = np.median(rows, axis=0)
+    ratio = float(np.median([x / y for x, y, _ in rows]))
+    away = float(np.abs(end - there[: len(end)]).max())
+    return {
+        "scene": name, "us a step": mine, "Exudyn, us": exudyn, "ratio": ratio, "goal": goal, "set-up, ms": setup,
+        "iterations": iterations, "difference, m": away,
+    }  # fmt: skip
+
+
+def main():
+    """The table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scene", nargs="*", default=list(SCENES))
+    parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+
+    rows = []
+    for name in given.scene or SCENES:
+        row = compare(name, given.repeat)
+        rows.append(row)
+        print(*(f"{k}: {x:.3g}" if isinstance(x, float) else x for k, x in row.items()), sep="; ", flush=True)
+    if given.json:
+        given.json.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()
