@@ -82,7 +82,7 @@ class ConstantSteps:
             return 0
         made: int = many(h, steps, self.watch)
         if made:
-            self._size, self.local_error = h, self.stepper.local_error
+            self._size, self.local_error = h, max(self.local_error, self.stepper.local_error)
         return made
 
     def advance(self, h: float) -> State:
