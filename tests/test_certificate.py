@@ -63,6 +63,27 @@ def test_stated_error_of_an_error_controlled_run(form: Any) -> None:
     assert 0.5 <= run.certificate["x"].time / true <= 3.0
 
 
+def test_statements_in_files(rod_mesh: Callable[..., Any], tmp_path: Any) -> None:
+    """The table beside the histories holds the certificate; the figure has a band only where all was stated."""
+    run = fmbd.solve(loaded(rod_mesh(dim=2, h=0.5, height=0.1)), t_end=0.1, dt=0.01, output=ALL)
+    run.save(tmp_path / "run.csv")
+    head, row = (tmp_path / "run.errors.csv").read_text().splitlines()
+    found = dict(zip(head.split(","), row.split(","), strict=True))
+    assert float(found["space"]) == pytest.approx(run.certificate["tip"].space, rel=1e-5)
+    assert float(found["total"]) == pytest.approx(run.certificate["tip"].total, rel=1e-5)
+
+    from matplotlib.figure import Figure
+
+    from fmbd_fenicsx.post.plot import _history
+
+    bands = []
+    for errors in (run.error_estimate, {}):
+        axes = Figure().add_subplot()
+        _history(axes, replace(run, error_estimate=errors), "tip")
+        bands.append(len(axes.collections))
+    assert bands == [2, 0]
+
+
 # -- given times ----------------------------------------------------------------------------------------------------
 def test_values_at_given_times() -> None:
     """Between the ends of steps a value is as good as the scheme: Radau to its tolerance, generalized-alpha of order 2."""

@@ -120,6 +120,8 @@ def finish(checks: Sequence[Check], run: Any, args: argparse.Namespace) -> None:
             "counters": {} if run is None else {k: float(x) for k, x in run.counters.items()},
             "seconds": {} if run is None else {k: float(x) for k, x in run.seconds.items()},
         }
+        if getattr(run, "error_estimate", None):
+            content["certificate"] = run.certificate.as_dict()
         args.json.write_text(json.dumps(content, indent=1) + "\n")
     if not all(c.ok for c in checks):
         sys.exit(1)

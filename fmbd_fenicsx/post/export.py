@@ -44,6 +44,19 @@ def save_series(run: Run, file: str | Path) -> None:
             raise InputError(f"The time histories cannot be written to {file}: {error.strerror or error}.") from error
 
     on_root(run.system.comm, write)
+    if run.error_estimate or run.space_error or run.reduction_error:
+        on_root(run.system.comm, lambda: _save_errors(run, Path(file)))
+
+
+def _save_errors(run: Run, file: Path) -> None:
+    """The certificate beside the time histories; empty where an error was not stated."""
+    kinds = ("space", "time", "modes", "algebra", "total", "share")
+    lines = ["sensor,unit," + ",".join(kinds)]
+    for s in run.certificate.statements:
+        numbers = [getattr(s, k) for k in kinds]
+        name = s.sensor.replace('"', '""')
+        lines.append(f'"{name}",{s.unit},' + ",".join("" if x is None else f"{x:.6g}" for x in numbers))
+    file.with_suffix(".errors.csv").write_text("\n".join(lines) + "\n")
 
 
 def save_fields(run: Run, folder: str | Path, quantities: Mapping[str, Quantity] | None = None) -> list[Path]:

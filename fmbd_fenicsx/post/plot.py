@@ -90,11 +90,19 @@ def _history(axes: Any, run: Run, name: str, known: Known | None = None) -> None
         look = {"color": "k", "linestyle": "", "marker": "x", "zorder": 3} if points else REFERENCE
         lines = axes.plot(t, np.reshape(x, (np.size(t), -1)), **look)
         lines[0].set_label("reference")
+    stated = run.certificate[name].total if name in run.series and _certified(run) else 0.0
     for label, x in zip(labels, values.T, strict=True):
-        axes.plot(run.times, x, label=label, linewidth=1.4)
+        (curve,) = axes.plot(run.times, x, label=label, linewidth=1.4)
+        if stated > 0:  # a band of the stated error
+            axes.fill_between(run.times, x - stated, x + stated, color=curve.get_color(), alpha=0.2, linewidth=0)
     axes.set_ylabel(f"{name} ({unit})")
     if len(labels) > 1 or known is not None:
         _legend(axes)
+
+
+def _certified(run: Run) -> bool:
+    """Whether the run states its errors of space and time."""
+    return bool(run.error_estimate) and not run.certificate.unstated
 
 
 def _legend(axes: Any) -> None:

@@ -135,7 +135,10 @@ class Run:
         plot_series(self, sensors, file, reference)
 
     def save(self, file: str | Path) -> None:
-        """Write times, sensors with units and energies as comma-separated values; rank 0 writes."""
+        """Write times, sensors with units and energies as comma-separated values; rank 0 writes.
+
+        Stated errors of sensors go to a second file beside it, ``<name>.errors.csv``.
+        """
         from ..post.export import save_series
 
         save_series(self, file)
