@@ -1,6 +1,6 @@
 """Bricard's mechanism: six hinges and five rods that Gruebler's count calls rigid (IFToMM A04).
 
-Run:  ./with-dolfinx python3 demos/bricard.py [--fast] [--json FILE] [--picture FILE]
+Run:  ./with-dolfinx python3 demos/bricard.py [--fast] [--json FILE] [--picture FILE] [--animate FILE]
 
 Rods along the edges of a unit cube, 1 m, 1 kg, section 0.1 m x 0.1 m; axes y, z, x, y, z, x; gravity along -y; from rest.
 30 velocities and 30 constraint rows of rank 29: one degree of freedom, one redundant row, multipliers of minimum norm.
@@ -9,7 +9,7 @@ Rods along the edges of a unit cube, 1 m, 1 kg, section 0.1 m x 0.1 m; axes y, z
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.post.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, finish, show, snapshots
 
 args = arguments(__doc__)
 t_end, dt = (1.0, 4e-3) if args.fast else (10.0, 2e-3)
@@ -25,14 +25,15 @@ scene = fmbd.Scene("Bricard", gravity=(0, -9.81, 0))
 rods = []
 for i, (p, q) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
     direction = np.abs(q - p)
-    rods.append(fmbd.RigidBody(f"rod {i + 1}", 1.0, np.where(direction > 0.5, along, across), position=(p + q) / 2))
+    inertia, shape = np.where(direction > 0.5, along, across), fmbd.contacts.Box(np.where(direction > 0.5, 1.0, 0.1))
+    rods.append(fmbd.RigidBody(f"rod {i + 1}", 1.0, inertia, position=(p + q) / 2, shape=shape))
 scene.add(*rods)
 for i, (a, b) in enumerate(zip([fmbd.ground, *rods], [*rods, fmbd.ground], strict=True)):
     scene.add(fmbd.revolute(f"P{i}", a, b, center=corners[i], axis=axes[i]))
 scene.sensor("P3", fmbd.position(rods[2], point=corners[3]))
 
-mobility = scene.check()
-runs = [fmbd.solve(scene, t_end=t_end, dt=h, scheme=fmbd.GeneralizedAlpha(0.9)) for h in (2 * dt, dt)]
+mobility, scheme = scene.check(), fmbd.GeneralizedAlpha(0.9)
+runs = [fmbd.solve(scene, t_end=t_end, dt=h, scheme=scheme, output=snapshots(args)) for h in (2 * dt, dt)]
 energy = [np.abs(r.total_energy - r.total_energy[0]).max() for r in runs]
 run = runs[-1]
 x = (4 * run["P3"][-1] - runs[0]["P3"][-1]) / 3
@@ -46,6 +47,5 @@ checks = [
     Check("the same, extrapolated, m", np.linalg.norm(x - END[t_end]), 0.0, 1e-6),
     Check("constraint, m", run.drift[0], 0.0, 1e-11),
 ]
-if args.picture:
-    run.plot("P3", file=args.picture, reference={"P3": (t_end, END[t_end])})
+show(run, args, ["P3"], reference={"P3": (t_end, END[t_end])}, view=fmbd.View(instants=2))
 finish(checks, run, args)

@@ -14,7 +14,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.post.demo import Check
+from fmbd_fenicsx.post.demo import Check, show, snapshots
 
 args = demo.arguments(__doc__, {"--cells": 6})
 r, e, w = 0.03, 0.008, 2 * np.pi * 5.0  # m, m, rad/s
@@ -43,11 +43,11 @@ cam = fmbd.contact("cam", follower.surface("bottom"), fmbd.Obstacle("cam", fmbd.
 scene = fmbd.Scene("cam and follower")
 scene.add(follower, cam, fmbd.prismatic("guide", fmbd.ground, head, axis=(0.0, 1.0)))
 scene.add(fmbd.force("preload", head, lambda t: (0.0, -k * preload)))
-scene.add(fmbd.Spring("return", head, fmbd.ground, point_b=(0.0, top + 1.0), stiffness=k, length=1.0))
+scene.add(fmbd.Spring("return", head, fmbd.ground, point_b=(0.0, top + 0.1), stiffness=k, length=0.1))
 scene.sensor("top", fmbd.position(head))
 scene.sensor("force", fmbd.contact_force(cam))
 scene.sensor("gap", fmbd.contact_gap(cam))
-run = fmbd.solve(scene, t_end=t_end, dt=dt, scheme=fmbd.ContactMidpoint(theta=0.55))
+run = fmbd.solve(scene, t_end=t_end, dt=dt, scheme=fmbd.ContactMidpoint(theta=0.55), output=snapshots(args))
 
 t, c, late = run.times, run.counters, run.times > 0.02
 off = np.abs(run["top"][:, 1] - top - e * (1 - np.cos(w * t))).max()
@@ -60,7 +60,6 @@ checks = [
     Check("largest gap, over the stroke", run["gap"][late].max() / (2 * e), 0.0, 1e-3),
     Check("Newton iterations per step in contact", c["contact_newton_iterations"] / c["contact_steps"], 0.0, 6.0),
 ]
-if args.picture:
-    known = {"top y": lambda t: top + e * (1 - np.cos(w * t)), "force y": force}
-    run.plot("top y", "force y", file=args.picture, reference=known)
+known = {"top y": lambda t: top + e * (1 - np.cos(w * t)), "force y": force}
+show(run, args, ["top y", "force y"], reference=known, view=fmbd.View(instants=1, contact=True))
 demo.finish(checks, run, args)

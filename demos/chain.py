@@ -1,6 +1,6 @@
 """Chains of 10, 100 and 1000 planar links under gravity, held at one end: assembly and linear algebra that grow like N.
 
-Run:  ./with-dolfinx python3 demos/chain.py [--links N] [--fast] [--json FILE] [--picture FILE]
+Run:  ./with-dolfinx python3 demos/chain.py [--links N] [--fast] [--json FILE] [--picture FILE] [--animate FILE]
 
 Uniform links of 0.1 m and 0.1 kg, released from a straight line at 45 degrees; longer chains fall for longer.
 """
@@ -8,7 +8,7 @@ Uniform links of 0.1 m and 0.1 kg, released from a straight line at 45 degrees; 
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.post.demo import Check, arguments, finish, say
+from fmbd_fenicsx.post.demo import Check, arguments, finish, say, show, snapshots
 
 args = arguments(__doc__, {"--links": 0})
 LENGTH, MASS = 0.1, 0.1
@@ -31,7 +31,7 @@ def chain(n):
 checks = []
 for n in [args.links] if args.links else [10] if args.fast else [10, 100, 1000]:
     scene = chain(n)
-    run = fmbd.solve(scene, t_end=0.3 * np.sqrt(n * LENGTH), dt=1e-3, output=fmbd.Output(every=10))
+    run = fmbd.solve(scene, t_end=0.3 * np.sqrt(n * LENGTH), dt=1e-3, output=snapshots(args, every=10))
     total = run.total_energy
     fall = run.energy["weight"][0] - run.energy["weight"].min()
     free = -0.5 * 9.81 / np.sqrt(2) * run.times[1] ** 2  # across the straight chain its free end falls freely
@@ -42,6 +42,5 @@ for n in [args.links] if args.links else [10] if args.fast else [10, 100, 1000]:
         Check(f"{n}: constraint, m", run.drift[0], 0.0, 1e-10),
     ]
     say(f"{n:5d} links: {1e3 * run.seconds['steps'] / run.counters['steps']:.3f} ms a step")
-if args.picture:
-    run.plot("tip", "pin", file=args.picture)
+show(run, args, ["tip", "pin"])
 finish(checks, run, args)

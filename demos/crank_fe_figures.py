@@ -11,7 +11,7 @@ import numpy as np
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import plot, study
 from fmbd_fenicsx.log import world_rank
-from fmbd_fenicsx.post.picture import gather, painted
+from fmbd_fenicsx.post.drawing.draw import draw
 
 GROW = 30.0  # of the distance from the chord
 
@@ -32,12 +32,13 @@ def picture(pairs: dict[float, tuple[fmbd.Run, fmbd.Run]], body: Any, file: obje
     from matplotlib.ticker import FixedLocator, NullLocator
 
     heights, (_, drawn) = list(pairs), next(iter(pairs.values()))
-    skins, moments = gather(drawn)
-    stresses = painted(drawn, body, bending_stress)
+    drawing = draw(drawn, paint=fmbd.Paint(bending_stress, "bending stress (Pa)", (body,)))
     if world_rank() != 0:
         return
     with plot.figure(file, 1, 3, size=(15, 4.2), widths=(2.1, 1.2, 1)) as (left, middle, right):
-        mechanism(left, drawn, skins[0].triangles, [m.nodes[0][:, :2] for m in moments], stresses)
+        rod = next(p for p in drawing.pieces if p.paint is not None)
+        places = [rod.at(k)[:, :2] for k in range(len(drawing.times))]
+        mechanism(left, drawn, rod.triangles, places, rod.paint)
         for k, (height, (b, f)) in enumerate(pairs.items()):
             scale = 1e3 * (height / heights[0]) ** 2
             phi = np.degrees(model.OMEGA * (f.times[f.times >= fe.RAMP] - fe.RAMP))

@@ -216,4 +216,17 @@ def crank(rod: Rod, start: np.ndarray, motion: Motion = steady) -> fmbd.Coordina
         lambda y, v, t: gamma(y, v, t, motion),
         rate=lambda y, t: rate(y, t, motion),
         vectorized=True,
+        outline=outline,
     )
+
+
+def outline(y: np.ndarray) -> list[np.ndarray]:
+    """Crank, rod with its bending, slider: lines in the world, m."""
+    pin = L1 * np.array([np.cos(y[0]), np.sin(y[0])])
+    x = np.linspace(0.0, 1.0, 25)
+    v = y[3] * np.sin(PI * x) + y[4] * np.sin(2 * PI * x)
+    along, across = np.array([np.cos(y[1]), np.sin(y[1])]), np.array([-np.sin(y[1]), np.cos(y[1])])
+    rod = pin + L2 * x[:, None] * along + v[:, None] * across
+
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
+    return [np.array([(0.0, 0.0), pin]), rod, np.array([y[2], 0.0]) + corners * (0.02, 0.012)]

@@ -43,7 +43,7 @@ def main():
     """Swing, picture and checks: energy, a stiff rod against the rigid one, a slender one against the beam."""
     args = demo.arguments(__doc__, {"--dim": (2, 3)})
     dim, fast = args.dim, args.fast
-    output = fmbd.Output(snapshots=8, estimate_error=True)
+    output = demo.snapshots(args, estimate_error=True)
     run = fmbd.solve(build(dim), t_end=0.9 if fast else 2.0, dt=5e-3 if fast else 1e-3, output=output)
     lost = (run.total_energy[0] - run.total_energy[-1]) / np.ptp(run.energy["kinetic"])
 
@@ -57,8 +57,7 @@ def main():
         Check.relative("bending (rad/s)", frequency(swing.times, swing["tip"][:, 1]), beam.omega, 0.003),
         Check("elastic factorisations", run.counters["factorisations"], 1),
     ]
-    if args.picture:
-        run.picture(args.picture, sensor="tip")
+    demo.show(run, args, ["tip"], view=fmbd.View(instants=8))
     demo.finish(checks, run, args)
 
 

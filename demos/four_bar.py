@@ -1,6 +1,6 @@
 """Double four-bar mechanism through its singular positions (IFToMM A02, N = 2).
 
-Run:  ./with-dolfinx python3 demos/four_bar.py [--fast] [--json FILE] [--picture FILE]
+Run:  ./with-dolfinx python3 demos/four_bar.py [--fast] [--json FILE] [--picture FILE] [--animate FILE]
 
     B0 --- B1 --- B2      five uniform links, 1 m and 1 kg each; B0 starts with 1 m/s to the right. Lying flat the mechanism
     |      |      |       has three degrees of freedom instead of one; it passes there with its momentum.
@@ -10,7 +10,7 @@ Run:  ./with-dolfinx python3 demos/four_bar.py [--fast] [--json FILE] [--picture
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.post.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, finish, show, snapshots
 
 args = arguments(__doc__)
 END = {2.0: 0.057815795767660286, 10.0: 0.328458111534}  # x of B0, from one degree of freedom, to 1e-11
@@ -28,8 +28,8 @@ for i, bar in enumerate(bars):
     scene.add(fmbd.revolute(f"B{i}'", bar, legs[i + 1], center=(i + 1, 1)))
 scene.sensor("B0", fmbd.position(legs[0], point=(0, 1)))
 
-mobility = scene.check()
-runs = [fmbd.solve(scene, t_end=t_end, dt=h, scheme=fmbd.GeneralizedAlpha(0.9)) for h in (2 * dt, dt)]
+mobility, scheme = scene.check(), fmbd.GeneralizedAlpha(0.9)
+runs = [fmbd.solve(scene, t_end=t_end, dt=h, scheme=scheme, output=snapshots(args)) for h in (2 * dt, dt)]
 energy = [np.abs(r.total_energy - r.total_energy[0]).max() for r in runs]
 run, x = runs[-1], [r["B0"][-1] for r in runs]
 extrapolated = (4 * x[1] - x[0]) / 3
@@ -41,6 +41,5 @@ checks = [
     Check("the same, extrapolated, m", extrapolated[0], END[t_end], 1e-4),
     Check("constraint, m", run.drift[0], 0.0, 1e-11),
 ]
-if args.picture:
-    run.plot("B0 x", "B0 y", file=args.picture, reference={"B0 x": (t_end, END[t_end])})
+show(run, args, ["B0 x", "B0 y"], reference={"B0 x": (t_end, END[t_end])})
 finish(checks, run, args)

@@ -1,6 +1,6 @@
 """Heavy top: a fast gyroscope on a ball joint, with the rotation on SO(3).
 
-Run:  ./with-dolfinx python3 demos/heavy_top.py [--fast] [--json FILE] [--picture FILE]
+Run:  ./with-dolfinx python3 demos/heavy_top.py [--fast] [--json FILE] [--picture FILE] [--animate FILE]
 
 m = 15 kg, J = diag(0.234375, 0.46875, 0.234375) kg m^2 about the centre of mass, 1 m from the fixed point along the axis of
 figure; spin 150 rad/s, weight along -z. Reference: Euler's equations by an explicit Runge-Kutta method of order 8 (1e-13).
@@ -9,7 +9,7 @@ figure; spin 150 rad/s, weight along -z. Reference: Euler's equations by an expl
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.post.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, finish, show, snapshots
 
 args = arguments(__doc__)
 REFERENCE = {0.1: (0.4212966589253617, 0.8945719743456066, -0.14916470056193187),
@@ -19,7 +19,9 @@ t_end, dt = (0.1, 2e-4) if args.fast else (0.2, 1e-4)
 J = np.array([0.234375, 0.46875, 0.234375])
 spin = np.array([0.0, 150.0, -4.61538])
 center = np.array([0.0, 1.0, 0.0])
-top = fmbd.RigidBody("top", 15.0, J, center, velocity=np.cross(spin, center), angular_velocity=spin)
+disk = fmbd.contacts.Cylinder(0.25, axis=(0, 1, 0), length=0.0375)  # has this inertia
+motion = {"velocity": np.cross(spin, center), "angular_velocity": spin}
+top = fmbd.RigidBody("top", 15.0, J, center, shape=disk, **motion)
 scene = fmbd.Scene("heavy top", gravity=(0, 0, -9.81))
 scene.add(top)
 scene.add(fmbd.spherical("tip", fmbd.ground, top, center=(0, 0, 0)))
@@ -27,7 +29,8 @@ scene.sensor("centre", fmbd.position(top))
 scene.sensor("R", fmbd.rotation(top))
 scene.sensor("support", fmbd.reaction_force("tip"))
 
-runs = [fmbd.solve(scene, t_end=t_end, dt=h, scheme=fmbd.GeneralizedAlpha(0.9)) for h in (2 * dt, dt)]
+scheme = fmbd.GeneralizedAlpha(0.9)
+runs = [fmbd.solve(scene, t_end=t_end, dt=h, scheme=scheme, output=snapshots(args)) for h in (2 * dt, dt)]
 x = [r["centre"][-1] for r in runs]
 error = [np.linalg.norm(xi - REFERENCE[t_end]) for xi in x]
 run = runs[-1]
@@ -41,6 +44,5 @@ checks = [
     Check("orthogonality of R, 1", np.abs(R.swapaxes(1, 2) @ R - np.eye(3)).max(), 0.0, 1e-13),
     Check("constraint, m", run.drift[0], 0.0, 1e-12),
 ]
-if args.picture:
-    run.plot("centre", "support", file=args.picture, reference={"centre": (t_end, REFERENCE[t_end])})
+show(run, args, ["centre", "support"], reference={"centre": (t_end, REFERENCE[t_end])})
 finish(checks, run, args)

@@ -1,6 +1,6 @@
 """Mathematical pendulum: m = L = 1, released from the horizontal, against elliptic functions (IFToMM A01).
 
-Run:  ./with-dolfinx python3 demos/rigid_pendulum.py [--fast] [--json FILE] [--picture FILE]
+Run:  ./with-dolfinx python3 demos/rigid_pendulum.py [--fast] [--json FILE] [--picture FILE] [--animate FILE]
 
       o----- m        cos(theta / 2) sn and cn: sin(theta / 2) = k sn(K(k) + w t, k), k = sin(theta_0 / 2), w^2 = g / L
 """
@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ellipj, ellipk
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.post.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, finish, show, snapshots
 
 args = arguments(__doc__)
 g = 9.81
@@ -31,7 +31,8 @@ scene.sensor("mass", fmbd.position(mass))
 scene.sensor("tension", fmbd.reaction("rod"))
 
 
-coarse, run = (fmbd.solve(scene, t_end=t_end, dt=h, scheme=fmbd.GeneralizedAlpha(0.9)) for h in (2 * dt, dt))
+how = {"scheme": fmbd.GeneralizedAlpha(0.9), "output": snapshots(args)}
+coarse, run = (fmbd.solve(scene, t_end=t_end, dt=h, **how) for h in (2 * dt, dt))
 error = [np.abs(r["mass"] - position(r.times)).max() for r in (coarse, run)]
 better = (4 * run["mass"][::2] - coarse["mass"]) / 3  # Richardson's extrapolation
 total = run.total_energy
@@ -43,7 +44,6 @@ checks = [
     Check("energy error, J", np.abs(total - total[0]).max(), 0.0, 5e-5),
     Check("constraint, m", run.drift[0], 0.0, 1e-13),
 ]
-if args.picture:
-    known = {"mass": position, "tension": lambda t: -3 * g * position(t)[1]}
-    run.plot("mass", "tension", file=args.picture, reference=known)
+known = {"mass": position, "tension": lambda t: -3 * g * position(t)[1]}
+show(run, args, ["mass", "tension"], reference=known)
 finish(checks, run, args)

@@ -1,6 +1,6 @@
 """Rigid slider crank that coasts, and the one with equal arms through its dead centres.
 
-Run:  ./with-dolfinx python3 demos/rigid_slider_crank.py [--fast] [--json FILE] [--picture FILE]
+Run:  ./with-dolfinx python3 demos/rigid_slider_crank.py [--fast] [--json FILE] [--picture FILE] [--animate FILE]
 
 Data of the slider crank of the IVP test set (crank 0.15 m, rod 0.30 m, 150 rad/s, no gravity). With one degree of freedom the
 energy 1/2 I(phi) phi'^2 = E gives the time of a turn by a quadrature. With equal arms G loses rank at phi = 90 and 270 degrees.
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import quad
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.post.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, finish, show, snapshots
 
 args = arguments(__doc__)
 turns, per_turn = (1, 400) if args.fast else (4, 800)
@@ -39,7 +39,7 @@ def scene(arm):
     w, _, y, _ = motion(0.0, arm)
     crank = fmbd.RigidBody("crank", M1, J1, (R / 2, 0), velocity=(0, SPEED * R / 2), angular_velocity=SPEED)
     rod = fmbd.RigidBody("rod", M2, J2, (R + arm / 2, 0), velocity=(0, SPEED * y), angular_velocity=SPEED * w)
-    block = fmbd.RigidBody("block", M3, 1e-4, (R + arm, 0))
+    block = fmbd.RigidBody("block", M3, 1e-4, (R + arm, 0), shape=fmbd.contacts.Box((0.06, 0.04)))
     made = fmbd.Scene(f"slider crank {R} : {arm}")
     pin = fmbd.revolute("pin", fmbd.ground, crank, center=(0, 0))
     made.add(crank, rod, block, pin, fmbd.revolute("knee", crank, rod, center=(R, 0)))
@@ -53,7 +53,8 @@ def scene(arm):
 checks = []
 for arm in (0.30, R):
     turn = quad(pace, 0, 2 * np.pi, (arm,), epsabs=1e-14, limit=400)[0] / (pace(0.0, arm) * SPEED)  # s
-    coarse, run = (fmbd.solve(scene(arm), t_end=turns * turn, dt=turn / k) for k in (per_turn, 2 * per_turn))
+    made = {"t_end": turns * turn, "output": snapshots(args)}
+    coarse, run = (fmbd.solve(scene(arm), dt=turn / k, **made) for k in (per_turn, 2 * per_turn))
     once, twice = coarse["phi"][-1, 0], run["phi"][-1, 0]
     e, name = run.energy["kinetic"], "equal arms: " if arm == R else ""
     checks += [
@@ -64,7 +65,6 @@ for arm in (0.30, R):
     ]
 fold = np.abs(run["slider"][:, 0] - 2 * R * np.cos(run["phi"][:, 0])).max()
 checks.append(Check("equal arms: change of branch, m", fold, 0.0, 1e-9))
-if args.picture:
-    known = {"phi": (turn * np.arange(turns + 1), 2 * np.pi * np.arange(turns + 1))}
-    run.plot("slider x", "phi", file=args.picture, reference=known)
+known = {"phi": (turn * np.arange(turns + 1), 2 * np.pi * np.arange(turns + 1))}
+show(run, args, ["slider x", "phi"], reference=known, view=fmbd.View(instants=4))
 finish(checks, run, args)

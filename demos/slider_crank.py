@@ -18,7 +18,7 @@ import slider_crank_fe
 from scipy.linalg import eigh
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.post.demo import Check, arguments, finish, say
+from fmbd_fenicsx.post.demo import Check, arguments, finish, say, show, snapshots
 
 OWN = {"--consistent": False, "--nonlinear": False, "--damped": False, "--start": ("smooth", "rigid"), "--forms": False}
 args = arguments(__doc__, {"--rod": ("modes", "elements"), **OWN, **slider_crank_fe.OWN})
@@ -31,7 +31,7 @@ t_end = 0.01 if args.fast else 0.1
 def solved(form):
     """A run in one form, seven stages."""
     scene, scheme = model.scene(rod, model.STARTS[args.start]), fmbd.Radau(7, form, rtol=1e-8)
-    return fmbd.solve(scene, t_end=t_end, scheme=scheme, output=fmbd.Output(energy=False))
+    return fmbd.solve(scene, t_end=t_end, scheme=scheme, output=snapshots(args, energy=False))
 
 
 def off(values, reference):
@@ -62,7 +62,6 @@ for form in forms if args.forms else ():
     q, found = off(other["coordinates"][-1][3:], end[3:]), off(other["multipliers"][-1], lam)
     checks.append(Check(f"{form.name}: elastic coordinates against GGL, relative", q, 0.0, same))
     checks.append(Check(f"{form.name}: multipliers against GGL, relative", found, 0.0, same))
-if args.picture:
-    at_end = {"multipliers": (t_end, known[2]), "coordinates q1": (t_end, known[1][0])} if known else {}
-    run.plot("coordinates q1", "coordinates q4", "multipliers", file=args.picture, reference=at_end)
+at_end = {"multipliers": (t_end, known[2]), "coordinates q1": (t_end, known[1][0])} if known else {}
+show(run, args, ["coordinates q1", "coordinates q4", "multipliers"], reference=at_end)
 finish(checks, run, args)

@@ -12,7 +12,8 @@ import truck_model as model
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import study
 from fmbd_fenicsx.log import say, world_rank
-from fmbd_fenicsx.post.picture import gather
+from fmbd_fenicsx.post.drawing.draw import draw
+from fmbd_fenicsx.post.drawing.scene_graph import Deforming
 
 MOTION, BENDING, APART = 10.0, 15.0, 11.5  # growth of motion and deformation in the drawing, m from truck to truck
 SHAPES = {  # corners about the place at the start, m
@@ -24,7 +25,7 @@ SHAPES = {  # corners about the place at the start, m
 def picture(runs: Mapping[str, tuple[fmbd.Run, fmbd.Run]], file: object) -> None:
     """``runs``: suspension -> (rigid, elastic with snapshots); the first is drawn. Collective, rank 0 writes."""
     elastic = next(iter(runs.values()))[1]
-    skins, moments = gather(elastic)
+    area = next(p for p in draw(elastic).pieces if isinstance(p.motion, Deforming))
     field: Any = next(p.field for p in elastic.system.parts if hasattr(p, "field"))
     mesh = field.comm.gather(field.X + field.center)
     if world_rank() != 0:
@@ -35,10 +36,10 @@ def picture(runs: Mapping[str, tuple[fmbd.Run, fmbd.Run]], file: object) -> None
     above, below = figure.subfigures(2, 1, height_ratios=(0.75, 1.2))
     ax = above.subplots()
     axes = below.subplot_mosaic([["acceleration", "pitch", "stress"]])
-    for k, (state, moment) in enumerate(zip(elastic.snapshots, moments, strict=True)):
+    for k, state in enumerate(elastic.snapshots):
         row = int(np.argmin(abs(elastic.times - state.t)))
         _bodies(ax, elastic, row, APART * k)
-        shown = _loading_area(ax, np.concatenate(mesh), moment.nodes[0][:, :2], skins[0].triangles, APART * k)
+        shown = _loading_area(ax, np.concatenate(mesh), area.at(k)[:, :2], area.triangles, APART * k)
         ax.text(APART * k, 5.7, f"t = {state.t:.1f} s", ha="center")
     above.colorbar(shown, ax=ax, label="Mises stress x thickness (kN/m)", shrink=0.9, pad=0.01)
     ax.set(aspect="equal", ylabel="y (m)", xticks=[], ylim=(-0.2, 6.4))

@@ -1,6 +1,6 @@
 """Five-link wheel suspension of a quarter car over a bump: five rods, spring and damper, tyre on a road profile.
 
-Run:  ./with-dolfinx python3 demos/wheel_suspension.py [--fast] [--json FILE] [--picture FILE]
+Run:  ./with-dolfinx python3 demos/wheel_suspension.py [--fast] [--json FILE] [--picture FILE] [--animate FILE]
 
 x forward, y to the left, z up; m, kg, N. The data are of this demo, in the range of a passenger car; no published set of the
 five-link suspension was found. The car body moves vertically; the rods leave the carrier one degree of freedom of its own.
@@ -12,7 +12,7 @@ from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.post.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, finish, show, snapshots
 
 args = arguments(__doc__)
 LINKS = {  # points on the car body and on the carrier
@@ -34,7 +34,8 @@ def road(x, t):
 
 
 body = fmbd.RigidBody("body", 350.0, (40.0, 60.0, 70.0), BODY)
-carrier = fmbd.RigidBody("carrier", 35.0, (0.7, 1.1, 0.7), WHEEL)
+rim = fmbd.contacts.Cylinder(0.18, axis=(0, 1, 0), center=(0, 0.05, 0), length=0.16)
+carrier = fmbd.RigidBody("carrier", 35.0, (0.7, 1.1, 0.7), WHEEL, shape=rim)
 scene = fmbd.Scene("wheel suspension", gravity=(0, 0, -9.81))
 guide = fmbd.prismatic("guide", fmbd.ground, body, axis=(0, 0, 1), center=BODY)
 scene.add(body, carrier, guide)
@@ -49,7 +50,7 @@ scene.sensor("R", fmbd.rotation(carrier))
 scene.sensor("tie rod", fmbd.reaction("tie rod"))
 
 mobility = scene.check()
-run = fmbd.solve(scene, t_end=4.0, dt=4e-3 if args.fast else 1e-3)
+run = fmbd.solve(scene, t_end=4.0, dt=4e-3 if args.fast else 1e-3, output=snapshots(args, 200))
 lift, wheel, settled = run["lift of the body"][-1, 0], run["wheel"], RADIUS - 9.81 * (350 + 35) / STIFFNESS
 
 
@@ -71,6 +72,6 @@ checks = [
     Check("wheel over the bump, m", wheel[:, 2].max() - settled, BUMP, 0.02),
     Check("rods, m", run.drift[0], 0.0, 1e-10),
 ]
-if args.picture:
-    run.plot("wheel z", "lift of the body", "tie rod", file=args.picture, reference={"wheel z": (4.0, settled)})
+view = fmbd.View(instants=1, camera=(1.0, 0.9, 0.35))
+show(run, args, ["wheel z", "lift of the body", "tie rod"], reference={"wheel z": (4.0, settled)}, view=view)
 finish(checks, run, args)

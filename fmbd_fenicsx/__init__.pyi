@@ -108,7 +108,10 @@ from .post import plot as plot
 from .post import study as study
 from .post.demo import Check as Check
 from .run.checkpoint import Checkpoint as Checkpoint
+from .post.drawing.view import Paint as Paint
+from .post.drawing.view import View as View
 from .run.output import Output as Output
+from .run.output import PerSecond as PerSecond
 from .run.solve import Run as Run
 from .run.solve import solve as solve
 from .schemes.dae import Baumgarte as Baumgarte

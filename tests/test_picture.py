@@ -7,36 +7,11 @@ from matplotlib.figure import Figure
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import plot
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.fem.fields import ElasticForms, Field
-from fmbd_fenicsx.post.picture import gather, moment, painted, render, skin
+from fmbd_fenicsx.post.drawing.draw import draw
+from fmbd_fenicsx.post.drawing.render import strobe
 from fmbd_fenicsx.post.plot import _history, components
 
 STEEL = fmbd.materials.linear_elastic(5e6, 0.3)
-
-
-def area(x, triangles):
-    a, b, c = (np.pad(x[triangles[:, k]], ((0, 0), (0, 3 - x.shape[1]))) for k in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
-
-
-def everywhere(field):
-    """Nodes of all ranks in global order."""
-    return np.concatenate(field.comm.allgather(field.X))
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (2, 3), (3, 1), (3, 2)])
-def test_skin_has_the_area_and_the_edges_of_the_body(rod_mesh, dim, degree):
-    field = Field("rod", rod_mesh(dim, 0.2), ElasticForms(STEEL, 1000.0, degree))
-    s, x = skin(field), everywhere(field)
-    assert area(x, s.triangles) == pytest.approx(0.1 if dim == 2 else 4 * 0.1 + 2 * 0.01)
-    sides = np.sort(s.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    found, times = np.unique(sides, axis=0, return_counts=True)
-    single = {tuple(e) for e in found[times == 1]}
-    assert times.max() == 2 and single == ({tuple(sorted(e)) for e in s.edges} if dim == 2 else set())
-    if dim == 2:
-        length = np.linalg.norm(x[s.edges[:, 0]] - x[s.edges[:, 1]], axis=1).sum()
-        assert length == pytest.approx(2.2)
 
 
 def swing(rod_mesh, snapshots=3):
@@ -49,26 +24,13 @@ def swing(rod_mesh, snapshots=3):
     return fmbd.solve(scene, t_end=0.4, dt=0.02, output=fmbd.Output(snapshots=snapshots))
 
 
-def test_drives_have_no_place_of_their_own():
-    """A coupling acts on a joint's coordinate: what is drawn is the joint."""
-    bob = fmbd.RigidBody("bob", 1.0, 0.1, position=(1.0, 0))
-    pin = fmbd.revolute("pin", fmbd.ground, bob, center=(0, 0))
-    scene = fmbd.Scene("driven")
-    scene.add(bob, pin, fmbd.drive("drive", fmbd.angle(pin), lambda t: t))
-    run = fmbd.solve(scene, t_end=0.1, dt=0.05)
-    found = moment(run, run.state)
-    assert len(found.bars) == 1 and len(found.joints) == 2 and not found.joints.any()
-
-
 @pytest.mark.smoke
 @pytest.mark.mpi
 def test_nodes_are_placed_where_the_sensors_say(rod_mesh):
     run = swing(rod_mesh)
-    last = moment(run, run.state)
-    comm = run.system.comm
-    assert len(last.bars) == 1 and len(last.origins) == 1 and len(last.joints) == 4
-    if comm.rank == 0:
-        x = last.nodes[0]
+    rod = next(p for p in draw(run).pieces if p.name == "rod")
+    if run.system.comm.rank == 0:
+        x = rod.at(2)
         near = np.linalg.norm(x[:, :2] - run["tip"][-1], axis=1).min()
         assert near < 0.02, "a node lies beside the mean of the tip surface"
         assert x.shape[1] == 3 and np.all(x[:, 2] == 0)
@@ -80,41 +42,26 @@ def test_both_placements_draw_a_resting_body_where_its_mesh_lies(rod_mesh, kind)
     rod = kind("rod", rod_mesh(), degree=2, density=1e3, elastic=STEEL)
     scene = fmbd.Scene("rest")
     scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
-    run = fmbd.solve(scene, t_end=0.1, dt=0.1)
-    x = moment(run, run.state).nodes[0]
+    run = fmbd.solve(scene, t_end=0.1, dt=0.1, output=fmbd.Output(snapshots=2))
+    found = next(p for p in draw(run).pieces if p.name == "rod")
     if run.system.comm.rank == 0:
+        x = found.at(1)
         assert x.min(0) == pytest.approx([0, -0.05, 0], abs=1e-12) and x.max(0) == pytest.approx([1, 0.05, 0])
 
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("degree", [1, 2])
 def test_painted_triangles_have_the_values_of_their_middles(rod_mesh, degree):
-    rod = fmbd.AbsoluteBody(
-        "rod",
-        rod_mesh(),
-        degree=degree,
-        density=1e3,
-        elastic=STEEL,
-        displacement=lambda X: np.array([X[0] ** degree, 0 * X[1]]),
-    )
+    how = {"elastic": STEEL, "displacement": lambda X: np.array([X[0] ** degree, 0 * X[1]])}
+    rod = fmbd.AbsoluteBody("rod", rod_mesh(), degree=degree, density=1e3, **how)
     scene = fmbd.Scene("stretched")
     scene.add(rod)
     run = fmbd.solve(scene, t_end=1e-9, dt=1e-9, output=fmbd.Output(snapshots=2))
-    values = painted(run, rod, lambda u: u[0].dx(0))[0]
-    triangles, x = gather(run)[0][0].triangles, everywhere(run.system.parts[0].field)
-    middles = x[triangles][:, :, 0].mean(1) + run.system.parts[0].field.center[0]
-    assert values == pytest.approx(1.0 if degree == 1 else 2 * middles, abs=1e-7)
-
-
-@pytest.mark.mpi
-def test_reduced_bodies_are_drawn_as_bars(rod_mesh):
-    full = fmbd.FloatingBody("rod", rod_mesh(), degree=2, density=1e3, elastic=STEEL)
-    rod = full.reduced(modes=2)
-    scene = fmbd.Scene("reduced", gravity=(0, -9.81))
-    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
-    run = fmbd.solve(scene, t_end=0.1, dt=0.05, output=fmbd.Output(snapshots=2))
-    last = gather(run)[1][-1]
-    assert not last.nodes and last.bars.shape == (1, 2, 3) and last.origins.shape == (1, 3)
+    found = next(p for p in draw(run, paint=fmbd.Paint(lambda u: u[0].dx(0), "strain (-)")).pieces if p.name == "rod")
+    field = run.system.parts[0].field
+    nodes = np.concatenate(field.comm.allgather(field.X))
+    middles = nodes[found.triangles][:, :, 0].mean(1) + field.center[0]
+    assert found.paint[0] == pytest.approx(1.0 if degree == 1 else 2 * middles, abs=1e-7)
 
 
 @pytest.mark.serial
@@ -122,7 +69,7 @@ def test_picture_shows_each_snapshot_in_its_colour(rod_mesh):
     pytest.importorskip("pyvista")
     run = swing(rod_mesh)
     colors = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
-    view = render(run, gather(run), colors, width=600)
+    view = strobe(draw(run), fmbd.View(), colors, width=600)
     x0, x1, y0, y1 = view.extent
     rows, columns = view.image.shape[:2]
     for color, state in zip(colors, run.snapshots, strict=True):
@@ -138,7 +85,7 @@ def test_files_are_written_by_rank_0(rod_mesh, shared_tmp):
     pytest.importorskip("pyvista")
     run = swing(rod_mesh)
     for name, write in {
-        "a.png": lambda f: run.picture(f, sensor="tip"),
+        "a.png": lambda f: run.picture(f, sensors="tip"),
         "b.pdf": lambda f: run.picture(f),
         "c.png": lambda f: run.plot(file=f),
         "d.png": lambda f: run.plot("tip y", file=f, reference={"tip y": lambda t: -t}),
@@ -193,11 +140,13 @@ def test_shapes_lie_where_the_bodies_are(rod_mesh):
     if run.system.comm.rank == 0:
         drawn = [c.get_datalim(axes.transData) for c in axes.collections]
         assert len(drawn) == len(run.snapshots)
-        for box, m in zip(drawn, gather(run)[1], strict=True):
-            assert (box.min, box.max) == (pytest.approx(m.nodes[0].min(0)[:2]), pytest.approx(m.nodes[0].max(0)[:2]))
+        rod = next(p for p in draw(run).pieces if p.name == "rod")
+        for k, box in enumerate(drawn):
+            x = rod.at(k)
+            assert (box.min, box.max) == (pytest.approx(x.min(0)[:2]), pytest.approx(x.max(0)[:2]))
         assert axes.get_aspect() == 1.0
     else:
-        gather(run)
+        draw(run)
 
 
 @pytest.mark.serial

@@ -1,6 +1,7 @@
 """What every demo script shares: its flags, a check line for each figure, and the JSON file that tests read.
 
-A demo opens with ``args = demo.arguments(__doc__)`` and ends with ``demo.finish(checks, run, args)``.
+A demo opens with ``args = demo.arguments(__doc__)`` and ends with ``demo.finish(checks, run, args)``. Demos that show their scene
+call :func:`show` in between; its snapshots come from ``output=demo.snapshots(args)``.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from ..log import say, world_rank
+from ..run.output import Output
 
-__all__ = ["Check", "arguments", "finish", "say"]
+__all__ = ["Check", "arguments", "finish", "say", "show", "snapshots"]
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,8 @@ class Check:
 
 
 def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> argparse.Namespace:
-    """Flags of a demo from the command line: ``--fast``, ``--json FILE``, ``--picture FILE``, and the demo's
-    own.
+    """Flags of a demo from the command line: ``--fast``, ``--json FILE``, ``--picture FILE``, ``--animate FILE``, and the
+    demo's own.
 
     Args:
         description: the demo's docstring, shown by ``--help``.
@@ -85,6 +87,7 @@ def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> 
     parser.add_argument("--fast", action="store_true", help="a small version that ends within seconds")
     parser.add_argument("--json", metavar="FILE", type=Path, help="write checks, counters and seconds to FILE")
     parser.add_argument("--picture", metavar="FILE", type=Path, help="write a picture to FILE")
+    parser.add_argument("--animate", metavar="FILE", type=Path, help="write an animation to FILE: .gif, .mp4 or .html")
     for flag, default in (own or {}).items():
         if default is False:
             parser.add_argument(flag, action="store_true")
@@ -101,6 +104,25 @@ def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> 
         contextlib.redirect_stderr(nowhere),
     ):
         return parser.parse_args()  # --help and mistakes are printed once
+
+
+def snapshots(args: argparse.Namespace, count: int = 100, **more: Any) -> Output:
+    """What a demo records: snapshots where a picture or an animation is asked for, and what else the demo wants."""
+    wanted = count if args.picture or args.animate else 0
+
+    return Output(snapshots=wanted, **more)
+
+
+def show(run: Any, args: argparse.Namespace, sensors: Sequence[str] = (), **look: Any) -> None:
+    """Write the picture and the animation that were asked for; collective.
+
+    ``look``: view, paint and seconds as for ``run.animate``, reference as for ``run.picture``.
+    """
+    reference, seconds = look.pop("reference", None), look.pop("seconds", None)
+    if args.picture:
+        run.picture(args.picture, sensors=sensors, reference=reference, **look)
+    if args.animate:
+        run.animate(args.animate, sensors=sensors, seconds=seconds, **look)
 
 
 def finish(checks: Sequence[Check], run: Any, args: argparse.Namespace) -> None:

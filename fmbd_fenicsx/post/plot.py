@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -15,6 +15,11 @@ from ..errors import InputError
 from ..log import on_root, world_rank
 from ..rotations import Array
 from ..run.solve import Run
+from .drawing.render import strobe
+from .drawing.scene_graph import Deforming, Drawing, Role
+
+if TYPE_CHECKING:
+    from .drawing.view import Paint, View
 
 MARKS = "osD^vP*X"
 STYLE = {
@@ -96,6 +101,7 @@ def _history(axes: Any, run: Run, name: str, known: Known | None = None) -> None
         if stated > 0:  # a band of the stated error
             axes.fill_between(run.times, x - stated, x + stated, color=curve.get_color(), alpha=0.2, linewidth=0)
     axes.set_ylabel(f"{name} ({unit})")
+    axes.set_xlim(run.times[0], max(run.times[-1], run.times[0] + 1e-300))
     if len(labels) > 1 or known is not None:
         _legend(axes)
 
@@ -175,22 +181,26 @@ def shapes(axes: Any, run: Run, *, paint: tuple[Any, Callable[[Any], Any], str] 
 
     ``paint``: (body, scalar quantity(u) in UFL, label with unit) colours this body's cells instead.
     """
-    from .picture import gather, painted
+    from .drawing.draw import draw
+    from .drawing.view import Paint, View
 
-    skins, moments = gather(run)
-    values = None if paint is None else painted(run, paint[0], paint[1])
+    painted = None if paint is None else Paint(paint[1], paint[2], (paint[0],))
+    drawing = draw(run, view=View(symbols=False), paint=painted)
     if world_rank() != 0:
         return
-    names = [part.name for part in run.system.parts if hasattr(part, "field")]
-    times, shown = [s.t for s in run.snapshots], None
-    span = (times[0], times[-1]) if values is None else (min(v.min() for v in values), max(v.max() for v in values))
-    for k, moment in enumerate(moments):
-        for name, skin, x in zip(names, skins, moment.nodes, strict=True):
-            axes.plot(*x[skin.edges].transpose(2, 1, 0)[:2], color="0.25", linewidth=0.6, zorder=1.5 + k)
-            if paint is None or name == paint[0].name:
-                faces = np.full(len(skin.triangles), times[k]) if values is None else values[k]
+    times, shown = drawing.times, None
+    span = (times[0], times[-1]) if paint is None else drawing.span
+    meshed = [p for p in drawing.pieces if p.role is Role.BODY and isinstance(p.motion, Deforming)]
+
+    for k, t in enumerate(times):
+        for piece in meshed:
+            x = piece.at(k)
+            axes.plot(*x[piece.edges].transpose(2, 1, 0)[:2], color="0.25", linewidth=0.6, zorder=1.5 + k)
+            if paint is None or piece.paint is not None:
+                faces = np.full(len(piece.triangles), t) if piece.paint is None else piece.paint[k]
                 look = {"facecolors": faces, "vmin": span[0], "vmax": span[1], "zorder": 1 + k}
-                shown = axes.tripcolor(*x.T[:2], skin.triangles, **look)
+                shown = axes.tripcolor(*x.T[:2], piece.triangles, **look)
+
     axes.figure.colorbar(shown, ax=axes, label="time (s)" if paint is None else paint[2], shrink=0.9)
     axes.grid(False)
     axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
@@ -236,35 +246,78 @@ def plot_history(run: Run, file: str | Path) -> None:
         fig.savefig(file, dpi=150)
 
 
-def picture(run: Run, file: str | Path, *, sensor: str | None = None) -> None:
-    """Write the run's snapshots, coloured by time, and the history of a sensor beside them; collective."""
-    from .picture import gather, render
+def picture(
+    run: Run,
+    file: str | Path,
+    *,
+    sensors: Sequence[str] = (),
+    view: View | None = None,
+    paint: Paint | None = None,
+    reference: Mapping[str, Known] | None = None,
+) -> None:
+    """Write some of a run's snapshots in one image, coloured by time or by ``paint``, and histories of sensors beside them, over
+    what is known of them; collective.
+    """
+    from .drawing.draw import draw
+    from .drawing.view import View
 
-    geometry = gather(run)
-    times = np.array([s.t for s in run.snapshots])
-    if sensor is not None:
-        _ = run[sensor]
+    known = dict(reference or {})
+    names = list(dict.fromkeys((*sensors, *known)))
+    for name in names:
+        _series(run, name)
+    view = View() if view is None else view
+    states = chosen(run.snapshots, view.instants)
+    drawing = draw(run, view=view, paint=paint, states=states)
 
-    def draw() -> None:
-        matplotlib, figure = _figure(10.5 if sensor else 6.4, 4.2)
+    def write() -> None:
+        matplotlib, figure = _figure(10.5 if names else 6.4, max(4.2, 2.1 * len(names)))
+        times = drawing.times
         norm = matplotlib.colors.Normalize(times.min(), max(times.max(), times.min() + 1e-300))
         colormap = matplotlib.colormaps["viridis"]
-        colors = np.array([colormap(norm(t))[:3] for t in times])
-        view = render(run, geometry, colors)
+        colors = [colormap(norm(t))[:3] for t in times]
         with matplotlib.rc_context(STYLE):
-            left, *right = np.atleast_1d(figure.subplots(1, 2 if sensor else 1))
-            _show(left, view)
-            if len(times) > 1:
-                scale = matplotlib.cm.ScalarMappable(norm, colormap)
-                figure.colorbar(scale, ax=left, label="time (s)", shrink=0.8)
-            if sensor is not None:
-                _history(right[0], run, sensor)
-                _dots(right[0], run, sensor, colors)
-                right[0].set_xlabel("time (s)")
+            left, *right = _panels(figure, len(names))
+            _show(left, strobe(drawing, view, None if paint or len(times) == 1 else colors))
+            _scale(figure, left, drawing, (norm, colormap))
+            for axes, name in zip(right, names, strict=True):
+                _history(axes, run, name, known.get(name))
+                _dots(axes, run, name, (states, colors))
+                axes.set_xlabel("time (s)")
             figure.suptitle(f"{run.scene.name}: {run.scheme.name}, h = {run.dt:g} s", fontsize=10)
             figure.savefig(file, dpi=200)
 
-    on_root(_comm(run), draw)
+    on_root(_comm(run), write)
+
+
+def chosen(snapshots: Sequence[Any], count: int) -> list[Any]:
+    """At most ``count`` of the snapshots, evenly spaced, first and last included."""
+    if len(snapshots) <= count:
+        return list(snapshots)
+    numbers = np.linspace(0, len(snapshots) - 1, count).round().astype(int) if count > 1 else [len(snapshots) - 1]
+
+    return [snapshots[k] for k in numbers]
+
+
+def _panels(figure: Any, rows: int) -> list[Any]:
+    """One large axes to the left, ``rows`` to the right."""
+    if not rows:
+        return [figure.subplots()]
+    grid = figure.add_gridspec(rows, 2)
+
+    return [figure.add_subplot(grid[:, 0]), *(figure.add_subplot(grid[k, 1]) for k in range(rows))]
+
+
+def _scale(figure: Any, axes: Any, drawing: Drawing, by_time: tuple[Any, Any]) -> None:
+    """A colour bar: what is painted, else the time where there are several instants."""
+    import matplotlib
+
+    norm, colormap = by_time
+    if drawing.label:
+        norm = matplotlib.colors.Normalize(*drawing.span)
+    elif len(drawing.times) == 1:
+        return
+    scale = matplotlib.cm.ScalarMappable(norm, colormap)
+    figure.colorbar(scale, ax=axes, label=drawing.label or "time (s)", shrink=0.8)
 
 
 def _show(axes: Any, view: Any) -> None:
@@ -276,13 +329,16 @@ def _show(axes: Any, view: Any) -> None:
     else:
         axes.set_xlabel("x (m)")
         axes.set_ylabel("y (m)")
-        axes.locator_params(nbins=6)
+        x0, x1, y0, y1 = view.extent
+        axes.locator_params(axis="x", nbins=6 if x1 - x0 > 0.6 * (y1 - y0) else 3)
+        axes.locator_params(axis="y", nbins=6)
 
 
-def _dots(axes: Any, run: Run, sensor: str, colors: Array) -> None:
-    """Mark the instants of the snapshots on a history, in their colours."""
-    rows = [int(np.argmin(np.abs(run.times - s.t))) for s in run.snapshots]
-    for x in run[sensor].T:
+def _dots(axes: Any, run: Run, sensor: str, at: tuple[Sequence[Any], Sequence[Any]]) -> None:
+    """Mark instants on a history in their colours; ``at``: (states, colours)."""
+    states, colors = at
+    rows = [int(np.argmin(np.abs(run.times - s.t))) for s in states]
+    for x in _series(run, sensor)[1].T:
         axes.scatter(run.times[rows], x[rows], c=colors, s=30, zorder=3, edgecolors="#303030", linewidths=0.6)
 
 

@@ -22,6 +22,17 @@ from .between import state_between
 
 
 @dataclass(frozen=True)
+class PerSecond:
+    """So many snapshots in each second of simulated time: ``Output(snapshots=fmbd.PerSecond(25))``."""
+
+    rate: float
+
+    def __post_init__(self) -> None:
+        usable = bool(np.isfinite(self.rate)) and self.rate > 0
+        require(usable, f"PerSecond: rate = {self.rate} 1/s must be positive.")
+
+
+@dataclass(frozen=True)
 class Output:
     """What a run records.
 
@@ -29,7 +40,9 @@ class Output:
         every: sensors and energies every so many steps (the last step always).
         times: instants (s) at which sensors and energies are recorded, instead of at the ends of steps; the steps stay as they
             are, and values between their ends are those of the scheme's own polynomial.
-        snapshots: how many states are kept for pictures, evenly spaced, first and last included.
+        snapshots: states that are kept for pictures, animations and fields: how many, evenly spaced, first and last
+            included; or how many per second (:class:`PerSecond`); or at which times (s). A snapshot is the state after the
+            first step that reaches its time.
         energy: whether energies are recorded.
         progress: a progress bar; None shows it on rank 0 when standard error is a terminal.
         estimate_error: run again with 2 and 4 times the step and estimate the time-discretisation error of
@@ -43,7 +56,7 @@ class Output:
     """
 
     every: int = 1
-    snapshots: int = 0
+    snapshots: int | PerSecond | Sequence[float] = 0
     energy: bool = True
     progress: bool | None = None
     estimate_error: bool = False
@@ -64,7 +77,33 @@ class Output:
                 t.ndim == 1 and t.size > 0 and bool(np.isfinite(t).all() and (np.diff(t) > 0).all() and t[0] >= 0),
                 "Output: times must be an increasing list of times from 0 s on.",
             )
-        require(self.snapshots >= 0, f"Output: snapshots = {self.snapshots} must not be negative.")
+        if isinstance(self.snapshots, int):
+            require(self.snapshots >= 0, f"Output: snapshots = {self.snapshots} must not be negative.")
+        elif not isinstance(self.snapshots, PerSecond):
+            self._check_times()
+
+    def _check_times(self) -> None:
+        """Times of snapshots are numbers that rise from 0 on."""
+        try:
+            times = np.asarray(self.snapshots, dtype=float)
+        except (TypeError, ValueError):
+            times = np.array(np.nan)
+        require(
+            times.ndim == 1 and bool(np.isfinite(times).all() and (times >= 0).all() and (np.diff(times) > 0).all()),
+            f"Output: snapshots = {self.snapshots!r} must be a number, fmbd.PerSecond(rate), or rising times (s) from 0 on.",
+        )
+
+    def due(self, t_end: float) -> list[float]:
+        """When snapshots are wanted in a run that ends at ``t_end`` (s)."""
+        if isinstance(self.snapshots, PerSecond):
+            count = int(np.floor(t_end * self.snapshots.rate * (1 + 1e-12)))
+            return [k / self.snapshots.rate for k in range(count + 1)]
+        if isinstance(self.snapshots, int):
+            return [float(t) for t in np.linspace(0.0, t_end, self.snapshots)]
+
+        late = [t for t in self.snapshots if t > t_end * (1 + 1e-9)]
+        require(not late, f"Output: snapshots at {late} s lie after the end of the run, {t_end:g} s.")
+        return [float(t) for t in self.snapshots]
 
 
 @dataclass
@@ -91,7 +130,7 @@ class Recorder:
         times = self.output.times
         self._wanted = None if times is None else [float(t) for t in times if t <= self.t_end * (1 + 1e-12)]
         self._before: State | None = None
-        self._due = list(np.linspace(0.0, self.t_end, self.output.snapshots)) if self.output.snapshots else []
+        self._due = self.output.due(self.t_end)
 
     def quiet(self, n: int, t: float, h: float) -> int:
         """Steps of size h (s) after step n, at time t, up to the next that is recorded, it included."""
@@ -173,11 +212,11 @@ class Progress:
 
     def __init__(self, name: str, steps: int | None, wanted: bool | None) -> None:
         self.bar: Any = None
-        show = sys.stderr.isatty() if wanted is None else wanted
+        show = sys.stderr.isatty() or "ipykernel" in sys.modules if wanted is None else wanted
         if not show or world_rank() != 0:
             return
         try:
-            from tqdm import tqdm
+            from tqdm.auto import tqdm  # a bar of text in a terminal, a widget in a notebook
         except ImportError:
             return
         self.bar = tqdm(total=steps, desc=name, unit="step", file=sys.stderr, mininterval=0.2)

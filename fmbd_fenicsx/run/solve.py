@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +28,7 @@ from .schedule import Pace, pace_of
 from .time_loop import March, Problem, begin, make_solver, march
 
 if TYPE_CHECKING:
+    from ..post.drawing.view import Paint, View
     from .certificate import Certificate
     from .checkpoint import Checkpoint, Keeper
 
@@ -153,13 +154,56 @@ class Run:
 
         return save_fields(self, folder, quantities)
 
-    def picture(self, file: str | Path, *, sensor: str | None = None) -> None:
-        """Write a picture of the snapshots (pyvista), with the history of a sensor beside it; collective,
-        rank 0 writes.
+    def picture(
+        self,
+        file: str | Path,
+        *,
+        sensors: Sequence[str] | str = (),
+        view: View | None = None,
+        paint: Paint | None = None,
+        reference: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Write a picture of some snapshots (pyvista), with the histories of sensors beside it; collective, rank 0 writes.
+
+        Args:
+            sensors: names of sensors or of their components ("tip y").
+            view: camera, number of instants, arrows; see :class:`~fmbd_fenicsx.View`.
+            paint: a quantity that colours elastic bodies; else they are coloured by time.
+            reference: what is known of sensors, as for :meth:`plot`.
         """
         from ..post.plot import picture
 
-        picture(self, file, sensor=sensor)
+        names = [sensors] if isinstance(sensors, str) else sensors
+        picture(self, file, sensors=names, view=view, paint=paint, reference=reference)
+
+    def animate(
+        self,
+        file: str | Path,
+        *,
+        sensors: Sequence[str] | str = (),
+        view: View | None = None,
+        paint: Paint | None = None,
+        seconds: float | None = None,
+    ) -> Path:
+        """Write an animation of the snapshots, ``.gif``, ``.mp4`` (ffmpeg) or ``.html``; collective, rank 0 writes.
+
+            run = fmbd.solve(scene, ..., output=fmbd.Output(snapshots=100))
+            run.animate("arm.gif", sensors="tip", paint=fmbd.Paint(von_mises, "von Mises stress (Pa)"))
+
+        A web page (.html) needs no other file and no network: it turns, zooms, plays and stops.
+
+        Args:
+            sensors: names of sensors or of their components, drawn beside the scene with a dot at the present instant.
+            view: camera, size, arrows of forces; see :class:`~fmbd_fenicsx.View`.
+            paint: a quantity that colours elastic bodies.
+            seconds: how long it lasts; by default the simulated time where that is 2 s to 12 s, else 5 s.
+
+        Raises:
+            InputError: no snapshots, an unknown sensor or kind of file, no ffmpeg for .mp4.
+        """
+        from ..post.animation import animate
+
+        return animate(self, file, sensors=sensors, view=view, paint=paint, seconds=seconds)
 
 
 def solve(

@@ -53,6 +53,11 @@ class Section:
             require(value is None or (np.isfinite(value) and value > 0), f"Section: {name} = {value} must be positive.")
         require(self.rhoI >= 0 and (self.rhoI_y or 0.0) >= 0, "Section: rhoI must not be negative.")
 
+    @property
+    def thickness(self) -> float:
+        """Height (m) of the rectangle with this ratio of stiffnesses; a drawing shows it."""
+        return float(np.sqrt(12 * self.EI / self.EA))
+
     @classmethod
     def rectangle(
         cls, *, youngs_modulus: float, poisson_ratio: float, density: float, width: float, height: float
@@ -142,6 +147,10 @@ class Beam:
     def constants(self) -> Constants:
         """What the time loop needs."""
         return _Assembly(self).constants()
+
+    def centre_line(self, per_element: int = 4) -> Array:
+        """Points of the centre line from the centre of mass, and their modes, (n, d, 1 + modes); world axes of the start, m."""
+        return _Assembly(self).centre_line(per_element)
 
 
 def _bending(xi: float, length: float, shear: float) -> tuple[Array, Array, Array]:
@@ -353,6 +362,17 @@ class _Assembly:
             )
             surfaces["end"] = replace(surfaces["end"], bend=np.multiply.outer(R[:, 0], Gx[2]))
         return Constants(self.s.rhoA * beam.length, S, T, K, D, surfaces, center, beam.length, G)
+
+    def centre_line(self, per_element: int) -> Array:
+        """Points along the beam, (n, d, 1 + modes)."""
+        M = np.trace(self.inertia()[1][1:, 1:], axis1=2, axis2=3)
+        V = self.basis(self.stiffness(), M)
+        W = np.zeros((self.n + 1, V.shape[1] + 1))
+        W[0, 0], W[1:, 1:] = 1.0, V
+
+        R, last = self.axes(), self.beam.elements - 1
+        places = [(e, k / per_element) for e in range(last + 1) for k in range(per_element)]
+        return np.stack([R @ self.fields(e, x)[0] @ W for e, x in (*places, (last, 1.0))])
 
     def _section(self, e: int, x: float, R: Array, W: Array, at: Array) -> SurfaceData:
         """Moments of an end section: b_0 its centre, b_k of the section directions, weighted like an area."""

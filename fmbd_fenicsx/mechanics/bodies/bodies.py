@@ -45,6 +45,9 @@ class RigidBody:
         velocity: of the centre of mass at the start, m/s, (d,).
         angular_velocity: at the start, body axes, rad/s: a number or (3,).
         locked: True keeps the body where it is; it then has no unknowns.
+        shape: what it looks like in pictures, in body axes from the centre of mass: a shape of :mod:`fmbd_fenicsx.contacts`
+            (box, cylinder, sphere, ...), an STL file (lengths in m), a mesh of :func:`~fmbd_fenicsx.read_gmsh`, or a list of
+            them. None: what it touches with, else bars to its joints. It has no part in the motion.
     """
 
     name: str
@@ -56,8 +59,13 @@ class RigidBody:
     angular_velocity: Any = None
     locked: bool = False
     dim: int = field(init=False)
+    shape: Any = None
 
     def __post_init__(self) -> None:
+        if self.shape is not None:
+            from .appearance import check_shape
+
+            check_shape(self.name, self.shape)
         J = np.asarray(self.inertia, dtype=float)
         object.__setattr__(self, "dim", 2 if J.ndim == 0 else 3)
         require(
@@ -297,6 +305,7 @@ class CoordinateBody:
         rate: dg/dt at fixed q, (q, t) -> (m,); by a complex step where missing.
         force_jacobian: (df/dq, df/dq') (q, v, t) -> two (n, n); by complex-step differences where missing.
         potential: q -> J, for the energy balance; None counts as zero.
+        outline: q -> lines (n, 2) or (n, 3) in the world (m), a list of arrays: what pictures show of it.
         vectorized: mass, force, constraint, jacobian, gamma and rate also take many configurations in one call, with arrays
             that have one more, last axis: q (n, k), t (k,) -> f (n, k), M (n, n, k), dg/dq (m, n, k). Several times faster.
     """
@@ -314,6 +323,7 @@ class CoordinateBody:
     force_jacobian: Callable[[Array, Array, float], tuple[Any, Any]] | None = None
     vectorized: bool = False
     dim: int | None = None  # fits scenes of any dimension
+    outline: Callable[[Array], Sequence[Array]] | None = None
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.start))

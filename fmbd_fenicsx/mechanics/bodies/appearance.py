@@ -1,0 +1,38 @@
+"""What a rigid body may be drawn as; loaded by bodies that say it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from ...errors import InputError, require
+from ..contact.shapes import Shape
+
+
+def is_mesh(part: Any) -> bool:
+    """Whether it is a mesh of ``read_gmsh``; bodies without one do not load its module, and DOLFINx with it."""
+    mesh = sys.modules.get("fmbd_fenicsx.mesh")
+
+    return mesh is not None and isinstance(part, mesh.Mesh)
+
+
+def check_shape(name: str, shape: Any) -> None:
+    """Refuse what cannot be drawn, where the body is made.
+
+    Raises:
+        InputError: neither a shape, a mesh nor an STL file; or a file that is not there.
+    """
+    for part in shape if isinstance(shape, list | tuple) else [shape]:
+        if isinstance(part, Shape) or is_mesh(part):
+            continue
+        require(
+            isinstance(part, str | Path),
+            f'Body "{name}": shape {part!r} is neither a shape such as fmbd.contacts.Box, a mesh, nor the name of an STL file.',
+        )
+        file = Path(part)
+        if file.suffix.lower() != ".stl":
+            raise InputError(
+                f'Body "{name}": shape "{part}" is no STL file. Other formats: fmbd.read_gmsh("part.geo"), or convert to STL.'
+            )
+        require(file.is_file(), f'Body "{name}": shape "{part}": there is no such file.')

@@ -1,0 +1,113 @@
+"""Animations: every frame shows its instant; files are what their names say; mistakes are told before anything is drawn."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.post import animation
+from fmbd_fenicsx.post.drawing.view import View
+
+SMALL = View(size=(320, 200))
+
+
+def swing(snapshots: Any = 5) -> fmbd.Run:
+    bob = fmbd.RigidBody("bob", 1.0, 0.1, position=(1.0, 0.0), shape=fmbd.contacts.Sphere(0.2))
+    scene = fmbd.Scene("pendulum", gravity=(0, -9.81))
+    scene.add(bob, fmbd.revolute("pin", fmbd.ground, bob, center=(0, 0)))
+    scene.sensor("bob", fmbd.sensors.position(bob))
+    return fmbd.solve(scene, t_end=0.5, dt=0.01, output=fmbd.Output(snapshots=snapshots))
+
+
+def center_of_body(frame: np.ndarray) -> np.ndarray:
+    """Mean row and column of the pixels in the colour of the first body."""
+    rgb = frame.astype(int)
+    on = np.abs(rgb - [76, 120, 168]).sum(2) < 40
+    return np.argwhere(on).mean(0)
+
+
+@pytest.mark.serial
+def test_frames_follow_the_motion() -> None:
+    pytest.importorskip("pyvista")
+    run = swing()
+    shown = list(animation.frames(animation.make_story(run, ("bob y",), SMALL, None, 1.0)))
+    assert len(shown) == 5 and all(f.shape == (200, 320, 3) for f in shown)
+    places = np.array([center_of_body(f) for f in shown])
+    heights = np.array([run["bob"][int(round(s.t / 0.01)), 1] for s in run.snapshots])
+
+    # pixels go down as the bob does, by one scale
+    assert np.polyfit(heights, places[:, 0], 1)[0] < 0
+    assert np.corrcoef(heights, places[:, 0])[0, 1] < -0.99
+
+
+@pytest.mark.serial
+def test_gif_holds_all_frames_and_lasts_as_asked(tmp_path: Path) -> None:
+    pytest.importorskip("pyvista")
+    from PIL import Image
+
+    file = swing().animate(tmp_path / "swing.gif", sensors="bob", view=SMALL, seconds=2.0)
+    with Image.open(file) as image:
+        assert image.n_frames == 5 and image.size == (320, 200)
+        assert 5 * image.info["duration"] == pytest.approx(2000, rel=0.05)
+
+
+@pytest.mark.serial
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")
+def test_mp4_is_written(tmp_path: Path) -> None:
+    file = swing().animate(tmp_path / "swing.mp4", view=SMALL)
+    assert file.read_bytes()[4:8] == b"ftyp"
+
+
+def test_mp4_without_ffmpeg_says_what_works(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(InputError, match=r"needs ffmpeg.*\.gif and \.html"):
+        swing().animate(tmp_path / "swing.mp4")
+
+
+def test_mistakes_are_told(tmp_path: Path) -> None:
+    run = swing()
+    with pytest.raises(InputError, match=r"\.gif, \.mp4 or \.html"):
+        run.animate(tmp_path / "swing.avi")
+    with pytest.raises(InputError, match='Did you mean "bob"'):
+        run.animate(tmp_path / "swing.gif", sensors="bobb")
+    with pytest.raises(InputError, match="seconds = -1"):
+        run.animate(tmp_path / "swing.gif", seconds=-1)
+    with pytest.raises(InputError, match="there is no folder"):
+        run.animate(tmp_path / "nowhere" / "swing.gif")
+    for few in (0, 1):
+        with pytest.raises(InputError, match="snapshots=100"):
+            swing(few).animate(tmp_path / "swing.gif")
+
+
+@pytest.mark.serial
+def test_pace_is_said_in_words() -> None:
+    run = swing()
+    story = animation.make_story(run, (), SMALL, None, 5.0)
+    assert story.pace == "slowed 10 times"
+    assert animation.make_story(run, (), SMALL, None, 0.5).pace == "in real time"
+    assert animation.make_story(run, (), SMALL, None, 0.05).pace == "10 times faster"
+
+
+@pytest.mark.serial
+def test_a_run_that_shows_nothing_loads_nothing_of_it() -> None:
+    code = """
+import sys
+import fmbd_fenicsx as fmbd
+bob = fmbd.RigidBody("bob", 1.0, 0.1, position=(1.0, 0.0), shape=fmbd.contacts.Sphere(0.2))
+scene = fmbd.Scene("pendulum", gravity=(0, -9.81))
+scene.add(bob, fmbd.revolute("pin", fmbd.ground, bob, center=(0, 0)))
+run = fmbd.solve(scene, t_end=0.1, dt=0.05, output=fmbd.Output(snapshots=2))
+unwanted = ("fmbd_fenicsx.post.drawing", "fmbd_fenicsx.post.animation", "dolfinx", "pyvista")
+print([m for m in sys.modules if m.startswith(unwanted)])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    assert done.stdout.strip() == "[]"
