@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import json
+import re
 import shutil
 import subprocess
 import sys
@@ -111,3 +114,18 @@ print([m for m in sys.modules if m.startswith(unwanted)])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_web_page_holds_the_motion_and_needs_nothing_else(tmp_path: Path) -> None:
+    run = swing()
+    text = run.animate(tmp_path / "swing.html", sensors="bob").read_text()
+    assert "http" not in text.replace("http-equiv", "")  # no network
+
+    data = json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', text, re.DOTALL)[1])  # type: ignore[index]
+    bob = next(p for p in data["pieces"] if p["name"] == "bob")
+    points = np.frombuffer(base64.b64decode(bob["points"]), "<f4").reshape(-1, 3)
+    places = np.frombuffer(base64.b64decode(bob["places"]), "<f4").reshape(-1, 12)
+    assert data["times"] == pytest.approx([s.t for s in run.snapshots])
+    assert np.abs(points[:48]).max() == pytest.approx(0.2)
+    assert places[-1, 9:11] == pytest.approx(run["bob"][-1], abs=1e-6)
+    assert data["curves"][0]["name"] == "bob (m)" and len(data["curves"][0]["values"]) == 2

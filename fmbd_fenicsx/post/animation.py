@@ -25,7 +25,7 @@ from .drawing.view import Paint, View
 from .plot import STYLE, _history, _series
 
 FASTEST = 50.0  # frames a second: what a GIF can do
-KINDS = (".gif", ".mp4")
+KINDS = (".gif", ".mp4", ".html")
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,11 @@ def animate(
 
     def write() -> None:
         require(file.parent.is_dir(), f'Animation "{file}": there is no folder "{file.parent}".')
-        if kind == ".gif":
+        if kind == ".html":
+            from .webpage import page
+
+            file.write_text(page(story), encoding="utf-8")
+        elif kind == ".gif":
             _write_gif(file, story)
         else:
             _write_mp4(file, story)

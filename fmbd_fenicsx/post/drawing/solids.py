@@ -161,9 +161,10 @@ def coil(slenderness: float, turns: int = 7, wire: float = 0.14) -> Solid:
     phase = 2 * np.pi * turns * s
     body = np.column_stack((0.12 + 0.76 * s, np.cos(phase), np.sin(phase)))
     path = np.concatenate(([(0.0, 0, 0), (0.12, 0, 0)], body, [(0.88, 0, 0), (1.0, 0, 0)]))
-    true = swept(path * [slenderness, 1.0, 1.0], wire, 6)
+    longer = np.array([slenderness, 1.0, 1.0])
+    true = swept(path * longer, wire, 6)
 
-    return Solid(true.points / [slenderness, 1.0, 1.0], true.triangles)
+    return Solid(np.asarray(true.points / longer, dtype=float), true.triangles)
 
 
 def zigzag(turns: int = 5) -> Solid:
