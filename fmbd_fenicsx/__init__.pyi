@@ -168,3 +168,4 @@ from .system.sensors.elements import elongation as elongation
 from .system.sensors.elements import tension as tension
 
 __version__: str
+from .versions import about as about

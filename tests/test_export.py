@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -63,9 +64,9 @@ def test_time_histories_with_units(pendulums: fmbd.Run, shared_tmp: Path) -> Non
 def test_fields_show_the_true_motion(pendulums: fmbd.Run, shared_tmp: Path) -> None:
     pv = pytest.importorskip("pyvista")
     files = pendulums.save_fields(shared_tmp / "fields", {"von Mises (Pa)": von_mises})
-    assert [f.stem for f in files] == ["full", "few", "free"]
+    assert [f.stem for f in files] == ["full", "few", "free", "scene"]
     pendulums.system.comm.barrier()
-    for file in files:
+    for file in files[:-1]:
         reader = pv.get_reader(str(file))
         np.testing.assert_allclose(reader.time_values, [0.0, 0.05, 0.1])
         reader.set_active_time_value(reader.time_values[-1])
@@ -82,5 +83,31 @@ def test_fields_need_snapshots_and_elastic_bodies() -> None:
     scene.add(fmbd.RigidBody("b", 1.0, 1.0))
     with pytest.raises(fmbd.errors.InputError, match="snapshots=50"):
         fmbd.solve(scene, t_end=0.1, dt=0.1).save_fields("unused")
-    with pytest.raises(fmbd.errors.InputError, match="no elastic body"):
-        fmbd.solve(scene, t_end=0.1, dt=0.1, output=fmbd.Output(snapshots=2)).save_fields("unused")
+
+
+@pytest.mark.mpi
+def test_one_file_opens_the_whole_scene(pendulums: fmbd.Run, shared_tmp: Path) -> None:
+    pv = pytest.importorskip("pyvista")
+    scene = pendulums.save_fields(shared_tmp / "whole")[-1]
+    pendulums.system.comm.barrier()
+    reader = pv.get_reader(str(scene))
+    np.testing.assert_allclose(reader.time_values, [0.0, 0.05, 0.1])
+    names = {d.attrib["name"] for d in ET.parse(scene).getroot().iter("DataSet")}
+    assert {"full", "few", "free", "pin of full", "ground at pin of few"} <= names
+    reader.set_active_time_value(reader.time_values[-1])
+    assert all("displacement" in block.point_data for block in reader.read() if block is not None and block.n_points)
+
+
+def test_rigid_bodies_are_written_where_they_are(tmp_path: Path) -> None:
+    pv = pytest.importorskip("pyvista")
+    ball = fmbd.RigidBody("ball", 1.0, (0.1, 0.1, 0.1), (0.0, 0.0, 1.0), shape=fmbd.contacts.Sphere(0.1))
+    scene = fmbd.Scene("falling", gravity=(0, 0, -9.81))
+    scene.add(ball)
+    scene.sensor("ball", fmbd.sensors.position(ball))
+    run = fmbd.solve(scene, t_end=0.2, dt=0.01, output=fmbd.Output(snapshots=3))
+    (file,) = run.save_fields(tmp_path)
+    reader = pv.get_reader(str(file))
+    reader.set_active_time_value(reader.time_values[-1])
+    grid = reader.read().combine()
+    where = (grid.points + grid["displacement"]).mean(0)
+    np.testing.assert_allclose(where, run["ball"][-1], atol=1e-6)

@@ -9,7 +9,18 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "fmbd_fenicsx"
 FLOORS = [
-    {"_lazy", "errors", "log", "rotations", "dolfinx_compat", "mesh", "materials", "energies", "kernel_cache"},
+    {
+        "_lazy",
+        "versions",
+        "errors",
+        "log",
+        "rotations",
+        "dolfinx_compat",
+        "mesh",
+        "materials",
+        "energies",
+        "kernel_cache",
+    },
     {"fem"},
     {"mechanics"},
     {"system"},

@@ -18,6 +18,9 @@ from ..mechanics.reduction.craig_bampton import ReducedBody
 from ..mechanics.reduction.recovery import displacement_field, within_cells
 from ..run.solve import Run
 from ..system.system import State
+from .drawing.draw import draw
+from .drawing.view import View
+from .paraview import save_scene
 from .plot import components
 
 Quantity = Callable[[Any], Any]
@@ -60,14 +63,17 @@ def _save_errors(run: Run, file: Path) -> None:
 
 
 def save_fields(run: Run, folder: str | Path, quantities: Mapping[str, Quantity] | None = None) -> list[Path]:
-    """Displacements and quantities of every elastic body at the snapshots, ``folder/<body>.pvd``; collective.
+    """Displacements and quantities of every elastic body at the snapshots, ``folder/<body>.pvd``, and the whole scene with rigid
+    bodies, joints, springs and obstacles, ``folder/scene.pvd``; collective.
 
-    ``quantities`` are those of the middle of each cell. Returns the files.
+    ``quantities`` are those of the middle of each cell. Returns the files, that of the scene last.
     """
     require(bool(run.snapshots), "Fields are those of snapshots: solve(..., output=Output(snapshots=50)).")
     bodies = [b for b in run.scene.bodies.values() if hasattr(b, "mesh") or isinstance(b, ReducedBody)]
-    require(bool(bodies), f'Scene "{run.scene.name}" has no elastic body on a mesh.')
-    return [_save_body(run, b, Path(folder), dict(quantities or {})) for b in bodies]
+    files = [_save_body(run, b, Path(folder), dict(quantities or {})) for b in bodies]
+    drawing = draw(run, view=View(floor=False))
+    on_root(run.system.comm, lambda: save_scene(drawing, Path(folder), files))
+    return [*files, Path(folder) / "scene.pvd"]
 
 
 def _save_body(run: Run, body: Any, folder: Path, quantities: dict[str, Quantity]) -> Path:

@@ -12,6 +12,7 @@ from ..mechanics.forces.forces import Spring
 from ..mechanics.joints.constraints import standstill
 from ..mechanics.reduction.craig_bampton import ReducedBody
 from ..system.scene.scene import Scene
+from ..versions import short
 
 if TYPE_CHECKING:
     from ..run.solve import Run
@@ -58,6 +59,7 @@ def run_report(run: Run) -> str:
         lines += _ledger(run)
     lines += _entry("seconds", _seconds(run.seconds, steps))
     lines += _entry("peak memory", f"{run.memory / 1e6:.0f} MB" + _ranks(run))
+    lines += _entry("made by", short())
     return "\n".join(lines + _plan(run))
 
 

@@ -104,7 +104,7 @@ def _names(traces: Sequence[_Trace], reference: _Trace | Exact, wanted: Sequence
     return list(wanted) if wanted else shared
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class OrderTable:
     """Errors over a falling parameter, and the observed orders.
 
@@ -148,6 +148,12 @@ class OrderTable:
 
     def __str__(self) -> str:
         return aligned(self.rows())
+
+    def __repr__(self) -> str:
+        return f"<OrderTable over {self.parameter}: {', '.join(self.errors)}>"
+
+    def _repr_html_(self) -> str:
+        return html_table(self.rows())
 
     def markdown(self) -> str:
         """The table in Markdown."""
@@ -220,7 +226,7 @@ class Point:
     failure: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class WorkPrecision:
     """Error (in ``units``) against work for several configurations; failures are listed, not left out."""
 
@@ -257,6 +263,12 @@ class WorkPrecision:
         why = [p.failure.splitlines()[0] for p in self.failures]
         failed = [f"failed: {p.label}{at}: {w}" for p, at, w in zip(self.failures, where, why, strict=True)]
         return "\n".join([aligned(self.rows()), *failed])
+
+    def __repr__(self) -> str:
+        return f"<WorkPrecision of {len(self.points)} runs, {len(self.failures)} failed: {', '.join(self.quantities)}>"
+
+    def _repr_html_(self) -> str:
+        return html_table(self.rows())
 
     def markdown(self) -> str:
         """The table in Markdown."""
@@ -377,6 +389,16 @@ def aligned(rows: Sequence[Sequence[str]]) -> str:
         cells = [c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))]
         lines.append("  ".join(cells).rstrip())
     return "\n".join(lines)
+
+
+def html_table(rows: Sequence[Sequence[str]]) -> str:
+    """Rows of cells as an HTML table, the first row its header: what notebooks show."""
+    from html import escape
+
+    def line(cells: Sequence[str], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+    return f"<table>{line(rows[0], 'th')}{''.join(line(row, 'td') for row in rows[1:])}</table>"
 
 
 def markdown(rows: Sequence[Sequence[str]]) -> str:

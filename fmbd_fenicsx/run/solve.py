@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from .checkpoint import Checkpoint, Keeper
 
 
-@dataclass
+@dataclass(repr=False)
 class Run:
     """What a run left behind; equal on all ranks but for the field values in ``state`` and ``snapshots``.
 
@@ -144,6 +144,20 @@ class Run:
 
         save_series(self, file)
 
+    def to_xarray(self) -> Any:
+        """All sensors and energies over time as an ``xarray.Dataset`` with units and names of components; ``.to_netcdf(file)``
+        writes it. Needs xarray.
+        """
+        from ..post.tables import to_xarray
+
+        return to_xarray(self)
+
+    def to_pandas(self) -> Any:
+        """All sensors and energies as a ``pandas.DataFrame`` over time, columns "tip x (m)". Needs pandas."""
+        from ..post.tables import to_pandas
+
+        return to_pandas(self)
+
     def save_fields(self, folder: str | Path, quantities: Mapping[str, Any] | None = None) -> list[Path]:
         """Write the snapshots of elastic bodies for ParaView, ``folder/<body>.pvd``; collective. Returns the files.
 
@@ -204,6 +218,27 @@ class Run:
         from ..post.animation import animate
 
         return animate(self, file, sensors=sensors, view=view, paint=paint, seconds=seconds)
+
+    def show(self, *, sensors: Sequence[str] | str = (), view: View | None = None, paint: Paint | None = None) -> Any:
+        """The animation to look at: in a notebook as the last expression of a cell, else in the web browser; collective.
+
+        Raises InputError without snapshots, and where there is neither a notebook nor a screen.
+        """
+        from ..post.showing import show
+
+        return show(self, sensors=sensors, view=view, paint=paint)
+
+    def __repr__(self) -> str:
+        steps = f"{self.counters.get('steps', 0):.0f} steps to t = {self.state.t:g} s"
+        return (
+            f'<Run of "{self.scene.name}": {self.scheme.name}, {steps}, '
+            f"{self.status}; sensors {', '.join(self.series) or 'none'}; {len(self.snapshots)} snapshots>"
+        )
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return f"<pre>{escape(self.report())}</pre>"
 
 
 def solve(

@@ -28,7 +28,7 @@ from .build import Builder
 BODIES = (RigidBody, FloatingBody, AbsoluteBody, ReducedBody, Beam, LineBody, Rod, CoordinateBody, Wires)
 
 
-@dataclass
+@dataclass(repr=False)
 class Scene:
     """Bodies, joints, forces and sensors under gravity.
 
@@ -53,6 +53,16 @@ class Scene:
     sliders: dict[str, SlidingContact] = field(default_factory=dict)
     ties: dict[str, Any] = field(default_factory=dict)
     inputs: dict[str, Input] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        parts = {"bodies": self.bodies, "joints": self.joints, "forces": self.forces, "contacts": self.contacts}
+        named = [f"{what} {', '.join(names)}" for what, names in {**parts, "sensors": self.sensors}.items() if names]
+        return f'<Scene "{self.name}": {"; ".join(named) or "empty"}>'
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return f"<pre>{escape(repr(self)[1:-1].replace('; ', chr(10) + '  '))}</pre>"
 
     def add(self, *parts: Any) -> None:
         """Add bodies, joints, forces and contacts; names must be unique among each."""

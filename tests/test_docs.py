@@ -1,0 +1,85 @@
+"""The documentation: its scripts run, its questions are answered, its site builds where the tools are."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+HOWTO = (ROOT / "docs/howto.md").read_text()
+
+
+def blocks(text: str) -> list[str]:
+    """Python blocks of a page."""
+    return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+
+
+def answers() -> list[tuple[str, str]]:
+    """Question and answer, one for each block under a question."""
+    parts = re.split(r"^### \.\.\. ", HOWTO, flags=re.MULTILINE)[1:]
+    return [(part.splitlines()[0].rstrip("?"), block) for part in parts for block in blocks(part)]
+
+
+@pytest.fixture
+def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the clone's meshes in which scripts may write."""
+    (tmp_path / "meshes").symlink_to(ROOT / "meshes")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(("question", "answer"), answers(), ids=[q for q, _ in answers()])
+def test_answers_run_and_are_short(question: str, answer: str, clone: Path) -> None:
+    assert len([line for line in answer.splitlines() if line.strip()]) <= 9
+    if "picture" in answer:
+        pytest.importorskip("pyvista")
+    known: dict[str, Any] = {}
+    exec(blocks(HOWTO)[0], known)  # noqa: S102
+    exec(answer, known)  # noqa: S102
+
+
+@pytest.mark.serial
+def test_tutorial_runs_and_shows_what_it_says(clone: Path) -> None:
+    pytest.importorskip("pyvista")
+    script = "\n".join(blocks((ROOT / "docs/tutorial.md").read_text()))
+    (clone / "arm.py").write_text(script)
+    done = subprocess.run([sys.executable, "arm.py"], capture_output=True, text=True, timeout=250)  # noqa: PLW1510
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "load at the end:" in done.stdout and "estimated from runs with 2 h" in done.stdout
+    for name in ("arm.png", "arm.html"):
+        assert (clone / name).stat().st_size > 20_000
+    assert list((clone / "arm_fields").glob("*.pvd"))
+
+
+@pytest.mark.parametrize("page", sorted(p.name for p in (ROOT / "docs").glob("*.md")))
+def test_every_page_is_in_the_index(page: str) -> None:
+    index = (ROOT / "docs/index.md").read_text()
+    assert page == "index.md" or re.search(rf"^{Path(page).stem}$", index, re.MULTILINE), (
+        f"{page} is not in docs/index.md"
+    )
+
+
+def test_python_of_all_pages_is_python() -> None:
+    for page in (ROOT / "docs").glob("*.md"):
+        for block in blocks(page.read_text()):
+            compile(block, page.name, "exec")
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("sphinx") is None or find_spec("myst_parser") is None, reason="no Sphinx")
+def test_site_builds_without_warnings(tmp_path: Path) -> None:
+    command = [sys.executable, "docs/build.py", "--demos", "none", "--out", str(tmp_path / "site")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280)  # noqa: PLW1510
+    assert done.returncode == 0, done.stderr[-3000:]
+    for page in ("index", "tutorial", "howto", "gallery", "api/flat", "api/sensors", "genindex"):
+        assert (tmp_path / "site" / f"{page}.html").exists()
+    text = (tmp_path / "site/tutorial.html").read_text()
+    assert not re.search(r'<(?:script|link|img)[^>]*(?:src|href)="https?:', text)  # no network at view time
