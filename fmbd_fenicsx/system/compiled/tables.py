@@ -398,5 +398,5 @@ def covers_bodies(system: System) -> bool:
     """Whether all bodies are rigid or reduced, without loads that the driver does not know."""
     parts: tuple[Any, ...] = system.parts
     known = all(type(p) is ReducedPart and not p.constants.loads for p in parts)
-    plain = system.markers.section is None and system.contacts is None
+    plain = system.markers.section is None and system.contacts is None and not system.elements
     return known and plain and not system.port_constraints and not system.traces and system.n_frames > 0
