@@ -105,6 +105,23 @@ def test_placements_agree(rod_mesh: Any) -> None:
     assert gain[0] == pytest.approx(gain[1], rel=1e-8)
 
 
+def test_damped_rod(rod_mesh: Any) -> None:
+    """zeta = beta w / 2 for stiffness-proportional damping, and no motion that constraints forbid in the linear model."""
+    values = []
+    for beta in (0.0, 2e-3):
+        how: Any = {"elastic": fmbd.materials.plane_stress(5e8, 0.3), "stiffness_damping": beta}
+        rod = fmbd.FloatingBody("rod", rod_mesh(), density=1000.0, **how)
+        scene = fmbd.Scene("rod")
+        scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
+        scene.add(fmbd.force("push", rod.surface("tip"), lambda t: (0.0, 0.0)))
+        scene.sensor("tip", fmbd.position(rod.surface("tip")))
+        values.append(fmbd.modes(scene, 2).eigenvalues)
+    assert np.abs(values[1]) == pytest.approx(values[0].imag, rel=1e-6)
+    assert values[1].real == pytest.approx(-1e-3 * values[0].imag ** 2, rel=1e-6)
+    model = fmbd.linearise(scene, ["push y"], ["tip y"])
+    assert np.abs(np.linalg.eigvals(model.A)).min() == pytest.approx(values[0][0].imag, rel=1e-6)
+
+
 def test_bad_input() -> None:
     """Too many modes, states out of equilibrium, unknown names, resonance without damping."""
     scene = two_masses(0.0)

@@ -21,6 +21,7 @@ from .perturbation import Perturbation
 
 RANK = 1e-9  # singular values of the scaled G below this share of the largest are zero
 BLOCK, MORE = 3, 24  # start vectors, and vectors beyond those asked for
+NEW = 1e-5  # share of a vector that must be new: below it stands the noise of GMRES, which no constraint holds
 DENSE_LIMIT = 600  # replicated coordinates up to which all of them are taken
 EXACT = ExactTangent(rtol=1e-7, max_iterations=60)
 
@@ -89,8 +90,9 @@ def _krylov(about: Perturbation, solver: StepSolver, count: int, shift: float, i
             for v in basis:
                 x = x - system.dot(system.units**2 * v, x) * v
         left = _norm(about, x)
-        if left > 1e-10 * size > 0.0:
-            basis.append(x / left)
+        if left > NEW * size > 0.0:
+            held = inverse.held(x / left)
+            basis.append(held / _norm(about, held))
     return np.array(basis)
 
 
@@ -130,6 +132,10 @@ class _Shifted:
         for _, part in about.system.fields:
             part.relinearise()
         solver.prepare(ev, Weights(shift, 0.0, 1.0))
+
+    def held(self, x: Array) -> Array:
+        """x without what violates the constraints: differences of nearly equal vectors enlarge it."""
+        return x + self.solver.solve(np.zeros_like(x), -self.about.rows(x))[0]
 
     def solve(self, b: Array) -> Array:
         """x with (K + s M) x + G^T mu = b, G x = 0."""

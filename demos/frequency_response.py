@@ -1,0 +1,81 @@
+r"""Frequency responses: two masses against their transfer function, an elastic rod from a force to the motion of its tip.
+
+Run:  ./with-dolfinx python3 demos/frequency_response.py --picture bode.png
+
+   |--/\/\--[ 1 kg ]--/\/\--[ 2 kg ]      3 N/m with 0.1 N s/m, 5 N/m; force on the first, position of the second
+   |   wall          middle
+
+The rod is clamped, 1 m long, with stiffness-proportional damping; the response of the linear model is compared with what a run
+under a sinusoidal force shows after its transient.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx import demo
+from fmbd_fenicsx.post.demo import Check
+
+DRIVE = 60.0  # rad/s
+
+
+def two_masses():
+    """Two masses in a row."""
+    scene = fmbd.Scene("two masses")
+    a, b = (fmbd.RigidBody(n, m, 1.0, position=(x, 0.0)) for n, m, x in (("a", 1.0, 1.0), ("b", 2.0, 2.0)))
+    guides = [fmbd.prismatic(f"guide {x.name}", fmbd.ground, x, axis=(1.0, 0.0)) for x in (a, b)]
+    scene.add(a, b, *guides, fmbd.Spring("middle", a, b, (1.0, 0.0), (2.0, 0.0), stiffness=5.0, length=1.0))
+    scene.add(fmbd.joint_spring("wall", fmbd.displacement(guides[0]), stiffness=3.0, damping=0.1))
+    scene.add(fmbd.force("push", a, lambda t: (0.0, 0.0)))
+    scene.sensor("b", fmbd.position(b))
+    return scene
+
+
+def arm(size):
+    """A damped clamped rod under a force of ``size`` N across its tip."""
+    mesh = fmbd.read_gmsh("meshes/rod.py", dim=2, h=0.1)
+    how = {"elastic": fmbd.materials.plane_stress(5e8, 0.3), "stiffness_damping": 2e-3}
+    rod = fmbd.FloatingBody("rod", mesh, density=1000.0, **how)
+    scene = fmbd.Scene("rod")
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
+    scene.add(fmbd.force("push", rod.surface("tip"), lambda t: (0.0, size * np.sin(DRIVE * t))))
+    scene.sensor("tip", fmbd.acceleration(rod.surface("tip")))
+    return scene
+
+
+def main():
+    """Both responses against their references."""
+    args = demo.arguments(__doc__)
+    omega = np.geomspace(0.1, 20.0, 300)
+    s = 1j * omega
+    exact = 5.0 / ((s * s + 0.1 * s + 8.0) * (2.0 * s * s + 5.0) - 25.0)
+    found = fmbd.frequency_response(two_masses(), ["push x"], ["b x"], omega)[:, 0, 0]
+
+    model = fmbd.linearise(arm(0.0), ["push y"], ["tip y"])
+    answer = model.frequency_response([DRIVE])[0, 0, 0]
+    turn = 2 * np.pi / DRIVE
+    run = fmbd.solve(arm(1.0), t_end=12 * turn, dt=turn / (200 if args.fast else 400))
+    late = run.times > 9.99 * turn
+    waves = np.stack((np.sin(DRIVE * run.times[late]), np.cos(DRIVE * run.times[late])), axis=1)
+    fitted = np.linalg.lstsq(waves, run["tip"][late, 1], rcond=None)[0]
+    checks = [
+        Check(
+            "two masses, error over the largest response", np.abs(found - exact).max() / np.abs(exact).max(), 0.0, 1e-10
+        ),
+        Check("run against linear model, relative", abs(complex(*fitted) - answer) / abs(answer), 0.0, 3e-3),
+    ]
+    if args.picture:
+        wide = np.geomspace(5.0, 2000.0, 400)
+        rod = model.frequency_response(wide)[:, 0, 0]
+        _, axes = plt.subplots(2, 2, figsize=(9, 5), sharex="col")
+        for k, (x, H, name) in enumerate(((omega, found, "two masses (m/N)"), (wide, rod, "rod (m/s^2/N)"))):
+            axes[0, k].loglog(x, np.abs(H)), axes[0, k].set_title(name), axes[0, k].grid(alpha=0.3)
+            axes[1, k].semilogx(x, np.degrees(np.unwrap(np.angle(H)))), axes[1, k].set_xlabel("rad/s")
+            axes[1, k].grid(alpha=0.3)
+        axes[1, 1].axvline(DRIVE, ls=":"), axes[1, 0].set_ylabel("phase (degrees)")
+        plt.tight_layout(), plt.savefig(args.picture, dpi=120)
+    demo.finish(checks, None, args)
+
+
+if __name__ == "__main__":
+    main()

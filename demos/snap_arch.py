@@ -1,0 +1,73 @@
+r"""Snap of a shallow arch: the curve of load and deflection through both limit points, and the snap in time.
+
+Run:  ./with-dolfinx python3 demos/snap_arch.py --picture arch.png
+
+           F             two elastic struts, 1 kN/m each, half span 1 m, rise 0.3 m
+         / | \           F = 2 k (l_0 / l - 1) y,    l = sqrt(1 + y^2)
+       /   v   \         (von Mises' truss; y the height of the apex)
+
+With the load as a function of time only, Newton's method ends at the limit; arc length goes on: the load turns back, pulls, and
+rises again. A load that grows slowly in time lets the apex jump when the static tangent becomes singular.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx import demo
+from fmbd_fenicsx.post.demo import Check
+
+RISE, STIFFNESS, LOAD, RAMP = 0.3, 1000.0, 50.0, 20.0
+LENGTH = np.hypot(1.0, RISE)
+
+
+def build(duration=1.0, damping=0.0):
+    """The arch; 50 N are reached after ``duration`` s."""
+    scene = fmbd.Scene("arch")
+    apex = fmbd.RigidBody("apex", 0.1, 1.0, position=(0.0, RISE))
+    scene.add(apex, fmbd.prismatic("guide", fmbd.ground, apex, axis=(0.0, 1.0)))
+    for name, x in (("left", -1.0), ("right", 1.0)):
+        how = {"stiffness": STIFFNESS, "damping": damping, "length": LENGTH}
+        scene.add(fmbd.Spring(name, fmbd.ground, apex, point_a=(x, 0.0), point_b=(0.0, RISE), **how))
+    scene.add(fmbd.force("load", apex, lambda t: (0.0, -LOAD * t / duration)))
+    scene.sensor("apex", fmbd.position(apex))
+    return scene
+
+
+def load_of(y):
+    """The load that holds the apex at height y (N)."""
+    return 2.0 * STIFFNESS * (LENGTH / np.hypot(1.0, y) - 1.0) * y
+
+
+def main():
+    """The path, its limit points against the exact ones, and the start of the snap in time."""
+    args = demo.arguments(__doc__)
+    followed = fmbd.equilibrium(build(), path=fmbd.ArcLength(1.0, step=0.01 if args.fast else 0.004, most=2000))
+    load, y = LOAD * np.array(followed.path.parameter), followed.path.series["apex"][:, 1]
+    heights = np.linspace(-RISE, RISE, 200_001)
+    limit = load_of(heights).max()
+    turns = LOAD * np.array(followed.path.limit_parameters)
+
+    run = fmbd.solve(build(RAMP, damping=2.0), t_end=0.4 * RAMP, dt=4e-3 if args.fast else 1e-3)
+    fastest = run.times[np.argmax(run["apex"][:, 1] < 0.0)] * LOAD / RAMP
+    checks = [
+        Check("curve against the exact one (N)", np.abs(load - load_of(y)).max(), 0.0, 1e-3),
+        Check("limit points", len(turns), 2),
+        Check.relative("first limit load (N)", turns[0], limit, 1e-3),
+        Check.relative("second limit load (N)", turns[1], -limit, 1e-3),
+        Check.relative("load at the snap in time (N)", fastest, limit, 0.1),
+        Check.at_least("it snaps above the limit (N)", fastest, limit),
+    ]
+    if args.picture:
+        plt.figure(figsize=(6, 4))
+        wide = np.linspace(-0.45, RISE, 400)
+        plt.plot(RISE - wide, load_of(wide), lw=4, alpha=0.3, label="exact")
+        plt.plot(RISE - y, load, "k.-", ms=3, lw=0.8, label="arc length")
+        plt.plot(RISE - run["apex"][:, 1], LOAD * run.times / RAMP, label="slow load in time")
+        plt.ylim(-15, 25), plt.xlabel("deflection of the apex (m)"), plt.ylabel("load (N)")
+        plt.legend(), plt.grid(alpha=0.3), plt.tight_layout(), plt.savefig(args.picture, dpi=120)
+    demo.finish(checks, None, args)
+
+
+if __name__ == "__main__":
+    main()
