@@ -134,6 +134,8 @@ from .schemes.onestep.generalized_alpha import GeneralizedAlpha as GeneralizedAl
 from .schemes.onestep.half_explicit import HalfExplicit as HalfExplicit
 from .schemes.onestep.radau import Radau as Radau
 from .schemes.onestep.rattle import Rattle as Rattle
+from .system.controllers import controller as controller
+from .system.controllers import pid as pid
 from .system.scene.scene import Scene as Scene
 from .system.sensors.contact import contact_force as contact_force
 from .system.sensors.contact import contact_gap as contact_gap

@@ -3,11 +3,13 @@
 from .mechanics.forces.bushing import bushing
 from .mechanics.forces.forces import Spring, Tyre, effort, force, joint_spring, own_force, torque
 from .mechanics.forces.joint_elements import dry_friction, elastic_stop, joint_friction, motor
+from .system.controllers import controller, pid
 
 __all__ = [
     "Spring",
     "Tyre",
     "bushing",
+    "controller",
     "dry_friction",
     "effort",
     "elastic_stop",
@@ -16,5 +18,6 @@ __all__ = [
     "joint_spring",
     "motor",
     "own_force",
+    "pid",
     "torque",
 ]

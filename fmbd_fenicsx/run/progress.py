@@ -35,11 +35,11 @@ class Course:
     def remember(self, m: Memory, where: Any = "") -> None:
         """Write all of it, or read it from the checkpoint ``where``; see :mod:`fmbd_fenicsx.system.serialisation`. Collective."""
         from ..linear.blocks.solver_memory import remember_solver
-        from ..system.element_memory import memories, restore
+        from ..system.element_memory import kinds, memories, restore
         from ..system.serialisation import remember_stepper
         from .fingerprint import check_effect
 
-        restore(self.system, m("elements", memories(self.system)))
+        restore(self.system, m("elements", memories(self.system), *kinds(self.system)))
         tangents = [p for p in self.system.parts if hasattr(p, "evaluated")]
         left = m("evaluated", [p.evaluated for p in tangents])
         for k, part in enumerate(self.system.parts):

@@ -55,7 +55,9 @@ def pace_of(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, multip
             multiple == 1,
             "estimate_error needs constant steps; with error control compare two values of rtol (study.py).",
         )
-        stops = sorted({float(t) for t in scene.breakpoints if 0 < t < t_end})
+        periods = {f.period for f in scene.forces.values() if f.period is not None}
+        samples = [k * period for period in periods for k in range(1, int(np.ceil(t_end / period)))]
+        stops = sorted({float(t) for t in (*scene.breakpoints, *samples) if 0 < t < t_end})
         return Pace(t_end, 0, tuple(stops), np.inf if dt is None else dt)
     assert dt is not None
     steps = max(1, round(t_end / dt))

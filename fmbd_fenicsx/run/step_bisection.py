@@ -124,7 +124,8 @@ class ConstantSteps:
                 raise error from None
         if self.watch is None or (gain := self.watch.gain(after)) is None:
             self.local_error = max(self.local_error, self.stepper.local_error)
-            accept(self.system, after)
+            if accept(self.system, after):  # the past of the stepper is that of other forces
+                self._begin(after)
             return None
         self.whole = depth + 1
         self.watch.count(before, gain, self.whole > HALVINGS)

@@ -6,6 +6,7 @@ is rejected has nothing to undo.
 
 from __future__ import annotations
 
+from dataclasses import is_dataclass
 from typing import Any
 
 from ..mechanics.forces.force_elements import Loads
@@ -21,6 +22,11 @@ def memories(system: System) -> list[Any]:
     return [f.kept for f in _keepers(system)]
 
 
+def kinds(system: System) -> set[type]:
+    """The dataclasses among the memories."""
+    return {type(f.kept) for f in _keepers(system) if is_dataclass(f.kept)}
+
+
 def restore(system: System, kept: list[Any]) -> None:
     """Take the memories back to earlier ones of :func:`memories`."""
     for loads, value in zip(_keepers(system), kept, strict=True):
@@ -31,13 +37,17 @@ def reset(system: System, state: State) -> None:
     """The memories that a run starts with in ``state``; collective."""
     keepers = _keepers(system)
     if keepers:
-        kin = system.at(state.t, state.q, state.v).kin
-        restore(system, [loads.first(kin, state.t) for loads in keepers])
+        ev = system.at(state.t, state.q, state.v)
+        restore(system, [loads.first(ev, state) for loads in keepers])
 
 
-def accept(system: System, state: State) -> None:
-    """Note a step that was accepted and ended in ``state``; collective."""
+def accept(system: System, state: State) -> bool:
+    """Note a step that was accepted and ended in ``state``; whether forces have jumped with it. Collective."""
     keepers = _keepers(system)
-    if keepers:
-        kin = system.at(state.t, state.q, state.v).kin
-        restore(system, [loads.accepted(kin, state.t) for loads in keepers])
+    if not keepers:
+        return False
+    ev = system.at(state.t, state.q, state.v)
+    kept = [loads.accepted(ev, state) for loads in keepers]
+    jumped = any(loads.jumps(value) for loads, value in zip(keepers, kept, strict=True))
+    restore(system, kept)
+    return jumped

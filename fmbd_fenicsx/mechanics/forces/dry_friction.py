@@ -43,7 +43,7 @@ class DryFrictionLoads(ScalarLoads):
 
     def energy(self, kin: Kinematics, t: float) -> float:
         """k (s - p)^2 / 2 with p as it would be after this step: what is stored before sliding, J."""
-        stretch = self.relative.values(kin) - self.accepted(kin, t)
+        stretch = self.relative.values(kin) - self._dragged(kin, t)
         return 0.5 * float((self.k * stretch**2).sum())
 
     def tangent(self, kin: Kinematics, t: float) -> Tangent:
@@ -52,12 +52,16 @@ class DryFrictionLoads(ScalarLoads):
         sticks = np.abs(self._trial(s, rate)) < self.limit
         return self._tangent_of(kin, self.effort(s, rate, t), (self.k * sticks, self.c * sticks))
 
-    def first(self, kin: Kinematics, t: float) -> Array:
+    def first(self, ev: Any, state: Any) -> Array:
         """p where the joint is: it starts without friction force."""
-        return self.relative.values(kin)
+        return self.relative.values(ev.kin)
 
-    def accepted(self, kin: Kinematics, t: float) -> Array:
+    def accepted(self, ev: Any, state: Any) -> Array:
         """p after a step, (m,)."""
+        return self._dragged(ev.kin, ev.t)
+
+    def _dragged(self, kin: Kinematics, t: float) -> Array:
+        """p if a step ends here, (m,)."""
         s, rate, _, _ = self._state(kin)
         slides = np.abs(self._trial(s, rate)) > self.limit
         return np.where(slides, s - (self.effort(s, rate, t) - self.c * rate) / self.k, self.kept)

@@ -99,13 +99,17 @@ class Loads:
 
     kept: Any = None  # memory of elements that have one: arrays, changed by accepted steps only, see ``accepted``
 
-    def first(self, kin: Kinematics, t: float) -> Any:
-        """The memory at the start of a run."""
+    def first(self, ev: Any, state: Any) -> Any:
+        """The memory at the start of a run from a state, evaluated as ``ev``."""
         return None
 
-    def accepted(self, kin: Kinematics, t: float) -> Any:
-        """The memory after a step that ended in this state."""
+    def accepted(self, ev: Any, state: Any) -> Any:
+        """The memory after a step that ended in a state, evaluated as ``ev``."""
         return self.kept
+
+    def jumps(self, kept: Any) -> bool:
+        """Whether forces jump when the memory becomes ``kept``."""
+        return False
 
     def _zero(self) -> Array:
         return np.zeros((len(self.forces), self.motions.dim + self.motions.n_rot))

@@ -50,6 +50,25 @@ class Force:
         """The joint coordinate that it acts on, if any."""
         return None
 
+    @property
+    def sides(self) -> tuple[Any, ...]:
+        """All attachments that it uses."""
+        return self.a, self.b
+
+    @property
+    def coordinates(self) -> tuple[JointCoordinate, ...]:
+        """All joint coordinates that it uses."""
+        return () if self.coordinate is None else (self.coordinate,)
+
+    @property
+    def period(self) -> float | None:
+        """Time (s) from one jump of its law to the next; None for laws without jumps at known times."""
+        return None
+
+    def own_loads(self, place: Any) -> Any:
+        """Its evaluation, where a force of this kind is evaluated alone; None for kinds that go in batches."""
+        return None
+
 
 @dataclass(frozen=True, eq=False)
 class PointForce(Force):

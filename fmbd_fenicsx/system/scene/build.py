@@ -18,7 +18,7 @@ from ...mechanics.forces.force_elements import Loads, ScalarLoads
 from ...mechanics.forces.forces import Force
 from ...mechanics.frames import Markers
 from ...mechanics.joints.constraints import Batch
-from ...mechanics.joints.drives import Coupling
+from ...mechanics.joints.drives import Coupling, JointCoordinate
 from ...mechanics.joints.joints import Joint, ground
 from ...mechanics.joints.relative import Relative, Separation, Turn
 from ...mechanics.reduction.craig_bampton import ReducedBody
@@ -49,6 +49,22 @@ def reduced_part(body: ReducedBody | Beam, frame: int, surfaces: Sequence[str]) 
     part = ReducedPart(body.name, body.constants, frame, surfaces)
     part.body = body
     return part
+
+
+class Place:
+    """What a force that is evaluated alone finds in the system under construction."""
+
+    def __init__(self, builder: Builder) -> None:
+        self.motions, self._builder = builder.m, builder
+
+    def relative(self, coordinate: JointCoordinate) -> Relative:
+        """A joint coordinate."""
+        a, b = self._builder.joint_markers[coordinate.joint.name]
+        return relative_of(self.motions, coordinate.kind, [(coordinate, a, b)])
+
+    def marker(self, sensor: Sensor) -> int:
+        """The marker of a sensor, -1 for one that has none."""
+        return self._builder.sensor_marker(sensor)
 
 
 class Builder:
@@ -103,7 +119,7 @@ class Builder:
         traces = self._surface_ties()
         batches, port_rows, blocks = self._constraints(traces)
         forces = self._loads()
-        sensor_markers = {n: self._sensor_marker(s) for n, s in scene.sensors.items()}
+        sensor_markers = {n: self.sensor_marker(s) for n, s in scene.sensors.items()}
         markers = self._markers()
         counted = self._counted(markers)
         system = System(
@@ -157,7 +173,7 @@ class Builder:
             for side in (tie.a, tie.b):
                 self._known(side, f'Tie "{tie.name}"')
         for force in scene.forces.values():
-            for side in (force.a, force.b):
+            for side in force.sides:
                 if side is not None:
                     self._known(side, f'Force "{force.name}"')
         for body in scene.bodies.values():
@@ -185,7 +201,7 @@ class Builder:
     def _surfaces_in_use(self) -> dict[str, list[str]]:
         used: dict[str, list[str]] = {n: [] for n in self.scene.bodies}
         sides = [s for j in self.scene.joints.values() for s in (j.a, j.b)]
-        sides += [s for f in self.scene.forces.values() for s in (f.a, f.b)]
+        sides += [s for f in self.scene.forces.values() for s in f.sides]
         sides += [s.on for s in self.scene.sensors.values()]
         for side in sides:
             if isinstance(side, Surface) and side.name not in used[side.body.name]:
@@ -334,17 +350,21 @@ class Builder:
     def _loads(self) -> tuple[Loads, ...]:
         """The forces of the scene in batches of one kind."""
         groups: dict[Any, list[tuple[Force, tuple[int, int]]]] = {}
+        out: list[Loads] = []
         for f in self.scene.forces.values():
+            for used in f.coordinates:
+                if used.joint.name not in self.joint_markers:
+                    raise InputError(
+                        f'{f.kind.capitalize()} "{f.name}" uses joint "{used.joint.name}", which is not in the scene. '
+                        f"{near(used.joint.name, self.joint_markers)}"
+                    )
+            if (alone := f.own_loads(Place(self))) is not None:
+                out.append(alone)
+                continue
             s = f.coordinate
-            if s is not None and s.joint.name not in self.joint_markers:
-                raise InputError(
-                    f'Force "{f.name}" acts on joint "{s.joint.name}", which is not in the scene. '
-                    f"{near(s.joint.name, self.joint_markers)}"
-                )
             kind = Separation if s is None else s.kind
             markers = self._force_markers(f) if s is None else self.joint_markers[s.joint.name]
             groups.setdefault((f.batch, kind), []).append((f, markers))
-        out: list[Loads] = []
         for (batch, kind), found in groups.items():
             fs, ms = [f for f, _ in found], [m for _, m in found]
             if issubclass(batch, ScalarLoads):
@@ -369,7 +389,8 @@ class Builder:
         b = a if f.b is None else self._marker(f.b, None if f.point_b is None else np.asarray(f.point_b, dtype=float))
         return a, b
 
-    def _sensor_marker(self, s: Sensor) -> int:
+    def sensor_marker(self, s: Sensor) -> int:
+        """Number of a new marker for a sensor, -1 for one that has none."""
         if s.on is None:
             return -1
         self._known(s.on, "A sensor")
@@ -415,7 +436,7 @@ class Builder:
         """The angles beyond a turn that constraints, forces and sensors of the scene use; None without any."""
         joints: list[Any] = list(self.scene.joints.values())
         used = [s for joint in joints if isinstance(joint, Coupling) for s, _ in joint.terms]
-        used += [f.coordinate for f in self.scene.forces.values() if f.coordinate is not None]
+        used += [s for f in self.scene.forces.values() for s in f.coordinates]
         used += [s.coordinate for s in self.scene.sensors.values() if isinstance(s, JointReading)]
         known = self.joint_markers  # a sensor of another joint is refused where it is read
         angles = {known[s.joint.name]: s for s in used if s.kind is Turn and s.joint.name in known}

@@ -1,0 +1,371 @@
+"""Controllers: read sensors, set the efforts of joint coordinates, keep a memory of their own.
+
+    continuous     u = u(t, y, z),   z' = g(t, y, z)                                                              (1)
+    sampled        u, z = law(t_k, y_k, z)  at t_k = k T, held between                                            (2)
+
+y are the readings, u the efforts, z the memory. Within a step from t_n the memory of (1) follows the trapezoidal rule,
+
+    z(t) = z_n + (t - t_n) / 2 (g_n + g(t, y, z(t))),                                                             (3)
+
+a function of the configuration and of what was kept at t_n; so it is of second order in every scheme, a rejected step has
+nothing to undo, and Newton sees how u answers to the joint coordinates, positions and velocities that are read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..errors import CallbackError, InputError, named, require
+from ..mechanics.forces.force_elements import Loads, Tangent
+from ..mechanics.forces.forces import Force, _coordinate
+from ..mechanics.forces.joint_elements import motion_of
+from ..mechanics.frames import Kinematics
+from ..mechanics.joints.drives import JointCoordinate
+from ..mechanics.joints.relative import Relative
+from ..rotations import Array, Motions
+from .sensors.sensors import AngularVelocity, JointReading, Position, Rotation, Sensor, Velocity
+
+_KINEMATIC = (Position, Velocity, AngularVelocity, Rotation)
+_AT = 1e-9  # share of the sampling period by which a step may end before its sample
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What a controller keeps: time t_n (s), memory z and its rate g, efforts u, and the number of the next sample."""
+
+    t: float
+    z: Array
+    rate: Array
+    u: Array
+    next: int
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What a sensor of motion reads from."""
+
+    kin: Kinematics
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A quantity that a controller reads: a joint coordinate (``relative``, level 0) or its rate (1), or a sensor at a marker."""
+
+    name: str
+    sensor: Sensor
+    marker: int
+    relative: Relative | None
+    level: int
+
+    def at(self, kin: Kinematics) -> Array:
+        """The value in a configuration, (size,)."""
+        if self.relative is not None:
+            return self.relative.rates(kin) if self.level else self.relative.values(kin)
+        return self.sensor.read(_Seen(kin), None, self.marker)  # type: ignore[arg-type]
+
+    def rows(self, kin: Kinematics, size: int) -> list[tuple[int, Array, bool]]:
+        """(marker, rows (size, n), of velocities) by which it answers to markers; empty where that is left out."""
+        d, n = kin.x.shape[1], kin.jac_frame.shape[1]
+        if self.relative is not None:
+            ra, rb = self.relative.rows(kin)
+            return [(int(m[0]), r, bool(self.level)) for m, r in ((self.relative.a, ra), (self.relative.b, rb))]
+        if isinstance(self.sensor, Position | Velocity):
+            return [(self.marker, np.eye(d, n), isinstance(self.sensor, Velocity))]
+        return []
+
+
+class ControlLoads(Loads):
+    """One controller: efforts on the coordinates ``acts``, one marker pair each; ``kept`` as in :class:`Kept`."""
+
+    def __init__(
+        self, motions: Motions, controller: Controller, acts: Sequence[Relative], readings: Sequence[Reading]
+    ) -> None:
+        super().__init__(motions, [controller] * len(acts), [(int(r.a[0]), int(r.b[0])) for r in acts])
+        self.controller, self.acts, self.readings = controller, tuple(acts), tuple(readings)
+        self.law = named("The law of controller", controller.name, controller.law, time=0)
+        z = np.asarray(controller.memory, dtype=float)
+        self.kept: Kept = Kept(0.0, z, np.zeros_like(z), np.zeros(len(acts)), 0)
+
+    @staticmethod
+    def law_of(f: Any) -> Any:
+        """None: the law of a controller is called with its readings."""
+        return None
+
+    def repeated(self, k: int, markers: int) -> Loads | None:
+        """None: the memory belongs to one motion."""
+        return None
+
+    # -- the law ----------------------------------------------------------------------------------------------------
+    def _call(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
+        """Efforts (acts,) and rate (or next value) of the memory, checked."""
+        c = self.controller
+        found = self.law(t, y, z.copy())
+        u, more = found if len(z) and isinstance(found, tuple) and len(found) == 2 else (found, None)
+        if (more is None) != (not len(z)):
+            wanted = "(efforts, rate of the memory)" if c.every is None else "(efforts, memory)"
+            raise CallbackError(f'Controller "{c.name}" keeps {len(z)} numbers: its law must return {wanted}.')
+        size = len(self.acts)
+        efforts = _numbers(c.name, "efforts", u, (size, t))
+        return efforts, z if more is None else _numbers(c.name, "numbers of the memory", more, (len(z), t))
+
+    def _continuous(self, t: float, y: Mapping[str, Array]) -> tuple[Array, Array, Array]:
+        """u, z and g of (3) at time t."""
+        kept, half = self.kept, 0.5 * (t - self.kept.t)
+        z = kept.z + 2 * half * kept.rate
+        u, rate = self._call(t, y, z)
+        if not len(z) or half == 0.0:
+            return u, z, rate
+
+        for _ in range(20):
+            miss = z - kept.z - half * (kept.rate + rate)
+            if np.abs(miss).max() <= 1e-14 * (np.abs(z).max() + np.abs(half * rate).max()):
+                return u, z, rate
+            z = z - np.linalg.solve(np.eye(len(z)) - half * self._memory_slopes(t, y, z, rate), miss)
+            u, rate = self._call(t, y, z)
+        raise CallbackError(
+            f'Controller "{self.controller.name}": its memory has no value at t = {t:g} s. Is the law smooth in it?'
+        )
+
+    def _memory_slopes(self, t: float, y: Mapping[str, Array], z: Array, rate: Array) -> Array:
+        """dg/dz, (m, m)."""
+        out = np.zeros((len(z), len(z)))
+        for k in range(len(z)):
+            step = np.zeros(len(z))
+            step[k] = 1e-7 * max(1.0, abs(float(z[k])))
+            out[:, k] = (self._call(t, y, z + step)[1] - rate) / step[k]
+        return out
+
+    def _read(self, kin: Kinematics) -> dict[str, Array]:
+        return {r.name: r.at(kin) for r in self.readings}
+
+    def efforts(self, kin: Kinematics, t: float) -> Array:
+        """u, (acts,): N or N m, positive where the coordinate grows."""
+        return self.kept.u if self.controller.every is not None else self._continuous(t, self._read(kin))[0]
+
+    # -- forces -----------------------------------------------------------------------------------------------------
+    def _rows(self, kin: Kinematics) -> tuple[Array, Array]:
+        rows = [r.rows(kin) for r in self.acts]
+        return np.concatenate([a for a, _ in rows]), np.concatenate([b for _, b in rows])
+
+    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """u along each coordinate."""
+        u = self.efforts(kin, t)[:, None]
+        ra, rb = self._rows(kin)
+        return u * ra, u * rb
+
+    def scalar(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array]:
+        """Coordinates, rates, and minus the efforts."""
+        s = np.concatenate([r.values(kin) for r in self.acts])
+        rate = np.concatenate([r.rates(kin) for r in self.acts])
+        return s, rate, -self.efforts(kin, t)
+
+    def tangent(self, kin: Kinematics, t: float) -> Tangent | None:
+        """How u answers to what is read, for each pair of an acting and a read marker; None when sampled."""
+        if self.controller.every is not None:
+            return None
+        y = self._read(kin)
+        ra, rb = self._rows(kin)
+        entries: list[tuple[int, int, Array, bool]] = []
+        for reading in self.readings:
+            rows = reading.rows(kin, len(y[reading.name]))
+            if not rows:
+                continue
+            slopes = self._slopes(t, y, reading.name)
+            for j in range(len(self.acts)):
+                for marker, row, fast in rows:
+                    push = slopes[j] @ row  # du/d(displacement or velocity of the marker), (n,)
+                    entries.append((int(self.a[j]), marker, -np.outer(ra[j], push), fast))
+                    entries.append((int(self.b[j]), marker, -np.outer(rb[j], push), fast))
+        if not entries:
+            return None
+
+        n = self.motions.n_twist
+        K, D = np.zeros((2, len(entries), 2 * n, 2 * n))
+        for i, (_, _, block, fast) in enumerate(entries):
+            (D if fast else K)[i, :n, n:] = block
+        return Tangent(np.array([e[0] for e in entries]), np.array([e[1] for e in entries]), K, D)
+
+    def _slopes(self, t: float, y: dict[str, Array], name: str) -> Array:
+        """du/dy of one reading, (acts, size), the memory going along."""
+        out = np.zeros((len(self.acts), len(y[name])))
+        for k in range(len(y[name])):
+            h = 1e-6 * max(1.0, abs(float(y[name][k])))
+            ends = []
+            for sign in (1, -1):
+                moved = y[name].copy()
+                moved[k] += sign * h
+                ends.append(self._continuous(t, {**y, name: moved})[0])
+            out[:, k] = (ends[0] - ends[1]) / (2 * h)
+        return out
+
+    # -- memory -----------------------------------------------------------------------------------------------------
+    def first(self, ev: Any, state: Any) -> Kept:
+        """Memory at the start, with the first sample taken."""
+        z = np.asarray(self.controller.memory, dtype=float)
+        self.kept = Kept(state.t, z, np.zeros_like(z), np.zeros(len(self.acts)), 0)
+        return self.accepted(ev, state)
+
+    def jumps(self, kept: Kept) -> bool:
+        """A new sample has been taken."""
+        return kept.next != self.kept.next
+
+    def accepted(self, ev: Any, state: Any) -> Kept:
+        """Memory after a step: of (3), or of the sample that is due."""
+        every, kept = self.controller.every, self.kept
+        if every is None:
+            u, z, rate = self._continuous(state.t, self._read(ev.kin))
+            return Kept(state.t, z, rate, u, 0)
+        if state.t < every * (kept.next - _AT):
+            return kept
+        y = {r.name: r.at(ev.kin) if r.relative else r.sensor.read(ev, state, r.marker) for r in self.readings}
+        u, z = self._call(state.t, y, kept.z)
+        return Kept(state.t, z, kept.rate, u, int(np.floor(state.t / every + _AT)) + 1)
+
+
+def _numbers(name: str, what: str, value: Any, wanted: tuple[int, float]) -> Array:
+    """Numbers that a law returned, or an error that says what was found."""
+    size, t = wanted
+    try:
+        found = np.atleast_1d(np.asarray(value, dtype=float))
+    except (TypeError, ValueError):
+        raise CallbackError(f'Controller "{name}" returned {value!r} at t = {t:g} s, expected {size} {what}.') from None
+    if found.shape != (size,) or not np.isfinite(found).all():
+        raise CallbackError(
+            f'Controller "{name}" returned {found} of shape {found.shape} at t = {t:g} s, expected {size} finite {what}.'
+        )
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Controller(Force):
+    """See :func:`controller`."""
+
+    acts: tuple[JointCoordinate, ...] = ()
+    reads: dict[str, Sensor] = field(default_factory=dict)
+    law: Callable[..., Any] = None  # type: ignore[assignment]
+    memory: tuple[float, ...] = ()
+    every: float | None = None
+
+    kind: ClassVar[str] = "controller"
+    batch: ClassVar[type[Loads]] = ControlLoads
+
+    @property
+    def coordinate(self) -> JointCoordinate:
+        """The first coordinate that it acts on."""
+        return self.acts[0]
+
+    @property
+    def coordinates(self) -> tuple[JointCoordinate, ...]:
+        """Those that it acts on or reads."""
+        return (*self.acts, *(s.coordinate for s in self.reads.values() if isinstance(s, JointReading)))
+
+    @property
+    def period(self) -> float | None:
+        """Period of sampling, s."""
+        return self.every
+
+    @property
+    def sides(self) -> tuple[Any, ...]:
+        """All that it acts on or reads from."""
+        return (*(x for s in self.acts for x in (s.joint.a, s.joint.b)), *(s.on for s in self.reads.values()))
+
+    def own_loads(self, place: Any) -> ControlLoads:
+        """The controller in a system; ``place`` gives the coordinate and the marker of a sensor."""
+        readings = []
+        for name, sensor in self.reads.items():
+            if isinstance(sensor, JointReading):
+                readings.append(Reading(name, sensor, -1, place.relative(sensor.coordinate), sensor.level))
+            else:
+                readings.append(Reading(name, sensor, place.marker(sensor), None, 0))
+        return ControlLoads(place.motions, self, [place.relative(s) for s in self.acts], readings)
+
+
+def controller(
+    name: str,
+    *,
+    reads: Mapping[str, Sensor | JointCoordinate],
+    acts: JointCoordinate | Sequence[JointCoordinate],
+    law: Callable[..., Any],
+    memory: Sequence[float] = (),
+    every: float | None = None,
+) -> Controller:
+    """A controller: reads sensors, sets the efforts of joint coordinates, with a memory of its own.
+
+    Args:
+        reads: name -> sensor or joint coordinate, say ``{"phi": fmbd.angle(hinge), "tip": fmbd.position(tip)}``.
+        acts: joint coordinates whose efforts it sets (N m of an angle, N of a displacement).
+        law: law(t, y, z) -> efforts, one for each of ``acts``; with a memory -> (efforts, rate of z), and sampled ->
+            (efforts, new z). ``y["phi"]`` are the readings as arrays, z the memory (m,).
+        memory: z at the start.
+        every: period of sampling, s: the law is called at the ends of the steps where a sample is due, and its efforts are held.
+            None: continuous, the law is part of the equations of motion and is called at every iterate.
+
+    A continuous law reads joint coordinates, their rates, positions, velocities, angular velocities and rotations; a sampled
+    one any sensor. The memory is kept in checkpoints and changed by accepted steps only.
+
+    Raises:
+        CallbackError: during a run, where the law returns something of another shape.
+    """
+    acts = (acts,) if isinstance(acts, JointCoordinate) else tuple(acts)
+    require(len(acts) > 0, f'Controller "{name}": acts must hold a joint coordinate at least.')
+    for coordinate in acts:
+        _coordinate(name, coordinate)
+    require(callable(law), f'Controller "{name}": law must be a function (t, y, z), found {law!r}.')
+    require(every is None or (np.isfinite(every) and every > 0), f'Controller "{name}": every = {every} s must be > 0.')
+    sensors: dict[str, Sensor] = {}
+    for label, given in reads.items():
+        sensor = JointReading(None, given.unit, coordinate=given) if isinstance(given, JointCoordinate) else given
+        require(isinstance(sensor, Sensor), f'Controller "{name}" reads "{label}": expected a sensor, found {given!r}.')
+        if every is None and not isinstance(sensor, (*_KINEMATIC, JointReading)):
+            raise InputError(
+                f'Controller "{name}" reads "{label}", {type(sensor).__name__}, which no continuous law can: it depends on '
+                "more than the motion. Sample it: every=..."
+            )
+        sensors[label] = sensor
+    z = tuple(float(x) for x in memory)
+    joint = acts[0].joint
+    return Controller(name, joint.a, joint.b, None, None, acts, sensors, law, z, every)
+
+
+def pid(
+    name: str,
+    on: JointCoordinate,
+    *,
+    target: Callable[[float], Any] | float,
+    gains: tuple[float, float, float],
+    limit: float = np.inf,
+    every: float | None = None,
+) -> Controller:
+    """PID controller of a joint coordinate s: effort k_p e + k_i int e dt + k_d e' with e = target(t) - s.
+
+    Args:
+        target: a number or a smooth function of time (rad or m); it may return (s, s', s'').
+        gains: (k_p, k_i, k_d): N m/rad, N m/(rad s), N m s/rad, or N/m, N/(m s), N s/m.
+        limit: largest effort; while it binds, what is cut off is fed back into the integral with time k_p / k_i, so that it
+            does not wind up. Needs k_p > 0.
+        every: period of sampling, s; None for a continuous controller.
+    """
+    _coordinate(name, on)
+    for gain in gains:
+        require(np.isfinite(gain) and gain >= 0, f'PID "{name}": gains {gains} must be finite and not negative.')
+    require(limit > 0, f'PID "{name}": limit = {limit} must be positive.')
+    motion, (kp, ki, kd) = motion_of(name, target), gains
+    require(kp > 0 or not np.isfinite(limit), f'PID "{name}": a limit needs a proportional gain above 0.')
+
+    def law(t: float, y: Mapping[str, Array], z: Array) -> tuple[float, float]:
+        wanted, speed, _ = motion(t)
+        error = wanted - y["s"][0]
+        free = kp * error + ki * z[0] + kd * (speed - y["rate"][0])
+        u = float(np.clip(free, -limit, limit))
+        growth = error if u == free else error + (u - free) / kp
+        return u, growth if every is None else z[0] + every * growth
+
+    reads: dict[str, Sensor | JointCoordinate] = {
+        "s": on,
+        "rate": JointReading(None, on.unit + "/s", coordinate=on, level=1),
+    }
+    return controller(name, reads=reads, acts=on, law=law, memory=(0.0,), every=every)

@@ -1,0 +1,211 @@
+"""Controllers: against SciPy, sampled ones against the formula, memory over checkpoints and rejected steps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from motion import Motion, first
+from scipy.integrate import solve_ivp
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import CallbackError, InputError
+from fmbd_fenicsx.rotations import Array
+
+GAINS, G = ((60.0, 80.0, 9.0), (25.0, 40.0, 3.0)), 9.81
+GOAL = (0.7, -1.1)
+
+
+def arm(every: float | None = None) -> fmbd.Scene:
+    """Two rods of 1 m and 1 kg under weight, a PID controller in each hinge."""
+    one = fmbd.RigidBody("one", 1.0, 1 / 12, position=(0.5, 0))
+    two = fmbd.RigidBody("two", 1.0, 1 / 12, position=(1.5, 0))
+    scene = fmbd.Scene("arm", gravity=(0, -G))
+    hinges = (
+        fmbd.revolute("shoulder", fmbd.ground, one, center=(0, 0)),
+        fmbd.revolute("elbow", one, two, center=(1, 0)),
+    )
+    scene.add(one, two, *hinges)
+    for hinge, goal, gains in zip(hinges, GOAL, GAINS, strict=True):
+        motor = fmbd.pid(f"{hinge.name} motor", fmbd.angle(hinge), target=goal, gains=gains, every=every)
+        scene.add(motor)
+        scene.sensor(hinge.name, fmbd.angle(hinge))
+        scene.sensor(f"{hinge.name} torque", fmbd.element_effort(motor))
+    return scene
+
+
+def by_scipy(times: Array) -> Array:
+    """The same arm by Lagrange's equations and DOP853, (n, 2) angles."""
+
+    def rate(t: float, x: Array) -> Array:
+        q, v, z = x[:2], x[2:4], x[4:]
+        c, s = np.cos(q[1]), np.sin(q[1])
+        J = 1 / 12
+        M = np.array([[2 * J + 1.5 + c, J + 0.25 + 0.5 * c], [J + 0.25 + 0.5 * c, J + 0.25]])
+        h = 0.5 * s * np.array([-v[1] * (2 * v[0] + v[1]), v[0] ** 2])
+        outer = 0.5 * G * np.cos(q.sum())
+        weight = np.array([1.5 * G * np.cos(q[0]) + outer, outer])
+        error = GOAL - q
+        gains = np.array(GAINS)
+        u = gains[:, 0] * error + gains[:, 1] * z - gains[:, 2] * v
+        return np.concatenate((v, np.linalg.solve(M, u - h - weight), error))
+
+    done = solve_ivp(rate, (0, times[-1]), np.zeros(6), method="DOP853", t_eval=times, rtol=1e-11, atol=1e-12)
+    return np.asarray(done.y[:2].T)
+
+
+def test_continuous_pid_against_scipy() -> None:
+    """Second order in the step, and 1e-6 rad after one extrapolation."""
+    runs = [fmbd.solve(arm(), t_end=1.0, dt=dt) for dt in (1e-2, 5e-3)]
+    exact = by_scipy(runs[0].times)
+    found = [np.concatenate((r["shoulder"], r["elbow"]), axis=1)[::step] for r, step in zip(runs, (1, 2), strict=True)]
+    errors = [np.abs(x - exact).max() for x in found]
+    assert errors[1] < 2e-3
+    assert 1.8 < np.log2(errors[0] / errors[1]) < 2.3
+
+
+@pytest.mark.parametrize(
+    "scheme", [fmbd.Radau(rtol=1e-7), fmbd.EnergyMomentum(), fmbd.GeneralizedAlpha(form=fmbd.GGL())]
+)
+def test_other_schemes_agree(scheme: Any) -> None:
+    run = fmbd.solve(arm(), t_end=0.3, dt=5e-3, scheme=scheme)
+    exact = by_scipy(run.times)
+    assert np.abs(run["elbow"][:, 0] - exact[:, 1]).max() < 1e-3
+
+
+def test_sampled_pid_holds_its_effort() -> None:
+    """Each effort is the formula of the sample, kept for one period of four steps."""
+    run = fmbd.solve(arm(every=0.02), t_end=0.4, dt=5e-3)
+    u, s = run["shoulder torque"][:, 0], run["shoulder"][:, 0]
+    assert np.array_equal(u[:-1].reshape(-1, 4), np.repeat(u[:-1:4, None], 4, axis=1))
+    error = GOAL[0] - s[::4]
+    integral = 0.02 * np.concatenate(([0.0], np.cumsum(error)[:-1]))
+    rate = (GAINS[0][0] * error + GAINS[0][1] * integral - u[::4]) / GAINS[0][2]
+    seen = np.gradient(s, run.times)[::4]
+    assert np.abs(rate - seen)[1:-1].max() < 0.1 * np.abs(seen).max()
+    assert abs(u[0] - GAINS[0][0] * GOAL[0]) < 1e-12
+
+
+def test_samples_of_schemes_with_error_control_are_hit() -> None:
+    run = fmbd.solve(arm(every=0.02), t_end=0.2, scheme=fmbd.Radau(rtol=1e-6))
+    fine = fmbd.solve(arm(every=0.02), t_end=0.2, dt=1e-3)
+    assert abs(run["elbow"][-1, 0] - fine["elbow"][-1, 0]) < 1e-5
+    assert len(np.unique(run["elbow torque"][:, 0].round(9))) >= 10
+
+
+@pytest.mark.parametrize("every", [None, 0.02])
+def test_memory_survives_checkpoints_and_steps_taken_back(every: float | None, tmp_path: Any) -> None:
+    n, dt = 60, 5e-3
+    whole = fmbd.solve(arm(every), t_end=n * dt, dt=dt)
+    fmbd.solve(arm(every), t_end=n * dt, dt=dt, checkpoint=fmbd.Checkpoint(tmp_path, every=31, keep=9))
+    middle = next(p for p in tmp_path.iterdir() if p.name.endswith("step31"))
+    again = fmbd.solve(arm(every), t_end=n * dt, dt=dt, restart=middle)
+    assert np.array_equal(again["elbow"], whole["elbow"])
+    with fmbd.stepper(arm(every), dt=n * dt / n) as s:
+        for k in range(n):
+            if k % 7 == 3:
+                kept = s.save()
+                for _ in range(5):
+                    s.step()
+                s.restore(kept)
+            s.step()
+            assert np.array_equal(s["elbow torque"], whole["elbow torque"][k + 1])
+
+
+def crossed() -> fmbd.Scene:
+    """A law of the user's own: reads one hinge, the tip and its velocity, acts on both hinges, filters with a memory."""
+    scene = arm()
+    for name in ("shoulder motor", "elbow motor"):
+        del scene.forces[name]
+        scene.sensors.pop(f"{name.split()[0]} torque")
+    hinges = [scene.joints[n] for n in ("shoulder", "elbow")]
+
+    def law(t: float, y: dict[str, Array], z: Array) -> tuple[Any, Any]:
+        u = (30 * (0.3 - y["phi"][0]) + 5 * z[0], -4 * y["tip"][1] - 2 * y["fast"][0] - 3 * y["rate"][0])
+        return u, (y["tip"][0] - 3 * z[0],)
+
+    tip = scene.bodies["two"]
+    reads = {
+        "phi": fmbd.angle(hinges[0]),
+        "rate": fmbd.joint_rate(fmbd.angle(hinges[0])),
+        "tip": fmbd.position(tip, point=(2, 0)),
+        "fast": fmbd.velocity(tip),
+    }
+    acts = [fmbd.angle(h) for h in hinges]
+    scene.add(fmbd.controller("crossed", reads=reads, acts=acts, law=law, memory=(0.1,)))
+    return scene
+
+
+def test_newton_sees_the_exact_tangent() -> None:
+    """Damping part against differences in all velocities, across joints and markers."""
+    motion = Motion(crossed(), size=0.2)
+    s, dv = motion.system, motion.direction()
+    ev = s.at(motion.t, motion.q, motion.v)
+    force = lambda v: -ev.spread(s.at(motion.t, motion.q, v).wrenches())  # noqa: E731
+    D = np.asarray(ev.force_tangent(1.0, 0.0))
+    rate = first(lambda e: force(motion.v + e * dv))
+    assert np.abs(rate).max() > 0.3
+    assert np.abs(D @ dv - rate).max() < 1e-6 * np.abs(rate).max()
+
+
+def test_controller_of_the_users_own_runs() -> None:
+    coarse, fine = (fmbd.solve(crossed(), t_end=0.4, dt=dt) for dt in (5e-3, 2.5e-3))
+    assert np.abs(coarse["elbow"] - fine["elbow"][::2]).max() < 2e-3
+    assert coarse.counters["newton_iterations"] < 4 * coarse.counters["steps"]
+
+
+def test_a_limit_binds_and_the_integral_does_not_wind_up() -> None:
+    wheel = fmbd.RigidBody("wheel", 1.0, 0.5)
+    hinge = fmbd.revolute("hinge", fmbd.ground, wheel, center=(0, 0))
+    found = {}
+    for limit in (0.5, np.inf):
+        scene = fmbd.Scene("wheel")
+        motor = fmbd.pid("motor", fmbd.angle(hinge), target=1.0, gains=(4.0, 3.0, 2.5), limit=limit)
+        scene.add(wheel, hinge, motor)
+        scene.sensor("phi", fmbd.angle(hinge))
+        scene.sensor("effort", fmbd.element_effort(motor))
+        found[limit] = fmbd.solve(scene, t_end=8.0, dt=2e-2)
+    assert found[0.5]["effort"].max() <= 0.5
+    assert found[np.inf]["effort"].max() > 3.0
+    assert abs(found[0.5]["phi"][-1, 0] - 1.0) < 0.1
+    assert found[0.5]["phi"].max() < 1.5
+
+
+def test_bad_input_is_named() -> None:
+    scene = arm()
+    shoulder = fmbd.angle(scene.joints["shoulder"])
+    for options, what in (
+        ({"reads": {"phi": 3}, "acts": shoulder, "law": lambda *x: 0}, "expected a sensor"),
+        ({"reads": {}, "acts": (), "law": lambda *x: 0}, "acts must hold"),
+        ({"reads": {}, "acts": shoulder, "law": 3.0}, "law must be a function"),
+        ({"reads": {}, "acts": shoulder, "law": lambda *x: 0, "every": 0.0}, "must be > 0"),
+        ({"reads": {"f": fmbd.reaction("elbow")}, "acts": shoulder, "law": lambda *x: 0}, "Sample it"),
+    ):
+        with pytest.raises(InputError, match=what):
+            fmbd.controller("c", **options)
+    stranger = fmbd.revolute("elbo", fmbd.ground, scene.bodies["one"], center=(0, 0))
+    scene.add(fmbd.pid("c", fmbd.angle(stranger), target=0.0, gains=(1, 0, 0)))
+    with pytest.raises(
+        InputError, match='Controller "c" uses joint "elbo", which is not in the scene. Did you mean "elbow"'
+    ):
+        scene.build()
+
+
+@pytest.mark.parametrize(
+    ("law", "memory", "what"),
+    [
+        (lambda t, y, z: (1.0, 2.0), (), "expected 1 finite efforts"),
+        (lambda t, y, z: 1.0, (0.0,), r"must return \(efforts, rate of the memory\)"),
+        (lambda t, y, z: (1.0, (1.0, 2.0)), (0.0,), "expected 1 finite numbers of the memory"),
+        (lambda t, y, z: np.nan, (), "finite efforts"),
+        (lambda t, y, z: "much", (), "expected 1 efforts"),
+    ],
+)
+def test_a_law_of_wrong_shape_is_named(law: Any, memory: tuple[float, ...], what: str) -> None:
+    scene = arm()
+    acts = fmbd.angle(scene.joints["shoulder"])
+    scene.add(fmbd.controller("wrong", reads={"phi": acts}, acts=acts, law=law, memory=memory))
+    with pytest.raises(CallbackError, match=what) as error:
+        fmbd.solve(scene, t_end=0.01, dt=0.01)
+    assert 'Controller "wrong"' in str(error.value)
