@@ -103,6 +103,7 @@ from .mechanics.rods.rods import RodLoad as RodLoad
 from .mechanics.rods.sections import RodSection as RodSection
 from .mesh import Mesh as Mesh
 from .mesh import read_gmsh as read_gmsh
+from .post.fmu import write_fmu as write_fmu
 from .post import demo as demo
 from .post import plot as plot
 from .post import study as study

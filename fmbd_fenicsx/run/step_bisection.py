@@ -136,6 +136,10 @@ class ConstantSteps:
         self._advance(0.5 * h, depth + 1)
         self._advance(0.5 * h, depth + 1)
 
+    def restart(self, t: float) -> None:
+        """Go on behind a jump of forces at t."""
+        self._begin(self.stepper.state)
+
     def _begin(self, state: State) -> None:
         """A new stepper from a state."""
         if self.renew is None:

@@ -43,7 +43,7 @@ class Saved:
     owner: int
     values: dict[str, Any]
     inputs: dict[str, float]
-    step: int
+    jumped: bool
 
 
 class SceneStepper:
@@ -73,6 +73,7 @@ class SceneStepper:
         recorder = Recorder(scene, system, markers, Output(progress=False), np.inf)
         self._course = Course(system, self._solver, newton, made, recorder)
         self._saved: Saved | None = None
+        self._jumped = False  # an input has changed since the last step
         self._open = True
         self._look()
 
@@ -116,6 +117,9 @@ class SceneStepper:
         dt = self.dt if dt is None else dt
         require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
         require(self.t + dt > self.t, f"Step dt = {dt} s is below the roundoff of t = {self.t} s.")
+        if self._jumped:  # the past of the stepper is that of other forces
+            self._course.stepper.restart(self.t)
+            self._jumped = False
         if self._adaptive:
             self._advance_to(self.t + dt)
         else:
@@ -139,7 +143,9 @@ class SceneStepper:
         self._ready()
         if name not in self.scene.inputs:
             raise InputError(f'No input "{name}" in scene "{self.scene.name}". {near(name, self.scene.inputs)}')
+        before = self.scene.inputs[name].value
         self.scene.inputs[name].set(value)
+        self._jumped = self._jumped or self.scene.inputs[name].value != before
 
     def save(self) -> Saved:
         """All that the next step depends on, inputs included, to come back to with :meth:`restore` as often as needed."""
@@ -147,7 +153,7 @@ class SceneStepper:
         m = Memory(self._course.system)
         self._course.remember(m)
         inputs = {name: source.value for name, source in self.scene.inputs.items()}
-        self._saved = Saved(id(self), deepcopy(m.values), inputs, self._course.done)
+        self._saved = Saved(id(self), deepcopy(m.values), inputs, self._jumped)
         return self._saved
 
     def restore(self, saved: Saved | None = None) -> None:
@@ -162,6 +168,7 @@ class SceneStepper:
         for name, value in saved.inputs.items():
             self.scene.inputs[name].set(value)
         self._course.remember(Memory(self._course.system, deepcopy(saved.values)), "saved state")
+        self._jumped = saved.jumped
         self._look()
 
     # -- life -----------------------------------------------------------------------------------------------------

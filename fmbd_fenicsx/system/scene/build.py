@@ -14,13 +14,12 @@ from ...mechanics.bodies.bodies import AbsoluteBody, CoordinateBody, FloatingBod
 from ...mechanics.bodies.coordinates import CoordinatePart, PortConstraint, own_constraint
 from ...mechanics.bodies.line_body import LineBody, LinePart
 from ...mechanics.catenary.wires import Wires
-from ...mechanics.forces.force_elements import Loads, ScalarLoads
 from ...mechanics.forces.forces import Force
 from ...mechanics.frames import Markers
 from ...mechanics.joints.constraints import Batch
-from ...mechanics.joints.drives import Coupling, JointCoordinate
+from ...mechanics.joints.drives import Coupling
 from ...mechanics.joints.joints import Joint, ground
-from ...mechanics.joints.relative import Relative, Separation, Turn
+from ...mechanics.joints.relative import Turn
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...mechanics.reduction.reduced import ReducedPart
 from ...mechanics.rods.rods import Rod
@@ -28,7 +27,8 @@ from ...rotations import Array, Motions, motions
 from ..configurations import count
 from ..sensors.sensors import JointReading, Sensor
 from ..system import RowBlock, State, System
-from .joints import JointRows, counted_angles, relative_of
+from .force_batches import build_loads
+from .joints import JointRows, counted_angles
 from .rods import RodNodes
 from .wires import slider_rows, wires_part
 
@@ -49,22 +49,6 @@ def reduced_part(body: ReducedBody | Beam, frame: int, surfaces: Sequence[str]) 
     part = ReducedPart(body.name, body.constants, frame, surfaces)
     part.body = body
     return part
-
-
-class Place:
-    """What a force that is evaluated alone finds in the system under construction."""
-
-    def __init__(self, builder: Builder) -> None:
-        self.motions, self._builder = builder.m, builder
-
-    def relative(self, coordinate: JointCoordinate) -> Relative:
-        """A joint coordinate."""
-        a, b = self._builder.joint_markers[coordinate.joint.name]
-        return relative_of(self.motions, coordinate.kind, [(coordinate, a, b)])
-
-    def marker(self, sensor: Sensor) -> int:
-        """The marker of a sensor, -1 for one that has none."""
-        return self._builder.sensor_marker(sensor)
 
 
 class Builder:
@@ -118,7 +102,7 @@ class Builder:
             self.poses[self.frame_of[body.name]] = body.start_pose()
         traces = self._surface_ties()
         batches, port_rows, blocks = self._constraints(traces)
-        forces = self._loads()
+        forces = build_loads(self)
         sensor_markers = {n: self.sensor_marker(s) for n, s in scene.sensors.items()}
         markers = self._markers()
         counted = self._counted(markers)
@@ -347,41 +331,8 @@ class Builder:
             section if section.any() else None,
         )
 
-    def _loads(self) -> tuple[Loads, ...]:
-        """The forces of the scene in batches of one kind."""
-        groups: dict[Any, list[tuple[Force, tuple[int, int]]]] = {}
-        out: list[Loads] = []
-        for f in self.scene.forces.values():
-            for used in f.coordinates:
-                if used.joint.name not in self.joint_markers:
-                    raise InputError(
-                        f'{f.kind.capitalize()} "{f.name}" uses joint "{used.joint.name}", which is not in the scene. '
-                        f"{near(used.joint.name, self.joint_markers)}"
-                    )
-            if (alone := f.own_loads(Place(self))) is not None:
-                out.append(alone)
-                continue
-            s = f.coordinate
-            kind = Separation if s is None else s.kind
-            markers = self._force_markers(f) if s is None else self.joint_markers[s.joint.name]
-            groups.setdefault((f.batch, kind), []).append((f, markers))
-        for (batch, kind), found in groups.items():
-            fs, ms = [f for f, _ in found], [m for _, m in found]
-            if issubclass(batch, ScalarLoads):
-                out.append(batch(self.m, fs, ms, self._relative(kind, fs, ms)))
-            else:
-                out.append(batch(self.m, fs, ms))
-        return tuple(out)
-
-    def _relative(self, kind: type[Relative], fs: list[Force], ms: list[tuple[int, int]]) -> Relative:
-        if fs[0].coordinate is not None:
-            return relative_of(
-                self.m, kind, [(f.coordinate, a, b) for f, (a, b) in zip(fs, ms, strict=True) if f.coordinate]
-            )
-        markers = np.array(ms)
-        return kind(self.m, markers[:, 0], markers[:, 1], np.zeros((len(fs), self.m.dim)))
-
-    def _force_markers(self, f: Force) -> tuple[int, int]:
+    def force_markers(self, f: Force) -> tuple[int, int]:
+        """Numbers of new markers for a force between two points."""
         if f.joined and f.point_a is None:
             point = self._default_point(f)
             return self._marker(f.a, point), self._marker(f.b, point)

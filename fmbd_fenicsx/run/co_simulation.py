@@ -1,0 +1,68 @@
+"""A scene as a unit of a co-simulation: inputs, outputs, steps, states that can be taken back. FMI needs no more.
+
+Inputs are those of the scene (:meth:`Scene.input`), held during a communication step; outputs are its sensors, each component
+by itself: ``tip`` of two numbers gives ``tip_x`` and ``tip_y``, spaces in names become ``_``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ..errors import FmbdError, require
+from ..system.scene.scene import Scene
+from .stepper import Saved, SceneStepper, stepper
+
+
+class Unit:
+    """A scene between communication points; ``dt`` (s) is the largest step that it takes in between."""
+
+    def __init__(self, make: Callable[[], Scene], *, dt: float, scheme: Any = None) -> None:
+        self.scene = make()
+        require(isinstance(self.scene, Scene), f"A unit needs a function that returns a scene, found {self.scene!r}.")
+        self.dt = dt
+        self.stepper: SceneStepper = stepper(self.scene, dt=dt, scheme=scheme)
+        self.outputs: dict[str, tuple[str, int]] = {}
+        for sensor, quantity in self.scene.sensors.items():
+            size, labels = len(self.stepper[sensor]), list(quantity.labels)
+            for k in range(size):
+                tail = "" if size == 1 else f"_{labels[k]}" if k < len(labels) else f"_{k + 1}"
+                self.outputs[(sensor + tail).replace(" ", "_")] = sensor, k
+
+    def get(self, output: str) -> float:
+        """Present value of an output."""
+        sensor, k = self.outputs[output]
+        return float(self.stepper[sensor][k])
+
+    def unit_of(self, output: str) -> str:
+        """Its unit of measurement."""
+        return str(self.scene.sensors[self.outputs[output][0]].unit)
+
+    def do_step(self, t: float, h: float) -> None:
+        """From the communication point t on by h (s), in equal steps of at most ``dt``.
+
+        Raises:
+            FmbdError: the unit stands elsewhere, or a step fails; the state is then that of the point t.
+        """
+        if abs(self.stepper.t - t) > 1e-9 * max(h, abs(t)):
+            raise FmbdError(f"The unit stands at t = {self.stepper.t:g} s and was asked for a step from t = {t:g} s.")
+        kept = self.stepper.save()
+        parts = max(1, int(-(-h // (self.dt * (1 + 1e-9)))))
+        try:
+            for _ in range(parts):
+                self.stepper.step(h / parts)
+        except FmbdError:
+            self.stepper.restore(kept)
+            raise
+
+    def save(self) -> Saved:
+        """The state, to come back to as often as needed."""
+        return self.stepper.save()
+
+    def restore(self, saved: Saved) -> None:
+        """Go back to a state."""
+        self.stepper.restore(saved)
+
+    def close(self) -> None:
+        """Free the stepper."""
+        self.stepper.close()

@@ -1,0 +1,69 @@
+"""The forces of a scene in batches of one kind: part of building a :class:`~fmbd_fenicsx.system.system.System`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...errors import InputError, near
+from ...mechanics.forces.force_elements import Loads, ScalarLoads
+from ...mechanics.forces.forces import Force
+from ...mechanics.joints.drives import JointCoordinate
+from ...mechanics.joints.relative import Relative, Separation
+from ...rotations import Motions
+from ..sensors.sensors import Sensor
+from .joints import relative_of
+
+if TYPE_CHECKING:
+    from .build import Builder
+
+
+class Place:
+    """What a force that is evaluated alone finds in the system under construction."""
+
+    def __init__(self, builder: Builder) -> None:
+        self.motions, self._builder = builder.m, builder
+
+    def relative(self, coordinate: JointCoordinate) -> Relative:
+        """A joint coordinate."""
+        a, b = self._builder.joint_markers[coordinate.joint.name]
+        return relative_of(self.motions, coordinate.kind, [(coordinate, a, b)])
+
+    def marker(self, sensor: Sensor) -> int:
+        """The marker of a sensor, -1 for one that has none."""
+        return self._builder.sensor_marker(sensor)
+
+
+def build_loads(builder: Builder) -> tuple[Loads, ...]:
+    """The forces of the scene in batches of one kind."""
+    groups: dict[Any, list[tuple[Force, tuple[int, int]]]] = {}
+    out: list[Loads] = []
+    for f in builder.scene.forces.values():
+        for used in f.coordinates:
+            if used.joint.name not in builder.joint_markers:
+                raise InputError(
+                    f'{f.kind.capitalize()} "{f.name}" uses joint "{used.joint.name}", which is not in the scene. '
+                    f"{near(used.joint.name, builder.joint_markers)}"
+                )
+        if (alone := f.own_loads(Place(builder))) is not None:
+            out.append(alone)
+            continue
+        s = f.coordinate
+        kind = Separation if s is None else s.kind
+        markers = builder.force_markers(f) if s is None else builder.joint_markers[s.joint.name]
+        groups.setdefault((f.batch, kind), []).append((f, markers))
+    for (batch, kind), found in groups.items():
+        fs, ms = [f for f, _ in found], [m for _, m in found]
+        if issubclass(batch, ScalarLoads):
+            out.append(batch(builder.m, fs, ms, _relative(builder.m, kind, fs, ms)))
+        else:
+            out.append(batch(builder.m, fs, ms))
+    return tuple(out)
+
+
+def _relative(m: Motions, kind: type[Relative], fs: list[Force], ms: list[tuple[int, int]]) -> Relative:
+    if fs[0].coordinate is not None:
+        return relative_of(m, kind, [(f.coordinate, a, b) for f, (a, b) in zip(fs, ms, strict=True) if f.coordinate])
+    markers = np.array(ms)
+    return kind(m, markers[:, 0], markers[:, 1], np.zeros((len(fs), m.dim)))
