@@ -138,6 +138,7 @@ from .schemes.onestep.rattle import Rattle as Rattle
 from .system.controllers import controller as controller
 from .system.controllers import pid as pid
 from .system.scene.scene import Scene as Scene
+from .system.scene.urdf import read_urdf as read_urdf
 from .system.sensors.contact import contact_force as contact_force
 from .system.sensors.contact import contact_gap as contact_gap
 from .system.sensors.contact import contact_impulse as contact_impulse

@@ -1,0 +1,84 @@
+"""Mechanisms from URDF files: a chain against its formula, kinds of joints, one link elastic, named mistakes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+
+pytest.importorskip("yourdfpy")
+
+ARM = """<robot name="arm">
+  <link name="base"/>
+  <link name="upper"><inertial><origin xyz="0 0 0.25" rpy="0 0 0.3"/><mass value="2"/>
+    <inertia ixx="0.045" iyy="0.05" izz="0.01" ixy="0.001" ixz="0" iyz="0"/></inertial></link>
+  <link name="fore"><inertial><origin xyz="0.2 0 0"/><mass value="{mass}"/>
+    <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="tool"/>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.1" rpy="0 0 0"/>
+    <axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="9" velocity="9"/><dynamics damping="0.3" friction="0.1"/></joint>
+  <joint name="elbow" type="{kind}"><parent link="upper"/><child link="fore"/><origin xyz="0 0 0.5" rpy="0 1.5707963 0"/>
+    <axis xyz="0 1 0"/></joint>
+  <joint name="flange" type="fixed"><parent link="fore"/><child link="tool"/><origin xyz="0.4 0 0"/></joint>
+</robot>"""
+
+
+def written(folder: Path, kind: str = "continuous", mass: str = "1") -> Path:
+    """The file of an arm."""
+    file = folder / "arm.urdf"
+    file.write_text(ARM.format(kind=kind, mass=mass))
+    return file
+
+
+def test_placement_elements_and_limits(tmp_path: Path) -> None:
+    robot = fmbd.read_urdf(written(tmp_path), start={"shoulder": 0.5, "elbow": -0.2})
+    c, s = np.cos(0.5), np.sin(0.5)
+    assert np.allclose(robot.frames["fore"][:3, 3], (0.5 * s, 0, 0.1 + 0.5 * c))
+    assert np.allclose(robot.bodies["upper"].position, (0.25 * s, 0, 0.1 + 0.25 * c))
+    assert robot.joints["shoulder"].limits == (-2.0, 2.0)
+    assert robot.carrier["tool"] == "fore"
+    scene = robot.scene(gravity=(0, 0, -9.81))
+    assert sorted(scene.bodies) == ["fore", "upper"]
+    assert sorted(scene.forces) == ["shoulder damping", "shoulder friction"]
+    assert scene.check().freedom == 2
+
+
+def test_motion_equals_the_scene_written_by_hand(tmp_path: Path) -> None:
+    robot = fmbd.read_urdf(written(tmp_path))
+    scene = robot.scene(gravity=(0, 0, -9.81))
+    scene.sensor("elbow", robot.coordinate("elbow"))
+    J = np.array([[0.045, 0.001, 0], [0.001, 0.05, 0], [0, 0, 0.01]])
+    turn = fmbd.read_urdf(written(tmp_path)).bodies["upper"].rotation
+    upper = fmbd.RigidBody("upper", 2.0, J, position=(0, 0, 0.35), rotation=turn)
+    fore = fmbd.RigidBody("fore", 1.0, (0.02, 0.02, 0.01), position=(0, 0, 0.4))
+    hand = fmbd.Scene("hand", gravity=(0, 0, -9.81))
+    first = fmbd.revolute("shoulder", fmbd.ground, upper, center=(0, 0, 0.1), axis=(0, 1, 0))
+    second = fmbd.revolute("elbow", upper, fore, center=(0, 0, 0.6), axis=(0, 1, 0))
+    hand.add(upper, fore, first, second, fmbd.joint_spring("d", fmbd.angle(first), damping=0.3))
+    hand.add(fmbd.joint_friction("f", fmbd.angle(first), coulomb=0.1, speed=1e-2))
+    hand.sensor("elbow", fmbd.angle(second))
+    for made in (scene, hand):  # away from the dead centre
+        made.add(fmbd.torque("push", made.bodies["upper"], lambda t: (0.0, 3.0, 0.0)))
+    runs = [fmbd.solve(s, t_end=0.3, dt=5e-3) for s in (scene, hand)]
+    assert np.abs(runs[0]["elbow"]).max() > 0.1
+    assert np.abs(runs[0]["elbow"] - runs[1]["elbow"]).max() < 1e-6
+
+
+def test_bad_input_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match='joint "elbow" is of kind "ball"'):
+        fmbd.read_urdf(written(tmp_path, kind="ball"))
+    with pytest.raises(InputError, match='link "fore" has no mass but moves by joint "elbow"'):
+        fmbd.read_urdf(written(tmp_path, mass="0"))
+    with pytest.raises(InputError, match='Did you mean "elbow"'):
+        fmbd.read_urdf(written(tmp_path), start={"elbo": 1.0})
+    with pytest.raises(InputError, match="there is no file"):
+        fmbd.read_urdf(tmp_path / "none.urdf")
+    robot = fmbd.read_urdf(written(tmp_path))
+    with pytest.raises(InputError, match='no link "for"'):
+        robot.make_elastic("for", None, surfaces={})  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="give a surface for each"):
+        robot.make_elastic("fore", None, surfaces={})  # type: ignore[arg-type]
