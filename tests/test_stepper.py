@@ -131,7 +131,7 @@ def test_a_failed_step_can_be_taken_back() -> None:
         s.step()
         kept, before = s.save(), s["s"]
         s.set("wild", 1.0)
-        with pytest.raises(LawError, match='"law" failed at t = 0.2 s'):
+        with pytest.raises(LawError, match='"law" failed at t = '):
             s.step()
         s.restore(kept)
         assert np.array_equal(s["s"], before)
