@@ -131,7 +131,14 @@ def test_elastic_bodies_may_settle() -> None:
     scene.add(fmbd.RigidBody("body", 2.0, 1.0, velocity=(1.0, 0.0)))
     system, state, _ = scene.build()
     elastic = SimpleNamespace(
-        at=system.at, mass=2.0, gravity=system.gravity, length=1.0, parts=("rod",), cache={"turning": ()}
+        at=system.at,
+        mass=2.0,
+        gravity=system.gravity,
+        length=1.0,
+        parts=("rod",),
+        fields=(),
+        forces=(),
+        cache={"turning": ()},
     )
     guarded = guard(Heater, state, 0.3, elastic)
     for _ in range(10):

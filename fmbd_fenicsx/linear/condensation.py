@@ -294,7 +294,7 @@ class StepSolver:
         if slack is None and self.linear is not None:
             return self.linear.block(f.field, (cm, cd, ck), f"{self.prefix}{f.name}.u_")
         if slack is None:
-            return CholeskyFactor(f.field, cm, ck, cd)
+            return CholeskyFactor(f.field, cm, ck, cd, turns=f.frame == self.system.n_frames)
         from .blocks.low_rank import SlackFactor
 
         return SlackFactor(f.field, cm, ck, slack)

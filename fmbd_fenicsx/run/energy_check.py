@@ -1,13 +1,15 @@
 """The energy guard: where nothing puts energy into a scene, a step that gains energy is taken back and repeated in halves.
 
-    E_n+1 - max(E_0 .. E_n)  >  1e-3 (T + V + m g L)                                                       (1)
+    E_n+1 - max(E_0 .. E_n)  >  1e-3 (T + V + m g L) + R                                                   (1)
 
 with T and V the largest kinetic and elastic energies so far, L the length of the model and m g its weight: the energy that can
-turn into motion. Damping at high frequencies in the linear sense is no protection: a stiff spring that turns by half a radian
-in a step makes generalized-alpha with rho_inf = 0.9 gain a factor of thirty. Scenes with anything that may do work (loads in
-time, drives, laws of the user's own, contact) are not guarded, nor are runs that record no energies. Of a scene with elastic
-bodies the first ten steps are not guarded: an initial shape that contains vibrations of h omega >> 1 overshoots there, and the
-damping of the scheme then removes it.
+turn into motion. R is the energy of roundoff, in motion by 1e-12 L in a step and in strains of 1e-12: bodies at rest have it.
+
+Damping at high frequencies in the linear sense is no protection: a stiff spring that turns by half a radian in a step makes
+generalized-alpha with rho_inf = 0.9 gain a factor of thirty. Scenes with anything that may do work (loads in time, drives, laws
+of the user's own, contact) are not guarded, nor are runs that record no energies. Of a scene with elastic bodies the first ten
+steps are not guarded: an initial shape that contains vibrations of h omega >> 1 overshoots there, and the damping of the scheme
+then removes it.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from ..system.system import Evaluation, State, System
 SHARE = 1e-3
 HALVINGS = 10
 SETTLING = 10
+ROUNDOFF = 1e-12
 
 
 def closed(scene: Scene, system: System) -> bool:
@@ -48,18 +51,23 @@ class Watch:
         self.system, self.rejections = system, 0
         self.weight = system.mass * float(np.linalg.norm(system.gravity(0.0))) * system.length
         self.turnover, self.highest = 0.0, -float("inf")
+        self.strained, self.time = _strain_energy(system), state.t
         self.settling = SETTLING + 1 if system.parts else 1
         self.gain(state)
 
-    def gain(self, s: State) -> float | None:
-        """Gain of energy (J) of the newest state when it is too large, else None; keeps what was seen."""
-        self.evaluation: Evaluation = self.system.at(s.t, s.q, s.v)
+    def gain(self, s: State, seen: Evaluation | None = None) -> float | None:
+        """Gain of energy (J) of the newest state when it is too large, else None; keeps what was seen.
+
+        ``seen``: the system in this state, where it is known.
+        """
+        self.evaluation: Evaluation = self.system.at(s.t, s.q, s.v) if seen is None else seen
         parts = self.evaluation.energies()
         energy = sum(parts.values())
         turnover = max(self.turnover, parts["kinetic"] + parts["elastic"] + parts["springs"])
         gain = energy - self.highest
-        if self.settling == 0 and gain > SHARE * (turnover + self.weight):
+        if self.settling == 0 and gain > SHARE * (turnover + self.weight) + self._roundoff(s.t):
             return float(gain)
+        self.time = s.t
         self.settling = max(self.settling - 1, 0)
         self.turnover, self.highest = turnover, max(energy, self.highest)
         return None
@@ -73,9 +81,15 @@ class Watch:
     def limits(self, seen: tuple[float, ...]) -> None:
         self.highest, self.turnover, self.settling = float(seen[0]), float(seen[1]), int(seen[4])
 
+    def _roundoff(self, t: float) -> float:
+        """R of (1) for a step that ends at t, J."""
+        h = t - self.time
+        speed = ROUNDOFF * self.system.length / h if h > 0 else 0.0
+        return self.system.mass * speed**2 + self.strained
+
     def remember(self, m: Memory) -> None:
         """What was seen of energies."""
-        self.turnover, self.highest = m("energies", (self.turnover, self.highest))
+        self.turnover, self.highest, self.time = m("energies", (self.turnover, self.highest, self.time))
         self.rejections, self.settling = m("steps", (self.rejections, self.settling))
 
     def count(self, before: State, gain: float, stop: bool) -> None:
@@ -86,6 +100,11 @@ class Watch:
                 f"The step at t = {before.t:.6g} s gains {gain:.3g} J from nothing, also in 1/{2**HALVINGS} of the step: the "
                 "scheme does not follow a stiff part that turns. Take a much smaller dt, fmbd.EnergyMomentum() or fmbd.Radau()."
             )
+
+
+def _strain_energy(system: System) -> float:
+    """Elastic energy (J) of all bodies in strains of the size of roundoff; collective."""
+    return sum(abs(float(part.field.energy(ROUNDOFF * part.field.X.ravel()))) for _, part in system.fields)
 
 
 class Guarded:

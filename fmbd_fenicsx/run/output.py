@@ -18,6 +18,7 @@ from ..rotations import Array
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory
 from ..system.system import Evaluation, State, System
+from .acceptance import Closed
 from .between import state_between
 
 
@@ -124,6 +125,7 @@ class Recorder:
     gap: float = 0.0
     slip: float = 0.0
     seconds: float = 0.0
+    closed: Closed | None = None  # refuses states with open joints
 
     def __post_init__(self) -> None:
         self.values: dict[str, list[Array]] = {n: [] for n in self.scene.sensors}
@@ -173,6 +175,8 @@ class Recorder:
         self.times.append(state.t)
         for name, sensor in self.scene.sensors.items():
             self.values[name].append(sensor.read(ev, state, self.markers[name]))
+        if self.closed is not None and n:
+            self.closed.check(ev)
         if self.system.n_lam:
             self.gap = max(self.gap, float(np.abs(ev.constraint()).max()))
             rate = ev.jacobian.times(state.v) + ev.constraint_rate()

@@ -19,6 +19,7 @@ from ..log import log
 from ..system.element_memory import accept
 from ..system.serialisation import Memory, remember_stepper
 from ..system.system import Evaluation, State, System
+from .acceptance import Closed
 from .energy_check import HALVINGS, Watch
 
 DEPTH = 6  # times that a step that fails may be halved
@@ -28,10 +29,20 @@ class ConstantSteps:
     """A stepper with constant steps, whole or in parts.
 
     ``renew`` makes a stepper from a state, None: the stepper goes on with another size. ``watch``: the energy guard, if any.
+    ``closed`` refuses states with open joints.
     """
 
-    def __init__(self, stepper: Any, system: System, renew: Callable[[State], Any] | None, watch: Watch | None) -> None:
-        self.stepper, self.system, self.renew, self.watch = stepper, system, renew, watch
+    def __init__(
+        self,
+        stepper: Any,
+        system: System,
+        renew: Callable[[State], Any] | None,
+        watch: Watch | None,
+        *,
+        closed: Closed | None = None,
+    ) -> None:
+        self.stepper, self.system, self.renew, self.watch, self.closed = stepper, system, renew, watch, closed
+        self._seen: Evaluation | None = None  # the system in the newest state, where it was looked at
         self.local_error = 0.0
         self.halved = 0  # steps and parts of steps that failed
         self.whole = 0  # halvings that every step gets since energy was gained
@@ -50,10 +61,9 @@ class ConstantSteps:
 
     @property
     def evaluation(self) -> Evaluation | None:
-        """At the newest state, where the guard has made it."""
-        if self.watch is None or self.watch.evaluation.q is not self.stepper.state.q:
-            return None
-        return self.watch.evaluation
+        """At the newest state, where it was looked at."""
+        found = self._seen if self.watch is None else self.watch.evaluation
+        return None if found is None or found.q is not self.stepper.state.q else found
 
     @property
     def counters(self) -> dict[str, float]:
@@ -111,6 +121,7 @@ class ConstantSteps:
         before, self._size = self.stepper.state, h
         try:
             after = self.stepper.advance(h)
+            self._look(after)
         except (ConvergenceError, LinearSolveError) as error:
             if depth - self.whole == DEPTH:
                 raise
@@ -122,7 +133,7 @@ class ConstantSteps:
                 return self._halves(h, depth)
             except (ConvergenceError, LinearSolveError):
                 raise error from None
-        if self.watch is None or (gain := self.watch.gain(after)) is None:
+        if self.watch is None or (gain := self.watch.gain(after, self._seen)) is None:
             self.local_error = max(self.local_error, self.stepper.local_error)
             if accept(self.system, after):  # the past of the stepper is that of other forces
                 self._begin(after)
@@ -131,6 +142,14 @@ class ConstantSteps:
         self.watch.count(before, gain, self.whole > HALVINGS)
         self._begin(before)
         return self._halves(h, depth)
+
+    def _look(self, state: State) -> None:
+        """Refuse a state with open joints. Compiled steps without a guard are looked at where they are recorded."""
+        self._seen = None
+        if self.closed is None or (self.watch is None and self.path != "NumPy"):
+            return
+        self._seen = self.system.at(state.t, state.q, state.v)
+        self.closed.check(self._seen)
 
     def _halves(self, h: float, depth: int) -> None:
         self._advance(0.5 * h, depth + 1)

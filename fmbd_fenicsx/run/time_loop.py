@@ -15,6 +15,7 @@ from ..schemes.newton import Newton
 from ..system.element_memory import accept, reset
 from ..system.scene.scene import Scene
 from ..system.system import State, System
+from .acceptance import Closed
 from .energy_check import Guarded, Watch, closed
 from .moment import Moment
 from .output import Output, Progress, Recorder
@@ -78,7 +79,7 @@ def begin(
         system.contacts is None,
         f"{scheme.name} does not treat contact. Use fmbd.ContactMidpoint(), ContactAlpha() or Moreau().",
     )
-    return consistent(system, given, solver)
+    return consistent(system, given, solver, h=h)
 
 
 def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: bool) -> Any:
@@ -94,12 +95,13 @@ def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: b
             problem.system.at(state.t, state.q, state.v).balance(state.a, state.lam)
             for _, part in problem.system.fields:
                 part.relinearise()
-        start, _ = consistent(problem.system, state, solver)
+        start, _ = consistent(problem.system, state, solver, h=pace.next(0.0))
         return problem.scheme.stepper(problem.system, solver, problem.newton, start)
 
     if pace.steps:
         goes_on = hasattr(problem.scheme, "start") or getattr(problem.scheme, "free_steps", False)
-        return ConstantSteps(made, problem.system, None if goes_on else renew, watch)
+        closed_joints = Closed.under(problem.system, problem.scheme)
+        return ConstantSteps(made, problem.system, None if goes_on else renew, watch, closed=closed_joints)
     return made if watch is None else Guarded(made, watch)
 
 
@@ -128,6 +130,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
     reset(problem.system, problem.start)
     stepper = make_stepper(problem, solver, pace, guarded=output.energy and closed(problem.scene, problem.system))
     recorder = Recorder(problem.scene, problem.system, problem.markers, output, pace.t_end)
+    recorder.closed = Closed.under(problem.system, problem.scheme)
     recorder.take(0, stepper.state, getattr(stepper, "evaluation", None))
     course = Course(problem.system, solver, problem.newton, stepper, recorder)
     if keeper is not None:

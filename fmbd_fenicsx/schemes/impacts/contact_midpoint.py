@@ -62,6 +62,8 @@ class ContactMidpoint:
         """Consistent positions and velocities; refuses overlap, and contact between rigid bodies."""
         return elastic_start(self.name, system, state, solver, self.theta * h)
 
+    holds = (0,)
+
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
         return Stepper(self.theta, system, solver, newton, state)

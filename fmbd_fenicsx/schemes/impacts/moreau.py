@@ -68,6 +68,8 @@ class Moreau:
         refuse_penetration(system, system.contacts, start)
         return start, correction
 
+    holds = (0,)
+
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
         return Stepper(system, solver, newton, state, self.impacts)

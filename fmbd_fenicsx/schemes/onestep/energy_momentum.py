@@ -59,6 +59,8 @@ class EnergyMomentum:
     name = "energy-momentum"
     free_steps = True  # any size may follow any other
 
+    holds = (0,)
+
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
         return Stepper(system, solver, newton, state)

@@ -61,6 +61,8 @@ class HalfExplicit:
     def __post_init__(self) -> None:
         check_tolerance(self.rtol, self.atol, "HalfExplicit")
 
+    holds = (0, 1)
+
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
         return Stepper(self, system, solver, newton, state)

@@ -38,6 +38,8 @@ class Rattle:
     name = "RATTLE"
     free_steps = True  # any size may follow any other
 
+    holds = (0, 1)
+
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
         return Stepper(system, solver, newton, state)

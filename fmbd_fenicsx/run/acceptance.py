@@ -1,0 +1,96 @@
+"""A step counts when its residuals are small: joints that are closed, and stay so.
+
+    |g_i| u_i  <=  1e-7 L + 100 eps |x|        for schemes that hold the constraints on positions                    (1)
+    |G v + g_t| u_i  <=  1e-4 (|v| + |v|_max)      for those that hold them on velocities                            (2)
+
+with L the model's length, u_i = L for rows that are angles, |x| the distance from the origin. With error control L is multiplied
+by 1e-7 or the relative tolerance, whichever is larger. Newton's iteration judges increments; where its matrix is close to
+singular they can be small while a joint is open, and a linear solve can pass with the rows of a light body lost in those of a
+heavy one. A step that fails here is one that failed to converge: it is made in parts, and where these fail too the run ends with
+the name of the joint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..errors import ConvergenceError
+from ..mechanics.joints.constraints import Perpendicular
+from ..mechanics.joints.couplings import CouplingBatch
+from ..mechanics.joints.relative import Turn
+from ..rotations import Array
+from ..schemes.consistent import worst_block
+from ..system.system import Evaluation, System
+
+OPEN = 1e-7  # of the model's length
+SLIP = 1e-4  # of the velocities
+ROUNDOFF = 100 * float(np.finfo(float).eps)
+
+
+@dataclass
+class Closed:
+    """Refuses states whose constraints are open. ``levels``: those that the scheme holds; ``share``: the factor of L in (1)."""
+
+    system: System
+    levels: tuple[int, ...]
+    share: float = OPEN
+    fastest: float = field(default=0.0)  # m/s, of all states so far
+
+    @staticmethod
+    def under(system: System, scheme: Any) -> Closed:
+        """For the states of a scheme; one that says nothing of its levels is not judged."""
+        rtol = getattr(scheme, "rtol", None)
+        return Closed(system, getattr(scheme, "holds", ()), OPEN if rtol is None else max(OPEN, rtol))
+
+    @cached_property
+    def units(self) -> Array:
+        """u of (1), (n_lam,)."""
+        out = np.ones(self.system.n_lam)
+        for batch, rows in self.system.batches:
+            if isinstance(batch, Perpendicular):
+                out[rows] = self.system.length
+            elif isinstance(batch, CouplingBatch):
+                for relative, numbers, _ in batch.terms:
+                    if isinstance(relative, Turn):
+                        out[rows[numbers]] = self.system.length
+        return out
+
+    def check(self, ev: Evaluation) -> None:
+        """Raise ConvergenceError when a joint is open in a state; collective."""
+        s = self.system
+        if not s.n_lam or 0 not in self.levels:
+            return
+        gap = self.units * np.abs(ev.constraint())
+        allowed = self.share * s.length + ROUNDOFF * self._far(ev.q)
+        if not gap.max() <= allowed:
+            raise ConvergenceError(
+                f"At t = {ev.t:.6g} s {worst_block(s, gap)} is open by {gap.max():.3g} m, {allowed:.2g} m is allowed. Look for "
+                "bodies that are much lighter or stiffer than what they are attached to, or take a smaller dt."
+            )
+        if 1 in self.levels and ev.v is not None:
+            self._check_velocities(ev, ev.v)
+
+    def _check_velocities(self, ev: Evaluation, v: Array) -> None:
+        s = self.system
+        self.fastest = max(self.fastest, s.max_abs(v))
+        rate = ev.constraint_rate()
+        slip = self.units * np.abs(ev.jacobian.times(v) + rate)
+        allowed = (SLIP + self.share) * (self.fastest + float((self.units * np.abs(rate)).max()))
+        if not slip.max() <= allowed:
+            raise ConvergenceError(
+                f"At t = {ev.t:.6g} s {worst_block(s, slip)} opens at {slip.max():.3g} m/s, {allowed:.2g} m/s is allowed. Take a "
+                "smaller dt."
+            )
+
+    def _far(self, q: Array) -> float:
+        """Largest coordinate of a frame, its angles as lengths, and of what is counted, m."""
+        m, at = self.system.motions, self.system.counted_angles
+        frames = np.abs(q[: at.start].reshape(-1, m.n_pose))
+        place = float(frames[:, : m.dim].max(initial=0.0))
+        angle = float(frames[:, 2].max(initial=0.0)) if m.dim == 2 else 1.0
+        counted = float(np.abs(q[at]).max(initial=0.0))
+        return place + self.system.length * (angle + counted)

@@ -1,0 +1,93 @@
+"""A step counts when its residuals are small: an open joint is an error with its name; bodies at rest pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError, FmbdError, InputError
+from fmbd_fenicsx.run.acceptance import Closed
+
+
+def double_pendulum(upper: float, lower: float, size: float = 1.0) -> fmbd.Scene:
+    a = fmbd.RigidBody("a", upper, upper * size**2 / 12, position=(0.5 * size, 0.0))
+    b = fmbd.RigidBody("b", lower, lower * size**2 / 12, position=(1.5 * size, 0.0))
+    scene = fmbd.Scene("double pendulum", gravity=(0.0, -9.81 * size))
+    scene.add(a, b, fmbd.revolute("pin", fmbd.ground, a, center=(0.0, 0.0)))
+    scene.add(fmbd.revolute("knee", a, b, center=(size, 0.0)))
+    return scene
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e4])
+@pytest.mark.parametrize("masses", [(1e-8, 1e8), (1e-7, 1e9), (1e8, 1e-8), (1e-3, 1e3)])
+@pytest.mark.parametrize("energy", [True, False])
+def test_joints_stay_closed_or_the_run_ends(masses: tuple[float, float], size: float, energy: bool) -> None:
+    """Masses that differ by 1e16: closed within 1e-6 of the length, or an error; compiled or not."""
+    scene = double_pendulum(*masses, size=size)
+    try:
+        run = fmbd.solve(scene, t_end=0.1, dt=1e-3, output=fmbd.Output(every=7, energy=energy))
+    except FmbdError:
+        assert min(masses) / max(masses) < 1e-9
+        return
+    ev = run.system.at(run.state.t, run.state.q)
+    assert np.abs(ev.constraint()).max() < 1e-6 * size
+
+
+def test_an_open_joint_is_named() -> None:
+    """In lengths for points, in lengths of the model for angles; silent for schemes that do not hold positions."""
+    system, state, _ = double_pendulum(1.0, 1.0).build()
+    q = state.q.copy()
+    Closed(system, (0,)).check(system.at(0.0, q, state.v))
+    q[3] += 2e-6
+    with pytest.raises(ConvergenceError, match=r'joint "knee" \(revolute\) is open by 2e-06 m'):
+        Closed(system, (0,)).check(system.at(0.0, q, state.v))
+    Closed(system, (1,)).check(system.at(0.0, q, state.v))
+    q[3] = np.nan
+    with pytest.raises(ConvergenceError, match="open by nan"):
+        Closed(system, (0,)).check(system.at(0.0, q, state.v))
+    v = np.zeros(system.n_v)
+    v[3] = 1.0
+    with pytest.raises(ConvergenceError, match=r'joint "knee" \(revolute\) opens at 1 m/s'):
+        Closed(system, (0, 1)).check(system.at(0.0, state.q, v))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_a_body_at_rest_rests(dim: int, size: float) -> None:
+    """Without a load, attitude and place at random: roundoff is no energy from nothing."""
+    mass, at = 0.1, size * np.array([0.41, 0.27, 0.13])[:dim]
+    if dim == 2:
+        body = fmbd.RigidBody("body", mass, mass * size**2 / 12, position=at, rotation=0.202)
+        joint: Any = fmbd.prismatic("joint", fmbd.ground, body, axis=(0.98, 0.2))
+    else:
+        body = fmbd.RigidBody("body", mass, size**2 * np.array([0.01, 0.012, 0.015]), position=at)
+        joint = fmbd.planar("joint", fmbd.ground, body, normal=(0.65, -0.446, -0.74))
+    scene = fmbd.Scene("rest")
+    scene.add(body, joint)
+    scene.sensor("position", fmbd.position(body))
+    run = fmbd.solve(scene, t_end=0.3, dt=0.003)
+    assert np.abs(run["position"] - at).max() < 1e-12 * size
+
+
+def test_drives_that_agree_up_to_roundoff_run() -> None:
+    """sin^3 t = (3 sin t - sin 3 t) / 4: rates that differ by 1e-60 at the start are no contradiction."""
+    body = fmbd.RigidBody("bar", 1.0, 1 / 12, position=(0.5, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, body, center=(0.0, 0.0))
+    scene = fmbd.Scene("drives", gravity=(0.0, -9.81))
+    scene.add(body, pin)
+    for k, motion in enumerate((lambda t: np.sin(t) ** 3, lambda t: (3 * np.sin(t) - np.sin(3 * t)) / 4)):
+        scene.add(fmbd.drive(f"motor {k}", fmbd.angle(pin), motion))
+    assert fmbd.solve(scene, t_end=0.5, dt=0.01).drift[0] < 1e-9
+
+
+def test_a_body_too_stiff_for_absolute_coordinates(rod_mesh: Any) -> None:
+    """Roundoff of elastic forces hides the inertia: refused by name, with what to take instead."""
+    law = fmbd.materials.neo_hookean(1e16, 0.3)
+    body = fmbd.AbsoluteBody("rod", rod_mesh(dim=2, h=0.5, height=0.2), density=1000.0, energy=law, quadrature=4)
+    scene = fmbd.Scene("fall", gravity=(0.0, -9.81))
+    scene.add(body, fmbd.revolute("pin", fmbd.ground, body.surface("pin")))
+    with pytest.raises(InputError, match=r'Body "rod" is too stiff.*FloatingBody.*dt smaller'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
