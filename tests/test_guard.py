@@ -138,6 +138,8 @@ def test_elastic_bodies_may_settle() -> None:
         parts=("rod",),
         fields=(),
         forces=(),
+        poses=system.poses,
+        motions=system.motions,
         cache={"turning": ()},
     )
     guarded = guard(Heater, state, 0.3, elastic)

@@ -3,7 +3,8 @@
     E_n+1 - max(E_0 .. E_n)  >  1e-3 (T + V + m g L) + R                                                   (1)
 
 with T and V the largest kinetic and elastic energies so far, L the length of the model and m g its weight: the energy that can
-turn into motion. R is the energy of roundoff, in motion by 1e-12 L in a step and in strains of 1e-12: bodies at rest have it.
+turn into motion. R is the energy of roundoff, which bodies at rest have too: of motion by 1e-12 (L + |x|) in a step, of strains
+of 1e-12.
 
 Damping at high frequencies in the linear sense is no protection: a stiff spring that turns by half a radian in a step makes
 generalized-alpha with rho_inf = 0.9 gain a factor of thirty. Scenes with anything that may do work (loads in time, drives, laws
@@ -84,7 +85,10 @@ class Watch:
     def _roundoff(self, t: float) -> float:
         """R of (1) for a step that ends at t, J."""
         h = t - self.time
-        speed = ROUNDOFF * self.system.length / h if h > 0 else 0.0
+        s = self.system
+        places = s.poses(self.evaluation.q)[:, : s.motions.dim]
+        far = s.length + float(np.abs(places).max(initial=0.0))
+        speed = ROUNDOFF * far / h if h > 0 else 0.0
         return self.system.mass * speed**2 + self.strained
 
     def remember(self, m: Memory) -> None:

@@ -21,6 +21,7 @@ from ..system.serialisation import Memory, remember_stepper
 from ..system.system import Evaluation, State, System
 from .acceptance import Closed
 from .energy_check import HALVINGS, Watch
+from .forecast import Forecast
 
 DEPTH = 6  # times that a step that fails may be halved
 
@@ -29,7 +30,7 @@ class ConstantSteps:
     """A stepper with constant steps, whole or in parts.
 
     ``renew`` makes a stepper from a state, None: the stepper goes on with another size. ``watch``: the energy guard, if any.
-    ``closed`` refuses states with open joints.
+    ``closed`` refuses states with open joints, ``forecast`` counts the parts.
     """
 
     def __init__(
@@ -40,8 +41,10 @@ class ConstantSteps:
         watch: Watch | None,
         *,
         closed: Closed | None = None,
+        forecast: Forecast | None = None,
     ) -> None:
         self.stepper, self.system, self.renew, self.watch, self.closed = stepper, system, renew, watch, closed
+        self.forecast = forecast
         self._seen: Evaluation | None = None  # the system in the newest state, where it was looked at
         self.local_error = 0.0
         self.halved = 0  # steps and parts of steps that failed
@@ -135,6 +138,8 @@ class ConstantSteps:
                 raise error from None
         if self.watch is None or (gain := self.watch.gain(after, self._seen)) is None:
             self.local_error = max(self.local_error, self.stepper.local_error)
+            if self.forecast is not None:
+                self.forecast.note(after)
             if accept(self.system, after):  # the past of the stepper is that of other forces
                 self._begin(after)
             return None

@@ -17,6 +17,7 @@ from ..system.scene.scene import Scene
 from ..system.system import State, System
 from .acceptance import Closed
 from .energy_check import Guarded, Watch, closed
+from .forecast import Forecast
 from .moment import Moment
 from .output import Output, Progress, Recorder
 from .progress import Course
@@ -100,8 +101,14 @@ def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: b
 
     if pace.steps:
         goes_on = hasattr(problem.scheme, "start") or getattr(problem.scheme, "free_steps", False)
-        closed_joints = Closed.under(problem.system, problem.scheme)
-        return ConstantSteps(made, problem.system, None if goes_on else renew, watch, closed=closed_joints)
+        return ConstantSteps(
+            made,
+            problem.system,
+            None if goes_on else renew,
+            watch,
+            closed=Closed.under(problem.system, problem.scheme),
+            forecast=Forecast(solver, made.state.t, pace.t_end, pace.steps),
+        )
     return made if watch is None else Guarded(made, watch)
 
 
@@ -136,6 +143,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
     if keeper is not None:
         keeper.resume(course)
     state = stepper.state
+    forecast = Forecast(solver, state.t, pace.t_end, pace.steps)
     bar = Progress(problem.scene.name, pace.steps or None, output.progress)
     try:
         with StopRequests() if keeper is None else keeper.listen() as stop:
@@ -144,6 +152,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
                 state = stepper.state if made else stepper.advance(pace.next(state.t))
                 if not pace.steps:  # constant steps note their parts one by one
                     accept(problem.system, state)
+                    forecast.note(state)
                 course.done += max(made, 1)
                 course.local_error = max(course.local_error, stepper.local_error)
                 recorder.take(course.done, state, getattr(stepper, "evaluation", None), stepper)

@@ -32,7 +32,7 @@ class CholeskyFactor:
         self.field, self.cm, self.ck = field, cm, ck
         self.judge = Judge(f'the elastic block of body "{field.name}"')
         self.factor = Factor(field, cm, ck, cd)
-        if turns and field.nonlinear and field.tangents <= 1:  # later ones may be of iterates far away
+        if turns and field.nonlinear and not field.tangents:  # later ones may be of iterates far away
             self._refuse_hidden_inertia()
 
     def _refuse_hidden_inertia(self) -> None:

@@ -253,13 +253,7 @@ class Builder:
         points = [q[: self.m.dim] for q in self.poses]
         points += [x for j in self.scene.joints.values() for x in (j.center_a, j.center_b) if x is not None]
         spread = np.ptp(np.array(points), axis=0) if points else np.zeros(1)
-        found = max([float(np.linalg.norm(spread)), *(p.size for p in self.fields if hasattr(p, "size"))])
-        if found > 0:
-            return found
-
-        # all at one point: the largest radius of gyration
-        rigid = [b for b in self.scene.bodies.values() if isinstance(b, RigidBody) and not b.locked]
-        return max([float(np.sqrt(np.max(b.inertia_matrix) / b.mass)) for b in rigid], default=0.0) or 1.0
+        return max([float(np.linalg.norm(spread)), *(p.size for p in self.fields if hasattr(p, "size"))]) or 1.0
 
     def _gravity(self) -> Callable[[float], Array]:
         d, ramp = self.m.dim, self.scene.gravity_ramp

@@ -1,0 +1,68 @@
+"""How many steps a run will need: said once, with the fastest vibration of the scene, where it is far more than was asked for.
+
+Every hundred steps the pace of the last hundred is carried on to the end. The period of a body on its springs is that of its own
+coordinates, all others held,
+
+    T = 2 pi sqrt(M_ii / K_ii)                                                                                   (1)
+
+with K the stiffness of springs, joint springs and other force elements. Elastic bodies have faster ones of their own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..linear.condensation import StepSolver, Weights
+from ..log import log
+from ..system.system import State
+
+EVERY = 100  # steps
+MANY = 1e5  # steps that a user wants to be told of
+TIMES = 10  # the planned ones, where steps are constant
+
+
+class Forecast:
+    """Counts steps and parts of steps; ``planned``: how many a run has with constant steps, 0 with error control."""
+
+    def __init__(self, solver: StepSolver, t: float, t_end: float, planned: int) -> None:
+        self.solver, self.t_end, self.planned = solver, t_end, planned
+        self.taken, self.since, self.said = 0, t, False
+
+    def note(self, state: State) -> None:
+        """One more step, or part of one, that ended in ``state``; collective."""
+        self.taken += 1
+        if self.taken % EVERY:
+            return
+        advanced, self.since = state.t - self.since, state.t
+        if self.said or advanced <= 0:
+            return
+        needed = self.taken + (self.t_end - state.t) / advanced * EVERY
+        if needed < max(MANY, TIMES * self.planned):
+            return
+        self.said = True
+        log.warning(
+            "t = %g s: the last %d steps or parts of steps took %.2g s; at this pace the run needs about %.1e. %s",
+            state.t, EVERY, advanced, needed, fastest(self.solver, state),
+        )  # fmt: skip
+
+
+def fastest(solver: StepSolver, state: State) -> str:
+    """The shortest period (1) and its body, as a sentence; collective."""
+    s = solver.system
+    ev = s.at(state.t, state.q, state.v)
+    stiffness = ev.force_tangent(0.0, 1.0)
+    if stiffness is None or not s.n_frames:
+        return "No spring is there to blame: look for a stiff law, an elastic body with a fine mesh, or a singular position."
+
+    # diagonals: one coordinate of a frame at a time
+    mass = np.asarray(solver.core_matrix(ev, Weights(1.0, 0.0, 0.0)).diagonal())
+    ratio = np.asarray(stiffness.diagonal()) / np.where(mass > 0, mass, np.inf)
+    ratio = ratio[: s.n_frames * s.motions.n_twist]
+    k = int(np.argmax(ratio))
+    if not ratio[k] > 0:
+        return "No spring is stiff now: look for a law that switches, or a singular position."
+    period = 2 * np.pi / np.sqrt(ratio[k])
+    return (
+        f'The fastest period is {period:.2g} s, of body "{s.frame_names[k // s.motions.n_twist]}" on its springs: give it more '
+        "mass or a softer spring, replace the spring by a joint, or take fmbd.EnergyMomentum()."
+    )
