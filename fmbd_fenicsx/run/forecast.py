@@ -14,6 +14,7 @@ import numpy as np
 
 from ..linear.condensation import StepSolver, Weights
 from ..log import log
+from ..system.force_tangent import force_tangent
 from ..system.system import State
 
 EVERY = 100  # steps
@@ -50,13 +51,13 @@ def fastest(solver: StepSolver, state: State) -> str:
     """The shortest period (1) and its body, as a sentence; collective."""
     s = solver.system
     ev = s.at(state.t, state.q, state.v)
-    stiffness = ev.force_tangent(0.0, 1.0)
-    if stiffness is None or not s.n_frames:
+    applied = force_tangent(ev, 0.0, 1.0) if s.forces else None
+    if applied is None or applied.core is None or not s.n_frames:
         return "No spring is there to blame: look for a stiff law, an elastic body with a fine mesh, or a singular position."
 
     # diagonals: one coordinate of a frame at a time
     mass = np.asarray(solver.core_matrix(ev, Weights(1.0, 0.0, 0.0)).diagonal())
-    ratio = np.asarray(stiffness.diagonal()) / np.where(mass > 0, mass, np.inf)
+    ratio = np.asarray(applied.core.diagonal()) / np.where(mass > 0, mass, np.inf)
     ratio = ratio[: s.n_frames * s.motions.n_twist]
     k = int(np.argmax(ratio))
     if not ratio[k] > 0:

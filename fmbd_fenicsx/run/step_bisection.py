@@ -14,6 +14,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from ..errors import ConstraintError, ConvergenceError, LinearSolveError
 from ..log import log
 from ..system.element_memory import accept
@@ -123,7 +125,7 @@ class ConstantSteps:
             self._begin(self.stepper.state)
         before, self._size = self.stepper.state, h
         try:
-            after = self.stepper.advance(h)
+            after = self._step(h)
             self._look(after)
         except (ConvergenceError, LinearSolveError) as error:
             if depth - self.whole == DEPTH:
@@ -147,6 +149,16 @@ class ConstantSteps:
         self.watch.count(before, gain, self.whole > HALVINGS)
         self._begin(before)
         return self._halves(h, depth)
+
+    def _step(self, h: float) -> State:
+        """A step of the scheme; numbers that NumPy gives up on are those of an iteration that diverged."""
+        try:
+            return self.stepper.advance(h)
+        except np.linalg.LinAlgError as error:
+            t = self.stepper.state.t + h
+            raise ConvergenceError(
+                f"Newton's iteration diverged at t = {t:.6g} s (h = {h:.3g} s): {error}. Take a smaller dt."
+            ) from error
 
     def _look(self, state: State) -> None:
         """Refuse a state with open joints. Compiled steps without a guard are looked at where they are recorded."""

@@ -6,6 +6,8 @@ import time as clock
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..errors import ConvergenceError, require
 from ..linear.condensation import StepSolver
 from ..log import StopRequests, log
@@ -172,6 +174,11 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
         total = f" of {pace.steps}" if pace.steps else ""
         kept = "" if keeper is None or keeper.newest is None else f" The newest checkpoint is {keeper.newest}."
         raise ConvergenceError(f'Scene "{problem.scene.name}", step {course.done + 1}{total}: {error}{kept}') from error
+    except np.linalg.LinAlgError as error:
+        raise ConvergenceError(
+            f'Scene "{problem.scene.name}", step {course.done + 1}: the iteration diverged after t = {state.t:.6g} s: {error}. '
+            "Take a smaller dt or rtol."
+        ) from error
     finally:
         bar.close()
     return March(

@@ -275,11 +275,11 @@ class Stepper:
     def _newton(self, h: float, k: int) -> Points | str:
         try:
             return self._iterate(h, k)
-        except (LinearSolveError, CallbackError) as error:
-            if isinstance(error, CallbackError) and not self.adaptive:
+        except (LinearSolveError, np.linalg.LinAlgError):
+            return "linear solve failed"
+        except CallbackError as error:
+            if not self.adaptive:
                 raise
-            if isinstance(error, LinearSolveError):
-                return "linear solve failed"
             self.control.fault = str(error)
             return "forces not finite"
 

@@ -292,11 +292,11 @@ class Stepper:
         try:
             self._prepare(h)
             return self._iterate(h)
-        except (LinearSolveError, CallbackError) as error:
-            if isinstance(error, CallbackError) and not self.adaptive:
+        except (LinearSolveError, np.linalg.LinAlgError):
+            return "linear solve failed"
+        except CallbackError as error:
+            if not self.adaptive:
                 raise
-            if isinstance(error, LinearSolveError):
-                return "linear solve failed"
             self.control.fault = str(error)
             return "forces not finite"
 
@@ -347,7 +347,7 @@ class Stepper:
         try:
             self._prepare(h)  # the error estimate needs a tangent in the middle
             return self._full_newton(h)
-        except (LinearSolveError, CallbackError):
+        except (LinearSolveError, CallbackError, np.linalg.LinAlgError):
             return "linear solve failed"
 
     def _full_newton(self, h: float) -> Points | str:
