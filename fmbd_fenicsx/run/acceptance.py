@@ -44,7 +44,11 @@ class Closed:
     def under(system: System, scheme: Any) -> Closed:
         """For the states of a scheme; one that says nothing of its levels is not judged."""
         rtol = getattr(scheme, "rtol", None)
-        return Closed(system, getattr(scheme, "holds", ()), OPEN if rtol is None else max(OPEN, rtol))
+        form = getattr(scheme, "form", None)
+        levels = getattr(scheme, "holds", ()) if form is None else form.levels
+        if form is not None and form.projected:
+            levels = (0, 1)
+        return Closed(system, levels, OPEN if rtol is None else max(OPEN, rtol))
 
     @cached_property
     def units(self) -> Array:

@@ -81,11 +81,6 @@ class BDF:
         """Name in reports."""
         return f"BDF({self.order}), {self.form.name}"
 
-    @property
-    def holds(self) -> tuple[int, ...]:
-        """Levels of the constraints that its states fulfil."""
-        return (0, 1) if self.form.projected else self.form.levels
-
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
         return Stepper(self, system, solver, newton, state)

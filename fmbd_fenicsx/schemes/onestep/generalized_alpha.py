@@ -98,11 +98,6 @@ class GeneralizedAlpha:
         gamma = 0.5 + af - am
         return am, af, gamma, 0.25 * (gamma + 0.5) ** 2
 
-    @property
-    def holds(self) -> tuple[int, ...]:
-        """Levels of the constraints that its states fulfil."""
-        return self.form.levels
-
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
         plain = self.compiled and isinstance(self.form, Index3) and newton.tangent is None
