@@ -68,5 +68,5 @@ checks = [
     Check("the same after extrapolation, m", np.abs(better - exact).max(), 0.0, 2e-4 if args.fast else 1e-6),
 ]
 if args.picture:
-    soft.picture(args.picture, sensor="tip")
+    soft.picture(args.picture, sensors="tip")
 finish(checks, soft, args)
