@@ -313,8 +313,7 @@ class FieldStages:
             rows.append(r[n + m :])
             return self._precondition(*parts(r))
 
-        if np.any(push):
-            low = low + t.along(np.zeros_like(rate), rate, push)
+        low = low + t.along(np.zeros_like(rate), rate, push)  # on all ranks, also where this one's share is zero
         dxi, dlam, combination = self._gmres(action, self._precondition(*parts(-low)))
 
         left = -low[n + m :]
