@@ -6,7 +6,10 @@ what a scene does not need is not imported. ``__init__.pyi`` lists them.
 """
 
 from ._lazy import attach
+from .log import install_hooks
 
 __version__ = "0.1.0"
+
+install_hooks()
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from .checks import check_fields
+
 
 @dataclass(frozen=True)
 class MixedEnergy:
@@ -19,6 +21,9 @@ class MixedEnergy:
     linear: bool = False
     carried: bool = False
     incompressible: bool = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     def __call__(self, u: Any, p: Any, dx: Any) -> Any:
         """The form of the density."""
@@ -52,6 +57,9 @@ class ViscousForm:
     """
 
     form: Callable[[Any, Any, Any, Any], Any]
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     def __call__(self, u: Any, rate: Any, v: Any, dx: Any) -> Any:
         """The form."""

@@ -6,18 +6,25 @@ nothing.
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import resource
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any
+from typing import Any, NoReturn
+
+from .errors import FmbdError, Stopped
 
 log = logging.getLogger("fmbd_fenicsx")
 log.addHandler(logging.NullHandler())
+
+
+PATIENCE = 3.0  # s that a rank which leaves with an error waits for the others to do the same
 
 
 def world_size() -> int:
@@ -49,20 +56,54 @@ def install_hooks() -> None:
     """Decide what happens when an exception reaches the top of the program (once; a hook set by others is
     left alone).
 
-    Serial: after Ctrl-C the report so far is printed and the exit code is 130. Under mpirun: one failing rank
-    ends all ranks. The message of the lowest failing rank is printed, the exit code is the error's own.
+    The exit code is the error's own: 2 for bad input, 71 where a step fails, 74 for files; 130 or 75 after a request to
+    stop, with the report so far. Under mpirun one failing rank ends all ranks, and the message of the lowest one is
+    printed; a rank that leaves by ``sys.exit`` with a code other than 0 while others go on ends them too.
     """
     if sys.excepthook is sys.__excepthook__:
         sys.excepthook = _top if world_size() == 1 else _top_of_many
+        if world_size() > 1:
+            _watch_exits()
+
+
+def _watch_exits() -> None:
+    """Remember the code given to ``sys.exit``; at the end of a process with another code than 0 wait for all ranks to end alike,
+    and end them where they do not: a rank that has left would be waited for without end.
+    """
+    codes: list[Any] = []
+    leave = sys.exit
+
+    def noting(code: Any = None, /) -> NoReturn:
+        codes.append(code)
+        leave(code)
+
+    def end() -> None:
+        code = codes[-1] if codes else None
+        if code in (None, 0) or "mpi4py.MPI" not in sys.modules:
+            return
+        from mpi4py import MPI
+
+        if MPI.Is_finalized() or not MPI.Is_initialized():
+            return
+        arrived = MPI.COMM_WORLD.Ibarrier()
+        until = time.monotonic() + PATIENCE
+        while not arrived.Test():
+            if time.monotonic() > until:
+                MPI.COMM_WORLD.Abort(code if isinstance(code, int) else 1)
+            time.sleep(0.02)
+
+    sys.exit = noting
+    atexit.register(end)
 
 
 def _top(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    run = getattr(error, "run", None)
-    if not issubclass(kind, KeyboardInterrupt) or run is None:
+    if isinstance(error, Stopped):
+        print(error.run.report(), flush=True)
+    else:
         sys.__excepthook__(kind, error, trace)
-        return
-    print(run.report(), flush=True)
-    raise SystemExit(getattr(error, "exit_code", 130))
+    if isinstance(error, FmbdError | Stopped):
+        sys.stderr.flush()
+        raise SystemExit(error.exit_code)
 
 
 def _top_of_many(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

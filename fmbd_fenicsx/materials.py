@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
+from .checks import number
 from .energies import MixedEnergy, StoredEnergy, ViscousForm
 from .errors import require
 
@@ -30,7 +29,8 @@ Form = Callable[[Any, Any, Any], Any]
 def lame(youngs_modulus: float, poisson_ratio: float) -> tuple[float, float]:
     """Lame parameters (mu, lambda) in Pa: mu = E / (2 (1 + nu)), lambda = E nu / ((1 + nu) (1 - 2 nu)); nu < 1/2."""
     E, nu = youngs_modulus, poisson_ratio
-    require(bool(np.isfinite(E)) and E > 0, f"Young's modulus {E} Pa must be positive.")
+    number("Young's modulus", E, above=0.0, unit="Pa")
+    number("Poisson's ratio", nu)
     require(
         -1.0 < nu < 0.5,
         f"Poisson's ratio {nu} must lie in (-1, 0.5). At 0.5 a displacement form does not exist: "
@@ -47,7 +47,7 @@ def linear_elastic(youngs_modulus: float, poisson_ratio: float) -> Form:
 def plane_stress(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> Form:
     """The same for a sheet of the given thickness (m): lambda* = 2 mu lambda / (lambda + 2 mu), times the thickness."""
     mu, lmbda = lame(youngs_modulus, poisson_ratio)
-    require(thickness > 0, f"Thickness {thickness} m must be positive.")
+    number("Thickness", thickness, above=0.0, unit="m")
     return _isotropic(thickness * mu, thickness * 2 * mu * lmbda / (lmbda + 2 * mu))
 
 
@@ -71,7 +71,7 @@ def _isotropic(mu: float, lmbda: float) -> Form:
 def plane_strain(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> Form:
     """A sheet of the given thickness (m) that cannot strain across it: the linear form times the thickness."""
     mu, lmbda = lame(youngs_modulus, poisson_ratio)
-    require(thickness > 0, f"Thickness {thickness} m must be positive.")
+    number("Thickness", thickness, above=0.0, unit="m")
     return _isotropic(thickness * mu, thickness * lmbda)
 
 
@@ -91,7 +91,7 @@ def saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float) -> Store
 def sheet_saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> StoredEnergy:
     """The same for a sheet in plane stress: lambda* = 2 mu lambda / (lambda + 2 mu), times the thickness (m)."""
     mu, lmbda = lame(youngs_modulus, poisson_ratio)
-    require(thickness > 0, f"Thickness {thickness} m must be positive.")
+    number("Thickness", thickness, above=0.0, unit="m")
 
     def density(C: Any, m: Any, k: Any) -> Any:
         from ufl import Identity, inner, tr
@@ -124,8 +124,8 @@ def kelvin_voigt(viscosity: float, volume_viscosity: float = 0.0) -> ViscousForm
     To be given as ``viscous`` to an absolute body with an energy. Rigid motion of any size is not damped, momenta are kept,
     and the power eta E' : E' + zeta (tr E')^2 is never negative. In the plane: times the thickness, as the energy.
     """
-    ok = np.isfinite(viscosity) and np.isfinite(volume_viscosity) and viscosity >= 0 and volume_viscosity >= 0
-    require(bool(ok), f"Viscosities {viscosity}, {volume_viscosity} Pa s must be finite and not negative.")
+    number("kelvin_voigt: viscosity", viscosity, least=0.0, unit="Pa s")
+    number("kelvin_voigt: volume_viscosity", volume_viscosity, least=0.0, unit="Pa s")
 
     def form(u: Any, rate: Any, v: Any, dx: Any) -> Any:
         from dolfinx import fem
@@ -147,7 +147,8 @@ STIFFEST_LARGE = 1e3  # of a body with large strains: its pressure follows every
 def _moduli(youngs_modulus: float, poisson_ratio: float, limit: float = STIFFEST) -> tuple[float, float]:
     """mu and lambda (at most ``limit`` mu) for nu up to and including 1/2."""
     E, nu = youngs_modulus, poisson_ratio
-    require(bool(np.isfinite(E)) and E > 0, f"Young's modulus {E} Pa must be positive.")
+    number("Young's modulus", E, above=0.0, unit="Pa")
+    number("Poisson's ratio", nu)
     require(-1.0 < nu <= 0.5, f"Poisson's ratio {nu} must lie in (-1, 0.5].")
     mu = E / (2 * (1 + nu))
     return mu, mu * min(2 * nu / max(1 - 2 * nu, 1e-300), limit)
@@ -186,6 +187,7 @@ def neo_hookean_incompressible(youngs_modulus: float, poisson_ratio: float = 0.5
     At nu = 1/2 the volume is kept, J = 1 in the mean over each function of the pressure's space. p in Pa is positive in
     tension. For absolute bodies, as ``energy``, with ``GeneralizedAlpha`` and ``settle``. In the plane: plane strain.
     """
+    number("Poisson's ratio", poisson_ratio)
     require(
         0.0 < poisson_ratio <= 0.5, f"Poisson's ratio {poisson_ratio} must lie in (0, 0.5] for a pressure of its own."
     )

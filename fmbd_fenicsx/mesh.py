@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from . import dolfinx_compat as compat
-from .errors import MeshError, near
+from .checks import instance, vector, word
+from .errors import InputError, MeshError, near
 from .log import install_hooks, together
 from .rotations import motions
 
@@ -112,9 +113,10 @@ class Mesh:
         from dolfinx.mesh import meshtags
 
         motion, d = motions(self.dim), self.dim
-        start = np.zeros(d) if position is None else np.asarray(position, dtype=float)
-        if start.shape != (d,) or not np.isfinite(start).all():
-            raise MeshError(f"{self.label}: position must be {d} finite numbers, found {position!r}.")
+        try:
+            start = np.zeros(d) if position is None else vector(f"{self.label}: position", position, size=d)
+        except InputError as error:
+            raise MeshError(str(error)) from None
         pose = motion.pose(start, rotation)
         x = pose[:d] + self.dolfinx.geometry.x[:, :d] @ motion.matrix(pose).T
         mesh, tags = compat.moved(self.dolfinx, x), self.facet_tags
@@ -151,7 +153,10 @@ def read_gmsh(source: str | Path, *, volume: str | None = None, comm: Any = None
 
     install_hooks()
     compat.check_versions()
-    comm = MPI.COMM_WORLD if comm is None else comm
+    instance("read_gmsh: source", source, (str, Path))
+    if volume is not None:
+        word("read_gmsh: volume", volume)
+    comm = MPI.COMM_WORLD if comm is None else instance("read_gmsh: comm", comm, MPI.Comm)
     path = Path(source)
     error, found = None, None
     if comm.rank == 0:
@@ -232,6 +237,7 @@ def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, d
             model.removePhysicalGroups([(dim, t)])
     entities = [int(e) for e in model.getEntitiesForPhysicalGroup(dim, tag)]
     _check_cells(model, dim, entities, label, name)
+    edges = _corners(model, dim, entities, facets=True)
     own = {abs(int(t)) for e in entities for _, t in model.getBoundary([(dim, e)], oriented=False)}
     surfaces = {}
     for k, t, n in groups:
@@ -243,6 +249,7 @@ def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, d
             continue
         if not any(len(x) for e in parts for x in model.mesh.getElements(k, e)[1]):
             raise MeshError(f'{label}: surface "{n}" has no facets. Mesh it, or remove the group.')
+        _check_facets(_corners(model, k, parts), edges, f'{label}: surface "{n}"')
         surfaces[n] = t
     _drop_others(model, dim, entities)
     return dim, name, surfaces, label
@@ -293,7 +300,45 @@ def _check_cells(model: Any, dim: int, entities: list[int], label: str, name: st
             f'{label}: {bad} of {number} cells of volume "{name}" are inverted or degenerate (first: cell {first[0]} '  # type: ignore[index]
             f"at {first[1]}). Remesh, or check the orientation of the geometry."  # type: ignore[index]
         )
+    for cells_ in links:
+        twice = len(cells_) - len(np.unique(np.sort(cells_, axis=1), axis=0))
+        if twice:
+            raise MeshError(
+                f'{label}: {twice} cells of volume "{name}" are there twice. Remove the duplicates, or mesh anew.'
+            )
     _check_connected(model, links, label, name)
+
+
+FACETS = {  # corners of the facets of a cell, by dimension and number of corners, in gmsh's order
+    (2, 3): ((0, 1), (1, 2), (2, 0)),
+    (2, 4): ((0, 1), (1, 2), (2, 3), (3, 0)),
+    (3, 4): ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)),
+    (3, 8): ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+}
+
+
+def _corners(model: Any, dim: int, entities: list[int], facets: bool = False) -> set[tuple[int, ...]]:
+    """Corner nodes, sorted, of all elements of entities, or of their facets; none of shapes that are not known here."""
+    out: set[tuple[int, ...]] = set()
+    for entity in entities:
+        types, _, nodes = model.mesh.getElements(dim, entity)
+        for kind, numbers in zip(types, nodes, strict=True):
+            _, _, _, count, _, corners = model.mesh.getElementProperties(kind)
+            cells = np.asarray(numbers, dtype=np.int64).reshape(-1, count)[:, :corners]
+            parts = FACETS.get((dim, corners), ()) if facets else (tuple(range(corners)),)
+            for part in parts:
+                out.update(tuple(row) for row in np.sort(cells[:, list(part)], axis=1))
+    return out
+
+
+def _check_facets(facets: set[tuple[int, ...]], edges: set[tuple[int, ...]], what: str) -> None:
+    """The facets of a surface are facets of the solid's cells: others carry no field."""
+    lost = facets - edges if edges else set()
+    if lost:
+        raise MeshError(
+            f"{what}: {len(lost)} of {len(facets)} facets belong to no cell of the solid (first: nodes {list(min(lost))}). "
+            "Make the surface of the solid's own boundary, and mesh both together."
+        )
 
 
 def _check_connected(model: Any, links: list[np.ndarray], label: str, name: str) -> None:

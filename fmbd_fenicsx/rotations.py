@@ -25,10 +25,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import array
 from .errors import require
 
 Array = NDArray[np.floating[Any]]
 
+NO_ROTATION = 1e-6  # of R^T R - 1
 _SMALL = 1e-2  # below this angle (rad) the tangent operators use their series (error < 1e-17)
 
 
@@ -210,7 +212,7 @@ class Motions:
         q[: self.dim] = position
         if rotation is None:
             return q
-        given: Array = np.asarray(rotation, dtype=float)
+        given = array("rotation", rotation, shape="numbers: an angle, a matrix or a quaternion")
         shapes = ((), (2, 2)) if self.dim == 2 else ((4,), (3, 3))
         require(
             given.shape in shapes and bool(np.isfinite(given).all()) and (given.ndim == 0 or bool(given.any())),
@@ -218,6 +220,8 @@ class Motions:
             + ("an angle (rad)" if self.dim == 2 else "a matrix (3, 3) or a quaternion (4,), scalar last")
             + f", finite; found {rotation!r}.",
         )
+        if given.ndim == 2:
+            refuse_no_rotation(given)
         if self.dim == 2:
             q[2] = float(given) if given.ndim == 0 else np.arctan2(given[1, 0], given[0, 0])
             return q
@@ -227,6 +231,20 @@ class Motions:
             given = Rotation.from_matrix(given).as_quat()
         q[3:] = given / np.linalg.norm(given)
         return q
+
+
+def refuse_no_rotation(R: Array) -> None:
+    """Refuse a matrix with R^T R other than 1, or that mirrors: it is not made orthogonal, as nobody knows what was meant."""
+    off = float(np.abs(R.T @ R - np.eye(len(R))).max())
+    require(
+        off < NO_ROTATION,
+        f"rotation {R.tolist()} is no rotation matrix: R^T R differs from 1 by {off:.2g}. "
+        "Make one of angles with scipy.spatial.transform.Rotation.",
+    )
+    require(
+        bool(np.linalg.det(R) > 0),
+        f"rotation {R.tolist()} mirrors: its determinant is -1. Change the sign of one column.",
+    )
 
 
 PLANE = Motions(dim=2, n_rot=1, n_pose=3, n_twist=3)

@@ -96,7 +96,7 @@ def test_slender_bodies(height: float) -> None:
 @pytest.mark.parametrize(("cells", "degree", "warned"), [(2, 1, True), (200, 1, False), (2, 2, False)])
 def test_warning_of_slender_first_order_cells(caplog: Any, cells: int, degree: int, warned: bool) -> None:
     mesh = sheet(lambda x: np.stack((x[0], 0.01 * x[1])), cells, 1)
-    body = fmbd.FloatingBody("leaf", mesh, degree=degree, elastic=plane_stress(1.0, 0.3))
+    body = fmbd.FloatingBody("leaf", mesh, degree=degree, density=1.0, elastic=plane_stress(1.0, 0.3))
     with caplog.at_level("WARNING", logger="fmbd_fenicsx"):
         make_field("leaf", mesh, body.forms()).destroy()
     assert ("too stiff in bending" in caplog.text) == warned
@@ -118,7 +118,7 @@ def test_constant_strain_on_distorted_cells(degree: int, kind: str) -> None:
     options = {"energy": saint_venant_kirchhoff(1.0, 0.3)} if kind == "large strain" else {
         "elastic": (nearly_incompressible if kind == "mixed" else linear_elastic)(1.0, 0.3)
     }  # fmt: skip
-    body = fmbd.AbsoluteBody("sheet", mesh, degree=degree, **options)  # type: ignore[arg-type]
+    body = fmbd.AbsoluteBody("sheet", mesh, degree=degree, density=1.0, **options)  # type: ignore[arg-type]
     field = make_field("sheet", mesh, body.forms())
     gradient = np.array([[0.02, 0.05], [-0.01, 0.03]])
     U = field.X @ gradient.T
@@ -181,6 +181,7 @@ def test_energy_that_is_not_finite_at_the_start(rod_mesh: Callable[..., Any]) ->
     body = fmbd.AbsoluteBody(
         "rod",
         rod_mesh(dim=2, h=0.5, height=0.4),
+        density=1.0,
         energy=neo_hookean(1e6, 0.3),
         displacement=lambda X: np.stack((0 * X[0], -X[1])),
     )
@@ -199,6 +200,6 @@ def test_interface_without_facets() -> None:
     msh = mesh.create_rectangle(MPI.COMM_WORLD, [[0.0, 0.0], [1.0, 1.0]], [2, 2])
     none = np.zeros(0, dtype=np.int32)
     empty = Mesh(msh, mesh.meshtags(msh, 1, none, none), {"nose": 7}, "square", "square")
-    body = fmbd.FloatingBody("square", empty, elastic=linear_elastic(1.0, 0.3))
+    body = fmbd.FloatingBody("square", empty, density=1.0, elastic=linear_elastic(1.0, 0.3))
     with pytest.raises(InputError, match='"nose".*no facets'):
         _ = body.reduced(basis=fmbd.CraigBampton(("nose",), 2)).constants

@@ -20,6 +20,7 @@ FLOORS = [
         "materials",
         "energies",
         "kernel_cache",
+        "checks",
     },
     {"fem"},
     {"mechanics"},

@@ -41,7 +41,7 @@ def square_error(n: int, nu: float, elastic: Any, degree: int) -> float:
 
     msh = mesh.create_unit_square(MPI.COMM_SELF, n, n)
     body = Mesh(msh, None, {}, "square", "unit square")
-    forms = fmbd.FloatingBody("square", body, degree=degree, elastic=elastic).forms()
+    forms = fmbd.FloatingBody("square", body, degree=degree, density=1.0, elastic=elastic).forms()
     field = make_field("square", body, forms)
     x = ufl.SpatialCoordinate(msh)
     pi = np.pi

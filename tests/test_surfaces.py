@@ -97,7 +97,7 @@ def test_tiny_surfaces(width: float, refused: bool) -> None:
     tip = Mesh(msh, tags, {"tip": 1}, "wedge", "the wedge")
     assert tip.extent == pytest.approx(1.0, abs=1e-14)
     for joint in (fmbd.tie_surface, lambda name, a, b: fmbd.spherical(name, a, b, center=(1.0, 0.0))):
-        body = fmbd.AbsoluteBody("wedge", tip, degree=1, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
+        body = fmbd.AbsoluteBody("wedge", tip, degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
         scene = fmbd.Scene("wedge")
         scene.add(body, joint("hold", body.surface("tip"), fmbd.ground))
         if refused:

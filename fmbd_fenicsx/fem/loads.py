@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import CallbackError, InputError, named, require
+from ..checks import check_fields, number, typed, vector
+from ..errors import CallbackError, InputError, named
 from ..rotations import Array
 
 Time = Callable[[float], float]
@@ -43,37 +44,57 @@ class Load:
     follower: bool = False
     internal: bool = False
     deformed: Callable[[Any, Any, Any, Any], Any] | None = None
+    surface: str | None = None
+    value: Any = None  # (d,) of a traction or body force, for messages and checks
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def check(self, body: Any) -> None:
+        """Refuse a load on a surface that the body does not have, or of another dimension."""
+        if self.surface is not None:
+            body.surface(self.surface)
+        if self.value is not None:
+            vector(f'Body "{body.name}": the value of a load', self.value, size=body.dim)
 
     def factor(self, t: float, body: str) -> float:
         """The checked value of ``time`` at t."""
-        value = float(named("The function of time of a load on body", body, self.time)(t))
-        if not np.isfinite(value):
-            raise CallbackError(f'A load on body "{body}": its function of time returned {value} at t = {t:g} s.')
-        return value
+        value = named("The function of time of a load on body", body, self.time)(t)
+        try:
+            return number("a factor", value)
+        except InputError as error:
+            raise CallbackError(
+                f'A load on body "{body}": its function of time returned {value!r} at t = {t:g} s, expected a number.'
+            ) from error
 
 
+@typed
 def traction(surface: str, value: Sequence[float], *, time: Time = steady, follower: bool = False) -> Load:
     """Force per area (Pa; in the plane N/m) on a surface, world axes; ``follower``: body axes."""
+    vector("traction: value", value)
 
     def form(v: Any, dx: Any, ds: Any) -> Any:
         import ufl
 
         return ufl.inner(_vector(value, v), v) * ds(surface)
 
-    return Load(form, time, follower)
+    return Load(form, time, follower, surface=surface, value=value)
 
 
+@typed
 def body_force(value: Sequence[float], *, time: Time = steady, follower: bool = False) -> Load:
     """Force per volume (N/m^3; in the plane N/m^2), world axes; ``follower``: body axes."""
+    vector("body_force: value", value)
 
     def form(v: Any, dx: Any, ds: Any) -> Any:
         import ufl
 
         return ufl.inner(_vector(value, v), v) * dx
 
-    return Load(form, time, follower)
+    return Load(form, time, follower, value=value)
 
 
+@typed
 def pressure(surface: str, value: float, *, time: Time = steady) -> Load:
     """Pressure (Pa) against the outward normal of a surface, turning with it."""
 
@@ -89,9 +110,10 @@ def pressure(surface: str, value: float, *, time: Time = steady) -> Load:
         normal = ufl.det(F) * ufl.dot(ufl.inv(F).T, ufl.FacetNormal(dx.ufl_domain()))
         return -value * ufl.inner(normal, v) * ds(surface)
 
-    return Load(form, time, follower=True, deformed=deformed)
+    return Load(form, time, follower=True, deformed=deformed, surface=surface)
 
 
+@typed
 def thermal_stress(stress: Callable[[Any], Any], *, time: Time = steady) -> Load:
     """Stress (Pa) of a thermal strain, ``stress(x)`` with x the material point: L(v) = int stress : sym grad v.
 
@@ -109,13 +131,7 @@ def thermal_stress(stress: Callable[[Any], Any], *, time: Time = steady) -> Load
 def _vector(value: Sequence[float], v: Any) -> Any:
     import ufl
 
-    found = np.asarray(value, dtype=float)
-    d = v.ufl_shape[0]
-    require(
-        found.ndim == 1 and len(found) >= d and bool(np.isfinite(found).all()),
-        f"A load needs {d} finite components, found {value!r}.",
-    )
-    return ufl.as_vector([float(x) for x in found[:d]])
+    return ufl.as_vector([float(x) for x in vector("The value of a load", value, size=v.ufl_shape[0])])
 
 
 class AppliedLoads:

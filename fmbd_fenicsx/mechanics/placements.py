@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
 import numpy as np
 
+from ..checks import check_fields
 from ..rotations import Array, Motions
 
 if TYPE_CHECKING:
@@ -40,6 +41,9 @@ class Attached:
 
     surface: str
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+
 
 @dataclass(frozen=True)
 class Chord:
@@ -50,6 +54,9 @@ class Chord:
 
     start: str
     end: str
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 class Part(Protocol):

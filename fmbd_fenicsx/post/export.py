@@ -35,7 +35,9 @@ def save_series(run: Run, file: str | Path) -> None:
     """
     names = ["time (s)"]
     for sensor in run.series:
-        names += [f"{label} ({run.scene.sensors[sensor].unit})" for label in components(run, sensor)]
+        names += [
+            f"{label} ({run.scene.sensors[sensor].unit_of(k)})" for k, label in enumerate(components(run, sensor))
+        ]
     names += [f"{kind} energy (J)" for kind in run.energy]
     columns = np.column_stack((run.times, *run.series.values(), *run.energy.values()))
     heads = ",".join('"' + name.replace('"', '""') + '"' for name in names)

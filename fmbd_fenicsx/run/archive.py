@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import shutil
+import zipfile
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -67,14 +68,24 @@ def read(folder: Path) -> tuple[Any, dict[str, Any]]:
         if sorted(listed) != [ARRAYS, CONTENT]:
             raise _damaged(folder / SUMS, f"hashes of {ARRAYS} and {CONTENT}", f"{sorted(listed)}")
         for name, expected in listed.items():
+            if not (folder / name).is_file():
+                raise _damaged(folder / name, "a file", "none")
             if (actual := sha256(folder / name)) != expected:
                 raise _damaged(folder / name, f"SHA-256 {expected}", actual)
         header = json.loads((folder / CONTENT).read_bytes())
         if header["format"] != FORMAT:
             raise _damaged(folder / CONTENT, f"format {FORMAT}", f"{header['format']}")
         with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
+            if any(entry.compress_type != zipfile.ZIP_STORED for entry in arrays.zip.infolist()):
+                raise _damaged(
+                    folder / ARRAYS, "arrays as they are", "compressed ones"
+                )  # small files that fill the memory
             return unpack(header.pop("tree"), arrays), header
-    except (OSError, ValueError) as error:
+    except CheckpointError:
+        raise
+    except (
+        Exception
+    ) as error:  # whatever a file that was not written here can cause, MemoryError and RecursionError too
         raise _damaged(Path(getattr(error, "filename", None) or folder), "a complete checkpoint", f"{error}") from error
 
 
@@ -82,7 +93,12 @@ def remove(folder: Path) -> None:
     """Remove a folder, out of sight first: no half of it is ever seen under its name."""
     hidden = folder.with_name(f".{folder.name}.removed")
     discard(hidden)
-    os.rename(folder, hidden)
+    try:
+        os.rename(folder, hidden)
+    except FileNotFoundError:  # somebody else removed it
+        return
+    except OSError as error:
+        raise CheckpointError(f"The old checkpoint {folder} cannot be removed: {error.strerror}.") from error
     discard(hidden)
 
 

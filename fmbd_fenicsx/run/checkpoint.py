@@ -17,12 +17,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import CheckpointError, InputError, require
+from ..checks import check_fields, number, whole
+from ..errors import CheckpointError, InputError
 from ..log import StopRequests, log, together, world_rank, world_size
 from ..system.serialisation import Memory
 from ..system.system import System
 from . import archive
 from .fingerprint import compare
+from .folder_lock import FolderLock
 from .progress import Course
 
 STOP = "STOP"  # a file of this name in the folder asks the run to stop
@@ -53,9 +55,11 @@ class Checkpoint:
     keep: int = 2
 
     def __post_init__(self) -> None:
-        require(self.every is None or self.every >= 1, f"Checkpoint: every = {self.every} must be at least 1 step.")
-        require(self.seconds > 0, f"Checkpoint: seconds = {self.seconds} must be positive.")
-        require(self.keep >= 1, f"Checkpoint: keep = {self.keep} must be at least 1.")
+        check_fields(self)
+        if self.every is not None:
+            whole("Checkpoint: every =", self.every, least=1)
+        number("Checkpoint: seconds =", self.seconds, above=0.0)
+        whole("Checkpoint: keep =", self.keep, least=1)
 
     @property
     def newest(self) -> Path | None:
@@ -86,6 +90,7 @@ class Keeper:
         self.written, self.last, self.looked = -1, clock.monotonic(), 0.0
         self.exit_code = INTERRUPTED
         self.newest: Path | None = None
+        self.lock: FolderLock | None = None
         if plan is not None:
             self.folder = Path(plan.folder)
             self._together(self._begin)
@@ -98,15 +103,23 @@ class Keeper:
             raise CheckpointError(
                 f"The folder {self.folder} of the checkpoints cannot be written: {error.strerror}. Choose another one."
             ) from error
+        self.lock = FolderLock(self.folder)
         found = _numbered(self.folder)
         self.number = found[-1][0] if found else 0
         if self.restart is None and found:
+            self.lock.release()
             raise InputError(
                 f"The folder {self.folder} holds checkpoints of an earlier run, the newest is {found[-1][1].name}. Take them up "
                 "with restart=..., remove them, or choose another folder."
             )
-        for rest in self.folder.glob(".*_step*"):  # what a killed run left
-            archive.discard(rest)
+        for rest in self.folder.iterdir():  # what a killed run left, and nothing else that begins with a dot
+            if re.fullmatch(r"\.\d{6,}_step\d+\.(writing|removed)", rest.name):
+                archive.discard(rest)
+
+    def close(self) -> None:
+        """Leave the folder to others."""
+        if self.lock is not None:
+            self.lock.release()
 
     def _together(self, action: Callable[[], Any]) -> Any:
         """What the writing process does, its error raised on all ranks."""
@@ -130,9 +143,23 @@ class Keeper:
             return
         values, known, self.newest = self._load(Path(self.restart))
         compare(known, self.given, self.newest)
-        course.remember(Memory(self.system, values), self.newest)
+        self._take_up(course, values)
         self.written = course.done
         log.info("restarted from %s", self.newest)
+
+    def _take_up(self, course: Course, values: dict[str, Any]) -> None:
+        """Put the values of a checkpoint back; what does not fit is one error on all ranks."""
+        error: CheckpointError | None = None
+        try:
+            course.remember(Memory(self.system, values), self.newest)
+        except CheckpointError as found:
+            error = found
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as found:
+            error = CheckpointError(
+                f"The checkpoint {self.newest} does not hold what this run needs ({type(found).__name__}: {found}). It was "
+                "written by another version or changed since; take an earlier one."
+            )
+        together(self.comm, error)
 
     def _load(self, path: Path) -> Loaded:
         """Read on rank 0, equal on all ranks."""
@@ -207,4 +234,6 @@ def _load(path: Path) -> Loaded:
             raise CheckpointError(f"There is no checkpoint in {path} (looked in {Path.cwd()}).")
         path = inside[-1][1]
     values, header = archive.read(path)
+    if not isinstance(values, dict) or not isinstance(header.get("given"), dict):
+        raise CheckpointError(f"{path} is no checkpoint of a run: its contents are of another kind.")
     return values, header["given"], path

@@ -4,6 +4,7 @@ bar.
 
 from __future__ import annotations
 
+import os
 import sys
 import time as clock
 from collections.abc import Callable, Sequence
@@ -12,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import require
+from ..checks import check_fields, vector, whole
+from ..errors import InputError, require
 from ..log import world_rank
 from ..rotations import Array
 from ..system.scene.scene import Scene
@@ -31,6 +33,10 @@ class PerSecond:
     def __post_init__(self) -> None:
         usable = bool(np.isfinite(self.rate)) and self.rate > 0
         require(usable, f"PerSecond: rate = {self.rate} 1/s must be positive.")
+
+
+SHARE = 0.5  # of the machine's memory that snapshots may take
+MOST = 10_000_000  # snapshots of which even the times are too many
 
 
 @dataclass(frozen=True)
@@ -67,15 +73,12 @@ class Output:
     on_step: Callable[[Any], Any] | None = None
 
     def __post_init__(self) -> None:
-        require(self.every >= 1, f"Output: every = {self.every} must be at least 1.")
-        require(
-            self.on_step is None or callable(self.on_step),
-            f"Output: on_step must be a function of one argument, found {self.on_step!r}.",
-        )
+        check_fields(self)
+        whole("Output: every =", self.every, least=1)
         if self.times is not None:
-            t = np.asarray(self.times, dtype=float)
+            t = vector("Output: times", self.times)
             require(
-                t.ndim == 1 and t.size > 0 and bool(np.isfinite(t).all() and (np.diff(t) > 0).all() and t[0] >= 0),
+                bool((np.diff(t) > 0).all() and t[0] >= 0),
                 "Output: times must be an increasing list of times from 0 s on.",
             )
         if isinstance(self.snapshots, int):
@@ -94,6 +97,12 @@ class Output:
             f"Output: snapshots = {self.snapshots!r} must be a number, fmbd.PerSecond(rate), or rising times (s) from 0 on.",
         )
 
+    def count(self, t_end: float) -> float:
+        """How many snapshots are wanted in a run that ends at ``t_end`` (s)."""
+        if isinstance(self.snapshots, PerSecond):
+            return t_end * self.snapshots.rate + 1
+        return float(self.snapshots if isinstance(self.snapshots, int) else len(self.snapshots))
+
     def due(self, t_end: float) -> list[float]:
         """When snapshots are wanted in a run that ends at ``t_end`` (s)."""
         if isinstance(self.snapshots, PerSecond):
@@ -105,6 +114,20 @@ class Output:
         late = [t for t in self.snapshots if t > t_end * (1 + 1e-9)]
         require(not late, f"Output: snapshots at {late} s lie after the end of the run, {t_end:g} s.")
         return [float(t) for t in self.snapshots]
+
+
+def refuse_too_many(output: Output, system: System, t_end: float, steps: int) -> None:
+    """Refuse snapshots that would fill the memory; ``steps`` of the run, 0 where they are not known."""
+    wanted = output.count(t_end)
+    number = min(wanted, steps + 1) if steps else wanted
+    size = 8.0 * (system.n_q + 2 * system.n_v + system.n_lam)
+    memory = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+    if wanted > MOST or number * size > SHARE * memory:
+        raise InputError(
+            f"Output: snapshots = {output.snapshots}: {number:.3g} states of {size / 2**20:.3g} MiB take "
+            f"{number * size / 2**30:.3g} GiB, and this machine has {memory / 2**30:.3g} GiB. "
+            f"Take at most {min(MOST, int(SHARE * memory / size))}."
+        )
 
 
 @dataclass

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import number
 from ..errors import InputError, require
 from ..system.scene.scene import Scene
 
@@ -37,17 +38,18 @@ class Pace:
 
     def ended(self, t: float, done: int) -> bool:
         """Whether the march is over."""
-        return done == self.steps if self.steps else t >= self.t_end * (1 - 1e-12)
+        return done >= self.steps if self.steps else t >= self.t_end * (1 - 1e-12)
 
 
 def pace_of(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, multiple: int = 1) -> Pace:
     """Steps of equal size, none above dt (but for roundoff), a ``multiple`` of them; or none for error control."""
-    require(bool(np.isfinite(t_end)) and t_end > 0, f"End time t_end = {t_end} s must be positive.")
+    number("End time t_end =", t_end, above=0.0, unit="s")
+    if dt is not None:
+        number("Step dt =", dt, above=0.0, unit="s")
     adaptive = getattr(scheme, "rtol", None) is not None
     if dt is None and not adaptive:
         raise InputError(f"{scheme.name} takes constant steps: give dt (s). Schemes with rtol choose their own.")
     if dt is not None:
-        require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
         require(dt <= t_end * (1 + 1e-12), f"Step dt = {dt} s is larger than the whole run, t_end = {t_end} s.")
         require(t_end + dt > t_end, f"Step dt = {dt} s is below the roundoff of t_end = {t_end} s: t + h == t.")
     if adaptive:

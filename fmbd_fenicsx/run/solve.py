@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..checks import instance
 from ..errors import InputError, Stopped, near, require
 from ..linear.condensation import StepSolver
 from ..linear.redundancy import not_unique
@@ -23,8 +24,9 @@ from ..system.scene.plan import Plan, make_plan
 from ..system.scene.scene import Scene
 from ..system.system import State, System
 from .estimates import reduction_error, space_error, time_error, tolerance_error
-from .output import Output
+from .output import Output, refuse_too_many
 from .schedule import Pace, pace_of
+from .settings import check_settings, checked_scheme
 from .time_loop import March, Problem, begin, make_solver, march
 
 if TYPE_CHECKING:
@@ -281,14 +283,16 @@ def solve(
         CheckpointError: a checkpoint is damaged, belongs to another run, or cannot be written.
     """
     install_hooks()
+    check_settings(scene, newton, output, restart)
     if tol is not None:
+        instance("solve: tol", tol, Mapping)
         from .tolerance import solve_within
 
         require(
             checkpoint is None and restart is None, "A run with tol is made of several runs: no checkpoint, no restart."
         )
         return solve_within(scene, dict(tol), t_end=t_end, start=(scheme, dt), settings=(newton, output, linear))
-    scheme = default_scheme(scene) if scheme is None else scheme
+    scheme = default_scheme(scene) if scheme is None else checked_scheme(scheme)
     output = Output() if output is None else output
     newton = Newton() if newton is None else replace(newton, iterations=0, theta=0.5)
     require(
@@ -300,9 +304,11 @@ def solve(
     called = clock.perf_counter()
     system, given, markers = scene.build()
     check_pressures(system, scheme)
+    refuse_too_many(output, system, pace.t_end, pace.steps)
     built = clock.perf_counter()
     solver = make_solver(scene, system, linear)
     newton.refresh = solver.refresh
+    keeper: Keeper | None = None
     try:
         start, correction = begin(scene, scheme, system, given, solver=solver, h=pace.next(0.0))
         started = clock.perf_counter()
@@ -314,6 +320,8 @@ def solve(
         undetermined = not_unique(solver, marched.state)
     finally:
         solver.destroy()
+        if keeper is not None:
+            keeper.close()
     run = Run(
         scene=scene,
         scheme=scheme,

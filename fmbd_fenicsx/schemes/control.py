@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import check_fields
 from ..errors import ConvergenceError, require
 from ..fem.fields import rank_sum
 from ..rotations import Array
@@ -34,6 +35,12 @@ ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the toler
 STAGNATION = 100.0  # the same with constant steps, where the tolerance may lie below the roundoff of stiff forces
 TURN = 2.5  # rad
 FINEST = 100 * float(np.finfo(float).eps)
+
+
+def check_controlled(scheme: Any) -> None:
+    """Check the fields of a scheme with error control, its tolerances among them."""
+    check_fields(scheme)
+    check_tolerance(scheme.rtol, scheme.atol, type(scheme).__name__)
 
 
 def check_tolerance(rtol: float | None, atol: float | None, scheme: str) -> None:

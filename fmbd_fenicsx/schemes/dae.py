@@ -34,6 +34,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..checks import check_fields
 from ..errors import require
 from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
@@ -109,6 +110,7 @@ class Baumgarte(Form):
     index = 1
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(
             self.alpha > 0 and self.beta > 0 and bool(np.isfinite(self.alpha + self.beta)),
             f"Baumgarte(alpha={self.alpha}, beta={self.beta}): both must be positive (1/s), else errors do not decay.",

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from ..checks import check_fields
 from ..errors import ConvergenceError, require
 from ..rotations import Array
 from ..system.system import System
@@ -29,6 +30,7 @@ class ExactTangent:
     max_iterations: int = 30
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(
             1e-7 <= self.rtol < 1.0,
             f"ExactTangent: rtol = {self.rtol} is not usable; difference quotients allow 1e-7 <= rtol < 1.",
@@ -53,6 +55,7 @@ class Newton:
     theta: float = field(default=0.5)
 
     def __post_init__(self) -> None:
+        check_fields(self, "Newton")
         require(
             FINEST <= self.tolerance < 1.0,
             f"Newton's tolerance {self.tolerance} is not usable; double precision allows {FINEST:.0e} <= tolerance < 1.",

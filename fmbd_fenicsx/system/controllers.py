@@ -19,9 +19,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..checks import instance
 from ..errors import CallbackError, InputError, named, require
 from ..mechanics.forces.force_elements import Loads, Tangent
-from ..mechanics.forces.forces import Force, _coordinate
+from ..mechanics.forces.forces import Force
 from ..mechanics.forces.joint_elements import motion_of
 from ..mechanics.frames import Kinematics
 from ..mechanics.joints.drives import JointCoordinate
@@ -313,7 +314,7 @@ def controller(
     acts = (acts,) if isinstance(acts, JointCoordinate) else tuple(acts)
     require(len(acts) > 0, f'Controller "{name}": acts must hold a joint coordinate at least.')
     for coordinate in acts:
-        _coordinate(name, coordinate)
+        instance(f'Controller "{name}": on', coordinate, JointCoordinate)
     require(callable(law), f'Controller "{name}": law must be a function (t, y, z), found {law!r}.')
     require(every is None or (np.isfinite(every) and every > 0), f'Controller "{name}": every = {every} s must be > 0.')
     sensors: dict[str, Sensor] = {}
@@ -349,7 +350,7 @@ def pid(
             does not wind up. Needs k_p > 0.
         every: period of sampling, s; None for a continuous controller.
     """
-    _coordinate(name, on)
+    instance(f'Controller "{name}": on', on, JointCoordinate)
     for gain in gains:
         require(np.isfinite(gain) and gain >= 0, f'PID "{name}": gains {gains} must be finite and not negative.')
     require(limit > 0, f'PID "{name}": limit = {limit} must be positive.')

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import check_fields, number, vector, whole
 from ...errors import InputError, near, require
 from ...rotations import Array
 from ..reduction.reduced import Constants, SurfaceData
@@ -48,10 +49,13 @@ class Section:
     rhoI_y: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("EA", "EI", "rhoA", "GA", "EI_y", "GJ"):
-            value = getattr(self, name)
-            require(value is None or (np.isfinite(value) and value > 0), f"Section: {name} = {value} must be positive.")
-        require(self.rhoI >= 0 and (self.rhoI_y or 0.0) >= 0, "Section: rhoI must not be negative.")
+        check_fields(self)
+        stiff = {"EA": self.EA, "EI": self.EI, "rhoA": self.rhoA, "GA": self.GA, "EI_y": self.EI_y, "GJ": self.GJ}
+        for name, value in stiff.items():
+            if value is not None:
+                number(f"Section: {name} =", value, above=0.0)
+        number("Section: rhoI =", self.rhoI, least=0.0)
+        number("Section: rhoI_y =", 0.0 if self.rhoI_y is None else self.rhoI_y, least=0.0)
 
     @property
     def thickness(self) -> float:
@@ -63,6 +67,11 @@ class Section:
         cls, *, youngs_modulus: float, poisson_ratio: float, density: float, width: float, height: float
     ) -> Section:
         """A solid rectangle: ``height`` along y, ``width`` along z (m); shear factor 5/6, torsion constant to 0.1 %."""
+        given = {"youngs_modulus": youngs_modulus, "density": density, "width": width, "height": height}
+        for name, value in given.items():
+            number(f"Section.rectangle: {name}", value, above=0.0)
+        nu = number("Section.rectangle: poisson_ratio", poisson_ratio, above=-1.0)
+        require(nu <= 0.5, f"Section.rectangle: poisson_ratio {nu} must lie in (-1, 0.5].")
         E, G = youngs_modulus, youngs_modulus / (2 * (1 + poisson_ratio))
         A, Iz, Iy = width * height, width * height**3 / 12, height * width**3 / 12
         a, b = max(width, height), min(width, height)
@@ -102,8 +111,21 @@ class Beam:
     stiffness_damping: float = 0.0
 
     def __post_init__(self) -> None:
-        require(self.length > 0, f'Beam "{self.name}": start and end coincide.')
-        require(self.elements >= 1, f'Beam "{self.name}": needs at least one element.')
+        what = f'Beam "{self.name}"'
+        check_fields(self, what)
+        require(
+            self.dim in (2, 3) and len(self.end) == self.dim,
+            f"{what}: start {self.start} and end {self.end} must both have 2 or 3 numbers.",
+        )
+        require(self.length > 0, f"{what}: start and end coincide.")
+        whole(f"{what}: elements", self.elements, least=1)
+        if self.modes is not None:
+            whole(f"{what}: modes", self.modes)
+        if self.up is not None:
+            vector(f"{what}: up", self.up, size=self.dim, zero=False)
+        number(f"{what}: mass_damping", self.mass_damping, least=0.0)
+        number(f"{what}: stiffness_damping", self.stiffness_damping, least=0.0)
+        self.start_twist()
         if self.dim == 3:
             s = self.section
             require(

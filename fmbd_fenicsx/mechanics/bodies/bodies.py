@@ -12,8 +12,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ...checks import array, check_fields, instance, number, vector, whole
 from ...energies import ViscousForm
-from ...errors import InputError, near, require
+from ...errors import InputError, named, near, require
 from ...fem.fields import ElasticForms
 from ...fem.loads import Load
 from ...rotations import Array, motions
@@ -23,13 +24,17 @@ Vector = Sequence[float] | Array
 Same = TypeVar("Same", bound="ElasticBody")
 
 
-def _vector(value: Vector | None, size: int, what: str) -> Array:
-    out = np.zeros(size) if value is None else np.asarray(value, dtype=float)
-    require(
-        out.shape == (size,) and bool(np.isfinite(out).all()),
-        f"{what} must be {size} finite numbers, found {value!r}.",
-    )
-    return out
+ORIGIN = (0.0, 0.0, 0.0)  # where nothing is given; the only three numbers that a plane body takes
+FASTEST = 1e100  # m/s, rad/s: squares of more are no numbers
+
+
+def _velocity(what: str, value: Any, size: int) -> Array:
+    """A velocity (size,), zero where none is given."""
+    if value is None:
+        return np.zeros(size)
+    found = vector(what, np.atleast_1d(array(what, value)), size=size)
+    require(float(np.abs(found).max()) < FASTEST, f"{what} {value} must be below {FASTEST:g}.")
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +58,7 @@ class RigidBody:
     name: str
     mass: float
     inertia: Any
-    position: Vector = (0.0, 0.0, 0.0)
+    position: Vector = ORIGIN
     rotation: Any = None
     velocity: Vector | None = None
     angular_velocity: Any = None
@@ -66,14 +71,14 @@ class RigidBody:
             from .appearance import check_shape
 
             check_shape(self.name, self.shape)
-        J = np.asarray(self.inertia, dtype=float)
+        what = f'Body "{self.name}"'
+        check_fields(self, what)
+        number(f"{what}: mass", self.mass, above=0.0, unit="kg")
+        J = array(f"{what}: inertia", self.inertia, shape="a number (plane), (3,) or (3, 3) finite numbers (space)")
         object.__setattr__(self, "dim", 2 if J.ndim == 0 else 3)
-        require(
-            np.asarray(self.mass).dtype.kind in "iuf" and np.isfinite(self.mass) and self.mass > 0,
-            f'Body "{self.name}": mass {self.mass} kg must be positive.',
-        )
+        self._check_start(what)
         if self.dim == 2:
-            require(bool(J > 0), f'Body "{self.name}": inertia {J} kg m^2 must be positive.')
+            number(f"{what}: inertia", J, above=0.0, unit="kg m^2")
             return
         J = np.diag(J) if J.shape == (3,) else J
         require(J.shape == (3, 3), f'Body "{self.name}": inertia must have shape (3,) or (3, 3), found {J.shape}.')
@@ -86,6 +91,25 @@ class RigidBody:
             f'Body "{self.name}": principal inertias {p} violate J1 + J2 >= J3; no mass distribution has them.',
         )
 
+    def _check_start(self, what: str) -> None:
+        """Pose and twist of the start. Its inertia makes a body plane or not; a position of the other kind shows a slip."""
+        size = np.size(np.asarray(self.position, dtype=object))
+        require(
+            self.dim == 2 or size == 3,
+            f"{what}: position {self.position} has {size} numbers, but its inertia {self.inertia} is one of space. In the plane "
+            "inertia is one number.",
+        )
+        require(
+            self.dim == 3 or size != 3 or self.position is ORIGIN,
+            f"{what}: inertia {self.inertia} is one number, so the body is plane, and z of its position {self.position} would be "
+            "lost. In space inertia is (3,) or (3, 3).",
+        )
+        try:
+            self.start_pose()
+        except InputError as error:
+            raise error if str(error).startswith(what) else InputError(f"{what}: {error}") from None
+        self.start_twist()
+
     @property
     def inertia_matrix(self) -> Array:
         """(n_rot, n_rot)."""
@@ -94,20 +118,15 @@ class RigidBody:
 
     def start_pose(self) -> Array:
         """Pose at the start, (n_pose,)."""
-        position = np.asarray(self.position, dtype=float)[: self.dim]
-        return motions(self.dim).pose(_vector(position, self.dim, f'Body "{self.name}": position'), self.rotation)
+        position = vector(f'Body "{self.name}": position', self.position, size=self.dim)
+        return motions(self.dim).pose(position, self.rotation)
 
     def start_twist(self) -> Array:
         """Twist at the start, (n_twist,)."""
-        m = motions(self.dim)
-        v = None if self.velocity is None else np.asarray(self.velocity, dtype=float)[: self.dim]
-        w = None if self.angular_velocity is None else np.atleast_1d(np.asarray(self.angular_velocity, dtype=float))
-        return np.concatenate(
-            (
-                _vector(v, m.dim, f'Body "{self.name}": velocity'),
-                _vector(w, m.n_rot, f'Body "{self.name}": angular_velocity'),
-            )
-        )
+        m, what = motions(self.dim), f'Body "{self.name}"'
+        v = _velocity(f"{what}: velocity", self.velocity, m.dim)
+        w = _velocity(f"{what}: angular_velocity", self.angular_velocity, m.n_rot)
+        return np.concatenate((v, w))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +171,7 @@ class ElasticBody:
     name: str
     mesh: Any
     degree: int = 2
-    density: float = 1.0
+    density: float = field(kw_only=True)
     elastic: Callable[[Any, Any, Any], Any] | None = None
     energy: Callable[[Any, Any], Any] | None = None
     velocity: Vector | None = None
@@ -167,7 +186,12 @@ class ElasticBody:
 
     def __post_init__(self) -> None:
         """Check density, degree, damping, and one description of elasticity."""
+        from ...mesh import Mesh
+
         n = self.name
+        what = f'Body "{n}"'
+        check_fields(self, what)
+        instance(f"{what}: mesh", self.mesh, Mesh)
         require(
             (self.elastic is None) != (self.energy is None),
             f'Body "{n}": give either elastic(u, v, dx), a bilinear form, or energy(u, dx), in J.',
@@ -176,19 +200,19 @@ class ElasticBody:
         require(
             callable(given), f'Body "{n}": elastic must be a function (u, v, dx) -> UFL form, energy one of (u, dx).'
         )
-        require(
-            bool(np.isfinite(self.density)) and self.density > 0,
-            f'Body "{n}": density {self.density} must be positive.',
-        )
-        require(self.degree in (1, 2, 3), f'Body "{n}": degree {self.degree} must be 1, 2 or 3.')
+        number(f"{what}: density", self.density, above=0.0, unit="kg/m^3" if self.dim == 3 else "kg/m^2")
+        require(self.degree in (1, 2, 3), f"{what}: degree {self.degree} must be 1, 2 or 3.")
+        if self.quadrature is not None:
+            whole(f"{what}: quadrature", self.quadrature, least=1)
         require(
             not isinstance(self.viscous, ViscousForm) or (isinstance(self, AbsoluteBody) and self.energy is not None),
             f'Body "{n}": a ViscousForm needs an AbsoluteBody with an energy. Else give viscous(u, v, dx), bilinear in the rate.',
         )
-        require(
-            self.mass_damping >= 0 and self.stiffness_damping >= 0,
-            f'Body "{n}": damping coefficients must not be negative.',
-        )
+        number(f"{what}: mass_damping", self.mass_damping, least=0.0, unit="1/s")
+        number(f"{what}: stiffness_damping", self.stiffness_damping, least=0.0, unit="s")
+        self.start_twist()
+        for load in self.loads:
+            load.check(self)
 
     @property
     def dim(self) -> int:
@@ -326,10 +350,15 @@ class CoordinateBody:
     outline: Callable[[Array], Sequence[Array]] | None = None
 
     def __post_init__(self) -> None:
-        n = len(np.asarray(self.start))
-        object.__setattr__(self, "start", _vector(self.start, n, f'Body "{self.name}": start'))
-        object.__setattr__(self, "start_rate", _vector(self.start_rate, n, f'Body "{self.name}": start_rate'))
-        M = np.asarray(self.mass(self.start) if callable(self.mass) else self.mass, dtype=float)
+        what = f'Body "{self.name}"'
+        check_fields(self, what)
+        start = vector(f"{what}: start", self.start)
+        n = len(start)
+        rate = np.zeros(n) if self.start_rate is None else vector(f"{what}: start_rate", self.start_rate, size=n)
+        object.__setattr__(self, "start", start)
+        object.__setattr__(self, "start_rate", rate)
+        mass = named("The mass of body", self.name, self.mass, time=None)(start) if callable(self.mass) else self.mass
+        M = array(f"{what}: mass", mass)
         require(M.shape == (n, n), f'Body "{self.name}": mass has shape {M.shape}, expected ({n}, {n}).')
         if np.abs(M - M.T).max(initial=0.0) > 1e-10 * np.abs(M).max(initial=0.0):
             raise InputError(f'Body "{self.name}": the mass matrix is not symmetric.')

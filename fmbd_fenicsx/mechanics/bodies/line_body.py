@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import check_fields, number, whole
 from ...errors import CallbackError, InputError, near, require
 from ...rotations import Array
 from ..placements import FrameMotion
@@ -56,9 +57,12 @@ class LineBody:
     dim: int = 2
 
     def __post_init__(self) -> None:
-        require(self.length > 0, f'Line "{self.name}": length {self.length} m must be positive.')
-        require(self.cells >= 1 and self.degree >= 1, f'Line "{self.name}": cells and degree must be at least 1.')
-        require(self.mass_damping >= 0, f'Line "{self.name}": damping must not be negative.')
+        what = f'Line "{self.name}"'
+        check_fields(self, what)
+        number(f"{what}: length", self.length, above=0.0, unit="m")
+        whole(f"{what}: cells", self.cells, least=1)
+        whole(f"{what}: degree", self.degree, least=1)
+        number(f"{what}: mass_damping", self.mass_damping, least=0.0)
 
     def surface(self, name: str) -> Surface:
         """An end section: "start" or "end"."""

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import check_fields, instance, number
 from ...errors import require
 from ...rotations import Array
 
@@ -40,6 +41,19 @@ class SlidingContact:
     idle: int | None = None
 
     def __post_init__(self) -> None:
+        from ..bodies.bodies import CoordinateBody
+        from .wires import Wires
+
+        what = f'Contact "{self.name}"'
+        check_fields(self, what)
+        instance(f"{what}: wires", self.wires, Wires)
+        instance(f"{what}: body", self.body, CoordinateBody)
+        number(f"{what}: ramp", self.ramp, least=0.0, unit="s")
+        for name, index in (("coordinate", self.coordinate), ("idle", self.idle)):
+            require(
+                index is None or 0 <= index < len(self.body.start),
+                f'{what}: {name} {index} is none of the {len(self.body.start)} coordinates of body "{self.body.name}".',
+            )
         require(0 <= self.wire < len(self.wires.wires), f'Contact "{self.name}": there is no wire number {self.wire}.')
 
     def motion(self, t: float) -> tuple[float, float, float]:

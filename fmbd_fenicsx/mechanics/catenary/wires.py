@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import check_fields, number, whole
 from ...errors import InputError, require
 from ...rotations import Array, motions
 from ..bodies.field_part import FieldPart
@@ -30,6 +31,9 @@ class Wire:
     mass: float
     tension: float
     bending: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     @property
     def wave_speed(self) -> float:
@@ -45,6 +49,9 @@ class PointSupport:
     x: float
     stiffness: float
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+
 
 @dataclass(frozen=True)
 class Dropper:
@@ -59,6 +66,9 @@ class Dropper:
     stiffness: float
     offset: float = 0.0
     one_sided: bool = True
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +95,20 @@ class Wires:
     dim: int | None = None
 
     def __post_init__(self) -> None:
-        require(self.length > 0 and self.cells > 0, f'Wires "{self.name}": length and cells must be positive.')
+        what = f'Wires "{self.name}"'
+        check_fields(self, what)
+        number(f"{what}: length", self.length, above=0.0, unit="m")
+        whole(f"{what}: cells", self.cells, least=1)
+        number(f"{what}: mass_damping", self.mass_damping, least=0.0)
+        number(f"{what}: stiffness_damping", self.stiffness_damping, least=0.0)
+        number(f"{what}: anchor", self.anchor, above=0.0)
+        places = [(s, (s.wire,)) for s in self.supports] + [(d, (d.upper, d.lower)) for d in self.droppers]
+        for part, numbers in places:
+            for wire in numbers:
+                require(
+                    0 <= wire < len(self.wires),
+                    f"{what}: {part} names wire {wire}; there are {len(self.wires)}, from 0.",
+                )
         for w in self.wires:
             require(w.mass > 0 and w.tension >= 0 and w.bending >= 0, f'Wires "{self.name}": unusable data {w}.')
         for x in (*(s.x for s in self.supports), *(d.x for d in self.droppers)):

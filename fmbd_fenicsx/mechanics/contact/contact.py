@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import array, number, typed, vector, whole
 from ...errors import InputError, require
 from ...rotations import Array
 from ..bodies.bodies import RigidBody, Surface
@@ -49,39 +50,44 @@ class RigidPoints:
         return f'points of "{self.body.name}"'
 
 
+@typed
 def ball(body: RigidBody, radius: float, *, center: Sequence[float] | None = None) -> RigidPoints:
     """The surface of a ball (plane: a disk) of ``radius`` m about ``center`` in body axes (the centre of
     mass by default).
     """
-    require(radius > 0, f'ball("{body.name}"): radius {radius} m must be positive.')
-    c = np.zeros(body.dim) if center is None else np.asarray(center, dtype=float)[: body.dim]
+    number(f'ball("{body.name}"): radius', radius, above=0.0, unit="m")
+    c = np.zeros(body.dim) if center is None else vector(f'ball("{body.name}"): center', center, size=body.dim)
     return RigidPoints(body, c[None], radius)
 
 
+@typed
 def corners(body: RigidBody, points: Sequence[Sequence[float]] | Array) -> RigidPoints:
     """Corners of a rigid body in body axes, (n, d) m."""
-    found = np.asarray(points, dtype=float)
+    found = array(f'corners("{body.name}"): points', points, shape=f"(n, {body.dim}) finite numbers")
     require(
-        found.ndim == 2 and found.shape[1] == body.dim and bool(np.isfinite(found).all()),
+        found.ndim == 2 and found.shape[1] == body.dim and len(found) > 0,
         f'corners("{body.name}"): points must be (n, {body.dim}) finite numbers, found shape {found.shape}.',
     )
     return RigidPoints(body, found)
 
 
+@typed
 def cylinder_end(
     body: RigidBody, radius: float, *, center: Sequence[float], axis: Sequence[float], points: int = 12
 ) -> RigidPoints:
     """The rim of a cylinder's end in body axes, as a ring of points (3D)."""
-    require(
-        body.dim == 3 and radius > 0 and points >= 3,
-        f'cylinder_end("{body.name}"): 3D, radius > 0, points >= 3.',
-    )
-    e = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    what = f'cylinder_end("{body.name}")'
+    require(body.dim == 3, f"{what} is for bodies of space; in the plane use corners.")
+    number(f"{what}: radius", radius, above=0.0, unit="m")
+    whole(f"{what}: points", points, least=3)
+    place = vector(f"{what}: center", center, size=3)
+    e = vector(f"{what}: axis", axis, size=3, zero=False)
+    e = e / np.linalg.norm(e)
     a = np.cross(e, np.eye(3)[np.argmin(np.abs(e))])
     a /= np.linalg.norm(a)
     angle = 2 * np.pi * np.arange(points) / points
     ring = np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * np.cross(e, a)
-    return RigidPoints(body, np.asarray(center, dtype=float) + radius * ring)
+    return RigidPoints(body, place + radius * ring)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +103,7 @@ class Contact:
     redistribute_mass: bool = True
 
 
+@typed
 def contact(
     name: str,
     slave: Surface | RigidPoints,
@@ -122,20 +129,13 @@ def contact(
     Raises:
         InputError: slave and master are the same surface, or values out of range.
     """
-    require(
-        isinstance(slave, Surface | RigidPoints),
-        f'Contact "{name}": {slave!r} is neither a surface nor rigid points.',
-    )
-    require(
-        isinstance(master, Surface | Obstacle),
-        f'Contact "{name}": {master!r} is neither an obstacle nor a surface.',
-    )
-    require(
-        bool(np.isfinite(friction)) and friction >= 0,
-        f'Contact "{name}": friction {friction} must not be negative.',
-    )
-    require(0 <= restitution <= 1, f'Contact "{name}": restitution {restitution} must lie in [0, 1].')
-    require(search is None or search > 0, f'Contact "{name}": search {search} m must be positive.')
+    what = f'Contact "{name}"'
+    number(f"{what}: friction", friction, least=0.0)
+    require(0 <= restitution <= 1, f"{what}: restitution {restitution} must lie in [0, 1].")
+    if search is not None:
+        number(f"{what}: search", search, above=0.0, unit="m")
+    if isinstance(master, Obstacle):
+        master.shape.check(what, slave.dim)
     if isinstance(master, Surface):
         if isinstance(slave, RigidPoints):
             raise InputError(

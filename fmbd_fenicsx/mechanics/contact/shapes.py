@@ -9,31 +9,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+from ...checks import check_fields, instance, number, shown, vector
 from ...errors import CallbackError, InputError, require
 from ...log import log
 from ...rotations import Array
+from ..bodies.bodies import ORIGIN, RigidBody
 
 Vector = Sequence[float] | Array
 
 
 def _unit(v: Vector, what: str) -> Array:
-    a = np.asarray(v, dtype=float)
-    length = float(np.linalg.norm(a))
-    require(
-        bool(np.isfinite(a).all()) and length > 0,
-        f"{what} must be a finite vector that is not zero, found {v!r}.",
-    )
-    return a / length
+    a = vector(what, v, zero=False)
+    a = a / np.abs(a).max()
+    return np.asarray(a / np.linalg.norm(a))
 
 
 class Shape:
     """A signed distance in the shape's own axes. ``thickness`` (m) is the shortest way through it."""
 
     thickness: float = np.inf
+    made_by: ClassVar[str] = "a shape: HalfSpace, Sphere, Cylinder, Box, SignedDistance"
+
+    def check(self, what: str, dim: int) -> None:
+        """Refuse vectors of another dimension than the scene's."""
+        for name in ("point", "normal", "center", "size"):
+            if name in vars(self):
+                vector(f"{what}: {name}", vars(self)[name], size=None if vars(self)[name] is ORIGIN else dim)
 
     def evaluate(self, y: Array) -> tuple[Array, Array]:
         """Distances (n,) and unit gradients (n, d) at points y (n, d)."""
@@ -47,6 +52,14 @@ class HalfSpace(Shape):
     point: Vector
     normal: Vector
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+        _unit(self.normal, "HalfSpace: normal")
+        require(
+            len(self.point) == len(self.normal),
+            f"HalfSpace: point {self.point} and normal {self.normal} must have the same number of components.",
+        )
+
     def evaluate(self, y: Array) -> tuple[Array, Array]:
         """Gap over the plane and its normal; see :class:`Shape`."""
         n = _unit(self.normal, "HalfSpace: normal")[: y.shape[1]]
@@ -58,11 +71,12 @@ class Sphere(Shape):
     """A ball (in the plane: a disk) of ``radius`` m; ``inside`` makes it a hollow in which bodies lie."""
 
     radius: float
-    center: Vector = (0.0, 0.0, 0.0)
+    center: Vector = ORIGIN
     inside: bool = False
 
     def __post_init__(self) -> None:
-        require(self.radius > 0, f"Sphere: radius {self.radius} m must be positive.")
+        number("Sphere: radius", self.radius, above=0.0, unit="m")
+        check_fields(self)
 
     @property
     def thickness(self) -> float:  # type: ignore[override]
@@ -90,10 +104,11 @@ class Cylinder(Shape):
     length: float = np.inf
 
     def __post_init__(self) -> None:
-        require(
-            self.radius > 0 and self.length > 0,
-            f"Cylinder: radius {self.radius} and length {self.length} must be positive.",
-        )
+        number("Cylinder: radius", self.radius, above=0.0, unit="m")
+        check_fields(self)
+        vector("Cylinder: axis", self.axis, size=3, zero=False)
+        vector("Cylinder: center", self.center, size=3)
+        require(self.length > 0, f"Cylinder: length {self.length} m must be positive.")
 
     @property
     def thickness(self) -> float:  # type: ignore[override]
@@ -130,7 +145,15 @@ class Box(Shape):
     """A box (in the plane: a rectangle) with edges ``size`` (m, (d,)) along the shape's axes."""
 
     size: Vector
-    center: Vector = (0.0, 0.0, 0.0)
+    center: Vector = ORIGIN
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        size = vector("Box: size", self.size)
+        require(
+            bool((size > 0).all()) and len(size) in (2, 3),
+            f"Box: size {self.size} must be 2 or 3 positive lengths.",
+        )
 
     @property
     def thickness(self) -> float:  # type: ignore[override]
@@ -170,6 +193,14 @@ class SignedDistance(Shape):
     scale: float = 1.0
     thickness: float = np.inf
     _warned: list[bool] = field(default_factory=list, repr=False)
+
+    def __post_init__(self) -> None:
+        require(
+            callable(self.function),
+            f"SignedDistance: function {shown(self.function)} must be a function of points (d, n), or a UFL expression.",
+        )
+        check_fields(self)
+        number("SignedDistance: scale", self.scale, above=0.0, unit="m")
 
     def values(self, y: Array) -> Array:
         """phi at points (n, d)."""
@@ -227,7 +258,10 @@ class Obstacle:
     on: Any = None
 
     def __post_init__(self) -> None:
-        require(isinstance(self.shape, Shape), f'Obstacle "{self.name}": {self.shape!r} is not a shape.')
+        check_fields(self)
+        if self.on is not None:
+            instance(f'Obstacle "{self.name}": on', self.on, RigidBody)
+            self.shape.check(f'Obstacle "{self.name}"', self.on.dim)
         if self.motion is not None and self.on is not None:
             raise InputError(
                 f'Obstacle "{self.name}" is carried by a body and also moves by prescription: give one of them.'

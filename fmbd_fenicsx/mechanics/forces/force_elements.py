@@ -291,6 +291,16 @@ class TyreLoads(Loads):
         return Tangent(self.a, self.b, (on * k)[:, None, None] * outer, (on * damping)[:, None, None] * outer)
 
 
+def _force_and_torque(name: str, value: Any, t: float) -> Any:
+    """What a law of the user's own returned, as one row of numbers."""
+    try:
+        return np.concatenate([np.atleast_1d(x) for x in value])
+    except (TypeError, ValueError):
+        raise CallbackError(
+            f'Force "{name}": the law returned {value!r:.80} at t = {t:g} s, expected (force (d,), torque).'
+        ) from None
+
+
 class OwnLoads(Loads):
     """Forces law(t, a, b) of the user's own; tangents by differences where no Jacobian is given."""
 
@@ -307,9 +317,9 @@ class OwnLoads(Loads):
         motion = [MarkerMotion(kin.x[i], kin.R[i], twist[i, :d], twist[i, d:]) for i in markers]
         n = d + self.motions.n_rot
         if f.b is None:
-            found = checked(f.name, np.concatenate([np.atleast_1d(x) for x in law(t, motion[0])]), n, t)
+            found = checked(f.name, _force_and_torque(f.name, law(t, motion[0]), t), n, t)
             return np.concatenate((found, np.zeros(n)))
-        on_b = checked(f.name, np.concatenate([np.atleast_1d(x) for x in law(t, *motion)]), n, t)
+        on_b = checked(f.name, _force_and_torque(f.name, law(t, *motion), t), n, t)
         on_a = -on_b
         on_a[d:] -= self.motions.moment(kin.x[b] - kin.x[a], on_b[:d])
         return np.concatenate((on_a, on_b))
@@ -330,10 +340,15 @@ class OwnLoads(Loads):
         for i, f in enumerate(self.forces):
             markers = (int(self.a[i]), int(self.b[i]))
             if (jacobian := self.laws[i][1]) is not None:
-                K[i], D[i] = jacobian(
-                    t,
-                    *(MarkerMotion(kin.x[j], kin.R[j], kin.twist[j, :d], kin.twist[j, d:]) for j in markers),
-                )
+                motion = (MarkerMotion(kin.x[j], kin.R[j], kin.twist[j, :d], kin.twist[j, d:]) for j in markers)
+                found = jacobian(t, *motion)
+                try:
+                    K[i], D[i] = found
+                except (TypeError, ValueError):
+                    raise CallbackError(
+                        f'Force "{f.name}": its Jacobian returned {found!r:.60} at t = {t:g} s, '
+                        f"expected (K, D), each {K[i].shape}."
+                    ) from None
                 continue
             base = self._one(i, kin, kin.twist, t, markers)
             for c in range(n if f.b is None else 2 * n):

@@ -19,9 +19,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...errors import require
+from ...checks import check_fields, number, typed, vector
+from ...errors import InputError, require
 from ...rotations import Array
 from ..joints.drives import JointCoordinate
+from ..joints.joints import ground, refuse_no_attachment
 from .force_elements import Loads, OwnLoads, ScalarLoads, TimeLoads, TyreLoads
 
 Law = Callable[..., Any]
@@ -44,6 +46,18 @@ class Force:
     batch: ClassVar[type[Loads]] = Loads
     kind: ClassVar[str] = "force"  # its name in messages
     joined: ClassVar[bool] = False  # without points both sides meet where a joint would sit
+
+    def __post_init__(self) -> None:
+        """Check what all forces have: types, where they act, and points of the right dimension."""
+        what = f'{self.kind.capitalize()} "{self.name}"'
+        check_fields(self, what)
+        for side in (self.a, self.b):
+            if side is not None:
+                refuse_no_attachment(side, what)
+        dim = next((side.dim for side in (self.a, self.b) if side is not None and side is not ground), None)
+        for end, point in (("point_a", self.point_a), ("point_b", self.point_b)):
+            if point is not None:
+                vector(f"{what}: {end}", point, size=dim)
 
     @property
     def coordinate(self) -> JointCoordinate | None:
@@ -110,6 +124,10 @@ class Spring(Force):
     of_time: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+        require(
+            self.b is not None, f'Spring "{self.name}" needs two ends: Spring(name, a, b, ...); one may be fmbd.ground.'
+        )
         _constants(self.name, self.stiffness, self.damping, self.length)
 
 
@@ -151,12 +169,13 @@ class Tyre(Force):
     batch: ClassVar[type[Loads]] = TyreLoads
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require(
             callable(self.road),
             f'Tyre "{self.name}": road must be a function of position and time, found {self.road!r}.',
         )
-        require(self.radius > 0, f'Tyre "{self.name}": radius {self.radius} m must be positive.')
-        size = float(np.linalg.norm(np.asarray(self.up, dtype=float)))
+        number(f'Tyre "{self.name}": radius', self.radius, above=0.0, unit="m")
+        size = float(np.linalg.norm(vector(f'Tyre "{self.name}": up', self.up, size=self.a.dim)))
         require(abs(size - 1.0) < 1e-9, f'Tyre "{self.name}": up {self.up} must be a unit vector.')
         _constants(self.name, self.stiffness, self.damping, 0.0)
 
@@ -172,26 +191,27 @@ class OwnForce(Force):
 
 
 def _constants(name: str, stiffness: float, damping: float, length: float) -> None:
-    for what, value in (("stiffness", stiffness), ("damping", damping), ("length", length)):
-        require(bool(np.isfinite(value)), f'Spring "{name}": {what} {value} must be finite.')
-    require(damping >= 0, f'Spring "{name}": damping {damping} must not be negative.')
+    number(f'Spring "{name}": stiffness', stiffness)
+    number(f'Spring "{name}": damping', damping, least=0.0)
+    number(f'Spring "{name}": length', length)
 
 
+@typed
 def force(name: str, on: Any, law: Law, *, point: Point = None, follower: bool = False) -> PointForce:
     """A force law(t) -> (d,) N on a rigid body's point (world, initial configuration) or on an elastic surface.
 
     World axes, or the body's axes as they were turned since the start (``follower``).
     """
-    require(callable(law), f'Force "{name}": law must be a function of time, found {law!r}.')
     return PointForce(name, on, None, point, None, law, follower)
 
 
+@typed
 def torque(name: str, on: Any, law: Law, *, follower: bool = False) -> Torque:
     """A torque law(t) in N m on a body or an elastic surface; world axes, or the body's with ``follower``."""
-    require(callable(law), f'Torque "{name}": law must be a function of time, found {law!r}.')
     return Torque(name, on, None, None, None, law, follower)
 
 
+@typed
 def joint_spring(
     name: str,
     on: JointCoordinate,
@@ -202,27 +222,19 @@ def joint_spring(
     law: Law | None = None,
 ) -> CoordinateForce:
     """Spring and damper on a joint coordinate s: restoring effort stiffness (s - free) + damping s', or law(s - free, s', t)."""
-    _coordinate(name, on)
     _constants(name, stiffness, damping, free)
     return CoordinateForce(name, on.joint.a, on.joint.b, None, None, on, stiffness, damping, free, law)
 
 
+@typed
 def effort(name: str, on: JointCoordinate, law: Law) -> CoordinateForce:
     """Prescribed effort law(t) of a drive on a joint coordinate: torque (N m) or force (N), positive where s increases."""
-    _coordinate(name, on)
-    require(callable(law), f'Effort "{name}": law must be a function of time, found {law!r}.')
     return CoordinateForce(
         name, on.joint.a, on.joint.b, None, None, on, law=lambda s, rate, t: -np.asarray(law(t)), of_time=True
     )
 
 
-def _coordinate(name: str, on: JointCoordinate) -> None:
-    require(
-        isinstance(on, JointCoordinate),
-        f'Force "{name}": expected fmbd.angle(...) or fmbd.displacement(...), found {on!r}.',
-    )
-
-
+@typed
 def own_force(
     name: str,
     a: Any,
@@ -239,5 +251,6 @@ def own_force(
     N m in world axes. ``jacobian``(t, a, b) -> (K, D), each (2 n, 2 n): minus the derivatives of the wrenches on (a, b)
     with respect to displacements and velocities of the markers, n = d + n_rot; by differences where missing.
     """
-    require(callable(law), f'Force "{name}": law must be a function, found {law!r}.')
+    if len(points) != 2:
+        raise InputError(f'Force "{name}": points must be two, of a and of b, found {points!r}.')
     return OwnForce(name, a, b, points[0], points[1], law, jacobian)

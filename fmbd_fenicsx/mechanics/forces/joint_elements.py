@@ -17,12 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import typed
 from ...errors import require
 from ..joints.couplings import smooth_motion
 from ..joints.drives import JointCoordinate
 from .dry_friction import DryFriction
 from .effort_laws import ElasticStop, Feedback, Friction, not_negative, positive
-from .forces import CoordinateForce, _coordinate
+from .forces import CoordinateForce
 
 
 def _on(name: str, coordinate: JointCoordinate, law: Any) -> CoordinateForce:
@@ -31,6 +32,7 @@ def _on(name: str, coordinate: JointCoordinate, law: Any) -> CoordinateForce:
     return CoordinateForce(name, joint.a, joint.b, None, None, coordinate, law=law)
 
 
+@typed
 def joint_friction(
     name: str,
     on: JointCoordinate,
@@ -53,7 +55,6 @@ def joint_friction(
 
     For true rest under load use :func:`dry_friction`.
     """
-    _coordinate(name, on)
     static, stribeck = coulomb if static is None else static, 10 * speed if stribeck is None else stribeck
     not_negative("Friction", name, coulomb=coulomb, static=static, viscous=viscous)
     positive("Friction", name, speed=speed, stribeck=stribeck)
@@ -61,6 +62,7 @@ def joint_friction(
     return _on(name, on, Friction(coulomb, speed, static, stribeck, viscous))
 
 
+@typed
 def dry_friction(name: str, on: JointCoordinate, *, limit: float, stick: float, damping: float = 0.0) -> DryFriction:
     """Dry friction with true rest: the set-valued law -N in [-F, F] at rest, N = F sign(s') while sliding.
 
@@ -77,12 +79,12 @@ def dry_friction(name: str, on: JointCoordinate, *, limit: float, stick: float, 
 
     A step in which it begins or ends to slide has an error of first order, as steps over any kink.
     """
-    _coordinate(name, on)
     positive("Dry friction", name, limit=limit, stick=stick)
     not_negative("Dry friction", name, damping=damping)
     return DryFriction(name, on.joint.a, on.joint.b, None, None, on, float(limit), float(stick), float(damping))
 
 
+@typed
 def elastic_stop(
     name: str,
     on: JointCoordinate,
@@ -97,7 +99,6 @@ def elastic_stop(
 
     ``damping`` (N m s, N s/m) sets in over the depth ``width`` (rad, m), so that the force has no jump.
     """
-    _coordinate(name, on)
     require(not lower >= upper, f'Stop "{name}": lower = {lower} must be less than upper = {upper}.')
     require(np.isfinite(lower) or np.isfinite(upper), f'Stop "{name}": give lower, upper, or both.')
     positive("Stop", name, stiffness=stiffness, width=width)
@@ -105,6 +106,7 @@ def elastic_stop(
     return _on(name, on, ElasticStop(float(lower), float(upper), stiffness, damping, width))
 
 
+@typed
 def motor(
     name: str,
     on: JointCoordinate,
@@ -124,7 +126,6 @@ def motor(
     Its effort is a sensor, ``fmbd.element_effort(motor)``. With an integral part or other sensors: :func:`~fmbd_fenicsx.pid`,
     :func:`~fmbd_fenicsx.controller`.
     """
-    _coordinate(name, on)
     not_negative("Motor", name, kp=kp, kd=kd)
     require(limit > 0, f'Motor "{name}": limit = {limit} must be positive.')
     require(

@@ -130,6 +130,7 @@ class OwnBatch(Batch):
         self.markers = np.array(markers)
         self.driven: list[tuple[int, Motion]] = []
         self.by_differences: bool | None = None  # decided at the first derivative
+        self._count: int | None = None  # rows: as many as the first call gives
 
     def repeated(self, k: int, markers: int) -> Batch | None:
         """None: a function of the user's own."""
@@ -140,6 +141,12 @@ class OwnBatch(Batch):
         if found.ndim != 1 or not np.isfinite(found).all():
             raise CallbackError(
                 f'Joint "{self.name}": its function returned {value!r} at t = {t:g} s, expected finite numbers.'
+            )
+        self._count = len(found) if self._count is None else self._count
+        if len(found) != self._count:
+            raise CallbackError(
+                f'Joint "{self.name}": its function returned {len(found)} numbers at t = {t:g} s and {self._count} before; '
+                "a joint has the same rows at all times."
             )
         return found
 

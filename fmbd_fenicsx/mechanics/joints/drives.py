@@ -10,14 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
-import numpy as np
-
+from ...checks import number, typed
 from ...errors import InputError, require
 from .constraints import Motion
 from .couplings import lead_ratio, smooth_motion
-from .joints import Joint, Vector, _point, dimension
+from .joints import Joint, Vector, _point, dimension, direction
 from .relative import Relative, Separation, Slide, Turn
 
 
@@ -31,12 +30,15 @@ class JointCoordinate:
     joint: Joint
     kind: type[Relative]
 
+    made_by: ClassVar[str] = "fmbd.angle(...) or fmbd.displacement(...)"
+
     @property
     def unit(self) -> str:
         """Unit for labels."""
         return "rad" if self.kind is Turn else "m"
 
 
+@typed
 def angle(joint: Joint) -> JointCoordinate:
     """The angle of a revolute, cylindrical or planar joint about its axis (rad), counted over revolutions."""
     if joint.kind not in ("revolute", "cylindrical", "planar", "drive"):
@@ -46,6 +48,7 @@ def angle(joint: Joint) -> JointCoordinate:
     return JointCoordinate(joint, Turn)
 
 
+@typed
 def displacement(joint: Joint) -> JointCoordinate:
     """The displacement of a prismatic, cylindrical or point-on-line joint along its axis, or the length of a rod (m)."""
     if joint.kind == "distance":
@@ -64,17 +67,16 @@ class Coupling(Joint):
     terms: tuple[tuple[JointCoordinate, float], ...] = ()
     motion: Motion | None = None
 
+    @property
+    def reaction_units(self) -> tuple[str, ...]:
+        """The multiplier acts on the first coordinate: a moment where that is an angle."""
+        return ("N m" if self.terms[0][0].kind is Turn else "N",)
+
 
 def _coupling(
     name: str, kind: str, terms: list[tuple[JointCoordinate, float]], motion: Motion | None = None
 ) -> Coupling:
     first = terms[0][0].joint
-    for s, c in terms:
-        require(
-            isinstance(s, JointCoordinate),
-            f'Joint "{name}": expected fmbd.angle(...) or fmbd.displacement(...), found {s!r}.',
-        )
-        require(bool(np.isfinite(c)) and c != 0, f'Joint "{name}": ratio {c} must be finite and not zero.')
     return Coupling(
         name,
         first.a,
@@ -89,6 +91,7 @@ def _coupling(
     )
 
 
+@typed
 def drive(name: str, coordinate: JointCoordinate, motion: Callable[[float], Any]) -> Coupling:
     """Prescribe a joint coordinate: motion(t) -> s, or (s, s', s''); smooth. Its multiplier is minus the drive's effort.
 
@@ -98,12 +101,13 @@ def drive(name: str, coordinate: JointCoordinate, motion: Callable[[float], Any]
     return _coupling(name, "drive", [(coordinate, 1.0)], smooth_motion(name, motion))
 
 
+@typed
 def gear(name: str, driving: JointCoordinate, driven: JointCoordinate, *, ratio: float) -> Coupling:
     """driven = ratio * driving, of angles, displacements, or one of each (rack and pinion: ratio in m/rad).
 
     The two joints should have the same first body (the housing): only then is the pair free of a bearing force of its own.
     """
-    require(bool(np.isfinite(ratio)) and ratio != 0, f'Joint "{name}": ratio {ratio} must be finite and not zero.')
+    _not_zero(f'Joint "{name}": ratio', ratio)
     require(
         driving.joint is not driven.joint or driving.kind is not driven.kind,
         f'Joint "{name}" couples a coordinate with itself.',
@@ -111,10 +115,15 @@ def gear(name: str, driving: JointCoordinate, driven: JointCoordinate, *, ratio:
     return _coupling(name, "gear", [(driven, 1.0), (driving, -float(ratio))])
 
 
+@typed
 def screw(name: str, joint: Joint, *, lead: float) -> Coupling:
     """The displacement of a cylindrical joint advances ``lead`` (m) in one turn of its angle."""
-    require(bool(np.isfinite(lead)) and lead != 0, f'Joint "{name}": lead {lead} m must be finite and not zero.')
+    _not_zero(f'Joint "{name}": lead', lead)
     return _coupling(name, "screw", [(displacement(joint), 1.0), (angle(joint), -lead_ratio(lead))])
+
+
+def _not_zero(what: str, value: float) -> None:
+    require(number(what, value) != 0.0, f"{what} {value} must be finite and not zero.")
 
 
 @dataclass(frozen=True)
@@ -124,6 +133,7 @@ class OwnJoint(Joint):
     function: Callable[..., Any] = field(default=None)  # type: ignore[assignment]
 
 
+@typed
 def own_joint(
     name: str,
     a: Any,
@@ -139,7 +149,6 @@ def own_joint(
     m, angles in rad, so that the checks can judge residuals. Write it with NumPy operations (no ``abs``, no ``float``) and
     its derivatives are exact. See docs/own_joint.md.
     """
-    require(callable(function), f'Joint "{name}": function must take (x_a, R_a, x_b, R_b, t), found {function!r}.')
     c = _point(center, dimension(a, b, name), name)
     return OwnJoint(
         name,
@@ -149,6 +158,6 @@ def own_joint(
         c,
         c,
         kind="own",
-        axis=None if axis is None else np.asarray(axis, float),
+        axis=None if axis is None else direction(axis, dimension(a, b, name), name),
         function=function,
     )

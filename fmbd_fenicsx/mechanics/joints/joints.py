@@ -28,8 +28,10 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import number, shown, typed, vector, word
 from ...errors import InputError, require
 from ...rotations import Array
+from ..bodies.bodies import RigidBody, Surface
 from . import constraints as ct
 from .couplings import smooth_motion
 
@@ -73,21 +75,40 @@ class Joint:
     kind: str = field(default="joint")
     axis: Array | None = None  # of the joint's angle and displacement, unit vector, world, initial configuration
 
+    @property
+    def reaction_units(self) -> tuple[str, ...]:
+        """Units of the multipliers, one a row: rows on a rotation carry moments."""
+        return tuple("N m" if row.kind is ct.Perpendicular else "N" for row in self.rows)
+
     def __post_init__(self) -> None:
-        require(bool(self.name), "A joint needs a name.")
+        word("A joint's name", self.name)
         ends = [(getattr(x, "body", x), x.name) for x in (self.a, self.b)]  # surfaces are made anew at each call
         same = ends[0][0] is ends[1][0] and ends[0][1] == ends[1][1]
         require(not same, f'Joint "{self.name}" connects {getattr(self.a, "name", self.a)!r} with itself.')
 
 
+def refuse_no_attachment(side: Any, what: str) -> None:
+    """Refuse what no joint or force can hold: all but rigid bodies, surfaces of elastic bodies, and the ground."""
+    if isinstance(side, Ground | RigidBody | Surface):
+        return
+    if (
+        not isinstance(side, type)
+        and isinstance(getattr(side, "name", None), str)
+        and callable(getattr(side, "surface", None))
+    ):
+        raise InputError(
+            f'{what}: attach to a surface of the elastic body "{side.name}", say {side.name}.surface("...").'
+        )
+    raise InputError(
+        f"{what} connects {shown(side)}; expected a rigid body, a surface of an elastic body, or fmbd.ground."
+    )
+
+
 def dimension(a: Any, b: Any, name: str) -> int:
     """Space dimension of two attachments (the ground has none of its own)."""
+    for side in (a, b):
+        refuse_no_attachment(side, f'Joint "{name}"')
     sides = [x for x in (a, b) if x is not ground]
-    for side in sides:
-        if not hasattr(side, "dim"):
-            raise InputError(
-                f'Joint "{name}" connects {side!r}; expected a body, a surface of an elastic body, or fmbd.ground.'
-            )
     require(bool(sides), f'Joint "{name}" connects the ground with the ground.')
     dims = {x.dim for x in sides}
     if len(dims) != 1:
@@ -95,15 +116,18 @@ def dimension(a: Any, b: Any, name: str) -> int:
     return int(dims.pop())
 
 
-def basis(axis: Vector | Array, name: str = "") -> Array:
-    """Rows e_1, e_2, e_3: an orthonormal right-handed basis whose third vector points along the axis."""
-    n = np.asarray(axis, dtype=float)
-    length = float(np.linalg.norm(n))
+def basis(axis: Vector | Array, name: str = "", dim: int = 3) -> Array:
+    """Rows e_1, e_2, e_3: an orthonormal right-handed basis whose third vector points along the axis.
+
+    Plane bodies (``dim`` 2) turn about z, and nothing else.
+    """
+    n = vector(f'Joint "{name}": axis', axis, size=3, zero=False)
+    n = n / np.abs(n).max()
+    n = n / float(np.linalg.norm(n))
     require(
-        n.shape == (3,) and np.isfinite(length) and length > 0,
-        f'Joint "{name}": axis {axis} must have three components, not all zero.',
+        dim == 3 or n[2] == 1.0,
+        f'Joint "{name}": axis {axis} is not (0, 0, 1), the only one about which plane bodies turn.',
     )
-    n = n / length
     helper = np.eye(3)[int(np.argmin(np.abs(n)))]
     e1 = np.cross(n, helper)
     e1 /= np.linalg.norm(e1)
@@ -113,12 +137,15 @@ def basis(axis: Vector | Array, name: str = "") -> Array:
 def _point(center: Vector | None, dim: int, name: str) -> Array | None:
     if center is None:
         return None
-    c = np.asarray(center, dtype=float)
+    return vector(f'Joint "{name}": center', center, size=dim)
+
+
+def _in_space(a: Any, b: Any, name: str) -> None:
+    """Refuse plane bodies."""
     require(
-        c.shape in ((dim,), (3,)) and bool(np.isfinite(c).all()),
-        f'Joint "{name}": center {center} must be {dim} finite numbers.',
+        dimension(a, b, name) == 3,
+        f'Joint "{name}" is a joint of space; {a!r} and {b!r} are plane. Use revolute, prismatic or point_on_line.',
     )
-    return c[:dim]
 
 
 def _joint(
@@ -132,12 +159,9 @@ def _joint(
 
 def direction(axis: Vector, dim: int, name: str) -> Array:
     """Unit vector (dim,) along an axis given by dim or three finite numbers, not all zero."""
-    n = np.asarray(axis, dtype=float)
-    require(
-        n.shape in ((dim,), (3,)) and bool(np.isfinite(n).all()) and float(np.linalg.norm(n[:dim])) > 0,
-        f'Joint "{name}": axis {axis} must be {dim} finite numbers, not all zero.',
-    )
-    return np.asarray(n[:dim] / np.linalg.norm(n[:dim]))
+    n = vector(f'Joint "{name}": axis', axis, size=dim, zero=False)
+    n = n / np.abs(n).max()
+    return np.asarray(n / np.linalg.norm(n))
 
 
 def _meet(dim: int) -> list[Row]:
@@ -149,6 +173,7 @@ def _upright(E: Array) -> list[Row]:
     return [Row(ct.Perpendicular, E[2], E[0]), Row(ct.Perpendicular, E[2], E[1])]
 
 
+@typed
 def fixed(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
     """Weld two attachments at ``center``: no relative motion (on elastic surfaces: on average)."""
     dim = dimension(a, b, name)
@@ -158,18 +183,21 @@ def fixed(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
     return _joint((name, "fixed", a, b), center, rows)
 
 
+@typed
 def revolute(name: str, a: Any, b: Any, *, center: Vector | None = None, axis: Vector = (0.0, 0.0, 1.0)) -> Joint:
     """Hinge: the markers coincide at ``center`` (m); in space the body axes along ``axis`` stay parallel."""
     dim = dimension(a, b, name)
-    E = basis(axis, name)
+    E = basis(axis, name, dim)
     return _joint((name, "revolute", a, b), center, _meet(dim) + (_upright(E) if dim == 3 else []), E[2])
 
 
+@typed
 def spherical(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
     """Ball and socket: the markers coincide at ``center`` (m), all rotations are free."""
     return _joint((name, "spherical", a, b), center, _meet(dimension(a, b, name)))
 
 
+@typed
 def universal(
     name: str,
     a: Any,
@@ -180,12 +208,14 @@ def universal(
     axis_b: Vector = (0, 1, 0),
 ) -> Joint:
     """Cardan joint: the markers coincide and ``axis_a`` (fixed in a) stays perpendicular to ``axis_b`` (fixed in b)."""
+    _in_space(a, b, name)
     ea, eb = basis(axis_a, name)[2], basis(axis_b, name)[2]
     require(abs(float(ea @ eb)) < 1e-9, f'Joint "{name}": axis_a {axis_a} and axis_b {axis_b} must be perpendicular.')
     rows = [*_meet(dimension(a, b, name)), Row(ct.Perpendicular, ea, eb)]
     return _joint((name, "universal", a, b), center, rows)
 
 
+@typed
 def prismatic(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None = None) -> Joint:
     """Slider: b translates along ``axis`` (fixed in a), without rotation."""
     dim = dimension(a, b, name)
@@ -199,19 +229,24 @@ def prismatic(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None 
     return _joint((name, "prismatic", a, b), center, rows, n if dim == 2 else E[2])
 
 
+@typed
 def cylindrical(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None = None) -> Joint:
     """b translates along and turns about ``axis`` (fixed in a)."""
+    _in_space(a, b, name)
     E = basis(axis, name)
     rows = [Row(ct.Along, E[0]), Row(ct.Along, E[1]), *_upright(E)]
     return _joint((name, "cylindrical", a, b), center, rows, E[2])
 
 
+@typed
 def planar(name: str, a: Any, b: Any, *, normal: Vector, center: Vector | None = None) -> Joint:
     """b slides and turns in the plane through ``center`` with the given normal (fixed in a)."""
+    _in_space(a, b, name)
     E = basis(normal, name)
     return _joint((name, "planar", a, b), center, [Row(ct.Along, E[2]), *_upright(E)], E[2])
 
 
+@typed
 def point_on_line(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None = None) -> Joint:
     """A point of b stays on a line of a along ``axis``; b turns freely."""
     dim = dimension(a, b, name)
@@ -224,20 +259,23 @@ def point_on_line(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | N
     return _joint((name, "point on line", a, b), center, rows, n if dim == 2 else E[2])
 
 
+@typed
 def distance(
     name: str, a: Any, b: Any, *, point_a: Vector | None = None, point_b: Vector | None = None, length: float
 ) -> Joint:
     """Massless rod of the given length (m) between a point of a and a point of b; multiplier: its tension (N)."""
-    require(length > 0 and np.isfinite(length), f'Joint "{name}": length {length} must be positive.')
+    number(f'Joint "{name}": length', length, above=0.0, unit="m")
     dim = dimension(a, b, name)
     pa, pb = _point(point_a, dim, name), _point(point_b, dim, name)
     return Joint(name, a, b, (Row(ct.Distance, np.zeros(dim)),), pa, pb, length, "distance")
 
 
+@typed
 def drive_rotation(name: str, a: Any, b: Any, motion: ct.Motion, *, axis: Vector = (0.0, 0.0, 1.0)) -> Joint:
     """Prescribe the rotation of b against a about ``axis`` (fixed in a): motion(t) = angle or (angle, rate, acceleration)."""
     dim = dimension(a, b, name)
     if dim == 2:
+        basis(axis, name, 2)
         row = Row(ct.Perpendicular, np.array([0.0, 1.0]), np.array([1.0, 0.0]), smooth_motion(name, motion))
     else:
         E = basis(axis, name)
@@ -245,6 +283,7 @@ def drive_rotation(name: str, a: Any, b: Any, motion: ct.Motion, *, axis: Vector
     return _joint((name, "drive", a, b), None, [row], None if dim == 2 else E[2])
 
 
+@typed
 def drive_translation(
     name: str, a: Any, b: Any, motion: ct.Motion, *, axis: Vector, center: Vector | None = None
 ) -> Joint:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...checks import check_fields, shown, typed, word
 from ...errors import InputError, require
 from ...fem.traces.mortar import mortar
 from ...fem.traces.multipliers import Multipliers, MultiplierSpace, default_space
@@ -46,12 +47,13 @@ class SurfaceTie:
     shape: Callable[[Array], Array] | None = None
 
     def __post_init__(self) -> None:
-        require(bool(self.name), "A tie needs a name.")
+        word("A tie's name", self.name)
+        check_fields(self, f'Tie "{self.name}"')
         for side, first in ((self.a, True), (self.b, False)):
             elastic = isinstance(side, Surface) and isinstance(side.body, AbsoluteBody | FloatingBody)
             if not elastic and (first or not (side is ground or isinstance(side, RigidBody))):
                 raise InputError(
-                    f'Tie "{self.name}": {side!r} cannot be tied. a must be a surface of an AbsoluteBody or '
+                    f'Tie "{self.name}": {shown(side)} cannot be tied. a must be a surface of an AbsoluteBody or '
                     "FloatingBody; b such a "
                     "surface, a rigid body, or fmbd.ground."
                 )
@@ -59,6 +61,7 @@ class SurfaceTie:
             raise InputError(f'Tie "{self.name}" ties {self.a!r} with itself.')
 
 
+@typed
 def tie_surface(
     name: str,
     a: Surface,
@@ -97,7 +100,10 @@ def finer_first(a: Surface, b: Surface) -> tuple[Surface, Surface]:
     """
     h = []
     for s in (a, b):
-        require(isinstance(s, Surface), f"finer_first takes two surfaces of elastic bodies; found {s!r}.")
+        require(
+            isinstance(s, Surface) and isinstance(s.body, AbsoluteBody | FloatingBody),
+            f"finer_first takes two surfaces of elastic bodies on meshes; found {shown(s)}.",
+        )
         h.append(surface_trace(s.body.mesh, s.name).h)
     return (a, b) if h[0] <= h[1] else (b, a)
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import check_fields
 from ...errors import InputError, require
 from ...fem.fields import Field
 from ...fem.mixed import make_field
@@ -41,6 +42,7 @@ class FrameModes:
     frequency: float | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self, "modes")
         require(
             (self.count is None) != (self.frequency is None), "Give either the number of modes or a frequency limit."
         )
@@ -66,6 +68,7 @@ class CraigBampton:
     inertia: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(len(self.interfaces) > 0, "CraigBampton needs at least one interface surface.")
         FrameModes(self.count, self.frequency)
 

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...checks import check_fields
 from ...errors import InputError, require
 from ...linear.condensation import StepSolver, Weights
 from ...log import log
@@ -46,6 +47,7 @@ class ContactMidpoint:
     theta: float = 0.5
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(0.5 <= self.theta <= 1.0, f"ContactMidpoint: theta = {self.theta} must lie in [1/2, 1].")
 
     @property

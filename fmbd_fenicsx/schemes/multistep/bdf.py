@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import check_fields
 from ...errors import CallbackError, ConvergenceError, LinearSolveError, require
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
@@ -70,6 +71,7 @@ class BDF:
     atol: float | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(
             self.order in (1, 2, 3, 4, 5),
             f"BDF: order = {self.order} must be 1 to 5; six and more are not stable enough.",

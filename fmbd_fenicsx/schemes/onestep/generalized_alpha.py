@@ -32,6 +32,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...checks import check_fields
 from ...errors import ConvergenceError, LinearSolveError, require
 from ...linear.blocks.incompressibility import volume_push
 from ...linear.condensation import StepSolver, Weights
@@ -67,6 +68,7 @@ class GeneralizedAlpha:
     form: Form = field(default_factory=Index3)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(
             isinstance(self.form, Index3 | GGL),
             f"GeneralizedAlpha takes form=Index3() or GGL(), found {self.form!r}. BDF and Radau take all forms.",

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import check_fields
 from ...errors import CallbackError, ConvergenceError, LinearSolveError
 from ...linear.condensation import StepSolver, Weights
 from ...rotations import Array
@@ -59,6 +60,7 @@ class HalfExplicit:
     name = "half-explicit Runge-Kutta (4)"
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_tolerance(self.rtol, self.atol, "HalfExplicit")
 
     holds = (0, 1)

@@ -39,7 +39,7 @@ from ..control import (
     ErrorNorm,
     Statistics,
     StepControl,
-    check_tolerance,
+    check_controlled,
     first_step,
     lands,
     moves,
@@ -71,7 +71,7 @@ class Radau:
 
     def __post_init__(self) -> None:
         require(self.stages in (2, 3, 5, 7), f"Radau: stages = {self.stages} must be 2, 3, 5 or 7.")
-        check_tolerance(self.rtol, self.atol, "Radau")
+        check_controlled(self)
 
     @property
     def order(self) -> int:

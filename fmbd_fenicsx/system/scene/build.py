@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...checks import vector
 from ...errors import InputError, near, require
 from ...fem.initial import initial_fields
 from ...mechanics.bodies.beams import Beam
@@ -72,6 +73,8 @@ class Builder:
         scene = self.scene
         self._check()
         moving = [b for b in scene.bodies.values() if not getattr(b, "locked", False)]
+        if not moving:
+            raise InputError(f'Scene "{scene.name}": all bodies are locked, so nothing can move.')
         framed = [b for b in moving if not isinstance(b, CoordinateBody | LineBody | AbsoluteBody | Wires | Rod)]
         elastic = [b for b in moving if isinstance(b, FloatingBody | AbsoluteBody)]
         own = [b for b in moving if isinstance(b, CoordinateBody)]
@@ -103,6 +106,7 @@ class Builder:
         traces = self._surface_ties()
         batches, port_rows, blocks = self._constraints(traces)
         forces = build_loads(self)
+        self._check_sensors({b.name for b in blocks})
         sensor_markers = {n: self.sensor_marker(s) for n, s in scene.sensors.items()}
         markers = self._markers()
         counted = self._counted(markers)
@@ -182,6 +186,16 @@ class Builder:
                 f'{what}: attach to a surface of the elastic body "{body.name}", say {body.name}.surface("...").'
             )
 
+    def _check_sensors(self, rows: set[str]) -> None:
+        """Refuse a sensor of a joint, body or contact that is not in the scene."""
+        for name, sensor in self.scene.sensors.items():
+            for what, wanted in sensor.reads.items():
+                known = {"joint": rows, "body": self.scene.bodies, "contact": self.scene.contacts}[what]
+                if wanted not in known:
+                    raise InputError(
+                        f'Sensor "{name}": there is no {what} "{wanted}" in the scene. {near(wanted, known)}'
+                    )
+
     def _surfaces_in_use(self) -> dict[str, list[str]]:
         used: dict[str, list[str]] = {n: [] for n in self.scene.bodies}
         sides = [s for j in self.scene.joints.values() for s in (j.a, j.b)]
@@ -257,12 +271,8 @@ class Builder:
 
     def _gravity(self) -> Callable[[float], Array]:
         d, ramp = self.m.dim, self.scene.gravity_ramp
-        g = np.zeros(d) if self.scene.gravity is None else np.asarray(self.scene.gravity, dtype=float)[:d]
-        require(
-            g.shape == (d,) and bool(np.isfinite(g).all()),
-            f'Scene "{self.scene.name}": gravity {self.scene.gravity} must be {d} finite numbers.',
-        )
-        require(ramp >= 0, f'Scene "{self.scene.name}": gravity_ramp {ramp} s must not be negative.')
+        what = f'Scene "{self.scene.name}": gravity'
+        g = np.zeros(d) if self.scene.gravity is None else vector(what, self.scene.gravity, size=d)
         if ramp == 0:
             return lambda t: g
         return lambda t: g * smooth_step(t, ramp)
@@ -345,7 +355,7 @@ class Builder:
         if s.on is None:
             return -1
         self._known(s.on, "A sensor")
-        return self._marker(s.on, None if s.point is None else np.asarray(s.point, dtype=float))
+        return self._marker(s.on, None if s.point is None else vector("A sensor's point", s.point, size=self.m.dim))
 
     # -- constraints ----------------------------------------------------------------------------------------------
     def _constraints(

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Any
 
-from ...errors import InputError, require
+from ...checks import check_fields, instance, number, shown, vector, word
+from ...errors import InputError, near, require
 from ...log import log
 from ...mechanics.bodies.beams import Beam
 from ...mechanics.bodies.bodies import AbsoluteBody, CoordinateBody, FloatingBody, RigidBody
@@ -64,6 +65,25 @@ class Scene:
 
         return f"<pre>{escape(repr(self)[1:-1].replace('; ', chr(10) + '  '))}</pre>"
 
+    def __post_init__(self) -> None:
+        what = f'Scene "{self.name}"'
+        word("A scene's name", self.name)
+        check_fields(self, what)
+        number(f"{what}: gravity_ramp", self.gravity_ramp, least=0.0, unit="s")
+        for time in self.breakpoints:
+            number(f"{what}: a break point", time, unit="s")
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Only what a scene has: ``scene.gravtiy = ...`` would change nothing, without a word."""
+        known = self.__dataclass_fields__
+        if name not in known:
+            raise InputError(f'A scene has no "{name}" to set. {near(name, known)}')
+        if name == "gravity" and value is not None:
+            vector(f'Scene "{self.__dict__.get("name", "")}": gravity', value)
+        if name == "gravity_ramp":
+            number(f'Scene "{self.__dict__.get("name", "")}": gravity_ramp', value, least=0.0, unit="s")
+        object.__setattr__(self, name, value)
+
     def add(self, *parts: Any) -> None:
         """Add bodies, joints, forces and contacts; names must be unique among each."""
         for part in parts:
@@ -80,15 +100,16 @@ class Scene:
             elif hasattr(part, "slave") and hasattr(part, "master"):  # a Contact, without loading its module
                 self._put(self.contacts, part, "contact")
             else:
-                raise InputError(f"A scene takes bodies, joints, forces and contacts; found {part!r}.")
+                raise InputError(f"A scene takes bodies, joints, forces and contacts; found {shown(part)}.")
 
     def sensor(self, name: str, quantity: Sensor | JointCoordinate) -> str:
         """Record a quantity in every run, say ``scene.sensor("tip", fmbd.position(rod.surface("tip")))``; returns the name."""
+        word("A sensor's name", name)
         require(name not in self.sensors, f'Two sensors are called "{name}".')
         if isinstance(quantity, JointCoordinate):
             quantity = JointReading(None, quantity.unit, coordinate=quantity)
-        require(isinstance(quantity, Sensor), f'Sensor "{name}": expected a quantity such as fmbd.position(...).')
-        self.sensors[name] = quantity
+        instance(f'Sensor "{name}": quantity', quantity, Sensor)
+        self.sensors[name] = quantity.in_scene(name, self.joints)
         return name
 
     def input(self, name: str, start: float = 0.0, *, lower: float = -inf, upper: float = inf) -> Input:
@@ -101,7 +122,9 @@ class Scene:
         return self.inputs[name]
 
     def _put(self, where: dict[str, Any], part: Any, what: str) -> None:
-        require(part.name not in where and part.name != "ground", f'Two {what}s are called "{part.name}".')
+        many = {"body": "bodies"}.get(what, f"{what}s")
+        require(part.name != "ground", f'A {what} cannot be called "ground": that is the world.')
+        require(part.name not in where, f'Two {many} are called "{part.name}".')
         where[part.name] = part
 
     def check(self, *, deep: bool = False) -> Mobility:

@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import InputError, near
 from ...rotations import Array
 from ..system import Evaluation, State
-from .sensors import Sensor
+from .sensors import Sensor, named_part
 
 WORKS = ("contact", "friction", "loads", "joints", "numerical")
 
@@ -68,6 +68,11 @@ class ContactSensor(Sensor):
     contact: str = ""
     quantity: str = "force"
 
+    @property
+    def reads(self) -> dict[str, str]:
+        """A contact, but for the work of all."""
+        return {"contact": self.contact} if self.contact else {}
+
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The quantity of the last step."""
         c = forces_of(state)
@@ -95,7 +100,7 @@ class ContactSensor(Sensor):
 
 
 def _name(contact: Any) -> str:
-    return contact if isinstance(contact, str) else str(contact.name)
+    return named_part("contact", contact)
 
 
 def contact_force(contact: Any) -> Sensor:

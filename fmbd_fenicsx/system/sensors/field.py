@@ -21,6 +21,12 @@ class Largest(Sensor):
     """See :func:`largest`."""
 
     body: Any = None
+
+    @property
+    def reads(self) -> dict[str, str]:
+        """A body."""
+        return {"body": self.body.name}
+
     quantity: Callable[[Any], Any] = None  # type: ignore[assignment]
     degree: int = 2
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from ...checks import shown, typed, vector
+from ...errors import InputError, near, require
 from ...mechanics.bodies.bodies import Surface
 from ...mechanics.joints.drives import JointCoordinate
+from ...mechanics.joints.joints import ground, refuse_no_attachment
 from ...mechanics.joints.relative import Relative
 from ...rotations import Array
 from ..foreshortened_ports import port_acceleration
@@ -28,6 +31,19 @@ class Sensor:
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The value, a flat array; collective."""
         raise NotImplementedError
+
+    @property
+    def reads(self) -> dict[str, str]:
+        """What it reads that a scene must hold: "joint", "body" or "contact" -> its name."""
+        return {}
+
+    def in_scene(self, name: str, joints: Mapping[str, Any]) -> Sensor:
+        """The quantity as the sensor ``name`` of a scene with these joints; refuses one that is not there."""
+        return self
+
+    def unit_of(self, component: int) -> str:
+        """Unit of one component."""
+        return self.unit
 
     def remember(self, m: Any, name: str, x: Array) -> Array:
         """A series of it, (n, size), in a checkpoint; see :mod:`.memory`."""
@@ -99,13 +115,28 @@ class Reaction(Sensor):
     """Multipliers of a joint: force (and torque) components on the first body, one a row of the joint."""
 
     joint: str = ""
+    units: tuple[str, ...] = ()  # of the rows, once the joint is known
+
+    @property
+    def reads(self) -> dict[str, str]:
+        """A joint, or another part with constraint rows."""
+        return {"joint": self.joint}
+
+    def in_scene(self, name: str, joints: Mapping[str, Any]) -> Sensor:
+        """With the units of the joint's rows: forces, and moments where a row holds a rotation."""
+        units = joints[self.joint].reaction_units if self.joint in joints else ()
+        return replace(self, units=units, unit=", ".join(sorted(set(units))) or self.unit)
+
+    def unit_of(self, component: int) -> str:
+        """N or N m."""
+        return self.units[component] if component < len(self.units) else self.unit
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The multipliers of the joint."""
         for block in ev.system.blocks:
             if block.name == self.joint:
                 return state.lam[block.rows].copy()
-        raise KeyError(self.joint)
+        raise InputError(f'No reaction of "{self.joint}". {near(self.joint, (b.name for b in ev.system.blocks))}')
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +145,11 @@ class ReactionWrench(_Vector):
 
     joint: str = ""
     torque: bool = False
+
+    @property
+    def reads(self) -> dict[str, str]:
+        """A joint."""
+        return {"joint": self.joint}
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Force and moment of the joint on its first body."""
@@ -137,6 +173,11 @@ class JointReading(Sensor):
     coordinate: JointCoordinate = None  # type: ignore[assignment]
     level: int = 0
 
+    @property
+    def reads(self) -> dict[str, str]:
+        """The joint of the coordinate."""
+        return {"joint": self.coordinate.joint.name}
+
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Value and rate of the joint coordinate."""
         s = ev.system
@@ -157,6 +198,11 @@ class Coordinates(Sensor):
     names: Sequence[str] = ()
 
     @property
+    def reads(self) -> dict[str, str]:
+        """A body."""
+        return {"body": self.body}
+
+    @property
     def labels(self) -> Sequence[str]:
         """The names that were given."""
         return self.names
@@ -168,17 +214,35 @@ class Coordinates(Sensor):
                 if self.level == 0:
                     return ev.system.local_q(state.q, k).copy()
                 return ev.system.local_v(state.v if self.level == 1 else state.a, k).copy()
-        raise KeyError(self.body)
+        raise InputError(f'No coordinates of body "{self.body}". {near(self.body, (p.name for p in ev.system.parts))}')
 
 
+def named_part(what: str, part: Any) -> str:
+    """The name of a part of a scene, given by its name or itself."""
+    name = part if isinstance(part, str) else None if isinstance(part, type) else getattr(part, "name", None)
+    if not isinstance(name, str):
+        raise InputError(f"{what} {shown(part)} must be a name, or what bears it.")
+    return name
+
+
+def _placed(what: str, on: Any, point: Sequence[float] | None = None) -> None:
+    """Refuse what has no position, and a point of another dimension."""
+    refuse_no_attachment(on, what)
+    if point is not None:
+        vector(f"{what}: point", point, size=None if on is ground else on.dim)
+
+
+@typed
 def coordinates(body: Any, *, level: int = 0, unit: str = "-", names: Sequence[str] = ()) -> Sensor:
     """Coordinates of a body with equations of its own or nodal values of a line, or their first or second rates, (n,).
 
     ``unit`` and ``names`` of these numbers, for figures.
     """
-    return Coordinates(None, unit, None, body if isinstance(body, str) else body.name, level, names)
+    require(level in (0, 1, 2), f"coordinates: level {shown(level)} must be 0, 1 or 2: values, first or second rates.")
+    return Coordinates(None, unit, None, named_part("coordinates: body", body), level, tuple(names))
 
 
+@typed
 def joint_rate(coordinate: JointCoordinate) -> Sensor:
     """Rate of a joint coordinate (rad/s or m/s), (1,); the coordinate itself is a sensor too."""
     return JointReading(None, coordinate.unit + "/s", coordinate=coordinate, level=1)
@@ -186,39 +250,44 @@ def joint_rate(coordinate: JointCoordinate) -> Sensor:
 
 def reaction_force(joint: Any) -> Sensor:
     """Force (N) that a joint exerts on its first body, world axes, (d,)."""
-    return ReactionWrench(None, "N", None, joint if isinstance(joint, str) else joint.name)
+    return ReactionWrench(None, "N", None, named_part("reaction_force: joint", joint))
 
 
 def reaction_torque(joint: Any) -> Sensor:
     """Torque (N m) that a joint exerts on its first body about the joint's point of that body, world axes, (n_rot,)."""
-    return ReactionWrench(None, "N m", None, joint if isinstance(joint, str) else joint.name, True)
+    return ReactionWrench(None, "N m", None, named_part("reaction_torque: joint", joint), True)
 
 
 def position(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
     """World position (m) of a point of a rigid body (world coordinates at the start), or of a surface's mean."""
+    _placed("position", on, point)
     return Position(on, "m", point)
 
 
 def velocity(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
     """World velocity (m/s), as :func:`position`."""
+    _placed("velocity", on, point)
     return Velocity(on, "m/s", point)
 
 
 def acceleration(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
     """World acceleration (m/s^2), as :func:`position`; of the scheme's own acceleration at the end of the step."""
+    _placed("acceleration", on, point)
     return Acceleration(on, "m/s^2", point)
 
 
 def rotation(on: Any | Surface) -> Sensor:
     """Rotation of a body or surface since the start: angle (rad) in the plane, matrix (9 numbers) in space."""
+    _placed("rotation", on)
     return Rotation(on, "rad")
 
 
 def angular_velocity(on: Any | Surface) -> Sensor:
     """Angular velocity (rad/s) of a body or of a surface's mean, world axes: one number in the plane, three in space."""
+    _placed("angular_velocity", on)
     return AngularVelocity(on, "rad/s")
 
 
 def reaction(joint: Any) -> Sensor:
     """Multipliers of a joint, (rows,): the force by the joint on its first body in the rows' directions (N, N m)."""
-    return Reaction(None, "N", None, joint if isinstance(joint, str) else joint.name)
+    return Reaction(None, "N", None, named_part("reaction: joint", joint))

@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import array, instance, whole
+from ...errors import require
+from ...mechanics.catenary.wires import Wires
 from ...rotations import Array
 from ..system import Evaluation, State
 from .sensors import Sensor
@@ -19,6 +22,11 @@ class WireHeight(Sensor):
     body: Any = None
     wire: int = 0
     x: tuple[float, ...] = ()
+
+    @property
+    def reads(self) -> dict[str, str]:
+        """A body of wires."""
+        return {"body": self.body.name}
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Displacements of the wire, m."""
@@ -38,6 +46,11 @@ class DropperForces(Sensor):
 
     body: Any = None
 
+    @property
+    def reads(self) -> dict[str, str]:
+        """A body of wires."""
+        return {"body": self.body.name}
+
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Tensions, N."""
         k = next(k for k, p in enumerate(ev.system.parts) if p.name == self.body.name)
@@ -47,9 +60,16 @@ class DropperForces(Sensor):
 
 def wire_height(wires: Any, wire: int, x: Any) -> Sensor:
     """Displacement (m) of a wire at one or several places x (m), (n,)."""
-    return WireHeight(None, "m", None, wires, wire, tuple(float(xi) for xi in np.atleast_1d(x)))
+    instance("wire_height: wires", wires, Wires)
+    places = np.atleast_1d(array("wire_height: x", x))
+    require(
+        whole("wire_height: wire", wire) < len(wires.wires),
+        f"wire_height: wire {wire} is none of the {len(wires.wires)} wires.",
+    )
+    return WireHeight(None, "m", None, wires, wire, tuple(float(xi) for xi in places.ravel()))
 
 
 def dropper_forces(wires: Any) -> Sensor:
     """Tensions (N) of all droppers, 0 for slack ones."""
+    instance("dropper_forces: wires", wires, Wires)
     return DropperForces(None, "N", None, wires)

@@ -1,0 +1,247 @@
+"""What a user may give: a few checks with one sentence each, and the same checks made from type annotations.
+
+Each check returns the value in the form in which it is used (a float, an array), or raises an :class:`InputError` that says what,
+what was found, and what would do. ``what`` begins the sentence: ``'Body "arm": mass'``.
+
+:func:`check_fields` and :func:`typed` apply them by the annotations of a dataclass or function, so that a word for a number, a
+class in place of an object, NaN or a vector of the wrong kind is refused where it is given. What depends on more than one value,
+or on physics, stays with whoever knows it.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import types
+import typing
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, fields
+from functools import cache, wraps
+from numbers import Integral, Real
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+
+from .errors import InputError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+UNIONS = (typing.Union, types.UnionType)
+
+
+def shown(value: Any) -> str:
+    """A value as a message shows it: short, and a class as a class."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    name = vars(value).get("name") if hasattr(value, "__dict__") else None
+    if isinstance(name, str):
+        return f'{type(value).__name__} "{name}"'
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def refuse(what: str, wanted: str, found: Any) -> typing.NoReturn:
+    """The sentence of all checks: ``Body "arm": mass must be a positive number of kg, found -1.0.``"""
+    raise InputError(f"{what} {shown(found)} must be {wanted}.")
+
+
+# ------------------------------------------------------------------------------------------------------ the vocabulary
+
+
+def number(what: str, value: Any, *, above: float = -np.inf, least: float = -np.inf, unit: str = "") -> float:
+    """A finite number, larger than ``above`` and not smaller than ``least``; strings, bools and lists are none."""
+    single: Any = value.item() if isinstance(value, np.ndarray) and value.ndim == 0 else value
+    wanted = "a positive number" if above == 0 else "a number that is not negative" if least == 0 else "a finite number"
+    wanted += f" above {above:g}" if above > 0 or -np.inf < above < 0 else ""
+    wanted += f" of at least {least:g}" if least > 0 or -np.inf < least < 0 else ""
+
+    if isinstance(single, bool | np.bool_) or not isinstance(single, Real):
+        refuse(what, wanted + (f" ({unit})" if unit else ""), value)
+    try:
+        found = float(single)
+    except OverflowError:
+        found = np.inf
+    if not np.isfinite(found) or found <= above or found < least:
+        raise InputError(f"{what} {shown(single)}{' ' + unit if unit else ''} must be {wanted}.")
+    return found
+
+
+def whole(what: str, value: Any, *, least: int = 0) -> int:
+    """A whole number of at least ``least``."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, Integral) or int(value) < least:
+        refuse(what, f"a whole number, at least {least}", value)
+    return int(value)
+
+
+def array(what: str, value: Any, *, shape: str = "finite numbers") -> np.ndarray:
+    """Finite numbers in an array of any shape; ``shape``: what is wanted, in words."""
+    try:
+        found = np.asarray(value)
+        usable = found.dtype.kind in "iuf" and bool(np.isfinite(found).all())
+    except (TypeError, ValueError):
+        usable = False
+    if not usable:
+        refuse(what, shape, value)
+    return np.array(found, dtype=float)
+
+
+def vector(what: str, value: Any, *, size: int | None = None, zero: bool = True) -> np.ndarray:
+    """Finite numbers, (size,). In the plane (2) a third number may follow when it is zero; ``zero``: all may be zero."""
+    wanted = f"{'' if size is None else f'{size} '}finite numbers" + ("" if zero else ", not all zero")
+    found = array(what, value, shape=wanted)
+
+    if size == 2 and found.shape == (3,):
+        if found[2] != 0:
+            refuse(what, f"{wanted}: the bodies are plane, and z cannot be followed", value)
+        found = found[:2]
+    if found.ndim != 1 or found.size == 0 or (size is not None and len(found) != size):
+        refuse(what, wanted, value)
+    if not zero and not found.any():
+        refuse(what, wanted, value)
+    return found
+
+
+def word(what: str, value: Any) -> str:
+    """A string that is not empty."""
+    if not isinstance(value, str) or not value.strip():
+        refuse(what, "a string that is not empty", value)
+    return value
+
+
+def words(what: str, value: Any) -> tuple[str, ...]:
+    """Several strings; one alone is none: its letters are not meant."""
+    if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(x, str) for x in value):
+        refuse(what, 'several strings, as ("a", "b")', value)
+    return tuple(value)
+
+
+def function(what: str, value: Any) -> Callable[..., Any]:
+    """Something that can be called."""
+    if not callable(value):
+        refuse(what, "a function", value)
+    return typing.cast(Callable[..., Any], value)
+
+
+def instance(what: str, value: Any, kinds: type | tuple[type, ...]) -> Any:
+    """An object of one of the kinds; a class in the place of its object is named as such."""
+    kinds = kinds if isinstance(kinds, tuple) else (kinds,)
+    if isinstance(value, kinds):
+        return value
+    made = [vars(kind).get("made_by") for kind in kinds]  # how users make one, where that is not by the class
+    wanted = " or ".join(
+        by or f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
+        for by, kind in zip(made, kinds, strict=True)
+    )
+    if isinstance(value, type) and issubclass(value, kinds):
+        raise InputError(f"{what} is the class {value.__name__}; make an object of it: {value.__name__}(...).")
+    refuse(what, wanted, value)
+
+
+# -------------------------------------------------------------------------------------------------- from annotations
+
+
+def check_fields(data: Any, what: str | None = None) -> None:
+    """Check the fields of a dataclass by their annotations; ``what``: whose, in messages; by default ``Kind "name"``."""
+    kind = type(data)
+    values = {f.name: getattr(data, f.name) for f in fields(data) if f.init}
+    label = _label(kind.__name__, values) if what is None else what
+    for f in fields(data):
+        if f.init:
+            _check(f"{label}: {f.name}", values[f.name], _hint(_home(kind, f.name), str(f.type)), default=f.default)
+
+
+def typed(make: Callable[P, T]) -> Callable[P, T]:
+    """A function whose arguments are checked by their annotations before it is called."""
+    signature = inspect.signature(make)
+    module = make.__module__
+
+    @wraps(make)
+    def checked(*args: P.args, **kwargs: P.kwargs) -> T:
+        values = signature.bind(*args, **kwargs).arguments
+        label = _label(make.__name__, values)
+        for name, value in values.items():
+            p = signature.parameters[name]
+            if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY):
+                _check(f"{label}: {name}", value, _hint(module, str(p.annotation)), default=p.default)
+        return make(*args, **kwargs)
+
+    return checked
+
+
+def _label(kind: str, values: Mapping[str, Any]) -> str:
+    name = values.get("name")
+    return f'{kind} "{name}"' if isinstance(name, str) else kind
+
+
+def _home(kind: type, field: str) -> str:
+    """The module in which a dataclass, or the one that it is made from, declares a field."""
+    return next((k.__module__ for k in kind.__mro__ if field in vars(k).get("__annotations__", {})), kind.__module__)
+
+
+@cache
+def _hint(module: str, annotation: str) -> Any:
+    """The type behind the text of an annotation; Any where its names are known to type checkers only."""
+    try:
+        return eval(annotation, vars(sys.modules[module]))  # text of this package's own source
+    except (NameError, AttributeError, TypeError):
+        return Any
+
+
+def _check(what: str, value: Any, hint: Any, *, default: Any) -> None:
+    """Check one value; the default itself is always allowed, an infinite number where the default is one."""
+    if value is default and default is not MISSING:
+        return
+    options = typing.get_args(hint) if typing.get_origin(hint) in UNIONS else (hint,)
+    if value is None and type(None) in options:
+        return
+    if float in options and isinstance(default, float) and np.isinf(default) and value == default:
+        return
+
+    options = tuple(option for option in options if option is not type(None))
+    if any(_unknown(option) for option in options):
+        return
+    for option in options[:-1]:  # any will do; the last one tells what is wrong
+        try:
+            return _one(what, value, option)
+        except InputError:
+            continue
+    _one(what, value, options[-1])
+
+
+def _unknown(option: Any) -> bool:
+    """Whether an annotation says nothing that can be checked."""
+    return option is Any or option is object or isinstance(option, TypeVar)
+
+
+def _one(what: str, value: Any, option: Any) -> None:
+    """Check a value against one type."""
+    origin, inner = typing.get_origin(option) or option, typing.get_args(option)
+    simple: dict[Any, Callable[[str, Any], Any]] = {float: number, str: word, Callable: function}  # type: ignore[dict-item]
+
+    if origin in simple:
+        simple[origin](what, value)
+    elif origin is int:
+        whole(what, value, least=-sys.maxsize)
+    elif origin is bool:
+        instance(what, value, (bool, np.bool_))
+    elif origin is np.ndarray:
+        array(what, value)
+    elif origin in (Sequence, tuple, list):
+        _several(what, value, inner)
+    elif isinstance(origin, type):
+        instance(what, value, origin)
+
+
+def _several(what: str, value: Any, inner: tuple[Any, ...]) -> None:
+    """Check a sequence by the type of its members."""
+    members = {x for x in inner if x is not Ellipsis}
+    if members == {float}:
+        vector(what, value) if np.size(np.asarray(value, dtype=object)) else None
+    elif members == {str}:
+        words(what, value)
+    elif isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
+        refuse(what, "a list or tuple", value)
+    elif len(members) == 1:
+        for k, member in enumerate(value):
+            _check(f"{what}[{k}]", member, next(iter(members)), default=MISSING)

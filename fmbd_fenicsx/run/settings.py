@@ -1,0 +1,37 @@
+"""Whether the arguments of :func:`fmbd_fenicsx.solve` are what they are called."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ..checks import instance, shown
+from ..errors import InputError, require
+from ..schemes.newton import Newton
+from ..system.scene.scene import Scene
+from .output import Output
+
+
+def check_settings(scene: Any, newton: Any, output: Any, restart: Any) -> None:
+    """Refuse classes in the place of objects, names, dictionaries."""
+    instance("solve: scene", scene, Scene)
+    if newton is not None:
+        instance("solve: newton", newton, Newton)
+    if output is not None:
+        instance("solve: output", output, Output)
+    require(
+        restart is None or isinstance(restart, str | Path),
+        f"solve: restart {shown(restart)} must be a folder: a string, a path, or checkpoint.newest.",
+    )
+
+
+def checked_scheme(scheme: Any) -> Any:
+    """A scheme's object: neither its class nor its name."""
+    if isinstance(scheme, type):
+        raise InputError(f"solve: scheme is the class {scheme.__name__}; make an object of it: {scheme.__name__}(...).")
+    if not callable(getattr(scheme, "stepper", None)):
+        raise InputError(
+            f"solve: scheme {shown(scheme)} must be an object such as fmbd.GeneralizedAlpha() or fmbd.Radau(); "
+            "see fmbd.schemes."
+        )
+    return scheme
