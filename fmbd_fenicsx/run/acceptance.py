@@ -1,7 +1,7 @@
 """A step counts when its residuals are small: joints that are closed, and stay so.
 
     |g_i| u_i  <=  1e-7 L + 100 eps |x|        for schemes that hold the constraints on positions                    (1)
-    |G v + g_t| u_i  <=  1e-4 (|v| + |v|_max)      for those that hold them on velocities                            (2)
+    |G v + g_t| u_i  <=  1e-4 (|v| + |v|_max) + 100 eps |x| / h    for those that hold them on velocities            (2)
 
 with L the model's length, u_i = L for rows that are angles, |x| the distance from the origin. With error control L is multiplied
 by 1e-7 or the relative tolerance, whichever is larger. Newton's iteration judges increments; where its matrix is close to
@@ -39,6 +39,7 @@ class Closed:
     levels: tuple[int, ...]
     share: float = OPEN
     fastest: float = field(default=0.0)  # m/s, of all states so far
+    last: float | None = field(default=None)  # s, time of the state before
 
     @staticmethod
     def under(system: System, scheme: Any) -> Closed:
@@ -75,15 +76,18 @@ class Closed:
                 f"At t = {ev.t:.6g} s {worst_block(s, gap)} is open by {gap.max():.3g} m, {allowed:.2g} m is allowed. Look for "
                 "bodies that are much lighter or stiffer than what they are attached to, or take a smaller dt."
             )
+        h = ev.t - self.last if self.last is not None and ev.t > self.last else 1.0
         if 1 in self.levels and ev.v is not None:
-            self._check_velocities(ev, ev.v)
+            self._check_velocities(ev, ev.v, h)
+        self.last = ev.t
 
-    def _check_velocities(self, ev: Evaluation, v: Array) -> None:
+    def _check_velocities(self, ev: Evaluation, v: Array, h: float) -> None:
         s = self.system
         self.fastest = max(self.fastest, s.max_abs(v))
         rate = ev.constraint_rate()
         slip = self.units * np.abs(ev.jacobian.times(v) + rate)
         allowed = (SLIP + self.share) * (self.fastest + float((self.units * np.abs(rate)).max()))
+        allowed += ROUNDOFF * (s.length + self._far(ev.q)) / h  # of a body at rest
         if not slip.max() <= allowed:
             raise ConvergenceError(
                 f"At t = {ev.t:.6g} s {worst_block(s, slip)} opens at {slip.max():.3g} m/s, {allowed:.2g} m/s is allowed. Take a "
