@@ -201,6 +201,9 @@ def _check(what: str, value: Any, hint: Any, *, default: Any) -> None:
     options = tuple(option for option in options if option is not type(None))
     if any(_unknown(option) for option in options):
         return
+    if all(isinstance(option, type) and option not in (float, int, str, bool, np.ndarray) for option in options):
+        instance(what, value, options)
+        return
     for option in options[:-1]:  # any will do; the last one tells what is wrong
         try:
             return _one(what, value, option)

@@ -37,7 +37,8 @@ def pendulum(rod: Any) -> fmbd.Scene:
 @given(seed=st.integers(0, 10_000), kind=st.integers(0, 1), dim=st.integers(2, 3))
 def test_rigid_displacements_cost_nothing(rod_mesh: Callable[..., Any], seed: int, kind: int, dim: int) -> None:
     """Internal force of a random rigid displacement at most 1e-12 E A, energy 1e-12 E V."""
-    field = Field("rod", rod_mesh(dim=dim, h=0.5, height=0.2), body(None, energy=ENERGIES[kind]).forms())
+    mesh = rod_mesh(dim=dim, h=0.5, height=0.2)
+    field = Field("rod", mesh, body(mesh, energy=ENERGIES[kind]).forms())
     rng = np.random.default_rng(seed)
     m = motions(dim)
     R = m.matrix(m.compose(m.identity[None], rng.standard_normal((1, m.n_twist))))[0]
@@ -55,7 +56,7 @@ def test_force_is_the_gradient_of_energy(rod_mesh: Callable[..., Any], kind: int
     """f_int . w = d energy in the direction w, K w = d f_int, and K at zero is Hooke's law."""
     mesh = rod_mesh(dim=dim, h=0.5, height=0.2)
     field = Field("rod", mesh, body(mesh, energy=ENERGIES[kind]).forms())
-    linear = Field("rod", mesh, fmbd.FloatingBody("rod", mesh, elastic=linear_elastic(MODULUS, 0.3)).forms())
+    linear = Field("rod", mesh, fmbd.FloatingBody("rod", mesh, density=1.0, elastic=linear_elastic(MODULUS, 0.3)).forms())
     rng = np.random.default_rng(field.comm.rank)
     U, w = 0.01 * rng.standard_normal((2, field.n * dim))
     np.testing.assert_allclose(field.stiffness(w), linear.stiffness(w), rtol=1e-9, atol=1e-9 * MODULUS)
@@ -157,7 +158,7 @@ def test_bad_input(rod_mesh: Callable[..., Any]) -> None:
     """Both or neither description of elasticity, and an energy that is no energy."""
     mesh = rod_mesh(dim=2, h=0.5, height=0.2)
     with pytest.raises(InputError, match="either elastic"):
-        fmbd.AbsoluteBody("rod", mesh)
+        fmbd.AbsoluteBody("rod", mesh, density=1.0)
     with pytest.raises(InputError, match="either elastic"):
         body(mesh, elastic=linear_elastic(1.0, 0.3))
     with pytest.raises(InputError, match="energy"):

@@ -290,7 +290,7 @@ def test_scene_without_contact_loads_nothing_of_it() -> None:
 import sys
 import fmbd_fenicsx as fmbd
 mesh = fmbd.read_gmsh({str(BLOCK)!r}, size=(1.0, 0.1), cells=4)
-bar = fmbd.AbsoluteBody("bar", mesh, degree=1, elastic=fmbd.materials.linear_elastic(1.0, 0.0))
+bar = fmbd.AbsoluteBody("bar", mesh, degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.0))
 scene = fmbd.Scene("bar")
 scene.add(bar)
 run = fmbd.solve(scene, t_end=0.02, dt=0.01)

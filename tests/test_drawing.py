@@ -65,7 +65,7 @@ def test_paint_is_the_quantity_at_the_middle_of_each_triangle(rod_mesh: Any, dim
         u[0] = 1e-3 * x[0] ** 2
         return u
 
-    rod = fmbd.AbsoluteBody("rod", mesh, 2, 1e3, elastic=ELASTIC, displacement=stretched)
+    rod = fmbd.AbsoluteBody("rod", mesh, degree=2, density=1e3, elastic=ELASTIC, displacement=stretched)
     scene = fmbd.Scene("stretched")
     scene.add(rod)
     run = fmbd.solve(scene, t_end=1e-9, dt=1e-9, output=few(2))

@@ -26,7 +26,7 @@ def links(n: int, dim: int) -> fmbd.Scene:
     for i in range(n):
         inertia = 2e-5 if dim == 2 else np.diag([1e-6, 2e-5, 2.1e-5])
         link = fmbd.RigidBody(f"{i}", 0.02, inertia, ((i + 0.5) * 0.1, 0.0, 0.0)[:dim])
-        axis = (0, 0, 1) if i % 2 == 0 else (0, 0.6, 0.8)
+        axis = (0, 0, 1) if i % 2 == 0 or dim == 2 else (0, 0.6, 0.8)
         scene.add(link, fmbd.revolute(f"hinge {i}", before, link, center=(i * 0.1, 0, 0)[:dim], axis=axis))
         before = link
     return scene

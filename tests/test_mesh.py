@@ -54,7 +54,7 @@ def test_one_mesh_for_bodies_at_several_places(dim: int, rod_mesh: Callable[...,
     run = fmbd.solve(scene, t_end=1e-3, dt=1e-3)
     np.testing.assert_allclose(run["a"][0], [1.0, 0.0, 0.0][:dim], atol=1e-12)
     np.testing.assert_allclose(run["b"][0], away + [0.0, 1.0, 0.0][:dim], atol=1e-12)
-    with pytest.raises(MeshError, match="rod.py: position must be"):
+    with pytest.raises(MeshError, match="rod.py: position 1.0 must be"):
         mesh.placed(1.0)
     with pytest.raises(InputError, match="A rotation is"):
         mesh.placed(away, [1.0, 2.0])

@@ -182,8 +182,6 @@ def test_arguments_that_make_no_sense() -> None:
         fmbd.Radau(rtol=1e-16)
     with pytest.raises(InputError, match="give dt"):
         fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.Radau(rtol=None))
-    with pytest.raises(InputError, match="constant steps"):
-        fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.Radau(), output=fmbd.Output(estimate_error=True))
     with pytest.raises(InputError, match="project Index1 or Index2"):
         fmbd.Projected(fmbd.GGL())
     with pytest.raises(InputError, match="must be positive"):

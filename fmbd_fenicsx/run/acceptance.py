@@ -1,10 +1,10 @@
 """A step counts when its residuals are small: joints that are closed, and stay so.
 
-    |g_i| u_i  <=  1e-7 L + 100 eps |x|        for schemes that hold the constraints on positions                    (1)
+    |g_i| u_i  <=  5e-7 L + 100 eps |x|        for schemes that hold the constraints on positions                    (1)
     |G v + g_t| u_i  <=  1e-4 (|v| + |v|_max) + 100 eps |x| / h    for those that hold them on velocities            (2)
 
 with L the model's length, u_i = L for rows that are angles, |x| the distance from the origin. With error control L is multiplied
-by 1e-7 or the relative tolerance, whichever is larger. Newton's iteration judges increments; where its matrix is close to
+by 5e-7 or the relative tolerance, whichever is larger. Newton's iteration judges increments; where its matrix is close to
 singular they can be small while a joint is open, and a linear solve can pass with the rows of a light body lost in those of a
 heavy one. A step that fails here is one that failed to converge: it is made in parts, and where these fail too the run ends with
 the name of the joint.
@@ -26,7 +26,7 @@ from ..rotations import Array
 from ..schemes.consistent import worst_block
 from ..system.system import Evaluation, System
 
-OPEN = 1e-7  # of the model's length
+OPEN = 5e-7  # of the model's length
 SLIP = 1e-4  # of the velocities
 ROUNDOFF = 100 * float(np.finfo(float).eps)
 

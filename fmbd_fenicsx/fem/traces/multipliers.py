@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse as sp
@@ -86,6 +86,7 @@ class Multipliers:
         return Multipliers(self.trace, self.degree, self.basis[keep].tocsr(), self.name)
 
 
+@runtime_checkable
 class MultiplierSpace(Protocol):
     """What a user names; ``on`` makes its functions on a surface."""
 

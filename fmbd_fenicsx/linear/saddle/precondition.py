@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse as sp
@@ -38,6 +38,7 @@ from .saddle import Elastic, SaddlePoint, TraceTie, rigid_modes, share_of
 Group = tuple[str, list[int], sp.csr_matrix]
 
 
+@runtime_checkable
 class MultiplierPreconditioner(Protocol):
     """Makes S~, one matrix for each group of ties."""
 
