@@ -56,7 +56,9 @@ def test_force_is_the_gradient_of_energy(rod_mesh: Callable[..., Any], kind: int
     """f_int . w = d energy in the direction w, K w = d f_int, and K at zero is Hooke's law."""
     mesh = rod_mesh(dim=dim, h=0.5, height=0.2)
     field = Field("rod", mesh, body(mesh, energy=ENERGIES[kind]).forms())
-    linear = Field("rod", mesh, fmbd.FloatingBody("rod", mesh, density=1.0, elastic=linear_elastic(MODULUS, 0.3)).forms())
+    linear = Field(
+        "rod", mesh, fmbd.FloatingBody("rod", mesh, density=1.0, elastic=linear_elastic(MODULUS, 0.3)).forms()
+    )
     rng = np.random.default_rng(field.comm.rank)
     U, w = 0.01 * rng.standard_normal((2, field.n * dim))
     np.testing.assert_allclose(field.stiffness(w), linear.stiffness(w), rtol=1e-9, atol=1e-9 * MODULUS)

@@ -160,7 +160,9 @@ def test_three_jumps_around_a_point_add_up_to_zero() -> None:
     made = {}
     for name, (origin, size, cells) in {**THREE, "low": ((0, 0), (2, 1), 4), "ne": ((1, 1), (1, 1), 2)}.items():
         mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=size, cells=cells, origin=origin)
-        made[name] = fmbd.AbsoluteBody(name, mesh, degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
+        made[name] = fmbd.AbsoluteBody(
+            name, mesh, degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3)
+        )
     side = lambda text: made[text.split()[0]].surface(text.split()[1])  # noqa: E731
     for space, count in ((Continuous(ends=Ends.KEPT), 1), (Continuous(), 0)):
         ties = [fmbd.tie_surface(a, side(a), side(b), space=space) for a, b in THREE_TIES]

@@ -69,7 +69,9 @@ def test_hinges_do_no_work() -> None:
 
 def test_elastic_fields_are_refused(rod_mesh: object) -> None:
     scene = fmbd.Scene("rod")
-    scene.add(fmbd.FloatingBody("rod", rod_mesh(), degree=1, elastic=fmbd.materials.linear_elastic(1e7, 0.3)))
+    scene.add(
+        fmbd.FloatingBody("rod", rod_mesh(), degree=1, density=1000.0, elastic=fmbd.materials.linear_elastic(1e7, 0.3))
+    )
     with pytest.raises(InputError, match='absolute coordinates only, and "rod" is not one'):
         fmbd.solve(scene, t_end=0.1, dt=0.1, scheme=fmbd.EnergyMomentum())
     with pytest.raises(InputError, match='does not take elastic fields \\("rod"\\)'):

@@ -35,7 +35,7 @@ def pendulums(rod_mesh: Callable[..., Any]) -> fmbd.Run:
     bodies = (
         rod,
         rod.with_(name="few", mesh=low).reduced(modes=4),
-        fmbd.AbsoluteBody("free", high, 2, 1e3, energy=energy),
+        fmbd.AbsoluteBody("free", high, degree=2, density=1e3, energy=energy),
     )
     scene = fmbd.Scene("three", gravity=(0, -9.81))
     for body, y in zip(bodies, (0.0, -1.0, 1.0), strict=True):

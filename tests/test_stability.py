@@ -91,7 +91,9 @@ def test_finer_carrier_is_unstable(
 
 
 def test_infsup_of_a_tie(squares) -> None:
-    body = fmbd.AbsoluteBody("plate", squares(8), degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
+    body = fmbd.AbsoluteBody(
+        "plate", squares(8), degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3)
+    )
     good = fmbd.tie_surface("good", body.surface("bottom"), fmbd.ground)
     bad = fmbd.tie_surface("bad", body.surface("top"), fmbd.ground, space=Discontinuous(1))
     assert infsup(good).constant == pytest.approx(0.635, abs=2e-3)

@@ -180,6 +180,6 @@ def test_refusals(rod_mesh: Callable[..., Any]) -> None:
         kelvin_voigt(-1.0)
     for kind in (fmbd.FloatingBody, fmbd.AbsoluteBody):
         with pytest.raises(InputError, match="needs an AbsoluteBody with an energy"):
-            kind("rod", mesh, elastic=linear_elastic(1e3, 0.3), viscous=kelvin_voigt(1.0))
+            kind("rod", mesh, density=1.0, elastic=linear_elastic(1e3, 0.3), viscous=kelvin_voigt(1.0))
     with pytest.raises(InputError, match="did not give a UFL form"):
         the_field(rod(mesh, viscous=fmbd.ViscousForm(lambda u, rate, v, dx: 1.0)))
