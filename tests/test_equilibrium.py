@@ -85,7 +85,6 @@ def test_rotation_stretches_a_spring() -> None:
     assert found["mass"][0] == pytest.approx(100.0 / (100.0 - 2.0 * 16.0), rel=1e-10)
 
 
-@pytest.mark.mpi
 def test_large_deflection_of_an_absolute_rod(rod_mesh: Any) -> None:
     """A dead load in one call or after half of it: the same place, far beyond linear theory."""
     ends = []

@@ -88,7 +88,6 @@ def test_oscillator_in_turning_axes() -> None:
     assert found.omega[0] == pytest.approx((2.0 - rate, 2.0 + rate), rel=1e-7)
 
 
-@pytest.mark.mpi
 def test_placements_agree(rod_mesh: Any) -> None:
     """A clamped rod in a floating frame and in absolute coordinates; static gain as in the equilibrium under the load."""
     omega, gain = [], []

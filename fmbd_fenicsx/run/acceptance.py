@@ -62,6 +62,8 @@ class Closed:
                 for relative, numbers, _ in batch.terms:
                     if isinstance(relative, Turn):
                         out[rows[numbers]] = self.system.length
+        for _, span in self.system.port_constraints:
+            out[span] = 0.0  # equations of the user's own, in units of their own: no length to judge them by
         return out
 
     def check(self, ev: Evaluation) -> None:
