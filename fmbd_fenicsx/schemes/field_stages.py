@@ -47,7 +47,6 @@ DECADE = 3  # factors kept for a decade of step sizes
 KEPT = 6  # sets of elastic factors, that of the mass included
 ACCURATE = 1e-2  # share of the residual that an inner iteration leaves
 LIMIT = 40  # inner iterations
-SLOW = 20  # from here on nonlinear bodies get a new tangent for the preconditioner
 
 
 @dataclass(frozen=True, eq=False)
