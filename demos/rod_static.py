@@ -7,7 +7,7 @@ Composite and twisted beam: Wang et al., doi:10.1002/we.2101. Princeton beam: do
 """
 
 import numpy as np
-from rod_model import follow, panels, poses, tip
+from rod_model import panels, poses
 from rod_references import COMPOSITE, COMPOSITE_TIP, HELIX, PRINCETON, TWISTED, TWISTED_TIP
 
 import fmbd_fenicsx as fmbd
@@ -27,7 +27,8 @@ def solved(section, length, elements, degree=3, *, force=None, torque=None, stop
         scene.add(fmbd.forces.force("F", rod.surface("end"), lambda f: f * np.asarray(force)))
     if torque is not None:
         scene.add(fmbd.forces.torque("M", rod.surface("end"), lambda f: f * np.asarray(torque)))
-    return rod, *follow(scene, stops, first)
+    scene.sensor("tip", fmbd.sensors.position(rod.surface("end")))
+    return rod, fmbd.equilibrium(scene, path=fmbd.LoadSteps(stops, first))
 
 
 checks = []
@@ -35,8 +36,8 @@ for degree in (1, 2, 3):
     counts = (8, 16) if args.fast or degree < 3 else (16, 32, 64)
     error = []
     for n in counts:
-        _, system, found = solved(plain, 10.0, n, degree, torque=(0, 0, 20 * np.pi), stops=(0.5, 1.0))
-        error.append(np.linalg.norm(tip(system, found[1.0])))
+        _, found = solved(plain, 10.0, n, degree, torque=(0, 0, 20 * np.pi), stops=(0.5, 1.0))
+        error.append(np.linalg.norm(found["tip"]))
     order = float(np.log2(error[0] / error[1]))
     checks.append(Check(f"circle: order in the tip, degree {degree}", order, 2 * degree, 0.15 if degree > 1 else 0.4))
 checks.append(Check("circle closed, degree 3, m", error[-1], 0.0, 1e-5 if args.fast else 1e-10))
@@ -46,25 +47,27 @@ for name, C, F, phi, reference in (
     ("composite", COMPOSITE, (0, 0, 150.0), None, COMPOSITE_TIP),
     ("twisted", TWISTED, (0, 0, -4e6), lambda s: 0.05 * np.pi * s, TWISTED_TIP),
 ):
-    _, system, found = solved(fmbd.RodSection(C, 1.0, (1, 1, 1)), 10.0, n, force=F, twist=phi)
-    error = np.abs(tip(system, found[1.0]) - (10, 0, 0) - reference).max() / 10
+    _, found = solved(fmbd.RodSection(C, 1.0, (1, 1, 1)), 10.0, n, force=F, twist=phi)
+    error = np.abs(found["tip"] - (10, 0, 0) - reference).max() / 10
     checks.append(Check(f"{name} beam, tip over length, 1", error, 0.0, 1e-7 if args.fast else 1e-9))
 
 strip, worst = fmbd.RodSection((2.84191e6, 6.40131e5, 9.03881e5, 3.10338, 36.2794, 2.42873), 1.0, (1, 1, 1)), 0.0
 for load, angle, *reference in PRINCETON[:: 5 if args.fast else 1]:
     F = load * np.array([0, np.sin(np.radians(angle)), np.cos(np.radians(angle))])
-    _, system, found = solved(strip, 0.508, 8, force=F)
-    worst = max(worst, np.abs(tip(system, found[1.0]) - (0.508, 0, 0) - reference).max())
+    _, found = solved(strip, 0.508, 8, force=F)
+    worst = max(worst, np.abs(found["tip"] - (0.508, 0, 0) - reference).max())
 checks.append(Check("Princeton beam, all angles and loads, m", worst, 0.0, 1e-8))
 
-stops = [row[0] for row in HELIX if row[0] <= (0.1 if args.fast else 1.0)]
-spring, system, helix = solved(
+rows = [row for row in HELIX if row[0] <= (0.1 if args.fast else 1.0)]
+stops = tuple(row[0] for row in rows)
+spring, helix = solved(
     plain, 10.0, 24 if args.fast else 80, force=(0, 0, 50.0), torque=(0, 0, 200 * np.pi), stops=stops, first=2e-3
 )
-error = max(np.linalg.norm(tip(system, helix[row[0]]) - row[1:]) for row in HELIX if row[0] in helix)
+error = np.linalg.norm(helix.path.series["tip"][1:] - [row[1:] for row in rows], axis=1).max()
 checks.append(Check(f"helix to {stops[-1] * 10:g} turns, m", error, 0.0, 1e-6 if args.fast else 1e-5))
 
-pose, rng, e = poses(system, helix[0.1]), np.random.default_rng(0), system.elements[0]
+shapes = [poses(helix.system, point.q) for point in helix.path.points[1:]]
+pose, rng, e = shapes[stops.index(0.1)], np.random.default_rng(0), helix.system.elements[0]
 before = e.strains(pose)
 for _ in range(100):
     axis = rng.normal(size=3)
@@ -73,9 +76,9 @@ for _ in range(100):
 checks.append(Check("strain by 100 superposed rotations, 1", np.abs(e.strains(pose) - before).max(), 0.0, 1e-12))
 
 if args.picture:
-    rolled = solved(plain, 10.0, 16, torque=(0, 0, 20 * np.pi), stops=(0.25, 0.5, 0.75, 1.0))
+    rolled, circle = solved(plain, 10.0, 16, torque=(0, 0, 20 * np.pi), stops=(0.25, 0.5, 0.75, 1.0))
     panels(args.picture, {
-        "end moment: 1/4 to 4/4 of a circle": [(rolled[0], poses(rolled[1], q)) for q in rolled[2].values()],
-        "helix: 1/4, 1/2, 1 turn": [(spring, poses(system, helix[f])) for f in (0.025, 0.05, 0.1)],
+        "end moment: 1/4 to 4/4 of a circle": [(rolled, poses(circle.system, p.q)) for p in circle.path.points[1:]],
+        "helix: 1/4, 1/2, 1 turn": [(spring, shapes[stops.index(f)]) for f in (0.025, 0.05, 0.1)],
     })  # fmt: skip
 finish(checks, None, args)

@@ -12,6 +12,7 @@ from . import schemes as schemes
 from . import sensors as sensors
 from . import solvers as solvers
 from .analysis.arc_length import ArcLength as ArcLength
+from .analysis.load_steps import LoadSteps as LoadSteps
 from .analysis.campbell import campbell as campbell
 from .analysis.equilibrium import Equilibrium as Equilibrium
 from .analysis.equilibrium import equilibrium as equilibrium

@@ -113,3 +113,15 @@ def test_bad_input() -> None:
         fmbd.equilibrium(scene, spin=3.0)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="unit vector"):
         fmbd.Spin(1.0, axis=(0.0, 0.0, 2.0))
+
+
+def test_load_steps_refuse_what_cannot_be_followed():
+    """Parameters that descend, none at all, a first step of no length, and a stop at the start."""
+    for bad in ({"stops": (1.0, 0.5)}, {"stops": ()}, {"stops": (1.0,), "first": 0.0}):
+        with pytest.raises(InputError, match="LoadSteps"):
+            fmbd.LoadSteps(**bad)
+    rod = fmbd.Rod("rod", [(0, 0, 0), (1, 0, 0)], fmbd.RodSection((1e3,) * 6, 1.0, (1, 1, 1)), elements=1)
+    scene = fmbd.Scene("cantilever")
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("start")))
+    with pytest.raises(InputError, match="must be above t = 1"):
+        fmbd.equilibrium(scene, t=1.0, path=fmbd.LoadSteps((1.0,)))

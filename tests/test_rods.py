@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,9 +11,6 @@ from fmbd_fenicsx.mechanics.rods.elements import spins
 from fmbd_fenicsx.mechanics.rods.strains import shape_of, strain_hessian, strain_jacobian, strains
 from fmbd_fenicsx.rotations import hat, quaternion_exp, quaternion_matrix, quaternion_product
 from fmbd_fenicsx.system.force_tangent import force_tangent
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "demos"))
-from rod_model import follow, tip  # noqa: E402
 
 UNIT = fmbd.RodSection((1e4, 1e4, 1e4, 100.0, 100.0, 100.0), 1.0, (0.2, 0.1, 0.1))
 
@@ -37,6 +31,7 @@ def cantilever(rod, *loads):
     """A rod clamped at its start."""
     scene = fmbd.Scene("cantilever")
     scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("start")), *loads)
+    scene.sensor("tip", fmbd.sensors.position(rod.surface("end")))
     return scene
 
 
@@ -181,8 +176,8 @@ def test_composite_beam_to_order_two_p(degree, elements):
             "rod", [(0, 0, 0), (10, 0, 0)], fmbd.RodSection(COMPOSITE, 1.0, (1, 1, 1)), elements=n, degree=degree
         )
         scene = cantilever(rod, fmbd.force("F", rod.surface("end"), lambda t: (0, 0, 150.0 * t)))
-        system, found = follow(scene, (1.0,), first=1.0)
-        error.append(np.abs(tip(system, found[1.0]) - (10, 0, 0) - COMPOSITE_TIP).max())
+        found = fmbd.equilibrium(scene, t=1.0)
+        error.append(np.abs(found["tip"] - (10, 0, 0) - COMPOSITE_TIP).max())
     assert np.log2(error[0] / error[1]) == pytest.approx(2 * degree, abs=0.15)
     assert error[1] < {1: 2e-2, 2: 2e-6, 3: 1e-7}[degree]
 
@@ -191,10 +186,9 @@ def test_a_cantilever_rolls_up_to_a_circle():
     """End moment 2 pi EI / L, without a direction to begin with: 64 elements of degree 3 close it to 2e-12."""
     rod = fmbd.Rod("rod", [(0, 0, 0), (10, 0, 0)], UNIT, elements=32)
     scene = cantilever(rod, fmbd.torque("M", rod.surface("end"), lambda t: (0, 0, 20 * np.pi * t)))
-    system, found = follow(scene, (0.5, 1.0))
-    np.testing.assert_allclose(tip(system, found[0.5]), (0, 20 / np.pi, 0), atol=1e-9)
-    np.testing.assert_allclose(tip(system, found[1.0]), (0, 0, 0), atol=1e-9)
-    bend = system.elements[0].strains(system.poses(found[1.0]))
+    found = fmbd.equilibrium(scene, path=fmbd.LoadSteps((0.5, 1.0), first=0.1))
+    np.testing.assert_allclose(found.path.series["tip"], [(10, 0, 0), (0, 20 / np.pi, 0), (0, 0, 0)], atol=1e-9)
+    bend = found.system.elements[0].strains(found.system.poses(found.state.q))
     np.testing.assert_allclose(bend[..., 5], 0.2 * np.pi, rtol=1e-4)
     assert np.abs(bend[..., :3]).max() < 1e-5
 
@@ -208,8 +202,7 @@ def test_no_locking_of_thin_rods():
             arc = [(np.sin(a), 1 - np.cos(a), 0.0) for a in np.linspace(0, 1.5, 9)]
             rod = fmbd.Rod("rod", arc, section, elements=8, degree=degree)
             scene = cantilever(rod, fmbd.force("F", rod.surface("end"), lambda t: (0, 0, 60.0 * t)))
-            system, found = follow(scene, (1.0,), tolerance=1e-8)
-            tips.append(tip(system, found[1.0]))
+            tips.append(fmbd.equilibrium(scene, t=1.0)["tip"])
     for degree in range(3):
         np.testing.assert_allclose(tips[degree], tips[degree + 3], atol=3e-4)
     np.testing.assert_allclose(tips[0], tips[2], atol=6e-3)
@@ -219,11 +212,8 @@ def test_no_locking_of_thin_rods():
 def test_prestrain_bends_a_straight_rod():
     """A rod that is free of stress at a curvature takes it without load."""
     rod = fmbd.Rod("rod", [(0, 0, 0), (10, 0, 0)], UNIT, elements=32, prestrain=(0, 0, 0, 0, 0, 0.005 * np.pi))
-    system, found = follow(cantilever(rod), (1.0,), first=1.0)
-    angle = 0.05 * np.pi
-    np.testing.assert_allclose(
-        tip(system, found[1.0]), (10 * np.sin(angle) / angle, 10 * (1 - np.cos(angle)) / angle, 0), atol=1e-8
-    )
+    tip, angle = fmbd.equilibrium(cantilever(rod))["tip"], 0.05 * np.pi
+    np.testing.assert_allclose(tip, (10 * np.sin(angle) / angle, 10 * (1 - np.cos(angle)) / angle, 0), atol=1e-8)
 
 
 # -- sections and curves --------------------------------------------------------------------------------------------
@@ -323,8 +313,7 @@ def test_own_energy_that_stiffens():
         "band", [(0, 0, 0), (1, 0, 0)], fmbd.RodSection(energy=energy, mass=1.0, inertia=(1, 1, 1)), elements=2
     )
     scene = cantilever(rod, fmbd.force("F", rod.surface("end"), lambda t: (300.0 * t, 0, 0)))
-    system, found = follow(scene, (1.0,))
-    stretch = tip(system, found[1.0])[0] - 1.0
+    stretch = fmbd.equilibrium(scene, t=1.0)["tip"][0] - 1.0
     assert 100 * stretch + 400 * stretch**3 == pytest.approx(300.0, rel=1e-10)
 
 
@@ -406,8 +395,8 @@ def test_section_forces_are_those_of_statics():
     scene = cantilever(
         rod, fmbd.forces.force("F", end, lambda t: (3, 4, 5)), fmbd.forces.torque("M", end, lambda t: (6, 7, 8))
     )
-    system, found = follow(scene, (1.0,))
-    ev = system.at(1.0, found[1.0], np.zeros(system.n_v))
+    found = fmbd.equilibrium(scene, t=1.0)
+    ev = found.system.at(1.0, found.state.q, found.state.v)
     for name, arm in (("start", 2.0), ("middle", 1.0), ("end", 0.0)):
         forces = fmbd.sensors.section_forces(rod.surface(name)).read(ev, None, -1)
         np.testing.assert_allclose(forces, (3, 4, 5, 6, 7 - 5 * arm, 8 + 4 * arm), atol=1e-4)

@@ -19,23 +19,6 @@ from ..rotations import Array
 from .static_newton import Point, StaticNewton
 
 
-@dataclass(frozen=True)
-class ArcLength:
-    """Follow equilibria until the load parameter, the scene's time, reaches ``t_end`` (s) or ``most`` points are made.
-
-    ``step``: first and largest step, as a share of the model's length and of t_end together.
-    """
-
-    t_end: float
-    step: float = 0.05
-    most: int = 400
-
-    def __post_init__(self) -> None:
-        require(self.t_end != 0.0, "ArcLength: t_end is the last load parameter; it must not be zero.")
-        require(0.0 < self.step <= 1.0, f"ArcLength: step = {self.step} must be in (0, 1].")
-        require(self.most >= 1, f"ArcLength: most = {self.most} must be at least 1.")
-
-
 @dataclass(eq=False)
 class Path:
     """Points of a path. ``parameter`` (n,): the scene's time at each; ``series``: sensor -> (n, size).
@@ -47,6 +30,12 @@ class Path:
     points: list[Point] = field(default_factory=list)
     series: dict[str, Array] = field(default_factory=dict)
     distance: list[float] = field(default_factory=lambda: [0.0])  # along the path
+
+    def add(self, parameter: float, point: Point, length: float = 0.0) -> None:
+        """Take one more point, ``length`` beyond the last one along the path."""
+        self.points.append(point)
+        self.parameter.append(parameter)
+        self.distance.append(self.distance[-1] + length)
 
     @property
     def limits(self) -> list[int]:
@@ -65,30 +54,44 @@ class Path:
         return found
 
 
-def trace(newton: StaticNewton, start: Point, t: float, how: ArcLength) -> Path:
-    """The path from an equilibrium at t on; collective. Raises ConvergenceError where steps become too short."""
-    span = how.t_end - t
-    path = Path([t], [start])
-    tangent: tuple[Array, float] | None = None
-    length = how.step
-    while len(path.points) < how.most and (path.parameter[-1] - how.t_end) * np.sign(span) < 0:
-        point, now = path.points[-1], path.parameter[-1]
-        tangent = _tangent(newton, point, now, span, tangent)
-        while True:
-            try:
-                made, then, count = _step(newton, (point, now), tangent, span, length)
-                break
-            except (ConvergenceError, LinearSolveError) as error:
-                length *= 0.5
-                if length < 1e-5 * how.step:
-                    raise ConvergenceError(f"The path of equilibria ends at t = {now:g} s: {error}") from error
-        path.points.append(made)
-        path.parameter.append(then)
-        path.distance.append(path.distance[-1] + length)
-        length = min(how.step, length * (1.5 if count <= 4 else 0.7 if count > 7 else 1.0))
-    if (path.parameter[-1] - how.t_end) * np.sign(span) > 0:
-        _finish(newton, path, how.t_end)
-    return path
+@dataclass(frozen=True)
+class ArcLength:
+    """Follow equilibria until the load parameter, the scene's time, reaches ``t_end`` (s) or ``most`` points are made.
+
+    ``step``: first and largest step, as a share of the model's length and of t_end together.
+    """
+
+    t_end: float
+    step: float = 0.05
+    most: int = 400
+
+    def __post_init__(self) -> None:
+        require(self.t_end != 0.0, "ArcLength: t_end is the last load parameter; it must not be zero.")
+        require(0.0 < self.step <= 1.0, f"ArcLength: step = {self.step} must be in (0, 1].")
+        require(self.most >= 1, f"ArcLength: most = {self.most} must be at least 1.")
+
+    def trace(self, newton: StaticNewton, start: Point, t: float) -> Path:
+        """The path from an equilibrium at t on; collective. Raises ConvergenceError where steps become too short."""
+        span = self.t_end - t
+        path = Path([t], [start])
+        tangent: tuple[Array, float] | None = None
+        length = self.step
+        while len(path.points) < self.most and (path.parameter[-1] - self.t_end) * np.sign(span) < 0:
+            point, now = path.points[-1], path.parameter[-1]
+            tangent = _tangent(newton, point, now, span, tangent)
+            while True:
+                try:
+                    made, then, count = _step(newton, (point, now), tangent, span, length)
+                    break
+                except (ConvergenceError, LinearSolveError) as error:
+                    length *= 0.5
+                    if length < 1e-5 * self.step:
+                        raise ConvergenceError(f"The path of equilibria ends at t = {now:g} s: {error}") from error
+            path.add(then, made, length)
+            length = min(self.step, length * (1.5 if count <= 4 else 0.7 if count > 7 else 1.0))
+        if (path.parameter[-1] - self.t_end) * np.sign(span) > 0:
+            _finish(newton, path, self.t_end)
+        return path
 
 
 def _product(newton: StaticNewton, x: Array, y: Array) -> float:

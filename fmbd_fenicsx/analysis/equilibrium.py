@@ -4,6 +4,7 @@ fmbd.equilibrium(scene)                      at rest under the loads of t = 0
 fmbd.equilibrium(scene, t=2.0)               under those of t = 2 s, drives where they are then
 fmbd.equilibrium(scene, spin=Spin(30.0))     in rotation with 30 rad/s
 fmbd.equilibrium(scene, path=ArcLength(1.0)) along the loads of t = 0 ... 1 s, past limit points
+fmbd.equilibrium(scene, path=LoadSteps((0.5, 1.0))) under the loads of t = 0.5 s, then of t = 1 s
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from ..mechanics.reduction.modes import first_eigenvalue_bound
 from ..rotations import Array
 from ..system.scene.scene import Scene
 from ..system.system import State, System
-from .arc_length import ArcLength, Path, trace
+from .arc_length import ArcLength, Path
 from .basis import free_motions
+from .load_steps import LoadSteps
 from .perturbation import Perturbation
 from .static_newton import NoEquilibriumError, Point, StaticNewton, by_load_steps, relax
 from .steady import Residual, Spin, steady_rates
@@ -63,7 +65,12 @@ def read(where: Any, sensor: str, state: State) -> Array:
 
 
 def equilibrium(
-    scene: Scene, *, t: float = 0.0, spin: Spin | None = None, path: ArcLength | None = None, linear: Any = None
+    scene: Scene,
+    *,
+    t: float = 0.0,
+    spin: Spin | None = None,
+    path: ArcLength | LoadSteps | None = None,
+    linear: Any = None,
 ) -> Equilibrium:
     """The equilibrium of a scene near its given placement, under the loads of time t (s); collective.
 
@@ -80,14 +87,15 @@ def equilibrium(
     )
     require(spin is None or isinstance(spin, Spin), f"equilibrium: spin must be fmbd.Spin(rate, ...), found {spin!r}.")
     require(
-        path is None or isinstance(path, ArcLength), f"equilibrium: path must be fmbd.ArcLength(...), found {path!r}."
+        path is None or isinstance(path, ArcLength | LoadSteps),
+        f"equilibrium: path must be fmbd.ArcLength(...) or fmbd.LoadSteps(...), found {path!r}.",
     )
     system, given, markers = scene.build()
     solver = StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
     try:
         newton = static_newton(system, solver, t, spin)
         point = find(newton, Point(given.q, np.zeros(system.n_lam)), t)
-        made = None if path is None else trace(newton, point, t, path)
+        made = None if path is None else path.trace(newton, point, t)
         if made is not None:
             t, point = made.parameter[-1], made.points[-1]
         counters = {

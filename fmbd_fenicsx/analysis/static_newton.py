@@ -9,11 +9,15 @@ is taken when
 
     |P^-1 r(q + l d)| <= (1 - l / 4) |P^-1 r(q)|,     l = 1, 1/2, 1/4 ...                                       (2)
 
+Whole increments, l = 1, are tried first: a slender body that bends by them is stretched for one iteration, which (2) in the
+metric of the start would take for an ascent, and answer with a thousand short increments.
+
 Source: Deuflhard, Newton Methods for Nonlinear Problems, doi:10.1007/978-3-642-23899-4, on affine invariant tests of descent.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,7 +33,11 @@ RELAXED = 150  # iterations of descent from a poor start
 SHORTEST = 1 / 256  # load step, and share of an increment in the line search
 EXACT = ExactTangent(rtol=1e-6, max_iterations=60)
 
+WHOLE, DAMPED = 12, 40  # increments at most, without and with a line search
+LONG = 0.5  # increment that is not taken whole, over the model's length
+
 Pair = tuple[Array, Array]
+Increment = Callable[["Point", float, Pair, Pair], Pair | None]  # point, time, residuals, what they are to be
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,22 +95,28 @@ class StaticNewton:
         return self.solver.step(*b)
 
     # -- a whole iteration ----------------------------------------------------------------------------------------
-    def solve(self, start: Point, t: float, rest: Pair, most: int = 40) -> Point:
+    def solve(self, start: Point, t: float, rest: Pair) -> Point:
         """The point where both residuals equal ``rest``; ConvergenceError where the iteration ends elsewhere."""
+        carried = any(p.field.carried for _, p in self.residual.system.fields)
+        if carried:
+            return self._iterate(start, t, rest, DAMPED, self._carrying_increment)
+        try:
+            return self._iterate(start, t, rest, WHOLE, self._whole_increment)
+        except ConvergenceError:
+            return self._iterate(start, t, rest, DAMPED, self._damped_increment)
+
+    def _iterate(self, start: Point, t: float, rest: Pair, most: int, increment: Increment) -> Point:
+        """Newton's iteration of at most ``most`` increments from ``increment``, which gives None where there is none to take."""
         system, point, sizes = self.residual.system, start, [np.inf]
-        carried = any(p.field.carried for _, p in system.fields)
         for _ in range(most):
             r = self.take(point, t)
-            b = rest[0] - r[0], rest[1] - r[1]
             self.iterations += 1
-            dq, dlam = self.direct(b) if carried else self.inverse(point, t, r, rest)
-            size = system.max_abs(dq)
-            if not np.isfinite(size):
+            step = increment(point, t, r, rest)
+            if step is None:
                 break
-            share = 1.0 if carried or size < 1e-6 * system.length else self._share(point, t, (dq, dlam), b, rest)
-            if not share:
-                break
-            point = Point(system.compose(point.q, share * dq), point.lam + share * dlam)
+            point = Point(system.compose(point.q, step[0]), point.lam + step[1])
+
+            size = system.max_abs(step[0])
             sizes.append(size)
             stalled = size > 0.5 * sizes[-2] and size <= 1e-9 * system.length
             if size <= self.tolerance * system.length or stalled:
@@ -110,6 +124,29 @@ class StaticNewton:
                     break
                 return point
         raise ConvergenceError(f"increments of {', '.join(f'{x:.1e}' for x in sizes[-4:])} m")
+
+    def _carrying_increment(self, point: Point, t: float, r: Pair, rest: Pair) -> Pair | None:
+        """Increment of the solver's own matrix, the pressures of bodies with it."""
+        step = self.direct((rest[0] - r[0], rest[1] - r[1]))
+        return step if np.isfinite(self.residual.system.max_abs(step[0])) else None
+
+    def _whole_increment(self, point: Point, t: float, r: Pair, rest: Pair) -> Pair | None:
+        """Increment of the exact tangent, unless it is long against the model."""
+        system = self.residual.system
+        dq, dlam = self.inverse(point, t, r, rest)
+        return (dq, dlam) if system.max_abs(dq) <= LONG * system.length else None
+
+    def _damped_increment(self, point: Point, t: float, r: Pair, rest: Pair) -> Pair | None:
+        """Share (2) of the increment of the exact tangent."""
+        system = self.residual.system
+        dq, dlam = self.inverse(point, t, r, rest)
+        size = system.max_abs(dq)
+        if not np.isfinite(size):
+            return None
+        if size < 1e-6 * system.length:
+            return dq, dlam
+        share = self._share(point, t, (dq, dlam), (rest[0] - r[0], rest[1] - r[1]), rest)
+        return (share * dq, share * dlam) if share else None
 
     def _balanced(self, point: Point, t: float, rest: Pair) -> bool:
         """Whether the residuals are small in the measure of the preconditioner: no increment is no proof where J is singular."""
