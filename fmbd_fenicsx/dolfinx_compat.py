@@ -82,6 +82,13 @@ def geometry_dofmap(msh: Any) -> np.ndarray:
     return np.asarray(g.dofmaps[0] if hasattr(g, "dofmaps") else g.dofmap)
 
 
+def pull_back(msh: Any, x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Points x (n, d) of the cell with the geometry ``nodes`` (k, d), in the reference cell, (n, d)."""
+    g = msh.geometry
+    element = g.cmap if hasattr(g, "cmap") else g.cmaps[0]
+    return np.asarray(element.pull_back(np.ascontiguousarray(x), np.ascontiguousarray(nodes)))
+
+
 def interpolation_points(space: Any) -> np.ndarray:
     """Points of the reference cell where expressions are evaluated for a space, (n, d)."""
     points = space.element.interpolation_points

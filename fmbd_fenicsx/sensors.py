@@ -11,6 +11,7 @@ from .system.sensors.elements import (
     tension,
 )
 from .system.sensors.field import largest
+from .system.sensors.points import elastic_displacement, point_value, strain
 from .system.sensors.rods import section_forces, section_strains
 from .system.sensors.sensors import (
     acceleration,
@@ -38,6 +39,7 @@ __all__ = [
     "coordinates",
     "displacement",
     "dropper_forces",
+    "elastic_displacement",
     "element_effort",
     "element_force",
     "element_power",
@@ -45,14 +47,16 @@ __all__ = [
     "elongation",
     "joint_rate",
     "largest",
+    "point_value",
     "position",
     "reaction",
     "reaction_force",
     "reaction_torque",
     "rotation",
-    "tension",
     "section_forces",
     "section_strains",
+    "strain",
+    "tension",
     "velocity",
     "wire_height",
 ]

@@ -10,9 +10,9 @@ import numpy as np
 
 from ...checks import shown, typed, vector
 from ...errors import InputError, near, require
-from ...mechanics.bodies.bodies import Surface
+from ...mechanics.bodies.bodies import RigidBody, Surface
 from ...mechanics.joints.drives import JointCoordinate
-from ...mechanics.joints.joints import ground, refuse_no_attachment
+from ...mechanics.joints.joints import Ground, ground, refuse_no_attachment
 from ...mechanics.joints.relative import Relative
 from ...rotations import Array
 from ..foreshortened_ports import port_acceleration
@@ -258,20 +258,37 @@ def reaction_torque(joint: Any) -> Sensor:
     return ReactionWrench(None, "N m", None, named_part("reaction_torque: joint", joint), True)
 
 
+def _material(what: str, on: Any, point: Sequence[float] | None, level: int) -> Sensor | None:
+    """The motion of a material point where ``on`` is an elastic body itself, with a point; None for all else."""
+    if point is None or isinstance(on, Surface | RigidBody | Ground):
+        return None
+    from .points import is_elastic, point_motion
+
+    return point_motion(what, on, point, level) if is_elastic(on) else None
+
+
 def position(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
-    """World position (m) of a point of a rigid body (world coordinates at the start), or of a surface's mean."""
+    """World position (m): of a point of a rigid body (world coordinates at the start), of a surface's mean, or of a material
+    point of an elastic body (``on`` the body itself, ``point`` in its mesh as it was placed).
+    """
+    if (material := _material("position", on, point, 0)) is not None:
+        return material
     _placed("position", on, point)
     return Position(on, "m", point)
 
 
 def velocity(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
     """World velocity (m/s), as :func:`position`."""
+    if (material := _material("velocity", on, point, 1)) is not None:
+        return material
     _placed("velocity", on, point)
     return Velocity(on, "m/s", point)
 
 
 def acceleration(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
     """World acceleration (m/s^2), as :func:`position`; of the scheme's own acceleration at the end of the step."""
+    if (material := _material("acceleration", on, point, 2)) is not None:
+        return material
     _placed("acceleration", on, point)
     return Acceleration(on, "m/s^2", point)
 

@@ -1,0 +1,240 @@
+"""Sensors at material points of elastic bodies: motion, displacement, strain, any UFL quantity of the displacement.
+
+With the body's frame (r, R), its angular velocity w in body axes and P = X - r_0 + u at the point,
+
+    x = r + R P,    x' = r' + R (w x P + u'),    x'' = r'' + R (w' x P + w x (w x P) + 2 w x u' + u'')      (1)
+
+Bodies in absolute coordinates have the frame of the ground. Full and reduced bodies are read alike: a reduced one keeps the
+values of its modes at the nodes of the one cell that holds the point. The point is given where the mesh was placed, world axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...checks import function, vector
+from ...errors import require
+from ...fem.material_points import MaterialPoint, check_point, material_point
+from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody
+from ...mechanics.reduction.craig_bampton import ReducedBody
+from ...rotations import Array
+from ..system import Evaluation, State, System
+from .sensors import Sensor
+
+PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # of symmetric tensors
+
+
+@dataclass(frozen=True, eq=False)
+class PointOfBody:
+    """A material point found in the mesh of a part of a system.
+
+    ``modes`` (k, d, m): values of a reduced body's modes at the cell's nodes, None for others. ``lever`` (d,): X - r_0, m.
+    """
+
+    number: int
+    space: Any
+    point: MaterialPoint
+    modes: Array | None
+    lever: Array
+
+    def nodal(self, local: Array) -> Array:
+        """Displacements (k, d) of the cell's nodes, or rates of them, from local coordinates; collective."""
+        if self.modes is not None:
+            return self.modes @ local
+        d = len(self.lever)
+        count = self.space.dofmap.index_map.size_local
+
+        return self.point.nodal(local[: count * d].reshape(-1, d))
+
+
+def find(system: System, body: Any, X: Array) -> PointOfBody:
+    """A point of a body in a system; collective."""
+    number = next(k for k, part in enumerate(system.parts) if part.name == body.name)
+    part: Any = system.parts[number]
+    reduced = isinstance(body, ReducedBody)
+    space = part.body.reduction.space if reduced else part.field.space
+    origin = part.constants.center if reduced else part.origin
+    found = material_point(space, X)
+
+    modes = None
+    if reduced:
+        phi, d = part.body.reduction.phi, len(X)
+        modes = found.nodal(phi.reshape(len(phi) // d, -1)).reshape(len(found.shape), d, -1)
+    return PointOfBody(number, space, found, modes, X - origin)
+
+
+@dataclass(frozen=True, eq=False)
+class PointSensor(Sensor):
+    """A quantity at the material point ``at`` (d,) of a body."""
+
+    body: Any = None
+    at: tuple[float, ...] = ()
+
+    @property
+    def reads(self) -> dict[str, str]:
+        """A body."""
+        return {"body": self.body.name}
+
+    @property
+    def labels(self) -> Sequence[str]:
+        """Components of a vector."""
+        return "xyz"
+
+    def found(self, system: System) -> PointOfBody:
+        """The point in the system, searched once; collective."""
+        key = f"material point {id(self)}"
+        if key not in system.cache:
+            system.cache[key] = find(system, self.body, np.array(self.at))
+        return system.cache[key]  # type: ignore[no-any-return]
+
+    def displacements(self, ev: Evaluation) -> Array:
+        """Displacements (k, d) of the nodes of the point's cell, body axes; collective."""
+        p = self.found(ev.system)
+        return p.nodal(ev.system.local_q(ev.q, p.number))
+
+
+@dataclass(frozen=True, eq=False)
+class PointMotion(PointSensor):
+    """Position (level 0), velocity (1) or acceleration (2) of the point by (1), world axes, (d,)."""
+
+    level: int = 0
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """x, x' or x''."""
+        s, p = ev.system, self.found(ev.system)
+        k = s.parts[p.number].frame
+        d, R = len(self.at), ev.rotation[k]
+        P = p.lever + p.point.shape @ self.displacements(ev)
+        if self.level == 0:
+            return np.asarray(ev.pose[k, :d] + R @ P)
+
+        w = ev.twist[k, d:]
+        rate = p.point.shape @ p.nodal(s.local_v(state.v, p.number))
+        if self.level == 1:
+            return np.asarray(ev.twist[k, :d] + R @ (_cross(w, P) + rate))
+
+        accel = s.twists(state.a)[k]
+        second = p.point.shape @ p.nodal(s.local_v(state.a, p.number))
+        turning = _cross(accel[d:], P) + _cross(w, _cross(w, P)) + 2 * _cross(w, rate)
+        return np.asarray(accel[:d] + R @ (turning + second))
+
+
+def _cross(w: Array, x: Array) -> Array:
+    """w x x in the plane (w a single number) and in space."""
+    return w[0] * np.array([-x[1], x[0]]) if len(x) == 2 else np.cross(w, x)
+
+
+@dataclass(frozen=True, eq=False)
+class PointDisplacement(PointSensor):
+    """u of the point, axes of the body's frame, (d,)."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """u, m."""
+        return np.asarray(self.found(ev.system).point.shape @ self.displacements(ev))
+
+
+@dataclass(frozen=True, eq=False)
+class PointStrain(PointSensor):
+    """Strain at the point, body axes: xx, yy, xy in the plane, xx, yy, zz, yz, xz, xy in space; tensor components.
+
+    Of bodies with a linear form sym(grad u), of those with an energy (grad u + grad u^T + grad u^T grad u) / 2.
+    """
+
+    @property
+    def labels(self) -> Sequence[str]:
+        """Components of the tensor."""
+        return ["xyz"[i] + "xyz"[j] for i, j in PAIRS[len(self.at)]]
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """Components of the strain."""
+        H = self.displacements(ev).T @ self.found(ev.system).point.gradient
+        strain = 0.5 * (H + H.T)
+        if not isinstance(self.body, ReducedBody) and self.body.energy is not None:
+            strain = strain + 0.5 * H.T @ H
+        return np.array([strain[i, j] for i, j in PAIRS[len(self.at)]])
+
+
+@dataclass(frozen=True, eq=False)
+class PointQuantity(PointSensor):
+    """quantity(u) in UFL at the point; see :func:`point_value`."""
+
+    quantity: Callable[[Any], Any] = None  # type: ignore[assignment]
+
+    @property
+    def labels(self) -> Sequence[str]:
+        """None: a scalar, or numbered components row by row."""
+        return ()
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """The components, row by row; collective."""
+        s, p = ev.system, self.found(ev.system)
+        key = f"point value {id(self)}"
+        if key not in s.cache:
+            s.cache[key] = self._prepare(p)
+        u, expression = s.cache[key]
+
+        # one cell is evaluated, so the values of its nodes are enough
+        nodal = self.displacements(ev)
+        value = None
+        if p.point.cell >= 0:
+            nodes = p.space.dofmap.cell_dofs(p.point.cell)
+            u.x.array.reshape(-1, len(self.at))[nodes] = nodal
+            value = np.asarray(expression.eval(p.space.mesh, np.array([p.point.cell], np.int32))).ravel()
+        return np.asarray(p.space.mesh.comm.bcast(value, root=p.point.owner))
+
+    def _prepare(self, p: PointOfBody) -> tuple[Any, Any]:
+        from dolfinx import fem
+
+        u = fem.Function(p.space)
+        return u, fem.Expression(self.quantity(u), p.point.reference)
+
+
+def is_elastic(body: Any) -> bool:
+    """Whether a body has material points on a mesh."""
+    return isinstance(body, FloatingBody | AbsoluteBody | ReducedBody)
+
+
+def _point(what: str, body: Any, point: Any) -> tuple[Any, tuple[float, ...]]:
+    require(is_elastic(body), f"{what} reads a material point of an elastic body on a mesh, found {body!r}.")
+    x = vector(f"{what}: point", point, size=body.dim)
+    source = body.source if isinstance(body, ReducedBody) else body
+    check_point(source.mesh, x, what)
+    return body, tuple(float(c) for c in x)
+
+
+def point_motion(what: str, body: Any, point: Any, level: int) -> Sensor:
+    """Position, velocity or acceleration of a material point: what ``position(body, point=...)`` makes for elastic bodies."""
+    unit = ("m", "m/s", "m/s^2")[level]
+
+    return PointMotion(None, unit, None, *_point(what, body, point), level)
+
+
+def elastic_displacement(body: Any, *, point: Sequence[float]) -> Sensor:
+    """Displacement u (m) of a material point of an elastic body in the axes of the body's frame, (d,).
+
+    ``point``: where it lies in the mesh as it was placed, world axes, m. Of absolute bodies the whole motion x - X.
+    """
+    return PointDisplacement(None, "m", None, *_point("elastic_displacement", body, point))
+
+
+def strain(body: Any, *, point: Sequence[float]) -> Sensor:
+    """Strain at a material point, body axes: xx, yy, xy in the plane; xx, yy, zz, yz, xz, xy in space (tensor components).
+
+    Of bodies with ``elastic`` the linear strain, of those with ``energy`` that of Green and Lagrange. Within one cell, so it
+    jumps where the point crosses to the next. ``point`` as in :func:`elastic_displacement`.
+    """
+    return PointStrain(None, "-", None, *_point("strain", body, point))
+
+
+def point_value(body: Any, quantity: Callable[[Any], Any], *, point: Sequence[float], unit: str = "Pa") -> Sensor:
+    """Value of quantity(u) in UFL at a material point, u the displacement in the body's axes; tensors row by row.
+
+    Say a stress: ``point_value(rod, lambda u: 2 * mu * sym(grad(u)) + lam * div(u) * Identity(2), point=(0.5, 0.02))``.
+    ``point`` as in :func:`elastic_displacement`. Collective, each time it is read.
+    """
+    body, at = _point("point_value", body, point)
+    return PointQuantity(None, unit, None, body, at, function("point_value: quantity", quantity))
