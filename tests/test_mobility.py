@@ -73,7 +73,6 @@ def test_duplicated_joint_is_redundant() -> None:
     assert 'joint "one"' in str(found)
 
 
-@pytest.mark.xfail(reason="the compiled driver misses the bound on positions: 1.5e-9 of 1e-9 m", strict=False)
 def test_redundant_mechanism_moves_as_the_one_without() -> None:
     """Positions to 1e-9; forces of the redundant group add up to the same."""
     runs = []
@@ -306,7 +305,6 @@ def rotor(light: float | None) -> fmbd.Run:
     return fmbd.solve(scene, t_end=0.2, dt=2e-3)
 
 
-@pytest.mark.xfail(reason="the compiled driver misses the bound on the tip: 5e-8 of 5e-9 m", strict=False)
 def test_heavy_rotor_on_a_light_shaft() -> None:
     """A shaft of a billionth of the rotor's mass; the rotor moves as a top without it."""
     top, run = rotor(None), rotor(1e-9)

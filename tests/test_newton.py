@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.schemes.newton import Newton
+from fmbd_fenicsx.schemes.newton import Newton, above_roundoff
+from fmbd_fenicsx.system.scene.build import Builder
 
 
 def run(sizes, **settings):
@@ -61,3 +62,15 @@ def test_rows_follow_a_prediction_that_was_far_off(rod_mesh: Callable[..., Any])
     scene.add(fmbd.force("load", a.surface("tip"), lambda t: np.array([5e3, 5e3])))
     run = fmbd.solve(scene, t_end=0.02, dt=2e-3, scheme=fmbd.GeneralizedAlpha(0.8))
     assert run.counters["newton_iterations"] <= 4 * 10
+
+
+def test_what_counts_of_a_balance_at_roundoff() -> None:
+    """A light shaft between heavy forces: its residual of 1e-17 N m is roundoff of moments of 1 N m, 1e-10 N m is not."""
+    scene = fmbd.Scene("shaft", gravity=(0, 0, -9.81))
+    shaft = fmbd.RigidBody("shaft", 1e-9, (1e-12, 1e-12, 1e-14), position=(0, 0, 0.5))
+    scene.add(shaft, fmbd.spherical("pin", fmbd.ground, shaft, center=(0, 0, 0)))
+    system, state, _ = Builder(scene).build()
+    ev = system.at(0.0, state.q, state.v)
+    lam, r = np.full(3, 10.0), np.array([0.0, 0.0, 0.0, 1e-17, 1e-10, 0.0])
+    assert above_roundoff(ev, lam, r, np.zeros(3)).tolist() == [0, 0, 0, 0, 1, 0]
+    assert above_roundoff(ev, lam, r, np.full(3, 1e-6)).all()  # open constraints: everything counts

@@ -11,10 +11,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from ..checks import check_fields
 from ..errors import ConvergenceError, require
 from ..rotations import Array
-from ..system.system import System
+from ..system.system import Evaluation, System
 
 FINEST = 1e-13  # increments are known to about this share
 
@@ -94,6 +96,30 @@ class Newton:
             if left <= 1.0 or size <= 1e-3:
                 return True, history
         return False, history
+
+
+def above_roundoff(ev: Evaluation, lam: Array, r: Array, g: Array) -> Array:
+    """Which components of the balance ``r`` are larger than the roundoff of their own terms, like v: 1, else 0.
+
+    A body of little inertia that heavy ones hold by large forces has a balance known to eps times these forces only. What
+    is left of it moves the body's free coordinates by more than a tolerance that is relative to accelerations, for ever.
+    Forces are compared frame by frame, since the lever of a force may cancel in one direction. All count while
+    constraints ``g`` are open. Replicated coordinates.
+    """
+    system, few = ev.system, 32 * np.finfo(float).eps
+    if system.fields or np.abs(g).max(initial=0.0) > few * system.length:
+        return np.ones(len(r))
+
+    G = ev.jacobian.core
+    reactions = abs(G).T @ np.abs(lam)
+    terms = reactions + np.abs(r - G.T @ lam)
+
+    # one size for the forces on a frame, one for the moments
+    n = system.motions.n_twist
+    frames = terms[: system.n_frames * n].reshape(-1, n)
+    for components in (slice(None, system.motions.dim), slice(system.motions.dim, None)):
+        frames[:, components] = frames[:, components].max(axis=1, keepdims=True)
+    return np.where(np.abs(r) > few * terms, 1.0, 0.0)
 
 
 def strayed(system: System, xi: Array, predicted: Array) -> bool:

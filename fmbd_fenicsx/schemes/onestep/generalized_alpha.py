@@ -43,7 +43,7 @@ from ...system.system import State, System
 from ..consistent import jerk, spin_of_acceleration, worst_block
 from ..dae import GGL, Form, Index3
 from ..exact_tangent import exact_increment
-from ..newton import Newton, not_converged, strayed
+from ..newton import Newton, above_roundoff, not_converged, strayed
 
 # of the model's length: after a larger increment, rows and the core's matrix are taken where it led
 FAR = 1e-4
@@ -241,6 +241,8 @@ class Stepper:
             last = g
             size = max(system.max_abs(dq), system.max_abs(closing))
             far = size > FAR * system.length
+            if done > 2 and size > tolerance and not stabilised:
+                size = system.max_abs(dq * above_roundoff(ev, lam - dlam / scale, r, g))
             return size / tolerance
 
         begun = xi

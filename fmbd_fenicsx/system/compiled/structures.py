@@ -67,7 +67,7 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
             ("python", PYTHON),
             *_fields("samples laws stiff", _INT),
             *_fields("cd ck epsilon", _REAL),
-            *_fields("q work big zero", _POINTER),
+            *_fields("q work big", _POINTER),
             *_fields("evaluations factors calls", _LONG),
         ],
     }

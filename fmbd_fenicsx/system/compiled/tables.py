@@ -337,7 +337,7 @@ class Tables:
         widest = int(self.width.max(initial=0))
         sizes = {
             "velocity": self.nothing + 1, "residual": self.nothing + 1, "wrench": self.nothing + 1,
-            "gap": self.rows, "motion": self.rows, "weight": self.rows, "zero": self.rows, "diagonal": size,
+            "gap": self.rows, "motion": self.rows, "weight": self.rows, "diagonal": size,
             "L": self.fronts.storage + 8, "inverse": size, "b": size, "local": size,
             "work": 3 * s.n_v + 2 * self.rows, "big": (2 * self.twist + 1) * 2 * widest + size,
         }  # fmt: skip

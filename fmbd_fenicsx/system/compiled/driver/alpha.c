@@ -163,7 +163,6 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         for (int j = 0; j <= known; j++) out.lam[i] += w[j] * past[j].lam[i];
     }
 
-    memset(y, 0, m * sizeof(double));
     double typical = fmax(largest_of(s->units, out.a, n), 1e-12 * p[LENGTH]);
     double tolerance = fmax(p[TOL] * scale * typical, p[FLOOR]);
 
@@ -171,9 +170,10 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         configuration(s, now.q, xi, out.q);
         for (int i = 0; i < n; i++) out.v[i] = now.v[i] + h * ((1 - gamma) * now.A[i] + gamma * out.A[i]);
 
-        /* dependent rows: the multipliers themselves, not their increments, are those of minimum norm */
+        /* dependent rows: the first solution gives the multipliers themselves, of minimum norm, and not their increments */
         memcpy(lam, out.lam, m * sizeof(double));
-        if ((verdict = evaluate(s, out.q, out.v, out.a, s->redundant ? s->zero : out.lam, t))) return verdict;
+        if (s->redundant && !done) memset(out.lam, 0, m * sizeof(double));
+        if ((verdict = evaluate(s, out.q, out.v, out.a, out.lam, t))) return verdict;
         /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment; a law may
            have other slopes there */
         int turning = s->stiff && done > 0 && (p[THETA] > SLOW_TURN || (done == 1 && s->stiff > 1));
@@ -184,7 +184,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         double size = largest_of(s->units, x, n);
         far = size > p[FAR];
         sizes[done++] = size / tolerance;
-        for (int i = 0; i < m; i++) out.lam[i] = (s->redundant ? 0.0 : out.lam[i]) + y[i] / scale;
+        for (int i = 0; i < m; i++) out.lam[i] += y[i] / scale;
         for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, x + TWIST * b);
         for (int i = 0; i < n; i++) {
             xi[i] += x[i];

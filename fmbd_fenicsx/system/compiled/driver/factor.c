@@ -27,9 +27,9 @@ static inline void eliminate(double *F, int ld, int rows, int k, double inverse)
     }
 }
 
-/* Dependent rows get -epsilon on the diagonal: G x - epsilon y = c instead of G x = c. Solving again with c less epsilon times
-   the last y closes the rows, and started from y = 0 it leads to the smallest of all multipliers (proximal point method;
-   Rockafellar, doi:10.1287/moor.1.2.97). */
+/* Dependent rows get -epsilon on the diagonal: G x - epsilon y = c instead of G x = c. Solving again for what is left open, with
+   the multipliers found so far in the residual, closes the rows; started from no multipliers it leads to the smallest of all
+   (method of multipliers, a proximal point method; Rockafellar, doi:10.1287/moor.1.2.97). */
 static void soften(System *s)
 {
     double largest = 0.0;

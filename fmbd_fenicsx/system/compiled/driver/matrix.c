@@ -192,13 +192,12 @@ static int prepare(System *s, const double *q, double cd, double ck, const doubl
     return verdict == SINGULAR ? assemble(s, q, cd, ck, 0.0, lam, 0, t) : verdict;
 }
 
-/* Newton's increment: x (like v, body axes) and y from -scale times the residuals evaluated last and the open constraints; of
-   dependent rows y comes in as it was found last. */
+/* Newton's increment: x (like v, body axes) and y from -scale times the residuals evaluated last and the open constraints. */
 static void increment(System *s, double scale, double *x, double *y)
 {
     double *b = s->b;
     for (int i = 0; i < s->nu; i++) b[i] = -scale * s->residual[i];
-    for (int i = 0; i < s->rows; i++) b[s->nu + i] = -s->gap[i] - s->epsilon * y[i];
+    for (int i = 0; i < s->rows; i++) b[s->nu + i] = -s->gap[i];
     back_solve(s, b);
 
     for (int k = 0; k < s->bodies; k++) {

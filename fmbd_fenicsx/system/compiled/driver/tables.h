@@ -96,7 +96,7 @@ typedef struct {
     int samples, laws, stiff;   /* stiff: efforts depend on the motion (2: by laws); whether Python is asked once a step, at every evaluation */
     double cd, ck, epsilon;            /* of the matrix in the fronts */
     const double *q;                   /* the configuration evaluated last */
-    double *work, *big, *zero;
+    double *work, *big;
     long evaluations, factors, calls;
 } System;
 
