@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError, near
-from ..mechanics.bodies.bodies import ElasticBody
-from ..mechanics.reduction.craig_bampton import ReducedBody
+from ..system.scene.refinement import meshed_bodies, modal_bodies
 
 if TYPE_CHECKING:
     from .solve import Run
@@ -86,9 +85,7 @@ def certificate_of(run: Run) -> Certificate:
     The error of algebra is that of Newton's iteration: its tolerance, relative to accelerations and reactions, as a share of the
     range of each sensor.
     """
-    bodies = run.scene.bodies.values()
-    reduced = any(isinstance(b, ReducedBody) for b in bodies)
-    meshed = reduced or any(isinstance(b, ElasticBody) for b in bodies)
+    reduced, meshed = bool(modal_bodies(run.scene)), bool(meshed_bodies(run.scene))
     controlled = getattr(run.scheme, "rtol", None) is not None
 
     unstated = {}

@@ -3,25 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from ..errors import ConvergenceError
+from ..errors import ConvergenceError, InputError
 from ..linear.condensation import StepSolver
 from ..log import log
 from ..schemes.control import FINEST
 from ..system.scene.refined_basis import finer_system
 from ..system.scene.refinement import finer_space
+from ..system.scene.scene import Scene
 from .output import Output, Recorder
 from .schedule import Pace
 from .time_loop import Problem, begin, make_solver, march
 
+SEEN = 0.75  # share of the scheme's order above which runs with larger steps follow the same motion
 AHEAD = 4.0 / 3.0  # the error of the finer space counts as at most a quarter of that of the given one
+ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
 SATURATION = 2.0  # the error of the finer basis counts as at most half of that of the given one
 
 
-def time_error(problem: Problem, fine: Recorder, pace: Pace) -> tuple[dict[str, float], dict[str, float]]:
+@dataclass(frozen=True)
+class Compared:
+    """A run of the scene as it stands, and its steps: what runs in finer spaces or with more modes are compared with."""
+
+    recorder: Recorder
+    pace: Pace
+
+
+@dataclass(frozen=True)
+class TimeError:
+    """Error of time and observed order of each sensor; ``with_others``: the cheapest run that follows the same motion."""
+
+    errors: dict[str, float]
+    orders: dict[str, float]
+    with_others: Compared
+
+
+def time_error(problem: Problem, fine: Recorder, pace: Pace) -> TimeError:
     """Error of each sensor by Richardson's extrapolation from runs with 2 h and 4 h, and the observed order;
     collective.
 
@@ -32,12 +53,12 @@ def time_error(problem: Problem, fine: Recorder, pace: Pace) -> tuple[dict[str, 
     below 1/2 counts as 1/2. Motion that the scheme damps in all three runs is not seen. Hairer, Norsett,
     Wanner, doi:10.1007/978-3-540-78862-1, II.4.
     """
-    times = fine.output.times
+    times, given = fine.output.times, Compared(fine, pace)
     try:
         half = _again(problem, pace, 2, times)
     except ConvergenceError as error:
         log.warning("no error estimate: the run with twice the step did not end: %s", error)
-        return {}, {}
+        return TimeError({}, {}, given)
     try:
         quarter = _again(problem, pace, 4, times)
     except ConvergenceError:
@@ -50,7 +71,11 @@ def time_error(problem: Problem, fine: Recorder, pace: Pace) -> tuple[dict[str, 
             p = float(np.log2(far / near)) if far > 0 else 0.0
         usable = problem.scheme.order if np.isnan(p) else min(max(p, 0.5), problem.scheme.order)
         errors[name], orders[name] = near / (2.0**usable - 1.0), p
-    return errors, orders
+    moving = [n for n, x in fine.series.items() if errors[n] > ROUNDOFF * np.abs(x).max(initial=0.0)]
+    known = [orders[n] for n in moving]
+    if quarter is None or not known or not min(known) >= SEEN * problem.scheme.order:
+        return TimeError(errors, orders, given)
+    return TimeError(errors, orders, Compared(quarter, Pace(pace.t_end, pace.steps // 4)))
 
 
 def tolerance_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str, float]:
@@ -72,10 +97,10 @@ def tolerance_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str,
     return {n: float(np.abs(x - fine.series[n]).max(initial=0.0)) for n, x in coarse.series.items()}
 
 
-def space_error(problem: Problem, coarse: Recorder, pace: Pace) -> tuple[dict[str, float], str]:
+def space_error(problem: Problem, compared: Compared) -> tuple[dict[str, float], str]:
     """Error of each sensor by the meshes of the elastic bodies, and what could not be stated; collective.
 
-    The run is made once more, with the same steps, each body in a finer space
+    A run is made once more, with the same steps, each body in a finer space
     (:func:`~fmbd_fenicsx.system.scene.refinement.finer_space`):
 
         |x_h - x| <= |x_h - x_f| + |x_f - x| <= 4/3 |x_h - x_f|     as long as  |x_f - x| <= |x_h - x| / 4         (2)
@@ -83,16 +108,14 @@ def space_error(problem: Problem, coarse: Recorder, pace: Pace) -> tuple[dict[st
     in the maximum norm over time, x the run without an error in space. Near singular corners the finer space is less far ahead,
     and the estimate too small by up to a third.
     """
-    scene, without = finer_space(problem.scene)
-    why = "" if not without else "no finer space for " + ", ".join(f'body "{n}"' for n in without)
-    if scene is problem.scene:
+    scene, why, built = _finer_scene(problem.scene)
+    if built is None:
         return {}, why or "no body is on a mesh"
-    system, given, markers = scene.build()
+    system, given, markers = built
     solver = make_solver(scene, system, problem.linear)
     newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
-    wanted = replace(coarse.output, snapshots=0, energy=False, progress=False, on_step=None)
-    if not pace.steps:
-        wanted = replace(wanted, times=tuple(coarse.times))
+    coarse, pace = compared.recorder, compared.pace
+    wanted = _as_recorded(coarse, pace)
     try:
         start, _ = begin(scene, problem.scheme, system, given, solver=solver, h=pace.next(0.0))
         finer = replace(problem, scene=scene, system=system, markers=markers, given=given, start=start, newton=newton)
@@ -109,6 +132,24 @@ def space_error(problem: Problem, coarse: Recorder, pace: Pace) -> tuple[dict[st
         else:
             why = f'"{name}" has other values on another mesh'
     return errors, why
+
+
+def _finer_scene(scene: Scene) -> tuple[Scene, str, Any]:
+    """The scene in finer spaces, what has none, and the system; None where nothing is finer. Collective.
+
+    Ties and contact take some degrees only: where they refuse a higher one, meshes of half the cell size are taken.
+    """
+    why = ""
+    for higher in (True, False):
+        finer, without = finer_space(scene, higher=higher)
+        why = "" if not without else "no finer space for " + ", ".join(f'body "{n}"' for n in without)
+        if finer is scene:
+            continue
+        try:
+            return finer, why, finer.build()
+        except InputError as error:
+            why = str(error)
+    return scene, why, None
 
 
 def _again(problem: Problem, pace: Pace, factor: int, times: Sequence[float] | None) -> Recorder:
@@ -146,10 +187,16 @@ def _distance(fine: Recorder, coarse: Recorder, name: str) -> float:
     return float(np.abs(x[rows] - y[[fine.indices[k] // 2 for k in rows]]).max(initial=0.0))
 
 
-def reduction_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str, float]:
+def _as_recorded(coarse: Recorder, pace: Pace) -> Output:
+    """Sensors at the instants of another run with the same steps, and nothing else."""
+    wanted = replace(coarse.output, snapshots=0, energy=False, progress=False, on_step=None)
+    return wanted if pace.steps else replace(wanted, times=tuple(coarse.times))
+
+
+def reduction_error(problem: Problem, compared: Compared) -> dict[str, float]:
     """Error of each sensor by the modes that reduced bodies leave out; collective. Empty without reduced bodies.
 
-    The run is made once more, with the same steps, by finer bases that contain the given ones
+    A run is made once more, with the same steps, by finer bases that contain the given ones
     (``mechanics.reduction.craig_bampton.Finer``):
 
         |x_m - x| <= |x_m - x_f| + |x_f - x| <= 2 |x_m - x_f|     as long as  |x_f - x| <= |x_m - x| / 2         (1)
@@ -163,9 +210,8 @@ def reduction_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str,
     system, given = made
     solver = make_solver(problem.scene, system, problem.linear)
     newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
-    wanted = replace(coarse.output, snapshots=0, energy=False, progress=False, on_step=None)
-    if not pace.steps:
-        wanted = replace(wanted, times=tuple(coarse.times))
+    coarse, pace = compared.recorder, compared.pace
+    wanted = _as_recorded(coarse, pace)
     try:
         start, _ = begin(problem.scene, problem.scheme, system, given, solver=solver, h=pace.next(0.0))
         finer = replace(problem, system=system, given=given, start=start, newton=newton, pressures=solver.pressures)

@@ -23,7 +23,7 @@ from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.plan import Plan, make_plan
 from ..system.scene.scene import Scene
 from ..system.system import State, System
-from .estimates import reduction_error, space_error, time_error, tolerance_error
+from .estimates import Compared, reduction_error, space_error, time_error, tolerance_error
 from .output import Output, refuse_too_many
 from .schedule import Pace, pace_of
 from .settings import check_settings, checked_scheme
@@ -351,21 +351,29 @@ def solve(
     )
     if run.status == "stopped":
         raise Stopped(run) if keeper is None else Stopped(run, keeper.exit_code)
-    if output.estimate_error and not pace.steps:
-        run.error_estimate = tolerance_error(problem, marched.recorder, pace)
+    _state_errors(run, problem, Compared(marched.recorder, pace), output)
+    return run
+
+
+def _state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> None:
+    """The estimates that were asked for; collective."""
+    ended = clock.perf_counter()
+    if output.estimate_error and not made.pace.steps:
+        run.error_estimate = tolerance_error(problem, made.recorder, made.pace)
         run.seconds["error estimate"] = clock.perf_counter() - ended
     elif output.estimate_error:
-        run.error_estimate, run.observed_order = time_error(problem, marched.recorder, pace)
+        found = time_error(problem, made.recorder, made.pace)
+        run.error_estimate, run.observed_order, made = found.errors, found.orders, found.with_others
         run.seconds["error estimate"] = clock.perf_counter() - ended
+
     if output.estimate_reduction:
         ended = clock.perf_counter()
-        run.reduction_error = reduction_error(problem, marched.recorder, pace)
+        run.reduction_error = reduction_error(problem, made)
         run.seconds["reduction estimate"] = clock.perf_counter() - ended
     if output.estimate_space:
         ended = clock.perf_counter()
-        run.space_error, run.space_unstated = space_error(problem, marched.recorder, pace)
+        run.space_error, run.space_unstated = space_error(problem, made)
         run.seconds["space estimate"] = clock.perf_counter() - ended
-    return run
 
 
 def check_pressures(system: System, scheme: Any) -> None:

@@ -7,7 +7,7 @@ are estimated again only when bodies have changed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,15 +15,23 @@ import numpy as np
 
 from ..errors import ConvergenceError, InputError, LinearSolveError, near, require
 from ..log import log
+from ..mechanics.bodies.bodies import ElasticBody
+from ..mechanics.reduction.craig_bampton import ReducedBody
 from ..schemes.control import FINEST
 from ..system.scene.refinement import more_modes, refined
 from ..system.scene.scene import Scene
 from .certificate import KINDS, Statement
+from .estimates import SEEN
 from .output import Output
+from .settings import checked_scheme
 from .solve import Run, default_scheme, solve
 
 ATTEMPTS = 12
-AIM = 0.4  # share of the tolerance that each kind of error is brought below
+AIM = 0.6  # share of the tolerance below which the error of space, or of modes, is brought: its estimate is the coarser one
+WHOLE, SAFE = 0.8, 0.9  # shares that all kinds together are brought below, and must be
+RATE = 4.0  # by which the error in space falls from one level to the next, until it was seen
+LEAST = 0.65  # of smaller changes of the step the runs cost more than they save
+NEAR, FAR = 1 / 16, 1 / 128  # most that a step is made smaller at once, without and with the order of the scheme seen
 START = 100  # steps of the first attempt where no dt is given
 FLOOR = 1e-12  # share of the range of a sensor that roundoff leaves
 
@@ -68,7 +76,9 @@ class Attempt:
 
 @dataclass(frozen=True)
 class _Plan:
-    """What the next attempt is made with; ``known``: errors of space and modes that still hold."""
+    """What the next attempt is made with; ``known``: errors of space and modes that still hold; ``before``: level of the meshes
+    and error in space over the tolerance of the attempt before they were refined last.
+    """
 
     scene: Scene
     scheme: Any
@@ -76,6 +86,7 @@ class _Plan:
     meshes: int = 0
     modes: int = 0
     known: tuple[dict[str, float], dict[str, float], str] | None = None
+    before: tuple[int, float] | None = None
 
     @property
     def step(self) -> float:
@@ -94,7 +105,7 @@ def solve_within(
     """A run whose stated errors are below ``tol``, or the best that was found, see :func:`.solve`; collective."""
     _check(scene, tol)
     scheme, dt = start
-    scheme = default_scheme(scene) if scheme is None else scheme
+    scheme = default_scheme(scene) if scheme is None else checked_scheme(scheme)
     if getattr(scheme, "rtol", None) is not None:
         plan = _Plan(scene, replace(scheme, rtol=max(scheme.rtol, 1e-4)), None)
     else:
@@ -115,15 +126,13 @@ def solve_within(
         worst = _worst(run, tol)
         if best is None or worst < best[0]:
             best = worst, run
-        if worst <= 1.0:
-            why = ""
-        else:
-            plan_next, then = _next(plan, run, tol)
-            why = then if plan_next is None else why
+        plan_next, then = (None, "done") if _safe(run, tol) else _next(plan, run, tol, history)
+        if plan_next is None and worst <= 1.0:  # nothing can be made better, and nothing has to
+            then = "done"
         errors = {n: run.certificate[n].total for n in tol}
-        done = "done" if worst <= 1.0 else then
-        history.append(Attempt(plan.step, plan.meshes, plan.modes, worst, errors, _seconds(run), done))
-        if worst <= 1.0 or plan_next is None:
+        history.append(Attempt(plan.step, plan.meshes, plan.modes, worst, errors, _seconds(run), then))
+        if plan_next is None:
+            why = then
             break
         plan = plan_next
     if best is None:
@@ -181,38 +190,94 @@ def _worst(run: Run, tol: Mapping[str, Any]) -> float:
     return np.inf if made.unstated else max(shares)
 
 
-def _next(plan: _Plan, run: Run, tol: Mapping[str, Any]) -> tuple[_Plan | None, str]:
-    """The next plan and what it changes, or None and why there is none."""
-    over = {kind: np.inf if kind in run.certificate.unstated else 0.0 for kind in KINDS}
-    for name, value in tol.items():
-        s = run.certificate[name]
-        for kind in over:
-            error = getattr(s, kind)
-            over[kind] = max(over[kind], 0.0 if error is None else error / (AIM * _limit(s, value)))
+def _safe(run: Run, tol: Mapping[str, Any]) -> bool:
+    """Whether the stated errors leave room for that of the estimates themselves."""
+    fixed = max(_share(run.certificate[n], x, kind, run) for n, x in tol.items() for kind in ("space", "modes"))
+    return _worst(run, tol) <= SAFE and fixed <= AIM
 
-    if max(over.values()) == over["algebra"] and over["algebra"] > 1.0:
+
+def _next(plan: _Plan, run: Run, tol: Mapping[str, Any], history: Sequence[Attempt]) -> tuple[_Plan | None, str]:
+    """The next plan and what it changes, or None and why there is none.
+
+    Spaces and modes come first, with steps as they are: runs that are compared for them may be coarse in time. Steps are then
+    made as small as what is left of the tolerance asks for.
+    """
+    over = {kind: max(_share(run.certificate[n], x, kind, run) for n, x in tol.items()) for kind in KINDS}
+    if over["algebra"] > AIM:
         return None, "Newton's tolerance is too large: give newton=Newton(tolerance=...)"
+
     made, done = plan, []
+    limits = _limits(over)
     try:
-        if over["space"] > 1.0:
-            made = replace(made, scene=refined(made.scene), meshes=made.meshes + 1, known=None)
+        if over["space"] > limits["space"]:
+            made = _finer_meshes(made, over["space"], limits["space"])
             done.append("finer meshes")
-        if over["modes"] > 1.0:
-            made = replace(made, scene=more_modes(made.scene), modes=made.modes + 1, known=None)
+        if over["modes"] > limits["modes"]:
+            made = replace(made, scene=more_modes(made.scene, run.system), modes=made.modes + 1, known=None)
             done.append("more modes")
     except InputError as error:
         known = run.certificate.unstated.get("space")
         return None, f"{error}" + (f" Of its error in space: {known}." if known else "")
+
+    unseen = not np.isfinite(over["time"])
+    if made is not plan and not unseen and not (over["time"] > 1.0 and _order(run, tol) < 1.0):
+        return made, " and ".join(done)
     if made is plan:
         made = replace(made, known=(run.space_error, run.reduction_error, run.space_unstated))
-    if over["time"] > 1.0:
-        order = 1.0 if made.dt is None else _order(run, tol)
-        factor = float(np.clip(over["time"] ** (-1.0 / order), 1 / 16, 0.8)) if np.isfinite(over["time"]) else 0.25
-        made = _finer_steps(made, factor)
-        done.append("finer steps")
-        if made.dt is None and made.scheme.rtol <= FINEST:
-            return None, "the scheme's tolerance is at roundoff"
-    return made, " and ".join(done) or "nothing is left to refine"
+    factor = 0.25 if unseen else _factor(plan, run, tol, (over["time"], limits["time"]), history)
+    made = _finer_steps(made, factor)
+    if made.dt is None and made.scheme.rtol <= FINEST:
+        return None, "the scheme's tolerance is at roundoff"
+    return made, " and ".join([*done, "finer steps"])
+
+
+def _share(statement: Statement, value: Any, kind: str, run: Run) -> float:
+    """One kind of error over the tolerance; infinite where it could not be stated."""
+    if kind in run.certificate.unstated:
+        return np.inf
+    error = getattr(statement, kind)
+    return 0.0 if error is None else float(error / _limit(statement, value))
+
+
+def _limits(over: Mapping[str, float]) -> dict[str, float]:
+    """Shares of the tolerance below which spaces, modes and time are left alone: what is fixed first leaves the rest to time."""
+    kinds = sum(over[k] > 0 for k in ("space", "modes"))
+    fixed = AIM if kinds < 2 else 0.6 * AIM
+    spent = sum(min(over[k], fixed) for k in ("space", "modes")) + over["algebra"]
+    return {"space": fixed, "modes": fixed, "time": WHOLE - spent}
+
+
+def _finer_meshes(plan: _Plan, over: float, limit: float) -> _Plan:
+    """The plan with meshes refined as often as the rate seen so far asks for, rounded down."""
+    rate = RATE
+    if plan.before is not None and np.isfinite(plan.before[1]):
+        rate = float(np.clip((plan.before[1] / over) ** (1.0 / (plan.meshes - plan.before[0])), 2.0, 16.0))
+    solid = any(isinstance(b, ElasticBody | ReducedBody) and b.dim == 3 for b in plan.scene.bodies.values())
+    wanted = int(np.log(over / limit) / np.log(rate) + 0.1) if np.isfinite(over) else 1
+    levels = min(max(wanted, 1), 1 if solid else 3)
+
+    scene = plan.scene
+    for _ in range(levels):
+        scene = refined(scene)
+    return replace(plan, scene=scene, meshes=plan.meshes + levels, known=None, before=(plan.meshes, over))
+
+
+def _factor(
+    plan: _Plan, run: Run, tol: Mapping[str, Any], share: tuple[float, float], history: Sequence[Attempt]
+) -> float:
+    """By what steps, or the scheme's tolerance, are multiplied, so that the error of time falls from one share to another."""
+    now, wanted = share
+    if plan.dt is not None:
+        order = _order(run, tol)
+        most = FAR if order > SEEN * run.scheme.order else NEAR
+        return float(np.clip((wanted / now) ** (1.0 / order), most, LEAST))
+
+    # errors of controlled runs follow the tolerance with a slope of their own
+    same = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]
+    slope = 0.9
+    if same and same[-1].worst > now:
+        slope = float(np.clip(np.log(same[-1].worst / now) / np.log(same[-1].step / plan.step), 0.5, 1.2))
+    return float(np.clip(0.7 * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))
 
 
 def _order(run: Run, tol: Mapping[str, Any]) -> float:

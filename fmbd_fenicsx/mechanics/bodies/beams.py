@@ -165,6 +165,10 @@ class Beam:
         """The same beam with all degrees of freedom of its elements."""
         return replace(self, modes=None)
 
+    def with_finer_space(self, *, higher: bool) -> Beam:
+        """The same beam with twice the elements: their degree is fixed. As many modes."""
+        return replace(self, elements=2 * self.elements)
+
     @cached_property
     def constants(self) -> Constants:
         """What the time loop needs."""

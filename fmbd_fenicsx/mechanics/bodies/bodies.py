@@ -25,6 +25,7 @@ Same = TypeVar("Same", bound="ElasticBody")
 
 
 ORIGIN = (0.0, 0.0, 0.0)  # where nothing is given; the only three numbers that a plane body takes
+HIGHEST_DEGREE = 3  # of displacements
 FASTEST = 1e100  # m/s, rad/s: squares of more are no numbers
 
 
@@ -201,7 +202,7 @@ class ElasticBody:
             callable(given), f'Body "{n}": elastic must be a function (u, v, dx) -> UFL form, energy one of (u, dx).'
         )
         number(f"{what}: density", self.density, above=0.0, unit="kg/m^3" if self.dim == 3 else "kg/m^2")
-        require(self.degree in (1, 2, 3), f"{what}: degree {self.degree} must be 1, 2 or 3.")
+        require(1 <= self.degree <= HIGHEST_DEGREE, f"{what}: degree {self.degree} must be 1, 2 or 3.")
         if self.quadrature is not None:
             whole(f"{what}: quadrature", self.quadrature, least=1)
         require(
@@ -249,6 +250,15 @@ class ElasticBody:
     def with_(self: Same, **changes: Any) -> Same:
         """A copy with some arguments changed."""
         return replace(self, **changes)
+
+    def with_finer_space(self: Same, *, higher: bool) -> Same:
+        """The same body with ``higher`` degree, up to :data:`HIGHEST_DEGREE`, or on a mesh of half the cell size; collective.
+
+        Raises MeshError where the mesh cannot be made again.
+        """
+        if higher and self.degree < HIGHEST_DEGREE:
+            return replace(self, degree=self.degree + 1)
+        return replace(self, mesh=self.mesh.refined())
 
 
 @dataclass(frozen=True, eq=False)

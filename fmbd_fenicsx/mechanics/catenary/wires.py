@@ -117,6 +117,10 @@ class Wires:
                     f'Wires "{self.name}": a support or dropper at x = {x:g} m lies outside (0, {self.length:g}) m.'
                 )
 
+    def with_finer_space(self, *, higher: bool) -> Wires:
+        """The same wires with twice the elements."""
+        return replace(self, cells=2 * self.cells)
+
     def hung(self, sag: Any = 0.0, *, gravity: float = 9.81) -> Wires:
         """Form finding: the same wires with droppers so long that the lower wire hangs at ``sag`` (m, or a function of x) at
         each.

@@ -206,6 +206,10 @@ class ReducedBody:
         """The same body with the basis :class:`Finer`, made once for the surfaces in use."""
         return self._finer.setdefault(surfaces, ReducedBody(self.source, Finer(self.basis, surfaces)))
 
+    def with_finer_space(self, *, higher: bool) -> ReducedBody:
+        """As many modes of the full body in a finer space; collective."""
+        return ReducedBody(self.source.with_finer_space(higher=higher), self.basis)
+
     def start_local(self) -> tuple[Array, Array]:
         """Modal amplitudes and rates at the start."""
         return self.reduction.start

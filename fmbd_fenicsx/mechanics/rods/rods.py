@@ -8,7 +8,7 @@ the system, exactly as rigid bodies are, so joints, springs, loads and sensors a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -195,6 +195,10 @@ class Rod:
         if name not in known:
             raise InputError(f'Rod "{self.name}": no section "{name}". {near(name, known)}')
         return Surface(self, name)
+
+    def with_finer_space(self, *, higher: bool) -> Rod:
+        """The same rod with twice the elements: the error in space falls by 4 to the degree."""
+        return replace(self, elements=2 * self.elements)
 
     def node_of(self, section: str) -> int:
         """Number of the node of a named section."""

@@ -10,14 +10,23 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from ...errors import InputError, MeshError
+from ...mechanics.bodies.beams import Beam
 from ...mechanics.bodies.bodies import ElasticBody
 from ...mechanics.reduction.craig_bampton import ReducedBody
+from ...mechanics.reduction.reduced import ReducedPart
+from ..system import System
 from .scene import Scene
 
-HIGHEST = 3  # degree of displacements
+
+@runtime_checkable
+class Meshed(Protocol):
+    """A body whose motion is interpolated in space."""
+
+    def with_finer_space(self, *, higher: bool) -> Any:
+        """The body with elements of higher degree where it may choose, or with smaller ones; collective."""
 
 
 def with_bodies(scene: Scene, bodies: Mapping[str, Any]) -> Scene:
@@ -63,21 +72,30 @@ class _Swap:
         return made
 
 
-def finer_space(scene: Scene) -> tuple[Scene, list[str]]:
+def meshed_bodies(scene: Scene) -> list[str]:
+    """Names of the bodies that have an error in space."""
+    return [name for name, body in scene.bodies.items() if isinstance(body, Meshed)]
+
+
+def modal_bodies(scene: Scene) -> list[str]:
+    """Names of the bodies that have an error by their modes."""
+    bodies = scene.bodies.items()
+    return [n for n, b in bodies if isinstance(b, ReducedBody) or (isinstance(b, Beam) and b.modes is not None)]
+
+
+def finer_space(scene: Scene, *, higher: bool = True) -> tuple[Scene, list[str]]:
     """The scene with every elastic body in a space that its error is measured against, and the names of bodies on a mesh that
     have none.
 
-    The degree is raised by one; at the highest degree the mesh is made again with half the cell size.
+    With ``higher`` the degree is raised by one where a body has a choice; else, at the highest degree, and in rods, beams and
+    lines, the elements are halved.
     """
     found, without = {}, []
-    for name, body in scene.bodies.items():
+    for name in meshed_bodies(scene):
         try:
-            better = _finer(body, higher=True)
+            found[name] = scene.bodies[name].with_finer_space(higher=higher)
         except (InputError, MeshError):
             without.append(name)
-            continue
-        if better is not None:
-            found[name] = better
     return with_bodies(scene, found), without
 
 
@@ -89,14 +107,13 @@ def refined(scene: Scene) -> Scene:
         InputError: no body of the scene can be refined.
     """
     found = {}
-    for name, body in scene.bodies.items():
-        for higher in (getattr(_source(body), "degree", HIGHEST) == 1, True):
+    for name in meshed_bodies(scene):
+        body = scene.bodies[name]
+        for higher in (_degree(body) == 1, True):
             try:
-                better = _finer(body, higher=higher)
+                found[name] = body.with_finer_space(higher=higher)
             except (InputError, MeshError):
                 continue
-            if better is not None:
-                found[name] = better
             break
     if not found:
         raise InputError(
@@ -106,36 +123,21 @@ def refined(scene: Scene) -> Scene:
     return with_bodies(scene, found)
 
 
-def more_modes(scene: Scene) -> Scene:
-    """The scene with twice the vibration modes in each reduced body.
+def more_modes(scene: Scene, system: System) -> Scene:
+    """The scene with each reduced body by its finer basis: static modes of the surfaces that its ``system`` uses, and more
+    vibration modes. It is the basis that the error by the modes was measured against, so its modes are known already.
 
     Raises:
-        InputError: there is no reduced body.
+        InputError: no body is reduced.
     """
-    found = {n: ReducedBody(b.source, _doubled(b.basis)) for n, b in scene.bodies.items() if isinstance(b, ReducedBody)}
-    if not found:
+    modal = modal_bodies(scene)
+    if not modal:
         raise InputError(f'Scene "{scene.name}" has no reduced body.')
-    return with_bodies(scene, found)
+    used = {part.name: part.surfaces for part in system.parts if isinstance(part, ReducedPart)}
+    return with_bodies(scene, {name: scene.bodies[name].finer(used[name]) for name in modal})
 
 
-def _source(body: Any) -> Any:
-    return body.source if isinstance(body, ReducedBody) else body
-
-
-def _finer(body: Any, *, higher: bool) -> Any:
-    """The body with a higher degree, or on a finer mesh; None where it has no mesh. Raises where that is not possible."""
-    if isinstance(body, ReducedBody):
-        return ReducedBody(_finer(body.source, higher=higher), body.basis)
-    if not isinstance(body, ElasticBody):
-        return None
-    if higher and body.degree < HIGHEST:
-        return body.with_(degree=body.degree + 1)
-    return body.with_(mesh=body.mesh.refined())
-
-
-def _doubled(basis: Any) -> Any:
-    """A basis of twice the vibration modes, or of all up to twice the frequency."""
-    if basis.count is not None:
-        return dataclasses.replace(basis, count=max(2 * basis.count, 2))
-    assert basis.frequency is not None
-    return dataclasses.replace(basis, frequency=2 * basis.frequency)
+def _degree(body: Any) -> int | None:
+    """Degree of an elastic body's displacements; None where there is no choice."""
+    source = body.source if isinstance(body, ReducedBody) else body
+    return source.degree if isinstance(source, ElasticBody) else None
