@@ -37,6 +37,11 @@ class LineLoad:
     follower: bool
     turns: bool
 
+    def on_nodes(self, t: float) -> Array:
+        """Forces or moments on the nodes at a time (s), (nodes, 3)."""
+        per_length = np.array([self.law(float(s), t) for s in self.stations], dtype=float)
+        return np.asarray(self.lengths[:, None] * per_length)
+
 
 class RodElements:
     """All elements of one rod.
@@ -117,7 +122,7 @@ class RodElements:
         C = self.law.tangent(e - self.natural)
 
         inner = (ck + self.beta * cd) * np.swapaxes(E, -1, -2) @ C @ E
-        inner += ck * strain_hessian(z, e, E, S)
+        inner += ck * strain_hessian(z, S)
         K: Array = (np.swapaxes(Z, -1, -2) @ (self.weights[..., None, None] * inner) @ Z).sum(1)
 
         on_z = (self.weights[..., None, None] * (S[..., None, :] @ E))[..., 0, :]
@@ -136,8 +141,7 @@ class RodElements:
 
     def _load(self, load: LineLoad, t: float, pose: Array) -> tuple[Array, Array]:
         """Forces and moments of a load on the nodes, (nodes, 1, 6), and their derivatives by increments, (nodes, 6, 6)."""
-        per_length = np.array([load.law(float(s), t) for s in load.stations], dtype=float)
-        value = load.lengths[:, None] * per_length
+        value = load.on_nodes(t)
         R = quaternion_matrix(pose[self.nodes[:, 0], 3:])
         out, slope = np.zeros((len(value), 1, 6)), np.zeros((len(value), 6, 6))
         if load.turns:

@@ -18,16 +18,17 @@ Harsch, doi:10.1002/gamm.202300008 (interpolated quaternions).
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ...rotations import Array, cross3, hat
-
-PLACE, QUATERNION, RATE = slice(0, 3), slice(3, 7), slice(7, 11)  # of z
-VECTOR, SCALAR = slice(3, 6), 6  # parts of P in z
-RATE_VECTOR, RATE_SCALAR = slice(7, 10), 10  # parts of dP in z
+from ...rotations import Array
+from ..kinds.expressions import Expression, Program, c_lines, gradient, symbol
+from ..kinds.frames import Vector, cross
 
 
 @dataclass(frozen=True)
@@ -73,78 +74,105 @@ def values_at(shape: Shape, xi: float) -> Array:
     return basis
 
 
+# -- the definition, and what follows from it -----------------------------------------------------------------------------
+PLACE_RATE, QUATERNION, QUATERNION_RATE = (
+    Vector(symbol(f"z[{i}]") for i in part) for part in (range(3), range(3, 7), range(7, 11))
+)
+Z = (*PLACE_RATE, *QUATERNION, *QUATERNION_RATE)
+FORCES = Vector(symbol(f"S[{i}]") for i in range(6))
+
+
+def definition(y: Vector, P: Vector, dP: Vector) -> Vector:
+    """e of (1)."""
+    v, w, dv, dw = Vector(P[:3]), P[3], Vector(dP[:3]), dP[3]
+    stretch = y * (w * w - v @ v) + v * (2.0 * (v @ y)) - cross(v, y) * (2.0 * w)
+    bend = (dv * w - v * dw - cross(v, dv)) * 2.0
+    return Vector((*stretch, *bend)) / (P @ P)
+
+
+@cache
+def derived() -> dict[str, list[Expression]]:
+    """Expressions of e (6), de/dz (6 x 11, row by row), and of the lower half of d^2 (S . e)/dz^2 (66, row by row)."""
+    e = definition(PLACE_RATE, QUATERNION, QUATERNION_RATE)
+    slopes = gradient(e @ FORCES, Z)
+    return {
+        "value": list(e),
+        "slope": [x for one in e for x in gradient(one, Z)],
+        "curve": [x for i, slope in enumerate(slopes) for x in gradient(slope, Z[: i + 1])],
+    }
+
+
 def strains(y: Array, P: Array, dP: Array) -> Array:
     """e of (1), (..., 6)."""
-    v, w = P[..., :3], P[..., 3:]
-    dv, dw = dP[..., :3], dP[..., 3:]
-    square = (P * P).sum(-1, keepdims=True)
-
-    stretch = (w * w - (v * v).sum(-1, keepdims=True)) * y
-    stretch += 2.0 * (v * y).sum(-1, keepdims=True) * v - 2.0 * w * cross3(v, y)
-    bend = 2.0 * (w * dv - dw * v - cross3(v, dv))
-    return np.concatenate((stretch, bend), axis=-1) / square
+    return strain_jacobian(y, P, dP)[0]
 
 
 def strain_jacobian(y: Array, P: Array, dP: Array) -> tuple[Array, Array]:
     """e and de/dz, (..., 6) and (..., 6, 11)."""
-    e = strains(y, P, dP)
-    v, w = P[..., :3], P[..., 3, None, None]
-    dv, dw = dP[..., :3], dP[..., 3, None, None]
-    one = np.eye(3)
-    E = np.zeros((*e.shape, 11))
-
-    # numerators of Gamma by y, by the vector and by the scalar of P
-    vv, vy = _outer(v, v), _outer(v, y)
-    along = np.trace(vy, axis1=-2, axis2=-1)[..., None, None]
-    length = np.trace(vv, axis1=-2, axis2=-1)[..., None, None]
-    E[..., :3, PLACE] = (w * w - length) * one + 2.0 * vv - 2.0 * w * hat(v)
-    E[..., :3, VECTOR] = -2.0 * np.swapaxes(vy, -1, -2) + 2.0 * along * one + 2.0 * vy + 2.0 * w * hat(y)
-    E[..., :3, SCALAR] = 2.0 * w[..., 0] * y - 2.0 * cross3(v, y)
-
-    # numerators of K
-    E[..., 3:, VECTOR] = 2.0 * (hat(dv) - dw * one)
-    E[..., 3:, SCALAR] = 2.0 * dv
-    E[..., 3:, RATE_VECTOR] = 2.0 * (w * one - hat(v))
-    E[..., 3:, RATE_SCALAR] = -2.0 * v
-
-    # both over |P|^2
-    E[..., QUATERNION] -= 2.0 * _outer(e, P)
-    return e, E / (P * P).sum(-1)[..., None, None]
+    z = np.concatenate((y, P, dP), axis=-1)
+    found = _evaluated("rod_strains", z, z, 72)
+    return found[..., :6], found[..., 6:].reshape(*y.shape[:-1], 6, 11)
 
 
-def strain_hessian(z: tuple[Array, Array, Array], e: Array, E: Array, S: Array) -> Array:
-    """d^2 (S . e) / dz^2 for constant section forces S (..., 6), with e and E of :func:`strain_jacobian`; (..., 11, 11)."""
-    y, P, _ = z
-    v, w = P[..., :3], P[..., 3, None, None]
-    force, moment = S[..., :3], S[..., 3:]
-    one = np.eye(3)
-    H = np.zeros((*e.shape[:-1], 11, 11))
-
-    # S . numerators: Gamma by y and P
-    fy, fv = _outer(force, y), _outer(force, v)
-    on_y = np.trace(fy, axis1=-2, axis2=-1)[..., None, None]
-    on_v = np.trace(fv, axis1=-2, axis2=-1)[..., None, None]
-    H[..., PLACE, VECTOR] = -2.0 * fv + 2.0 * on_v * one + 2.0 * np.swapaxes(fv, -1, -2) - 2.0 * w * hat(force)
-    H[..., PLACE, SCALAR] = 2.0 * w[..., 0] * force - 2.0 * cross3(force, v)
-    half = 0.5 * (2.0 * (fy + np.swapaxes(fy, -1, -2)) - 2.0 * on_y * one)
-    H[..., VECTOR, VECTOR] = half
-    H[..., VECTOR, SCALAR] = -2.0 * cross3(y, force)
-    H[..., SCALAR, SCALAR] = on_y[..., 0, 0]
-
-    # K by P and dP
-    H[..., VECTOR, RATE_VECTOR] = 2.0 * hat(moment)
-    H[..., VECTOR, RATE_SCALAR] = -2.0 * moment
-    H[..., SCALAR, RATE_VECTOR] = 2.0 * moment
-
-    # the quotient by |P|^2, of which the second derivative is twice the unit matrix
-    slope = (S[..., None, :] @ E)[..., 0, :]
-    value = (S * e).sum(-1)[..., None, None]
-    H[..., :, QUATERNION] -= 2.0 * _outer(slope, P)
-    H[..., QUATERNION, QUATERNION] -= value * np.eye(4)
-    return (H + np.swapaxes(H, -1, -2)) / (P * P).sum(-1)[..., None, None]
+def strain_hessian(z: tuple[Array, Array, Array], S: Array) -> Array:
+    """d^2 (S . e) / dz^2 for constant section forces S (..., 6); (..., 11, 11)."""
+    lower = _evaluated("rod_curvature", np.concatenate(z, axis=-1), S, 66)
+    i, j = np.tril_indices(11)
+    H = np.zeros((*lower.shape[:-1], 11, 11))
+    H[..., i, j] = H[..., j, i] = lower
+    return H
 
 
-def _outer(a: Array, b: Array) -> Array:
-    """a b^T over the last axes."""
-    product: Array = a[..., :, None] * b[..., None, :]
-    return product
+# -- evaluation: compiled, or in NumPy -----------------------------------------------------------------------------------------
+RESULTS = {"rod_strains": ("value", "slope"), "rod_curvature": ("curve",)}
+
+
+def c_source() -> str:
+    """C functions of one Gauss point: strains and then their slopes, and the curvature of S . e."""
+    parts = []
+    for name, which in RESULTS.items():
+        results = [x for one in which for x in derived()[one]]
+        lines = c_lines(results, [f"out[{i}]" for i in range(len(results))])
+        parts += [f"static void {name}(const double *z, const double *S, double *restrict out)", "{", "    (void)S;"]
+        parts += [*(f"    {line}" for line in lines), "}", ""]
+    return "\n".join(parts)
+
+
+def _c_library() -> str:
+    """The same over many points."""
+    loops = [
+        f"void {name}s(long n, const double *z, const double *S, long of_S, double *out)\n"
+        f"{{ for (long i = 0; i < n; i++) {name}(z + 11 * i, S + of_S * i, out + {size} * i); }}\n"
+        for name, size in (("rod_strains", 72), ("rod_curvature", 66))
+    ]
+    return "\n".join([c_source(), *loops])
+
+
+@cache
+def _library() -> Any:
+    """The compiled functions; None without a compiler."""
+    from ... import kernel_cache
+    from ..kinds import expressions, frames
+
+    made_from = b"".join(Path(str(file)).read_bytes() for file in (__file__, expressions.__file__, frames.__file__))
+    return kernel_cache.load("rod_strains", _c_library, made_from=made_from)
+
+
+@cache
+def _program(name: str) -> Program:
+    return Program([x for which in RESULTS[name] for x in derived()[which]])
+
+
+def _evaluated(name: str, z: Array, S: Array, size: int) -> Array:
+    """Results (..., size) of one function at many points."""
+    library = _library()
+    if library is None:
+        values = {f"z[{i}]": z[..., i] for i in range(11)} | {f"S[{i}]": S[..., i] for i in range(6)}
+        return np.stack([np.broadcast_to(x, z.shape[:-1]) for x in _program(name)(values)], axis=-1)
+
+    z, S = np.ascontiguousarray(z, dtype=float), np.ascontiguousarray(S, dtype=float)
+    out = np.empty((*z.shape[:-1], size))
+    pointers = [ctypes.c_void_p(x.ctypes.data) for x in (z, S, out)]
+    count = ctypes.c_long(z.size // 11)
+    getattr(library, f"{name}s")(count, pointers[0], pointers[1], ctypes.c_long(S.shape[-1]), pointers[2])
+    return out

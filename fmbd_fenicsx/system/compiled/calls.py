@@ -16,7 +16,7 @@ from .items import GIVEN, Items
 from .structures import PYTHON
 from .tables import Tables
 
-SAMPLE, EFFORT, SLOPES, WRENCHES = range(4)
+SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES = range(6)
 
 
 class Calls:
@@ -32,7 +32,9 @@ class Calls:
         ramp = not np.array_equal(self.system.gravity(0.0), self.system.gravity(np.inf))
         self.ramp = ramp
 
-        tables.c.samples = int(bool(self.moving or self.drives or self.loaded or self.given or ramp))
+        self.loaded_rods = [rod for rod in tables.rods if rod.of_time]
+        timed = (self.moving, self.drives, self.loaded, self.given, self.loaded_rods)
+        tables.c.samples = int(ramp or any(timed))
         tables.c.laws = int(bool(tables.loads))
         self.whole = WholeLoads(tables) if tables.loads else None
         self.function = PYTHON(self.answer)
@@ -48,6 +50,10 @@ class Calls:
             elif what == WRENCHES:
                 assert self.whole is not None
                 self.whole.wrenches(t)
+            elif what == SECTIONS:
+                self.tables.rods[number].sections()
+            elif what == SECTION_SLOPES:
+                self.tables.rods[number].section_slopes()
             elif number >= 0:
                 self._slopes(self.tables.sources[number], t)
             else:
@@ -80,6 +86,8 @@ class Calls:
         for items in self.given:
             assert items.given is not None
             items.arrays["effort"][:] = items.given(t)
+        for rod in self.loaded_rods:
+            rod.sample(t)
         if self.ramp:
             tables.arrays["gravity"][:] = self.system.gravity(t)
 

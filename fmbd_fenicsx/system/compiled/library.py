@@ -13,6 +13,7 @@ from typing import Any
 
 from ... import kernel_cache
 from ...mechanics import kinds as definitions
+from ...mechanics.rods import strains
 
 DRIVER = Path(__file__).with_name("driver")
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-ffp-contract=off", "-shared", "-fPIC", "-std=gnu11")
@@ -22,7 +23,7 @@ FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-ffp-contract=off", "-share
 def driver_library(dim: int) -> Any:
     """The driver with the package's own kinds for the plane or for space; None where it cannot be had."""
     flags = (*FLAGS, f"-DDIM={dim}")
-    files = [*sorted(DRIVER.iterdir()), *sorted(Path(definitions.__file__).parent.glob("*.py"))]
+    files = [*sorted(DRIVER.iterdir()), *sorted(Path(definitions.__file__).parent.glob("*.py")), Path(strains.__file__)]
     text = b"".join(path.read_bytes() for path in files if path.suffix in (".c", ".h", ".py"))
     library = kernel_cache.load(
         f"driver_{dim}d", lambda: driver_source(dim), flags=flags, made_from=text + _processor().encode()
@@ -40,7 +41,9 @@ def driver_source(dim: int) -> str:
 
     def included(line: re.Match[str]) -> str:
         name = line.group(1)
-        return c_source(kinds(dim)) if name == "kernels.c" else (DRIVER / name).read_text()
+        if name != "kernels.c":
+            return (DRIVER / name).read_text()
+        return c_source(kinds(dim)) + (strains.c_source() if dim == 3 else "")
 
     return re.sub(r'#include "(.*)"', included, text)
 

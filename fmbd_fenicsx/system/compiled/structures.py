@@ -21,7 +21,7 @@ def _fields(text: str, kind: Any) -> list[tuple[str, Any]]:
 
 @lru_cache
 def structure(name: str, dim: int) -> type[ctypes.Structure]:
-    """``Batch``, ``Surface``, ``Body``, ``Front`` or ``System`` of the driver in ``dim`` dimensions."""
+    """``Batch``, ``Surface``, ``Body``, ``Front``, ``Rod`` .. or ``System`` of the driver in ``dim`` dimensions."""
     rotations = 2 * dim - 3
     fields = {
         "Batch": [
@@ -58,9 +58,16 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
             ("start", _LONG),
             *_fields("unknown to", _POINTER),
         ],
+        "Rod": [
+            *_fields("k points nodes number", _INT),
+            ("n", _LONG),
+            *_fields("node loaded", _POINTER),
+            ("beta", _REAL),
+            *_fields("N slope weight natural C z E strain rate S density load to", _POINTER),
+        ],
         "System": [
-            *_fields("bodies surfaces batches fronts angles rows nu nv nq redundant", _INT),
-            *_fields("body surface batch front angle frames velocity residual wrench", _POINTER),
+            *_fields("bodies surfaces batches fronts angles rods rows nu nv nq redundant", _INT),
+            *_fields("body surface batch front angle rod frames velocity residual wrench", _POINTER),
             *_fields("gap motion gravity weight diagonal row_dest", _POINTER),
             ("storage", _LONG),
             *_fields("L inverse b local sign units", _POINTER),

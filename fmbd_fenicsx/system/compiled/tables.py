@@ -10,11 +10,13 @@ import numpy as np
 from ...mechanics.kinds.derivation import Kind, kinds
 from ...mechanics.kinds.frames import FRAME
 from ...mechanics.reduction.reduced import ReducedPart
+from ...mechanics.rods.elements import RodElements
 from ...mechanics.validity import TOO_LARGE
 from ...rotations import Array
 from ..system import System
 from .items import GIVEN, LAW, ROW, Items, items_of, other_loads
 from .order import Fronts, RowGroup
+from .rods import RodTable, rod_pairs
 from .structures import Store, structure
 
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
@@ -48,6 +50,8 @@ class Tables:
         made = [one for items in self.items for one in self._split(items)]
         self.batches = [self._batch(items, number) for number, items in enumerate(made)]
         self.sources = made
+        rods: tuple[Any, ...] = system.elements
+        self.rods = [RodTable(self, rod, number) for number, rod in enumerate(rods)]
         self._system(redundant)
 
     # -- unknowns ----------------------------------------------------------------------------------------------------------
@@ -102,7 +106,7 @@ class Tables:
         """Groups of rows, the order of elimination, and the fronts."""
         touched: list[set[int]] = [set() for _ in range(self.rows)]
         terms = np.zeros(self.rows, int)
-        pairs: set[tuple[int, int]] = set()
+        pairs = rod_pairs(self.system.elements)
         for items in self.items:
             bodies: Any = self.body_of(self.frames_of(items))
             if items.role == ROW:
@@ -350,6 +354,7 @@ class Tables:
             "surface": ("Surface", surfaces),
             "front": ("Front", fronts),
             "angle": ("Angle", angles),
+            "rod": ("Rod", [rod.c for rod in self.rods]),
             "batch": ("Batch", self.batches),
         }
         pointers = {}
@@ -362,7 +367,7 @@ class Tables:
 
         self.c = structure("System", self.dim)(
             bodies=self.nb, surfaces=len(surfaces), batches=len(self.batches), fronts=len(fronts), angles=len(angles),
-            rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant),
+            rods=len(self.rods), rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant),
             stiff=self._stiff(), storage=self.fronts.storage,
             row_dest=store.integers(self.fronts.place(row, row)),
             sign=store.array(np.where(np.arange(size) < self.nu, 1, -1), np.int8)[1],
@@ -374,7 +379,7 @@ class Tables:
         """Whether efforts depend on the motion: 0 no, 1 linearly, 2 by laws with slopes of their own."""
         if self.loads or any(items.role == LAW for items in self.items):
             return 2
-        return int(any(f.stiff for f in self.system.forces))
+        return int(bool(self.rods) or any(f.stiff for f in self.system.forces))
 
     def _front(self, k: int) -> Any:
         """One structure Front."""
@@ -395,8 +400,9 @@ class Tables:
 
 
 def covers_bodies(system: System) -> bool:
-    """Whether all bodies are rigid or reduced, without loads that the driver does not know."""
+    """Whether all bodies are rigid, reduced or rods, without loads that the driver does not know."""
     parts: tuple[Any, ...] = system.parts
     known = all(type(p) is ReducedPart and not p.constants.loads for p in parts)
-    plain = system.markers.section is None and system.contacts is None and not system.elements
-    return known and plain and not system.port_constraints and not system.traces and system.n_frames > 0
+    plain = system.markers.section is None and system.contacts is None
+    rods = all(isinstance(e, RodElements) for e in system.elements)
+    return known and plain and rods and not system.port_constraints and not system.traces and system.n_frames > 0

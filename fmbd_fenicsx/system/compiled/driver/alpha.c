@@ -110,6 +110,7 @@ static void energies(System *s, const double *q, const double *v, const double *
             out[3] += 0.5 * k->stiffness[i] * stretch * stretch;
         }
     }
+    for (Rod *k = s->rod; k < s->rod + s->rods; k++) out[1] += rod_energy(s, k);
 }
 
 /* Whether a step gained energy from nothing, as run/energy_check.py. */

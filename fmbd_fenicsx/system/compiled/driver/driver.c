@@ -13,6 +13,13 @@
 #include "rotations.c"
 #include "factor.c"
 #include "bodies.c"
+#if DIM == 3
+#include "rods.c"
+#else
+static int rod_forces(System *s, Rod *k, double t) { return (void)s, (void)k, (void)t, DONE; }
+static int rod_tangents(System *s, Rod *k, double t, double geometric) { return (void)s, (void)k, (void)t, (void)geometric, DONE; }
+static double rod_energy(System *s, Rod *k) { return (void)s, (void)k, 0.0; }
+#endif
 #include "evaluate.c"
 #include "matrix.c"
 #include "alpha.c"

@@ -86,6 +86,7 @@ static int place_surface(System *s, int number, const double *q)
 /* Frames of bodies and surfaces, and all velocities in world axes. */
 static int place(System *s, const double *q, const double *v)
 {
+    s->q = q;
     for (int b = 0; b < s->bodies; b++) {
         const double *pose = q + POSE * b, *twist = v + TWIST * b;
         const Body *o = s->body + b;
@@ -165,7 +166,6 @@ static int evaluate(System *s, const double *q, const double *v, const double *a
 {
     int verdict = place(s, q, v), looked;
     s->evaluations++;
-    s->q = q;
     if (verdict) return verdict;
     looked = inertia(s, q, v, a);
     memset(s->residual + s->nu, 0, TWIST * s->surfaces * sizeof(double));
@@ -173,6 +173,9 @@ static int evaluate(System *s, const double *q, const double *v, const double *a
 
     for (Batch *k = s->batch; k < s->batch + s->batches; k++)
         if ((verdict = items(s, k, lam, t))) return verdict;
+
+    for (Rod *k = s->rod; k < s->rod + s->rods; k++)
+        if (rod_forces(s, k, t)) return FAILED;
 
     if (s->laws) {
         s->calls++;

@@ -177,6 +177,8 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
         if (k->role == ROW && !reactions) continue;
         if ((verdict = tangents(s, k, cd, ck, geometric, lam, t))) return verdict;
     }
+    for (Rod *k = s->rod; k < s->rod + s->rods; k++)
+        if (rod_tangents(s, k, t, geometric)) return FAILED;
     if (s->laws) {
         s->calls++;
         if (s->python(SLOPES, -1, t)) return FAILED;

@@ -70,6 +70,19 @@ typedef struct {
     double ea[D], fa[D], ga[D], eb[D], fb[D], gb[D];
 } Angle;
 
+/* The finite elements of one rod in space: n elements of k nodes (frames, ascending along the rod) and ``points`` Gauss points. */
+typedef struct {
+    int k, points, nodes, number;      /* nodes: of the rod, for loads; number: of a section law in Python, -1: linear */
+    long n;
+    int *node, *loaded;                /* n x k frames; nodes: frames */
+    double beta;                       /* time of Kelvin-Voigt damping */
+    double *N, *slope, *weight;        /* points x k; n x points x k, by arc length; n x points, lengths */
+    double *natural, *C;               /* strains free of stress; stiffness of the section, 6 x 6 a point */
+    double *z, *E, *strain, *rate, *S, *density; /* at the points: see rods.c; density of the energy, of laws in Python */
+    double *load;                      /* nodes x LOADED */
+    int *to;                           /* places of the lower half of an element's block, node by node */
+} Rod;
+
 /* A dense part of the factor: its first ``pivots`` columns are eliminated, the rest goes to the next front. */
 typedef struct {
     int pivots, rows, ld, next;
@@ -79,12 +92,13 @@ typedef struct {
 } Front;
 
 typedef struct {
-    int bodies, surfaces, batches, fronts, angles, rows, nu, nv, nq, redundant;
+    int bodies, surfaces, batches, fronts, angles, rods, rows, nu, nv, nq, redundant;
     Body *body;
     Surface *surface;
     Batch *batch;
     Front *front;
     Angle *angle;
+    Rod *rod;
     double *frames, *velocity, *residual, *wrench; /* wrench: nu, loads given by Python for a step or an evaluation */
     double *gap, *motion, *gravity, *weight, *diagonal;
     int *row_dest;                     /* diagonal places of the rows */
@@ -100,6 +114,6 @@ typedef struct {
     long evaluations, factors, calls;
 } System;
 
-enum { SAMPLE, EFFORT, SLOPES, WRENCHES };  /* what Python is asked for */
+enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES };  /* what Python is asked for */
 
 typedef void kernel_type(long n, const int *pair, const double *frames, const double *P, const double *W, double *restrict out);
