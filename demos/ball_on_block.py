@@ -52,9 +52,9 @@ if args.picture:
     free = solve_ivp(lambda t, y: (y[1], -hertz(y[0]) / mass), (0.0, t_end), (-gap, v0), max_step=0.02)
     top = force.argmax()
     a, nodes = (force[top] * R / k) ** (1 / 3), run.state.contact.x[run.state.contact.of("hit")]
-    with plot.figure(args.picture, 1, 2) as (left, right):
+    with plot.figure(args.picture, 1, 2, title=args.title) as (left, right):
         left.plot(free.t, hertz(free.y[0]), **plot.REFERENCE, label="rigid ball on Hertz's spring")
-        left.plot(run.times, force, label="elastic ball and block")
+        left.plot(run.times, force, label=f"elastic ball and block, cells of {h:g} m")
         left.set(xlabel="time (s)", ylabel="force (N)")
         right.plot(
             a * r, 1.5 * force[top] / (np.pi * a**2) * np.sqrt(1 - r**2), **plot.REFERENCE, label="Hertz, this force"

@@ -1,6 +1,6 @@
 """An elastic bar falls on the ground, again and again: periodic motion with an exact solution.
 
-Run:  ./with-dolfinx python3 demos/bouncing_bar.py          (also: ./with-dolfinx mpirun -n 2 python3 demos/bouncing_bar.py)
+Run:  ./with-dolfinx python3 demos/bouncing_bar.py [--animate FILE]     (also with mpirun -n 2)
 
 A bar of length L drops from h0. It stays on the ground for 2 L / c, leaves with waves in it, comes back when they
 have turned its motion around, and reaches h0 at rest and unstressed: period 16/3 s. The force is
@@ -29,7 +29,7 @@ scene.add(bar, ground)
 scene.sensor("force", fmbd.contact_force(ground))
 scene.sensor("bottom", fmbd.position(bar.surface("bottom")))
 dt = period / (2 * np.ceil(period / (courant * L / n / c) / 2))
-run = fmbd.solve(scene, t_end=periods * period, dt=dt)
+run = fmbd.solve(scene, t_end=periods * period, dt=dt, output=demo.snapshots(args))
 
 
 def law(t):
@@ -64,4 +64,5 @@ checks = [Check(f"{name}, s", *figures) for name, *figures in zip(names, seen, C
 if args.picture:
     known = {"force y": lambda t: law(t % period), "bottom y": (list(PLACES), list(PLACES.values()))}
     run.plot("force y", "bottom y", file=args.picture, reference=known)
+demo.film(run, args, ["bottom y", "force y"])
 demo.finish(checks, run, args)

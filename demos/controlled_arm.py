@@ -1,6 +1,6 @@
 """A PID-controlled elastic arm reaches a point, against SciPy with rigid links.
 
-Run:  ./with-dolfinx python3 demos/controlled_arm.py [--fast] [--json FILE] [--picture FILE]
+Run:  ./with-dolfinx python3 demos/controlled_arm.py [--fast] [--json FILE] [--picture FILE] [--animate FILE]
 
     ground o=== link one ===o=== link two === tip      a PID motor in each hinge, under weight; stiff links against the
                                                        equations of the rigid arm, soft links beside them
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.post.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, finish, show, snapshots
 
 args = arguments(__doc__)
 t_end, dt = (0.25, 2.5e-3) if args.fast else (1.0, 6.25e-4)
@@ -61,12 +61,11 @@ runs = [fmbd.solve(stiff, t_end=t_end, dt=h) for h in (2 * dt, dt)]
 exact = rigid(runs[0].times, mass, inertia)
 errors = [np.abs(x - exact).max() for x in (runs[0]["tip"], runs[1]["tip"][::2])]
 better = (4 * runs[1]["tip"][::2] - runs[0]["tip"]) / 3  # Richardson's extrapolation
-soft = fmbd.solve(arm("soft arm", 2e9, 4)[0], t_end=t_end, dt=dt, output=fmbd.Output(snapshots=8))
+soft = fmbd.solve(arm("soft arm", 2e9, 4)[0], t_end=t_end, dt=dt, output=snapshots(args))
 checks = [
     Check("order in the step", float(np.log2(errors[0] / errors[1])), 2.0, 0.2),
     Check("stiff arm against SciPy, m", errors[1], 0.0, 2e-3),
     Check("the same after extrapolation, m", np.abs(better - exact).max(), 0.0, 2e-4 if args.fast else 1e-6),
 ]
-if args.picture:
-    soft.picture(args.picture, sensors="tip")
+show(soft, args, ["tip", "torque one"])
 finish(checks, soft, args)

@@ -66,7 +66,7 @@ done = study.work_precision(lines, reference=reference, names=quantities, repeat
 demo.say(done)
 checks.append(demo.Check("failed runs", len(done.failures), 0.0, 0.5))
 if args.picture:
-    replace(done, points=tuple(p for p in done.points if p.label in SHOWN)).figure(args.picture)
+    replace(done, points=tuple(p for p in done.points if p.label in SHOWN)).figure(args.picture, title=args.title)
 if args.markdown:
     Path(args.markdown).write_text(study.markdown(rows) + "\n\n" + done.markdown() + "\n")
 demo.finish(checks, None, args)

@@ -114,7 +114,7 @@ checks = [
     Check("iterations beyond 25", max(max(run[-1] for run in runs) - 25, 0.0), 0.0),
 ]
 if args.picture:
-    with plot.figure(args.picture, 2, 1, size=(8.0, 6.4)) as (above, below):
+    with plot.figure(args.picture, 2, 1, size=(8.0, 6.4), title=args.title) as (above, below):
         t, x = runs[-1][0], runs[-1][4][-1]
         above.plot(t, velocity(t), **plot.REFERENCE, label="d'Alembert")
         below.plot(t, stress(x, t), **plot.REFERENCE)

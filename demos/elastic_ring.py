@@ -51,9 +51,11 @@ for scheme in (fmbd.EnergyMomentum(), fmbd.GeneralizedAlpha(0.9), fmbd.Generaliz
     except fmbd.errors.ConvergenceError as error:
         demo.say(f"{scheme.name}, h = 0.05 s: {error}")
 if args.picture:
-    with plot.figure(args.picture, 1, 2) as (left, right):
+    with plot.figure(args.picture, 1, 2, title=args.title) as (left, right):
         plot.shapes(left, curves["energy-momentum"])
         for name, other in curves.items():
             right.plot(other.times, other.total_energy, label=name)
         right.set(xlabel="time (s)", ylabel="energy (J)")
+if args.animate:
+    demo.film(fly(soft, 0.05, 5.0, fmbd.EnergyMomentum(), FRESH, 100), args)
 demo.finish(checks, run, args)

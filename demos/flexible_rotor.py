@@ -1,6 +1,6 @@
 """A flexible rotor runs through its critical speed: a tube of 6 m with an eccentric disc at mid span, under its weight.
 
-Run:  ./with-dolfinx python3 demos/flexible_rotor.py [--fast] [--json FILE] [--picture FILE]
+Run:  ./with-dolfinx python3 demos/flexible_rotor.py [--fast] [--json FILE] [--picture FILE] [--animate FILE]
 
 Data: doi:10.1007/s11044-016-9514-y. Both ends held against tilting; the left one is turned with 48 rad/s until 1 s and with
 72 rad/s after 1.25 s. Reference: Timoshenko elements with exact shape functions, 64 of them: critical speed 56.8534 rad/s
@@ -55,9 +55,11 @@ checks = [
     demo.Check("two equal bending modes, 1", first[1] / first[0] - 1, 0.0, 1e-9),
 ]
 
+t_end = 1.5 if args.fast else 2.5
 scene, _ = rotor(2 if args.fast else 4, 0.05)
 runs = [
-    fmbd.solve(scene, t_end=1.5 if args.fast else 2.5, dt=h, scheme=fmbd.GeneralizedAlpha(0.8)) for h in (2e-3, 1e-3)
+    fmbd.solve(scene, t_end=t_end, dt=h, scheme=fmbd.GeneralizedAlpha(0.8), output=demo.snapshots(args, 150))
+    for h in (2e-3, 1e-3)
 ]
 run = runs[-1]
 swing = [np.linalg.norm(r["middle"][:, 1:], axis=1) for r in runs]
@@ -68,4 +70,5 @@ checks.append(demo.Check.at_least("largest swing after the speed has passed the 
 
 if args.picture:
     run.plot("middle y", "middle z", "root M2", file=args.picture)
+demo.film(run, args, ["middle y", "middle z"])
 demo.finish(checks, run, args)

@@ -54,7 +54,7 @@ def fly(beam, dt, t_end):
     scene.add(fmbd.torque("couple", beam.surface("end"), lambda t: -80.0 * push(t)))
     scene.sensor("end", fmbd.position(beam.surface("end")))
     scene.sensor("nodes", fmbd.coordinates(beam))
-    return fmbd.solve(scene, t_end=t_end, dt=dt, scheme=fmbd.GeneralizedAlpha(0.9))
+    return fmbd.solve(scene, t_end=t_end, dt=dt, scheme=fmbd.GeneralizedAlpha(0.9), output=demo.snapshots(args))
 
 
 args = demo.arguments(__doc__)
@@ -75,7 +75,7 @@ checks = [
     Check.at_least("the linear frame is off by (m)", other, 1.0),
 ]
 if args.picture:
-    with plot.figure(args.picture, size=(9.0, 5.0)) as axes:
+    with plot.figure(args.picture, size=(9.0, 5.0), title=args.title) as axes:
         for x, look in ((fine, plot.REFERENCE), (run, {"color": "C0"})):
             order = np.argsort(x["nodes"][0, 0::3])
             rows = np.linspace(0, len(x.times) - 1, 6 if args.fast else 7).astype(int)
@@ -84,4 +84,5 @@ if args.picture:
         for row, place in zip(rows, places, strict=True):
             axes.annotate(f"{run.times[row]:.3g} s", place[0], xytext=(4, 4), textcoords="offset points", size=9)
         axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="grey: half the step and cell size")
+demo.film(run, args, ["end"])
 demo.finish(checks, run, args)

@@ -66,7 +66,7 @@ checks = [
     Check("stated over true error of reduction, largest", (stated / true).max(), 2.0, 1.0),
 ]
 if args.picture:
-    with plot.figure(args.picture, 1, 2) as (left, right):
+    with plot.figure(args.picture, 1, 2, title=args.title) as (left, right):
         for p, mark in zip(table.points, "osv^<>DP", strict=True):
             left.loglog(1e3 * p.seconds / p.counters["steps"], p.errors["tip"], mark, label=p.label)
         left.set(xlabel="time of a step (ms)", ylabel="tip error against the absolute body (m)")

@@ -9,11 +9,10 @@ The rod is clamped, 1 m long, with stiffness-proportional damping; the response 
 under a sinusoidal force shows after its transient.
 """
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx import demo
+from fmbd_fenicsx import demo, plot
 from fmbd_fenicsx.post.demo import Check
 
 DRIVE = 60.0  # rad/s
@@ -67,13 +66,17 @@ def main():
     if args.picture:
         wide = np.geomspace(5.0, 2000.0, 400)
         rod = model.frequency_response(wide)[:, 0, 0]
-        _, axes = plt.subplots(2, 2, figsize=(9, 5), sharex="col")
-        for k, (x, H, name) in enumerate(((omega, found, "two masses (m/N)"), (wide, rod, "rod (m/s^2/N)"))):
-            axes[0, k].loglog(x, np.abs(H)), axes[0, k].set_title(name), axes[0, k].grid(alpha=0.3)
-            axes[1, k].semilogx(x, np.degrees(np.unwrap(np.angle(H)))), axes[1, k].set_xlabel("rad/s")
-            axes[1, k].grid(alpha=0.3)
-        axes[1, 1].axvline(DRIVE, ls=":"), axes[1, 0].set_ylabel("phase (degrees)")
-        plt.tight_layout(), plt.savefig(args.picture, dpi=120)
+        names = "b of two masses over a force (m/N)", "acceleration of a rod's tip over a force (m/s$^2$/N)"
+        with plot.figure(args.picture, 2, 2, title=args.title) as axes:
+            for k, (x, H, name) in enumerate(((omega, found, names[0]), (wide, rod, names[1]))):
+                axes[0, k].loglog(x, np.abs(H))
+                axes[0, k].set_title(name, fontsize=9)
+                axes[1, k].semilogx(x, np.degrees(np.unwrap(np.angle(H))))
+                axes[1, k].set_xlabel("angular frequency (rad/s)")
+            axes[0, 1].plot(DRIVE, abs(answer), "o", color="C3", label="a run at this frequency")
+            axes[0, 1].legend(fontsize=8)
+            axes[0, 0].set_ylabel("amplitude")
+            axes[1, 0].set_ylabel("phase (degrees)")
     demo.finish(checks, None, args)
 
 

@@ -54,7 +54,7 @@ if not args.fast and dim == 2:
     checks.append(Check("order of the pressure, 10 to 40 cells", np.log2(errors[0] / errors[-1]) / 2, 1.0, 0.25))
 if args.picture:
     fine = np.linspace(-1.0, 1.0, 401)
-    with plot.figure(args.picture) as axes:
+    with plot.figure(args.picture, title=args.title) as axes:
         axes.plot(fine, np.sqrt(1 - fine**2), **plot.REFERENCE, label="Hertz")
         axes.plot(r * np.sign(run.state.contact.x[:, 0]), p, "o", ms=4, label=f"{args.cells} cells per half width")
         axes.set(xlabel="distance from the middle / a", ylabel="pressure / p$_0$", xlim=(-1.3, 1.3))

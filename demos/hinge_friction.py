@@ -1,6 +1,6 @@
 """Dry friction in a sprung hinge: analytic decay, rest away from zero; smooth friction beside it creeps.
 
-Run:  ./with-dolfinx python3 demos/hinge_friction.py [--fast] [--json FILE] [--picture FILE]
+Run:  ./with-dolfinx python3 demos/hinge_friction.py [--fast] [--json FILE] [--picture FILE] [--animate FILE]
 
     J x'' + k x = -F sign(x'): half cycles about +-F/k, amplitudes fall by 2 F/k each, until |k x| < F at a turning point
 """
@@ -8,7 +8,7 @@ Run:  ./with-dolfinx python3 demos/hinge_friction.py [--fast] [--json FILE] [--p
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.post.demo import Check, arguments, finish
+from fmbd_fenicsx.post.demo import Check, arguments, film, finish, snapshots
 
 args = arguments(__doc__)
 J, k, F, start = 0.5, 20.0, 1.8, 1.0  # kg m^2, N m/rad, N m, rad
@@ -27,14 +27,14 @@ def exact(t):
 
 def hinge(name, friction):
     """A wheel on a hinge with a spring that pulls to ``start``, and friction."""
-    wheel = fmbd.RigidBody("wheel", 1.0, J)
+    wheel = fmbd.RigidBody("wheel", 1.0, J, shape=fmbd.contacts.Box((1.0, 0.12)))
     scene = fmbd.Scene(name)
     joint = fmbd.revolute("hinge", fmbd.ground, wheel, center=(0, 0))
     element = friction(fmbd.angle(joint))
     scene.add(wheel, joint, element, fmbd.joint_spring("spring", fmbd.angle(joint), stiffness=k, free=start))
     scene.sensor("angle", fmbd.angle(joint))
     scene.sensor("friction", fmbd.element_effort(element))
-    return fmbd.solve(scene, t_end=t_end, dt=dt)
+    return fmbd.solve(scene, t_end=t_end, dt=dt, output=snapshots(args))
 
 
 dry = hinge("dry friction", lambda s: fmbd.dry_friction("friction", s, limit=F, stick=1e6, damping=500.0))
@@ -55,4 +55,5 @@ checks = [
 ]
 if args.picture:
     dry.plot("angle", "friction", file=args.picture, reference={"angle": exact})
+film(dry, args, ["angle", "friction"])
 finish(checks, dry, args)

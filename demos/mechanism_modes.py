@@ -9,11 +9,10 @@ Run:  ./with-dolfinx python3 demos/mechanism_modes.py --picture modes.png
    o
 """
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx import demo
+from fmbd_fenicsx import demo, plot
 from fmbd_fenicsx.post.demo import Check
 
 G = 9.81
@@ -73,12 +72,11 @@ def main():
         Check.relative("rod, first period (s)", first, 2 * np.pi * np.sqrt((1.0 + 0.01 / 4) * 2 / 3 / G), 0.02),
     ]
     if args.picture:
-        plt.figure(figsize=(6, 4))
-        for k in range(min(n, 5)):
-            shape = np.real(plane.shapes[k].reshape(n, 3)[:, 0])
-            plt.plot(np.r_[0, shape] + 2.5 * k, -np.arange(n + 1), "o-", label=f"{plane.omega[k]:.3f} rad/s")
-        plt.ylabel("height (m)"), plt.xlabel("shape, one beside the other"), plt.legend(fontsize=7)
-        plt.tight_layout(), plt.savefig(args.picture, dpi=120)
+        with plot.figure(args.picture, title=args.title) as axes:
+            for k in range(min(n, 5)):
+                shape = np.real(plane.shapes[k].reshape(n, 3)[:, 0])
+                axes.plot(np.r_[0, shape] + 2.5 * k, -np.arange(n + 1), "o-", label=f"{plane.omega[k]:.3f} rad/s")
+            axes.set(ylabel="height (m)", xlabel="shapes of a chain, one beside the other, of any size", xticks=[])
     demo.finish(checks, None, args)
 
 

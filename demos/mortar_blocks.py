@@ -44,7 +44,7 @@ for degree in (1, 2):
     for name, least in zip(NAMES, (degree + 1, degree, degree, degree), strict=True):
         checks.append(Check.at_least(f"P{degree} order of {name}", table.pairwise(name)[-1], least - 0.1))
 if args.picture:
-    with plot.figure(args.picture, 1, 2) as panels:
+    with plot.figure(args.picture, 1, 2, title=args.title) as panels:
         for axes, (degree, table) in zip(panels, tables.items(), strict=True):
             for name, error in table.errors.items():
                 axes.loglog(table.values, error, "o-", label=f"{name}: order {table.pairwise(name)[-1]:.2f}")

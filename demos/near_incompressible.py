@@ -69,7 +69,7 @@ checks = [
 if not args.fast:
     checks.append(Check("order in h, nu = 0.5", np.log2((mixed[1] - mixed[0]) / (mixed[2] - mixed[1])), 2.0, 0.2))
 if args.picture:
-    with plot.figure(args.picture, 1, 2) as (left, right):
+    with plot.figure(args.picture, 1, 2, title=args.title) as (left, right):
         strain = lambda u: sym(grad(u))
         shear = lambda u: 100 * sqrt((strain(u)[0, 0] - strain(u)[1, 1]) ** 2 + 4 * strain(u)[0, 1] ** 2)
         plot.shapes(left, runs[-1], paint=(runs[-1].scene.bodies["rubber"], shear, "largest shear (%)"))

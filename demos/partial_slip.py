@@ -65,7 +65,7 @@ checks = [
 ]
 if args.picture:
     fine = np.linspace(-1, 1, 801)
-    with plot.figure(args.picture) as axes:
+    with plot.figure(args.picture, title=args.title) as axes:
         for curve, name in zip(exact(a * fine), ("Hertz", "Cattaneo and Mindlin"), strict=True):
             axes.plot(fine, curve, **plot.REFERENCE | {"linestyle": "-" if name == "Hertz" else ":"}, label=name)
         axes.plot(x / a, p / p0, "o", ms=4, label="pressure / p$_0$")

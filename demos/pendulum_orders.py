@@ -44,7 +44,7 @@ for name, table in tables.items():
 orders = {n: tables["step (s)"].order(n) for n in NAMES}
 checks = [Check(f"order of {n} in the step", order, 2.0, 0.15) for n, order in orders.items()]
 if args.picture:
-    with plot.figure(args.picture, 1, len(tables)) as panels:
+    with plot.figure(args.picture, 1, len(tables), title=args.title) as panels:
         for axes, (name, table) in zip([panels] if len(tables) == 1 else panels, tables.items(), strict=True):
             for n, unit in zip(NAMES, ("m", "m/s", "N"), strict=True):
                 axes.loglog(table.values, table.errors[n], "o-", label=f"{n} ({unit}): order {table.order(n):.2f}")

@@ -92,7 +92,7 @@ for where, all_omegas in RANGES.items():
 if args.picture:
     w = np.geomspace(RANGES["below"][0] / 2, RANGES["above"][-1] * 2, 400)
     curves = np.array([harmonic(x, *model) for x in w])
-    with plot.figure(args.picture, 1, 3, size=(12.0, 4.0)) as panels:
+    with plot.figure(args.picture, 1, 3, size=(12.0, 4.0), title=args.title) as panels:
         for k, axes in enumerate(panels):
             for index in FORMS:
                 axes.loglog(w, curves[:, k] * w ** (index - 3.0), f"C{index}-", lw=0.8, label=f"index {index}")

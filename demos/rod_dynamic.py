@@ -1,6 +1,6 @@
 """Rods in motion: a composite beam under a sudden load, free flight with all invariants kept, order in the step.
 
-Run:  ./with-dolfinx python3 demos/rod_dynamic.py [--fast] [--json FILE] [--picture FILE]
+Run:  ./with-dolfinx python3 demos/rod_dynamic.py [--fast] [--json FILE] [--picture FILE] [--animate FILE]
 
 Composite beam of 10 m, all section forces coupled, 150 (lb) at its tip from t = 0: Wang et al., doi:10.1002/we.2101, values by
 BeamDyn with rho_inf = 0 and h = 5 ms. Free rod: Simo and Vu-Quoc, doi:10.1016/0045-7825(88)90073-4, loads until 5 s.
@@ -86,5 +86,8 @@ checks.append(
 if args.picture:
     shapes = [(s.t, (free, poses(run.system, s.q))) for s in run.snapshots]
     before, later = ([shape for t, shape in shapes if (t > 5.0) == late] for late in (False, True))
-    panels(args.picture, {"free flight, 0 to 5 s": before, "after the loads": later})
+    panels(args.picture, {"free flight, 0 to 5 s": before, "after the loads": later}, args.title)
+if args.animate:
+    flown = fmbd.solve(flight, t_end=6.0, dt=0.1, scheme=fmbd.EnergyMomentum(), output=demo.snapshots(args))
+    demo.film(flown, args)
 demo.finish(checks, run, args)

@@ -112,5 +112,5 @@ if args.picture:
     ):
         shapes = [[(rod, poses(run.system, s.q, rod)) for rod in rods] for s in run.snapshots]
         content[title] = [shape for moment in shapes for shape in moment]
-    panels(args.picture, content)
+    panels(args.picture, content, args.title)
 demo.finish(checks, runs[2], args)

@@ -10,12 +10,13 @@ def poses(system, q):
     return q[: system.n_frames * 7].reshape(-1, 7)
 
 
-def panels(file, content):
-    """Pictures side by side: title -> [(rod, poses of its nodes), ...], from light to dark."""
+def panels(file, content, title):
+    """Pictures side by side: title -> [(rod, poses of its nodes), ...], from light (early) to dark (late)."""
     from matplotlib.figure import Figure
 
     page = Figure(figsize=(5.5 * len(content), 4.5), layout="constrained")
-    for k, (title, shapes) in enumerate(content.items()):
+    page.suptitle(title, fontsize=10)
+    for k, (name, shapes) in enumerate(content.items()):
         axes = page.add_subplot(1, len(content), k + 1, projection="3d")
         for i, (rod, pose) in enumerate(shapes):
             rings = skin(rod, pose)
@@ -23,9 +24,13 @@ def panels(file, content):
             shade = 0.25 + 0.75 * (i + 1) / len(shapes)
             color = (1 - 0.8 * shade, 1 - 0.55 * shade, 1 - 0.3 * shade)
             axes.plot_surface(*np.moveaxis(rings, -1, 0), color=color, rstride=1, cstride=1, linewidth=0)
-        axes.set(title=title, xlabel="x / m", ylabel="y / m", zlabel="z / m")
+        axes.set(title=name, xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
         axes.set_aspect("equal")
         axes.locator_params(nbins=4)
-        if np.ptp(axes.get_zlim()) < 0.05 * np.ptp(axes.get_xlim()):
-            axes.set(zticks=[], zlabel="")
+
+        # no numbers along a side where they would lie over each other
+        widths = {c: np.ptp(getattr(axes, f"get_{c}lim")()) for c in "xyz"}
+        for c, width in widths.items():
+            if width < 0.15 * max(widths.values()):
+                axes.set(**{f"{c}ticks": [], f"{c}label": ""})
     page.savefig(file, dpi=120)

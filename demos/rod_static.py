@@ -80,5 +80,5 @@ if args.picture:
     panels(args.picture, {
         "end moment: 1/4 to 4/4 of a circle": [(rolled, poses(circle.system, p.q)) for p in circle.path.points[1:]],
         "helix: 1/4, 1/2, 1 turn": [(spring, shapes[stops.index(f)]) for f in (0.025, 0.05, 0.1)],
-    })  # fmt: skip
+    }, args.title)  # fmt: skip
 finish(checks, None, args)

@@ -61,7 +61,7 @@ checks = [
 ]
 if args.picture:
     order, around = np.argsort(s), np.linspace(-1, 1, 201)
-    with plot.figure(args.picture) as axes:
+    with plot.figure(args.picture, title=args.title) as axes:
         for k in np.linspace(0, len(late) - 1, 3).astype(int):
             found = run["pressure"][late[k]][order] / p0
             axes.plot(place[k] / a + around, np.sqrt(1 - around**2), **plot.REFERENCE)

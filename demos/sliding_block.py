@@ -30,7 +30,8 @@ def slide(angle, scale):
     scene.sensor("force", fmbd.contact_force(slope))
     scene.sensor("work", fmbd.contact_work())
     time = np.sqrt(scale)
-    return fmbd.solve(scene, t_end=0.2 * time, dt=1e-3 * time, scheme=fmbd.ContactMidpoint(theta=0.6))
+    return fmbd.solve(scene, t_end=0.2 * time, dt=1e-3 * time, scheme=fmbd.ContactMidpoint(theta=0.6),
+        output=demo.snapshots(args))  # fmt: skip
 
 
 steep, flat = np.arctan(0.6), np.arctan(0.2)
@@ -52,4 +53,5 @@ if args.picture:
     normal = weight * np.cos(steep)
     known = {"speed x": lambda t: exact * t, "force x": lambda t: -mu * normal, "force y": lambda t: normal}
     large.plot("speed x", "force x", "force y", file=args.picture, reference=known)
+demo.film(large, args, ["speed x", "force"], view=fmbd.View(contact=True))
 demo.finish(checks, large, args)

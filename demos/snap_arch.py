@@ -10,11 +10,10 @@ With the load as a function of time only, Newton's method ends at the limit; arc
 rises again. A load that grows slowly in time lets the apex jump when the static tangent becomes singular.
 """
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx import demo
+from fmbd_fenicsx import demo, plot
 from fmbd_fenicsx.post.demo import Check
 
 RISE, STIFFNESS, LOAD, RAMP = 0.3, 1000.0, 50.0, 20.0
@@ -59,13 +58,12 @@ def main():
         Check.at_least("it snaps above the limit (N)", fastest, limit),
     ]
     if args.picture:
-        plt.figure(figsize=(6, 4))
         wide = np.linspace(-0.45, RISE, 400)
-        plt.plot(RISE - wide, load_of(wide), lw=4, alpha=0.3, label="exact")
-        plt.plot(RISE - y, load, "k.-", ms=3, lw=0.8, label="arc length")
-        plt.plot(RISE - run["apex"][:, 1], LOAD * run.times / RAMP, label="slow load in time")
-        plt.ylim(-15, 25), plt.xlabel("deflection of the apex (m)"), plt.ylabel("load (N)")
-        plt.legend(), plt.grid(alpha=0.3), plt.tight_layout(), plt.savefig(args.picture, dpi=120)
+        with plot.figure(args.picture, title=args.title) as axes:
+            axes.plot(RISE - wide, load_of(wide), **plot.REFERENCE, label="exact")
+            axes.plot(RISE - y, load, "k.-", ms=3, lw=0.8, label="arc length")
+            axes.plot(RISE - run["apex"][:, 1], LOAD * run.times / RAMP, lw=0.8, label="slow load in time")
+            axes.set(ylim=(-15, 25), xlabel="deflection of the apex (m)", ylabel="load (N)")
     demo.finish(checks, None, args)
 
 

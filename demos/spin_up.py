@@ -78,7 +78,7 @@ for name, make in [("beam", beam)] if args.fast else [("beam", beam), ("solid", 
     checks.append(Check(f"{name}: refused without stiffening", float("stiffening=True" in message), 1.0))
     curves[name] = run.times, stretch, deflection
 if args.picture:
-    with plot.figure(args.picture, 2, 1, size=(7.0, 6.0)) as (above, below):
+    with plot.figure(args.picture, 2, 1, size=(7.0, 6.0), title=args.title) as (above, below):
         above.axhline(LARGEST, **plot.REFERENCE, label="largest, reference")
         below.axhline(1e3 * steady, **plot.REFERENCE, label="steady rotation, elastic bar")
         for (name, (t, stretch, deflection)), style in zip(curves.items(), ("-", "--"), strict=False):

@@ -12,11 +12,10 @@ the load along a path of equilibria, small loads against the linear answer of th
 
 import time
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx import demo
+from fmbd_fenicsx import demo, plot
 from fmbd_fenicsx.post.demo import Check
 
 LOADS = (22.8, 86.0)
@@ -59,11 +58,10 @@ def main():
         Check("CPU time of both (s)", seconds, 0.0, 4.0),
     ]
     if args.picture:
-        plt.figure(figsize=(6, 4))
-        plt.plot(-tip[:, 1], load, ".-", label="equilibria")
-        plt.plot([0.0, -small[1] * LOADS[1] / 1e-3], [0.0, LOADS[1]], "--", label="linear")
-        plt.xlabel("deflection of the tip (m)"), plt.ylabel("load (N/m)"), plt.legend(), plt.grid(alpha=0.3)
-        plt.tight_layout(), plt.savefig(args.picture, dpi=120)
+        with plot.figure(args.picture, title=args.title) as axes:
+            axes.plot(-tip[:, 1], load, ".-", label="equilibria")
+            axes.plot([0.0, -small[1] * LOADS[1] / 1e-3], [0.0, LOADS[1]], "--", label="linear")
+            axes.set(xlabel="deflection of the tip (m)", ylabel="load (N/m)")
     demo.finish(checks, None, args)
 
 

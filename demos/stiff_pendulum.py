@@ -71,7 +71,7 @@ if __name__ == "__main__":
     name = "{}: largest position error over that at eps = 0.1"
     checks = [demo.Check(name.format(n), max(x[:, 0]) / x[0, 0], 0.0, SCHEMES[n][1]) for n, x in found.items()]
     if args.picture:
-        with plot.figure(args.picture) as axes:
+        with plot.figure(args.picture, title=args.title) as axes:
             for name, error in found.items():
                 axes.loglog(stiffness, error[:, 0], "o-", label=name)
             axes.set(xlabel="eps (h = 0.05 s for all)", ylabel=f"position error at t = {T_END:g} s (m)")

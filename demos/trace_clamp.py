@@ -66,7 +66,7 @@ force = (np.asarray(mu.coupling().sum(axis=1)).T @ lam)[0]
 checks += [Check("clamp force, x", force[0], 0.0, 1e-12), Check("clamp force, y", force[1], 0.1, 1e-12)]
 if args.picture:
     y, traction = mu.trace.corners[:, :, 1], mu.coefficients(lam)
-    with plot.figure(args.picture) as axes:
+    with plot.figure(args.picture, title=args.title) as axes:
         for k, name in enumerate(("normal", "shear")):
             axes.plot(y.T, traction[:, :, k].T, f"C{k}.-", label=name)
         axes.axhline(0.1, **plot.REFERENCE, label="mean shear, by equilibrium")

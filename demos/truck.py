@@ -1,6 +1,6 @@
 """Truck over a hump: rigid bodies on a suspension, then with an elastic loading area on the same suspension.
 
-Run:  ./with-dolfinx python3 demos/truck.py [--fast] [--json FILE] [--picture FILE]   (or mpirun -n 2 ...)
+Run:  ./with-dolfinx python3 demos/truck.py [--fast] [--json FILE] [--picture FILE] [--animate FILE]   (or mpirun -n 2 ...)
       ./with-dolfinx python3 demos/truck.py --fast --coordinates FILE      (the nine coordinates every 0.1 s, to 1e-11)
       ./with-dolfinx python3 demos/truck.py --fast --study FILE            (error against run time, and its figure)
 
@@ -84,4 +84,6 @@ if args.picture:
     figures.picture(runs, args.picture)
 if args.study:
     figures.work(args.study, t_end)
+if args.animate:
+    demo.film(drive(soft, True, snapshots=100), args, ["cab", "stress"])
 demo.finish(checks, full, args)

@@ -33,6 +33,7 @@ def picture(runs: Mapping[str, tuple[fmbd.Run, fmbd.Run]], file: object) -> None
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 6.4), layout="constrained")
+    figure.suptitle(f"{elastic.scene.name}: rigid and elastic loading area on a lifting road", fontsize=11)
     above, below = figure.subfigures(2, 1, height_ratios=(0.75, 1.2))
     ax = above.subplots()
     axes = below.subplot_mosaic([["acceleration", "pitch", "stress"]])

@@ -91,6 +91,9 @@ class Part(Protocol):
     def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
         """Linear and angular momentum about the world origin; collective."""
 
+    def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
+        """Power (W) of its loads, its damping and so on, by kind; None where they cannot be told apart. Collective."""
+
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
         """Mass blocks (frame, frame), (local, frame), (local, local); the last two for replicated parts only."""
 
@@ -156,6 +159,9 @@ class FrameElements(Protocol):
 
     def energy(self, pose: Array) -> float:
         """Elastic energy, J."""
+
+    def given(self, t: float, pose: Array, twist: Array) -> dict[str, float]:
+        """Power (W) of their loads and of their damping."""
 
 
 @dataclass(frozen=True)

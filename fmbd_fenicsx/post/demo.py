@@ -1,7 +1,8 @@
 """What every demo script shares: its flags, a check line for each figure, and the JSON file that tests read.
 
 A demo opens with ``args = demo.arguments(__doc__)`` and ends with ``demo.finish(checks, run, args)``. Demos that show their scene
-call :func:`show` in between; its snapshots come from ``output=demo.snapshots(args)``.
+call :func:`show` in between, or :func:`film` where they draw a picture of their own; snapshots come from
+``output=demo.snapshots(args)``.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Any
 from ..log import say, world_rank
 from ..run.output import Output
 
-__all__ = ["Check", "arguments", "finish", "say", "show", "snapshots"]
+__all__ = ["Check", "arguments", "film", "finish", "say", "show", "snapshots"]
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class Check:
 
 def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> argparse.Namespace:
     """Flags of a demo from the command line: ``--fast``, ``--json FILE``, ``--picture FILE``, ``--animate FILE``, and the
-    demo's own.
+    demo's own; ``title`` is the first line of the description, for figures.
 
     Args:
         description: the demo's docstring, shown by ``--help``.
@@ -96,6 +97,15 @@ def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> 
             parser.add_argument(flag, type=kind, choices=default, default=default[0], help=f"default {default[0]}")
         else:
             parser.add_argument(flag, type=type(default), default=default, help=f"default {default}")
+    args = _parsed(parser)
+    args.title = (description or "").strip().split("\n")[0].rstrip(".")
+    if args.fast:
+        args.title += " (fast version)"
+    return args
+
+
+def _parsed(parser: argparse.ArgumentParser) -> argparse.Namespace:
+    """What the command line says; help and mistakes are printed once."""
     if world_rank() == 0:
         return parser.parse_args()
     with (
@@ -103,7 +113,7 @@ def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> 
         contextlib.redirect_stdout(nowhere),
         contextlib.redirect_stderr(nowhere),
     ):
-        return parser.parse_args()  # --help and mistakes are printed once
+        return parser.parse_args()
 
 
 def snapshots(args: argparse.Namespace, count: int = 100, **more: Any) -> Output:
@@ -121,8 +131,13 @@ def show(run: Any, args: argparse.Namespace, sensors: Sequence[str] = (), **look
     reference, seconds = look.pop("reference", None), look.pop("seconds", None)
     if args.picture:
         run.picture(args.picture, sensors=sensors, reference=reference, **look)
+    film(run, args, sensors, seconds=seconds, **look)
+
+
+def film(run: Any, args: argparse.Namespace, sensors: Sequence[str] = (), **look: Any) -> None:
+    """Write the animation where one was asked for: of demos that draw a picture of their own; collective."""
     if args.animate:
-        run.animate(args.animate, sensors=sensors, seconds=seconds, **look)
+        run.animate(args.animate, sensors=sensors, **look)
 
 
 def finish(checks: Sequence[Check], run: Any, args: argparse.Namespace) -> None:

@@ -152,6 +152,7 @@ def figure(
     *,
     size: tuple[float, float] | None = None,
     widths: Sequence[float] | None = None,
+    title: str = "",
 ) -> Iterator[Any]:
     """Axes to draw on, written to ``file`` at the end; on every rank, rank 0 writes.
 
@@ -161,7 +162,7 @@ def figure(
             left.set(xlabel="time (s)", ylabel="force (N)")
 
     Yields one matplotlib axes or an array of them; ``size`` in inches, ``widths`` of the columns
-    against each other. Axes with several labels get a legend above them.
+    against each other, ``title`` over all. Axes with several labels get a legend above them.
     """
     matplotlib, made = _figure(*(size or (2.4 + 4.0 * columns, 1.2 + 2.6 * rows)))
     made.get_layout_engine().set(w_pad=0.1)
@@ -172,8 +173,22 @@ def figure(
             _ticks(one)
             if one.get_legend() is None and len(one.get_legend_handles_labels()[1]) > 1:
                 _legend(one)
+        if title:
+            _title(made, title)
         if world_rank() == 0:
             made.savefig(file, dpi=160)
+
+
+def _title(figure: Any, text: str) -> None:
+    """A title over all axes, in lines that fit the figure."""
+    from textwrap import fill
+
+    figure.suptitle(fill(text, int(13 * figure.get_figwidth())), fontsize=10)
+
+
+def _of(run: Run) -> str:
+    """What a figure of a run is called: scene, scheme and step."""
+    return f"{run.scene.name}: {run.scheme.name}, h = {run.dt:.4g} s"
 
 
 def shapes(axes: Any, run: Run, *, paint: tuple[Any, Callable[[Any], Any], str] | None = None) -> None:
@@ -223,6 +238,7 @@ def plot_series(
             for axes, name in zip(rows, names, strict=True):
                 _history(axes, run, name, known.get(name))
             rows[-1].set_xlabel("time (s)")
+            _title(figure, _of(run))
             figure.savefig(file, dpi=200)
 
     on_root(_comm(run), draw)
@@ -283,7 +299,7 @@ def picture(
                 _history(axes, run, name, known.get(name))
                 _dots(axes, run, name, (states, colors))
                 axes.set_xlabel("time (s)")
-            figure.suptitle(f"{run.scene.name}: {run.scheme.name}, h = {run.dt:g} s", fontsize=10)
+            _title(figure, _of(run))
             figure.savefig(file, dpi=200)
 
     on_root(_comm(run), write)
@@ -342,7 +358,7 @@ def _dots(axes: Any, run: Run, sensor: str, at: tuple[Sequence[Any], Sequence[An
         axes.scatter(run.times[rows], x[rows], c=colors, s=30, zorder=3, edgecolors="#303030", linewidths=0.6)
 
 
-def plot_work_precision(study: Comparison, file: str | Path, work: str) -> None:
+def plot_work_precision(study: Comparison, file: str | Path, work: str, title: str = "") -> None:
     """Write error over work, both logarithmic, one axes for each quantity, one line for each configuration;
     rank 0.
     """
@@ -365,4 +381,6 @@ def plot_work_precision(study: Comparison, file: str | Path, work: str) -> None:
             axes.set_ylabel(f"largest error of {name}{unit}")
             _ticks(axes)
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2 * len(names))
+        if title:
+            _title(figure, title)
         figure.savefig(file, dpi=200)

@@ -279,11 +279,11 @@ class WorkPrecision:
         if world_rank() == 0:
             Path(file).write_text(json.dumps([asdict(p) for p in self.points], indent=1) + "\n")
 
-    def figure(self, file: str | Path, *, work: str = "seconds") -> None:
-        """Write a log-log figure: error of each quantity over seconds or a counter (``work``); rank 0."""
+    def figure(self, file: str | Path, *, work: str = "seconds", title: str = "") -> None:
+        """Write a log-log figure: error of each quantity over seconds or a counter (``work``), under a title; rank 0."""
         from .plot import plot_work_precision
 
-        plot_work_precision(self, file, work)
+        plot_work_precision(self, file, work, title)
 
 
 def _cell(x: float | None, form: str, missing: str = "") -> str:

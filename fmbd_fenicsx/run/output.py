@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 import sys
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,6 +22,7 @@ from ..system.serialisation import Memory
 from ..system.system import Evaluation, State, System
 from .acceptance import Closed
 from .between import state_between
+from .ledger import Books
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class Output:
             in each sensor (one more run of about twice the modes, not counted either).
         estimate_space: run again with each body in a finer space (displacements of one degree more, or half the cell size) and
             estimate the error that the mesh causes in each sensor.
+        ledger: whether the power of every force, drive and damping is recorded too, for ``run.ledger``.
         on_step: called after each step with a :class:`~fmbd_fenicsx.run.moment.Moment`: ``now.t``, ``now.step``, ``now["tip"]``
             for the present value of a sensor. On all ranks; what it returns is ignored.
     """
@@ -71,9 +73,13 @@ class Output:
     estimate_space: bool = False
     times: Sequence[float] | None = None
     on_step: Callable[[Any], Any] | None = None
+    ledger: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self)
+        require(
+            self.energy or not self.ledger, "Output: a ledger needs the energies, so energy=False does not go with it."
+        )
         whole("Output: every =", self.every, least=1)
         if self.times is not None:
             t = vector("Output: times", self.times)
@@ -145,6 +151,9 @@ class Recorder:
     times: list[float] = field(default_factory=list)
     energies: dict[str, list[float]] = field(default_factory=dict)
     snapshots: list[State] = field(default_factory=list)
+    powers: list[dict[str, float]] = field(default_factory=list)
+    works: list[dict[str, float]] = field(default_factory=list)
+    unlisted: tuple[str, ...] = ()
     gap: float = 0.0
     slip: float = 0.0
     seconds: float = 0.0
@@ -207,7 +216,27 @@ class Recorder:
         if self.output.energy:
             for name, value in ev.energies().items():
                 self.energies.setdefault(name, []).append(value)
+        if self.output.ledger:
+            self._book(ev, state)
         self.seconds += clock.perf_counter() - begin
+
+    def _book(self, ev: Evaluation, state: State) -> None:
+        """Power of every element in a state, and work of contacts up to it; collective."""
+        from ..system.powers import contact_works, powers, unlisted
+
+        if not self.powers:
+            self.unlisted = tuple(unlisted(ev, state))
+        self.powers.append(powers(ev, state))
+        self.works.append(contact_works(state) if self.scene.contacts else {})
+
+    @property
+    def books(self) -> Books:
+        """What was recorded for the ledger."""
+        power, work = (
+            {name: np.array([one.get(name, 0.0) for one in entries]) for entry in entries for name in entry}
+            for entries in (self.powers, self.works)
+        )
+        return Books(power, work, self.unlisted)
 
     def remember(self, m: Memory) -> None:
         """All that was recorded so far."""
@@ -218,6 +247,9 @@ class Recorder:
         kinds = m("kinds", list(self.energies))
         self.energies = {k: list(m(f"energy {k}", np.array(self.energies.get(k, ())))) for k in kinds}
         self.gap, self.slip, self.seconds, self._due = m("drift", (self.gap, self.slip, self.seconds, self._due))
+        if self.output.ledger:
+            power, work, self.unlisted = m("ledger", (self.books.power, self.books.work, self.unlisted))
+            self.powers, self.works = _entries(power, len(self.times)), _entries(work, len(self.times))
         self._wanted = m("wanted", self._wanted)
         if self._wanted is not None:
             self._before = m.state("before", self._before)
@@ -232,6 +264,11 @@ class Recorder:
     def energy(self) -> dict[str, Array]:
         """Kind -> energies in J, (n,)."""
         return {name: np.array(values) for name, values in self.energies.items()}
+
+
+def _entries(columns: Mapping[str, Array], count: int) -> list[dict[str, float]]:
+    """A dictionary for each record from a column for each name."""
+    return [{name: float(x[k]) for name, x in columns.items()} for k in range(count)]
 
 
 class Progress:

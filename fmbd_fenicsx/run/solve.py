@@ -24,6 +24,7 @@ from ..system.scene.plan import Plan, make_plan
 from ..system.scene.scene import Scene
 from ..system.system import State, System
 from .estimates import Compared, reduction_error, space_error, time_error, tolerance_error
+from .ledger import Books, Ledger, make_ledger
 from .output import Output, refuse_too_many
 from .schedule import Pace, pace_of
 from .settings import check_settings, checked_scheme
@@ -87,6 +88,7 @@ class Run:
     memory: float = 0.0
     status: str = "finished"
     not_unique: list[str] = field(default_factory=list)
+    books: Books | None = None
 
     def __getitem__(self, sensor: str) -> Array:
         """Series of a sensor, (n, size)."""
@@ -108,6 +110,13 @@ class Run:
         from .certificate import certificate_of
 
         return certificate_of(self)
+
+    @property
+    def ledger(self) -> Ledger:
+        """Work and power of every force, drive and damping, and the change of energy that they explain; of a run with
+        ``Output(ledger=True)``.
+        """
+        return make_ledger(self.times, self.energy, self.books)
 
     def plot_history(self, file: str | Path) -> None:
         """Write the error against the seconds of every attempt of a run with ``tol`` (matplotlib); rank 0 writes."""
@@ -332,6 +341,7 @@ def solve(
         times=np.array(marched.recorder.times),
         series=marched.recorder.series,
         energy=marched.recorder.energy,
+        books=marched.recorder.books if output.ledger else None,
         snapshots=marched.recorder.snapshots,
         counters=counters,
         seconds={
@@ -408,7 +418,7 @@ def _keeper(
         "Newton": {n: getattr(newton, n) for n in ("tolerance", "max_iterations", "slow", "patience", "tangent")},
         "linear": problem.linear,
         "step": float(f"{pace.t_end / pace.steps:.12g}") if pace.steps else None,
-        "recorded": {n: getattr(output, n) for n in ("every", "energy")},
+        "recorded": {n: getattr(output, n) for n in ("every", "energy", "ledger")},
     }
     return Keeper(plan, restart, problem.system, given(problem.scene, problem.system, settings))
 

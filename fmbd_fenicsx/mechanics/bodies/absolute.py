@@ -106,6 +106,23 @@ class AbsoluteField(FieldPart):
         d = self.field.dim
         return (self.field.stiffness((Ud.reshape(-1, d) @ T).ravel()).reshape(-1, d) @ T.T).ravel()
 
+    def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
+        """Power (W) of loads and of material damping; collective."""
+        f, (U, Ud) = self.field, local
+        found = {}
+        if f.loads.loads:
+            outer, inner = f.loads.nodal(motion.t, np.eye(f.dim), U)
+            found["loads"] = float((outer + inner).ravel() @ Ud)
+
+        if self.damped:
+            damping = f.forms.mass_damping * f.mass(Ud.reshape(-1, f.dim)).ravel()
+            if f.forms.stiffness_damping:
+                damping += f.forms.stiffness_damping * self._turned_stiffness(U, Ud)
+            if f.D is not None:
+                damping += f.viscous.force(U, Ud)
+            found["damping"] = -float(Ud @ damping)
+        return self.summed(found)
+
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic, elastic and weight energy, J; collective."""
         d, (U, Ud) = self.field.dim, local

@@ -231,6 +231,10 @@ class CoordinatePart:
             )
         return inertia - f
 
+    def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
+        """None: forces of the user are one sum."""
+        return None
+
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
         """M(q)."""
         n = len(motion.twist)

@@ -133,6 +133,25 @@ class FieldPart:
         """The tangent of a configuration, with what else it depends on."""
         raise NotImplementedError
 
+    def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
+        """None: the kind of placement knows how its loads move."""
+        return None
+
+    @property
+    def damped(self) -> bool:
+        """Whether the body has material damping."""
+        forms = self.field.forms
+
+        return bool(forms.mass_damping or forms.stiffness_damping or self.field.D is not None)
+
+    def summed(self, found: dict[str, float]) -> dict[str, float]:
+        """Powers of this rank's nodes, summed over ranks; collective."""
+        if not found:
+            return {}
+        total = self.field.total(np.array(list(found.values())))
+
+        return dict(zip(found, (float(x) for x in total), strict=True))
+
     # -- the core's share ---------------------------------------------------------------------------------------
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
         """Mass block of the frame (zero without one); the field's own blocks stay with its factor."""

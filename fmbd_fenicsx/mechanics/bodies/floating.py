@@ -193,6 +193,32 @@ class FloatingField(FieldPart):
         weight = -float(motion.gravity @ (self.field.mass_total * pose[:d] + motion.R @ sums[1:]))
         return float(sums[0]), self.field.energy(U), weight
 
+    def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
+        """Power (W) of loads, of material damping, and of the stress of inertia forces that stiffens; collective."""
+        f, d, (U, Ud) = self.field, self.field.dim, local
+        found = {}
+        if f.loads.loads:
+            outer, inner = f.loads.nodal(motion.t, motion.R, U)
+            W = self._velocity(motion, local)[1]
+            found["loads"] = float((outer * W).sum() + inner.ravel() @ Ud)
+        if self.damped:
+            found["damping"] = -float(Ud @ self._damping(U, Ud))
+
+        if self.stiffening is not None:
+            assert motion.accel is not None
+            a, w, turn = motion.R.T @ (motion.accel[:d] - motion.gravity), motion.twist[d:], motion.accel[d:]
+            load = self.stiffening.coefficients(inertia_load(a, w, turn), motion.t, motion.R)
+            found["stiffening"] = -float(self.stiffening.force(load, U) @ Ud)
+        return self.summed(found)
+
+    def _damping(self, U: Array, Ud: Array) -> Array:
+        """Nodal forces of Rayleigh and Kelvin-Voigt damping, (n d,); collective."""
+        f = self.field
+        out = f.forms.mass_damping * f.mass(Ud.reshape(-1, f.dim)).ravel()
+        if f.forms.stiffness_damping:
+            out += f.forms.stiffness_damping * f.stiffness(Ud)
+        return out if f.D is None else out + f.damping(Ud)
+
     def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
         """Linear and angular momentum about the world origin, world axes; collective."""
         m, d = self.motions, self.field.dim

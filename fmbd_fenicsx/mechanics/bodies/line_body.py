@@ -192,6 +192,12 @@ class LinePart:
         rows = self.M @ (a + alpha * v if alpha else a) + inner - motion.gravity @ self._weight
         return np.zeros_like(motion.twist), rows
 
+    def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
+        """Power (W) of damping."""
+        alpha = self.body.mass_damping
+
+        return {"damping": -alpha * float(local[1] @ self.M @ local[1])} if alpha else {}
+
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
         """M, constant."""
         n = len(motion.twist)

@@ -102,7 +102,7 @@ class ReducedPart:
         self.reference = np.concatenate([np.zeros(0), *(s.reference.ravel() for s in used)])
         self.port_matrix = np.concatenate([np.zeros((0, self.n)), *(s.modes for s in used)])
         self.shortening = of_constants(self.motions, used, self.n_port)
-        self._stress = np.zeros((self.n, self.n))
+        self._stress: Array = np.zeros((self.n, self.n))
         k = self.n + 1
         self._T = np.ascontiguousarray(constants.T.transpose(0, 2, 3, 1)).reshape(k * d * d, k)
         self._modal_mass = np.trace(constants.T[1:, 1:], axis1=2, axis2=3).copy()
@@ -178,10 +178,7 @@ class ReducedPart:
         frame[d:] = axial(N)
         rows: Array = a @ c.S[:, 1:] + np.trace(B[1:], axis1=1, axis2=2) + c.K @ eta + c.D @ rate
         if c.stiffening is not None:
-            self._stress = np.tensordot(np.concatenate((a, L.ravel())), c.stiffening, 1)
-            for load in c.load_stress:
-                axes = np.eye(d) if load.follower else motion.R
-                self._stress += load.factor(motion.t, self.name) * np.tensordot(axes, c.load_stress[load], 2)
+            self._stress = self._stress_of(motion)
             rows = rows + self._stress @ eta
         for load, b in c.loads:
             self._apply(load, b, motion, p[:, 0], (frame, rows))
@@ -196,6 +193,33 @@ class ReducedPart:
         if not load.internal:
             out[0][:d] -= factor * (motion.R @ self._load_sum(load, motion.R))
             out[0][d:] -= factor * axial(np.tensordot(p, B, 1).T)
+
+    def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
+        """Power (W) of loads, of damping, and of the stress of inertia forces that stiffens."""
+        c, d, (eta, rate) = self.constants, self.dim, local
+        found = {}
+        if c.loads:
+            rows = np.zeros(d + self.motions.n_rot), np.zeros(self.n)
+            p = self._with_shape(eta)[:, 0]
+            for load, b in c.loads:
+                self._apply(load, b, motion, p, rows)
+            found["loads"] = -float(rows[0] @ motion.twist + rows[1] @ rate)
+        if c.D.any():
+            found["damping"] = -float(rate @ c.D @ rate)
+        if c.stiffening is not None:
+            found["stiffening"] = -float(rate @ self._stress_of(motion) @ eta)
+        return found
+
+    def _stress_of(self, motion: FrameMotion) -> Array:
+        """Geometric stiffness (m, m) of the stress by inertia forces and loads."""
+        c = self.constants
+        assert c.stiffening is not None
+        a, _, L = self._motion(motion)
+        stress: Array = np.tensordot(np.concatenate((a, L.ravel())), c.stiffening, 1)
+        for load in c.load_stress:
+            axes = np.eye(self.dim) if load.follower else motion.R
+            stress = stress + load.factor(motion.t, self.name) * np.tensordot(axes, c.load_stress[load], 2)
+        return stress
 
     def _load_sum(self, load: Any, R: Array) -> Array:
         total = self.constants.load_sums[load]

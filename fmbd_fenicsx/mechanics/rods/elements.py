@@ -164,6 +164,19 @@ class RodElements:
         loads = [(self.nodes, -self._load(x, t, middle)[0]) for x in self.loads]
         return [(self.frames, mean_forces(self, poses, twist, h)), *loads]
 
+    def given(self, t: float, pose: Array, twist: Array) -> dict[str, float]:
+        """Power (W) of the loads along the rod and of its damping."""
+
+        def power(part: Forces) -> float:
+            frames, rows = part
+            return -float((rows * twist[frames]).sum())
+
+        with_rates, *loads = self.forces(t, pose, twist)
+        found = {"loads": sum(power(x) for x in loads)} if loads else {}
+        if self.beta:
+            found["damping"] = power(with_rates) - power(self.forces(t, pose, None)[0])
+        return found
+
     def energy(self, pose: Array) -> float:
         """Elastic energy, J."""
         return float((self.weights * self.law.energy(self.strains(pose))).sum())
