@@ -33,9 +33,10 @@ class ConstraintError(FmbdError):
 
 
 class LinearSolveError(FmbdError):
-    """A linear solve failed its residual test."""
+    """A linear solve failed its residual test; ``motion``: of the core, where it is one that nothing determines."""
 
     exit_code = 71
+    motion: Any = None
 
 
 class ConvergenceError(FmbdError):

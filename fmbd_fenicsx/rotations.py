@@ -256,7 +256,7 @@ def motions(dim: int) -> Motions:
     return {2: PLANE, 3: SPACE}[dim]
 
 
-def turned(x: Array, R: Array | None, back: bool = False) -> Array:
+def rotate_nodal(x: Array, R: Array | None, back: bool = False) -> Array:
     """Nodal vectors x (n d,) turned by R (d, d), or back by R^T; x itself without a rotation."""
     if R is None:
         return x

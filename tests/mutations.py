@@ -86,7 +86,7 @@ MUTATIONS: list[tuple[str, str, str, str, list[str]]] = [
      ["test_delassus"]),
     ("friction by products: preconditioner holds slips", "linear/complementarity/coulomb_matrix_free.py", "w[rest] = solve(load[rest] - held @ r[free])", "w[rest] = 0.0",
      ["test_delassus"]),
-    ("contact sees no ties of many multipliers", "linear/complementarity/delassus.py", "if elastic and (len(trace) > MANY or self.solver.many is not None):",
+    ("contact sees no ties of many multipliers", "linear/complementarity/delassus.py", "if elastic and (len(trace) > MANY or self.solver.iterated is not None):",
      "if elastic and len(trace) > MANY:", ["test_delassus"]),
     ("sliding ties of curved surfaces taken", "mechanics/joints/surface_ties.py", "if np.linalg.norm(mean) < 1 - 1e-6:", "if False:",
      ["test_trace_ties"]),

@@ -96,12 +96,12 @@ class Field:
         self.M.assemble()
         self.elastic_measure = dx if forms.quadrature is None else dx(metadata={"quadrature_degree": forms.quadrature})
         self._elastic_form(self.elastic_measure)
-        self.K = fp.create_matrix(self._stiffness_form, "baij")
+        self.K = fp.create_matrix(self.stiffness_form, "baij")
         self.tangents = -1
         self._with_extra: Any = None
         self.linearise(None)
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        self._mass_form = compat.form(rho * ufl.inner(u, v) * dx)
+        self.mass_form = compat.form(rho * ufl.inner(u, v) * dx)
         self.n_global = self.space.dofmap.index_map.size_global * d
         self._work = [self.M.createVecRight(), self.M.createVecLeft()]
         self._big = [self.K.createVecRight(), self.K.createVecLeft()]
@@ -136,7 +136,7 @@ class Field:
                 a = self.forms.elastic(u, v, dx)
                 if not isinstance(a, ufl.Form) or len(a.arguments()) != 2:
                     raise TypeError(f"found {a!r:.80}; integrate over dx, once linear in u and once in v")
-                self._stiffness_form = compat.form(a)
+                self.stiffness_form = compat.form(a)
                 return
             what = "energy(u, dx) did not give a UFL form of rank 0"
             self._w = fem.Function(self.space)
@@ -145,7 +145,7 @@ class Field:
                 raise TypeError(f"found {energy!r:.80}; integrate an energy density over dx")
             residual = ufl.derivative(energy, self._w, v)
             self._energy_form, self._residual_form = compat.form(energy), compat.form(residual)
-            self._stiffness_form = compat.form(ufl.derivative(residual, self._w, u))
+            self.stiffness_form = compat.form(ufl.derivative(residual, self._w, u))
         except Exception as error:
             raise InputError(f'Body "{self.name}": {what}: {type(error).__name__}: {error}') from error
 
@@ -166,13 +166,13 @@ class Field:
             self._place(np.zeros(self.n * self.dim) if U is None else U)
         if self.tangents < 0 or self.nonlinear:
             self.K.zeroEntries()
-            fp.assemble_matrix(self.K, self._stiffness_form)
+            fp.assemble_matrix(self.K, self.stiffness_form)
             self.K.assemble()
         if extra is not None:
             if self._with_extra is None:
-                self._with_extra = fp.create_matrix(self._stiffness_form, "baij")
+                self._with_extra = fp.create_matrix(self.stiffness_form, "baij")
             self._with_extra.zeroEntries()
-            for form in (self._stiffness_form, extra):
+            for form in (self.stiffness_form, extra):
                 fp.assemble_matrix(self._with_extra, form)
             self._with_extra.assemble()
         self._linearised, self._extra = U, extra
@@ -265,7 +265,7 @@ class Field:
         """The PETSc matrix M on vectors (aij); collective. The caller destroys it."""
         import dolfinx.fem.petsc as fp
 
-        M = fp.assemble_matrix(self._mass_form)
+        M = fp.assemble_matrix(self.mass_form)
         M.assemble()
         return M
 
@@ -276,14 +276,14 @@ class Field:
         if self.nonlinear:
             self._place(np.zeros(self.n * self.dim) if self._linearised is None else self._linearised)
             self.viscous.restore()
-        E = fp.create_matrix(self._stiffness_form)
+        E = fp.create_matrix(self.stiffness_form)
         E.zeroEntries()
         if self.redistributed:
             return self._with_own_mass(E, cm, ck)
-        fp.assemble_matrix(E, self._mass_form)
+        fp.assemble_matrix(E, self.mass_form)
         E.assemble()
         E.scale(cm / ck)
-        fp.assemble_matrix(E, self._stiffness_form)
+        fp.assemble_matrix(E, self.stiffness_form)
         E.assemble()
         if self._extra is not None:
             fp.assemble_matrix(E, self._extra)
@@ -307,7 +307,7 @@ class Field:
         import dolfinx.fem.petsc as fp
         from petsc4py import PETSc
 
-        fp.assemble_matrix(E, self._stiffness_form)
+        fp.assemble_matrix(E, self.stiffness_form)
         E.assemble()
         if self._extra is not None:
             fp.assemble_matrix(E, self._extra)
@@ -364,8 +364,8 @@ class Field:
         return of
 
     @cached_property
-    def numbering(self) -> Numbering:
-        """Numbers of the nodes that do not depend on the ranks; collective."""
+    def numbering(self) -> Numbering | None:
+        """Numbers of the nodes that do not depend on the ranks; None for fields that every rank holds whole. Collective."""
         from .numbering import Numbering
 
         return Numbering(self.space)

@@ -74,7 +74,7 @@ class MixedField(Field):
             self._energy_form, self._residual_form, self._balance_form = (
                 compat.form(x) for x in (energy, force, balance)
             )
-            self._stiffness_form = compat.form(ufl.derivative(force, self._w, u))
+            self.stiffness_form = compat.form(ufl.derivative(force, self._w, u))
             self._coupling_form = compat.form(ufl.derivative(balance, self._w, u))
             self._compliance_form = compat.form(ufl.derivative(balance, self._p, p))
         except Exception as error:

@@ -14,7 +14,6 @@ E_0 serves all attitudes; new tangents are taken only when Newton's rate asks fo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,133 +21,120 @@ import scipy.sparse as sp
 
 from ..errors import InputError, LinearSolveError, require
 from ..mechanics.placements import DistributedPart, FrameMotion
-from ..rotations import Array, turned
+from ..rotations import Array, rotate_nodal
 from ..system.force_tangent import force_tangent
 from ..system.foreshortened_ports import tangent_ports
 from ..system.mobility import mobility
 from ..system.system import Evaluation, System
-from .blocks.frame_moments import frame_moments
-from .blocks.incompressibility import VolumeMass
-from .blocks.spd import CholeskyFactor, MassInverse
-from .border import AroundSolver, Border, loaded_ports
+from .blocks.field_blocks import Block, FieldBlocks, Weights
+from .border import AroundSolver, Border
 from .configuration_warnings import mover, warn_near_singular, warn_of_ties
-from .core import ADVICE, CoreSolver, dense
-from .options import check_options
+from .core import ADVICE, TIE_LIMIT, CoreSolver, dense
 from .residual import Judge
 
-TIE_LIMIT = 1500  # multipliers of surface ties that the dense core takes
+__all__ = ["StepSolver", "Weights"]
+
 LOOK_LIMIT = 600  # constraint rows up to which the solver itself looks for redundant ones
 
 
-@dataclass(frozen=True)
-class Weights:
-    """The step's matrix is cm M + cd C + ck K."""
-
-    cm: float
-    cd: float
-    ck: float
-
-
-@dataclass
-class Block:
-    """Factor and constant columns of one field for one ratio cm : ck."""
-
-    factor: Any
-    used: np.ndarray  # port numbers that have a column
-    Y: Array  # (n d, k + len(used)), k columns of inertia
-    W: Array
-    made_of: tuple[float, float, float, int]  # see _made_of
-
-
 class StepSolver:
-    """Solves cm M + cd C + ck K with the constraints of a system; one object for a whole run; collective."""
+    """Solves cm M + cd C + ck K with the constraints of a system; one object for a whole run; collective.
+
+    After :meth:`prepare`, for each field of the configuration: ``blocks``, ``corotations`` (the rotation T of its factor, or
+    None), ``couplings`` S as its balance sees the core and ``back_couplings`` S as the core sees it; ``jacobian`` is G.
+    """
 
     def __init__(
         self, system: System, redundant: bool | None = None, *, linear: Any = None, prefix: str = "fmbd_"
     ) -> None:
         """``redundant``: whether constraint rows may depend on each other; None looks at the first configuration.
 
-        ``linear``: how elastic blocks are solved, an object of :mod:`.presets` (None: Cholesky factors). PETSc's options of
-        the block of a body are those under ``<prefix><body>.u_``.
+        ``linear``: how elastic blocks are solved, an object of :mod:`fmbd_fenicsx.solvers` (None: Cholesky factors). PETSc's
+        options of the block of a body are those under ``<prefix><body>.u_``.
         """
         self.system, self.linear, self.prefix = system, linear, prefix
         self._look = redundant is None
         self._near_singular = False
         self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
-        self.factorisations = 0
-        self.kept = 1  # sets of elastic factors that stay when a new one is made: schemes with variable steps keep more
-        self._blocks: dict[tuple[Any, ...], list[Block]] = {}
-        self._retired: list[Any] = []
-        self.split: Any = linear.split(system, prefix) if hasattr(linear, "split") else None
-        self.many = self._many()
-        self.few: Any = slice(None) if self.many is None else self.many.few
+        self.elastic = FieldBlocks(system, linear, prefix)
+        self.blocks: list[Block] = []
+        self.split: Any = None if linear is None else linear.split(system, prefix)
+        self.iterated = self._iterated_ties()
+        self.direct: Any = slice(None) if self.iterated is None else self.iterated.direct
 
-    def _many(self) -> Any:
+    def _iterated_ties(self) -> Any:
         """What iterates on the multipliers of surface ties where they are many; None where the dense core takes them."""
-        s = self.system
-        count = sum(span.stop - span.start for _, span in s.traces)
-        limit = getattr(self.linear, "limit", TIE_LIMIT)
+        count = sum(span.stop - span.start for _, span in self.system.traces)
+        limit = TIE_LIMIT if self.linear is None else self.linear.limit
         if count <= limit:
             return None
-        if not hasattr(self.linear, "multiplier"):
+
+        multiplier = None if self.linear is None else self.linear.multiplier
+        if multiplier is None:
             raise InputError(
                 f"The surface ties have {count} multipliers; the direct solver takes up to {TIE_LIMIT}. "
                 "Use solve(..., linear=fmbd.Schur()), or coarser multiplier spaces."
             )
-        from .iterated_multipliers import ManyMultipliers
+        from .iterated_multipliers import IteratedMultipliers
 
-        return ManyMultipliers(s, self.linear.multiplier, self.linear.rtol)
+        return IteratedMultipliers(self.system, multiplier, self.linear.rtol)
+
+    # -- counts -------------------------------------------------------------------------------------------------
+    @property
+    def factorisations(self) -> int:
+        """Factorisations of elastic blocks so far."""
+        return self.elastic.factorisations
 
     @property
     def back_solves(self) -> int:
         """Right-hand sides solved with elastic factors so far."""
-        live = {id(b.factor): b.factor for blocks in self._blocks.values() for b in blocks}
-        return sum(f.judge.solves for f in live.values()) + sum(self._retired)
+        return self.elastic.back_solves
 
     @property
     def elastic_iterations(self) -> int:
         """Iterations of conjugate gradients inside all of them; 0 for factors."""
-        live = {id(b.factor): b.factor for blocks in self._blocks.values() for b in blocks}
-        return sum(getattr(f, "iterations", 0) for f in live.values())
+        return self.elastic.iterations
 
     @property
     def tie_iterations(self) -> int:
         """Iterations on the multipliers of surface ties; 0 where these are solved directly."""
-        return 0 if self.many is None else int(self.many.iterations)
+        return 0 if self.iterated is None else int(self.iterated.iterations)
 
     @property
     def saddle_iterations(self) -> int:
-        """Iterations on the whole matrix of a step, see :mod:`.split`; 0 where it is eliminated instead."""
+        """Iterations on the whole matrix of a step, see :mod:`.fieldsplit`; 0 where it is eliminated instead."""
         return 0 if self.split is None else int(self.split.iterations)
 
     @property
     def worst_residual(self) -> float:
         """Largest relative residual of any accepted solve."""
-        worst = [b.factor.judge.worst for blocks in self._blocks.values() for b in blocks]
-        return max([self.core.judge.worst, 0.0 if self.split is None else self.split.judge.worst, *worst])
+        whole = 0.0 if self.split is None else self.split.judge.worst
+        return max(self.core.judge.worst, whole, self.elastic.worst_residual)
 
+    # -- set-up -------------------------------------------------------------------------------------------------
     def prepare(self, ev: Evaluation, weights: Weights, stiffness: Any = None, *, keep: bool = False) -> None:
         """Set up (1) for a configuration; elastic factors are kept from earlier calls with the same weights.
 
         ``stiffness``: extra core matrix (n_core, n_core), already weighted (springs, geometric terms), or None. ``keep``: the
         matrix stays as it is, until :meth:`refresh` takes it at this configuration.
         """
-        s = self.system
+        self._ev = ev
         if keep:
-            self._ev = ev
             return
+        s = self.system
         s.move(ev.t)
-        w = self.weights = weights
-        self._ev, self._stiffness = ev, stiffness
+        self.weights, self._stiffness = weights, stiffness
+
         if self._look and s.n_lam <= LOOK_LIMIT:
             found = mobility(s, ev.t, ev.q)
             self.core.redundant = found.redundant > 0
             warn_of_ties(s, found.shares)
         self._look = False
+
         try:
-            self._assemble(ev, w, stiffness)
+            self._assemble(ev)
         except LinearSolveError as error:
-            if not hasattr(error, "motion"):
+            if error.motion is None:
                 raise
             raise LinearSolveError(
                 f"{mover(s, error.motion)} has a motion without mass that no joint holds (t = {ev.t:g} s). {ADVICE}"
@@ -156,43 +142,59 @@ class StepSolver:
         if s.n_lam and (self.core.ratio < 1e-5 or self._near_singular):
             self._near_singular = warn_near_singular(ev, self.core.rank, self._near_singular)
 
-    def _assemble(self, ev: Evaluation, w: Weights, stiffness: Any) -> None:
+    def _assemble(self, ev: Evaluation) -> None:
         """The matrices of (1), and the factor of the core."""
-        s = self.system
-        G = ev.jacobian
-        A = self.core_matrix(ev, w)
-        applied = force_tangent(ev, w.cd, w.ck) if (s.forces or s.elements) and (w.cd or w.ck) else None
-        self.border = Border.of(s, applied)
-        for extra in (None if applied is None else applied.core, stiffness):
-            if extra is not None:
-                A = A + extra
+        s, w = self.system, self.weights
+        self.jacobian = ev.jacobian
+        A = self._core_with_forces(ev)
         if not s.fields:
-            self._G = G
-            self.core.factor(A, G.core)
+            self.core.factor(A, self.jacobian.core)
             return
-        self._G = G
-        self._turns = [f.turn(s.local_q(ev.q, k)) for k, f in s.fields]
-        moving = w.ck and self.many is None and s.contacts is None  # Delassus operators are those of (1)
-        self._sways = [f.sway(s.local_q(ev.q, k)) if moving else None for k, f in s.fields]
-        self.blocks = self._elastic(G, w)
-        n = s.n_core
+
+        # A contact's compliance is that of (1), without the moments that are corrected after a solve.
+        corrected = w.ck and self.iterated is None and s.contacts is None
+        local = [s.local_q(ev.q, k) for k, _ in s.fields]
+        self.corotations = [f.corotation(u) for (_, f), u in zip(s.fields, local, strict=True)]
+        self._missing_momenta = [
+            f.missing_momentum(u) if corrected else None for (_, f), u in zip(s.fields, local, strict=True)
+        ]
+        ties_apart = self.iterated is not None or self._whole
+        self.blocks = self.elastic.of(self.jacobian, w, ties_apart=ties_apart, splits=self.split is not None)
+
         A = A.toarray() if sp.issparse(A) else A.copy()
         if self._whole:
             self._refuse_redundant()
-            self.split.prepare(self, A, [self._coupling(ev, i, w.cm) for i in range(len(self.blocks))])
+            self.split.prepare(self, A, [self._coupling(ev, i) for i in range(len(self.blocks))])
             self._around = AroundSolver(self.border, self.split.solve)
             return
-        if self.many is not None:
-            self.many.prepare(ev, w, A)
+        if self.iterated is not None:
+            self.iterated.prepare(ev, w, A)
+        self._condense(ev, A)
+
+    def _core_with_forces(self, ev: Evaluation) -> Any:
+        """A of (1) with the tangents of force elements; those on fields become the border."""
+        s, w = self.system, self.weights
+        A = self.core_matrix(ev, w)
+        has_tangent = (s.forces or s.elements) and (w.cd or w.ck)
+        applied = force_tangent(ev, w.cd, w.ck) if has_tangent else None
+        self.border = Border.of(s, applied)
+
+        if applied is not None and applied.core is not None:
+            A = A + applied.core
+        return A if self._stiffness is None else A + self._stiffness
+
+    def _condense(self, ev: Evaluation, A: Array) -> None:
+        """Factor A - S^T W S of (1), with the constraint rows held by the core and the rows of the border."""
+        n = self.system.n_core
         left, right = self.border.on_core()
-        joints = dense(G.core)[self.few]
+        joints = dense(self.jacobian.core)[self.direct]
         lower, upper = np.concatenate((joints, right)), np.concatenate((joints.T, left), axis=1)
         C = np.diag(np.repeat((0.0, -1.0), (len(joints), self.border.count)))
-        self._S, self._R = [], []
-        for i, block in enumerate(self.blocks):
-            S, R = self._couplings(ev, i, w.cm)
-            self._S.append(S)
-            self._R.append(R)
+
+        pairs = [self._couplings(ev, i) for i in range(len(self.blocks))]
+        self.couplings = [S for S, _ in pairs]
+        self.back_couplings = [R for _, R in pairs]
+        for block, (S, R) in zip(self.blocks, pairs, strict=True):
             WS = R.T @ block.W @ S
             A -= WS[:n, :n]
             lower -= WS[n:, :n]
@@ -216,142 +218,84 @@ class StepSolver:
     def core_matrix(self, ev: Evaluation, w: Weights) -> Any:
         """cm M + cd C + ck K of the core: rigid bodies, frames of elastic ones (at U = 0), replicated parts."""
         s, n = self.system, self.system.motions.n_twist
+        gravity, rest = s.gravity(ev.t), np.zeros(n)
         M = np.zeros((s.n_frames + 1, n, n))
         if s.rigid is not None:
             M[s.rigid.frame] = s.rigid.matrices()
+
         blocks = []
         for k, p in enumerate(s.parts):
-            u, ud = s.local_q(ev.q, k), np.zeros(p.n) if ev.v is None else s.local_v(ev.v, k)
-            motion = FrameMotion(ev.t, ev.rotation[p.frame], np.zeros(n), None, s.gravity(ev.t))
-            Mff, Mlf, Mll = p.mass_blocks(motion, u)
-            M[p.frame] += Mff
-            if not p.distributed:
-                K, C = p.stiffness_blocks(motion, (u, ud)) if w.ck or w.cd else (0.0, 0.0)
-                blocks.append((k, p, w.cm * Mlf, w.cm * Mll + w.cd * C + w.ck * K))
+            u = s.local_q(ev.q, k)
+            motion = FrameMotion(ev.t, ev.rotation[p.frame], rest, None, gravity)
+            of_frame, coupling, local = p.mass_blocks(motion, u)
+            M[p.frame] += of_frame
+            if p.distributed:
+                continue
+            K: Any = 0.0
+            C: Any = 0.0
+            if w.ck or w.cd:
+                rate = np.zeros(p.n) if ev.v is None else s.local_v(ev.v, k)
+                K, C = p.stiffness_blocks(motion, (u, rate))
+            blocks.append((k, p, w.cm * coupling, w.cm * local + w.cd * C + w.ck * K))
         M *= w.cm
-        if not isinstance(ev.jacobian.core, np.ndarray):
+
+        if not blocks and not isinstance(ev.jacobian.core, np.ndarray):
             frames = sp.bsr_matrix((M[:-1], np.arange(s.n_frames), np.arange(s.n_frames + 1)))
-            if not blocks:
-                return frames.tocsr()
-            frames = frames.toarray()
+            return frames.tocsr()
+
         out = np.zeros((s.n_core, s.n_core))
         view = out[: s.n_frames * n, : s.n_frames * n].reshape(s.n_frames, n, s.n_frames, n)
         view[range(s.n_frames), :, range(s.n_frames)] = M[:-1]
-        for k, p, lf, ll in blocks:
-            at = s.slices[1][k]
-            out[at, at] = ll
+        for k, p, coupling, local in blocks:
+            rows = s.slices[1][k]
+            out[rows, rows] = local
             if p.frame < s.n_frames:
-                cols = slice(p.frame * n, (p.frame + 1) * n)
-                out[at, cols], out[cols, at] = lf, lf.T
+                frame = slice(p.frame * n, (p.frame + 1) * n)
+                out[rows, frame], out[frame, rows] = coupling, coupling.T
         return out
 
-    def _elastic(self, G: Any, w: Weights) -> list[Block]:
-        """Factors and constant columns of all fields, from the cache or new."""
-        key = tuple((_made_of(f, w), f.column_version) for _, f in self.system.fields)
-        if key not in self._blocks:
-            blocks = [self._block(i, G, w) for i in range(len(self.system.fields))]
-            self._drop(keep=self.kept, live=[b.factor for b in blocks])
-            if self.linear is not None and w.ck and self.split is None:
-                check_options(self.prefix, self.system.comm)
-        else:
-            blocks = self._blocks.pop(key)
-        self._blocks[key] = blocks  # those used last are dropped last
-        return blocks
-
-    def _block(self, i: int, G: Any, w: Weights) -> Block:
-        """Factor of field i, an earlier one where its matrix is the same, and its columns."""
-        k, f = self.system.fields[i]
-        cm, cd, ck, _ = same = _made_of(f, w)
-        earlier = [blocks[i] for blocks in self._blocks.values() if blocks[i].made_of == same]
-        if earlier:
-            factor: Any = earlier[-1].factor
-        else:
-            factor = self._factor(f, cm, ck, cd)
-            self.factorisations += ck != 0 and getattr(factor, "fresh", True)
-        first = f.n_frame_rows
-        active = G.active(self.system.port_slice(k)) | loaded_ports(self.system)[self.system.port_slice(k)]
-        if self.many is not None or self._whole:
-            active &= ~self._on_traces(f)
-        if f.shared_columns:
-            active[:first] = False  # the same columns as those of inertia
-        points = active[first:].reshape(-1, self.system.motions.dim)
-        points[:] = points.any(axis=1)[:, None]  # whole vectors b_k, so that they can be turned
-        used = np.flatnonzero(active)
-        H = np.concatenate((f.inertia_columns, f.port_columns(used)), axis=1)
-        Y = factor.solve_columns(H)
-        W = f.field.total(H.T @ Y)
-        return Block(factor, used, Y, 0.5 * (W + W.T), same)
-
-    def _on_traces(self, f: Any) -> np.ndarray:
-        """Which ports of a field belong to surface ties, (n_port,)."""
-        return np.arange(f.n_port) >= f.n_port - sum(B.shape[0] for B in f.traces)
-
-    def _factor(self, f: Any, cm: float, ck: float, cd: float) -> Any:
-        """A new factor of cm M + ck K, with the field's own damping where it has one."""
-        if ck == 0:
-            return VolumeMass(f.field, cm) if f.field.keeps_volume else MassInverse(f.field, cm)
-        slack = getattr(f, "slack", None)
-        if slack is None and self.linear is not None:
-            return self.linear.block(f.field, (cm, cd, ck), f"{self.prefix}{f.name}.u_")
-        if slack is None:
-            return CholeskyFactor(f.field, cm, ck, cd, turns=f.frame == self.system.n_frames)
-        from .blocks.low_rank import SlackFactor
-
-        return SlackFactor(f.field, cm, ck, slack)
-
-    def _drop(self, keep: int, live: list[Any]) -> None:
-        """Free all but the newest ``keep`` sets of factors, and those still ``live``."""
-        while len(self._blocks) > keep:
-            old = self._blocks.pop(next(iter(self._blocks)))
-            kept = [*live, *(b.factor for blocks in self._blocks.values() for b in blocks)]
-            for b in old:
-                if not any(b.factor is x for x in kept):
-                    self._retired.append(b.factor.judge.solves)
-                    b.factor.destroy()
-
-    def _coupling(self, ev: Evaluation, i: int, cm: float) -> Array:
+    def _coupling(self, ev: Evaluation, i: int) -> Array:
         """S of distributed part i: (inertia columns + used ports, n_core + n_lam)."""
-        s, block = self.system, self.blocks[i]
+        s, block, cm = self.system, self.blocks[i], self.weights.cm
         k, f = s.fields[i]
         c, d = f.inertia_columns.shape[1], s.motions.dim
         S = np.zeros((c + len(block.used), s.n_core + s.n_lam))
-        if c:
+
+        if c:  # the twist of its frame: translations in world axes, rotations in body axes
             at = f.frame * c
             S[:d, at : at + d] = cm * ev.rotation[f.frame].T
             S[d:c, at + d : at + c] = cm * np.eye(c - d)
         if f.shared_columns:
             rows = s.frame_rows[k]
             S[:c, s.n_core + rows.start : s.n_core + rows.stop] = np.eye(c)
-        S[c:, s.n_core :] = dense(self._G.port[:, s.port_slice(k).start + block.used]).T
-        S[c:] = self._turned_ports(i, S[c:])
+
+        ports = s.port_slice(k).start + block.used
+        S[c:, s.n_core :] = dense(self.jacobian.port[:, ports]).T
+        S[c:] = self._corotated_ports(i, S[c:])
         return S
 
-    def _couplings(self, ev: Evaluation, i: int, cm: float) -> tuple[Array, Array]:
-        """S of part i with the few rows and those of the border: what its balance sees, and what the others see of it."""
+    def _couplings(self, ev: Evaluation, i: int) -> tuple[Array, Array]:
+        """S of part i with the rows of the core and those of the border: what its balance sees, what the others see of it."""
         n, k = self.system.n_core, self.system.fields[i][0]
-        S = self._coupling(ev, i, cm)
-        if self.many is not None:
-            S = np.concatenate((S[:, :n], S[:, n:][:, self.few]), axis=1)
+        S = self._coupling(ev, i)
+        if self.iterated is not None:
+            S = np.concatenate((S[:, :n], S[:, n:][:, self.direct]), axis=1)
         if not self.border.count:
             return S, S
+
         used = self.blocks[i].used
         inertia = np.zeros((len(S) - len(used), self.border.count))
-        left, right = (np.concatenate((inertia, self._turned_ports(i, x))) for x in self.border.on_ports(k, used))
+        left, right = (np.concatenate((inertia, self._corotated_ports(i, x))) for x in self.border.on_ports(k, used))
         return np.concatenate((S, left), axis=1), np.concatenate((S, right), axis=1)
 
-    def _turned_ports(self, i: int, rows: Array) -> Array:
-        """Rows (used ports, columns) of part i as the turned factor sees them."""
-        turn = self._turns[i]
-        if turn is None or not len(rows):
+    def _corotated_ports(self, i: int, rows: Array) -> Array:
+        """Rows (used ports, columns) of part i in the axes of its factor."""
+        T = self.corotations[i]
+        if T is None or not len(rows):
             return rows
-        return np.asarray((turn.T @ rows.reshape(-1, len(turn), rows.shape[1])).reshape(rows.shape))
+        return np.asarray((T.T @ rows.reshape(-1, len(T), rows.shape[1])).reshape(rows.shape))
 
-    def _project(self, f: DistributedPart, block: Block, z: Array) -> Array:
-        """H^T z of a field."""
-        ports = tangent_ports(f, z)
-        q = ports[: f.n_frame_rows] if f.shared_columns else f.field.total(f.inertia_columns.T @ z)
-        return np.concatenate((q, ports[block.used]))
-
+    # -- solution -----------------------------------------------------------------------------------------------
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """Increment like v and multiplier increment (n_lam,) for right-hand sides b (like v) and c (n_lam,)."""
         s = self.system
@@ -360,9 +304,9 @@ class StepSolver:
         s.move(self._ev.t)
         if self._whole:
             return self._around.solve(b, c)
-        if self.many is not None:
-            return self.many.solve(self._solve_few, b, c)
-        return self._solve_few(b, c)
+        if self.iterated is not None:
+            return self.iterated.solve(self._solve_direct, b, c)
+        return self._solve_direct(b, c)
 
     def step(self, b: Array, c: Array) -> tuple[Array, Array]:
         """As :meth:`solve`, for an increment of Newton's iteration: the pressures that bodies carry move along; collective.
@@ -375,11 +319,12 @@ class StepSolver:
             return self.solve(b, c)
         b = b.copy()
         for i, k, f in carried:
-            at = s.slices[1][k]
-            b[at] -= self.weights.ck * turned(f.field.volume_load(), self._turns[i])  # type: ignore[attr-defined]
+            load = rotate_nodal(f.field.volume_load(), self.corotations[i])  # type: ignore[attr-defined]
+            b[s.slices[1][k]] -= self.weights.ck * load
         dq, dlam = self.solve(b, c)
         for i, k, f in carried:
-            f.field.move_pressure(turned(s.local_v(dq, k), self._turns[i], back=True))  # type: ignore[attr-defined]
+            moved = rotate_nodal(s.local_v(dq, k), self.corotations[i], back=True)
+            f.field.move_pressure(moved)  # type: ignore[attr-defined]
         return dq, dlam
 
     @property
@@ -393,27 +338,55 @@ class StepSolver:
         for field, p in zip(fields, values, strict=True):
             field.pressure_values = p  # type: ignore[attr-defined]
 
-    def _solve_few(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """The same with the rows that the core holds: all, or those of no surface tie where these are many."""
+    def _solve_direct(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """The same with the rows that the core holds: all, or those of no surface tie where these are iterated."""
         s = self.system
         n = s.n_core
+
+        # z = E^-1 b of each field, and what is left for the core
         rhs = np.concatenate((b[:n], c, np.zeros(self.border.count)))
         zs = []
         for i, ((k, f), block) in enumerate(zip(s.fields, self.blocks, strict=True)):
-            z = block.factor.solve(turned(s.local_v(b, k), self._turns[i], back=True))
-            rhs -= self._R[i].T @ self._project(f, block, z)
+            load = rotate_nodal(s.local_v(b, k), self.corotations[i], back=True)
+            z = block.factor.solve(load)
+            rhs -= self.back_couplings[i].T @ self._project(f, block, z)
             zs.append(z)
         x = np.concatenate(self.core.solve(rhs[:n], rhs[n:]))
-        parts = [z - block.Y @ (S @ x) for S, block, z in zip(self._S, self.blocks, zs, strict=True)]
-        moments = frame_moments(s, self._sways, self.weights.cm, parts)
+        parts = [z - block.Y @ (S @ x) for S, block, z in zip(self.couplings, self.blocks, zs, strict=True)]
+
+        # Moments that the constant columns of inertia leave out: a second solve with the core's factor, no back-solve.
+        moments = self._moments_left_out(parts)
         if moments is not None:
             more = np.concatenate(self.core.solve(moments, np.zeros(len(x) - n)))
             x += more
-            for part, S, block in zip(parts, self._S, self.blocks, strict=True):
+            for part, S, block in zip(parts, self.couplings, self.blocks, strict=True):
                 part -= block.Y @ (S @ more)
-        return np.concatenate([x[:n], *(turned(x, turn) for x, turn in zip(parts, self._turns, strict=True))]), x[
-            n : n + len(c)
-        ]
+
+        local = [rotate_nodal(part, T) for part, T in zip(parts, self.corotations, strict=True)]
+        return np.concatenate([x[:n], *local]), x[n : n + len(c)]
+
+    def _project(self, f: DistributedPart, block: Block, z: Array) -> Array:
+        """H^T z of a field."""
+        ports = tangent_ports(f, z)
+        q = ports[: f.n_frame_rows] if f.shared_columns else f.field.total(f.inertia_columns.T @ z)
+        return np.concatenate((q, ports[block.used]))
+
+    def _moments_left_out(self, increments: list[Array]) -> Array | None:
+        """Moments, (n_core,), that increments dU of fields have about their frames by M (e x U): -cm (M U) x dU.
+
+        Without them a light axis of a slender body slows Newton's iteration. None where there are none.
+        """
+        if all(MU is None for MU in self._missing_momenta):
+            return None
+        s, m = self.system, self.system.motions
+        out: Array = np.zeros(s.n_core)
+        for (_, f), MU, dU in zip(s.fields, self._missing_momenta, increments, strict=True):
+            if MU is None:
+                continue
+            at = f.frame * m.n_twist
+            moment = m.moment(MU, dU.reshape(-1, m.dim)).sum(0)
+            out[at + m.dim : at + m.n_twist] -= self.weights.cm * f.field.total(moment)
+        return out
 
     def refresh(self) -> bool:
         """New tangents of nonlinear parts at the configuration evaluated last, and rows at the one given last to
@@ -428,20 +401,4 @@ class StepSolver:
         """Free all factors; collective."""
         if self.split is not None:
             self.split.destroy()
-        self._drop(keep=0, live=[])
-        for _, f in self.system.fields:
-            forget = getattr(f.field, "forget", None)  # wires keep factors for several sets of slack droppers
-            if forget is not None:
-                forget()
-
-
-def _made_of(f: DistributedPart, w: Weights) -> tuple[float, float, float, int]:
-    """Coefficients of M, of an own damping form and of K in the matrix of a field, and the number of its tangent."""
-    forms = f.field.forms
-    cm, ck = w.cm + w.cd * forms.mass_damping, w.ck
-    damped = f.field.D is not None
-    if f.field.carried:  # its stiffness_damping leaves the volume alone, see MixedField.combination
-        damped |= forms.stiffness_damping > 0
-    else:
-        ck += w.cd * forms.stiffness_damping
-    return cm, w.cd if damped else 0.0, ck, f.tangent_version if ck or f.field.keeps_volume else 0
+        self.elastic.destroy()

@@ -22,6 +22,7 @@ from ..errors import LinearSolveError
 from ..rotations import Array
 from .residual import Judge
 
+TIE_LIMIT = 1500  # multipliers of surface ties that the dense core takes
 RANK_TOLERANCE = 1e-11
 SINGULAR = 1e-7  # ratio of pivots below which a matrix is solved in the minimum-norm sense
 LARGEST_GROWTH = 1e13  # of a solution over its right-hand side, both scaled
@@ -172,7 +173,7 @@ class CoreSolver:
         rows = (Vt[~keep, : self.n] ** 2).sum(1)
         if rows.max(initial=0.0) > 1e-6:
             error = LinearSolveError(f"{self.judge.what}: a motion has neither mass nor stiffness. {ADVICE}")
-            error.motion = self.scale[: self.n] * Vt[~keep][int(np.argmax(rows)), : self.n]  # type: ignore[attr-defined]
+            error.motion = self.scale[: self.n] * Vt[~keep][int(np.argmax(rows)), : self.n]
             raise error
         inverse = (Vt[keep].T / s[keep]) @ U[:, keep].T
 

@@ -23,10 +23,11 @@ import scipy.sparse as sp
 
 from ..errors import InputError, LinearSolveError
 from ..log import together
-from ..rotations import Array, turned
+from ..rotations import Array, rotate_nodal
 from ..system.system import System
 from .blocks.elastic_blocks import Bddc, Cholesky
-from .iterated_multipliers import CHANGED, _Seen
+from .blocks.spd import FieldFactor
+from .iterated_multipliers import CHANGED, SceneTies
 from .options import check_options
 from .residual import Judge, krylov_reason
 from .saddle.precondition import Fractional, lumped, rigid_term, to_petsc
@@ -35,7 +36,7 @@ from .saddle.saddle import Elastic, elastic_matrix, share_of
 LEAST = 1e-10  # eigenvalues of preconditioning blocks, scaled to a unit diagonal, are at least this
 
 
-class SplitBlock:
+class SplitBlock(FieldFactor):
     """E~^-1 of one body for (2): the PC of its split, also used for the constant columns of ports. Collective throughout."""
 
     def __init__(self, block: Elastic, elastic: Any, prefix: str, cd: float) -> None:
@@ -115,7 +116,9 @@ class SplitSolver:
         """This rank's entries of a PETSc vector of forces; nodal values turned back to where the factor is."""
         s, comm = self.system, self.system.comm
         core = [_share(v[: s.n_core], comm)] if s.n_core else []
-        local = [turned(s.local_v(v, k), R, back=True) for (k, _), R in zip(s.fields, self._turns, strict=True)]
+        local = [
+            rotate_nodal(s.local_v(v, k), R, back=True) for (k, _), R in zip(s.fields, self.corotations, strict=True)
+        ]
         parts = (*core, *local, *(_share(lam[r], comm) for r in self.rows.values()))
         return np.concatenate([d * x for d, x in zip(self.scale, parts, strict=True)])
 
@@ -130,7 +133,7 @@ class SplitSolver:
         lam = np.zeros(s.n_lam)
         for r, y in zip(self.rows.values(), whole[first:], strict=True):
             lam[r] = y
-        local = [turned(u, R) for u, R in zip(parts[first : first + n], self._turns, strict=True)]
+        local = [rotate_nodal(u, R) for u, R in zip(parts[first : first + n], self.corotations, strict=True)]
         return np.concatenate((*whole[:first], *local)), lam
 
     # -- matrix -------------------------------------------------------------------------------------------------
@@ -140,16 +143,16 @@ class SplitSolver:
         own, mixed = np.zeros(s.n_v), np.zeros(s.n_v)
         own[:n] = self.A @ v[:n]
         for i, (k, f) in enumerate(s.fields):
-            at, R, C = s.slices[1][k], self._turns[i], self._C[i]
-            u = turned(v[at], R, back=True)
+            at, R, C = s.slices[1][k], self.corotations[i], self._C[i]
+            u = rotate_nodal(v[at], R, back=True)
             E = self._blocks[i].factor.E
             x, y = E.createVecs()
             x.array[:] = u
             E.mult(x, y)
-            own[at] = turned(y.array.copy(), R)
+            own[at] = rotate_nodal(y.array.copy(), R)
             x.destroy(), y.destroy()
             if len(C):
-                mixed[at] = turned(f.inertia_columns @ (C @ v[:n]), R)
+                mixed[at] = rotate_nodal(f.inertia_columns @ (C @ v[:n]), R)
                 mixed[:n] += C.T @ f.field.total(f.inertia_columns.T @ u)
         rows = [np.asarray(self.G.core @ v[:n])]
         s.move(self.G.t)
@@ -192,9 +195,9 @@ class SplitSolver:
 
     # -- set-up -------------------------------------------------------------------------------------------------
     def prepare(self, solver: Any, A: Array, couplings: list[Array]) -> None:
-        """Take a configuration of a :class:`.schur.StepSolver`: A of (1), and S of :mod:`.schur` for each field."""
+        """Take a configuration of a :class:`.condensation.StepSolver`: A of (1), and its S for each field."""
         n = self.system.n_core
-        self.A, self.G, self._turns, self._blocks = A, solver._G, solver._turns, solver.blocks
+        self.A, self.G, self.corotations, self._blocks = A, solver.jacobian, solver.corotations, solver.blocks
         self._C = [S[: f.inertia_columns.shape[1], :n] for S, (_, f) in zip(couplings, self.system.fields, strict=True)]
         if self.preset.method == "minres" and np.abs(A - A.T).max(initial=0.0) > 1e-9 * np.abs(A).max(initial=1e-300):
             raise InputError(
@@ -286,7 +289,7 @@ class SplitSolver:
         """S~_j of (2), one for each block of rows, replicated; collective."""
         s, n = self.system, self.system.n_core
         ties = {span.start: i for i, (_, span) in enumerate(s.traces)}
-        seen = _Seen(s, solver.weights) if ties else None
+        seen = SceneTies(s, solver.weights) if ties else None
         core = self.G.core.toarray() if sp.issparse(self.G.core) else np.asarray(self.G.core)
         out = []
         for r in self.rows.values():
@@ -361,8 +364,8 @@ def _refusal(system: System, preset: Any, prefix: str) -> Exception | None:
     if system.contacts is not None:
         return InputError("FieldSplit() does not take contact. Use linear=fmbd.Direct() or Schur().")
     for _, f in system.fields:
-        if getattr(f, "slack", None) is not None or getattr(f.field, "mixed", False):
-            kind = "a pressure" if getattr(f.field, "mixed", False) else "wires that go slack"
+        if f.slack is not None or f.field.mixed:
+            kind = "a pressure" if f.field.mixed else "wires that go slack"
             return InputError(f'FieldSplit() does not take body "{f.name}" with {kind}. Use linear=fmbd.Direct().')
     if isinstance(preset.elastic, Bddc):
         return InputError(

@@ -1,6 +1,6 @@
 """Ties of many field multipliers in a scene: iterations on their Schur complement, everything else eliminated exactly.
 
-With K the step's matrix and the few other constraint rows (joints, frame conditions), which :mod:`.schur` solves with one
+With K the step's matrix and the few other constraint rows (joints, frame conditions), which :mod:`.condensation` solves with one
 back-solve for each elastic field, and G the rows of the ties,
 
     (G K^-1 G^T) mu = G K^-1 b - c,        x = K^-1 (b - G^T mu)                                                     (1)
@@ -35,14 +35,14 @@ CONTACT_RTOL = 1e-13  # of scenes with contact, whose own iteration needs produc
 CHANGED = 0.1  # relative change of G after which S~ is made anew
 
 
-class ManyMultipliers:
+class IteratedMultipliers:
     """Equation (1) for the ties of a system; ``iterations`` counts those of all solves. Collective throughout."""
 
     def __init__(self, system: System, multiplier: Any, rtol: float) -> None:
         self.system, self.rtol = system, rtol if system.contacts is None else min(rtol, CONTACT_RTOL)
         self.multiplier = multiplier if isinstance(multiplier, Fractional) else None
         self.rows = np.concatenate([np.arange(span.start, span.stop) for _, span in system.traces])
-        self.few = np.setdiff1d(np.arange(system.n_lam), self.rows)
+        self.direct = np.setdiff1d(np.arange(system.n_lam), self.rows)
         self.judge = Judge("the multipliers of surface ties", max(1e-9, 100 * rtol))
         self.iterations = 0
         self._made: tuple[Any, ...] | None = None
@@ -65,19 +65,19 @@ class ManyMultipliers:
 
     def solve(self, few: Callable[[Array, Array], tuple[Array, Array]], b: Array, c: Array) -> tuple[Array, Array]:
         """x and all multipliers; ``few(b, c)`` solves K with the few rows alone."""
-        x, lam = few(b, c[self.few])
+        x, lam = few(b, c[self.direct])
         r, terms = self._gap(x, c)
         mu = self._iterate(few, r, 1e-15 * terms)
-        x, lam = few(b - self._force(mu), c[self.few])
+        x, lam = few(b - self._force(mu), c[self.direct])
         gap, after = self._gap(x, c)
         self.judge.check(float(np.linalg.norm(gap)), max(terms, after))
         out = np.zeros(self.system.n_lam)
-        out[self.rows], out[self.few] = mu, lam
+        out[self.rows], out[self.direct] = mu, lam
         return x, out
 
     def _iterate(self, few: Callable[[Array, Array], tuple[Array, Array]], r: Array, floor: float) -> Array:
         """mu with G K^-1 G^T mu = r, to the relative residual ``rtol`` or the residual ``floor``."""
-        zero, n = np.zeros(len(self.few)), len(r)
+        zero, n = np.zeros(len(self.direct)), len(r)
 
         def apply(mu: Array) -> Array:
             return self.G.times(few(self._force(mu), zero)[0])[self.rows]
@@ -112,7 +112,7 @@ class ManyMultipliers:
     # -- preconditioner -----------------------------------------------------------------------------------------
     def _preconditioner(self, weights: Any, core: Array) -> Callable[[Array], Array]:
         """S~^-1 of (2), by the factors of its blocks and Woodbury's formula."""
-        seen = _Seen(self.system, weights)
+        seen = SceneTies(self.system, weights)
         blocks: list[Callable[[Array], Array]] = []
         for i in range(len(seen.ties)):
             S = lumped(seen, i) if weights.ck == 0 or self.multiplier is None else self.multiplier.block(seen, i)
@@ -133,7 +133,7 @@ class ManyMultipliers:
 
         return inverse
 
-    def _rigid(self, seen: _Seen, core: Array) -> Array:
+    def _rigid(self, seen: SceneTies, core: Array) -> Array:
         """W of (2): bodies that can only move as rigid ones, held by the few rows."""
         s = self.system
         masses, columns = [np.asarray(core)], [self.G.core.toarray() if sp.issparse(self.G.core) else self.G.core]
@@ -146,7 +146,7 @@ class ManyMultipliers:
             ports = np.stack([p.ports_of(r) for r in R.T], axis=1)
             columns.append(np.asarray(self.G.port[:, s.port_slice(k)] @ ports))
         A, B = sl.block_diag(*masses), np.concatenate(columns, axis=1)
-        m, few = len(A), B[self.few]
+        m, few = len(A), B[self.direct]
         size = np.sqrt(np.maximum(np.abs(np.diag(A)), 1e-300))
         A, few = A / np.outer(size, size), few / size
         norms = np.linalg.norm(few, axis=1)
@@ -158,7 +158,7 @@ class ManyMultipliers:
         return (B[self.rows] / size) @ (vectors[:, keep] * np.sqrt(values[keep]))
 
 
-class _Seen:
+class SceneTies:
     """The ties of a system as :mod:`.precondition` wants to see them."""
 
     def __init__(self, system: System, weights: Any) -> None:

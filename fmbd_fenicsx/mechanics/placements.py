@@ -7,6 +7,7 @@ A rigid body has x = r + R X and the inertia m (r'' - g), J w' + w x J w. Elasti
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
@@ -17,6 +18,7 @@ from ..rotations import Array, Motions
 
 if TYPE_CHECKING:
     from ..fem.fields import Field
+    from .reduction.foreshortening import Bent, Shortening
 
 
 @dataclass(frozen=True)
@@ -63,27 +65,44 @@ class Part(Protocol):
     """A block of local coordinates u of one body, beside the twist of its frame (the ground for absolute placements).
 
     ``ports`` are linear functions of u that joints, forces and sensors see. ``distributed`` parts hold this rank's share of
-    a field; others are replicated and give their matrices to the core.
+    a field; others are replicated and give their matrices to the core. What is given here is that of a replicated part with
+    constant ports; a part inherits it and defines the rest.
     """
 
     name: str
     frame: int
     n: int
     n_port: int
-    n_frame_rows: int
-    distributed: bool
-    reference: Array
-    comm: Any
+    reference: Array  # (n_port,) ports of the body at the start
     port_matrix: Array  # (n_port, n), replicated parts only
+    distributed: bool = False
+    n_frame_rows: int = 0
+    comm: Any = None
+    body: Any = None  # of the scene
+    mass_total: float = 0.0  # kg
+    size: float = 0.0  # m
+    unit: float = 1.0  # of the local coordinates, m
+    plain: bool = False  # whether the ports are the coordinates
+    shortening: Shortening | None = None  # of ports that are of second order in u
 
     def ports_of(self, w: Array) -> Array:
         """Ports of local coordinates, without the reference part; collective."""
+        return np.asarray(self.port_matrix @ w)
 
     def port_force(self, f: Array) -> Array:
         """Transpose of ``ports_of``."""
+        return np.asarray(self.port_matrix.T @ f)
+
+    def move(self, t: float) -> None:
+        """Put ports that move with time where they are at time t (s)."""
+        return None
 
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of the frame (n_twist,) and of the local coordinates (n,) of M a + h; collective."""
+
+    def force_many(self, t: Array, local: tuple[Array, ...]) -> Array | None:
+        """The local rows of k configurations, (k, n), for u, u', u'' (k, n) and t (k,); None: one by one with ``force``."""
+        return None
 
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic, elastic and weight energy, J; collective."""
@@ -111,24 +130,42 @@ class DistributedPart(Part, Protocol):
 
     field: Field
     inertia_columns: Array
-    shared_columns: bool
-    column_version: int
+    shared_columns: bool = False
+    traces: Sequence[Any] = ()  # sparse rows (rows, n) of ties by field multipliers, the last of the ports
+    slack: np.ndarray | None = None  # one-sided springs that the tangent leaves out
+    shown: Bent | None = None  # the second order of the ports that the columns hold
+
+    @property
+    def column_version(self) -> Any:
+        """Number of the columns E^-1 H; a new one asks for new columns."""
+        return 0
 
     @property
     def tangent_version(self) -> int:
-        """Number of the tangent that the field holds."""
+        """Number of the tangent that the field holds; a new one asks for a new factor."""
+        return 0
 
     def port_columns(self, used: np.ndarray) -> Array:
         """Columns (n, count) of ``port_force`` for the port numbers ``used``."""
 
-    def turn(self, u: Array) -> Array | None:
-        """Rotation (d, d) in which the factored tangent acts, None for the field's own axes; collective."""
+    def port_gram(self) -> Array:
+        """P P^T of the ports p = P w, (n_port, n_port): ports of neighbouring surfaces share nodes; collective."""
 
-    def sway(self, u: Array) -> Array | None:
-        """M u (nodes, d) where its moments on the frame are not in the columns of inertia, else None; collective."""
+    def corotation(self, u: Array) -> Array | None:
+        """Rotation (d, d) in which the factored tangent acts, None for the field's own axes; collective."""
+        return None
+
+    def missing_momentum(self, u: Array) -> Array | None:
+        """Nodal momenta M u (nodes, d), if their moments are missing from the columns of inertia, else None; collective."""
+        return None
 
     def relinearise(self) -> bool:
         """Take the tangent at the configuration evaluated last; False when it is constant anyway. Collective."""
+        return False
+
+    def free_factors(self) -> None:
+        """Free factors that solvers keep with the field."""
+        return None
 
 
 def is_distributed(part: Part) -> TypeGuard[DistributedPart]:

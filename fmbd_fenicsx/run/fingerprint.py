@@ -34,7 +34,7 @@ def given(scene: Scene, system: System, settings: dict[str, Any]) -> dict[str, s
         for name, part in getattr(scene, kind).items():
             _describe(f'{kind} "{name}"', part, out)
     for _, part in system.fields:
-        out[f'unknowns of "{part.name}"'] = str(getattr(part.field, "n_global", part.n))
+        out[f'unknowns of "{part.name}"'] = str(part.field.n_global)
     out["constraint rows"] = ", ".join(f"{b.name} ({b.rows.stop - b.rows.start})" for b in system.blocks)
     return out
 
@@ -92,7 +92,7 @@ def check_effect(system: System, state: State, m: Memory, where: Any) -> None:
         CheckpointError: one of them differs, naming the body or joint.
     """
     for k, part in system.fields:
-        numbering = getattr(part.field, "numbering", None)
+        numbering = part.field.numbering
         if numbering is None:
             continue
         x = part.field.X_world

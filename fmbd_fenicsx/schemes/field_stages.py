@@ -110,7 +110,7 @@ class FieldEquations:
         self.residuals = self.jacobians = self.krylov = 0
         self.origin: Array = np.zeros(0)
         self.anchor: float | None = None  # |s| of the grid's first factor, 1/s
-        solver.kept = KEPT
+        solver.elastic.kept = KEPT
         self.metric = MASS  # of the corrections N c: the matrix P of the step
         self._last_metric = MASS  # of the step before: its errors across the constraints are of least size in it
         self._begun: State | None = None

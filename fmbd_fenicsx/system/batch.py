@@ -139,11 +139,11 @@ class Many:
         """Port values, (k, n_port), of arrays like q (``position``: the reference added) or v."""
         s = self.system
         at = s.slices[0] if position else s.slices[1]
-        if len(s.parts) == 1 and getattr(s.parts[0], "plain", False):
+        if len(s.parts) == 1 and s.parts[0].plain:
             return x[:, at[0]]
         out = np.zeros((len(x), s.n_port))
         for p, here, port in zip(s.parts, at, s.slices[2], strict=True):
-            plain = getattr(p, "plain", False)
+            plain = p.plain
             out[:, port] = x[:, here] if plain else x[:, here] @ p.port_matrix.T + (p.reference if position else 0.0)
         return out
 
@@ -239,8 +239,9 @@ class Many:
             local = tuple(
                 x[:, at[number]] for x, at in zip((self.q, self.v, a), (s.slices[0], *[s.slices[1]] * 2), strict=True)
             )
-            if hasattr(p, "force_many"):
-                out[:, s.slices[1][number]] = p.force_many(self.times, local)
+            together = p.force_many(self.times, local)
+            if together is not None:
+                out[:, s.slices[1][number]] = together
                 continue
             for c in range(k):
                 frame = c * s.n_frames + p.frame if p.frame < s.n_frames else k * s.n_frames
@@ -326,7 +327,7 @@ class ManyJacobian:
         for law, span in s.port_constraints:
             at = s.port_slice(law.part)
             port[:, span, at] += law.many("jacobian", many.times, many.port[:, at])
-        if len(s.parts) == 1 and not s.n_frames and getattr(s.parts[0], "plain", False):
+        if len(s.parts) == 1 and not s.n_frames and s.parts[0].plain:
             self.core = port
             return
         for number, p in enumerate(s.parts):

@@ -49,9 +49,8 @@ def note_forces(ev: Evaluation, wrench: Array | None, lam: Array | None) -> None
 
 def tangent_ports(part: Any, w: Array) -> Array:
     """Rates of the ports for rates w of a field, with the columns that its tangent holds; collective."""
-    shown = getattr(part, "shown", None)
     ports: Array = part.ports_of(w)
-    return ports if shown is None else ports + shown.along(w)
+    return ports if part.shown is None else ports + part.shown.along(w)
 
 
 def port_bias(ev: Evaluation) -> Array:

@@ -99,8 +99,6 @@ def scaled_jacobian(ev: Evaluation) -> Array:
 
 def _port_factor(part: Any) -> Array:
     """F with F F^T = P P^T for the ports p = P w of a field: two ties that share nodes may depend on each other."""
-    if not hasattr(part, "port_gram"):
-        return np.eye(part.n_port)
     gram = part.port_gram()
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / np.outer(size, size))
@@ -118,7 +116,7 @@ def _at_rest(ev: Evaluation, frame: int) -> Any:
 def mobility(system: System, t: float, q: Array) -> Mobility:
     """Mobility of a system in the configuration q."""
     ev = system.at(t, q)
-    velocities = system.n_core + sum(p.field.n_global for _, p in system.fields if hasattr(p, "field"))
+    velocities = system.n_core + sum(p.field.n_global for _, p in system.fields)
     if not system.n_lam:
         return Mobility(velocities, 0, 0, {}, 1.0, 0.0)
     U, s, _ = np.linalg.svd(scaled_jacobian(ev))

@@ -80,7 +80,7 @@ class Memory:
         own = []
         for k, part in fields:
             mine = None if self.reading else x[slices[k]]
-            own.append(inner.nodal(f"part {k}", mine, getattr(part.field, "numbering", None)))
+            own.append(inner.nodal(f"part {k}", mine, part.field.numbering))
         return np.concatenate((core, *own)) if self.reading else x
 
     def candidates(self, name: str, x: Any, pair: int | None = None) -> Any:

@@ -97,14 +97,9 @@ class System:
         """Distributed parts with their numbers."""
         return tuple((k, p) for k, p in enumerate(self.parts) if is_distributed(p))
 
-    @cached_property
-    def moving(self) -> tuple[Any, ...]:
-        """Parts with ports that move with time."""
-        return tuple(p for p in self.parts if hasattr(p, "move"))
-
     def move(self, t: float) -> None:
         """Put moving ports where they are at time t."""
-        for p in self.moving:
+        for p in self.parts:
             p.move(t)
 
     @cached_property
@@ -115,7 +110,7 @@ class System:
     @cached_property
     def curved(self) -> tuple[tuple[int, Any], ...]:
         """Parts whose ports are of second order in their coordinates, with their numbers (:mod:`~.reduction.foreshortening`)."""
-        return tuple((k, p) for k, p in enumerate(self.parts) if getattr(p, "shortening", None) is not None)
+        return tuple((k, p) for k, p in enumerate(self.parts) if p.shortening is not None)
 
     @cached_property
     def n_core(self) -> int:
@@ -241,7 +236,7 @@ class System:
         """
         m = self.motions
         frame = np.concatenate((np.ones(m.dim), np.full(m.n_rot, self.length)))
-        local = [np.full(p.n, getattr(p, "unit", 1.0)) for p in self.parts]
+        local = [np.full(p.n, p.unit) for p in self.parts]
         return np.concatenate((np.tile(frame, self.n_frames), *local))
 
     def max_abs(self, x: Array) -> float:

@@ -46,12 +46,12 @@ def unassembled(body: Field, cm: float, ck: float) -> Any:
     import dolfinx.fem.petsc as fp
 
     d, space = body.dim, body.space
-    whole = fp.create_matrix(body._stiffness_form, "is")
+    whole = fp.create_matrix(body.stiffness_form, "is")
     whole.zeroEntries()
-    fp.assemble_matrix(whole, body._mass_form)
+    fp.assemble_matrix(whole, body.mass_form)
     whole.assemble()
     whole.scale(cm / ck)
-    fp.assemble_matrix(whole, body._stiffness_form)
+    fp.assemble_matrix(whole, body.stiffness_form)
     whole.assemble()
     whole.scale(ck)
     topology = body.mesh.dolfinx.topology

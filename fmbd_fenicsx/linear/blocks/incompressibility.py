@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from ...rotations import Array, turned
+from ...rotations import Array, rotate_nodal
 from ..residual import Judge
+from .spd import FieldFactor
 
 
-class VolumeMass:
-    """(1) of a field, factored (LDL^T by MUMPS); the interface of a factor of a field. Collective."""
+class VolumeMass(FieldFactor):
+    """(1) of a field, factored (LDL^T by MUMPS). Collective."""
 
     def __init__(self, field: Any, cm: float) -> None:
         from petsc4py import PETSc
@@ -71,10 +72,6 @@ class VolumeMass:
         """x for c = 0."""
         return self.both(b, np.zeros(self.field.n_pressure))[0]
 
-    def solve_columns(self, B: Array) -> Array:
-        """The same for columns (n d, k)."""
-        return np.stack([self.solve(B[:, j]) for j in range(B.shape[1])], axis=1) if B.shape[1] else B.copy()
-
     def destroy(self) -> None:
         """Free the factor; collective."""
         for obj in (self.ksp, self.E, self.x, self.b, self.r):
@@ -94,5 +91,5 @@ def volume_push(solver: Any, rates: dict[int, Array]) -> Array:
     out = np.zeros(s.n_v)
     for i, (k, f) in enumerate(s.fields):
         if k in rates:
-            out[s.slices[1][k]] = solver.weights.ck * turned(f.field.volume_push(rates[k]), solver._turns[i])
+            out[s.slices[1][k]] = solver.weights.ck * rotate_nodal(f.field.volume_push(rates[k]), solver.corotations[i])
     return out

@@ -12,12 +12,14 @@ from ...rotations import Array
 from ..options import check_options
 from ..residual import Judge
 from ..saddle.saddle import Elastic, elastic_matrix
+from .spd import FieldFactor
 
 
-class ConjugateGradients:
-    """(cm M + cd D + ck K)^-1 of a field to the relative residual ``rtol``; same interface as :class:`.spd.CholeskyFactor`.
+class ConjugateGradients(FieldFactor):
+    """(cm M + cd D + ck K)^-1 of a field to the relative residual ``rtol``.
 
-    ``elastic`` is one of the small objects of :mod:`.presets` that set up a block's KSP. Options under ``prefix`` override it.
+    ``elastic`` is one of the small objects of :mod:`.elastic_blocks` that set up a block's KSP.
+    Options under ``prefix`` override it.
     Collective to build, to solve and to destroy; every solve is judged by its own true residual.
     """
 
@@ -65,10 +67,6 @@ class ConjugateGradients:
             f"Conjugate gradients stopped after {self.ksp.getIterationNumber()} iterations (PETSc reason "
             f"{self.ksp.getConvergedReason()}). Use Cholesky() for this block, or look at its moduli and Poisson's ratio."
         )
-
-    def solve_columns(self, B: Array) -> Array:
-        """The same for columns (n, k)."""
-        return np.stack([self.solve(B[:, j]) for j in range(B.shape[1])], axis=1) if B.shape[1] else B.copy()
 
     def destroy(self) -> None:
         """Free the solver; collective."""

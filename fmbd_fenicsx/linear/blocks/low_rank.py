@@ -16,13 +16,13 @@ import scipy.linalg as sl
 
 from ...rotations import Array
 from ..residual import Judge
-from .spd import CholeskyFactor
+from .spd import CholeskyFactor, FieldFactor
 
 KEPT = 3  # factors for different ratios cm : ck
 
 
-class SlackFactor:
-    """(cm M + ck K) of wires with the droppers ``slack`` (numbers) left out; same interface as :class:`CholeskyFactor`."""
+class SlackFactor(FieldFactor):
+    """(cm M + ck K) of wires with the droppers ``slack`` (numbers) left out."""
 
     def __init__(self, field: Any, cm: float, ck: float, slack: np.ndarray) -> None:
         made = field.factors
@@ -70,4 +70,4 @@ class SlackFactor:
         return x
 
     def destroy(self) -> None:
-        """Nothing: the factor belongs to the field, :meth:`~fmbd_fenicsx.mechanics.catenary.wires.LineField.forget` frees it."""
+        """Nothing: the factor belongs to the field, whose ``free_factors`` frees it."""

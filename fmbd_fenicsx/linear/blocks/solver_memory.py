@@ -12,7 +12,7 @@ def remember_solver(solver: StepSolver, m: Memory, state: State) -> None:
 
     Tangents must have been taken up before: a carried pressure belongs to the factor that was made with it.
     """
-    system = solver.system
+    system, elastic = solver.system, solver.elastic
     weights = m("weights", solver.weights, Weights)
     for k, part in system.fields:
         part.field.indefinite = m(f"indefinite {k}", part.field.indefinite)
@@ -23,7 +23,7 @@ def remember_solver(solver: StepSolver, m: Memory, state: State) -> None:
         if field.carried:
             x = m.nodal(f"pressure {k}", field.pressure_values, field.pressure_numbering)  # type: ignore[attr-defined]
             field.pressure_values = x  # type: ignore[attr-defined]
-    counts = (solver.factorisations, solver.core.factorisations, solver.back_solves, solver.worst_residual)
-    solver.factorisations, solver.core.factorisations, solves, worst = m("counts", counts)
-    solver._retired.append(solves - solver.back_solves)
+    counts = (elastic.factorisations, solver.core.factorisations, solver.back_solves, solver.worst_residual)
+    elastic.factorisations, solver.core.factorisations, solves, worst = m("counts", counts)
+    elastic.retired_solves.append(solves - solver.back_solves)
     solver.core.judge.worst = max(solver.core.judge.worst, worst)

@@ -19,7 +19,31 @@ EPS = float(np.finfo(float).eps)
 HIDDEN = 1.5e-7  # measured: below, a rod that falls is right to 3e-4 of its length; at four times as much it is not
 
 
-class CholeskyFactor:
+class FieldFactor:
+    """What solves with the matrix of one field; every solve is judged by its own true residual. Collective.
+
+    ``iterations``: of an inner Krylov method so far. ``fresh``: False where an earlier factorisation serves.
+    """
+
+    judge: Judge
+    iterations = 0
+    fresh = True
+
+    def solve(self, b: Array) -> Array:
+        """The solution (n,) for loads on this rank's entries."""
+        raise NotImplementedError
+
+    def solve_columns(self, B: Array) -> Array:
+        """The same for columns (n, k)."""
+        if not B.shape[1]:
+            return B.copy()
+        return np.stack([self.solve(column) for column in B.T], axis=1)
+
+    def destroy(self) -> None:
+        """Free what belongs to PETSc."""
+
+
+class CholeskyFactor(FieldFactor):
     """E = cm M + ck K of a field, factored and judged; collective to build, to solve and to destroy.
 
     ``turns``: the coordinates of the field are those of a body that turns as a whole.
@@ -74,8 +98,8 @@ def back_solves(factors: list[Any]) -> int:
     return sum(f.judge.solves for f in factors)
 
 
-class MassInverse:
-    """M^-1 of a field by conjugate gradients with diagonal scaling; same interface as :class:`CholeskyFactor`.
+class MassInverse(FieldFactor):
+    """M^-1 of a field by conjugate gradients with diagonal scaling.
 
     The Galerkin mass matrix has a condition number that does not depend on the mesh, so about 30 iterations reach 1e-13
     (Wathen, doi:10.1093/imanum/7.4.449) and the consistent start needs no second factorisation.
@@ -106,10 +130,6 @@ class MassInverse:
         rr, bb = f.total(np.array([(r * r).sum(), (B * B).sum()]))
         self.judge.check(float(np.sqrt(rr)), float(np.sqrt(bb)))
         return X.ravel() / self.cm
-
-    def solve_columns(self, B: Array) -> Array:
-        """The same for columns (n, k)."""
-        return np.stack([self.solve(B[:, j]) for j in range(B.shape[1])], axis=1) if B.shape[1] else B.copy()
 
     def destroy(self) -> None:
         """Free the solver; collective."""

@@ -5,7 +5,7 @@
 For elastic bodies the dual multipliers meet their own nodes only, so W needs the inverse of the elastic block on the
 contact nodes alone, C_s = I_s^T E^-1 I_s. Its columns are solved once, when a node first comes near, and kept as long
 as the factor of E; directions, active sets and rotations change small dense products only. With the columns Y of
-:mod:`.schur` the coupling of the nodes to frames, joints and frame conditions is
+:mod:`fmbd_fenicsx.linear.condensation` the coupling of the nodes to frames, joints and frame conditions is
 
     X = core^-1 (N_core^T - S^T Y_s^T N_s^T),   W = N_core X + N_s (C_s N_s^T - Y_s S X).                   (2)
 """
@@ -48,11 +48,11 @@ class Compliance:
         :class:`Applied` for many candidates on elastic surfaces.
         """
         elastic = bool((trace >= 0).all())
-        if self.solver.many is not None:
+        if self.solver.iterated is not None:
             require(
                 elastic, "Contact of rigid points beside ties with many multipliers is not offered: use coarser spaces."
             )
-        if elastic and (len(trace) > MANY or self.solver.many is not None):
+        if elastic and (len(trace) > MANY or self.solver.iterated is not None):
             return Applied(self.blocks, rows, np.repeat(trace, rows.core.shape[0] // len(trace)), scale)
         return scale * self.matrix(rows)
 
@@ -67,14 +67,18 @@ class Compliance:
             position = next(j for j, (k, _) in enumerate(s.fields) if k == tr.part)
             block = self.solver.blocks[position]
             N = sp.csr_matrix(rows.field[i])
-            turn, used = self.solver._turns[position], np.unique(N.indices)
+            turn, used = self.solver.corotations[position], np.unique(N.indices)
             if turn is not None:  # all components of a node
                 used = (np.unique(used // tr.dim)[:, None] * tr.dim + np.arange(tr.dim)).ravel()
             C = self._columns(i, block.factor, used)
             dense = N[:, used].toarray()
             if turn is not None:
                 dense = (dense.reshape(m, -1, tr.dim) @ turn).reshape(m, -1)
-            Y, S, R = self._rows_of_Y(i, block)[used], self.solver._S[position], self.solver._R[position]
+            Y, S, R = (
+                self._rows_of_Y(i, block)[used],
+                self.solver.couplings[position],
+                self.solver.back_couplings[position],
+            )
             if Y.shape[1]:
                 rhs -= R.T @ (Y.T @ dense.T)
             local.append((dense, C[np.ix_(used, used)], Y, S))

@@ -91,7 +91,7 @@ class Applied:
             tr = contacts.on_fields[i]
             position = next(j for j, (k, _) in enumerate(solver.system.fields) if k == tr.part)
             N = sp.diags((slave == i).astype(float)) @ sp.csr_matrix(self.rows.field[i])
-            turn = solver._turns[position]
+            turn = solver.corotations[position]
             if turn is not None:
                 N = N @ sp.kron(sp.identity(tr.n), turn)
             size = np.asarray(N.multiply(N).sum(1)).ravel()
@@ -106,7 +106,7 @@ class Applied:
 
 
 class _Iterated:
-    """The problem of :func:`.complementarity.active_set` by conjugate gradients."""
+    """The problem of :func:`.normal.active_set` by conjugate gradients."""
 
     noise = 10 * FINE
 

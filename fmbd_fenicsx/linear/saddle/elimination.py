@@ -22,12 +22,12 @@ import scipy.sparse as sp
 from ...errors import InputError
 from ...rotations import Array
 from ..residual import Judge
-from .saddle import SaddlePoint, Solution, TraceTie
+from .saddle import Preset, SaddlePoint, Solution, TraceTie
 
 
 @dataclass(frozen=True)
-class Eliminated:
-    """Preset of :mod:`.presets`: ties by dual multipliers eliminated, the rest by a Cholesky factor."""
+class Eliminated(Preset):
+    """Ties by dual multipliers eliminated, the rest by a Cholesky factor."""
 
     def solver(self, saddle: SaddlePoint, prefix: str = "fmbd_") -> EliminatedSolver:
         """Eliminate and factor; collective.

@@ -26,11 +26,11 @@ from ..options import check_options
 from ..residual import Judge
 from .diagnosis import diagnose
 from .precondition import Fractional, MultiplierPreconditioner
-from .saddle import SaddlePoint, Solution
+from .saddle import Preset, SaddlePoint, Solution
 
 
 @dataclass(frozen=True)
-class Schur:
+class Schur(Preset):
     """Equation (1), for systems with inertia: S dense up to ``limit`` multipliers, conjugate gradients above.
 
     ``elastic``: :class:`Cholesky`, or :class:`Multigrid` as preconditioner of conjugate gradients to the relative residual
@@ -110,7 +110,7 @@ class SchurSolver:
     def solve(self, f: Sequence[Array], g: Sequence[Array]) -> Solution:
         """Displacements and multipliers; collective."""
         s = self.saddle
-        before = sum(getattr(block, "iterations", 0) for block in self.blocks)
+        before = sum(block.iterations for block in self.blocks)
         z = [block.solve(fk) for block, fk in zip(self.blocks, f, strict=True)]
         r = self._total(sum(B @ zk for B, zk in zip(self._B, z, strict=True))) - np.concatenate([*g, np.zeros(0)])
         if self._inverse is None:
@@ -123,7 +123,7 @@ class SchurSolver:
         residual = s.relative_residual(x, b)
         x.destroy(), b.destroy()
         self.judge.check(residual, 1.0, diagnose(s) if not residual <= self.judge.tolerance else "")
-        inner = sum(getattr(block, "iterations", 0) for block in self.blocks) - before
+        inner = sum(block.iterations for block in self.blocks) - before
         return Solution(u, parts, count or inner, residual)
 
     def destroy(self) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -27,35 +27,13 @@ from ..residual import Judge, krylov_reason
 from .diagnosis import diagnose
 from .multiplier_schur import Schur
 from .precondition import Fractional, MultiplierPreconditioner, to_petsc
-from .saddle import Elastic, SaddlePoint, Solution, elastic_matrix
+from .saddle import Elastic, Preset, SaddlePoint, SaddleSolver, Solution, elastic_matrix
 
 __all__ = ["Bddc", "Cholesky", "Direct", "FieldSplit", "Multigrid", "Preset", "SaddleSolver", "Schur", "set_bddc"]
 
 
-class Preset(Protocol):
-    """Makes a solver for a saddle point."""
-
-    def solver(self, saddle: SaddlePoint, prefix: str) -> SaddleSolver:
-        """Set up; collective."""
-
-    def block(self, field: Field, weights: tuple[float, float, float], prefix: str) -> Any:
-        """The solver of cm M + cd D + ck K, weights (cm, cd, ck), of one body in a scene, see :mod:`.schur`; collective."""
-
-
-class SaddleSolver(Protocol):
-    """Solves (1) of :mod:`.saddle`."""
-
-    def solve(self, f: Sequence[Array], g: Sequence[Array]) -> Solution:
-        """Displacements and multipliers for loads f (this rank's, one per body) and data g (replicated, one
-        per tie).
-        """
-
-    def destroy(self) -> None:
-        """Free PETSc objects; collective."""
-
-
 @dataclass(frozen=True)
-class Direct:
+class Direct(Preset):
     """One factorisation of the assembled saddle point (MUMPS L D L^T with pivoting); in scenes a Cholesky factor for each
     elastic body and the exact Schur complement of all else.
     """
@@ -83,11 +61,12 @@ class Direct:
 
 
 @dataclass(frozen=True)
-class FieldSplit:
+class FieldSplit(Preset):
     """MINRES (or FGMRES) with diag(E_k, S~); ``rtol`` on the preconditioned residual.
 
     ``elastic``: :class:`Cholesky` or :class:`Multigrid`. ``multiplier``: how S~ is made, see
-    :mod:`.precondition`. In scenes: the whole matrix of a step, see :mod:`.split`.
+    :mod:`.precondition`. In scenes: the whole matrix of a step, see
+    :mod:`fmbd_fenicsx.linear.fieldsplit`.
     """
 
     elastic: Cholesky | Multigrid | Bddc = Cholesky()

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,6 +27,7 @@ from ...fem.traces.traces import Trace
 from ...log import together
 from ...rotations import Array, motions
 from ..blocks.multigrid import attach_modes
+from ..core import TIE_LIMIT
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,6 +324,40 @@ class SaddlePoint:
         """Free all blocks; collective."""
         for M in (self.matrix, *self._own, *self.E):
             M.destroy()
+
+
+class SaddleSolver(Protocol):
+    """Solves (1)."""
+
+    def solve(self, f: Sequence[Array], g: Sequence[Array]) -> Solution:
+        """Displacements and multipliers for loads f (this rank's, one per body) and data g (replicated, one per tie)."""
+
+    def destroy(self) -> None:
+        """Free PETSc objects; collective."""
+
+
+class Preset:
+    """A way to solve linear systems, of statics by :meth:`solver` and of the steps of a scene by the others.
+
+    ``limit``: multipliers of surface ties in a scene that its dense core takes. ``multiplier``: the preconditioner with which
+    more of them are iterated on to the relative residual ``rtol``; None refuses them.
+    """
+
+    limit: int = TIE_LIMIT
+    multiplier: Any = None
+    rtol: float = 0.0
+
+    def solver(self, saddle: SaddlePoint, prefix: str = "fmbd_") -> SaddleSolver:
+        """Set up for a saddle point; collective."""
+        raise NotImplementedError
+
+    def block(self, field: Field, weights: tuple[float, float, float], prefix: str) -> Any:
+        """The solver of cm M + cd D + ck K, weights (cm, cd, ck), of one body in a scene; collective."""
+        raise NotImplementedError
+
+    def split(self, system: Any, prefix: str) -> Any:
+        """The solver of the whole matrix of a scene's step; None where fields are eliminated one by one. Collective."""
+        return None
 
 
 def share_of(n: int, comm: Any, rank: int | None = None) -> int:

@@ -38,7 +38,7 @@ class AbsoluteField(FieldPart):
             self.field.linearise_motion(*self._last)
 
     # -- tangent ------------------------------------------------------------------------------------------------
-    def turn(self, u: Array) -> Array | None:
+    def corotation(self, u: Array) -> Array | None:
         """Mean rotation of the body since its tangent was taken, (d, d); None for linear bodies."""
         if not self.field.nonlinear:
             return None
@@ -100,7 +100,7 @@ class AbsoluteField(FieldPart):
 
     def _turned_stiffness(self, U: Array, Ud: Array) -> Array:
         """T K_0 T^T u': damping by the co-rotated tangent leaves rigid motion alone."""
-        T = self.turn(U)
+        T = self.corotation(U)
         if T is None:
             return self.field.stiffness(Ud)
         d = self.field.dim

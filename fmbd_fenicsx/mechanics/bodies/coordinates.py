@@ -18,7 +18,7 @@ import numpy as np
 
 from ...errors import CallbackError, named
 from ...rotations import Array
-from ..placements import FrameMotion
+from ..placements import FrameMotion, Part
 
 _STEP = 1e-30
 
@@ -169,13 +169,10 @@ def own_constraint(body: Any, part: int) -> PortConstraint:
     )
 
 
-class CoordinatePart:
+class CoordinatePart(Part):
     """Equations (1) as a part of a system: the ports are the coordinates themselves."""
 
-    distributed = False
-    plain = True  # the ports are the coordinates
-    n_frame_rows = 0
-    comm = None
+    plain = True
 
     def __init__(self, body: Any, frame: int) -> None:
         self.body, self.name, self.frame = body, body.name, frame

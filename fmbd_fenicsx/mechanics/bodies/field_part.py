@@ -12,10 +12,10 @@ import numpy as np
 
 from ...fem.fields import Field
 from ...rotations import Array, motions
-from ..placements import FrameMotion
+from ..placements import DistributedPart, FrameMotion
 
 
-class FieldPart:
+class FieldPart(DistributedPart):
     """A displacement field as a part of a system; local coordinates are the owned nodal displacements, (n d,).
 
     ``inertia_columns`` (n d, k): constant columns that couple the field's inertia to the twist of its frame (k = n_twist, or 0
@@ -24,8 +24,6 @@ class FieldPart:
 
     distributed = True
     port_matrix = np.zeros((0, 0))
-    shared_columns = False
-    column_version = 0  # a new number asks for new columns E^-1 H
     _tangent_at: tuple[Array, Any, Array | None] | None = None  # U, load and pressure of the last own tangent
 
     def __init__(self, field: Field, frame: int, surfaces: list[str], conditions: Array) -> None:
@@ -101,23 +99,6 @@ class FieldPart:
         return self.field.total((P @ P.T).toarray())
 
     # -- tangent ------------------------------------------------------------------------------------------------
-    def turn(self, u: Array) -> Array | None:
-        """Rotation (d, d) in which the factored tangent acts, None for the field's own axes; collective."""
-        return None
-
-    def sway(self, u: Array) -> Array | None:
-        """M u (nodes, d) where its moments on the frame are not in the columns of inertia, else None; collective."""
-        return None
-
-    @property
-    def tangent_version(self) -> int:
-        """Number of the tangent that :class:`Field` holds; a new number asks for a new factor."""
-        return 0
-
-    def relinearise(self) -> bool:
-        """Take the tangent at the configuration evaluated last; False when it is constant anyway. Collective."""
-        return False
-
     def remember(self, m: Any) -> None:
         """Take the tangent again where it was taken last (see :mod:`fmbd_fenicsx.system.serialisation`); collective."""
         U, load, pressure = self._tangent_at or (None, None, None)

@@ -56,6 +56,7 @@ class FloatingField(FieldPart):
         self._last, self.warned = np.zeros(self.n), False
         self._load: Array = np.zeros(0 if self.stiffening is None else self.stiffening.count)
         self.shown: Bent | None = None
+        self._columns_taken = 0
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
@@ -123,6 +124,11 @@ class FloatingField(FieldPart):
         return columns if self.shown is None else columns - self.shown.slopes @ self.shown.N[used].T
 
     @property
+    def column_version(self) -> int:
+        """Number of times that the columns of inertia were taken anew."""
+        return self._columns_taken
+
+    @property
     def tangent_version(self) -> int:
         """Number of tangents taken so far."""
         return self.field.tangents
@@ -150,7 +156,7 @@ class FloatingField(FieldPart):
         self.inertia_columns = Q.reshape(self.n, m.n_twist)
         self.shared_columns = False
         self.shown = None if self.shortening is None else self.shortening.at(self._last)
-        self.column_version += 1
+        self._columns_taken += 1
         self._tangent_at = (self._last, (self._load, None if self.shortening is None else self.shortening.pull), None)
         return True
 
@@ -166,7 +172,7 @@ class FloatingField(FieldPart):
         M = np.zeros((n, n))
         M[range(d), range(d)] = self.field.mass_total
         M[d:, d:] = self.inertia
-        if self.column_version:
+        if self._columns_taken:
             c = self.moment[None]
             turn = np.eye(n - d)
             for k in range(n - d):
@@ -174,7 +180,7 @@ class FloatingField(FieldPart):
             M[d:, :d] = M[:d, d:].T
         return M, np.zeros((0, n)), np.zeros((0, 0))
 
-    def sway(self, u: Array) -> Array | None:
+    def missing_momentum(self, u: Array) -> Array | None:
         """M U (nodes, d) where the columns of inertia are those of P = X; collective."""
         return self.field.mass(u.reshape(-1, self.field.dim)) if self.shared_columns else None
 

@@ -24,7 +24,7 @@ import numpy as np
 from ...checks import check_fields, number, whole
 from ...errors import CallbackError, InputError, near, require
 from ...rotations import Array
-from ..placements import FrameMotion
+from ..placements import FrameMotion, Part
 from .bodies import Surface
 
 ENDS = ("start", "end")
@@ -75,15 +75,11 @@ class LineBody:
         return replace(self, cells=2 * self.cells)
 
 
-class LinePart:
+class LinePart(Part):
     """A line as a replicated part of a system: local coordinates are the nodal values of z, in world axes.
 
     Ports: at each end in use x, y, the turn since the start, and three zeros (the size of any other surface).
     """
-
-    distributed = False
-    n_frame_rows = 0
-    comm = None
 
     def __init__(self, body: LineBody, frame: int, surfaces: list[str]) -> None:
         self.body, self.name, self.frame = body, body.name, frame
@@ -171,14 +167,6 @@ class LinePart:
     def surface_center(self, surface: str) -> Array:
         """Place of an end section at the start, world axes."""
         return self._at[surface]
-
-    def ports_of(self, w: Array) -> Array:
-        """Port values of nodal values, (n,) -> (n_port,)."""
-        return np.asarray(self.port_matrix @ w)
-
-    def port_force(self, f: Array) -> Array:
-        """Nodal forces of port forces."""
-        return np.asarray(self.port_matrix.T @ f)
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:

@@ -167,6 +167,7 @@ class LineField:
 
     dim = 1
     D = None  # no damping form
+    numbering = None  # every rank holds all unknowns
     redistributed = False
     nonlinear = mixed = indefinite = carried = keeps_volume = False
 
@@ -325,7 +326,7 @@ class LineField:
         E.axpy(cm, self.M, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         return E
 
-    def forget(self) -> None:
+    def free_factors(self) -> None:
         """Free the factors."""
         for factor, _ in self.factors.values():
             factor.destroy()
@@ -333,7 +334,7 @@ class LineField:
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
-        self.forget()
+        self.free_factors()
         for x in (self.M, self.K, *self._work):
             x.destroy()
 
@@ -345,6 +346,7 @@ class WiresPart(FieldPart):
     """
 
     PORTS = 4
+    slack: np.ndarray  # numbers of the droppers that the tangent leaves out
 
     def __init__(self, body: Wires, frame: int, sliders: Sequence[tuple[int, Any]]) -> None:
         self.field: Any = LineField(body)
@@ -357,14 +359,14 @@ class WiresPart(FieldPart):
         self.reference = np.zeros(self.n_port)
         self.mass_total, self.size = self.field.mass_total, self.field.size
         self.t = np.nan
-        self.slack: np.ndarray = np.zeros(0, dtype=int)  # droppers that the tangent leaves out
+        self.slack = np.zeros(0, dtype=int)
         self._chosen = False  # whether Newton has just asked for the present set
         self._tangents, self._last = 0, np.zeros(self.n)
         self.statuses: list[Any] = []  # of the contacts at the sliding ports
         self.move(0.0)
 
     @property
-    def column_version(self) -> Any:  # type: ignore[override]
+    def column_version(self) -> Any:
         """Where the ports are and which of them are in use."""
         return (self.t, *(s.closed for s in self.statuses))
 
@@ -381,7 +383,7 @@ class WiresPart(FieldPart):
             self._at.append(self.field.shape(wire, x, 2))
 
     # -- tangent ------------------------------------------------------------------------------------------------
-    def turn(self, u: Array) -> None:
+    def corotation(self, u: Array) -> None:
         """No rotation; a step starts with the slack droppers of its first configuration."""
         if not self._chosen:
             self._see(u)
@@ -405,6 +407,10 @@ class WiresPart(FieldPart):
         """Take the slack droppers of the configuration evaluated last; False when they are the same."""
         self._chosen = self._see(self._last)
         return self._chosen
+
+    def free_factors(self) -> None:
+        """Those for several sets of slack droppers."""
+        self.field.free_factors()
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def ports_of(self, w: Array) -> Array:

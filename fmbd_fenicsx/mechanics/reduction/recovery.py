@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ...errors import InputError
+from ..placements import is_distributed
 from .craig_bampton import ReducedBody
 
 
@@ -25,7 +26,7 @@ def displacement_field(run: Any, body: Any, state: Any = None) -> Any:
     local = system.local_q(state.q, k)
     if isinstance(body, ReducedBody):
         space, values = body.reduction.space, body.reduction.phi @ local
-    elif hasattr(part, "field"):
+    elif is_distributed(part):
         space, values = part.field.space, local
     else:
         raise InputError(f'Body "{body.name}" has no displacement field on a mesh.')

@@ -25,7 +25,7 @@ import numpy as np
 
 from ...errors import ConvergenceError
 from ...rotations import Array, axial, hat, motions, spin_matrix
-from ..placements import FrameMotion
+from ..placements import FrameMotion, Part
 from ..validity import TOO_LARGE, too_large, warn_of_spin
 from .foreshortening import of_constants
 
@@ -34,7 +34,7 @@ from .foreshortening import of_constants
 class SurfaceData:
     """Moments of a surface as linear functions of the modes: reference (1 + d, d), modes ((1 + d) d, m), centroid (d,).
 
-    ``bend`` (r, m, m): G_r of :mod:`.shortening` for unit forces (and moments) on the surface; None without stiffening.
+    ``bend`` (r, m, m): G_r of :mod:`.foreshortening` for unit forces (and moments) on the surface; None without stiffening.
     """
 
     reference: Array
@@ -80,13 +80,8 @@ def constants_of(Z: Array, MZ: Array) -> tuple[Array, Array]:
     return S, T
 
 
-class ReducedPart:
+class ReducedPart(Part):
     """A reduced body as a replicated part of a system: local coordinates are the modal amplitudes eta, (m,)."""
-
-    distributed = False
-    n_frame_rows = 0
-    comm = None
-    body: Any = None  # the reduced body of a scene
 
     def __init__(self, name: str, constants: Constants, frame: int, surfaces: Sequence[str]) -> None:
         import scipy.linalg as sl
@@ -114,14 +109,6 @@ class ReducedPart:
     def surface_center(self, surface: str) -> Array:
         """Centroid of a surface at the start, world axes."""
         return self.constants.surfaces[surface].center
-
-    def ports_of(self, w: Array) -> Array:
-        """Port values of modal amplitudes, (m,) -> (n_port,)."""
-        return self.port_matrix @ w
-
-    def port_force(self, f: Array) -> Array:
-        """Modal forces of port forces."""
-        return self.port_matrix.T @ f
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def _with_shape(self, *amplitudes: Array) -> Array:

@@ -44,7 +44,7 @@ class Unilateral:
         L = components(rows) if d > 1 else rows.N
         r = residuals[0] - contacts.transposed(system, L, self.force.ravel())
         z, dl = solver.solve(-scale * r, -residuals[1])
-        blocks = getattr(solver, "blocks", None)
+        blocks = solver.blocks
         if self._W is None or blocks is not self._blocks:  # also after Newton asked for a new tangent
             self._W = self.compliance.of(L, rows.trace, scale)
             self._blocks = blocks

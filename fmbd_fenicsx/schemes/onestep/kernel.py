@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from ...linear.condensation import Block
+from ...linear.blocks.field_blocks import Block
 from ...mechanics.bodies.floating import FloatingField
 from ...mechanics.joints import constraints as ct
 from ...mechanics.reduction.reduced import ReducedPart

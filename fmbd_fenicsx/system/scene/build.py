@@ -257,17 +257,13 @@ class Builder:
         self.poses[frame], self.twists[frame] = start.pose, start.twist
 
     def _mass(self, rigid: list[RigidBody]) -> float:
-        return (
-            self.nodes.mass
-            + sum(b.mass for b in rigid)
-            + sum(p.mass_total for p in self.fields if hasattr(p, "mass_total"))
-        )
+        return self.nodes.mass + sum(b.mass for b in rigid) + sum(p.mass_total for p in self.fields)
 
     def _length(self) -> float:
         points = [q[: self.m.dim] for q in self.poses]
         points += [x for j in self.scene.joints.values() for x in (j.center_a, j.center_b) if x is not None]
         spread = np.ptp(np.array(points), axis=0) if points else np.zeros(1)
-        return max([float(np.linalg.norm(spread)), *(p.size for p in self.fields if hasattr(p, "size"))]) or 1.0
+        return max([float(np.linalg.norm(spread)), *(p.size for p in self.fields)]) or 1.0
 
     def _gravity(self) -> Callable[[float], Array]:
         d, ramp = self.m.dim, self.scene.gravity_ramp

@@ -1,0 +1,183 @@
+"""Factors and constant columns of all elastic fields of a scene, kept from one configuration to the next.
+
+With H = [Q, ports] the constant columns of a field and E = cm M + cd D + ck K its matrix, Y = E^-1 H and W = H^T Y are computed
+once for a ratio cm : ck (equation (1) of :mod:`fmbd_fenicsx.linear.condensation`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...mechanics.placements import DistributedPart
+from ...rotations import Array
+from ...system.system import System
+from ..border import loaded_ports
+from ..options import check_options
+from .incompressibility import VolumeMass
+from .spd import CholeskyFactor, FieldFactor, MassInverse
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The step's matrix is cm M + cd C + ck K."""
+
+    cm: float
+    cd: float
+    ck: float
+
+
+@dataclass(frozen=True)
+class FieldMatrix:
+    """What makes the matrix of a field: coefficients of M, of an own damping form and of K, the number of its tangent."""
+
+    cm: float
+    cd: float
+    ck: float
+    tangent: int
+
+    @classmethod
+    def of(cls, part: DistributedPart, w: Weights) -> FieldMatrix:
+        """The matrix of a part in a step; Rayleigh damping is part of cm and ck."""
+        field, forms = part.field, part.field.forms
+        cm, ck = w.cm + w.cd * forms.mass_damping, w.ck
+        damped = field.D is not None
+
+        if field.carried:  # its stiffness_damping leaves the volume alone, see MixedField.combination
+            damped |= forms.stiffness_damping > 0
+        else:
+            ck += w.cd * forms.stiffness_damping
+
+        tangent = part.tangent_version if ck or field.keeps_volume else 0
+        return cls(cm, w.cd if damped else 0.0, ck, tangent)
+
+
+@dataclass
+class Block:
+    """Factor and constant columns of one field for one ratio cm : ck."""
+
+    factor: Any
+    used: np.ndarray  # port numbers that have a column
+    Y: Array  # (n d, k + len(used)), k columns of inertia
+    W: Array
+    matrix: FieldMatrix
+
+
+class FieldBlocks:
+    """The blocks of all fields of a system; collective.
+
+    ``linear``: how they are solved, an object of :mod:`fmbd_fenicsx.solvers` (None: Cholesky factors). PETSc's options of a
+    body's block are those under ``<prefix><body>.u_``. ``kept``: sets of blocks that stay when a new one is made; schemes
+    with variable steps keep more than one.
+    """
+
+    def __init__(self, system: System, linear: Any, prefix: str) -> None:
+        self.system, self.linear, self.prefix = system, linear, prefix
+        self.kept = 1
+        self.factorisations = 0
+        self.retired_solves: list[int] = []  # of factors that have been freed
+        self._sets: dict[tuple[Any, ...], list[Block]] = {}
+
+    # -- counts -------------------------------------------------------------------------------------------------
+    @property
+    def _live(self) -> list[FieldFactor]:
+        """Each factor once; sets may share some."""
+        return list({id(b.factor): b.factor for blocks in self._sets.values() for b in blocks}.values())
+
+    @property
+    def back_solves(self) -> int:
+        """Right-hand sides solved so far."""
+        return sum(f.judge.solves for f in self._live) + sum(self.retired_solves)
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of conjugate gradients inside all live blocks; 0 for factors."""
+        return sum(f.iterations for f in self._live)
+
+    @property
+    def worst_residual(self) -> float:
+        """Largest relative residual of a solve with a live block."""
+        return max((f.judge.worst for f in self._live), default=0.0)
+
+    # -- set-up -------------------------------------------------------------------------------------------------
+    def of(self, G: Any, w: Weights, *, ties_apart: bool, splits: bool) -> list[Block]:
+        """Blocks for the weights of a step, earlier ones where nothing of theirs has changed.
+
+        ``G`` is the constraint Jacobian, whose ports need columns. ``ties_apart``: the rows of surface ties are not
+        eliminated, so their ports need none. ``splits``: PETSc's options are checked elsewhere.
+        """
+        key = tuple((FieldMatrix.of(f, w), f.column_version) for _, f in self.system.fields)
+        if key in self._sets:
+            blocks = self._sets.pop(key)
+        else:
+            blocks = [self._block(i, G, w, ties_apart) for i in range(len(self.system.fields))]
+            self.drop(keep=self.kept, live=[b.factor for b in blocks])
+            if self.linear is not None and w.ck and not splits:
+                check_options(self.prefix, self.system.comm)
+
+        self._sets[key] = blocks  # those used last are dropped last
+        return blocks
+
+    def _block(self, i: int, G: Any, w: Weights, ties_apart: bool) -> Block:
+        """Factor of field i, an earlier one where its matrix is the same, and its columns."""
+        k, part = self.system.fields[i]
+        matrix = FieldMatrix.of(part, w)
+        earlier = [blocks[i] for blocks in self._sets.values() if blocks[i].matrix == matrix]
+        factor = earlier[-1].factor if earlier else self._factor(part, matrix)
+        if not earlier and matrix.ck != 0:
+            self.factorisations += factor.fresh
+
+        used = self._used_ports(k, part, G, ties_apart)
+        H = np.concatenate((part.inertia_columns, part.port_columns(used)), axis=1)
+        Y = factor.solve_columns(H)
+        W = part.field.total(H.T @ Y)
+        return Block(factor, used, Y, 0.5 * (W + W.T), matrix)
+
+    def _used_ports(self, k: int, part: DistributedPart, G: Any, ties_apart: bool) -> np.ndarray:
+        """Numbers of the ports of a part that constraints or force elements act on."""
+        ports = self.system.port_slice(k)
+        active = G.active(ports) | loaded_ports(self.system)[ports]
+        if ties_apart:
+            of_ties = sum(B.shape[0] for B in part.traces)
+            active[part.n_port - of_ties :] = False
+
+        first = part.n_frame_rows
+        if part.shared_columns:
+            active[:first] = False  # the same columns as those of inertia
+
+        # Whole vectors b_k: a corotated factor sees them rotated, so it needs every component.
+        points = active[first:].reshape(-1, self.system.motions.dim)
+        points[:] = points.any(axis=1)[:, None]
+        return np.flatnonzero(active)
+
+    def _factor(self, part: DistributedPart, matrix: FieldMatrix) -> FieldFactor:
+        """A new factor; without stiffness (starts) of the mass alone."""
+        field, (cm, cd, ck) = part.field, (matrix.cm, matrix.cd, matrix.ck)
+        if ck == 0:
+            return VolumeMass(field, cm) if field.keeps_volume else MassInverse(field, cm)
+        if part.slack is not None:
+            from .low_rank import SlackFactor
+
+            return SlackFactor(field, cm, ck, part.slack)
+        if self.linear is not None:
+            factor: FieldFactor = self.linear.block(field, (cm, cd, ck), f"{self.prefix}{part.name}.u_")
+            return factor
+        return CholeskyFactor(field, cm, ck, cd, turns=part.frame == self.system.n_frames)
+
+    # -- end ----------------------------------------------------------------------------------------------------
+    def drop(self, keep: int, live: list[FieldFactor]) -> None:
+        """Free all but the newest ``keep`` sets of factors, and those still ``live``."""
+        while len(self._sets) > keep:
+            old = self._sets.pop(next(iter(self._sets)))
+            in_use = {id(f) for f in (*live, *self._live)}
+            for factor in (b.factor for b in old if id(b.factor) not in in_use):
+                self.retired_solves.append(factor.judge.solves)
+                factor.destroy()
+
+    def destroy(self) -> None:
+        """Free all factors."""
+        self.drop(keep=0, live=[])
+        for _, part in self.system.fields:
+            part.free_factors()
