@@ -337,8 +337,6 @@ def test_many_multipliers_in_a_scene(kinds: str) -> None:
 
 
 def test_many_multipliers_need_a_preset(monkeypatch) -> None:
-    from fmbd_fenicsx.linear import condensation as schur
-
-    monkeypatch.setattr(schur, "TIE_LIMIT", 10)
+    monkeypatch.setattr(Direct, "limit", 10)
     with pytest.raises(InputError, match=r"28 multipliers; the direct solver takes up to 10.*linear=fmbd\.Schur\(\)"):
         fmbd.solve(two_blocks("aa"), t_end=1e-3, dt=1e-3, linear=Direct())

@@ -72,7 +72,7 @@ class StepSolver:
         multiplier = None if self.linear is None else self.linear.multiplier
         if multiplier is None:
             raise InputError(
-                f"The surface ties have {count} multipliers; the direct solver takes up to {TIE_LIMIT}. "
+                f"The surface ties have {count} multipliers; the direct solver takes up to {limit}. "
                 "Use solve(..., linear=fmbd.Schur()), or coarser multiplier spaces."
             )
         from .iterated_multipliers import IteratedMultipliers
