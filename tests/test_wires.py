@@ -12,7 +12,7 @@ import scipy.linalg as sl
 import scipy.sparse.linalg as spl
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.mechanics.catenary.wires import LineField
+from fmbd_fenicsx.mechanics.catenary.line_field import LineField
 
 WIRE = fmbd.Wire(1.35, 20e3, 195.0)
 
