@@ -24,6 +24,7 @@ from ..mechanics.joints.couplings import CouplingBatch
 from ..mechanics.joints.relative import Turn
 from ..rotations import Array
 from ..schemes.consistent import worst_block
+from ..system.compiled.recording import Openness
 from ..system.system import Evaluation, System
 
 OPEN = 5e-7  # of the model's length
@@ -65,6 +66,20 @@ class Closed:
         for _, span in self.system.port_constraints:
             out[span] = 0.0  # equations of the user's own, in units of their own: no length to judge them by
         return out
+
+    def check_tape(self, seen: Any) -> None:
+        """The same for records of compiled steps, the first that is open by (1) as :meth:`check` does."""
+        if not self.system.n_lam or 0 not in self.levels:
+            return
+        if (state := seen.doubt) is not None:
+            self.check(self.system.at(state.t, state.q, state.v))
+        self.last = float(seen.t[-1])
+
+    @property
+    def openness(self) -> Openness:
+        """By what the compiled loop tells states that are to be looked at."""
+        nothing = 0 not in self.levels
+        return Openness(self.units, np.inf if nothing else self.share * self.system.length, ROUNDOFF)
 
     def check(self, ev: Evaluation) -> None:
         """Raise ConvergenceError when a joint is open in a state; collective."""

@@ -17,6 +17,7 @@ from ..checks import check_fields, vector, whole
 from ..errors import InputError, require
 from ..log import world_rank
 from ..rotations import Array
+from ..system.compiled.recording import Openness, Recorded
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory
 from ..system.system import Evaluation, State, System
@@ -148,8 +149,6 @@ class Recorder:
     output: Output
     t_end: float
     indices: list[int] = field(default_factory=list)  # numbers of the recorded steps
-    times: list[float] = field(default_factory=list)
-    energies: dict[str, list[float]] = field(default_factory=dict)
     snapshots: list[State] = field(default_factory=list)
     powers: list[dict[str, float]] = field(default_factory=list)
     works: list[dict[str, float]] = field(default_factory=list)
@@ -160,11 +159,66 @@ class Recorder:
     closed: Closed | None = None  # refuses states with open joints
 
     def __post_init__(self) -> None:
+        # series are kept as pieces, k records each: (k,) of times and energies, (k, size) of sensors
+        self.pieces: list[Array] = []
+        self.energies: dict[str, list[Array]] = {}
         self.values: dict[str, list[Array]] = {n: [] for n in self.scene.sensors}
         times = self.output.times
         self._wanted = None if times is None else [float(t) for t in times if t <= self.t_end * (1 + 1e-12)]
         self._before: State | None = None
         self._due = self.output.due(self.t_end)
+
+    @property
+    def on_tape(self) -> bool:
+        """Whether records may be made inside of a march."""
+        return self._wanted is None and not self.output.ledger  # powers need a state of their own
+
+    @property
+    def openness(self) -> Openness:
+        """By what records of compiled steps are judged."""
+        return Openness(np.ones(self.system.n_lam), np.inf, 0.0) if self.closed is None else self.closed.openness
+
+    def free(self, t: float, h: float) -> int:
+        """Steps of size h (s) after time t up to the next snapshot, it included."""
+        return max(int(np.ceil((self._due[0] - t) / h - 1e-6)), 1) if self._due else MOST
+
+    def take_tape(self, seen: Recorded, first: int) -> None:
+        """Records that a march of compiled steps made after step ``first``."""
+        if not len(seen):
+            return
+        begin = clock.perf_counter()
+        every = self.output.every
+        start = (first // every + 1) * every
+        self.indices += range(start, start + every * len(seen), every)
+        self.pieces.append(seen.t)
+        if self.closed is not None:
+            self.closed.check_tape(seen)
+        gap, slip = seen.drift
+        self.gap, self.slip = max(self.gap, float(gap.max())), max(self.slip, float(slip.max()))
+
+        alone = []
+        for name, sensor in self.scene.sensors.items():
+            if id(sensor) in seen.looks.of:
+                self.values[name].append(sensor.series(seen, self.markers[name]))
+            else:
+                alone.append((name, sensor))
+        unknown = self.output.energy and not seen.looks.energies_known
+        if alone or unknown:
+            self._one_by_one(seen, alone, unknown)
+        if self.output.energy and not unknown:
+            for name, values in seen.energies().items():
+                self.energies.setdefault(name, []).append(values)
+        self.seconds += clock.perf_counter() - begin
+
+    def _one_by_one(self, seen: Recorded, sensors: list[tuple[str, Any]], energy: bool) -> None:
+        """What only a state of its own can tell, of all records."""
+        for i in range(len(seen)):
+            s = seen.state(i)
+            ev = self.system.at(s.t, s.q, s.v)
+            for name, sensor in sensors:
+                self.values[name].append(sensor.read(ev, s, self.markers[name])[None])
+            for name, value in ev.energies().items() if energy else ():
+                self.energies.setdefault(name, []).append(np.array([value]))
 
     def quiet(self, n: int, t: float, h: float) -> int:
         """Steps of size h (s) after step n, at time t, up to the next that is recorded, it included."""
@@ -186,6 +240,8 @@ class Recorder:
             return
         if n % self.output.every and state.t < self.t_end - rounding:
             return
+        if self.indices and self.indices[-1] == n:  # on tape
+            return
         self._record(n, state, seen)
 
     def _take_between(self, n: int, state: State, stepper: Any, rounding: float) -> None:
@@ -204,9 +260,9 @@ class Recorder:
         begin = clock.perf_counter()
         ev = self.system.at(state.t, state.q, state.v) if seen is None else seen
         self.indices.append(n)
-        self.times.append(state.t)
+        self.pieces.append(np.array([state.t]))
         for name, sensor in self.scene.sensors.items():
-            self.values[name].append(sensor.read(ev, state, self.markers[name]))
+            self.values[name].append(np.asarray(sensor.read(ev, state, self.markers[name]))[None])
         if self.closed is not None and n:
             self.closed.check(ev)
         if self.system.n_lam:
@@ -215,7 +271,7 @@ class Recorder:
             self.slip = max(self.slip, float(np.abs(rate).max()))
         if self.output.energy:
             for name, value in ev.energies().items():
-                self.energies.setdefault(name, []).append(value)
+                self.energies.setdefault(name, []).append(np.array([value]))
         if self.output.ledger:
             self._book(ev, state)
         self.seconds += clock.perf_counter() - begin
@@ -240,12 +296,13 @@ class Recorder:
 
     def remember(self, m: Memory) -> None:
         """All that was recorded so far."""
-        self.indices, self.times = m("steps", (np.array(self.indices), np.array(self.times)))
-        self.indices, self.times = [int(n) for n in self.indices], [float(t) for t in self.times]
+        steps, times = m("steps", (np.array(self.indices), self.times))
+        self.indices, self.pieces = [int(n) for n in steps], [np.asarray(times, dtype=float)]
         sensors = self.scene.sensors
-        self.values = {n: list(sensors[n].remember(m, f"sensor {n}", np.array(x))) for n, x in self.values.items()}
+        self.values = {n: [sensors[n].remember(m, f"sensor {n}", x)] for n, x in self.series.items()}
         kinds = m("kinds", list(self.energies))
-        self.energies = {k: list(m(f"energy {k}", np.array(self.energies.get(k, ())))) for k in kinds}
+        now = self.energy
+        self.energies = {k: [np.asarray(m(f"energy {k}", now.get(k, np.zeros(0))))] for k in kinds}
         self.gap, self.slip, self.seconds, self._due = m("drift", (self.gap, self.slip, self.seconds, self._due))
         if self.output.ledger:
             power, work, self.unlisted = m("ledger", (self.books.power, self.books.work, self.unlisted))
@@ -256,14 +313,19 @@ class Recorder:
         self.snapshots = [i.state("state", s) for i, (s,) in m.each("snapshots", [(s,) for s in self.snapshots], 1)]
 
     @property
+    def times(self) -> Array:
+        """Times of the records (s), (n,)."""
+        return np.concatenate(self.pieces) if self.pieces else np.zeros(0)
+
+    @property
     def series(self) -> dict[str, Array]:
         """Sensor name -> values, (n, size)."""
-        return {name: np.array(values) for name, values in self.values.items()}
+        return {name: np.concatenate(values) if values else np.zeros((0, 0)) for name, values in self.values.items()}
 
     @property
     def energy(self) -> dict[str, Array]:
         """Kind -> energies in J, (n,)."""
-        return {name: np.array(values) for name, values in self.energies.items()}
+        return {name: np.concatenate(values) for name, values in self.energies.items()}
 
 
 def _entries(columns: Mapping[str, Array], count: int) -> list[dict[str, float]]:

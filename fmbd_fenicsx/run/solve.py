@@ -338,7 +338,7 @@ def solve(
         system=system,
         state=marched.state,
         dt=marched.state.t / max(marched.done, 1),
-        times=np.array(marched.recorder.times),
+        times=marched.recorder.times,
         series=marched.recorder.series,
         energy=marched.recorder.energy,
         books=marched.recorder.books if output.ledger else None,

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..errors import ConstraintError, ConvergenceError, LinearSolveError
 from ..log import log
+from ..system.compiled.recording import Openness
 from ..system.element_memory import accept
 from ..system.serialisation import Memory, remember_stepper
 from ..system.system import Evaluation, State, System
@@ -89,13 +90,18 @@ class ConstantSteps:
         self.halved, self.whole, self._size, self.local_error = m("sizes", sizes)
         self._past = m("past", self._past)
 
-    def march(self, h: float, steps: int) -> int:
+    def tape(self, judged: Openness) -> Any:
+        """Room for records of compiled steps; None where the stepper has none."""
+        made = getattr(self.stepper, "tape", None)
+        return None if made is None else made(judged)
+
+    def march(self, h: float, steps: int, tape: Any = None) -> int:
         """Up to so many whole steps of size h (s) in one call; how many were made, 0 where :meth:`advance` has to."""
         many = getattr(self.stepper, "march", None)
         remembering = any(loads.kept is not None for loads in self.system.forces)
         if many is None or self.whole or self._size not in (None, h) or remembering:
             return 0
-        made: int = many(h, steps, self.watch)
+        made: int = many(h, steps, self.watch, tape)
         if made:
             self._size, self.local_error = h, max(self.local_error, self.stepper.local_error)
         return made

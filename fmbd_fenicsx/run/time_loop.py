@@ -117,16 +117,27 @@ def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: b
 CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to stop
 
 
-def quietly(stepper: Any, pace: Pace, recorder: Recorder, done: int) -> int:
-    """Steps made in one call up to the next record, where the stepper can; how many."""
+def quietly(stepper: Any, pace: Pace, recorder: Recorder, done: int, *, most: int) -> int:
+    """How many steps, at most so many, were made in one call, where the stepper can: recorded on the way or up to a record."""
     t, h = stepper.state.t, pace.next(stepper.state.t)
-    steps = min(recorder.quiet(done, t, h), pace.steps - done)
-    if steps == 1 or recorder.output.on_step is not None:
+    if recorder.output.on_step is not None:
+        return 0
+    tape = stepper.tape(recorder.openness) if recorder.on_tape else None
+    quiet = recorder.quiet(done, t, h) if tape is None else recorder.free(t, h)
+    steps = min(quiet, pace.steps - done, most)
+    if steps == 1 and tape is None:
         return 0
 
     begin, made, chunk = clock.perf_counter(), 0, 64
+    every = recorder.output.every
     while made < steps and clock.perf_counter() - begin < CHUNK:
-        now = stepper.march(h, min(chunk, steps - made))
+        now = min(chunk, steps - made)
+        if tape is not None:
+            tape.begin(every, every - (done + made) % every)
+            now = min(now, tape.capacity * every)
+        now = stepper.march(h, now, tape)
+        if tape is not None and now:
+            recorder.take_tape(tape.recorded(), done + made)
         made += now
         if not now:
             break
@@ -150,7 +161,8 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
     try:
         with StopRequests() if keeper is None else keeper.listen() as stop:
             while not pace.ended(state.t, course.done):
-                made = quietly(stepper, pace, recorder, course.done) if pace.steps and keeper is None else 0
+                most = pace.steps if keeper is None else 1  # a checkpoint may be due after every step
+                made = quietly(stepper, pace, recorder, course.done, most=most) if pace.steps else 0
                 state = stepper.state if made else stepper.advance(pace.next(state.t))
                 if not pace.steps:  # constant steps note their parts one by one
                     accept(problem.system, state)

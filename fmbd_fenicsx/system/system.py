@@ -77,6 +77,7 @@ class System:
     traces: tuple[tuple[Any, slice], ...] = ()  # ties by field multipliers (TraceRows) and their rows
     counted: CountedAngles | None = None  # None where nothing depends on an angle beyond a turn
     elements: tuple[FrameElements, ...] = ()  # between moving frames: rods
+    sensed: tuple[tuple[Any, int], ...] = ()  # sensors of the scene with their markers
     cache: dict[Any, Any] = field(repr=False, default_factory=dict)  # patterns found at first use
 
     def block(self, name: str) -> RowBlock:

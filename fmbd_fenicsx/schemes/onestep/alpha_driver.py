@@ -15,6 +15,7 @@ from ...rotations import Array
 from ...system.compiled.calls import Calls
 from ...system.compiled.items import covers
 from ...system.compiled.library import driver_library
+from ...system.compiled.recording import Openness, Tape
 from ...system.compiled.tables import Tables, covers_bodies
 from ...system.system import System
 
@@ -45,6 +46,7 @@ class AlphaDriver:
         self.blocks = np.zeros((4, self.block_size))
         self.ring = np.array([x.ctypes.data for x in self.blocks], dtype=np.uintp)
         self._verdict = ctypes.c_int(0)
+        self._tape: Tape | None = None
 
     def load(self, states: list[tuple[float, Array, Array, Array, Array, Array]]) -> None:
         """Take t, q, v, a, A, lambda of the last states, the newest first, at most three."""
@@ -53,11 +55,22 @@ class AlphaDriver:
         self.ring[:] = [x.ctypes.data for x in self.blocks]
         self.parameters[HISTORY] = len(states) - 1
 
-    def march(self, steps: int) -> tuple[int, int]:
+    def tape(self, judged: Openness) -> Tape:
+        """Room for records; ``judged``: how open joints are told. Made once."""
+        if self._tape is None:
+            self._tape = Tape(self.tables, judged)
+        return self._tape
+
+    def march(self, steps: int, tape: Tape | None = None) -> tuple[int, int]:
         """Make up to so many steps; the number made, and the verdict of the one that stopped them."""
         self.parameters[LOCAL] = self.parameters[ITERATIONS] = 0.0
         made = self.library.march(
-            self.address, self.parameters.ctypes.data, steps, self.ring.ctypes.data, ctypes.byref(self._verdict)
+            self.address,
+            self.parameters.ctypes.data,
+            steps,
+            self.ring.ctypes.data,
+            ctypes.byref(self._verdict),
+            None if tape is None else tape.address,
         )
         self.calls.raise_error()
         return int(made), int(self._verdict.value)

@@ -14,6 +14,7 @@ from .generalized_alpha import FAR, PATIENCE, Stepper
 
 if TYPE_CHECKING:
     from ...run.energy_check import Watch
+    from ...system.compiled.recording import Openness, Tape
     from .generalized_alpha import GeneralizedAlpha
 
 
@@ -84,8 +85,11 @@ class CompiledStepper(Stepper):
             return super().advance(h)
         return self.state
 
-    def march(self, h: float, steps: int, watch: Watch | None = None) -> int:
-        """Up to so many steps of size h (s) in one call; how many were made. ``watch``: stop before one that gains energy."""
+    def march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
+        """Up to so many steps of size h (s) in one call; how many were made.
+
+        ``watch``: stop before one that gains energy. ``tape``: takes records on the way, one of :meth:`tape`.
+        """
         if self.fresh:
             return 0
         if self._tail is not self.state:
@@ -97,7 +101,7 @@ class CompiledStepper(Stepper):
         if watch is not None:
             p[slots.HIGHEST : slots.SETTLING + 1] = watch.limits
 
-        made, verdict = driver.march(steps)
+        made, verdict = driver.march(steps, tape)
         if verdict == slots.LOOK:
             driver.tables.look()
         if not made:
@@ -106,6 +110,10 @@ class CompiledStepper(Stepper):
             watch.limits = tuple(p[slots.HIGHEST : slots.SETTLING + 1])
         self._take(made)
         return made
+
+    def tape(self, judged: Openness) -> Tape:
+        """Room for records of :meth:`march`; ``judged``: how open joints are told."""
+        return self.driver.tape(judged)
 
     def _take(self, made: int) -> None:
         """The newest state, and what the steps counted."""

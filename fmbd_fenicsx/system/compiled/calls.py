@@ -74,7 +74,9 @@ class Calls:
         """Everything that depends on time only."""
         tables = self.tables
         for rows, motions in self.moving:
-            tables.arrays["motion"][rows] = [motion(t)[0] for motion in motions]
+            prescribed = [motion(t) for motion in motions]
+            tables.arrays["motion"][rows] = [x[0] for x in prescribed]
+            tables.arrays["motion_rate"][rows] = [x[1] for x in prescribed]
         for items in self.drives:
             place = tables.kinds[items.kind].place("drive").start
             items.table[:, place : place + 3] = [motion(t) for motion in items.drive]

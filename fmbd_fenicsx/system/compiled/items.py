@@ -4,6 +4,7 @@ role ROW      a term c s of a constraint  sum c s - motion(t) = 0
 role LINEAR   an effort N = stiffness (s - free) + damping s'
 role GIVEN    an effort that is the same for the whole step: loads and drives that depend on time
 role LAW      an effort from a law in Python, N(s - free, s', t)
+role READ     nothing acts: a coordinate that a sensor reads
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from ...mechanics.joints import relative as rel
 from ...mechanics.joints.couplings import CouplingBatch
 from ...rotations import Array
 from ..system import System
+from .recording import Looks
 
-ROW, LINEAR, GIVEN, LAW = range(4)
+ROW, LINEAR, GIVEN, LAW, READ = range(5)
 RELATIVE = {rel.Separation: "separation", rel.Reach: "coincident", rel.Slide: "along", rel.Turn: "angle"}
 CONSTRAINT = {
     ct.Coincident: "coincident",
@@ -55,6 +57,7 @@ class Items:
     drive: list[Any] = field(default_factory=list)
     load: Callable[[float], dict[str, Array]] | None = None
     given: Callable[[float], Array] | None = None
+    slot: np.ndarray | None = None  # numbers among the readings of a record, -1 for none
     table: Array = field(default_factory=lambda: np.zeros((0, 0)))  # of constants, as C reads them
     arrays: dict[str, Array] = field(default_factory=dict)  # coordinates, rates, efforts .. as C reads and writes them
 
@@ -67,11 +70,13 @@ class Items:
         def some(x: Any) -> Any:
             return None if x is None else np.asarray(x)[which]
 
-        return Items(
+        made = Items(
             self.kind, self.role, self.markers[which], {n: x[which] for n, x in self.constants.items()},
             some(self.row), some(self.factor), some(self.stiffness), some(self.damping), some(self.free), some(self.effort),
             *self._laws(which),
         )  # fmt: skip
+        made.slot = some(self.slot)
+        return made
 
     def _laws(self, which: np.ndarray) -> tuple[Any, ...]:
         """What changes in time, of some items."""
@@ -159,12 +164,13 @@ def _loads(loads: TimeLoads, dim: int) -> list[Items]:
     return out
 
 
-def _efforts(loads: ScalarLoads) -> list[Items]:
+def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     """Items of springs, dampers, drives and laws on coordinates."""
     kind, markers, constants = coordinate(loads.relative)
     n = len(loads.forces)
     whole = Items(kind, LINEAR, markers, constants)
     whole.stiffness, whole.damping, whole.free = loads.k, loads.c, loads.free
+    whole.slot = looks.slots_of(loads)
     own = np.array([i for i, _, _ in loads.own], dtype=int)
     timed = np.array([i for i in own if loads.forces[i].of_time], dtype=int)
     stated = np.setdiff1d(own, timed)
@@ -184,8 +190,8 @@ def _efforts(loads: ScalarLoads) -> list[Items]:
     return out
 
 
-def items_of(system: System) -> list[Items]:
-    """All items of a system; constraints in the order of its batches, then efforts."""
+def items_of(system: System, looks: Looks) -> list[Items]:
+    """All items of a system; constraints in the order of its batches, then efforts, then what sensors read."""
     dim = system.motions.dim
     out: list[Items] = []
     for batch, rows in system.batches:
@@ -199,7 +205,11 @@ def items_of(system: System) -> list[Items]:
         if type(loads) is TimeLoads:
             out += _loads(loads, dim)
         elif type(loads) is ScalarLoads:
-            out += _efforts(loads)
+            out += _efforts(loads, looks)
+    for key, relative in looks.relatives:
+        kind, markers, constants = coordinate(relative)
+        made = Items(kind, READ, markers, constants, slot=looks.take_slots(key, len(markers)))
+        out.append(made)
     return out
 
 

@@ -34,6 +34,7 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
             ("near", _INT),
             ("theta", _POINTER),
             ("mapped", _INT),
+            *_fields("component slot", _POINTER),
             *_fields("where lower row_start square_start row_to row_on square_to", _POINTER),
         ],
         "Surface": [
@@ -76,7 +77,10 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
             *_fields("cd ck epsilon", _REAL),
             *_fields("q work big", _POINTER),
             *_fields("evaluations factors calls", _LONG),
+            *_fields("seen readings reactions", _INT),
+            *_fields("seen_frame reaction motion_rate rest_gravity slip", _POINTER),
         ],
+        "Reaction": [*_fields("items frame", _INT), *_fields("batch item side", _POINTER), ("p", _REAL * dim)],
     }
     return type(name, (ctypes.Structure,), {"_fields_": fields[name]})
 

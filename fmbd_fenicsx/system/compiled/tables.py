@@ -14,8 +14,9 @@ from ...mechanics.rods.elements import RodElements
 from ...mechanics.validity import TOO_LARGE
 from ...rotations import Array
 from ..system import System
-from .items import GIVEN, LAW, ROW, Items, items_of, other_loads
+from .items import GIVEN, LAW, READ, ROW, Items, items_of, other_loads
 from .order import Fronts, RowGroup
+from .recording import Looks
 from .rods import RodTable, rod_pairs
 from .structures import Store, structure
 
@@ -40,16 +41,16 @@ class Tables:
         self.nb, self.twist = system.n_frames, system.motions.n_twist
         reduced: tuple[Any, ...] = system.parts
         self.parts: dict[int, tuple[int, Any]] = {p.frame: (k, p) for k, p in enumerate(reduced)}
-        self.items = items_of(system)
+        self.looks = Looks(system)
+        self.items = items_of(system, self.looks)
         self.loads = other_loads(system)
         self.maps: list[Array] = []  # of surfaces: twist from the rates of the body
         self._lay_out()
         self._place_surfaces()
         self._order()
 
-        made = [one for items in self.items for one in self._split(items)]
-        self.batches = [self._batch(items, number) for number, items in enumerate(made)]
-        self.sources = made
+        self.sources = [one for items in self.items for one in self._split(items)]
+        self.batches = [self._batch(items, number) for number, items in enumerate(self.sources)]
         rods: tuple[Any, ...] = system.elements
         self.rods = [RodTable(self, rod, number) for number, rod in enumerate(rods)]
         self._system(redundant)
@@ -68,6 +69,7 @@ class Tables:
         mk = self.system.markers
         used: list[np.ndarray] = [items.markers.ravel() for items in self.items]
         used += [x for f in self.loads for x in (f.a, f.b)]
+        used.append(np.array(self.looks.markers, dtype=int))
         numbers = np.unique(np.concatenate(used)).astype(int) if used else np.zeros(0, int)
         self.surfaces = np.array([i for i in numbers if i in set(mk.surface.tolist())], dtype=int)
         self.frame = mk.frame.copy()
@@ -107,7 +109,7 @@ class Tables:
         touched: list[set[int]] = [set() for _ in range(self.rows)]
         terms = np.zeros(self.rows, int)
         pairs = rod_pairs(self.system.elements)
-        for items in self.items:
+        for items in (x for x in self.items if x.role != READ):
             bodies: Any = self.body_of(self.frames_of(items))
             if items.role == ROW:
                 assert items.row is not None
@@ -209,6 +211,9 @@ class Tables:
             values = given.get(name)
             items.arrays[name], address = store.array(zero if values is None else values)
             setattr(one, name, address)
+        if items.slot is not None:
+            one.slot = store.integers(items.slot)
+        one.component = store.integers(components)
         if items.role == ROW:
             one.row, one.factor = store.integers(items.row), store.address(items.factor)
         if items.kind == "angle" and self.dim == 3:
@@ -219,6 +224,8 @@ class Tables:
     def _tangent_places(self, one: Any, kind: Kind, frames: np.ndarray, places: np.ndarray, live: np.ndarray) -> None:
         """Where the entries of a batch go in the fronts: of rows, of products of rows, of geometric stiffness."""
         store, fronts, n = self.store, self.fronts, len(frames)
+        if one.role == READ:  # nothing acts
+            return
         components = np.array(kind.entries, dtype=int)[live]
         pattern = np.array(kind.pattern, dtype=int).reshape(-1, 2)
         one.hessians = len(pattern)
@@ -346,6 +353,8 @@ class Tables:
             "work": 3 * s.n_v + 2 * self.rows, "big": (2 * self.twist + 1) * 2 * widest + size,
         }  # fmt: skip
         arrays = {name: store.array(np.zeros(max(count, 1))) for name, count in sizes.items()}
+        arrays |= {name: store.array(np.zeros(max(self.rows, 1))) for name in ("motion_rate", "slip")}
+        arrays["rest_gravity"] = store.array(s.gravity(np.inf))
         arrays |= {"frames": store.array(frames), "gravity": store.array(s.gravity(0.0)), "units": store.array(s.units)}
         self.arrays = {name: x for name, (x, _) in arrays.items()}
         row = self.nu + np.arange(self.rows)
@@ -356,6 +365,7 @@ class Tables:
             "angle": ("Angle", angles),
             "rod": ("Rod", [rod.c for rod in self.rods]),
             "batch": ("Batch", self.batches),
+            "reaction": ("Reaction", [self._reaction(name) for name in self.looks.joints]),
         }
         pointers = {}
         for name, (kind, made) in lists.items():
@@ -369,11 +379,39 @@ class Tables:
             bodies=self.nb, surfaces=len(surfaces), batches=len(self.batches), fronts=len(fronts), angles=len(angles),
             rods=len(self.rods), rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant),
             stiff=self._stiff(), storage=self.fronts.storage,
+            seen=len(self.looks.markers), readings=self.looks.count, reactions=len(self.looks.joints),
+            seen_frame=store.integers(self.frame[self.looks.markers]),
             row_dest=store.integers(self.fronts.place(row, row)),
             sign=store.array(np.where(np.arange(size) < self.nu, 1, -1), np.int8)[1],
             **pointers, **{name: address for name, (_, address) in arrays.items()},
         )  # fmt: skip
         self.look()
+
+    @property
+    def seen_place(self) -> dict[int, Array]:
+        """Places of the markers that sensors look at in their frames, by number."""
+        mk = self.system.markers
+        on_surface = self.frame > self.nb
+        return {i: np.zeros(self.dim) if on_surface[i] else mk.position[i] for i in self.looks.markers}
+
+    def _reaction(self, joint: str) -> Any:
+        """One structure Reaction: the items of a joint's rows on the side of its first body."""
+        block = self.system.block(joint)
+        found = []
+        for number, items in enumerate(self.sources):
+            if items.row is None:
+                continue
+            inside = (items.row >= block.rows.start) & (items.row < block.rows.stop)
+            mine = np.argwhere(inside[:, None] & (items.markers == block.a))
+            found += [(number, int(i), int(side)) for i, side in mine]
+        batch, item, side = np.array(found, dtype=int).reshape(-1, 3).T
+        frame = int(self.frame[block.a])
+        place = np.zeros(self.dim) if frame > self.nb else self.system.markers.position[block.a]
+        integers = self.store.integers
+        return structure("Reaction", self.dim)(
+            items=len(found), frame=frame, p=(ctypes.c_double * self.dim)(*place),
+            batch=integers(batch), item=integers(item), side=integers(side),
+        )  # fmt: skip
 
     def _stiff(self) -> int:
         """Whether efforts depend on the motion: 0 no, 1 linearly, 2 by laws with slopes of their own."""

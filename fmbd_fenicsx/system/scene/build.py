@@ -128,6 +128,7 @@ class Builder:
             traces=tuple(traces),
             counted=counted,
             elements=tuple(self.nodes.elements),
+            sensed=tuple((s, sensor_markers[n]) for n, s in scene.sensors.items()),
         )
         return system, self._state(system), sensor_markers
 

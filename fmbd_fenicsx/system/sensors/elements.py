@@ -15,6 +15,7 @@ from ...errors import InputError, near, require
 from ...mechanics.forces.force_elements import Loads
 from ...mechanics.forces.forces import Force
 from ...rotations import Array
+from ..compiled.recording import Look, Recorded
 from ..system import Evaluation, State, System
 from .sensors import Sensor
 
@@ -51,6 +52,14 @@ class ElementScalar(_ElementSensor):
         found = loads.scalar(ev.kin, ev.t)
         assert found is not None  # refused when the sensor was made
         return np.asarray(self.sign * found[self.which][at])
+
+    def looks_at(self, system: System, marker: int) -> Look:
+        """The element."""
+        return Look(element=self.element)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """The value, (k, 1)."""
+        return np.asarray(self.sign * seen.reading(self.element)[:, :, self.which])
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,10 @@ from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.joints import Ground, ground, refuse_no_attachment
 from ...mechanics.joints.relative import Relative
 from ...rotations import Array
+from ..compiled.recording import Look, Recorded
 from ..foreshortened_ports import port_acceleration
 from ..scene.joints import relative_of
-from ..system import Evaluation, State
+from ..system import Evaluation, State, System
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +31,14 @@ class Sensor:
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The value, a flat array; collective."""
+        raise NotImplementedError
+
+    def looks_at(self, system: System, marker: int) -> Look | None:
+        """What :meth:`series` needs of records of the compiled loop; None where states are read one by one."""
+        return None
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """The values in all records at once, (k, size): those of :meth:`read`."""
         raise NotImplementedError
 
     @property
@@ -68,6 +77,14 @@ class Position(_Vector):
         """x, m."""
         return ev.kin.x[marker].copy()
 
+    def looks_at(self, system: System, marker: int) -> Look:
+        """The marker."""
+        return Look(marker)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """x, m."""
+        return seen.place(marker)
+
 
 class Velocity(_Vector):
     """World velocity of a point or of a surface's mean, (d,)."""
@@ -77,6 +94,14 @@ class Velocity(_Vector):
         assert ev.kin.twist is not None
         return ev.kin.twist[marker, : ev.kin.x.shape[1]].copy()
 
+    def looks_at(self, system: System, marker: int) -> Look:
+        """The marker."""
+        return Look(marker)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """x', m/s."""
+        return seen.twist(marker)[:, : seen.system.motions.dim]
+
 
 class AngularVelocity(_Vector):
     """World angular velocity of a body or of a surface's mean, (n_rot,)."""
@@ -85,6 +110,14 @@ class AngularVelocity(_Vector):
         """w, rad/s."""
         assert ev.kin.twist is not None
         return ev.kin.twist[marker, ev.kin.x.shape[1] :].copy()
+
+    def looks_at(self, system: System, marker: int) -> Look:
+        """The marker."""
+        return Look(marker)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """w, rad/s."""
+        return seen.twist(marker)[:, seen.system.motions.dim :]
 
 
 class Acceleration(_Vector):
@@ -100,6 +133,14 @@ class Acceleration(_Vector):
             out = out + kin.jac_port[on[0]] @ port_acceleration(ev, state.a)[m.port[on[0]]]
         return np.asarray(out[: kin.x.shape[1]])
 
+    def looks_at(self, system: System, marker: int) -> Look | None:
+        """The marker, where it is on a rigid body."""
+        return None if marker in system.markers.surface else Look(marker, whole=True)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """x'', m/s^2."""
+        return seen.acceleration(marker)
+
 
 class Rotation(Sensor):
     """Rotation since the start: the angle (plane, in (-pi, pi]) or the matrix row by row (space)."""
@@ -108,6 +149,15 @@ class Rotation(Sensor):
         """Angle (rad) in the plane, the rotation matrix row by row in space."""
         R = ev.kin.R[marker]
         return np.array([np.arctan2(R[1, 0], R[0, 0])]) if R.shape[0] == 2 else R.ravel().copy()
+
+    def looks_at(self, system: System, marker: int) -> Look:
+        """The marker."""
+        return Look(marker)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """Angle or rotation matrix."""
+        R = seen.rotation(marker)
+        return np.arctan2(R[:, 1, :1], R[:, 0, :1]) if R.shape[1] == 2 else R.reshape(len(R), 9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +188,14 @@ class Reaction(Sensor):
                 return state.lam[block.rows].copy()
         raise InputError(f'No reaction of "{self.joint}". {near(self.joint, (b.name for b in ev.system.blocks))}')
 
+    def looks_at(self, system: System, marker: int) -> Look:
+        """All multipliers."""
+        return Look(rows=True)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """The multipliers of the joint."""
+        return seen.lam[:, seen.system.block(self.joint).rows]
+
 
 @dataclass(frozen=True, eq=False)
 class ReactionWrench(_Vector):
@@ -165,6 +223,15 @@ class ReactionWrench(_Vector):
                 wrench -= state.lam[rows[number[at]]] @ side[at]
         return wrench[d:] if self.torque else wrench[:d]
 
+    def looks_at(self, system: System, marker: int) -> Look:
+        """The joint."""
+        return Look(joint=self.joint)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """Force or moment of the joint on its first body."""
+        wrench, d = seen.wrench(self.joint), seen.system.motions.dim
+        return wrench[:, d:] if self.torque else wrench[:, :d]
+
 
 @dataclass(frozen=True, eq=False)
 class JointReading(Sensor):
@@ -180,13 +247,25 @@ class JointReading(Sensor):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Value and rate of the joint coordinate."""
-        s = ev.system
+        relative = self._relative(ev.system)
+        return relative.rates(ev.kin) if self.level else relative.values(ev.kin)
+
+    def _relative(self, s: System) -> Relative:
+        """The coordinate in a system."""
         key = f"reading {id(self)}"
         if key not in s.cache:
             block = s.block(self.coordinate.joint.name)
             s.cache[key] = relative_of(s.motions, self.coordinate.kind, [(self.coordinate, block.a, block.b)])
-        relative: Relative = s.cache[key]
-        return relative.rates(ev.kin) if self.level else relative.values(ev.kin)
+        found: Relative = s.cache[key]
+        return found
+
+    def looks_at(self, system: System, marker: int) -> Look:
+        """The coordinate."""
+        return Look(relative=self._relative(system))
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """Value or rate of the joint coordinate."""
+        return seen.reading(id(self))[:, :, 1 if self.level else 0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,22 +7,6 @@ enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, 
 enum { MOST = 64 };
 static const double SLOW_TURN = 0.01; /* rate of Newton above which efforts get a new tangent */
 
-typedef struct {
-    double *t, *q, *v, *a, *A, *lam;
-} Block;
-
-static Block block_at(const System *s, double *x)
-{
-    Block b;
-    b.t = x;
-    b.q = x + 1;
-    b.v = b.q + s->nq;
-    b.a = b.v + s->nv;
-    b.A = b.a + s->nv;
-    b.lam = b.A + s->nv;
-    return b;
-}
-
 static double largest_of(const double *units, const double *x, int n)
 {
     double found = 0.0;
@@ -95,29 +79,10 @@ static int judge(double *p, const double *sizes, int done)
     return left <= 1.0 || size <= 1e-3;
 }
 
-static void energies(System *s, const double *q, const double *v, const double *gravity, double *out)
-{
-    out[0] = out[1] = out[2] = out[3] = 0.0;
-    for (int b = 0; b < s->bodies; b++) {
-        const Body *o = s->body + b;
-        body_energies(o, s->frames + FRAME * b + TURN, q, v, q + POSE * b, v + TWIST * b, gravity, out);
-    }
-    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
-        if (k->role != LINEAR) continue;
-        KERNELS[k->kind][VALUE](k->n, k->pair, s->frames, k->P, 0, k->out);
-        for (long i = 0; i < k->n; i++) {
-            double stretch = k->out[i * k->outputs] - k->free[i];
-            out[3] += 0.5 * k->stiffness[i] * stretch * stretch;
-        }
-    }
-    for (Rod *k = s->rod; k < s->rod + s->rods; k++) out[1] += rod_energy(s, k);
-}
-
-/* Whether a step gained energy from nothing, as run/energy_check.py. */
+/* Whether a step gained energy from nothing, as run/energy_check.py; frames are placed. */
 static int gained(System *s, double *p, const Block *now)
 {
     double e[4], energy, motion;
-    if (place(s, now->q, now->v)) return 0;
     energies(s, now->q, now->v, s->gravity, e);
     energy = e[0] + e[1] + e[2] + e[3];
     motion = e[0] + e[1] + e[3];
@@ -210,8 +175,8 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
 }
 
 /* Up to ``steps`` steps in a ring of four blocks: ring[0] is the newest, ring[3] free. Returns how many were made; the reason to
-   stop earlier is in ``verdict``, the state is then that of the last good step. */
-EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict)
+   stop earlier is in ``verdict``, the state is then that of the last good step. ``tape`` (may be NULL) takes records. */
+EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict, Tape *tape)
 {
     long made = 0;
     *verdict = DONE;
@@ -224,10 +189,14 @@ EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict)
             p[THETA] = theta;
             break;
         }
-        if (p[GUARDED] != 0.0 && gained(s, p, &out)) {
+        int recorded = tape && tape->left == 1;
+        int placed = (p[GUARDED] != 0.0 || recorded) && !place(s, out.q, out.v);
+        if (p[GUARDED] != 0.0 && placed && gained(s, p, &out)) {
             *verdict = GAIN;
             break;
         }
+        if (recorded && (*verdict = placed ? record(s, tape, &out) : LOOK)) break;
+        if (tape) tape->left = recorded ? tape->every : tape->left - 1;
         double *newest = ring[3];
         for (int i = 3; i > 0; i--) ring[i] = ring[i - 1];
         ring[0] = newest;

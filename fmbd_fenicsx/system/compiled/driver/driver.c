@@ -22,6 +22,8 @@ static double rod_energy(System *s, Rod *k) { return (void)s, (void)k, 0.0; }
 #endif
 #include "evaluate.c"
 #include "matrix.c"
+#include "states.c"
+#include "record.c"
 #include "alpha.c"
 
 /* The evaluation, the factor and a solution for Python: what other schemes and tests call. */

@@ -133,7 +133,7 @@ static int efforts(System *s, Batch *k, double t)
         for (int e = 0; e < k->live; e++) rate += out[k->entry[e]] * s->velocity[at[e]];
         k->s[i] = out[0];
         k->rate[i] = rate;
-        k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
+        if (k->role != GIVEN) k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
     }
     if (k->role != LAW) return DONE;
     s->calls++;
@@ -142,6 +142,7 @@ static int efforts(System *s, Batch *k, double t)
 
 static int items(System *s, Batch *k, const double *lam, double t)
 {
+    if (k->role == READ) return DONE;
     KERNELS[k->kind][VALUE](k->n, k->pair, s->frames, k->P, 0, k->out);
     if (k->role == LINEAR || k->role == LAW) {
         int verdict = efforts(s, k, t);

@@ -172,6 +172,7 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
         else rigid_block(s, o, R);
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->role == READ) continue;
         if (k->role == ROW && k->mapped) mapped_rows(s, k);
         else if (k->role == ROW) plain_rows(s, k);
         if (k->role == ROW && !reactions) continue;

@@ -15,8 +15,9 @@ enum { D = 2, ROT = 1, POSE = 3, TWIST = 3, PORT = 6, FRAME = 10 };
 enum { TURN = D, SPEED = D + D * D, SPIN = SPEED + D };  /* where R, v, w begin in a frame */
 
 enum { VALUE, RATES, TANGENT };                           /* kernels of a kind */
-enum { ROW, LINEAR, GIVEN, LAW };                         /* roles of items: a term of a constraint; an effort that is linear, */
-                                                          /* given for the whole step, or from a law in Python */
+enum { ROW, LINEAR, GIVEN, LAW, READ };                   /* roles of items: a term of a constraint; an effort that is linear, */
+                                                          /* given for the whole step, or from a law in Python; READ: only */
+                                                          /* looked at in records */
 enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN };      /* verdicts; LOOK: the NumPy path has something to say; FAILED: a */
                                                           /* law in Python raised; GAIN: energy from nothing */
 
@@ -37,6 +38,8 @@ typedef struct {
     double *hessian;
     int near, *theta;                  /* column of P with the counted angle; n: its place in q, NULL for other kinds */
     int mapped;                        /* whether frames on surfaces are among them, which have places of their own: */
+    int *component;                    /* outputs - 1: twist component of both frames of each entry */
+    int *slot;                         /* n: numbers among the readings, -1 for none; NULL where none of them is read */
     int *where;                        /* n x 2 x TWIST: entry of the value kernel (0: none) of each twist component */
     int *lower;                        /* curved x 2: twist components of each output of the tangent kernel */
     long *row_start, *square_start;    /* where an item's places begin in: */
@@ -91,6 +94,13 @@ typedef struct {
     int *to;                           /* rows - pivots: their rows in the next front */
 } Front;
 
+/* What a joint does to its first body, in records: items of its rows on the side of that body. */
+typedef struct {
+    int items, frame;
+    int *batch, *item, *side;
+    double p[D];                       /* the joint's point in the frame */
+} Reaction;
+
 typedef struct {
     int bodies, surfaces, batches, fronts, angles, rods, rows, nu, nv, nq, redundant;
     Body *body;
@@ -112,7 +122,21 @@ typedef struct {
     const double *q;                   /* the configuration evaluated last */
     double *work, *big;
     long evaluations, factors, calls;
+    int seen, readings, reactions;     /* of records: frames, items that are read, joints whose reaction is */
+    int *seen_frame;
+    Reaction *reaction;
+    double *motion_rate, *rest_gravity, *slip;
 } System;
+
+/* Records of accepted steps; every array holds ``capacity`` of them. ``left``: steps up to the next. */
+typedef struct {
+    long every, left, capacity, count;
+    long whole, rows, doubtful;        /* whether states and multipliers are kept; first record whose joints are open, or -1 */
+    double allowed, roundoff, length;  /* m; share of the distance from the origin; of the model */
+    double *units;                     /* of the rows, as lengths */
+    double *block, *lam, *frames, *energy, *reading, *reaction, *drift; /* drift: open by, opening at */
+    double *doubt;                     /* the state of the doubtful record */
+} Tape;
 
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES };  /* what Python is asked for */
 

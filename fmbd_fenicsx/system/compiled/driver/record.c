@@ -1,0 +1,113 @@
+/* Records of accepted steps: the state, frames that sensors look at, coordinates and efforts, reactions of joints, energies, and
+   how far the constraints are open. Python reads them many at a time (recording.py). */
+
+/* Open constraints into gap, their rates into slip; frames are placed. */
+static void drift(System *s)
+{
+    for (int i = 0; i < s->rows; i++) {
+        s->gap[i] = -s->motion[i];
+        s->slip[i] = -s->motion_rate[i];
+    }
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->role != ROW) continue;
+        KERNELS[k->kind][RATES](k->n, k->pair, s->frames, k->P, 0, k->out);
+        for (long i = 0; i < k->n; i++) s->slip[k->row[i]] += k->factor[i] * k->out[2 * i];
+
+        KERNELS[k->kind][VALUE](k->n, k->pair, s->frames, k->P, 0, k->out);
+        const double *out = k->out;
+        const int *at = k->at;
+        for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
+            s->gap[k->row[i]] += k->factor[i] * out[0];
+            for (int e = 0; e < k->live; e++) s->slip[k->row[i]] += k->factor[i] * out[k->entry[e]] * s->velocity[at[e]];
+        }
+    }
+}
+
+/* s, s' and the effort of the items that are read. */
+static int readings(System *s, double t, double *found)
+{
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (!k->slot) continue;
+        KERNELS[k->kind][VALUE](k->n, k->pair, s->frames, k->P, 0, k->out);
+        int verdict = efforts(s, k, t);
+        if (verdict) return verdict;
+        for (long i = 0; i < k->n; i++) {
+            if (k->slot[i] < 0) continue;
+            double *one = found + 3 * k->slot[i];
+            one[0] = k->s[i] - k->free[i];
+            one[1] = k->rate[i];
+            one[2] = k->effort[i];
+        }
+    }
+    return DONE;
+}
+
+/* Force and torque of a joint on its first body about the joint's point there, world axes; rows as drift() left them. */
+static void reaction(const System *s, const Reaction *o, const double *lam, double *wrench)
+{
+    const double *frame = s->frames + FRAME * o->frame;
+    double lever[D], turning[ROT];
+    memset(wrench, 0, TWIST * sizeof(double));
+    for (int i = 0; i < o->items; i++) {
+        const Batch *k = s->batch + o->batch[i];
+        const double *out = k->out + k->outputs * o->item[i] + 1;
+        double pull = lam[k->row[o->item[i]]] * k->factor[o->item[i]];
+        for (int e = 0; e < k->outputs - 1; e++) {
+            int component = k->component[e] - TWIST * o->side[i];
+            if (component >= 0 && component < TWIST) wrench[component] -= pull * out[e];
+        }
+    }
+    times(frame + TURN, o->p, lever);
+    moment(lever, wrench, turning);
+    for (int i = 0; i < ROT; i++) wrench[D + i] -= turning[i];
+}
+
+/* Largest coordinate of a frame, its angle as a length, and of what is counted: see run/acceptance.py. */
+static double far_from_origin(const System *s, const double *q, double length)
+{
+    double place = 0.0, angle = D == 2 ? 0.0 : 1.0, counted = 0.0;
+    for (int b = 0; b < s->bodies; b++) {
+        for (int i = 0; i < D; i++) place = fmax(place, fabs(q[POSE * b + i]));
+        if (D == 2) angle = fmax(angle, fabs(q[POSE * b + 2]));
+    }
+    for (int i = 0; i < s->angles; i++) counted = fmax(counted, fabs(q[POSE * s->bodies + i]));
+    return place + length * (angle + counted);
+}
+
+/* How far the constraints are open; the first state beyond what is allowed is kept. */
+static void judge_drift(System *s, Tape *tape, const Block *now, double *open)
+{
+    double widest = 0.0;
+    drift(s);
+    open[0] = open[1] = 0.0;
+    for (int i = 0; i < s->rows; i++) {
+        double gap = fabs(s->gap[i]), slip = fabs(s->slip[i]), length = gap * tape->units[i];
+        if (!(gap <= open[0])) open[0] = gap; /* nan is kept */
+        if (!(slip <= open[1])) open[1] = slip;
+        if (!(length <= widest)) widest = length;
+    }
+    if (tape->doubtful >= 0 || widest <= tape->allowed + tape->roundoff * far_from_origin(s, now->q, tape->length)) return;
+    tape->doubtful = tape->count;
+    memcpy(tape->doubt, now->t, (1 + s->nq + 3 * (long)s->nv + s->rows) * sizeof(double));
+}
+
+/* One record of an accepted step whose frames are placed. */
+static int record(System *s, Tape *tape, const Block *now)
+{
+    long k = tape->count, size = 1 + s->nq + 3 * (long)s->nv + s->rows;
+    int verdict = readings(s, *now->t, tape->reading + 3 * (long)s->readings * k);
+    if (verdict) return verdict;
+
+    if (tape->whole) memcpy(tape->block + size * k, now->t, size * sizeof(double));
+    else tape->block[k] = *now->t;
+    if (tape->rows) memcpy(tape->lam + s->rows * k, now->lam, s->rows * sizeof(double));
+    energies(s, now->q, now->v, s->rest_gravity, tape->energy + 4 * k);
+    for (int i = 0; i < s->seen; i++)
+        memcpy(tape->frames + FRAME * (s->seen * k + i), s->frames + FRAME * s->seen_frame[i], FRAME * sizeof(double));
+
+    judge_drift(s, tape, now, tape->drift + 2 * k);
+    for (int i = 0; i < s->reactions; i++)
+        reaction(s, s->reaction + i, now->lam, tape->reaction + TWIST * (s->reactions * k + i));
+    tape->count++;
+    return DONE;
+}

@@ -1,0 +1,263 @@
+"""Records that the compiled loop makes: what sensors look at, asked for before a run, and read from many states at a time.
+
+A sensor says what it looks at (:class:`Look`): the motion of a marker, a coordinate between two markers, the effort of an
+element, the reaction of a joint. The driver writes these numbers, the energies and where needed the state at each record; the
+sensor computes its series from :class:`Recorded` with arrays over all records. A sensor that cannot say what it looks at is read
+from the states one by one.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...mechanics.forces.effort_laws import EffortLaw
+from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
+from ...mechanics.joints.relative import Relative, Turn
+from ...mechanics.kinds.frames import FRAME
+from ...rotations import Array
+from ..system import State, System
+
+if TYPE_CHECKING:
+    from .tables import Tables
+
+CAPACITY = 2048  # records between two visits of Python
+BYTES = 1_000_000  # that they may take, so that they stay in the cache
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a sensor needs of each record beside the state: the motion of a ``marker``, a ``relative`` coordinate with its rate,
+    the ``element`` with this name, the wrench of the ``joint`` with this name on its first body; ``rows``: all multipliers,
+    ``whole``: the state itself.
+    """
+
+    marker: int = -1
+    relative: Relative | None = None
+    element: str = ""
+    joint: str = ""
+    rows: bool = False
+    whole: bool = False
+
+
+def readable(system: System, look: Look) -> bool:
+    """Whether the driver can write what is looked at."""
+    from .items import RELATIVE
+
+    if look.element:
+        return any(type(f) is ScalarLoads and look.element in (x.name for x in f.forces) for f in system.forces)
+    if look.relative is None:
+        return True
+    if type(look.relative) not in RELATIVE:
+        return False
+    if not isinstance(look.relative, Turn) or system.motions.dim == 2:
+        return not isinstance(look.relative, Turn) or system.counted is not None
+    if system.counted is None:
+        return False
+    known = set(zip(system.counted.turn.a, system.counted.turn.b, strict=True))
+    return all(pair in known for pair in zip(look.relative.a, look.relative.b, strict=True))
+
+
+class Looks:
+    """What all sensors of a system look at, with the places of their numbers in a record."""
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.of: dict[int, Look] = {}  # by the identity of the sensor
+        for sensor, marker in system.sensed:
+            look = sensor.looks_at(system, marker)
+            if look is not None and readable(system, look):
+                self.of[id(sensor)] = look
+
+        self.markers = sorted({x.marker for x in self.of.values() if x.marker >= 0})
+        self.rows = any(x.rows for x in self.of.values())
+        self.whole = (
+            any(x.whole for x in self.of.values()) or len(self.of) < len(system.sensed) or not self.energies_known
+        )
+        self.joints = sorted({x.joint for x in self.of.values() if x.joint})
+        self.relatives = [(key, x.relative) for key, x in self.of.items() if x.relative is not None]
+        self.elements = {x.element for x in self.of.values() if x.element}
+        self.slots: dict[Any, slice] = {}  # of a sensor's identity or an element's name
+        self.count = 0
+
+    def take_slots(self, key: Any, count: int) -> np.ndarray:
+        """Numbers for so many items that are read."""
+        self.slots[key] = slice(self.count, self.count + count)
+        self.count += count
+        return np.arange(self.count - count, self.count)
+
+    def slots_of(self, loads: ScalarLoads) -> np.ndarray | None:
+        """Numbers of the elements of a batch that are read or store energy in a law, -1 for the others; None without any."""
+        out = np.full(len(loads.forces), -1)
+        for i, f in enumerate(loads.forces):
+            if f.name in self.elements or isinstance(f.law, EffortLaw):
+                out[i] = self.take_slots(f.name, 1)[0]
+        return out if (out >= 0).any() else None
+
+    @cached_property
+    def stores(self) -> list[tuple[slice, EffortLaw]]:
+        """Laws that store energy, with the places of their elongations."""
+        every = [f for loads in self.system.forces if type(loads) is ScalarLoads for f in loads.forces]
+        laws = [f for f in every if isinstance(f.law, EffortLaw) and type(f.law).stored is not EffortLaw.stored]
+        return [(self.slots[f.name], f.law) for f in laws]
+
+    @cached_property
+    def energies_known(self) -> bool:
+        """Whether the driver and the laws tell all energies."""
+        rest = [f for f in self.system.forces if type(f) not in (ScalarLoads, TimeLoads)]
+        return all(type(f).energy is Loads.energy for f in rest)
+
+
+class _Tape(ctypes.Structure):
+    """``Tape`` of tables.h."""
+
+    _fields_ = [
+        *((name, ctypes.c_long) for name in "every left capacity count whole rows doubtful".split()),
+        *((name, ctypes.c_double) for name in "allowed roundoff length".split()),
+        *((name, ctypes.c_void_p) for name in "units block lam frames energy reading reaction drift doubt".split()),
+    ]
+
+
+@dataclass(frozen=True)
+class Openness:
+    """What open constraints are judged by: units of the rows as lengths, (n_lam,); the length that is allowed (m), and its share
+    of the distance from the origin.
+    """
+
+    units: Array
+    allowed: float
+    roundoff: float
+
+
+class Tape:
+    """Room for the records of one march."""
+
+    def __init__(self, tables: Tables, judged: Openness) -> None:
+        s, looks = tables.system, tables.looks
+        self.tables, self.units = tables, np.ascontiguousarray(judged.units, dtype=float)
+        size = 1 + s.n_q + 3 * s.n_v + s.n_lam
+        shapes: dict[str, tuple[int, ...]] = {
+            "block": (size if looks.whole else 1,),
+            "lam": (s.n_lam if looks.rows else 0,),
+            "frames": (len(looks.markers), FRAME[tables.dim]),
+            "energy": (4,),
+            "reading": (looks.count, 3),
+            "reaction": (len(looks.joints), tables.twist),
+            "drift": (2,),
+        }
+        each = sum(int(np.prod(x)) for x in shapes.values())
+        self.capacity = int(np.clip(BYTES // (8 * each), 16, CAPACITY))
+        self.arrays = {name: np.zeros((self.capacity, *shape)) for name, shape in shapes.items()}
+        self.doubt = np.zeros(size)
+        self.c = _Tape(
+            capacity=self.capacity, whole=looks.whole, rows=looks.rows, units=self.units.ctypes.data,
+            allowed=judged.allowed, roundoff=judged.roundoff, length=s.length, doubt=self.doubt.ctypes.data,
+        )  # fmt: skip
+        for name, array in self.arrays.items():
+            setattr(self.c, name, array.ctypes.data)
+
+    @property
+    def address(self) -> int:
+        """For C."""
+        return ctypes.addressof(self.c)
+
+    def begin(self, every: int, left: int) -> None:
+        """Nothing recorded; the first record after ``left`` steps, then every so many."""
+        self.c.every, self.c.left, self.c.count, self.c.doubtful = every, left, 0, -1
+
+    def recorded(self) -> Recorded:
+        """What was recorded, copied."""
+        n = int(self.c.count)
+        doubt = state_of(self.tables.system, self.doubt) if self.c.doubtful >= 0 else None
+        return Recorded(self.tables, {name: x[:n].copy() for name, x in self.arrays.items()}, doubt)
+
+
+def state_of(system: System, block: Array) -> State:
+    """The state in a block of the driver: t, q, v, a, the algorithmic acceleration, lambda."""
+    ends = np.cumsum([system.n_q, system.n_v, system.n_v, system.n_v])
+    q, v, a, _, lam = np.split(block[1:].copy(), ends)
+    return State(float(block[0]), q, v, a, lam)
+
+
+class Recorded:
+    """Records of one march, k of them: arrays with the record as their first axis. ``doubt``: the first state whose joints are
+    open by more than is allowed, None where there is none.
+    """
+
+    def __init__(self, tables: Tables, arrays: dict[str, Array], doubt: State | None = None) -> None:
+        self.tables, self.system, self.looks = tables, tables.system, tables.looks
+        self.arrays, self.doubt = arrays, doubt
+        self.t, self.lam = arrays["block"][:, 0], arrays["lam"]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def state(self, i: int) -> State:
+        """One of the states."""
+        return state_of(self.system, self.arrays["block"][i])
+
+    # -- markers ------------------------------------------------------------------------------------------------------------
+    def _frame(self, marker: int) -> tuple[Array, Array, Array]:
+        """Numbers of the marker's frame, its rotation, and the arm from the frame's origin to the marker (world axes)."""
+        d = self.tables.dim
+        frame = self.arrays["frames"][:, self.looks.markers.index(marker)]
+        R = frame[:, d : d + d * d].reshape(-1, d, d)
+        return frame, R, R @ self.tables.seen_place[marker]
+
+    def place(self, marker: int) -> Array:
+        """x, (k, d) m."""
+        frame, _, arm = self._frame(marker)
+        return frame[:, : self.tables.dim] + arm
+
+    def rotation(self, marker: int) -> Array:
+        """R since the start, (k, d, d)."""
+        return np.asarray(self._frame(marker)[1] @ self.system.markers.rotation[marker])
+
+    def twist(self, marker: int) -> Array:
+        """Velocity (m/s) and angular velocity (rad/s), world axes, (k, d + n_rot)."""
+        m, d = self.system.motions, self.tables.dim
+        frame, _, arm = self._frame(marker)
+        at = d + d * d
+        w = frame[:, at + d : at + d + m.n_rot]
+        return np.concatenate((frame[:, at : at + d] + m.spin(w, arm), w), axis=1)
+
+    def acceleration(self, marker: int) -> Array:
+        """x'' of a marker on a rigid body, (k, d) m/s^2."""
+        m, d, n = self.system.motions, self.tables.dim, self.tables.twist
+        body = int(self.system.markers.frame[marker])
+        frame, R, arm = self._frame(marker)
+        if body == self.tables.nb:
+            return np.zeros((len(self), d))
+        at = d + d * d + d
+        first = 1 + self.system.n_q + self.system.n_v + n * body
+        w, a = frame[:, at : at + m.n_rot], self.arrays["block"][:, first : first + n]
+        turning = a[:, d:] if d == 2 else (R @ a[:, d:, None])[..., 0]
+        return np.asarray(a[:, :d] + m.spin(turning, arm) + m.spin(w, m.spin(w, arm)))
+
+    # -- coordinates, elements, joints ------------------------------------------------------------------------------------------
+    def reading(self, key: Any) -> Array:
+        """s, s' and the restoring effort of a sensor's coordinates or of the element of this name, (k, n, 3)."""
+        return self.arrays["reading"][:, self.looks.slots[key]]
+
+    def wrench(self, joint: str) -> Array:
+        """Force and torque of a joint on its first body, (k, d + n_rot)."""
+        return self.arrays["reaction"][:, self.looks.joints.index(joint)]
+
+    def energies(self) -> dict[str, Array]:
+        """Kind -> J, (k,), as :meth:`Evaluation.energies`."""
+        kinds = ("kinetic", "elastic", "weight", "springs")
+        out: dict[str, Array] = dict(zip(kinds, self.arrays["energy"].T.copy(), strict=True))
+        for place, law in self.looks.stores:
+            s = self.arrays["reading"][:, place, 0]
+            out["springs"] += np.array([law.stored(float(x)) for x in s[:, 0]])
+        return out
+
+    @property
+    def drift(self) -> tuple[Array, Array]:
+        """Largest open constraint, largest rate at which one opens; (k,) each."""
+        gap, slip = self.arrays["drift"].T
+        return gap, slip

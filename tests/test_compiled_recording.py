@@ -1,0 +1,108 @@
+"""Records made inside of the compiled loop are those that sensors read from the states one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.rotations import Array
+from fmbd_fenicsx.system.sensors.sensors import Sensor
+from fmbd_fenicsx.system.system import Evaluation, State
+
+
+class Momentum(Sensor):
+    """A sensor that does not say what it looks at."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """Momentum of all bodies."""
+        return ev.momenta()[0]
+
+
+def chain(dim: int, element: Callable[..., Any]) -> fmbd.Scene:
+    """Three links with an element in each hinge, and every sensor that the loop can serve; one that it cannot."""
+    scene, before = fmbd.Scene("links", gravity=(0, -9.81, 0)[:dim]), fmbd.ground
+    for i in range(3):
+        inertia = 1e-3 if dim == 2 else (1e-4, 1e-3, 1.1e-3)
+        link = fmbd.RigidBody(f"link {i}", 0.1, inertia, (0.1 * i + 0.05, 0.0, 0.0)[:dim])
+        axis = {} if dim == 2 else {"axis": (0.1, 0.2 * (-1) ** i, 1.0)}
+        hinge = fmbd.revolute(f"hinge {i}", before, link, center=(0.1 * i, 0.0, 0.0)[:dim], **axis)
+        scene.add(link, hinge, element(f"element {i}", fmbd.angle(hinge)))
+        before = link
+
+    point = (0.27, 0.02, 0.01)[:dim]
+    scene.sensor("x", fmbd.position(link, point=point))
+    scene.sensor("v", fmbd.velocity(link, point=point))
+    scene.sensor("a", fmbd.acceleration(link, point=point))
+    scene.sensor("w", fmbd.angular_velocity(link))
+    scene.sensor("R", fmbd.rotation(link))
+    scene.sensor("momentum", Momentum(None, "N s"))
+    for name in ("hinge 0", "hinge 2"):
+        joint = scene.joints[name]
+        scene.sensor(f"{name} lambda", fmbd.reaction(name))
+        scene.sensor(f"{name} force", fmbd.reaction_force(name))
+        scene.sensor(f"{name} torque", fmbd.reaction_torque(name))
+        scene.sensor(f"{name} angle", fmbd.angle(joint))
+        scene.sensor(f"{name} rate", fmbd.joint_rate(fmbd.angle(joint)))
+    for what in (fmbd.sensors.element_effort, fmbd.sensors.elongation, fmbd.sensors.element_torque):
+        scene.sensor(what.__name__, what(scene.forces["element 1"]))
+    return scene
+
+
+ELEMENTS = {
+    "spring": lambda name, angle: fmbd.joint_spring(name, angle, stiffness=2.0, damping=0.01, free=0.1),
+    "stop": lambda name, angle: fmbd.elastic_stop(name, angle, upper=0.02, lower=-0.02, stiffness=5.0, damping=0.01),
+    "motor": lambda name, angle: fmbd.motor(name, angle, target=lambda t: 0.3 * np.sin(4 * t), kp=1.0, kd=0.02),
+}
+
+
+def recorded(dim: int, element: str, *, one_by_one: bool) -> Any:
+    """A run of 60 steps with every second recorded."""
+    on_step = (lambda now: None) if one_by_one else None
+    output = fmbd.Output(every=2, snapshots=3, on_step=on_step, progress=False)
+    return fmbd.solve(chain(dim, ELEMENTS[element]), t_end=0.121, dt=2e-3, output=output)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("element", list(ELEMENTS))
+def test_records_of_the_loop_are_those_of_single_states(dim: int, element: str) -> None:
+    fast, slow = (recorded(dim, element, one_by_one=x) for x in (False, True))
+    assert "compiled" in fast.plan.path
+    assert np.array_equal(fast.times, slow.times)
+    assert fast.times[-1] == pytest.approx(0.121)
+    assert np.array_equal([s.t for s in fast.snapshots], [s.t for s in slow.snapshots])
+
+    for name, values in slow.series.items():
+        assert fast[name].shape == values.shape, name
+        assert np.abs(values).max() > 0 or (dim == 2 and name.endswith("torque")), name
+        assert fast[name] == pytest.approx(values, rel=1e-9, abs=1e-9 * np.abs(values).max() + 1e-14), name
+    for kind, values in slow.energy.items():
+        assert fast.energy[kind] == pytest.approx(values, rel=1e-9, abs=1e-12), kind
+    assert fast.drift == pytest.approx(slow.drift, rel=1e-6, abs=1e-14)
+
+
+def test_prescribed_motion_and_its_drift() -> None:
+    """The rate of a driven joint is part of the drift of velocities."""
+    runs = []
+    for on_step in (None, lambda now: None):
+        body = fmbd.RigidBody("body", 1.0, 0.1, (0.5, 0.0))
+        scene = fmbd.Scene("driven", gravity=(0, -9.81))
+        pin = fmbd.revolute("pin", fmbd.ground, body, center=(0, 0))
+        scene.add(body, pin, fmbd.drive("drive", fmbd.angle(pin), lambda t: 0.5 * np.sin(3 * t)))
+        scene.sensor("effort", fmbd.reaction_torque("drive"))
+        runs.append(fmbd.solve(scene, t_end=0.1, dt=1e-3, output=fmbd.Output(on_step=on_step, progress=False)))
+    assert runs[0]["effort"] == pytest.approx(runs[1]["effort"], rel=1e-9)
+    assert runs[0].drift == pytest.approx(runs[1].drift, rel=1e-6, abs=1e-14)
+    assert 0 < runs[0].drift[1] < 1e-4
+
+
+def test_an_open_joint_is_refused_where_it_is_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
+    from fmbd_fenicsx.run import acceptance
+
+    monkeypatch.setattr(acceptance, "OPEN", -1.0)
+    monkeypatch.setattr(acceptance.Closed, "under", lambda system, scheme: acceptance.Closed(system, (0,), -1.0))
+    with pytest.raises(fmbd.errors.ConvergenceError, match=r'"hinge .*is open by'):
+        recorded(2, "spring", one_by_one=False)
