@@ -1,0 +1,168 @@
+"""Many variants of a scene on all cores: the same mechanism with other data.
+
+Each variant is a run of its own, so its results are those of a single run to the last bit. The runs are shared out among
+processes, copies of this one: kernels are compiled and kept by the first variant, before there are any copies. What a copy found
+comes back as arrays.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import FmbdError, InputError, near, require
+from ..log import world_size
+from ..rotations import Array
+from ..system.scene.scene import Scene
+from .output import Output
+from .solve import solve
+
+
+@dataclass(frozen=True, repr=False)
+class Variant:
+    """What one variant left: times (n,) s, series (n, size) by sensor, energies (n,) J by kind, q and v at the end, counters."""
+
+    parameter: Any
+    times: Array
+    series: dict[str, Array]
+    energy: dict[str, Array]
+    end: tuple[Array, Array]
+    counters: dict[str, float]
+
+    def __getitem__(self, sensor: str) -> Array:
+        """Series of a sensor, (n, size)."""
+        if sensor not in self.series:
+            raise InputError(f'No sensor "{sensor}". {near(sensor, self.series)}')
+        return self.series[sensor]
+
+    def __repr__(self) -> str:
+        return (
+            f"<variant {self.parameter!r:.60}: {len(self.times)} records, sensors {', '.join(self.series) or 'none'}>"
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class Variants:
+    """The variants in the order of their parameters; ``variants["tip"]`` is the series of a sensor of all, (B, n, size)."""
+
+    variants: tuple[Variant, ...]
+
+    def __len__(self) -> int:
+        return len(self.variants)
+
+    def __iter__(self) -> Iterator[Variant]:
+        return iter(self.variants)
+
+    def __getitem__(self, what: int | str) -> Any:
+        """One variant by its number, or a sensor of all."""
+        if not isinstance(what, str):
+            return self.variants[what]
+        shapes = {variant[what].shape for variant in self.variants}
+        require(
+            len(shapes) == 1,
+            f'Sensor "{what}" has other numbers of records in some variants, {sorted(shapes)}: take them one by one, '
+            'variants[i]["..."].',
+        )
+        return np.stack([variant[what] for variant in self.variants])
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} variants>"
+
+
+def run_variants(make: Callable[[Any], Scene], parameters: Sequence[Any], **settings: Any) -> Variants:
+    """Run ``make(parameter)`` for every parameter, on all cores of this machine.
+
+        study.map(lambda k: suspension(stiffness=k), [1e4, 2e4, 4e4], t_end=2.0, dt=1e-3)["wheel"]    # (3, n, 3)
+
+    Args:
+        make: parameter -> scene.
+        settings: of :func:`~fmbd_fenicsx.solve`, the same for all.
+
+    Raises:
+        InputError: no parameters, or several MPI ranks, which share out one scene. What a variant raises, with its parameter.
+    """
+    given = list(parameters)
+    require(bool(given), "study.map: no parameters.")
+    require(
+        world_size() == 1,
+        f"study.map uses all cores by itself, found {world_size()} MPI ranks. Start it without mpirun, or loop over solve().",
+    )
+    settings.setdefault("output", Output(progress=False))
+    first = _one(make, given[0], settings)
+
+    rest = given[1:]
+    workers = min(_cores(), len(rest))
+    if workers < 2 or not hasattr(os, "fork"):
+        return Variants((first, *(_one(make, parameter, settings) for parameter in rest)))
+    pipes = [_start(make, rest[i::workers], settings) for i in range(workers)]
+    found: list[Any] = [None] * len(rest)
+    answers = [_answer(*pipe) for pipe in pipes]
+    for i, answer in enumerate(answers):
+        if isinstance(answer, BaseException):
+            raise answer
+        found[i::workers] = answer
+    return Variants((first, *found))
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _one(make: Callable[[Any], Scene], parameter: Any, settings: dict[str, Any]) -> Variant:
+    """The run of one parameter."""
+    try:
+        scene = make(parameter)
+        require(isinstance(scene, Scene), f"study.map: make returned {scene!r:.60}, expected a Scene.")
+        run = solve(scene, **settings)
+    except FmbdError as error:
+        raise type(error)(f"Variant {parameter!r:.80}: {error}") from error
+    end = run.state.q.copy(), run.state.v.copy()
+    return Variant(parameter, run.times, run.series, run.energy, end, run.counters)
+
+
+def _start(make: Callable[[Any], Scene], parameters: list[Any], settings: dict[str, Any]) -> tuple[int, int]:
+    """A copy of this process that runs some variants: its number, and the pipe on which it answers."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child:
+        os.close(writing)
+        return child, reading
+
+    # The copy must not come back from here: MPI, PETSc and open files belong to the process that it was made from.
+    try:
+        answer: Any
+        try:
+            answer = [_one(make, parameter, settings) for parameter in parameters]
+            text = pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL)
+        except BaseException as error:
+            text = _packed(error)
+        with os.fdopen(writing, "wb") as pipe:
+            pipe.write(text)
+    finally:
+        os._exit(0)
+
+
+def _packed(error: BaseException) -> bytes:
+    """An exception to be sent, as a package error with its text where it cannot be sent itself."""
+    try:
+        text = pickle.dumps(error)
+        pickle.loads(text)
+    except Exception:
+        return pickle.dumps(FmbdError(f"{type(error).__name__}: {error}"))
+    return text
+
+
+def _answer(child: int, reading: int) -> Any:
+    """What a copy sends: its variants, or what it raised."""
+    with os.fdopen(reading, "rb") as pipe:
+        text = pipe.read()
+    os.waitpid(child, 0)
+    return (
+        pickle.loads(text) if text else FmbdError("study.map: a process ended without an answer; was it out of memory?")
+    )

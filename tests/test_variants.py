@@ -1,0 +1,56 @@
+"""Many variants of a scene at once are single runs to the last bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+
+
+def pendulum(length: float) -> fmbd.Scene:
+    """A rod on a pin, released from the horizontal."""
+    rod = fmbd.RigidBody("rod", 1.0, length**2 / 12, (length / 2, 0.0))
+    scene = fmbd.Scene("pendulum", gravity=(0, -9.81))
+    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod, center=(0, 0)))
+    scene.sensor("tip", fmbd.position(rod, point=(length, 0.0)))
+    return scene
+
+
+def test_variants_are_single_runs_to_the_last_bit() -> None:
+    lengths, settings = [1.0, 0.5, 2.0, 0.7, 1.3], {"t_end": 0.05, "dt": 1e-3}
+    found = fmbd.study.map(pendulum, lengths, **settings)
+
+    assert [variant.parameter for variant in found] == lengths
+    assert found["tip"].shape == (5, 51, 2)
+    for variant, length in zip(found, lengths, strict=True):
+        alone = fmbd.solve(pendulum(length), **settings)
+        assert np.array_equal(variant["tip"], alone["tip"])
+        assert np.array_equal(variant.end[0], alone.state.q)
+        assert np.array_equal(variant.end[1], alone.state.v)
+        assert np.array_equal(variant.energy["kinetic"], alone.energy["kinetic"])
+        assert variant.counters["newton_iterations"] == alone.counters["newton_iterations"]
+
+
+def test_faults_name_the_variant() -> None:
+    def make(length: float) -> fmbd.Scene:
+        return pendulum(length if length > 0 else float("nan"))
+
+    with pytest.raises(fmbd.errors.InputError, match="Variant -1"):
+        fmbd.study.map(make, [1.0, 0.5, -1.0, 0.7], t_end=0.01, dt=1e-3)
+    with pytest.raises(fmbd.errors.InputError, match="no parameters"):
+        fmbd.study.map(make, [], t_end=0.01, dt=1e-3)
+    with pytest.raises(fmbd.errors.InputError, match="expected a Scene"):
+        fmbd.study.map(lambda x: x, [1.0], t_end=0.01, dt=1e-3)
+    with pytest.raises(fmbd.errors.InputError, match='No sensor "top"'):
+        fmbd.study.map(make, [1.0], t_end=0.01, dt=1e-3)["top"]
+
+
+def test_other_exceptions_of_a_variant_come_back() -> None:
+    def make(length: float) -> fmbd.Scene:
+        if length < 0:
+            raise ZeroDivisionError("of mine")
+        return pendulum(length)
+
+    with pytest.raises(ZeroDivisionError, match="of mine"):
+        fmbd.study.map(make, [1.0, 0.5, -1.0], t_end=0.01, dt=1e-3)
