@@ -7,6 +7,46 @@ from dataclasses import dataclass
 from typing import Any
 
 from .checks import check_fields
+from .errors import InputError
+
+
+def _refuse_space(name: str, u: Any) -> None:
+    """A law of sheets does not know how a solid strains."""
+    if u.ufl_shape[0] != 2:
+        raise InputError(
+            f"materials.{name} is a law of sheets in the plane; this body is in space. Use materials.linear_elastic or an energy "
+            "such as materials.neo_hookean."
+        )
+
+
+@dataclass(frozen=True)
+class Hooke:
+    """Hooke's law a(u, v) = int (2 mu eps(u) + lambda tr eps(u) 1) : eps(v); mu, lambda in Pa, of sheets in N/m.
+
+    ``name`` of the law in :mod:`fmbd_fenicsx.materials`, ``in_plane``: the state that it means in the plane, ``sheet``: it is a
+    law of the plane only.
+    """
+
+    name: str
+    mu: float
+    lmbda: float
+    in_plane: str
+    sheet: bool = False
+
+    def __call__(self, u: Any, v: Any, dx: Any) -> Any:
+        """The form."""
+        from dolfinx import fem
+        from ufl import Identity, grad, inner, sym, tr
+
+        if self.sheet:
+            _refuse_space(self.name, u)
+        domain = dx.ufl_domain()
+        m, k = fem.Constant(domain, self.mu), fem.Constant(domain, self.lmbda)
+
+        def eps(w: Any) -> Any:
+            return sym(grad(w))
+
+        return inner(2 * m * eps(u) + k * tr(eps(u)) * Identity(u.ufl_shape[0]), eps(v)) * dx
 
 
 @dataclass(frozen=True)
@@ -45,6 +85,18 @@ class StoredEnergy:
 
         F = Identity(u.ufl_shape[0]) + grad(u)
         return self.density(dx.ufl_domain())(F.T * F) * dx
+
+
+@dataclass(frozen=True)
+class SheetEnergy(StoredEnergy):
+    """An energy of sheets in the plane. ``name`` of the law in :mod:`fmbd_fenicsx.materials`."""
+
+    name: str
+
+    def __call__(self, u: Any, dx: Any) -> Any:
+        """The form of the density of C = F^T F."""
+        _refuse_space(self.name, u)
+        return super().__call__(u, dx)
 
 
 @dataclass(frozen=True)

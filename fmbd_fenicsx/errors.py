@@ -79,6 +79,10 @@ def near(name: str, known: Iterable[str]) -> str:
     return f"{hint}Known: {listed}."
 
 
+AGREEMENTS: list[Callable[[str, Callable[[], Any]], Any]] = []
+"""How the ranks of the run under way agree on what a user's function gives, see :mod:`fmbd_fenicsx.ranks`; empty on one rank."""
+
+
 def named(what: str, name: str, function: Callable[..., Any], *, time: int | None = -1) -> Callable[..., Any]:
     """A user's function whose exceptions become a :class:`LawError`: 'What "name" failed at t = 0.1 s: KeyError: ...'.
 
@@ -88,6 +92,11 @@ def named(what: str, name: str, function: Callable[..., Any], *, time: int | Non
     """
 
     def call(*args: Any) -> Any:
+        if AGREEMENTS:
+            return AGREEMENTS[-1](f'{what} "{name}"', lambda: alone(*args))
+        return alone(*args)
+
+    def alone(*args: Any) -> Any:
         try:
             return function(*args)
         except FmbdError:

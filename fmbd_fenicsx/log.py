@@ -1,7 +1,7 @@
 """Logger of the package, and behaviour under MPI: one message, and one failing rank ends all.
 
-The library only writes to the logger ``fmbd_fenicsx``; :func:`fmbd_fenicsx.solve` and the demos configure
-nothing.
+The library writes to the logger ``fmbd_fenicsx``. Its warnings reach standard error, each once, unless the program sets up
+logging of its own (:mod:`fmbd_fenicsx.notices`).
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ from types import TracebackType
 from typing import Any, NoReturn
 
 from .errors import FmbdError, Stopped
+from .notices import OnStandardError
 
 log = logging.getLogger("fmbd_fenicsx")
-log.addHandler(logging.NullHandler())
 
 
+LEFT: list[Any] = []  # codes with which this rank left a run that the others go on with
 PATIENCE = 3.0  # s that a rank which leaves with an error waits for the others to do the same
 
 
@@ -44,6 +45,9 @@ def world_rank() -> int:
     from mpi4py import MPI
 
     return int(MPI.COMM_WORLD.rank)
+
+
+log.addHandler(OnStandardError(world_rank))
 
 
 def say(text: Any = "") -> None:
@@ -67,8 +71,8 @@ def install_hooks() -> None:
 
 
 def _watch_exits() -> None:
-    """Remember the code given to ``sys.exit``; at the end of a process with another code than 0 wait for all ranks to end alike,
-    and end them where they do not: a rank that has left would be waited for without end.
+    """Remember the code given to ``sys.exit``; at the end of a process with another code than 0, or out of a run, wait for all
+    ranks to end alike, and end them where they do not: a rank that has left would be waited for without end.
     """
     codes: list[Any] = []
     leave = sys.exit
@@ -78,8 +82,8 @@ def _watch_exits() -> None:
         leave(code)
 
     def end() -> None:
-        code = codes[-1] if codes else None
-        if code in (None, 0) or "mpi4py.MPI" not in sys.modules:
+        code = LEFT[-1] if LEFT else codes[-1] if codes else None
+        if (code in (None, 0) and not LEFT) or "mpi4py.MPI" not in sys.modules:
             return
         from mpi4py import MPI
 
@@ -89,7 +93,13 @@ def _watch_exits() -> None:
         until = time.monotonic() + PATIENCE
         while not arrived.Test():
             if time.monotonic() > until:
-                MPI.COMM_WORLD.Abort(code if isinstance(code, int) else 1)
+                if LEFT:
+                    print(
+                        "fmbd_fenicsx: a rank left a run by sys.exit while others go on: all end.",
+                        file=sys.stderr,
+                        flush=True,
+                    )
+                MPI.COMM_WORLD.Abort(code if isinstance(code, int) and code != 0 else 1)
             time.sleep(0.02)
 
     sys.exit = noting

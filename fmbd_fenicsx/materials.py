@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from .checks import number
-from .energies import MixedEnergy, StoredEnergy, ViscousForm
+from .energies import Hooke, MixedEnergy, SheetEnergy, StoredEnergy, ViscousForm
 from .errors import require
 
 __all__ = [
@@ -39,40 +39,24 @@ def lame(youngs_modulus: float, poisson_ratio: float) -> tuple[float, float]:
     return E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
 
 
-def linear_elastic(youngs_modulus: float, poisson_ratio: float) -> Form:
-    """a(u, v) = int sigma(u) : eps(v), isotropic; in the plane: plane strain."""
-    return _isotropic(*lame(youngs_modulus, poisson_ratio))
+def linear_elastic(youngs_modulus: float, poisson_ratio: float) -> Hooke:
+    """a(u, v) = int sigma(u) : eps(v), isotropic. In the plane this is plane strain, of a slice of 1 m; reports say so."""
+    return Hooke("linear_elastic", *lame(youngs_modulus, poisson_ratio), in_plane="plane strain")
 
 
-def plane_stress(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> Form:
+def plane_stress(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> Hooke:
     """The same for a sheet of the given thickness (m): lambda* = 2 mu lambda / (lambda + 2 mu), times the thickness."""
     mu, lmbda = lame(youngs_modulus, poisson_ratio)
     number("Thickness", thickness, above=0.0, unit="m")
-    return _isotropic(thickness * mu, thickness * 2 * mu * lmbda / (lmbda + 2 * mu))
+    reduced = 2 * mu * lmbda / (lmbda + 2 * mu)
+    return Hooke("plane_stress", thickness * mu, thickness * reduced, in_plane="plane stress", sheet=True)
 
 
-def _isotropic(mu: float, lmbda: float) -> Form:
-    def elastic(u: Any, v: Any, dx: Any) -> Any:
-        from dolfinx import fem
-        from ufl import Identity, grad, inner, sym, tr
-
-        domain = dx.ufl_domain()
-        m, k = fem.Constant(domain, mu), fem.Constant(domain, lmbda)
-
-        def eps(w: Any) -> Any:
-            return sym(grad(w))
-
-        d = u.ufl_shape[0]
-        return inner(2 * m * eps(u) + k * tr(eps(u)) * Identity(d), eps(v)) * dx
-
-    return elastic
-
-
-def plane_strain(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> Form:
+def plane_strain(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> Hooke:
     """A sheet of the given thickness (m) that cannot strain across it: the linear form times the thickness."""
     mu, lmbda = lame(youngs_modulus, poisson_ratio)
     number("Thickness", thickness, above=0.0, unit="m")
-    return _isotropic(thickness * mu, thickness * lmbda)
+    return Hooke("plane_strain", thickness * mu, thickness * lmbda, in_plane="plane strain", sheet=True)
 
 
 def saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float) -> StoredEnergy:
@@ -88,7 +72,7 @@ def saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float) -> Store
     return _energy(density, mu, lmbda)
 
 
-def sheet_saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> StoredEnergy:
+def sheet_saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> SheetEnergy:
     """The same for a sheet in plane stress: lambda* = 2 mu lambda / (lambda + 2 mu), times the thickness (m)."""
     mu, lmbda = lame(youngs_modulus, poisson_ratio)
     number("Thickness", thickness, above=0.0, unit="m")
@@ -99,7 +83,8 @@ def sheet_saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float, th
         E = 0.5 * (C - Identity(C.ufl_shape[0]))
         return m * inner(E, E) + 0.5 * k * tr(E) ** 2
 
-    return _energy(density, thickness * mu, thickness * 2 * mu * lmbda / (lmbda + 2 * mu))
+    energy = _energy(density, thickness * mu, thickness * 2 * mu * lmbda / (lmbda + 2 * mu))
+    return SheetEnergy(energy.density, "sheet_saint_venant_kirchhoff")
 
 
 def neo_hookean(youngs_modulus: float, poisson_ratio: float) -> StoredEnergy:

@@ -21,6 +21,8 @@ FLOORS = [
         "energies",
         "kernel_cache",
         "checks",
+        "notices",
+        "ranks",
     },
     {"fem"},
     {"mechanics"},

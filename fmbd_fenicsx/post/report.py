@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..energies import Hooke
 from ..mechanics.forces.forces import Spring
 from ..mechanics.joints.constraints import standstill
 from ..mechanics.reduction.craig_bampton import ReducedBody
@@ -30,6 +31,8 @@ def run_report(run: Run) -> str:
     c, (gap, slip), start = run.counters, run.drift, run.correction
     steps = max(int(c["steps"]), 1)
     lines = [f"{run.scene.name}: {run.status} at t = {run.state.t:.6g} s"]
+    for warning in run.warnings:
+        lines += _entry("look at this", warning)
     lines += _entry("scheme", f"{run.scheme.name}, {_steps(run, steps)}")
     newton = c["newton_iterations"]
     lines += _entry("Newton", f"{newton:.0f} iterations, {newton / steps:.2f} a step")
@@ -206,11 +209,19 @@ def _plan(run: Run) -> list[str]:
     """The plan, shortened: the largest unknowns by name, the others counted."""
     plan = run.plan
     listed = _shortened(plan.unknowns)
+    plane = _in_plane(run.scene)
     return [
         *_entry("plan: unknowns", listed),
+        *(_entry("in the plane", plane) if plane else []),
         *_entry("constant", ", ".join(plan.constant) or "nothing"),
         *_entry("left out", ", ".join(plan.left_out) or "nothing"),
     ]
+
+
+def _in_plane(scene: Scene) -> str:
+    """What linear laws mean in the plane, by body; nothing in space."""
+    laws = [(name, getattr(body, "elastic", None)) for name, body in scene.bodies.items() if body.dim == 2]
+    return ", ".join(f'"{name}" in {law.in_plane} ({law.name})' for name, law in laws if isinstance(law, Hooke))
 
 
 def _shortened(unknowns: Sequence[tuple[str, int]], most: int = 8) -> str:

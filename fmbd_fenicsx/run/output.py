@@ -16,6 +16,7 @@ import numpy as np
 from ..checks import check_fields, vector, whole
 from ..errors import InputError, require
 from ..log import world_rank
+from ..notices import Gathered
 from ..rotations import Array
 from ..system.compiled.recording import Openness, Recorded
 from ..system.scene.scene import Scene
@@ -155,8 +156,11 @@ class Recorder:
     unlisted: tuple[str, ...] = ()
     gap: float = 0.0
     slip: float = 0.0
+    worst_slip: float = 0.0  # m/s, that of angles times the model's length
+    fastest: float = 0.0  # m/s, largest velocity
     seconds: float = 0.0
     closed: Closed | None = None  # refuses states with open joints
+    warned: Gathered | None = None  # the warnings of this run
 
     def __post_init__(self) -> None:
         # series are kept as pieces, k records each: (k,) of times and energies, (k, size) of sensors
@@ -267,8 +271,11 @@ class Recorder:
             self.closed.check(ev)
         if self.system.n_lam:
             self.gap = max(self.gap, float(np.abs(ev.constraint()).max()))
-            rate = ev.jacobian.times(state.v) + ev.constraint_rate()
-            self.slip = max(self.slip, float(np.abs(rate).max()))
+            rate = np.abs(ev.jacobian.times(state.v) + ev.constraint_rate())
+            self.slip = max(self.slip, float(rate.max()))
+            if self.closed is not None:
+                self.worst_slip = max(self.worst_slip, float((self.closed.units * rate).max()))
+                self.fastest = max(self.fastest, self.system.max_abs(state.v))
         if self.output.energy:
             for name, value in ev.energies().items():
                 self.energies.setdefault(name, []).append(np.array([value]))
@@ -307,6 +314,9 @@ class Recorder:
         if self.output.ledger:
             power, work, self.unlisted = m("ledger", (self.books.power, self.books.work, self.unlisted))
             self.powers, self.works = _entries(power, len(self.times)), _entries(work, len(self.times))
+        self.worst_slip, self.fastest = m("velocities", (self.worst_slip, self.fastest))
+        if self.warned is not None:
+            self.warned.found = [(a, b) for a, b in m("warned", [list(x) for x in self.warned.found])]
         self._wanted = m("wanted", self._wanted)
         if self._wanted is not None:
             self._before = m.state("before", self._before)

@@ -9,6 +9,7 @@ from ..checks import instance, shown
 from ..errors import InputError, require
 from ..schemes.newton import Newton
 from ..system.scene.scene import Scene
+from ..system.system import System
 from .output import Output
 
 
@@ -35,3 +36,13 @@ def checked_scheme(scheme: Any) -> Any:
             "see fmbd.schemes."
         )
     return scheme
+
+
+def check_pressures(system: System, scheme: Any) -> None:
+    """Bodies with a pressure as an unknown need a scheme that moves it."""
+    names = [p.name for _, p in system.fields if p.field.carried]
+    require(
+        not names or getattr(scheme, "carries_pressure", False),
+        f'Body "{"".join(names[:1])}" has a pressure that is an unknown; {scheme.name} does not solve for it. Use '
+        "GeneralizedAlpha() with form=Index3(), or energy=neo_hookean_mixed(...).",
+    )

@@ -15,6 +15,7 @@ from ..errors import InputError, Stopped, near, require
 from ..linear.condensation import StepSolver
 from ..linear.redundancy import not_unique
 from ..log import install_hooks, peak_memory
+from ..notices import Gathered
 from ..rotations import Array
 from ..schemes.consistent import Correction
 from ..schemes.dae import Index3
@@ -23,11 +24,12 @@ from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.plan import Plan, make_plan
 from ..system.scene.scene import Scene
 from ..system.system import State, System
+from .doubts import warn_of_doubts
 from .estimates import Compared, reduction_error, space_error, time_error, tolerance_error
 from .ledger import Books, Ledger, make_ledger
 from .output import Output, refuse_too_many
 from .schedule import Pace, pace_of
-from .settings import check_settings, checked_scheme
+from .settings import check_pressures, check_settings, checked_scheme
 from .time_loop import March, Problem, begin, make_solver, march
 
 if TYPE_CHECKING:
@@ -46,6 +48,7 @@ class Run:
         times: (n,) s; ``series``: sensor name -> (n, size) values; ``energy``: kind -> (n,) J.
         state, system: the last state and its system. ``snapshots``: states kept for pictures.
         counters: steps, Newton iterations, factorisations, back-solves. ``seconds``: by phase.
+        warnings: what was warned of during the run, and what is doubtful at its end; in the report under "look at this".
         not_unique: joints whose reactions are not unique at the end, of which the smallest are given.
         drift: largest position constraint (m) and velocity constraint (m/s) residual seen.
         local_error: the scheme's own indicator of the error of one step, largest over the run (m, rad).
@@ -89,6 +92,7 @@ class Run:
     status: str = "finished"
     not_unique: list[str] = field(default_factory=list)
     books: Books | None = None
+    warnings: list[str] = field(default_factory=list)
 
     def __getitem__(self, sensor: str) -> Array:
         """Series of a sensor, (n, size)."""
@@ -311,7 +315,8 @@ def solve(
     halvings = output.estimate_error and getattr(scheme, "rtol", None) is None
     pace = pace_of(scene, scheme, t_end, dt, multiple=4 if halvings else 1)
     called = clock.perf_counter()
-    system, given, markers = scene.build()
+    with Gathered() as warned:
+        system, given, markers = scene.build()
     check_pressures(system, scheme)
     refuse_too_many(output, system, pace.t_end, pace.steps)
     built = clock.perf_counter()
@@ -319,14 +324,18 @@ def solve(
     newton.refresh = solver.refresh
     keeper: Keeper | None = None
     try:
-        start, correction = begin(scene, scheme, system, given, solver=solver, h=pace.next(0.0))
-        started = clock.perf_counter()
-        problem = Problem(scene, system, markers, given, start, scheme, newton, linear, solver.pressures)
-        keeper = None if checkpoint is None and restart is None else _keeper(problem, pace, output, checkpoint, restart)
-        marched = march(problem, solver, pace, output, keeper)
-        ended = clock.perf_counter()
-        counters = _counters(marched, newton, solver)
-        undetermined = not_unique(solver, marched.state)
+        with warned:
+            start, correction = begin(scene, scheme, system, given, solver=solver, h=pace.next(0.0))
+            started = clock.perf_counter()
+            problem = Problem(scene, system, markers, given, start, scheme, newton, linear, solver.pressures, warned)
+            keeper = (
+                None if checkpoint is None and restart is None else _keeper(problem, pace, output, checkpoint, restart)
+            )
+            marched = march(problem, solver, pace, output, keeper)
+            ended = clock.perf_counter()
+            counters = _counters(marched, newton, solver)
+            undetermined = not_unique(solver, marched.state)
+            warn_of_doubts(scene, solver, marched.recorder, counters)
     finally:
         solver.destroy()
         if keeper is not None:
@@ -358,6 +367,7 @@ def solve(
         newton_tolerance=newton.tolerance,
         status=marched.status,
         not_unique=undetermined,
+        warnings=warned.lines(),
     )
     if run.status == "stopped":
         raise Stopped(run) if keeper is None else Stopped(run, keeper.exit_code)
@@ -384,16 +394,6 @@ def _state_errors(run: Run, problem: Problem, made: Compared, output: Output) ->
         ended = clock.perf_counter()
         run.space_error, run.space_unstated = space_error(problem, made)
         run.seconds["space estimate"] = clock.perf_counter() - ended
-
-
-def check_pressures(system: System, scheme: Any) -> None:
-    """Bodies with a pressure as an unknown need a scheme that moves it."""
-    names = [p.name for _, p in system.fields if p.field.carried]
-    require(
-        not names or getattr(scheme, "carries_pressure", False),
-        f'Body "{"".join(names[:1])}" has a pressure that is an unknown; {scheme.name} does not solve for it. Use '
-        "GeneralizedAlpha() with form=Index3(), or energy=neo_hookean_mixed(...).",
-    )
 
 
 def default_scheme(scene: Scene) -> Any:

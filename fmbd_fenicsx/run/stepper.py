@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, near, require
+from ..ranks import OneAnswer
 from ..rotations import Array
 from ..schemes.newton import Newton
 from ..system.element_memory import accept
@@ -30,9 +31,11 @@ from ..system.system import State
 from .energy_check import closed
 from .moment import Moment
 from .output import Output, Recorder
+from .prescribed_motions import PrescribedMotions
 from .progress import Course
 from .schedule import Pace
-from .solve import check_pressures, default_scheme
+from .settings import check_pressures
+from .solve import default_scheme
 from .time_loop import Problem, begin, make_solver, make_stepper
 
 
@@ -72,6 +75,7 @@ class SceneStepper:
             raise
         recorder = Recorder(scene, system, markers, Output(progress=False), np.inf)
         self._course = Course(system, self._solver, newton, made, recorder)
+        self._motions = PrescribedMotions(scene, system, start.t)
         self._saved: Saved | None = None
         self._jumped = False  # an input has changed since the last step
         self._open = True
@@ -117,13 +121,15 @@ class SceneStepper:
         dt = self.dt if dt is None else dt
         require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
         require(self.t + dt > self.t, f"Step dt = {dt} s is below the roundoff of t = {self.t} s.")
+        self._motions.look(self.t + dt)
         if self._jumped:  # the past of the stepper is that of other forces
             self._course.stepper.restart(self.t)
             self._jumped = False
-        if self._adaptive:
-            self._advance_to(self.t + dt)
-        else:
-            self._course.stepper.advance(dt)
+        with OneAnswer(self._problem.system.comm):
+            if self._adaptive:
+                self._advance_to(self.t + dt)
+            else:
+                self._course.stepper.advance(dt)
         self._course.done += 1
         self._look()
         return self.t

@@ -11,6 +11,8 @@ import numpy as np
 from ..errors import ConvergenceError, require
 from ..linear.condensation import StepSolver
 from ..log import StopRequests, log
+from ..notices import Gathered
+from ..ranks import OneAnswer
 from ..rotations import Array
 from ..schemes.consistent import Correction, consistent
 from ..schemes.newton import Newton
@@ -22,6 +24,7 @@ from .energy_check import Guarded, Watch, closed
 from .forecast import Forecast
 from .moment import Moment
 from .output import Output, Progress, Recorder
+from .prescribed_motions import PrescribedMotions
 from .progress import Course
 from .schedule import Pace
 from .step_bisection import ConstantSteps
@@ -43,6 +46,7 @@ class Problem:
     newton: Newton
     linear: Any
     pressures: list[Array]  # that bodies carry as unknowns
+    warned: Gathered | None = None  # the warnings of the run
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,14 @@ def begin(
 ) -> tuple[State, Correction]:
     """The consistent start of a scheme from a state as given, with first steps of h (s); collective."""
     reset(system, given)
+    with OneAnswer(system.comm):
+        return _begun(scene, scheme, system, given, solver=solver, h=h)
+
+
+def _begun(
+    scene: Scene, scheme: Any, system: System, given: State, *, solver: StepSolver, h: float
+) -> tuple[State, Correction]:
+    """See :func:`begin`."""
     if scene.settle:
         from ..analysis.equilibrium import settled
 
@@ -150,20 +162,26 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
     reset(problem.system, problem.start)
     stepper = make_stepper(problem, solver, pace, guarded=output.energy and closed(problem.scene, problem.system))
     recorder = Recorder(problem.scene, problem.system, problem.markers, output, pace.t_end)
-    recorder.closed = Closed.under(problem.system, problem.scheme)
+    recorder.closed, recorder.warned = Closed.under(problem.system, problem.scheme), problem.warned
     recorder.take(0, stepper.state, getattr(stepper, "evaluation", None))
     course = Course(problem.system, solver, problem.newton, stepper, recorder)
     if keeper is not None:
         keeper.resume(course)
     state = stepper.state
     forecast = Forecast(solver, state.t, pace.t_end, pace.steps)
+    motions = PrescribedMotions(problem.scene, problem.system, state.t, planned=pace.steps)
     bar = Progress(problem.scene.name, pace.steps or None, output.progress)
+    if not pace.steps:
+        motions.ahead(pace.t_end)
     try:
-        with StopRequests() if keeper is None else keeper.listen() as stop:
+        with OneAnswer(problem.system.comm), StopRequests() if keeper is None else keeper.listen() as stop:
             while not pace.ended(state.t, course.done):
+                if pace.steps:
+                    motions.look(state.t + pace.next(state.t))
                 most = pace.steps if keeper is None else 1  # a checkpoint may be due after every step
                 made = quietly(stepper, pace, recorder, course.done, most=most) if pace.steps else 0
                 state = stepper.state if made else stepper.advance(pace.next(state.t))
+                motions.look(state.t, made)
                 if not pace.steps:  # constant steps note their parts one by one
                     accept(problem.system, state)
                     forecast.note(state)

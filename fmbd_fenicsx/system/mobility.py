@@ -163,6 +163,9 @@ def check(scene: Any, deep: bool = False) -> Mobility:
     loose = loose_bodies(scene.bodies, attached, scene.forces)
     notes = [f'body "{n}" is attached to nothing' for n in loose]
     notes += _units(scene, system)
+    notes += [
+        f'tie "{tie.name}" leaves free: {", ".join(free)}' for tie, _ in system.traces if (free := tie.left_free())
+    ]
     notes += _weak_ties(scene) + _pressures(scene) if deep else []
     if found.conditioning < NEAR_SINGULAR:
         notes.append(

@@ -186,17 +186,71 @@ class Linear:
 
     def on(self, trace: Trace) -> Multipliers:
         """The space on a surface."""
-        d, x = trace.dim, trace.corners
-        center = (trace.sizes[:, None] * x.mean(1)).sum(0) / trace.sizes.sum()
-        length = float(np.sqrt((trace.sizes * ((x.mean(1) - center) ** 2).sum(1)).sum() / trace.sizes.sum())) or 1.0
-        rows = [np.ones(len(x) * d)] + [((x[:, :, k] - center[k]) / length).ravel() for k in range(d)]
-        flat = [r for r in rows if np.abs(r).max() > 1e-9]
-        return Multipliers(trace, 1, sp.csr_matrix(np.array(flat)), "linear over the surface")
+        return Multipliers(trace, 1, sp.csr_matrix(_linear_functions(trace)), "linear over the surface")
+
+
+def _linear_functions(trace: Trace) -> Array:
+    """1 and (X - c) . e_k / l at the corners of the facets, (1 + p, n_f d), for the p directions in which the surface extends."""
+    x, share = trace.corners, trace.sizes / trace.sizes.sum()
+    center = (share[:, None] * x.mean(1)).sum(0)
+    apart = x - center
+
+    spread = np.einsum("f,fac,fad->cd", share, apart, apart, optimize=True)
+    size, axes = np.linalg.eigh(spread)
+    extended = axes[:, size > 1e-12 * size.max()]
+    rows = [
+        np.ones(x.shape[0] * x.shape[1]),
+        *(apart @ extended / np.sqrt(size.max())).reshape(-1, extended.shape[1]).T,
+    ]
+    return np.array(rows)
+
+
+@dataclass(frozen=True)
+class Completed:
+    """A space of degree 1, and of the linear functions over the surface those that it does not see.
+
+    On one or two facets merged ends leave a constant, which holds a mean position but no rotation: a pin. With the linear
+    functions that are missing, a tie holds every rigid motion of its surface, whatever its facets.
+    """
+
+    space: MultiplierSpace
+
+    def on(self, trace: Trace) -> Multipliers:
+        """The space on a surface."""
+        found = self.space.on(trace)
+        linear = Multipliers(trace, 1, sp.csr_matrix(_linear_functions(trace)), "linear")
+        unseen = null_vectors(seen(found, linear))
+        if found.degree != 1 or not unseen.size:
+            return found
+
+        more = sp.csr_matrix(unseen @ linear.basis.toarray())
+        basis = sp.vstack([found.basis, more], format="csr")
+        return Multipliers(trace, 1, basis, f"{found.name}, and {len(unseen)} linear")
+
+
+def seen(functions: Multipliers, fields: Multipliers) -> Array:
+    """int mu_j f_k of functions and of fields on one trace, (n, k)."""
+    t, m = functions.trace, functions.trace.dim - 1
+    q, w = quadrature(m, functions.degree + fields.degree)
+    one, other = (shape_functions(m, x.degree, q) for x in (functions, fields))
+    blocks = np.einsum("f,q,qa,qb->fab", t.sizes, w, one, other, optimize=True)
+
+    rows = np.arange(len(t.sizes) * one.shape[1]).reshape(len(t.sizes), -1)
+    columns = np.arange(len(t.sizes) * other.shape[1]).reshape(len(t.sizes), -1)
+    mass = scatter(blocks, rows, columns, (rows.size, columns.size))
+    return np.asarray((functions.basis @ mass @ fields.basis.T).toarray())
+
+
+def null_vectors(matrix: Array) -> Array:
+    """Unit vectors z with matrix z = 0, as rows; its rows are measured by the largest of them."""
+    _, stretch, V = np.linalg.svd(matrix)
+    rank = int((stretch > 1e-9 * stretch.max(initial=0.0)).sum())
+    return np.asarray(V[rank:])
 
 
 def default_space(degree: int) -> MultiplierSpace:
-    """Same degree with merged ends beside P1; P1 beside P2 and higher (the measured table is in ``docs/traces.md``)."""
-    return Continuous() if degree == 1 else Continuous(degree=degree - 1, ends=Ends.KEPT)
+    """Same degree with merged ends beside P1, completed on few facets; P1 beside P2 and higher (measured: ``docs/traces.md``)."""
+    return Completed(Continuous()) if degree == 1 else Continuous(degree=degree - 1, ends=Ends.KEPT)
 
 
 def _nodes(trace: Trace, degree: int) -> tuple[np.ndarray, int, np.ndarray, Array]:

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ...checks import array, check_fields, instance, number, vector, whole
-from ...energies import ViscousForm
+from ...energies import Hooke, SheetEnergy, ViscousForm
 from ...errors import InputError, named, near, require
 from ...fem.fields import ElasticForms
 from ...fem.loads import Load
@@ -201,6 +201,11 @@ class ElasticBody:
         require(
             callable(given), f'Body "{n}": elastic must be a function (u, v, dx) -> UFL form, energy one of (u, dx).'
         )
+        if self.dim == 3 and (isinstance(given, SheetEnergy) or (isinstance(given, Hooke) and given.sheet)):
+            raise InputError(
+                f"{what}: materials.{given.name} is a law of sheets in the plane, and {self.mesh.label} is in space. Take "
+                "materials.linear_elastic, or an energy such as materials.neo_hookean."
+            )
         number(f"{what}: density", self.density, above=0.0, unit="kg/m^3" if self.dim == 3 else "kg/m^2")
         require(1 <= self.degree <= HIGHEST_DEGREE, f"{what}: degree {self.degree} must be 1, 2 or 3.")
         if self.quadrature is not None:

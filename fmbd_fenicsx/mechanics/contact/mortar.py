@@ -85,6 +85,10 @@ class MortarPair:
         self.thickness = traces[sides[1].trace].thickness
         self.pairing: Pairing | None = None
 
+    def pressures(self, force: Array) -> Array:
+        """Pressures (N/m^(d-1)) of normal forces on the candidates, (m,) N."""
+        return force / self.weight
+
     @property
     def trace_nodes(self) -> np.ndarray:
         """Numbers in the slave's trace of the candidates' nodes."""

@@ -3,10 +3,9 @@
 For a candidate point j of a slave with world position x_j and an obstacle with pose (r_o, R_o) and signed
 distance d,
 
-    g_j = sum_k T_jk d(R_o^T (x_k - r_o)) - radius,   n_k = R_o grad d,   g' = sum_k T_jk n_k . (x_k' -
-    obstacle's velocity)   (1)
+    g_j = d(R_o^T (x_j - r_o)) - radius,   n_j = R_o grad d,   g_j' = n_j . (x_j' - obstacle's velocity)   (1)
 
-with T = 1 except on quadratic triangles (see ``mechanics.contact.trace``). The derivative with respect to velocities
+The derivative with respect to velocities
 is the matrix N; forces Lambda >= 0 on the candidates enter the balance as -N^T Lambda. Rows of tangents have the same
 form.
 """
@@ -116,6 +115,11 @@ class Pair:
         """Dual weights D of the candidates, 1 on rigid points, (m,)."""
         return np.ones(self.count) if self.slave.surface is None else self.slave.surface.weights
 
+    def pressures(self, force: Array) -> Array:
+        """Pressures (N/m^(d-1), N on rigid points) of normal forces (m,) in N on the candidates; see :mod:`.trace`."""
+        surface = self.slave.surface
+        return force if surface is None else np.asarray(surface.gather @ force) / surface.weights
+
     @property
     def trace_nodes(self) -> np.ndarray | None:
         """Numbers in the trace of the candidates' nodes, None for rigid points."""
@@ -196,10 +200,10 @@ class ContactSet:
         """Shortest way through the master of each candidate, m, (m,)."""
         return np.concatenate([np.full(p.count, p.thickness) for p in self.pairs])
 
-    @cached_property
-    def weight(self) -> Array:
-        """Integrals of the multiplier functions of the candidates (1 on rigid points), (m,)."""
-        return np.concatenate([p.weight for p in self.pairs])
+    def pressures(self, force: Array) -> Array:
+        """Pressures of normal forces on all candidates, (m,)."""
+        ends = np.cumsum([p.count for p in self.pairs])[:-1]
+        return np.concatenate([p.pressures(f) for p, f in zip(self.pairs, np.split(force, ends), strict=True)])
 
     @cached_property
     def pair(self) -> np.ndarray:
@@ -386,8 +390,7 @@ class ObstaclePair(Pair):
         y = (x - r) @ R
         dist, grad = self.shape.evaluate(y)
         normal = grad @ R.T
-        gap = dist - side.radius if side.surface is None else side.surface.transform @ dist
-        return Touch(np.asarray(gap), x - side.radius * normal, normal, y), (r, R, P, origin, Rb)
+        return Touch(dist - side.radius, x - side.radius * normal, normal, y), (r, R, P, origin, Rb)
 
     def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Any) -> Touch:
         """Gaps of this pair; collective."""
@@ -405,7 +408,7 @@ class ObstaclePair(Pair):
             if side.surface is not None:
                 full = np.zeros((contacts.traces[side.trace].n, d))
                 full[side.surface.nodes] = direction
-                W = side.surface.transform @ _selection(side.surface.nodes, len(full))
+                W = _selection(side.surface.nodes, len(full))
                 contacts.add_nodes((core, field), side.trace, (W, full), (P, Rb))
             else:
                 contacts.add_frame(core, side.frame, (direction, touch.x, origin, Rb))

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...checks import check_fields, instance, number, shown, vector
-from ...errors import CallbackError, InputError, require
+from ...errors import CallbackError, InputError, named, require
 from ...log import log
 from ...rotations import Array
 from ..bodies.bodies import ORIGIN, RigidBody
@@ -206,7 +206,7 @@ class SignedDistance(Shape):
         """phi at points (n, d)."""
         if hasattr(self.function, "ufl_shape"):
             return np.array([float(self.function(tuple(p))) for p in y])
-        found = np.asarray(self.function(y.T), dtype=float)
+        found = np.asarray(named("The function of", "SignedDistance", self.function, time=None)(y.T), dtype=float)
         if found.shape != (len(y),) or not np.isfinite(found).all():
             raise CallbackError(
                 f"SignedDistance: the function returned shape {found.shape}"

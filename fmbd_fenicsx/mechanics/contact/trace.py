@@ -2,13 +2,14 @@
 multipliers.
 
 The traces of contact surfaces are small against the bodies, so every rank keeps all of their nodes; only products
-with nodal fields of the body are distributed. For quadratic triangles int phi_i vanishes at the vertices. There the
-basis
+with nodal fields of the body are distributed. Gaps are distances of nodes, and their forces f_i = int p phi_i act on
+nodes, whatever the basis. For quadratic triangles int phi_i vanishes at the vertices; there the pressure is that of the basis
 
     phi~_v = phi_v + a sum_e phi_e,   phi~_e = (1 - 2 a) phi_e,   a = 1/5                                   (1)
 
-of the same space has positive integrals D~; the values to it are u~ = T u with T_ee = 1 / (1 - 2a), T_ev = -a / (1 -
-2a) (Popp, Wohlmuth, Gee and Wall, doi:10.1137/110848190).
+of the same space, whose integrals D~ are positive: p_i = f~_i / D~_i with f~_v = f_v + a sum_e f_e, f~_e = (1 - 2a) f_e (Popp,
+Wohlmuth, Gee and Wall, doi:10.1137/110848190). To write the gaps in it too would subtract a share of those of the vertices from
+those between them: beside an obstacle of radius R they would be off by h^2 / (12 R).
 """
 
 from __future__ import annotations
@@ -29,13 +30,11 @@ _SHIFT = 0.2  # a in (1)
 
 @dataclass(frozen=True)
 class SurfaceNodes:
-    """One surface of a trace: numbers in the trace (n_s,), dual weights D (n_s,), T (n_s, n_s), facets (n_f,
-    n_loc).
-    """
+    """One surface of a trace: numbers in it (n_s,), weights D~ (n_s,) and the matrix f -> f~ of (1), facets (n_f, n_loc)."""
 
     nodes: np.ndarray
     weights: Array
-    transform: Any
+    gather: Any
     facets: np.ndarray  # numbers in ``nodes``: vertices first, in order, then the nodes on edges
 
 
@@ -103,26 +102,21 @@ class Trace:
         local = np.searchsorted(nodes, facets)
         D = np.array([weights[int(g)] for g in self.global_numbers[nodes]])
         n = len(nodes)
-        transform: Any = sp.identity(n, format="csr")
+        gather: Any = sp.identity(n, format="csr")
         if self.dim == 3 and facets.shape[1] == 6:
             vertices = _edge_vertices(self.X[nodes], local)
             rows, cols, values = [], [], []
             for e, pair in vertices.items():
-                rows += [e, e, e]
-                cols += [e, *pair]
-                values += [1 / (1 - 2 * _SHIFT) - 1, -_SHIFT / (1 - 2 * _SHIFT), -_SHIFT / (1 - 2 * _SHIFT)]
-            transform = (transform + sp.csr_matrix((values, (rows, cols)), shape=(n, n))).tocsr()
-            shifted = D.copy()
-            for e, pair in vertices.items():
-                shifted[e] = (1 - 2 * _SHIFT) * D[e]
-                for v in pair:
-                    shifted[v] += _SHIFT * D[e]
-            D = shifted
+                rows += [e, *pair]
+                cols += [e, e, e]
+                values += [-2 * _SHIFT, _SHIFT, _SHIFT]
+            gather = (gather + sp.csr_matrix((values, (rows, cols)), shape=(n, n))).tocsr()
+            D = gather @ D
         if (D <= 0).any():
             raise MeshError(
                 f'Contact surface "{name}": a shape function has no positive integral on it; use degree 1 or 2.'
             )
-        return SurfaceNodes(nodes, D, transform, local)
+        return SurfaceNodes(nodes, D, gather, local)
 
     @cached_property
     def global_numbers(self) -> np.ndarray:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from copy import copy
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,42 +26,68 @@ from .constraints import Batch, Motion, Sides, time_of
 from .relative import Relative
 
 
-def smooth_motion(name: str, function: Callable[[float], Any], *, of: str = "drive") -> Motion:
-    """A prescribed motion t -> (s, s', s'') from a function that returns either these three or s alone.
+@dataclass(frozen=True, eq=False)
+class SmoothMotion:
+    """A prescribed motion t -> (s, s', s'') by a function of the user's own. ``of``: what is moved, in messages.
 
-    Derivatives of s alone are computed: s' by a complex step when the function accepts complex numbers (NumPy functions
-    do), else by differences of sixth order; s'' by differences of sixth order of s'. The function must be smooth.
-    ``of``: what is moved, in messages.
+    ``function`` gives these three where ``complete``, else s alone; the derivatives are then computed, s' by a complex step
+    where the function accepts complex numbers (NumPy functions do), else by differences of sixth order, s'' by differences of
+    sixth order of s'.
     """
-    function = named(f"The motion of {of}", name, function)
 
-    def checked(value: Any, t: float) -> Array:
-        found = np.asarray(value, dtype=float).ravel()
-        if found.shape not in ((1,), (3,)) or not np.isfinite(found).all():
-            raise CallbackError(
-                f"Joint \"{name}\": the motion returned {value!r} at t = {t:g} s, expected s or (s, s', s'')."
-            )
-        return found
+    name: str
+    function: Callable[[Any], Any]
+    of: str
+    complete: bool
 
-    if len(checked(function(0.0), 0.0)) == 3:
-
-        def given(t: float) -> tuple[float, float, float]:
-            s = checked(function(t), t)
+    def __call__(self, t: float) -> tuple[float, float, float]:
+        """s, s', s'' at a time."""
+        if self.complete:
+            s = self._checked(self.function(t), t)
+            self._require(len(s) == 3, s, t)
             return float(s[0]), float(s[1]), float(s[2])
-
-        return given
-
-    def rate(t: float) -> float:
-        try:
-            return float(np.imag(function(t + 1e-30j)) / 1e-30)  # type: ignore[arg-type]
-        except (TypeError, ValueError):  # also LawError: what fails for real times fails again
-            return _sixth(lambda x: float(function(x)), t, 1e-2)
-
-    def computed(t: float) -> tuple[float, float, float]:
-        s = checked((checked(function(t), t)[0], rate(t), _sixth(rate, t, 1e-3)), t)
+        found = self.place(t), self._rate(t), _sixth(self._rate, t, 1e-3)
+        s = self._checked(found, t)
         return float(s[0]), float(s[1]), float(s[2])
 
-    return computed
+    def place(self, t: float) -> float:
+        """s alone."""
+        s = self._checked(self.function(t), t)
+        self._require(len(s) == (3 if self.complete else 1), s, t)
+        return float(s[0])
+
+    def _rate(self, t: float) -> float:
+        try:
+            return float(np.imag(self.function(t + 1e-30j)) / 1e-30)
+        except (TypeError, ValueError):  # also LawError: what fails for real times fails again
+            return _sixth(lambda x: float(self.function(x)), t, 1e-2)
+
+    def _checked(self, value: Any, t: float) -> Array:
+        """The numbers that the function returned, (1,) or (3,)."""
+        try:
+            found: Array = np.asarray(value, dtype=float).ravel()
+        except (TypeError, ValueError):
+            found = np.array(np.nan)
+        self._require(found.shape in ((1,), (3,)) and bool(np.isfinite(found).all()), value, t)
+        return found
+
+    def _require(self, usable: bool, value: Any, t: float) -> None:
+        if not usable:
+            raise CallbackError(
+                f"Joint \"{self.name}\": the motion returned {value!r} at t = {t:g} s, expected s or (s, s', s''), finite and "
+                "the same at all times."
+            )
+
+
+def smooth_motion(name: str, function: Callable[[float], Any], *, of: str = "drive") -> SmoothMotion:
+    """A prescribed motion from a function that returns (s, s', s'') or s alone; it must be smooth.
+
+    Whether it is, and whether its rates are those of its motion, is looked at along the run
+    (:mod:`fmbd_fenicsx.run.prescribed_motions`). ``of``: what is moved, in messages.
+    """
+    function = named(f"The motion of {of}", name, function)
+    first = SmoothMotion(name, function, of, complete=False)._checked(function(0.0), 0.0)
+    return SmoothMotion(name, function, of, complete=len(first) == 3)
 
 
 def _sixth(f: Callable[[float], float], t: float, h: float) -> float:

@@ -23,8 +23,9 @@ import scipy.sparse as sp
 from ...checks import check_fields, shown, typed, word
 from ...errors import InputError, require
 from ...fem.traces.mortar import mortar
-from ...fem.traces.multipliers import Multipliers, MultiplierSpace, default_space
+from ...fem.traces.multipliers import Multipliers, MultiplierSpace, default_space, null_vectors
 from ...fem.traces.traces import Trace, surface_trace, trace_of
+from ...log import log
 from ...rotations import Array, motions
 from ..bodies.bodies import AbsoluteBody, FloatingBody, RigidBody, Surface
 from .constraints import Motion, standstill
@@ -78,7 +79,8 @@ def tie_surface(
         name: what messages call it.
         a: surface that carries the multipliers (of two elastic surfaces the finer one).
         b: another elastic surface, a rigid body, or ``fmbd.ground``.
-        space: multiplier space; by default P1 with merged ends beside P1, P1 beside P2.
+        space: multiplier space; by default P1 with merged ends beside P1 (on one or two facets with the linear functions that
+            are missing, so that it holds the rotation), P1 beside P2. ``scene.check()`` lists what a tie leaves free.
         sliding: True ties only the component normal to ``a`` (flat surfaces).
         motion: s(t) of an imposed displacement, 1 by default where ``shape`` is given.
         shape: d(X), function of world coordinates (d, n) -> (d, n), m.
@@ -87,7 +89,7 @@ def tie_surface(
         motion is None or shape is not None,
         f'Tie "{name}": motion(t) needs a shape(X), the displacement that it scales.',
     )
-    law = None if motion is None else smooth_motion(name, motion, of="tie")
+    law: Motion | None = None if motion is None else smooth_motion(name, motion, of="tie")
     if law is None and shape is not None:
         law = lambda t: (1.0, 0.0, 0.0)
     return SurfaceTie(name, a, b, space, sliding, law, shape)
@@ -140,6 +142,27 @@ class TraceRows:
         """Constraint rows."""
         n, d = self.data.shape
         return n if self.normal is not None else n * d
+
+    def left_free(self) -> list[str]:
+        """Rigid motions of the first surface against the other side that no multiplier sees, at the start, in words."""
+        A, t = self.multipliers.coupling(), self.multipliers.trace
+        total = np.asarray(A.sum(axis=1)).ravel()
+        center = t.points.mean(axis=0)
+        size = float(np.abs(t.points - center).max())
+        arms = (np.asarray(A @ t.points) - total[:, None] * center) / size
+
+        d, along = t.dim, np.eye(t.dim)
+        shifts = [total[:, None] * along[k] for k in range(d)]
+        if d == 2:
+            turns = [np.stack((-arms[:, 1], arms[:, 0]), axis=1)]
+        else:
+            turns = [np.cross(along[k], arms) for k in range(3)]
+        if self.normal is not None:
+            mean = (t.sizes[:, None] * t.normals).sum(axis=0) / t.sizes.sum()
+            rows = np.stack([x @ mean for x in (*shifts, *turns)], axis=1)
+        else:
+            rows = np.stack([x.ravel() for x in (*shifts, *turns)], axis=1)
+        return [_motion_in_words(z, d) for z in null_vectors(rows)]
 
     def tractions(self, lam: Array) -> Array:
         """Facet-wise nodal values (n_f, k_p, d) of the force on a per area, Pa, world axes at the start, for rows ``lam``."""
@@ -218,6 +241,20 @@ class TraceRows:
         return np.asarray(total @ (R @ n0[0]) + 2 * speed @ (R @ n1[0]) + self._difference(ev) @ (R @ n2[0]))
 
 
+def _motion_in_words(motion: Array, d: int) -> str:
+    """A rigid motion (d displacements, then rotations) by what is largest in it."""
+    shift, turn = motion[:d], motion[d:]
+    if np.linalg.norm(turn) < 1e-6:
+        return "displacement along " + _direction(shift)
+    return "rotation" if d == 2 else "rotation about " + _direction(turn)
+
+
+def _direction(x: Array) -> str:
+    """A direction, its largest component positive."""
+    unit = x / np.linalg.norm(x) * np.sign(x[np.argmax(np.abs(x))])
+    return "(" + ", ".join(f"{v:.3g}" for v in np.where(np.abs(unit) < 5e-4, 0.0, unit)) + ")"
+
+
 def build_surface_ties(
     ties: dict[str, SurfaceTie], parts: list[Any], part_of: dict[str, int], frame_of: dict[str, int]
 ) -> list[TraceRows]:
@@ -266,7 +303,14 @@ def build_trace_rows(
         if np.linalg.norm(mean) < 1 - 1e-6:
             raise InputError(f'Tie "{tie.name}": {trace.label} is curved; a sliding tie needs a flat surface.')
         normal = mean if other is not None or tie.b is ground else place(tie.b)[2].T @ mean
-    return TraceRows(tie.name, mu, (a, b), _imposed(tie, mu), tie.motion or standstill, normal)
+    rows = TraceRows(tie.name, mu, (a, b), _imposed(tie, mu), tie.motion or standstill, normal)
+    free = [] if tie.sliding else rows.left_free()
+    if free:
+        log.warning(
+            'tie "%s" is no clamp: its multipliers (%s) leave free the %s of %r. Leave out space=, or take a larger one',
+            tie.name, mu.name, ", ".join(free), tie.a,
+        )  # fmt: skip
+    return rows
 
 
 def _refuse_unseen(name: str, mu: Multipliers, A: sp.csr_matrix) -> None:

@@ -16,6 +16,8 @@ from ...system.serialisation import Memory
 from ...system.system import Evaluation, State, System
 from .contact_detection import in_world
 
+SHORT = 3  # steps in contact that do not resolve an impact
+
 
 @dataclass(frozen=True)
 class StepForces:
@@ -39,6 +41,9 @@ class Ledger:
     counts: ContactCounts = field(default_factory=ContactCounts)
     in_contact: int = 0
     newton_in_contact: int = 0
+    touching: list[int] = field(default_factory=list)  # steps since each pair closed, 0 while it is open
+    impacts: int = 0  # that have ended
+    short: int = 0  # of these, lasting three steps or less
 
     def __post_init__(self) -> None:
         self.contacts = self.system.contacts
@@ -48,6 +53,7 @@ class Ledger:
         self.impulse: Array = np.zeros((len(self.contacts.pairs), d))
         self.work: Array = np.zeros(len(WORKS))
         self.energy = self.springs = 0.0
+        self.touching = [0] * len(self.contacts.pairs)
 
     def remember(self, m: Memory) -> None:
         """Forces, sums and statistics."""
@@ -57,6 +63,7 @@ class Ledger:
         )
         counts = self.counts, self.in_contact, self.newton_in_contact
         self.counts, self.in_contact, self.newton_in_contact = m("counts", counts, ContactCounts)
+        self.touching, self.impacts, self.short = m("impacts", (self.touching, self.impacts, self.short))
 
     def open(self, state: State) -> ContactState:
         """The first state: no forces yet."""
@@ -93,11 +100,21 @@ class Ledger:
         normal = (force * found.normal).sum(axis=1)
         self.force = np.zeros_like(self.force)
         self.force[:, 0] = normal
-        found = replace(found, force=force, normal_force=normal, pressure=normal / self.contacts.weight)
+        found = replace(found, force=force, normal_force=normal, pressure=self.contacts.pressures(normal))
         return replace(state, t=time, contact=found)
 
     def count(self, iterations: int) -> None:
-        """A step was done; Newton iterations count when a force acted."""
+        """A step was done; Newton iterations count when a force acted, and impacts when their forces end."""
+        for k, pair in enumerate(self.contacts.pairs):
+            if pair.bounces:  # in no time, by the law of impacts
+                continue
+            if self.force[self.contacts.pair == k].any():
+                self.touching[k] += 1
+                continue
+            self.impacts += self.touching[k] > 0
+            self.short += 0 < self.touching[k] <= SHORT
+            self.touching[k] = 0
+
         if self.force.any():
             self.in_contact += 1
             self.newton_in_contact += iterations
@@ -115,7 +132,7 @@ class Ledger:
             self.impulse = self.impulse + h * np.array([force[c.pair == i].sum(0) for i in range(len(self.impulse))])
         normal = self.force[:, 0].copy()
         found = ContactForces(
-            c.names, forces.time, c.pair, end.x, end.normal, end.geometric, normal, force, normal / c.weight,
+            c.names, forces.time, c.pair, end.x, end.normal, end.geometric, normal, force, c.pressures(normal),
             self.impulse, self.work.copy(),
         )  # fmt: skip
         return ContactState(state.t, state.q, state.v, state.a, state.lam, found)
@@ -126,6 +143,8 @@ class Ledger:
         return {
             "contact_steps": self.in_contact,
             "contact_newton_iterations": self.newton_in_contact,
+            "impacts": self.impacts,
+            "short_impacts": self.short,
             "active_set_iterations": n.iterations,
             "active_set_changes": n.changes,
             "cycles_broken": n.cycles,

@@ -1,0 +1,85 @@
+"""Warnings where a user sees them: on standard error, each once, and in the report of the run that gave them.
+
+The package speaks through the logger ``fmbd_fenicsx``. A program that sets up logging (a handler on that logger or on the root)
+gets the warnings there, and only there. In a program that does not, :class:`OnStandardError` writes them: a warning that nobody
+sees is none.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import textwrap
+from collections.abc import Callable
+from types import TracebackType
+
+ALIKE = 3  # warnings of one kind that are written in full
+WIDTH = 112
+
+
+class OnStandardError(logging.Handler):
+    """Writes each warning once on rank 0, and of one kind (other times or names in the same sentence) the first three."""
+
+    def __init__(self, rank: Callable[[], int]) -> None:
+        super().__init__(logging.WARNING)
+        self._rank = rank
+        self._said: set[str] = set()
+        self._kinds: dict[str, int] = {}
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a warning, unless the program has handlers of its own."""
+        text, kind = record.getMessage(), str(record.msg)
+        if _set_up_by_program() or text in self._said or self._rank() > 0:
+            return
+        self._said.add(text)
+        self._kinds[kind] = self._kinds.get(kind, 0) + 1
+        if self._kinds[kind] > ALIKE:
+            return
+
+        more = " (More of this kind stand in the report only.)" if self._kinds[kind] == ALIKE else ""
+        print(
+            textwrap.fill(f"fmbd_fenicsx: {text}{more}", WIDTH, subsequent_indent="    "), file=sys.stderr, flush=True
+        )
+
+
+def _set_up_by_program() -> bool:
+    """Whether someone else listens."""
+    ours = (OnStandardError, Gathered, logging.NullHandler)
+    handlers = [*logging.getLogger().handlers, *logging.getLogger("fmbd_fenicsx").handlers]
+    return any(not isinstance(handler, ours) for handler in handlers)
+
+
+class Gathered(logging.Handler):
+    """Context that keeps the warnings given in it: ``found`` is a list of (kind, text)."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.found: list[tuple[str, str]] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a warning."""
+        entry = (str(record.msg), record.getMessage())
+        if entry not in self.found:
+            self.found.append(entry)
+
+    def lines(self) -> list[str]:
+        """The warnings as sentences: of each kind the first three, and how many more there were."""
+        kinds: dict[str, list[str]] = {}
+        for kind, text in self.found:
+            kinds.setdefault(kind, []).append(text)
+
+        out: list[str] = []
+        for texts in kinds.values():
+            out += texts[:ALIKE]
+            if len(texts) > ALIKE:
+                out[-1] += f" (And {len(texts) - ALIKE} more of this kind.)"
+        return out
+
+    def __enter__(self) -> Gathered:
+        logging.getLogger("fmbd_fenicsx").addHandler(self)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        logging.getLogger("fmbd_fenicsx").removeHandler(self)

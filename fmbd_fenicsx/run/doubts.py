@@ -1,0 +1,105 @@
+"""What a run that ended says against itself: energy that grew, steps that failed, impacts seen in a few steps, open velocities.
+
+    E_max - E_0  >  0.02 (T + V + m g L)                          where nothing puts energy into the scene            (1)
+    |G v + g_t| u_i  >  0.02 max |v|                              largest velocity in an open joint                  (2)
+    halvings  >=  10, or one in twenty steps
+
+Each is a warning: on standard error, and in the report under "look at this".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..linear.condensation import StepSolver
+from ..log import log
+from ..rotations import Array
+from ..system.scene.scene import Scene
+from ..system.system import System
+from .energy_check import closed
+from .output import Recorder
+
+GROWTH = 0.02
+SLIP = 0.02
+HALVINGS = 10
+SHARE = 0.05  # of the steps
+CHATTER = 0.1  # of the impacts may be short: a body that comes to rest
+
+
+def warn_of_doubts(scene: Scene, solver: StepSolver, recorder: Recorder, counters: Mapping[str, float]) -> None:
+    """Say what is doubtful in a run; collective."""
+    system = solver.system
+    if recorder.energies and closed(scene, system):
+        _growth(scene, system, recorder.energy)
+    _halvings(counters)
+    _impacts(counters)
+    _open_velocities(recorder)
+    _immovable(solver)
+
+
+def _growth(scene: Scene, system: System, energy: dict[str, Array]) -> None:
+    """(1): steps that each gain little are not refused, many of them add up."""
+    total = np.sum(list(energy.values()), axis=0)
+    turnover = max(float(np.max(energy["kinetic"] + energy["elastic"] + energy["springs"])), 0.0)
+    weight = system.mass * float(np.linalg.norm(system.gravity(0.0))) * system.length
+    growth = float(np.max(total) - total[0])
+    if growth > GROWTH * (turnover + weight):
+        log.warning(
+            "the energy grows by %.3g J (from %.6g J to at most %.6g J) although nothing puts energy into the scene: the step "
+            "does not follow the motion. Take a smaller dt, fmbd.Radau() or fmbd.EnergyMomentum()",
+            growth, total[0], np.max(total),
+        )  # fmt: skip
+
+
+def _halvings(counters: Mapping[str, float]) -> None:
+    count, steps = counters.get("halved_steps", 0.0), max(counters["steps"], 1.0)
+    back = counters.get("energy_rejections", 0.0)
+    if count >= HALVINGS or count > SHARE * steps:
+        log.warning(
+            "%d steps or parts of steps failed and were made in halves, in %d steps: dt is too large for this motion, or a "
+            "spring, damper or contact too stiff for the tangent. Take a smaller dt, or see docs/running.md", count, steps,
+        )  # fmt: skip
+    elif back > 0:
+        log.warning(
+            "%d steps gained energy from nothing and were repeated in parts: dt is too large for a stiff part that turns",
+            back,
+        )
+
+
+def _impacts(counters: Mapping[str, float]) -> None:
+    """Impacts of elastic bodies that only a few steps have seen."""
+    short, all_of_them = counters.get("short_impacts", 0.0), counters.get("impacts", 0.0)
+    if short > CHATTER * all_of_them:
+        log.warning(
+            "%d of %d impacts lasted three steps or less: what they give back depends on the step. Take a dt of at most a tenth "
+            "of the time in contact, and compare with half of it", short, all_of_them,
+        )  # fmt: skip
+
+
+def _open_velocities(recorder: Recorder) -> None:
+    """(2)"""
+    check = recorder.closed
+    if check is None or recorder.worst_slip <= SLIP * recorder.fastest:
+        return
+    log.warning(
+        "joints open at up to %.2g m/s (or rad/s times the model's length), the largest velocity is %.3g m/s: velocities and "
+        "accelerations are less accurate than positions. Take a smaller dt, or a scheme that holds velocities too, such as "
+        "fmbd.Radau()",
+        recorder.worst_slip, recorder.fastest,
+    )  # fmt: skip
+
+
+def _immovable(solver: StepSolver) -> None:
+    """A scene that nothing drives and that cannot move: its motion is none."""
+    system, core = solver.system, solver.core
+    if system.fields or not system.n_lam or not system.n_core:
+        return
+    rank = system.n_lam if core.rank is None else core.rank
+    driven = any(batch.driven for batch, _ in system.batches)
+    if rank >= system.n_v and not driven:
+        log.warning(
+            "the scene has 0 degrees of freedom (%d velocities, %d independent constraints) and no drive: nothing can move. A "
+            "joint holds more than is meant; see scene.check()", system.n_v, rank,
+        )  # fmt: skip

@@ -1,0 +1,273 @@
+"""Are prescribed motions smooth, and their rates the derivatives of what they prescribe? Looked at along a run.
+
+Of a smooth motion the parabola through three places foretells the fourth,
+
+    B = |s_3 - P(t_3)|  =  O(h^3 s''')                                                                            (1)
+
+Where B is large beside the motion in these steps, they are looked at closely: the interval is narrowed twenty times to the half
+in which the motion bends most. What is left there of a change of s is a jump, of a change of its slope a kink. And rates that are
+given have to agree with the motion,
+
+    D = |s_b - s_a - h/2 (s'_a + s'_b) + h^2/12 (s''_b - s''_a)| + h |s'_b - s'_a - h/2 (s''_a + s''_b)|  =  O(h^3)   (2)
+
+Where D is large, and at some steps in any case, they are compared with slopes by differences of fourth order, at three places
+of a step and two widths; where all of them differ the rates contradict the motion.
+
+Jumps that no body can follow and contradictions end the run. Small jumps and kinks are warned of: they are impacts, and forces
+beside them depend on the step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, LawError
+from ..log import log
+from ..mechanics.joints.constraints import Perpendicular
+from ..mechanics.joints.couplings import CouplingBatch, SmoothMotion
+from ..mechanics.joints.drives import Coupling
+from ..mechanics.joints.relative import Turn
+from ..system.scene.scene import Scene
+from ..system.system import System
+
+DOUBTFUL = 2e-3  # (1), (2) over the motion in the steps, from which on they are looked at closely
+SHARP = 0.01  # change of slope over the slopes that is a kink
+JUMP = 1e-3  # of the model's length, or rad: a jump that is refused
+WRONG = 1e-3  # relative difference of a rate from the slope
+HALVINGS = 20
+LOOKS = 40  # close looks at one motion that found nothing; afterwards only worse steps are looked at
+KINKS = 100  # of one motion, after which no more are looked for
+MOST = 5000  # places in a run with constant steps
+AHEAD = 1000  # places at the start of a run whose steps are not known
+PLACES = (0.29, 0.53, 0.83)  # of a step, where rates are compared with slopes
+APART = 5e-7  # of the model's length, or rad: drives of one coordinate that differ by more contradict each other
+EPS = float(np.finfo(float).eps)
+
+
+@dataclass
+class Follower:
+    """One motion and what was seen of it; ``length``: what a jump is measured by (m, or 1 rad)."""
+
+    motion: SmoothMotion
+    length: float
+    stated: tuple[float, ...] = ()  # times (s) of which the user has said that motions are not smooth there
+    times: list[float] = field(default_factory=list)  # of the last four places
+    places: list[float] = field(default_factory=list)
+    rates: tuple[float, float, float] | None = None  # s, s', s'' at the last place, where they are given
+    fastest: float = 0.0
+    looks: int = 0
+    kinks: int = 0
+    worst: float = 0.0
+    steps: int = 0
+    compared: int = 0
+
+    @property
+    def name(self) -> str:
+        """Whose motion, for messages."""
+        return f'{self.motion.of} "{self.motion.name}"'
+
+    def look(self, t: float) -> None:
+        """Look at the step that ends at t (s)."""
+        before, self.rates = self.rates, self.motion(t) if self.motion.complete else None
+        s = self.motion.place(t) if self.rates is None else self.rates[0]
+        self.times, self.places = [*self.times[-3:], t], [*self.places[-3:], s]
+        if len(self.times) == 1:
+            return
+        h, moved = t - self.times[-2], s - self.places[-2]
+        self.fastest = max(self.fastest, abs(moved / h))
+
+        if len(self.times) == 4 and self.kinks < KINKS:
+            self._look_for_kinks(self._bend())
+        if before is not None and self.rates is not None:
+            self._look_at_rates(t - h, h, _defect(before, self.rates, h, self.fastest))
+
+    # -- kinks and jumps --------------------------------------------------------------------------------------------
+    def _bend(self) -> float:
+        """B of (1) over the motion in three steps."""
+        t, s = self.times, self.places
+        rise = [(s[k + 1] - s[k]) / (t[k + 1] - t[k]) for k in range(2)]
+        parabola = s[1] + (t[3] - t[1]) * (rise[1] + (t[3] - t[2]) * (rise[1] - rise[0]) / (t[2] - t[0]))
+        size = max(s) - min(s) + 1e-3 * (t[3] - t[0]) * self.fastest
+        roundoff = 1e3 * EPS * max(map(abs, s))
+        return max(abs(s[3] - parabola) - roundoff, 0.0) / size if size > roundoff else 0.0
+
+    def _look_for_kinks(self, bend: float) -> None:
+        if bend <= DOUBTFUL or (self.looks >= LOOKS and bend <= 2 * self.worst):
+            return
+        if self.find_sharp(self.times[0], self.times[3]):
+            self.times, self.places = self.times[-1:], self.places[-1:]  # the same one is not found again
+        else:
+            self.looks += 1
+            self.worst = max(self.worst, bend)
+
+    def find_sharp(self, a: float, b: float) -> bool:
+        """Whether there is a kink or a jump between two times (s): warns of it, or refuses it."""
+        try:
+            a, b, steepest = self._sharpest(a, b)
+            d, s = b - a, self.motion.place
+            values = [s(a - d), s(a), s(b), s(b + d)]
+        except LawError:  # beyond the times at which it can be called
+            return False
+        before, step, after = (values[k + 1] - values[k] for k in range(3))
+        noise = 100 * EPS * max(*map(abs, values), abs(a) * self.fastest)
+        bend, around = abs(after - before), max(abs(before), abs(after))
+
+        if abs(step - 0.5 * (before + after)) > 10 * bend + around + noise:
+            self._jump(0.5 * (a + b), step)
+            return True
+        if bend > SHARP * max(around, 0.1 * d * max(self.fastest, steepest)) + noise:
+            self._kink(0.5 * (a + b), before / d, after / d)
+            return True
+        return False
+
+    def _sharpest(self, a: float, b: float) -> tuple[float, float, float]:
+        """The part of an interval, 2^-20 of it or some thousand roundings of time, in which the motion bends most; and the
+        steepest slope on the way there.
+        """
+        steepest = 0.0
+        for _ in range(HALVINGS):
+            quarter = 0.25 * (b - a)
+            if quarter < 1e3 * EPS * max(abs(a), abs(b)):
+                break
+            v = [self.motion.place(a + k * quarter) for k in range(5)]
+            steepest = max(steepest, float(np.abs(np.diff(v)).max()) / quarter)
+            k = int(np.argmax([abs(v[k] - 2 * v[k + 1] + v[k + 2]) for k in range(3)]))
+            a, b = a + k * quarter, a + (k + 2) * quarter
+        return a, b, steepest
+
+    def _jump(self, t: float, size: float) -> None:
+        if abs(size) > JUMP * self.length:
+            raise InputError(
+                f"The motion of {self.name} jumps by {size:.3g} at t = {t:.6g} s: no body can follow. Let it change over a "
+                "time, say by a smooth step."
+            )
+        self.kinks += 1
+        log.warning(
+            "the motion of %s jumps by %.3g at t = %.6g s: it is an impact, and forces beside it depend on the step",
+            self.name, size, t,
+        )  # fmt: skip
+
+    def _kink(self, t: float, before: float, after: float) -> None:
+        self.kinks += 1
+        if any(abs(t - stated) <= 1e-6 * abs(stated) for stated in self.stated):
+            return
+        log.warning(
+            "the motion of %s has a kink at t = %.6g s, its rate changes from %.4g to %.4g 1/s: it is an impact, and forces "
+            "beside it depend on the step", self.name, t, before, after,
+        )  # fmt: skip
+
+    # -- rates ----------------------------------------------------------------------------------------------------
+    def _look_at_rates(self, a: float, h: float, defect: float) -> None:
+        """Compare at steps 1, 2, 4, 8 ...: rates that are wrong are mostly wrong everywhere. And where (2) is large."""
+        self.steps += 1
+        if self.steps >= 2**self.compared or (defect > DOUBTFUL and self.compared < LOOKS):
+            self.compared += 1
+            self._compare(1, "rate", "motion", (a, h))
+            self._compare(2, "second rate", "rate", (a, h))
+
+    def _compare(self, level: int, what: str, of: str, step: tuple[float, float]) -> None:
+        """Refuse a rate that is not the slope of what it belongs to, at any of three places of a step."""
+        a, h = step
+        found = [self._apart(level, a + k * h, h) for k in PLACES]
+        if found[0] is None or not all(found):
+            return
+        t, given, slope = found[0]
+        raise InputError(
+            f"The {what} of {self.name} contradicts its {of}: at t = {t:.6g} s it is given as {given:.6g} and is {slope:.6g} by "
+            "differences. Return s alone, and its rates are computed; or return its derivatives."
+        )
+
+    def _apart(self, level: int, t: float, h: float) -> tuple[float, float, float] | None:
+        """Time, rate as given and slope, where these two differ whatever the width of the difference."""
+        given, slope = self.motion(t)[level], 0.0
+        for width in (h / 16, h / 256):
+            v = [self.motion(t + k * width)[level - 1] for k in (-2, -1, 1, 2)]
+            slope = (v[0] - 8 * v[1] + 8 * v[2] - v[3]) / (12 * width)
+            noise = 20 * EPS * (max(map(abs, v)) + abs(t) * self.fastest) / width
+            least = 1e-6 * self.fastest * (1.0 if level == 1 else 1.0 / h)
+            if abs(slope - given) <= WRONG * max(abs(slope), abs(given), least) + noise:
+                return None
+        return t, given, slope
+
+
+def _defect(before: tuple[float, ...], now: tuple[float, ...], h: float, fastest: float) -> float:
+    """D of (2) over the motion in the step."""
+    (s0, r0, a0), (s1, r1, a1) = before, now
+    place = abs(s1 - s0 - 0.5 * h * (r0 + r1) + h * h / 12 * (a1 - a0))
+    rate = h * abs(r1 - r0 - 0.5 * h * (a0 + a1))
+    size = abs(s1 - s0) + h * (abs(r0) + abs(r1) + 1e-3 * fastest)
+    roundoff = 1e3 * EPS * (abs(s0) + abs(s1))
+    return (place + rate - roundoff) / size if size > roundoff else 0.0
+
+
+class PrescribedMotions:
+    """All prescribed motions of a scene, looked at from t (s) on; ``planned`` steps of the run, 0 where they are not known."""
+
+    def __init__(self, scene: Scene, system: System, t: float, *, planned: int = 0) -> None:
+        self.time, self.every = t, max(1, planned // MOST)
+        stated = tuple(scene.breakpoints)
+        found: dict[int, Follower] = {}
+        for motion, length in _motions(system):
+            if isinstance(motion, SmoothMotion):
+                found.setdefault(id(motion), Follower(motion, length, stated))
+        self.followers = list(found.values())
+        self.rivals = [(found[i], found[j], name) for i, j, name in _rivals(scene) if i in found and j in found]
+        for follower in self.followers:
+            follower.look(t)
+
+    def ahead(self, t_end: float) -> None:
+        """Look at all of a run whose steps are not known; see :meth:`look`. Error control would only creep up to a jump."""
+        self.look(t_end, AHEAD)
+
+    def look(self, t: float, steps: int = 1) -> None:
+        """Look at the motions from where they were looked at last up to t (s), the end of so many steps.
+
+        Raises InputError where a motion jumps, its rates contradict it, or two drives of one coordinate contradict each other.
+        """
+        if not self.followers or not t > self.time:
+            return
+        for time in np.linspace(self.time, t, max(1, steps // self.every) + 1)[1:]:
+            for follower in self.followers:
+                follower.look(float(time))
+            for one, other, joint in self.rivals:
+                _compare_drives(one, other, joint)
+        self.time = t
+
+
+def _compare_drives(one: Follower, other: Follower, joint: str) -> None:
+    """Refuse two drives of one coordinate that ask for different places."""
+    first, second = one.places[-1], other.places[-1]
+    if abs(first - second) > APART * one.length + 1e3 * EPS * (abs(first) + abs(second)):
+        raise InputError(
+            f'The drives "{one.motion.name}" and "{other.motion.name}" move the same coordinate of joint "{joint}" and '
+            f"contradict each other: at t = {one.times[-1]:.6g} s one asks for {first:.9g}, the other for {second:.9g}. "
+            "Remove one of them."
+        )
+
+
+def _rivals(scene: Scene) -> list[tuple[int, int, str]]:
+    """Motions of drives that act on the same coordinate, and its joint."""
+    acting: dict[tuple[int, Any], list[Any]] = {}
+    for joint in scene.joints.values():
+        if isinstance(joint, Coupling) and joint.motion is not None:
+            coordinate = joint.terms[0][0]
+            acting.setdefault((id(coordinate.joint), coordinate.kind), []).append(joint)
+    pairs = [(js[0], other) for js in acting.values() for other in js[1:]]
+    return [(id(one.motion), id(other.motion), one.terms[0][0].joint.name) for one, other in pairs]
+
+
+def _motions(system: System) -> list[tuple[Any, float]]:
+    """Motions and what jumps of them are measured by, m or rad; all ranks alike."""
+    out: list[tuple[Any, float]] = []
+    for batch, _ in system.batches:
+        angles: set[int] = set()
+        if isinstance(batch, Perpendicular):
+            angles = {i for i, _ in batch.driven}
+        elif isinstance(batch, CouplingBatch):
+            for relative, numbers, _ in batch.terms:
+                angles |= {int(i) for i in numbers} if isinstance(relative, Turn) else set()
+        out += [(motion, 1.0 if i in angles else system.length) for i, motion in batch.driven]
+    return out + [(tie.motion, system.length) for tie, _ in system.traces]

@@ -1,0 +1,106 @@
+"""What a run says against itself, and input that means something else than it says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.notices import Gathered
+
+
+def swing(dt: float, t_end: float = 2.0) -> fmbd.Run:
+    mesh = fmbd.read_gmsh("meshes/rod.py", dim=2, h=0.1)
+    rod = fmbd.FloatingBody("rod", mesh, degree=1, density=1e3, elastic=fmbd.materials.plane_stress(5e6, 0.3))
+    scene = fmbd.Scene("swing", gravity=(0.0, -9.81))
+    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0.0, 0.0)))
+    return fmbd.solve(scene, t_end=t_end, dt=dt)
+
+
+def test_energy_that_grows_is_in_the_report() -> None:
+    run = swing(0.5)
+    assert any("energy grows by" in text for text in run.warnings)
+    assert "look at this" in run.report() and '"rod" in plane stress' in run.report()
+
+
+def test_a_good_run_has_no_warnings() -> None:
+    run = swing(0.01, 0.2)
+    assert run.warnings == [] and "look at this" not in run.report()
+
+
+def test_a_scene_that_cannot_move_says_so() -> None:
+    body = fmbd.RigidBody("bar", 1.0, 0.1, position=(0.5, 0.0))
+    scene = fmbd.Scene("truss", gravity=(0.0, -9.81))
+    scene.add(body, fmbd.fixed("weld", fmbd.ground, body, center=(0.0, 0.0)))
+    run = fmbd.solve(scene, t_end=0.1, dt=0.01)
+    assert any("0 degrees of freedom" in text for text in run.warnings)
+
+
+def test_open_velocities_are_warned_of() -> None:
+    def jolting(t: Any) -> Any:
+        return np.where(np.real(t) < 0.05, 0.0, 3.0 * (t - 0.05))
+
+    body = fmbd.RigidBody("bar", 1.0, 0.1, position=(0.5, 0.0))
+    scene = fmbd.Scene("drive")
+    pin = fmbd.revolute("pin", fmbd.ground, body, center=(0.0, 0.0))
+    scene.add(body, pin, fmbd.drive("motor", fmbd.angle(pin), jolting))
+    run = fmbd.solve(scene, t_end=0.1, dt=0.01)
+    assert any("joints open at up to" in text for text in run.warnings)
+    assert any('"motor" has a kink at t = 0.05 s' in text for text in run.warnings)
+
+
+def test_impacts_of_three_steps_are_counted() -> None:
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.1), counts=(20, 1), origin=(0.01, 0.0))
+    bar = fmbd.AbsoluteBody(
+        "bar", mesh, degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.0), velocity=(-0.1, 0.0)
+    )
+    scene = fmbd.Scene("impact")
+    wall = fmbd.Obstacle("wall", fmbd.HalfSpace((0.0, 0.0), (1.0, 0.0)))
+    scene.add(bar, fmbd.contact("hit", bar.surface("left"), wall))
+
+    coarse = fmbd.solve(scene, t_end=5.0, dt=0.9)  # in contact for 2 s, the time of a wave there and back
+    fine = fmbd.solve(scene, t_end=5.0, dt=0.05)
+    assert any("impacts lasted three steps or less" in text for text in coarse.warnings)
+    assert fine.counters["impacts"] >= 1 and not any("three steps" in text for text in fine.warnings)
+
+
+@pytest.mark.parametrize("kind", [fmbd.FloatingBody, fmbd.AbsoluteBody])
+def test_laws_of_sheets_are_refused_in_space(kind: Any) -> None:
+    mesh = fmbd.read_gmsh("meshes/rod.py", dim=3, h=0.1)
+    for law in (fmbd.materials.plane_stress, fmbd.materials.plane_strain):
+        with pytest.raises(InputError, match=f"{law.__name__} is a law of sheets in the plane"):
+            kind("rod", mesh, density=1e3, elastic=law(5e6, 0.45))
+    with pytest.raises(InputError, match="law of sheets in the plane"):
+        kind("rod", mesh, density=1e3, energy=fmbd.materials.sheet_saint_venant_kirchhoff(5e6, 0.45))
+
+
+def test_of_many_warnings_of_one_kind_three_are_kept() -> None:
+    from fmbd_fenicsx.log import log
+
+    with Gathered() as gathered:
+        for t in range(10):
+            log.warning("near-singular at t = %d s", t)
+        log.warning("something else")
+    lines = gathered.lines()
+    assert len(lines) == 4 and "7 more of this kind" in lines[2] and lines[3] == "something else"
+
+
+@pytest.mark.parametrize("place", [(0.0075, 0.0), (0.003, 0.002)])
+def test_gaps_of_quadratic_surfaces_beside_a_sphere_are_distances(place: tuple[float, float]) -> None:
+    """Of the nodes: between vertices they were off by h^2 / (12 R)."""
+    size, cells, radius, above = (0.06, 0.03, 0.06), (4, 2, 4), 0.02, 1.6e-3
+    mesh = fmbd.read_gmsh("meshes/block.py", size=size, origin=(-0.03, -0.03, -0.03), counts=cells)
+    block = fmbd.AbsoluteBody("block", mesh, degree=2, density=1e3, elastic=fmbd.materials.linear_elastic(1e9, 0.3))
+    ball = fmbd.RigidBody("ball", 0.1, (1e-5,) * 3, position=(place[0], radius + above, place[1]))
+    pair = fmbd.contact("hit", block.surface("top"), fmbd.Obstacle("sphere", fmbd.Sphere(radius), on=ball))
+    scene = fmbd.Scene("sphere")
+    scene.add(block, ball, pair, fmbd.fixed("clamp", fmbd.ground, block.surface("bottom")))
+    scene.sensor("gap", fmbd.contact_gap(pair))
+    found = fmbd.solve(scene, t_end=1e-6, dt=1e-6)["gap"][0].min()
+
+    x = np.linspace(-0.03, 0.03, 9)  # nodes on a line, vertices and middles
+    aside = np.min((x[:, None] - place[0]) ** 2 + (x[None, :] - place[1]) ** 2)
+    assert found == pytest.approx(np.sqrt((radius + above) ** 2 + aside) - radius, rel=1e-9)

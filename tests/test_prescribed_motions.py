@@ -1,0 +1,134 @@
+"""Prescribed motions along a run: jumps, kinks, rates that contradict the motion, drives that contradict each other."""
+
+from __future__ import annotations
+
+import logging
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.mechanics.joints.couplings import smooth_motion
+from fmbd_fenicsx.run.prescribed_motions import Follower
+
+
+def followed(motion: Any, times: Any, length: float = 1.0) -> Follower:
+    """A motion looked at at given times."""
+    follower = Follower(smooth_motion("motor", motion), length)
+    for t in times:
+        follower.look(float(t))
+    return follower
+
+
+def driven(*motions: Any, scheme: Any = None, t_end: float = 1.0, stops: Any = ()) -> fmbd.Run:
+    """A bar on a pin with drives on its angle."""
+    body = fmbd.RigidBody("bar", 1.0, 1 / 12, position=(0.5, 0.0))
+    scene = fmbd.Scene("drives", gravity=(0.0, -9.81), breakpoints=stops)
+    pin = fmbd.revolute("pin", fmbd.ground, body, center=(0.0, 0.0))
+    scene.add(body, pin)
+    for k, motion in enumerate(motions):
+        scene.add(fmbd.drive(f"motor {k}", fmbd.angle(pin), motion))
+    return fmbd.solve(scene, t_end=t_end, dt=0.01 if scheme is None else None, scheme=scheme)
+
+
+SMOOTH = {
+    "sine": lambda t: np.sin(3 * t),
+    "fast sine": lambda t: 1e-3 * np.sin(200 * t),
+    "from rest": lambda t: t**4,
+    "smooth step": lambda t: np.tanh((t - 0.4) / 0.02),
+    "far and slow": lambda t: 1e4 + 1e-3 * t,
+    "many turns": lambda t: 300 * t + 0.1 * np.sin(40 * t),
+    "only real": lambda t: math.sin(5 * t),
+    "with rates": lambda t: (math.sin(3 * t), 3 * math.cos(3 * t), -9 * math.sin(3 * t)),
+    "parts of constant acceleration": lambda t: np.where(np.real(t) < 0.5, t**2, 0.25 + (t - 0.5)),
+    "at rest": lambda t: 0.0 * t,
+}
+GRIDS = {"h = 0.01": np.linspace(0, 1, 101), "h = 3e-5": 1 + 3e-5 * np.arange(300), "growing": 1 - 0.8 ** np.arange(60)}
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+@pytest.mark.parametrize("name", SMOOTH)
+def test_smooth_motions_are_left_alone(name: str, grid: str, caplog: Any) -> None:
+    assert followed(SMOOTH[name], GRIDS[grid]).kinks == 0
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("at", [0.5, 0.5037, 0.507])
+@pytest.mark.parametrize("scale", [1.0, 1e-6, 1e5])
+@pytest.mark.parametrize("h", [0.01, 0.07, 1e-4])
+def test_a_kink_is_named_with_its_time(at: float, scale: float, h: float, caplog: Any) -> None:
+    def kink(t: Any) -> float:
+        return scale * (0.3 * t + max(t - at, 0.0))
+
+    times = np.arange(0.5 - 8 * h, 0.5 + 8 * h, h) if h < 1e-3 else np.arange(0, 1, h)
+    if not times[0] < at < times[-1]:
+        times = times + at - 0.5
+    found = followed(kink, times, scale)
+
+    assert found.kinks == 1
+    assert 'drive "motor" has a kink at t = ' in caplog.text
+    said = float(caplog.text.split("at t = ")[1].split(" s")[0])
+    assert abs(said - at) < 1e-5 * at
+
+
+@pytest.mark.parametrize("at", [0.5, 0.5037])
+@pytest.mark.parametrize("h", [0.01, 0.13])
+def test_a_jump_is_refused_and_a_small_one_warned_of(at: float, h: float, caplog: Any) -> None:
+    times = np.arange(0, 1, h)
+    with pytest.raises(InputError, match=r'drive "motor" jumps by 0.2 at t = 0.50?3?7? s'):
+        followed(lambda t: t + 0.2 * (t >= at), times)
+    assert followed(lambda t: 0.1 * t + 9e-4 * (t >= at), times).kinks == 1
+    assert "jumps by 0.0009" in caplog.text
+
+
+@pytest.mark.parametrize("wrong", [lambda t: (t, 5.0, 0.0), lambda t: (t**2, 2 * t, 0.0), lambda t: (t, 1.01, 0.0)])
+def test_rates_that_contradict_are_refused(wrong: Any) -> None:
+    with pytest.raises(InputError, match=r"rate of drive \"motor\" contradicts"):
+        followed(wrong, np.linspace(0, 1, 11))
+
+
+def test_rates_that_are_wrong_later_are_refused() -> None:
+    def motion(t: float) -> tuple[float, float, float]:
+        return (t, 1.0, 0.0) if t < 0.77 else (t, 1.5, 0.0)
+
+    followed(motion, np.linspace(0, 0.7, 71))
+    with pytest.raises(InputError, match="rate of drive .* contradicts its motion"):
+        followed(motion, np.linspace(0, 1, 101))
+
+
+@pytest.mark.parametrize("scheme", [None, fmbd.Radau(3, rtol=1e-5)])
+def test_two_drives_of_one_angle_that_part_are_named(scheme: Any) -> None:
+    with pytest.raises(InputError, match=r'drives "motor 0" and "motor 1" .* joint "pin" and contradict'):
+        driven(lambda t: t**2, lambda t: t**2 + t**4, scheme=scheme)
+
+
+def test_two_drives_that_agree_run() -> None:
+    run = driven(lambda t: np.sin(t) ** 3, lambda t: (3.0 * np.sin(t) - np.sin(3.0 * t)) / 4.0)
+    assert run.drift[0] < 1e-9
+    assert not run.warnings
+
+
+@pytest.mark.parametrize("scheme", [None, fmbd.Radau(3, rtol=1e-5)])
+def test_a_run_names_a_jump(scheme: Any) -> None:
+    with pytest.raises(InputError, match='drive "motor 0" jumps by 1 at t = 0.35'):
+        driven(lambda t: 0.0 if t < 0.35 else 1.0, scheme=scheme, t_end=0.5)
+
+
+def test_a_run_warns_of_a_kink_in_its_report_unless_it_is_stated() -> None:
+    def kink(t: Any) -> Any:
+        return np.where(np.real(t) < 0.5, 0.0, t - 0.5)
+
+    run = driven(kink)
+    assert "kink at t = 0.5 s, its rate changes from 0 to 1" in run.warnings[0]
+    assert "look at this      the motion of drive" in run.report()
+    assert not any("kink" in text for text in driven(kink, stops=(0.5,)).warnings)
+
+
+def test_a_program_without_logging_sees_each_warning_once(monkeypatch: Any, capsys: Any) -> None:
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    for _ in range(2):
+        driven(lambda t: 0.1 * max(t - 0.4567, 0.0))
+    assert capsys.readouterr().err.count("kink at t = 0.4567 s") == 1

@@ -1,0 +1,87 @@
+"""Functions of the user's own that differ between ranks are refused; a rank that leaves a run ends all with an exit code."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+pytestmark = [
+    pytest.mark.serial,
+    pytest.mark.skipif(shutil.which("mpirun") is None, reason="no mpirun"),
+]
+SCENE = """
+import sys
+from mpi4py import MPI
+import numpy as np
+import fmbd_fenicsx as fmbd
+rank = MPI.COMM_WORLD.rank
+mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.1), origin=(0.0, -0.05), counts=(4, 1))
+elastic = fmbd.materials.plane_stress(1e7, 0.3)
+
+def scene(motion=lambda t: 0.1 * t**2, law=lambda s, v, t: 10.0 * s, load=lambda t: 1.0):
+    pull = fmbd.loads.traction("right", (0.0, 1.0), time=load)
+    rod = fmbd.FloatingBody("rod", mesh, degree=1, density=1e3, elastic=elastic, loads=[pull])
+    made = fmbd.Scene("swing", gravity=(0.0, -9.81))
+    pin = fmbd.revolute("pin", fmbd.ground, rod.surface("left"), center=(0.0, 0.0))
+    made.add(rod, pin, fmbd.drive("motor", fmbd.angle(pin), motion))
+    made.add(fmbd.joint_spring("spring", fmbd.angle(pin), law=law))
+    return made
+
+def solve(made, **more):
+    return fmbd.solve(made, t_end=0.02, dt=0.01, output=fmbd.Output(progress=False, **more))
+"""
+
+
+def run(code: str, n: int) -> subprocess.CompletedProcess[str]:
+    """A program on n ranks; it has to end by itself."""
+    command = [sys.executable, "-c", SCENE + code]
+    many = ["mpirun", "--oversubscribe", "-n", str(n), *command] if n > 1 else command
+    return subprocess.run(many, capture_output=True, text=True, timeout=120, cwd=ROOT)
+
+
+@pytest.mark.parametrize(
+    "what, name",
+    [
+        ("motion=lambda t: (0.1 + 1e-3 * rank) * t**2", 'The motion of drive "motor"'),
+        pytest.param("law=lambda s, v, t: (10.0 + rank) * s + 1e-3 * rank", '"spring"', marks=pytest.mark.slow),
+        pytest.param("load=lambda t: 1.0 + 0.1 * rank", 'a load on body "rod"', marks=pytest.mark.slow),
+    ],
+    ids=["drive", "law", "load"],
+)
+def test_a_function_that_depends_on_the_rank_is_refused(what: str, name: str) -> None:
+    done = run(f"solve(scene({what}))", 2)
+    assert done.returncode == 2, done.stderr[-2000:]
+    assert name in done.stderr and "on rank 1 for the same arguments" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_law_that_fails_on_one_rank_ends_all() -> None:
+    done = run("solve(scene(law=lambda s, v, t: 10.0 * s / (1 - rank * (t > 0.005))))", 2)
+    assert done.returncode == 2 and "The law of" in done.stderr and "ZeroDivisionError" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "code, wanted", [("sys.exit(3)", 3), ("sys.exit(0)", 1), ("1 / 0", 1), ("raise SystemExit(5)", 5)]
+)
+def test_a_rank_that_leaves_a_run_ends_all(code: str, wanted: int) -> None:
+    done = run(f"def look(now):\n    if rank == 1:\n        {code}\nsolve(scene(), on_step=look)\nprint('never')", 2)
+    assert done.returncode == wanted, done.stderr[-2000:]
+    assert "never" not in done.stdout
+
+
+@pytest.mark.slow
+def test_all_ranks_may_leave_a_run_together() -> None:
+    done = run("solve(scene(), on_step=lambda now: sys.exit(0))", 2)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_equal_functions_give_what_one_rank_gives() -> None:
+    code = "r = solve(scene())\nif rank == 0:\n    print(repr(float(r.state.q[0])), r.counters['steps'])"
+    one, two = run(code, 1), run(code, 2)
+    assert one.returncode == two.returncode == 0, two.stderr[-2000:]
+    assert float(one.stdout.split()[0]) == pytest.approx(float(two.stdout.split()[0]), rel=1e-9)
