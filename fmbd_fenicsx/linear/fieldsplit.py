@@ -102,13 +102,11 @@ class SplitSolver:
             if not any(block.rows == r for r in self.rows.values()) and block.rows.stop > block.rows.start:
                 self.rows[f"{name}.force".replace(" ", "_")] = block.rows
         self.names = [*(["frame"] if system.n_core else []), *(_split(f.name) for _, f in system.fields), *self.rows]
-        comm, n = system.comm, [system.n_core] if system.n_core else []
-        self.replicated = [*n, *(r.stop - r.start for r in self.rows.values())]
-        self.sizes = [
-            *(share_of(k, comm) for k in n), *(f.n for _, f in system.fields),
-            *(share_of(r.stop - r.start, comm) for r in self.rows.values()),
-        ]  # fmt: skip
 
+        comm = system.comm
+        core = [share_of(system.n_core, comm)] if system.n_core else []
+        multipliers = [share_of(r.stop - r.start, comm) for r in self.rows.values()]
+        self.sizes = [*core, *(f.n for _, f in system.fields), *multipliers]  # of the blocks on this rank
         self.scale = np.ones(len(self.names))
 
     # -- arrays -------------------------------------------------------------------------------------------------
@@ -142,6 +140,8 @@ class SplitSolver:
         s, n = self.system, self.system.n_core
         own, mixed = np.zeros(s.n_v), np.zeros(s.n_v)
         own[:n] = self.A @ v[:n]
+
+        # E u and C of each field, in the axes of its factor
         for i, (k, f) in enumerate(s.fields):
             at, R, C = s.slices[1][k], self.corotations[i], self._C[i]
             u = rotate_nodal(v[at], R, back=True)
@@ -154,11 +154,13 @@ class SplitSolver:
             if len(C):
                 mixed[at] = rotate_nodal(f.inertia_columns @ (C @ v[:n]), R)
                 mixed[:n] += C.T @ f.field.total(f.inertia_columns.T @ u)
+
+        # G, which fields meet through their ports
         rows = [np.asarray(self.G.core @ v[:n])]
         s.move(self.G.t)
-        rows += [
-            np.asarray(self.G.port[:, s.port_slice(k)] @ self.G.ports_of(k, p, s.local_v(v, k))) for k, p in s.fields
-        ]
+        for k, p in s.fields:
+            ports = self.G.ports_of(k, p, s.local_v(v, k))
+            rows.append(np.asarray(self.G.port[:, s.port_slice(k)] @ ports))
         return [own, mixed, self.G.transposed(lam)], rows
 
     def product(self, x: Array) -> Array:
@@ -176,11 +178,13 @@ class SplitSolver:
         balance, rows = self.terms(v, lam)
         zero_v, zero = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
         parts = [b, *(-self.pack(y, zero) for y in balance), *(-self.pack(zero_v, y) for y in rows)]
+
         norms = self._norms([np.sum(parts, axis=0), *parts])
         if not np.isfinite(norms).all():
             return np.inf
         error, sizes, m = norms[0], norms[1:].sum(0), len(self.names) - len(self.rows)
         sizes[m:] = np.maximum(sizes[m:], 1e-6 * self._bounds * np.sqrt(abs(self.system.dot(v, balance[0]))))
+
         worst = 0.0
         for kind in (slice(0, m), slice(m, None)):  # forces, constraints
             least = max(1e-6 * sizes[kind].max(initial=0.0), 1e-300)
@@ -229,8 +233,10 @@ class SplitSolver:
         small = self._scaled([*([sp.csr_matrix(frame)] if first else []), *force])
         own = [to_petsc(S, s) for S in small]
         diagonal = [*own[:first], *(b.factor.E for b in self._blocks), *own[first:]]
+
         start = (comm.exscan(sum(self.sizes)) or 0) + np.cumsum([0, *self.sizes])
         sets = [PETSc.IS().createStride(k, int(i), 1, comm=comm) for k, i in zip(self.sizes, start, strict=False)]
+
         table = [[M if i == j else None for j in range(len(diagonal))] for i, M in enumerate(diagonal)]
         P = PETSc.Mat().createNest(table, isrows=sets, iscols=sets, comm=comm)
         P.assemble()
@@ -265,6 +271,7 @@ class SplitSolver:
         ksp.setTolerances(rtol=preset.rtol, atol=0.0, max_it=preset.max_iterations)
         if preset.method != "minres":
             ksp.setGMRESRestart(preset.max_iterations)
+
         pc = ksp.getPC()
         pc.setType("fieldsplit")
         pc.setFieldSplitType(PETSc.PC.CompositeType.ADDITIVE)
@@ -298,13 +305,18 @@ class SplitSolver:
                 part = coupling[:, n + r.start : n + r.stop]
                 S += part.T @ block.W @ part
             if r.start in ties and seen is not None:
-                i, m = ties[r.start], self.preset.multiplier
-                S += (m.block(seen, i) if isinstance(m, Fractional) else lumped(seen, i)).toarray()
-                for k, e in enumerate(seen.elastic):
-                    gram, BR = rigid_term(e, k, [seen.ties[i]])
-                    S += BR @ np.linalg.solve(gram, BR.T)
+                self._add_tie(S, seen, ties[r.start])
             out.append(sp.csr_matrix(positive(S)))
         return out
+
+    def _add_tie(self, S: Array, seen: SceneTies, i: int) -> None:
+        """Add the preconditioner of tie i to S: its own surfaces, and the rigid motion of their bodies."""
+        multiplier = self.preset.multiplier
+        own = multiplier.block(seen, i) if isinstance(multiplier, Fractional) else lumped(seen, i)
+        S += own.toarray()
+        for k, e in enumerate(seen.elastic):
+            gram, BR = rigid_term(e, k, [seen.ties[i]])
+            S += BR @ np.linalg.solve(gram, BR.T)
 
     # -- solution -----------------------------------------------------------------------------------------------
     def _converged(self, ksp: Any, iteration: int, norm: float) -> Any:
@@ -326,6 +338,7 @@ class SplitSolver:
         self.ksp.solve(self.b, self.x)
         count, reason = self.ksp.getIterationNumber(), self.ksp.getConvergedReason()
         self.iterations += count
+
         if not self._checked:
             check_options(self.prefix, self.system.comm)
             self._checked = True
@@ -336,6 +349,7 @@ class SplitSolver:
                 f"Linear solve of {self.judge.what}: relative residual {residual:.1e} after {count} iterations (PETSc reason "
                 f"{reason}), allowed {self.judge.tolerance:.0e}. Raise FieldSplit(max_iterations=...), or use Direct()."
             )
+
         self.judge.check(residual, 1.0)
         return self.unpack(x)
 

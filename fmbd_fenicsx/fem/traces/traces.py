@@ -175,6 +175,8 @@ def trace_of(space: Any, mesh: Any, surface: str) -> Trace:
     parts = [p for p in comm.allgather(local) if len(p[0])]
     if not parts:
         raise MeshError(f"{label}: it has no facets on the boundary.")
+
+    # facets of all ranks; each node once, numbered by its place so that the ranks do not matter
     ids, x, normals = (np.concatenate([p[i] for p in parts]) for i in range(3))
     unique, first, inverse = np.unique(ids.ravel(), return_index=True, return_inverse=True)
     points = x.reshape(-1, d)[first]
@@ -182,11 +184,14 @@ def trace_of(space: Any, mesh: Any, surface: str) -> Trace:
     number = np.empty_like(order)
     number[order] = np.arange(len(order))
     nodes = number[inverse.reshape(ids.shape)]
-    middle = _by_place(points[order][nodes[:, :d]].mean(axis=1))
+    middles = points[order][nodes[:, :d]].mean(axis=1)
+    facets = _by_place(middles)
+
+    # where this rank's own displacements are among them
     low, high = space.dofmap.index_map.local_range
     found = unique[order]
     owned = np.where((found >= low) & (found < high), found - low, -1)
-    made = Trace(label, points[order], nodes[middle], normals[middle], degree, owned, high - low, comm)
+    made = Trace(label, points[order], nodes[facets], normals[facets], degree, owned, high - low, comm)
     mesh.check_area(surface, float(made.sizes.sum()))
     return made
 

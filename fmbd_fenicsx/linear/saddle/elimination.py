@@ -56,6 +56,7 @@ def _pivots(t: TraceTie) -> Pivots:
     alone = np.flatnonzero(np.diff(D.indptr) == 1)
     alone = np.setdiff1d(alone, t.multipliers.trace.border)
     rows, values = D.indices[D.indptr[alone]], D.data[D.indptr[alone]]
+
     nodes, diagonal = np.full(D.shape[0], -1), np.ones(D.shape[0])
     nodes[rows], diagonal[rows] = alone, values
     if (nodes < 0).any():
@@ -78,6 +79,8 @@ class EliminatedSolver:
         self.d, self.comm = d, saddle.comm
         self._refuse_shared()
         self.first = np.concatenate(([0], np.cumsum([e.rows for e in bodies])))  # of each body among this rank's rows
+
+        # E of all bodies, then T^T E T
         n = len(bodies)
         table = [[saddle.E[i] if i == j else None for j in range(n)] for i in range(n)]
         nest = PETSc.Mat().createNest(table, comm=self.comm)
@@ -87,6 +90,7 @@ class EliminatedSolver:
         self.A = self.E.ptap(self.T)
         self.A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.A.setOption(PETSc.Mat.Option.SPD, True)
+
         self.ksp = PETSc.KSP().create(self.comm)
         self.ksp.setOptionsPrefix(prefix)
         self.ksp.setOperators(self.A)
@@ -106,9 +110,10 @@ class EliminatedSolver:
             pivots: set[int] = {int(i) for i in p.nodes}
             for number, (k, trace, B) in enumerate(t.sides):
                 low = self.saddle.elastic[k].body.space.dofmap.index_map.local_range[0]
-                world = trace.values(low + np.arange(trace.n_owned, dtype=float)).astype(int)
+                world = trace.values(low + np.arange(trace.n_owned, dtype=float)).astype(int)  # numbers over all ranks
                 for i in np.unique(sp.coo_matrix(B).col):
-                    key, leaves = (k, int(world[i])), number == 0 and int(i) in pivots
+                    key = (k, int(world[i]))
+                    leaves = number == 0 and int(i) in pivots
                     other = seen.get(key, t.name) if leaves else gone.get(key, t.name)
                     if other != t.name:
                         raise InputError(
@@ -135,6 +140,8 @@ class EliminatedSolver:
         kept = d * len(stays)
         new = np.full(n, -1.0)  # column of the first component of each node
         new[stays] = int(self.comm.exscan(kept) or 0) + d * np.arange(len(stays))
+
+        # kept displacements are themselves; an eliminated one follows from those of both sides
         rows, columns, values = [stays], [new[stays]], [np.ones(len(stays))]
         for t, p, place in zip(self.saddle.ties, self.pivots, pivots, strict=True):
             least = 1e-14 * np.abs(t.sides[0][2]).max()
@@ -145,8 +152,10 @@ class EliminatedSolver:
                 rows.append(place[C.row[use]])
                 columns.append(to[C.col[use]])
                 values.append((-1.0 if number == 0 else 1.0) * C.data[use] / p.diagonal[C.row[use]])
+
         r, c = ((np.concatenate(x).astype(PETSc.IntType)[:, None] + np.arange(d)).ravel() for x in (rows, columns))
         shape = (n, self.comm.allreduce(kept))
+
         local = sp.coo_matrix((np.repeat(np.concatenate(values), d), (r, c)), shape).tocsr()
         csr = (local.indptr.astype(PETSc.IntType), local.indices.astype(PETSc.IntType), local.data)
         T = PETSc.Mat().createAIJ(((n, None), (kept, shape[1])), csr=csr, comm=self.comm)
@@ -157,6 +166,8 @@ class EliminatedSolver:
         """Displacements and multipliers; f this rank's loads, one per body, g replicated data, one per tie."""
         b, u, z = self.E.createVecLeft(), self.E.createVecRight(), self.T.createVecRight()
         r, y = b.duplicate(), z.duplicate()
+
+        # reduced system: T^T E T z = T^T (b - E u_g)
         b.array[:] = np.concatenate(f)
         shift = self._given(g)
         u.array[:] = shift
@@ -165,6 +176,8 @@ class EliminatedSolver:
         self.T.multTranspose(r, y)
         self.ksp.solve(y, z)
         self.T.mult(z, u)
+
+        # u = T z + u_g; what is left of its balance is the force of the multipliers
         u.array[:] += shift
         self.E.mult(u, r)
         r.aypx(-1.0, b)
@@ -173,8 +186,10 @@ class EliminatedSolver:
         for t, p in zip(self.saddle.ties, self.pivots, strict=True):
             k, trace, _ = t.sides[0]
             lam.append((trace.values(rest[k].reshape(-1, self.d))[p.nodes] / p.diagonal[:, None]).ravel())
+
         for v in (b, u, z, r, y):
             v.destroy()
+
         full, given = self.saddle.vector(parts, lam), self.saddle.vector(f, g)
         residual = self.saddle.relative_residual(full, given)
         full.destroy(), given.destroy()

@@ -117,12 +117,14 @@ class Beam:
             self.dim in (2, 3) and len(self.end) == self.dim,
             f"{what}: start {self.start} and end {self.end} must both have 2 or 3 numbers.",
         )
+
         require(self.length > 0, f"{what}: start and end coincide.")
         whole(f"{what}: elements", self.elements, least=1)
         if self.modes is not None:
             whole(f"{what}: modes", self.modes)
         if self.up is not None:
             vector(f"{what}: up", self.up, size=self.dim, zero=False)
+
         number(f"{what}: mass_damping", self.mass_damping, least=0.0)
         number(f"{what}: stiffness_damping", self.stiffness_damping, least=0.0)
         self.start_twist()
@@ -184,35 +186,25 @@ def _bending(xi: float, length: float, shear: float) -> tuple[Array, Array, Arra
     shear = 12 EI / (GA l^2).
     """
     x, p, c = xi, shear, 1.0 / (1.0 + shear)
-    v = c * np.array(
-        [
-            1 - 3 * x**2 + 2 * x**3 + p * (1 - x),
-            length * (x - 2 * x**2 + x**3 + p / 2 * (x - x**2)),
-            3 * x**2 - 2 * x**3 + p * x,
-            length * (-(x**2) + x**3 - p / 2 * (x - x**2)),
-        ]
-    )
-    slope = (
-        c
-        / length
-        * np.array(
-            [
-                -6 * x + 6 * x**2 - p,
-                length * (1 - 4 * x + 3 * x**2 + p / 2 * (1 - 2 * x)),
-                6 * x - 6 * x**2 + p,
-                length * (-2 * x + 3 * x**2 - p / 2 * (1 - 2 * x)),
-            ]
-        )
-    )
-    turn = c * np.array(
-        [
-            (-6 * x + 6 * x**2) / length,
-            1 - 4 * x + 3 * x**2 + p * (1 - x),
-            (6 * x - 6 * x**2) / length,
-            -2 * x + 3 * x**2 + p * x,
-        ]
-    )
-    return v, slope, turn
+    v = [
+        1 - 3 * x**2 + 2 * x**3 + p * (1 - x),
+        length * (x - 2 * x**2 + x**3 + p / 2 * (x - x**2)),
+        3 * x**2 - 2 * x**3 + p * x,
+        length * (-(x**2) + x**3 - p / 2 * (x - x**2)),
+    ]
+    slope = [  # of the centre line, times the length
+        -6 * x + 6 * x**2 - p,
+        length * (1 - 4 * x + 3 * x**2 + p / 2 * (1 - 2 * x)),
+        6 * x - 6 * x**2 + p,
+        length * (-2 * x + 3 * x**2 - p / 2 * (1 - 2 * x)),
+    ]
+    rotation = [  # of the section: without shear the slope itself
+        (-6 * x + 6 * x**2) / length,
+        1 - 4 * x + 3 * x**2 + p * (1 - x),
+        (6 * x - 6 * x**2) / length,
+        -2 * x + 3 * x**2 + p * x,
+    ]
+    return c * np.array(v), c / length * np.array(slope), c * np.array(rotation)
 
 
 def _bending_stiffness(EI: float, length: float, shear: float) -> Array:
@@ -370,16 +362,20 @@ class _Assembly:
         K = self.stiffness()
         M = np.trace(T[1:, 1:], axis1=2, axis2=3)
         V = self.basis(K, M)
-        m = V.shape[1]
-        W = np.zeros((self.n + 1, m + 1))
-        W[0, 0], W[1:, 1:] = 1.0, V
+        W = self._with_reference(V)
+
+        # inertia, stiffness and damping of the modes
         S = R @ S @ W
         T = np.einsum("ap,abij,bq->pqij", W, np.einsum("xi,abij,yj->abxy", R, T, R), W, optimize=True)
         K = V.T @ K @ V
         D = beam.mass_damping * V.T @ M @ V + beam.stiffness_damping * K
         center = 0.5 * (np.asarray(beam.start, dtype=float) + np.asarray(beam.end, dtype=float))
+
+        # what joints see
         ends = {"start": (0, 0.0, beam.start), "end": (beam.elements - 1, 1.0, beam.end)}
         surfaces = {k: self._section(e, x, R, W, np.asarray(at, dtype=float)) for k, (e, x, at) in ends.items()}
+
+        # stress of unit inertia forces along the beam
         G = None
         if beam.stiffening:
             Gx = np.einsum("ap,kab,bq->kpq", V, self.stiffening(), V, optimize=True)
@@ -393,12 +389,17 @@ class _Assembly:
         """Points along the beam, (n, d, 1 + modes)."""
         M = np.trace(self.inertia()[1][1:, 1:], axis1=2, axis2=3)
         V = self.basis(self.stiffness(), M)
-        W = np.zeros((self.n + 1, V.shape[1] + 1))
-        W[0, 0], W[1:, 1:] = 1.0, V
-
+        W = self._with_reference(V)
         R, last = self.axes(), self.beam.elements - 1
         places = [(e, k / per_element) for e in range(last + 1) for k in range(per_element)]
         return np.stack([R @ self.fields(e, x)[0] @ W for e, x in (*places, (last, 1.0))])
+
+    def _with_reference(self, V: Array) -> Array:
+        """Columns (1 + n, 1 + modes): the undeformed beam, then the modes."""
+        W = np.zeros((self.n + 1, V.shape[1] + 1))
+        W[0, 0] = 1.0
+        W[1:, 1:] = V
+        return W
 
     def _section(self, e: int, x: float, R: Array, W: Array, at: Array) -> SurfaceData:
         """Moments of an end section: b_0 its centre, b_k of the section directions, weighted like an area."""

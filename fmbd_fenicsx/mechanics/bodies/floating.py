@@ -67,6 +67,8 @@ class FloatingField(FieldPart):
         P = self.field.X + U
         w = motion.twist[d:]
         a, spin = R.T @ (accel[:d] - motion.gravity), spin_matrix(w)
+
+        # (1), nodal accelerations in body axes
         A = P @ (spin_matrix(accel[d:]) + spin @ spin).T
         A += Ud @ (2.0 * spin.T)
         A += Udd
@@ -76,10 +78,14 @@ class FloatingField(FieldPart):
         if self.field.loads.loads:
             outer, inner = self.field.loads.nodal(motion.t, R, local[0])
             F = F - outer
+
+        # (2), rows of the frame; the square of U is summed along
         sums = self.field.total(np.concatenate((F.sum(0), axial(P.T @ F), [float(local[0] @ local[0])])))
         self._watch(float(np.linalg.norm(w)), sums[-1])
         sums = sums[:-1]
         sums[:d] = R @ sums[:d]
+
+        # (2), rows of the field
         rows = F.ravel() + self.internal(local[0], local[1])
         if inner is not None:
             rows -= inner.ravel()
@@ -145,6 +151,8 @@ class FloatingField(FieldPart):
             f.linearise(None, self.stiffening.matrix_form)
         elif f.nonlinear:
             f.linearise(self._last)
+
+        # inertia of the frame about the deformed body: columns M (e x P), their sums and moments
         P = f.points(self._last)
         Q = f.Q.reshape(f.n, d, m.n_twist).copy()
         J = np.empty((m.n_rot, m.n_rot))
@@ -154,6 +162,8 @@ class FloatingField(FieldPart):
         self.inertia = f.total(J)
         self.moment = f.total(f.mass(P).sum(0))
         self.inertia_columns = Q.reshape(self.n, m.n_twist)
+
+        # what the frame conditions, the ports and checkpoints take from it
         self.shared_columns = False
         self.shown = None if self.shortening is None else self.shortening.at(self._last)
         self._columns_taken += 1

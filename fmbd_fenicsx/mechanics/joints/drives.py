@@ -16,7 +16,7 @@ from ...checks import number, typed
 from ...errors import InputError, require
 from .constraints import Motion
 from .couplings import lead_ratio, smooth_motion
-from .joints import Joint, Vector, _point, dimension, direction
+from .joints import Joint, Vector, center_point, dimension, direction
 from .relative import Relative, Separation, Slide, Turn
 
 
@@ -149,7 +149,7 @@ def own_joint(
     m, angles in rad, so that the checks can judge residuals. Write it with NumPy operations (no ``abs``, no ``float``) and
     its derivatives are exact. See docs/own_joint.md.
     """
-    c = _point(center, dimension(a, b, name), name)
+    c = center_point(center, dimension(a, b, name), name)
     return OwnJoint(
         name,
         a,

@@ -134,7 +134,8 @@ def basis(axis: Vector | Array, name: str = "", dim: int = 3) -> Array:
     return np.array([e1, np.cross(n, e1), n])
 
 
-def _point(center: Vector | None, dim: int, name: str) -> Array | None:
+def center_point(center: Vector | None, dim: int, name: str) -> Array | None:
+    """The point (dim,) where a joint is to sit, world axes; None where the user leaves it to the joint."""
     if center is None:
         return None
     return vector(f'Joint "{name}": center', center, size=dim)
@@ -153,7 +154,7 @@ def _joint(
 ) -> Joint:
     """A joint from (name, kind, a, b), its point, rows and axis."""
     name, kind, a, b = joint
-    c = _point(center, dimension(a, b, name), name)
+    c = center_point(center, dimension(a, b, name), name)
     return Joint(name, a, b, tuple(rows), c, c, kind=kind, axis=axis)
 
 
@@ -266,7 +267,7 @@ def distance(
     """Massless rod of the given length (m) between a point of a and a point of b; multiplier: its tension (N)."""
     number(f'Joint "{name}": length', length, above=0.0, unit="m")
     dim = dimension(a, b, name)
-    pa, pb = _point(point_a, dim, name), _point(point_b, dim, name)
+    pa, pb = center_point(point_a, dim, name), center_point(point_b, dim, name)
     return Joint(name, a, b, (Row(ct.Distance, np.zeros(dim)),), pa, pb, length, "distance")
 
 

@@ -155,14 +155,17 @@ class ReducedPart(Part):
         eta, rate, second = local
         a, w, L = self._motion(motion)
         self._watch(motion, eta)
+
+        # S and T(e_a, .) of p, p', p''
         p = self._with_shape(eta, rate, second)
         Sp = c.S @ p
         Tp = (self._T @ p).reshape(-1, d, d, 3)
+
+        # (2), row by row
         B = Tp[..., 0] @ L.T + 2.0 * (Tp[..., 1] @ w.T) + Tp[..., 2]
         N = np.tensordot(p[:, 0], B, 1) + np.outer(Sp[:, 0], a)
-        frame = np.empty(d + self.motions.n_rot)
-        frame[:d] = motion.R @ (c.mass * a + L @ Sp[:, 0] + 2.0 * (w @ Sp[:, 1]) + Sp[:, 2])
-        frame[d:] = axial(N)
+        force = c.mass * a + L @ Sp[:, 0] + 2.0 * (w @ Sp[:, 1]) + Sp[:, 2]
+        frame = np.concatenate((motion.R @ force, axial(N)))
         rows: Array = a @ c.S[:, 1:] + np.trace(B[1:], axis1=1, axis2=2) + c.K @ eta + c.D @ rate
         if c.stiffening is not None:
             self._stress = self._stress_of(motion)
@@ -219,6 +222,8 @@ class ReducedPart(Part):
         n = m.n_twist
         Tp = (self._T @ p).reshape(-1, d, d)  # T(e_a, p)
         Tpp = np.tensordot(p, Tp, 1)
+
+        # the frame: total mass, moment of inertia, static moment
         M = np.zeros((n, n))
         M[:d, :d] = c.mass * np.eye(d)
         arm = c.S @ p
@@ -229,6 +234,8 @@ class ReducedPart(Part):
             M[2, 2] = np.trace(Tpp)
             M[2, :2] = motion.R @ np.array([-arm[1], arm[0]])
         M[:d, d:] = M[d:, :d].T
+
+        # modes against the frame
         low = np.empty((self.n, n))
         low[:, :d] = c.S[:, 1:].T @ motion.R.T
         T = Tp[1:]

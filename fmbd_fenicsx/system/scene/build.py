@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,6 +53,16 @@ def reduced_part(body: ReducedBody | Beam, frame: int, surfaces: Sequence[str]) 
     return part
 
 
+@dataclass(frozen=True, eq=False)
+class MarkerPlace:
+    """A marker in the axes of its frame: position (d,), rotation (d, d); ``surface`` of an elastic body, or None."""
+
+    frame: int
+    position: Array
+    rotation: Array
+    surface: Surface | None = None
+
+
 class Builder:
     """Turns a scene into arrays; lives only during :meth:`Scene.build`."""
 
@@ -66,43 +77,19 @@ class Builder:
         self.joint_markers: dict[str, tuple[int, int]] = {}
         self.starts: list[tuple[Array, Array]] = []
         self.nodes = RodNodes()
-        self.keys: list[tuple[int, Array, Array, Any]] = []  # markers: frame, position, rotation, surface or None
+        self.places: list[MarkerPlace] = []
 
     def build(self) -> tuple[System, State, dict[str, int]]:
         """The system, its state as given, and the marker of each sensor; collective."""
         scene = self.scene
         self._check()
-        moving = [b for b in scene.bodies.values() if not getattr(b, "locked", False)]
+        moving = [b for b in scene.bodies.values() if not (isinstance(b, RigidBody) and b.locked)]
         if not moving:
             raise InputError(f'Scene "{scene.name}": all bodies are locked, so nothing can move.')
-        framed = [b for b in moving if not isinstance(b, CoordinateBody | LineBody | AbsoluteBody | Wires | Rod)]
-        elastic = [b for b in moving if isinstance(b, FloatingBody | AbsoluteBody)]
-        own = [b for b in moving if isinstance(b, CoordinateBody)]
-        for body in framed:
-            self.frame_of[body.name] = len(self.poses)
-            self.poses.append(np.zeros(0))
-            self.twists.append(body.start_twist())
-        for body in (b for b in moving if isinstance(b, Rod)):
-            self.frame_of |= self.nodes.add(body, len(self.poses))
-            self.poses.extend(body.poses)
-            self.twists.extend(body.start_twists())
-        used, ground_frame = self._surfaces_in_use(), len(self.poses)
-        for body in own:
-            self._put_part(CoordinatePart(body, ground_frame), np.array(body.start), np.array(body.start_rate))
-        for body in (b for b in moving if isinstance(b, LineBody)):
-            part = LinePart(body, ground_frame, used[body.name])
-            self._put_part(part, part.start, part.start_rate)
-        for body in moving:
-            if isinstance(body, ReducedBody | Beam):
-                self._add_reduced(body, used[body.name])
-        for body in elastic:
-            self._add_field(body, used[body.name], ground_frame)
-        for body in (b for b in moving if isinstance(b, Wires)):
-            part = wires_part(body, ground_frame, self.scene.sliders)
-            self._put_part(part, np.zeros(part.n), np.zeros(part.n))
         rigid = [b for b in moving if isinstance(b, RigidBody)]
-        for body in rigid:
-            self.poses[self.frame_of[body.name]] = body.start_pose()
+        self._add_frames(moving)
+        self._add_parts(moving, self._surfaces_in_use())
+
         traces = self._surface_ties()
         batches, port_rows, blocks = self._constraints(traces)
         forces = build_loads(self)
@@ -110,6 +97,7 @@ class Builder:
         sensor_markers = {n: self.sensor_marker(s) for n, s in scene.sensors.items()}
         markers = self._markers()
         counted = self._counted(markers)
+
         system = System(
             motions=self.m,
             frame_names=tuple(self.frame_of),
@@ -131,6 +119,43 @@ class Builder:
             sensed=tuple((s, sensor_markers[n]) for n, s in scene.sensors.items()),
         )
         return system, self._state(system), sensor_markers
+
+    def _add_frames(self, moving: list[Any]) -> None:
+        """Poses and twists of all moving frames; those of elastic bodies follow with their parts."""
+        for body in moving:
+            if isinstance(body, CoordinateBody | LineBody | AbsoluteBody | Wires | Rod):
+                continue
+            self.frame_of[body.name] = len(self.poses)
+            self.poses.append(body.start_pose() if isinstance(body, RigidBody) else np.zeros(0))
+            self.twists.append(body.start_twist())
+
+        for body in moving:
+            if isinstance(body, Rod):
+                self.frame_of |= self.nodes.add(body, len(self.poses))
+                self.poses.extend(body.poses)
+                self.twists.extend(body.start_twists())
+
+    def _add_parts(self, moving: list[Any], used: dict[str, list[str]]) -> None:
+        """The parts of all bodies with local coordinates: those in the core first, then those distributed over ranks."""
+        ground_frame = len(self.poses)
+        for body in moving:
+            if isinstance(body, CoordinateBody):
+                self._put_part(CoordinatePart(body, ground_frame), np.array(body.start), np.array(body.start_rate))
+        for body in moving:
+            if isinstance(body, LineBody):
+                line = LinePart(body, ground_frame, used[body.name])
+                self._put_part(line, line.start, line.start_rate)
+        for body in moving:
+            if isinstance(body, ReducedBody | Beam):
+                self._add_reduced(body, used[body.name])
+
+        for body in moving:
+            if isinstance(body, FloatingBody | AbsoluteBody):
+                self._add_field(body, used[body.name], ground_frame)
+        for body in moving:
+            if isinstance(body, Wires):
+                wires = wires_part(body, ground_frame, self.scene.sliders)
+                self._put_part(wires, np.zeros(wires.n), np.zeros(wires.n))
 
     def _contacts(self) -> Any:
         """The contact set, None for a scene without contact."""
@@ -277,31 +302,32 @@ class Builder:
     # -- markers ------------------------------------------------------------------------------------------------
     def _marker(self, side: Any, point: Array | None) -> int:
         """Number of a new marker on an attachment at a world point (None: centroid or origin); world axes at the start."""
+        self.places.append(self._place(side, None if point is None else np.asarray(point)[: self.m.dim]))
+        return len(self.places) - 1
+
+    def _place(self, side: Any, point: Array | None) -> MarkerPlace:
         d = self.m.dim
         if isinstance(side, Surface) and isinstance(side.body, Rod):
-            frame, pose = self.nodes.section(side)
-            R = self.m.matrix(pose)
-            where = pose[:d] if point is None else np.asarray(point)[:d]
-            self.keys.append((frame, R.T @ (where - pose[:d]), R.T, None))
-        elif isinstance(side, Surface):
+            return self._on_frame(*self.nodes.section(side), point)
+        if isinstance(side, Surface):
             part = self.fields[self.part_of[side.body.name]]
-            center = part.surface_center(side.name)
-            lever = np.zeros(d) if point is None else np.asarray(point)[:d] - center
-            self.keys.append((part.frame, lever, np.eye(d), side))
-        elif side is ground:
-            self.keys.append(
-                (len(self.poses), np.zeros(d) if point is None else np.asarray(point)[:d], np.eye(d), None)
-            )
-        else:
-            locked = getattr(side, "locked", False)
-            pose = side.start_pose()
-            R = self.m.matrix(pose)
-            where = pose[:d] if point is None else np.asarray(point)[:d]
-            if locked:
-                self.keys.append((len(self.poses), where, np.eye(d), None))
-            else:
-                self.keys.append((self.frame_of[side.name], R.T @ (where - pose[:d]), R.T, None))
-        return len(self.keys) - 1
+            lever = np.zeros(d) if point is None else point - part.surface_center(side.name)
+            return MarkerPlace(part.frame, lever, np.eye(d), side)
+
+        # on the ground, on a body locked to it, or on a moving one
+        ground_frame = len(self.poses)
+        if side is ground:
+            return MarkerPlace(ground_frame, np.zeros(d) if point is None else point, np.eye(d))
+        pose = side.start_pose()
+        if side.locked:
+            return MarkerPlace(ground_frame, pose[:d] if point is None else point, np.eye(d))
+        return self._on_frame(self.frame_of[side.name], pose, point)
+
+    def _on_frame(self, frame: int, pose: Array, point: Array | None) -> MarkerPlace:
+        """A world point on a rigid frame that starts at ``pose``."""
+        origin, R = pose[: self.m.dim], self.m.matrix(pose)
+        where = origin if point is None else point
+        return MarkerPlace(frame, R.T @ (where - origin), R.T)
 
     def _default_point(self, joint: Joint | Force) -> Array | None:
         """Where a joint or bushing without a center sits: the centroid of a surface, else the origin of its moving body."""
@@ -315,27 +341,27 @@ class Builder:
 
     def _markers(self) -> Markers:
         d = self.m.dim
-        surface = [i for i, k in enumerate(self.keys) if k[3] is not None]
-        ports = []
-        for i in surface:
-            side = self.keys[i][3]
+        n, per = len(self.places), d * (1 + d)  # ports of a surface
+        used = self._surfaces_in_use()
+        on_surfaces, ports, is_section = [], [], []
+        for i, side in enumerate(place.surface for place in self.places):
+            if side is None:
+                continue
             k = self.part_of[side.body.name]
-            part = self.fields[k]
-            start = sum(f.n_port for f in self.fields[:k]) + part.n_frame_rows
-            names = self._surfaces_in_use()[side.body.name]
-            per = d * (1 + d)
-            start += names.index(side.name) * per
-            ports.append(np.arange(start, start + per))
-        n = len(self.keys)
-        section = np.array([isinstance(self.keys[i][3].body, LineBody) for i in surface], dtype=bool)
+            first = sum(f.n_port for f in self.fields[:k]) + self.fields[k].n_frame_rows
+            first += used[side.body.name].index(side.name) * per
+            on_surfaces.append(i)
+            ports.append(np.arange(first, first + per))
+            is_section.append(isinstance(side.body, LineBody))
+
         return Markers(
             self.m,
-            np.array([k[0] for k in self.keys], dtype=int),
-            np.array([k[1] for k in self.keys]).reshape(n, d),
-            np.array([k[2] for k in self.keys]).reshape(n, d, d),
-            np.array(surface, dtype=int),
-            np.array(ports, dtype=int).reshape(len(surface), d * (1 + d)),
-            section if section.any() else None,
+            np.array([p.frame for p in self.places], dtype=int),
+            np.array([p.position for p in self.places]).reshape(n, d),
+            np.array([p.rotation for p in self.places]).reshape(n, d, d),
+            np.array(on_surfaces, dtype=int),
+            np.array(ports, dtype=int).reshape(len(on_surfaces), per),
+            np.array(is_section, dtype=bool) if any(is_section) else None,
         )
 
     def force_markers(self, f: Force) -> tuple[int, int]:
@@ -365,9 +391,11 @@ class Builder:
             b = self._marker(joint.b, default if joint.center_b is None else joint.center_b)
             collected.add(joint, (a, b))
         row, blocks, self.joint_markers = collected.row, collected.blocks, collected.markers
+
+        # after the joints: constraints of own equations, sliding contacts, surface ties, frame conditions
         own = []
         for k, part in enumerate(self.fields):
-            body = getattr(part, "body", None)
+            body = part.body
             if isinstance(body, CoordinateBody) and body.constraint is not None:
                 law = own_constraint(body, k)
                 m = len(law.values(np.asarray(body.start), 0.0))
@@ -379,6 +407,7 @@ class Builder:
                 blocks.append(RowBlock(law.name, rows, "sliding contact"))
                 row = rows.stop
         own += sliding
+
         for i, tie in enumerate(traces):
             traces[i] = (tie, slice(row, row + tie.rows))
             blocks.append(RowBlock(tie.name, traces[i][1], "surface tie"))
