@@ -93,6 +93,10 @@ from .mechanics.joints.joints import prismatic as prismatic
 from .mechanics.joints.joints import revolute as revolute
 from .mechanics.joints.joints import spherical as spherical
 from .mechanics.joints.joints import universal as universal
+from .mechanics.joints.rolling import Ball as Ball
+from .mechanics.joints.rolling import Wheel as Wheel
+from .mechanics.joints.rolling import rolling as rolling
+from .mechanics.joints.rolling import skate as skate
 from .mechanics.joints.surface_ties import SurfaceTie as SurfaceTie
 from .mechanics.joints.surface_ties import finer_first as finer_first
 from .mechanics.joints.surface_ties import tie_surface as tie_surface

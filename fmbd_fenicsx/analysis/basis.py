@@ -17,6 +17,7 @@ from ..linear.condensation import StepSolver, Weights
 from ..rotations import Array
 from ..schemes.exact_tangent import exact_increment
 from ..schemes.newton import ExactTangent
+from ..system.speed_rows import speed_rows
 from .perturbation import Perturbation
 
 RANK = 1e-9  # singular values of the scaled G below this share of the largest are zero
@@ -28,12 +29,13 @@ EXACT = ExactTangent(rtol=1e-7, max_iterations=60)
 
 @dataclass(frozen=True, eq=False)
 class Projected:
-    """M, C, K on a basis: ``vectors`` (k, n_v), each satisfying the constraints."""
+    """M, C, K on a basis: ``vectors`` (k, n_v), each satisfying the constraints; ``speeds``: G_s and P of rows on velocities."""
 
     vectors: Array
     M: Array
     C: Array
     K: Array
+    speeds: tuple[Array, Array]
 
 
 def projected(
@@ -41,25 +43,34 @@ def projected(
 ) -> Projected:
     """The small matrices for the first ``count`` modes, and for static answers to ``inputs`` (forces like v); collective."""
     system = about.system
-    if not system.fields and system.n_core <= DENSE_LIMIT:
-        V = free_motions(about)
-    else:
-        V = _krylov(about, solver, count, shift, inputs)
+    dense = not system.fields and system.n_core <= DENSE_LIMIT
+    V = free_motions(about) if dense else _krylov(about, solver, count, shift, inputs)
     system_dot = system.dot
 
     def project(product: object) -> Array:
         images = [product(v) for v in V]  # type: ignore[operator]
         return np.array([[system_dot(v, image) for image in images] for v in V]).reshape(len(V), len(V))
 
-    return Projected(V, project(about.mass), project(about.damping), project(about.stiffness))
+    speeds = _speeds(about, V) if dense else (np.zeros((0, len(V))),) * 2
+    return Projected(V, project(about.mass), project(about.damping), project(about.stiffness), speeds)
+
+
+def _speeds(about: Perturbation, V: Array) -> tuple[Array, Array]:
+    """G_s and P of the rows on velocities on a basis, (rows, k) each; rows scaled to one."""
+    rows = speed_rows(about.system)
+    G = np.array([about.rows(v)[rows] for v in V]).reshape(len(V), len(rows)).T
+    P = np.array([about.slip(v) for v in V]).reshape(len(V), len(rows)).T
+    size = np.maximum(np.linalg.norm(G, axis=1), 1e-300)[:, None]
+    return G / size, P / size
 
 
 def free_motions(about: Perturbation) -> Array:
-    """Basis (k, n_v) of all motions that the constraints leave; replicated coordinates only."""
+    """Basis (k, n_v) of all motions that the constraints leave (those on velocities aside); replicated coordinates only."""
     system = about.system
-    if not system.n_lam:
+    held = np.setdiff1d(np.arange(system.n_lam), speed_rows(system))
+    if not len(held):
         return np.diag(1.0 / system.units)
-    G = np.array([about.rows(e) for e in np.diag(1.0 / system.units)]).T
+    G = np.array([about.rows(e)[held] for e in np.diag(1.0 / system.units)]).T
     sizes = np.linalg.norm(G, axis=1)
     _, s, Vt = np.linalg.svd(G / np.where(sizes > 0, sizes, 1.0)[:, None])
     rank = int((s > RANK * s[0]).sum())

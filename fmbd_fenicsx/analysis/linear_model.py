@@ -6,6 +6,8 @@ With y = V z on the basis of :mod:`.basis` and u the inputs,
 
     A = [0 1; -M^-1 K  -M^-1 C],    B = [0; M^-1 V^T F]
 
+and with rows on velocities x = (z, what these leave of z'), see :mod:`.first_order`,
+
 minimal for rigid and reduced bodies: constraints are gone, whatever form a scheme would use. Outputs are the scene's sensors,
 differentiated by positions, velocities, accelerations and reactions.
 """
@@ -25,6 +27,7 @@ from ..rotations import Array
 from ..system.scene.scene import Scene
 from ..system.system import State
 from .basis import Projected, projected
+from .first_order import first_order
 from .modes import Linearised, eigenpairs, prepare
 
 STEP = 1e-4
@@ -105,7 +108,8 @@ def _first_modes(small: Projected, n: int) -> Projected:
     """The model on real and imaginary parts of its first modes."""
     _, Y = eigenpairs(small, n)
     Q = sl.orth(np.concatenate((Y.real, Y.imag), axis=1), rcond=1e-9)
-    return Projected(Q.T @ small.vectors, Q.T @ small.M @ Q, Q.T @ small.C @ Q, Q.T @ small.K @ Q)
+    G, P = small.speeds
+    return Projected(Q.T @ small.vectors, Q.T @ small.M @ Q, Q.T @ small.C @ Q, Q.T @ small.K @ Q, (G @ Q, P @ Q))
 
 
 def _inputs(made: Linearised, names: Sequence[str]) -> list[tuple[str, Array]]:
@@ -156,22 +160,22 @@ def _model(
     """(1) from the projected matrices and the derivatives of the sensors."""
     system, V, k = made.about.system, small.vectors, len(small.M)
     F = np.array([[system.dot(v, f) for _, f in forces] for v in V]).reshape(k, len(forces))
-    accel = sl.solve(small.M, np.concatenate((-small.K, -small.C, F), axis=1)) if k else np.zeros((0, len(forces)))
-    A = np.block([[np.zeros((k, k)), np.eye(k)], [accel[:, : 2 * k]]])
-    B = np.concatenate((np.zeros((k, len(forces))), accel[:, 2 * k :]))
+    form = first_order(small)
+    n_x = len(form.A)
+    B = np.concatenate((np.zeros((k, len(forces))), form.push @ F))
 
     rows = []
-    for j in range(2 * k + len(forces)):
-        z, rate = np.zeros(k), np.zeros(k)
-        if j < k:
-            z[j] = 1.0
-        elif j < 2 * k:
-            rate[j - k] = 1.0
-        force = forces[j - 2 * k][1] if j >= 2 * k else np.zeros(system.n_v)
-        rows.append(_answer(made, (z @ V, rate @ V, accel[:, j] @ V), force, outputs))
-    CD = np.array(rows).reshape(2 * k + len(forces), len(outputs)).T
+    for j in range(n_x + len(forces)):
+        x = np.zeros(n_x)
+        if j < n_x:
+            x[j] = 1.0
+        rate = form.A[k:, j] if j < n_x else B[k:, j - n_x]
+        force = forces[j - n_x][1] if j >= n_x else np.zeros(system.n_v)
+        z, z_rate, z_accel = form.motion(x, rate)
+        rows.append(_answer(made, (z @ V, z_rate @ V, z_accel @ V), force, outputs))
+    CD = np.array(rows).reshape(n_x + len(forces), len(outputs)).T
     return LinearModel(
-        A, B, CD[:, : 2 * k], CD[:, 2 * k :], tuple(name for name, _ in forces), tuple(label for label, _, _ in outputs)
+        form.A, B, CD[:, :n_x], CD[:, n_x:], tuple(name for name, _ in forces), tuple(label for label, _, _ in outputs)
     )
 
 
@@ -181,8 +185,7 @@ def _answer(
     """Derivatives of the outputs for a motion (y, y', y'') under a force."""
     about, (y, rate, accel) = made.about, motion
     system, s = about.system, about.state
-    v = rate + about._spun(y, 1.0, 1.0)
-    a = accel + about._spun(rate, 2.0, 1.0) + about._turned_twice(y)
+    v, a = about.velocity(y, rate), about.acceleration(y, rate, accel)
     reaction = np.zeros(system.n_lam)
     if system.n_lam and not system.fields:
         left = force - about.stiffness(y) - about.damping(rate) - about.mass(accel)

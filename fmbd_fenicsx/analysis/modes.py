@@ -19,9 +19,11 @@ from ..linear.condensation import StepSolver
 from ..rotations import Array
 from ..schemes.consistent import consistent
 from ..system.scene.scene import Scene
+from ..system.speed_rows import speed_rows
 from ..system.system import State, System
 from .basis import Projected, projected
 from .equilibrium import Equilibrium, static_newton
+from .first_order import first_order, slowest
 from .perturbation import Perturbation
 
 SYMMETRIC = 1e-7  # relative size of what a symmetric matrix may lack of symmetry, differences included
@@ -125,9 +127,20 @@ def prepare(scene: Scene, at: Any, linear: Any) -> Linearised:
         len(state.q) == system.n_q and len(state.lam) == system.n_lam,
         f'The state belongs to another scene or number of ranks: {len(state.q)} coordinates, "{scene.name}" has {system.n_q}.',
     )
+    _refuse_rolling_fields(system, state, solver)
     about = Perturbation(system, state, spin)
     _refuse_moving(about, solver)
     return Linearised(scene, about, solver, markers, static_newton(system, solver, state.t, spin).weights.cm)
+
+
+def _refuse_rolling_fields(system: System, state: State, solver: StepSolver) -> None:
+    """Elastic fields that roll: the basis of their motions takes rows on velocities for rows on positions, right at rest only."""
+    if speed_rows(system).size and system.fields and system.max_abs(state.v) > 0.0:
+        solver.destroy()
+        raise InputError(
+            "Modes about a rolling motion are offered for rigid and reduced bodies: reduce the elastic bodies by "
+            "body.reduced(...), or take the modes at rest."
+        )
 
 
 def _refuse_moving(about: Perturbation, solver: StepSolver) -> None:
@@ -149,19 +162,19 @@ def eigenpairs(small: Projected, n: int) -> tuple[Array, Array]:
     """The n slowest eigenvalues (n,) of (1) on a basis and their vectors (k, n), one of each conjugate pair."""
     M, C, K = small.M, small.C, small.K
     k = len(M)
-    if n > k:
-        raise InputError(f"The scene has {k} modes, {n} were asked for.")
     size_M, size_K = np.abs(M).max(initial=1e-300), np.abs(K).max(initial=1e-300)
     quiet = np.abs(C).max(initial=0.0) <= SYMMETRIC * float(np.sqrt(size_M * size_K))
     symmetric = np.abs(K - K.T).max(initial=0.0) <= SYMMETRIC * size_K
-    if quiet and symmetric:
+    if quiet and symmetric and not len(small.speeds[0]):
+        _enough(k, n)
         squares, Y = sl.eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
         order = np.argsort(np.abs(squares))[:n]
         values = np.where(squares[order] >= 0, 1j * np.sqrt(np.abs(squares[order])), np.sqrt(np.abs(squares[order])))
         return values, Y[:, order].astype(complex)
-    lu = sl.lu_factor(M)
-    zero, one = np.zeros_like(M), np.eye(k)
-    values, vectors = np.linalg.eig(np.block([[zero, one], [-sl.lu_solve(lu, K), -sl.lu_solve(lu, C)]]))
-    once = np.flatnonzero(values.imag >= 0)
-    order = once[np.argsort(np.abs(values[once]))][:n]
-    return values[order], vectors[:k, order]
+    values, vectors = slowest(first_order(small))
+    _enough(len(values), n)
+    return values[:n], vectors[:, :n]
+
+
+def _enough(count: int, n: int) -> None:
+    require(n <= count, f"The scene has {count} modes, {n} were asked for.")

@@ -1,26 +1,32 @@
 """Small motions about a steady state: the exact matrices M, C, K of a whole scene as operators.
 
-Axes turn with the steady spin, so coefficients are constant. With y small increments of the configuration,
+Axes in which the motion is steady turn with W: that of a steady spin, zero for all other states. With y small increments of the
+configuration, translations along these axes, rotations about axes of each body that turn with W alone,
 
     v = v_0 + y' + B y,      a = a_0 + y'' + B_1 y' + B_2 y                                                   (1)
 
-    translations   B = W~,  B_1 = 2 W~,  B_2 = W~ W~        rotations (body axes)   B = B_1 = w~,  B_2 = 0
+    translations   B = W~,  B_1 = 2 W~,           B_2 = W~ W~
+    rotations      B = W~,  B_1 = (2 W - w)~,     B_2 = (W - w)~ W~       W, w in body axes, w the body's own velocity
 
-and none of them for coordinates in body axes. The residual r of the balance, linear in a, then gives
+and none of them for coordinates in body axes. Coefficients are constant where a body that turns against the axes is round about
+its w: wheels, rotors. The residual r of the balance, linear in a, then gives
 
     M y'' + C y' + K y + G^T lambda = f,     G y = 0                                                          (2)
 
-by central differences of fourth order along y: stress, reactions, weights, spins and springs stiffen as in the equations.
+by central differences of fourth order along y: stress, reactions, weights, spins and springs stiffen as in the equations. Rows on
+velocities (rolling) are G_s y' + P y = 0 instead.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from ..rotations import Array
+from ..system.speed_rows import gaps, speed_rows
 from ..system.system import State, System
 from .steady import Spin
 
@@ -38,11 +44,13 @@ class Perturbation:
 
     def stiffness(self, y: Array) -> Array:
         """K y, like v."""
-        return self._difference(y, (y, self._turned(y), self._turned_twice(y)))
+        zero = np.zeros_like(y)
+        return self._difference(y, (y, self.velocity(y, zero), self.acceleration(y, zero, zero)))
 
     def damping(self, rate: Array) -> Array:
         """C y', like v: dampers, gyroscopic terms."""
-        return self._difference(rate, (None, rate, self._coriolis(rate)))
+        zero = np.zeros_like(rate)
+        return self._difference(rate, (None, rate, self.acceleration(zero, rate, zero)))
 
     def mass(self, accel: Array) -> Array:
         """M y'', like v."""
@@ -81,29 +89,56 @@ class Perturbation:
             total += weight * ev.balance(s.a + e * a, s.lam)
         return total / (12.0 * h)
 
-    def _turned(self, y: Array) -> Array:
-        return self._spun(y, 1.0, 1.0)
+    def slip(self, y: Array) -> Array:
+        """P y for the rows on velocities."""
+        rows = speed_rows(self.system)
+        v = self.velocity(y, np.zeros_like(y))
 
-    def _turned_twice(self, y: Array) -> Array:
-        return self._spun(self._spun(y, 1.0, 0.0), 1.0, 0.0)
+        def speeds(e: float) -> Array:
+            s = self.state
+            return gaps(self.system.at(s.t, self.system.compose(s.q, e * y), s.v + e * v), 1.0)[rows]
 
-    def _coriolis(self, y: Array) -> Array:
-        return self._spun(y, 2.0, 1.0)
+        h = SHIFT * self.system.length / max(self.system.max_abs(y), 1e-300)
+        return sum((weight * speeds(side * h) for side, weight in SIDES), np.zeros(len(rows))) / (12.0 * h)
 
-    def _spun(self, y: Array, translation: float, rotation: float) -> Array:
-        """W~ times translations and w~ times rotations of an array like v, each with its factor."""
-        out = np.zeros_like(y)
-        if self.spin is None:
-            return out
+    # -- a small motion in the axes of the balance, (1) -------------------------------------------------------------
+    def velocity(self, y: Array, rate: Array) -> Array:
+        """y' + B y, like v."""
+        return rate + self._along(y, lambda x, W, w: W(x), self._turn)
+
+    def acceleration(self, y: Array, rate: Array, accel: Array) -> Array:
+        """y'' + B_1 y' + B_2 y, like v."""
+        first = self._along(rate, lambda x, W, w: 2.0 * W(x) - w(x), lambda x: 2.0 * self._turn(x))
+        second = self._along(y, lambda x, W, w: W(W(x)) - w(W(x)), lambda x: self._turn(self._turn(x)))
+        return accel + first + second
+
+    def _turn(self, x: Array) -> Array:
+        """W x x for vectors (.., d) in space."""
+        return np.zeros_like(x) if self.spin is None else x @ self.spin.matrix(self.system.motions.dim).T
+
+    def _along(self, y: Array, rotations: Callable[..., Array], translations: Callable[[Array], Array]) -> Array:
+        """An array like v from translations and rotations of another; ``rotations`` gets the products W x, w x (body axes)."""
         s, d, n = self.system, self.system.motions.dim, self.system.motions.n_twist
-        W, k = self.spin.matrix(d), self.system.n_frames * self.system.motions.n_twist
-        twists, turned = y[:k].reshape(-1, n), np.zeros((s.n_frames, n))
-        turned[:, :d] = translation * twists[:, :d] @ W.T
+        out, k = np.zeros_like(y), s.n_frames * n
+        twists, made = y[:k].reshape(-1, n), np.zeros((s.n_frames, n))
+        made[:, :d] = translations(twists[:, :d])
+
         if d == 3:
-            spins = self.state.v[:k].reshape(-1, n)[:, 3:]
-            turned[:, 3:] = rotation * np.cross(spins, twists[:, 3:])
-        out[:k] = turned.ravel()
+            own = self.state.v[:k].reshape(-1, n)[:, 3:]
+            carried = self._carried
+            made[:, 3:] = rotations(twists[:, 3:], lambda x: np.cross(carried, x), lambda x: np.cross(own, x))
+        out[:k] = made.ravel()
+
         for i, p in s.fields:
             if p.frame == s.n_frames:
-                out[s.slices[1][i]] = (translation * s.local_v(y, i).reshape(-1, d) @ W.T).ravel()
+                out[s.slices[1][i]] = translations(s.local_v(y, i).reshape(-1, d)).ravel()
         return out
+
+    @cached_property
+    def _carried(self) -> Array:
+        """W in the axes of each body, (n_frames, 3)."""
+        s = self.system
+        if self.spin is None:
+            return np.zeros((s.n_frames, 3))
+        axis = self.spin.rate * np.asarray(self.spin.axis, dtype=float)
+        return np.asarray(np.swapaxes(s.motions.matrix(s.poses(self.state.q))[:-1], 1, 2) @ axis)

@@ -27,6 +27,7 @@ from ..linear.condensation import StepSolver, Weights
 from ..rotations import Array
 from ..schemes.exact_tangent import exact_increment
 from ..schemes.newton import ExactTangent
+from ..system.speed_rows import speed_rows
 from .steady import Residual
 
 RELAXED = 150  # iterations of descent from a poor start
@@ -80,9 +81,14 @@ class StaticNewton:
         """J^-1 (goal - r) at a point with residuals r, J exact; increments of q and lambda."""
         system = self.residual.system
 
+        rolling = speed_rows(system)
+        G = self.residual.at(point.q, t).jacobian if rolling.size else None
+
         def moved(d: Array) -> Pair:
             q = system.compose(point.q, d)
             found = self.residual.values(self.residual.at(q, t), point.lam)
+            if G is not None:  # rows without g: the increment itself rolls
+                found[1][rolling] += G.times(d)[rolling]
             return found[0] - goal[0], found[1] - goal[1]
 
         b = goal[0] - r[0], goal[1] - r[1]

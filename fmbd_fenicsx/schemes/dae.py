@@ -35,7 +35,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..checks import check_fields
-from ..errors import require
+from ..errors import InputError, require
 from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
 from ..linear.saddle.pencil import Pencil, Tangent
@@ -43,6 +43,7 @@ from ..rotations import Array
 from ..system.batch import Many, copies
 from ..system.linearise import differences, many
 from ..system.serialisation import Memory
+from ..system.speed_rows import speed_rows
 from ..system.system import State, System
 
 
@@ -77,6 +78,18 @@ class Form:
 
     def _acceleration(self, ev: Any, a: Array) -> Array:
         return ev.jacobian.times(a) + ev.gamma()
+
+
+def refuse_positions(system: System, name: str, levels: tuple[int, ...]) -> None:
+    """Refuse forms that ask for g = 0 where some rows hold between velocities only."""
+    if not speed_rows(system).size or 0 not in levels:
+        return
+    row = int(speed_rows(system)[0])
+    joint = next(b for b in system.blocks if b.rows.start <= row < b.rows.stop)
+    raise InputError(
+        f'Joint "{joint.name}" ({joint.kind}) holds velocities only, and {name} asks for positions. Take '
+        "scheme=fmbd.GeneralizedAlpha(), fmbd.EnergyMomentum(), or BDF and Radau with form=fmbd.Index2()."
+    )
 
 
 @dataclass(frozen=True)
@@ -359,6 +372,7 @@ class StepEquations:
 
 def step_equations(system: System, form: Form, solver: StepSolver) -> Any:
     """The equations of a step: with dense tangents, or by their action where there are elastic fields."""
+    refuse_positions(system, f"form={form.name}", form.levels)
     if not system.fields:
         return StepEquations(system, form, solver)
     from .field_stages import FieldEquations

@@ -18,10 +18,11 @@ on the first marker: a row of ``Coincident`` has force +lambda n on a, -lambda n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -57,10 +58,16 @@ class Pair:
     length: float = 1.0
     motion: Motion = standstill
     axis: Array | None = None  # in marker a: what a driven ``Perpendicular`` turns about
+    constants: Mapping[str, Any] = MappingProxyType({})  # of a kind that has names for them
 
 
 class Batch:
-    """All constraints of one kind. Subclasses give g, the rows of dg/d(twist of a), dg/d(twist of b), and gamma."""
+    """All constraints of one kind. Subclasses give g, the rows of dg/d(twist of a), dg/d(twist of b), and gamma.
+
+    ``on_speeds``: the rows hold between velocities and are no rates of a g, which is then 0 everywhere (nonholonomic).
+    """
+
+    on_speeds: ClassVar[bool] = False
 
     def __init__(self, motions: Motions, pairs: list[Pair]) -> None:
         self.motions = motions

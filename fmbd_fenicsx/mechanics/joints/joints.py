@@ -22,8 +22,9 @@ joint                  rows         relative motion left free
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,7 @@ class Row:
     other: Array | None = None
     motion: ct.Motion = ct.standstill
     axis: Array | None = None
+    constants: Mapping[str, Any] = MappingProxyType({})  # of a kind that has names for them
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,14 @@ of a unit load, linear in the twists.
 ``separation``      |d|
 ``angle``           rotation of B against A about e, counted over revolutions
 ``dead``            f . x_B, the load f fixed in space; ``couple``: its torque, ``follower`` and ``follower_couple``: fixed in B
+``wheel_height``    e . d - r |m| - c: a wheel of radius r about the axis f of B, tread c, over the plane of A with normal e
+``wheel_slip``      velocity along the direction t of A of the wheel's lowest point against the plane
+``ball_slip``       the same for a ball, in the plane a disc
+``skate``           velocity of the point q of B against A along e, fixed in B
 ==================  =========================================================================================
 
-with d = x_b + R_b q - x_a - R_a p. What follows from a definition is in :mod:`.derivation`.
+with d = x_b + R_b q - x_a - R_a p and m = e - (e . f) f, which points from the lowest point of a wheel to its centre.
+What follows from a definition is in :mod:`.derivation`.
 """
 
 from __future__ import annotations
@@ -23,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from .expressions import Expression, atan2, cos, nearest_turn, sin, sqrt
-from .frames import Constants, SymbolicFrame, Vector
+from .frames import Constants, SymbolicFrame, Vector, cross, spin
 
 Definition = Callable[[SymbolicFrame, SymbolicFrame, Constants], Expression]
 
@@ -97,7 +102,41 @@ def follower_couple(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Express
     return load @ b.w if b.dim == 2 else b.axis(load) @ b.w
 
 
+def wheel_height(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Height of a wheel's lowest point over the plane through the point p of A."""
+    normal, axis = a.axis(c.vector("e")), b.axis(c.vector("f"))
+    along = cross(normal, axis)
+    return normal @ _between(a, b, c) - c.scalar("radius") * sqrt(along @ along) - c.scalar("tread")
+
+
+def wheel_slip(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Speed at which a wheel's lowest point slips over A, along one direction of A."""
+    normal, axis = a.axis(c.vector("e")), b.axis(c.vector("f"))
+    along = cross(normal, axis)
+    upward = cross(axis, along) / sqrt(along @ along)
+    return _slip(a, b, c, upward * c.scalar("radius") + normal * c.scalar("tread"))
+
+
+def ball_slip(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Speed at which a ball's lowest point slips over A, along one direction of A."""
+    return _slip(a, b, c, a.axis(c.vector("e")) * c.scalar("radius"))
+
+
+def _slip(a: SymbolicFrame, b: SymbolicFrame, c: Constants, up: Vector) -> Expression:
+    """Velocity of the material point of B that lies ``up`` below q against that of A at the same place, along t of A."""
+    from_b = b.axis(c.vector("q")) - up
+    from_a = b.x - a.x + from_b
+    return a.axis(c.vector("t")) @ (b.v + spin(b.w, from_b) - a.v - spin(a.w, from_a))
+
+
+def skate(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    """Speed of a blade across itself, against what it runs on."""
+    arm = b.axis(c.vector("q"))
+    return b.axis(c.vector("e")) @ (b.v + spin(b.w, arm) - a.v - spin(a.w, b.x - a.x + arm))
+
+
 COORDINATES: dict[str, Definition] = {
     f.__name__: f for f in (coincident, along, perpendicular, turned, distance, separation, angle, dead)
 }
-FLOWS: dict[str, Definition] = {f.__name__: f for f in (couple, follower, follower_couple)}
+FLOWS: dict[str, Definition] = {f.__name__: f for f in (couple, follower, follower_couple, ball_slip, skate)}
+IN_SPACE: tuple[tuple[Definition, bool], ...] = ((wheel_height, False), (wheel_slip, True))  # and whether it is a flow

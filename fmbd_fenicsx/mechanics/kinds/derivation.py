@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array
-from .definitions import COORDINATES, FLOWS, Definition
+from .definitions import COORDINATES, FLOWS, IN_SPACE, Definition
 from .expressions import ZERO, Expression, Program, c_lines, gradient, symbol, symbols_of
 from .frames import FRAME, TWIST, Constants, SymbolicFrame, twist_gradient, twist_of
 
@@ -46,6 +46,7 @@ class Kind:
     outputs: dict[str, list[Expression]]
     given: list[tuple[Expression, Expression]]
     frames: tuple[SymbolicFrame, SymbolicFrame]
+    flow: bool = False  # a speed, which is no rate of a coordinate
 
     @property
     def width(self) -> int:
@@ -98,7 +99,7 @@ def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -
         "tangent": [WEIGHT * h for h in lower.values()],
     }
     given = [(u, value) for f in frames for us, values in f.arms for u, value in zip(us, values, strict=True)]
-    return Kind(name, dim, sizes, entries, tuple(lower), outputs, given, frames)
+    return Kind(name, dim, sizes, entries, tuple(lower), outputs, given, frames, flow)
 
 
 def _lower_half(H: list[list[Expression]]) -> dict[tuple[int, int], Expression]:
@@ -118,7 +119,9 @@ def _lower_half(H: list[list[Expression]]) -> dict[tuple[int, int], Expression]:
 def kinds(dim: int) -> dict[str, Kind]:
     """The package's own kinds in the plane or in space."""
     found = {name: derive(name, dim, f) for name, f in COORDINATES.items()}
-    return found | {name: derive(name, dim, f, flow=True) for name, f in FLOWS.items()}
+    found |= {name: derive(name, dim, f, flow=True) for name, f in FLOWS.items()}
+    more = IN_SPACE if dim == 3 else ()
+    return found | {f.__name__: derive(f.__name__, dim, f, flow=flow) for f, flow in more}
 
 
 # ---- C ------------------------------------------------------------------------------------------------------------------------

@@ -21,6 +21,7 @@ from ...linear.condensation import StepSolver, Weights
 from ...mechanics.contact.rows import Rows
 from ...rotations import Array
 from ...system.serialisation import Memory
+from ...system.speed_rows import gaps
 from ...system.system import Evaluation, State, System
 from ..consistent import Correction
 from ..newton import Newton, not_converged
@@ -147,7 +148,7 @@ class _Step:
         ev = self.ev = system.at(s.t + h, q, self.v)
         solver.prepare(ev, Weights(1.0, h * self.gamma * (1 - self.af) / (1 - self.am), self.scale), keep=self.prepared)
         self.prepared = True
-        residuals = ev.balance(self.a, self.lam), ev.constraint()
+        residuals = ev.balance(self.a, self.lam), gaps(ev, h * self.beta / self.gamma)
         if self.near.any():
             rows: Rows = p.contacts.rows(system, s.t + h, q, since=(s.t, h)).take(self.near)
             u = openings(p.contacts, system, rows, rows.gap, self.xi)

@@ -29,6 +29,7 @@ from ...errors import InputError, require
 from ...linear.condensation import StepSolver, Weights
 from ...log import log
 from ...rotations import Array
+from ...system.speed_rows import gaps, speed_rows
 from ...system.system import Evaluation, State, System
 from ..consistent import Correction, consistent, worst_block
 from ..newton import Newton, not_converged
@@ -173,6 +174,8 @@ class _Step:
         self.prepared = True
         r = ev.balance((vm - s.v) / (self.theta * h), self.lam)
         self.g = system.at(s.t + h, self.q).constraint() if system.n_lam else np.zeros(0)
+        if speed_rows(system).size:  # no slip at the middle of the step
+            self.g[speed_rows(system)] = gaps(ev, h)[speed_rows(system)]
         if self.near.any():
             rows = p.contacts.rows(system, s.t + self.theta * h, middle, since=(s.t, h)).take(self.near)
             gap = p.contacts.touch(system, s.t + h, self.q).gap[self.near]

@@ -138,14 +138,14 @@ class Mean(Evaluation):
             port += np.asarray(self.jacobian.port.T @ lam)
         return out, port
 
-    def missing(self, g: Array, g_old: Array) -> Array:
-        """g - g_old less what the rows at the mean make of it: zero for constraints of second order in x and R."""
+    def moved(self) -> Array:
+        """What the rows at the mean make of the motion, over the step, (n_lam,)."""
         s, G = self.system, self.jacobian
         moved = np.asarray(G.core @ self.v) + self.constraint_rate()
         for k, _ in s.fields:
             at = s.port_slice(k)
             moved = moved + np.asarray(G.port[:, at] @ self.port_rate[at])
-        return g - g_old - self.h * moved
+        return self.h * moved
 
 
 def surface_quotients(markers: Markers, kin: Kinematics, port: Array, which: Array) -> Array:

@@ -42,6 +42,7 @@ from ...linear.redundancy import least
 from ...rotations import Array
 from ...system.configurations import count
 from ...system.serialisation import Memory
+from ...system.speed_rows import speed_rows
 from ...system.system import Evaluation, State, System
 from ..consistent import accelerations
 from ..newton import Newton
@@ -215,8 +216,9 @@ class Stepper:
         core, push = mean.small(a, lam)
         if not system.n_lam:
             return core, push[self.ports], np.zeros(0)
-        g = new.constraint()
-        missing = mean.missing(g, self._g_old)
+        g, way = new.constraint(), mean.moved()
+        g[speed_rows(system)] = way[speed_rows(system)]  # these have no g: the mean motion does not slip
+        missing = g - self._g_old - way  # zero for constraints of second order in x and R
         if np.abs(missing).max() <= 1e-13 * system.length:
             return core, push[self.ports], 2.0 / h**2 * g
         left = float(lam @ missing)

@@ -39,9 +39,10 @@ from ...linear.condensation import StepSolver, Weights
 from ...linear.redundancy import least
 from ...rotations import Array
 from ...system.serialisation import Memory
+from ...system.speed_rows import gaps, speed_rows
 from ...system.system import State, System
 from ..consistent import jerk, spin_of_acceleration, worst_block
-from ..dae import GGL, Form, Index3
+from ..dae import GGL, Form, Index3, refuse_positions
 from ..exact_tangent import exact_increment
 from ..newton import Newton, above_roundoff, not_converged, strayed
 
@@ -102,6 +103,8 @@ class GeneralizedAlpha:
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
+        if isinstance(self.form, GGL):
+            refuse_positions(system, "form=GGL()", self.form.levels)
         plain = self.compiled and isinstance(self.form, Index3) and newton.tangent is None
         if plain and not system.fields:
             from .alpha_driver import alpha_driver
@@ -155,7 +158,9 @@ class Stepper:
             c = 1 / 6 - beta - 0.5 * (am - af)
             miss = h * h * (c * rate + spin_of_acceleration(system, s.v, s.a) / 12)
             push = volume_push(self.solver, {k: h * h * c * x for k, x in volume.items()})
-            v = v + self.solver.solve(push, system.at(s.t, s.q).jacobian.times(miss))[0]
+            across = system.at(s.t, s.q).jacobian.times(miss)
+            across[speed_rows(system)] = 0.0  # rows on velocities are held there, not missed
+            v = v + self.solver.solve(push, across)[0]
         return v, s.a + (am - af) * h * rate, s.a + h * rate, s.lam + h * lam_rate
 
     def remember(self, m: Memory) -> None:
@@ -193,6 +198,7 @@ class Stepper:
         am, af, gamma, beta = self.scheme.parameters
         v0, A0, a, lam = motion
         t, scale = s.t + h, weights.ck  # dq = scale da
+        share = h * beta / gamma  # dq = share dv
         fixed_a, fixed_v = h * v0 + h * h * (0.5 - beta) * A0, v0 + h * (1 - gamma) * A0
 
         A = ((1 - af) * a + af * s.a - am * A0) / (1 - am)
@@ -208,14 +214,14 @@ class Stepper:
         def moved(d: Array) -> tuple[Array, Array]:
             d = system.rate(xi, d)
             ev = system.at(t, system.compose(s.q, xi + d), fixed_v + h * gamma * (A + d / (h * h * beta)))
-            return scale * ev.balance(a + d / scale, lam), ev.constraint()
+            return scale * ev.balance(a + d / scale, lam), gaps(ev, share)
 
         def increment() -> float:
             nonlocal a, lam, A, xi, done, last, far
             q = system.compose(s.q, xi)
             v = fixed_v + h * gamma * A
             ev = system.at(t, q, v)
-            g = ev.constraint()
+            g = gaps(ev, share)
             r = ev.balance(a, lam)
             turning = stiff and done > 0 and (done == 1 or self.newton.theta > SLOW_TURN)
             new = far or tangent is not None or turning or (done > patience and not system.fields)

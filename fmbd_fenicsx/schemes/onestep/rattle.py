@@ -25,6 +25,7 @@ from ...linear.redundancy import least
 from ...rotations import Array
 from ...system.serialisation import Memory
 from ...system.system import Evaluation, State, System
+from ..dae import refuse_positions
 from ..newton import Newton
 
 MASS = Weights(1.0, 0.0, 0.0)
@@ -42,6 +43,7 @@ class Rattle:
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
+        refuse_positions(system, "Rattle", self.holds)
         return Stepper(system, solver, newton, state)
 
 

@@ -19,6 +19,7 @@ from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
 from ...mechanics.joints import constraints as ct
 from ...mechanics.joints import relative as rel
 from ...mechanics.joints.couplings import CouplingBatch
+from ...mechanics.joints.rolling import KindBatch
 from ...rotations import Array
 from ..system import System
 from .recording import Looks
@@ -121,6 +122,8 @@ def coordinate(relative: rel.Relative) -> tuple[str, np.ndarray, dict[str, Array
 def _constraint(batch: ct.Batch, rows: np.ndarray, dim: int) -> list[Items]:
     """Items of a batch of elementary constraints; driven angles are a kind of their own."""
     markers = np.stack((batch.a, batch.b), axis=1)
+    if isinstance(batch, KindBatch):
+        return [Items(batch.name, ROW, markers, dict(batch.constants), rows, np.ones(len(rows)))]
     kind, constants = CONSTRAINT[type(batch)], {"e": batch.e}
     if kind == "distance":
         constants = {"length": batch.length}
@@ -222,6 +225,6 @@ def covers(system: System) -> bool:
     """Whether all constraints and forces are items, or loads that Python can evaluate; elements with a memory are not."""
     if any(loads.kept is not None for loads in system.forces):
         return False
-    kinds = all(type(batch) in CONSTRAINT or isinstance(batch, CouplingBatch) for batch, _ in system.batches)
+    kinds = all(type(b) in CONSTRAINT or isinstance(b, CouplingBatch | KindBatch) for b, _ in system.batches)
     known = all(type(f.relative) in RELATIVE for f in system.forces if type(f) is ScalarLoads)
     return kinds and known

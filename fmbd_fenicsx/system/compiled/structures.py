@@ -25,7 +25,7 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
     rotations = 2 * dim - 3
     fields = {
         "Batch": [
-            *_fields("kind role outputs live products curved number", _INT),
+            *_fields("kind role outputs live products curved number flow", _INT),
             *_fields("n width", _LONG),
             *_fields("pair P out entry at row factor dest stiffness damping free s rate effort weight slope", _POINTER),
             *_fields("first second product_to curve curve_to", _POINTER),
@@ -74,7 +74,7 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
             *_fields("L inverse b local sign units", _POINTER),
             ("python", PYTHON),
             *_fields("samples laws stiff", _INT),
-            *_fields("cd ck epsilon", _REAL),
+            *_fields("cd ck epsilon share", _REAL),
             *_fields("q work big", _POINTER),
             *_fields("evaluations factors calls", _LONG),
             *_fields("seen readings reactions", _INT),

@@ -27,6 +27,10 @@ DIRECTIONS = {  # constants that are directions in the axes of a marker: of whic
     "turned": {"e": 0, "g": 0, "f": 1},
     "angle": {"fa": 0, "ga": 0, "fb": 1, "gb": 1},
     "follower": {"load": 1},
+    "wheel_height": {"e": 0, "f": 1},
+    "wheel_slip": {"e": 0, "t": 0, "f": 1},
+    "ball_slip": {"e": 0, "t": 0},
+    "skate": {"e": 1},
     "follower_couple": {"load": 1},
 }
 ONE_SIDED = ("dead", "couple", "follower", "follower_couple")
@@ -199,7 +203,7 @@ class Tables:
 
         items.table, P = store.array(self.constants(items, kind))
         one = structure("Batch", self.dim)(
-            kind=list(self.kinds).index(items.kind), role=items.role, number=number, n=n,
+            kind=list(self.kinds).index(items.kind), role=items.role, flow=int(kind.flow), number=number, n=n,
             width=kind.width, outputs=1 + len(components), live=len(live), mapped=int(mapped), P=P,
             pair=store.integers(frames), out=store.address(np.zeros((n, 1 + len(components)))),
             entry=store.integers(1 + live), at=store.integers(places[:, components[live]]),

@@ -39,7 +39,7 @@ class JointRows:
         first, (a, b) = self.row, markers
         for r in joint.rows:
             pairs, rows = self._kinds.setdefault(r.kind, ([], []))
-            pairs.append(Pair(r.kind, a, b, r.direction, r.other, joint.length, r.motion, r.axis))
+            pairs.append(Pair(r.kind, a, b, r.direction, r.other, joint.length, r.motion, r.axis, r.constants))
             rows.append(self.row)
             self.row += 1
         if isinstance(joint, Coupling):

@@ -111,6 +111,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
     const Block now = past[0];
     double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, w[3], sizes[MOST];
     int verdict, far = 1, converged = 0, done = 0;
+    s->share = h * p[BETA] / gamma;
 
     if (s->samples) {
         s->calls++;

@@ -154,7 +154,9 @@ static int items(System *s, Batch *k, const double *lam, double t)
     for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
         double force;
         if (k->role == ROW) {
-            s->gap[k->row[i]] += k->factor[i] * out[0];
+            double open = out[0];
+            for (int e = 0; k->flow && e < k->live; e++) open += s->share * out[k->entry[e]] * s->velocity[at[e]];
+            s->gap[k->row[i]] += k->factor[i] * open;
             force = k->factor[i] * lam[k->row[i]];
         } else force = k->effort[i];
         for (int e = 0; e < k->live; e++) s->residual[at[e]] += force * out[k->entry[e]];

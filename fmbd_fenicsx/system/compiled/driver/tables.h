@@ -24,6 +24,7 @@ enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN };      /* verdicts; LOOK: the
 /* Items of one kind between frames of like sort: all entries of their rows that are not on the ground are ``live``. */
 typedef struct {
     int kind, role, outputs, live, products, curved, number; /* outputs: of the value kernel; number: for calls into Python */
+    int flow;                          /* whether the kind is a speed; a ROW then holds velocities and has no s */
     long n, width;                     /* width: constants of an item */
     int *pair;                         /* n x 2 frames */
     double *P, *out;                   /* constants; s and the entries of the row */
@@ -119,6 +120,7 @@ typedef struct {
     int (*python)(int what, int number, double t); /* what: see below; 0 when all is well */
     int samples, laws, stiff;   /* stiff: efforts depend on the motion (2: by laws); whether Python is asked once a step, at every evaluation */
     double cd, ck, epsilon;            /* of the matrix in the fronts */
+    double share;                      /* change of q over that of v in a step: open speeds times it are closed like gaps */
     const double *q;                   /* the configuration evaluated last */
     double *work, *big;
     long evaluations, factors, calls;

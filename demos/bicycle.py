@@ -1,0 +1,113 @@
+r"""Rolling without slip: the benchmark bicycle, its weave and capsize speeds, and rides just beside them.
+
+Run:  ./with-dolfinx python3 demos/bicycle.py --picture bicycle.png
+
+            frame and rider, 85 kg        no hands: four rigid bodies, three hinges, two knife-edge wheels that roll
+              \_______/                   on a plane; the steering axis is tilted by 18 degrees
+              /  \   / \
+            (o)   \_/  (O)                modes about riding straight on: weave oscillates and grows below 4.29 m/s,
+          ---+---------+----              capsize grows slowly above 6.02 m/s, between them it rides by itself
+
+Data and reference speeds: Meijaard, Papadopoulos, Ruina and Schwab, doi:10.1098/rspa.2007.1857.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from scipy.optimize import brentq
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx import demo
+from fmbd_fenicsx.post.demo import Check
+
+WEAVE, CAPSIZE = 4.29238253634111, 6.02426201538837  # m/s
+TILT, UP, ACROSS = np.pi / 10, (0, 0, 1), (0, 1, 0)
+
+
+def build(speed, lean_rate=0.0):
+    """The bicycle at a speed (m/s) and a rate of lean (rad/s); x ahead, y to the left, z up."""
+    scene = fmbd.Scene("bicycle", gravity=(0.0, 0.0, -9.81))
+
+    def body(name, mass, x, z, inertia, spin=0.0):
+        xx, yy, zz, xz = inertia
+        J = np.array([[xx, 0, xz], [0, yy, 0], [xz, 0, zz]])
+        motion = {"velocity": (speed, -lean_rate * z, 0), "angular_velocity": (lean_rate, spin, 0)}
+        return fmbd.RigidBody(name, mass, J, position=(x, 0, z), **motion)
+
+    rear = body("rear wheel", 2.0, 0.0, 0.3, (0.0603, 0.12, 0.0603, 0.0), speed / 0.3)
+    front = body("front wheel", 3.0, 1.02, 0.35, (0.1405, 0.28, 0.1405, 0.0), speed / 0.35)
+    frame = body("frame", 85.0, 0.3, 0.9, (9.2, 11.0, 2.8, -2.4))
+    fork = body("fork", 4.0, 0.9, 0.7, (0.05892, 0.06, 0.00708, 0.00756))
+    steering = fmbd.revolute("steering", frame, fork, center=(1.1, 0, 0), axis=(-np.sin(TILT), 0, np.cos(TILT)))
+    scene.add(rear, frame, fork, front, steering)
+    scene.add(fmbd.revolute("rear axle", frame, rear, center=(0, 0, 0.3), axis=ACROSS))
+    scene.add(fmbd.revolute("front axle", fork, front, center=(1.02, 0, 0.35), axis=ACROSS))
+    for name, wheel, radius in (("rear contact", rear, 0.3), ("front contact", front, 0.35)):
+        scene.add(fmbd.rolling(name, fmbd.ground, wheel, shape=fmbd.Wheel(radius, axis=ACROSS), normal=UP))
+    scene.sensor("steer", fmbd.angle(steering))
+    return scene
+
+
+def lateral(speed):
+    """Eigenvalues (1/s) of weave (one of the pair), capsize and castering at a speed above 1 m/s."""
+    found = fmbd.modes(build(speed), 9).eigenvalues
+    real = np.sort(found[found.imag == 0].real)  # place, heading and speed are zero
+    return found[found.imag > 0][0], real[1:][np.argmax(np.abs(real[1:]))], real[0]
+
+
+def ride(speed, t_end):
+    """Times, steering angle (rad) and energy (J) after a small push."""
+    run = fmbd.solve(build(speed, 1e-4), t_end=t_end, dt=2e-3)
+    return run.times, run["steer"][:, 0], run.energy["kinetic"] + run.energy["weight"]
+
+
+def missed(speed, t, y):
+    """Share of a ride that the modes at its speed, in any mixture, do not explain."""
+    weave, capsize, castering = lateral(speed)
+    wave = np.exp(weave * t)
+    motions = np.column_stack((wave.real, wave.imag, np.exp(capsize * t), np.exp(castering * t)))
+    mixture = np.linalg.lstsq(motions, y, rcond=None)[0]
+    return np.linalg.norm(motions @ mixture - y) / np.linalg.norm(y)
+
+
+def main():
+    """Critical speeds to 1e-8, and rides that weave, recover and fall as the eigenvalues say."""
+    args = demo.arguments(__doc__)
+    weave = brentq(lambda v: lateral(v)[0].real, 4.0, 5.0, xtol=1e-10)
+    capsize = brentq(lambda v: lateral(v)[1], 5.5, 6.5, xtol=1e-10)
+    rides = {v: ride(v, 4.0 if args.fast else 8.0) for v in (4.0, 5.0, 8.0)}
+    late = {v: np.abs(y[-1] / y[np.searchsorted(t, 2.0)]) for v, (t, y, _) in rides.items()}
+    checks = [
+        Check("weave speed (m/s)", weave, WEAVE, 1e-8),
+        Check("capsize speed (m/s)", capsize, CAPSIZE, 1e-8),
+        *(
+            Check(f"ride at {v:g} m/s, not of its modes (share)", missed(v, t, y), 0.0, 2e-3)
+            for v, (t, y, _) in rides.items()
+        ),
+        Check.at_least("weave grows at 4 m/s", late[4.0], 1.2),
+        Check.at_least("all decays at 5 m/s", 1.0 / late[5.0], 1.2),
+        Check.at_least("capsize grows at 8 m/s", late[8.0], 1.2),
+        Check("energy kept (share)", max(np.ptp(e) / e[0] for _, _, e in rides.values()), 0.0, 1e-9),
+    ]
+    if args.picture:
+        picture(args, rides)
+    demo.finish(checks, None, args)
+
+
+def picture(args, rides):
+    """Real and imaginary parts over the speed, and the three rides."""
+    _, (left, right) = plt.subplots(1, 2, figsize=(10, 4))
+    speeds = np.linspace(1.5, 9.0, 16 if args.fast else 76)
+    weave, capsize, _ = np.array([lateral(v) for v in speeds]).T
+    left.plot(speeds, weave.real, label="weave, growth")
+    left.plot(speeds, weave.imag, "--", label="weave, frequency")
+    left.plot(speeds, capsize.real, label="capsize, growth")
+    left.axvspan(WEAVE, CAPSIZE, alpha=0.15, label="stable"), left.axhline(0.0, color="k", lw=0.6)
+    left.set(xlabel="speed (m/s)", ylabel="1/s, rad/s", ylim=(-6, 10)), left.legend()
+    for v, (t, y, _) in rides.items():
+        right.plot(t, y / np.abs(y[t < 2.0]).max(), label=f"{v:g} m/s")
+    right.set(xlabel="time (s)", ylabel="steering angle over its first peak", ylim=(-6, 6)), right.legend()
+    plt.tight_layout(), plt.savefig(args.picture, dpi=120)
+
+
+if __name__ == "__main__":
+    main()
