@@ -43,7 +43,8 @@ class FirstOrder:
 def first_order(small: Projected) -> FirstOrder:
     """(1) from the projected matrices."""
     M, C, K, n = small.M, small.C, small.K, len(small.M)
-    N, D = np.eye(n), np.zeros((n, n))
+    N: Array = np.eye(n)
+    D: Array = np.zeros((n, n))
     if len(small.speeds[0]):
         G, P = small.speeds
         N, D = sl.null_space(G), -np.linalg.pinv(G) @ P

@@ -37,7 +37,7 @@ class KindBatch(Batch):
     def __init__(self, motions: Motions, pairs: list[Pair]) -> None:
         super().__init__(motions, pairs)
         self.kind: Kind = kinds(motions.dim)[self.name]
-        self.table = np.zeros((len(pairs), self.kind.width))
+        self.table: Array = np.zeros((len(pairs), self.kind.width))
         self.constants = {
             name: np.array([p.constants[name] for p in pairs], dtype=float) for name in pairs[0].constants
         }
