@@ -3,8 +3,8 @@
     z' = N u + D z,       N^T (M z'' + C z' + K z) = N^T f                                                    (1)
 
 With rows G_s z' + P z = 0 (rolling) the columns of N span the null space of G_s, and D = -G_s^+ P. Without such rows N = 1, D = 0
-and u = z'. Directions of z that nothing depends on (a place on the road, the angle of a wheel) belong to eigenvalues that are
-zero exactly; they are taken out before the others are computed, so that these keep their digits:
+and u = z'. With them directions of z that nothing depends on (a place on the road, the angle of a wheel) belong to eigenvalues that
+are zero exactly; they are taken out before the others are computed, so that these keep their digits:
 
     A e = 0, e = (z, 0):     eigenvalues of A are zero and those of A on the rest, again and again               (2)
 """
@@ -20,7 +20,7 @@ from ..rotations import Array
 from .basis import Projected
 
 ALMOST = 1e-7  # share of the fastest eigenvalue below which a slow one is real
-NOTHING = 1e-8  # share of the largest singular value below which a direction changes nothing
+NOTHING = 1e-10  # share of the largest singular value below which a direction changes nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +57,15 @@ def first_order(small: Projected) -> FirstOrder:
 
 def slowest(system: FirstOrder) -> tuple[Array, Array]:
     """Eigenvalues, the slowest first and one of each conjugate pair, (m,), and the z of their vectors (k, m)."""
-    rest, zeros = _without_zeros(system)
+    rolls = system.N.shape[1] < system.n
+    rest, zeros = _without_zeros(system) if rolls else (np.eye(len(system.A)), np.zeros((len(system.A), 0)))
     values, vectors = np.linalg.eig(rest.T @ system.A @ rest) if rest.shape[1] else (np.zeros(0), np.zeros((0, 0)))
-    if len(values):  # a double zero may come out as a pair with an imaginary part of roundoff
+    if rolls and len(values):  # a double zero may come out as a pair with an imaginary part of roundoff
         values = np.where(np.abs(values) <= ALMOST * np.abs(values).max(), values.real, values)
     once = np.flatnonzero(values.imag >= 0)
     order = once[np.argsort(np.abs(values[once]))]
 
-    found = [_vector(system.A, values[i], rest @ vectors[:, i]) for i in order]
+    found = [_vector(system.A, values[i], rest @ vectors[:, i]) if rolls else vectors[:, i] for i in order]
     every = np.concatenate((np.zeros(zeros.shape[1]), values[order]))
     shapes = np.column_stack((zeros.astype(complex), *found))[: system.n]
     return every, shapes
