@@ -3,8 +3,8 @@
     z' = N u + D z,       N^T (M z'' + C z' + K z) = N^T f                                                    (1)
 
 With rows G_s z' + P z = 0 (rolling) the columns of N span the null space of G_s, and D = -G_s^+ P. Without such rows N = 1, D = 0
-and u = z'. With them directions of z that nothing depends on (a place on the road, the angle of a wheel) belong to eigenvalues that
-are zero exactly; they are taken out before the others are computed, so that these keep their digits:
+and u = z'. With them, directions of z that nothing depends on (a place on the road, the angle of a wheel) have eigenvalues of
+exactly zero; they are taken out before the others are computed, so that these keep their digits:
 
     A e = 0, e = (z, 0):     eigenvalues of A are zero and those of A on the rest, again and again               (2)
 """
