@@ -184,6 +184,7 @@ def _load(
     """Rank 0: build or open the model, check it, keep one body; returns dimension, volume name, surface tags, label."""
     if not path.is_file():
         raise MeshError(f"Mesh file {path} does not exist (looked in {Path.cwd()}).")
+
     gmsh.initialize(interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     if path.suffix == ".py":
@@ -198,6 +199,7 @@ def _load(
         if parameters:
             raise MeshError(f"{path} is a finished mesh: parameters {sorted(parameters)} have no meaning for it.")
         gmsh.open(str(path))
+
     return check_model(gmsh.model, str(path), volume)
 
 
@@ -208,6 +210,8 @@ def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, d
         raise MeshError(
             f"{label}: no physical groups. Name the solid and its surfaces with addPhysicalGroup(..., name=...)."
         )
+
+    # names of groups
     dim = max(g[0] for g in groups)
     listing = ", ".join(f'"{n}" (dim {k})' for k, _, n in groups)
     unnamed = [(k, t) for k, t, n in groups if not n and k >= dim - 1]
@@ -220,6 +224,8 @@ def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, d
     twice = sorted({n for k, n in names if names.count((k, n)) > 1})
     if twice:
         raise MeshError(f"{label}: several physical groups are called {twice}. Give each group its own name.")
+
+    # the solid
     geometry = max((k for k, _ in model.getEntities()), default=dim)
     if dim < 2 or dim < geometry:
         raise MeshError(
@@ -231,14 +237,19 @@ def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, d
         raise MeshError(f'{label}: no volume "{volume}". {near(volume, [n for _, n in solids])}')
     if volume is None and len(solids) > 1:
         raise MeshError(f"{label} holds several volumes: {[n for _, n in solids]}. Choose one with volume=...")
+
     tag, name = next((t, n) for t, n in solids if volume in (None, n))
     for t, n in solids:
         if n != name:
             model.removePhysicalGroups([(dim, t)])
+
+    # its cells and facets
     entities = [int(e) for e in model.getEntitiesForPhysicalGroup(dim, tag)]
     _check_cells(model, dim, entities, label, name)
     edges = _corners(model, dim, entities, facets=True)
     own = {abs(int(t)) for e in entities for _, t in model.getBoundary([(dim, e)], oriented=False)}
+
+    # surfaces: groups of its own boundary that have facets
     surfaces = {}
     for k, t, n in groups:
         if k != dim - 1:
@@ -251,6 +262,7 @@ def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, d
             raise MeshError(f'{label}: surface "{n}" has no facets. Mesh it, or remove the group.')
         _check_facets(_corners(model, k, parts), edges, f'{label}: surface "{n}"')
         surfaces[n] = t
+
     _drop_others(model, dim, entities)
     return dim, name, surfaces, label
 
@@ -293,6 +305,7 @@ def _check_cells(model: Any, dim: int, entities: list[int], label: str, name: st
             signs.update(np.sign(det).ravel())
             number += len(cells)
             links.append(np.asarray(cell_nodes, dtype=np.int64).reshape(len(cells), -1))
+
     if number == 0:
         raise MeshError(f'{label}: volume "{name}" has no cells. Call gmsh.model.mesh.generate({dim}).')
     if bad:
@@ -300,6 +313,7 @@ def _check_cells(model: Any, dim: int, entities: list[int], label: str, name: st
             f'{label}: {bad} of {number} cells of volume "{name}" are inverted or degenerate (first: cell {first[0]} '  # type: ignore[index]
             f"at {first[1]}). Remesh, or check the orientation of the geometry."  # type: ignore[index]
         )
+
     for cells_ in links:
         twice = len(cells_) - len(np.unique(np.sort(cells_, axis=1), axis=0))
         if twice:

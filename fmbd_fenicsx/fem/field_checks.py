@@ -46,6 +46,7 @@ def _check_stiffness(field: Any) -> None:
     u, v = rng.standard_normal((2, field.n * field.dim))
     Ku, Kv = field.stiffness(u), field.stiffness(v)
     vKu, uKv, scale = field.total(np.array([v @ Ku, u @ Kv, np.abs(v) @ np.abs(Ku)]))
+
     if not np.isfinite(vKu):
         raise InputError(f'Body "{field.name}": the elastic form has entries that are not finite.')
     if abs(vKu - uKv) > 1e-9 * scale:
@@ -53,6 +54,7 @@ def _check_stiffness(field: Any) -> None:
             f'Body "{field.name}": the elastic form is not symmetric: a(u, v) - a(v, u) = {vKu - uKv:.2e} for random '
             f"u, v of size a = {scale:.2e}. Write the stress with the symmetric gradient of u and pair it with that of v."
         )
+
     uKu, vKv = field.total(np.array([u @ Ku, v @ Kv]))
     if uKu <= 0 or vKv <= 0:
         raise InputError(
@@ -66,14 +68,18 @@ def _warn_of_locking(field: Any) -> None:
     if field.mixed:
         return
     d, x = field.dim, field.X
+
+    # energies of a uniform swelling and of a simple shear tell lambda / mu
     shear = np.zeros_like(x)
     shear[:, 0], shear[:, 1] = x[:, 1], x[:, 0]
     pairs = [float(w.ravel() @ field.stiffness(w.ravel())) for w in (x, shear)]
     swell, slide = field.total(np.array(pairs))
     if not slide > 0:
         return
+
     ratio = (4 * swell / slide - 2 * d) / d**2  # lambda / mu of an isotropic homogeneous body
     field.poisson_ratio = ratio / (2 * (ratio + 1)) if ratio > -1 else -1.0
+
     limit = 0.49 if field.forms.degree == 1 else 0.495
     if field.poisson_ratio > limit:
         log.warning(

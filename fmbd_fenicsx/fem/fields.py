@@ -335,9 +335,13 @@ class Field:
         self.center = self.total((one * x).sum(0)) / self.mass_total
         self.X = x - self.center
         self.X_world = x
+
+        # size of the box around all nodes
         low = self.comm.allgather(x.min(0) if self.n else np.full(d, np.inf))
         high = self.comm.allgather(x.max(0) if self.n else np.full(d, -np.inf))
         self.size = float(np.linalg.norm(np.max(high, axis=0) - np.min(low, axis=0)))
+
+        # columns of (1)
         Q = np.zeros((self.n, d, m.n_twist))
         for k in range(d):
             Q[:, k, k] = one[:, 0]
@@ -346,6 +350,7 @@ class Field:
             w[0, k] = 1.0
             Q[:, :, d + k] = self.mass(m.spin(w, self.X))
         self.Q = Q.reshape(self.n * d, m.n_twist)
+
         J = np.empty((m.n_rot, m.n_rot))
         for k in range(m.n_rot):
             J[:, k] = m.moment(self.X, Q[:, :, d + k]).sum(0)

@@ -26,9 +26,13 @@ class Numbering:
         cells = np.asarray(space.mesh.topology.original_cell_index, dtype=np.int64)[: len(table)]
         keys = cells[:, None] * table.shape[1] + np.arange(table.shape[1])
         nodes = index_map.size_local + index_map.num_ghosts
+
+        # a node is known by the smallest place that it has in a cell of the file
         smallest = np.full(nodes, np.iinfo(np.int64).max)
         np.minimum.at(smallest, table.ravel(), keys.ravel())
         numbers = index_map.local_to_global(np.arange(nodes, dtype=np.int32))
+
+        # rank 0 sorts
         parts = self.comm.gather((numbers, smallest))
         self.count, of = int(index_map.size_global), np.zeros(0, dtype=np.int64)
         if parts is not None:
@@ -38,6 +42,7 @@ class Numbering:
             of = np.empty(self.count, dtype=np.int64)
             of[np.argsort(key, kind="stable")] = np.arange(self.count)
         self.of = self.comm.bcast(of)
+
         low, high = index_map.local_range
         self.own = self.of[low:high]
 

@@ -85,27 +85,33 @@ class CoreSolver:
         self.n, self.m = A.shape[0], G.shape[0]
         if self.n + self.m == 0:  # absolute bodies without joints: nothing replicated
             return
+
         self.factorisations += 1
         self.ratio = 1.0
         D, E = _scales(A, G, C, self.upper)
         self.scale = np.concatenate((D, E))
         self.exact = not self.redundant
+
         if sp.issparse(A) and not self.redundant:
             self._factor_sparse()
             return
         A = A.toarray() if sp.issparse(A) else A
         G = G.toarray() if sp.issparse(G) else G
         n, m = self.n, self.m
+
+        # dense and scaled
         K = np.empty((n + m, n + m))
         K[:n, :n] = D[:, None] * A * D
         K[n:, :n] = E[:, None] * G * D
         K[:n, n:] = D[:, None] * dense(self.upper) * E
         K[n:, n:] = 0.0 if C is None else E[:, None] * C * E
+
         if self.redundant:
             self._factor_redundant(K)
             return
         if not np.isfinite(K).all():
             raise LinearSolveError(f"{self.judge.what}: the matrix is not finite.")
+
         lu, pivots, _ = sl.lapack.dgetrf(K)
         pivot = np.abs(lu.diagonal())
         self.ratio = float(pivot.min() / pivot.max())

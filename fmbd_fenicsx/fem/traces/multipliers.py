@@ -141,11 +141,14 @@ class Dual:
                 "corners have integral 0). "
                 "Use Continuous(1) under P2."
             )
+
+        # psi_i = sum_a local_ia phi_a with int psi_i phi_j = 0 for i != j
         local = np.diag(integrals) @ np.linalg.inv(M)  # psi_i = sum_a local_ia phi_a
         f, k = trace.nodes.shape
         own = np.arange(f * k).reshape(f, k)
         N = scatter(np.broadcast_to(local, (f, k, k)), trace.nodes, own, (trace.n, f * k))
         C = _border_rule(self.ends, trace.nodes, trace.border, trace.points, p) @ N
+
         return Multipliers(trace, p, C.tocsr(), f"dual P{p}, ends {self.ends.value}")
 
 

@@ -273,17 +273,21 @@ def refined(trace: Trace, times: int, degree: int) -> tuple[Trace, np.ndarray, A
     pieces = np.concatenate((np.zeros((1, m)), np.eye(m)))[None]
     for _ in range(times):
         pieces = np.concatenate([cut(pieces) for cut in _halves(m)])
+
     n_f, n_p = len(trace.nodes), len(pieces)
     parent = np.repeat(np.arange(n_f), n_p)
     corners = np.tile(pieces, (n_f, 1, 1))
     x = np.einsum("pva,fad->fpvd", shape_functions(m, 1, pieces), trace.corners).reshape(-1, trace.dim, trace.dim)
     nodes = np.einsum("ka,fad->fkd", shape_functions(m, 1, np.asarray(lagrange(m, degree).points)), x)
+
+    # nodes at the same place are one
     flat = nodes.reshape(-1, trace.dim)
     key = np.round((flat - flat.min(0)) / float(np.ptp(flat, axis=0).max()), 9)
     _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
     none = np.full(len(first), -1)
     number = inverse.reshape(nodes.shape[:2])
     fine = Trace(trace.label, flat[first], number, trace.normals[parent], degree, none, 0, trace.comm)
+
     return fine, parent, corners
 
 

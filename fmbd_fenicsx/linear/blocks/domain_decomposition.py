@@ -150,6 +150,8 @@ class DualInterface:
         """Factor the subdomains and the preconditioner (None: plain conjugate gradients); collective."""
         self.n = sum(t.rows for t in self.ties)
         self.factors = {k: CholeskyFactor(e.body, e.cm, e.ck) for k, e in self.own.items()}
+
+        # rows of each tie among those of all
         first = np.cumsum([0, *(t.rows for t in self.ties)])
         self.B = {k: sp.csr_matrix((self.n, e.rows)) for k, e in self.own.items()}
         for i, t in enumerate(self.ties):
@@ -159,6 +161,7 @@ class DualInterface:
                     (self.n, t.rows),
                 )
                 self.B[k] = self.B[k] + lift @ B
+
         self._factor: Any = None
         if preconditioner is not None:
             S = sp.block_diag([preconditioner.block(self, i) for i in range(len(self.ties))]).toarray()

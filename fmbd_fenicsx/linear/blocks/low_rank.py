@@ -32,12 +32,16 @@ class SlackFactor(FieldFactor):
                 made.pop(next(iter(made)))[0].destroy()
             base = CholeskyFactor(field, cm, ck)
             made[cm, ck] = (base, base.solve_columns(field.B.T.toarray()))
+
         self.base, Y = made[cm, ck]
         self.judge = Judge(f'the wires of body "{field.name}"')
         self.field, self.weights = field, (cm, ck)
         self.B, self.Y = field.B[slack], Y[:, slack]
+
         self.push = ck * field.stiff[slack]
         self.small = None
+
+        # D^-1 - B_S Y_S of (1)
         if slack.size:
             self.small = sl.lu_factor(np.diag(1.0 / self.push) - self.B @ self.Y)
 

@@ -14,6 +14,7 @@ def remember_solver(solver: StepSolver, m: Memory, state: State) -> None:
     """
     system, elastic = solver.system, solver.elastic
     weights = m("weights", solver.weights, Weights)
+
     for k, part in system.fields:
         part.field.indefinite = m(f"indefinite {k}", part.field.indefinite)
     if m.reading and system.fields:
@@ -23,6 +24,7 @@ def remember_solver(solver: StepSolver, m: Memory, state: State) -> None:
         if field.carried:
             x = m.nodal(f"pressure {k}", field.pressure_values, field.pressure_numbering)  # type: ignore[attr-defined]
             field.pressure_values = x  # type: ignore[attr-defined]
+
     counts = (elastic.factorisations, solver.core.factorisations, solver.back_solves, solver.worst_residual)
     elastic.factorisations, solver.core.factorisations, solves, worst = m("counts", counts)
     elastic.retired_solves.append(solves - solver.back_solves)

@@ -49,6 +49,8 @@ def solved(problem: Coulomb, start: Array, counts: ContactCounts) -> Array:
     """As :func:`solve_friction`, for a problem that may know W by its products only."""
     best: tuple[float, Array] = (np.inf, start)
     counts.solves += 1
+
+    # the cheapest start first; the best answer of all counts
     for slips, facets, rho in problem.attempts:
         x0 = _pivoted(problem, facets) if facets else start
         size, x = _proximal_points(problem, x0, (rho, slips), counts)
@@ -56,6 +58,7 @@ def solved(problem: Coulomb, start: Array, counts: ContactCounts) -> Array:
         if size <= FOUND:
             break
         counts.cycles += 1
+
     size, x = best
     if size <= ACCEPTED:
         counts.residual = max(counts.residual, size)
@@ -77,12 +80,16 @@ def _pivoted(problem: Coulomb, facets: int) -> Array:
     k = 2 if d == 2 else facets
     angle = 2 * np.pi * np.arange(k) / k
     e = np.stack((np.cos(angle), np.sin(angle)), axis=1)[:, : d - 1]
+
+    # forces by normal and facet components
     T: Array = np.zeros((m, d, m, 1 + k))  # forces from normal and facet components
     T[range(m), 0, range(m), 0] = 1.0
     T[range(m), 1:, range(m), 1:] = e.T
     T = T.reshape(m * d, m * (1 + k))
     scale = 1.0 / np.repeat(problem.c.min(axis=1), 1 + k).max()
     n = m * (1 + k)
+
+    # complementarity: openings, facet speeds, and what is left of the cone
     M, rhs = np.zeros((n + m, n + m)), np.zeros(n + m)
     M[:n, :n] = T.T @ problem.W @ T / scale
     rhs[:n] = T.T @ problem.q.ravel() / scale
@@ -189,6 +196,8 @@ def _proximal_points(
     rho, slips = choice
     sharp = replace(problem, c=problem.c * np.r_[1.0, np.full(x.shape[1] - 1, slips)])
     best, restart, before = (np.inf, x), rho, counts.iterations
+
+    # Newton on a problem made easier by rho; rho falls as long as it succeeds
     for _ in range(40 if rho else 1):
         D = rho / problem.c
         near = replace(sharp, q=problem.q - D * x, shift=D) if rho else sharp
@@ -199,6 +208,7 @@ def _proximal_points(
             break
         rho = 0.1 * rho if found else 10.0 * rho
         rho = restart if rho > 1.0 else rho
+
     counts.most = max(counts.most, counts.iterations - before)
     return best
 
@@ -238,16 +248,21 @@ def _alart_curnier(x: Array, u: Array, c: Array, mu: Array) -> tuple[Array, Arra
     F[:, 0] = np.where(on, c[:, 0] * u[:, 0], x[:, 0])
     dx[:, 0, 0] = np.where(on, 0.0, 1.0)
     du[:, 0, 0] = np.where(on, c[:, 0], 0.0)
+
+    # tangential: inside the cone the point sticks, outside it slips along e
     ct = c[:, 1]
     y = x[:, 1:] - ct[:, None] * u[:, 1:]
     radius = mu * np.maximum(x[:, 0], 0.0)
     size = np.linalg.norm(y, axis=1)
+
     stick = on & (size <= radius)
     slip = on & ~stick
     t = range(1, d)
+
     F[:, 1:] = np.where(stick[:, None], ct[:, None] * u[:, 1:], x[:, 1:])
     dx[:, t, t] = np.where(stick, 0.0, 1.0)[:, None]
     du[:, t, t] = np.where(stick, ct, 0.0)[:, None]
+
     if slip.any():
         s = np.flatnonzero(slip)
         e = y[s] / size[s, None]

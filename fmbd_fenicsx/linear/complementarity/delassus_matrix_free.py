@@ -127,11 +127,14 @@ class _Iterated:
         if dropped.any():
             self.L = self.L - dropped
             self.g = self.g - self.W @ dropped
+
         P = self.W.inverse[active][:, active]
         r = -self.g[active]
         z = P @ r
         p, rz, step = z.copy(), float(r @ z), np.zeros(self.m)
         largest = float(np.abs(z).max(initial=0.0))
+
+        # preconditioned conjugate gradients on the active points
         for _ in range(LIMIT):
             largest = max(largest, float(np.abs(self.L).max(initial=0.0)))
             if np.abs(z).max(initial=0.0) <= self.tolerance * largest:

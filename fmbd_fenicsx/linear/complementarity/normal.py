@@ -143,6 +143,8 @@ def _least_index(W: Array, q: Array) -> Array:
     m = len(q)
     active = np.zeros(m, dtype=bool)
     tiny = 1e-13 * np.abs(q).max(initial=0.0)
+
+    # the first wrong point changes sides: never a cycle
     for _ in range(50 * m + 1000):
         L = np.zeros(m)
         if active.any():
@@ -152,6 +154,7 @@ def _least_index(W: Array, q: Array) -> Array:
         if wrong.size == 0:
             return L
         active[wrong[0]] = ~active[wrong[0]]
+
     raise ConvergenceError(
         "The contact problem has no solution that pivoting can find: contacts contradict each other."
     )

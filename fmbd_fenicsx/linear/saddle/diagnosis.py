@@ -19,10 +19,13 @@ def diagnose(saddle: SaddlePoint) -> str:
     x, size = _null_vector(saddle)
     if not size < NULL:
         return "No null vector was found: the system is badly scaled, or the iteration needs more steps."
+
     u, lam = x
     energy = [float(e.body.total(np.array(v @ v))) for e, v in zip(saddle.elastic, u, strict=True)]
     forces = [float(np.linalg.norm(v)) for v in lam]
     sentences = []
+
+    # a motion of bodies, or multipliers that nothing determines
     if energy and np.sqrt(max(energy)) > 1e-3:
         moving = [k for k, v in enumerate(energy) if v > 1e-2 * max(energy)]
         sentences += [_motion(saddle.elastic[k], u[k]) for k in moving]
@@ -38,6 +41,7 @@ def diagnose(saddle: SaddlePoint) -> str:
                 f"Multipliers of {' and '.join(names)} depend on each other: they hold the same nodes. Use "
                 "merged ends, or remove one."
             )
+
     return " ".join(sentences)
 
 
@@ -101,6 +105,8 @@ def _motion(e: Any, u: Array) -> str:
         body.total(modes.T @ u),
         float(body.total(np.array(u @ u))),
     )
+
+    # its share of rigid motions
     c = np.linalg.solve(gram, right)
     rigid = float(c @ gram @ c) / norm
     d = body.dim
@@ -108,6 +114,8 @@ def _motion(e: Any, u: Array) -> str:
         return (
             f'Zero-energy motion of body "{body.name}" that is not rigid: its elastic form leaves a deformation free.'
         )
+
+    # translation, or rotation about the point that stands still
     t, w = c[:d], c[d:] / body.size
     if np.linalg.norm(w) * body.size < 1e-3 * np.linalg.norm(t):
         return f'Zero-energy motion: body "{body.name}" translates along {np.round(t / np.linalg.norm(t), 3).tolist()}.'

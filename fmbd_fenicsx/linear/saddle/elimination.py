@@ -106,6 +106,8 @@ class EliminatedSolver:
         """A node that a tie eliminates must not appear in another one."""
         gone: dict[tuple[int, int], str] = {}
         seen: dict[tuple[int, int], str] = {}
+
+        # nodes by body and number over all ranks
         for t, p in zip(self.saddle.ties, self.pivots, strict=True):
             pivots: set[int] = {int(i) for i in p.nodes}
             for number, (k, trace, B) in enumerate(t.sides):

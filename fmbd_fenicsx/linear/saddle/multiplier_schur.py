@@ -111,6 +111,8 @@ class SchurSolver:
         """Displacements and multipliers; collective."""
         s = self.saddle
         before = sum(block.iterations for block in self.blocks)
+
+        # (1): right-hand side, multipliers, displacements
         z = [block.solve(fk) for block, fk in zip(self.blocks, f, strict=True)]
         r = self._total(sum(B @ zk for B, zk in zip(self._B, z, strict=True))) - np.concatenate([*g, np.zeros(0)])
         if self._inverse is None:
@@ -119,10 +121,12 @@ class SchurSolver:
             lam, count = conjugate_gradients(self._apply, self._inverse, r, rtol=self.rtol)
         u: list[Array] = [zk - block.solve(B.T @ lam) for block, B, zk in zip(self.blocks, self._B, z, strict=True)]
         parts: list[Array] = np.split(lam, np.cumsum([t.rows for t in s.ties])[:-1])
+
         x, b = s.vector(u, parts), s.vector(f, g)
         residual = s.relative_residual(x, b)
         x.destroy(), b.destroy()
         self.judge.check(residual, 1.0, diagnose(s) if not residual <= self.judge.tolerance else "")
+
         inner = sum(block.iterations for block in self.blocks) - before
         return Solution(u, parts, count or inner, residual)
 
@@ -165,6 +169,7 @@ def conjugate_gradients(
     y = precondition(r)
     p, size = y.copy(), float(r @ y)
     start = size
+
     for k in range(limit):
         if size <= rtol**2 * start or start == 0:
             return lam, k
@@ -174,6 +179,7 @@ def conjugate_gradients(
         y = precondition(r)
         size, old = float(r @ y), size
         p = y + (size / old) * p
+
     raise ConvergenceError(
         f"Conjugate gradients on the multipliers did not converge in {limit} iterations (rtol {rtol:g}). "
         "Try a better preconditioner."

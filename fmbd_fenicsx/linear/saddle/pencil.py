@@ -69,12 +69,16 @@ class Pencil:
         T, n, m = tangent, tangent.M.shape[0], tangent.G.shape[0]
         self.n, self.m, self.levels = n, m, (T.by_q.shape[0] - n) // m if m else 0
         L = self.levels
+
+        # one rate for all, or one for each row of a batch
         if s.ndim == 2:
             self.D = (s - T.J)[None]
             self.va = (T.by_v + T.by_a @ s)[None]  # lower rows by v, with a = s v
         else:
             self.D = s[:, None, None] * np.eye(n) - T.J
             self.va = T.by_v + s[:, None, None] * T.by_a
+
+        # rows of the balance; those of the constraints follow with their levels
         K = np.zeros((len(self.D), n + L * m, n + L * m), dtype=self.va.dtype)
         K[:, :, :n] = T.by_q + self.va @ self.D
         if L > 0:
@@ -83,6 +87,7 @@ class Pencil:
             K[:, :, n + m : n + 2 * m] = self.va @ T.U
         if L > 2:
             K[:, :, n + 2 * m :] = T.by_a @ T.U
+
         self._factor(K)
 
     def _factor(self, K: Array) -> None:
@@ -111,9 +116,12 @@ class Pencil:
         ):  # an inverse leaves cond(A) roundoffs, one refinement brings them down to those of a factor
             y = y + _times(self.inverse, rhs - _times(self.matrix, y))
             left, size = self._left(rhs, y)
+
         self.judge.check(left, size, "Constraints depend on each other, or a body is not held.")
         self.judge.solves += len(y) - 1
         z = self.columns * y
+
+        # rates follow from increments and the multipliers of lower levels
         dxi, mult = z[:, :n], z[:, n:]
         dv = _times(self.D, dxi) + kin
         if self.levels > 1:

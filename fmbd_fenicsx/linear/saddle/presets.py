@@ -174,18 +174,22 @@ class _Krylov:
         x.set(0.0)
         self.ksp.solve(b, x)
         iterations, reason = self.ksp.getIterationNumber(), self.ksp.getConvergedReason()
+
         residual = s.relative_residual(x, b)
         if self.direct:
             residual = self._refine(x, b, residual)
+
         if not self._checked:
             check_options(self.prefix, s.comm)
             self._checked = True
+
         if not residual <= self.judge.tolerance:
             found = diagnose(s)
             raise LinearSolveError(
                 f"Linear solve of {self.judge.what}: relative residual {residual:.1e} after {iterations} "
                 f"iterations (PETSc reason {reason}), allowed {self.judge.tolerance:.0e}. {found}"
             )
+
         self.judge.check(residual, 1.0)
         u, lam = s.blocks(x)
         x.destroy(), b.destroy()

@@ -298,6 +298,8 @@ class SaddlePoint:
         bs = [b.getSubVector(s) for s in self.sets]
         values, sizes, floors = np.zeros((3, len(bs)))
         given = np.array([v.norm() for v in bs])
+
+        # residuals b - A x and the sizes of their terms
         for i, bi in enumerate(bs):
             r, y, sizes[i] = bi.copy(), bi.duplicate(), bi.norm()
             r.scale(-1.0)
@@ -309,10 +311,12 @@ class SaddlePoint:
                     r.axpy(1.0, y)
             values[i] = r.norm()
             r.destroy(), y.destroy()
+
         for s, v, w in zip(self.sets, xs, bs, strict=True):
             x.restoreSubVector(s, v), b.restoreSubVector(s, w)
         if not np.isfinite(values).all():
             return np.inf
+
         worst = 0.0
         for kind in (slice(0, len(self.elastic)), slice(len(self.elastic), None)):  # forces, constraints
             largest = given[kind].max(initial=0.0) or np.inf

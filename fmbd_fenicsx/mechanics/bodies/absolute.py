@@ -87,8 +87,11 @@ class AbsoluteField(FieldPart):
         A = Udd.reshape(-1, d) - motion.gravity
         if forms.mass_damping:
             A = A + forms.mass_damping * Ud.reshape(-1, d)
+
+        # for the tangent
         self._last = motion.t, U, Ud
         rows = self.field.mass(A).ravel() + self.field.internal(U)
+
         if forms.stiffness_damping:
             rows += forms.stiffness_damping * self._turned_stiffness(U, Ud)
         if self.field.D is not None:
@@ -96,6 +99,7 @@ class AbsoluteField(FieldPart):
         if self.field.loads.loads:
             outer, inner = self.field.loads.nodal(motion.t, np.eye(d), U)
             rows -= (outer + inner).ravel()
+
         return np.zeros(self.motions.n_twist), rows
 
     def _turned_stiffness(self, U: Array, Ud: Array) -> Array:

@@ -252,6 +252,8 @@ class _Assembly:
         U[0, 0] = (e + xi) * self.a - self.origin
         for k in range(d - 1):
             V[k, k + 1, 0] = 1.0
+
+        # stretch, then bending in each plane
         U[0, 1 + first], U[0, 1 + second] = 1 - xi, xi
         for axis, (iv, it), sign, EI, k in self.planes:
             v, slope, turn = _bending(xi, self.a, self.shear(EI))
@@ -260,9 +262,12 @@ class _Assembly:
             U[axis, 1 + cols] = signs * v
             V[k, 0, 1 + cols] = -signs * turn  # sections tilt by -v' along x
             slopes[k, cols] = signs * slope
+
+        # torsion turns the sections
         if d == 3:
             for at, N in ((first + 3, 1 - xi), (second + 3, xi)):
                 V[0, 2, 1 + at], V[1, 1, 1 + at] = N, -N
+
         return U, V, slopes
 
     def inertia(self) -> tuple[Array, Array]:

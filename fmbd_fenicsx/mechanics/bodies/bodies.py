@@ -105,6 +105,7 @@ class RigidBody:
             f"{what}: inertia {self.inertia} is one number, so the body is plane, and z of its position {self.position} would be "
             "lost. In space inertia is (3,) or (3, 3).",
         )
+
         try:
             self.start_pose()
         except InputError as error:
@@ -294,6 +295,8 @@ class FloatingBody(ElasticBody):
             not self.stiffening or self.elastic is not None,
             f'Body "{self.name}": stiffening belongs to a linear form; an energy stiffens by itself.',
         )
+
+        # names of surfaces are looked up now, not in the run
         if isinstance(self.stiffening, str):
             self.surface(self.stiffening)
         if isinstance(self.frame, Attached):
@@ -372,11 +375,13 @@ class CoordinateBody:
         rate = np.zeros(n) if self.start_rate is None else vector(f"{what}: start_rate", self.start_rate, size=n)
         object.__setattr__(self, "start", start)
         object.__setattr__(self, "start_rate", rate)
+
         mass = named("The mass of body", self.name, self.mass, time=None)(start) if callable(self.mass) else self.mass
         M = array(f"{what}: mass", mass)
         require(M.shape == (n, n), f'Body "{self.name}": mass has shape {M.shape}, expected ({n}, {n}).')
         if np.abs(M - M.T).max(initial=0.0) > 1e-10 * np.abs(M).max(initial=0.0):
             raise InputError(f'Body "{self.name}": the mass matrix is not symmetric.')
+
         p = np.linalg.eigvalsh(M) if n else np.ones(1)
         if p[0] < -1e-10 * p[-1]:
             raise InputError(f'Body "{self.name}": the mass matrix has the negative eigenvalue {p[0]:g}.')

@@ -91,6 +91,8 @@ class PortConstraint:
         given: Any = {"values": self.function, "jacobian": self.jacobian_, "rate": self.rate_, "gamma": self.gamma_}[
             what
         ]
+
+        # all configurations in one call of the user's function
         if self.vectorized and given is not None:
             found = np.asarray(given(*(x.T for x in arrays), t), dtype=float)
             return (
@@ -98,6 +100,8 @@ class PortConstraint:
                 if found.shape[-1:] == t.shape
                 else np.broadcast_to(found, (len(t), *found.shape))
             )
+
+        # complex steps of all, if complex numbers pass
         if self.vectorized and what in ("jacobian", "rate"):
             try:
                 if what == "jacobian":
@@ -107,6 +111,7 @@ class PortConstraint:
                 pass
         if self.vectorized and what == "gamma":
             return self._gamma_many(t, *arrays)
+
         one: Any = getattr(self, what)
         return np.array([one(*(x[i] for x in arrays), float(t[i])) for i in range(len(t))])
 
@@ -220,6 +225,7 @@ class CoordinatePart(Part):
             f = np.asarray(self._force(q.T, v.T, t), dtype=float).T
             M = np.asarray(self._mass(q.T) if callable(self._mass) else self._mass, dtype=float)
             inertia = a @ M.T if M.ndim == 2 else np.einsum("ijk,kj->ki", M, a)
+
         if f.shape != q.shape or not np.isfinite(f).all():
             bad = 0 if f.shape != q.shape else int(np.argmin(np.isfinite(f).all(axis=1)))
             raise CallbackError(

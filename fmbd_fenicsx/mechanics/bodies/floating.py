@@ -289,12 +289,17 @@ def _chord(field: Field, frame: Chord) -> Array:
         raise InputError(
             f'Body "{field.name}": the surfaces of its chord frame, "{frame.start}" and "{frame.end}", coincide.'
         )
+
     across = np.linalg.svd(chord[None] / length)[2][1:]  # (d - 1, d), perpendicular to the chord
     C = np.zeros((field.n, d, m.n_twist))
+
+    # the first surface stays, the second stays on the line
     C[a.nodes[:, None], range(d), range(d)] = a.weights[:, :1]
     for k, n in enumerate(across):
         C[b.nodes, :, d + k] = b.weights[:, :1] * n
     C = C.reshape(-1, m.n_twist) * field.mass_total
+
+    # no turn about the chord
     if d == 3:
         C[:, 5] = attachment(field, frame.start)[:, 3:] @ (chord / length)
     return C

@@ -35,11 +35,15 @@ def framed_start(body: Any, field: Any, conditions: Array) -> FramedStart:
     U, Ud = initial_fields(body, field)
     if body.displacement is None and body.displacement_rate is None:
         return FramedStart(pose, twist, U, Ud)
+
+    # points and velocities that the user gave
     x = field.X + U.reshape(-1, d)
     V = twist[:d] + m.spin(twist[None, d:], x) + Ud.reshape(-1, d)
     Z = rigid_fields(field)
     CZ = field.total(conditions.T @ Z)
     R: Array = np.eye(d)
+
+    # Newton for the pose of (1)
     for _ in range(20):
         R = m.matrix(pose)
         U = ((x + field.center - pose[:d]) @ R - field.X).ravel()
@@ -48,10 +52,13 @@ def framed_start(body: Any, field: Any, conditions: Array) -> FramedStart:
             break
         step[:d] = R @ step[:d]
         pose = m.compose(pose, step)
+
+    # and its twist
     P = field.X + U.reshape(-1, d)
     Z = Z.copy()
     for k in range(m.n_rot):
         Z[:, d + k] = m.spin(np.eye(m.n_rot)[k : k + 1], P).ravel()
     rigid = np.linalg.solve(field.total(conditions.T @ Z), field.total(conditions.T @ (V @ R).ravel()))
+
     Ud = (V @ R).ravel() - Z @ rigid
     return FramedStart(pose, np.concatenate((R @ rigid[:d], rigid[d:])), U, Ud)

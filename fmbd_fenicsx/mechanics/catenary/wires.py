@@ -103,6 +103,7 @@ class Wires:
         number(f"{what}: mass_damping", self.mass_damping, least=0.0)
         number(f"{what}: stiffness_damping", self.stiffness_damping, least=0.0)
         number(f"{what}: anchor", self.anchor, above=0.0)
+
         places = [(s, (s.wire,)) for s in self.supports] + [(d, (d.upper, d.lower)) for d in self.droppers]
         for part, numbers in places:
             for wire in numbers:
@@ -110,6 +111,7 @@ class Wires:
                     0 <= wire < len(self.wires),
                     f"{what}: {part} names wire {wire}; there are {len(self.wires)}, from 0.",
                 )
+
         for w in self.wires:
             require(w.mass > 0 and w.tension >= 0 and w.bending >= 0, f'Wires "{self.name}": unusable data {w}.')
         for x in (*(s.x for s in self.supports), *(d.x for d in self.droppers)):
@@ -172,6 +174,8 @@ class WiresPart(FieldPart):
         self.inertia_columns = np.zeros((self.n, 0))
         self.reference = np.zeros(self.n_port)
         self.mass_total, self.size = self.field.mass_total, self.field.size
+
+        # what the tangent and the ports were taken at
         self.t = np.nan
         self.slack = np.zeros(0, dtype=int)
         self._chosen = False  # whether Newton has just asked for the present set

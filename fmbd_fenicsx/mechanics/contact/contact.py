@@ -134,6 +134,7 @@ def contact(
     require(0 <= restitution <= 1, f"{what}: restitution {restitution} must lie in [0, 1].")
     if search is not None:
         number(f"{what}: search", search, above=0.0, unit="m")
+
     if isinstance(master, Obstacle):
         master.shape.check(what, slave.dim)
     if isinstance(master, Surface):
@@ -147,6 +148,7 @@ def contact(
             )
         if slave.body is master.body:
             raise InputError(f'Contact "{name}": contact of "{slave.body.name}" with itself is not offered.')
+
     return Contact(name, slave, master, float(friction), float(restitution), search, redistribute_mass)
 
 

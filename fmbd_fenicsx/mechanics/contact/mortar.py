@@ -72,15 +72,20 @@ class MortarPair:
         self.massless = law.redistribute_mass and not self.bounces
         self.facets = facets
         self.order = [_match(f, s, traces[s.trace]) for f, s in zip(facets, sides, strict=True)]
+
+        # a multiplier at each node, at corners only for quadratic faces
         quadratic = facets[0].dim == 3 and facets[0].degree > 1
         self.basis = (Continuous(1, Ends.KEPT) if quadratic else Dual(Ends.KEPT)).on(facets[0])
         carriers = np.unique(facets[0].nodes[:, :3]) if quadratic else np.arange(facets[0].n)
+
+        # candidates
         row = np.argsort(
             self.order[0][carriers]
         )  # candidates are in the order of the trace, functions in that of the facets
         self.functions = self.basis.basis[row]
         self.candidates = carriers[row]  # the facets' numbers of the nodes with a multiplier
         self.weight = np.asarray(self.basis.coupling().sum(axis=1)).ravel()[row]  # int psi_j at rest
+
         self.count = len(carriers)
         self.thickness = traces[sides[1].trace].thickness
         self.pairing: Pairing | None = None
@@ -101,9 +106,12 @@ class MortarPair:
             contacts.nodes(system, q, s.trace)[0][o] for s, o in zip((self.slave, self.master), self.order, strict=True)
         )
         apart = float(np.linalg.norm(np.maximum(0.0, np.maximum(xs.min(0) - xm.max(0), xm.min(0) - xs.max(0)))))
+
+        # the deformed facets, and how far they look
         slave, master = _moved(self.facets[0], xs), _moved(self.facets[1], xm)
         size = diameters(slave)
         sight = np.maximum(reach, 0.5 * size) if self.search is None else np.full(len(size), self.search)
+
         m = self.count
         on: np.ndarray = np.zeros(m, dtype=bool)
         normal = _nodal_normals(slave)[self.candidates]
@@ -120,6 +128,7 @@ class MortarPair:
                 on = w > COVERED * self.weight
                 inverse = sp.diags(np.where(on, 1.0 / np.where(on, w, 1.0), 0.0))
                 S, Q = (inverse @ D).tocsr(), (inverse @ M).tocsr()
+
         overlap_now = (-normal * (S @ xs - Q @ xm)).sum(1)
         self.pairing = Pairing(S, Q, -normal, on, np.where(on & keep, np.minimum(overlap_now, 0.0), 0.0))
 

@@ -290,15 +290,18 @@ class ContactSet:
         tr = self.traces[trace]
         coo = W.tocoo()
         which = coo.row if by_row else coo.col
+        # of each node: components in world and in body axes
         world = direction[which] * coo.data[:, None]
         local = world @ R
         rows = np.repeat(coo.row, d)
         cols = (coo.col[:, None] * d + np.arange(d)).ravel()
         nodal = sp.csr_matrix((local.ravel(), (rows, cols)), shape=(len(core), tr.n * d))
+
         if isinstance(tr, ModalTrace):
             core[:, self.amplitudes[tr.part]] += nodal @ tr.modes
         else:
             field[trace] = field[trace] + nodal
+        # what the frame of the body does to its nodes
         n_twist = self.m.n_twist
         if tr.frame * n_twist < self.n_core and tr.frame >= 0 and tr.moving:
             at_frame = slice(tr.frame * n_twist, (tr.frame + 1) * n_twist)
@@ -379,6 +382,8 @@ class ObstaclePair(Pair):
         m, side = contacts.m, self.slave
         pose = contacts.pose(system, self.carrier, t, q)
         r, R = pose[: m.dim], m.matrix(pose)
+
+        # points of the slave
         P, origin = np.zeros((0, m.dim)), np.zeros(m.dim)
         if side.surface is not None:
             x_all, P, Rb = nodes(side.trace)
@@ -387,6 +392,7 @@ class ObstaclePair(Pair):
             own = system.poses(q)[side.frame]
             origin, Rb = own[: m.dim], m.matrix(own)
             x = origin + side.points @ Rb.T
+        # distances in the axes of the obstacle
         y = (x - r) @ R
         dist, grad = self.shape.evaluate(y)
         normal = grad @ R.T

@@ -168,12 +168,14 @@ class Box(Shape):
             len(half) == dim and bool((half > 0).all()),
             f"Box: size {self.size!r} must be {dim} positive lengths.",
         )
+
         r = y - np.asarray(self.center, dtype=float)[:dim]
         over = np.abs(r) - half
         outside = np.maximum(over, 0.0)
         far = np.linalg.norm(outside, axis=1)
         inner = over.max(axis=1)
         d = np.where(far > 0, far, inner)
+
         side = np.where(r < 0, -1.0, 1.0)
         n_in = side * (np.arange(dim) == over.argmax(axis=1)[:, None])
         n_out = side * outside / np.where(far > 0, far, 1.0)[:, None]
@@ -223,6 +225,7 @@ class SignedDistance(Shape):
             e = np.eye(y.shape[1])[k] * h
             plus, minus, plus2, minus2 = (self.values(y + c * e) for c in (1, -1, 2, -2))
             grad[:, k] = (8 * (plus - minus) - (plus2 - minus2)) / (12 * h)
+
         size = np.linalg.norm(grad, axis=1)
         if (size <= 0).any():
             raise CallbackError(

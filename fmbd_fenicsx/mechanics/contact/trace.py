@@ -112,6 +112,7 @@ class Trace:
                 values += [-2 * _SHIFT, _SHIFT, _SHIFT]
             gather = (gather + sp.csr_matrix((values, (rows, cols)), shape=(n, n))).tocsr()
             D = gather @ D
+
         if (D <= 0).any():
             raise MeshError(
                 f'Contact surface "{name}": a shape function has no positive integral on it; use degree 1 or 2.'

@@ -45,6 +45,7 @@ def first_eigenvalue_bound(field: Field) -> float:
     X = f.X / f.size
     Z = rigid_fields(f)
     G = f.total(Z.T @ f.Q)
+
     best = np.inf
     for k in range(d):
         for i in range(d):

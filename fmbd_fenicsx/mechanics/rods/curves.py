@@ -165,6 +165,7 @@ class Curve:
             n.shape == (len(s), 3) and bool(np.isfinite(n).all()),
             f'Rod "{self.name}": normal must be three finite numbers, or a function of s with three; found {normal!r}.',
         )
+
         part = n - (n * t).sum(1, keepdims=True) * t
         size, whole = np.linalg.norm(part, axis=1), np.linalg.norm(n, axis=1)
         bad = np.flatnonzero(~(size > 1e-6 * np.maximum(whole, 1e-300)))
@@ -174,6 +175,7 @@ class Curve:
                 f'Rod "{self.name}": its twist is undefined at s = {s[bad[0]]:g} m, point {np.round(x, 6).tolist()}: '
                 f"normal {n[bad[0]].tolist()} is parallel to the tangent. Give another normal, or a function of s."
             )
+
         return np.asarray(part / size[:, None])
 
     def _carried(self, s: Array) -> Array:

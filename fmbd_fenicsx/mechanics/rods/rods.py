@@ -92,6 +92,7 @@ class Rod:
             bool(np.isfinite(self.damping)) and self.damping >= 0,
             f'Rod "{n}": damping {self.damping} s must not be negative.',
         )
+
         for load in self.loads:
             require(isinstance(load, RodLoad), f'Rod "{n}": loads are fmbd.RodLoad(...), found {load!r}.')
         self._check_stations()

@@ -107,6 +107,7 @@ def _pair(c: Contact, m: Motions, frame_of: dict[str, int], known: tuple[list[Tr
     else:
         i = number[c.slave.body.name]
         side = Side(i, traces[i].surfaces[c.slave.name], traces[i].frame, np.zeros((0, m.dim)), 0.0)
+
     if isinstance(c.master, Surface):
         return _mortar_pair(c, side, known)
     bounces = side.trace < 0 or not isinstance(traces[side.trace], FieldTrace)

@@ -49,10 +49,12 @@ def build_loads(builder: Builder) -> tuple[Loads, ...]:
         if (alone := f.own_loads(Place(builder))) is not None:
             out.append(alone)
             continue
+
         s = f.coordinate
         kind = Separation if s is None else s.kind
         markers = builder.force_markers(f) if s is None else builder.joint_markers[s.joint.name]
         groups.setdefault((f.batch, kind), []).append((f, markers))
+
     for (batch, kind), found in groups.items():
         fs, ms = [f for f, _ in found], [m for _, m in found]
         if issubclass(batch, ScalarLoads):

@@ -35,6 +35,7 @@ def make_plan(scene: Scene, system: System, path: str = "NumPy") -> Plan:
     unknowns = [("frames", system.n_core - sum(n for _, n in modes)), *modes]
     unknowns += [(f"{f.name}.u", f.field.n_global) for _, f in system.fields]
     unknowns += [(b.name, b.rows.stop - b.rows.start) for b in system.blocks]
+
     constant, left = [], []
     if system.fields:
         constant += ["mass and stiffness", "trace weights", "one factor of cm M + ck K for each field and step size"]
@@ -48,12 +49,14 @@ def make_plan(scene: Scene, system: System, path: str = "NumPy") -> Plan:
         left.append("elastic fields (no mesh library, no PETSc, no MPI)")
     if system.fields and system.comm.size == 1:
         left.append("communication between ranks")
+
     if not scene.joints:
         left.append("joints")
     if not scene.forces:
         left.append("applied forces")
     if scene.gravity is None:
         left.append("gravity")
+
     if system.contacts is None:
         left.append("contact")
     else:
@@ -67,4 +70,5 @@ def make_plan(scene: Scene, system: System, path: str = "NumPy") -> Plan:
         left.append("modal reduction")
     if not scene.ties:
         left.append("field multipliers")
+
     return Plan(tuple(unknowns), tuple(constant), tuple(left), path)

@@ -20,6 +20,8 @@ def finer_system(system: System, state: State) -> tuple[System, State] | None:
     m = system.motions
     parts: list[Any] = []
     q, v = [state.q[: system.counted_angles.stop]], [state.v[: system.n_frames * m.n_twist]]
+
+    # frames stay; local coordinates begin anew in the finer basis
     for k, part in enumerate(system.parts):
         local = system.local_q(state.q, k), system.local_v(state.v, k)
         if isinstance(part, ReducedPart):
@@ -28,6 +30,7 @@ def finer_system(system: System, state: State) -> tuple[System, State] | None:
         parts.append(part)
         q.append(local[0])
         v.append(local[1])
+
     if not any(isinstance(p, ReducedPart) for p in parts):
         return None
     finer = replace(system, parts=tuple(parts), cache={})

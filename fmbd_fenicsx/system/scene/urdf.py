@@ -77,13 +77,17 @@ class Robot:
         require(not self._made, "make_elastic comes before scene().")
         if link not in self.bodies:
             raise InputError(f'make_elastic: no link "{link}" with mass. {near(link, self.bodies)}')
+
+        # joints that hold the link need a surface, unless both sides are one body
         mine = [j.name for j in self.joints.values() if link in (self.carrier[j.parent], self.carrier[j.child])]
         missing = [j for j in mine if j not in surfaces and self.joints[j].kind != "floating"]
         missing = [j for j in missing if self.carrier[self.joints[j].parent] != self.carrier[self.joints[j].child]]
         require(not missing, f'make_elastic: link "{link}" is held by joints {missing}: give a surface for each.')
+
         frame = self.frames[link]
         placed = body.with_(name=link, mesh=body.mesh.placed(frame[:3, 3], frame[:3, :3]))
         made = placed if modes is None else placed.reduced(modes=modes)
+
         for joint, surface in surfaces.items():
             require(joint in mine, f'make_elastic: joint "{joint}" does not hold link "{link}". {near(joint, mine)}')
             made.surface(surface)
@@ -159,6 +163,7 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
         raise InputError("read_urdf needs yourdfpy: pip install yourdfpy (extra: exchange).") from None
     path = Path(file)
     require(path.is_file(), f"read_urdf: there is no file {path} (looked in {Path.cwd()}).")
+
     model = URDF.load(str(path), load_meshes=False, build_scene_graph=False).robot
     start = {} if start is None else dict(start)
     known = [j.name for j in model.joints]
@@ -169,9 +174,11 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
             )
     for joint in start:
         require(joint in known, f'read_urdf: no joint "{joint}" to start with. {near(joint, known)}')
+
     children = {j.child for j in model.joints}
     roots = [link.name for link in model.links if link.name not in children]
     require(len(roots) == 1, f"{path}: expected one root link, found {roots}.")
+
     frames, joints = _placed(model, roots[0], start)
     bodies, carrier = _bodies(path, model, (roots[0], frames, joints))
     return Robot(model.name or path.stem, roots[0], frames, joints, bodies, carrier)
@@ -181,6 +188,8 @@ def _placed(model: Any, root: str, start: dict[str, float]) -> tuple[dict[str, A
     """Frames of all links and the joints in the world, along the tree from its root."""
     frames: dict[str, Array] = {root: np.eye(4)}
     joints: dict[str, RobotJoint] = {}
+
+    # from the root outwards
     waiting = list(model.joints)
     while waiting:
         ready = [j for j in waiting if j.parent in frames]
@@ -191,6 +200,7 @@ def _placed(model: Any, root: str, start: dict[str, float]) -> tuple[dict[str, A
             frame = frames[j.parent] @ (np.eye(4) if j.origin is None else j.origin)
             axis = np.array([1.0, 0.0, 0.0]) if j.axis is None else np.asarray(j.axis, dtype=float)
             frames[j.child] = frame @ _moved(j.type, axis, start.get(j.name, 0.0))
+
             limits = (-np.inf, np.inf)
             if j.limit is not None and j.type in ("revolute", "prismatic"):
                 limits = (float(j.limit.lower or 0.0), float(j.limit.upper or 0.0))
@@ -199,6 +209,7 @@ def _placed(model: Any, root: str, start: dict[str, float]) -> tuple[dict[str, A
             mimic = (
                 None if j.mimic is None else (j.mimic.joint, 1.0 if j.mimic.multiplier is None else j.mimic.multiplier)
             )
+
             joints[j.name] = RobotJoint(
                 j.name, j.type, j.parent, j.child, frame, frame[:3, :3] @ axis, limits, damping, friction, mimic
             )
@@ -225,6 +236,7 @@ def _bodies(path: Path, model: Any, tree: tuple[str, dict[str, Array], dict[str,
     bodies: dict[str, Any] = {}
     carrier = {root: root}
     of = {link.name: link for link in model.links}
+
     for name in frames:  # parents come before children
         if name == root:
             continue
@@ -236,6 +248,7 @@ def _bodies(path: Path, model: Any, tree: tuple[str, dict[str, Array], dict[str,
                 )
             carrier[name] = carrier[joint.parent]
             continue
+
         place = frames[name] @ (np.eye(4) if inertial.origin is None else inertial.origin)
         bodies[name] = RigidBody(
             name, float(inertial.mass), np.asarray(inertial.inertia), position=place[:3, 3], rotation=place[:3, :3]

@@ -24,6 +24,7 @@ def slider_rows(scene: Any, parts: list[Any], part_of: dict[str, int], row: int)
                 scene.bodies.get(b.name) is b,
                 f'Contact "{s.name}" refers to body "{b.name}", which is not in the scene.',
             )
+
         slot = slots[s.wires.name] = slots.get(s.wires.name, -1) + 1
         numbers = (part_of[s.wires.name], part_of[s.body.name])
         wire, head = place(s, numbers, slot, row)
