@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..checks import check_fields
 from ..errors import ConvergenceError, LinearSolveError, require
 from ..rotations import Array
 from .static_newton import Point, StaticNewton
@@ -66,6 +67,7 @@ class ArcLength:
     most: int = 400
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(self.t_end != 0.0, "ArcLength: t_end is the last load parameter; it must not be zero.")
         require(0.0 < self.step <= 1.0, f"ArcLength: step = {self.step} must be in (0, 1].")
         require(self.most >= 1, f"ArcLength: most = {self.most} must be at least 1.")

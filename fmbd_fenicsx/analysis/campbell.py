@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..checks import typed
 from ..errors import require
 from ..rotations import Array
 from ..system.scene.scene import Scene
@@ -31,6 +32,7 @@ class Campbell:
         return np.abs(self.eigenvalues.imag)
 
 
+@typed
 def campbell(make: Callable[[float], Scene], speeds: Sequence[float], n: int, *, spin: Spin | None = None) -> Campbell:
     """The first n modes about the steady rotation of ``make(speed)`` at each speed (rad/s); collective.
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import typed
 from ..errors import ConvergenceError, InputError, LinearSolveError, near, require
 from ..fem.fields import Field
 from ..linear.condensation import StepSolver
@@ -64,6 +65,7 @@ def read(where: Any, sensor: str, state: State) -> Array:
     return np.atleast_1d(np.asarray(value, dtype=float))
 
 
+@typed
 def equilibrium(
     scene: Scene,
     *,

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sl
 
+from ..checks import typed
 from ..errors import InputError, near
 from ..mechanics.forces.force_elements import ScalarLoads, TimeLoads
 from ..rotations import Array
@@ -71,6 +72,7 @@ class LinearModel:
         return out
 
 
+@typed
 def linearise(
     scene: Scene, inputs: Sequence[str], outputs: Sequence[str], *, at: Any = None, modes: int | None = None
 ) -> LinearModel:
@@ -97,6 +99,7 @@ def linearise(
         made.solver.destroy()
 
 
+@typed
 def frequency_response(
     scene: Scene, inputs: Sequence[str], outputs: Sequence[str], omega: Sequence[float] | Array, *, at: Any = None
 ) -> Array:

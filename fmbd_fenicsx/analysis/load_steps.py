@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..checks import check_fields
 from ..errors import ConvergenceError, LinearSolveError, require
 from .arc_length import Path
 from .static_newton import Point, StaticNewton
@@ -33,6 +34,7 @@ class LoadSteps:
     first: float | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(len(self.stops) > 0, "LoadSteps: at least one load parameter is needed, found none.")
         ascending = all(a < b for a, b in zip(self.stops, self.stops[1:], strict=False))
         require(ascending, f"LoadSteps: the load parameters must ascend, found {self.stops}.")

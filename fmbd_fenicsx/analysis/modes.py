@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sl
 
+from ..checks import typed
 from ..errors import InputError, require
 from ..linear.condensation import StepSolver
 from ..rotations import Array
@@ -87,6 +88,7 @@ class Linearised:
     shift: float
 
 
+@typed
 def modes(scene: Scene, n: int, *, at: Any = None, linear: Any = None) -> Modes:
     """The first n modes of a scene; collective.
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..checks import check_fields
 from ..errors import require
 from ..rotations import Array
 from ..system.system import Evaluation, System
@@ -27,6 +28,7 @@ class Spin:
     center: Sequence[float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         size = float(np.linalg.norm(self.axis))
         require(bool(np.isfinite(self.rate)), f"Spin: rate = {self.rate} rad/s must be finite.")
         require(

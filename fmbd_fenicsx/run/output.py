@@ -34,6 +34,7 @@ class PerSecond:
     rate: float
 
     def __post_init__(self) -> None:
+        check_fields(self)
         usable = bool(np.isfinite(self.rate)) and self.rate > 0
         require(usable, f"PerSecond: rate = {self.rate} 1/s must be positive.")
 

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import typed
 from ..errors import InputError, near, require
 from ..ranks import OneAnswer
 from ..rotations import Array
@@ -198,6 +199,7 @@ class SceneStepper:
         self.close()
 
 
+@typed
 def stepper(
     scene: Scene, *, dt: float, scheme: Any = None, newton: Newton | None = None, linear: Any = None
 ) -> SceneStepper:

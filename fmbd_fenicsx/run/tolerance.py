@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import typed
 from ..errors import ConvergenceError, InputError, LinearSolveError, near, require
 from ..log import log
 from ..mechanics.bodies.bodies import ElasticBody
@@ -43,6 +44,7 @@ class Relative:
     share: float
 
 
+@typed
 def relative(share: float) -> Relative:
     """A tolerance as a share of the range of the sensor: ``tol={"tip": relative(1e-3)}``."""
     require(bool(np.isfinite(share)) and share > 0, f"relative({share}): the share must be positive.")

@@ -176,6 +176,7 @@ class Projected(Form):
     projected = True
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(
             len(self.of.levels) == 1 and not self.of.projected,
             f"Projected({self.of.name}()): the form holds several levels by itself; project Index1 or Index2.",

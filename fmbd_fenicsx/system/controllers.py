@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..checks import instance
+from ..checks import instance, typed
 from ..errors import CallbackError, InputError, named, require
 from ..mechanics.forces.force_elements import Loads, Tangent
 from ..mechanics.forces.forces import Force
@@ -285,6 +285,7 @@ class Controller(Force):
         return ControlLoads(place.motions, self, [place.relative(s) for s in self.acts], readings)
 
 
+@typed
 def controller(
     name: str,
     *,

@@ -26,7 +26,9 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from ...checks import shown, typed
 from ...errors import InputError
+from ...mesh import Mesh
 from ...rotations import Array
 from .mortar import mortar, refined_coupling
 from .multipliers import Multipliers, MultiplierSpace, default_space
@@ -169,6 +171,7 @@ class BodyNorm:
         self.A.destroy()
 
 
+@typed
 def infsup(
     joint: Any,
     space: MultiplierSpace | None = None,
@@ -196,6 +199,11 @@ def infsup(
         surface, degree = (side.body.mesh, side.name), degree or side.body.degree
         space = space or getattr(joint, "space", None)
     else:
+        pair = isinstance(joint, tuple) and len(joint) == 2 and isinstance(joint[0], Mesh) and isinstance(joint[1], str)
+        if not pair:
+            raise InputError(
+                f"infsup takes a surface tie, a surface of an elastic body, or (mesh, surface name); found {shown(joint)}."
+            )
         surface, degree = joint, degree or 2
     space = space or default_space(degree)
     from dolfinx import fem

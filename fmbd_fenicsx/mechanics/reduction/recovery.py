@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from ...checks import instance, shown, typed
 from ...errors import InputError
 from ..placements import is_distributed
 from .craig_bampton import ReducedBody
 
 
+@typed
 def displacement_field(run: Any, body: Any, state: Any = None) -> Any:
     """Displacements u of an elastic body as a dolfinx Function on its mesh, in its frame's axes; collective.
 
@@ -17,12 +19,18 @@ def displacement_field(run: Any, body: Any, state: Any = None) -> Any:
     """
     from dolfinx import fem
 
-    system, state = run.system, run.state if state is None else state
+    try:
+        system, state = run.system, run.state if state is None else state
+        name = body.name
+    except AttributeError as error:
+        raise InputError(
+            f"displacement_field takes a run and an elastic body of it; found {shown(run)} and {shown(body)}."
+        ) from error
     for k, part in enumerate(system.parts):  # noqa: B007, used below
-        if part.name == body.name:
+        if part.name == name:
             break
     else:
-        raise InputError(f'Body "{body.name}" is no elastic body of the run.')
+        raise InputError(f'Body "{name}" is no elastic body of the run.')
     local = system.local_q(state.q, k)
     if isinstance(body, ReducedBody):
         space, values = body.reduction.space, body.reduction.phi @ local
@@ -36,6 +44,7 @@ def displacement_field(run: Any, body: Any, state: Any = None) -> Any:
     return u
 
 
+@typed
 def stress(u: Any, sigma: Callable[[Any], Any], *, degree: int = 1) -> Any:
     """sigma(u), the user's UFL stress (or any tensor), as a Function, discontinuous between cells; collective.
 
@@ -52,6 +61,7 @@ def within_cells(u: Any, quantity: Callable[[Any], Any], *, degree: int, name: s
 
     from ... import dolfinx_compat as compat
 
+    instance(f"{name}: u", u, fem.Function)
     expression = quantity(u)
     shape = expression.ufl_shape
     space = fem.functionspace(u.function_space.mesh, ("DG", degree, shape) if shape else ("DG", degree))

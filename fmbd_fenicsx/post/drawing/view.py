@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ...checks import check_fields, whole
 from ...errors import require
 
 
@@ -56,6 +57,10 @@ class View:
     size: tuple[int, int] = (960, 540)
 
     def __post_init__(self) -> None:
+        check_fields(self)
+        require(len(self.size) == 2, f"View: size {self.size} must be two numbers, of pixels wide and high.")
+        for pixels in self.size:
+            whole("View: size", pixels, least=1)
         require(self.zoom > 0, f"View: zoom = {self.zoom} must be positive.")
         require(self.instants >= 1, f"View: instants = {self.instants} must be at least 1.")
         require(min(self.size) >= 64, f"View: size {self.size} must be at least 64 x 64 pixels.")

@@ -70,8 +70,8 @@ class Radau:
     atol: float | None = None
 
     def __post_init__(self) -> None:
-        require(self.stages in (2, 3, 5, 7), f"Radau: stages = {self.stages} must be 2, 3, 5 or 7.")
         check_controlled(self)
+        require(self.stages in (2, 3, 5, 7), f"Radau: stages = {self.stages} must be 2, 3, 5 or 7.")
 
     @property
     def order(self) -> int:
