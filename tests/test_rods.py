@@ -507,3 +507,28 @@ def test_compiled_rods_move_as_those_in_numpy(more, monkeypatch):
     np.testing.assert_allclose(compiled["tip"], plain["tip"], atol=1e-8)
     np.testing.assert_allclose(compiled["root"], plain["root"], atol=1e-5 * np.abs(plain["root"]).max())
     np.testing.assert_allclose(compiled.total_energy, plain.total_energy, atol=1e-6)
+
+
+# -- steady rotation ------------------------------------------------------------------------------------------------
+def test_frequencies_of_a_rotating_cantilever():
+    """First flapwise frequency over sqrt(EI / m L^4), slender and inextensible, to 50 times that speed.
+
+    Values of Hamza-cherif and Houmat, ICAS 2004; those in the plane of rotation obey lag^2 = flap^2 - speed^2 there.
+    """
+    reference = {2.0: 4.1373, 6.0: 7.3603, 10.0: 11.2023, 50.0: 51.0805}
+    side = np.sqrt(12) / 700
+    bending = side**4 / 12
+    section = fmbd.RodSection(
+        (1e3 * side**2, side**2, side**2, bending, bending, bending), side**2, (2 * bending, bending, bending)
+    )
+
+    def make(speed):
+        rod = fmbd.Rod("blade", [(0, 0, 0), (1, 0, 0)], section, elements=6)
+        return cantilever(rod)
+
+    unit = np.sqrt(bending) / side
+    found = fmbd.campbell(make, [mu * unit for mu in reference], 2)
+    frequencies = np.sort(np.abs(found.eigenvalues.imag), axis=1) / unit
+    flap = np.array(list(reference.values()))
+    np.testing.assert_allclose(frequencies[:, 1], flap, rtol=3e-4)
+    np.testing.assert_allclose(frequencies[:3, 0], np.sqrt(flap**2 - np.array(list(reference)) ** 2)[:3], rtol=2e-3)
