@@ -41,6 +41,8 @@ from .linear.saddle.presets import Direct as Direct
 from .linear.saddle.presets import FieldSplit as FieldSplit
 from .linear.saddle.presets import Multigrid as Multigrid
 from .linear.saddle.presets import Schur as Schur
+from .line_mesh import Line as Line
+from .line_mesh import read_line as read_line
 from .log import say as say
 from .mechanics.bodies.beams import Beam as Beam
 from .mechanics.bodies.beams import Section as Section

@@ -17,6 +17,7 @@ FLOORS = [
         "rotations",
         "dolfinx_compat",
         "mesh",
+        "line_mesh",
         "materials",
         "energies",
         "kernel_cache",

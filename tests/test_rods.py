@@ -532,3 +532,38 @@ def test_frequencies_of_a_rotating_cantilever():
     flap = np.array(list(reference.values()))
     np.testing.assert_allclose(frequencies[:, 1], flap, rtol=3e-4)
     np.testing.assert_allclose(frequencies[:3, 0], np.sqrt(flap**2 - np.array(list(reference)) ** 2)[:3], rtol=2e-3)
+
+
+# -- lines of gmsh --------------------------------------------------------------------------------------------------
+HOOK = """
+Point(1) = {0, 0, 0}; Point(2) = {2, 0, 0}; Point(3) = {2, 1, 0}; Point(4) = {3, 1, 0};
+Line(1) = {1, 2}; Circle(2) = {4, 3, 2};
+Physical Curve("hook") = {1, 2}; Physical Point("root") = {1}; Physical Point("bend") = {2}; Physical Point("tip") = {4};
+Mesh.MeshSizeMin = 0.05; Mesh.MeshSizeMax = 0.05; Mesh.ElementOrder = 2;
+"""
+
+
+def test_a_line_of_gmsh_is_a_curve(tmp_path):
+    """A straight piece and an arc, the second drawn backwards: points in order, named points at their arc lengths."""
+    (tmp_path / "hook.geo").write_text(HOOK)
+    line = fmbd.read_line(tmp_path / "hook.geo")
+    rod = fmbd.Rod("hook", line.points, UNIT, stations=line.stations, elements=8)
+    assert rod.length == pytest.approx(2 + np.pi / 2, rel=1e-5)
+    assert rod.places["root"] == pytest.approx(0.0, abs=1e-9)
+    assert rod.places["bend"] == pytest.approx(2.0, rel=1e-5)
+    np.testing.assert_allclose(rod.poses[rod.node_of("tip"), :3], (3, 1, 0), atol=1e-9)
+    assert rod.node_of("root") == 0
+    assert rod.node_of("tip") == len(rod.nodes) - 1
+
+
+def test_lines_that_are_no_path_are_refused(tmp_path):
+    """A name that is not there, a closed line, and a station beside the curve."""
+    (tmp_path / "hook.geo").write_text(HOOK)
+    with pytest.raises(InputError, match='Did you mean "hook"'):
+        fmbd.read_line(tmp_path / "hook.geo", line="hok")
+    closed = HOOK.replace('Physical Curve("hook") = {1, 2}', 'Line(3) = {4, 1}; Physical Curve("hook") = {1, 2, 3}')
+    (tmp_path / "loop.geo").write_text(closed)
+    with pytest.raises(InputError, match="one open path"):
+        fmbd.read_line(tmp_path / "loop.geo")
+    with pytest.raises(InputError, match="off the curve by 0.1 m"):
+        fmbd.Rod("rod", [(0, 0, 0), (1, 0, 0)], UNIT, stations={"side": (0.5, 0.1, 0.0)})

@@ -143,6 +143,20 @@ class Curve:
         x = self._spline(u) if self._exact is None else np.array([self._value(k) for k in u])
         return x, slope / np.linalg.norm(slope, axis=-1, keepdims=True)
 
+    def nearest(self, point: Array) -> tuple[float, float]:
+        """Arc length of the place on the curve nearest to a point, and the distance, both m."""
+        from scipy.optimize import minimize_scalar
+
+        k = int(np.linalg.norm(self._spline(self._u) - point, axis=1).argmin())
+        around = self._s[max(k - 1, 0)], self._s[min(k + 1, len(self._s) - 1)]
+
+        def square(s: float) -> float:
+            return float(((self.at(np.array([s]))[0][0] - point) ** 2).sum())
+
+        found = minimize_scalar(square, bounds=around, method="bounded", options={"xatol": 1e-12 * self.length})
+        s = min((*around, float(found.x)), key=square)
+        return s, float(np.sqrt(square(s)))
+
     # -- axes -----------------------------------------------------------------------------------------------------
     def axes(self, s: Array, normal: Any = None, twist: Callable[[float], float] | None = None) -> Array:
         """Rotation matrices (n, 3, 3) of the sections at ascending arc lengths s, columns axis 1, 2, 3."""

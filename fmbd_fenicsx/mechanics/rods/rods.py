@@ -23,6 +23,7 @@ from .sections import RodSection
 from .strains import shape_of
 
 ENDS = ("start", "end")
+ON_CURVE = 1e-6  # distance of a station from the curve, over its length
 LARGEST_TURN = np.pi / 2  # between neighbouring nodes of the reference
 
 
@@ -51,7 +52,8 @@ class Rod:
         normal: direction of section axis 2 (its part across the curve), (3,) or a function of s; None: carried along without
             twist from the world axis most across the start.
         twist: angle (rad) of the sections about the tangent, a function of s (m), on top.
-        stations: names of places along the rod: name -> arc length s (m). They become nodes, and surfaces like the ends.
+        stations: names of places along the rod: name -> arc length s (m), or a point (3,) on the curve (m). They become nodes,
+            and surfaces like the ends.
         loads: loads along the rod, :class:`RodLoad`.
         damping: time (s) of Kelvin-Voigt damping: section forces C (e + damping e').
         prestrain: strains (6,) at which the section is free of stress, or a function of s; None: those of the curve.
@@ -67,7 +69,7 @@ class Rod:
     degree: int = 3
     normal: Any = None
     twist: Callable[[float], float] | None = None
-    stations: Mapping[str, float] = field(default_factory=dict)
+    stations: Mapping[str, Any] = field(default_factory=dict)
     loads: Sequence[RodLoad] = ()
     damping: float = 0.0
     prestrain: Any = None
@@ -101,12 +103,25 @@ class Rod:
     def _check_stations(self) -> None:
         """Stations lie on the curve, and have names of their own."""
         length = self.reference.length
-        for name, s in self.stations.items():
+        for name, given in self.stations.items():
             require(name not in ENDS, f'Rod "{self.name}": a station cannot be called "{name}": its ends are.')
+            if np.ndim(given) == 0:
+                require(
+                    bool(np.isfinite(given)) and 1e-9 * length < given < (1 - 1e-9) * length,
+                    f'Rod "{self.name}": station "{name}" at s = {given} m is off the curve, which is {length:.6g} m long. Its '
+                    'ends are the surfaces "start" and "end".',
+                )
+                continue
+            point = np.asarray(given, dtype=float)
             require(
-                bool(np.isfinite(s)) and 1e-9 * length < s < (1 - 1e-9) * length,
-                f'Rod "{self.name}": station "{name}" at s = {s} m is off the curve, which is {length:.6g} m long. Its ends are '
-                'the surfaces "start" and "end".',
+                point.shape == (3,) and bool(np.isfinite(point).all()),
+                f'Rod "{self.name}": station "{name}" must be an arc length (m) or a point (3,), found {given!r}.',
+            )
+            s, distance = self.reference.nearest(point)
+            require(
+                distance <= ON_CURVE * length,
+                f'Rod "{self.name}": station "{name}" at {point.tolist()} is off the curve by {distance:.3g} m; the nearest '
+                f"place is s = {s:.6g} m.",
             )
 
     def _check_turns(self) -> None:
@@ -129,10 +144,17 @@ class Rod:
         return Curve(self.name, self.curve)
 
     @cached_property
+    def places(self) -> dict[str, float]:
+        """Arc lengths of the stations, m."""
+        given = self.stations.items()
+        return {n: float(x) if np.ndim(x) == 0 else self.reference.nearest(np.asarray(x, float))[0] for n, x in given}
+
+    @cached_property
     def breaks(self) -> Array:
         """Arc lengths of the element ends, (m + 1,): equal lengths between stations."""
         length = self.reference.length
-        stops = np.unique([0.0, *self.stations.values(), length])
+        inner = [s for s in self.places.values() if 1e-9 * length < s < (1 - 1e-9) * length]
+        stops = np.unique([0.0, *inner, length])
         parts = [max(1, round(self.elements * (b - a) / length)) for a, b in zip(stops[:-1], stops[1:], strict=True)]
         pieces = [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(stops[:-1], stops[1:], parts, strict=True)]
         return np.concatenate((*pieces, [length]))
@@ -205,7 +227,7 @@ class Rod:
         """Number of the node of a named section."""
         if section in ENDS:
             return 0 if section == "start" else len(self.nodes) - 1
-        return int(np.argmin(np.abs(self.nodes - self.stations[section])))
+        return int(np.argmin(np.abs(self.nodes - self.places[section])))
 
     def elements_on(self, first: int) -> RodElements:
         """The elements of a system in which the nodes are the frames from ``first`` on."""
