@@ -137,3 +137,17 @@ def test_bad_input() -> None:
     tilted.add(rod, fmbd.revolute("pin", fmbd.ground, rod, center=(0.0, 0.0)))
     with pytest.raises(InputError, match=r"not in equilibrium.*accelerate with"):
         fmbd.modes(tilted, 1)
+
+
+def test_forward_and_backward_whirl() -> None:
+    """The oscillator of 2 rad/s circles with +2 and -2 at rest; its critical speed is 2 rad/s."""
+    scene = fmbd.Scene("whirl")
+    mass = fmbd.RigidBody("mass", 1.0, 1.0)
+    scene.add(mass)
+    for i, (x, y) in enumerate(((10.0, 0.0), (-10.0, 0.0), (0.0, 10.0), (0.0, -10.0))):
+        scene.add(fmbd.Spring(f"spring {i}", fmbd.ground, mass, (x, y), (0.0, 0.0), stiffness=2.0, length=10.0))
+    hold = lambda t, at: (np.zeros(2), np.array([-50.0 * np.arctan2(at.R[1, 0], at.R[0, 0])]))  # noqa: E731
+    scene.add(fmbd.own_force("hold", mass, None, hold))
+    found = fmbd.campbell(lambda speed: scene, [0.7, 1.5, 2.5], 2)
+    assert np.sort(found.fixed, axis=1) == pytest.approx(np.array([[-2.0, 2.0]] * 3), rel=1e-6)
+    assert found.critical_speeds == pytest.approx([2.0], rel=1e-6)

@@ -1,6 +1,8 @@
-"""Campbell's diagram: frequencies of a rotating scene over its speed, and its critical speeds.
+"""Campbell's diagram: frequencies of a rotating scene over its speed, forward and backward whirl, and critical speeds.
 
-Frequencies are those seen in axes that turn with the scene; a motion with frequency w in them has w + W or |w - W| at rest.
+Eigenvalues are those seen in axes that turn with the scene. A motion that circles there with the rate s w (s = 1 with the speed,
+s = -1 against it) circles with W + s w at rest: :attr:`Campbell.fixed`. A speed W is critical where a forward whirl keeps up with
+the scene, W + s w = W: there a motion that stands still in the turning axes, an unbalance, meets no stiffness.
 """
 
 from __future__ import annotations
@@ -21,15 +23,37 @@ from .steady import Spin
 
 @dataclass(frozen=True, eq=False)
 class Campbell:
-    """``speeds`` (m,) rad/s, ``eigenvalues`` (m, n) complex 1/s in turning axes."""
+    """``speeds`` (m,) rad/s, ``eigenvalues`` (m, n) complex 1/s in turning axes; ``whirl`` (m, n) in these axes: 1 with the
+    speed, -1 against it, 0 for motions in a plane.
+    """
 
     speeds: Array
     eigenvalues: Array
+    whirl: Array
 
     @property
     def omega(self) -> Array:
         """Angular frequencies in turning axes, (m, n) rad/s."""
         return np.abs(self.eigenvalues.imag)
+
+    @property
+    def fixed(self) -> Array:
+        """Rates at rest, (m, n) rad/s: positive for forward, negative for backward whirl; plane motions as if forward."""
+        return np.asarray(self.speeds[:, None] + np.where(self.whirl < 0, -1.0, 1.0) * self.omega)
+
+    @property
+    def critical_speeds(self) -> list[float]:
+        """Speeds (rad/s) at which a forward whirl keeps up with the scene, each on a straight line between two of the diagram's
+        speeds, which increase.
+        """
+        found = []
+        # how far each forward whirl is ahead of the scene, the slowest first
+        ahead = [np.sort(x[x > 0.0]) - speed for x, speed in zip(self.fixed, self.speeds, strict=True)]
+        for j, step in enumerate(np.diff(self.speeds)):
+            for a, b in zip(ahead[j], ahead[j + 1], strict=False):
+                if a > 0.0 >= b:
+                    found.append(float(self.speeds[j] + step * a / (a - b)))
+        return found
 
 
 @typed
@@ -39,9 +63,11 @@ def campbell(make: Callable[[float], Scene], speeds: Sequence[float], n: int, *,
     ``spin`` gives axis and centre (its rate is ignored); the z axis through the origin by default. The ground turns as well.
     """
     require(len(speeds) > 0, "campbell: needs at least one speed.")
-    found = []
+    values, senses = [], []
     for speed in speeds:
         scene = make(float(speed))
         turn = Spin(float(speed)) if spin is None else Spin(float(speed), spin.axis, spin.center)
-        found.append(modes(scene, n, at=equilibrium(scene, spin=turn)).eigenvalues)
-    return Campbell(np.asarray(speeds, dtype=float), np.array(found))
+        found = modes(scene, n, at=equilibrium(scene, spin=turn))
+        values.append(found.eigenvalues)
+        senses.append(found.whirl(turn.axis))
+    return Campbell(np.asarray(speeds, dtype=float), np.array(values), np.array(senses))

@@ -8,6 +8,7 @@ such; otherwise as the eigenvalues of its companion matrix.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,6 +17,7 @@ import scipy.linalg as sl
 
 from ..checks import typed
 from ..errors import InputError, require
+from ..fem.fields import rank_sum
 from ..linear.condensation import StepSolver
 from ..rotations import Array
 from ..schemes.consistent import consistent
@@ -28,6 +30,7 @@ from .first_order import first_order, slowest
 from .perturbation import Perturbation
 
 SYMMETRIC = 1e-7  # relative size of what a symmetric matrix may lack of symmetry, differences included
+PLANE = 1e-6  # share of circling motion below which a mode is plane
 FAR = 1e-3  # accelerations of a state "in equilibrium", over the largest of weights and of its own vibrations
 
 
@@ -63,6 +66,23 @@ class Modes:
         size = np.abs(self.eigenvalues)
         return np.where(size > 0, -self.eigenvalues.real / np.where(size > 0, size, 1.0), 0.0)
 
+    def whirl(self, axis: Sequence[float] = (0.0, 0.0, 1.0)) -> Array:
+        """Sense in which each mode circles about an axis, (n,): 1 with it, -1 against it, 0 for motions in a plane; collective.
+
+        A point moves by a cos(w t) - b sin(w t), with a + i b its part of the shape, and goes round with -a x b.
+        """
+        s, d, n = self.system, self.system.motions.dim, self.system.motions.n_twist
+        held = s.n_frames * n
+        out = np.zeros(len(self.shapes))
+        for k, y in enumerate(self.shapes):
+            moves = [y[:held].reshape(-1, n)[:, :d]]
+            local = [s.local_v(y, i).reshape(-1, d) for i, p in s.fields if p.frame == s.n_frames]
+            sums = _circling(moves, axis)
+            if s.comm is not None:
+                sums = sums + rank_sum(s.comm, _circling(local, axis))
+            out[k] = np.sign(sums[0]) if abs(sums[0]) > PLANE * sums[1] else 0.0
+        return out
+
     def displaced(self, k: int, amplitude: float, phase: float = 0.0) -> State:
         """The state with mode k at an amplitude (m) and phase (rad): for pictures and movies."""
         require(0 <= k < len(self.eigenvalues), f"Mode {k} does not exist: there are {len(self.eigenvalues)}, from 0.")
@@ -75,6 +95,17 @@ class Modes:
 
     def _table(self) -> list[tuple[float, float, float]]:
         return list(zip(self.frequencies, self.omega, self.damping, strict=True))
+
+
+def _circling(moves: Sequence[Array], axis: Sequence[float]) -> Array:
+    """Sums over points of the area rate about an axis and of the squared motion."""
+    area = total = 0.0
+    for x in moves:
+        a, b = x.real, x.imag
+        turn = np.cross(a, b) if x.shape[1] == 3 else a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        area -= 2.0 * float((turn @ np.asarray(axis, dtype=float) if x.shape[1] == 3 else turn).sum())
+        total += float((a * a + b * b).sum())
+    return np.array([area, total])
 
 
 @dataclass(frozen=True, eq=False)
