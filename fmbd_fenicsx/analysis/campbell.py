@@ -48,7 +48,10 @@ class Campbell:
         """
         found = []
         # how far each forward whirl is ahead of the scene, the slowest first
-        ahead = [np.sort(x[x > 0.0]) - speed for x, speed in zip(self.fixed, self.speeds, strict=True)]
+        ahead: list[Array] = []
+        for j in range(len(self.speeds)):
+            rates: Array = self.fixed[j]
+            ahead.append(np.sort(rates[rates > 0.0]) - self.speeds[j])
         for j, step in enumerate(np.diff(self.speeds)):
             for a, b in zip(ahead[j], ahead[j + 1], strict=False):
                 if a > 0.0 >= b:

@@ -74,7 +74,8 @@ class Modes:
         s, d, n = self.system, self.system.motions.dim, self.system.motions.n_twist
         held = s.n_frames * n
         out = np.zeros(len(self.shapes))
-        for k, y in enumerate(self.shapes):
+        for k in range(len(out)):
+            y: Array = self.shapes[k]
             moves = [y[:held].reshape(-1, n)[:, :d]]
             local = [s.local_v(y, i).reshape(-1, d) for i, p in s.fields if p.frame == s.n_frames]
             sums = _circling(moves, axis)
