@@ -3,11 +3,12 @@
 Where rows of G depend on each other, G^T lambda does not determine lambda: what lies in the null space of G^T is a state of
 stress between the joints that no rigid body feels. Of all multipliers with the same forces the one of smallest norm is taken,
 
-    lambda -> lambda - N N^T lambda,        G^T N = 0,  N^T N = 1                                                (1)
+    f -> f - N N^T f,        f = lambda / u,   G^T diag(u) N = 0,   N^T N = 1                                     (1)
 
 in every step, for the multiplier itself: increments of minimum norm do not keep it small, since the null space turns with the
-bodies and predictors extrapolate what lies in it. The norm counts forces in N and moments in N m alike, so the share of each in
-a stress that is not determined depends on the unit of length; forces on bodies do not.
+bodies and predictors extrapolate what lies in it. u turns angles into lengths
+(:attr:`~fmbd_fenicsx.system.system.System.row_units`): moments count as forces at the model's length, so the result does not
+depend on the system of units.
 """
 
 from __future__ import annotations
@@ -35,15 +36,16 @@ def null_space(ev: Evaluation) -> Array:
 
     U, stretch, _ = np.linalg.svd(scale[:, None] * rows)
     rank = int((stretch > DEPENDENT * stretch[0]).sum())
-    return np.asarray(np.linalg.qr(scale[:, None] * U[:, rank:])[0])
+    null = scale[:, None] * U[:, rank:]
+    return np.asarray(np.linalg.qr(null / s.row_units[:, None])[0])
 
 
 def least(solver: StepSolver, ev: Evaluation, lam: Array) -> Array:
     """The smallest multiplier with the forces of ``lam`` in a configuration; ``lam`` itself where it is unique. Collective."""
     if not solver.core.redundant or not len(lam):
         return lam
-    N = null_space(ev)
-    return lam - N @ (N.T @ lam)
+    N, u = null_space(ev), ev.system.row_units
+    return lam - u * (N @ (N.T @ (lam / u)))
 
 
 def not_unique(solver: StepSolver, state: State) -> list[str]:

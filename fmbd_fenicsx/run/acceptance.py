@@ -19,9 +19,6 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConvergenceError
-from ..mechanics.joints.constraints import Perpendicular
-from ..mechanics.joints.couplings import CouplingBatch
-from ..mechanics.joints.relative import Turn
 from ..rotations import Array
 from ..schemes.consistent import worst_block
 from ..system.compiled.recording import Openness
@@ -55,14 +52,7 @@ class Closed:
     @cached_property
     def units(self) -> Array:
         """u of (1), (n_lam,)."""
-        out = np.ones(self.system.n_lam)
-        for batch, rows in self.system.batches:
-            if isinstance(batch, Perpendicular):
-                out[rows] = self.system.length
-            elif isinstance(batch, CouplingBatch):
-                for relative, numbers, _ in batch.terms:
-                    if isinstance(relative, Turn):
-                        out[rows[numbers]] = self.system.length
+        out = self.system.row_units.copy()
         for _, span in self.system.port_constraints:
             out[span] = 0.0  # equations of the user's own, in units of their own: no length to judge them by
         return out

@@ -124,7 +124,7 @@ def above_roundoff(ev: Evaluation, lam: Array, r: Array, g: Array) -> Array:
 
 def strayed(system: System, xi: Array, predicted: Array) -> bool:
     """Whether an iteration ended far from the increments of a step as predicted: on another solution. Collective."""
-    near = max(2.0 * system.max_abs(predicted), 0.01 * min(system.length, 1.0))
+    near = max(2.0 * system.max_abs(predicted), 0.01 * system.length)
     return system.max_abs(xi - predicted) > near
 
 

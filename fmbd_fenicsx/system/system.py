@@ -29,7 +29,7 @@ from ..mechanics.joints.constraints import Batch
 from ..mechanics.joints.counted import CountedAngles
 from ..mechanics.placements import DistributedPart, FrameElements, FrameMotion, Part, RigidBlock, is_distributed
 from ..rotations import Array, Motions
-from . import configurations
+from . import configurations, lengths
 from .foreshortened_ports import bend, note_forces, port_bias, port_forces
 from .jacobian import Jacobian
 
@@ -232,13 +232,13 @@ class System:
 
     @cached_property
     def units(self) -> Array:
-        """Weights (n_v,) that turn increments of every kind into lengths: rotations times the model's length, modal
-        amplitudes over the square root of the mass. They make norms independent of the system of units.
-        """
-        m = self.motions
-        frame = np.concatenate((np.ones(m.dim), np.full(m.n_rot, self.length)))
-        local = [np.full(p.n, p.unit) for p in self.parts]
-        return np.concatenate((np.tile(frame, self.n_frames), *local))
+        """What turns increments like v into lengths, (n_v,): :func:`.lengths.of_increments`."""
+        return lengths.of_increments(self)
+
+    @cached_property
+    def row_units(self) -> Array:
+        """What turns the values of constraints into lengths, (n_lam,): :func:`.lengths.of_rows`."""
+        return lengths.of_rows(self)
 
     def max_abs(self, x: Array) -> float:
         """Largest entry of an array like v, all entries as lengths (see :attr:`units`); collective."""

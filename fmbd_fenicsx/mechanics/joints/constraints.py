@@ -79,6 +79,10 @@ class Batch:
         self.driven = [(i, p.motion) for i, p in enumerate(pairs) if p.motion is not standstill]
         self.axis = np.array([p.direction if p.axis is None else p.axis for p in pairs], dtype=float)
 
+    def lengths(self, length: float) -> Array:
+        """What turns the values of the rows into lengths (m), for a model of a size (m): it, for rows that are angles."""
+        return np.ones(len(self.a))
+
     def repeated(self, k: int, markers: int) -> Batch | None:
         """These constraints k times, copy c on the markers numbered ``c markers`` higher; None where only one copy at a time
         can be evaluated. Times of the result are then one for all copies, or (k,).
@@ -180,6 +184,10 @@ class Along(Batch):
 
 class Perpendicular(Batch):
     """e . f = 0, e fixed in marker a (turned about ``axis`` by the drive), f fixed in marker b."""
+
+    def lengths(self, length: float) -> Array:
+        """Cosines: all of them by the length."""
+        return np.full(len(self.a), length)
 
     def _parts(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array]:
         """e, its derivative with respect to the drive angle, and f; world axes."""

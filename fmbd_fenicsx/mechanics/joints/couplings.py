@@ -23,7 +23,7 @@ from ...rotations import Array, Motions, hat
 from ..bodies.coordinates import derivative, differences
 from ..frames import Kinematics
 from .constraints import Batch, Motion, Sides, time_of
-from .relative import Relative
+from .relative import Relative, Turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +103,13 @@ class CouplingBatch(Batch):
         self.terms, self.size = terms, len(motions)
         self.driven = [(i, m) for i, m in enumerate(motions) if m is not None]
 
+    def lengths(self, length: float) -> Array:
+        """Sums of angles alone are angles; a coefficient turns those beside a distance into one."""
+        linear = np.zeros(self.size, dtype=bool)
+        for relative, rows, _ in self.terms:
+            linear[rows] |= not isinstance(relative, Turn)
+        return np.where(linear, 1.0, length)
+
     def repeated(self, k: int, markers: int) -> Batch | None:
         """All copies as arrays."""
         m, copies = self.size, np.arange(k)[:, None]
@@ -158,6 +165,10 @@ class OwnBatch(Batch):
         self.driven: list[tuple[int, Motion]] = []
         self.by_differences: bool | None = None  # decided at the first derivative
         self._count: int | None = None  # rows: as many as the first call gives
+
+    def lengths(self, length: float) -> Array:
+        """In units of the user's own: taken as they are."""
+        return np.ones(1)
 
     def repeated(self, k: int, markers: int) -> Batch | None:
         """None: a function of the user's own."""

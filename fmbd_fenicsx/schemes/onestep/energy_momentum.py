@@ -49,6 +49,8 @@ from ..newton import Newton
 from .discrete_gradient import End, Mean
 
 SLOW = 0.1  # rate of Newton's iteration above which a new tangent is taken
+SINGULAR = 1e-14  # singular values of the scaled tangent below this share belong to rows that depend on each other
+DIFFERENCE = 1e-7
 WITH_FIELDS = 40  # iterations at most of scenes with fields: their large steps turn bodies far
 
 
@@ -102,19 +104,17 @@ class Stepper:
         if self.fields is not None:
             self.fields.begin(s, h)
         y = np.concatenate((self._last[0], self._port_values(), self._last[1]))
-        size = np.concatenate(
-            (np.full(n, self._size(h)), np.full(len(self.ports), system.length), np.abs(self._last[1]) + 1.0)
-        )
+        units, size = system.units[:n], self._size(h)
         history: list[float] = []
         J = self._kept[1] if self._kept is not None and self._kept[0] == h else None
         worst, limit = 0.0, self.newton.max_iterations if self.fields is None else WITH_FIELDS
         for _ in range(limit):
             r = self._residual(h, y, old)
             if J is None:
-                J = self._differences(h, (y, r, size), old)
+                J = self._differences(h, (y, r, self._reach(h, size)), old)
                 if self.fields is not None:
                     self.fields.linearise()
-            y, history = self._increment(y, r, J, size), [*history, self._change]
+            y, history = self._increment(y, r, J, units / size), [*history, self._change]
             self.newton.iterations += 1
             rate = history[-1] / max(history[-2], 1e-300) if len(history) > 1 else 0.0
             if history[-1] > 1e-11:
@@ -141,15 +141,24 @@ class Stepper:
         return End(self.system, s.t, s.q[: self.n_q], port)
 
     def _size(self, h: float) -> float:
-        s, n = self.state, self.n
-        a, v = (float(np.abs(x[:n]).max(initial=0.0)) for x in (s.a, s.v))
-        return max(a, v / h, 1e-8)
+        """What accelerations are judged by, as lengths over s^2: increments of 1e-10 of it move nothing beyond roundoff."""
+        s, units = self.state, self.system.units[: self.n]
+        a, v = (float(np.abs(units * x[: self.n]).max(initial=0.0)) for x in (s.a, s.v))
+        return max(a, v / h, 1e-6 * self.system.length / h**2)
+
+    def _reach(self, h: float, size: float) -> Array:
+        """Sizes of accelerations and ports of which they are moved by a small share for differences: far enough that positions
+        change beyond their roundoff.
+        """
+        system = self.system
+        far = max(size, 0.1 * system.length / h**2)
+        return np.concatenate((far / system.units[: self.n], np.full(len(self.ports), system.length)))
 
     def _port_values(self) -> Array:
         return np.zeros(0) if self.fields is None else self.fields.port_values()
 
-    def _increment(self, y: Array, r: tuple[Array, Array, Array], J: Array, size: Array) -> Array:
-        """y after one increment; (5). Sets the size of the increment."""
+    def _increment(self, y: Array, r: tuple[Array, Array, Array], J: Array, weights: Array) -> Array:
+        """y after one increment; (5). Sets the size of the increment, by the weights (n,) of accelerations."""
         n, p, core, port, g = self.n, len(self.ports), *r
         A, back = J, np.zeros(0)
         if self.fields is not None:
@@ -159,12 +168,12 @@ class Stepper:
             A[n : n + p, n : n + p] += np.eye(p)
         b = np.concatenate((core, back, g))
         try:
-            dy = -np.linalg.lstsq(A, b, rcond=1e-14)[0] if self.solver.core.redundant else -_solve(A, b)
+            dy = -_solve(A, b, redundant=self.solver.core.redundant)
         except np.linalg.LinAlgError:
             raise ConvergenceError(
                 f"Newton's iteration diverged from t = {self.state.t:.6g} s. Take a smaller dt."
             ) from None
-        self._change = float(np.abs(dy[:n]).max(initial=0.0) / size[0]) if n else 0.0
+        self._change = float(np.abs(weights * dy[:n]).max(initial=0.0))
         y = y + dy
         if self.fields is not None:
             self._change = max(self._change, 10.0 * self.fields.move(J[n : n + p] @ dy))
@@ -228,14 +237,24 @@ class Stepper:
         return core + left * Mw, push[self.ports] + left * moved, 2.0 / h**2 * g
 
     def _differences(self, h: float, at: tuple[Array, tuple[Array, Array, Array], Array], old: End) -> Array:
-        """Derivatives of the residual by y."""
-        y, r, size = at
+        """Derivatives of the residual by y, its accelerations and ports moved by shares of their sizes."""
+        (y, r, size), n = at, self.n
         first = np.concatenate(r)
         J = np.empty((len(first), len(y)))
-        for j, d in enumerate(1e-7 * size):
+
+        def by(j: int, d: float) -> Array:
             moved = y.copy()
             moved[j] += d
-            J[:, j] = (np.concatenate(self._residual(h, moved, old)) - first) / d
+            return np.asarray((np.concatenate(self._residual(h, moved, old)) - first) / d)
+
+        for j, d in enumerate(DIFFERENCE * size):
+            J[:, j] = by(j, float(d))
+
+        # multipliers by the forces that these accelerations take
+        forces = (np.abs(J[:n, :n]) @ size[:n]) / self.system.units[:n]
+        force = float(forces.max(initial=0.0)) or 1.0
+        for j, unit in enumerate(self.system.row_units, len(size)):
+            J[:, j] = by(j, DIFFERENCE * force * float(unit))
         return J
 
 
@@ -257,10 +276,21 @@ def _ports_in_use(ev: Evaluation) -> np.ndarray:
     return np.flatnonzero(used & inside)
 
 
-def _solve(J: Array, r: Array) -> Array:
-    """J^-1 r with rows and columns scaled."""
+def _solve(J: Array, r: Array, *, redundant: bool) -> Array:
+    """J^-1 r with rows and columns scaled; where rows depend on each other the smallest solution.
+
+    Raises LinAlgError where J is singular or not finite.
+    """
     if not len(r):
         return r
-    rows = 1.0 / np.maximum(np.abs(J).max(axis=1), 1e-300)
-    columns = 1.0 / np.maximum((rows[:, None] * np.abs(J)).max(axis=0), 1e-300)
-    return columns * np.linalg.solve(rows[:, None] * J * columns, rows * r)
+    if not np.isfinite(J).all():
+        raise np.linalg.LinAlgError("the tangent is not finite")
+
+    largest = np.abs(J).max(axis=1)
+    rows = 1.0 / np.where(largest > 0, largest, 1.0)
+    largest = (rows[:, None] * np.abs(J)).max(axis=0)
+    columns = 1.0 / np.where(largest > 0, largest, 1.0)
+    scaled = rows[:, None] * J * columns
+    if redundant:
+        return np.asarray(columns * np.linalg.lstsq(scaled, rows * r, rcond=SINGULAR)[0])
+    return np.asarray(columns * np.linalg.solve(scaled, rows * r))

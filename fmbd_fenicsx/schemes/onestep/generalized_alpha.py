@@ -276,6 +276,5 @@ class Stepper:
     def _tolerance(self, scale: float, a: Array) -> float:
         """Size of a position increment that changes accelerations by Newton's relative tolerance, above roundoff."""
         s = self.system
-        typical = s.typical(a)
         floor = 64 * np.finfo(float).eps * s.length
-        return max(self.newton.tolerance * scale * max(typical, 1e-12 * s.length), floor)
+        return max(self.newton.tolerance * scale * s.typical(a), floor)

@@ -1015,7 +1015,6 @@ int step(const System *s, double *p, const double *now, const double *before, co
     }
     for (int k = 0; k < m; k++) lam[k] = w0 * l0[k] + w1 * l1[k] + w2 * l2[k];
     double typical = largest_of(s->units, a, s->n_core);
-    if (typical < 1e-12 * p[LENGTH]) typical = 1e-12 * p[LENGTH];
     double tolerance = p[TOL] * scale * typical, theta = p[THETA], last = 0.0, older[64];
     if (tolerance < p[FLOOR]) tolerance = p[FLOOR];
     int iterations = 0, converged = 0, far = 1, verdict;

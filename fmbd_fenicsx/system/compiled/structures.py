@@ -71,7 +71,7 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
             *_fields("body surface batch front angle rod frames velocity residual wrench", _POINTER),
             *_fields("gap motion gravity weight diagonal row_dest", _POINTER),
             ("storage", _LONG),
-            *_fields("L inverse b local sign units", _POINTER),
+            *_fields("L inverse b local sign units row_units", _POINTER),
             ("python", PYTHON),
             *_fields("samples laws stiff", _INT),
             *_fields("cd ck epsilon share", _REAL),

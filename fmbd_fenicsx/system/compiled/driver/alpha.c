@@ -97,7 +97,7 @@ static int gained(System *s, double *p, const Block *now)
 /* Whether an iteration ended far from the increments as predicted: on another solution; as schemes/newton.py. */
 static int strayed(const System *s, const double *p, const double *xi, double *begun)
 {
-    double near = fmax(2.0 * largest_of(s->units, begun, s->nv), 0.01 * fmin(p[LENGTH], 1.0));
+    double near = fmax(2.0 * largest_of(s->units, begun, s->nv), 0.01 * p[LENGTH]);
     for (int i = 0; i < s->nv; i++) begun[i] = xi[i] - begun[i];
     return largest_of(s->units, begun, s->nv) > near;
 }
@@ -130,8 +130,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         for (int j = 0; j <= known; j++) out.lam[i] += w[j] * past[j].lam[i];
     }
 
-    double typical = fmax(largest_of(s->units, out.a, n), 1e-12 * p[LENGTH]);
-    double tolerance = fmax(p[TOL] * scale * typical, p[FLOOR]);
+    double tolerance = fmax(p[TOL] * scale * largest_of(s->units, out.a, n), p[FLOOR]);
 
     while (done < (int)p[MAXIT] && done < MOST && !converged) {
         configuration(s, now.q, xi, out.q);

@@ -27,15 +27,21 @@ static inline void eliminate(double *F, int ld, int rows, int k, double inverse)
     }
 }
 
-/* Dependent rows get -epsilon on the diagonal: G x - epsilon y = c instead of G x = c. Solving again for what is left open, with
-   the multipliers found so far in the residual, closes the rows; started from no multipliers it leads to the smallest of all
-   (method of multipliers, a proximal point method; Rockafellar, doi:10.1287/moor.1.2.97). */
+/* Dependent rows get -epsilon / u^2 on the diagonal: G x - epsilon y / u^2 = c instead of G x = c, with u y in lengths where y is
+   in angles. Solving again for what is left open, with the multipliers found so far in the residual, closes the rows; started
+   from no multipliers it leads to those with the smallest forces y / u (method of multipliers, a proximal point method;
+   Rockafellar, doi:10.1287/moor.1.2.97). */
+static double softness(const System *s, int row)
+{
+    return s->epsilon / (s->row_units[row] * s->row_units[row]);
+}
+
 static void soften(System *s)
 {
     double largest = 0.0;
-    for (int i = 0; i < s->rows; i++) largest = fmax(largest, s->weight[i]);
+    for (int i = 0; i < s->rows; i++) largest = fmax(largest, s->weight[i] * s->row_units[i] * s->row_units[i]);
     s->epsilon = s->redundant ? 1e-9 * largest : 0.0;
-    for (int i = 0; i < s->rows; i++) s->L[s->row_dest[i]] -= s->epsilon;
+    for (int i = 0; i < s->rows; i++) s->L[s->row_dest[i]] -= softness(s, i);
 }
 
 /* SINGULAR when a pivot has the wrong sign or is small against what it is made of. */
@@ -50,7 +56,7 @@ static int factor(System *s)
         for (int k = 0; k < f->pivots; k++) {
             int u = f->unknown[k];
             double pivot = F[(long)(ld + 1) * k] * s->sign[u];
-            double least = u < s->nu ? 1e-14 * s->diagonal[u] : (s->redundant ? 0.1 * s->epsilon : 1e-11 * s->weight[u - s->nu]);
+            double least = u < s->nu ? 1e-14 * s->diagonal[u] : (s->redundant ? 0.1 * softness(s, u - s->nu) : 1e-11 * s->weight[u - s->nu]);
             if (!(pivot > least)) return SINGULAR;
             double inverse_ = s->sign[u] / pivot;
             s->inverse[u] = inverse_;

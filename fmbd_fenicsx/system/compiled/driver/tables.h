@@ -116,7 +116,7 @@ typedef struct {
     long storage;
     double *L, *inverse, *b, *local;
     signed char *sign;                 /* of the pivots, by unknowns */
-    double *units;                     /* nv */
+    double *units, *row_units;         /* nv, rows: what turns increments and gaps into lengths */
     int (*python)(int what, int number, double t); /* what: see below; 0 when all is well */
     int samples, laws, stiff;   /* stiff: efforts depend on the motion (2: by laws); whether Python is asked once a step, at every evaluation */
     double cd, ck, epsilon;            /* of the matrix in the fronts */

@@ -1,0 +1,31 @@
+"""Weights that turn everything into lengths: they make norms and guards independent of the system of units."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..rotations import Array
+
+if TYPE_CHECKING:
+    from .system import System
+
+
+def of_increments(system: System) -> Array:
+    """For arrays like v, (n_v,): rotations times the model's length, modal amplitudes over the square root of the mass."""
+    m = system.motions
+    frame = np.concatenate((np.ones(m.dim), np.full(m.n_rot, system.length)))
+    local = [np.full(p.n, p.unit) for p in system.parts]
+    return np.concatenate((np.tile(frame, system.n_frames), *local))
+
+
+def of_rows(system: System) -> Array:
+    """For values of constraints, (n_lam,): angles times the model's length; multipliers over them are forces.
+
+    Rows of a user's own count as they are.
+    """
+    out = np.ones(system.n_lam)
+    for batch, rows in system.batches:
+        out[rows] = batch.lengths(system.length)
+    return out
