@@ -22,11 +22,36 @@ from ..errors import ConvergenceError
 from ..rotations import Array
 from ..schemes.consistent import worst_block
 from ..system.compiled.recording import Openness
-from ..system.system import Evaluation, System
+from ..system.system import Evaluation, State, System
 
 OPEN = 5e-7  # of the model's length
 SLIP = 1e-4  # of the velocities
 ROUNDOFF = 100 * float(np.finfo(float).eps)
+
+
+def attempt(system: System, stepper: Any, h: float) -> State:
+    """One step of a scheme of at most h (s); collective.
+
+    Numbers beyond the range of the machine, or that NumPy gives up on, are those of an iteration that diverged.
+
+    Raises:
+        ConvergenceError: so they are here, also where the scheme takes them for a state.
+    """
+    t = stepper.state.t
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            made: State = stepper.advance(h)
+    except np.linalg.LinAlgError as error:
+        raise ConvergenceError(f"{_diverged(t, h)}: {error}. Take a smaller dt or rtol.") from error
+
+    sizes = system.max_abs(made.v), system.max_abs(made.a), float(np.abs(made.lam).max(initial=0.0))
+    if not np.isfinite(sizes).all():
+        raise ConvergenceError(f"{_diverged(t, h)}: the state is not finite. Take a smaller dt or rtol.")
+    return made
+
+
+def _diverged(t: float, h: float) -> str:
+    return f"Newton's iteration diverged after t = {t:.6g} s (h = {h:.3g} s)"
 
 
 @dataclass

@@ -27,6 +27,7 @@ from ..mechanics.joints.couplings import OwnBatch
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory, remember_stepper
 from ..system.system import Evaluation, State, System
+from .acceptance import attempt
 
 SHARE = 1e-3
 HALVINGS = 10
@@ -147,7 +148,7 @@ class Guarded:
         """One step of at most h; collective."""
         before = self.stepper.state
         for left in range(HALVINGS, -1, -1):
-            after = self.stepper.advance(min(h, self.largest))
+            after = attempt(self.watch.system, self.stepper, min(h, self.largest))
             if (gain := self.watch.gain(after)) is None:
                 self.largest *= 2.0
                 self.local_error = self.stepper.local_error

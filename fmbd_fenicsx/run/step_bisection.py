@@ -14,15 +14,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from ..errors import ConstraintError, ConvergenceError, LinearSolveError
 from ..log import log
 from ..system.compiled.recording import Openness
 from ..system.element_memory import accept
 from ..system.serialisation import Memory, remember_stepper
 from ..system.system import Evaluation, State, System
-from .acceptance import Closed
+from .acceptance import Closed, attempt
 from .energy_check import HALVINGS, Watch
 from .forecast import Forecast
 
@@ -131,7 +129,7 @@ class ConstantSteps:
             self._begin(self.stepper.state)
         before, self._size = self.stepper.state, h
         try:
-            after = self._step(h)
+            after = attempt(self.system, self.stepper, h)
             self._look(after)
         except (ConvergenceError, LinearSolveError) as error:
             if depth - self.whole == DEPTH:
@@ -155,16 +153,6 @@ class ConstantSteps:
         self.watch.count(before, gain, self.whole > HALVINGS)
         self._begin(before)
         return self._halves(h, depth)
-
-    def _step(self, h: float) -> State:
-        """A step of the scheme; numbers that NumPy gives up on are those of an iteration that diverged."""
-        try:
-            return self.stepper.advance(h)
-        except np.linalg.LinAlgError as error:
-            t = self.stepper.state.t + h
-            raise ConvergenceError(
-                f"Newton's iteration diverged at t = {t:.6g} s (h = {h:.3g} s): {error}. Take a smaller dt."
-            ) from error
 
     def _look(self, state: State) -> None:
         """Refuse a state with open joints. Compiled steps without a guard are looked at where they are recorded."""

@@ -29,6 +29,7 @@ from ..system.element_memory import accept
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory
 from ..system.system import State
+from .acceptance import attempt
 from .energy_check import closed
 from .moment import Moment
 from .output import Output, Recorder
@@ -130,7 +131,7 @@ class SceneStepper:
             if self._adaptive:
                 self._advance_to(self.t + dt)
             else:
-                self._course.stepper.advance(dt)
+                attempt(self._problem.system, self._course.stepper, dt)
         self._course.done += 1
         self._look()
         return self.t
@@ -139,7 +140,7 @@ class SceneStepper:
         """Steps of the scheme's own size to a time."""
         course = self._course
         while end - self.t > 64 * np.spacing(end):
-            accept(course.system, course.stepper.advance(end - self.t))
+            accept(course.system, attempt(course.system, course.stepper, end - self.t))
 
     def set(self, name: str, value: float) -> None:
         """Give an input of the scene (:meth:`Scene.input`) a new value, held until the next change.

@@ -6,8 +6,6 @@ import time as clock
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ..errors import ConvergenceError, require
 from ..linear.condensation import StepSolver
 from ..log import StopRequests, log
@@ -19,7 +17,7 @@ from ..schemes.newton import Newton
 from ..system.element_memory import accept, reset
 from ..system.scene.scene import Scene
 from ..system.system import State, System
-from .acceptance import Closed
+from .acceptance import Closed, attempt
 from .energy_check import Guarded, Watch, closed
 from .forecast import Forecast
 from .moment import Moment
@@ -180,7 +178,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
                     motions.look(state.t + pace.next(state.t))
                 most = pace.steps if keeper is None else 1  # a checkpoint may be due after every step
                 made = quietly(stepper, pace, recorder, course.done, most=most) if pace.steps else 0
-                state = stepper.state if made else stepper.advance(pace.next(state.t))
+                state = stepper.state if made else attempt(problem.system, stepper, pace.next(state.t))
                 motions.look(state.t, made)
                 if not pace.steps:  # constant steps note their parts one by one
                     accept(problem.system, state)
@@ -204,11 +202,6 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
         total = f" of {pace.steps}" if pace.steps else ""
         kept = "" if keeper is None or keeper.newest is None else f" The newest checkpoint is {keeper.newest}."
         raise ConvergenceError(f'Scene "{problem.scene.name}", step {course.done + 1}{total}: {error}{kept}') from error
-    except np.linalg.LinAlgError as error:
-        raise ConvergenceError(
-            f'Scene "{problem.scene.name}", step {course.done + 1}: the iteration diverged after t = {state.t:.6g} s: {error}. '
-            "Take a smaller dt or rtol."
-        ) from error
     finally:
         bar.close()
     return March(
