@@ -358,9 +358,8 @@ class Tables:
         }  # fmt: skip
         arrays = {name: store.array(np.zeros(max(count, 1))) for name, count in sizes.items()}
         arrays |= {name: store.array(np.zeros(max(self.rows, 1))) for name in ("motion_rate", "slip")}
-        arrays["rest_gravity"] = store.array(s.gravity(np.inf))
+        arrays |= {"rest_gravity": store.array(s.gravity(np.inf)), "row_units": store.array(s.row_units)}
         arrays |= {"frames": store.array(frames), "gravity": store.array(s.gravity(0.0)), "units": store.array(s.units)}
-        arrays["row_units"] = store.array(s.row_units)
         self.arrays = {name: x for name, (x, _) in arrays.items()}
         row = self.nu + np.arange(self.rows)
         lists = {
