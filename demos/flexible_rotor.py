@@ -14,8 +14,12 @@ from fmbd_fenicsx.post import demo
 
 args = demo.arguments(__doc__)
 AREA, MOMENT = np.pi * (0.05**2 - 0.045**2), np.pi / 4 * (0.05**4 - 0.045**4)
+circle = 0.05 * np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 16, endpoint=False)])
 tube = fmbd.RodSection(
-    (3.134e8, 6.05e7, 6.05e7, 2.727e5, 3.545e5, 3.545e5), 7800 * AREA, 7800 * MOMENT * np.array([2, 1, 1])
+    (3.134e8, 6.05e7, 6.05e7, 2.727e5, 3.545e5, 3.545e5),
+    7800 * AREA,
+    7800 * MOMENT * np.array([2, 1, 1]),
+    outline=circle,
 )
 DISC, RADIUS, WIDTH = 70.573, 0.24, 0.05
 
@@ -34,7 +38,8 @@ def rotor(elements, offset, gravity=9.81, spinning=True):
     """Shaft, disc and bearings; the disc's centre lies ``offset`` (m) from the axis."""
     shaft = fmbd.Rod("shaft", [(0, 0, 0), (6, 0, 0)], tube, elements=elements, stations={"middle": 3.0})
     across = DISC * (3 * RADIUS**2 + WIDTH**2) / 12
-    disc = fmbd.RigidBody("disc", DISC, (0.5 * DISC * RADIUS**2, across, across), position=(3, 0, offset))
+    disc = fmbd.RigidBody("disc", DISC, (0.5 * DISC * RADIUS**2, across, across), position=(3, 0, offset),
+                          shape=fmbd.contacts.Cylinder(RADIUS, (1, 0, 0), length=WIDTH))  # fmt: skip
     bearing = fmbd.revolute("bearing", fmbd.ground, shaft.surface("start"), axis=(1, 0, 0))
     scene = fmbd.Scene("rotor", gravity=(0, 0, -gravity), breakpoints=(0.5, 1.0, 1.25))
     scene.add(shaft, disc, bearing, fmbd.fixed("hub", shaft.surface("middle"), disc, center=(3, 0, 0)))

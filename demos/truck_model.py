@@ -70,6 +70,14 @@ def rigid_load() -> fmbd.RigidBody:
     return fmbd.RigidBody("load", LOAD_MASS, LOAD_INERTIA, LOAD)
 
 
+WHEEL = fmbd.contacts.Sphere(0.5)  # what pictures show of a wheel
+
+
+def _plate(length: float, height: float) -> fmbd.contacts.Box:
+    """What pictures show of chassis and cab."""
+    return fmbd.contacts.Box((length, height))
+
+
 def truck(load: object, *, pinned: bool = True, modulus: float | None = None) -> fmbd.Scene:
     """The scene with a rigid or elastic loading area, in equilibrium at the start.
 
@@ -78,10 +86,12 @@ def truck(load: object, *, pinned: bool = True, modulus: float | None = None) ->
     """
     scene = fmbd.Scene("truck", gravity=(0.0, -G), breakpoints=[2 / 15, 2 / 15 + (FRONT - REAR) / SPEED], settle=True)
     bodies = {
-        "rear wheel": fmbd.RigidBody("rear wheel", 1450.0, 100.0, (REAR, 0.5)),  # the wheels do not turn here
-        "front wheel": fmbd.RigidBody("front wheel", 600.0, 40.0, (FRONT, 0.5)),
-        "chassis": fmbd.RigidBody("chassis", 3335.0, 14313.0, CHASSIS),
-        "cab": fmbd.RigidBody("cab", 1100.0, 948.0, CAB),
+        "rear wheel": fmbd.RigidBody(
+            "rear wheel", 1450.0, 100.0, (REAR, 0.5), shape=WHEEL
+        ),  # the wheels do not turn here
+        "front wheel": fmbd.RigidBody("front wheel", 600.0, 40.0, (FRONT, 0.5), shape=WHEEL),
+        "chassis": fmbd.RigidBody("chassis", 3335.0, 14313.0, CHASSIS, shape=_plate(8.2, 0.16)),
+        "cab": fmbd.RigidBody("cab", 1100.0, 948.0, CAB, shape=_plate(1.9, 1.4)),
     }
     scene.add(*bodies.values(), load)
     sides = {"ground": fmbd.ground, **bodies, "load: front": load, "load: rear": load}

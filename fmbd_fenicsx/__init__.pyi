@@ -110,6 +110,8 @@ from .mechanics.rods.rods import RodLoad as RodLoad
 from .mechanics.rods.sections import RodSection as RodSection
 from .mesh import Mesh as Mesh
 from .mesh import read_gmsh as read_gmsh
+from .mesh_files import read_cad as read_cad
+from .mesh_files import read_mesh as read_mesh
 from .post.fmu import write_fmu as write_fmu
 from .post import demo as demo
 from .post import plot as plot

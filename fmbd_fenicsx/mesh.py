@@ -8,6 +8,7 @@ the mesh is distributed.
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -148,22 +149,35 @@ def read_gmsh(source: str | Path, *, volume: str | None = None, comm: Any = None
     Raises:
         MeshError: file missing, no or duplicated or unnamed groups, only surfaces meshed, cells inverted or degenerate.
     """
-    import gmsh
-    from mpi4py import MPI
-
     install_hooks()
     compat.check_versions()
     instance("read_gmsh: source", source, (str, Path))
     if volume is not None:
         word("read_gmsh: volume", volume)
-    comm = MPI.COMM_WORLD if comm is None else instance("read_gmsh: comm", comm, MPI.Comm)
     path = Path(source)
+    made = distributed(lambda gmsh: _load(gmsh, path, parameters, volume), str(path), comm)
+    if path.suffix != ".py":
+        return made
+    return replace(made, recipe=Recipe(path, volume, made.dolfinx.comm, parameters))
+
+
+def distributed(load: Callable[[Any], tuple[int, str, dict[str, int], str]], label: str, comm: Any = None) -> Mesh:
+    """The mesh that ``load``(gmsh) makes on rank 0 in an open gmsh session, checked there; collective over ``comm``.
+
+    ``load`` returns what :func:`check_model` does. An error of rank 0 is raised on all ranks, under the ``label``.
+    """
+    import gmsh
+    from mpi4py import MPI
+
+    comm = MPI.COMM_WORLD if comm is None else instance("read_gmsh: comm", comm, MPI.Comm)
     error, found = None, None
     if comm.rank == 0:
         try:
-            found = _load(gmsh, path, parameters, volume)
+            gmsh.initialize(interruptible=False)
+            gmsh.option.setNumber("General.Terminal", 0)
+            found = load(gmsh)
         except Exception as exc:  # sent to all ranks
-            error = exc if isinstance(exc, MeshError) else MeshError(f"{path}: {type(exc).__name__}: {exc}")
+            error = exc if isinstance(exc, InputError) else MeshError(f"{label}: {type(exc).__name__}: {exc}")
     try:
         together(comm, error)
         dim, name, groups, label = comm.bcast(found)
@@ -174,8 +188,7 @@ def read_gmsh(source: str | Path, *, volume: str | None = None, comm: Any = None
         if gmsh.isInitialized():
             gmsh.finalize()
     msh.topology.create_connectivity(dim - 1, dim)
-    recipe = Recipe(path, volume, comm, parameters) if path.suffix == ".py" else None
-    return Mesh(msh, facets, groups, name, label, recipe)
+    return Mesh(msh, facets, groups, name, label)
 
 
 def _load(
@@ -185,8 +198,6 @@ def _load(
     if not path.is_file():
         raise MeshError(f"Mesh file {path} does not exist (looked in {Path.cwd()}).")
 
-    gmsh.initialize(interruptible=False)
-    gmsh.option.setNumber("General.Terminal", 0)
     if path.suffix == ".py":
         spec = importlib.util.spec_from_file_location(f"fmbd_mesh_{path.stem}", path)
         assert spec is not None and spec.loader is not None

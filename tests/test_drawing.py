@@ -289,3 +289,22 @@ def test_snapshots_after_the_end_are_refused() -> None:
         fmbd.solve(scene, t_end=1.0, dt=0.05, output=few((0.5, 1.5)))
     with pytest.raises(InputError, match="rate"):
         fmbd.PerSecond(0.0)
+
+
+def test_rods_are_drawn_with_their_section() -> None:
+    """A pulled and bent rod: the skin has the outline's perimeter times the length, and ends where the sensor says."""
+    section = fmbd.RodSection.rectangle(youngs_modulus=1e7, poisson_ratio=0.3, density=1e3, width=0.02, height=0.05)
+    rod = fmbd.Rod("blade", [(0, 0, 0), (1, 0, 0)], section, elements=4)
+    scene = fmbd.Scene("blade", gravity=(0, 0, -9.81))
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("start")))
+    scene.sensor("tip", fmbd.position(rod.surface("end")))
+    run = fmbd.solve(scene, t_end=0.1, dt=0.01, output=few(2))
+
+    drawn = piece(draw(run), "blade")
+    first, last = drawn.at(0), drawn.at(1)
+    assert area(first, drawn.triangles) == pytest.approx(2 * 0.07 * 1.0 + 2 * 0.02 * 0.05, rel=1e-9)
+    assert np.ptp(last[:, 2]) > 0.025 and area(last, drawn.triangles) == pytest.approx(0.142, rel=1e-2)
+    corners = len(drawn.edges) // 2
+    assert np.allclose(last[-corners:].mean(0), run["tip"][-1], atol=1e-12)
+    sides = np.sort(drawn.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    assert (np.unique(sides, axis=0, return_counts=True)[1] == 2).all(), "the skin is closed"

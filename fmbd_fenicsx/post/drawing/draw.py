@@ -10,6 +10,7 @@ from ...errors import InputError, require
 from ...rotations import Array
 from ...run.solve import Run
 from ...system.system import State
+from . import rods  # noqa: F401, registers what rods look like
 from .bodies import LARGEST, pieces_of
 from .connections import connection_pieces
 from .places import Places, places
