@@ -113,6 +113,8 @@ from .mesh import read_gmsh as read_gmsh
 from .mesh_files import read_cad as read_cad
 from .mesh_files import read_mesh as read_mesh
 from .post.fmu import write_fmu as write_fmu
+from .post.interface_model import interface_model as interface_model
+from .post.interface_model import load_interface_model as load_interface_model
 from .post import demo as demo
 from .post import plot as plot
 from .post import study as study

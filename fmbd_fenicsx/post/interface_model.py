@@ -1,0 +1,156 @@
+"""A reduced body for other programs: mass and stiffness on the motions of its interfaces and on modes with fixed interfaces.
+
+The reduced body has n coordinates x = (twist of its frame, modal amplitudes) with M and K at rest. The mean translations and
+rotations of k interface surfaces are linear in them, y = B x. With N a basis of the null space of B,
+
+    x = T (y, z),   T = [X - N (N^T K N)^-1 N^T K X,  N Z],   B X = 1,    N^T K N Z = N^T M N Z diag(omega^2)            (1)
+
+which is the form of Craig and Bampton, doi:10.2514/3.4741: K = diag(K_yy, omega^2), and the modes z have unit mass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, require
+from ..log import on_root
+from ..mechanics.placements import FrameMotion
+from ..mechanics.reduction.craig_bampton import ReducedBody
+from ..rotations import Array
+from ..system.scene.scene import Scene
+from ..system.sensors.sensors import position
+
+SMALLEST = 1e-9  # of the largest singular value: less means that the body cannot move its interfaces apart
+KINDS = (".npz", ".mat")
+
+
+@dataclass(frozen=True)
+class InterfaceModel:
+    """Matrices (n, n) of a reduced body in the order of Simscape's reduced-order flexible solid, SI units, axes of the mesh.
+
+    Of each interface three translations, then three rotations (in the plane two and one); then ``omega.size`` modes with fixed
+    interfaces.
+
+    Attributes: ``M``, ``K``, ``D`` mass, stiffness, damping; ``interfaces`` their names; ``origins`` (k, d) m, centres of the
+    surfaces; ``omega`` (rad/s) of the modes; ``mass`` kg; ``center`` (d,) centre of mass, m.
+    """
+
+    M: Array
+    K: Array
+    D: Array
+    interfaces: tuple[str, ...]
+    origins: Array
+    omega: Array
+    mass: float
+    center: Array
+
+    def save(self, file: str | Path) -> Path:
+        """Write all of it to a ``.npz`` (NumPy) or ``.mat`` (MATLAB: M, K, D, origins, ...) file; rank 0 writes."""
+        from mpi4py import MPI
+
+        file = Path(file)
+        require(
+            file.suffix in KINDS, f'Interface model "{file}": the name must end in .npz or .mat, found "{file.suffix}".'
+        )
+        content: dict[str, Any] = {name: np.asarray(value) for name, value in vars(self).items()}
+
+        def write() -> None:
+            if file.suffix == ".npz":
+                np.savez(file, **content)
+                return
+            from scipy.io import savemat
+
+            savemat(file, {**content, "interfaces": np.array(self.interfaces, dtype=object)})
+
+        on_root(MPI.COMM_WORLD, write)
+        return file
+
+
+def load_interface_model(file: str | Path) -> InterfaceModel:
+    """Read what :meth:`InterfaceModel.save` wrote as ``.npz``.
+
+    Raises:
+        InputError: no such file, or one with other content.
+    """
+    try:
+        with np.load(file) as found:
+            content: dict[str, Any] = {name: found[name] for name in found.files}
+        content |= {"interfaces": tuple(str(n) for n in content["interfaces"]), "mass": float(content["mass"])}
+        return InterfaceModel(**content)
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise InputError(f"{file} is no interface model written by .save(...): {error}") from None
+
+
+def interface_model(body: ReducedBody, interfaces: Sequence[str]) -> InterfaceModel:
+    """The matrices (1) of a reduced body on some of its surfaces; collective.
+
+        arm = rod.reduced(basis=fmbd.CraigBampton(("pin", "tip"), 10))
+        fmbd.interface_model(arm, ("pin", "tip")).save("arm.mat")
+
+    Raises:
+        InputError: no reduced body, an unknown surface, or modes that cannot move the interfaces independently.
+    """
+    require(isinstance(body, ReducedBody), f"interface_model takes body.reduced(...), found {body!r}.")
+    names = tuple(interfaces)
+    require(len(names) > 0, f'Body "{body.name}": name at least one surface as interface.')
+    part, B, M = _coordinates(body, names)
+    n, frame = len(M), len(M) - part.n
+    K, D = np.zeros((2, n, n))
+    K[frame:, frame:], D[frame:, frame:] = part.constants.K, part.constants.D
+
+    T, omega = _basis(body.name, names, (B, M, K))
+    c = part.constants
+    origins = np.array([c.surfaces[name].center for name in names])
+    M, K, D = (0.5 * (A + A.T) for A in (T.T @ M @ T, T.T @ K @ T, T.T @ D @ T))
+    return InterfaceModel(M, K, D, names, origins, omega, float(c.mass), np.array(c.center))
+
+
+def _coordinates(body: ReducedBody, names: tuple[str, ...]) -> tuple[Any, Array, Array]:
+    """The part, B (1) and the mass matrix of frame and modes, at rest in the undeformed state; collective."""
+    scene = Scene(f"interfaces of {body.name}")
+    scene.add(body)
+    for name in names:
+        scene.sensor(name, position(body.surface(name)))
+    system, state, markers = scene.build()
+    part: Any = system.parts[0]
+
+    # undeformed, in the axes of the mesh
+    m = system.motions
+    q = np.zeros(system.n_q)
+    q[: m.n_pose] = m.pose(part.constants.center, None)
+    ev = system.at(0.0, q, np.zeros(system.n_v))
+    rows = []
+    for name in names:
+        marker = markers[name]
+        on = int(np.flatnonzero(system.markers.surface == marker)[0])
+        by_modes = ev.kin.jac_port[on] @ part.port_matrix[system.markers.port[on]]
+        rows.append(np.concatenate((ev.kin.jac_frame[marker], by_modes), axis=1))
+
+    rest = FrameMotion(0.0, np.eye(m.dim), np.zeros(m.n_twist), np.zeros(m.n_twist), np.zeros(m.dim))
+    of_frame, low, of_modes = part.mass_blocks(rest, np.zeros(part.n))
+    return part, np.concatenate(rows), np.block([[of_frame, low.T], [low, of_modes]])
+
+
+def _basis(name: str, interfaces: tuple[str, ...], matrices: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """T and omega of (1)."""
+    import scipy.linalg as sl
+
+    B, M, K = matrices
+    count, n = B.shape
+    U, s, Vt = np.linalg.svd(B / np.abs(B).max(axis=1, keepdims=True))
+    if count > n or s[-1] < SMALLEST * s[0]:
+        raise InputError(
+            f'Body "{name}": its modes cannot move the interfaces {", ".join(interfaces)} independently. '
+            f"Reduce it with basis=fmbd.CraigBampton({interfaces}, modes)."
+        )
+    N = Vt[count:].T
+    X = np.linalg.pinv(B)
+    soft = N.T @ K @ N
+    static = X - N @ np.linalg.solve(soft, N.T @ K @ X) if N.size else X
+    square, Z = sl.eigh(soft, N.T @ M @ N) if N.size else (np.zeros(0), np.zeros((0, 0)))
+    return np.concatenate((static, N @ Z), axis=1), np.sqrt(square)
