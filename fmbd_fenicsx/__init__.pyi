@@ -124,6 +124,7 @@ from .post.drawing.view import Paint as Paint
 from .post.drawing.view import View as View
 from .run.output import Output as Output
 from .run.output import PerSecond as PerSecond
+from .run.events import Event as Event
 from .run.solve import Run as Run
 from .run.solve import solve as solve
 from .schemes.dae import Baumgarte as Baumgarte

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import check_fields, vector, whole
+from ..checks import check_fields, instance, vector, whole
 from ..errors import InputError, require
 from ..log import world_rank
 from ..notices import Gathered
@@ -65,6 +65,7 @@ class Output:
         ledger: whether the power of every force, drive and damping is recorded too, for ``run.ledger``.
         on_step: called after each step with a :class:`~fmbd_fenicsx.run.moment.Moment`: ``now.t``, ``now.step``, ``now["tip"]``
             for the present value of a sensor. On all ranks; what it returns is ignored.
+        events: crossings of a value by a sensor, each an :class:`~fmbd_fenicsx.run.events.Event`: the run ends, or calls back.
     """
 
     every: int = 1
@@ -77,6 +78,7 @@ class Output:
     times: Sequence[float] | None = None
     on_step: Callable[[Any], Any] | None = None
     ledger: bool = False
+    events: Sequence[Any] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -90,10 +92,25 @@ class Output:
                 bool((np.diff(t) > 0).all() and t[0] >= 0),
                 "Output: times must be an increasing list of times from 0 s on.",
             )
+        if self.events:
+            self._check_events()
         if isinstance(self.snapshots, int):
             require(self.snapshots >= 0, f"Output: snapshots = {self.snapshots} must not be negative.")
         elif not isinstance(self.snapshots, PerSecond):
             self._check_times()
+
+    def _check_events(self) -> None:
+        """Events are objects; runs that are compared with each other have to end at the same time."""
+        from .events import Event
+
+        for event in self.events:
+            instance("Output: events", event, Event)
+        estimates = self.estimate_error or self.estimate_reduction or self.estimate_space
+        require(
+            not estimates or all(e.then is not None for e in self.events),
+            "Output: a run that ends at an event states no errors: runs that are compared must end at the same time. Solve to "
+            "the time of the event with estimates and without the event.",
+        )
 
     def _check_times(self) -> None:
         """Times of snapshots are numbers that rise from 0 on."""
@@ -248,6 +265,14 @@ class Recorder:
         if self.indices and self.indices[-1] == n:  # on tape
             return
         self._record(n, state, seen)
+
+    def take_until(self, n: int, state: State, met: State, stepper: Any) -> None:
+        """Record step n up to the state at which an event has ended the run, it included; collective."""
+        rounding = 1e-9 * self.t_end
+        if self._wanted is not None:
+            self._wanted = [t for t in self._wanted if t <= met.t]
+            self._take_between(n, state, stepper, rounding)
+        self._record(n, met, None)
 
     def _take_between(self, n: int, state: State, stepper: Any, rounding: float) -> None:
         """Record the times that the last step has passed."""

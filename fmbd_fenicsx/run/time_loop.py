@@ -29,6 +29,7 @@ from .step_bisection import ConstantSteps
 
 if TYPE_CHECKING:
     from .checkpoint import Keeper
+    from .events import EventWatch
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to
 def quietly(stepper: Any, pace: Pace, recorder: Recorder, done: int, *, most: int) -> int:
     """How many steps, at most so many, were made in one call, where the stepper can: recorded on the way or up to a record."""
     t, h = stepper.state.t, pace.next(stepper.state.t)
-    if recorder.output.on_step is not None:
+    if recorder.output.on_step is not None or recorder.output.events:
         return 0
     tape = stepper.tape(recorder.openness) if recorder.on_tape else None
     quiet = recorder.quiet(done, t, h) if tape is None else recorder.free(t, h)
@@ -155,6 +156,17 @@ def quietly(stepper: Any, pace: Pace, recorder: Recorder, done: int, *, most: in
     return made
 
 
+def _events(problem: Problem, pace: Pace, output: Output, state: State) -> EventWatch | None:
+    """Who looks for the events of a run; loaded only when asked for."""
+    if not output.events:
+        return None
+    from .events import EventWatch
+
+    watch = EventWatch(tuple(output.events), problem.scene, problem.system, problem.markers, samples=not pace.steps)
+    watch.start(state)
+    return watch
+
+
 def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keeper: Keeper | None = None) -> March:
     """All steps from a consistent start, or from the checkpoint that the ``keeper`` takes up; collective."""
     reset(problem.system, problem.start)
@@ -168,6 +180,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
     state = stepper.state
     forecast = Forecast(solver, state.t, pace.t_end, pace.steps)
     motions = PrescribedMotions(problem.scene, problem.system, state.t, planned=pace.steps)
+    events, ended = _events(problem, pace, output, state), False
     bar = Progress(problem.scene.name, pace.steps or None, output.progress)
     if not pace.steps:
         motions.ahead(pace.t_end)
@@ -185,6 +198,11 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
                     forecast.note(state)
                 course.done += max(made, 1)
                 course.local_error = max(course.local_error, stepper.local_error)
+                met = None if events is None else events.look(course.done, state, stepper)
+                if met is not None:
+                    recorder.take_until(course.done, state, met, stepper)
+                    state, ended = met, True
+                    break
                 recorder.take(course.done, state, getattr(stepper, "evaluation", None), stepper)
                 if output.on_step is not None:
                     output.on_step(Moment(problem.scene, problem.system, problem.markers, state, course.done))
@@ -210,7 +228,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
         local_error=course.local_error,
         done=course.done,
         first=course.first,
-        status="finished" if pace.ended(state.t, course.done) else "stopped",
+        status="ended by an event" if ended else "finished" if pace.ended(state.t, course.done) else "stopped",
         counters=getattr(stepper, "counters", {}),
         path=getattr(stepper, "path", "NumPy"),
         earlier=course.earlier,

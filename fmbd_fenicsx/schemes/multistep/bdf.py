@@ -166,6 +166,18 @@ class Stepper:
         if self._starter is not None:
             self._starter.remember(m.inside("starter"))
 
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step, on the polynomials through the newest k + 1 past values."""
+        count = min(self.k + 1, len(self.past))
+        if count < 2 or not self.past[count - 1].t <= t <= self.state.t:
+            return None
+        times, xis, vs = self._local(count)
+        w = _weights(times, t)
+        m, s = self.system.n_lam, self.state
+        mult = w @ np.array([p.mult for p in self.past[:count]])
+        lam = mult[:m] if self.eq.levels else s.lam
+        return State(t, self.system.compose(s.q, w @ xis), w @ vs, _slopes(times, t) @ vs, lam)
+
     # -- steps --------------------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:
         """One accepted step. Constant steps: of size h. Error control: of at most h (s), hit exactly at the end."""
@@ -398,6 +410,13 @@ def _weights(nodes: Array, t: float) -> Array:
         others = np.delete(nodes, j)
         out[j] = np.prod((t - others) / (a - others))
     return out
+
+
+def _slopes(nodes: Array, t: float) -> Array:
+    """Weights of the values at the nodes in the derivative of their interpolating polynomial at any t."""
+    span = float(np.ptp(nodes))
+    powers = ((nodes - t) / span)[None] ** np.arange(len(nodes))[:, None]
+    return np.linalg.solve(powers, np.eye(len(nodes))[1]) / span  # type: ignore[no-any-return]
 
 
 def _derivative(nodes: Array, t: float) -> Array:

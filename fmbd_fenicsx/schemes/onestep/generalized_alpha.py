@@ -29,10 +29,10 @@ Arnold and Bruels, doi:10.1007/s11044-007-9084-0.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from ...checks import check_fields
 from ...errors import ConvergenceError, LinearSolveError, require
 from ...linear.blocks.incompressibility import volume_push
 from ...linear.condensation import StepSolver, Weights
@@ -42,6 +42,7 @@ from ...system.serialisation import Memory
 from ...system.speed_rows import gaps, speed_rows
 from ...system.system import State, System
 from ..consistent import jerk, spin_of_acceleration, worst_block
+from ..control import check_controlled
 from ..dae import GGL, Form, Index3, refuse_positions
 from ..exact_tangent import exact_increment
 from ..newton import Newton, above_roundoff, not_converged, strayed
@@ -61,15 +62,20 @@ class GeneralizedAlpha:
     rho_inf = 1 is refused: with index-3 constraints it is weakly unstable, roundoff in the multipliers grows until the run
     fails (Cardona and Geradin, doi:10.1016/0045-7949(89)90050-9).
 
+    ``rtol``, ``atol``: error control, see :class:`.Radau`: the scheme chooses its steps (:mod:`.variable_alpha`); with
+    rtol = None it takes steps of a given size.
+
     ``compiled`` = False keeps to NumPy where a compiled step exists (rigid and reduced bodies, see :mod:`.compiled`).
     """
 
     rho_inf: float = 0.8
     compiled: bool = True
     form: Form = field(default_factory=Index3)
+    rtol: float | None = None
+    atol: float | None = None
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        check_controlled(self)
         require(
             isinstance(self.form, Index3 | GGL),
             f"GeneralizedAlpha takes form=Index3() or GGL(), found {self.form!r}. BDF and Radau take all forms.",
@@ -91,7 +97,8 @@ class GeneralizedAlpha:
     def name(self) -> str:
         """Name in reports."""
         stabilised = ", GGL" if isinstance(self.form, GGL) else ""
-        return f"generalized-alpha(rho_inf={self.rho_inf:g}{stabilised})"
+        controlled = f", rtol={self.rtol:g}" if self.rtol is not None else ""
+        return f"generalized-alpha(rho_inf={self.rho_inf:g}{stabilised}{controlled})"
 
     @property
     def parameters(self) -> tuple[float, float, float, float]:
@@ -101,10 +108,14 @@ class GeneralizedAlpha:
         gamma = 0.5 + af - am
         return am, af, gamma, 0.25 * (gamma + 0.5) ** 2
 
-    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
-        """A run's worker, from a consistent state."""
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Any:
+        """Time stepper from a consistent state."""
         if isinstance(self.form, GGL):
             refuse_positions(system, "form=GGL()", self.form.levels)
+        if self.rtol is not None:
+            from .variable_alpha import VariableAlpha
+
+            return VariableAlpha(self, system, solver, newton, state)
         plain = self.compiled and isinstance(self.form, Index3) and newton.tangent is None
         if plain and not system.fields:
             from .alpha_driver import alpha_driver

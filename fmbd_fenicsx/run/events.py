@@ -1,0 +1,129 @@
+"""Events: the instants at which a sensor crosses a value, found on the way of a run.
+
+After each step the value at its end is compared with that at its start; where the sign of (value - level) has changed, the
+instant is located on the dense output of the step (:mod:`.between`) by Brent's method, to the accuracy of that polynomial. Steps
+of schemes with error control are large: there values at quarters of the step are looked at too. Two crossings closer than that
+cancel out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from ..checks import check_fields, number
+from ..errors import InputError, near, require
+from ..system.scene.scene import Scene
+from ..system.system import State, System
+from .between import state_between
+from .moment import Moment
+
+QUARTERS = (0.25, 0.5, 0.75)
+ROUNDOFF = 4 * float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True)
+class Event:
+    """A sensor crosses a value: ``Output(events=[fmbd.Event("tip y", -0.5, direction=-1)])``.
+
+    Args:
+        sensor: name of a sensor with one component, or of a component: "tip y".
+        level: the value, in the sensor's unit.
+        direction: 1 for rising, -1 for falling values only, 0 for both.
+        then: called with the :class:`~fmbd_fenicsx.run.moment.Moment` of the crossing, on all ranks, and the run goes on;
+            None ends the run there.
+    """
+
+    sensor: str
+    level: float = 0.0
+    direction: int = 0
+    then: Callable[[Any], Any] | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        number(f'Event "{self.sensor}": level =', self.level)
+        require(
+            self.direction in (-1, 0, 1),
+            f'Event "{self.sensor}": direction = {self.direction} must be 1 (rising), -1 (falling) or 0 (both).',
+        )
+
+
+def component(scene: Scene, now: Moment, name: str) -> tuple[str, int | None]:
+    """Sensor and number of the component behind a name; None where the sensor must have only one; collective."""
+    if name in scene.sensors:
+        return name, None
+    known: dict[str, tuple[str, int]] = {}
+    for sensor, made in scene.sensors.items():
+        size = len(now[sensor]) if name.startswith(f"{sensor} ") else 0
+        known |= {f"{sensor} {made.labels[k] if k < len(made.labels) else k + 1}": (sensor, k) for k in range(size)}
+    if name not in known:
+        raise InputError(f'Event: no sensor or component "{name}". {near(name, [*scene.sensors, *known])}')
+    return known[name]
+
+
+class EventWatch:
+    """Looks for the events of a run after each step; ``samples``: whether to look inside the steps too."""
+
+    def __init__(
+        self, events: tuple[Event, ...], scene: Scene, system: System, markers: dict[str, int], *, samples: bool
+    ) -> None:
+        self.events, self.scene, self.system, self.markers = events, scene, system, markers
+        self.places = QUARTERS if samples else ()
+
+    def start(self, state: State) -> None:
+        """The state that the first step begins from; collective."""
+        now = Moment(self.scene, self.system, self.markers, state, 0)
+        self.columns = [component(self.scene, now, e.sensor) for e in self.events]
+        self.before, self.values = state, [self._value(k, state) for k in range(len(self.events))]
+
+    def look(self, n: int, after: State, stepper: Any) -> State | None:
+        """Call what belongs to the crossings of step n in their order; the state at which the run ends, or None. Collective."""
+        before, span = self.before, after.t - self.before.t
+
+        def at(t: float) -> State:
+            return after if t >= after.t else state_between(self.system, before, after, t, stepper)
+
+        inner = [at(before.t + x * span) for x in self.places]
+        found: list[tuple[float, int]] = []
+        for k, event in enumerate(self.events):
+            points = [(before.t, self.values[k]), *((s.t, self._value(k, s)) for s in (*inner, after))]
+            found += [(self._locate(k, at, a, b), k) for a, b in pairwise(points) if _crosses(a[1], b[1], event)]
+            self.values[k] = points[-1][1]
+        self.before = after
+
+        for t, k in sorted(found):
+            event, state = self.events[k], at(t)
+            if event.then is None:
+                return state
+            event.then(Moment(self.scene, self.system, self.markers, state, n))
+        return None
+
+    def _locate(self, k: int, at: Callable[[float], State], a: tuple[float, float], b: tuple[float, float]) -> float:
+        """The instant of a crossing between two points (time, value)."""
+        if b[1] == 0.0:
+            return b[0]
+        return float(
+            brentq(lambda t: self._value(k, at(t)), a[0], b[0], xtol=ROUNDOFF * max(b[0], 1e-300), rtol=ROUNDOFF)
+        )
+
+    def _value(self, k: int, state: State) -> float:
+        """Value less level of an event's sensor."""
+        (name, column), event = self.columns[k], self.events[k]
+        read = Moment(self.scene, self.system, self.markers, state, 0)[name]
+        if column is None and len(read) != 1:
+            labels = [*self.scene.sensors[name].labels, *range(1, len(read) + 1)][: len(read)]
+            listed = ", ".join(f'"{name} {x}"' for x in labels)
+            raise InputError(f'Event: sensor "{name}" has {len(read)} components. Take one of them: {listed}.')
+        return float(read[column or 0]) - event.level
+
+
+def _crosses(before: float, after: float, event: Event) -> bool:
+    """Whether two values of (sensor - level) lie on both sides of zero, in the direction that was asked for."""
+    rises = before < 0.0 <= after
+    falls = before > 0.0 >= after
+    return (rises and event.direction >= 0) or (falls and event.direction <= 0)

@@ -1,0 +1,218 @@
+"""Generalized-alpha with steps of its own choice: nested parts of the stretch to the next point that must be hit.
+
+A stretch of length R is divided into 1, 2, 6, 12, 36, ... parts, and every step is one of these, begun at a multiple of its own
+size. So the end of the stretch is hit without a step of another size, and there are fewer than three sizes, and with them elastic
+factors, in a decade; factors stay for the sizes in use.
+
+Two quantities of the scheme belong to a step size. With r = h_new / h_old
+
+    A  <-  a + r (A - a),                     as  A_n = a(t_n + (alpha_m - alpha_f) h) + O(h^2)                        (1)
+    v  <-  v + dv,   M dv + G^T mu = 0,   G dv = (r^2 - 1) (G v + g_t)                                                (2)
+
+at a change of size: velocities of the index-3 form miss their constraints by a multiple of h^2. Without (1) and (2) the order
+falls to one.
+
+The error of a step is that of the positions, filtered by the matrix of the step, so that vibrations which the step damps do not
+count:
+
+    (M + s K) e + G^T mu = M h^2 (beta - 1/6) (A_n+1 - A_n),     G e = 0                                               (3)
+
+Sources: Bruels and Arnold, doi:10.1115/1.2960475 (variable steps); Zienkiewicz and Xie, doi:10.1002/eqe.4290200907 (the
+error); Shampine and Baca, doi:10.1145/357456.357462 (filters).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...errors import ConvergenceError, LinearSolveError
+from ...linear.condensation import StepSolver, Weights
+from ...rotations import Array
+from ...system.serialisation import Memory
+from ...system.system import State, System
+from ..consistent import consistent
+from ..control import ErrorNorm, Statistics, StepControl, first_step, moves, turn_limit
+from ..dae import GGL
+from ..newton import Newton
+
+if TYPE_CHECKING:
+    from .generalized_alpha import GeneralizedAlpha
+
+KEPT = 8  # sets of elastic factors
+DEEPEST = 48  # levels of parts; the finest are below roundoff
+SAME = 1e-9  # lengths of a stretch that differ by this share are equal
+
+
+def parts(level: int) -> int:
+    """Number of parts of a stretch: 1, 2, 6, 12, 36, ..."""
+    return int(6 ** (level // 2) * (2 if level % 2 else 1))
+
+
+class VariableAlpha:
+    """Drives a stepper of constant steps: chooses its steps, and moves its memory from one size to another."""
+
+    def __init__(
+        self, scheme: GeneralizedAlpha, system: System, solver: StepSolver, newton: Newton, state: State
+    ) -> None:
+        assert scheme.rtol is not None
+        self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
+        self.constant = replace(scheme, rtol=None, atol=None)
+        self.inner: Any = self.constant.stepper(system, solver, newton, state)
+        self.norm = ErrorNorm(system, scheme.rtol, scheme.atol, 3)
+        self.control = StepControl(3.0)
+        self.stats = Statistics()
+        self.local_error = 0.0
+        self.proposed: float | None = None
+        self.size: float | None = None  # of the last step, s
+        self.stretch, self.place, self.end = 0.0, Fraction(0), 0.0  # length, share of it that is done, its end
+        solver.kept = max(solver.kept, KEPT)
+
+    @property
+    def state(self) -> State:
+        """The newest state."""
+        return self.inner.state  # type: ignore[no-any-return]
+
+    @state.setter
+    def state(self, state: State) -> None:
+        self.inner.state = state
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Work so far, rejections by their cause."""
+        counted = {"steps", "rejections"} | {f"rejected: {cause}" for cause in self.stats.rejected}
+        own = {k: x for k, x in self.stats.as_dict().items() if k in counted}
+        return {**getattr(self.inner, "counters", {}), **own}
+
+    def remember(self, m: Memory) -> None:
+        """The stepper's memory, and where the steps are in the stretch."""
+        self.inner.remember(m.inside("constant"))
+        self.norm.remember(m.inside("norm"))
+        self.control, self.stats = m("control", (self.control, self.stats), StepControl, Statistics)
+        steps = self.proposed, self.size, self.local_error, self.stretch, self.end
+        self.proposed, self.size, self.local_error, self.stretch, self.end = m("steps", steps)
+        above, below = m("place", (self.place.numerator, self.place.denominator))
+        self.place = Fraction(int(above), int(below))
+
+    def restart(self, t: float) -> None:
+        """Go on behind a jump of forces: consistent accelerations and multipliers, a new stretch, small steps at first."""
+        start, _ = consistent(self.system, self.state, self.solver, h=self.size or 0.0)
+        self.inner = self.constant.stepper(self.system, self.solver, self.newton, start)
+        self.size = self.proposed = None
+        self.stretch, self.place = 0.0, Fraction(0)
+        self.control.h_old = 0.0
+
+    # -- one accepted step --------------------------------------------------------------------------------------------
+    def advance(self, h: float) -> State:
+        """One accepted step of at most h (s), which is hit exactly at the end of the stretch; collective.
+
+        Raises ConvergenceError when steps would have to be too small.
+        """
+        s = self.state
+        self._follow(s.t, h)
+        self.control.span = max(self.control.span, h)
+        if self.proposed is None:
+            self.norm.update(s, h)
+            self.proposed = first_step(self.norm, s, 3.0, h)
+
+        farthest = turn_limit(self.system, s)
+        while True:
+            level = self._level(min(self.proposed, farthest))
+            h = self.stretch / parts(level)
+            moves(s.t, h)
+            error, cause = self._attempt(h)
+            if error <= 1.0:
+                break
+            self.stats.rejected[cause] += 1
+            self.proposed = min(self.control.rejected(s.t, h, error, cause), 0.9 * h)
+        self.local_error = error
+        self.stats.steps += 1
+        self.proposed = self.control.accepted(h, error)
+        return self._arrive(level)
+
+    def _follow(self, t: float, left: float) -> None:
+        """Begin a new stretch where the last one has ended, or where another end is asked for."""
+        if self.place < 1 and self.stretch > 0 and abs(self.end - t - left) <= SAME * self.stretch:
+            return
+        if abs(self.stretch - left) > SAME * left:  # else its factors serve again
+            self.stretch = left
+        self.place, self.end = Fraction(0), t + left
+
+    def _level(self, wanted: float) -> int:
+        """The coarsest parts that are no larger than a step wanted, and of which one begins here."""
+        for level in range(DEEPEST):
+            if self.stretch / parts(level) <= wanted and (self.place * parts(level)).denominator == 1:
+                return level
+        return DEEPEST
+
+    def _arrive(self, level: int) -> State:
+        """The state at the end of the step, at the time that the parts give."""
+        self.place += Fraction(1, parts(level))
+        t = self.end if self.place == 1 else self.end - self.stretch * float(1 - self.place)
+        if self.state.t != t:
+            self._move(replace(self.state, t=t))
+        return self.state
+
+    def _move(self, state: State, A: Array | None = None) -> None:
+        """Give the stepper a state and an algorithmic acceleration in the place of its own."""
+        kept, past = self.inner.A if A is None else A, self.inner._past
+        self.inner.state, self.inner.A, self.inner._past = state, kept, past
+
+    # -- attempts -----------------------------------------------------------------------------------------------------
+    def _attempt(self, h: float) -> tuple[float, str]:
+        """A step of size h and its error; where this is above one, the stepper is as before."""
+        inner, size = self.inner, self.size
+        kept = inner.state, inner.A.copy(), list(inner._past), inner.fresh, self.solver.pressures
+        self.norm.update(inner.state, h)
+        try:
+            self.step(h)
+            error, cause = self._error(h), "error estimate"
+        except (ConvergenceError, LinearSolveError) as failure:
+            error, cause = np.inf, "Newton's iteration"
+            self.control.fault = str(failure)
+        except np.linalg.LinAlgError:
+            error, cause = np.inf, "an iteration that diverged"
+        if not error <= 1.0:
+            inner.state, inner.A, inner._past, inner.fresh, self.solver.pressures = kept
+            self.size, self.newton.theta = size, 0.5
+        return error, cause
+
+    def step(self, h: float) -> State:
+        """One step of size h (s) without a look at its error; collective."""
+        self._resize(h)
+        self._A, self._weights = self.inner.A.copy(), self._weights_of(h)
+        self.inner.advance(h)
+        self.size = h
+        return self.state
+
+    def _resize(self, h: float) -> None:
+        """Equations (1) and (2), where the size changes."""
+        inner, s = self.inner, self.state
+        if inner.fresh or self.size is None or self.size == h:
+            return
+        r = h / self.size
+        v = s.v
+        if self.system.n_lam and not isinstance(self.scheme.form, GGL):
+            ev = self.system.at(s.t, s.q, s.v)
+            miss = ev.jacobian.times(s.v) + ev.constraint_rate()
+            self.solver.prepare(ev, self._weights_of(h))
+            v = v + self.solver.solve(np.zeros_like(v), (r * r - 1.0) * miss)[0]
+        self._move(replace(s, v=v), s.a + r * (inner.A - s.a))
+
+    def _weights_of(self, h: float) -> Weights:
+        """Those of the scheme's matrix."""
+        am, af, gamma, beta = self.scheme.parameters
+        return Weights(1.0, h * gamma * (1 - af) / (1 - am), beta * h * h * (1 - af) / (1 - am))
+
+    def _error(self, h: float) -> float:
+        """The norm of (3)."""
+        s, beta = self.state, self.scheme.parameters[3]
+        jump = h * h * (beta - 1.0 / 6.0) * (self.inner.A - self._A)
+        ev = self.system.at(s.t, s.q, s.v)
+        push = ev.balance(s.a + jump, s.lam) - ev.balance(s.a, s.lam)
+        self.solver.prepare(ev, self._weights)
+        e, _ = self.solver.solve(push, np.zeros(self.system.n_lam))
+        return self.norm(h, e, np.zeros_like(e))

@@ -1,0 +1,106 @@
+"""Events: crossings of a value end a run or call back; dense output of the schemes at their order."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from dae_problems import pendulum as point_pendulum
+from dae_problems import pendulum_at
+from scipy.optimize import brentq
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+
+FALL = 0.5 * np.sqrt(2.0)  # m
+
+
+def ball() -> fmbd.Scene:
+    """A body thrown upward at 5 m/s: z = 5 t - 9.81 t^2 / 2."""
+    scene = fmbd.Scene("ball", gravity=(0.0, 0.0, -9.81))
+    body = fmbd.RigidBody("ball", 1.0, (1.0, 1.0, 1.0), velocity=(1.0, 0.0, 5.0))
+    scene.add(body)
+    scene.sensor("ball", fmbd.position(body))
+    return scene
+
+
+def crossing(low: float, high: float) -> float:
+    """When the point pendulum passes x = 0, s."""
+    return float(brentq(lambda t: pendulum_at(t)[0][0], low, high, xtol=1e-12))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    "settings", [{"dt": 0.01}, {"scheme": fmbd.Radau(3)}, {"scheme": fmbd.BDF()}], ids=["alpha", "Radau", "BDF"]
+)
+def test_a_run_ends_where_a_sensor_crosses_a_value(settings: dict[str, Any]) -> None:
+    """Exact on parabolas; the last record is the event, and nothing lies behind it."""
+    landing = fmbd.Event("ball z", 0.0, direction=-1)
+    run = fmbd.solve(ball(), t_end=5.0, output=fmbd.Output(events=[landing]), **settings)
+    assert run.status == "ended by an event"
+    assert run.times[-1] == pytest.approx(10.0 / 9.81, rel=1e-6)
+    assert run["ball"][-1] == pytest.approx([10.0 / 9.81, 0.0, 0.0], abs=1e-5)
+    assert run.state.t == run.times[-1] and (np.diff(run.times) > 0).all()
+
+
+def test_given_times_end_at_the_event() -> None:
+    times = np.linspace(0.0, 3.0, 31)
+    output = fmbd.Output(times=times, events=[fmbd.Event("ball z", 0.0, direction=-1)])
+    run = fmbd.solve(ball(), t_end=3.0, dt=0.03, output=output)
+    assert run.times[:-1] == pytest.approx(times[: len(run.times) - 1])
+    assert run.times[-1] == pytest.approx(10.0 / 9.81, rel=1e-6)
+
+
+@pytest.mark.parametrize("direction", [1, -1, 0])
+def test_calls_at_crossings_by_direction(direction: int) -> None:
+    """Every passage of the pendulum, in its direction, also where steps are large."""
+    seen: list[tuple[float, float]] = []
+    event = fmbd.Event("x 1", 0.0, direction, then=lambda now: seen.append((now.t, float(now["v"][0]))))
+    run = fmbd.solve(point_pendulum(), t_end=6.0, scheme=fmbd.Radau(5, rtol=1e-9), output=fmbd.Output(events=[event]))
+    fine = np.linspace(0.0, 6.0, 601)
+    x = np.array([pendulum_at(float(t))[0][0] for t in fine[::4]])
+    spans = [(a, b, s) for a, b, s in zip(fine[:-4:4], fine[4::4], np.sign(np.diff(np.sign(x))), strict=True) if s]
+    expected = [crossing(a, b) for a, b, s in spans if direction in (0, s)]
+    assert run.status == "finished"
+    assert [t for t, _ in seen] == pytest.approx(expected, abs=1e-6)
+    assert all(np.sign(v) == direction for _, v in seen) or direction == 0
+
+
+def test_order_of_the_instant() -> None:
+    """The instant has the order of the scheme."""
+    exact = crossing(0.5, 1.5)
+    errors = []
+    for dt in (0.04, 0.02, 0.01):
+        run = fmbd.solve(point_pendulum(), t_end=2.0, dt=dt, output=fmbd.Output(events=[fmbd.Event("x 1")]))
+        errors.append(abs(run.times[-1] - exact))
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.2)
+
+
+@pytest.mark.parametrize(("order", "steps"), [(2, (40, 80)), (3, (40, 80)), (4, (40, 80))])
+def test_dense_output_of_bdf_has_its_order(order: int, steps: tuple[int, int]) -> None:
+    """Positions and velocities between the ends of steps."""
+    times = tuple(np.sort(np.random.default_rng(1).uniform(0.5, 1.0, 40)))
+    exact = [pendulum_at(t) for t in times]
+    found = []
+    for n in steps:
+        scheme = fmbd.BDF(order, rtol=None)
+        run = fmbd.solve(
+            point_pendulum(), t_end=1.0, dt=1.0 / n, scheme=scheme, newton=fmbd.Newton(1e-11, 25), output=fmbd.Output(times=times)
+        )  # fmt: skip
+        found.append([np.abs(run[name] - [e[k] for e in exact]).max() for k, name in enumerate(("x", "v"))])
+    assert (np.log2(np.array(found[0]) / found[1]) > order - 0.35).all(), found
+
+
+def test_events_that_are_none_are_refused() -> None:
+    for make, message in [
+        (lambda: fmbd.Event("x", direction=2), "direction = 2 must be"),
+        (lambda: fmbd.Event("x", float("nan")), "level"),
+        (lambda: fmbd.Output(events=["x"]), "events"),
+        (lambda: fmbd.Output(events=[fmbd.Event("x")], estimate_error=True), "states no errors"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            make()
+    for name, message in [("tipp", 'no sensor or component "tipp"'), ("x", "has 2 components")]:
+        with pytest.raises(InputError, match=message):
+            fmbd.solve(point_pendulum(), t_end=0.1, dt=0.01, output=fmbd.Output(events=[fmbd.Event(name)]))

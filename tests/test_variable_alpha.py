@@ -1,0 +1,106 @@
+"""Generalized-alpha with variable steps: order 2, sudden loads, few factors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from dae_problems import pendulum as point_pendulum
+from dae_problems import pendulum_at, spinning_top, state_errors
+from test_field_stages import pendulum
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.consistent import consistent
+from fmbd_fenicsx.schemes.newton import Newton
+from fmbd_fenicsx.schemes.onestep.variable_alpha import parts
+
+PATTERN = (1.0, 0.5, 0.5, 1.5, 0.75, 0.25, 1.5, 2.0)  # sizes of steps over their mean
+
+
+def stepper_of(scene: fmbd.Scene, form: Any) -> Any:
+    """A stepper with tight Newton iterations."""
+    system, given, _ = scene.build()
+    solver = StepSolver(system)
+    start, _ = consistent(system, given, solver)
+    scheme = fmbd.GeneralizedAlpha(0.7, form=form, rtol=1e-3)
+    return scheme.stepper(system, solver, Newton(1e-11, 25), start)
+
+
+def at_end(scene: fmbd.Scene, form: Any, rounds: int, t_end: float) -> Any:
+    """The state after steps whose sizes change all the time."""
+    stepper = stepper_of(scene, form)
+    for _ in range(rounds):
+        for share in PATTERN:
+            stepper.step(share * t_end / (rounds * len(PATTERN)))
+    return stepper.state
+
+
+@pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=lambda f: f.name)
+def test_order_with_steps_of_changing_size(form: Any) -> None:
+    """2 in q, v and lambda: steps change by up to 6."""
+    x, v, lam = pendulum_at(1.0)
+    errors = []
+    for rounds in (16, 32, 64):
+        s = at_end(point_pendulum(), form, rounds, 1.0)
+        errors.append([np.abs(s.q - x).max(), np.abs(s.v - v).max(), abs(abs(s.lam[0]) - abs(lam))])
+    orders = np.log2(np.array(errors)[:-1] / np.array(errors)[1:])
+    assert (orders[-1] > 1.85).all(), orders
+
+
+def test_order_in_space_with_rotations() -> None:
+    fine = at_end(spinning_top(), fmbd.Index3(), 128, 0.5)
+    errors = [state_errors(spinning_top(), at_end(spinning_top(), fmbd.Index3(), n, 0.5), fine) for n in (8, 16)]
+    assert (np.log2(errors[0] / errors[1]) > 1.8).all(), errors
+
+
+def test_parts_are_nested() -> None:
+    found = [parts(k) for k in range(6)]
+    assert found == [1, 2, 6, 12, 36, 72]
+    assert all(b % a == 0 for a, b in zip(found, found[1:], strict=False))
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-5])
+def test_errors_follow_the_tolerance(rtol: float) -> None:
+    run = fmbd.solve(point_pendulum(), t_end=2.0, scheme=fmbd.GeneralizedAlpha(rtol=rtol))
+    exact = pendulum_at(2.0)[0]
+    assert run.times[-1] == 2.0
+    assert np.abs(run["x"][-1] - exact).max() < 100 * rtol
+    assert run.counters["steps"] < 60 * (1e-3 / rtol) ** (1 / 3)
+
+
+def knocked(mesh: Any, *stops: float, until: float = 0.802) -> fmbd.Scene:
+    """A damped rod at rest on a pin without weight, hit at its end after 0.8 s of nothing."""
+    scene = pendulum(mesh, E=2e9)
+    rod = scene.bodies["rod"].with_(stiffness_damping=2e-3)
+    made = fmbd.Scene("knocked", breakpoints=stops)
+    made.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
+    made.add(fmbd.force("knock", rod.surface("tip"), lambda t: (0.0, 500.0 if 0.8 < t < until else 0.0)))
+    made.sensor("tip", fmbd.position(rod.surface("tip")))
+    return made
+
+
+@pytest.mark.mpi
+def test_a_sudden_load_on_a_rod_takes_a_fifth_of_the_steps(rod_mesh: Callable[..., Any]) -> None:
+    """Where nothing happens steps are large: at equal error a fifth of the steps."""
+    scene = knocked(rod_mesh(dim=2, h=0.5, height=0.1), 0.8, 0.802)
+    times = tuple(np.linspace(0.79, 1.0, 64))
+    output = fmbd.Output(times=times)
+    exact = fmbd.solve(scene, t_end=1.0, scheme=fmbd.Radau(3, rtol=1e-8), output=output)
+    run = fmbd.solve(scene, t_end=1.0, scheme=fmbd.GeneralizedAlpha(rtol=1e-5), output=output)
+    error = np.abs(run["tip"] - exact["tip"]).max()
+
+    steps = 5 * int(run.counters["steps"] + run.counters["rejections"])
+    constant = fmbd.solve(scene, t_end=1.0, dt=1.0 / steps, output=output)
+    assert error <= np.abs(constant["tip"] - exact["tip"]).max()
+
+
+def test_three_factors_for_a_decade_of_sizes(rod_mesh: Callable[..., Any]) -> None:
+    """A load that stays, and jumps without a word, is found by the error estimate; its steps belong to one family."""
+    scene = knocked(rod_mesh(dim=2, h=0.5, height=0.1), until=2.0)
+    run = fmbd.solve(scene, t_end=1.0, scheme=fmbd.GeneralizedAlpha(rtol=1e-4))
+    sizes = np.diff(run.times)
+    assert sizes.max() > 1e3 * sizes.min()
+    assert run.counters["factorisations"] <= 3 * np.log10(sizes.max() / sizes.min()) + 1
