@@ -69,7 +69,7 @@ class VariableAlpha:
         self.proposed: float | None = None
         self.size: float | None = None  # of the last step, s
         self.stretch, self.place, self.end = 0.0, Fraction(0), 0.0  # length, share of it that is done, its end
-        solver.kept = max(solver.kept, KEPT)
+        solver.elastic.kept = max(solver.elastic.kept, KEPT)
 
     @property
     def state(self) -> State:
