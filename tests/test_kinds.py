@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import dataclasses
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +12,7 @@ from fmbd_fenicsx import kernel_cache
 from fmbd_fenicsx.mechanics.kinds.derivation import KERNELS, Kind, c_source, derive, kinds, numpy_kernel
 from fmbd_fenicsx.mechanics.kinds.expressions import atan2, exp, gradient, log, nearest_turn, sin, sqrt, symbol, tanh
 from fmbd_fenicsx.mechanics.kinds.frames import FRAME
+from fmbd_fenicsx.mechanics.kinds.library import kernel
 
 FLOWS = tuple(name for name, kind in kinds(3).items() if kind.flow)
 BOTH = pytest.mark.parametrize("dim", [2, 3])
@@ -119,30 +118,20 @@ def test_a_wrong_sign_is_seen(name: str, dim: int) -> None:
 QUIET = {("angle", 2, "rates")}  # gamma of the angle in the plane is zero
 
 
-def c_library(found: dict[str, Kind]) -> Any:
-    """Kernels of some kinds with a door for tests."""
-    door = (
-        "void call(int kind, int which, long n, const int *pair, const double *frames, const double *P, const double *W,"
-        " double *out) { KERNELS[kind][which](n, pair, frames, P, W, out); }\n"
-    )
-    return kernel_cache.load("test_kinds", c_source(found) + door)
-
-
 @pytest.mark.skipif(kernel_cache.compiler() is None, reason="no C compiler")
 @BOTH
 def test_c_and_numpy_agree(dim: int) -> None:
     found = kinds(dim)
-    library = c_library(found)
     n, size = 7, FRAME[dim]
-    for number, kind in enumerate(found.values()):
+    for kind in found.values():
         items = [item(kind, seed) for seed in range(n)]
         frames = np.array([x for A, B, _ in items for x in (A, B)])
         P, W = np.array([p for *_, p in items]), np.linspace(0.5, 2.0, n)
         pair = np.arange(2 * n, dtype=np.int32)
-        for which, name in enumerate(KERNELS):
+        for name in KERNELS:
             out = np.zeros((n, len(kind.outputs[name])))
-            void = [ctypes.c_void_p(x.ctypes.data) for x in (pair, frames.reshape(-1, size), P, W, out)]
-            library.call(number, which, ctypes.c_long(n), *void)
+            compiled = kernel(kind, name)
+            compiled(n, *(x.ctypes.data for x in (pair, frames.reshape(-1, size), P, W, out)))
             wanted = numpy_kernel(kind, name)(frames[::2], frames[1::2], P, W)
             assert np.abs(out - wanted).max(initial=0) < 1e-13 * max(1.0, np.abs(wanted).max(initial=0)), (
                 kind.name,

@@ -15,8 +15,9 @@ leaves the system without massless coordinates. With S' = F R_s^T its rate in bo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +37,17 @@ class Kinematics:
     jac_port: Array
     moving: Moving | None = None
     turned: Array | None = None  # (n,) rad: differences of two markers are their counted angle, see joints.counted
+    evaluated: dict[Any, Array] = field(default_factory=dict, repr=False)  # by kinds of items, see kinds.evaluation
+
+    @cached_property
+    def frames(self) -> Array:
+        """Each marker as the kernels of the kinds read it, (n, FRAME): x, R, twist, in the plane the angle of R."""
+        n, d = self.x.shape
+        twist = np.zeros((n, 3 * (d - 1))) if self.twist is None else self.twist
+        columns = [self.x, self.R.reshape(n, -1), twist]
+        if d == 2:
+            columns.append(np.arctan2(self.R[:, 1, 0], self.R[:, 0, 0])[:, None])
+        return np.concatenate(columns, axis=1)
 
     @cached_property
     def twist(self) -> Array | None:

@@ -228,17 +228,12 @@ class ScalarLoads(Loads):
 
     def _tangent_of(self, kin: Kinematics, N: Array, slopes: tuple[Array, Array]) -> Tangent:
         """The tangent of efforts N with dN/ds and dN/ds', and the geometric stiffness of N, (1)."""
-        s, _, ra, rb = self._state(kin)
+        _, _, ra, rb = self._state(kin)
         k, c = slopes
         r = np.concatenate((ra, rb), axis=1)
         rr = r[:, :, None] * r[:, None, :]
         K, D = k[:, None, None] * rr, c[:, None, None] * rr
-        if isinstance(self.relative, Separation):
-            d, n = self.motions.dim, self.motions.dim + self.motions.n_rot
-            unit = rb[:, :d]
-            across = (N / (s + self.free))[:, None, None] * (np.eye(d) - unit[:, :, None] * unit[:, None, :])
-            for i, j, sign in ((0, 0, 1), (0, n, -1), (n, 0, -1), (n, n, 1)):
-                K[:, i : i + d, j : j + d] += sign * across
+        K += self.relative.geometric(kin, N)
         return Tangent(self.a, self.b, K, D)
 
 

@@ -33,6 +33,7 @@ from ...checks import number, shown, typed, vector, word
 from ...errors import InputError, require
 from ...rotations import Array
 from ..bodies.bodies import RigidBody, Surface
+from ..kinds.derivation import Kind
 from . import constraints as ct
 from .couplings import smooth_motion
 
@@ -60,6 +61,7 @@ class Row:
     other: Array | None = None
     motion: ct.Motion = ct.standstill
     axis: Array | None = None
+    own: Kind | None = None  # of a row by an expression
     constants: Mapping[str, Any] = MappingProxyType({})  # of a kind that has names for them
 
 
@@ -80,7 +82,7 @@ class Joint:
     @property
     def reaction_units(self) -> tuple[str, ...]:
         """Units of the multipliers, one a row: rows on a rotation carry moments."""
-        return tuple("N m" if row.kind is ct.Perpendicular else "N" for row in self.rows)
+        return tuple("N m" if issubclass(row.kind, ct.Perpendicular) else "N" for row in self.rows)
 
     def __post_init__(self) -> None:
         word("A joint's name", self.name)
@@ -279,10 +281,10 @@ def drive_rotation(name: str, a: Any, b: Any, motion: ct.Motion, *, axis: Vector
     dim = dimension(a, b, name)
     if dim == 2:
         basis(axis, name, 2)
-        row = Row(ct.Perpendicular, np.array([0.0, 1.0]), np.array([1.0, 0.0]), smooth_motion(name, motion))
+        row = Row(ct.Turned, np.array([0.0, 1.0]), np.array([1.0, 0.0]), smooth_motion(name, motion))
     else:
         E = basis(axis, name)
-        row = Row(ct.Perpendicular, E[1], E[0], smooth_motion(name, motion), E[2])
+        row = Row(ct.Turned, E[1], E[0], smooth_motion(name, motion), E[2])
     return _joint((name, "drive", a, b), None, [row], None if dim == 2 else E[2])
 
 

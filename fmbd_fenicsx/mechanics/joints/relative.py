@@ -3,26 +3,33 @@
 With markers a, b, d = x_b - x_a, unit vectors n (fixed in space) and e, e_1, e_2 (right-handed, fixed in a), f_1, f_2 (fixed
 in b):
 
-==============  ==========================================================================  ===================
-kind            s                                                                           s'
-==============  ==========================================================================  ===================
-``Separation``  the distance, sqrt(d . d)                                                   d . d' / s
-``Reach``       n . d                                                                       n . d'
-``Slide``       e . d                                                                       e . d' + w_a . (e x d)
-``Turn``        atan2(e_2 . f_1 - e_1 . f_2, e_1 . f_1 + e_2 . f_2), the angle about e      (w_b - w_a) . e
-==============  ==========================================================================  ===================
+==============  ==========================================================================
+kind            s
+==============  ==========================================================================
+``Separation``  the distance, sqrt(d . d)
+``Reach``       n . d
+``Slide``       e . d
+``Turn``        atan2(e_2 . f_1 - e_1 . f_2, e_1 . f_1 + e_2 . f_2), the angle about e
+``Expressed``   an expression of the user's own
+==============  ==========================================================================
 
-``Turn`` goes beyond a turn: of the values of atan2 it takes the one nearest to the counted angle of the configuration
-(:mod:`.counted`). Its s' is written for parallel axes; the rows are those of the formula itself, also for axes that are not
-parallel.
+Each is defined once, in :mod:`~..kinds.definitions`; s, its rows, s' and s'' are evaluated by
+:mod:`~..kinds.evaluation`. ``Turn``
+goes beyond a turn: of the values of atan2 it takes the one nearest to the counted angle of the configuration
+(:mod:`.counted`).
 """
 
 from __future__ import annotations
+
+from copy import copy
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ...rotations import Array, Motions
 from ..frames import Kinematics
+from ..kinds.derivation import Kind, kinds
+from ..kinds.evaluation import Items
 
 
 def nearest(angle: Array, wanted: Array) -> Array:
@@ -37,28 +44,41 @@ def dot(a: Array, b: Array) -> Array:
 
 
 class Relative:
-    """Coordinates of one kind. ``e`` (m, d) or, for angles in the plane, anything of that shape; see the module."""
+    """Coordinates of one kind between markers a and b; ``e`` (m, d): a direction each, for kinds that have one."""
 
-    def __init__(self, motions: Motions, a: np.ndarray, b: np.ndarray, e: Array) -> None:
+    kind: ClassVar[str]
+
+    def __init__(self, motions: Motions, a: np.ndarray, b: np.ndarray, e: Array, kind: Kind | None = None) -> None:
         self.motions, self.a, self.b = motions, np.asarray(a), np.asarray(b)
-        self.e = np.asarray(e, dtype=float).reshape(len(self.a), motions.dim)
+        self.e: Array = np.asarray(e, dtype=float).reshape(len(self.a), motions.dim)
+        self.items = Items(motions, kind or kinds(motions.dim)[self.kind], self.a, self.b, self.constants())
 
-    def repeated(self, k: int, markers: int) -> Relative:
+    def constants(self) -> dict[str, Array]:
+        """Constants of the kind, in the axes of the markers."""
+        return {"e": self.e}
+
+    def repeated(self, k: int, markers: int) -> Any:
         """These coordinates k times, copy c on the markers numbered ``c markers`` higher."""
-        shift = markers * np.repeat(np.arange(k), len(self.a))
-        return type(self)(self.motions, np.tile(self.a, k) + shift, np.tile(self.b, k) + shift, np.tile(self.e, (k, 1)))
+        out, shift = copy(self), markers * np.repeat(np.arange(k), len(self.a))
+        out.a, out.b, out.e = np.tile(self.a, k) + shift, np.tile(self.b, k) + shift, np.tile(self.e, (k, 1))
+        out.items = self.items.repeated(k, markers)
+        return out
 
     def values(self, kin: Kinematics) -> Array:
         """s, (m,): m or rad."""
-        raise NotImplementedError
+        return self.items.values(kin)
 
     def rows(self, kin: Kinematics) -> tuple[Array, Array]:
         """s' = rows_a . twist_a + rows_b . twist_b; each (m, d + n_rot)."""
-        raise NotImplementedError
+        return self.items.rows(kin)
 
     def gamma(self, kin: Kinematics) -> Array:
         """s'' at zero marker accelerations (the markers' twist bias not included), (m,)."""
-        raise NotImplementedError
+        return self.items.rates(kin)[1]
+
+    def geometric(self, kin: Kinematics, effort: Array) -> Array:
+        """Stiffness of constant efforts along the turning rows, (m, 2 n, 2 n), n = d + n_rot."""
+        return self.items.geometric(kin, effort)
 
     def rates(self, kin: Kinematics) -> Array:
         """s', (m,)."""
@@ -72,143 +92,79 @@ class Relative:
         """
         return np.ones(len(linear))
 
-    def _linear(self, row: Array) -> tuple[Array, Array]:
-        row = np.concatenate((row, np.zeros((len(row), self.motions.n_rot))), axis=1)
-        return -row, row
 
-    def _twists(self, kin: Kinematics) -> tuple[Array, Array, Array, Array]:
-        assert kin.twist is not None
-        d = self.motions.dim
-        ta, tb = kin.twist[self.a], kin.twist[self.b]
-        return ta[:, :d], ta[:, d:], tb[:, :d], tb[:, d:]
+def _quotient(ends: tuple[Array, Array], linear: Array) -> Array:
+    """(s_1 - s_0) / linear, 1 where nothing moves."""
+    far = np.abs(linear) > 1e-6
+    return np.where(far, np.clip((ends[1] - ends[0]) / np.where(far, linear, 1.0), -10.0, 10.0), 1.0)
 
 
 class Separation(Relative):
     """Distance of the two points."""
 
-    def values(self, kin: Kinematics) -> Array:
-        """s = |d|, m."""
-        d = kin.x[self.b] - kin.x[self.a]
-        return np.sqrt(dot(d, d))
+    kind = "separation"
 
     def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array) -> Array:
         """The distance of the mean points over the mean distance."""
         return np.asarray(2 * self.values(mean) / (ends[0] + ends[1]))
 
-    def direction(self, kin: Kinematics) -> tuple[Array, Array]:
-        """Unit vectors from a to b (zero where the points coincide) and distances."""
-        d = kin.x[self.b] - kin.x[self.a]
-        s = np.sqrt(dot(d, d))
-        return d / np.where(s > 0, s, 1.0)[:, None], s
-
-    def rows(self, kin: Kinematics) -> tuple[Array, Array]:
-        """Rows of n . (v_b - v_a)."""
-        return self._linear(self.direction(kin)[0])
-
-    def gamma(self, kin: Kinematics) -> Array:
-        """Centripetal term: velocity across n squared, over s."""
-        n, s = self.direction(kin)
-        va, _, vb, _ = self._twists(kin)
-        return (dot(vb - va, vb - va) - dot(n, vb - va) ** 2) / s
-
 
 class Reach(Relative):
     """Difference of the two points along directions fixed in space."""
 
-    def values(self, kin: Kinematics) -> Array:
-        """s = e . d, m."""
-        return dot(self.e, kin.x[self.b] - kin.x[self.a])
-
-    def rows(self, kin: Kinematics) -> tuple[Array, Array]:
-        """Rows of e . (v_b - v_a)."""
-        return self._linear(self.e)
-
-    def gamma(self, kin: Kinematics) -> Array:
-        """None: e is fixed in space."""
-        return np.zeros(len(self.a))
+    kind = "coincident"
 
 
 class Slide(Relative):
     """Difference of the two points along directions fixed in a."""
 
-    def _parts(self, kin: Kinematics) -> tuple[Array, Array]:
-        return (kin.R[self.a] @ self.e[..., None])[..., 0], kin.x[self.b] - kin.x[self.a]
+    kind = "along"
 
-    def values(self, kin: Kinematics) -> Array:
-        """s = e . d with e fixed in a, m."""
-        return dot(*self._parts(kin))
 
-    def rows(self, kin: Kinematics) -> tuple[Array, Array]:
-        """Rows of e . (v_b - v_a) + (e x d) . w_a."""
-        e, d = self._parts(kin)
-        turn = self.motions.moment(e, d)
-        return np.concatenate((-e, turn), 1), np.concatenate((e, np.zeros_like(turn)), 1)
+class Expressed(Relative):
+    """A coordinate by an expression of the user's own."""
 
-    def gamma(self, kin: Kinematics) -> Array:
-        """Centripetal and Coriolis terms of d'' along the turning axis e."""
-        m = self.motions
-        e, d = self._parts(kin)
-        va, wa, vb, _ = self._twists(kin)
-        spun = m.spin(wa, e)
-        return 2 * dot(spun, vb - va) + dot(m.spin(wa, spun), d)
+    kind = "expressed"
+
+    def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array) -> Array:
+        """The difference of the coordinate over that of its rows."""
+        return _quotient(ends, linear)
 
 
 class Turn(Relative):
     """Rotation of b against a about directions fixed in a, beyond a turn; 0 where the marker axes agree."""
 
-    def __init__(self, motions: Motions, a: np.ndarray, b: np.ndarray, e: Array) -> None:
-        super().__init__(motions, a, b, e)
-        if motions.dim == 3:
+    kind = "angle"
+
+    def constants(self) -> dict[str, Array]:
+        """Axes e_1, e_2 across the axis, of both markers."""
+        if self.motions.dim == 3:
             helper = np.eye(3)[np.argmin(np.abs(self.e), axis=1)]
             e1 = np.cross(self.e, helper)
             self.e1 = e1 / np.linalg.norm(e1, axis=1)[:, None]
             self.e2 = np.cross(self.e, self.e1)
         else:
             self.e1, self.e2 = np.tile([1.0, 0.0], (len(self.a), 1)), np.tile([0.0, 1.0], (len(self.a), 1))
-
-    def _axes(self, R: Array) -> tuple[Array, Array, Array, Array]:
-        """e_1, e_2, f_1, f_2 in space for the rotations (..., markers, d, d) of all markers."""
-        Ra, Rb = R[..., self.a, :, :], R[..., self.b, :, :]
-        e1, e2 = self.e1[..., None], self.e2[..., None]
-        return (Ra @ e1)[..., 0], (Ra @ e2)[..., 0], (Rb @ e1)[..., 0], (Rb @ e2)[..., 0]
+        return {"fa": self.e1, "ga": self.e2, "fb": self.e1, "gb": self.e2}
 
     def attitude(self, R: Array) -> Array:
         """Angles in (-pi, pi], rad, (..., m), for the rotations (..., markers, d, d) of all markers."""
-        e1, e2, f1, f2 = self._axes(R)
-        return np.asarray(np.arctan2(dot(e2, f1) - dot(e1, f2), dot(e1, f1) + dot(e2, f2)))
+        e1, e2 = self.e1[: len(self.a), :, None], self.e2[: len(self.a), :, None]
+        Ra, Rb = R[..., self.a, :, :], R[..., self.b, :, :]
+        a1, a2, b1, b2 = ((turn @ e)[..., 0] for turn in (Ra, Rb) for e in (e1, e2))
+        return np.asarray(np.arctan2(dot(a2, b1) - dot(a1, b2), dot(a1, b1) + dot(a2, b2)))
+
+    def repeated(self, k: int, markers: int) -> Any:
+        """The same k times, with their axes."""
+        out = super().repeated(k, markers)
+        out.e1, out.e2 = np.tile(self.e1, (k, 1)), np.tile(self.e2, (k, 1))
+        return out
 
     def values(self, kin: Kinematics) -> Array:
         """Angle from a to b about the axis, rad, followed beyond a full turn."""
         assert kin.turned is not None
-        return nearest(self.attitude(kin.R), kin.turned[self.b] - kin.turned[self.a])
+        return nearest(super().values(kin), kin.turned[self.b] - kin.turned[self.a])
 
     def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array) -> Array:
         """The angle turned over 2 tan of its half: w is that of the Cayley map."""
-        far = np.abs(linear) > 1e-6
-        return np.where(far, np.clip((ends[1] - ends[0]) / np.where(far, linear, 1.0), -10.0, 10.0), 1.0)
-
-    def rows(self, kin: Kinematics) -> tuple[Array, Array]:
-        """Rows of the angle on w_b - w_a."""
-        e1, e2, f1, f2 = self._axes(kin.R)
-        cross = self.motions.moment
-        y, x = dot(e2, f1) - dot(e1, f2), dot(e1, f1) + dot(e2, f2)
-        dy, dx = -(cross(e2, f1) - cross(e1, f2)), -(cross(e1, f1) + cross(e2, f2))  # on w_b - w_a
-        turn = (x[:, None] * dy - y[:, None] * dx) / (x * x + y * y)[:, None]
-        row = np.concatenate((np.zeros_like(e1), turn), 1)
-        return -row, row
-
-    def gamma(self, kin: Kinematics) -> Array:
-        """Terms quadratic in the angular velocities."""
-        m = self.motions
-        e1, e2, f1, f2 = self._axes(kin.R)
-        _, wa, _, wb = self._twists(kin)
-
-        def derivatives(e: Array, f: Array) -> Array:
-            ed, fd = m.spin(wa, e), m.spin(wb, f)
-            second = dot(m.spin(wa, ed), f) + 2 * dot(ed, fd) + dot(e, m.spin(wb, fd))
-            return np.array([dot(e, f), dot(ed, f) + dot(e, fd), second])
-
-        y, yd, ydd = derivatives(e2, f1) - derivatives(e1, f2)
-        x, xd, xdd = derivatives(e1, f1) + derivatives(e2, f2)
-        r2 = x * x + y * y
-        return (x * ydd - y * xdd) / r2 - 2 * (x * xd + y * yd) * (x * yd - y * xd) / r2**2
+        return _quotient(ends, linear)

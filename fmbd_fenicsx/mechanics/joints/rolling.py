@@ -15,92 +15,50 @@ Papadopoulos, Ruina and Schwab, doi:10.1098/rspa.2007.1857.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from ...checks import check_fields, number, typed, vector
 from ...errors import InputError, require
-from ...rotations import Array, Motions
+from ...rotations import Array
 from ..bodies.bodies import RigidBody
-from ..frames import Kinematics
-from ..kinds.derivation import Kind, kinds, numpy_kernel
 from .constraints import Along, Batch, Pair
 from .joints import Joint, Row, Vector, basis, dimension, direction
 
 
 class KindBatch(Batch):
-    """Constraints of one of the package's kinds: everything is derived from its definition."""
+    """Constraints of a kind whose joints give its constants by name."""
 
-    name: ClassVar[str]
-
-    def __init__(self, motions: Motions, pairs: list[Pair]) -> None:
-        super().__init__(motions, pairs)
-        self.kind: Kind = kinds(motions.dim)[self.name]
-        self.table: Array = np.zeros((len(pairs), self.kind.width))
-        self.constants = {
-            name: np.array([p.constants[name] for p in pairs], dtype=float) for name in pairs[0].constants
-        }
-        for name, values in self.constants.items():
-            self.table[:, self.kind.place(name)] = values.reshape(len(pairs), -1)
-
-    def repeated(self, k: int, markers: int) -> Batch | None:
-        """All copies as arrays."""
-        out = super().repeated(k, markers)
-        assert isinstance(out, KindBatch)
-        out.table = np.tile(self.table, (k, 1))
-        return out
-
-    def _kernel(self, which: str, kin: Kinematics) -> Array:
-        """Results of one kernel of the kind, a row for each constraint."""
-        n, d = 3 * self.motions.dim - 3, self.motions.dim
-        twist = np.zeros((len(kin.x), n)) if kin.twist is None else kin.twist
-        parts = [kin.x, kin.R.reshape(-1, d * d), twist]
-        if d == 2:
-            parts.append(np.zeros((len(kin.x), 1)))
-        frames = np.concatenate(parts, axis=1)
-        return np.asarray(numpy_kernel(self.kind, which)(frames[self.a], frames[self.b], self.table))
-
-    def values(self, kin: Kinematics, t: float) -> Array:
-        """g; zero where the kind is a speed."""
-        return self._kernel("value", kin)[:, 0]
-
-    def rows(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
-        """Rows on the twists of both markers."""
-        n = 3 * self.motions.dim - 3
-        both = np.zeros((len(self.a), 2 * n))
-        both[:, list(self.kind.entries)] = self._kernel("value", kin)[:, 1:]
-        return both[:, :n], both[:, n:]
-
-    def gamma(self, kin: Kinematics, t: float) -> Array:
-        """Change of the rows along the motion."""
-        return self._kernel("rates", kin)[:, 1]
+    def constants(self, pairs: list[Pair]) -> dict[str, Array]:
+        """As the rows of the joints name them."""
+        return {name: np.array([p.constants[name] for p in pairs], dtype=float) for name in pairs[0].constants}
 
 
 class WheelHeight(KindBatch):
     """The lowest point of a wheel stays on a plane."""
 
-    name = "wheel_height"
+    kind = "wheel_height"
 
 
 class WheelSlip(KindBatch):
     """The lowest point of a wheel does not slip along one direction of a plane."""
 
-    name = "wheel_slip"
+    kind = "wheel_slip"
     on_speeds = True
 
 
 class BallSlip(KindBatch):
     """The lowest point of a ball, or of a disc in the plane, does not slip along one direction."""
 
-    name = "ball_slip"
+    kind = "ball_slip"
     on_speeds = True
 
 
 class Skate(KindBatch):
     """A point does not move across a blade."""
 
-    name = "skate"
+    kind = "skate"
     on_speeds = True
 
 

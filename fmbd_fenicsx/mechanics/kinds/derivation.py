@@ -136,7 +136,7 @@ def c_kernel(kind: Kind, which: str) -> str:
     used = {x.arguments[0] for x in symbols_of([*results, *(y for _, y in needed)])}
     size = FRAME[kind.dim]
 
-    lines = [f"static void {kind.name}_{which}({SIGNATURE})", "{", "    (void)P; (void)W;"]
+    lines = [f"void {kind.name}_{which}({SIGNATURE})", "{", "    (void)P; (void)W;"]
     lines.append(f"    for (long i_ = 0; i_ < n; i_++, pair += 2, P += {kind.width}, out += {len(results)}) {{")
     lines.append(
         f"        const double *A = frames + {size} * pair[0], *B = frames + {size} * pair[1]; (void)A; (void)B;"
@@ -164,13 +164,11 @@ def _renamed(lines: list[str], letter: str) -> list[str]:
 
 
 def c_source(found: dict[str, Kind]) -> str:
-    """All kernels of some kinds, and the table of them in this order."""
-    parts, table = ["#include <math.h>", NEAREST], []
+    """All kernels of some kinds as one translation unit."""
+    parts = ["#include <math.h>", NEAREST]
     for kind in found.values():
         parts += [c_kernel(kind, which) for which in KERNELS]
-        table.append(f"    {{{', '.join(f'{kind.name}_{which}' for which in KERNELS)}}},")
-    head = f"typedef void kernel({SIGNATURE});\nstatic kernel *const KERNELS[][{len(KERNELS)}] = {{"
-    return "\n".join([*parts, head, *table, "};", ""])
+    return "\n".join([*parts, ""])
 
 
 NEAREST = """

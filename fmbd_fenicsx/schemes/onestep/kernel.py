@@ -23,7 +23,7 @@ from ...rotations import Array
 from ...system.system import System
 from .compiled import library
 
-KINDS = {ct.Coincident: 0, ct.Along: 1, ct.Perpendicular: 2, ct.Distance: 3}
+KINDS = {ct.Coincident: 0, ct.Along: 1, ct.Perpendicular: 2, ct.Turned: 2, ct.Distance: 3}
 PROFILE_LIMIT = 4_000_000  # entries of the factor
 FIELD_LIMIT = 50_000  # unknowns of a field: above, calls cost nothing, and the kernel's copies of the matrices memory
 FRAME_ROW = 4  # kind of a frame condition
@@ -278,13 +278,14 @@ class Kernel:
         out |= {k: np.zeros((m, d)) for k in ("e", "e1", "f")} | {"length": np.ones(m)}
         for batch, rows in s.batches:
             kind = KINDS[type(batch)]
-            e1 = np.cross(batch.axis, batch.e) if d == 3 else np.stack((-batch.e[:, 1], batch.e[:, 0]), -1)
+            known = batch.items.constants
+            e, f = known.get("e", np.zeros((len(rows), d))), known.get("f", np.zeros((len(rows), d)))
             out["kind"][rows] = kind
             out["ma"][rows], out["mb"][rows] = np.searchsorted(used, batch.a), np.searchsorted(used, batch.b)
-            out["e"][rows] = batch.e if kind == 0 else (R[batch.a] @ batch.e[..., None])[..., 0]
-            out["e1"][rows] = (R[batch.a] @ e1[..., None])[..., 0]
-            out["f"][rows] = (R[batch.b] @ batch.f[..., None])[..., 0]
-            out["length"][rows] = batch.length
+            out["e"][rows] = e if kind == 0 else (R[batch.a] @ e[..., None])[..., 0]
+            out["e1"][rows] = (R[batch.a] @ known.get("g", e)[..., None])[..., 0]
+            out["f"][rows] = (R[batch.b] @ f[..., None])[..., 0]
+            out["length"][rows] = known.get("length", 1.0)
         return out
 
     def step(self, blocks: list[tuple[Array, int]], out: int, t: float) -> int:

@@ -78,10 +78,10 @@ class Calls:
             tables.arrays["motion"][rows] = [x[0] for x in prescribed]
             tables.arrays["motion_rate"][rows] = [x[1] for x in prescribed]
         for items in self.drives:
-            place = tables.kinds[items.kind].place("drive").start
+            place = items.kind.place("drive").start
             items.table[:, place : place + 3] = [motion(t) for motion in items.drive]
         for items in self.loaded:
-            kind = tables.kinds[items.kind]
+            kind = items.kind
             assert items.load is not None
             for name, values in items.load(t).items():
                 items.table[:, kind.place(name)] = tables.turned(items, name, values)
@@ -107,11 +107,11 @@ class Calls:
 
 def _motions(system: Any) -> list[tuple[np.ndarray, list[Any]]]:
     """Rows with a prescribed motion on their right-hand side, and these motions."""
-    from ...mechanics.joints.constraints import Perpendicular
+    from ...mechanics.joints.constraints import Turned
 
     out = []
     for batch, rows in system.batches:
-        if batch.driven and not isinstance(batch, Perpendicular):
+        if batch.driven and not isinstance(batch, Turned):
             out.append((rows[[i for i, _ in batch.driven]], [motion for _, motion in batch.driven]))
     return out
 

@@ -17,21 +17,13 @@ import numpy as np
 
 from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
 from ...mechanics.joints import constraints as ct
-from ...mechanics.joints import relative as rel
-from ...mechanics.joints.couplings import CouplingBatch
-from ...mechanics.joints.rolling import KindBatch
+from ...mechanics.joints.couplings import CouplingBatch, OwnBatch
+from ...mechanics.kinds.derivation import Kind, kinds
 from ...rotations import Array
 from ..system import System
 from .recording import Looks
 
 ROW, LINEAR, GIVEN, LAW, READ = range(5)
-RELATIVE = {rel.Separation: "separation", rel.Reach: "coincident", rel.Slide: "along", rel.Turn: "angle"}
-CONSTRAINT = {
-    ct.Coincident: "coincident",
-    ct.Along: "along",
-    ct.Perpendicular: "perpendicular",
-    ct.Distance: "distance",
-}
 
 
 @dataclass
@@ -43,7 +35,7 @@ class Items:
     s', s'') of a prescribed angle. ``load``: t -> constants of all items that change in time, by name. ``given``: t -> efforts.
     """
 
-    kind: str
+    kind: Kind
     role: int
     markers: np.ndarray
     constants: dict[str, Array]
@@ -105,43 +97,17 @@ class Items:
         return law and efforts, slopes and tangents, drive, load and loads, given and values
 
 
-def basis(relative: rel.Turn) -> dict[str, Array]:
-    """The axes across the axes of angles, of both frames."""
-    return {"fa": relative.e1, "ga": relative.e2, "fb": relative.e1, "gb": relative.e2}
+def _of(source: Any, role: int) -> Items:
+    """Items of a joint coordinate or of a batch of constraints."""
+    return Items(source.items.kind, role, source.items.pair, dict(source.items.constants))
 
 
-def coordinate(relative: rel.Relative) -> tuple[str, np.ndarray, dict[str, Array]]:
-    """Kind, markers and constants of the items of a joint coordinate."""
-    markers = np.stack((relative.a, relative.b), axis=1)
-    kind = RELATIVE[type(relative)]
-    if isinstance(relative, rel.Turn):
-        return kind, markers, basis(relative)
-    return kind, markers, {"e": relative.e} if kind in ("coincident", "along") else {}
-
-
-def _constraint(batch: ct.Batch, rows: np.ndarray, dim: int) -> list[Items]:
-    """Items of a batch of elementary constraints; driven angles are a kind of their own."""
-    markers = np.stack((batch.a, batch.b), axis=1)
-    if isinstance(batch, KindBatch):
-        return [Items(batch.name, ROW, markers, dict(batch.constants), rows, np.ones(len(rows)))]
-    kind, constants = CONSTRAINT[type(batch)], {"e": batch.e}
-    if kind == "distance":
-        constants = {"length": batch.length}
-    if kind != "perpendicular":
-        return [Items(kind, ROW, markers, constants, rows, np.ones(len(rows)))]
-
-    constants["f"] = batch.f
-    whole = Items(kind, ROW, markers, constants, rows, np.ones(len(rows)))
-    driven = np.array([i for i, _ in batch.driven], dtype=int)
-    out = []
-    if len(rest := np.setdiff1d(np.arange(len(rows)), driven)):
-        out.append(whole.part(rest))
-    if len(driven):
-        turned = whole.part(driven)
-        across = np.cross(batch.axis, batch.e) if dim == 3 else np.stack((-batch.e[:, 1], batch.e[:, 0]), -1)
-        turned.kind, turned.drive = "turned", [motion for _, motion in batch.driven]
-        turned.constants["g"] = across[driven]
-        out.append(turned)
+def _constraint(batch: ct.Batch, rows: np.ndarray) -> Items:
+    """Items of a batch of elementary constraints."""
+    out = _of(batch, ROW)
+    out.row, out.factor = rows, np.ones(len(rows))
+    if isinstance(batch, ct.Turned):
+        out.drive = [motion for _, motion in batch.driven]
     return out
 
 
@@ -161,7 +127,7 @@ def _loads(loads: TimeLoads, dim: int) -> list[Items]:
                 return {"load": np.array([loads.value(i, t) for i in which]).reshape(-1, size)}
 
             markers = np.stack((loads.a, loads.a), axis=1)[which]
-            made = Items(kind, GIVEN, markers, {"load": np.zeros((len(which), size))}, load=load)
+            made = Items(kinds(dim)[kind], GIVEN, markers, {"load": np.zeros((len(which), size))}, load=load)
             made.effort = -np.ones(len(which))
             out.append(made)
     return out
@@ -169,9 +135,7 @@ def _loads(loads: TimeLoads, dim: int) -> list[Items]:
 
 def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     """Items of springs, dampers, drives and laws on coordinates."""
-    kind, markers, constants = coordinate(loads.relative)
-    n = len(loads.forces)
-    whole = Items(kind, LINEAR, markers, constants)
+    n, whole = len(loads.forces), _of(loads.relative, LINEAR)
     whole.stiffness, whole.damping, whole.free = loads.k, loads.c, loads.free
     whole.slot = looks.slots_of(loads)
     own = np.array([i for i, _, _ in loads.own], dtype=int)
@@ -200,18 +164,19 @@ def items_of(system: System, looks: Looks) -> list[Items]:
     for batch, rows in system.batches:
         if isinstance(batch, CouplingBatch):
             for relative, number, factor in batch.terms:
-                kind, markers, constants = coordinate(relative)
-                out.append(Items(kind, ROW, markers, constants, rows[number], factor))
+                term = _of(relative, ROW)
+                term.row, term.factor = rows[number], factor
+                out.append(term)
         else:
-            out += _constraint(batch, rows, dim)
+            out.append(_constraint(batch, rows))
     for loads in system.forces:
         if type(loads) is TimeLoads:
             out += _loads(loads, dim)
         elif type(loads) is ScalarLoads:
             out += _efforts(loads, looks)
     for key, relative in looks.relatives:
-        kind, markers, constants = coordinate(relative)
-        made = Items(kind, READ, markers, constants, slot=looks.take_slots(key, len(markers)))
+        made = _of(relative, READ)
+        made.slot = looks.take_slots(key, len(made))
         out.append(made)
     return out
 
@@ -225,6 +190,4 @@ def covers(system: System) -> bool:
     """Whether all constraints and forces are items, or loads that Python can evaluate; elements with a memory are not."""
     if any(loads.kept is not None for loads in system.forces):
         return False
-    kinds = all(type(b) in CONSTRAINT or isinstance(b, CouplingBatch | KindBatch) for b, _ in system.batches)
-    known = all(type(f.relative) in RELATIVE for f in system.forces if type(f) is ScalarLoads)
-    return kinds and known
+    return not any(isinstance(batch, OwnBatch) for batch, _ in system.batches)

@@ -46,14 +46,10 @@ class Look:
 
 def readable(system: System, look: Look) -> bool:
     """Whether the driver can write what is looked at."""
-    from .items import RELATIVE
-
     if look.element:
         return any(type(f) is ScalarLoads and look.element in (x.name for x in f.forces) for f in system.forces)
     if look.relative is None:
         return True
-    if type(look.relative) not in RELATIVE:
-        return False
     if not isinstance(look.relative, Turn) or system.motions.dim == 2:
         return not isinstance(look.relative, Turn) or system.counted is not None
     if system.counted is None:

@@ -25,7 +25,8 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
     rotations = 2 * dim - 3
     fields = {
         "Batch": [
-            *_fields("kind role outputs live products curved number flow", _INT),
+            *_fields("value rates tangent", _POINTER),
+            *_fields("role outputs live products curved number flow", _INT),
             *_fields("n width", _LONG),
             *_fields("pair P out entry at row factor dest stiffness damping free s rate effort weight slope", _POINTER),
             *_fields("first second product_to curve curve_to", _POINTER),

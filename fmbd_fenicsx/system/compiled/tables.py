@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ...mechanics.kinds.derivation import Kind, kinds
+from ...mechanics.kinds.derivation import KERNELS, Kind
 from ...mechanics.kinds.frames import FRAME
+from ...mechanics.kinds.library import kernel_address
 from ...mechanics.reduction.reduced import ReducedPart
 from ...mechanics.rods.elements import RodElements
 from ...mechanics.validity import TOO_LARGE
@@ -21,6 +22,7 @@ from .rods import RodTable, rod_pairs
 from .structures import Store, structure
 
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
+TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
 DIRECTIONS = {  # constants that are directions in the axes of a marker: of which side
     "along": {"e": 0},
     "perpendicular": {"e": 0, "f": 1},
@@ -41,7 +43,6 @@ class Tables:
 
     def __init__(self, system: System, *, redundant: bool) -> None:
         self.system, self.store, self.dim = system, Store(), system.motions.dim
-        self.kinds = kinds(self.dim)
         self.nb, self.twist = system.n_frames, system.motions.n_twist
         reduced: tuple[Any, ...] = system.parts
         self.parts: dict[int, tuple[int, Any]] = {p.frame: (k, p) for k, p in enumerate(reduced)}
@@ -103,7 +104,7 @@ class Tables:
     def frames_of(self, items: Items) -> np.ndarray:
         """Frames of both sides, (n, 2); loads have the ground for their first."""
         frames = self.frame[items.markers]
-        if items.kind in ONE_SIDED:
+        if items.kind.name in ONE_SIDED:
             frames[:, 0] = self.nb
         return frames
 
@@ -140,9 +141,9 @@ class Tables:
         sort = np.where((frames > self.nb).any(axis=1), 9, (frames == self.nb) @ np.array([1, 2]))
         return [items.part(np.flatnonzero(sort == k)) for k in np.unique(sort)]
 
-    def constants(self, items: Items, kind: Kind) -> Array:
+    def constants(self, items: Items) -> Array:
         """The table of constants, (n, width), in the axes of the frames."""
-        mk, n = self.system.markers, len(items)
+        mk, n, kind = self.system.markers, len(items), items.kind
         P = np.zeros((n, kind.width))
         on_surface = np.isin(items.markers, self.surfaces)
         for name, side in PLACES.items():
@@ -150,6 +151,9 @@ class Tables:
                 place = mk.position[items.markers[:, side]].copy()
                 place[on_surface[:, side]] = 0.0
                 P[:, kind.place(name)] = place
+        for name, side in TURNS.items():
+            if name in kind.constants:
+                P[:, kind.place(name)] = mk.rotation[items.markers[:, side]].reshape(n, -1)
         if kind.name == "angle" and self.dim == 2:
             assert self.system.counted is not None
             start = self.system.counted.start[items.markers]
@@ -184,7 +188,7 @@ class Tables:
 
     def turned(self, items: Items, name: str, values: Array) -> Array:
         """Constants of items, directions turned from the axes of their markers into those of the frames; (n, size)."""
-        side = DIRECTIONS.get(items.kind, {}).get(name)
+        side = DIRECTIONS.get(items.kind.name, {}).get(name)
         values = np.asarray(values, dtype=float).reshape(len(items), -1)
         if side is None or values.shape[1] != self.dim:
             return values
@@ -193,7 +197,7 @@ class Tables:
 
     def _batch(self, items: Items, number: int) -> Any:
         """One structure Batch."""
-        kind, n = self.kinds[items.kind], len(items)
+        kind, n = items.kind, len(items)
         store, frames = self.store, self.frames_of(items)
         mapped = bool((frames > self.nb).any())
         components = np.array(kind.entries, dtype=int)
@@ -201,9 +205,10 @@ class Tables:
         live = np.flatnonzero(~ground[components])
         places = self.twist_places(frames).reshape(n, -1)
 
-        items.table, P = store.array(self.constants(items, kind))
+        items.table, P = store.array(self.constants(items))
         one = structure("Batch", self.dim)(
-            kind=list(self.kinds).index(items.kind), role=items.role, flow=int(kind.flow), number=number, n=n,
+            **{which: kernel_address(kind, which) for which in KERNELS}, role=items.role, flow=int(kind.flow),
+            number=number, n=n,
             width=kind.width, outputs=1 + len(components), live=len(live), mapped=int(mapped), P=P,
             pair=store.integers(frames), out=store.address(np.zeros((n, 1 + len(components)))),
             entry=store.integers(1 + live), at=store.integers(places[:, components[live]]),
@@ -220,7 +225,7 @@ class Tables:
         one.component = store.integers(components)
         if items.role == ROW:
             one.row, one.factor = store.integers(items.row), store.address(items.factor)
-        if items.kind == "angle" and self.dim == 3:
+        if kind.name == "angle" and self.dim == 3:
             one.near, one.theta = kind.place("near").start, store.integers(self.theta_places(items))
         self._tangent_places(one, kind, frames, places, live)
         return one

@@ -15,6 +15,7 @@ from ...mechanics.joints.couplings import CouplingBatch, OwnBatch
 from ...mechanics.joints.drives import Coupling, JointCoordinate, OwnJoint
 from ...mechanics.joints.joints import Joint
 from ...mechanics.joints.relative import Relative, Separation, Turn
+from ...mechanics.kinds.derivation import Kind
 from ...rotations import Array, Motions
 from ..system import RowBlock
 
@@ -27,7 +28,7 @@ class JointRows:
     row: int = 0
     blocks: list[RowBlock] = field(default_factory=list)
     markers: dict[str, tuple[int, int]] = field(default_factory=dict)
-    _kinds: dict[type[Batch], tuple[list[Pair], list[int]]] = field(default_factory=dict)
+    _kinds: dict[tuple[type[Batch], Kind | None], tuple[list[Pair], list[int]]] = field(default_factory=dict)
     _couplings: list[tuple[Coupling, int]] = field(default_factory=list)
     _own: list[tuple[OwnJoint, int, int]] = field(default_factory=list)
 
@@ -38,8 +39,8 @@ class JointRows:
         self.markers[joint.name] = markers
         first, (a, b) = self.row, markers
         for r in joint.rows:
-            pairs, rows = self._kinds.setdefault(r.kind, ([], []))
-            pairs.append(Pair(r.kind, a, b, r.direction, r.other, joint.length, r.motion, r.axis, r.constants))
+            pairs, rows = self._kinds.setdefault((r.kind, r.own), ([], []))
+            pairs.append(Pair(r.kind, a, b, r.direction, r.other, joint.length, r.motion, r.axis, r.own, r.constants))
             rows.append(self.row)
             self.row += 1
         if isinstance(joint, Coupling):
@@ -66,7 +67,7 @@ class JointRows:
     def batches(self) -> list[tuple[Batch, np.ndarray]]:
         """All batches with the numbers of their rows."""
         out: list[tuple[Batch, np.ndarray]] = [
-            (kind(self.motions, p), np.array(r)) for kind, (p, r) in self._kinds.items()
+            (kind(self.motions, p), np.array(r)) for (kind, _), (p, r) in self._kinds.items()
         ]
         if self._couplings:
             out.append((self._coupling_batch(), np.array([row for _, row in self._couplings])))

@@ -1,8 +1,7 @@
-/* One translation unit: kernels of all kinds (generated), then the evaluation, the solver and the time stepping that use them.
+/* One translation unit: the evaluation, the solver and the time stepping. Kernels of kinds come from libraries of their own.
    Compiled for the plane (-DDIM=2) and for space (-DDIM=3). */
 
 #include "tables.h"
-#include "kernels.c"
 
 #if defined(__GNUC__)
 #define EXPORT __attribute__((visibility("default")))
@@ -14,6 +13,7 @@
 #include "factor.c"
 #include "bodies.c"
 #if DIM == 3
+#include "strains.c"
 #include "rods.c"
 #else
 static int rod_forces(System *s, Rod *k, double t) { return (void)s, (void)k, (void)t, DONE; }

@@ -143,7 +143,7 @@ static int efforts(System *s, Batch *k, double t)
 static int items(System *s, Batch *k, const double *lam, double t)
 {
     if (k->role == READ) return DONE;
-    KERNELS[k->kind][VALUE](k->n, k->pair, s->frames, k->P, 0, k->out);
+    k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
     if (k->role == LINEAR || k->role == LAW) {
         int verdict = efforts(s, k, t);
         if (verdict) return verdict;

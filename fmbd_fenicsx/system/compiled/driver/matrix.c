@@ -150,7 +150,7 @@ static int tangents(System *s, Batch *k, double cd, double ck, double geometric,
 
     int curved = k->curved && geometric != 0.0;
     for (long i = 0; i < k->n; i++) k->weight[i] = geometric * (k->role == ROW ? k->factor[i] * lam[k->row[i]] : k->effort[i]);
-    if (curved) KERNELS[k->kind][TANGENT](k->n, k->pair, s->frames, k->P, k->weight, k->hessian);
+    if (curved) k->tangent(k->n, k->pair, s->frames, k->P, k->weight, k->hessian);
     else if (k->curved) memset(k->hessian, 0, k->n * k->hessians * sizeof(double));
     if (!slope && !curved) return DONE;
     if (k->mapped) mapped_tangents(s, k, slope);

@@ -10,10 +10,10 @@ static void drift(System *s)
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != ROW) continue;
-        KERNELS[k->kind][RATES](k->n, k->pair, s->frames, k->P, 0, k->out);
+        k->rates(k->n, k->pair, s->frames, k->P, 0, k->out);
         for (long i = 0; i < k->n; i++) s->slip[k->row[i]] += k->factor[i] * k->out[2 * i];
 
-        KERNELS[k->kind][VALUE](k->n, k->pair, s->frames, k->P, 0, k->out);
+        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
         const double *out = k->out;
         const int *at = k->at;
         for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
@@ -28,7 +28,7 @@ static int readings(System *s, double t, double *found)
 {
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (!k->slot) continue;
-        KERNELS[k->kind][VALUE](k->n, k->pair, s->frames, k->P, 0, k->out);
+        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
         int verdict = efforts(s, k, t);
         if (verdict) return verdict;
         for (long i = 0; i < k->n; i++) {

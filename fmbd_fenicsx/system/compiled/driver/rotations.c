@@ -1,5 +1,12 @@
 /* Small vectors, and rigid motions as in rotations.py: quaternions with the scalar last, angular velocities in body axes. */
 
+/* angle plus the whole turns that bring it next to near */
+static inline double nearest_turn(double angle, double near)
+{
+    const double turn = 6.283185307179586476925;
+    return angle + turn * rint((near - angle) / turn);
+}
+
 static inline double dot(const double *a, const double *b, int n)
 {
     double sum = 0.0;

@@ -26,7 +26,7 @@ static void energies(System *s, const double *q, const double *v, const double *
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != LINEAR) continue;
-        KERNELS[k->kind][VALUE](k->n, k->pair, s->frames, k->P, 0, k->out);
+        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
         for (long i = 0; i < k->n; i++) {
             double stretch = k->out[i * k->outputs] - k->free[i];
             out[3] += 0.5 * k->stiffness[i] * stretch * stretch;

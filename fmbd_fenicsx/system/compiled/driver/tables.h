@@ -14,16 +14,18 @@ enum { D = 2, ROT = 1, POSE = 3, TWIST = 3, PORT = 6, FRAME = 10 };
 #endif
 enum { TURN = D, SPEED = D + D * D, SPIN = SPEED + D };  /* where R, v, w begin in a frame */
 
-enum { VALUE, RATES, TANGENT };                           /* kernels of a kind */
 enum { ROW, LINEAR, GIVEN, LAW, READ };                   /* roles of items: a term of a constraint; an effort that is linear, */
                                                           /* given for the whole step, or from a law in Python; READ: only */
                                                           /* looked at in records */
 enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN };      /* verdicts; LOOK: the NumPy path has something to say; FAILED: a */
                                                           /* law in Python raised; GAIN: energy from nothing */
 
+typedef void kernel(long n, const int *pair, const double *frames, const double *P, const double *W, double *out);
+
 /* Items of one kind between frames of like sort: all entries of their rows that are not on the ground are ``live``. */
 typedef struct {
-    int kind, role, outputs, live, products, curved, number; /* outputs: of the value kernel; number: for calls into Python */
+    kernel *value, *rates, *tangent;   /* of the kind, see mechanics/kinds/derivation.py */
+    int role, outputs, live, products, curved, number; /* outputs: of the value kernel; number: for calls into Python */
     int flow;                          /* whether the kind is a speed; a ROW then holds velocities and has no s */
     long n, width;                     /* width: constants of an item */
     int *pair;                         /* n x 2 frames */
@@ -142,4 +144,3 @@ typedef struct {
 
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES };  /* what Python is asked for */
 
-typedef void kernel_type(long n, const int *pair, const double *frames, const double *P, const double *W, double *restrict out);

@@ -1,0 +1,103 @@
+"""Items of one kind on pairs of markers: coordinates, rows, rates and tangents of all of them in one call.
+
+The numbers come from the kernels that were derived from the kind's definition (:mod:`.derivation`): compiled where there is a
+compiler, else by NumPy. Every scheme evaluates joints and forces through here, or gives the same kernels to the compiled
+driver.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Any
+
+import numpy as np
+
+from ...rotations import Array, Motions
+from ..frames import Kinematics
+from .derivation import Kind, numpy_kernel
+from .library import kernel
+
+
+class Items:
+    """Items of a kind between markers a and b, (n,) each; ``constants`` by name, (n, size), in the axes of the markers."""
+
+    def __init__(self, motions: Motions, kind: Kind, a: Any, b: Any, constants: dict[str, Array]) -> None:
+        self.motions, self.kind = motions, kind
+        self.pair: np.ndarray = np.ascontiguousarray(np.stack((a, b), axis=-1), dtype=np.int32).reshape(-1, 2)
+        self.constants, self.table = constants, self._table(constants)
+        self.addresses = self.pair.ctypes.data, self.table.ctypes.data
+        self.width = motions.dim + motions.n_rot
+        self.entries = np.array(kind.entries, dtype=int)
+
+    def __len__(self) -> int:
+        return len(self.pair)
+
+    def _table(self, constants: dict[str, Array]) -> Array:
+        """All constants, (n, width); markers are frames, so points are their origins and turns are none."""
+        kind, n = self.kind, len(self.pair)
+        out = np.zeros((n, kind.width))
+        known = dict.fromkeys(("turn_a", "turn_b"), np.eye(kind.dim).ravel()) | constants
+        for name in kind.constants:
+            if name in known:
+                out[:, kind.place(name)] = np.reshape(known[name], (-1, kind.constants[name]))
+        return out
+
+    def repeated(self, k: int, markers: int) -> Items:
+        """These items k times, copy c on the markers numbered ``c markers`` higher."""
+        out, shift = copy(self), markers * np.repeat(np.arange(k, dtype=np.int32), len(self))
+        out.pair = np.ascontiguousarray(np.tile(self.pair, (k, 1)) + shift[:, None], dtype=np.int32)
+        out.table = np.tile(self.table, (k, 1))
+        out.addresses = out.pair.ctypes.data, out.table.ctypes.data
+        return out
+
+    def constant(self, name: str) -> Array:
+        """The columns of a constant, a view."""
+        return self.table[:, self.kind.place(name)]
+
+    def _run(self, which: str, frames: Array, weight: Array | None = None) -> Array:
+        """One kernel, (n, outputs)."""
+        compiled, n = kernel(self.kind, which), len(self)
+        if compiled is None or not n:
+            A, B = frames[self.pair[:, 0]], frames[self.pair[:, 1]]
+            made: Array = numpy_kernel(self.kind, which)(A, B, self.table, 1.0 if weight is None else weight)
+            return made
+
+        out = np.empty((n, len(self.kind.outputs[which])))
+        at = None if weight is None else weight.ctypes.data
+        pair, table = self.addresses
+        compiled(n, pair, frames.ctypes.data, table, at, out.ctypes.data)
+        return out
+
+    # -- what follows from the definition -----------------------------------------------------------------------
+    def values(self, kin: Kinematics) -> Array:
+        """The coordinates s, (n,)."""
+        return self._value(kin)[:, 0]
+
+    def rows(self, kin: Kinematics) -> tuple[Array, Array]:
+        """ds/dt = rows_a . twist_a + rows_b . twist_b + rate: each (n, d + n_rot)."""
+        out: Array = np.zeros((len(self), 2 * self.width))
+        out[:, self.entries] = self._value(kin)[:, 1:]
+        return out[:, : self.width], out[:, self.width :]
+
+    def _value(self, kin: Kinematics) -> Array:
+        """s and the entries of the row, once for a configuration; those that are driven depend on time beside it."""
+        if self.kind.driven:
+            return self._run("value", kin.frames)
+        found: Array | None = kin.evaluated.get(self)
+        if found is None:
+            found = kin.evaluated[self] = self._run("value", kin.frames)
+        return found
+
+    def rates(self, kin: Kinematics) -> tuple[Array, Array]:
+        """What of ds/dt comes from a drive, and d2s/dt2 at constant twists, (n,) each."""
+        assert kin.twist is not None
+        out = self._run("rates", kin.frames)
+        return out[:, 0], out[:, 1]
+
+    def geometric(self, kin: Kinematics, effort: Array) -> Array:
+        """Symmetric part of d(effort row)/d(displacements of both markers) at constant efforts, (n, 2 w, 2 w), w = d + n_rot."""
+        lower = self._run("tangent", kin.frames, np.ascontiguousarray(effort, dtype=float))
+        out: Array = np.zeros((len(self), 2 * self.width, 2 * self.width))
+        for column, (i, j) in enumerate(self.kind.pattern):
+            out[:, i, j] = out[:, j, i] = lower[:, column]
+        return out
