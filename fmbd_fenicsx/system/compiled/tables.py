@@ -12,9 +12,9 @@ from ...mechanics.kinds.frames import FRAME
 from ...mechanics.kinds.library import kernel_address
 from ...mechanics.reduction.reduced import ReducedPart
 from ...mechanics.rods.elements import RodElements
-from ...mechanics.validity import TOO_LARGE
 from ...rotations import Array
 from ..system import System
+from .bodies import reduced_body, rigid_body, surface
 from .items import GIVEN, LAW, READ, ROW, Items, items_of, other_loads
 from .order import Fronts, RowGroup
 from .recording import Looks
@@ -284,70 +284,13 @@ class Tables:
                 np.concatenate([self.fronts.place(row, x) for row, x in zip(rows, rates, strict=True)])
             )
 
-    # -- bodies --------------------------------------------------------------------------------------------------------------
-    def _body(self, b: int, rigid: dict[int, int]) -> Any:
-        """One structure Body."""
-        s, store = self.system, self.store
-        unknown = self.at_u[b] + np.arange(self.width[b])
-        kind = structure("Body", self.dim)
-        if b in rigid:
-            assert s.rigid is not None
-            # translations and rotations of a rigid body do not meet about its centre of mass
-            block = [(i, i) for i in range(self.dim)]
-            block += [(self.dim + i, self.dim + j) for i in range(2 * self.dim - 3) for j in range(i + 1)]
-            i, j = np.array(block).T
-            return kind(
-                at_u=int(self.at_u[b]), mass=float(s.rigid.mass[rigid[b]]), spin=np.inf, large=np.inf,
-                inertia=store.address(s.rigid.inertia[rigid[b]]),
-                dest=store.integers(self.fronts.place(unknown[i], unknown[j])),
-            )  # fmt: skip
-
-        k, part = self.parts[b]
-        c, m, d = part.constants, part.n, self.dim
-        T = c.T.transpose(1, 0, 2, 3)  # [b, a] = T_ab
-        pairs = ((2, 1), (0, 2), (1, 0)) if d == 3 else ((1, 0),)
-        i, j = np.tril_indices(int(self.width[b]))
-        arrays = {
-            "S": c.S, "T": T, "V": np.stack([T[..., i, j] - T[..., j, i] for i, j in pairs], axis=-1),
-            "modal": np.trace(c.T[1:, 1:], axis1=2, axis2=3), "K": c.K, "C": c.D,
-            "U": np.zeros((m + 1) * (d * d + 2 * d - 3) + 2 * m), "block": np.zeros((self.width[b], self.width[b])),
-        }  # fmt: skip
-        if c.stiffening is not None:
-            arrays |= {"stress": c.stiffening.transpose(0, 2, 1), "now": np.zeros((m, m))}
-        return kind(
-            modes=m, at_v=s.slices[1][k].start, at_q=s.slices[0][k].start, at_u=int(self.at_u[b]), mass=c.mass,
-            large=(TOO_LARGE * c.size) ** 2 * c.mass, dest=store.integers(self.fronts.place(unknown[i], unknown[j])),
-            **{name: store.address(x) for name, x in arrays.items()},
-        )  # fmt: skip
-
-    def _surface(self, marker: int) -> Any:
-        """One structure Surface."""
-        s, mk, d = self.system, self.system.markers, self.dim
-        body = int(mk.frame[marker])
-        k, part = self.parts[body]
-        ports = mk.port[np.searchsorted(mk.surface, marker)] - s.port_slice(k).start
-        one = structure("Surface", d)(
-            body=body, p=(ctypes.c_double * d)(*mk.position[marker]),
-            reference=self.store.address(part.reference[ports]), ports=self.store.address(part.port_matrix[ports]),
-        )  # fmt: skip
-        surface_map, one.map = self.store.array(np.zeros((self.twist, self.width[body])))
-        self.maps.append(surface_map)
-        if part.shortening is not None and part.shortening.G is not None:
-            N = part.shortening.N[ports]
-            mine = np.flatnonzero(np.abs(N).max(axis=0) > 0)
-            one.bends = len(mine)
-            one.N, one.G = self.store.address(N[:, mine]), self.store.address(part.shortening.G[mine])
-            one.now = self.store.address(np.zeros((len(ports), part.n)))
-            one.bend_map = self.store.address(np.zeros((self.twist, max(len(mine), 1))))
-        return one
-
     # -- all of it -------------------------------------------------------------------------------------------------------------
     def _system(self, redundant: bool) -> None:
         """The structure System."""
         s, store = self.system, self.store
         rigid = {} if s.rigid is None else {int(f): i for i, f in enumerate(s.rigid.frame)}
-        bodies = [self._body(b, rigid) for b in range(self.nb)]
-        surfaces = [self._surface(int(i)) for i in self.surfaces]
+        bodies = [rigid_body(self, b, rigid[b]) if b in rigid else reduced_body(self, b) for b in range(self.nb)]
+        surfaces = [surface(self, int(i)) for i in self.surfaces]
         angles = self._angles()
         fronts = [self._front(k) for k in range(len(self.fronts.fronts))]
 

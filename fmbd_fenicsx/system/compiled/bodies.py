@@ -1,0 +1,85 @@
+"""Rigid and reduced bodies and their surfaces as structures of ``driver/tables.h``."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...mechanics.validity import TOO_LARGE
+from .structures import structure
+
+if TYPE_CHECKING:
+    from .tables import Tables
+
+
+def rigid_body(tables: Tables, b: int, number: int) -> Any:
+    """The structure Body of the frame b, the rigid body ``number``."""
+    block, store = tables.system.rigid, tables.store
+    assert block is not None
+    unknown = tables.at_u[b] + np.arange(tables.width[b])
+
+    # translations and rotations of a rigid body do not meet about its centre of mass
+    d = tables.dim
+    met = [(i, i) for i in range(d)]
+    met += [(d + i, d + j) for i in range(2 * d - 3) for j in range(i + 1)]
+    i, j = np.array(met).T
+    return structure("Body", d)(
+        at_u=int(tables.at_u[b]), mass=float(block.mass[number]), spin=np.inf, large=np.inf,
+        inertia=store.address(block.inertia[number]), dest=store.integers(tables.fronts.place(unknown[i], unknown[j])),
+    )  # fmt: skip
+
+
+def reduced_body(tables: Tables, b: int) -> Any:
+    """The structure Body of the frame b, a reduced body."""
+    system, store, d = tables.system, tables.store, tables.dim
+    k, part = tables.parts[b]
+    c, m, width = part.constants, part.n, int(tables.width[b])
+
+    T = c.T.transpose(1, 0, 2, 3)  # [b, a] = T_ab
+    pairs = ((2, 1), (0, 2), (1, 0)) if d == 3 else ((1, 0),)
+    arrays = {
+        "S": c.S,
+        "T": T,
+        "V": np.stack([T[..., i, j] - T[..., j, i] for i, j in pairs], axis=-1),
+        "modal": np.trace(c.T[1:, 1:], axis1=2, axis2=3),
+        "K": c.K,
+        "C": c.D,
+        "U": np.zeros((m + 1) * (d * d + 2 * d - 3) + 2 * m),
+        "block": np.zeros((width, width)),
+    }
+    if c.stiffening is not None:
+        arrays |= {"stress": c.stiffening.transpose(0, 2, 1), "now": np.zeros((m, m))}
+
+    unknown = tables.at_u[b] + np.arange(width)
+    i, j = np.tril_indices(width)
+    return structure("Body", d)(
+        modes=m, at_v=system.slices[1][k].start, at_q=system.slices[0][k].start, at_u=int(tables.at_u[b]), mass=c.mass,
+        large=(TOO_LARGE * c.size) ** 2 * c.mass, dest=store.integers(tables.fronts.place(unknown[i], unknown[j])),
+        **{name: store.address(x) for name, x in arrays.items()},
+    )  # fmt: skip
+
+
+def surface(tables: Tables, marker: int) -> Any:
+    """The structure Surface of a marker on a reduced body; its map is kept in ``tables.maps``."""
+    system, store, d = tables.system, tables.store, tables.dim
+    markers = system.markers
+    body = int(markers.frame[marker])
+    k, part = tables.parts[body]
+    ports = markers.port[np.searchsorted(markers.surface, marker)] - system.port_slice(k).start
+    one = structure("Surface", d)(
+        body=body, p=(ctypes.c_double * d)(*markers.position[marker]),
+        reference=store.address(part.reference[ports]), ports=store.address(part.port_matrix[ports]),
+    )  # fmt: skip
+    surface_map, one.map = store.array(np.zeros((tables.twist, tables.width[body])))
+    tables.maps.append(surface_map)
+
+    if part.shortening is not None and part.shortening.G is not None:
+        N = part.shortening.N[ports]
+        mine = np.flatnonzero(np.abs(N).max(axis=0) > 0)
+        one.bends = len(mine)
+        one.N, one.G = store.address(N[:, mine]), store.address(part.shortening.G[mine])
+        one.now = store.address(np.zeros((len(ports), part.n)))
+        one.bend_map = store.address(np.zeros((tables.twist, max(len(mine), 1))))
+    return one
