@@ -85,25 +85,40 @@ def _watch_exits() -> None:
         code = LEFT[-1] if LEFT else codes[-1] if codes else None
         if (code in (None, 0) and not LEFT) or "mpi4py.MPI" not in sys.modules:
             return
-        from mpi4py import MPI
-
-        if MPI.Is_finalized() or not MPI.Is_initialized():
-            return
-        arrived = MPI.COMM_WORLD.Ibarrier()
-        until = time.monotonic() + PATIENCE
-        while not arrived.Test():
-            if time.monotonic() > until:
-                if LEFT:
-                    print(
-                        "fmbd_fenicsx: a rank left a run by sys.exit while others go on: all end.",
-                        file=sys.stderr,
-                        flush=True,
-                    )
-                MPI.COMM_WORLD.Abort(code if isinstance(code, int) and code != 0 else 1)
-            time.sleep(0.02)
+        if not all_leave():
+            if LEFT:
+                print(
+                    "fmbd_fenicsx: a rank left a run by sys.exit while others go on: all end.",
+                    file=sys.stderr,
+                    flush=True,
+                )
+            end_all(code)
 
     sys.exit = noting
     atexit.register(end)
+
+
+def all_leave() -> bool:
+    """Whether all ranks come here within seconds; nothing else may be asked of a rank that does not."""
+    from mpi4py import MPI
+
+    if MPI.Is_finalized() or not MPI.Is_initialized():
+        return True
+    arrived = MPI.COMM_WORLD.Ibarrier()
+    until = time.monotonic() + PATIENCE
+    while not arrived.Test():
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def end_all(code: Any) -> NoReturn:
+    """End the processes of all ranks with an exit code, 1 for one that means success."""
+    from mpi4py import MPI
+
+    MPI.COMM_WORLD.Abort(code if isinstance(code, int) and code != 0 else 1)
+    raise SystemExit(code)
 
 
 def _top(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

@@ -7,6 +7,7 @@ While a run is under way values are therefore compared: those that differ are re
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .errors import AGREEMENTS, InputError
-from .log import LEFT, together
+from .log import LEFT, all_leave, end_all, together
 
 SAME = 1e-9  # relative difference between ranks that counts as roundoff of different machines
 
@@ -36,8 +37,23 @@ class OneAnswer:
         if self.comm is None:
             return
         AGREEMENTS.pop()
-        if isinstance(error, SystemExit):  # the others go on, and would wait without end
+        if error is not None:
+            self._leave(error)
+
+    @staticmethod
+    def _leave(error: BaseException) -> None:
+        """End all ranks where this one leaves a run alone: what it would free now, it would have to free with the others."""
+        if isinstance(error, SystemExit):
             LEFT.append(error.code)
+        if getattr(error, "common", False) or all_leave():
+            return
+        if isinstance(error, SystemExit):
+            print(
+                "fmbd_fenicsx: a rank left a run by sys.exit while others go on: all end.", file=sys.stderr, flush=True
+            )
+            end_all(error.code)
+        sys.excepthook(type(error), error, error.__traceback__)
+        end_all(1)
 
     def agree(self, what: str, evaluate: Callable[[], Any]) -> Any:
         """The value of a function, that of the first rank; collective.
@@ -72,5 +88,9 @@ def _differ(one: Any, other: Any) -> bool:
         return type(one) is not type(other)
     if a.shape != b.shape:
         return True
+    finite = np.isfinite(a) & np.isfinite(b)
+    if not np.array_equal(a[~finite], b[~finite], equal_nan=True):
+        return True
+    a, b = a[finite], b[finite]
     size = max(float(np.abs(a).max(initial=0.0)), float(np.abs(b).max(initial=0.0)))
-    return bool(a.size) and not bool((np.abs(a - b) <= SAME * size).all() or np.array_equal(a, b, equal_nan=True))
+    return not bool((np.abs(a - b) <= SAME * size).all())
