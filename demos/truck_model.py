@@ -2,8 +2,9 @@
 
 Rear wheel, chassis, front wheel, cab and loading area; nine coordinates (five heights, three pitch angles, the loading area's x).
 A spring-damper of the source is a line element with the tension N = k s + d s' + f, f its nominal force and s the distance of
-its two points, so its unstressed length is -f / k. The nominal forces tell where the points are: at the start every body is in
-equilibrium, which fixes the distances 0.16 m (wheels to chassis), 0.90 m (cab, loading area) and the arms. The road moves the
+its two points, so its unstressed length is -f / k. The source prints nominal forces to 1e-8 N; those that recur as decimals,
+weights times arms, have more digits here. They tell where the points are: at the start every body is in equilibrium, which
+fixes the distances 0.16 m (wheels to chassis), 0.90 m (cab, loading area) and the arms. The road moves the
 lower ends of the two tyres; tyres can pull, as in the source.
 
 Source: E. Eich-Soellner, C. Fuehrer, Numerical Methods in Multibody Dynamics (1998), doi:10.1007/978-3-663-09828-7. All in
@@ -30,9 +31,9 @@ SUSPENSION = {  # bodies, points in the world at the start, stiffness, damping, 
     "front tyre": ("ground", "front wheel", (FRONT, 0.0), (FRONT, 0.5), 2.2e6, 300.0, -1147434.838),
     "rear spring": ("rear wheel", "chassis", (REAR, 0.5), (REAR, 0.66), 824700.0, 21593.0, -246872.662),
     "front spring": ("front wheel", "chassis", (FRONT, 0.5), (FRONT, 0.66), 271100.0, 38537.0, -84924.838),
-    "cab, rear": ("chassis", "cab", (1.94, 2.0), (1.94, 2.9), 135700.0, 12218.0, -127842.88235294),
-    "cab, front": ("chassis", "cab", (3.64, 2.0), (3.64, 2.9), 135700.0, 12218.0, -127208.11764706),
-    "load, front": ("chassis", "load: front", (0.98, 2.0), (0.98, 2.9), 900000.0, 38500.0, -854905.94111111),
+    "cab, rear": ("chassis", "cab", (1.94, 2.0), (1.94, 2.9), 135700.0, 12218.0, -127842.88235294118),
+    "cab, front": ("chassis", "cab", (3.64, 2.0), (3.64, 2.9), 135700.0, 12218.0, -127208.11764705882),
+    "load, front": ("chassis", "load: front", (0.98, 2.0), (0.98, 2.9), 900000.0, 38500.0, -854905.9411111111),
     "load, rear 1": ("chassis", "load: rear", (-3.07, 2.0), (-3.37, 2.9), 770000.0, 33013.0, -766354.91099974),
     "load, rear 2": ("chassis", "load: rear", (-3.07, 2.0), (-2.77, 2.9), 770000.0, 33013.0, -766354.91099974),
 }

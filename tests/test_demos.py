@@ -27,9 +27,6 @@ def run(demo: Path, file: Path, *before: str) -> dict[str, float]:
 
 MARKS = {
     "elastic_pendulum": pytest.mark.smoke,
-    "truck": pytest.mark.xfail(
-        reason="out of balance at the start: 1.03e-9 N of 1e-9 N, roundoff of 7e4 N", strict=False
-    ),
 }
 
 
