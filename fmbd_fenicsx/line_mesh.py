@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from .checks import instance, word
 from .errors import MeshError, near
 from .rotations import Array
 
@@ -35,11 +36,14 @@ def read_line(source: str | Path, *, line: str | None = None, comm: Any = None) 
     from .log import install_hooks, together
 
     install_hooks()
-    comm = MPI.COMM_WORLD if comm is None else comm
+    path = Path(instance("read_line: source", source, (str, Path)))
+    if line is not None:
+        word("read_line: line", line)
+    comm = MPI.COMM_WORLD if comm is None else instance("read_line: comm", comm, MPI.Comm)
     error, found = None, None
     if comm.rank == 0:
         try:
-            found = _read(Path(source), line)
+            found = _read(path, line)
         except Exception as problem:  # sent to all ranks
             error = problem if isinstance(problem, MeshError) else MeshError(f"{source}: {problem}")
     together(comm, error)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .checks import number
+from .checks import instance, number
 from .errors import InputError, MeshError, near
 from .mesh import Mesh, check_model, distributed
 from .rotations import Array
@@ -53,7 +53,7 @@ def read_cad(
     Raises:
         MeshError: no file, no solid or several, a surface that no face belongs to; it lists the faces.
     """
-    path = Path(source)
+    path = Path(instance("read_cad: source", source, (str, Path)))
     number("read_cad: h", h, above=0.0, unit="m")
     number("read_cad: scale", scale, above=0.0)
 
@@ -126,7 +126,7 @@ def read_mesh(
         InputError: no meshio.
         MeshError: no file, no cells, no named surfaces (lists what there is), or a mesh that is refused by its cells.
     """
-    path = Path(source)
+    path = Path(instance("read_mesh: source", source, (str, Path)))
     number("read_mesh: scale", scale, above=0.0)
 
     def load(gmsh: Any) -> Any:

@@ -66,7 +66,10 @@ class OneAnswer:
             value = evaluate()
         except Exception as found:  # told to all ranks
             error = found
-        together(self.comm, error)
+        try:
+            together(self.comm, error)
+        except Exception as common:
+            raise common from (error and error.__cause__)
 
         values = self.comm.allgather(value)
         for rank, other in enumerate(values):

@@ -122,7 +122,7 @@ def test_patch_through_cross_points(dim: int, degree: int, blocks: dict[str, Any
 
 def test_tractions_at_cross_points_stay_bounded() -> None:
     """P1 displacements of a quadratic solution: the largest error of a traction, at the cross-points, falls with h."""
-    errors = np.array([solve(2, 1, FOUR, FOUR_TIES, times, Exact(2, 2)) for times in (1, 2, 4)])
+    errors = np.array([solve(2, 1, FOUR, FOUR_TIES, times, Exact(2, 2)) for times in (2, 4, 8)])
     assert (errors[1:, 1] < 0.7 * errors[:-1, 1]).all()
     assert errors[-1, 0] < errors[0, 0] / 10
 

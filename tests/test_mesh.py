@@ -151,7 +151,7 @@ PROGRAMS = {
             "bad = MPI.COMM_WORLD.rank == MPI.COMM_WORLD.size - 1\n"
             "scene.add(fmbd.force('gust', rod.surface('tip'), lambda t: (np.nan if bad else 0.0, 0.0)))"
         ),
-        'Force "gust"',
+        'force "gust" gives (0.0, 0.0) on rank 0',
     ),
     "initial displacement": (
         SOLVE.format(line="scene.bodies['rod'] = rod.with_(displacement=lambda x: np.where(x > 0.9, np.nan, 0 * x))"),

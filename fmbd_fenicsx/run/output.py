@@ -92,6 +92,9 @@ class Output:
                 bool((np.diff(t) > 0).all() and t[0] >= 0),
                 "Output: times must be an increasing list of times from 0 s on.",
             )
+        require(
+            isinstance(self.events, tuple | list), f"Output: events must be a list of events, found {self.events!r}."
+        )
         if self.events:
             self._check_events()
         if isinstance(self.snapshots, int):
@@ -215,8 +218,10 @@ class Recorder:
         self.pieces.append(seen.t)
         if self.closed is not None:
             self.closed.check_tape(seen)
-        gap, slip = seen.drift
-        self.gap, self.slip = max(self.gap, float(gap.max())), max(self.slip, float(slip.max()))
+        gap, slip, worst, fastest = seen.drift.max(axis=0).tolist()
+        self.gap, self.slip = max(self.gap, gap), max(self.slip, slip)
+        if self.closed is not None:
+            self.worst_slip, self.fastest = max(self.worst_slip, worst), max(self.fastest, fastest)
 
         alone = []
         for name, sensor in self.scene.sensors.items():

@@ -217,6 +217,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
         if keeper is not None:
             keeper.write(course)
     except ConvergenceError as error:
+        motions.look(stepper.state.t)  # a contradiction between drives says more than the joint that it opens
         total = f" of {pace.steps}" if pace.steps else ""
         kept = "" if keeper is None or keeper.newest is None else f" The newest checkpoint is {keeper.newest}."
         raise ConvergenceError(f'Scene "{problem.scene.name}", step {course.done + 1}{total}: {error}{kept}') from error

@@ -143,7 +143,7 @@ class Tape:
             "energy": (4,),
             "reading": (looks.count, 3),
             "reaction": (len(looks.joints), tables.twist),
-            "drift": (2,),
+            "drift": (4,),
         }
         each = sum(int(np.prod(x)) for x in shapes.values())
         self.capacity = int(np.clip(BYTES // (8 * each), 16, CAPACITY))
@@ -253,7 +253,8 @@ class Recorded:
         return out
 
     @property
-    def drift(self) -> tuple[Array, Array]:
-        """Largest open constraint, largest rate at which one opens; (k,) each."""
-        gap, slip = self.arrays["drift"].T
-        return gap, slip
+    def drift(self) -> Array:
+        """(k, 4): of each state the largest open constraint, the largest rate at which one opens, this as a speed, the largest
+        speed.
+        """
+        return self.arrays["drift"]

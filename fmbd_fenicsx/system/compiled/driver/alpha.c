@@ -7,14 +7,6 @@ enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, 
 enum { MOST = 64 };
 static const double SLOW_TURN = 0.01; /* rate of Newton above which efforts get a new tangent */
 
-static double largest_of(const double *units, const double *x, int n)
-{
-    double found = 0.0;
-    for (int i = 0; i < n; i++)
-        if (found == found && !(fabs(units[i] * x[i]) <= found)) found = fabs(units[i] * x[i]); /* nan stays */
-    return found;
-}
-
 #if DIM == 3
 /* Counted angles: on with the increments of both frames, by any number of turns, then to the nearest angle of the attitude. */
 static void count_angles(const System *s, const double *q0, const double *xi, double *q)

@@ -74,16 +74,27 @@ static double far_from_origin(const System *s, const double *q, double length)
     return place + length * (angle + counted);
 }
 
-/* How far the constraints are open; the first state beyond what is allowed is kept. */
+static double largest_of(const double *units, const double *x, int n)
+{
+    double found = 0.0;
+    for (int i = 0; i < n; i++)
+        if (found == found && !(fabs(units[i] * x[i]) <= found)) found = fabs(units[i] * x[i]); /* nan stays */
+    return found;
+}
+
+/* How far the constraints are open, at which rate, this as a speed, and the largest speed; the first state that is open by more
+   than is allowed is kept. */
 static void judge_drift(System *s, Tape *tape, const Block *now, double *open)
 {
     double widest = 0.0;
     drift(s);
-    open[0] = open[1] = 0.0;
+    open[0] = open[1] = open[2] = 0.0;
+    open[3] = largest_of(s->units, now->v, s->nv);
     for (int i = 0; i < s->rows; i++) {
         double gap = fabs(s->gap[i]), slip = fabs(s->slip[i]), length = gap * tape->units[i];
         if (!(gap <= open[0])) open[0] = gap; /* nan is kept */
         if (!(slip <= open[1])) open[1] = slip;
+        if (!(slip * tape->units[i] <= open[2])) open[2] = slip * tape->units[i];
         if (!(length <= widest)) widest = length;
     }
     if (tape->doubtful >= 0 || widest <= tape->allowed + tape->roundoff * far_from_origin(s, now->q, tape->length)) return;
@@ -105,7 +116,7 @@ static int record(System *s, Tape *tape, const Block *now)
     for (int i = 0; i < s->seen; i++)
         memcpy(tape->frames + FRAME * (s->seen * k + i), s->frames + FRAME * s->seen_frame[i], FRAME * sizeof(double));
 
-    judge_drift(s, tape, now, tape->drift + 2 * k);
+    judge_drift(s, tape, now, tape->drift + 4 * k);
     for (int i = 0; i < s->reactions; i++)
         reaction(s, s->reaction + i, now->lam, tape->reaction + TWIST * (s->reactions * k + i));
     tape->count++;
