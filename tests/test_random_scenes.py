@@ -10,8 +10,6 @@ from collections import Counter
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, seed, settings
-from hypothesis import strategies as st
 from random_scenes import case
 
 from fmbd_fenicsx.errors import FmbdError
@@ -19,6 +17,7 @@ from fmbd_fenicsx.log import log
 
 SECONDS = 30.0  # of processor time that one scene may take
 FINE = ("right", "refused", "warned")
+FEW = 40
 MANY = int(os.environ.get("FMBD_RANDOM_SCENES", "5000"))
 
 
@@ -72,25 +71,20 @@ def judged(tally: Counter[str]) -> None:
 
 
 def test_random_scenes() -> None:
-    """Scenes drawn by hypothesis: one that fails is named by its number."""
-    tally: Counter[str] = Counter()
+    """The first scenes, each named by its number."""
+    judged(tallied(FEW))
 
-    @seed(1)
-    @settings(max_examples=100, deadline=None, database=None, suppress_health_check=list(HealthCheck))
-    @given(st.integers(0, 2**32 - 1))
-    def look(number: int) -> None:
+
+def tallied(count: int) -> Counter[str]:
+    """How so many scenes end."""
+    tally: Counter[str] = Counter()
+    for number in range(count):
         found = outcome(number)
         tally[found if found in FINE else f"scene {number}: {found}"] += 1
-        assert found in FINE, f"scene {number}: {found}"
-
-    look()
-    judged(tally)
+    return tally
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(0)
 def test_many_random_scenes() -> None:
-    tally: Counter[str] = Counter()
-    for number in range(MANY):
-        found = outcome(number)
-        tally[found if found in FINE else f"scene {number}: {found}"] += 1
-    judged(tally)
+    judged(tallied(MANY))
