@@ -11,6 +11,7 @@ import numpy as np
 
 from .checks import instance, word
 from .errors import MeshError, near
+from .mesh import require_file
 from .rotations import Array
 
 
@@ -54,8 +55,7 @@ def _read(path: Path, line: str | None) -> tuple[Array, dict[str, Array]]:
     """Rank 0: points and stations."""
     import gmsh
 
-    if not path.is_file():
-        raise MeshError(f"Mesh file {path} does not exist (looked in {Path.cwd()}).")
+    require_file(path)
     gmsh.initialize(interruptible=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)

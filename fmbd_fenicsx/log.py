@@ -24,7 +24,6 @@ from .notices import OnStandardError
 log = logging.getLogger("fmbd_fenicsx")
 
 
-LEFT: list[Any] = []  # codes with which this rank left a run that the others go on with
 PATIENCE = 3.0  # s that a rank which leaves with an error waits for the others to do the same
 
 
@@ -71,8 +70,9 @@ def install_hooks() -> None:
 
 
 def _watch_exits() -> None:
-    """Remember the code given to ``sys.exit``; at the end of a process with another code than 0, or out of a run, wait for all
-    ranks to end alike, and end them where they do not: a rank that has left would be waited for without end.
+    """Remember the code given to ``sys.exit``; at the end of a process with another code than 0, wait for all ranks to end
+    alike, and end them where they do not: a rank that has left would be waited for without end. Ranks that leave a run are
+    looked at there, see :mod:`.ranks`.
     """
     codes: list[Any] = []
     leave = sys.exit
@@ -82,16 +82,8 @@ def _watch_exits() -> None:
         leave(code)
 
     def end() -> None:
-        code = LEFT[-1] if LEFT else codes[-1] if codes else None
-        if (code in (None, 0) and not LEFT) or "mpi4py.MPI" not in sys.modules:
-            return
-        if not all_leave():
-            if LEFT:
-                print(
-                    "fmbd_fenicsx: a rank left a run by sys.exit while others go on: all end.",
-                    file=sys.stderr,
-                    flush=True,
-                )
+        code = codes[-1] if codes else None
+        if code not in (None, 0) and "mpi4py.MPI" in sys.modules and not all_leave():
             end_all(code)
 
     sys.exit = noting

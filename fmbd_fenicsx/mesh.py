@@ -191,12 +191,17 @@ def distributed(load: Callable[[Any], tuple[int, str, dict[str, int], str]], lab
     return Mesh(msh, facets, groups, name, label)
 
 
+def require_file(path: Path) -> None:
+    """Refuse a path at which no file is."""
+    if not path.is_file():
+        raise MeshError(f"Mesh file {path} does not exist (looked in {Path.cwd()}).")
+
+
 def _load(
     gmsh: Any, path: Path, parameters: dict[str, Any], volume: str | None
 ) -> tuple[int, str, dict[str, int], str]:
     """Rank 0: build or open the model, check it, keep one body; returns dimension, volume name, surface tags, label."""
-    if not path.is_file():
-        raise MeshError(f"Mesh file {path} does not exist (looked in {Path.cwd()}).")
+    require_file(path)
 
     if path.suffix == ".py":
         spec = importlib.util.spec_from_file_location(f"fmbd_mesh_{path.stem}", path)

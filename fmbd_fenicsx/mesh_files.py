@@ -14,7 +14,7 @@ import numpy as np
 
 from .checks import instance, number
 from .errors import InputError, MeshError, near
-from .mesh import Mesh, check_model, distributed
+from .mesh import Mesh, check_model, distributed, require_file
 from .rotations import Array
 
 Where = Callable[[Array], Any]
@@ -58,7 +58,7 @@ def read_cad(
     number("read_cad: scale", scale, above=0.0)
 
     def load(gmsh: Any) -> Any:
-        _exists(path)
+        require_file(path)
         gmsh.option.setNumber("Geometry.OCCScaling", scale)
         try:
             gmsh.model.occ.importShapes(str(path))
@@ -77,11 +77,6 @@ def read_cad(
         return check_model(gmsh.model, str(path), volume)
 
     return distributed(load, str(path), comm)
-
-
-def _exists(path: Path) -> None:
-    if not path.is_file():
-        raise MeshError(f"Mesh file {path} does not exist (looked in {Path.cwd()}).")
 
 
 def _faces(model: Any, path: Path, name: str, where: Any) -> list[int]:
@@ -130,7 +125,7 @@ def read_mesh(
     number("read_mesh: scale", scale, above=0.0)
 
     def load(gmsh: Any) -> Any:
-        _exists(path)
+        require_file(path)
         found = _read(path)
         points, dim, cells = _body(path, found, volume, scale)
         facets = _boundary(cells)

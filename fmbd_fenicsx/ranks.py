@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .errors import AGREEMENTS, InputError
-from .log import LEFT, all_leave, end_all, together
+from .log import all_leave, end_all, together
 
 SAME = 1e-9  # relative difference between ranks that counts as roundoff of different machines
 
@@ -43,8 +43,6 @@ class OneAnswer:
     @staticmethod
     def _leave(error: BaseException) -> None:
         """End all ranks where this one leaves a run alone: what it would free now, it would have to free with the others."""
-        if isinstance(error, SystemExit):
-            LEFT.append(error.code)
         if getattr(error, "common", False) or all_leave():
             return
         if isinstance(error, SystemExit):

@@ -10,17 +10,14 @@ and a quarter of the step. Each side takes the coarsest of its meshes that reach
 import argparse
 import itertools
 import json
-import sys
 import time
-import warnings
 from pathlib import Path
 
 import numpy as np
+from user_scenes import exudyn_steps
 
 import fmbd_fenicsx as fmbd
 
-sys.exudynFast = True  # the build without range checks
-warnings.filterwarnings("ignore", category=DeprecationWarning)
 G, RHO = 9.81, 0.8
 
 
@@ -148,18 +145,7 @@ def theirs(make, elements, h, steps, modified, sparse):
     """The same by Exudyn."""
     exu, mbs, tip = make(elements)
     mbs.Assemble()
-    s = exu.SimulationSettings()
-    s.timeIntegration.numberOfSteps, s.timeIntegration.endTime = steps, steps * h
-    s.timeIntegration.generalizedAlpha.spectralRadius = RHO
-    s.timeIntegration.newton.useModifiedNewton = modified
-    s.timeIntegration.verboseMode = 0
-    s.parallel.numberOfThreads = 1
-    s.solutionSettings.writeSolutionToFile = False
-    s.solutionSettings.sensorsWritePeriod = steps * h / 10
-    s.linearSolverType = exu.LinearSolverType.EigenSparse if sparse else exu.LinearSolverType.EXUdense
-    begin = time.process_time()
-    mbs.SolveDynamic(s)
-    spent = time.process_time() - begin
+    spent = exudyn_steps((exu, mbs), steps, h, modified=modified, sparse=sparse)
     return spent, np.array(mbs.GetSensorStoredData(tip))[-10:, 1:4]
 
 

@@ -51,22 +51,27 @@ class Exudyn:
 
     def run(self, steps, body, point, modified, sparse):
         """CPU time of the steps and the place of a point at the end."""
-        exu, mbs = self.exu, self.mbs
-        mbs.Assemble()
-        s = exu.SimulationSettings()
-        s.timeIntegration.numberOfSteps, s.timeIntegration.endTime = steps, steps * H
-        s.timeIntegration.generalizedAlpha.spectralRadius = 0.8
-        s.timeIntegration.newton.useModifiedNewton = modified
-        s.timeIntegration.verboseMode = 0
-        s.parallel.numberOfThreads = 1
-        s.solutionSettings.writeSolutionToFile = False
-        s.solutionSettings.sensorsWritePeriod = steps * H / 10
-        s.linearSolverType = exu.LinearSolverType.EigenSparse if sparse else exu.LinearSolverType.EXUdense
-        begin = time.process_time()
-        mbs.SolveDynamic(s)
-        spent = time.process_time() - begin
-        end = mbs.GetObjectOutputBody(body, exu.OutputVariableType.Position, localPosition=[*point, 0, 0][:3])
+        self.mbs.Assemble()
+        spent = exudyn_steps((self.exu, self.mbs), steps, H, modified=modified, sparse=sparse)
+        end = self.mbs.GetObjectOutputBody(body, self.exu.OutputVariableType.Position, localPosition=[*point, 0, 0][:3])
         return spent, np.array(end)
+
+
+def exudyn_steps(model, steps, h, *, modified, sparse):
+    """CPU time of so many steps of an assembled model (exudyn, system): rho_inf = 0.8, one thread, ten records."""
+    exu, mbs = model
+    s = exu.SimulationSettings()
+    s.timeIntegration.numberOfSteps, s.timeIntegration.endTime = steps, steps * h
+    s.timeIntegration.generalizedAlpha.spectralRadius = 0.8
+    s.timeIntegration.newton.useModifiedNewton = modified
+    s.timeIntegration.verboseMode = 0
+    s.parallel.numberOfThreads = 1
+    s.solutionSettings.writeSolutionToFile = False
+    s.solutionSettings.sensorsWritePeriod = steps * h / 10
+    s.linearSolverType = exu.LinearSolverType.EigenSparse if sparse else exu.LinearSolverType.EXUdense
+    begin = time.process_time()
+    mbs.SolveDynamic(s)
+    return time.process_time() - begin
 
 
 # ---- scenes: ours -> scene, body, point in body axes; theirs -> Exudyn, body, point -----

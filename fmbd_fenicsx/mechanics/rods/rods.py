@@ -97,32 +97,32 @@ class Rod:
 
         for load in self.loads:
             require(isinstance(load, RodLoad), f'Rod "{n}": loads are fmbd.RodLoad(...), found {load!r}.')
-        self._check_stations()
         self._check_turns()
 
-    def _check_stations(self) -> None:
-        """Stations lie on the curve, and have names of their own."""
+    def _place(self, name: str, given: Any) -> float:
+        """Arc length of a station, m, checked: it lies on the curve and has a name of its own."""
         length = self.reference.length
-        for name, given in self.stations.items():
-            require(name not in ENDS, f'Rod "{self.name}": a station cannot be called "{name}": its ends are.')
-            if np.ndim(given) == 0:
-                require(
-                    bool(np.isfinite(given)) and 1e-9 * length < given < (1 - 1e-9) * length,
-                    f'Rod "{self.name}": station "{name}" at s = {given} m is off the curve, which is {length:.6g} m long. Its '
-                    'ends are the surfaces "start" and "end".',
-                )
-                continue
-            point = np.asarray(given, dtype=float)
+        require(name not in ENDS, f'Rod "{self.name}": a station cannot be called "{name}": its ends are.')
+        if np.ndim(given) == 0:
             require(
-                point.shape == (3,) and bool(np.isfinite(point).all()),
-                f'Rod "{self.name}": station "{name}" must be an arc length (m) or a point (3,), found {given!r}.',
+                bool(np.isfinite(given)) and 1e-9 * length < given < (1 - 1e-9) * length,
+                f'Rod "{self.name}": station "{name}" at s = {given} m is off the curve, which is {length:.6g} m long. Its '
+                'ends are the surfaces "start" and "end".',
             )
-            s, distance = self.reference.nearest(point)
-            require(
-                distance <= ON_CURVE * length,
-                f'Rod "{self.name}": station "{name}" at {point.tolist()} is off the curve by {distance:.3g} m; the nearest '
-                f"place is s = {s:.6g} m.",
-            )
+            return float(given)
+
+        point = np.asarray(given, dtype=float)
+        require(
+            point.shape == (3,) and bool(np.isfinite(point).all()),
+            f'Rod "{self.name}": station "{name}" must be an arc length (m) or a point (3,), found {given!r}.',
+        )
+        s, distance = self.reference.nearest(point)
+        require(
+            distance <= ON_CURVE * length,
+            f'Rod "{self.name}": station "{name}" at {point.tolist()} is off the curve by {distance:.3g} m; the nearest '
+            f"place is s = {s:.6g} m.",
+        )
+        return s
 
     def _check_turns(self) -> None:
         """Neighbouring nodes turn little against each other."""
@@ -146,8 +146,7 @@ class Rod:
     @cached_property
     def places(self) -> dict[str, float]:
         """Arc lengths of the stations, m."""
-        given = self.stations.items()
-        return {n: float(x) if np.ndim(x) == 0 else self.reference.nearest(np.asarray(x, float))[0] for n, x in given}
+        return {name: self._place(name, given) for name, given in self.stations.items()}
 
     @cached_property
     def breaks(self) -> Array:

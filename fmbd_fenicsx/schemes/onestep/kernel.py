@@ -20,6 +20,7 @@ from ...mechanics.joints import constraints as ct
 from ...mechanics.reduction.reduced import ReducedPart
 from ...mechanics.validity import TOO_LARGE
 from ...rotations import Array
+from ...system.compiled.bodies import modal_arrays
 from ...system.system import System
 from .compiled import library
 
@@ -163,20 +164,7 @@ class Kernel:
                 continue
             k, part = self.parts[b]
             c, m = part.constants, part.n
-            T = c.T.transpose(1, 0, 2, 3)  # [b, a] = T_ab
-            pairs = ((2, 1), (0, 2), (1, 0)) if d == 3 else ((1, 0),)
-            arrays = {
-                "S": c.S,
-                "T": T,
-                "V": np.stack([T[..., i, j] - T[..., j, i] for i, j in pairs], axis=-1),
-                "modal": np.trace(c.T[1:, 1:], axis1=2, axis2=3),
-                "K": c.K,
-                "C": c.D,
-                "chol": np.zeros((widths[b], widths[b])),
-                "U": np.zeros((m + 1) * (d * d + 2 * d - 3) + 2 * m),
-            }
-            if c.stiffening is not None:
-                arrays |= {"stress": c.stiffening.transpose(0, 2, 1), "now": np.zeros((m, m))}
+            arrays = modal_arrays(c, m, d) | {"chol": np.zeros((widths[b], widths[b]))}
             made.append(
                 kind(
                     m=m,

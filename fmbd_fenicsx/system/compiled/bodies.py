@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...mechanics.validity import TOO_LARGE
+from ...rotations import Array
 from .structures import structure
 
 if TYPE_CHECKING:
@@ -37,6 +38,19 @@ def reduced_body(tables: Tables, b: int) -> Any:
     k, part = tables.parts[b]
     c, m, width = part.constants, part.n, int(tables.width[b])
 
+    arrays = modal_arrays(c, m, d) | {"block": np.zeros((width, width))}
+    unknown = tables.at_u[b] + np.arange(width)
+    i, j = np.tril_indices(width)
+    return structure("Body", d)(
+        modes=m, at_v=system.slices[1][k].start, at_q=system.slices[0][k].start, at_u=int(tables.at_u[b]), mass=c.mass,
+        large=(TOO_LARGE * c.size) ** 2 * c.mass, dest=store.integers(tables.fronts.place(unknown[i], unknown[j])),
+        **{name: store.address(x) for name, x in arrays.items()},
+    )  # fmt: skip
+
+
+def modal_arrays(constants: Any, m: int, d: int) -> dict[str, Array]:
+    """Inertia and stiffness of a reduced body with m modes in d dimensions, by their names in C, and its work space."""
+    c = constants
     T = c.T.transpose(1, 0, 2, 3)  # [b, a] = T_ab
     pairs = ((2, 1), (0, 2), (1, 0)) if d == 3 else ((1, 0),)
     arrays = {
@@ -47,18 +61,10 @@ def reduced_body(tables: Tables, b: int) -> Any:
         "K": c.K,
         "C": c.D,
         "U": np.zeros((m + 1) * (d * d + 2 * d - 3) + 2 * m),
-        "block": np.zeros((width, width)),
     }
     if c.stiffening is not None:
         arrays |= {"stress": c.stiffening.transpose(0, 2, 1), "now": np.zeros((m, m))}
-
-    unknown = tables.at_u[b] + np.arange(width)
-    i, j = np.tril_indices(width)
-    return structure("Body", d)(
-        modes=m, at_v=system.slices[1][k].start, at_q=system.slices[0][k].start, at_u=int(tables.at_u[b]), mass=c.mass,
-        large=(TOO_LARGE * c.size) ** 2 * c.mass, dest=store.integers(tables.fronts.place(unknown[i], unknown[j])),
-        **{name: store.address(x) for name, x in arrays.items()},
-    )  # fmt: skip
+    return arrays
 
 
 def surface(tables: Tables, marker: int) -> Any:

@@ -92,6 +92,13 @@ static int rod_stress(System *s, Rod *k, double t)
     return DONE;
 }
 
+/* What the section forces at a point do to z, times the weight of the point */
+static void rod_pull(const Rod *k, long at, double *on_z)
+{
+    memset(on_z, 0, Z * sizeof(double));
+    for (int j = 0; j < STRAINS; j++) add(on_z, k->weight[at] * k->S[STRAINS * at + j], k->E + STRAINS * Z * at + Z * j, Z);
+}
+
 /* Loads on the nodes: force and moment in world axes, then in axes of the sections. */
 static void rod_loads(System *s, const Rod *k)
 {
@@ -120,8 +127,8 @@ static int rod_forces(System *s, Rod *k, double t)
         for (int g = 0; g < k->points; g++) {
             long at = e * k->points + g;
             const double *N = k->N + g * k->k, *slope = k->slope + at * k->k;
-            double on_z[Z] = {0.0};
-            for (int j = 0; j < STRAINS; j++) add(on_z, k->weight[at] * k->S[STRAINS * at + j], k->E + STRAINS * Z * at + Z * j, Z);
+            double on_z[Z];
+            rod_pull(k, at, on_z);
             for (int i = 0; i < k->k; i++) {
                 add(pull[i], slope[i], on_z, D);
                 add(pull[i] + D, N[i], on_z + D, 4);
@@ -208,8 +215,8 @@ static int rod_tangents(System *s, Rod *k, double t, double geometric)
                 for (int j = 0; j <= i; j++) rod_block(inner, N[i], slope[i], N[j], slope[j], blocks[i][j]);
 
             /* the second derivative of p exp(theta): minus a quarter of the slope along p */
-            double on_z[Z] = {0.0};
-            for (int j = 0; j < STRAINS; j++) add(on_z, k->weight[at] * k->S[STRAINS * at + j], k->E + STRAINS * Z * at + Z * j, Z);
+            double on_z[Z];
+            rod_pull(k, at, on_z);
             for (int i = 0; i < k->k; i++)
                 along[i] += N[i] * dot(on_z + D, nodal[i] + D, 4) + slope[i] * dot(on_z + D + 4, nodal[i] + D, 4);
         }
