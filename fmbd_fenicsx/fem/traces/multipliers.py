@@ -200,7 +200,7 @@ def _linear_functions(trace: Trace) -> Array:
 
     spread = np.einsum("f,fac,fad->cd", share, apart, apart, optimize=True)
     size, axes = np.linalg.eigh(spread)
-    extended = axes[:, size > 1e-12 * size.max()]
+    extended = settled(axes[:, size > 1e-12 * size.max()].T).T
     rows = [
         np.ones(x.shape[0] * x.shape[1]),
         *(apart @ extended / np.sqrt(size.max())).reshape(-1, extended.shape[1]).T,
@@ -248,7 +248,24 @@ def null_vectors(matrix: Array) -> Array:
     """Unit vectors z with matrix z = 0, as rows; its rows are measured by the largest of them."""
     _, stretch, V = np.linalg.svd(matrix)
     rank = int((stretch > 1e-9 * stretch.max(initial=0.0)).sum())
-    return np.asarray(V[rank:])
+    return settled(np.asarray(V[rank:]))
+
+
+def settled(vectors: Array) -> Array:
+    """Orthonormal rows of the same span that depend on the span alone.
+
+    Eigenvectors and singular vectors come with any sign, and turned as one likes among equal values: roundoff decides, so that
+    two ranks found other multipliers than one. The projector onto the span is unique: its largest columns are taken in turn,
+    the first of those that are equally large.
+    """
+    projector = vectors.T @ vectors
+    rows = []
+    for _ in vectors:
+        length = np.sqrt(np.abs(np.diag(projector)))
+        first = int(np.argmax(length > 0.999 * length.max()))
+        rows.append(projector[first] / length[first])
+        projector = projector - np.outer(rows[-1], rows[-1])
+    return np.array(rows).reshape(vectors.shape)
 
 
 def default_space(degree: int) -> MultiplierSpace:
