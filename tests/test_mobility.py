@@ -392,3 +392,29 @@ def test_doubled_joint_on_an_elastic_surface(rod_mesh: Any) -> None:
     size = np.abs(one["F0"]).max()
     assert np.abs(two["F0"] + two["F1"] - one["F0"]).max() < 1e-7 * size
     assert np.abs(two["F0"] - two["F1"]).max() < 1e-7 * size
+
+
+def chain_of(links: int, closed: bool) -> fmbd.Scene:
+    """Links of the plane on a zigzag, hinged one to the next; ``closed``: the last has a second pin where it is held already."""
+    scene = fmbd.Scene("zigzag")
+    before: Any = fmbd.ground
+    for i in range(links):
+        link = fmbd.RigidBody(f"link {i}", 1.0, 0.1, (float(i), float(i % 2)))
+        scene.add(link, fmbd.revolute(f"pin {i}", before, link, center=(i - 0.5, 0.5)))
+        if closed and i == links - 1:
+            scene.add(fmbd.revolute("twin", before, link, center=(i - 0.5, 0.5)))
+        before = link
+    return scene
+
+
+@pytest.mark.parametrize("links", [3, 150])  # dense and sparse rows
+@pytest.mark.parametrize("closed", [False, True])
+def test_independent_rows_are_told_without_singular_values(links: int, closed: bool) -> None:
+    from fmbd_fenicsx.system.mobility import independent, mobility
+
+    system, state, _ = chain_of(links, closed).build()
+    ev = system.at(state.t, state.q)
+    assert isinstance(ev.jacobian.core, np.ndarray) == (links == 3)
+    assert independent(ev) == (mobility(ev).redundant == 0) == (not closed)
+    four, start, _ = four_bar().build()
+    assert not independent(four.at(start.t, start.q))

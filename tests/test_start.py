@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -127,7 +128,7 @@ def test_jerk_is_the_rate_of_accelerations(dim: int) -> None:
     scene = jointed(dim, kick=True)
     system, s, _ = started(scene)
     solver = StepSolver(system)
-    a_rate, l_rate, _ = jerk(system, s, solver, Weights(1.0, 0.0, 0.0), 1e-2)
+    a_rate, l_rate, _ = jerk(system.at(s.t, s.q, s.v), s, solver, Weights(1.0, 0.0, 0.0), 1e-2)
 
     def later(x: float) -> State:
         q = system.compose(s.q, x * s.v + 0.5 * x * x * s.a)
@@ -198,3 +199,14 @@ def test_start_from_forces_that_cancel_inside_a_body(kind: Any) -> None:
     scene.sensor("tip", fmbd.position(rod.surface("tip")))
     run = fmbd.solve(scene, t_end=2e-4, dt=1e-4)
     assert np.abs(run["tip"] - (1.0 + 5e-6, 0.0)).max() < 5e-10
+
+
+def test_a_start_factors_its_masses_and_rows_once() -> None:
+    """Velocities and accelerations of joints that are closed have one matrix; a position that moves has another."""
+    system, state, _ = jointed(2).build()
+    once, again = StepSolver(system), StepSolver(system)
+    consistent(system, state, once)
+    assert once.core.factorisations == 1
+
+    consistent(system, replace(state, q=state.q + 1e-6 * np.arange(system.n_q)), again)
+    assert again.core.factorisations > 1

@@ -24,7 +24,7 @@ from ..mechanics.placements import DistributedPart, FrameMotion
 from ..rotations import Array, rotate_nodal
 from ..system.force_tangent import force_tangent
 from ..system.foreshortened_ports import tangent_ports
-from ..system.mobility import mobility
+from ..system.mobility import independent, mobility
 from ..system.system import Evaluation, System
 from .blocks.field_blocks import Block, FieldBlocks, Weights
 from .border import AroundSolver, Border
@@ -55,6 +55,7 @@ class StepSolver:
         self.system, self.linear, self.prefix = system, linear, prefix
         self._look = redundant is None
         self._near_singular = False
+        self._made: tuple[float, Array, Weights] | None = None  # what the factor belongs to, where that is all
         self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
         self.elastic = FieldBlocks(system, linear, prefix)
         self.blocks: list[Block] = []
@@ -119,18 +120,19 @@ class StepSolver:
         matrix stays as it is, until :meth:`refresh` takes it at this configuration.
         """
         self._ev = ev
-        if keep:
+        if keep or (stiffness is None and self._is_made(ev, weights)):
             return
         s = self.system
         s.move(ev.t)
         self.weights, self._stiffness = weights, stiffness
 
-        if self._look and s.n_lam <= LOOK_LIMIT:
-            found = mobility(s, ev.t, ev.q)
+        if self._look and 0 < s.n_lam <= LOOK_LIMIT and not independent(ev):
+            found = mobility(ev)
             self.core.redundant = found.redundant > 0
             warn_of_ties(s, found.shares)
         self._look = False
 
+        self._made = None
         try:
             self._assemble(ev)
         except LinearSolveError as error:
@@ -141,6 +143,15 @@ class StepSolver:
             ) from error
         if s.n_lam and (self.core.ratio < 1e-5 or self._near_singular):
             self._near_singular = warn_near_singular(ev, self.core.rank, self._near_singular)
+        if not s.fields and stiffness is None and weights.cd == weights.ck == 0.0:
+            self._made = ev.t, ev.q.copy(), weights
+
+    def _is_made(self, ev: Evaluation, weights: Weights) -> bool:
+        """Whether the factor is that of this configuration: masses and rows alone, in a start, do not depend on velocities."""
+        if self._made is None:
+            return False
+        t, q, made = self._made
+        return t == ev.t and made == weights and np.array_equal(q, ev.q)
 
     def _assemble(self, ev: Evaluation) -> None:
         """The matrices of (1), and the factor of the core."""

@@ -17,7 +17,7 @@ from ..linear.blocks.incompressibility import VolumeMass, kept_volumes, volume_p
 from ..linear.condensation import StepSolver, Weights
 from ..linear.redundancy import least
 from ..rotations import Array, cross3
-from ..system.system import State, System
+from ..system.system import Evaluation, State, System
 
 REFUSED = 1e-3  # a position correction above this share of the model's length is wrong input, not roundoff
 
@@ -52,10 +52,9 @@ def consistent(
     state = keep_volumes(system, state, solver)
     q, moved, n_it = state.q, 0.0, 0
     zero = np.zeros(system.n_v)
-    first = system.at(state.t, q).constraint() if system.n_lam else np.zeros(0)
+    ev = system.at(state.t, q, state.v)
+    g = first = ev.constraint()
     for n_it in range(25):  # noqa: B007, counted
-        ev = system.at(state.t, q)
-        g = ev.constraint()
         size = float(np.abs(g).max(initial=0.0))
         if not np.isfinite(size):
             names = ", ".join(f'"{b.name}"' for b in system.blocks if not np.isfinite(g[b.rows]).all())
@@ -75,19 +74,21 @@ def consistent(
                 "Check the positions of the bodies and the center of the joint."
             )
         q = system.compose(q, dq)
+        ev = system.at(state.t, q, state.v)
+        g = ev.constraint()
         if step <= 1e-15 * system.length:
             break
-    _refuse_open(system, state.t, system.at(state.t, q).constraint(), solver)
-    ev = system.at(state.t, q, state.v)
+    _refuse_open(system, state.t, g, solver)
     solver.prepare(ev, mass)
     v = state.v
     slip = 0.0
     if system.n_lam:
-        dv, _ = solver.solve(zero, -(ev.jacobian.times(v) + ev.constraint_rate()))
+        rate = ev.constraint_rate()
+        dv, _ = solver.solve(zero, -(ev.jacobian.times(v) + rate))
         slip = system.max_abs(dv)
         v = v + dv
-        left = ev.jacobian.times(v) + ev.constraint_rate()
-        fastest = system.max_abs(v) + float(np.abs(ev.constraint_rate()).max())
+        left = ev.jacobian.times(v) + rate
+        fastest = system.max_abs(v) + float(np.abs(rate).max())
         nothing = 1e-12 * system.length / h if h > 0 else 0.0
         if np.abs(left).max() > 1e-8 * fastest + nothing:
             raise ConstraintError(
@@ -236,18 +237,17 @@ def worst_block(system: System, g: np.ndarray) -> str:
 
 
 def jerk(
-    system: System, state: State, solver: StepSolver, weights: Weights, h: float
+    ev: Evaluation, state: State, solver: StepSolver, weights: Weights, h: float
 ) -> tuple[Array, Array, dict[int, Array]]:
-    """Rates a' and lambda' of accelerations and multipliers along the motion of a consistent state, and the third rates of
-    volume B a' of the parts that keep theirs; collective.
+    """Rates a' and lambda' of accelerations and multipliers along the motion of a consistent state, evaluated as ``ev``, and
+    the third rates of volume B a' of the parts that keep theirs; collective.
 
     M a' + G^T lambda' = -d/dt (M a + h + G^T lambda) at fixed a, lambda;   G a' = -d/dt (G a + gamma) at fixed a      (2)
 
     The right-hand sides are one-sided differences of second order over h/50. With the matrix of a time step as ``weights``
     vibrations that the step h does not resolve are left out of a'.
     """
-    ev = system.at(state.t, state.q, state.v)
-    d = 0.02 * h
+    system, d = ev.system, 0.02 * h
 
     kept = [k for k, part in system.fields if part.field.keeps_volume]
 

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.linalg.lapack import dpotrf, dpotrs
+from scipy.sparse.linalg import splu
 
 from ..energies import MixedEnergy
 from ..mechanics.bodies.bodies import CoordinateBody
@@ -25,6 +27,8 @@ from .system import Evaluation, System
 
 RANK_TOLERANCE = 1e-9  # singular values below this share of the largest count as zero
 NEAR_SINGULAR = 1e-6
+CERTAIN = 1e-5  # smallest over largest singular value above which a Gram matrix shows that rows are independent
+INVERSE_ITERATIONS = 4
 
 
 @dataclass(frozen=True)
@@ -71,14 +75,12 @@ class Mobility:
         return "\n".join(lines + [f"  note: {n}" for n in self.notes])
 
 
-def scaled_jacobian(ev: Evaluation) -> Array:
-    """G_s of (1), dense (n_lam, n_core + ports of fields)."""
+def _masses(ev: Evaluation) -> Array:
+    """The diagonal of M over the core, (n_core,); 1 for the modes of reduced bodies."""
     s, n = ev.system, ev.system.motions.n_twist
-    core = ev.jacobian.core
-    G = core.toarray() if sp.issparse(core) else np.array(core)
     mass = np.ones(s.n_core)
     if s.rigid is not None:
-        diagonal = np.array([np.diag(M) for M in s.rigid.matrices()])
+        diagonal = np.diagonal(s.rigid.matrices(), axis1=1, axis2=2)
         mass[(s.rigid.frame[:, None] * n + np.arange(n)).ravel()] = diagonal.ravel()
     for _, p in s.fields:
         if p.frame < s.n_frames:
@@ -88,13 +90,56 @@ def scaled_jacobian(ev: Evaluation) -> Array:
         local: Any = part
         if isinstance(local, CoordinatePart):
             mass[s.slices[1][k]] = np.diag(local.mass(s.local_q(ev.q, k)))
-    G = G / np.sqrt(np.where(mass > 0, mass, mass.max(initial=1e-300)))
+    return np.where(mass > 0, mass, mass.max(initial=1e-300))
+
+
+def scaled_jacobian(ev: Evaluation) -> Array:
+    """G_s of (1), dense (n_lam, n_core + ports of fields)."""
+    s, core = ev.system, ev.jacobian.core
+    G = (core.toarray() if sp.issparse(core) else core) / np.sqrt(_masses(ev))
     if s.fields:
         typical = float(np.abs(G).max(initial=1.0))
         ports = [ev.jacobian.port[:, s.port_slice(k)] @ _port_factor(p) for k, p in s.fields]
         G = np.concatenate((G, *(typical * p / max(float(np.abs(p).max(initial=0.0)), 1.0) for p in ports)), axis=1)
     norms = np.sqrt((G * G).sum(1))
     return np.asarray(G / np.where(norms > 0, norms, 1.0)[:, None])
+
+
+def independent(ev: Evaluation) -> bool:
+    """Whether the constraint rows certainly do not depend on each other; False where a closer look is needed, :func:`mobility`.
+
+    A factor of G_s G_s^T and a few inverse iterations tell its smallest eigenvalue, sigma_min^2: for chains and trees the work is
+    proportional to their length. Squares hide what is below 1e-8, so only sigma_min > 1e-5 sigma_max is certain.
+    """
+    s, core = ev.system, ev.jacobian.core
+    if s.fields or not sp.issparse(core):
+        G: Any = scaled_jacobian(ev)
+        gram = G @ G.T
+        factor, fault = dpotrf(gram, lower=1)
+        if fault:
+            return False
+
+        def solve(x: Array) -> Array:
+            return np.asarray(dpotrs(factor, x, lower=1)[0])
+    else:
+        G = core.tocsr() @ sp.diags(1.0 / np.sqrt(_masses(ev)))
+        size = np.sqrt(np.asarray(G.multiply(G).sum(axis=1)).ravel())
+        G = sp.diags(1.0 / np.where(size > 0, size, 1.0)) @ G
+        gram = (G @ G.T).tocsc()
+        try:
+            solve = splu(gram, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).solve
+        except RuntimeError:  # a pivot is zero
+            return False
+
+    largest = float(abs(gram).sum(axis=0).max())
+    x = 1.0 + 0.5 * np.cos(np.arange(s.n_lam))  # no special direction
+    inverse = 0.0
+    for _ in range(INVERSE_ITERATIONS):
+        y = solve(x / np.linalg.norm(x))
+        inverse, x = float(np.linalg.norm(y)), y
+        if not np.isfinite(inverse):
+            return False
+    return bool(inverse * largest < 1.0 / CERTAIN**2)
 
 
 def _port_factor(part: Any) -> Array:
@@ -113,9 +158,9 @@ def _at_rest(ev: Evaluation, frame: int) -> Any:
     return FrameMotion(ev.t, ev.rotation[frame], np.zeros(n), None, np.zeros(d))
 
 
-def mobility(system: System, t: float, q: Array) -> Mobility:
-    """Mobility of a system in the configuration q."""
-    ev = system.at(t, q)
+def mobility(ev: Evaluation) -> Mobility:
+    """Mobility of a system in one configuration."""
+    system = ev.system
     velocities = system.n_core + sum(p.field.n_global for _, p in system.fields)
     if not system.n_lam:
         return Mobility(velocities, 0, 0, {}, 1.0, 0.0)
@@ -158,7 +203,7 @@ def check(scene: Any, deep: bool = False) -> Mobility:
     ``deep``: also the inf-sup constants of the surface ties, here and on halved meshes, and of displacement and pressure.
     """
     system, state, _ = scene.build()
-    found = mobility(system, state.t, state.q)
+    found = mobility(system.at(state.t, state.q))
     attached = {**scene.joints, **scene.ties}
     loose = loose_bodies(scene.bodies, attached, scene.forces)
     notes = [f'body "{n}" is attached to nothing' for n in loose]

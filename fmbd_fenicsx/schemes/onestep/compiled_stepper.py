@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 
 class CompiledStepper(Stepper):
-    """Steps by the driver, one or many in a call. The first step after a start, and those that fail, are NumPy's."""
+    """Steps by the driver, one or many in a call. Steps that it gives back are NumPy's."""
 
-    path = "compiled (all bodies, joints and forces in C; NumPy for the first step and for steps it gives back)"
+    path = "compiled (all bodies, joints and forces in C; NumPy for the start and for steps it gives back)"
 
     def __init__(self, data: tuple[GeneralizedAlpha, Any, Any, Any, State], driver: AlphaDriver) -> None:
         self.driver = driver
@@ -81,9 +81,25 @@ class CompiledStepper(Stepper):
 
     def advance(self, h: float) -> State:
         """One step of size h (s), as :meth:`Stepper.advance`."""
-        if self.fresh or not self.march(h, 1):
+        if not (self._first_march(h) if self.fresh else self.march(h, 1)):
             return super().advance(h)
         return self.state
+
+    def _first_march(self, h: float) -> int:
+        """The first step after a consistent start; 1 where it could be made.
+
+        It begins from v_0 and A_0 without a transient. What a and lambda would have been a step earlier along their present
+        rates makes the driver predict a_0 + h a' and lambda_0 + h lambda'; later steps know of true values only.
+        """
+        s, driver = self.state, self.driver
+        _, (v, A, a, lam) = self._predicted(h)
+        earlier = (s.t - h, np.zeros_like(s.q), v, 2 * s.a - a, A, 2 * s.lam - lam)
+        driver.load([(s.t, s.q, v, s.a, A, s.lam), earlier])
+        self._tail, self.fresh = s, False
+        made = self.march(h, 1)
+        self._tail, self.fresh = (self.state, False) if made else (None, True)
+        driver.parameters[slots.HISTORY] = made
+        return made
 
     def march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
         """Up to so many steps of size h (s) in one call; how many were made.

@@ -163,13 +163,14 @@ class Stepper:
         """v_0 and A_0 without a transient (see the module), and a, lambda predicted for the end of the first step."""
         system, s = self.system, self.state
         am, af, _, beta = self.scheme.parameters
-        rate, lam_rate, volume = jerk(system, s, self.solver, weights, h)
+        ev = system.at(s.t, s.q, s.v)
+        rate, lam_rate, volume = jerk(ev, s, self.solver, weights, h)
         v = s.v
         if (system.n_lam or volume) and not isinstance(self.scheme.form, GGL):
             c = 1 / 6 - beta - 0.5 * (am - af)
             miss = h * h * (c * rate + spin_of_acceleration(system, s.v, s.a) / 12)
             push = volume_push(self.solver, {k: h * h * c * x for k, x in volume.items()})
-            across = system.at(s.t, s.q).jacobian.times(miss)
+            across = ev.jacobian.times(miss)
             across[speed_rows(system)] = 0.0  # rows on velocities are held there, not missed
             v = v + self.solver.solve(push, across)[0]
         return v, s.a + (am - af) * h * rate, s.a + h * rate, s.lam + h * lam_rate
