@@ -11,7 +11,7 @@ kind               g
 ``Perpendicular``  e . f
 ``Turned``         e . f, e turned in a by the angle s
 ``Distance``       (d . d / L - L) / 2
-``Expressed``      an expression of the user's own, - s
+``Expressed``      a formula of the user's own
 =================  ======================================
 
 Each is defined once, in :mod:`~..kinds.definitions`; g, its rows, g_t and g'' are evaluated by :mod:`~..kinds.evaluation`. The
@@ -157,10 +157,12 @@ class Distance(Batch):
         return {"length": np.array([p.length for p in pairs])}
 
 
-class Expressed(Batch):
-    """An expression of the user's own, equal to its motion; one kind a batch."""
+class NamedConstants(Batch):
+    """Constraints of a kind whose joints give its constants by name."""
 
-    kind = "expressed"
+    def constants(self, pairs: list[Pair]) -> dict[str, Array]:
+        """As the rows of the joints name them."""
+        return {name: np.array([p.constants[name] for p in pairs], dtype=float) for name in pairs[0].constants}
 
 
 class Perpendicular(Batch):
@@ -178,7 +180,36 @@ class Perpendicular(Batch):
         return np.full(len(self.a), length)
 
 
-class Turned(Perpendicular):
+class InTime(Batch):
+    """Constraints whose kind itself depends on a motion of time, as one of its constants."""
+
+    def _drive(self, t: Any) -> None:
+        """The motions and their rates at time t into the constants of the items."""
+        for name, s in zip(("drive", "drive1", "drive2"), self.offsets(t), strict=True):
+            self.items.constant(name)[:, 0] = s
+
+    def values(self, kin: Kinematics, t: float) -> Array:
+        """g at the motions of time t."""
+        self._drive(t)
+        return self.items.values(kin)
+
+    def rows(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """Its rows."""
+        self._drive(t)
+        return self.items.rows(kin)
+
+    def rate(self, kin: Kinematics, t: float) -> Array:
+        """g_t."""
+        self._drive(t)
+        return self.items.rates(kin)[0]
+
+    def gamma(self, kin: Kinematics, t: float) -> Array:
+        """Terms quadratic in the velocities, and those of the motions."""
+        self._drive(t)
+        return self.items.rates(kin)[1]
+
+
+class Turned(InTime, Perpendicular):
     """The same, e turned in marker a about ``axis`` by the motion: the angle between the markers follows it."""
 
     kind = "turned"
@@ -192,27 +223,26 @@ class Turned(Perpendicular):
         axis = np.array([p.direction if p.axis is None else p.axis for p in pairs], dtype=float)
         return found | {"g": np.cross(axis, e)}
 
-    def _drive(self, t: Any) -> None:
-        """The angles and their rates at time t into the constants of the items."""
-        for name, s in zip(("drive", "drive1", "drive2"), self.offsets(t), strict=True):
-            self.items.constant(name)[:, 0] = s
 
-    def values(self, kin: Kinematics, t: float) -> Array:
-        """g = e . f of the two axes."""
-        self._drive(t)
-        return self.items.values(kin)
+class Expressed(NamedConstants):
+    """A formula of a user's own is zero; one kind a batch."""
 
-    def rows(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
-        """Rows of (e x f) . (w_a - w_b)."""
-        self._drive(t)
-        return self.items.rows(kin)
+    kind = "own"
 
-    def rate(self, kin: Kinematics, t: float) -> Array:
-        """g_t of the prescribed angle."""
-        self._drive(t)
-        return self.items.rates(kin)[0]
+    def lengths(self, length: float) -> Array:
+        """Formulas of rotations alone are angles; others are lengths."""
+        return np.full(len(self.a), length if self.items.turns_only else 1.0)
 
-    def gamma(self, kin: Kinematics, t: float) -> Array:
-        """Terms quadratic in the angular velocities, and those of the prescribed angle."""
-        self._drive(t)
-        return self.items.rates(kin)[1]
+
+class ExpressedInTime(InTime, Expressed):
+    """The same, with time in the formula: its motion is the time itself."""
+
+
+class ExpressedSpeed(Expressed):
+    """A formula of a user's own, linear in velocities, is zero."""
+
+    on_speeds = True
+
+
+class ExpressedSpeedInTime(InTime, ExpressedSpeed):
+    """The same, with time in the formula."""

@@ -84,6 +84,11 @@ class Joint:
         """Units of the multipliers, one a row: rows on a rotation carry moments."""
         return tuple("N m" if issubclass(row.kind, ct.Perpendicular) else "N" for row in self.rows)
 
+    @property
+    def joined(self) -> bool:
+        """Whether both sides meet at one point where none is given; else each has its own."""
+        return self.kind != "distance"
+
     def __post_init__(self) -> None:
         word("A joint's name", self.name)
         ends = [(getattr(x, "body", x), x.name) for x in (self.a, self.b)]  # surfaces are made anew at each call

@@ -23,39 +23,31 @@ from ...checks import check_fields, number, typed, vector
 from ...errors import InputError, require
 from ...rotations import Array
 from ..bodies.bodies import RigidBody
-from .constraints import Along, Batch, Pair
+from .constraints import Along, NamedConstants
 from .joints import Joint, Row, Vector, basis, dimension, direction
 
 
-class KindBatch(Batch):
-    """Constraints of a kind whose joints give its constants by name."""
-
-    def constants(self, pairs: list[Pair]) -> dict[str, Array]:
-        """As the rows of the joints name them."""
-        return {name: np.array([p.constants[name] for p in pairs], dtype=float) for name in pairs[0].constants}
-
-
-class WheelHeight(KindBatch):
+class WheelHeight(NamedConstants):
     """The lowest point of a wheel stays on a plane."""
 
     kind = "wheel_height"
 
 
-class WheelSlip(KindBatch):
+class WheelSlip(NamedConstants):
     """The lowest point of a wheel does not slip along one direction of a plane."""
 
     kind = "wheel_slip"
     on_speeds = True
 
 
-class BallSlip(KindBatch):
+class BallSlip(NamedConstants):
     """The lowest point of a ball, or of a disc in the plane, does not slip along one direction."""
 
     kind = "ball_slip"
     on_speeds = True
 
 
-class Skate(KindBatch):
+class Skate(NamedConstants):
     """A point does not move across a blade."""
 
     kind = "skate"

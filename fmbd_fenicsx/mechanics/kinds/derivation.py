@@ -80,8 +80,8 @@ def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -
     twist = twist_of(frames)
 
     row = gradient(y, twist) if flow else twist_gradient(y, frames)
-    moving = gradient(y, [DRIVE])[0]
-    partial = ZERO if flow else moving * DRIVE_RATE
+    moving = ZERO if flow else gradient(y, [DRIVE])[0]
+    partial = moving * DRIVE_RATE
     speed = partial
     for r, u in zip(row, twist, strict=True):
         speed = speed + r * u

@@ -42,6 +42,11 @@ class Items:
                 out[:, kind.place(name)] = np.reshape(known[name], (-1, kind.constants[name]))
         return out
 
+    @property
+    def turns_only(self) -> bool:
+        """Whether the kind depends on rotations alone."""
+        return all(i % self.width >= self.motions.dim for i in self.kind.entries)
+
     def repeated(self, k: int, markers: int) -> Items:
         """These items k times, copy c on the markers numbered ``c markers`` higher."""
         out, shift = copy(self), markers * np.repeat(np.arange(k, dtype=np.int32), len(self))

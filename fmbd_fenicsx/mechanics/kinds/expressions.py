@@ -48,8 +48,13 @@ class Expression:
     def __rtruediv__(self, other: Any) -> Expression:
         return _quotient(as_expression(other), self)
 
-    def __pow__(self, exponent: int) -> Expression:
-        """Whole powers, by multiplication."""
+    def __pow__(self, exponent: float) -> Expression:
+        """Whole powers by multiplication, square roots, and other powers of positive numbers."""
+        if exponent == 0.5:
+            return sqrt(self)
+        if exponent != int(exponent):
+            return exp(log(self) * exponent)
+        exponent = int(exponent)
         out = ONE
         for _ in range(abs(exponent)):
             out = out * self
@@ -57,6 +62,47 @@ class Expression:
 
     __radd__ = __add__
     __rmul__ = __mul__
+
+    # what has no derivative everywhere cannot be part of a formula
+    def __bool__(self) -> bool:
+        raise TypeError("an expression has no truth value: it must be one formula, the same at all times")
+
+    def __lt__(self, other: Any) -> bool:
+        raise TypeError("expressions cannot be compared: they must be one smooth formula (np.tanh is a smooth sign)")
+
+    __le__ = __gt__ = __ge__ = __lt__
+
+    def __abs__(self) -> Expression:
+        raise TypeError("abs has no derivative at 0; np.sqrt(x * x + c * c) is smooth")
+
+    # NumPy's functions of objects call the method of their name: np.sin(x) is x.sin()
+    def sqrt(self) -> Expression:
+        """Square root."""
+        return sqrt(self)
+
+    def sin(self) -> Expression:
+        """Sine."""
+        return sin(self)
+
+    def cos(self) -> Expression:
+        """Cosine."""
+        return cos(self)
+
+    def exp(self) -> Expression:
+        """Exponential."""
+        return exp(self)
+
+    def log(self) -> Expression:
+        """Natural logarithm."""
+        return log(self)
+
+    def tanh(self) -> Expression:
+        """Hyperbolic tangent."""
+        return tanh(self)
+
+    def arctan2(self, x: Any) -> Expression:
+        """Angle of the point (x, self), rad, in (-pi, pi]."""
+        return atan2(self, x)
 
     def __repr__(self) -> str:
         if self.operation in ("symbol", "constant"):
@@ -83,7 +129,9 @@ def constant(value: float) -> Expression:
 
 
 def as_expression(value: Any) -> Expression:
-    """A number as a node; expressions as they are."""
+    """A number as a node; expressions as they are, also those in an array without dimensions."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
     return value if isinstance(value, Expression) else constant(value)
 
 
@@ -232,6 +280,29 @@ def gradient(y: Expression, by: Sequence[Expression]) -> list[Expression]:
         for argument, part in zip(node.arguments, parts, strict=True):
             adjoint[argument] = adjoint.get(argument, ZERO) + factor * part
     return [adjoint.get(x, ZERO) for x in by]
+
+
+_MADE: dict[str, Callable[..., Expression]] = {
+    "+": _sum,
+    "minus": _negative,
+    "*": _product,
+    "/": _quotient,
+}
+
+
+def rebuilt(results: Sequence[Expression], constants: Callable[[float], Expression]) -> list[Expression]:
+    """The same expressions with each number x replaced by ``constants(x)``."""
+    new: dict[Expression, Expression] = {}
+    for node in _ordered(results):
+        if node.operation == "symbol":
+            new[node] = node
+        elif node.operation == "constant":
+            new[node] = constants(node.arguments[0])
+        else:
+            arguments = [new[x] for x in node.arguments]
+            made = _MADE.get(node.operation)
+            new[node] = made(*arguments) if made else _node(node.operation, *arguments)
+    return [new[y] for y in results]
 
 
 def symbols_of(results: Iterable[Expression]) -> set[Expression]:

@@ -130,7 +130,9 @@ class Constants:
 
 def twist_gradient(y: Expression, frames: Sequence[SymbolicFrame]) -> list[Expression]:
     """Derivatives of y by the twist components of some frames, equations (1)."""
-    places = [z for f in frames for z in (*f.x, *(c for u, _ in f.arms for c in u), *([f.phi] if f.phi else []))]
+    places = [
+        z for f in frames for z in (*f.x, *(c for u, _ in f.arms for c in u), *([] if f.phi is None else [f.phi]))
+    ]
     slopes = dict(zip(places, gradient(y, places), strict=True))
     out: list[Expression] = []
 

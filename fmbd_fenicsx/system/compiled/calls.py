@@ -107,11 +107,11 @@ class Calls:
 
 def _motions(system: Any) -> list[tuple[np.ndarray, list[Any]]]:
     """Rows with a prescribed motion on their right-hand side, and these motions."""
-    from ...mechanics.joints.constraints import Turned
+    from ...mechanics.joints.constraints import InTime
 
     out = []
     for batch, rows in system.batches:
-        if batch.driven and not isinstance(batch, Turned):
+        if batch.driven and not isinstance(batch, InTime):
             out.append((rows[[i for i, _ in batch.driven]], [motion for _, motion in batch.driven]))
     return out
 

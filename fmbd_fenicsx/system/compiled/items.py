@@ -106,7 +106,7 @@ def _constraint(batch: ct.Batch, rows: np.ndarray) -> Items:
     """Items of a batch of elementary constraints."""
     out = _of(batch, ROW)
     out.row, out.factor = rows, np.ones(len(rows))
-    if isinstance(batch, ct.Turned):
+    if isinstance(batch, ct.InTime):
         out.drive = [motion for _, motion in batch.driven]
     return out
 

@@ -386,7 +386,7 @@ class Builder:
     ) -> tuple[list[tuple[Batch, np.ndarray]], list[tuple[PortConstraint, slice]], list[RowBlock]]:
         collected = JointRows(self.m)
         for joint in self.scene.joints.values():
-            default = None if joint.kind == "distance" else self._default_point(joint)
+            default = self._default_point(joint) if joint.joined else None
             a = self._marker(joint.a, default if joint.center_a is None else joint.center_a)
             b = self._marker(joint.b, default if joint.center_b is None else joint.center_b)
             collected.add(joint, (a, b))

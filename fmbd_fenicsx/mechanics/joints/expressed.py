@@ -1,0 +1,135 @@
+"""A constraint of a user's own, by one formula of two markers and of time.
+
+    def bowl(a, b, t):
+        x, y, z = b.x - a.x
+        return z - 0.5 * (x * x + y * y)
+
+    scene.add(fmbd.constraint("bowl", fmbd.ground, bead, bowl))
+
+The formula g(A, B, t) = 0 is written down once, when the constraint is made. Its rows, g', g'' and the stiffness of its reaction
+are derived from it, and evaluated by compiled kernels as those of the package's own joints (:mod:`~..kinds.own`). A formula of
+velocities, linear in them, is a nonholonomic constraint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...checks import typed, vector
+from ...errors import InputError
+from ...rotations import Array
+from ..bodies.bodies import RigidBody
+from ..kinds.own import OwnTerm, frame_numbers, own_term, traced
+from . import constraints as ct
+from .couplings import smooth_motion
+from .joints import Joint, Row, Vector, dimension, ground
+
+
+@dataclass(frozen=True)
+class ExpressedJoint(Joint):
+    """Rows by formulas of a user's own; its two points are apart."""
+
+    @property
+    def joined(self) -> bool:
+        """Each side has a point of its own."""
+        return False
+
+    @property
+    def reaction_units(self) -> tuple[str, ...]:
+        """Multipliers of formulas of rotations alone are moments."""
+        dim = len(self.rows[0].direction)
+        width = 3 * (dim - 1)
+        turning = [all(i % width >= dim for i in row.own.entries) for row in self.rows if row.own]
+        return tuple("N m" if alone else "N" for alone in turning)
+
+
+@typed
+def constraint(
+    name: str,
+    a: Any,
+    b: Any,
+    expression: Callable[..., Any],
+    *,
+    point_a: Vector | None = None,
+    point_b: Vector | None = None,
+) -> ExpressedJoint:
+    """A constraint of your own: expression(a, b, t) -> a formula, or several, that vanish where the constraint holds.
+
+    a and b are the two markers, their arrays in world axes: ``x`` (d,) position in m, ``R`` (d, d) rotation since the start (its
+    columns are the axes that the body carries), ``v`` (d,) velocity in m/s, ``w`` (3,), in the plane (1,), angular velocity in
+    rad/s; t is the time in s. Write the formula with +, -, *, /, ** and NumPy's ``sqrt``, ``sin``, ``cos``, ``exp``, ``log``,
+    ``tanh``, ``arctan2``, ``dot``, ``cross``:
+
+        def rod(a, b, t):
+            d = b.x - a.x
+            return np.sqrt(d @ d) - 0.5
+
+    The function is called once, here; g', g'', the tangent and a compiled kernel are derived from its formula, so that every
+    scheme and analysis takes the constraint. Its multiplier times the row of the formula is the force on the markers.
+
+    Args:
+        name: of the constraint; :func:`fmbd_fenicsx.reaction_force` and others find it by it.
+        a, b: rigid bodies, surfaces of elastic bodies, sections of rods, or the ground.
+        expression: a length in m or, of rotations alone, an angle in rad: residuals are judged by the size of the model. Where it
+            holds velocities it must be linear in them, and is a nonholonomic constraint.
+        point_a, point_b: the markers, world, initial configuration (m); None: the position of a rigid body, the centroid of a
+            surface, the origin of the world.
+
+    Raises:
+        InputError: the function fails for symbols, returns no formula, depends on no marker, or has no derivative at the start.
+    """
+    dim = dimension(a, b, name)
+    what = f'Constraint "{name}"'
+    given = {"point_a": point_a, "point_b": point_b}
+    points = [None if x is None else vector(f"{what}: {end}", x, size=dim) for end, x in given.items()]
+    places: list[Any] = [_place(side, point, dim) for side, point in zip((a, b), points, strict=True)]
+    terms = [own_term(what, y, dim) for y in traced(what, expression, dim)]
+
+    # where both markers are known already, what cannot be evaluated is refused here
+    if all(x is not None for x in places):
+        _finite(what, terms, places, dim)
+    rows = tuple(_row(name, term, dim) for term in terms)
+    return ExpressedJoint(name, a, b, rows, places[0], places[1], kind="own")
+
+
+def _row(name: str, term: OwnTerm, dim: int) -> Row:
+    """The row of a formula; where time is in it, that is its motion."""
+    batch = _BATCHES[term.kind.flow, term.in_time]
+    motion = smooth_motion(name, lambda t: (t, 1.0, 0.0)) if term.in_time else ct.standstill
+    return Row(batch, np.zeros(dim), motion=motion, own=term.kind, constants=term.constants)
+
+
+_BATCHES = {
+    (False, False): ct.Expressed,
+    (False, True): ct.ExpressedInTime,
+    (True, False): ct.ExpressedSpeed,
+    (True, True): ct.ExpressedSpeedInTime,
+}
+
+
+def _place(side: Any, point: Array | None, dim: int) -> Array | None:
+    """Where a marker is at the start; None where a mesh has to tell."""
+    if point is not None:
+        return point
+    if side is ground:
+        return np.zeros(dim)
+    return side.start_pose()[:dim] if isinstance(side, RigidBody) else None
+
+
+def _finite(what: str, terms: list[OwnTerm], places: list[Any], dim: int) -> None:
+    """Refuse formulas without finite values and derivatives at the start."""
+    a, b = (frame_numbers(dim, x) for x in places)
+    for i, term in enumerate(terms):
+        found = term.at((a, b), 0.0)
+        if np.isfinite(found).all():
+            continue
+        which = "" if len(terms) == 1 else f" {i + 1} of {len(terms)}"
+        lacking = "value" if not np.isfinite(found[0]) else "derivative"
+        raise InputError(
+            f"{what}: its formula{which} has no finite {lacking} at the start, with a at {tuple(map(float, places[0]))} and b at "
+            f"{tuple(map(float, places[1]))}. Move the points, or write it another way: d @ d - L * L instead of sqrt(d @ d) - L."
+        )
