@@ -126,9 +126,11 @@ def _top(kind: type[BaseException], error: BaseException, trace: TracebackType |
 def _top_of_many(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     import time
 
-    if issubclass(kind, KeyboardInterrupt) and hasattr(error, "run"):  # all ranks have stopped after the same step
+    if isinstance(error, Stopped):
         say(error.run.report())
-        raise SystemExit(error.exit_code)  # type: ignore[attr-defined]
+        if not all_leave():  # ranks of a run without fields do not wait for each other
+            end_all(error.exit_code)
+        raise SystemExit(error.exit_code)
 
     from mpi4py import MPI
 

@@ -79,10 +79,9 @@ class Chain:
     def end(self, phi: Array) -> Array:
         return self.size * np.array([np.cos(phi).sum(), np.sin(phi).sum()])
 
-    def twist(self, phi: Array) -> float:
-        """Of the last hinge since the start, rad."""
-        before = (0.0, *phi)[-2] - (0.0, *self.start)[-2]
-        return float(phi[-1] - self.start[-1] - before)
+    def twist(self, turned: Array) -> float:
+        """Of the last hinge when the links have ``turned`` since the start, rad."""
+        return float(turned[-1] - (0.0, *turned)[-2])
 
     def inertia(self, phi: Array) -> tuple[Array, Array]:
         """M, and the matrix whose product with squares of rates is the centrifugal torque."""
@@ -90,12 +89,16 @@ class Chain:
         weighted, apart = A.T @ (self.masses[:, None] * A), phi[:, None] - phi[None, :]
         return weighted * np.cos(apart) + np.diag(self.masses * self.size**2 / 12), weighted * np.sin(apart)
 
-    def accelerations(self, phi: Array, rate: Array) -> Array:
+    def accelerations(self, turned: Array, rate: Array) -> Array:
+        """Of the angles, rad/s^2, from what the links have turned since the start: in angles themselves a stiff torsion
+        spring feels nothing but roundoff.
+        """
+        phi = self.start + turned
         c, s, A = np.cos(phi), np.sin(phi), self.arms(phi)
         M, centrifugal = self.inertia(phi)
         f = -centrifugal @ rate**2 - self.gravity * c * (A.T @ self.masses)
         if self.torsion:
-            torque = -self.torsion * self.twist(phi)
+            torque = -self.torsion * self.twist(turned)
             f[-1] += torque
             if len(phi) > 1:
                 f[-2] -= torque
@@ -115,7 +118,10 @@ class Chain:
         """Kinetic and potential, J."""
         v = self.arms(phi) @ (rate[:, None] * np.stack([-np.sin(phi), np.cos(phi)], axis=1))
         T = 0.5 * float(self.masses @ ((v**2).sum(1) + self.size**2 / 12 * rate**2))
-        V = self.gravity * float(self.masses @ self.middles(phi)[:, 1]) + 0.5 * self.torsion * self.twist(phi) ** 2
+        V = (
+            self.gravity * float(self.masses @ self.middles(phi)[:, 1])
+            + 0.5 * self.torsion * self.twist(phi - self.start) ** 2
+        )
         if self.spring is not None:
             k, anchor, free = self.spring
             V += 0.5 * k * (float(np.linalg.norm(anchor - self.end(phi))) - free) ** 2
@@ -133,9 +139,9 @@ class Chain:
 
     def fastest(self) -> float:
         """Largest frequency about the start, rad/s, from differences."""
-        phi, n, d = self.start, len(self.start), 1e-7
+        n, d = len(self.start), 1e-7
         rest = np.zeros(n)
-        ends = [(self.accelerations(phi + d * e, rest), self.accelerations(phi - d * e, rest)) for e in np.eye(n)]
+        ends = [(self.accelerations(d * e, rest), self.accelerations(-d * e, rest)) for e in np.eye(n)]
         K = np.array([minus - plus for plus, minus in ends]).T / (2 * d)
         return float(np.sqrt(np.abs(np.linalg.eigvals(K)).max()))
 
@@ -143,14 +149,14 @@ class Chain:
         """Angles and rates at the end, by Radau's method of SciPy."""
         n = len(self.start)
         speeds = max(
-            np.abs(self.rates()).max(), np.abs(self.accelerations(self.start, self.rates())).max() * t_end, 1e-300
+            np.abs(self.rates()).max(), np.abs(self.accelerations(np.zeros(n), self.rates())).max() * t_end, 1e-300
         )
         floor = np.r_[np.full(n, 1e-6 * speeds * t_end + 1e-15), np.full(n, 1e-6 * speeds)]
         found = solve_ivp(
-            lambda t, y: np.r_[y[n:], self.accelerations(y[:n], y[n:])], (0.0, t_end), np.r_[self.start, self.rates()],
+            lambda t, y: np.r_[y[n:], self.accelerations(y[:n], y[n:])], (0.0, t_end), np.r_[np.zeros(n), self.rates()],
             "Radau", rtol=1e-7, atol=floor,
         )  # fmt: skip
-        return found.y[:n, -1], found.y[n:, -1]
+        return self.start + found.y[:n, -1], found.y[n:, -1]
 
 
 def rigid(rng: np.random.Generator) -> Case:

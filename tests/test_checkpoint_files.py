@@ -322,7 +322,9 @@ def test_killed_fifty_times(tmp_path: Path) -> None:
 
 def test_a_stopped_program_prints_its_report_and_exits_with_75(tmp_path: Path) -> None:
     child = start(tmp_path / "run", 100, 1000.0, tmp_path / "run.npy")
-    time.sleep(0.3)
+    plan, until = fmbd.Checkpoint(tmp_path / "run"), time.monotonic() + 60
+    while (plan.newest is None or "step0" in plan.newest.name) and time.monotonic() < until:
+        time.sleep(0.05)  # until it marches: before, the signal is the system's
     child.send_signal(signal.SIGUSR1)
     out, err = child.communicate(timeout=60)
     assert child.returncode == 75, err

@@ -13,6 +13,7 @@ import re
 import signal
 import time as clock
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,8 @@ def _numbered(folder: Path) -> list[tuple[int, Path]]:
 class Keeper:
     """Takes up and writes the checkpoints of one run, and listens to requests to stop.
 
-    Methods are collective over the ranks of the fields; without fields every rank does the same, and rank 0 writes. ``given``:
+    Methods are collective over the ranks of the fields; without fields every rank does the same, and rank 0 writes: the others
+    hand on requests to stop by the file STOP, since ranks that do not wait for each other cannot agree on a step. ``given``:
     settings and scene as text, see :mod:`.fingerprint`.
     """
 
@@ -119,7 +121,18 @@ class Keeper:
     def close(self) -> None:
         """Leave the folder to others."""
         if self.lock is not None:
+            if not self.shared and world_size() > 1:
+                self._unlink_stop()  # another rank may have asked after the last look
             self.lock.release()
+
+    def _unlink_stop(self) -> None:
+        with suppress(OSError):
+            (self.folder / STOP).unlink(missing_ok=True)
+
+    @property
+    def shared(self) -> bool:
+        """Whether several ranks make this run together."""
+        return self.comm is not None and self.comm.size > 1
 
     def _together(self, action: Callable[[], Any]) -> Any:
         """What the writing process does, its error raised on all ranks."""
@@ -141,7 +154,12 @@ class Keeper:
         if self.restart is None:
             self.write(course)
             return
-        values, known, self.newest = self._load(Path(self.restart))
+        try:
+            values, known, self.newest = self._load(Path(self.restart))
+        except CheckpointError:
+            if self.writes or self.shared or self.plan is None:
+                raise
+            return  # rank 0 goes on meanwhile and has removed it, or has reported the damage: the same run from its start
         compare(known, self.given, self.newest)
         self._take_up(course, values)
         self.written = course.done
@@ -186,7 +204,13 @@ class Keeper:
             return stop.asked
         if self.writes:
             verdict = max(verdict, self._due(course.done, self.plan))
-        if self.comm is not None and self.comm.size > 1:
+        elif stop.asked and not self.shared:
+            stop.asked = False
+            with suppress(OSError):
+                (self.folder / STOP).touch()
+            return False
+        if self.shared:
+            assert self.comm is not None
             verdict = max(self.comm.allgather(verdict))
         if verdict == GO_ON:
             return False
@@ -194,7 +218,7 @@ class Keeper:
         if verdict == WRITE_AND_STOP:
             self.exit_code = INTERRUPTED if stop.by == signal.SIGINT else STOPPED
             if self.writes:
-                (self.folder / STOP).unlink(missing_ok=True)
+                self._unlink_stop()
         return verdict == WRITE_AND_STOP
 
     def _due(self, done: int, plan: Checkpoint) -> int:

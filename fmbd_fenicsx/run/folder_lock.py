@@ -7,6 +7,7 @@ import fcntl
 import os
 import socket
 import time as clock
+from contextlib import suppress
 from pathlib import Path
 
 from ..errors import CheckpointError
@@ -56,8 +57,9 @@ class FolderLock:
             ) from error
 
     def release(self) -> None:
-        """Let others in."""
+        """Let others in. A note that cannot be removed stays: the lock itself ends, and no other error is hidden by it."""
         if self._handle is not None:
-            self.path.unlink(missing_ok=True)
+            with suppress(OSError):
+                self.path.unlink(missing_ok=True)
             os.close(self._handle)
             self._handle = None
