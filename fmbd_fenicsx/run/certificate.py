@@ -1,4 +1,4 @@
-"""What a run states of its own accuracy: errors of space, time, reduction and algebra of every sensor, and their sum."""
+"""What a run states of its own accuracy: errors of space, time, reduction and algebra of every sensor, and their total."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 
 from ..errors import InputError, near
 from ..system.scene.refinement import meshed_bodies, modal_bodies
+
+from .deviation import together
 
 if TYPE_CHECKING:
     from .solve import Run
@@ -26,16 +28,17 @@ class Statement:
     time: float | None
     modes: float | None
     algebra: float | None
+    total: float  # of all at once: see deviation.together
     span: float  # largest less smallest value of the component that moves most
 
     @property
-    def total(self) -> float:
-        """Sum of what was stated."""
+    def sum(self) -> float:
+        """Sum of the largest errors of each kind: they may cancel, or come at different times."""
         return sum(x for x in (self.space, self.time, self.modes, self.algebra) if x is not None)
 
     @property
     def share(self) -> float:
-        """The sum as a share of the range of the sensor; infinite for a sensor that does not move."""
+        """The total as a share of the range of the sensor; infinite for a sensor that does not move."""
         return self.total / self.span if self.span > 0 else (np.inf if self.total > 0 else 0.0)
 
 
@@ -57,7 +60,7 @@ class Certificate:
     def __str__(self) -> str:
         """A table, one line for each sensor."""
         width = max([len(s.sensor) for s in self.statements] + [6])
-        lines = [f"{'sensor':<{width}} " + "".join(f"{k:>10}" for k in (*KINDS, "sum", "of range")) + "  unit"]
+        lines = [f"{'sensor':<{width}} " + "".join(f"{k:>10}" for k in (*KINDS, "total", "of range")) + "  unit"]
         for s in self.statements:
             numbers = [getattr(s, k) for k in KINDS]
             shown = "".join(f"{'-':>10}" if x is None else f"{x:>10.1e}" for x in (*numbers, s.total, s.share))
@@ -70,7 +73,8 @@ class Certificate:
         rows = {
             s.sensor: {
                 **{k: getattr(s, k) for k in KINDS},
-                "sum": s.total,
+                "total": s.total,
+                "sum": s.sum,
                 "share": s.share if np.isfinite(s.share) else None,
                 "unit": s.unit,
             }
@@ -82,8 +86,9 @@ class Certificate:
 def certificate_of(run: Run) -> Certificate:
     """The certificate of a run from the estimates that it was asked for.
 
-    The error of algebra is that of Newton's iteration: its tolerance, relative to accelerations and reactions, as a share of the
-    range of each sensor.
+    The error of algebra is that of Newton's iteration: what it left on average, relative to accelerations and reactions, as a
+    share of the range of each sensor. The total adds errors of space, time and modes with their signs, see
+    :func:`.deviation.together`.
     """
     reduced, meshed = bool(modal_bodies(run.scene)), bool(meshed_bodies(run.scene))
     controlled = getattr(run.scheme, "rtol", None) is not None
@@ -107,6 +112,8 @@ def certificate_of(run: Run) -> Certificate:
         space = run.space_error.get(name) if meshed else 0.0
         modes = run.reduction_error.get(name) if reduced else 0.0
         # with error control Newton's share is a part of the tolerance, and in the error of time
-        own = 0.0 if controlled else run.newton_tolerance * span
-        made.append(Statement(name, sensor.unit, space, run.error_estimate.get(name), modes, own, span))
+        own = 0.0 if controlled else run.newton_accuracy * span
+        found = [kind[name] for kind in run.deviations.values() if name in kind]
+        time = run.error_estimate.get(name)
+        made.append(Statement(name, sensor.unit, space, time, modes, own, together(found) + own, span))
     return Certificate(tuple(made), run.seconds["total"], unstated)

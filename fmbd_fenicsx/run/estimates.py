@@ -15,6 +15,7 @@ from ..schemes.control import FINEST
 from ..system.scene.refined_basis import finer_system
 from ..system.scene.refinement import finer_space
 from ..system.scene.scene import Scene
+from .deviation import Deviation
 from .output import Output, Recorder
 from .schedule import Pace
 from .time_loop import Problem, begin, make_solver, march
@@ -37,7 +38,7 @@ class Compared:
 class TimeError:
     """Error of time and observed order of each sensor; ``with_others``: the cheapest run that follows the same motion."""
 
-    errors: dict[str, float]
+    errors: dict[str, Deviation]
     orders: dict[str, float]
     with_others: Compared
 
@@ -70,22 +71,22 @@ def time_error(problem: Problem, fine: Recorder, pace: Pace) -> TimeError:
             far = _distance(half, quarter, name)
             p = float(np.log2(far / near)) if far > 0 else 0.0
         usable = problem.scheme.order if np.isnan(p) else min(max(p, 0.5), problem.scheme.order)
-        errors[name], orders[name] = near / (2.0**usable - 1.0), p
-    moving = [n for n, x in fine.series.items() if errors[n] > ROUNDOFF * np.abs(x).max(initial=0.0)]
+        errors[name], orders[name] = _scaled(_deviation(fine, half, name), 1.0 / (2.0**usable - 1.0)), p
+    moving = [n for n, x in fine.series.items() if errors[n].size > ROUNDOFF * np.abs(x).max(initial=0.0)]
     known = [orders[n] for n in moving]
     if quarter is None or not known or not min(known) >= SEEN * problem.scheme.order:
         return TimeError(errors, orders, given)
     return TimeError(errors, orders, Compared(quarter, Pace(pace.t_end, pace.steps // 4)))
 
 
-def tolerance_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str, float]:
+def tolerance_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str, Deviation]:
     """Error of each sensor by the tolerance of an error-controlled scheme: the distance to a run with a tenth of it, both at
     the recorded times; collective. Empty, with a warning, where that run fails.
     """
     scheme = replace(problem.scheme, rtol=max(0.1 * problem.scheme.rtol, FINEST))
     wanted = Output(energy=False, progress=False, times=tuple(coarse.times))
     solver = make_solver(problem.scene, problem.system, problem.linear)
-    newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
+    newton = problem.newton.afresh(solver.refresh)
     solver.pressures = problem.pressures
     try:
         fine = _whole(replace(problem, scheme=scheme, newton=newton), solver, pace, wanted)
@@ -94,10 +95,10 @@ def tolerance_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str,
         return {}
     finally:
         solver.destroy()
-    return {n: float(np.abs(x - fine.series[n]).max(initial=0.0)) for n, x in coarse.series.items()}
+    return {n: Deviation(coarse.times, fine.series[n] - x) for n, x in coarse.series.items()}
 
 
-def space_error(problem: Problem, compared: Compared) -> tuple[dict[str, float], str]:
+def space_error(problem: Problem, compared: Compared) -> tuple[dict[str, Deviation], str]:
     """Error of each sensor by the meshes of the elastic bodies, and what could not be stated; collective.
 
     A run is made once more, with the same steps, each body in a finer space
@@ -113,7 +114,7 @@ def space_error(problem: Problem, compared: Compared) -> tuple[dict[str, float],
         return {}, why or "no body is on a mesh"
     system, given, markers = built
     solver = make_solver(scene, system, problem.linear)
-    newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
+    newton = problem.newton.afresh(solver.refresh)
     coarse, pace = compared.recorder, compared.pace
     wanted = _as_recorded(coarse, pace)
     try:
@@ -128,7 +129,7 @@ def space_error(problem: Problem, compared: Compared) -> tuple[dict[str, float],
     errors = {}
     for name, x in coarse.series.items():
         if x.shape == fine.series[name].shape:
-            errors[name] = AHEAD * float(np.abs(x - fine.series[name]).max(initial=0.0))
+            errors[name] = Deviation(coarse.times, AHEAD * (fine.series[name] - x))
         else:
             why = f'"{name}" has other values on another mesh'
     return errors, why
@@ -155,7 +156,7 @@ def _finer_scene(scene: Scene) -> tuple[Scene, str, Any]:
 def _again(problem: Problem, pace: Pace, factor: int, times: Sequence[float] | None) -> Recorder:
     """The march once more with steps larger by a factor, sensors recorded in every step or at the ``times``; collective."""
     solver = make_solver(problem.scene, problem.system, problem.linear)
-    newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
+    newton = problem.newton.afresh(solver.refresh)
     solver.pressures = problem.pressures
     wanted = Output(energy=False, progress=False, times=times)
     try:
@@ -177,14 +178,21 @@ def _whole(problem: Problem, solver: StepSolver, pace: Pace, output: Output, *, 
 
 
 def _distance(fine: Recorder, coarse: Recorder, name: str) -> float:
-    """Largest difference of a series, recorded at some steps, and one recorded at every step of twice the size; or of two at
-    the same times.
-    """
+    """Largest difference of two series, see :func:`_deviation`."""
+    return _deviation(fine, coarse, name).size
+
+
+def _deviation(fine: Recorder, coarse: Recorder, name: str) -> Deviation:
+    """A series, recorded at some steps, less one recorded at every step of twice the size; or two at the same times."""
     x, y = fine.series[name], coarse.series[name]
     if fine.output.times is not None:
-        return float(np.abs(x - y).max(initial=0.0))
+        return Deviation(fine.times, x - y)
     rows = [k for k, n in enumerate(fine.indices) if n % 2 == 0]
-    return float(np.abs(x[rows] - y[[fine.indices[k] // 2 for k in rows]]).max(initial=0.0))
+    return Deviation(fine.times[rows], x[rows] - y[[fine.indices[k] // 2 for k in rows]])
+
+
+def _scaled(deviation: Deviation, factor: float) -> Deviation:
+    return replace(deviation, values=factor * deviation.values)
 
 
 def _as_recorded(coarse: Recorder, pace: Pace) -> Output:
@@ -193,7 +201,7 @@ def _as_recorded(coarse: Recorder, pace: Pace) -> Output:
     return wanted if pace.steps else replace(wanted, times=tuple(coarse.times))
 
 
-def reduction_error(problem: Problem, compared: Compared) -> dict[str, float]:
+def reduction_error(problem: Problem, compared: Compared) -> dict[str, Deviation]:
     """Error of each sensor by the modes that reduced bodies leave out; collective. Empty without reduced bodies.
 
     A run is made once more, with the same steps, by finer bases that contain the given ones
@@ -209,7 +217,7 @@ def reduction_error(problem: Problem, compared: Compared) -> dict[str, float]:
         return {}
     system, given = made
     solver = make_solver(problem.scene, system, problem.linear)
-    newton = replace(problem.newton, iterations=0, theta=0.5, refresh=solver.refresh)
+    newton = problem.newton.afresh(solver.refresh)
     coarse, pace = compared.recorder, compared.pace
     wanted = _as_recorded(coarse, pace)
     try:
@@ -221,4 +229,4 @@ def reduction_error(problem: Problem, compared: Compared) -> dict[str, float]:
         return {}
     finally:
         solver.destroy()
-    return {n: SATURATION * float(np.abs(x - fine.series[n]).max(initial=0.0)) for n, x in coarse.series.items()}
+    return {n: Deviation(coarse.times, SATURATION * (fine.series[n] - x)) for n, x in coarse.series.items()}

@@ -277,42 +277,53 @@ class Recorder:
         if self._wanted is not None:
             self._wanted = [t for t in self._wanted if t <= met.t]
             self._take_between(n, state, stepper, rounding)
-        self._record(n, met, None)
+        self._record(n, met, None, between=True)
 
     def _take_between(self, n: int, state: State, stepper: Any, rounding: float) -> None:
         """Record the times that the last step has passed."""
         assert self._wanted is not None
+        passed = bool(self._wanted) and self._wanted[0] <= state.t + rounding
         while self._wanted and self._wanted[0] <= state.t + rounding:
             t = self._wanted.pop(0)
             at = state
             if abs(t - state.t) > rounding and self._before is not None:
                 at = state_between(self.system, self._before, state, t, stepper)
-            self._record(n, at, None)
+            self._record(n, at, None, between=True)
+        if passed:
+            self._judge(n, state, self.system.at(state.t, state.q, state.v))
         self._before = state
 
-    def _record(self, n: int, state: State, seen: Evaluation | None) -> None:
-        """Sensors, drift and energies of a state."""
+    def _record(self, n: int, state: State, seen: Evaluation | None, *, between: bool = False) -> None:
+        """Sensors, drift and energies of a state; joints of one ``between`` the ends of a step are as open as the polynomial
+        leaves them, which is no failure of the step.
+        """
         begin = clock.perf_counter()
         ev = self.system.at(state.t, state.q, state.v) if seen is None else seen
         self.indices.append(n)
         self.pieces.append(np.array([state.t]))
         for name, sensor in self.scene.sensors.items():
             self.values[name].append(np.asarray(sensor.read(ev, state, self.markers[name]))[None])
-        if self.closed is not None and n:
-            self.closed.check(ev)
-        if self.system.n_lam:
-            self.gap = max(self.gap, float(np.abs(ev.constraint()).max()))
-            rate = np.abs(ev.jacobian.times(state.v) + ev.constraint_rate())
-            self.slip = max(self.slip, float(rate.max()))
-            if self.closed is not None:
-                self.worst_slip = max(self.worst_slip, float((self.closed.units * rate).max()))
-                self.fastest = max(self.fastest, self.system.max_abs(state.v))
+        if not between:
+            self._judge(n, state, ev)
         if self.output.energy:
             for name, value in ev.energies().items():
                 self.energies.setdefault(name, []).append(np.array([value]))
         if self.output.ledger:
             self._book(ev, state)
         self.seconds += clock.perf_counter() - begin
+
+    def _judge(self, n: int, state: State, ev: Evaluation) -> None:
+        """How far joints are open at the end of step n; raises ConvergenceError where it is too far; collective."""
+        if self.closed is not None and n:
+            self.closed.check(ev)
+        if not self.system.n_lam:
+            return
+        self.gap = max(self.gap, float(np.abs(ev.constraint()).max()))
+        rate = np.abs(ev.jacobian.times(state.v) + ev.constraint_rate())
+        self.slip = max(self.slip, float(rate.max()))
+        if self.closed is not None:
+            self.worst_slip = max(self.worst_slip, float((self.closed.units * rate).max()))
+            self.fastest = max(self.fastest, self.system.max_abs(state.v))
 
     def _book(self, ev: Evaluation, state: State) -> None:
         """Power of every element in a state, and work of contacts up to it; collective."""

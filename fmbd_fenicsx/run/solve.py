@@ -25,6 +25,7 @@ from ..system.scene.plan import Plan, make_plan
 from ..system.scene.scene import Scene
 from ..system.system import State, System
 from .doubts import warn_of_doubts
+from .deviation import Deviation, sizes
 from .estimates import Compared, reduction_error, space_error, time_error, tolerance_error
 from .ledger import Books, Ledger, make_ledger
 from .output import Output, refuse_too_many
@@ -60,7 +61,8 @@ class Run:
             sensor's unit; empty when not asked for and without reduced bodies.
         space_error: sensor name -> estimated error by the meshes, in the sensor's unit; empty when not asked for.
             ``space_unstated``: what of it could not be stated, and why.
-        newton_tolerance: of Newton's iteration, relative.
+        newton_accuracy: mean relative error that Newton's iteration left: its tolerance or less.
+        deviations: kind (space, time, modes) -> sensor -> estimated error over time, with its sign.
         history: attempts of :func:`solve` with ``tol``.
         memory: peak memory of the largest rank, bytes.
         status: "finished", or "stopped" on request.
@@ -86,7 +88,8 @@ class Run:
     reduction_error: dict[str, float] = field(default_factory=dict)
     space_error: dict[str, float] = field(default_factory=dict)
     space_unstated: str = ""
-    newton_tolerance: float = 1e-6
+    newton_accuracy: float = 1e-6
+    deviations: dict[str, dict[str, Deviation]] = field(default_factory=dict)
     history: tuple[Any, ...] = ()
     memory: float = 0.0
     status: str = "finished"
@@ -99,6 +102,16 @@ class Run:
         if sensor not in self.series:
             raise InputError(f'No sensor "{sensor}". {near(sensor, self.series)}')
         return self.series[sensor]
+
+    def state_error(self, kind: str, found: dict[str, Deviation]) -> None:
+        """Take the estimated errors of one kind: "space", "time" or "modes"."""
+        self.deviations[kind] = found
+        if kind == "time":
+            self.error_estimate = sizes(found)
+        elif kind == "modes":
+            self.reduction_error = sizes(found)
+        else:
+            self.space_error = sizes(found)
 
     def report(self) -> str:
         """Steps, iterations, error estimate, drift, energy, seconds by phase, and the plan, as text; not
@@ -307,7 +320,7 @@ def solve(
         return solve_within(scene, dict(tol), t_end=t_end, start=(scheme, dt), settings=(newton, output, linear))
     scheme = default_scheme(scene) if scheme is None else checked_scheme(scheme)
     output = Output() if output is None else output
-    newton = Newton() if newton is None else replace(newton, iterations=0, theta=0.5)
+    newton = Newton() if newton is None else newton.afresh()
     require(
         newton.tangent is None or (type(scheme) is GeneralizedAlpha and isinstance(scheme.form, Index3)),
         f"{scheme.name} has no exact tangent. Use scheme=fmbd.GeneralizedAlpha(), or leave out Newton's tangent.",
@@ -364,7 +377,7 @@ def solve(
         correction=correction,
         local_error=marched.local_error,
         memory=peak_memory(system.comm),
-        newton_tolerance=newton.tolerance,
+        newton_accuracy=newton.accuracy,
         status=marched.status,
         not_unique=undetermined,
         warnings=warned.lines(),
@@ -379,20 +392,22 @@ def _state_errors(run: Run, problem: Problem, made: Compared, output: Output) ->
     """The estimates that were asked for; collective."""
     ended = clock.perf_counter()
     if output.estimate_error and not made.pace.steps:
-        run.error_estimate = tolerance_error(problem, made.recorder, made.pace)
+        run.state_error("time", tolerance_error(problem, made.recorder, made.pace))
         run.seconds["error estimate"] = clock.perf_counter() - ended
     elif output.estimate_error:
         found = time_error(problem, made.recorder, made.pace)
-        run.error_estimate, run.observed_order, made = found.errors, found.orders, found.with_others
+        run.state_error("time", found.errors)
+        run.observed_order, made = found.orders, found.with_others
         run.seconds["error estimate"] = clock.perf_counter() - ended
 
     if output.estimate_reduction:
         ended = clock.perf_counter()
-        run.reduction_error = reduction_error(problem, made)
+        run.state_error("modes", reduction_error(problem, made))
         run.seconds["reduction estimate"] = clock.perf_counter() - ended
     if output.estimate_space:
         ended = clock.perf_counter()
-        run.space_error, run.space_unstated = space_error(problem, made)
+        found_in_space, run.space_unstated = space_error(problem, made)
+        run.state_error("space", found_in_space)
         run.seconds["space estimate"] = clock.perf_counter() - ended
 
 

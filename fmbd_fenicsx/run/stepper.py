@@ -57,7 +57,7 @@ class SceneStepper:
     def __init__(self, scene: Scene, dt: float, *, scheme: Any, newton: Newton | None, linear: Any) -> None:
         require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
         scheme = default_scheme(scene) if scheme is None else scheme
-        newton = Newton() if newton is None else replace(newton, iterations=0, theta=0.5)
+        newton = Newton() if newton is None else newton.afresh()
         self.scene, self.dt = scene, dt
         self._adaptive = getattr(scheme, "rtol", None) is not None
         self._pace = Pace(dt, 0 if self._adaptive else 1)

@@ -23,6 +23,7 @@ from ..system.scene.refinement import more_modes, refined
 from ..system.scene.scene import Scene
 from .certificate import KINDS, Statement
 from .estimates import SEEN
+from .deviation import Deviation
 from .output import Output
 from .settings import checked_scheme
 from .solve import Run, default_scheme, solve
@@ -77,6 +78,14 @@ class Attempt:
 
 
 @dataclass(frozen=True)
+class _Known:
+    """Errors of space and modes that were estimated with other steps, and what could not be stated."""
+
+    errors: dict[str, dict[str, Deviation]]
+    unstated: str
+
+
+@dataclass(frozen=True)
 class _Plan:
     """What the next attempt is made with; ``known``: errors of space and modes that still hold; ``before``: level of the meshes
     and error in space over the tolerance of the attempt before they were refined last.
@@ -87,7 +96,7 @@ class _Plan:
     dt: float | None
     meshes: int = 0
     modes: int = 0
-    known: tuple[dict[str, float], dict[str, float], str] | None = None
+    known: _Known | None = None
     before: tuple[int, float] | None = None
 
     @property
@@ -131,7 +140,7 @@ def solve_within(
         plan_next, then = (None, "done") if _safe(run, tol) else _next(plan, run, tol, history)
         if plan_next is None and worst <= 1.0:  # nothing can be made better, and nothing has to
             then = "done"
-        errors = {n: run.certificate[n].total for n in tol}
+        errors = {n: run.certificate[n].sum for n in tol}
         history.append(Attempt(plan.step, plan.meshes, plan.modes, worst, errors, _seconds(run), then))
         if plan_next is None:
             why = then
@@ -167,7 +176,9 @@ def _attempt(plan: _Plan, t_end: float, settings: tuple[Any, Any, Any]) -> Run:
     wanted = replace(output or Output(), estimate_error=True, estimate_space=fresh, estimate_reduction=fresh)
     run = solve(plan.scene, t_end=t_end, dt=plan.dt, scheme=plan.scheme, newton=newton, output=wanted, linear=linear)
     if plan.known is not None:
-        run.space_error, run.reduction_error, run.space_unstated = plan.known
+        run.space_unstated = plan.known.unstated
+        for kind, found in plan.known.errors.items():
+            run.state_error(kind, found)
     return run
 
 
@@ -188,7 +199,7 @@ def _limit(statement: Statement, value: Any) -> float:
 def _worst(run: Run, tol: Mapping[str, Any]) -> float:
     """The largest stated error over its tolerance; infinite where a kind of error could not be stated."""
     made = run.certificate
-    shares = [made[name].total / _limit(made[name], value) for name, value in tol.items()]
+    shares = [made[name].sum / _limit(made[name], value) for name, value in tol.items()]
     return np.inf if made.unstated else max(shares)
 
 
@@ -225,7 +236,9 @@ def _next(plan: _Plan, run: Run, tol: Mapping[str, Any], history: Sequence[Attem
     if made is not plan and not unseen and not (over["time"] > 1.0 and _order(run, tol) < 1.0):
         return made, " and ".join(done)
     if made is plan:
-        made = replace(made, known=(run.space_error, run.reduction_error, run.space_unstated))
+        made = replace(
+            made, known=_Known({k: run.deviations.get(k, {}) for k in ("space", "modes")}, run.space_unstated)
+        )
     factor = 0.25 if unseen else _factor(plan, run, tol, (over["time"], limits["time"]), history)
     made = _finer_steps(made, factor)
     if made.dt is None and made.scheme.rtol <= FINEST:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -55,6 +55,8 @@ class Newton:
     refresh: Callable[[], bool] | None = field(default=None, repr=False)  # takes a new tangent where one can change
     iterations: int = 0
     theta: float = field(default=0.5)
+    left: float = 0.0  # errors that solved steps left, over the tolerance, summed
+    solved: int = 0  # steps whose errors are known
 
     def __post_init__(self) -> None:
         check_fields(self, "Newton")
@@ -94,8 +96,25 @@ class Newton:
             else:
                 left = max(self.theta, 0.02) / (1 - min(max(self.theta, 0.02), 0.9)) * size
             if left <= 1.0 or size <= 1e-3:
+                self.note(left)
                 return True, history
         return False, history
+
+    def afresh(self, refresh: Callable[[], bool] | None = None) -> Newton:
+        """The same settings, nothing counted yet."""
+        made = replace(self, iterations=0, theta=0.5, left=0.0, solved=0)
+        made.refresh = self.refresh if refresh is None else refresh
+        return made
+
+    def note(self, left: float, steps: int = 1) -> None:
+        """Solved steps and the sum of their errors, over the tolerance."""
+        self.left += left
+        self.solved += steps
+
+    @property
+    def accuracy(self) -> float:
+        """Mean relative error that the iterations leave: the tolerance, or less where it is known."""
+        return self.tolerance * min(1.0, self.left / self.solved if self.solved else 1.0)
 
 
 def above_roundoff(ev: Evaluation, lam: Array, r: Array, g: Array) -> Array:

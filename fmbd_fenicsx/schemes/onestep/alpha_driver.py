@@ -26,7 +26,7 @@ STORAGE_LIMIT = 20_000_000  # numbers in the factor
 
 # fmt: off
 (H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, ITERATIONS, LOCAL,
- GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING) = range(23)
+ GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT) = range(24)
 # fmt: on
 DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN = range(6)
 
@@ -42,7 +42,7 @@ class AlphaDriver:
         self.n, self.nq, self.m = system.n_v, system.n_q, system.n_lam
         self.block_size = 1 + self.nq + 3 * self.n + self.m
 
-        self.parameters = np.zeros(23)
+        self.parameters = np.zeros(24)
         self.blocks = np.zeros((4, self.block_size))
         self.ring = np.array([x.ctypes.data for x in self.blocks], dtype=np.uintp)
         self._verdict = ctypes.c_int(0)
@@ -63,7 +63,8 @@ class AlphaDriver:
 
     def march(self, steps: int, tape: Tape | None = None) -> tuple[int, int]:
         """Make up to so many steps; the number made, and the verdict of the one that stopped them."""
-        self.parameters[LOCAL] = self.parameters[ITERATIONS] = 0.0
+        for slot in (LOCAL, ITERATIONS, LEFT):
+            self.parameters[slot] = 0.0
         made = self.library.march(
             self.address,
             self.parameters.ctypes.data,

@@ -136,6 +136,7 @@ class CompiledStepper(Stepper):
         p, newton = self.driver.parameters, self.newton
         self.counters["compiled_steps"] += made
         newton.iterations += int(p[slots.ITERATIONS])
+        newton.note(float(p[slots.LEFT]), made)
         newton.theta = float(p[slots.THETA])
         self.solver.core.factorisations += made
         self.local_error, self._ahead = float(p[slots.LOCAL]), True

@@ -126,6 +126,7 @@ class FieldStepper(Stepper):
         self._blocks = [(out, address), *self._blocks[:2]]
         self.counters["compiled_steps"] += 1
         newton.iterations += int(p[slots.ITERATIONS])
+        newton.note(float(p[slots.LEFT]))
         newton.theta = float(p[slots.THETA])
         core.factorisations += 1
         core.judge.check(float(p[slots.RESIDUAL]), 1.0)

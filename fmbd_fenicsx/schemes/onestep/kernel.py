@@ -31,7 +31,7 @@ FRAME_ROW = 4  # kind of a frame condition
 LOOK = 3  # verdict: something to be warned of or refused by the NumPy path
 # fmt: off
 (H, AM, AF, GAMMA, BETA, GX, GY, GZ, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT,
- FAR, ITERATIONS, LOCAL, RESIDUAL) = range(21)
+ FAR, ITERATIONS, LOCAL, RESIDUAL, LEFT) = range(22)
 # fmt: on
 
 
@@ -130,7 +130,7 @@ class Kernel:
         self.c = _structure("System")(*counts, body=body, marker=marker, **pointers)
         self._kept.append(markers)
         self.address = ctypes.addressof(self.c)
-        self.parameters, self.offset = np.zeros(21), np.zeros(max(self.m, 1))
+        self.parameters, self.offset = np.zeros(22), np.zeros(max(self.m, 1))
         self.driven = [(batch, rows) for batch, rows in system.batches if batch.driven]
         self.look()
 

@@ -327,6 +327,7 @@ class Stepper:
             last = size
             if theta * size <= tolerance or size <= 1e-2 * tolerance:
                 self._eta, self._iterations = theta, k + 1
+                self.newton.note(theta * size)
                 return self._finished(h, xi, v, mult)
         return "Newton too slow"
 

@@ -80,7 +80,7 @@ typedef struct {
 } System;
 
 enum { H, AM, AF, GAMMA, BETA, GX, GY, GZ, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, /* in */
-       ITERATIONS, LOCAL, RESIDUAL };                                                                /* out */
+       ITERATIONS, LOCAL, RESIDUAL, LEFT };                                                                /* out */
 enum { DONE, NEWTON, DEPENDENT, LOOK }; /* verdicts; LOOK: something to be warned of or refused by the NumPy path */
 
 static double dot(const double *x, const double *y, int n)
@@ -1060,6 +1060,7 @@ int step(const System *s, double *p, const double *now, const double *before, co
             left = guess / (1 - (guess < 0.9 ? guess : 0.9)) * size;
         }
         last = size;
+        p[LEFT] = left;
         if (left <= 1.0 || size <= 1e-3) { converged = 1; break; }
     }
     p[ITERATIONS] = iterations;

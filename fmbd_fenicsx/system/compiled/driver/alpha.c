@@ -3,7 +3,7 @@
    A block of a state holds t, q (nq), v (nv), a (nv), A (nv), lambda (rows). */
 
 enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,           /* in */
-       ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING };                                       /* in and out */
+       ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT };                                       /* in and out */
 enum { MOST = 64 };
 static const double SLOW_TURN = 0.01; /* rate of Newton above which efforts get a new tangent */
 
@@ -54,7 +54,7 @@ static void predictor(const Block *past, int known, double t, double *w)
 }
 
 /* Newton's judgement of an increment of this size (over the tolerance): 1 converged, -1 given up, 0 go on; as schemes/newton.py. */
-static int judge(double *p, const double *sizes, int done)
+static int judge(double *p, const double *sizes, int done, double *error)
 {
     double size = sizes[done - 1], left;
     if (!(size < INFINITY)) return -1;
@@ -68,6 +68,7 @@ static int judge(double *p, const double *sizes, int done)
         left = theta / (1 - theta) * size;
         if (size > 1.0 && done > 3 && size > p[SLOW] * sizes[done - 3]) return -1;
     }
+    *error = left;
     return left <= 1.0 || size <= 1e-3;
 }
 
@@ -101,7 +102,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
     const double h = p[H], am = p[AM], af = p[AF], gamma = p[GAMMA], hb = h * h * p[BETA], t = *past[0].t + h;
     const double scale = hb * (1 - af) / (1 - am), damp = h * gamma * (1 - af) / (1 - am);
     const Block now = past[0];
-    double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, w[3], sizes[MOST];
+    double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, w[3], sizes[MOST], left = 0.0;
     int verdict, far = 1, converged = 0, done = 0;
     s->share = h * p[BETA] / gamma;
 
@@ -149,13 +150,14 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
             out.A[i] += x[i] / hb;
             out.a[i] += x[i] / scale;
         }
-        converged = judge(p, sizes, done);
+        converged = judge(p, sizes, done, &left);
         if (s->redundant && done == 1 && converged > 0) converged = 0; /* the first solution leaves epsilon y open */
         if (converged < 0) return NEWTON;
     }
     if (!converged || (done > (int)p[PATIENCE] + 1 && strayed(s, p, xi, begun))) return NEWTON;
 
     p[ITERATIONS] += done;
+    p[LEFT] += left;
     configuration(s, now.q, xi, out.q);
     for (int i = 0; i < n; i++) {
         out.v[i] = now.v[i] + h * ((1 - gamma) * now.A[i] + gamma * out.A[i]);

@@ -1,0 +1,54 @@
+"""Estimated errors of a sensor over time, with their signs: errors of several kinds add up, or cancel, instant by instant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..rotations import Array
+
+TRUSTED = 1.0 / 3.0  # share of the sum that errors are left with, however well they seem to cancel
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """What a sensor is too small by, as an estimate: ``values`` (n, size), in its unit, at ``times`` (n,) s."""
+
+    times: Array
+    values: Array
+
+    @property
+    def size(self) -> float:
+        """The largest over the run."""
+        return float(np.abs(self.values).max(initial=0.0))
+
+    def at(self, times: Array) -> Array:
+        """Values at other times, straight lines between."""
+        if not len(self.times):
+            return np.zeros((len(times), *self.values.shape[1:]))
+        flat = self.values.reshape(len(self.times), -1)
+        found = [np.interp(times, self.times, column) for column in flat.T]
+        return np.stack(found, axis=1).reshape(len(times), *self.values.shape[1:])
+
+
+def sizes(found: dict[str, Deviation]) -> dict[str, float]:
+    """Sensor -> largest error."""
+    return {name: deviation.size for name, deviation in found.items()}
+
+
+def together(found: Iterable[Deviation]) -> float:
+    """The largest error of a sensor by several kinds at once:
+
+        max_t |e_1(t) + e_2(t) + ...|,  at least a third of  max |e_1| + max |e_2| + ...                              (1)
+
+    Kinds of opposite signs cancel, and their largest values may come at different times. The estimates are known to some tens of
+    percent only, so that no more than two thirds of their sum count as cancelled.
+    """
+    found = [d for d in found if d.values.size]
+    if not found:
+        return 0.0
+    times = np.unique(np.concatenate([d.times for d in found]))
+    seen = float(np.abs(np.sum([d.at(times) for d in found], axis=0)).max(initial=0.0))
+    return max(seen, TRUSTED * sum(d.size for d in found))

@@ -1,0 +1,166 @@
+"""The observatory: error against CPU time of all schemes on problems with exact or independent references.
+
+Run:  ./with-dolfinx env PYTHONPATH=.:demos:tests:tests/benchmarks python3 tests/benchmarks/observatory.py --write
+      (--fast: two values each; --write: docs/observatory.md and its figure; --only NAME ...: these problems;
+      --json FILE, --read FILE: keep the runs, write the page from kept ones)
+
+Every run that fails is a row. Schemes with equal steps run with h, h / 4, h / 16, those with error control with three tolerances;
+finer ones are left out where the last took longer than BUDGET seconds. Neighbours: IDA needs scikit-sundae; Exudyn an interpreter
+that has it, EXUDYN_PYTHON or this one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from observatory_page import figure, page
+from observatory_peers import FAILURES, PEERS_CONTROLLED, PEERS_EQUAL, NotFor
+from observatory_problem import Problem
+from observatory_problems import PROBLEMS
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import FmbdError
+
+ROOT = Path(__file__).resolve().parents[2]
+BUDGET, FAST_BUDGET = 20.0, 0.5  # s of CPU time
+TOLERANCES = (1e-3, 1e-5, 1e-7)
+FINER = (1, 4, 16)
+QUIET = fmbd.Output(every=10**9, energy=False, progress=False)
+
+CONTROLLED: dict[str, Callable[[float], Any]] = {
+    "Radau(3), index 3": lambda r: fmbd.Radau(3, fmbd.Index3(), r),
+    "Radau(3), GGL": lambda r: fmbd.Radau(3, fmbd.GGL(), r),
+    "Radau(5), GGL": lambda r: fmbd.Radau(5, fmbd.GGL(), r),
+    "BDF, GGL": lambda r: fmbd.BDF(5, fmbd.GGL(), r),
+    "half-explicit": lambda r: fmbd.HalfExplicit(r),
+    "generalized-alpha, controlled": lambda r: fmbd.GeneralizedAlpha(rtol=r),
+}
+EQUAL: dict[str, Callable[[], Any]] = {
+    "generalized-alpha": lambda: fmbd.GeneralizedAlpha(0.8),
+    "generalized-alpha, GGL": lambda: fmbd.GeneralizedAlpha(0.8, form=fmbd.GGL()),
+    "energy-momentum": lambda: fmbd.EnergyMomentum(),
+    "RATTLE": lambda: fmbd.Rattle(),
+}
+IMPACTS: dict[str, Callable[[], Any]] = {
+    "contact midpoint": lambda: fmbd.ContactMidpoint(),
+    "contact alpha": lambda: fmbd.ContactAlpha(),
+    "Moreau": lambda: fmbd.Moreau(),
+}
+
+
+@dataclass(frozen=True)
+class Point:
+    """One run: its tolerance or number of steps, error at the end over the size of the reference, CPU seconds; or its failure.
+
+    ``steps``: of neighbours the number of evaluations. ``refused``: the scheme does not take the problem.
+    """
+
+    problem: str
+    scheme: str
+    value: float
+    error: float
+    seconds: float
+    steps: float
+    failure: str = ""
+    refused: bool = False
+
+
+def one(name: str, scheme: str, value: float) -> Point:
+    """A run of this package with a tolerance, or with so many equal steps."""
+    problem = PROBLEMS[name]
+    made = CONTROLLED[scheme](value) if scheme in CONTROLLED else {**EQUAL, **IMPACTS}[scheme]()
+    dt = None if scheme in CONTROLLED else problem.t_end / value
+    begun = time.process_time()
+    try:
+        run = fmbd.solve(problem.scene(), t_end=problem.t_end, dt=dt, scheme=made, output=QUIET)
+    except FmbdError as error:
+        spent, refused = time.process_time() - begun, isinstance(error, fmbd.errors.InputError)
+        return Point(name, scheme, value, np.nan, spent, 0, str(error).splitlines()[0], refused)
+    spent = time.process_time() - begun
+    return Point(name, scheme, value, _error(problem, run[problem.sensor][-1]), spent, run.counters["steps"])
+
+
+def peer(name: str, scheme: str, value: float) -> Point | None:
+    """A run of a neighbour; None where it does not take the problem."""
+    problem, run = PROBLEMS[name], {**PEERS_CONTROLLED, **PEERS_EQUAL}[scheme]
+    begun = time.process_time()
+    try:
+        end, steps, *own = run(name, problem, value)
+    except NotFor:
+        return None
+    except FAILURES as error:
+        return Point(name, scheme, value, np.nan, time.process_time() - begun, 0, str(error).splitlines()[0])
+    spent = own[0] if own else time.process_time() - begun
+    return Point(name, scheme, value, _error(problem, end), spent, steps)
+
+
+def _error(problem: Problem, found: Any) -> float:
+    """The largest error of the components that have a reference, over the largest of these."""
+    exact = np.asarray(problem.reference(), dtype=float)
+    off = np.abs(np.asarray(found, dtype=float)[: len(exact)] - exact)
+    return float(np.nanmax(off) / np.nanmax(np.abs(exact)))
+
+
+def _runs(name: str) -> list[tuple[str, tuple[float, ...], Callable[[str, str, float], Point | None]]]:
+    """Schemes and neighbours for a problem, and their values."""
+    problem = PROBLEMS[name]
+    steps = tuple(float(problem.steps * k) for k in FINER)
+    if problem.scene().contacts:
+        return [(scheme, steps, one) for scheme in IMPACTS]
+    ours = [(s, TOLERANCES, one) for s in CONTROLLED] + [(s, steps, one) for s in EQUAL]
+    others = [(s, TOLERANCES, peer) for s in PEERS_CONTROLLED] + [(s, steps, peer) for s in PEERS_EQUAL]
+    return [*ours, *others]
+
+
+def observe(names: list[str], *, fast: bool) -> list[Point]:
+    """All runs of some problems."""
+    points: list[Point] = []
+    for name in names:
+        for scheme, values, run in _runs(name):
+            for value in values[:2] if fast else values:
+                found = run(name, scheme, value)
+                if found is None:
+                    break
+                points.append(found)
+                print(found, flush=True)
+                if found.seconds > (FAST_BUDGET if fast else BUDGET) or found.failure:
+                    break
+    return points
+
+
+def main() -> None:
+    """Run, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--fast", action="store_true")
+    parser.add_argument("--write", action="store_true")
+    parser.add_argument("--only", nargs="+", choices=list(PROBLEMS))
+    parser.add_argument("--json", type=Path, help="keep the runs in this file")
+    parser.add_argument("--read", type=Path, help="take the runs from such a file")
+    args = parser.parse_args()
+    begun = time.process_time()
+    if args.read:
+        kept = json.loads(args.read.read_text())
+        points, setting, spent = [Point(**p) for p in kept["points"]], kept["setting"], kept["spent"]
+    else:
+        points = observe(args.only or list(PROBLEMS), fast=args.fast)
+        setting = f"with{' `--fast`: two' if args.fast else ' three'} values for each scheme"
+        spent = [FAST_BUDGET if args.fast else BUDGET, time.process_time() - begun]
+    if args.json:
+        args.json.write_text(json.dumps({"points": [asdict(p) for p in points], "setting": setting, "spent": spent}))
+
+    text = page(points, setting, (spent[0], spent[1]))
+    print(text)
+    if args.write:
+        (ROOT / "docs/observatory.md").write_text(text)
+        figure(points, ROOT / "docs/pictures/observatory.png")
+
+
+if __name__ == "__main__":
+    main()
