@@ -1,7 +1,8 @@
 """Stated errors against true ones, each kind alone and all together, on scenes with exact or converged values.
 
-True errors are largest differences over the run: of time, to the same scene with an eighth of the step; of space, to meshes finer by
-two levels or more with the same step; of modes, to the bodies before their reduction; of all, to an exact solution or to all of this at once.
+True errors are largest differences over the run: of time, to the same scene with an eighth of the step; of space, to meshes finer
+by two levels or more with the same step; of modes, to the bodies before their reduction; of all, to an exact solution or to
+all of this at once.
 
 Run:  cd tests; ../with-dolfinx python3 honesty_scenes.py [name ...]        (the table of docs/accuracy.md)
 """

@@ -51,3 +51,20 @@ def test_error_follows_the_tolerance(rtol: float) -> None:
 def test_work_grows_like_order_three_at_least() -> None:
     steps = [fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.HalfExplicit(r)).counters["steps"] for r in (1e-5, 1e-8)]
     assert steps[1] / steps[0] < 1000 ** (1 / 3)
+
+
+def test_a_driven_turn() -> None:
+    """A bead slides on an arm that a drive turns: x = cosh(t) / 2, to the order of the scheme."""
+
+    def error(steps: int) -> float:
+        scene = fmbd.Scene("bead")
+        arm = fmbd.RigidBody("arm", 1.0, 1.0, (0.0, 0.0), angular_velocity=1.0)
+        bead = fmbd.RigidBody("bead", 1.0, 0.1, (0.5, 0.0), velocity=(0.0, 0.5), angular_velocity=1.0)
+        scene.add(arm, bead, fmbd.revolute("axle", fmbd.ground, arm, center=(0, 0)))
+        scene.add(fmbd.prismatic("wire", arm, bead, axis=(1, 0), center=(0, 0)))
+        scene.add(fmbd.drive_rotation("motor", fmbd.ground, arm, lambda t: (t, 1.0, 0.0)))
+        scene.sensor("place", fmbd.position(bead))
+        run = fmbd.solve(scene, t_end=1.0, dt=1.0 / steps, scheme=fmbd.HalfExplicit(rtol=None))
+        return float(np.abs(run["place"][-1] - 0.5 * np.cosh(1.0) * np.array([np.cos(1.0), np.sin(1.0)])).max())
+
+    assert np.log2(error(5) / error(10)) > 3.5

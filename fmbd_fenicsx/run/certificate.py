@@ -9,7 +9,6 @@ import numpy as np
 
 from ..errors import InputError, near
 from ..system.scene.refinement import meshed_bodies, modal_bodies
-
 from .deviation import together
 
 if TYPE_CHECKING:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from .deviation import Deviation
 from .output import Output, Recorder
 from .schedule import Pace
 from .time_loop import Problem, begin, make_solver, march
+
+if TYPE_CHECKING:
+    from .solve import Run
 
 SEEN = 0.75  # share of the scheme's order above which runs with larger steps follow the same motion
 AHEAD = 4.0 / 3.0  # the error of the finer space counts as at most a quarter of that of the given one
@@ -230,3 +234,26 @@ def reduction_error(problem: Problem, compared: Compared) -> dict[str, Deviation
     finally:
         solver.destroy()
     return {n: Deviation(coarse.times, SATURATION * (fine.series[n] - x)) for n, x in coarse.series.items()}
+
+
+def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> None:
+    """The estimates that were asked for; collective."""
+    ended = clock.perf_counter()
+    if output.estimate_error and not made.pace.steps:
+        run.state_error("time", tolerance_error(problem, made.recorder, made.pace))
+        run.seconds["error estimate"] = clock.perf_counter() - ended
+    elif output.estimate_error:
+        found = time_error(problem, made.recorder, made.pace)
+        run.state_error("time", found.errors)
+        run.observed_order, made = found.orders, found.with_others
+        run.seconds["error estimate"] = clock.perf_counter() - ended
+
+    if output.estimate_reduction:
+        ended = clock.perf_counter()
+        run.state_error("modes", reduction_error(problem, made))
+        run.seconds["reduction estimate"] = clock.perf_counter() - ended
+    if output.estimate_space:
+        ended = clock.perf_counter()
+        found_in_space, run.space_unstated = space_error(problem, made)
+        run.state_error("space", found_in_space)
+        run.seconds["space estimate"] = clock.perf_counter() - ended

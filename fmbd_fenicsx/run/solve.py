@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,9 +24,9 @@ from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.plan import Plan, make_plan
 from ..system.scene.scene import Scene
 from ..system.system import State, System
-from .doubts import warn_of_doubts
 from .deviation import Deviation, sizes
-from .estimates import Compared, reduction_error, space_error, time_error, tolerance_error
+from .doubts import warn_of_doubts
+from .estimates import Compared, state_errors
 from .ledger import Books, Ledger, make_ledger
 from .output import Output, refuse_too_many
 from .schedule import Pace, pace_of
@@ -384,31 +384,8 @@ def solve(
     )
     if run.status == "stopped":
         raise Stopped(run) if keeper is None else Stopped(run, keeper.exit_code)
-    _state_errors(run, problem, Compared(marched.recorder, pace), output)
+    state_errors(run, problem, Compared(marched.recorder, pace), output)
     return run
-
-
-def _state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> None:
-    """The estimates that were asked for; collective."""
-    ended = clock.perf_counter()
-    if output.estimate_error and not made.pace.steps:
-        run.state_error("time", tolerance_error(problem, made.recorder, made.pace))
-        run.seconds["error estimate"] = clock.perf_counter() - ended
-    elif output.estimate_error:
-        found = time_error(problem, made.recorder, made.pace)
-        run.state_error("time", found.errors)
-        run.observed_order, made = found.orders, found.with_others
-        run.seconds["error estimate"] = clock.perf_counter() - ended
-
-    if output.estimate_reduction:
-        ended = clock.perf_counter()
-        run.state_error("modes", reduction_error(problem, made))
-        run.seconds["reduction estimate"] = clock.perf_counter() - ended
-    if output.estimate_space:
-        ended = clock.perf_counter()
-        found_in_space, run.space_unstated = space_error(problem, made)
-        run.state_error("space", found_in_space)
-        run.seconds["space estimate"] = clock.perf_counter() - ended
 
 
 def default_scheme(scene: Scene) -> Any:

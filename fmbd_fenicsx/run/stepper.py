@@ -14,7 +14,7 @@ After a change of size a scheme with constant steps begins anew from the consist
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
 

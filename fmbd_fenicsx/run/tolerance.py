@@ -22,8 +22,8 @@ from ..schemes.control import FINEST
 from ..system.scene.refinement import more_modes, refined
 from ..system.scene.scene import Scene
 from .certificate import KINDS, Statement
-from .estimates import SEEN
 from .deviation import Deviation
+from .estimates import SEEN
 from .output import Output
 from .settings import checked_scheme
 from .solve import Run, default_scheme, solve

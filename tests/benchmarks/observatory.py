@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from observatory_page import figure, page
-from observatory_peers import FAILURES, PEERS_CONTROLLED, PEERS_EQUAL, NotFor
+from observatory_peers import FAILURES, PEERS_CONTROLLED, PEERS_EQUAL, NotForItError
 from observatory_problem import Problem
 from observatory_problems import PROBLEMS
 
@@ -93,7 +93,7 @@ def peer(name: str, scheme: str, value: float) -> Point | None:
     begun = time.process_time()
     try:
         end, steps, *own = run(name, problem, value)
-    except NotFor:
+    except NotForItError:
         return None
     except FAILURES as error:
         return Point(name, scheme, value, np.nan, time.process_time() - begun, 0, str(error).splitlines()[0])

@@ -1,4 +1,4 @@
-"""Problems of the observatory: tops and a governor in space, elastic bars, beams and rods, impacts; all with exact solutions but one.
+"""Problems of the observatory: tops and a governor in space, elastic bars, beams and rods, impacts; nearly all exact.
 
 Errors of elastic problems hold that of the mesh: finer steps do not bring them to zero.
 """

@@ -168,22 +168,29 @@ MOTIONS: dict[str, Problem] = {
     "damped pendulum": Problem(
         lambda: compound(0.2), 3.0, "place", lambda: compound_end(0.2, 3.0), "ordinary equations", 200
     ),
-    "double pendulum": Problem(double, 1.0, "place", lambda: double_end(1.0), "ordinary equations", 100, "double pendulum"),
-    "spring pendulum": Problem(spring_pendulum, 2.0, "place", lambda: spring_pendulum_end(2.0), "ordinary equations", 200, "spring pendulum"),
+    "double pendulum": Problem(
+        double, 1.0, "place", lambda: double_end(1.0), "ordinary equations", 100, "double pendulum"
+    ),
+    "spring pendulum": Problem(
+        spring_pendulum, 2.0, "place", lambda: spring_pendulum_end(2.0), "ordinary equations", 200, "spring pendulum"
+    ),
     "stiff spring pendulum": Problem(
-        lambda: spring_pendulum(1e5), 1.0, "place", lambda: spring_pendulum_end(1.0, 1e5), "ordinary equations", 400, "stiff spring pendulum"
+        lambda: spring_pendulum(1e5), 1.0, "place", lambda: spring_pendulum_end(1.0, 1e5), "ordinary equations", 400,
+        "stiff spring pendulum",
     ),
     "bead on an arm": Problem(
         on_arm, 1.0, "place", lambda: 0.5 * np.cosh(2.0) * np.array([np.cos(2.0), np.sin(2.0)]), "exact"
     ),
     "gears": Problem(gears, 3.0, "turns", lambda: [3.0 * (1 - np.cos(3.0)) / (1.0 + 4.0 * 2.0)], "exact"),
     "heavy top": Problem(
-        lambda: top(*HEAVY, held=True), 0.1, "place", lambda: top_end(*HEAVY, 0.1, held=True), "Euler's equations", 250, "heavy top"
+        lambda: top(*HEAVY, held=True), 0.1, "place", lambda: top_end(*HEAVY, 0.1, held=True), "Euler's equations", 250,
+        "heavy top",
     ),
     "fast top": Problem(
         lambda: top(*FAST, held=True), 1.0, "place", lambda: top_end(*FAST, 1.0, held=True), "Euler's equations", 100, "fast top"
     ),
     "free body": Problem(
-        lambda: top(*FAST, held=False), 2.0, "place", lambda: top_end(*FAST, 2.0, held=False), "Euler's equations", 200, "free body"
+        lambda: top(*FAST, held=False), 2.0, "place", lambda: top_end(*FAST, 2.0, held=False), "Euler's equations", 200,
+        "free body",
     ),
 }  # fmt: skip

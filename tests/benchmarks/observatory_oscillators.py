@@ -147,7 +147,7 @@ def four_bar() -> fmbd.Scene:
 
 
 def four_bar_end(t_end: float) -> Any:
-    """By the angle a of the legs from the vertical: three legs of 1/3 kg m^2 and two bars that are carried, 3 a'' = 3.5 g sin a."""
+    """By the angle a of the legs from the vertical: three legs of 1/3 kg m^2 and two carried bars, 3 a'' = 3.5 g sin a."""
     a = ordinary(lambda t, y: [y[1], 3.5 * G * np.sin(y[0]) / 3.0], [0.0, 1.0], t_end)[0]
     return [np.sin(a), np.cos(a)]
 

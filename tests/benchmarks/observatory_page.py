@@ -19,12 +19,14 @@ on one core of a machine with other work.
 
 Errors are those of a sensor at the end, relative to the largest component of the reference. CPU times are those of whole runs,
 set-up and the first compilation of kernels included. References are exact or come from other means than this code; "ordinary
-equations" are those of minimal coordinates, by DOP853 of SciPy with a tolerance of 1e-12. In elastic problems the error of the mesh
-stays when steps become finer. Every failure is listed. A finer run is left out where the coarser one took more than {limit:g} s.
+equations" are those of minimal coordinates, by DOP853 of SciPy with a tolerance of 1e-12. In elastic problems the error of the
+mesh stays when steps become finer. Every failure is listed. A finer run is left out where the coarser one took more than
+{limit:g} s.
 
-Neighbours: **Exudyn 1.13.6** with its own models of the rigid problems (its CPU time is that of assembly and steps, without the start of
-Python), **IDA** of SUNDIALS (scikit-sundae) and **SciPy** on planar problems of rigid bodies. The equations of IDA and SciPy
-are evaluated by this package, one state at a time: their times are those of its evaluations, their "steps" the number of these.
+Neighbours: **Exudyn 1.13.6** with its own models of the rigid problems (its CPU time is that of assembly and steps, without the
+start of Python), **IDA** of SUNDIALS (scikit-sundae) and **SciPy** on planar problems of rigid bodies. The equations of IDA and
+SciPy are evaluated by this package, one state at a time: their times are those of its evaluations, their "steps" the number of
+these.
 
 ![Error against CPU time](pictures/observatory.png)
 """

@@ -32,11 +32,11 @@ MASS = Weights(1.0, 0.0, 0.0)
 MODELS = Path(__file__).with_name("observatory_exudyn.py")
 
 
-class PeerFailed(Exception):
+class PeerError(Exception):
     """A neighbour did not come to the end; the message says why."""
 
 
-class NotFor(Exception):
+class NotForItError(Exception):
     """A neighbour does not take this problem."""
 
 
@@ -48,7 +48,7 @@ class Equations:
         self.system, given, self.markers = self.scene.build()
         s = self.system
         if s.fields or s.contacts is not None or len(given.q) != s.n_v:
-            raise NotFor("elastic fields, contact and rotations in space have no such equations")
+            raise NotForItError("elastic fields, contact and rotations in space have no such equations")
         self.solver = StepSolver(s)
         self.start, _ = consistent(s, given, self.solver)
         self.evaluations = 0
@@ -90,7 +90,7 @@ def scipy_solver(method: str) -> Callable[[str, Problem, float], tuple[Any, floa
             e.accelerations, (0.0, problem.t_end), y, method, rtol=rtol, atol=1e-2 * rtol, t_eval=[problem.t_end]
         )
         if not found.success:
-            raise PeerFailed(found.message)
+            raise PeerError(found.message)
         return e.end(found.y[:, -1]), e.evaluations
 
     return run
@@ -103,7 +103,7 @@ def ida(name: str, problem: Problem, rtol: float) -> tuple[Any, float]:
             warnings.simplefilter("ignore")
             from sksundae.ida import IDA
     except ImportError:
-        raise NotFor("scikit-sundae is not installed") from None
+        raise NotForItError("scikit-sundae is not installed") from None
     e = Equations(problem)
     m = e.system.n_lam
 
@@ -115,26 +115,26 @@ def ida(name: str, problem: Problem, rtol: float) -> tuple[Any, float]:
     solver = IDA(residual, rtol=rtol, atol=1e-2 * rtol, max_num_steps=100_000)
     found = solver.solve(np.array([0.0, problem.t_end]), y, rate)
     if not found.success:
-        raise PeerFailed(str(found.message))
+        raise PeerError(str(found.message))
     return e.end(np.asarray(found.y[-1])), e.evaluations
 
 
 def exudyn(name: str, problem: Problem, steps: float) -> tuple[Any, float, float]:
     """Exudyn's generalized-alpha with equal steps: value at the end, steps, its own CPU seconds without set-up of Python."""
     if not problem.exudyn:
-        raise NotFor("there is no model of it")
+        raise NotForItError("there is no model of it")
     interpreter = os.environ.get("EXUDYN_PYTHON", sys.executable)
     command = [interpreter, str(MODELS), problem.exudyn, str(int(steps)), repr(problem.t_end)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     if "No module named 'exudyn'" in done.stderr:
-        raise NotFor("Exudyn is not installed")
+        raise NotForItError("Exudyn is not installed")
     if done.returncode:
-        raise PeerFailed((done.stderr.strip().splitlines() or ["no message"])[-1])
+        raise PeerError((done.stderr.strip().splitlines() or ["no message"])[-1])
     found = json.loads(done.stdout.strip().splitlines()[-1])
     return np.array(found["end"]), steps, found["seconds"]
 
 
-FAILURES = (PeerFailed, FmbdError, np.linalg.LinAlgError, subprocess.TimeoutExpired, ValueError)
+FAILURES = (PeerError, FmbdError, np.linalg.LinAlgError, subprocess.TimeoutExpired, ValueError)
 PEERS_CONTROLLED: dict[str, Any] = {
     "SciPy DOP853, index 1": scipy_solver("DOP853"),
     "SciPy Radau, index 1": scipy_solver("Radau"),

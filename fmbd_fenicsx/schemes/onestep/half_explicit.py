@@ -149,7 +149,7 @@ class Stepper:
             rates.append(system.rate(xi, v))
             xi = h * (A[i + 1, : i + 1] @ np.array(rates))
             known = s.v + h * (A[i + 1, :i] @ np.array(pushes)) if i else s.v
-            after = system.at(s.t + c[i + 1] * h, system.compose(s.q, xi))
+            after = system.at(s.t + c[i + 1] * h, system.compose(s.q, xi), known)  # drives ask for velocities
             a, lam = self._stage(ev, after, (known, h * A[i + 1, i]), (a, lam))
             pushes.append(a)
             v = known + h * A[i + 1, i] * a

@@ -297,8 +297,7 @@ class Stepper:
 
     def _iterate(self, h: float) -> Points | str:
         xi, v, mult = self._predict(h)
-        tolerance = self._newton_tolerance()
-        theta, last = max(self._eta, 1e-16) ** 0.8, 0.0
+        tolerance, theta, last = self._newton_tolerance(), max(self._eta, 1e-16) ** 0.8, 0.0
         times = self.state.t + h * self.tab.c
         for k in range(self.newton.max_iterations):
             kin, low = self.eq.residual(times, self._stages(h, xi, v, mult))
