@@ -1,6 +1,6 @@
 """Contact: shapes of obstacles, points and surfaces of rigid bodies that touch, unilateral ties."""
 
-from .mechanics.contact.contact import ball, corners, cylinder_end
+from .mechanics.contact.contact import along, ball, corners, cylinder_end
 from .mechanics.contact.shapes import Box, Cylinder, HalfSpace, Obstacle, SignedDistance, Sphere
 from .schemes.impacts.unilateral import Unilateral
 
@@ -12,6 +12,7 @@ __all__ = [
     "SignedDistance",
     "Sphere",
     "Unilateral",
+    "along",
     "ball",
     "corners",
     "cylinder_end",

@@ -180,6 +180,7 @@ class FrameElements(Protocol):
     """
 
     name: str
+    kept: Any  # memory of elements that have one, changed by accepted steps only; else None
 
     def forces(self, t: float, pose: Array, twist: Array | None) -> list[tuple[np.ndarray, Array]]:
         """What they add to the balance M a + h of the frames, values (m, k, n_twist)."""
@@ -194,8 +195,17 @@ class FrameElements(Protocol):
     ) -> list[tuple[np.ndarray, Array]]:
         """As :meth:`forces`, over a step from old to new poses at the mean twist: their work is the change of energy."""
 
-    def energy(self, pose: Array) -> float:
+    def energy(self, t: float, pose: Array) -> float:
         """Elastic energy, J."""
+
+    def first(self, ev: Any, state: Any) -> Any:
+        """The memory at the start of a run from a state, evaluated as ``ev``."""
+
+    def accepted(self, ev: Any, state: Any) -> Any:
+        """The memory after a step that ended in a state, evaluated as ``ev``."""
+
+    def jumps(self, kept: Any) -> bool:
+        """Whether forces jump when the memory becomes ``kept``."""
 
     def given(self, t: float, pose: Array, twist: Array) -> dict[str, float]:
         """Power (W) of their loads and of their damping."""

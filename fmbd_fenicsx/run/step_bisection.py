@@ -96,7 +96,7 @@ class ConstantSteps:
     def march(self, h: float, steps: int, tape: Any = None) -> int:
         """Up to so many whole steps of size h (s) in one call; how many were made, 0 where :meth:`advance` has to."""
         many = getattr(self.stepper, "march", None)
-        remembering = any(loads.kept is not None for loads in self.system.forces)
+        remembering = bool(self.system.keepers)
         if many is None or self.whole or self._size not in (None, h) or remembering:
             return 0
         made: int = many(h, steps, self.watch, tape)

@@ -1,7 +1,7 @@
 """What force elements and controllers remember from step to step: changed by accepted steps only.
 
-Friction keeps where it sticks, a controller its own memory. An evaluation reads the memory and never changes it, so a step that
-is rejected has nothing to undo.
+Friction keeps where it sticks, a controller its own memory, a viscoelastic rod the strains of its dashpots. An evaluation reads
+the memory and never changes it, so a step that is rejected has nothing to undo.
 """
 
 from __future__ import annotations
@@ -9,33 +9,28 @@ from __future__ import annotations
 from dataclasses import is_dataclass
 from typing import Any
 
-from ..mechanics.forces.force_elements import Loads
 from .system import State, System
-
-
-def _keepers(system: System) -> list[Loads]:
-    return [f for f in system.forces if f.kept is not None]
 
 
 def memories(system: System) -> list[Any]:
     """The memory of each batch of elements that has one."""
-    return [f.kept for f in _keepers(system)]
+    return [f.kept for f in system.keepers]
 
 
 def kinds(system: System) -> set[type]:
     """The dataclasses among the memories."""
-    return {type(f.kept) for f in _keepers(system) if is_dataclass(f.kept)}
+    return {type(f.kept) for f in system.keepers if is_dataclass(f.kept)}
 
 
 def restore(system: System, kept: list[Any]) -> None:
     """Take the memories back to earlier ones of :func:`memories`."""
-    for loads, value in zip(_keepers(system), kept, strict=True):
+    for loads, value in zip(system.keepers, kept, strict=True):
         loads.kept = value
 
 
 def reset(system: System, state: State) -> None:
     """The memories that a run starts with in ``state``; collective."""
-    keepers = _keepers(system)
+    keepers = system.keepers
     if keepers:
         ev = system.at(state.t, state.q, state.v)
         restore(system, [loads.first(ev, state) for loads in keepers])
@@ -43,7 +38,7 @@ def reset(system: System, state: State) -> None:
 
 def accept(system: System, state: State) -> bool:
     """Note a step that was accepted and ended in ``state``; whether forces have jumped with it. Collective."""
-    keepers = _keepers(system)
+    keepers = system.keepers
     if not keepers:
         return False
     ev = system.at(state.t, state.q, state.v)

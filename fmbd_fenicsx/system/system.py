@@ -94,6 +94,11 @@ class System:
         return len(self.frame_names)
 
     @cached_property
+    def keepers(self) -> tuple[Any, ...]:
+        """Force elements and elements between frames with a memory, see :mod:`.element_memory`."""
+        return tuple(x for x in (*self.forces, *self.elements) if x.kept is not None)
+
+    @cached_property
     def fields(self) -> tuple[tuple[int, DistributedPart], ...]:
         """Distributed parts with their numbers."""
         return tuple((k, p) for k, p in enumerate(self.parts) if is_distributed(p))
@@ -418,7 +423,7 @@ class Evaluation:
             motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], None, g)
             T, E, W = p.energies(motion, self.pose[p.frame], (s.local_q(self.q, k), s.local_v(self.v, k)))
             kinetic, elastic, weight = kinetic + T, elastic + E, weight + W
-        elastic += sum(elements.energy(self.pose) for elements in s.elements)
+        elastic += sum(elements.energy(self.t, self.pose) for elements in s.elements)
         springs = sum(f.energy(self.kin, self.t) for f in s.forces)
         return {"kinetic": kinetic, "elastic": elastic, "weight": weight, "springs": springs}
 

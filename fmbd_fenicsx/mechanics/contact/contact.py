@@ -16,7 +16,7 @@ problems", doi:10.1017/S0962492911000079.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,7 @@ from ...checks import array, number, typed, vector, whole
 from ...errors import InputError, require
 from ...rotations import Array
 from ..bodies.bodies import RigidBody, Surface
+from ..rods.rods import Rod, first_node
 from .shapes import Obstacle
 
 
@@ -46,8 +47,40 @@ class RigidPoints:
         """Space dimension of the body."""
         return self.body.dim
 
+    def at(self, frame_of: Mapping[str, int]) -> tuple[np.ndarray, Array]:
+        """Frames (n,) of the points and their places (n, d) there; ``frame_of``: body -> frame."""
+        return np.full(len(self.points), frame_of[self.body.name]), self.points
+
     def __repr__(self) -> str:
         return f'points of "{self.body.name}"'
+
+
+@dataclass(frozen=True, eq=False)
+class RodPoints:
+    """The nodes of a rod, each the centre of a ball of ``radius`` m; see :func:`along`."""
+
+    body: Rod
+    radius: float
+    dim = 3
+
+    def at(self, frame_of: Mapping[str, int]) -> tuple[np.ndarray, Array]:
+        """Frames (n,) of the nodes and places (n, 3) there: their origins."""
+        nodes = len(self.body.nodes)
+        return frame_of[first_node(self.body.name)] + np.arange(nodes), np.zeros((nodes, 3))
+
+    def __repr__(self) -> str:
+        return f'nodes of "{self.body.name}"'
+
+
+@typed
+def along(rod: Rod, radius: float) -> RodPoints:
+    """The surface of a rod, round with ``radius`` m about its curve: a ball at each node.
+
+    Between two nodes at the distance l, a rod around an obstacle of radius R comes closer by l^2 / (8 R) at most: take elements
+    enough. Forces are those of the nodes (N); over the length that belongs to a node, ``rod.lengths``, they are N/m.
+    """
+    number(f'along("{rod.name}"): radius', radius, above=0.0, unit="m")
+    return RodPoints(rod, float(radius))
 
 
 @typed
@@ -106,7 +139,7 @@ class Contact:
 @typed
 def contact(
     name: str,
-    slave: Surface | RigidPoints,
+    slave: Surface | RigidPoints | RodPoints,
     master: Obstacle | Surface,
     *,
     friction: float = 0.0,
@@ -118,7 +151,7 @@ def contact(
 
     Args:
         name: what messages, sensors and the plan call the pair.
-        slave: a surface of an elastic body, or points of a rigid one.
+        slave: a surface of an elastic body, points of a rigid one, or a rod (:func:`along`).
         master: an obstacle, or a surface of another elastic body.
         friction: Coulomb's coefficient mu; 0 carries no friction rows.
         restitution: ratio e of normal velocities after and before an impact; read by the Moreau scheme only.
@@ -135,12 +168,14 @@ def contact(
     if search is not None:
         number(f"{what}: search", search, above=0.0, unit="m")
 
+    if isinstance(slave, RigidPoints):
+        require(not slave.body.locked, f'{what}: the slave body "{slave.body.name}" is locked; it cannot move.')
     if isinstance(master, Obstacle):
         master.shape.check(what, slave.dim)
     if isinstance(master, Surface):
-        if isinstance(slave, RigidPoints):
+        if isinstance(slave, RigidPoints | RodPoints):
             raise InputError(
-                f'Contact "{name}": give the elastic surface as slave, and an Obstacle on the rigid body as master.'
+                f'Contact "{name}": give the elastic surface as slave, and an Obstacle on a rigid body as master.'
             )
         if slave.body is master.body and slave.name == master.name:
             raise InputError(
@@ -152,4 +187,4 @@ def contact(
     return Contact(name, slave, master, float(friction), float(restitution), search, redistribute_mass)
 
 
-__all__ = ["Contact", "RigidPoints", "ball", "contact", "corners", "cylinder_end"]
+__all__ = ["Contact", "RigidPoints", "RodPoints", "along", "ball", "contact", "corners", "cylinder_end"]

@@ -71,11 +71,11 @@ _PER_ROW = ("gap", "friction", "restitution", "normal", "drift", "trace")
 
 @dataclass(frozen=True)
 class Side:
-    """Slave points: nodes of a trace (``trace`` its number, ``surface``), or points of a rigid frame."""
+    """Slave points: nodes of a trace (``trace`` its number, ``surface``), or ``points`` (m, d) of moving ``frames`` (m,)."""
 
     trace: int
     surface: SurfaceNodes | None
-    frame: int
+    frames: np.ndarray
     points: Array
     radius: float
 
@@ -308,12 +308,15 @@ class ContactSet:
             block = np.concatenate((world, self.m.moment(P[coo.col], local)), axis=1)
             np.add.at(core[:, at_frame], coo.row, block)
 
-    def add_frame(self, core: Array, frame: int, geometry: tuple[Array, Array, Array, Array]) -> None:
-        """Add rows n . x' of points x on a moving frame: geometry = (n (m, d), x (m, d), r, R)."""
+    def add_frames(self, core: Array, frames: np.ndarray, geometry: tuple[Array, Array, Array, Array]) -> None:
+        """Add rows n . x' of points x on moving frames (m,): geometry = (n (m, d), x (m, d), r (d,) or (m, d), R likewise)."""
         n, x, r, R = geometry
-        d, k = self.m.dim, self.m.n_twist
-        core[:, frame * k : frame * k + d] += n
-        core[:, frame * k + d : (frame + 1) * k] += self.m.moment((x - r) @ R, n @ R)
+        arm, direction = ((y[:, None, :] @ R)[:, 0] for y in (x - r, n))
+        block = np.concatenate((n, self.m.moment(arm, direction)), axis=1)
+
+        rows = np.arange(len(frames))[:, None]
+        columns = frames[:, None] * self.m.n_twist + np.arange(self.m.n_twist)
+        core[rows, columns] += block
 
 
 def tangents_of(normal: Array) -> list[Array]:
@@ -389,9 +392,9 @@ class ObstaclePair(Pair):
             x_all, P, Rb = nodes(side.trace)
             x = x_all[side.surface.nodes]
         else:
-            own = system.poses(q)[side.frame]
-            origin, Rb = own[: m.dim], m.matrix(own)
-            x = origin + side.points @ Rb.T
+            own = system.poses(q)[side.frames]
+            origin, Rb = own[:, : m.dim], m.matrix(own)
+            x = origin + (Rb @ side.points[:, :, None])[..., 0]
         # distances in the axes of the obstacle
         y = (x - r) @ R
         dist, grad = self.shape.evaluate(y)
@@ -417,9 +420,9 @@ class ObstaclePair(Pair):
                 W = _selection(side.surface.nodes, len(full))
                 contacts.add_nodes((core, field), side.trace, (W, full), (P, Rb))
             else:
-                contacts.add_frame(core, side.frame, (direction, touch.x, origin, Rb))
+                contacts.add_frames(core, side.frames, (direction, touch.x, origin, Rb))
             if 0 <= self.carrier.frame < system.n_frames and self.carrier.motion is None:
-                contacts.add_frame(core, self.carrier.frame, (-direction, touch.x, r, R))
+                contacts.add_frames(core, np.full(count, self.carrier.frame), (-direction, touch.x, r, R))
             return Linear(core, tuple(field))
 
         directions = tangents_of(touch.normal) if contacts.frictional else []

@@ -103,11 +103,23 @@ class Curve:
             fine[::2], fine[1::2] = points, found
             points = fine
         if error.max() > SMOOTH * size:
+            self._refuse_kink(points, between[error.argmax()])
+        return spline
+
+    def _refuse_kink(self, points: Array, u: float) -> None:
+        """Refuse a curve whose tangent jumps near u; where only its curvature does, chords turn half as much when halved."""
+
+        def turn(points: Array) -> float:
+            k = int(np.clip(round(u * (len(points) - 1)), 2, len(points) - 3))
+            chords = np.diff(points[k - 2 : k + 3], axis=0)
+            chords /= np.linalg.norm(chords, axis=1, keepdims=True)
+            return float(np.linalg.norm(chords[-1] - chords[0]))
+
+        if turn(points) > 0.75 * turn(points[::2]):
             raise InputError(
-                f'Rod "{self.name}": its curve is not smooth near u = {between[error.argmax()]:.4f}: a kink. Make two '
+                f'Rod "{self.name}": its curve is not smooth near u = {u:.4f}: a kink. Make two '
                 "rods and join them by fmbd.fixed(...)."
             )
-        return spline
 
     # -- arc length ---------------------------------------------------------------------------------------------
     def _measure(self) -> None:

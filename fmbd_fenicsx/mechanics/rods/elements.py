@@ -3,22 +3,24 @@
 Nodes are moving frames of the system, with places x_i, quaternions p_i and twists (x_i', omega_i in the section's axes). With
 z = (x', P, P') at a Gauss point, Z = dz/d(twists of the nodes) and E = de/dz,
 
-    f = sum_q w (E Z)^T S,     S = dW/de (e - e_0) + beta C e',     e' = E Z (twists)                                   (1)
-    K = sum_q w Z^T (E^T C E + d^2(S . e)/dz^2) Z + (second derivative of p exp(theta))                               (2)
+    f = sum_q w (E Z)^T S,     S = dW/de (e - e_0) + beta C e' + (arms),     e' = E Z (twists)                          (1)
+    K = sum_q w Z^T (E^T dS/de E + d^2(S . e)/dz^2) Z + (second derivative of p exp(theta))                           (2)
 
-with C = d^2 W / de^2 and beta the time of Kelvin-Voigt damping. (2) is the exact derivative of f by increments of the twists,
-but for the geometric part of the damping. Inertia and weight are those of rigid bodies at the nodes: the mass of the rod,
-lumped by Gauss-Lobatto weights, which keep the order 2 p of the element of degree p.
+with C = d^2 W / de^2, beta the time of Kelvin-Voigt damping, and the viscoelastic arms of :mod:`.relaxation`. (2) is the exact
+derivative of f by increments of the twists, but for the geometric part of the damping. Inertia and weight are those of rigid
+bodies at the nodes: the mass of the rod, lumped by Gauss-Lobatto weights, which keep the order 2 p of the element of degree p.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ...rotations import Array, hat, quaternion_matrix
+from .relaxation import ArmMemory, Arms
 from .strains import Shape, strain_hessian, strain_jacobian, strains
 
 Forces = tuple[np.ndarray, Array]  # numbers of frames (m, k), and what belongs to them
@@ -47,7 +49,8 @@ class RodElements:
     """All elements of one rod.
 
     ``frames`` (m, k): numbers of the nodes' frames; ``half`` (m,): half lengths, m; ``natural`` (m, q, 6): strains free of
-    stress; ``law``: the section's law at all Gauss points; ``beta``: s.
+    stress; ``law``: the section's law at all Gauss points; ``beta``: s; ``arms``: of a viscoelastic section, with their memory
+    ``kept``.
     """
 
     def __init__(self, name: str, frames: np.ndarray, shape: Shape, half: Array, natural: Array) -> None:
@@ -57,6 +60,8 @@ class RodElements:
         self.natural = natural
         self.law: Any = None
         self.beta = 0.0
+        self.arms: Arms | None = None
+        self.kept: ArmMemory | None = None
         self.loads: tuple[LineLoad, ...] = ()
         self.nodes = np.unique(frames)[:, None]
         self.points: Array = np.zeros((0, 0))  # arc lengths of the Gauss points, (m, q)
@@ -86,20 +91,27 @@ class RodElements:
         Z[:, :, 7:11, :, 3:] = np.moveaxis(self.slopes[..., None, None] * turn, 2, 3)
         return Z.reshape(m, q, 11, 6 * k)
 
-    def _stress(self, e: Array, E: Array, Z: Array, twist: Array | None) -> Array:
-        """Section forces and moments with those of the damping, (m, q, 6)."""
-        S: Array = self.law.stress(e - self.natural)
-        if self.beta and twist is not None:
-            nodal = twist[self.frames].reshape(len(self.frames), 1, -1, 1)
-            rate = (E @ (Z @ nodal))[..., 0]
-            S = S + self.beta * (self.law.tangent(e - self.natural) @ rate[..., None])[..., 0]
+    def _stress(self, t: float, e: Array, rate: Callable[[], Array] | None) -> Array:
+        """Section forces and moments S of (1), (m, q, 6), for strains less those free of stress, and their rate where wanted."""
+        S: Array = self.law.stress(e)
+        if self.arms is not None and self.kept is not None:
+            S = S + self.arms.stress(self.kept, t, e)
+        if self.beta and rate is not None:
+            S = S + self.beta * (self.law.tangent(e) @ rate()[..., None])[..., 0]
         return S
 
-    def section_forces(self, pose: Array, twist: Array | None) -> Array:
+    def _rate(self, E: Array, Z: Array, twist: Array | None) -> Callable[[], Array] | None:
+        """e' of (1)."""
+        if twist is None:
+            return None
+        nodal = twist[self.frames].reshape(len(self.frames), 1, -1, 1)
+        return lambda: np.asarray((E @ (Z @ nodal))[..., 0])
+
+    def section_forces(self, t: float, pose: Array, twist: Array | None) -> Array:
         """Forces and moments (m, q, 6) of the sections at the Gauss points, in their axes."""
         z, p = self.interpolated(pose)
         e, E = strain_jacobian(*z)
-        return self._stress(e, E, self.directions(spins(p)), twist)
+        return self._stress(t, e - self.natural, self._rate(E, self.directions(spins(p)), twist))
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def forces(self, t: float, pose: Array, twist: Array | None) -> list[Forces]:
@@ -107,7 +119,7 @@ class RodElements:
         z, p = self.interpolated(pose)
         e, E = strain_jacobian(*z)
         Z = self.directions(spins(p))
-        S = self._stress(e, E, Z, twist)
+        S = self._stress(t, e - self.natural, self._rate(E, Z, twist))
         on_z = self.weights[..., None, None] * (S[..., None, :] @ E)
         rows: Array = (on_z @ Z).sum(1).reshape(*self.frames.shape, 6)
         return [(self.frames, rows), *((self.nodes, -self._load(x, t, pose)[0]) for x in self.loads)]
@@ -118,10 +130,12 @@ class RodElements:
         z, p = self.interpolated(pose)
         e, E = strain_jacobian(*z)
         Z = self.directions(spins(p))
-        S = self._stress(e, E, Z, twist)
-        C = self.law.tangent(e - self.natural)
+        S = self._stress(t, e - self.natural, self._rate(E, Z, twist))
+        C = (ck + self.beta * cd) * self.law.tangent(e - self.natural)
+        if self.arms is not None and self.kept is not None:
+            C = C + ck * self.arms.tangent(self.kept, t)
 
-        inner = (ck + self.beta * cd) * np.swapaxes(E, -1, -2) @ C @ E
+        inner = np.swapaxes(E, -1, -2) @ C @ E
         inner += ck * strain_hessian(z, S)
         K: Array = (np.swapaxes(Z, -1, -2) @ (self.weights[..., None, None] * inner) @ Z).sum(1)
 
@@ -175,11 +189,37 @@ class RodElements:
         found = {"loads": sum(power(x) for x in loads)} if loads else {}
         if self.beta:
             found["damping"] = power(with_rates) - power(self.forces(t, pose, None)[0])
+        if self.arms is not None and self.kept is not None:
+            lost = self.arms.loss(self.kept, t, self.strains(pose))
+            found["relaxation"] = -float((self.weights * lost).sum())
         return found
 
-    def energy(self, pose: Array) -> float:
+    def energy(self, t: float, pose: Array) -> float:
         """Elastic energy, J."""
-        return float((self.weights * self.law.energy(self.strains(pose))).sum())
+        e = self.strains(pose)
+        density = self.law.energy(e)
+        if self.arms is not None and self.kept is not None:
+            density = density + self.arms.energy(self.kept, t, e)
+        return float((self.weights * density).sum())
+
+    # -- memory of the arms -------------------------------------------------------------------------------------
+    def first(self, ev: Any, state: Any) -> ArmMemory | None:
+        """The memory at the start of a run: no force in the arms."""
+        if self.arms is None:
+            return None
+        e = self.strains(ev.pose)
+        return ArmMemory(state.t, e, np.broadcast_to(e, self.arms.C.shape[:-1]).copy())
+
+    def accepted(self, ev: Any, state: Any) -> ArmMemory | None:
+        """The memory after a step that ended in a state, evaluated as ``ev``."""
+        if self.arms is None or self.kept is None:
+            return None
+        e = self.strains(ev.pose)
+        return self.kept.followed_by(state.t, e, self.arms.inner(self.kept, state.t, e))
+
+    def jumps(self, kept: Any) -> bool:
+        """Never: forces are continuous."""
+        return False
 
 
 def spins(p: Array) -> Array:

@@ -27,6 +27,11 @@ ON_CURVE = 1e-6  # distance of a station from the curve, over its length
 LARGEST_TURN = np.pi / 2  # between neighbouring nodes of the reference
 
 
+def first_node(rod: str) -> str:
+    """Name of the frame of a rod's first node."""
+    return f"{rod}, node 1"
+
+
 @dataclass(frozen=True, eq=False)
 class RodLoad:
     """A load along a rod: ``law``(s, t) -> (3,), N/m; ``turns``: a moment, N m/m; ``follower``: in axes of the sections.
@@ -235,7 +240,8 @@ class Rod:
         made = RodElements(self.name, first + self.connectivity, shape, half, np.zeros((*points.shape, 6)))
         made.natural = made.strains(np.concatenate((np.zeros((first, 7)), self.poses))) + self._prestrains(points)
         made.points, made.breaks = points, self.breaks
-        made.law, made.beta = self.section.law(points), self.damping
+        made.law, made.beta, made.arms = self.section.law(points), self.damping, self.section.arms(points)
+        made.kept = None if made.arms is None else made.arms.relaxed()
         made.loads = tuple(LineLoad(x.law, self.lengths, self.nodes, x.follower, x.turns) for x in self.loads)
         return made
 

@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import number
 from ...errors import CallbackError, InputError, require
 from ...rotations import Array
+from .relaxation import Arms
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +30,9 @@ class RodSection:
         inertia: rotary inertia about the curve in section axes, kg m: three numbers or (3, 3), or a function of s. Its first
             entry belongs to spin about the tangent. The centre of mass lies on the curve.
         outline: corners (n, 2) of the section across the curve, m, for pictures.
+        relaxation: viscoelastic arms, pairs (C_k, tau_k): after a sudden strain e the section forces are
+            (stiffness + sum C_k exp(-t / tau_k)) e. C_k: (6, 6) or six numbers, as the stiffness, zeros allowed, or one number
+            that multiplies the stiffness; tau_k in s. A run starts without force in the arms; equilibria have none.
     """
 
     stiffness: Any = None
@@ -35,6 +40,7 @@ class RodSection:
     inertia: Any = (0.0, 0.0, 0.0)
     energy: Callable[[Any, Any, Any], Any] | None = None
     outline: Array | None = None
+    relaxation: Sequence[tuple[Any, float]] = ()
 
     def __post_init__(self) -> None:
         require(
@@ -44,6 +50,7 @@ class RodSection:
         self.matrices(np.zeros(1))
         self.masses(np.zeros(1))
         self.inertias(np.zeros(1))
+        self.arms(np.zeros((1, 1)))
 
     @classmethod
     def rectangle(
@@ -120,6 +127,34 @@ class RodSection:
             check_matrix(J, "inertia", at)
         return found
 
+    def arms(self, s: Array) -> Arms | None:
+        """The viscoelastic arms at the Gauss points s (m, q), m; None without any."""
+        if not len(self.relaxation):
+            return None
+        found = [self._arm(pair, s.ravel()) for pair in self.relaxation]
+        C = np.array([x for x, _ in found]).reshape(len(found), *s.shape, 6, 6)
+        return Arms(C, np.array([tau for _, tau in found]))
+
+    def _arm(self, pair: Any, s: Array) -> tuple[Array, float]:
+        """C_k at the places s, (n, 6, 6), and tau_k; checked."""
+        require(
+            isinstance(pair, tuple | list) and len(pair) == 2,
+            f"Section: relaxation must be pairs (stiffness, time in s), found {pair!r}.",
+        )
+        given, tau = pair
+        number(f"Section: time of the relaxation ({given!r}, {tau!r})", tau, above=0.0, unit="s")
+        if np.ndim(given) == 0:
+            share = number("Section: share of the stiffness that relaxes", given, above=0.0)
+            require(self.stiffness is not None, "Section: beside an own energy, give arms as six numbers or (6, 6).")
+            return share * self.matrices(s), float(tau)
+        C = _matrix(given, 6, "relaxing stiffness", float(s[0]))
+        check_symmetric(C, "relaxing stiffness", float(s[0]))
+        least = float(np.linalg.eigvalsh(C)[0])
+        require(
+            least >= -1e-12 * np.abs(C).max(), f"Section: relaxing stiffness has the negative eigenvalue {least:g}."
+        )
+        return np.broadcast_to(C, (len(s), 6, 6)), float(tau)
+
     def law(self, s: Array) -> LinearLaw | Any:
         """The law at the Gauss points s (m, q), m."""
         if self.energy is None:
@@ -171,15 +206,20 @@ def _matrix(given: Any, n: int, what: str, s: float) -> Array:
 
 def check_matrix(C: Array, what: str, s: float) -> None:
     """Refuse a matrix that is not symmetric and positive."""
+    check_symmetric(C, what, s)
+    size = np.sqrt(np.abs(np.diag(C)))
+    if not (size > 0).all() or np.linalg.eigvalsh(C / np.outer(size, size))[0] <= 1e-12:
+        raise InputError(
+            f"Section: {what} at s = {s:g} m is not positive: eigenvalues {np.round(np.linalg.eigvalsh(C), 12).tolist()}."
+        )
+
+
+def check_symmetric(C: Array, what: str, s: float) -> None:
+    """Refuse a matrix that is not symmetric."""
     skew = np.abs(C - C.T)
     if skew.max() > 1e-9 * np.abs(C).max():
         i, j = np.unravel_index(int(skew.argmax()), C.shape)
         raise InputError(
             f"Section: {what} at s = {s:g} m is not symmetric: entry ({i + 1}, {j + 1}) is {C[i, j]:g}, "
             f"entry ({j + 1}, {i + 1}) is {C[j, i]:g}."
-        )
-    size = np.sqrt(np.abs(np.diag(C)))
-    if not (size > 0).all() or np.linalg.eigvalsh(C / np.outer(size, size))[0] <= 1e-12:
-        raise InputError(
-            f"Section: {what} at s = {s:g} m is not positive: eigenvalues {np.round(np.linalg.eigvalsh(C), 12).tolist()}."
         )

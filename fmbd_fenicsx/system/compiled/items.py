@@ -188,6 +188,6 @@ def other_loads(system: System) -> list[Loads]:
 
 def covers(system: System) -> bool:
     """Whether all constraints and forces are items, or loads that Python can evaluate; elements with a memory are not."""
-    if any(loads.kept is not None for loads in system.forces):
+    if system.keepers:
         return False
     return not any(isinstance(batch, OwnBatch) for batch, _ in system.batches)

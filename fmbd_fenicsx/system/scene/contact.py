@@ -13,7 +13,7 @@ from ...errors import InputError, named, near, require
 from ...log import log
 from ...mechanics.bodies.bodies import RigidBody, Surface
 from ...mechanics.bodies.field_part import FieldPart
-from ...mechanics.contact.contact import Contact, RigidPoints
+from ...mechanics.contact.contact import Contact
 from ...mechanics.contact.mass import redistribute_mass
 from ...mechanics.contact.rows import Carrier, ContactSet, ObstaclePair, Side
 from ...mechanics.contact.shapes import Obstacle
@@ -92,21 +92,17 @@ def _trace(number: int, part: Any, body: Any, surfaces: list[str], n_frames: int
         return ModalTrace(number, part, nodes, made.phi, surfaces)
     raise InputError(
         f'Body "{body.name}" has no mesh whose surface could touch. Contact takes surfaces of FloatingBody, AbsoluteBody and '
-        "their reduced bodies, and points of a RigidBody (fmbd.contacts.corners, ball, cylinder_end)."
+        "their reduced bodies, points of a RigidBody (fmbd.contacts.corners, ball, cylinder_end), and rods (fmbd.contacts.along)."
     )
 
 
 def _pair(c: Contact, m: Motions, frame_of: dict[str, int], known: tuple[list[Trace], dict[str, int]]) -> Any:
     traces, number = known
-    if isinstance(c.slave, RigidPoints):
-        require(
-            not c.slave.body.locked,
-            f'Contact "{c.name}": the slave body "{c.slave.body.name}" is locked; it cannot move.',
-        )
-        side = Side(-1, None, frame_of[c.slave.body.name], c.slave.points, c.slave.radius)
-    else:
+    if isinstance(c.slave, Surface):
         i = number[c.slave.body.name]
-        side = Side(i, traces[i].surfaces[c.slave.name], traces[i].frame, np.zeros((0, m.dim)), 0.0)
+        side = Side(i, traces[i].surfaces[c.slave.name], np.zeros(0, dtype=int), np.zeros((0, m.dim)), 0.0)
+    else:
+        side = Side(-1, None, *c.slave.at(frame_of), c.slave.radius)
 
     if isinstance(c.master, Surface):
         return _mortar_pair(c, side, known)
@@ -123,7 +119,7 @@ def _mortar_pair(c: Contact, slave: Side, known: tuple[list[Trace], dict[str, in
 
     traces, number = known
     i = number[c.master.body.name]
-    master = Side(i, traces[i].surfaces[c.master.name], traces[i].frame, slave.points, 0.0)
+    master = Side(i, traces[i].surfaces[c.master.name], slave.frames, slave.points, 0.0)
     facets = tuple(
         trace_of(traces[s.trace].body_nodes.space, traces[s.trace].body_nodes.mesh, name)
         for s, name in ((slave, c.slave.name), (master, c.master.name))

@@ -29,7 +29,11 @@ class SectionSensor(Sensor):
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Values at the Gauss points, continued to s; at a node between two elements the mean of both sides."""
         rod = next(e for e in ev.system.elements if isinstance(e, RodElements) and e.name == self.rod)
-        found = rod.strains(ev.pose) if self.strain else rod.section_forces(ev.pose, None if ev.v is None else ev.twist)
+        found = (
+            rod.strains(ev.pose)
+            if self.strain
+            else rod.section_forces(ev.t, ev.pose, None if ev.v is None else ev.twist)
+        )
 
         edge = 1e-9 * rod.breaks[-1]
         inside = (rod.breaks[:-1] <= self.s + edge) & (self.s - edge <= rod.breaks[1:])
