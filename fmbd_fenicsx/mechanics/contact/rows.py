@@ -82,9 +82,7 @@ class Side:
 
 @dataclass(frozen=True)
 class Carrier:
-    """Pose of an obstacle: a frame of the system (its number, the ground included) times an optional
-    prescribed motion.
-    """
+    """Pose of an obstacle: a frame of the system (its number, the ground included) times an optional prescribed motion."""
 
     frame: int
     offset: Array  # pose of a locked body, (n_pose,)
@@ -237,9 +235,7 @@ class ContactSet:
         return 2.0 * speed
 
     def update(self, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
-        """Pair two-body contacts anew for a step that starts at q; ``keep``: overlaps found stay.
-        Collective.
-        """
+        """Pair two-body contacts anew for a step that starts at q; ``keep``: overlaps found stay. Collective."""
         for p in self.pairs:
             if hasattr(p, "update"):
                 p.update(self, system, q, reach, keep=keep)
