@@ -33,6 +33,7 @@ def push_of(y: Any) -> Any:
     return 2.0 * STIFFNESS * (LENGTH / np.hypot(HALF, y) - 1.0) * y
 
 
+@pytest.mark.mpi
 def test_path_passes_both_limit_points() -> None:
     """Every point of the path is on the exact curve; the turns are at the exact limit loads."""
     scene = truss(100.0)
@@ -54,6 +55,7 @@ def test_load_below_the_limit_and_above() -> None:
     assert push_of(fmbd.equilibrium(truss(10.0), t=1.0)["apex"][1]) == pytest.approx(10.0, abs=1e-8)
 
 
+@pytest.mark.mpi
 def test_hanging_from_a_horizontal_start() -> None:
     """A chain that starts level under gravity is found hanging."""
     scene = fmbd.Scene("chain", gravity=(0.0, -9.81))
@@ -74,6 +76,7 @@ def test_free_motion_is_refused_by_name() -> None:
         fmbd.equilibrium(scene)
 
 
+@pytest.mark.mpi
 def test_rotation_stretches_a_spring() -> None:
     """r = k l_0 / (k - m W^2) for a mass on a spring in steady rotation."""
     scene = fmbd.Scene("sling")
@@ -85,6 +88,7 @@ def test_rotation_stretches_a_spring() -> None:
     assert found["mass"][0] == pytest.approx(100.0 / (100.0 - 2.0 * 16.0), rel=1e-10)
 
 
+@pytest.mark.mpi
 def test_large_deflection_of_an_absolute_rod(rod_mesh: Any) -> None:
     """A dead load in one call or after half of it: the same place, far beyond linear theory."""
     ends = []

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
 import pytest
+from test_ranks import launch
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
@@ -51,6 +53,7 @@ def two_masses(damping: float) -> fmbd.Scene:
     return scene
 
 
+@pytest.mark.mpi
 def test_transfer_function_of_two_masses() -> None:
     """Position, velocity and acceleration of the far mass for a force on the near one, to 1e-10."""
     model = fmbd.linearise(two_masses(0.1), ["push x"], ["b x", "speed x", "pull x"])
@@ -88,6 +91,7 @@ def test_oscillator_in_turning_axes() -> None:
     assert found.omega[0] == pytest.approx((2.0 - rate, 2.0 + rate), rel=1e-7)
 
 
+@pytest.mark.mpi
 def test_placements_agree(rod_mesh: Any) -> None:
     """A clamped rod in a floating frame and in absolute coordinates; static gain as in the equilibrium under the load."""
     omega, gain = [], []
@@ -104,6 +108,7 @@ def test_placements_agree(rod_mesh: Any) -> None:
     assert gain[0] == pytest.approx(gain[1], rel=1e-8)
 
 
+@pytest.mark.mpi
 def test_damped_rod(rod_mesh: Any) -> None:
     """zeta = beta w / 2 for stiffness-proportional damping, and no motion that constraints forbid in the linear model."""
     values = []
@@ -151,3 +156,49 @@ def test_forward_and_backward_whirl() -> None:
     found = fmbd.campbell(lambda speed: scene, [0.7, 1.5, 2.5], 2)
     assert np.sort(found.fixed, axis=1) == pytest.approx(np.array([[-2.0, 2.0]] * 3), rel=1e-6)
     assert found.critical_speeds == pytest.approx([2.0], rel=1e-6)
+
+
+RANKS = """
+import json
+import numpy as np
+from mpi4py import MPI
+import fmbd_fenicsx as fmbd
+mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.1), origin=(0.0, -0.05), counts=(4, 1))
+law = fmbd.materials.saint_venant_kirchhoff(1e6, 0.3)
+how = {"density": 1e3, "energy": law, "stiffness_damping": 2e-3}
+rod = fmbd.AbsoluteBody("rod", mesh, **how)
+scene = fmbd.Scene("rod")
+clamp = fmbd.fixed("clamp", fmbd.ground, rod.surface("left"))
+scene.add(rod, clamp, fmbd.force("push", rod.surface("right"), lambda t: (0.0, -60.0 * t)))
+scene.sensor("tip", fmbd.position(rod.surface("right")))
+scene.sensor("force", fmbd.reaction_force(clamp))
+found = fmbd.equilibrium(scene, t=0.5, path=fmbd.ArcLength(1.0, step=0.5))
+values = fmbd.modes(scene, 2, at=found).eigenvalues
+answer = fmbd.linearise(scene, ["push y"], ["tip y"], at=found, modes=2).frequency_response([0.0, 3.0])
+small = [found["tip"], found["force"], found.path.parameter, values.real, values.imag, answer.real, answer.imag]
+small = [np.ravel(x).tolist() for x in small]
+every = MPI.COMM_WORLD.gather(small)
+if MPI.COMM_WORLD.rank == 0:
+    assert all(x == small for x in every)
+    print(json.dumps(small))
+"""
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+def test_two_ranks_give_the_figures_of_one() -> None:
+    """A path of equilibria far from the linear one, damped modes about its end, and a linear model."""
+    one, two = (json.loads(launch(RANKS, n, timeout=300).stdout.splitlines()[-1]) for n in (1, 2))
+    assert one[2] == pytest.approx(two[2], rel=1e-9)  # the same points of the path
+    for a, b, tolerance in zip(one, two, (1e-9, 1e-9, 1e-9, 1e-6, 1e-7, 1e-6, 1e-6), strict=True):
+        assert np.abs(np.subtract(a, b)).max() <= tolerance * np.abs(a).max()
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+def test_functions_that_depend_on_the_rank_are_refused() -> None:
+    """As in a run."""
+    for call in ("fmbd.equilibrium(scene, t=1.0)", "fmbd.linearise(scene, ['push y'], ['tip y'])"):
+        begun = RANKS[: RANKS.index("found =")].replace("-60.0 * t", "-60.0 * t - MPI.COMM_WORLD.rank")
+        done = launch(begun + call, 2, timeout=120)
+        assert done.returncode == 2 and "on rank 1 for the same arguments" in done.stderr

@@ -99,7 +99,9 @@ class ArcLength:
 def _product(newton: StaticNewton, x: Array, y: Array) -> float:
     """Inner product of increments over the model's length, per velocity component."""
     s = newton.residual.system
-    return s.dot(s.units * x, s.units * y) / s.length**2 / max(s.n_v, 1)
+    # those of all ranks: a share of their own would give every rank a step of its own
+    components = s.n_core + sum(p.field.n_global for _, p in s.fields)
+    return s.dot(s.units * x, s.units * y) / s.length**2 / max(int(components), 1)
 
 
 def _tangent(

@@ -124,12 +124,17 @@ def _freedom(about: Perturbation) -> int:
 
 
 def _random(about: Perturbation, k: int) -> Array:
-    """A random array like v, its core equal on all ranks."""
+    """A random array like v, the same for any number of ranks: fields get waves of random lengths and phases."""
     system = about.system
-    rank = 0 if system.comm is None else system.comm.rank
-    core = np.random.default_rng(k).standard_normal(system.n_core)
-    local = np.random.default_rng((k, 1 + rank)).standard_normal(system.n_v - system.n_core)
-    return np.concatenate((core, local)) / system.units
+    draw = np.random.default_rng(k)
+    out = np.zeros(system.n_v)
+    out[: system.n_core] = draw.standard_normal(system.n_core)
+    for i, part in system.fields:
+        d = part.field.dim
+        turns = draw.standard_normal((d, d)) * 2.0 * np.pi / part.field.size
+        waves = np.cos(part.field.X @ turns + draw.uniform(0.0, 2.0 * np.pi, d))
+        out[system.slices[1][i]] = waves.ravel()
+    return out / system.units
 
 
 class _Shifted:

@@ -19,6 +19,7 @@ from ..errors import ConvergenceError, InputError, LinearSolveError, near, requi
 from ..fem.fields import Field
 from ..linear.condensation import StepSolver
 from ..mechanics.reduction.modes import first_eigenvalue_bound
+from ..ranks import OneAnswer
 from ..rotations import Array
 from ..system.scene.scene import Scene
 from ..system.system import State, System
@@ -94,10 +95,14 @@ def equilibrium(
     )
     system, given, markers = scene.build()
     solver = StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
-    try:
-        newton = static_newton(system, solver, t, spin)
-        point = find(newton, Point(given.q, np.zeros(system.n_lam)), t)
-        made = None if path is None else path.trace(newton, point, t)
+    with OneAnswer(system.comm):
+        try:
+            newton = static_newton(system, solver, t, spin)
+            point = find(newton, Point(given.q, np.zeros(system.n_lam)), t)
+            made = None if path is None else path.trace(newton, point, t)
+        finally:
+            solver.destroy()
+
         if made is not None:
             t, point = made.parameter[-1], made.points[-1]
         counters = {
@@ -105,15 +110,17 @@ def equilibrium(
             "tangent_iterations": newton.tangent_iterations,
             "factorisations": solver.factorisations,
         }
-    finally:
-        solver.destroy()
-    state = state_of(system, point, t, spin)
-    found = Equilibrium(scene, system, state, markers, spin, made, counters)
-    if made is not None:
-        states = [state_of(system, p, s, spin) for p, s in zip(made.points, made.parameter, strict=True)]
-        for name in scene.sensors:
-            made.series[name] = np.array([read(found, name, s) for s in states])
+        found = Equilibrium(scene, system, state_of(system, point, t, spin), markers, spin, made, counters)
+        if made is not None:
+            _read_along(found, made)
     return found
+
+
+def _read_along(found: Equilibrium, path: Path) -> None:
+    """All sensors at all points of a path; collective."""
+    states = [state_of(found.system, p, s, found.spin) for p, s in zip(path.points, path.parameter, strict=True)]
+    for name in found.scene.sensors:
+        path.series[name] = np.array([read(found, name, s) for s in states])
 
 
 def settled(system: System, given: State, solver: StepSolver) -> State:

@@ -29,7 +29,7 @@ from ..system.scene.scene import Scene
 from ..system.system import State
 from .basis import Projected, projected
 from .first_order import first_order
-from .modes import Linearised, eigenpairs, prepare
+from .modes import Linearised, eigenpairs, prepared
 
 STEP = 1e-4
 AXES = ("x", "y", "z")
@@ -88,15 +88,12 @@ def linearise(
     Raises:
         InputError: an unknown input or output, or a state that is not in equilibrium.
     """
-    made = prepare(scene, at, None)
-    try:
+    with prepared(scene, at, None) as made:
         forces = _inputs(made, inputs)
         small = projected(made.about, made.solver, modes or 20, made.shift, [f for _, f in forces])
         if modes is not None:
             small = _first_modes(small, modes)
         return _model(made, small, forces, _outputs(made, outputs))
-    finally:
-        made.solver.destroy()
 
 
 @typed

@@ -8,7 +8,8 @@ such; otherwise as the eigenvalues of its companion matrix.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +20,7 @@ from ..checks import typed
 from ..errors import InputError, require
 from ..fem.fields import rank_sum
 from ..linear.condensation import StepSolver
+from ..ranks import OneAnswer
 from ..rotations import Array
 from ..schemes.consistent import consistent
 from ..system.scene.scene import Scene
@@ -111,7 +113,7 @@ def _circling(moves: Sequence[Array], axis: Sequence[float]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """A scene about a state, ready for projections; close with ``solver.destroy()``."""
+    """A scene about a state, ready for projections as long as :func:`prepared` lasts."""
 
     scene: Scene
     about: Perturbation
@@ -132,24 +134,33 @@ def modes(scene: Scene, n: int, *, at: Any = None, linear: Any = None) -> Modes:
         InputError: more modes than the scene has; a state that is not in equilibrium, with how far.
     """
     require(isinstance(n, int) and n >= 1, f"modes: n must be a whole number of at least 1, found {n!r}.")
-    made = prepare(scene, at, linear)
-    try:
+    with prepared(scene, at, linear) as made:
         small = projected(made.about, made.solver, n, made.shift)
         values, vectors = eigenpairs(small, n)
-    finally:
-        made.solver.destroy()
     system = made.about.system
     shapes = vectors.T @ small.vectors
     sizes = [max(system.max_abs(x.real), system.max_abs(x.imag)) for x in shapes]
     return Modes(scene, system, made.about.state, values, np.array([x / s for x, s in zip(shapes, sizes, strict=True)]))
 
 
-def prepare(scene: Scene, at: Any, linear: Any) -> Linearised:
-    """A scene linearised about a start, an equilibrium, a run's last state or a state; collective."""
+@contextmanager
+def prepared(scene: Scene, at: Any, linear: Any) -> Iterator[Linearised]:
+    """A scene linearised about a start, an equilibrium, a run's last state or a state, as a context; collective."""
     require(
         not scene.contacts, "Modes and linear models of scenes with contact are not offered: contact has no tangent."
     )
     system, given, markers = scene.build()
+    with OneAnswer(system.comm):
+        made = _linearised(scene, at, linear, (system, given, markers))
+        try:
+            yield made
+        finally:
+            made.solver.destroy()
+
+
+def _linearised(scene: Scene, at: Any, linear: Any, built: tuple[System, State, dict[str, int]]) -> Linearised:
+    """See :func:`prepared`."""
+    system, given, markers = built
     solver = StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
     spin = at.spin if isinstance(at, Equilibrium) else None
     state = at if isinstance(at, State) else getattr(at, "state", None)
