@@ -70,6 +70,7 @@ from .mechanics.contact.shapes import HalfSpace as HalfSpace
 from .mechanics.contact.shapes import Obstacle as Obstacle
 from .mechanics.contact.shapes import SignedDistance as SignedDistance
 from .mechanics.contact.shapes import Sphere as Sphere
+from .mechanics.forces.expressed import force_element as force_element
 from .mechanics.forces.forces import Spring as Spring
 from .mechanics.forces.forces import Tyre as Tyre
 from .mechanics.forces.forces import effort as effort

@@ -148,7 +148,7 @@ def check_fields(data: Any, what: str | None = None) -> None:
     label = _label(kind.__name__, values) if what is None else what
     for f in fields(data):
         if f.init:
-            _check(f"{label}: {f.name}", values[f.name], _hint(_home(kind, f.name), str(f.type)), default=f.default)
+            _check(f"{label}: {f.name}", values[f.name], _hint(_home(kind, f.name), f.type), default=f.default)
 
 
 def typed(make: Callable[P, T]) -> Callable[P, T]:
@@ -163,7 +163,7 @@ def typed(make: Callable[P, T]) -> Callable[P, T]:
         for name, value in values.items():
             p = signature.parameters[name]
             if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY):
-                _check(f"{label}: {name}", value, _hint(module, str(p.annotation)), default=p.default)
+                _check(f"{label}: {name}", value, _hint(module, p.annotation), default=p.default)
         return make(*args, **kwargs)
 
     return checked
@@ -179,12 +179,17 @@ def _home(kind: type, field: str) -> str:
     return next((k.__module__ for k in kind.__mro__ if field in vars(k).get("__annotations__", {})), kind.__module__)
 
 
+def _hint(module: str, annotation: Any) -> Any:
+    """The type behind an annotation, which is the type itself or, by default in this package, its text."""
+    return _named_type(module, annotation) if isinstance(annotation, str) else annotation
+
+
 @cache
-def _hint(module: str, annotation: str) -> Any:
+def _named_type(module: str, annotation: str) -> Any:
     """The type behind the text of an annotation; Any where its names are known to type checkers only."""
     try:
-        return eval(annotation, vars(sys.modules[module]))  # text of this package's own source
-    except (NameError, AttributeError, TypeError):
+        return eval(annotation, vars(sys.modules[module]))  # text of the source of a class or function
+    except (KeyError, NameError, AttributeError, TypeError):
         return Any
 
 

@@ -1,6 +1,7 @@
 """Forces between bodies: springs, dampers, motors, tyres, forces and moments of the user's own."""
 
 from .mechanics.forces.bushing import bushing
+from .mechanics.forces.expressed import force_element
 from .mechanics.forces.forces import Spring, Tyre, effort, force, joint_spring, own_force, torque
 from .mechanics.forces.joint_elements import dry_friction, elastic_stop, joint_friction, motor
 from .system.controllers import controller, pid
@@ -14,6 +15,7 @@ __all__ = [
     "effort",
     "elastic_stop",
     "force",
+    "force_element",
     "joint_friction",
     "joint_spring",
     "motor",

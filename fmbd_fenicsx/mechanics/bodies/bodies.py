@@ -18,7 +18,7 @@ from ...errors import InputError, named, near, require
 from ...fem.fields import ElasticForms
 from ...fem.loads import Load
 from ...rotations import Array, motions
-from ..placements import Attached, Chord, MeanAxis
+from ..placements import Attached, Chord, MeanAxis, Part
 
 Vector = Sequence[float] | Array
 Same = TypeVar("Same", bound="ElasticBody")
@@ -117,6 +117,17 @@ class RigidBody:
         """(n_rot, n_rot)."""
         J = np.asarray(self.inertia, dtype=float)
         return J.reshape(1, 1) if J.ndim == 0 else np.diag(J) if J.ndim == 1 else J
+
+    def part(self, frame: int) -> Part | None:
+        """What moves in the body, or changes it, beside its own mass and inertia: a part on its frame. None: nothing.
+
+        A body of a user's own inherits from this class and returns its :class:`~..placements.Part` here.
+        """
+        return None
+
+    def start_local(self) -> tuple[Array, Array]:
+        """Local coordinates of that part and their rates at the start, (n,) each."""
+        return np.zeros(0), np.zeros(0)
 
     def start_pose(self) -> Array:
         """Pose at the start, (n_pose,)."""

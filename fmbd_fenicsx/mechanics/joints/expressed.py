@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 
 from ...checks import typed, vector
-from ...errors import InputError
 from ...rotations import Array
 from ..bodies.bodies import RigidBody
-from ..kinds.own import OwnTerm, frame_numbers, own_term, traced
+from ..kinds.own import OwnTerm, finite_at, own_term, traced
 from . import constraints as ct
 from .couplings import smooth_motion
 from .joints import Joint, Row, Vector, dimension, ground
@@ -86,12 +85,12 @@ def constraint(
     what = f'Constraint "{name}"'
     given = {"point_a": point_a, "point_b": point_b}
     points = [None if x is None else vector(f"{what}: {end}", x, size=dim) for end, x in given.items()]
-    places: list[Any] = [_place(side, point, dim) for side, point in zip((a, b), points, strict=True)]
+    places: list[Any] = [start_place(side, point, dim) for side, point in zip((a, b), points, strict=True)]
     terms = [own_term(what, y, dim) for y in traced(what, expression, dim)]
 
     # where both markers are known already, what cannot be evaluated is refused here
     if all(x is not None for x in places):
-        _finite(what, terms, places, dim)
+        finite_at(what, terms, places, dim)
     rows = tuple(_row(name, term, dim) for term in terms)
     return ExpressedJoint(name, a, b, rows, places[0], places[1], kind="own")
 
@@ -111,25 +110,10 @@ _BATCHES = {
 }
 
 
-def _place(side: Any, point: Array | None, dim: int) -> Array | None:
+def start_place(side: Any, point: Any, dim: int) -> Array | None:
     """Where a marker is at the start; None where a mesh has to tell."""
     if point is not None:
-        return point
+        return np.asarray(point, dtype=float)[:dim]
     if side is ground:
         return np.zeros(dim)
     return side.start_pose()[:dim] if isinstance(side, RigidBody) else None
-
-
-def _finite(what: str, terms: list[OwnTerm], places: list[Any], dim: int) -> None:
-    """Refuse formulas without finite values and derivatives at the start."""
-    a, b = (frame_numbers(dim, x) for x in places)
-    for i, term in enumerate(terms):
-        found = term.at((a, b), 0.0)
-        if np.isfinite(found).all():
-            continue
-        which = "" if len(terms) == 1 else f" {i + 1} of {len(terms)}"
-        lacking = "value" if not np.isfinite(found[0]) else "derivative"
-        raise InputError(
-            f"{what}: its formula{which} has no finite {lacking} at the start, with a at {tuple(map(float, places[0]))} and b at "
-            f"{tuple(map(float, places[1]))}. Move the points, or write it another way: d @ d - L * L instead of sqrt(d @ d) - L."
-        )

@@ -21,6 +21,7 @@ goes beyond a turn: of the values of atan2 it takes the one nearest to the count
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from typing import Any, ClassVar
 
@@ -30,6 +31,7 @@ from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..kinds.derivation import Kind, kinds
 from ..kinds.evaluation import Items
+from ..kinds.own import OwnTerm
 
 
 def nearest(angle: Array, wanted: Array) -> Array:
@@ -122,9 +124,17 @@ class Slide(Relative):
 
 
 class Expressed(Relative):
-    """A coordinate by an expression of the user's own."""
+    """A coordinate by a formula of the user's own; ``terms``: those of all items, of one kind."""
 
-    kind = "expressed"
+    kind = "own"
+
+    def __init__(self, motions: Motions, a: np.ndarray, b: np.ndarray, terms: Sequence[OwnTerm]) -> None:
+        self.terms = terms
+        super().__init__(motions, a, b, np.zeros((len(terms), motions.dim)), terms[0].kind)
+
+    def constants(self) -> dict[str, Array]:
+        """The numbers in the formulas."""
+        return {name: np.array([term.constants[name] for term in self.terms]) for name in self.terms[0].constants}
 
     def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array) -> Array:
         """The difference of the coordinate over that of its rows."""

@@ -186,9 +186,24 @@ def _kind(dim: int, y: Expression, numbers: int, flow: bool) -> Kind:
     return derive("own", dim, definition, flow=flow)
 
 
-def frame_numbers(dim: int, x: Array) -> Array:
+def _frame_numbers(dim: int, x: Array) -> Array:
     """A frame at rest at a place, world axes, (FRAME,)."""
     out = np.zeros(FRAME[dim])
     out[:dim] = x
     out[dim : dim + dim * dim] = np.eye(dim).ravel()
     return out
+
+
+def finite_at(what: str, terms: list[OwnTerm], places: list[Any], dim: int) -> None:
+    """Refuse formulas without finite values and derivatives at the start, the markers at two places, world axes."""
+    a, b = (_frame_numbers(dim, x) for x in places)
+    for i, term in enumerate(terms):
+        found = term.at((a, b), 0.0)
+        if np.isfinite(found).all():
+            continue
+        which = "" if len(terms) == 1 else f" {i + 1} of {len(terms)}"
+        lacking = "value" if not np.isfinite(found[0]) else "derivative"
+        raise InputError(
+            f"{what}: its formula{which} has no finite {lacking} at the start, with a at {tuple(map(float, places[0]))} and b at "
+            f"{tuple(map(float, places[1]))}. Move the points, or write it another way: d @ d - L * L instead of sqrt(d @ d) - L."
+        )

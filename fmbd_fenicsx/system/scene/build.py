@@ -142,6 +142,10 @@ class Builder:
             if isinstance(body, CoordinateBody):
                 self._put_part(CoordinatePart(body, ground_frame), np.array(body.start), np.array(body.start_rate))
         for body in moving:
+            if isinstance(body, RigidBody) and (inner := body.part(self.frame_of[body.name])) is not None:
+                inner.body = body
+                self._put_part(inner, *body.start_local())
+        for body in moving:
             if isinstance(body, LineBody):
                 line = LinePart(body, ground_frame, used[body.name])
                 self._put_part(line, line.start, line.start_rate)

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import InputError, near
+from ...mechanics.forces.expressed import ExpressedForce
 from ...mechanics.forces.force_elements import Loads, ScalarLoads
 from ...mechanics.forces.forces import Force
 from ...mechanics.joints.drives import JointCoordinate
-from ...mechanics.joints.relative import Relative, Separation
+from ...mechanics.joints.relative import Expressed, Relative, Separation
 from ...rotations import Motions
 from ..sensors.sensors import Sensor
 from .joints import relative_of
@@ -51,7 +52,9 @@ def build_loads(builder: Builder) -> tuple[Loads, ...]:
             continue
 
         s = f.coordinate
-        kind = Separation if s is None else s.kind
+        kind: Any = Separation if s is None else s.kind
+        if isinstance(f, ExpressedForce):
+            kind = f.term.kind
         markers = builder.force_markers(f) if s is None else builder.joint_markers[s.joint.name]
         groups.setdefault((f.batch, kind), []).append((f, markers))
 
@@ -64,8 +67,12 @@ def build_loads(builder: Builder) -> tuple[Loads, ...]:
     return tuple(out)
 
 
-def _relative(m: Motions, kind: type[Relative], fs: list[Force], ms: list[tuple[int, int]]) -> Relative:
+def _relative(m: Motions, kind: Any, fs: list[Force], ms: list[tuple[int, int]]) -> Relative:
     if fs[0].coordinate is not None:
         return relative_of(m, kind, [(f.coordinate, a, b) for f, (a, b) in zip(fs, ms, strict=True) if f.coordinate])
     markers = np.array(ms)
-    return kind(m, markers[:, 0], markers[:, 1], np.zeros((len(fs), m.dim)))
+    terms = [f.term for f in fs if isinstance(f, ExpressedForce)]
+    if terms:
+        return Expressed(m, markers[:, 0], markers[:, 1], terms)
+    made: Relative = kind(m, markers[:, 0], markers[:, 1], np.zeros((len(fs), m.dim)))
+    return made

@@ -105,7 +105,7 @@ def _element(what: str, element: Any, *, scalar: bool = False) -> Force:
         isinstance(element, Force),
         f"{what} takes a force element such as fmbd.Spring(...) or fmbd.motor(...), found {element!r}.",
     )
-    one = element.coordinate is not None or element.kind == "spring"
+    one = element.coordinate is not None or element.kind in ("spring", "force element")
     require(
         one or not scalar,
         f'{what}: "{element.name}" ({element.kind}) acts on no single coordinate. Use element_force or element_torque.',
