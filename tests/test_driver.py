@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -139,6 +140,59 @@ def test_marching_many_steps_is_stepping_often(dim: int) -> None:
         assert all(np.array_equal(getattr(ends[0], x), getattr(ends[1], x)) for x in ("q", "v", "a", "lam"))
 
 
+ELEMENTS = {
+    "motor": lambda name, on: fmbd.motor(name, on, target=lambda t: 0.3 * np.sin(4 * t), kp=0.1, kd=1e-3, limit=0.02),
+    "held": lambda name, on: fmbd.motor(name, on, target=0.2, kp=0.1, kd=1e-3),
+    "pid": lambda name, on: fmbd.pid(
+        name, on, target=lambda t: 0.3 * np.sin(4 * t), gains=(0.1, 0.5, 1e-3), limit=0.02
+    ),
+    "stop": lambda name, on: fmbd.elastic_stop(name, on, upper=0.02, lower=-0.02, stiffness=1.0, damping=1e-3),
+    "friction": lambda name, on: fmbd.joint_friction(name, on, coulomb=5e-3, static=7e-3, speed=0.2, viscous=1e-4),
+    "dry friction": lambda name, on: fmbd.dry_friction(name, on, limit=5e-3, stick=5.0, damping=2e-3),
+}
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_efforts_by_formulas_with_their_memory(element: str, dim: int) -> None:
+    """Motion, efforts, energies and memory are those of NumPy; recorded rarely, so that many steps are made in one call."""
+
+    def scene() -> fmbd.Scene:
+        made = links(3, dim)
+        for i, joint in enumerate(list(made.joints.values())):
+            made.add(ELEMENTS[element](f"{element} {i}", fmbd.angle(joint)))
+        made.sensor("effort", fmbd.element_effort(made.forces[f"{element} 0"]))
+        made.sensor("end", fmbd.position(list(made.bodies.values())[-1]))
+        return made
+
+    fast, slow = pair(scene, t_end=0.2, dt=1e-3, output=fmbd.Output(every=25), newton=fmbd.Newton(tolerance=1e-10))
+    assert fast.counters["compiled_steps"] == 200
+    assert np.abs(fast["end"] - slow["end"]).max() < 1e-10
+    assert np.ptp(slow["effort"]) > 1e-3
+    assert np.abs(fast["effort"] - slow["effort"]).max() < 1e-9
+    for kind, energy in slow.energy.items():
+        assert np.abs(fast.energy[kind] - energy).max() < 1e-10, kind
+    for mine, other in zip(fast.system.forces, slow.system.forces, strict=True):
+        for a, b in zip(mine.formulas(), other.formulas(), strict=True):
+            if a.kept is not None and b.kept is not None:
+                assert np.abs(b.kept()[:, :1]).max() > 1e-4
+                assert np.abs(a.kept() - b.kept()).max() < 1e-9
+
+
+@compiled
+def test_parts_of_steps_know_the_acceleration_of_the_last_one() -> None:
+    """Steps in parts, whose ends are rounded to the grid of whole ones, do not fall back on an older acceleration."""
+    ends = []
+    for compiled_ in (True, False):
+        stepper = stepper_of(joint_springs(2), fmbd.GeneralizedAlpha(compiled=compiled_))
+        for k in range(30):
+            stepper.advance(1e-3)
+            stepper.state = replace(stepper.state, t=(k + 1) * 1e-3)
+        ends.append(stepper.state)
+    assert np.abs(ends[0].q - ends[1].q).max() < 1e-11
+
+
 @compiled
 def test_counted_angles_over_many_turns_between_records() -> None:
     """Twenty turns a record, with a gear and a sensor."""
@@ -169,7 +223,9 @@ def test_energies_are_those_of_the_evaluation() -> None:
         driver, out = stepper.driver, np.zeros(4)
         g = np.ascontiguousarray(stepper.system.gravity(np.inf))
         q, v = np.ascontiguousarray(state.q), np.ascontiguousarray(state.v)
-        driver.library.driver_energies(driver.address, q.ctypes.data, v.ctypes.data, g.ctypes.data, out.ctypes.data)
+        driver.library.driver_energies(
+            driver.address, state.t, q.ctypes.data, v.ctypes.data, g.ctypes.data, out.ctypes.data
+        )
         wanted = list(stepper.system.at(state.t, state.q, state.v).energies().values())
         assert np.abs(out - wanted).max() < 1e-10 * max(np.abs(wanted).max(), 1e-3)
 

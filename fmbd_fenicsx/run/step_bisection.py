@@ -93,10 +93,15 @@ class ConstantSteps:
         made = getattr(self.stepper, "tape", None)
         return None if made is None else made(judged)
 
+    @property
+    def _remembers(self) -> bool:
+        """Whether the stepper moves the memory of elements on by itself."""
+        return getattr(self.stepper, "keeps_memories", False)
+
     def march(self, h: float, steps: int, tape: Any = None) -> int:
         """Up to so many whole steps of size h (s) in one call; how many were made, 0 where :meth:`advance` has to."""
         many = getattr(self.stepper, "march", None)
-        remembering = bool(self.system.keepers)
+        remembering = bool(self.system.keepers) and not self._remembers
         if many is None or self.whole or self._size not in (None, h) or remembering:
             return 0
         made: int = many(h, steps, self.watch, tape)
@@ -146,7 +151,8 @@ class ConstantSteps:
             self.local_error = max(self.local_error, self.stepper.local_error)
             if self.forecast is not None:
                 self.forecast.note(after)
-            if accept(self.system, after):  # the past of the stepper is that of other forces
+            noted = self._remembers and self.stepper.note()
+            if not noted and accept(self.system, after):  # the past of the stepper is that of other forces
                 self._begin(after)
             return None
         self.whole = depth + 1

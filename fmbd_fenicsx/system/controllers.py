@@ -21,8 +21,10 @@ import numpy as np
 
 from ..checks import instance, typed
 from ..errors import CallbackError, InputError, named, require
+from ..mechanics.forces.effort_laws import PID
 from ..mechanics.forces.force_elements import Loads, Tangent
 from ..mechanics.forces.forces import Force
+from ..mechanics.forces.formulas import Formula, table
 from ..mechanics.forces.joint_elements import motion_of
 from ..mechanics.frames import Kinematics
 from ..mechanics.joints.drives import JointCoordinate
@@ -203,6 +205,23 @@ class ControlLoads(Loads):
             out[:, k] = (ends[0] - ends[1]) / (2 * h)
         return out
 
+    def formulas(self) -> list[Formula]:
+        """That of a continuous PID controller; none of other laws."""
+        law = self.controller.law
+        if not isinstance(law, PidLaw) or self.controller.every is not None:
+            return []
+
+        def kept() -> Array:
+            return np.array([[self.kept.z[0], self.kept.rate[0], self.kept.t]])
+
+        def keep(memory: Array) -> None:
+            z, rate, t = (float(x) for x in memory[0])
+            self.kept = Kept(t, np.array([z]), np.array([rate]), self.kept.u, 0)
+
+        kp, ki, kd = law.gains
+        numbers = table([(kp, kd, law.limit, ki, *law.target(0.0)[:2])])
+        return [Formula(self.acts[0], PID, np.zeros(1, dtype=int), numbers, [law.target], kept, keep)]
+
     # -- memory -----------------------------------------------------------------------------------------------------
     def first(self, ev: Any, state: Any) -> Kept:
         """Memory at the start, with the first sample taken."""
@@ -333,6 +352,26 @@ def controller(
     return Controller(name, joint.a, joint.b, None, None, acts, sensors, law, z, every)
 
 
+@dataclass(frozen=True)
+class PidLaw:
+    """See :func:`pid`; ``target`` gives (s, s', s'')."""
+
+    gains: tuple[float, float, float]
+    target: Callable[[float], tuple[float, float, float]]
+    limit: float
+    every: float | None
+
+    def __call__(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[float, float]:
+        """The effort, and how the integral grows or its next value."""
+        kp, ki, kd = self.gains
+        wanted, speed, _ = self.target(t)
+        error = wanted - y["s"][0]
+        free = kp * error + ki * z[0] + kd * (speed - y["rate"][0])
+        u = float(np.clip(free, -self.limit, self.limit))
+        growth = error if u == free else error + (u - free) / kp
+        return u, growth if self.every is None else z[0] + self.every * growth
+
+
 def pid(
     name: str,
     on: JointCoordinate,
@@ -355,17 +394,9 @@ def pid(
     for gain in gains:
         require(np.isfinite(gain) and gain >= 0, f'PID "{name}": gains {gains} must be finite and not negative.')
     require(limit > 0, f'PID "{name}": limit = {limit} must be positive.')
-    motion, (kp, ki, kd) = motion_of(name, target), gains
-    require(kp > 0 or not np.isfinite(limit), f'PID "{name}": a limit needs a proportional gain above 0.')
+    require(gains[0] > 0 or not np.isfinite(limit), f'PID "{name}": a limit needs a proportional gain above 0.')
 
-    def law(t: float, y: Mapping[str, Array], z: Array) -> tuple[float, float]:
-        wanted, speed, _ = motion(t)
-        error = wanted - y["s"][0]
-        free = kp * error + ki * z[0] + kd * (speed - y["rate"][0])
-        u = float(np.clip(free, -limit, limit))
-        growth = error if u == free else error + (u - free) / kp
-        return u, growth if every is None else z[0] + every * growth
-
+    law = PidLaw(gains, motion_of(name, target), limit, every)
     reads: dict[str, Sensor | JointCoordinate] = {
         "s": on,
         "rate": JointReading(None, on.unit + "/s", coordinate=on, level=1),

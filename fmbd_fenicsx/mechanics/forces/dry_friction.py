@@ -17,8 +17,10 @@ from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..joints.drives import JointCoordinate
 from ..joints.relative import Relative
+from .effort_laws import DRY
 from .force_elements import Loads, ScalarLoads, Tangent
 from .forces import Force
+from .formulas import MEMORY, Formula, table
 
 
 class DryFrictionLoads(ScalarLoads):
@@ -32,6 +34,18 @@ class DryFrictionLoads(ScalarLoads):
     def repeated(self, k: int, markers: int) -> Loads | None:
         """None: the memory belongs to one motion."""
         return None
+
+    def formulas(self) -> list[Formula]:
+        """Dry friction, with the points where it sticks."""
+
+        def kept() -> Array:
+            return np.pad(self.kept[:, None], ((0, 0), (0, MEMORY - 1)))
+
+        def keep(memory: Array) -> None:
+            self.kept = memory[:, 0].copy()
+
+        numbers = table(list(zip(self.k, self.c, self.limit, strict=True)))
+        return [Formula(self.relative, DRY, np.arange(len(self.k)), numbers, kept=kept, keep=keep)]
 
     def effort(self, s: Array, rate: Array, t: float) -> Array:
         """N of (1), (m,)."""

@@ -13,9 +13,27 @@ import numpy as np
 
 from ...errors import require
 
+SERVO, PID, DRY, SMOOTH, STOP = range(5)  # formulas of compiled steps, as in formulas.c
+
+
+@dataclass(frozen=True)
+class Held:
+    """A target that does not move, as t -> (s, s', s'')."""
+
+    value: float
+
+    def __call__(self, t: float) -> tuple[float, float, float]:
+        """The value, at rest."""
+        return self.value, 0.0, 0.0
+
 
 class EffortLaw:
     """A restoring effort N(s, s', t) with its derivatives and its potential."""
+
+    @property
+    def formula(self) -> tuple[int, tuple[float, ...]] | None:
+        """Which formula of compiled steps it follows, with its numbers; None: it is called."""
+        return None
 
     def __call__(self, s: float, rate: float, t: float) -> float:
         """N, in N or N m."""
@@ -46,6 +64,11 @@ class Friction(EffortLaw):
     stribeck: float
     viscous: float
 
+    @property
+    def formula(self) -> tuple[int, tuple[float, ...]]:
+        """Smooth friction."""
+        return SMOOTH, (self.coulomb, self.speed, self.static, self.stribeck, self.viscous)
+
     def __call__(self, s: float, rate: float, t: float) -> float:
         """N of (1)."""
         peak = (self.static - self.coulomb) * np.exp(-((rate / self.stribeck) ** 2))
@@ -75,6 +98,11 @@ class ElasticStop(EffortLaw):
     stiffness: float
     damping: float
     width: float
+
+    @property
+    def formula(self) -> tuple[int, tuple[float, ...]]:
+        """Stops."""
+        return STOP, (self.lower, self.upper, self.stiffness, self.damping, self.width)
 
     def _depth(self, s: float) -> float:
         """Signed depth: positive above ``upper``, negative below ``lower``."""
@@ -113,6 +141,11 @@ class Feedback(EffortLaw):
     derivative: float
     target: Callable[[float], tuple[float, float, float]]
     limit: float = np.inf
+
+    @property
+    def formula(self) -> tuple[int, tuple[float, ...]]:
+        """A motor with a target, which is taken at the start."""
+        return SERVO, (self.proportional, self.derivative, self.limit, 0.0, *self.target(0.0)[:2])
 
     def _free(self, s: float, rate: float, t: float) -> float:
         wanted, speed, _ = self.target(t)

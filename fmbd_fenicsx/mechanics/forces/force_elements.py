@@ -22,6 +22,7 @@ from ..frames import Kinematics
 from ..joints.constraints import time_of
 from ..joints.relative import Relative, Separation
 from .effort_laws import EffortLaw
+from .formulas import Formula, formulas_of
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,10 @@ class Loads:
     def scalar(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array] | None:
         """Of elements on one coordinate: elongations s, rates s' and restoring efforts N, each (m,); None for others."""
         return None
+
+    def formulas(self) -> list[Formula]:
+        """Formulas of those elements on one coordinate that compiled steps know; none where Python has to be asked."""
+        return []
 
     kept: Any = None  # memory of elements that have one: arrays, changed by accepted steps only, see ``accepted``
 
@@ -190,6 +195,10 @@ class ScalarLoads(Loads):
     def given(self, which: np.ndarray, t: float) -> Array:
         """N of drives whose effort depends on time only."""
         return np.array([checked(self.forces[i].name, self.laws[i](0.0, 0.0, t), 1, t)[0] for i in which])
+
+    def formulas(self) -> list[Formula]:
+        """Those of the laws of the package."""
+        return formulas_of([f.law for f in self.forces], self.relative)
 
     def effort(self, s: Array, rate: Array, t: float) -> Array:
         """N of elongations s and rates, (m,)."""

@@ -22,7 +22,7 @@ from ...errors import require
 from ..joints.couplings import smooth_motion
 from ..joints.drives import JointCoordinate
 from .dry_friction import DryFriction
-from .effort_laws import ElasticStop, Feedback, Friction, not_negative, positive
+from .effort_laws import ElasticStop, Feedback, Friction, Held, not_negative, positive
 from .forces import CoordinateForce
 
 
@@ -139,5 +139,4 @@ def motion_of(name: str, target: Callable[[float], Any] | float) -> Callable[[fl
     """A target as t -> (s, s', s'')."""
     if callable(target):
         return smooth_motion(name, target, of="target of motor")
-    fixed = float(target)
-    return lambda t: (fixed, 0.0, 0.0)
+    return Held(float(target))

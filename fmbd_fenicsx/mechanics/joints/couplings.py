@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -50,15 +51,25 @@ class SmoothMotion:
         s = self._checked(found, t)
         return float(s[0]), float(s[1]), float(s[2])
 
+    def moving(self, t: float) -> tuple[float, float]:
+        """s and s' at a time."""
+        if self.complete:
+            return self(t)[:2]
+        return self.place(t), self._rate(t)
+
     def place(self, t: float) -> float:
         """s alone."""
-        s = self._checked(self.function(t), t)
+        value = self.function(t)
+        if isinstance(value, float) and not self.complete and isfinite(value):
+            return value
+        s = self._checked(value, t)
         self._require(len(s) == (3 if self.complete else 1), s, t)
         return float(s[0])
 
     def _rate(self, t: float) -> float:
         try:
-            return float(np.imag(self.function(t + 1e-30j)) / 1e-30)
+            value = self.function(t + 1e-30j)
+            return float((value.imag if isinstance(value, complex) else np.imag(value)) / 1e-30)
         except (TypeError, ValueError):  # also LawError: what fails for real times fails again
             return _sixth(lambda x: float(self.function(x)), t, 1e-2)
 

@@ -47,6 +47,7 @@ class AlphaDriver:
         self.ring = np.array([x.ctypes.data for x in self.blocks], dtype=np.uintp)
         self._verdict = ctypes.c_int(0)
         self._tape: Tape | None = None
+        self._remembering: list[Any] = [items for items in self.tables.sources if items.remembers]
 
     def load(self, states: list[tuple[float, Array, Array, Array, Array, Array]]) -> None:
         """Take t, q, v, a, A, lambda of the last states, the newest first, at most three."""
@@ -54,6 +55,16 @@ class AlphaDriver:
             np.concatenate(([t], *arrays), out=block)
         self.ring[:] = [x.ctypes.data for x in self.blocks]
         self.parameters[HISTORY] = len(states) - 1
+
+    def recall(self) -> None:
+        """Take the memory of elements that have one."""
+        for items in self._remembering:
+            items.arrays["kept"][:] = items.formula.kept()
+
+    def remember(self) -> None:
+        """Give back the memory of elements after accepted steps."""
+        for items in self._remembering:
+            items.formula.keep(items.arrays["kept"])
 
     def tape(self, judged: Openness) -> Tape:
         """Room for records; ``judged``: how open joints are told. Made once."""

@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 
 
 class CompiledStepper(Stepper):
-    """Steps by the driver, one or many in a call. Steps that it gives back are NumPy's."""
+    """Steps by the driver, one or many in a call. Those that fail are NumPy's."""
 
     path = "compiled (all bodies, joints and forces in C; NumPy for the start and for steps it gives back)"
+    keeps_memories = True
 
     def __init__(self, data: tuple[GeneralizedAlpha, Any, Any, Any, State], driver: AlphaDriver) -> None:
         self.driver = driver
@@ -63,8 +64,8 @@ class CompiledStepper(Stepper):
         )  # type: ignore[return-value]
 
     def _settle(self) -> None:
-        """Give A and the past of the newest blocks to the NumPy path."""
-        if self._ahead and self._tail is self.state:
+        """Give A and the past of the newest blocks to the NumPy path; they hold for the state with its time rounded too."""
+        if self._ahead:
             known = int(self.driver.parameters[slots.HISTORY])
             blocks = [self._split(self.driver.block(i).copy()) for i in range(known + 1)]
             self._A = blocks[0][4]
@@ -81,35 +82,51 @@ class CompiledStepper(Stepper):
 
     def advance(self, h: float) -> State:
         """One step of size h (s), as :meth:`Stepper.advance`."""
-        if not (self._first_march(h) if self.fresh else self.march(h, 1)):
+        if not (self._first_march(h) if self.fresh else self._march(h, 1)):
             return super().advance(h)
-        return self.state
+        return self.state  # who called notes the memory of elements when the step is accepted
 
     def _first_march(self, h: float) -> int:
-        """The first step after a consistent start; 1 where it could be made.
-
-        It begins from v_0 and A_0 without a transient. What a and lambda would have been a step earlier along their present
-        rates makes the driver predict a_0 + h a' and lambda_0 + h lambda'; later steps know of true values only.
-        """
-        s, driver = self.state, self.driver
+        """The first step after a consistent start, as :meth:`Stepper._first` prepares it; 1, or 0 where it fails."""
+        s = self.state
         _, (v, A, a, lam) = self._predicted(h)
-        earlier = (s.t - h, np.zeros_like(s.q), v, 2 * s.a - a, A, 2 * s.lam - lam)
-        driver.load([(s.t, s.q, v, s.a, A, s.lam), earlier])
-        self._tail, self.fresh = s, False
-        made = self.march(h, 1)
-        self._tail, self.fresh = (self.state, False) if made else (None, True)
-        driver.parameters[slots.HISTORY] = made
-        return made
+
+        # the predictor of the driver is a line through two states: one before the start that leads to what was predicted
+        place, zero = np.zeros(self.driver.nq), np.zeros(self.driver.n)
+        before = (s.t - h, place, zero, 2 * s.a - a, zero, 2 * s.lam - lam)
+        self.driver.load([(s.t, s.q, v, s.a, A, s.lam), before])
+        self.fresh = not self._steps(h, 1)
+        self.driver.parameters[slots.HISTORY] = 1
+        return 0 if self.fresh else 1
 
     def march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
         """Up to so many steps of size h (s) in one call; how many were made.
 
-        ``watch``: stop before one that gains energy. ``tape``: takes records on the way, one of :meth:`tape`.
+        ``watch``: stop before one that gains energy. ``tape``: takes records on the way, one of :meth:`tape`. Elements with a
+        memory have that of the last step.
         """
+        made = self._march(h, steps, watch, tape)
+        if made:
+            self.driver.remember()
+        return made
+
+    def note(self) -> bool:
+        """Elements with a memory keep that of the newest state, which is accepted; whether it is known."""
+        known = self._ahead and self._tail is self.state
+        if known:
+            self.driver.remember()
+        return known
+
+    def _march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
+        """The same; the memory of elements is left as it was."""
         if self.fresh:
             return 0
         if self._tail is not self.state:
             self._load()
+        return self._steps(h, steps, watch, tape)
+
+    def _steps(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
+        """The same from the blocks as they are."""
         driver, newton = self.driver, self.newton
         p = driver.parameters
         p[slots.H], p[slots.THETA] = h, newton.theta
@@ -117,6 +134,7 @@ class CompiledStepper(Stepper):
         if watch is not None:
             p[slots.HIGHEST : slots.SETTLING + 1] = watch.limits
 
+        driver.recall()
         made, verdict = driver.march(steps, tape)
         if verdict == slots.LOOK:
             driver.tables.look()
@@ -127,8 +145,13 @@ class CompiledStepper(Stepper):
         self._take(made)
         return made
 
-    def tape(self, judged: Openness) -> Tape:
-        """Room for records of :meth:`march`; ``judged``: how open joints are told."""
+    def tape(self, judged: Openness) -> Tape | None:
+        """Room for records of :meth:`march`; ``judged``: how open joints are told. None where states would be read one by one
+        that depend on a memory, which later steps change.
+        """
+        tables = self.driver.tables
+        if tables.c.remembers and not tables.looks.complete:
+            return None
         return self.driver.tape(judged)
 
     def _take(self, made: int) -> None:

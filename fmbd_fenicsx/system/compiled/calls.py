@@ -6,11 +6,14 @@ An exception is kept, the driver stops with the verdict FAILED, and the caller r
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from ...mechanics.forces.formulas import TARGET
 from ...mechanics.frames import Kinematics
+from ...mechanics.joints.couplings import SmoothMotion
 from ...rotations import Array
 from .items import GIVEN, Items
 from .structures import PYTHON
@@ -31,9 +34,15 @@ class Calls:
         self.given = [x for x in tables.sources if x.role == GIVEN and x.given is not None]
         ramp = not np.array_equal(self.system.gravity(0.0), self.system.gravity(np.inf))
         self.ramp = ramp
+        formulas = ((x.arrays, x.formula) for x in tables.sources if x.formula is not None)
+        self.targets = [
+            (arrays["constants"], [_moving(x) for x in formula.targets])
+            for arrays, formula in formulas
+            if formula.moves
+        ]
 
         self.loaded_rods = [rod for rod in tables.rods if rod.of_time]
-        timed = (self.moving, self.drives, self.loaded, self.given, self.loaded_rods)
+        timed = (self.moving, self.drives, self.loaded, self.given, self.loaded_rods, self.targets)
         tables.c.samples = int(ramp or any(timed))
         tables.c.laws = int(bool(tables.loads))
         self.whole = WholeLoads(tables) if tables.loads else None
@@ -88,6 +97,8 @@ class Calls:
         for items in self.given:
             assert items.given is not None
             items.arrays["effort"][:] = items.given(t)
+        for constants, targets in self.targets:
+            constants[:, TARGET : TARGET + 2] = [target(t) for target in targets]
         for rod in self.loaded_rods:
             rod.sample(t)
         if self.ramp:
@@ -103,6 +114,13 @@ class Calls:
         x = items.arrays
         assert items.slopes is not None
         x["stiffness"][:], x["damping"][:] = items.slopes(x["s"] - x["free"], x["rate"], t)
+
+
+def _moving(target: Any) -> Callable[[float], tuple[float, float]]:
+    """A target as t -> (s, s')."""
+    if isinstance(target, SmoothMotion):
+        return target.moving
+    return lambda t: target(t)[:2]
 
 
 def _motions(system: Any) -> list[tuple[np.ndarray, list[Any]]]:

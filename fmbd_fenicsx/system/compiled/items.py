@@ -5,6 +5,7 @@ role LINEAR   an effort N = stiffness (s - free) + damping s'
 role GIVEN    an effort that is the same for the whole step: loads and drives that depend on time
 role LAW      an effort from a law in Python, N(s - free, s', t)
 role READ     nothing acts: a coordinate that a sensor reads
+role FORMULA  an effort by a formula that the driver knows, maybe with a memory
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
+from ...mechanics.forces.formulas import Formula
 from ...mechanics.joints import constraints as ct
 from ...mechanics.joints.couplings import CouplingBatch, OwnBatch
 from ...mechanics.kinds.derivation import Kind, kinds
@@ -23,7 +25,7 @@ from ...rotations import Array
 from ..system import System
 from .recording import Looks
 
-ROW, LINEAR, GIVEN, LAW, READ = range(5)
+ROW, LINEAR, GIVEN, LAW, READ, FORMULA = range(6)
 
 
 @dataclass
@@ -50,12 +52,18 @@ class Items:
     drive: list[Any] = field(default_factory=list)
     load: Callable[[float], dict[str, Array]] | None = None
     given: Callable[[float], Array] | None = None
+    formula: Formula | None = None
     slot: np.ndarray | None = None  # numbers among the readings of a record, -1 for none
     table: Array = field(default_factory=lambda: np.zeros((0, 0)))  # of constants, as C reads them
     arrays: dict[str, Array] = field(default_factory=dict)  # coordinates, rates, efforts .. as C reads and writes them
 
     def __len__(self) -> int:
         return len(self.markers)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether they have a memory."""
+        return self.formula is not None and self.formula.kept is not None
 
     def part(self, which: np.ndarray) -> Items:
         """Some of the items."""
@@ -69,6 +77,7 @@ class Items:
             *self._laws(which),
         )  # fmt: skip
         made.slot = some(self.slot)
+        made.formula = None if self.formula is None else self.formula.part(which)
         return made
 
     def _laws(self, which: np.ndarray) -> tuple[Any, ...]:
@@ -133,26 +142,41 @@ def _loads(loads: TimeLoads, dim: int) -> list[Items]:
     return out
 
 
+def _formulas(loads: Loads, looks: Looks) -> list[Items]:
+    """Items of efforts by formulas, on the coordinates of a batch."""
+    out = []
+    for formula in loads.formulas():
+        whole = _of(formula.on, FORMULA)
+        whole.free = loads.free if isinstance(loads, ScalarLoads) else np.zeros(len(loads.forces))
+        whole.slot = looks.slots_of(loads)
+        made = whole.part(formula.which)
+        made.formula = formula
+        out.append(made)
+    return out
+
+
 def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     """Items of springs, dampers, drives and laws on coordinates."""
     n, whole = len(loads.forces), _of(loads.relative, LINEAR)
     whole.stiffness, whole.damping, whole.free = loads.k, loads.c, loads.free
     whole.slot = looks.slots_of(loads)
-    own = np.array([i for i, _, _ in loads.own], dtype=int)
+    stated = {int(i) for formula in loads.formulas() for i in formula.which}
+    own = np.array([i for i, _, _ in loads.own if i not in stated], dtype=int)
     timed = np.array([i for i in own if loads.forces[i].of_time], dtype=int)
-    stated = np.setdiff1d(own, timed)
-    out = [whole.part(rest)] if len(rest := np.setdiff1d(np.arange(n), own)) else []
+    called = np.setdiff1d(own, timed)
+    linear = np.setdiff1d(np.arange(n), [*own, *stated])
+    out = [whole.part(linear)] if len(linear) else []
 
     if len(timed):
         part = whole.part(timed)
         part.role = GIVEN
         part.given = lambda t: loads.given(timed, t)
         out.append(part)
-    if len(stated):
-        part = whole.part(stated)
+    if len(called):
+        part = whole.part(called)
         part.role = LAW
-        part.law = lambda s, rate, t, which=slice(None): loads.law(stated[which], s, rate, t)
-        part.slopes = lambda s, rate, t, which=slice(None): loads.slopes(stated[which], s, rate, t)
+        part.law = lambda s, rate, t, which=slice(None): loads.law(called[which], s, rate, t)
+        part.slopes = lambda s, rate, t, which=slice(None): loads.slopes(called[which], s, rate, t)
         out.append(part)
     return out
 
@@ -174,6 +198,7 @@ def items_of(system: System, looks: Looks) -> list[Items]:
             out += _loads(loads, dim)
         elif type(loads) is ScalarLoads:
             out += _efforts(loads, looks)
+        out += _formulas(loads, looks)
     for key, relative in looks.relatives:
         made = _of(relative, READ)
         made.slot = looks.take_slots(key, len(made))
@@ -183,11 +208,11 @@ def items_of(system: System, looks: Looks) -> list[Items]:
 
 def other_loads(system: System) -> list[Loads]:
     """Forces that Python evaluates as a whole."""
-    return [f for f in system.forces if type(f) not in (TimeLoads, ScalarLoads)]
+    return [f for f in system.forces if type(f) not in (TimeLoads, ScalarLoads) and not f.formulas()]
 
 
 def covers(system: System) -> bool:
-    """Whether all constraints and forces are items, or loads that Python can evaluate; elements with a memory are not."""
-    if system.keepers:
+    """Whether all constraints and forces are items, or loads that Python can evaluate; memories are known of formulas only."""
+    if any(not isinstance(x, Loads) or not x.formulas() for x in system.keepers):
         return False
     return not any(isinstance(batch, OwnBatch) for batch, _ in system.batches)

@@ -51,5 +51,5 @@ def _typed(library: Any) -> Any:
     library.driver_evaluate.argtypes = [p] * 5 + [r]
     library.driver_prepare.argtypes = [p, p, r, r, p, i, r]
     library.driver_increment.argtypes, library.driver_increment.restype = [p, r, p, p], None
-    library.driver_energies.argtypes = [p] * 5
+    library.driver_energies.argtypes = [p, r] + [p] * 4
     return library

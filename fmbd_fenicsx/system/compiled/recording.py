@@ -47,7 +47,8 @@ class Look:
 def readable(system: System, look: Look) -> bool:
     """Whether the driver can write what is looked at."""
     if look.element:
-        return any(type(f) is ScalarLoads and look.element in (x.name for x in f.forces) for f in system.forces)
+        scalar = [f for f in system.forces if type(f) is ScalarLoads or f.formulas()]
+        return any(look.element == x.name for f in scalar for x in f.forces)
     if look.relative is None:
         return True
     if not isinstance(look.relative, Turn) or system.motions.dim == 2:
@@ -71,9 +72,8 @@ class Looks:
 
         self.markers = sorted({x.marker for x in self.of.values() if x.marker >= 0})
         self.rows = any(x.rows for x in self.of.values())
-        self.whole = (
-            any(x.whole for x in self.of.values()) or len(self.of) < len(system.sensed) or not self.energies_known
-        )
+        self.complete = len(self.of) == len(system.sensed) and self.energies_known  # no state is read on its own
+        self.whole = any(x.whole for x in self.of.values()) or not self.complete
         self.joints = sorted({x.joint for x in self.of.values() if x.joint})
         self.relatives = [(key, x.relative) for key, x in self.of.items() if x.relative is not None]
         self.elements = {x.element for x in self.of.values() if x.element}
@@ -86,25 +86,32 @@ class Looks:
         self.count += count
         return np.arange(self.count - count, self.count)
 
-    def slots_of(self, loads: ScalarLoads) -> np.ndarray | None:
+    def slots_of(self, loads: Loads) -> np.ndarray | None:
         """Numbers of the elements of a batch that are read or store energy in a law, -1 for the others; None without any."""
         out = np.full(len(loads.forces), -1)
         for i, f in enumerate(loads.forces):
-            if f.name in self.elements or isinstance(f.law, EffortLaw):
+            if f.name in self.slots:
+                out[i] = self.slots[f.name].start
+            elif f.name in self.elements or f in self._storing:
                 out[i] = self.take_slots(f.name, 1)[0]
         return out if (out >= 0).any() else None
 
     @cached_property
     def stores(self) -> list[tuple[slice, EffortLaw]]:
         """Laws that store energy, with the places of their elongations."""
+        return [(self.slots[f.name], f.law) for f in self._storing]
+
+    @cached_property
+    def _storing(self) -> list[Any]:
+        """Elements with a law that stores energy and has no formula that the driver knows."""
         every = [f for loads in self.system.forces if type(loads) is ScalarLoads for f in loads.forces]
-        laws = [f for f in every if isinstance(f.law, EffortLaw) and type(f.law).stored is not EffortLaw.stored]
-        return [(self.slots[f.name], f.law) for f in laws]
+        laws = [f for f in every if isinstance(f.law, EffortLaw) and f.law.formula is None]
+        return [f for f in laws if type(f.law).stored is not EffortLaw.stored]
 
     @cached_property
     def energies_known(self) -> bool:
         """Whether the driver and the laws tell all energies."""
-        rest = [f for f in self.system.forces if type(f) not in (ScalarLoads, TimeLoads)]
+        rest = [f for f in self.system.forces if type(f) not in (ScalarLoads, TimeLoads) and not f.formulas()]
         return all(type(f).energy is Loads.energy for f in rest)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...mechanics.forces.formulas import MEMORY
 from ...mechanics.kinds.derivation import KERNELS, Kind
 from ...mechanics.kinds.frames import FRAME
 from ...mechanics.kinds.library import kernel_address
@@ -220,6 +221,8 @@ class Tables:
             values = given.get(name)
             items.arrays[name], address = store.array(zero if values is None else values)
             setattr(one, name, address)
+        if items.formula is not None:
+            self._formula(one, items)
         if items.slot is not None:
             one.slot = store.integers(items.slot)
         one.component = store.integers(components)
@@ -229,6 +232,15 @@ class Tables:
             one.near, one.theta = kind.place("near").start, store.integers(self.theta_places(items))
         self._tangent_places(one, kind, frames, places, live)
         return one
+
+    def _formula(self, one: Any, items: Items) -> None:
+        """The numbers of a formula, and the memory of its elements."""
+        formula, store = items.formula, self.store
+        assert formula is not None
+        one.formula = formula.kind
+        items.arrays["constants"], one.constants = store.array(formula.constants)
+        memory = np.zeros((len(items), MEMORY)) if formula.kept is None else formula.kept()
+        items.arrays["kept"], one.kept = store.array(memory)
 
     def _tangent_places(self, one: Any, kind: Kind, frames: np.ndarray, places: np.ndarray, live: np.ndarray) -> None:
         """Where the entries of a batch go in the fronts: of rows, of products of rows, of geometric stiffness."""
@@ -330,7 +342,7 @@ class Tables:
         self.c = structure("System", self.dim)(
             bodies=self.nb, surfaces=len(surfaces), batches=len(self.batches), fronts=len(fronts), angles=len(angles),
             rods=len(self.rods), rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant),
-            stiff=self._stiff(), storage=self.fronts.storage,
+            stiff=self._stiff(), remembers=int(any(items.remembers for items in self.items)), storage=self.fronts.storage,
             seen=len(self.looks.markers), readings=self.looks.count, reactions=len(self.looks.joints),
             seen_frame=store.integers(self.frame[self.looks.markers]),
             row_dest=store.integers(self.fronts.place(row, row)),

@@ -76,7 +76,7 @@ static int judge(double *p, const double *sizes, int done, double *error)
 static int gained(System *s, double *p, const Block *now)
 {
     double e[4], energy, motion;
-    energies(s, now->q, now->v, s->gravity, e);
+    energies(s, *now->t, now->q, now->v, s->gravity, e);
     energy = e[0] + e[1] + e[2] + e[3];
     motion = e[0] + e[1] + e[3];
     if (motion < p[TURNOVER]) motion = p[TURNOVER];
@@ -135,7 +135,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         if ((verdict = evaluate(s, out.q, out.v, out.a, out.lam, t))) return verdict;
         /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment; a law may
            have other slopes there */
-        int turning = s->stiff && done > 0 && (p[THETA] > SLOW_TURN || (done == 1 && s->stiff > 1));
+        int turning = s->stiff && done > 0 && (p[THETA] > SLOW_TURN || (done == 1 && s->stiff > 1) || other_slopes(s, damp, scale));
         if (far || turning || done > (int)p[PATIENCE])
             if ((verdict = prepare(s, out.q, damp, scale, lam, done > (int)p[PATIENCE], t))) return verdict;
 
@@ -184,12 +184,17 @@ EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict,
             break;
         }
         int recorded = tape && tape->left == 1;
-        int placed = (p[GUARDED] != 0.0 || recorded) && !place(s, out.q, out.v);
+        int placed = (p[GUARDED] != 0.0 || recorded || s->remembers) && !place(s, out.q, out.v);
         if (p[GUARDED] != 0.0 && placed && gained(s, p, &out)) {
             *verdict = GAIN;
             break;
         }
+        if (s->remembers && !placed) {
+            *verdict = LOOK;
+            break;
+        }
         if (recorded && (*verdict = placed ? record(s, tape, &out) : LOOK)) break;
+        if (s->remembers) keep(s, *out.t);
         if (tape) tape->left = recorded ? tape->every : tape->left - 1;
         double *newest = ring[3];
         for (int i = 3; i > 0; i--) ring[i] = ring[i - 1];

@@ -20,6 +20,7 @@ static int rod_forces(System *s, Rod *k, double t) { return (void)s, (void)k, (v
 static int rod_tangents(System *s, Rod *k, double t, double geometric) { return (void)s, (void)k, (void)t, (void)geometric, DONE; }
 static double rod_energy(System *s, Rod *k) { return (void)s, (void)k, 0.0; }
 #endif
+#include "formulas.c"
 #include "evaluate.c"
 #include "matrix.c"
 #include "states.c"
@@ -39,9 +40,9 @@ EXPORT int driver_prepare(System *s, const double *q, double cd, double ck, cons
 
 EXPORT void driver_increment(System *s, double scale, double *x, double *y) { increment(s, scale, x, y); }
 
-EXPORT int driver_energies(System *s, const double *q, const double *v, const double *gravity, double *out)
+EXPORT int driver_energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out)
 {
     int verdict = place(s, q, v);
-    energies(s, q, v, gravity, out);
+    energies(s, t, q, v, gravity, out);
     return verdict;
 }

@@ -133,7 +133,8 @@ static int efforts(System *s, Batch *k, double t)
         for (int e = 0; e < k->live; e++) rate += out[k->entry[e]] * s->velocity[at[e]];
         k->s[i] = out[0];
         k->rate[i] = rate;
-        if (k->role != GIVEN) k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
+        if (k->role == FORMULA) formula(k, i, t);
+        else if (k->role != GIVEN) k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
     }
     if (k->role != LAW) return DONE;
     s->calls++;
@@ -144,7 +145,7 @@ static int items(System *s, Batch *k, const double *lam, double t)
 {
     if (k->role == READ) return DONE;
     k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
-    if (k->role == LINEAR || k->role == LAW) {
+    if (k->role == LINEAR || k->role == LAW || k->role == FORMULA) {
         int verdict = efforts(s, k, t);
         if (verdict) return verdict;
     }

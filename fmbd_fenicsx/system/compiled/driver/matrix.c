@@ -143,7 +143,7 @@ static int tangents(System *s, Batch *k, double cd, double ck, double geometric,
         s->calls++;
         if (s->python(SLOPES, k->number, t)) return FAILED;
     }
-    if (k->role == LINEAR || k->role == LAW) {
+    if (k->role == LINEAR || k->role == LAW || k->role == FORMULA) {
         slope = k->slope;
         for (long i = 0; i < k->n; i++) slope[i] = ck * k->stiffness[i] + cd * k->damping[i];
     }

@@ -112,7 +112,7 @@ static int record(System *s, Tape *tape, const Block *now)
     if (tape->whole) memcpy(tape->block + size * k, now->t, size * sizeof(double));
     else tape->block[k] = *now->t;
     if (tape->rows) memcpy(tape->lam + s->rows * k, now->lam, s->rows * sizeof(double));
-    energies(s, now->q, now->v, s->rest_gravity, tape->energy + 4 * k);
+    energies(s, *now->t, now->q, now->v, s->rest_gravity, tape->energy + 4 * k);
     for (int i = 0; i < s->seen; i++)
         memcpy(tape->frames + FRAME * (s->seen * k + i), s->frames + FRAME * s->seen_frame[i], FRAME * sizeof(double));
 

@@ -16,8 +16,8 @@ static Block block_at(const System *s, double *x)
     return b;
 }
 
-/* Kinetic, elastic, of the weight, of linear springs (J); frames are placed. */
-static void energies(System *s, const double *q, const double *v, const double *gravity, double *out)
+/* Kinetic, elastic, of the weight, of springs, stops and dry friction (J); frames are placed. */
+static void energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out)
 {
     out[0] = out[1] = out[2] = out[3] = 0.0;
     for (int b = 0; b < s->bodies; b++) {
@@ -25,12 +25,29 @@ static void energies(System *s, const double *q, const double *v, const double *
         body_energies(o, s->frames + FRAME * b + TURN, q, v, q + POSE * b, v + TWIST * b, gravity, out);
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
-        if (k->role != LINEAR) continue;
+        if (k->role != LINEAR && k->role != FORMULA) continue;
         k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
-        for (long i = 0; i < k->n; i++) {
+        if (k->role == FORMULA) efforts(s, k, t);
+        for (long i = 0; k->role == FORMULA && i < k->n; i++) out[3] += stored(k, i);
+        for (long i = 0; k->role == LINEAR && i < k->n; i++) {
             double stretch = k->out[i * k->outputs] - k->free[i];
             out[3] += 0.5 * k->stiffness[i] * stretch * stretch;
         }
     }
     for (Rod *k = s->rod; k < s->rod + s->rods; k++) out[1] += rod_energy(s, k);
+}
+
+/* Formulas with a memory take up an accepted step, whose frames are placed. */
+static void keep(System *s, double t)
+{
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->role != FORMULA || (k->formula != DRY && k->formula != PID)) continue;
+        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+        efforts(s, k, t);
+        for (long i = 0; i < k->n; i++) {
+            double *kept = k->kept + MEMORY * i;
+            if (k->formula == DRY) kept[0] = dragged(k, i);
+            else pid_keep(k->constants + FORMULA_WIDTH * i, kept, k->s[i] - k->free[i], k->rate[i], t);
+        }
+    }
 }

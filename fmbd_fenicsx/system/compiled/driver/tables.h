@@ -14,9 +14,9 @@ enum { D = 2, ROT = 1, POSE = 3, TWIST = 3, PORT = 6, FRAME = 10 };
 #endif
 enum { TURN = D, SPEED = D + D * D, SPIN = SPEED + D };  /* where R, v, w begin in a frame */
 
-enum { ROW, LINEAR, GIVEN, LAW, READ };                   /* roles of items: a term of a constraint; an effort that is linear, */
+enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA };          /* roles of items: a term of a constraint; an effort that is linear, */
                                                           /* given for the whole step, or from a law in Python; READ: only */
-                                                          /* looked at in records */
+                                                          /* looked at in records; FORMULA: one of formulas.c */
 enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN };      /* verdicts; LOOK: the NumPy path has something to say; FAILED: a */
                                                           /* law in Python raised; GAIN: energy from nothing */
 
@@ -36,6 +36,8 @@ typedef struct {
     int *dest;                         /* ROW: n x live places in the fronts */
     double *stiffness, *damping, *free; /* efforts: N = stiffness (s - free) + damping s' */
     double *s, *rate, *effort, *weight, *slope; /* n each */
+    int formula;                       /* FORMULA: which; n x FORMULA_WIDTH constants, n x MEMORY memory of accepted steps */
+    double *constants, *kept;
     int *first, *second, *product_to;  /* products: pairs of live entries; n x products places in the fronts */
     int *curve, *curve_to, hessians;   /* curved: which outputs of the tangent kernel; n x curved places; outputs in all */
     double *hessian;
@@ -126,6 +128,7 @@ typedef struct {
     const double *q;                   /* the configuration evaluated last */
     double *work, *big;
     long evaluations, factors, calls;
+    int remembers;                     /* whether some formula has a memory */
     int seen, readings, reactions;     /* of records: frames, items that are read, joints whose reaction is */
     int *seen_frame;
     Reaction *reaction;
