@@ -108,7 +108,26 @@ def tyre(dim: int) -> fmbd.Scene:
     return scene
 
 
-SCENES = [joint_springs, suspended, loaded, driven, redundant, tyre]
+def bushings(dim: int) -> fmbd.Scene:
+    """Soft and stiff bushings between bodies and to the ground, with axes of their own, full matrices, far deflected."""
+    rng = np.random.default_rng(3)
+    n = 3 if dim == 2 else 6
+    scene, before = fmbd.Scene("bushings", gravity=(0.2, -9.81, 0.3)[:dim]), fmbd.ground
+    turn = np.linalg.qr(rng.normal(size=(dim, dim)))[0]
+    turn[:, 0] *= np.linalg.det(turn)
+    for i in range(3):
+        inertia = 2e-5 if dim == 2 else np.diag([1e-5, 2e-5, 2.1e-5])
+        link = fmbd.RigidBody(f"{i}", 0.02, inertia, ((i + 0.5) * 0.1, 0.0, 0.0)[:dim])
+        M = rng.normal(size=(n, n))
+        scale = np.diag([20.0] * dim + [0.05] * (n - dim))
+        K = scale @ (M @ M.T + n * np.eye(n)) @ scale
+        center = (i * 0.1, 0.01 * i, 0.02)[:dim]
+        scene.add(link, fmbd.bushing(f"b{i}", before, link, stiffness=K, damping=2e-3 * K, center=center, axes=turn))
+        before = link
+    return scene
+
+
+SCENES = [joint_springs, suspended, loaded, driven, redundant, tyre, bushings]
 
 
 @compiled
@@ -194,6 +213,26 @@ def test_parts_of_steps_know_the_acceleration_of_the_last_one() -> None:
 
 
 @compiled
+@pytest.mark.parametrize("make", [loaded, driven, joint_springs, bushings, flexible], ids=lambda f: f.__name__)
+def test_stabilised_form(make: Any) -> None:
+    """Both levels closed in compiled steps as in NumPy: the same motion, velocities and multipliers."""
+    dim = 3
+    runs = [
+        fmbd.solve(make(dim), t_end=0.05, dt=1e-3, scheme=fmbd.GeneralizedAlpha(0.8, c, fmbd.GGL()))
+        for c in (True, False)
+    ]
+    fast, slow = runs
+    assert fast.counters["compiled_steps"] == 50
+    assert abs(fast.counters["newton_iterations"] - slow.counters["newton_iterations"]) <= 5
+    for name, bar in (("q", 1e-9), ("v", 1e-7), ("lam", 1e-4)):
+        x, y = getattr(fast.state, name), getattr(slow.state, name)
+        assert np.abs(x - y).max(initial=0.0) <= bar * np.abs(y).max(initial=0.0), name
+    ev = fast.system.at(fast.state.t, fast.state.q, fast.state.v)
+    slip = ev.jacobian.times(fast.state.v) + ev.constraint_rate()
+    assert np.abs(slip).max(initial=0.0) < 1e-7 * max(np.abs(fast.state.v).max(), 1.0)
+
+
+@compiled
 def test_counted_angles_over_many_turns_between_records() -> None:
     """Twenty turns a record, with a gear and a sensor."""
     scene = links(1, 3)
@@ -214,6 +253,8 @@ def test_energies_are_those_of_the_evaluation() -> None:
         lambda: joint_springs(2),
         lambda: joint_springs(3),
         lambda: suspended(3),
+        lambda: bushings(2),
+        lambda: bushings(3),
         lambda: flexible(2),
         lambda: flexible(3),
     ):

@@ -84,6 +84,10 @@ class BushingLoads(Loads):
         """None: copies are evaluated one at a time."""
         return None
 
+    def mounts(self) -> tuple[Array, Array]:
+        """K and C in the axes of markers a."""
+        return self.K, self.C
+
     def _pose(self, kin: Kinematics) -> _Pose:
         return _Pose(kin.x[self.a], kin.R[self.a], kin.x[self.b], kin.R[self.b])
 

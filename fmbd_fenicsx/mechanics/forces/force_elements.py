@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,13 @@ def checked(name: str, value: Any, size: int, t: float) -> Array:
     return found
 
 
+def _number(name: str, value: Any, t: float) -> float:
+    """A user's result that must be one number; the same errors."""
+    if isinstance(value, float) and isfinite(value):
+        return value
+    return float(checked(name, value, 1, t)[0])
+
+
 class Loads:
     """Forces of one kind with their markers. ``wrench``: (m, n) on markers a and on markers b. ``stiff``: whether they depend
     on the motion of their markers in a way that :meth:`tangent` gives.
@@ -101,6 +109,10 @@ class Loads:
     def formulas(self) -> list[Formula]:
         """Formulas of those elements on one coordinate that compiled steps know; none where Python has to be asked."""
         return []
+
+    def mounts(self) -> tuple[Array, Array] | None:
+        """Of bushings: K and C (m, n, n) in the axes of markers a; None for others."""
+        return None
 
     kept: Any = None  # memory of elements that have one: arrays, changed by accepted steps only, see ``accepted``
 
@@ -173,10 +185,9 @@ class ScalarLoads(Loads):
 
     def law(self, which: np.ndarray, s: Array, rate: Array, t: float) -> Array:
         """N of the laws of the user's own of some forces, at their elongations s and rates: arrays like ``which``."""
-        out = np.empty(len(which))
-        for k, i in enumerate(which):
-            out[k] = checked(self.forces[i].name, self.laws[i](s[k], rate[k], t), 1, t)[0]
-        return out
+        forces, laws = self.forces, self.laws
+        every = zip(which.tolist(), s.tolist(), rate.tolist(), strict=True)
+        return np.array([_number(forces[i].name, laws[i](x, v, t), t) for i, x, v in every])
 
     def slopes(self, which: np.ndarray, s: Array, rate: Array, t: float) -> tuple[Array, Array]:
         """dN/ds and dN/ds' of the same: by the law's own formula where it is one of the package's, else by differences."""
@@ -186,10 +197,10 @@ class ScalarLoads(Loads):
             if isinstance(formula, EffortLaw):
                 k[n], c[n] = formula.slopes(s[n], rate[n], t)
                 continue
-            one, at, speed = which[n : n + 1], s[n : n + 1], rate[n : n + 1]
-            hs, hv = 1e-6 * max(abs(float(s[n])), 1e-3), 1e-6 * max(abs(float(rate[n])), 1e-3)
-            k[n] = (self.law(one, at + hs, speed, t)[0] - self.law(one, at - hs, speed, t)[0]) / (2 * hs)
-            c[n] = (self.law(one, at, speed + hv, t)[0] - self.law(one, at, speed - hv, t)[0]) / (2 * hv)
+            x, v, name, law = float(s[n]), float(rate[n]), self.forces[i].name, self.laws[i]
+            hs, hv = 1e-6 * max(abs(x), 1e-3), 1e-6 * max(abs(v), 1e-3)
+            k[n] = (_number(name, law(x + hs, v, t), t) - _number(name, law(x - hs, v, t), t)) / (2 * hs)
+            c[n] = (_number(name, law(x, v + hv, t), t) - _number(name, law(x, v - hv, t), t)) / (2 * hv)
         return k, c
 
     def given(self, which: np.ndarray, t: float) -> Array:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array
-from .effort_laws import SERVO, EffortLaw, Held
+from .effort_laws import EffortLaw, Feedback, Held
 
 WIDTH, MEMORY = 6, 3  # numbers of an element: constants, and memory of accepted steps
 TARGET = 4  # of SERVO and PID: where the target and its rate stand
@@ -76,6 +76,6 @@ def formulas_of(laws: list[Any], on: Any) -> list[Formula]:
     for kind in sorted({one[2] for one in known}):
         mine = [one for one in known if one[2] == kind]
         which = np.array([i for i, *_ in mine])
-        targets = [law.target for _, law, *_ in mine] if kind == SERVO else []
+        targets = [law.target for _, law, *_ in mine if isinstance(law, Feedback)]
         found.append(Formula(on, kind, which, table([numbers for *_, numbers in mine]), targets))
     return found

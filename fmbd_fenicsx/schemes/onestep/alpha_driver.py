@@ -26,7 +26,7 @@ STORAGE_LIMIT = 20_000_000  # numbers in the factor
 
 # fmt: off
 (H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, ITERATIONS, LOCAL,
- GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT) = range(24)
+ GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT, STABILISED) = range(25)
 # fmt: on
 DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN = range(6)
 
@@ -42,7 +42,7 @@ class AlphaDriver:
         self.n, self.nq, self.m = system.n_v, system.n_q, system.n_lam
         self.block_size = 1 + self.nq + 3 * self.n + self.m
 
-        self.parameters = np.zeros(24)
+        self.parameters = np.zeros(25)
         self.blocks = np.zeros((4, self.block_size))
         self.ring = np.array([x.ctypes.data for x in self.blocks], dtype=np.uintp)
         self._verdict = ctypes.c_int(0)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...rotations import Array
 from ...system.system import State
+from ..dae import GGL
 from . import alpha_driver as slots
 from .alpha_driver import AlphaDriver, settings
 from .generalized_alpha import FAR, PATIENCE, Stepper
@@ -33,6 +34,7 @@ class CompiledStepper(Stepper):
         settings(driver.parameters, self.scheme.parameters, self.system, self.newton)
         driver.parameters[slots.FAR] = FAR * self.system.length
         driver.parameters[slots.PATIENCE] = PATIENCE
+        driver.parameters[slots.STABILISED] = isinstance(self.scheme.form, GGL)
 
     @property
     def A(self) -> Array:  # type: ignore[override]

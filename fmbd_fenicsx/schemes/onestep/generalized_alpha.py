@@ -116,8 +116,9 @@ class GeneralizedAlpha:
             from .variable_alpha import VariableAlpha
 
             return VariableAlpha(self, system, solver, newton, state)
-        plain = self.compiled and isinstance(self.form, Index3) and newton.tangent is None
-        if plain and not system.fields:
+        compiled = self.compiled and newton.tangent is None
+        plain = compiled and isinstance(self.form, Index3)
+        if not system.fields and (plain or (compiled and not solver.core.redundant)):
             from .alpha_driver import alpha_driver
             from .compiled_stepper import CompiledStepper
 

@@ -208,7 +208,8 @@ def items_of(system: System, looks: Looks) -> list[Items]:
 
 def other_loads(system: System) -> list[Loads]:
     """Forces that Python evaluates as a whole."""
-    return [f for f in system.forces if type(f) not in (TimeLoads, ScalarLoads) and not f.formulas()]
+    known = TimeLoads, ScalarLoads
+    return [f for f in system.forces if type(f) not in known and not f.formulas() and f.mounts() is None]
 
 
 def covers(system: System) -> bool:

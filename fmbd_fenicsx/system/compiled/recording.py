@@ -111,7 +111,8 @@ class Looks:
     @cached_property
     def energies_known(self) -> bool:
         """Whether the driver and the laws tell all energies."""
-        rest = [f for f in self.system.forces if type(f) not in (ScalarLoads, TimeLoads) and not f.formulas()]
+        known = ScalarLoads, TimeLoads
+        rest = [f for f in self.system.forces if type(f) not in known and not f.formulas() and f.mounts() is None]
         return all(type(f).energy is Loads.energy for f in rest)
 
 

@@ -30,7 +30,7 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
             *_fields("n width", _LONG),
             *_fields("pair P out entry at row factor dest stiffness damping free s rate effort weight slope", _POINTER),
             ("formula", _INT),
-            *_fields("constants kept", _POINTER),
+            *_fields("constants kept known", _POINTER),
             *_fields("first second product_to curve curve_to", _POINTER),
             ("hessians", _INT),
             ("hessian", _POINTER),

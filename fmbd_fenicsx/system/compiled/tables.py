@@ -17,6 +17,7 @@ from ...rotations import Array
 from ..system import System
 from .bodies import reduced_body, rigid_body, surface
 from .items import GIVEN, LAW, READ, ROW, Items, items_of, other_loads
+from .mounts import mount_batch
 from .order import Fronts, RowGroup
 from .recording import Looks
 from .rods import RodTable, rod_pairs
@@ -49,7 +50,7 @@ class Tables:
         self.parts: dict[int, tuple[int, Any]] = {p.frame: (k, p) for k, p in enumerate(reduced)}
         self.looks = Looks(system)
         self.items = items_of(system, self.looks)
-        self.loads = other_loads(system)
+        self.loads, self.mounts = other_loads(system), [f for f in system.forces if f.mounts() is not None]
         self.maps: list[Array] = []  # of surfaces: twist from the rates of the body
         self._lay_out()
         self._place_surfaces()
@@ -57,6 +58,7 @@ class Tables:
 
         self.sources = [one for items in self.items for one in self._split(items)]
         self.batches = [self._batch(items, number) for number, items in enumerate(self.sources)]
+        self.batches += [mount_batch(self, loads) for loads in self.mounts]
         rods: tuple[Any, ...] = system.elements
         self.rods = [RodTable(self, rod, number) for number, rod in enumerate(rods)]
         self._system(redundant)
@@ -74,7 +76,7 @@ class Tables:
         """The markers on surfaces that something acts on, each a frame behind the ground."""
         mk = self.system.markers
         used: list[np.ndarray] = [items.markers.ravel() for items in self.items]
-        used += [x for f in self.loads for x in (f.a, f.b)]
+        used += [x for f in (*self.loads, *self.mounts) for x in (f.a, f.b)]
         used.append(np.array(self.looks.markers, dtype=int))
         numbers = np.unique(np.concatenate(used)).astype(int) if used else np.zeros(0, int)
         self.surfaces = np.array([i for i in numbers if i in set(mk.surface.tolist())], dtype=int)
@@ -123,7 +125,7 @@ class Tables:
                     touched[int(number)] |= {x for x in pair if x >= 0}
                     terms[int(number)] += 1
             pairs |= {(min(x), max(x)) for x in bodies.tolist() if x[0] != x[1] and min(x) >= 0}
-        for f in self.loads:
+        for f in (*self.loads, *self.mounts):
             both: Any = self.body_of(self.frame[np.stack((f.a, f.b), axis=1)])
             pairs |= {(min(x), max(x)) for x in both.tolist() if x[0] != x[1] and min(x) >= 0}
 
@@ -221,6 +223,8 @@ class Tables:
             values = given.get(name)
             items.arrays[name], address = store.array(zero if values is None else values)
             setattr(one, name, address)
+        if items.role == LAW:
+            one.known = store.address(np.zeros((n, 3)))
         if items.formula is not None:
             self._formula(one, items)
         if items.slot is not None:
@@ -314,7 +318,7 @@ class Tables:
             "velocity": self.nothing + 1, "residual": self.nothing + 1, "wrench": self.nothing + 1,
             "gap": self.rows, "motion": self.rows, "weight": self.rows, "diagonal": size,
             "L": self.fronts.storage + 8, "inverse": size, "b": size, "local": size,
-            "work": 3 * s.n_v + 2 * self.rows, "big": (2 * self.twist + 1) * 2 * widest + size,
+            "work": 4 * s.n_v + 3 * self.rows, "big": (2 * self.twist + 1) * 2 * widest + size,
         }  # fmt: skip
         arrays = {name: store.array(np.zeros(max(count, 1))) for name, count in sizes.items()}
         arrays |= {name: store.array(np.zeros(max(self.rows, 1))) for name in ("motion_rate", "slip")}
@@ -378,8 +382,8 @@ class Tables:
         )  # fmt: skip
 
     def _stiff(self) -> int:
-        """Whether efforts depend on the motion: 0 no, 1 linearly, 2 by laws with slopes of their own."""
-        if self.loads or any(items.role == LAW for items in self.items):
+        """Whether efforts depend on the motion: 0 no, 1 on coordinates, 2 in ways that Python evaluates as a whole."""
+        if self.loads:
             return 2
         return int(bool(self.rods) or any(f.stiff for f in self.system.forces))
 

@@ -1,9 +1,10 @@
-/* Generalized-alpha, index 3: the algorithm of schemes/onestep/generalized_alpha.py, many steps in one call.
+/* Generalized-alpha, index 3 or stabilised: the algorithm of schemes/onestep/generalized_alpha.py, many steps in one call.
 
    A block of a state holds t, q (nq), v (nv), a (nv), A (nv), lambda (rows). */
 
 enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,           /* in */
-       ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT };                                       /* in and out */
+       ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT,                                   /* in and out */
+       STABILISED };                                                                                                   /* in: the GGL form */
 enum { MOST = 64 };
 static const double SLOW_TURN = 0.01; /* rate of Newton above which efforts get a new tangent */
 
@@ -102,7 +103,8 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
     const double h = p[H], am = p[AM], af = p[AF], gamma = p[GAMMA], hb = h * h * p[BETA], t = *past[0].t + h;
     const double scale = hb * (1 - af) / (1 - am), damp = h * gamma * (1 - af) / (1 - am);
     const Block now = past[0];
-    double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, w[3], sizes[MOST], left = 0.0;
+    double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, *closing = begun + n, *none = closing + n;
+    double w[3], sizes[MOST], left = 0.0;
     int verdict, far = 1, converged = 0, done = 0;
     s->share = h * p[BETA] / gamma;
 
@@ -139,8 +141,15 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         if (far || turning || done > (int)p[PATIENCE])
             if ((verdict = prepare(s, out.q, damp, scale, lam, done > (int)p[PATIENCE], t))) return verdict;
 
-        increment(s, scale, x, y);
-        double size = largest_of(s->units, x, n);
+        double closed = 0.0, size;
+        if (p[STABILISED] != 0.0) {
+            stabilised(s, scale, damp, x, closing, y, none);
+            closed = largest_of(s->units, closing, n);
+            for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, closing + TWIST * b);
+            for (int i = 0; i < n; i++) xi[i] += closing[i];
+        } else increment(s, scale, x, y);
+        size = largest_of(s->units, x, n);
+        if (!(closed <= size)) size = closed; /* nan stays */
         far = size > p[FAR];
         sizes[done++] = size / tolerance;
         for (int i = 0; i < m; i++) out.lam[i] += y[i] / scale;

@@ -21,6 +21,8 @@ static int rod_tangents(System *s, Rod *k, double t, double geometric) { return 
 static double rod_energy(System *s, Rod *k) { return (void)s, (void)k, 0.0; }
 #endif
 #include "formulas.c"
+#include "mapped.c"
+#include "mounts.c"
 #include "evaluate.c"
 #include "matrix.c"
 #include "states.c"

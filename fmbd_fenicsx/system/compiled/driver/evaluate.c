@@ -144,6 +144,10 @@ static int efforts(System *s, Batch *k, double t)
 static int items(System *s, Batch *k, const double *lam, double t)
 {
     if (k->role == READ) return DONE;
+    if (k->role == MOUNT) {
+        mount_forces(s, k);
+        return DONE;
+    }
     k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
     if (k->role == LINEAR || k->role == LAW || k->role == FORMULA) {
         int verdict = efforts(s, k, t);

@@ -94,9 +94,20 @@ static double stored(const Batch *k, long i)
     return 0.5 * p[0] * stretch * stretch;
 }
 
+/* Whether an effort of a law in Python is not what its slopes in the matrix foretell. */
+static int surprises(const Batch *k, long i)
+{
+    const double *known = k->known + 3 * i;
+    double change = k->effort[i] - known[2], foretold = k->stiffness[i] * (k->s[i] - known[0]) + k->damping[i] * (k->rate[i] - known[1]);
+    return fabs(change - foretold) > 0.02 * fmax(fabs(change), fabs(foretold)) + 1e-12 * fabs(k->effort[i]);
+}
+
 /* Whether the slopes at the last evaluation are others than those in the matrix. */
 static int other_slopes(const System *s, double cd, double ck)
 {
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
+        for (long i = 0; k->role == LAW && i < k->n; i++)
+            if (surprises(k, i)) return 1;
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
         for (long i = 0; k->role == FORMULA && i < k->n; i++) {
             double slope = ck * k->stiffness[i] + cd * k->damping[i];

@@ -5,105 +5,6 @@
 
    The last term of (1) is the geometric stiffness of an effort; that of a reaction has lambda for N. */
 
-/* ---- frames on surfaces: rows and blocks pass through the surface's map to the body's rates ---- */
-
-/* Number of rates that move a frame, and the map from them to its twist (NULL: these are the twist). */
-static int side_map(const System *s, int frame, const double **map)
-{
-    *map = 0;
-    if (frame < s->bodies) return TWIST;
-    if (frame == s->bodies) return 0;
-    const Surface *k = s->surface + frame - s->bodies - 1;
-    *map = k->map;
-    return TWIST + s->body[k->body].modes;
-}
-
-/* y on a twist as a row on the rates */
-static void through(const double *map, int width, const double *y, double *row)
-{
-    if (!map) {
-        memcpy(row, y, TWIST * sizeof(double));
-        return;
-    }
-    memset(row, 0, width * sizeof(double));
-    for (int j = 0; j < TWIST; j++)
-        if (y[j] != 0.0) add(row, y[j], map + (long)j * width, width);
-}
-
-/* The row of an item on the twists of both frames, 2 TWIST */
-static void twist_row(const Batch *k, long i, double *y)
-{
-    const double *out = k->out + i * k->outputs;
-    const int *where = k->where + 2 * TWIST * i;
-    for (int j = 0; j < 2 * TWIST; j++) y[j] = where[j] ? out[where[j]] : 0.0;
-}
-
-static void mapped_rows(System *s, const Batch *k)
-{
-    for (long i = 0; i < k->n; i++) {
-        const int *to = k->row_to + k->row_start[i], *on = k->row_on + k->row_start[i];
-        double y[2 * TWIST], square = 0.0;
-        twist_row(k, i, y);
-
-        for (int side = 0; side < 2; side++) {
-            const double *map;
-            int width = side_map(s, k->pair[2 * i + side], &map);
-            if (!width) continue;
-            through(map, width, y + TWIST * side, s->big);
-            for (int j = 0; j < width; j++, to++, on++) {
-                double entry = k->factor[i] * s->big[j];
-                s->L[*to] += entry;
-                square += entry * entry / s->diagonal[*on];
-            }
-        }
-        s->weight[k->row[i]] += square;
-    }
-}
-
-static void mapped_square(System *s, const Batch *k, long i, const double *C)
-{
-    const double *map[2];
-    int width[2], total = 0;
-    for (int side = 0; side < 2; side++) total += width[side] = side_map(s, k->pair[2 * i + side], &map[side]);
-
-    /* CM = C Map, by rows of C; then Map^T (C Map), column by column of Map: the columns of the result, symmetric */
-    double *CM = s->big, *column = CM + 2 * TWIST * total;
-    for (int j = 0; j < 2 * TWIST; j++) {
-        double *row = CM + (long)j * total;
-        for (int side = 0; side < 2; side++) {
-            if (width[side]) through(map[side], width[side], C + 2 * TWIST * j + TWIST * side, row);
-            row += width[side];
-        }
-    }
-    const int *to = k->square_to + k->square_start[i];
-    for (int c = 0; c < total; c++) {
-        double y[2 * TWIST], *out = column;
-        for (int j = 0; j < 2 * TWIST; j++) y[j] = CM[(long)j * total + c];
-        for (int side = 0; side < 2; side++) {
-            if (width[side]) through(map[side], width[side], y + TWIST * side, out);
-            out += width[side];
-        }
-        for (int r = 0; r <= c; r++, to++) s->L[*to] += column[r];
-    }
-}
-
-static void mapped_tangents(System *s, const Batch *k, const double *slope)
-{
-    for (long i = 0; i < k->n; i++) {
-        double C[4 * TWIST * TWIST], y[2 * TWIST];
-        twist_row(k, i, y);
-        for (int a = 0; a < 2 * TWIST; a++)
-            for (int b = 0; b < 2 * TWIST; b++) C[2 * TWIST * a + b] = slope ? slope[i] * y[a] * y[b] : 0.0;
-        for (int e = 0; e < k->curved; e++) {
-            int a = k->lower[2 * e], b = k->lower[2 * e + 1];
-            double h = k->hessian[i * k->hessians + k->curve[e]];
-            C[2 * TWIST * a + b] += h;
-            if (a != b) C[2 * TWIST * b + a] += h;
-        }
-        mapped_square(s, k, i, C);
-    }
-}
-
 /* ---- frames of bodies: entries go straight to their places ---- */
 
 static void plain_rows(System *s, const Batch *k)
@@ -139,9 +40,17 @@ static void plain_tangents(System *s, const Batch *k, const double *slope)
 static int tangents(System *s, Batch *k, double cd, double ck, double geometric, const double *lam, double t)
 {
     double *slope = 0;
+    if (k->role == MOUNT) {
+        mount_tangents(s, k, cd, ck, geometric);
+        return DONE;
+    }
     if (k->role == LAW) {
         s->calls++;
         if (s->python(SLOPES, k->number, t)) return FAILED;
+        for (long i = 0; i < k->n; i++) {
+            double *known = k->known + 3 * i;
+            known[0] = k->s[i], known[1] = k->rate[i], known[2] = k->effort[i];
+        }
     }
     if (k->role == LINEAR || k->role == LAW || k->role == FORMULA) {
         slope = k->slope;
@@ -195,12 +104,10 @@ static int prepare(System *s, const double *q, double cd, double ck, const doubl
     return verdict == SINGULAR ? assemble(s, q, cd, ck, 0.0, lam, 0, t) : verdict;
 }
 
-/* Newton's increment: x (like v, body axes) and y from -scale times the residuals evaluated last and the open constraints. */
-static void increment(System *s, double scale, double *x, double *y)
+/* The solution x (like v, body axes) and y for the right-hand side in b, which holds it in world axes then. */
+static void solution(System *s, double *x, double *y)
 {
     double *b = s->b;
-    for (int i = 0; i < s->nu; i++) b[i] = -scale * s->residual[i];
-    for (int i = 0; i < s->rows; i++) b[s->nu + i] = -s->gap[i];
     back_solve(s, b);
 
     for (int k = 0; k < s->bodies; k++) {
@@ -211,4 +118,51 @@ static void increment(System *s, double scale, double *x, double *y)
         memcpy(x + o->at_v, u + TWIST, o->modes * sizeof(double));
     }
     memcpy(y, b + s->nu, s->rows * sizeof(double));
+}
+
+/* Newton's increment from -scale times the residuals evaluated last and the open constraints. */
+static void increment(System *s, double scale, double *x, double *y)
+{
+    for (int i = 0; i < s->nu; i++) s->b[i] = -scale * s->residual[i];
+    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->gap[i];
+    solution(s, x, y);
+}
+
+/* Rows of the constraints on the velocities as they stand, and the rates of what is prescribed where ``rates``, into slip. */
+static void slips(System *s, int rates)
+{
+    for (int i = 0; i < s->rows; i++) s->slip[i] = rates ? -s->motion_rate[i] : 0.0;
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->role != ROW) continue;
+        if (rates) {
+            k->rates(k->n, k->pair, s->frames, k->P, 0, k->out);
+            for (long i = 0; i < k->n; i++) s->slip[k->row[i]] += k->factor[i] * k->out[2 * i];
+            k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+        }
+        const double *out = k->out;
+        const int *at = k->at;
+        for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live)
+            for (int e = 0; e < k->live; e++) s->slip[k->row[i]] += k->factor[i] * out[k->entry[e]] * s->velocity[at[e]];
+    }
+}
+
+/* The increment of the stabilised form: x and y close the constraints on velocities, ``closing`` those on positions. */
+static void stabilised(System *s, double scale, double damp, double *x, double *closing, double *y, double *none)
+{
+    slips(s, 1);
+    for (int i = 0; i < s->nu; i++) s->b[i] = -scale * s->residual[i];
+    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -scale / damp * s->slip[i];
+    solution(s, x, y);
+
+    memcpy(s->velocity, s->b, s->nu * sizeof(double));
+    for (int i = 0; i < s->surfaces; i++) {
+        const Surface *k = s->surface + i;
+        const Body *o = s->body + k->body;
+        for (int j = 0; j < TWIST; j++)
+            s->velocity[s->nu + TWIST * i + j] = dot(k->map + j * (TWIST + o->modes), s->velocity + o->at_u, TWIST + o->modes);
+    }
+    slips(s, 0);
+    memset(s->b, 0, s->nu * sizeof(double));
+    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->gap[i] - s->slip[i];
+    solution(s, closing, none);
 }

@@ -4,23 +4,10 @@
 /* Open constraints into gap, their rates into slip; frames are placed. */
 static void drift(System *s)
 {
-    for (int i = 0; i < s->rows; i++) {
-        s->gap[i] = -s->motion[i];
-        s->slip[i] = -s->motion_rate[i];
-    }
-    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
-        if (k->role != ROW) continue;
-        k->rates(k->n, k->pair, s->frames, k->P, 0, k->out);
-        for (long i = 0; i < k->n; i++) s->slip[k->row[i]] += k->factor[i] * k->out[2 * i];
-
-        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
-        const double *out = k->out;
-        const int *at = k->at;
-        for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
-            s->gap[k->row[i]] += k->factor[i] * out[0];
-            for (int e = 0; e < k->live; e++) s->slip[k->row[i]] += k->factor[i] * out[k->entry[e]] * s->velocity[at[e]];
-        }
-    }
+    slips(s, 1);
+    for (int i = 0; i < s->rows; i++) s->gap[i] = -s->motion[i];
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++)
+        for (long i = 0; k->role == ROW && i < k->n; i++) s->gap[k->row[i]] += k->factor[i] * k->out[i * k->outputs];
 }
 
 /* s, s' and the effort of the items that are read. */

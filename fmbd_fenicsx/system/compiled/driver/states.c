@@ -16,7 +16,7 @@ static Block block_at(const System *s, double *x)
     return b;
 }
 
-/* Kinetic, elastic, of the weight, of springs, stops and dry friction (J); frames are placed. */
+/* Kinetic, elastic, of the weight, of springs, stops, bushings and dry friction (J); frames are placed. */
 static void energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out)
 {
     out[0] = out[1] = out[2] = out[3] = 0.0;
@@ -25,6 +25,7 @@ static void energies(System *s, double t, const double *q, const double *v, cons
         body_energies(o, s->frames + FRAME * b + TURN, q, v, q + POSE * b, v + TWIST * b, gravity, out);
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->role == MOUNT) out[3] += mount_energy(s, k);
         if (k->role != LINEAR && k->role != FORMULA) continue;
         k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
         if (k->role == FORMULA) efforts(s, k, t);

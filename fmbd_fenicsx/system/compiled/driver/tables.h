@@ -14,9 +14,9 @@ enum { D = 2, ROT = 1, POSE = 3, TWIST = 3, PORT = 6, FRAME = 10 };
 #endif
 enum { TURN = D, SPEED = D + D * D, SPIN = SPEED + D };  /* where R, v, w begin in a frame */
 
-enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA };          /* roles of items: a term of a constraint; an effort that is linear, */
+enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA, MOUNT };   /* roles of items: a term of a constraint; an effort that is linear, */
                                                           /* given for the whole step, or from a law in Python; READ: only */
-                                                          /* looked at in records; FORMULA: one of formulas.c */
+                                                          /* looked at in records; FORMULA: one of formulas.c; MOUNT: bushings */
 enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN };      /* verdicts; LOOK: the NumPy path has something to say; FAILED: a */
                                                           /* law in Python raised; GAIN: energy from nothing */
 
@@ -38,6 +38,7 @@ typedef struct {
     double *s, *rate, *effort, *weight, *slope; /* n each */
     int formula;                       /* FORMULA: which; n x FORMULA_WIDTH constants, n x MEMORY memory of accepted steps */
     double *constants, *kept;
+    double *known;                     /* LAW: n x 3, s, s' and N where the slopes were taken */
     int *first, *second, *product_to;  /* products: pairs of live entries; n x products places in the fronts */
     int *curve, *curve_to, hessians;   /* curved: which outputs of the tangent kernel; n x curved places; outputs in all */
     double *hessian;
@@ -122,7 +123,7 @@ typedef struct {
     signed char *sign;                 /* of the pivots, by unknowns */
     double *units, *row_units;         /* nv, rows: what turns increments and gaps into lengths */
     int (*python)(int what, int number, double t); /* what: see below; 0 when all is well */
-    int samples, laws, stiff;   /* stiff: efforts depend on the motion (2: by laws); whether Python is asked once a step, at every evaluation */
+    int samples, laws, stiff;   /* stiff: efforts depend on the motion (2: as a whole, in Python); whether Python is asked once a step, at every evaluation */
     double cd, ck, epsilon;            /* of the matrix in the fronts */
     double share;                      /* change of q over that of v in a step: open speeds times it are closed like gaps */
     const double *q;                   /* the configuration evaluated last */
