@@ -12,7 +12,7 @@ from test_compiled import pair, stepper_of
 from test_kernel import flexible
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import LawError
+from fmbd_fenicsx.errors import FmbdError, LawError
 from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledStepper
 from fmbd_fenicsx.system.compiled.library import driver_library
 from fmbd_fenicsx.system.compiled.order import Elimination, Fronts, RowGroup, joint_tree
@@ -283,6 +283,35 @@ def test_law_that_raises_is_one_error_with_its_name() -> None:
     scene.add(fmbd.Spring("bad", fmbd.ground, scene.bodies["body"], (0.5, 0.0), (0.1, 0.0), law=law))
     with pytest.raises(LawError, match='"bad".*broken'):
         fmbd.solve(scene, t_end=0.1, dt=1e-3)
+
+
+def counting() -> Any:
+    """A law that answers with the number of its call."""
+    calls = itertools.count()
+    return lambda s, rate, t: float(next(calls))
+
+
+BAD = {
+    "raises": (lambda: lambda s, rate, t: {}[t] if t > 0.0205 else s, "failed at t = 0.021 s: KeyError"),
+    "nan": (lambda: lambda s, rate, t: np.nan if t > 0.0205 else s, "returned .nan. at t = 0.021 s"),
+    "shape": (
+        lambda: lambda s, rate, t: [s, s] if t > 0.0205 else s,
+        r"returned shape \(2,\) at t = 0.021 s, expected \(1,\)",
+    ),
+    "text": (lambda: lambda s, rate, t: "x" if t > 0.0205 else s, "returned 'x' at t = 0.021 s, expected numbers"),
+    "state": (counting, "and then 1.0 for equal arguments at t = 0 s"),
+}
+
+
+@compiled
+@pytest.mark.parametrize("path", [True, False], ids=["compiled", "NumPy"])
+@pytest.mark.parametrize("fault", BAD)
+def test_laws_that_cannot_be_used_are_one_error_with_name_and_time(fault: str, path: bool) -> None:
+    law, message = BAD[fault]
+    scene = links(2, 2)
+    scene.add(fmbd.joint_spring("odd one", fmbd.angle(scene.joints["hinge 1"]), law=law()))
+    with pytest.raises(FmbdError, match=f'"odd one".*{message}'):
+        fmbd.solve(scene, t_end=0.1, dt=1e-3, scheme=fmbd.GeneralizedAlpha(0.8, compiled=path))
 
 
 def test_tree_is_grown_from_the_ground() -> None:

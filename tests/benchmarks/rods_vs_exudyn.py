@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from user_scenes import exudyn_steps
+from exudyn_side import exudyn_steps
 
 import fmbd_fenicsx as fmbd
 

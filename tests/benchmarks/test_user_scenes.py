@@ -9,7 +9,12 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-NAMES = ["links 10", "links 100", "hinge springs 10", "hinge springs 100", "body on springs", "Python force"]
+NAMES = [
+    *(f"{kind} {n}" for kind in ("links", "hinge springs") for n in (10, 100, 1000)),
+    *(f"{kind} {n}" for kind in ("space links", "space hinge springs") for n in (10, 40, 200)),
+    "body on springs", "body on bushings", "Python force", "PD arm, Python laws", "driven slider crank", "wheel suspension",
+    "truck over a road, Python tyres", "flyball governor",
+]  # fmt: skip
 
 
 @pytest.mark.slow

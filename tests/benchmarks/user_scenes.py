@@ -9,70 +9,14 @@ two Newton iterations the faster one counts. Ends must agree to the error of the
 
 import argparse
 import json
-import sys
 import time
-import warnings
 from pathlib import Path
 
 import numpy as np
+from exudyn_side import Exudyn, G, H
+from user_models import chain, crank, governor, mounted, pd_arm, suspension, truck
 
 import fmbd_fenicsx as fmbd
-
-sys.exudynFast = True  # the build without range checks
-warnings.filterwarnings("ignore", category=DeprecationWarning)
-H = 1e-3
-G = 9.81
-
-
-class Exudyn:
-    """A model being built in Exudyn."""
-
-    def __init__(self):
-        import exudyn as exu
-        import exudyn.itemInterface as items  # noqa: N813
-        import exudyn.utilities as utilities
-
-        self.exu, self.items, self.utilities = exu, items, utilities
-        self.mbs = exu.SystemContainer().AddSystem()
-        self.ground = self.mbs.AddObject(items.ObjectGround())
-
-    def marker(self, body, place, rigid=False):
-        kind = self.items.MarkerBodyRigid if rigid else self.items.MarkerBodyPosition
-        return self.mbs.AddMarker(kind(bodyNumber=body, localPosition=[*place, 0, 0][:3]))
-
-    def link(self, place, mass, inertia):
-        """A body of the plane with its weight."""
-        items, mbs = self.items, self.mbs
-        node = mbs.AddNode(items.NodeRigidBody2D(referenceCoordinates=[*place, 0.0]))
-        body = mbs.AddObject(items.ObjectRigidBody2D(physicsMass=mass, physicsInertia=inertia, nodeNumber=node))
-        load = items.Force(markerNumber=self.marker(body, [0, 0]), loadVector=[0, -mass * G, 0])
-        mbs.AddLoad(load)
-        return body
-
-    def run(self, steps, body, point, modified, sparse):
-        """CPU time of the steps and the place of a point at the end."""
-        self.mbs.Assemble()
-        spent = exudyn_steps((self.exu, self.mbs), steps, H, modified=modified, sparse=sparse)
-        end = self.mbs.GetObjectOutputBody(body, self.exu.OutputVariableType.Position, localPosition=[*point, 0, 0][:3])
-        return spent, np.array(end)
-
-
-def exudyn_steps(model, steps, h, *, modified, sparse):
-    """CPU time of so many steps of an assembled model (exudyn, system): rho_inf = 0.8, one thread, ten records."""
-    exu, mbs = model
-    s = exu.SimulationSettings()
-    s.timeIntegration.numberOfSteps, s.timeIntegration.endTime = steps, steps * h
-    s.timeIntegration.generalizedAlpha.spectralRadius = 0.8
-    s.timeIntegration.newton.useModifiedNewton = modified
-    s.timeIntegration.verboseMode = 0
-    s.parallel.numberOfThreads = 1
-    s.solutionSettings.writeSolutionToFile = False
-    s.solutionSettings.sensorsWritePeriod = steps * h / 10
-    s.linearSolverType = exu.LinearSolverType.EigenSparse if sparse else exu.LinearSolverType.EXUdense
-    begin = time.process_time()
-    mbs.SolveDynamic(s)
-    return time.process_time() - begin
-
 
 # ---- scenes: ours -> scene, body, point in body axes; theirs -> Exudyn, body, point -----
 
@@ -150,13 +94,34 @@ def pushed_exudyn():
     return e, body, point
 
 
+def model(make, *data):
+    """Both sides of a mechanism that is described once."""
+    return (lambda: make(*data).ours()), (lambda: make(*data).theirs())
+
+
+ENOUGH = 0.1  # s of CPU time of steps that a difference of two runs needs
+SPRING = (0.5, 0.005)  # N m/rad, N m s
 SCENES = {  # name: ours, theirs, steps, goal of the ratio, sparse solver there
     "links 10": (lambda: planar(10, False), lambda: planar_exudyn(10, False), 1000, 0.5, False),
     "links 100": (lambda: planar(100, False), lambda: planar_exudyn(100, False), 400, 0.5, True),
+    "links 1000": (lambda: planar(1000, False), lambda: planar_exudyn(1000, False), 40, 0.5, True),
     "hinge springs 10": (lambda: planar(10, True), lambda: planar_exudyn(10, True), 1000, 0.5, False),
     "hinge springs 100": (lambda: planar(100, True), lambda: planar_exudyn(100, True), 400, 0.5, True),
+    "hinge springs 1000": (lambda: planar(1000, True), lambda: planar_exudyn(1000, True), 40, 0.5, True),
+    "space links 10": (*model(chain, 3, 10), 300, 0.5, False),
+    "space links 40": (*model(chain, 3, 40), 100, 0.5, True),
+    "space links 200": (*model(chain, 3, 200), 30, 0.5, True),
+    "space hinge springs 10": (*model(chain, 3, 10, SPRING), 300, 0.5, False),
+    "space hinge springs 40": (*model(chain, 3, 40, SPRING), 100, 0.5, True),
+    "space hinge springs 200": (*model(chain, 3, 200, SPRING), 30, 0.5, True),
     "body on springs": (on_springs, on_springs_exudyn, 3000, 0.5, False),
+    "body on bushings": (*model(mounted), 2000, 0.5, False),
     "Python force": (pushed, pushed_exudyn, 3000, 1.5, False),
+    "PD arm, Python laws": (*model(pd_arm), 2000, 1.5, False),
+    "driven slider crank": (*model(crank), 2000, 0.5, False),
+    "wheel suspension": (*model(suspension), 2000, 0.5, False),
+    "truck over a road, Python tyres": (*model(truck), 1000, 1.5, False),
+    "flyball governor": (*model(governor), 1000, 0.5, False),
 }
 
 
@@ -186,8 +151,11 @@ def compare(name, repeat):
     rows = []
     for _ in range(repeat):
         (a, _, _), (b, end, iterations) = ours(made, steps), ours(made, 2 * steps)
+        more = int(np.clip(ENOUGH / max(b - a, 1e-3), 1, 20)) * steps
+        if more > steps:
+            (a, _, _), (b, _, _) = ours(made, more), ours(made, 2 * more)
         (c, _), (d, there) = theirs(other, steps, sparse), theirs(other, 2 * steps, sparse)
-        rows.append(((b - a) / steps * 1e6, (d - c) / steps * 1e6, (2 * a - b) * 1e3))
+        rows.append(((b - a) / more * 1e6, (d - c) / steps * 1e6, (2 * a - b) * 1e3))
     mine, exudyn, setup = np.median(rows, axis=0)
     ratio = float(np.median([x / y for x, y, _ in rows]))
     away = float(np.abs(end - there[: len(end)]).max())
@@ -210,6 +178,8 @@ def main():
         row = compare(name, given.repeat)
         rows.append(row)
         print(*(f"{k}: {x:.3g}" if isinstance(x, float) else x for k, x in row.items()), sep="; ", flush=True)
+    ratios = np.array([row["ratio"] for row in rows])
+    print(f"geometric mean of {len(rows)} ratios: {np.exp(np.log(ratios).mean()):.3g}")
     if given.json:
         given.json.write_text(json.dumps(rows, indent=1))
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from ..joints.constraints import time_of
 from ..joints.relative import Relative, Separation
 from .effort_laws import EffortLaw
 from .formulas import Formula, formulas_of
+from .user_laws import Repeatable, checked, checked_number
 
 
 @dataclass(frozen=True)
@@ -46,26 +46,6 @@ class MarkerMotion:
     w: Array
 
 
-def checked(name: str, value: Any, size: int, t: float) -> Array:
-    """A user's result as an array of the right size, or an error that names the force."""
-    try:
-        found = np.atleast_1d(np.asarray(value, dtype=float))
-    except (TypeError, ValueError):
-        raise CallbackError(f'Force "{name}": the law returned {value!r} at t = {t:g} s, expected numbers.') from None
-    if found.shape != (size,):
-        raise CallbackError(f'Force "{name}": the law returned shape {found.shape} at t = {t:g} s, expected ({size},).')
-    if not np.isfinite(found).all():
-        raise CallbackError(f'Force "{name}": the law returned {found} at t = {t:g} s.')
-    return found
-
-
-def _number(name: str, value: Any, t: float) -> float:
-    """A user's result that must be one number; the same errors."""
-    if isinstance(value, float) and isfinite(value):
-        return value
-    return float(checked(name, value, 1, t)[0])
-
-
 class Loads:
     """Forces of one kind with their markers. ``wrench``: (m, n) on markers a and on markers b. ``stiff``: whether they depend
     on the motion of their markers in a way that :meth:`tangent` gives.
@@ -82,7 +62,7 @@ class Loads:
     @staticmethod
     def law_of(f: Any) -> Any:
         """The user's function of a force, its exceptions named; None without one."""
-        return None if f.law is None else named(f"The law of {f.kind}", f.name, f.law)
+        return None if f.law is None else Repeatable(f"The law of {f.kind}", f.name, f.law)
 
     def repeated(self, k: int, markers: int) -> Loads | None:
         """These forces k times, copy c on the markers numbered ``c markers`` higher; None where only one copy at a time can be
@@ -187,7 +167,7 @@ class ScalarLoads(Loads):
         """N of the laws of the user's own of some forces, at their elongations s and rates: arrays like ``which``."""
         forces, laws = self.forces, self.laws
         every = zip(which.tolist(), s.tolist(), rate.tolist(), strict=True)
-        return np.array([_number(forces[i].name, laws[i](x, v, t), t) for i, x, v in every])
+        return np.array([checked_number(forces[i].name, laws[i](x, v, t), t) for i, x, v in every])
 
     def slopes(self, which: np.ndarray, s: Array, rate: Array, t: float) -> tuple[Array, Array]:
         """dN/ds and dN/ds' of the same: by the law's own formula where it is one of the package's, else by differences."""
@@ -199,8 +179,8 @@ class ScalarLoads(Loads):
                 continue
             x, v, name, law = float(s[n]), float(rate[n]), self.forces[i].name, self.laws[i]
             hs, hv = 1e-6 * max(abs(x), 1e-3), 1e-6 * max(abs(v), 1e-3)
-            k[n] = (_number(name, law(x + hs, v, t), t) - _number(name, law(x - hs, v, t), t)) / (2 * hs)
-            c[n] = (_number(name, law(x, v + hv, t), t) - _number(name, law(x, v - hv, t), t)) / (2 * hv)
+            k[n] = (checked_number(name, law(x + hs, v, t), t) - checked_number(name, law(x - hs, v, t), t)) / (2 * hs)
+            c[n] = (checked_number(name, law(x, v + hv, t), t) - checked_number(name, law(x, v - hv, t), t)) / (2 * hv)
         return k, c
 
     def given(self, which: np.ndarray, t: float) -> Array:
@@ -323,7 +303,7 @@ class OwnLoads(Loads):
     def law_of(f: Any) -> Any:
         """The law, and the Jacobian or None."""
         jacobian = None if f.jacobian is None else named("The Jacobian of force", f.name, f.jacobian, time=0)
-        return named("The law of force", f.name, f.law, time=0), jacobian
+        return Repeatable("The law of force", f.name, f.law, time=0), jacobian
 
     def _one(self, k: int, kin: Kinematics, twist: Array, t: float, markers: tuple[int, int]) -> Array:
         """Wrenches on (a, b) of one force, (2 n,)."""

@@ -1,0 +1,68 @@
+"""Laws of the user's own: what they return is checked on every call, and once whether they return it again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from ...errors import CallbackError, named
+from ...rotations import Array
+
+
+def checked(name: str, value: Any, size: int, t: float) -> Array:
+    """A user's result as an array of the right size, or an error that names the force."""
+    try:
+        found = np.atleast_1d(np.asarray(value, dtype=float))
+    except (TypeError, ValueError):
+        raise CallbackError(f'Force "{name}": the law returned {value!r} at t = {t:g} s, expected numbers.') from None
+    if found.shape != (size,):
+        raise CallbackError(f'Force "{name}": the law returned shape {found.shape} at t = {t:g} s, expected ({size},).')
+    if not np.isfinite(found).all():
+        raise CallbackError(f'Force "{name}": the law returned {found} at t = {t:g} s.')
+    return found
+
+
+def checked_number(name: str, value: Any, t: float) -> float:
+    """The same for a single number."""
+    if isinstance(value, float) and isfinite(value):
+        return value
+    return float(checked(name, value, 1, t)[0])
+
+
+class Repeatable:
+    """A law whose first call is made twice: steps are tried, repeated and taken back, so equal arguments must give equal forces.
+
+    ``time``: which argument is the time.
+    """
+
+    def __init__(self, what: str, name: str, law: Callable[..., Any], *, time: int = -1) -> None:
+        self.name, self.time, self.law = name, time, named(what, name, law, time=time)
+        self._asked = False
+
+    def __call__(self, *args: Any) -> Any:
+        """What the law returns."""
+        value = self.law(*args)
+        if not self._asked:
+            self._asked = True
+            self._compare(value, self.law(*args), float(np.real(args[self.time])))
+        return value
+
+    def _compare(self, first: Any, second: Any, t: float) -> None:
+        """Refuse two answers that differ; values that are no numbers are for others to refuse."""
+        if all(np.array_equal(x, y, equal_nan=True) for x, y in zip(_parts(first), _parts(second), strict=False)):
+            return
+        raise CallbackError(
+            f'Force "{self.name}": the law returned {first!r:.80} and then {second!r:.80} for equal arguments at t = {t:g} s. '
+            "Steps are tried more than once, so a law may keep nothing between calls. Take fmbd.controller(..., memory=...)."
+        )
+
+
+def _parts(value: Any) -> list[Array]:
+    """The numbers of an answer: one array, or force and torque; none where it has none."""
+    try:
+        return [np.asarray(x, dtype=float) for x in (value if isinstance(value, tuple) else (value,))]
+    except (TypeError, ValueError):
+        return []
