@@ -120,6 +120,9 @@ from .post.interface_model import load_interface_model as load_interface_model
 from .post import demo as demo
 from .post import plot as plot
 from .post import study as study
+from .post.responses import bode as bode
+from .post.responses import nyquist as nyquist
+from .post.vibration import vibration as vibration
 from .post.demo import Check as Check
 from .run.checkpoint import Checkpoint as Checkpoint
 from .post.drawing.view import Paint as Paint

@@ -43,7 +43,7 @@ class Modes:
     Attributes:
         eigenvalues: (n,) complex, 1/s; motions are Re(shape exp(eigenvalue t)).
         shapes: (n, n_v) complex increments of the configuration, largest displacement 1 m (this rank's nodes).
-        about: the state they are about.
+        about: the state they are about. ``markers``: of the scene's sensors.
     """
 
     scene: Scene
@@ -51,6 +51,7 @@ class Modes:
     about: State
     eigenvalues: Array
     shapes: Array
+    markers: dict[str, int]
 
     @property
     def omega(self) -> Array:
@@ -140,7 +141,8 @@ def modes(scene: Scene, n: int, *, at: Any = None, linear: Any = None) -> Modes:
     system = made.about.system
     shapes = vectors.T @ small.vectors
     sizes = [max(system.max_abs(x.real), system.max_abs(x.imag)) for x in shapes]
-    return Modes(scene, system, made.about.state, values, np.array([x / s for x, s in zip(shapes, sizes, strict=True)]))
+    scaled = np.array([x / s for x, s in zip(shapes, sizes, strict=True)])
+    return Modes(scene, system, made.about.state, values, scaled, made.markers)
 
 
 @contextmanager

@@ -258,6 +258,15 @@ class ElasticBody:
             self.viscous,
         )
 
+    def frequencies(self, n: int, *, held: str | Sequence[str] = ()) -> Array:
+        """The first n natural frequencies (Hz) of this body alone, ascending; collective.
+
+        Without ``held`` the body is free and its rigid motions are left out; a held surface keeps its mean position and rotation.
+        """
+        from ..reduction.natural import natural_frequencies
+
+        return natural_frequencies(self, n, [held] if isinstance(held, str) else held)
+
     def start_twist(self) -> Array:
         """Rigid velocity of the centre of mass and angular velocity at the start, (n_twist,)."""
         inertia = 1.0 if self.dim == 2 else (1.0, 1.0, 1.0)

@@ -76,7 +76,7 @@ class CraigBampton:
         """Nodal fields that span the basis, (n d, m)."""
         from .modes import ConditionedBody
 
-        C = _independent(field, np.concatenate([moment_columns(field, s) for s in self.interfaces], axis=1))
+        C = independent(field, np.concatenate([moment_columns(field, s) for s in self.interfaces], axis=1))
         fixed = _select(field, C, self)
         body = ConditionedBody(field, C)
         static = [body.static_modes()]
@@ -105,7 +105,7 @@ class Finer:
         given = self.basis.columns(field, frame)
         C = frame
         if self.surfaces:
-            C = _independent(field, np.concatenate([moment_columns(field, s) for s in self.surfaces], axis=1))
+            C = independent(field, np.concatenate([moment_columns(field, s) for s in self.surfaces], axis=1))
         room = field.n_global - C.shape[1]
         body = ConditionedBody(field, C)
         static = [body.solve_static(f) for f in (*_inertia_patterns(field), *_load_patterns(field))]
@@ -132,7 +132,7 @@ def _load_patterns(field: Field) -> list[Array]:
     return found
 
 
-def _independent(field: Field, C: Array) -> Array:
+def independent(field: Field, C: Array) -> Array:
     """Orthonormal columns that span C: on a plane surface the moment along its normal is zero."""
     s, U = np.linalg.eigh(field.total(C.T @ C))
     keep = s > 1e-12 * s.max()

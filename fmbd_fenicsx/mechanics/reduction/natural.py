@@ -1,0 +1,47 @@
+"""Natural frequencies of one elastic body alone: free, or with some of its surfaces held."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ...checks import whole
+from ...errors import require
+from ...fem.mixed import make_field
+from ...rotations import Array
+from ..bodies.floating import attachment
+from .craig_bampton import independent
+from .modes import ConditionedBody
+
+
+def natural_frequencies(body: Any, count: int, held: Sequence[str]) -> Array:
+    """The first ``count`` natural frequencies (Hz) of an elastic body at rest and without load, ascending; collective.
+
+    A free body has its rigid motions left out; a ``held`` surface keeps its mean position and rotation, as by a fixed joint.
+
+    Raises:
+        InputError: an energy instead of a linear form, an unknown surface, more modes than unknowns.
+    """
+    whole("frequencies: n", count, least=1)
+    require(
+        body.elastic is not None,
+        f'Body "{body.name}": frequencies of one body need the linear form elastic(u, v, dx). With an energy, put the body into '
+        "a scene and take fmbd.modes(scene, n).",
+    )
+    names = [held] if isinstance(held, str) else list(held)
+    for name in names:
+        body.surface(name)
+
+    field = make_field(body.name, body.mesh, body.forms())
+    try:
+        # mean axes: no rigid motion is left
+        columns = [attachment(field, name) for name in names] or [field.Q.reshape(field.n * field.dim, -1)]
+        conditioned = ConditionedBody(field, independent(field, np.concatenate(columns, axis=1)))
+        try:
+            return np.asarray(conditioned.vibration_modes(count)[0] / (2.0 * np.pi))
+        finally:
+            conditioned.destroy()
+    finally:
+        field.destroy()

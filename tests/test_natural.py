@@ -1,0 +1,42 @@
+"""Natural frequencies of one body against those of a scene and of a beam, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+
+HEIGHT, MODULUS, DENSITY = 0.05, 1e7, 1e3
+
+
+def rod(**law: object) -> fmbd.FloatingBody:
+    """A slender strip."""
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, HEIGHT), origin=(0.0, -HEIGHT / 2), counts=(12, 1))
+    law = law or {"elastic": fmbd.materials.plane_stress(MODULUS, 0.3)}
+    return fmbd.FloatingBody("rod", mesh, density=DENSITY, **law)  # type: ignore[arg-type]
+
+
+@pytest.mark.mpi
+def test_free_and_held() -> None:
+    """A slender free strip bends like a beam; a held one has the frequencies of a scene with that joint."""
+    body = rod()
+    beam = 4.730041**2 * np.sqrt(MODULUS * HEIGHT**2 / 12 / DENSITY) / (2.0 * np.pi)
+    assert body.frequencies(1)[0] == pytest.approx(beam, rel=0.02)
+
+    scene = fmbd.Scene("rod")
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
+    assert body.frequencies(3, held="left") == pytest.approx(fmbd.modes(scene, 3).frequencies, rel=1e-7)
+
+
+def test_bad_input() -> None:
+    """Energies, surfaces that are not there, numbers that are none."""
+    with pytest.raises(InputError, match=r"linear form.*fmbd\.modes"):
+        rod(energy=fmbd.materials.saint_venant_kirchhoff(MODULUS, 0.3)).frequencies(1)
+    with pytest.raises(InputError, match=r'no surface "lft".*Did you mean "left"'):
+        rod().frequencies(1, held="lft")
+    with pytest.raises(InputError, match="whole number, at least 1"):
+        rod().frequencies(0)
+    with pytest.raises(InputError, match="1000 modes asked for"):
+        rod().frequencies(1000)

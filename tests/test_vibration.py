@@ -1,0 +1,46 @@
+"""Modes as runs, and figures of linear models."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_modes import two_masses
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+
+
+def test_one_period_of_a_mode() -> None:
+    """The mass that moves most has the amplitude asked for; the other one its share; both swing as a cosine."""
+    scene = two_masses(0.0)
+    scene.sensor("a", fmbd.position(scene.bodies["a"]))
+    found = fmbd.modes(scene, 2)
+    squares, shapes = np.linalg.eig(np.array([[8.0, -5.0], [-2.5, 2.5]]))
+    exact = shapes[:, np.argmin(squares)]
+
+    shown = fmbd.vibration(found, 0, 0.01, frames=16)
+    assert shown.times[-1] == pytest.approx(2.0 * np.pi / np.sqrt(squares.min()), rel=1e-9)
+    moved = np.stack([shown[name][:, 0] - rest for name, rest in (("a", 1.0), ("b", 2.0))], axis=1)
+    wave = np.cos(2.0 * np.pi * np.arange(17) / 16)
+    swing = np.outer(wave, moved[0])
+    assert np.abs(moved - swing).max() < 1e-12
+    assert np.abs(moved[0]).max() == pytest.approx(0.01, rel=1e-9)
+    assert moved[0, 0] / moved[0, 1] == pytest.approx(exact[0] / exact[1], rel=1e-7)
+    with pytest.raises(InputError, match="Mode 2 does not exist"):
+        fmbd.vibration(found, 2)
+    with pytest.raises(InputError, match="frames = 3"):
+        fmbd.vibration(found, 0, frames=3)
+
+
+@pytest.mark.serial
+def test_figures_of_responses(tmp_path: Path) -> None:
+    """Files are written; an undamped resonance and frequencies that are none are refused."""
+    model = fmbd.linearise(two_masses(0.1), ["push x"], ["b x", "speed x"])
+    omega = np.geomspace(0.1, 20.0, 50)
+    for draw, name in ((fmbd.bode, "bode.png"), (fmbd.nyquist, "nyquist.png")):
+        draw(model, tmp_path / name, omega)
+        assert (tmp_path / name).stat().st_size > 10_000
+        with pytest.raises(InputError, match="positive frequencies"):
+            draw(model, tmp_path / name, [0.0, 1.0])
