@@ -202,3 +202,15 @@ def test_functions_that_depend_on_the_rank_are_refused() -> None:
         begun = RANKS[: RANKS.index("found =")].replace("-60.0 * t", "-60.0 * t - MPI.COMM_WORLD.rank")
         done = launch(begun + call, 2, timeout=120)
         assert done.returncode == 2 and "on rank 1 for the same arguments" in done.stderr
+
+
+def test_roundoff_is_no_motion() -> None:
+    """A stiff spring that is out by roundoff pulls at a light body: still an equilibrium, without any weight to compare with."""
+    scene = fmbd.Scene("stiff")
+    mass = fmbd.RigidBody("mass", 0.5, 1.0)
+    guide = fmbd.prismatic("guide", fmbd.ground, mass, axis=(1.0, 0.0))
+    scene.add(mass, guide, fmbd.joint_spring("spring", fmbd.displacement(guide), stiffness=5e5, free=1e-16))
+    assert fmbd.modes(scene, 1).omega[0] == pytest.approx(1e3, rel=1e-7)
+    scene.add(fmbd.force("pull", mass, lambda t: (1.0, 0.0)))
+    with pytest.raises(InputError, match="accelerate with 2 m/s"):
+        fmbd.modes(scene, 1)

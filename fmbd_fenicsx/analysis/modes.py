@@ -33,7 +33,8 @@ from .perturbation import Perturbation
 
 SYMMETRIC = 1e-7  # relative size of what a symmetric matrix may lack of symmetry, differences included
 PLANE = 1e-6  # share of circling motion below which a mode is plane
-FAR = 1e-3  # accelerations of a state "in equilibrium", over the largest of weights and of its own vibrations
+FAR = 1e-3  # accelerations of a state "in equilibrium", over weights
+NOTHING = 1e-6  # motion in a long time that counts as rest, over the model's length
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,8 +177,9 @@ def _linearised(scene: Scene, at: Any, linear: Any, built: tuple[System, State, 
     )
     _refuse_rolling_fields(system, state, solver)
     about = Perturbation(system, state, spin)
-    _refuse_moving(about, solver)
-    return Linearised(scene, about, solver, markers, static_newton(system, solver, state.t, spin).weights.cm)
+    shift = static_newton(system, solver, state.t, spin).weights.cm
+    _refuse_moving(about, solver, shift)
+    return Linearised(scene, about, solver, markers, shift)
 
 
 def _refuse_rolling_fields(system: System, state: State, solver: StepSolver) -> None:
@@ -190,14 +192,17 @@ def _refuse_rolling_fields(system: System, state: State, solver: StepSolver) -> 
         )
 
 
-def _refuse_moving(about: Perturbation, solver: StepSolver) -> None:
-    """A state at rest that accelerates is no equilibrium: frequencies about it would mean nothing."""
+def _refuse_moving(about: Perturbation, solver: StepSolver, shift: float) -> None:
+    """A state at rest that accelerates is no equilibrium: frequencies about it would mean nothing.
+
+    ``shift`` (1/s^2): of a time that is long against all vibrations; what moves nothing in it is roundoff.
+    """
     if about.spin is not None:
         return
     system, state = about.system, about.state
     speed, accel = system.max_abs(state.v), system.max_abs(state.a)
     pull = float(np.abs(system.gravity(state.t)).max(initial=0.0))
-    if speed == 0.0 and accel > FAR * max(pull, 1e-12 * system.length):
+    if speed == 0.0 and accel > max(FAR * pull, NOTHING * system.length * shift):
         solver.destroy()
         raise InputError(
             f"The scene is not in equilibrium at this state: bodies accelerate with {accel:.3g} m/s^2 at rest. "
