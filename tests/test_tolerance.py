@@ -22,3 +22,4 @@ def test_a_tolerance_is_kept(name: str, k: int) -> None:
     print(found)
     assert found.ok, found
     assert found.stated <= found.tol
+    assert found.attempts <= 3

@@ -16,10 +16,12 @@ import numpy as np
 from ..checks import typed
 from ..errors import ConvergenceError, InputError, LinearSolveError, near, require
 from ..log import log
+from ..mechanics.bodies.beams import Beam
 from ..mechanics.bodies.bodies import ElasticBody
 from ..mechanics.reduction.craig_bampton import ReducedBody
+from ..mechanics.rods.rods import Rod
 from ..schemes.control import FINEST
-from ..system.scene.refinement import more_modes, refined
+from ..system.scene.refinement import meshed_bodies, more_modes, refined
 from ..system.scene.scene import Scene
 from .certificate import KINDS, Statement
 from .deviation import Deviation
@@ -212,8 +214,8 @@ def _safe(run: Run, tol: Mapping[str, Any]) -> bool:
 def _next(plan: _Plan, run: Run, tol: Mapping[str, Any], history: Sequence[Attempt]) -> tuple[_Plan | None, str]:
     """The next plan and what it changes, or None and why there is none.
 
-    Spaces and modes come first, with steps as they are: runs that are compared for them may be coarse in time. Steps are then
-    made as small as what is left of the tolerance asks for.
+    Spaces and modes of solids come first, with steps as they are: runs that are compared for them may be coarse in time. Steps
+    are then made as small as what is left of the tolerance asks for; at once, where the next error in space can be foreseen.
     """
     over = {kind: max(_share(run.certificate[n], x, kind, run) for n, x in tol.items()) for kind in KINDS}
     if over["algebra"] > AIM:
@@ -233,7 +235,10 @@ def _next(plan: _Plan, run: Run, tol: Mapping[str, Any], history: Sequence[Attem
         return None, f"{error}" + (f" Of its error in space: {known}." if known else "")
 
     unseen = not np.isfinite(over["time"])
-    if made is not plan and not unseen and not (over["time"] > 1.0 and _order(run, tol) < 1.0):
+    steps_too = unseen or (over["time"] > 1.0 and _order(run, tol) < 1.0)
+    if made.meshes == plan.meshes or _foreseen(plan):  # one attempt for both
+        steps_too = steps_too or over["time"] > limits["time"]
+    if made is not plan and not steps_too:
         return made, " and ".join(done)
     if made is plan:
         made = replace(
@@ -264,17 +269,38 @@ def _limits(over: Mapping[str, float]) -> dict[str, float]:
 
 def _finer_meshes(plan: _Plan, over: float, limit: float) -> _Plan:
     """The plan with meshes refined as often as the rate seen so far asks for, rounded down."""
-    rate = RATE
+    rate = _expected(plan.scene)
     if plan.before is not None and np.isfinite(plan.before[1]):
         rate = float(np.clip((plan.before[1] / over) ** (1.0 / (plan.meshes - plan.before[0])), 2.0, 16.0))
     solid = any(isinstance(b, ElasticBody | ReducedBody) and b.dim == 3 for b in plan.scene.bodies.values())
-    wanted = int(np.log(over / limit) / np.log(rate) + 0.1) if np.isfinite(over) else 1
+    exact = np.log(over / limit) / np.log(rate) if np.isfinite(over) else 1.0
+    wanted = int(np.ceil(exact - 0.1) if _foreseen(plan) and np.isfinite(over) else exact + 0.1)
     levels = min(max(wanted, 1), 1 if solid else 3)
 
     scene = plan.scene
     for _ in range(levels):
         scene = refined(scene)
     return replace(plan, scene=scene, meshes=plan.meshes + levels, known=None, before=(plan.meshes, over))
+
+
+def _slender(scene: Scene) -> bool:
+    """Whether all that has an error in space are beams, rods, lines or wires: no corners, and cheap to refine."""
+    return not any(isinstance(scene.bodies[n], ElasticBody | ReducedBody) for n in meshed_bodies(scene))
+
+
+def _expected(scene: Scene) -> float:
+    """By what the error in space falls from one level to the next, as long as it was not seen."""
+    if not _slender(scene):
+        return RATE
+    bodies = [scene.bodies[n] for n in meshed_bodies(scene)]
+    return min(
+        [16.0 if isinstance(b, Beam) else 4.0**b.degree if isinstance(b, Rod) else RATE for b in bodies], default=RATE
+    )
+
+
+def _foreseen(plan: _Plan) -> bool:
+    """Whether the next error in space can be told in advance: from a rate that was seen, or of slender bodies."""
+    return plan.before is not None or _slender(plan.scene)
 
 
 def _factor(

@@ -39,7 +39,9 @@ def page(points: list[Point], setting: str, spent: tuple[float, float]) -> str:
     lines = ["# The observatory: error against CPU time", "", head, f"## {len(names)} problems", ""]
     rows = [["problem", "what", "reference", "s", "sensor"]]
     rows += [[n, _what(n), PROBLEMS[n].provenance, f"{PROBLEMS[n].t_end:g}", PROBLEMS[n].sensor] for n in names]
-    lines += [study.markdown(rows), "", "## Fastest to an accuracy", "", study.markdown(_fastest(points, names))]
+    missing = [n for n in PROBLEMS if n not in names]
+    lines += [study.markdown(rows), "", *([f"Not run this time: {', '.join(missing)}.", ""] if missing else [])]
+    lines += ["## Fastest to an accuracy", "", study.markdown(_fastest(points, names))]
 
     lines += ["", "## All runs", "", "Relative error at the end / CPU seconds / steps.", ""]
     rows, failures = [["problem", "scheme", "coarse", "finer", "finest"]], []
@@ -86,6 +88,7 @@ def figure(points: list[Point], file: Path) -> None:
     """A panel for each problem, a line for each scheme."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     names, schemes = list(dict.fromkeys(p.problem for p in points)), list(dict.fromkeys(p.scheme for p in points))
     columns = min(5, len(names))
@@ -105,10 +108,11 @@ def figure(points: list[Point], file: Path) -> None:
         axes.set_title(name, fontsize=9)
         axes.grid(alpha=0.3)
         axes.tick_params(labelsize=7)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_minor_formatter(NullFormatter())
 
     for axes in panels[len(names) :]:
         axes.set_visible(False)
-    made.supxlabel("CPU time, s", fontsize=9)
-    made.supylabel("relative error at the end", fontsize=9)
+    made.supylabel("relative error at the end, over CPU time in s", fontsize=9)
     made.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=5, fontsize=8)
     made.savefig(file, dpi=80)
