@@ -186,6 +186,24 @@ def test_floating_body_without_mass_is_refused(rod_mesh: Callable[..., Any]) -> 
         CholeskyFactor(f, 0.0, 1.0).solve(b)
 
 
+def test_a_factor_of_few_digits_is_refined():
+    """A factor that is off by 1e-3 gives the solution all the same; one that is off by its own size is refused."""
+    rng = np.random.default_rng(4)
+    A, G = np.diag(rng.uniform(1, 1e8, 6)), rng.standard_normal((2, 6))
+    b, c = rng.standard_normal(6), rng.standard_normal(2)
+    for off, right in ((1e-3, True), (1.5, False)):
+        solver = CoreSolver(Judge("the core"))
+        solver.factor(A, G)
+        exact = solver._solve
+        solver._solve = lambda x, off=off, exact=exact: (1 + off) * exact(x)
+        if right:
+            x, y = solver.solve(b, c)
+            np.testing.assert_allclose(np.concatenate((A @ x + G.T @ y, G @ x)), np.concatenate((b, c)), rtol=1e-6)
+        else:
+            with pytest.raises(LinearSolveError, match="relative residual"):
+                solver.solve(b, c)
+
+
 def test_dependent_constraints_share_their_multiplier() -> None:
     """The same row twice: both copies get the same multiplier, and the rows are fulfilled."""
     G = np.random.default_rng(0).standard_normal((2, 4))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -567,3 +569,22 @@ def test_lines_that_are_no_path_are_refused(tmp_path):
         fmbd.read_line(tmp_path / "loop.geo")
     with pytest.raises(InputError, match="off the curve by 0.1 m"):
         fmbd.Rod("rod", [(0, 0, 0), (1, 0, 0)], UNIT, stations={"side": (0.5, 0.1, 0.0)})
+
+
+@pytest.mark.parametrize("kind", [fmbd.AbsoluteBody, fmbd.FloatingBody])
+@pytest.mark.parametrize("join", [fmbd.fixed, fmbd.tie_surface])
+def test_a_rod_continues_a_solid(kind, join):
+    """Half a cantilever as a solid, half as a rod, welded or tied: the sag of a beam with shear."""
+    E, side = 2e9, 0.1
+    mesh = fmbd.read_gmsh(Path(__file__).parents[1] / "meshes/rod.py", dim=3, length=0.5, height=side, h=0.07)
+    solid = kind("solid", mesh, degree=2, density=1000.0, elastic=fmbd.materials.linear_elastic(E, 0.3))
+    section = fmbd.RodSection.rectangle(youngs_modulus=E, poisson_ratio=0.3, density=1000.0, width=side, height=side)
+    rod = fmbd.Rod("rod", [(0.5, 0, 0), (1.0, 0, 0)], section, elements=2)
+    scene = fmbd.Scene("half and half", gravity=(0, -9.81, 0))
+    scene.add(solid, rod, fmbd.fixed("clamp", fmbd.ground, solid.surface("pin")))
+    scene.add(join("weld", solid.surface("tip"), rod.surface("start")))
+    scene.sensor("end", fmbd.sensors.position(rod.surface("end")))
+
+    weight = 1000.0 * side**2 * 9.81
+    sag = weight / (8 * E * side**4 / 12) + weight / 2 / (5 / 6 * E / 2.6 * side**2)
+    assert -fmbd.equilibrium(scene)["end"][1] == pytest.approx(sag, rel=1e-2)

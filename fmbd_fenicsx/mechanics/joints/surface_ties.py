@@ -28,6 +28,7 @@ from ...fem.traces.traces import Trace, surface_trace, trace_of
 from ...log import log
 from ...rotations import Array, motions
 from ..bodies.bodies import AbsoluteBody, FloatingBody, RigidBody, Surface
+from ..rods.rods import Rod, first_node
 from .constraints import Motion, standstill
 from .couplings import smooth_motion
 from .joints import ground
@@ -52,14 +53,19 @@ class SurfaceTie:
         check_fields(self, f'Tie "{self.name}"')
         for side, first in ((self.a, True), (self.b, False)):
             elastic = isinstance(side, Surface) and isinstance(side.body, AbsoluteBody | FloatingBody)
-            if not elastic and (first or not (side is ground or isinstance(side, RigidBody))):
+            rigid = side is ground or isinstance(side, RigidBody) or _is_section(side)
+            if not elastic and (first or not rigid):
                 raise InputError(
                     f'Tie "{self.name}": {shown(side)} cannot be tied. a must be a surface of an AbsoluteBody or '
-                    "FloatingBody; b such a "
-                    "surface, a rigid body, or fmbd.ground."
+                    "FloatingBody; b such a surface, a section of a rod, a rigid body, or fmbd.ground."
                 )
         if isinstance(self.b, Surface) and self.b.body is self.a.body and self.b.name == self.a.name:
             raise InputError(f'Tie "{self.name}" ties {self.a!r} with itself.')
+
+
+def _is_section(side: Any) -> bool:
+    """Whether a side is a section of a rod, which moves as a rigid body does."""
+    return isinstance(side, Surface) and isinstance(side.body, Rod)
 
 
 @typed
@@ -78,7 +84,7 @@ def tie_surface(
     Args:
         name: what messages call it.
         a: surface that carries the multipliers (of two elastic surfaces the finer one).
-        b: another elastic surface, a rigid body, or ``fmbd.ground``.
+        b: another elastic surface, a section of a rod, a rigid body, or ``fmbd.ground``.
         space: multiplier space; by default P1 with merged ends beside P1 (on one or two facets with the linear functions that
             are missing, so that it holds the rotation), P1 beside P2. ``scene.check()`` lists what a tie leaves free.
         sliding: True ties only the component normal to ``a`` (flat surfaces).
@@ -261,7 +267,10 @@ def build_surface_ties(
     """Rows of all ties of a scene; collective."""
 
     def place(body: Any) -> tuple[int, Array, Array]:
-        """Frame, position and rotation at the start of a rigid body or the ground."""
+        """Frame, position and rotation at the start of a rigid body, a section of a rod, or the ground."""
+        if _is_section(body):
+            rod, node = body.body, body.body.node_of(body.name)
+            return frame_of[first_node(rod.name)] + node, rod.poses[node, :3], rod.poses_matrix[node]
         if body is ground or body.locked:
             d = next(iter(ties.values())).a.dim
             return len(frame_of), np.zeros(d), np.eye(d)
@@ -281,7 +290,7 @@ def build_trace_rows(
     trace = _trace(part, tie.a)
     space = tie.space or default_space(trace.degree)
     other: Any = None
-    if isinstance(tie.b, Surface):
+    if isinstance(tie.b, Surface) and not _is_section(tie.b):
         other = parts[part_of[tie.b.body.name]]
         other_trace = _trace(other, tie.b)
         coupling = mortar(trace, other_trace, space)
