@@ -164,3 +164,38 @@ def test_scheme_writes_checkpoints_and_reports(tmp_path):
     taken = fmbd.solve(pendulum(), t_end=0.04, dt=2e-3, scheme=scheme, restart=tmp_path / "half")
     assert np.array_equal(taken.state.q, whole.state.q)
     assert "projected Euler" in whole.report()
+
+
+# -- the walks through the code ---------------------------------------------------------------------------------------------
+FLOORS = ["fem", "mechanics", "system", "linear", "schemes", "run", "post"]
+SOURCE = Path(fmbd.__file__).parent
+WALKS = re.split(r"\n(?=\d\. |\*\*|#)", TEXT[TEXT.index("### Four walks") : TEXT.index("Where a walk still looks")])
+
+
+def stations(walk):
+    """Names with a path in a line of a walk: (path, names within)."""
+    found = re.findall(r"`((?:[a-z_]+/)+[a-z_]+)\.([A-Za-z_.]+)`", walk)
+    return [(path, names.split(".")) for path, names in found]
+
+
+def test_walks_name_what_is_there():
+    steps = [station for walk in WALKS for station in stations(walk)]
+    assert len(steps) > 40
+    for path, names in steps:
+        text = (SOURCE / f"{path}.py").read_text()
+        for name in names:
+            assert re.search(rf"^ *(?:class|def) {name}\b", text, re.M), (path, name)
+
+
+def test_walks_go_down():
+    for walk in WALKS:
+        for chain in re.split(r"[.;:]\s", walk):
+            floors = [FLOORS.index(path.split("/")[0]) for path, _ in stations(chain)]
+            assert floors == sorted(floors, reverse=True), chain
+
+
+def test_rooms_of_the_house_are_there():
+    house = TEXT[TEXT.index("| floor |") : TEXT.index("### Four walks")]
+    for folder, rooms in re.findall(r"^\| \d \| `([a-z]+)/` \| (.*) \|$", house, re.M):
+        for room in re.findall(r"`([a-z_]+)/?`", rooms):
+            assert (SOURCE / folder / room).is_dir() or (SOURCE / folder / f"{room}.py").is_file(), (folder, room)
