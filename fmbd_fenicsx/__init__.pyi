@@ -85,6 +85,7 @@ from .mechanics.joints.drives import gear as gear
 from .mechanics.joints.drives import own_joint as own_joint
 from .mechanics.joints.drives import screw as screw
 from .mechanics.joints.expressed import constraint as constraint
+from .mechanics.joints.limits import joint_limit as joint_limit
 from .mechanics.joints.joints import cylindrical as cylindrical
 from .mechanics.joints.joints import distance as distance
 from .mechanics.joints.joints import drive_rotation as drive_rotation

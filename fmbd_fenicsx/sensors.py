@@ -1,7 +1,14 @@
 """Sensors: what a run records."""
 
 from .mechanics.joints.drives import angle, displacement
-from .system.sensors.contact import contact_force, contact_gap, contact_impulse, contact_pressure, contact_work
+from .system.sensors.contact import (
+    contact_force,
+    contact_gap,
+    contact_impulse,
+    contact_pressure,
+    contact_work,
+    limit_effort,
+)
 from .system.sensors.elements import (
     element_effort,
     element_force,
@@ -47,6 +54,7 @@ __all__ = [
     "elongation",
     "joint_rate",
     "largest",
+    "limit_effort",
     "point_value",
     "position",
     "reaction",

@@ -86,7 +86,8 @@ def equilibrium(
         ConvergenceError: there is none nearby: which body can move freely, or the load factor that was reached.
     """
     require(
-        not scene.contacts, "equilibrium() does not take contact yet: solve(...) with damping finds the resting state."
+        not scene.unilateral,
+        "equilibrium() does not take contact or joint limits yet: solve(...) with damping finds the resting state.",
     )
     require(spin is None or isinstance(spin, Spin), f"equilibrium: spin must be fmbd.Spin(rate, ...), found {spin!r}.")
     require(

@@ -150,7 +150,8 @@ def modes(scene: Scene, n: int, *, at: Any = None, linear: Any = None) -> Modes:
 def prepared(scene: Scene, at: Any, linear: Any) -> Iterator[Linearised]:
     """A scene linearised about a start, an equilibrium, a run's last state or a state, as a context; collective."""
     require(
-        not scene.contacts, "Modes and linear models of scenes with contact are not offered: contact has no tangent."
+        not scene.unilateral,
+        "Modes and linear models of scenes with contact or joint limits are not offered: contact has no tangent.",
     )
     system, given, markers = scene.build()
     with OneAnswer(system.comm):

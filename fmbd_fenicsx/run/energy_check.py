@@ -43,7 +43,7 @@ def closed(scene: Scene, system: System) -> bool:
     moved = any(tie.motion is not None for tie in scene.ties.values())
     forced = any(not isinstance(f, ScalarLoads) or f.own for f in system.forces)
     ramp = scene.gravity is not None and scene.gravity_ramp > 0
-    return not (own or loaded or driven or moved or forced or ramp or scene.contacts or scene.sliders)
+    return not (own or loaded or driven or moved or forced or ramp or scene.unilateral or scene.sliders)
 
 
 class Watch:

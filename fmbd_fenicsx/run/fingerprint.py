@@ -30,7 +30,7 @@ def given(scene: Scene, system: System, settings: dict[str, Any]) -> dict[str, s
         _describe(name, value, out)
     for name in ("gravity", "gravity_ramp", "breakpoints", "settle"):
         _describe(name, getattr(scene, name), out)
-    for kind in ("bodies", "joints", "forces", "contacts", "sliders", "ties", "sensors"):
+    for kind in ("bodies", "joints", "forces", "contacts", "limits", "sliders", "ties", "sensors"):
         for name, part in getattr(scene, kind).items():
             _describe(f'{kind} "{name}"', part, out)
     for _, part in system.fields:

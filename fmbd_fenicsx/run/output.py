@@ -332,7 +332,7 @@ class Recorder:
         if not self.powers:
             self.unlisted = tuple(unlisted(ev, state))
         self.powers.append(powers(ev, state))
-        self.works.append(contact_works(state) if self.scene.contacts else {})
+        self.works.append(contact_works(state) if self.scene.unilateral else {})
 
     @property
     def books(self) -> Books:

@@ -389,9 +389,13 @@ def solve(
 
 
 def default_scheme(scene: Scene) -> Any:
-    """Generalized-alpha; the contact-implicit midpoint rule for a scene with contact."""
-    if not scene.contacts:
+    """Generalized-alpha; for contact the contact-implicit midpoint rule, for joints with limits the scheme with impacts."""
+    if not scene.unilateral:
         return GeneralizedAlpha()
+    if scene.limits:
+        from ..schemes.impacts.moreau import Moreau
+
+        return Moreau()
     from ..schemes.impacts.contact_midpoint import ContactMidpoint
 
     return ContactMidpoint()

@@ -7,7 +7,7 @@
 :func:`motor`            a motor with feedback: proportional and derivative gains, torque limit
 =======================  ================================================================================
 
-Stops with restitution would be unilateral constraints; these here are elastic.
+Rigid stops with restitution are unilateral constraints, :func:`fmbd_fenicsx.joint_limit`; these here are elastic.
 """
 
 from __future__ import annotations

@@ -94,10 +94,10 @@ class Ledger:
         found = self._carry(state, forces, c.touch(system, state.t, state.q), h)
         return found
 
-    def averaged(self, state: ContactState, time: float, force: Array) -> ContactState:
-        """The state at ``time`` with the mean contact forces (m, d) of a step of several parts."""
+    def averaged(self, state: ContactState, time: float, mean: tuple[Array, Array]) -> ContactState:
+        """The state at ``time`` with the mean contact forces of a step of several parts: (m, d) in world axes, normal (m,)."""
         found = forces_of(state)
-        normal = (force * found.normal).sum(axis=1)
+        force, normal = mean
         self.force = np.zeros_like(self.force)
         self.force[:, 0] = normal
         found = replace(found, force=force, normal_force=normal, pressure=self.contacts.pressures(normal))

@@ -85,8 +85,8 @@ def elastic_start(name: str, system: System, state: State, solver: StepSolver, t
     bouncing = [p.name for p in contacts.pairs if p.bounces]
     if bouncing:
         raise InputError(
-            f'Contact "{bouncing[0]}" is between rigid or reduced bodies: {name} has no impact law for inertia on the contact '
-            "point, its rebound would depend on dt. Use fmbd.schemes.Moreau(), which takes the contact's restitution."
+            f'Contact "{bouncing[0]}" is between rigid or reduced bodies, or a joint limit: {name} has no impact law for inertia '
+            "on the contact point, its rebound would depend on dt. Use fmbd.schemes.Moreau(), which takes the restitution."
         )
     heavy = [p.name for p in contacts.pairs if not p.massless]
     if heavy:

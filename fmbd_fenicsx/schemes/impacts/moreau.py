@@ -40,6 +40,7 @@ IMPACT = 1e-9  # length of an impact, as a share of the step
 TOUCH = 1e-9  # gap of a closed contact, as a share of the model's length
 DRIFT = 1e-5  # the same of a contact that carries a force: positions of closed contacts drift by O(h^3) a step
 SLOW = 1e-8  # approach of a resting contact: this share of the model's length in a step
+LOCATING = 6  # attempts to end a step where a contact closes
 REPEATS = 3  # impacts of one contact in a step before it comes to rest
 
 
@@ -102,47 +103,72 @@ class Stepper(ContactStepper):
         """
         before = self.state, self.impulse, self.carrying, copy(self.ledger)
         end, hits, parts, iterations = self.state.t + h, np.zeros(len(self.impulse), dtype=int), 0, 0
-        mean: Array = np.zeros_like(forces_of(self.state).force)
+        force: Array = np.zeros_like(forces_of(self.state).force)
+        normal: Array = np.zeros(len(force))
         try:
             while end - self.state.t > 2 * IMPACT * h:
                 part = self._part(end - self.state.t, h, hits, classical=parts >= 2 * self.impacts)
                 self._take(part)
-                mean, parts = mean + part.h / h * forces_of(self.state).force, parts + 1
+                found, share, parts = forces_of(self.state), part.h / h, parts + 1
+                force, normal = force + share * found.force, normal + share * found.normal_force
                 iterations += part.iterations
         except FmbdError:
             self.state, self.impulse, self.carrying, self.ledger = before
             raise
-        self.state = self.ledger.averaged(self.state, end, mean)
+        self.state = self.ledger.averaged(self.state, end, (force, normal))
         self.ledger.count(iterations)
         return self.state
 
     def _part(self, left: float, h: float, hits: np.ndarray, *, classical: bool) -> _Step:
         """The step to the next impact, through it, or to the end; solved. ``hits`` (m,) counts impacts of contacts."""
         system, contacts, s = self.system, self.contacts, self.state
-        near = candidates(system, contacts, s, left)
+        candidates(system, contacts, s, left)  # pairs surfaces anew, and refuses to pass through
         if classical:
             middle = contacts.touch(system, s.t + left / 2, system.compose(s.q, 0.5 * left * s.v))
-            return _Step(self, left, near & (middle.gap <= 0.0), bounce=True)
+            return _Step(self, left, middle.gap <= 0.0, bounce=True)
         reach = np.where(self.carrying, DRIFT, TOUCH) * system.length
-        touching = near & (contacts.touch(system, s.t, s.q).gap <= reach)
+        touching = contacts.touch(system, s.t, s.q).gap <= reach
         slow, rate = SLOW * system.length / h, self._rates(touching & ~self.carrying, h)
         hit = rate < -slow
         if hit.any():
-            hits += hit
-            self.located += int(hit.sum())
-            for i in np.flatnonzero(hit & (hits == REPEATS + 1)):
-                self.accumulations += 1
-                name = contacts.names[contacts.pair[i]]
-                log.info('contact "%s" at t = %.6g s: its impacts accumulate (Zeno); it comes to rest', name, s.t)
-            return _Step(self, IMPACT * h, touching, bounce=hit & (hits <= REPEATS), span=h)
+            return self._impact(h, hits, hit, touching)
         closed = touching & (rate <= slow)
         while True:
             step = _Step(self, left, closed)
-            share, held = self._next_touch(step, near & ~closed)
+            share, which, held = self._next_touch(step, ~closed)
             if not held.any():
                 break
             closed = closed | held
-        return step if share == 1.0 else _Step(self, share * left, closed)
+        return step if share == 1.0 else self._located(step, share, which)
+
+    def _impact(self, h: float, hits: np.ndarray, hit: np.ndarray, touching: np.ndarray) -> _Step:
+        """A step of almost no length through the impacts of the contacts ``hit``; ``hits`` counts them."""
+        s, contacts = self.state, self.contacts
+        hits += hit
+        self.located += int(hit.sum())
+        for i in np.flatnonzero(hit & (hits == REPEATS + 1)):
+            self.accumulations += 1
+            name = contacts.names[contacts.pair[i]]
+            log.info('contact "%s" at t = %.6g s: its impacts accumulate (Zeno); it comes to rest', name, s.t)
+        return _Step(self, IMPACT * h, touching, bounce=hit & (hits <= REPEATS), span=h)
+
+    def _located(self, step: _Step, share: float, which: int) -> _Step:
+        """The step that ends where contact ``which`` closes, first found at a share of ``step``.
+
+        That was on the parabola of the whole step, without the projection on the joints: a step to there ends a little
+        off the touch, and Newton's method with the rate of the gap on the parabola finds its length.
+        """
+        whole, s = step.h, self.state
+        near = self._gap_along(step, (1 - 1e-3) * share)[which]
+        slope = (self._gap_along(step, share)[which] - near) / (1e-3 * share)
+        for _ in range(LOCATING if self._joints else 1):
+            step = _Step(self, share * whole, step.closed)
+            q = self._closed_joints(self.system.compose(s.q, 0.5 * step.h * (s.v + step.v)), s.t + step.h)
+            gap = self.contacts.touch(self.system, s.t + step.h, q).gap[which]
+            if abs(gap) <= 0.5 * TOUCH * self.system.length or not slope < 0.0:
+                break
+            share = float(np.clip(share - gap / slope, 0.5 * share, min(2 * share, 1.0)))
+        return step
 
     def _rates(self, chosen: np.ndarray, h: float) -> Array:
         """Rates of the gaps of the chosen contacts (m,) bool, zero elsewhere, m/s, (m,)."""
@@ -154,32 +180,37 @@ class Stepper(ContactStepper):
             rates[chosen] = contacts.times(self.system, rows.N, self.state.v) + moving
         return rates
 
-    def _next_touch(self, step: _Step, free: np.ndarray) -> tuple[float, np.ndarray]:
-        """Share of the step at which the first free contact closes (1: none does), and contacts (m,) that would
-        leave for less than 1/4096 of it.
+    def _gap_along(self, step: _Step, share: float) -> Array:
+        """Gaps (m,) at a share of a solved step, along its parabola."""
+        system, s = self.system, self.state
+        way = step.h * share * (s.v + 0.5 * share * (step.v - s.v))
+        return self.contacts.touch(system, s.t + share * step.h, system.compose(s.q, way)).gap
+
+    def _next_touch(self, step: _Step, free: np.ndarray) -> tuple[float, int, np.ndarray]:
+        """Share of the step at which the first free contact closes (1: none does), which one that is, and contacts (m,)
+        that would leave for less than 1/4096 of it.
         """
-        system, s, none = self.system, self.state, np.zeros_like(free)
+        none = np.zeros_like(free)
 
         def gaps(share: float) -> Array:
-            way = step.h * share * (s.v + 0.5 * share * (step.v - s.v))
-            return self.contacts.touch(system, s.t + share * step.h, system.compose(s.q, way)).gap
+            return self._gap_along(step, share)
 
         closing = free & (gaps(1.0) < 0.0)
         if not closing.any():
-            return 1.0, none
+            return 1.0, -1, none
         shares = 2.0 ** -np.arange(13)
         open_ = np.array([gaps(x)[closing] > 0.0 for x in shares])
         if not open_.any(axis=0).all():
             held = none.copy()
             held[closing] = ~open_.any(axis=0)
-            return 1.0, held
+            return 1.0, -1, held
         last = open_.argmax(axis=0)  # the largest share at which each is still open
         first = int(np.argmax(last))
         which = int(np.flatnonzero(closing)[first])
         lower, upper = shares[last[first]], shares[last[first] - 1]
         from scipy.optimize import brentq
 
-        return float(brentq(lambda x: gaps(x)[which], lower, upper, xtol=1e-14)), none
+        return float(brentq(lambda x: gaps(x)[which], lower, upper, xtol=1e-14)), which, none
 
     def _take(self, step: _Step) -> None:
         """Make a solved step the present state."""

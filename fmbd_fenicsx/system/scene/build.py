@@ -163,11 +163,12 @@ class Builder:
 
     def _contacts(self) -> Any:
         """The contact set, None for a scene without contact."""
-        if not self.scene.contacts:
+        if not self.scene.unilateral:
             return None
-        from .contact import build_contacts
+        from .contact import build_contacts, limit_pairs
 
-        return build_contacts(self.scene, self.m, self.frame_of, self.fields)
+        stops = limit_pairs(self.scene, self.m, self.joint_markers)
+        return build_contacts(self.scene, self.m, self.frame_of, self.fields, stops=stops)
 
     def _surface_ties(self) -> list[Any]:
         """Rows of the ties by field multipliers."""
@@ -180,7 +181,7 @@ class Builder:
     # -- checks -------------------------------------------------------------------------------------------------
     def _check(self) -> None:
         scene = self.scene
-        if scene.contacts:
+        if scene.unilateral:
             from .contact import check_contacts
 
             check_contacts(scene)
@@ -220,7 +221,10 @@ class Builder:
         """Refuse a sensor of a joint, body or contact that is not in the scene."""
         for name, sensor in self.scene.sensors.items():
             for what, wanted in sensor.reads.items():
-                known = {"joint": rows, "body": self.scene.bodies, "contact": self.scene.contacts}[what]
+                scene = self.scene
+                known = {"joint": rows, "body": scene.bodies, "contact": scene.contacts, "joint limit": scene.limits}[
+                    what
+                ]
                 if wanted not in known:
                     raise InputError(
                         f'Sensor "{name}": there is no {what} "{wanted}" in the scene. {near(wanted, known)}'
@@ -428,6 +432,7 @@ class Builder:
         joints: list[Any] = list(self.scene.joints.values())
         used = [s for joint in joints if isinstance(joint, Coupling) for s, _ in joint.terms]
         used += [s for f in self.scene.forces.values() for s in f.coordinates]
+        used += [limit.coordinate for limit in self.scene.limits.values()]
         used += [s.coordinate for s in self.scene.sensors.values() if isinstance(s, JointReading)]
         known = self.joint_markers  # a sensor of another joint is refused where it is read
         angles = {known[s.joint.name]: s for s in used if s.kind is Turn and s.joint.name in known}

@@ -14,16 +14,22 @@ from ...log import log
 from ...mechanics.bodies.bodies import RigidBody, Surface
 from ...mechanics.bodies.field_part import FieldPart
 from ...mechanics.contact.contact import Contact
+from ...mechanics.contact.limits import LimitPair
 from ...mechanics.contact.mass import redistribute_mass
 from ...mechanics.contact.rows import Carrier, ContactSet, ObstaclePair, Side
 from ...mechanics.contact.shapes import Obstacle
 from ...mechanics.contact.trace import BodyNodes, FieldTrace, ModalTrace, Trace, surface_nodes
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...rotations import Array, Motions
+from .joints import relative_of
 
 
 def check_contacts(scene: Any) -> None:
-    """Every body of a contact must be in the scene."""
+    """Every body of a contact, and every joint with a limit, must be in the scene."""
+    for limit in scene.limits.values():
+        joint = limit.coordinate.joint
+        if scene.joints.get(joint.name) is not joint:
+            raise InputError(f'{limit!r}: joint "{joint.name}" is not in the scene. {near(joint.name, scene.joints)}')
     for c in scene.contacts.values():
         for side in (c.slave, c.master):
             body = side.on if isinstance(side, Obstacle) else side.body
@@ -35,8 +41,13 @@ def check_contacts(scene: Any) -> None:
 
 
 def contact_surfaces(scene: Any, body: Any) -> list[str]:
-    """Names of the surfaces of a body that take part in contacts."""
+    """Names of the surfaces of a body that take part in contacts, or that a joint with limits holds."""
     found: list[str] = []
+    for limit in scene.limits.values():
+        joint = limit.coordinate.joint
+        for side in (joint.a, joint.b):
+            if isinstance(side, Surface) and side.body is body and side.name not in found:
+                found.append(side.name)
     for c in scene.contacts.values():
         for side in (c.slave, c.master):
             if isinstance(side, Surface) and side.body is body and side.name not in found:
@@ -56,7 +67,9 @@ def make_massless(scene: Any, body: Any, field: Any) -> None:
     redistribute_mass(field, surface_nodes(field, sorted(set(names))))
 
 
-def build_contacts(scene: Any, motions: Motions, frame_of: dict[str, int], parts: list[Any]) -> ContactSet:
+def build_contacts(
+    scene: Any, motions: Motions, frame_of: dict[str, int], parts: list[Any], *, stops: tuple[LimitPair, ...] = ()
+) -> ContactSet:
     """The contact set of a scene; ``frame_of`` body -> frame, ``parts`` in the system's order. Collective."""
     start = len(frame_of) * motions.n_twist
     amplitudes: dict[int, slice] = {}
@@ -74,7 +87,25 @@ def build_contacts(scene: Any, motions: Motions, frame_of: dict[str, int], parts
             number[body.name] = len(traces)
             traces.append(_trace(k, part, body, names, len(frame_of)))
     pairs = tuple(_pair(c, motions, frame_of, (traces, number)) for c in map(oriented, scene.contacts.values()))
-    return ContactSet(motions, pairs, tuple(traces), amplitudes, start)
+    return ContactSet(motions, (*pairs, *stops), tuple(traces), amplitudes, start)
+
+
+def limit_pairs(scene: Any, motions: Motions, markers: dict[str, tuple[int, int]]) -> tuple[LimitPair, ...]:
+    """The stops of all joints with limits; ``markers`` of each joint by its name."""
+    found = []
+    for limit in scene.limits.values():
+        s = limit.coordinate
+        relative = relative_of(motions, s.kind, [(s, *markers[s.joint.name])])
+        stops = [(bound, sign) for bound, sign in ((limit.lower, 1.0), (limit.upper, -1.0)) if np.isfinite(bound)]
+        bounds, signs = np.array(stops).T
+        nobody = Side(-1, None, -1, np.zeros((0, motions.dim)), 0.0)
+        found.append(
+            LimitPair(
+                limit.name, nobody, None, Carrier(-1, motions.identity, None), 0.0, limit.restitution, None,
+                massless=False, bounces=True, relative=relative, bounds=bounds, signs=signs,
+            )
+        )  # fmt: skip
+    return tuple(found)
 
 
 def _trace(number: int, part: Any, body: Any, surfaces: list[str], n_frames: int) -> Trace:

@@ -19,6 +19,7 @@ from ...mechanics.forces.forces import Force
 from ...mechanics.forces.inputs import Input
 from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.joints import Joint
+from ...mechanics.joints.limits import JointLimit
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...mechanics.rods.rods import Rod
 from ..mobility import Mobility, check, loose_bodies
@@ -51,13 +52,15 @@ class Scene:
     forces: dict[str, Force] = field(default_factory=dict)
     sensors: dict[str, Sensor] = field(default_factory=dict)
     contacts: dict[str, Any] = field(default_factory=dict)
+    limits: dict[str, JointLimit] = field(default_factory=dict)
     sliders: dict[str, SlidingContact] = field(default_factory=dict)
     ties: dict[str, Any] = field(default_factory=dict)
     inputs: dict[str, Input] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         parts = {"bodies": self.bodies, "joints": self.joints, "forces": self.forces, "contacts": self.contacts}
-        named = [f"{what} {', '.join(names)}" for what, names in {**parts, "sensors": self.sensors}.items() if names]
+        parts |= {"limits": self.limits, "sensors": self.sensors}
+        named = [f"{what} {', '.join(names)}" for what, names in parts.items() if names]
         return f'<Scene "{self.name}": {"; ".join(named) or "empty"}>'
 
     def _repr_html_(self) -> str:
@@ -93,6 +96,8 @@ class Scene:
                 self._put(self.sliders, part, "sliding contact")
             elif isinstance(part, Joint):
                 self._put(self.joints, part, "joint")
+            elif isinstance(part, JointLimit):
+                self._put(self.limits, part, "joint limit")
             elif isinstance(part, Force):
                 self._put(self.forces, part, "force")
             elif hasattr(part, "space") and hasattr(part, "sliding"):  # a SurfaceTie, without loading its module
@@ -111,6 +116,11 @@ class Scene:
         instance(f'Sensor "{name}": quantity', quantity, Sensor)
         self.sensors[name] = quantity.in_scene(name, self.joints)
         return name
+
+    @property
+    def unilateral(self) -> bool:
+        """Whether anything may touch: contacts, or joints that reach their limits."""
+        return bool(self.contacts or self.limits)
 
     def input(self, name: str, start: float = 0.0, *, lower: float = -inf, upper: float = inf) -> Input:
         """A number that is set from outside between steps: ``fmbd.effort("motor", phi, scene.input("torque"))``.

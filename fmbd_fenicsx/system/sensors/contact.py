@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import typed
 from ...errors import InputError, near
+from ...mechanics.joints.limits import JointLimit
 from ...rotations import Array
 from ..system import Evaluation, State
 from .sensors import Sensor, named_part
@@ -130,3 +132,32 @@ def contact_work() -> Sensor:
     numerical rest.
     """
     return ContactSensor(None, "J", None, "", "work")
+
+
+@dataclass(frozen=True, eq=False)
+class LimitEffort(Sensor):
+    """Mean effort of the stops of a joint coordinate over the last step; made by :func:`limit_effort`."""
+
+    limit: str = ""
+
+    @property
+    def reads(self) -> dict[str, str]:
+        """A joint limit."""
+        return {"joint limit": self.limit}
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """Forces on the stops times their levers."""
+        found, system = forces_of(state), ev.system
+        pair = system.contacts.pairs[found.names.index(self.limit)]
+        efforts = pair.lever(system) * pair.signs * found.normal_force[found.of(self.limit)]
+        return np.array([efforts.sum()])
+
+
+@typed
+def limit_effort(limit: JointLimit) -> Sensor:
+    """Effort of a :func:`~fmbd_fenicsx.joint_limit` on its coordinate, N m or N, (1,); positive at the lower stop.
+
+    It is the mean over the last step: times the step it is the impulse, impacts included.
+    """
+    unit = "N m" if limit.coordinate.unit == "rad" else "N"
+    return LimitEffort(None, unit, limit=limit.name)

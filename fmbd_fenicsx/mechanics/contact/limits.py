@@ -1,0 +1,115 @@
+"""Stops of joint coordinates as unilateral rows beside those of contact.
+
+    g = l (s - lower) >= 0   or   g = l (upper - s) >= 0,     g' = +-l (row_a . twist_a + row_b . twist_b)                   (1)
+
+with s the joint coordinate and l = 1 for a displacement, the model's length for an angle: all gaps are lengths and all rows'
+forces are newtons. The effort on the coordinate is l times the force, upwards at the lower stop and downwards at the upper one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...rotations import Array
+from ..joints.relative import Relative, Separation, Turn
+from .rows import ContactSet, Linear, Pair, Rows, Touch
+from .trace import FieldTrace
+
+
+@dataclass(frozen=True)
+class LimitPair(Pair):
+    """The stops of one joint coordinate, ready to evaluate; the first candidate is the lower stop where there is one.
+
+    ``bounds`` (m,): where the stops are, rad or m; ``signs`` (m,): +1 below, -1 above.
+    """
+
+    relative: Relative
+    bounds: Array
+    signs: Array
+
+    thickness = np.inf  # a stop cannot be passed through: the coordinate is counted
+
+    @property
+    def count(self) -> int:
+        """Stops."""
+        return len(self.bounds)
+
+    @property
+    def trace_nodes(self) -> None:
+        """Stops have no nodes."""
+        return None
+
+    def lever(self, system: Any) -> float:
+        """l of (1)."""
+        return float(system.length) if isinstance(self.relative, Turn) else 1.0
+
+    def _gaps(self, system: Any, kin: Any) -> Array:
+        s = self.relative.values(kin)[0]
+        return self.lever(system) * self.signs * (s - self.bounds)
+
+    def _place(self, system: Any, ev: Any) -> Touch:
+        """Gaps, the joint's point on b, and the directions along which the forces act: none for moments."""
+        kin, a, b = ev.kin, int(self.relative.a[0]), int(self.relative.b[0])
+        along = np.zeros(system.motions.dim)
+        if isinstance(self.relative, Separation):
+            along = (kin.x[b] - kin.x[a]) / np.linalg.norm(kin.x[b] - kin.x[a])
+        elif not isinstance(self.relative, Turn):
+            along = kin.R[a] @ self.relative.e[0]
+
+        x = np.tile(kin.x[b], (self.count, 1))
+        return Touch(self._gaps(system, kin), x, self.signs[:, None] * along, np.zeros_like(x))
+
+    def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Callable[[int], Any]) -> Touch:
+        """Gaps of the stops; collective."""
+        return self._place(system, system.at(*at))
+
+    def rows(
+        self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], nodes: Callable[[int], Any]
+    ) -> Rows:
+        """The rows (1) of all stops; collective."""
+        t, q, _ = at
+        ev = system.at(t, q)
+        touch, one = self._place(system, ev), np.ones(self.count)
+        core, fields = self._row(contacts, ev)
+        factor = self.lever(system) * self.signs
+        N = Linear(factor[:, None] * core, tuple(sp.csr_matrix(factor[:, None] * f) for f in fields))
+
+        # without friction any rows serve as tangents: their forces are zero
+        tangents = (N,) * (system.motions.dim - 1) if contacts.frictional else ()
+        return Rows(
+            gap=touch.gap,
+            N=N,
+            tangents=tangents,
+            friction=0.0 * one,
+            restitution=self.restitution * one,
+            normal=touch.normal,
+            drift=np.zeros((self.count, len(tangents))),
+            trace=np.full(self.count, -1),
+        )
+
+    def _row(self, contacts: ContactSet, ev: Any) -> tuple[Array, list[Array]]:
+        """s' as rows on the velocities of the core, (n_core,), and of the contact nodes of each trace, (n d,)."""
+        s, n = ev.system, ev.system.motions.n_twist
+        core, port = np.zeros(contacts.n_core), np.zeros(s.n_port)
+        for marker, side in zip((self.relative.a[0], self.relative.b[0]), self.relative.rows(ev.kin), strict=True):
+            frame = int(s.markers.frame[marker])
+            if frame < s.n_frames:
+                core[frame * n : (frame + 1) * n] += side[0] @ ev.kin.jac_frame[marker]
+            for k in np.flatnonzero(s.markers.surface == marker):
+                port[s.markers.port[k]] += side[0] @ ev.kin.jac_port[k]
+
+        # of the motion of surfaces: amplitudes in the core, nodes of fields
+        for k, part in s.core_parts:
+            if part.n_port:
+                matrix = part.port_matrix + ev.bent[k].matrix if k in ev.bent else part.port_matrix
+                core[s.slices[1][k]] += port[s.port_slice(k)] @ matrix
+        fields = [np.zeros(tr.n * s.motions.dim) for tr in contacts.traces]
+        for i, tr in enumerate(contacts.traces):
+            if isinstance(tr, FieldTrace):
+                fields[i] = tr.gather(s.parts[tr.part].port_force(port[s.port_slice(tr.part)])).ravel()
+        return core, fields

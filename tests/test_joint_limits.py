@@ -1,0 +1,176 @@
+"""Joint limits with restitution against the analytic bounce, and at rest at the stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.materials import linear_elastic
+
+G = 9.81
+
+
+def bouncing(t: np.ndarray, depth: float, e: float) -> np.ndarray:
+    """Position of a mass that falls from 0 onto a stop at -depth, again and again."""
+    out, fall = -0.5 * G * t**2, np.sqrt(2 * depth / G)
+    start, speed = fall, e * G * fall
+    while speed > 1e-3:
+        after = t >= start
+        out[after] = -depth + speed * (t[after] - start) - 0.5 * G * (t[after] - start) ** 2
+        start, speed = start + 2 * speed / G, e * speed
+    return np.where(t >= start, -depth, out)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("e", [0.0, 0.7])
+def test_slider_falls_onto_its_stop(dim: int, e: float) -> None:
+    mass = fmbd.RigidBody("mass", 2.0, 0.1 if dim == 2 else (0.1, 0.1, 0.1), position=(0.0,) * dim)
+    down = (0.0, 1.0, 0.0)[:dim]
+    rail = fmbd.prismatic("rail", fmbd.ground, mass, axis=down)
+    stop = fmbd.joint_limit("stop", fmbd.displacement(rail), lower=-0.2, restitution=e)
+    scene = fmbd.Scene("drop", gravity=tuple(-G * x for x in down))
+    scene.add(mass, rail, stop)
+    scene.sensor("s", fmbd.displacement(rail))
+    scene.sensor("force", fmbd.sensors.limit_effort(stop))
+    run = fmbd.solve(scene, t_end=0.7, dt=1e-2)
+    assert np.allclose(run["s"][:, 0], bouncing(run.times, 0.2, e), atol=1e-9)
+
+    # the impulse of the stop: of the weight, and of the change of momentum
+    speed = (run["s"][-1, 0] - run["s"][-2, 0]) / 1e-2 - 0.5 * G * 1e-2 * (e > 0)
+    impulse = 1e-2 * run["force"][1:].sum()
+    assert impulse == pytest.approx(2.0 * (speed + G * 0.7), rel=1e-6)
+    if e == 0.0:
+        assert run["force"][-1, 0] == pytest.approx(2.0 * G, rel=1e-9)  # it carries the weight
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_hinge_between_two_stops(dim: int) -> None:
+    """A free wheel goes to and fro, and each time it is slower; its upper stop is beyond a turn."""
+    wheel = fmbd.RigidBody(
+        "wheel", 1.0, 0.3 if dim == 2 else (0.2, 0.2, 0.3), position=(0.0,) * dim,
+        angular_velocity=10.0 if dim == 2 else (0.0, 0.0, 10.0),
+    )  # fmt: skip
+    hinge = fmbd.revolute("hinge", fmbd.ground, wheel, center=(0.0,) * dim, axis=(0, 0, 1))
+    scene = fmbd.Scene("to and fro")
+    scene.add(wheel, hinge, fmbd.joint_limit("stops", fmbd.angle(hinge), lower=-1.0, upper=7.0, restitution=0.8))
+    scene.sensor("phi", fmbd.angle(hinge))
+    scene.sensor("rate", fmbd.sensors.joint_rate(fmbd.angle(hinge)))
+    run = fmbd.solve(scene, t_end=3.0, dt=0.02)
+
+    # 7 rad at 10 rad/s, back 8 rad at 8 rad/s, 8 rad at 6.4 rad/s
+    t = run.times
+    exact = np.where(t < 0.7, 10 * t, np.where(t < 1.7, 7 - 8 * (t - 0.7), -1 + 6.4 * (t - 1.7)))
+    exact = np.where(t > 2.95, 7 - 5.12 * (t - 2.95), exact)
+    assert np.allclose(run["phi"][:, 0], exact, atol=1e-9)
+    assert run["rate"][-1, 0] == pytest.approx(-5.12, rel=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+def test_arm_rests_on_its_stop_and_leaves_it(unit: float) -> None:
+    """Without restitution the arm stays, held by the torque of its weight; a motor lifts it off again."""
+    arm = fmbd.RigidBody("arm", 2.0, 0.1 * unit**2, position=(0.5 * unit, 0.0))
+    hinge = fmbd.revolute("hinge", fmbd.ground, arm, center=(0, 0))
+    stop = fmbd.joint_limit("stop", fmbd.angle(hinge), lower=-0.4)
+    scene = fmbd.Scene("arm", gravity=(0.0, -G * unit))
+    torque = 2.0 * G * 0.5 * unit**2
+    lift = fmbd.effort("lift", fmbd.angle(hinge), lambda t: 0.0 if t < 1.0 else 1.5 * torque)
+    scene.add(arm, hinge, stop, lift)
+    scene.sensor("phi", fmbd.angle(hinge))
+    scene.sensor("torque", fmbd.sensors.limit_effort(stop))
+    run = fmbd.solve(scene, t_end=1.3, dt=0.01)
+    resting = (run.times > 0.7) & (run.times < 0.99)
+    assert np.allclose(run["phi"][resting, 0], -0.4, atol=1e-7)
+    assert np.allclose(run["torque"][resting, 0], torque * np.cos(0.4), rtol=1e-4)
+    assert run["phi"][-1, 0] > -0.35 and run["torque"][-1, 0] == 0.0
+
+
+@pytest.mark.mpi
+def test_elastic_arm_hits_its_stop(rod_mesh: Callable[..., Any]) -> None:
+    """The surface in the joint bounces and comes to rest, the rod bends on: the same with all nodes and with few modes."""
+    rod = fmbd.FloatingBody(
+        "rod", rod_mesh(dim=2, h=0.25), density=1e3, elastic=linear_elastic(5e7, 0.3), stiffness_damping=2e-4
+    )
+    tips = []
+    for body in (rod, rod.reduced(basis=fmbd.CraigBampton(("pin", "tip"), 4))):
+        hinge = fmbd.revolute("hinge", fmbd.ground, body.surface("pin"), center=(0, 0))
+        stop = fmbd.joint_limit("stop", fmbd.angle(hinge), lower=-0.1, restitution=0.5)
+        scene = fmbd.Scene("elastic arm", gravity=(0, -G))
+        scene.add(body, hinge, stop)
+        scene.sensor("phi", fmbd.angle(hinge))
+        scene.sensor("tip", fmbd.position(body.surface("tip")))
+        run = fmbd.solve(scene, t_end=0.18, dt=1e-3)
+        tips.append(run["tip"])
+
+        assert run["phi"].min() > -0.1 - 1e-5
+        assert np.diff(run.total_energy).max() < 1e-6 * np.ptp(run.energy["weight"])
+        assert run["tip"][-1, 1] < -0.19  # it bends: straight it would be at -0.1
+    assert np.abs(tips[0] - tips[1]).max() < 2e-4
+
+
+def test_hammer_on_a_hinge_gives_back_its_restitution() -> None:
+    """The end of the flight is found on the motion that the joint allows: no impact is taken for a resting contact."""
+    hammer = fmbd.RigidBody("hammer", 2.0, 0.1, position=(0.5, 0.0))
+    hinge = fmbd.revolute("hinge", fmbd.ground, hammer, center=(0, 0))
+    anvil = fmbd.contacts.Obstacle("anvil", fmbd.contacts.HalfSpace((0.0, -0.3), (0, 1)))
+    scene = fmbd.Scene("hammer", gravity=(0.0, -G))
+    scene.add(hammer, hinge, fmbd.contact("blow", fmbd.contacts.ball(hammer, 0.1), anvil, restitution=0.6))
+    scene.sensor("phi", fmbd.angle(hinge))
+    scene.sensor("rate", fmbd.sensors.joint_rate(fmbd.angle(hinge)))
+    run = fmbd.solve(scene, t_end=0.3, dt=2.5e-3, scheme=fmbd.Moreau())
+
+    # (m l^2 + J) w^2 / 2 = m g l sin, the ball touches at sin = 0.2 / 0.5
+    falling = np.sqrt(2 * 2.0 * G * 0.2 / 0.6)
+    up = run["rate"][:, 0].argmax()
+    energy = 0.3 * run["rate"][up, 0] ** 2 + 2.0 * G * 0.5 * np.sin(run["phi"][up, 0])
+    assert energy == pytest.approx(0.3 * (0.6 * falling) ** 2 - 2.0 * G * 0.2, rel=2e-3)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_beside_frictional_contact(dim: int) -> None:
+    """A limited slider next to a ball that rolls on the floor: neither disturbs the other."""
+    inertia: Any = 0.1 if dim == 2 else (0.1, 0.1, 0.1)
+    up = (0.0, 1.0, 0.0)[:dim]
+    mass = fmbd.RigidBody("mass", 2.0, inertia, position=(0.0,) * dim)
+    ball = fmbd.RigidBody("ball", 1.0, inertia, position=(2.0, 0.1, 0.0)[:dim], velocity=(1.0, 0.0, 0.0)[:dim])
+    rail = fmbd.prismatic("rail", fmbd.ground, mass, axis=up)
+    floor = fmbd.contacts.Obstacle("floor", fmbd.contacts.HalfSpace((0.0,) * dim, up))
+    scene = fmbd.Scene("both", gravity=tuple(-G * x for x in up))
+    scene.add(mass, ball, rail, fmbd.joint_limit("stop", fmbd.displacement(rail), lower=-0.2, restitution=0.7))
+    scene.add(fmbd.contact("floor", fmbd.contacts.ball(ball, 0.1), floor, friction=0.3))
+    scene.sensor("s", fmbd.displacement(rail))
+    scene.sensor("ball", fmbd.velocity(ball))
+    run = fmbd.solve(scene, t_end=0.3, dt=1e-2)
+    assert np.allclose(run["s"][:, 0], bouncing(run.times, 0.2, 0.7), atol=1e-9)
+    assert np.allclose(run["ball"][:, 0], 1.0 - 0.3 * G * run.times, atol=1e-9)  # it slides for 0.309 s
+
+
+def test_bad_input_is_named() -> None:
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, position=(0.5, 0.0))
+    hinge = fmbd.revolute("hinge", fmbd.ground, arm, center=(0, 0))
+    with pytest.raises(InputError, match='Joint limit "stop": lower = 1.0 must be less than upper = 0.5'):
+        fmbd.joint_limit("stop", fmbd.angle(hinge), lower=1.0, upper=0.5)
+    with pytest.raises(InputError, match="give lower, upper, or both"):
+        fmbd.joint_limit("stop", fmbd.angle(hinge))
+    with pytest.raises(InputError, match=r"restitution 1.2 must lie in \[0, 1\]"):
+        fmbd.joint_limit("stop", fmbd.angle(hinge), lower=0.0, restitution=1.2)
+    with pytest.raises(InputError, match="lower"):
+        fmbd.joint_limit("stop", fmbd.angle(hinge), lower=float("nan"))
+
+    scene = fmbd.Scene("arm")
+    scene.add(arm, fmbd.joint_limit("stop", fmbd.angle(hinge), lower=-1.0))
+    with pytest.raises(InputError, match='joint limit "stop" of "hinge": joint "hinge" is not in the scene'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+    scene.add(hinge)
+    with pytest.raises(InputError, match="GeneralizedAlpha|contact"):
+        fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.GeneralizedAlpha())
+    with pytest.raises(InputError, match="joint limit.*no impact law"):
+        fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.ContactMidpoint())
+    low = fmbd.Scene("starts below")
+    low.add(arm, hinge, fmbd.joint_limit("stop", fmbd.angle(hinge), lower=0.2))
+    with pytest.raises(InputError, match='"stop"'):
+        fmbd.solve(low, t_end=0.1, dt=0.01)
