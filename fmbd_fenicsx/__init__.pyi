@@ -118,6 +118,7 @@ from .mesh_files import read_mesh as read_mesh
 from .post.fmu import write_fmu as write_fmu
 from .post.interface_model import interface_model as interface_model
 from .post.interface_model import load_interface_model as load_interface_model
+from .post.interface_model import read_reduced as read_reduced
 from .post import demo as demo
 from .post import plot as plot
 from .post import study as study

@@ -11,16 +11,19 @@ which is the form of Craig and Bampton, doi:10.2514/3.4741: K = diag(K_yy, omega
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..checks import typed
 from ..errors import InputError, require
 from ..log import on_root
 from ..mechanics.placements import FrameMotion
 from ..mechanics.reduction.craig_bampton import ReducedBody
+from ..mechanics.reduction.reduced import Constants
+from ..mechanics.reduction.stored import StoredBody, packed, unpacked
 from ..rotations import Array
 from ..system.scene.scene import Scene
 from ..system.sensors.sensors import position
@@ -37,7 +40,8 @@ class InterfaceModel:
     interfaces.
 
     Attributes: ``M``, ``K``, ``D`` mass, stiffness, damping; ``interfaces`` their names; ``origins`` (k, d) m, centres of the
-    surfaces; ``omega`` (rad/s) of the modes; ``mass`` kg; ``center`` (d,) centre of mass, m.
+    surfaces; ``omega`` (rad/s) of the modes; ``mass`` kg; ``center`` (d,) centre of mass, m; ``body``: the constants of the
+    reduced body itself, with the inertia of large rotations, for :func:`read_reduced`.
     """
 
     M: Array
@@ -48,16 +52,22 @@ class InterfaceModel:
     omega: Array
     mass: float
     center: Array
+    body: Constants | None = field(default=None, repr=False)
 
     def save(self, file: str | Path) -> Path:
-        """Write all of it to a ``.npz`` (NumPy) or ``.mat`` (MATLAB: M, K, D, origins, ...) file; rank 0 writes."""
+        """Write all of it to a ``.npz`` (NumPy) or ``.mat`` (MATLAB: M, K, D, origins, ...) file; rank 0 writes.
+
+        Raises:
+            InputError: another ending, or a body with loads.
+        """
         from mpi4py import MPI
 
         file = Path(file)
         require(
             file.suffix in KINDS, f'Interface model "{file}": the name must end in .npz or .mat, found "{file.suffix}".'
         )
-        content: dict[str, Any] = {name: np.asarray(value) for name, value in vars(self).items()}
+        content: dict[str, Any] = {name: np.asarray(value) for name, value in vars(self).items() if name != "body"}
+        content |= {} if self.body is None else packed(self.body, file.stem)
 
         def write() -> None:
             if file.suffix == ".npz":
@@ -65,25 +75,74 @@ class InterfaceModel:
                 return
             from scipy.io import savemat
 
-            savemat(file, {**content, "interfaces": np.array(self.interfaces, dtype=object)})
+            names = {
+                key: np.array(list(content[key]), dtype=object)
+                for key in ("interfaces", "body_surfaces")
+                if key in content
+            }
+            savemat(file, content | names)
 
         on_root(MPI.COMM_WORLD, write)
         return file
 
 
 def load_interface_model(file: str | Path) -> InterfaceModel:
-    """Read what :meth:`InterfaceModel.save` wrote as ``.npz``.
+    """Read what :meth:`InterfaceModel.save` wrote, ``.npz`` or ``.mat``.
 
     Raises:
         InputError: no such file, or one with other content.
     """
     try:
-        with np.load(file) as found:
-            content: dict[str, Any] = {name: found[name] for name in found.files}
-        content |= {"interfaces": tuple(str(n) for n in content["interfaces"]), "mass": float(content["mass"])}
-        return InterfaceModel(**content)
-    except (OSError, KeyError, ValueError, TypeError) as error:
+        found = _content(Path(file))
+        k = len(names := tuple(str(n) for n in _strings(found["interfaces"])))
+        return InterfaceModel(
+            *(found[name] for name in "MKD"),
+            interfaces=names,
+            origins=np.reshape(found["origins"], (k, -1)),
+            omega=np.ravel(found["omega"]),
+            mass=float(np.ravel(found["mass"])[0]),
+            center=np.ravel(found["center"]),
+            body=unpacked(found) if "body_T" in found else None,
+        )
+    except (OSError, KeyError, ValueError, TypeError, IndexError) as error:
         raise InputError(f"{file} is no interface model written by .save(...): {error}") from None
+
+
+@typed
+def read_reduced(file: str | Path, name: str) -> StoredBody:
+    """The reduced body behind a saved interface model, as a body of a scene, without its mesh.
+
+        arm = fmbd.read_reduced("arm.npz", "arm")
+        scene.add(arm, fmbd.revolute("pin", fmbd.ground, arm.surface("pin"), center=(0, 0, 0)))
+
+    It moves as the body that was saved, to roundoff, and starts at rest where that one lay. All of its surfaces are there;
+    what needs the mesh (pictures of its shape, stresses, contact) is not.
+
+    Raises:
+        InputError: no such file, or one with matrices at rest alone: from them the inertia of large rotations cannot be had.
+    """
+    model = load_interface_model(file)
+    if model.body is None:
+        raise InputError(
+            f"{file} holds M, K and D at rest only; a body that turns needs its inertia tensors as well, which "
+            "fmbd.interface_model(body, ...).save(...) writes beside them."
+        )
+    return StoredBody(name, model.body)
+
+
+def _content(file: Path) -> dict[str, Any]:
+    """All arrays of a file by name."""
+    if file.suffix == ".mat":
+        from scipy.io import loadmat
+
+        return {key: _strings(x) if x.dtype == object else x for key, x in loadmat(file).items() if key[0] != "_"}
+    with np.load(file) as found:
+        return {name: found[name] for name in found.files}
+
+
+def _strings(x: Any) -> Any:
+    """Names, each in an array of its own in MATLAB's files."""
+    return [str(np.ravel(one)[0]) if isinstance(one, np.ndarray) else str(one) for one in np.ravel(x)]
 
 
 def interface_model(body: ReducedBody, interfaces: Sequence[str]) -> InterfaceModel:
@@ -107,7 +166,7 @@ def interface_model(body: ReducedBody, interfaces: Sequence[str]) -> InterfaceMo
     c = part.constants
     origins = np.array([c.surfaces[name].center for name in names])
     M, K, D = (0.5 * (A + A.T) for A in (T.T @ M @ T, T.T @ K @ T, T.T @ D @ T))
-    return InterfaceModel(M, K, D, names, origins, omega, float(c.mass), np.array(c.center))
+    return InterfaceModel(M, K, D, names, origins, omega, float(c.mass), np.array(c.center), c)
 
 
 def _coordinates(body: ReducedBody, names: tuple[str, ...]) -> tuple[Any, Array, Array]:

@@ -24,6 +24,7 @@ from ...mechanics.joints.joints import Joint, ground
 from ...mechanics.joints.relative import Turn
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...mechanics.reduction.reduced import ReducedPart
+from ...mechanics.reduction.stored import StoredBody
 from ...mechanics.rods.rods import Rod
 from ...rotations import Array, Motions, motions
 from ..configurations import count
@@ -46,7 +47,7 @@ def smooth_step(t: float, duration: float) -> float:
     return s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
 
 
-def reduced_part(body: ReducedBody | Beam, frame: int, surfaces: Sequence[str]) -> ReducedPart:
+def reduced_part(body: ReducedBody | StoredBody | Beam, frame: int, surfaces: Sequence[str]) -> ReducedPart:
     """A reduced body or beam as a part of a system, with the ports of the named surfaces."""
     part = ReducedPart(body.name, body.constants, frame, surfaces)
     part.body = body
@@ -150,7 +151,7 @@ class Builder:
                 line = LinePart(body, ground_frame, used[body.name])
                 self._put_part(line, line.start, line.start_rate)
         for body in moving:
-            if isinstance(body, ReducedBody | Beam):
+            if isinstance(body, ReducedBody | StoredBody | Beam):
                 self._add_reduced(body, used[body.name])
 
         for body in moving:
@@ -212,7 +213,7 @@ class Builder:
             raise InputError(
                 f"{what} refers to {named}, which is not in the scene. {near(name or '', self.scene.bodies)}"
             )
-        if isinstance(side, FloatingBody | AbsoluteBody | ReducedBody | Beam | LineBody | Rod):
+        if isinstance(side, FloatingBody | AbsoluteBody | ReducedBody | StoredBody | Beam | LineBody | Rod):
             raise InputError(
                 f'{what}: attach to a surface of the elastic body "{body.name}", say {body.name}.surface("...").'
             )
@@ -254,7 +255,7 @@ class Builder:
         center: Array = self.fields[self.part_of[side.body.name]].surface_center(side.name)
         return center
 
-    def _add_reduced(self, body: ReducedBody | Beam, surfaces: list[str]) -> None:
+    def _add_reduced(self, body: ReducedBody | StoredBody | Beam, surfaces: list[str]) -> None:
         frame = self.frame_of[body.name]
         self._put_part(reduced_part(body, frame, surfaces), *body.start_local())
         self.poses[frame] = self.m.pose(body.constants.center)

@@ -21,13 +21,14 @@ from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.joints import Joint
 from ...mechanics.joints.limits import JointLimit
 from ...mechanics.reduction.craig_bampton import ReducedBody
+from ...mechanics.reduction.stored import StoredBody
 from ...mechanics.rods.rods import Rod
 from ..mobility import Mobility, check, loose_bodies
 from ..sensors.sensors import JointReading, Sensor
 from ..system import State, System
 from .build import Builder
 
-BODIES = (RigidBody, FloatingBody, AbsoluteBody, ReducedBody, Beam, LineBody, Rod, CoordinateBody, Wires)
+BODIES = (RigidBody, FloatingBody, AbsoluteBody, ReducedBody, StoredBody, Beam, LineBody, Rod, CoordinateBody, Wires)
 
 
 @dataclass(repr=False)
