@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -82,3 +85,10 @@ def test_bad_input_is_named(tmp_path: Path) -> None:
         robot.make_elastic("for", None, surfaces={})  # type: ignore[arg-type]
     with pytest.raises(InputError, match="give a surface for each"):
         robot.make_elastic("fore", None, surfaces={})  # type: ignore[arg-type]
+
+
+def test_demo_of_an_arm_with_an_elastic_link(tmp_path: Path) -> None:
+    command = [sys.executable, "demos/robot_arm.py", "--fast", "--json", str(tmp_path / "arm.json")]
+    done = subprocess.run(command, cwd=Path(__file__).parents[1], capture_output=True, text=True, timeout=280)  # noqa: PLW1510
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    assert all(check["ok"] for check in json.loads((tmp_path / "arm.json").read_text())["check"])

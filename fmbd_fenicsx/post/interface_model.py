@@ -96,7 +96,9 @@ def load_interface_model(file: str | Path) -> InterfaceModel:
         found = _content(Path(file))
         k = len(names := tuple(str(n) for n in _strings(found["interfaces"])))
         return InterfaceModel(
-            *(found[name] for name in "MKD"),
+            M=found["M"],
+            K=found["K"],
+            D=found["D"],
             interfaces=names,
             origins=np.reshape(found["origins"], (k, -1)),
             omega=np.ravel(found["omega"]),
