@@ -112,6 +112,18 @@ def test_elastic_arm_hits_its_stop(rod_mesh: Callable[..., Any]) -> None:
     assert np.abs(tips[0] - tips[1]).max() < 2e-4
 
 
+def test_beam_hits_its_stop() -> None:
+    """A body without a mesh, whose modes are in the core."""
+    section = fmbd.Section.rectangle(width=0.02, height=0.05, E=7e10, density=2700.0)
+    beam = fmbd.Beam("beam", (0.0, 0.0), (1.0, 0.0), section, modes=4, stiffness_damping=1e-4)
+    hinge = fmbd.revolute("hinge", fmbd.ground, beam.surface("start"), center=(0, 0))
+    scene = fmbd.Scene("beam", gravity=(0, -G))
+    scene.add(beam, hinge, fmbd.joint_limit("stop", fmbd.angle(hinge), lower=-0.1))
+    scene.sensor("phi", fmbd.angle(hinge))
+    run = fmbd.solve(scene, t_end=0.18, dt=1e-3)
+    assert -0.1 - 1e-5 < run["phi"].min() < -0.0999
+
+
 def test_hammer_on_a_hinge_gives_back_its_restitution() -> None:
     """The end of the flight is found on the motion that the joint allows: no impact is taken for a resting contact."""
     hammer = fmbd.RigidBody("hammer", 2.0, 0.1, position=(0.5, 0.0))

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import InputError, named, near, require
 from ...log import log
-from ...mechanics.bodies.bodies import RigidBody, Surface
+from ...mechanics.bodies.bodies import ElasticBody, RigidBody, Surface
 from ...mechanics.bodies.field_part import FieldPart
 from ...mechanics.contact.contact import Contact
 from ...mechanics.contact.limits import LimitPair
@@ -46,7 +46,10 @@ def contact_surfaces(scene: Any, body: Any) -> list[str]:
     for limit in scene.limits.values():
         joint = limit.coordinate.joint
         for side in (joint.a, joint.b):
-            if isinstance(side, Surface) and side.body is body and side.name not in found:
+            held = (
+                isinstance(side, Surface) and side.body is body and isinstance(body, ElasticBody)
+            )  # others: in the core
+            if held and side.name not in found:
                 found.append(side.name)
     for c in scene.contacts.values():
         for side in (c.slave, c.master):
@@ -98,7 +101,7 @@ def limit_pairs(scene: Any, motions: Motions, markers: dict[str, tuple[int, int]
         relative = relative_of(motions, s.kind, [(s, *markers[s.joint.name])])
         stops = [(bound, sign) for bound, sign in ((limit.lower, 1.0), (limit.upper, -1.0)) if np.isfinite(bound)]
         bounds, signs = np.array(stops).T
-        nobody = Side(-1, None, -1, np.zeros((0, motions.dim)), 0.0)
+        nobody = Side(-1, None, np.zeros(0, dtype=int), np.zeros((0, motions.dim)), 0.0)
         found.append(
             LimitPair(
                 limit.name, nobody, None, Carrier(-1, motions.identity, None), 0.0, limit.restitution, None,
