@@ -114,7 +114,7 @@ def test_elastic_arm_hits_its_stop(rod_mesh: Callable[..., Any]) -> None:
 
 def test_beam_hits_its_stop() -> None:
     """A body without a mesh, whose modes are in the core."""
-    section = fmbd.Section.rectangle(width=0.02, height=0.05, E=7e10, density=2700.0)
+    section = fmbd.Section.rectangle(youngs_modulus=7e10, poisson_ratio=0.3, density=2700.0, width=0.02, height=0.05)
     beam = fmbd.Beam("beam", (0.0, 0.0), (1.0, 0.0), section, modes=4, stiffness_damping=1e-4)
     hinge = fmbd.revolute("hinge", fmbd.ground, beam.surface("start"), center=(0, 0))
     scene = fmbd.Scene("beam", gravity=(0, -G))

@@ -138,6 +138,9 @@ class Stepper(ContactStepper):
             share, which, held = self._next_touch(step, ~closed)
             if not held.any():
                 break
+            hit = self._rates(held, h) < -slow  # of bodies in joints flights end at the touch: this is an impact
+            if self._joints and hit.any():
+                return self._impact(h, hits, hit, closed | hit)
             closed = closed | held
         return step if share == 1.0 else self._located(step, share, which)
 
