@@ -129,3 +129,15 @@ def test_load_steps_refuse_what_cannot_be_followed():
     scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("start")))
     with pytest.raises(InputError, match="must be above t = 1"):
         fmbd.equilibrium(scene, t=1.0, path=fmbd.LoadSteps((1.0,)))
+
+
+@pytest.mark.mpi
+def test_the_force_of_a_tie_is_not_read_as_zero(rod_mesh: Any) -> None:
+    """It is spread over a surface: refused, where zeros would look like an answer."""
+    rod = fmbd.AbsoluteBody("rod", rod_mesh(), density=1.0, elastic=fmbd.materials.plane_stress(1e6, 0.3))
+    scene = fmbd.Scene("rod")
+    tie = fmbd.tie_surface("clamp", rod.surface("pin"), fmbd.ground)
+    scene.add(rod, tie, fmbd.force("push", rod.surface("tip"), lambda t: (0.0, 1.0)))
+    scene.sensor("force", fmbd.reaction_force(tie))
+    with pytest.raises(InputError, match='"clamp" cannot be read as those of a joint'):
+        fmbd.equilibrium(scene)["force"]

@@ -213,14 +213,21 @@ class ReactionWrench(_Vector):
         """Force and moment of the joint on its first body."""
         block = ev.system.block(self.joint)
         d = ev.system.motions.dim
-        wrench = np.zeros(d + ev.system.motions.n_rot)
+        wrench, known = np.zeros(d + ev.system.motions.n_rot), block.rows.start == block.rows.stop
         for batch, rows in ev.system.batches:
             inside = (rows >= block.rows.start) & (rows < block.rows.stop)
             if not inside.any():
                 continue
+            known = True
             for number, markers, side in batch.sides(ev.kin, ev.t):
                 at = inside[number] & (markers == block.a)
                 wrench -= state.lam[rows[number[at]]] @ side[at]
+        # zeros would be taken for an answer
+        require(
+            known,
+            f'Force and torque of "{self.joint}" cannot be read as those of a joint between two points: they are spread over a '
+            "surface or act on coordinates. fmbd.reaction gives its multipliers.",
+        )
         return wrench[d:] if self.torque else wrench[:d]
 
     def looks_at(self, system: System, marker: int) -> Look:
