@@ -64,6 +64,16 @@ def rod() -> fmbd.Scene:
     return scene
 
 
+def sheet() -> fmbd.Scene:
+    """A rod of large strains on a pin: Newton takes new tangents in long steps."""
+    mesh = fmbd.read_gmsh(MESHES / "rod.py", dim=2, h=0.25)
+    law = fmbd.materials.sheet_saint_venant_kirchhoff(5e6, 0.3)
+    body = fmbd.AbsoluteBody("rod", mesh, density=1000.0, energy=law)
+    scene = fmbd.Scene("sheet", gravity=(0.0, -9.81))
+    scene.add(body, fmbd.revolute("pin", fmbd.ground, body.surface("pin"), center=(0.0, 0.0)))
+    return scene
+
+
 def ball() -> fmbd.Scene:
     """A ball on its way to a floor."""
     body = fmbd.RigidBody("ball", 1.0, 0.1, position=(0.0, 1.02), velocity=(0.3, -1.0))
@@ -72,13 +82,13 @@ def ball() -> fmbd.Scene:
     return scene
 
 
-BITS = pytest.mark.xfail(reason="after a step of another size the last bits differ: factors are made anew", strict=True)
 CASES: list[Any] = [
     *((links, scheme) for scheme in SCHEMES),
     (links, fmbd.GeneralizedAlpha(0.8, compiled=False)),
     (links, fmbd.Radau(2, rtol=None)),
     (links, fmbd.BDF(2, rtol=None)),
-    pytest.param(rod, fmbd.GeneralizedAlpha(0.8), marks=BITS),
+    (rod, fmbd.GeneralizedAlpha(0.8)),
+    (sheet, fmbd.GeneralizedAlpha(0.8)),
     (rod, fmbd.Radau(2, rtol=1e-4)),
     (ball, fmbd.Moreau()),
 ]

@@ -9,7 +9,7 @@ import pytest
 from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, state_errors
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.newton import Newton
 
@@ -47,6 +47,27 @@ def test_going_back_returns_to_the_start() -> None:
         state = stepper.advance(1.0 / 50)
     assert np.abs(state.q - there[0].q).max() < 1e-12
     assert np.abs(state.v + there[0].v).max() < 1e-11
+
+
+def test_matrices_that_others_made_are_not_taken_for_its_own() -> None:
+    """Someone else uses the solver between two steps, at another place in the same arrays: the next step is the same."""
+    ends = []
+    for disturbed in (False, True):
+        system, given, _ = pendulum(1.0, 0.0, 1.0).build()
+        solver = StepSolver(system)
+        stepper = fmbd.Rattle().stepper(system, solver, Newton(1e-13, 25), consistent(system, given, solver)[0])
+        stepper.advance(0.05)
+        s = stepper.state
+        if disturbed:
+            elsewhere = system.at(s.t, s.q, s.v)
+            kept = s.q.copy()
+            s.q[:] = system.compose(s.q, np.ones(system.n_v))
+            solver.prepare(elsewhere, Weights(2.0, 0.0, 0.1))
+            s.q[:] = kept
+        assert solver.holds(system.at(s.t, s.q, s.v), Weights(1.0, 0.0, 0.0)) != disturbed
+        ends.append(stepper.advance(0.05))
+    for name in ("q", "v", "a", "lam"):
+        assert np.array_equal(getattr(ends[0], name), getattr(ends[1], name)), name
 
 
 def long_run(steps: int) -> tuple[np.ndarray, float, float]:

@@ -74,6 +74,32 @@ def test_motion_of_direct(make, kinds: str, linear, most: float) -> None:
     assert split.counters["worst_linear_residual"] <= 100 * linear.rtol
 
 
+def landing(kind: str, friction: float) -> fmbd.Scene:
+    """A spinning bar that falls on a floor."""
+    mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0, 0.5), cells=6)
+    elastic = fmbd.materials.linear_elastic(1e5, 0.3)
+    bar = KIND[kind]("bar", mesh, degree=1, density=1000.0, elastic=elastic, velocity=(0.3, -1.0), angular_velocity=0.2)
+    scene, floor = fmbd.Scene("landing"), fmbd.Obstacle("floor", fmbd.HalfSpace((0.0, -0.01), (0.0, 1.0)))
+    scene.add(bar, fmbd.contact("floor", bar.surface("bottom"), floor, friction=friction))
+    scene.sensor("tip", fmbd.position(bar.surface("right")))
+    return scene
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("kind", "friction"), [("a", 0.0), ("a", 0.3), ("f", 0.3)])
+def test_contact_of_direct(kind: str, friction: float) -> None:
+    """Contact forces by solves with the whole matrix are those by eliminated blocks."""
+    made = [
+        fmbd.solve(landing(kind, friction), t_end=0.02, dt=1e-3, scheme=fmbd.ContactMidpoint(), linear=linear)
+        for linear in (None, FieldSplit(method="fgmres", rtol=1e-10))
+    ]
+    plain, split = (run.state.contact.impulse for run in made)
+    assert np.abs(plain).max() > 1.0
+    assert np.abs(split - plain).max() < 1e-7 * np.abs(plain).max()
+    assert np.abs(made[1]["tip"] - made[0]["tip"]).max() < 1e-9
+    assert made[1].counters["saddle_iterations"] > 0 == made[0].counters["saddle_iterations"]
+
+
 @pytest.mark.mpi
 def test_turned_body() -> None:
     """A nonlinear body that has turned: nodal values are solved in the axes of its factor."""

@@ -14,6 +14,7 @@ E_0 serves all attitudes; new tangents are taken only when Newton's rate asks fo
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,26 @@ __all__ = ["StepSolver", "Weights"]
 LOOK_LIMIT = 600  # constraint rows up to which the solver itself looks for redundant ones
 
 
+@dataclass(frozen=True, eq=False)
+class _Configuration:
+    """What the matrices depend on; velocities only where they weigh damping or stiffness. ``versions``: of tangents, columns."""
+
+    t: float
+    q: Array
+    v: Array | None
+    weights: Weights
+    versions: list[tuple[int, int]]
+    stiffness: Any
+
+    def equals(self, other: _Configuration) -> bool:
+        """Whether the matrices are the same to the last bit."""
+        plain = self.t == other.t and self.weights == other.weights and self.versions == other.versions
+        return plain and all(
+            x is y or np.array_equal(x, y)
+            for x, y in ((self.q, other.q), (self.v, other.v), (self.stiffness, other.stiffness))
+        )
+
+
 class StepSolver:
     """Solves cm M + cd C + ck K with the constraints of a system; one object for a whole run; collective.
 
@@ -55,7 +76,7 @@ class StepSolver:
         self.system, self.linear, self.prefix = system, linear, prefix
         self._look = redundant is None
         self._near_singular = False
-        self._made: tuple[float, Array, Weights] | None = None  # what the factor belongs to, where that is all
+        self._held: _Configuration | None = None  # that of the matrices
         self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
         self.elastic = FieldBlocks(system, linear, prefix)
         self.blocks: list[Block] = []
@@ -120,11 +141,12 @@ class StepSolver:
         matrix stays as it is, until :meth:`refresh` takes it at this configuration.
         """
         self._ev = ev
-        if keep or (stiffness is None and self._is_made(ev, weights)):
-            return
         s = self.system
+        masses_alone = not s.fields and stiffness is None and not (weights.cd or weights.ck)
+        if keep or (masses_alone and self.holds(ev, weights)):
+            return
         s.move(ev.t)
-        self.weights, self._stiffness = weights, stiffness
+        self.weights, self._stiffness, self._held = weights, stiffness, None
 
         if self._look and 0 < s.n_lam <= LOOK_LIMIT and not independent(ev):
             found = mobility(ev)
@@ -132,7 +154,6 @@ class StepSolver:
             warn_of_ties(s, found.shares)
         self._look = False
 
-        self._made = None
         try:
             self._assemble(ev)
         except LinearSolveError as error:
@@ -141,17 +162,22 @@ class StepSolver:
             raise LinearSolveError(
                 f"{mover(s, error.motion)} has a motion without mass that no joint holds (t = {ev.t:g} s). {ADVICE}"
             ) from error
+        self._held = self._configuration(ev, weights, stiffness)
         if s.n_lam and (self.core.ratio < 1e-5 or self._near_singular):
             self._near_singular = warn_near_singular(ev, self.core.rank, self._near_singular)
-        if not s.fields and stiffness is None and weights.cd == weights.ck == 0.0:
-            self._made = ev.t, ev.q.copy(), weights
 
-    def _is_made(self, ev: Evaluation, weights: Weights) -> bool:
-        """Whether the factor is that of this configuration: masses and rows alone, in a start, do not depend on velocities."""
-        if self._made is None:
-            return False
-        t, q, made = self._made
-        return t == ev.t and made == weights and np.array_equal(q, ev.q)
+    def holds(self, ev: Evaluation, weights: Weights) -> bool:
+        """Whether :meth:`prepare` would make the matrices again that are there; collective."""
+        same = self._held is not None and self._held.equals(self._configuration(ev, weights, None))
+
+        # each rank sees its own nodes only
+        fields = self.system.fields
+        return not fields[0][1].field.total(np.array(float(not same))) if fields else same
+
+    def _configuration(self, ev: Evaluation, weights: Weights, stiffness: Any) -> _Configuration:
+        versions = [(f.tangent_version, f.column_version) for _, f in self.system.fields]
+        moving = None if ev.v is None or not (weights.cd or weights.ck) else ev.v.copy()
+        return _Configuration(ev.t, ev.q.copy(), moving, weights, versions, stiffness)
 
     def _assemble(self, ev: Evaluation) -> None:
         """The matrices of (1), and the factor of the core."""
@@ -169,11 +195,11 @@ class StepSolver:
         self._missing_momenta = [
             f.missing_momentum(u) if corrected else None for (_, f), u in zip(s.fields, local, strict=True)
         ]
-        ties_apart = self.iterated is not None or self._whole
+        ties_apart = self.iterated is not None or self.whole
         self.blocks = self.elastic.of(self.jacobian, w, ties_apart=ties_apart, splits=self.split is not None)
 
         A = A.toarray() if sp.issparse(A) else A.copy()
-        if self._whole:
+        if self.whole:
             self._refuse_redundant()
             self.split.prepare(self, A, [self._coupling(ev, i) for i in range(len(self.blocks))])
             self._around = AroundSolver(self.border, self.split.solve)
@@ -214,7 +240,7 @@ class StepSolver:
         self.core.factor(A, lower, C, upper)
 
     @property
-    def _whole(self) -> bool:
+    def whole(self) -> bool:
         """Whether the matrix of the configuration is solved as a whole; without stiffness (starts) it is eliminated."""
         return self.split is not None and self.weights.ck != 0
 
@@ -304,7 +330,8 @@ class StepSolver:
         T = self.corotations[i]
         if T is None or not len(rows):
             return rows
-        return np.asarray((T.T @ rows.reshape(-1, len(T), rows.shape[1])).reshape(rows.shape))
+        points = rows.reshape(len(rows) // len(T), len(T), rows.shape[1])  # there may be no columns
+        return np.asarray((T.T @ points).reshape(rows.shape))
 
     # -- solution -----------------------------------------------------------------------------------------------
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
@@ -313,7 +340,7 @@ class StepSolver:
         if not s.fields:
             return self.core.solve(b, c)
         s.move(self._ev.t)
-        if self._whole:
+        if self.whole:
             return self._around.solve(b, c)
         if self.iterated is not None:
             return self.iterated.solve(self._solve_direct, b, c)

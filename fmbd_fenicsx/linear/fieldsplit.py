@@ -33,6 +33,7 @@ from .residual import Judge, krylov_reason
 from .saddle.precondition import Fractional, lumped, rigid_term, to_petsc
 from .saddle.saddle import Elastic, elastic_matrix, share_of
 
+ROUNDOFF = 1e-13  # relative error that a product with the matrix may have
 LEAST = 1e-10  # eigenvalues of preconditioning blocks, scaled to a unit diagonal, are at least this
 
 
@@ -172,8 +173,9 @@ class SplitSolver:
         """Largest |b - A x| of a block over the size of its own terms, PETSc's arrays; collective.
 
         Rows that x leaves at zero have terms of roundoff only: constraints are measured at least against 1e-6 of
-        (tr S~_j x . diag(A, E) x)^1/2, which |G_j x| cannot exceed.
+        (tr S~_j x . diag(A, E) x)^1/2, which |G_j x| cannot exceed; more where the tolerance would else be below roundoff.
         """
+        share = max(1e-6, ROUNDOFF / self.judge.tolerance)
         v, lam = self.unpack(x)
         balance, rows = self.terms(v, lam)
         zero_v, zero = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
@@ -183,11 +185,11 @@ class SplitSolver:
         if not np.isfinite(norms).all():
             return np.inf
         error, sizes, m = norms[0], norms[1:].sum(0), len(self.names) - len(self.rows)
-        sizes[m:] = np.maximum(sizes[m:], 1e-6 * self._bounds * np.sqrt(abs(self.system.dot(v, balance[0]))))
+        sizes[m:] = np.maximum(sizes[m:], share * self._bounds * np.sqrt(abs(self.system.dot(v, balance[0]))))
 
         worst = 0.0
         for kind in (slice(0, m), slice(m, None)):  # forces, constraints
-            least = max(1e-6 * sizes[kind].max(initial=0.0), 1e-300)
+            least = max(share * sizes[kind].max(initial=0.0), 1e-300)
             worst = max(worst, float((error[kind] / np.maximum(sizes[kind], least)).max(initial=0.0)))
         return worst
 
@@ -272,14 +274,8 @@ class SplitSolver:
         if preset.method != "minres":
             ksp.setGMRESRestart(preset.max_iterations)
 
-        pc = ksp.getPC()
-        pc.setType("fieldsplit")
-        pc.setFieldSplitType(PETSc.PC.CompositeType.ADDITIVE)
-        pc.setFieldSplitIS(*zip(self.names, sets, strict=True))
-        ksp.setFromOptions()
-        pc.setUp()
         factors = dict(enumerate((b.factor for b in self._blocks), first))
-        for k, sub in enumerate(pc.getFieldSplitSubKSP()):
+        for k, sub in enumerate(self._splits(ksp, sets)):
             if k in factors:
                 made = factors[k].ksp
                 sub.setType(made.getType())
@@ -291,6 +287,23 @@ class SplitSolver:
                 sub.setFromOptions()
         ksp.setConvergenceTest(self._converged)
         return ksp
+
+    def _splits(self, ksp: Any, sets: list[Any]) -> list[Any]:
+        """The KSP of each block; a single block (a free body) is all of the preconditioner, for PETSc splits are two at least."""
+        from petsc4py import PETSc
+
+        pc = ksp.getPC()
+        if len(self.names) == 1:
+            pc.setType("ksp")
+            ksp.setFromOptions()
+            return [pc.getKSP()]
+
+        pc.setType("fieldsplit")
+        pc.setFieldSplitType(PETSc.PC.CompositeType.ADDITIVE)
+        pc.setFieldSplitIS(*zip(self.names, sets, strict=True))
+        ksp.setFromOptions()
+        pc.setUp()
+        return list(pc.getFieldSplitSubKSP())
 
     def _complements(self, frame: Array, solver: Any, couplings: list[Array]) -> list[sp.csr_matrix]:
         """S~_j of (2), one for each block of rows, replicated; collective."""
@@ -372,11 +385,9 @@ def positive(A: Array) -> Array:
 
 
 def _refusal(system: System, preset: Any, prefix: str) -> Exception | None:
-    """What has no splits: contact, slack wires, pressure fields, and options that need an assembled matrix."""
+    """What has no splits: slack wires, pressure fields, and options that need an assembled matrix."""
     from petsc4py import PETSc
 
-    if system.contacts is not None:
-        return InputError("FieldSplit() does not take contact. Use linear=fmbd.Direct() or Schur().")
     for _, f in system.fields:
         if f.slack is not None or f.field.mixed:
             kind = "a pressure" if f.field.mixed else "wires that go slack"

@@ -52,6 +52,8 @@ class Compliance:
             require(
                 elastic, "Contact of rigid points beside ties with many multipliers is not offered: use coarser spaces."
             )
+        if self.solver.whole:
+            return scale * self._by_solves(rows)
         if elastic and (len(trace) > MANY or self.solver.iterated is not None):
             return Applied(self.blocks, rows, np.repeat(trace, rows.core.shape[0] // len(trace)), scale)
         return scale * self.matrix(rows)
@@ -89,6 +91,18 @@ class Compliance:
             if Y.shape[1]:
                 answer -= Y @ (S @ X)
             W = W + dense @ answer
+        return 0.5 * (W + W.T)
+
+    def _by_solves(self, rows: Linear) -> Array:
+        """W of (1), (m, m), by one solve of the step for each row: where the matrix is not eliminated block by block."""
+        system = self.solver.system
+        m, none = rows.core.shape[0], np.zeros(system.n_lam)
+        W = np.zeros((m, m))
+
+        for i, unit in enumerate(np.eye(m)):
+            answer, _ = self.solver.solve(self.contacts.transposed(system, rows, unit), none)
+            W[:, i] = self.contacts.times(system, rows, answer)
+        self.columns += m
         return 0.5 * (W + W.T)
 
     def _core(self, rhs: Array) -> Array:

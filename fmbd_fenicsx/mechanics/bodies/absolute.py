@@ -10,15 +10,13 @@ deformed surface and a viscous law F S_v(E') : grad v are in the tangent by thei
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ...fem.fields import Field
 from ...rotations import Array
 from ..frames import polar_rotation
 from ..placements import FrameMotion
-from .field_part import FieldPart
+from .field_part import FieldPart, TangentPoint
 
 
 class AbsoluteField(FieldPart):
@@ -33,7 +31,6 @@ class AbsoluteField(FieldPart):
         self._moment_columns = field.mass(field.X)
         self._turn_at_tangent: Array = np.eye(field.dim)
         self._last = 0.0, np.zeros(self.n), np.zeros(self.n)  # t, u, u' of the forces evaluated last
-        self._taken_at: Any = None  # the same of the last own tangent, and its pressure
         if field.loads.moving or field.viscous.law is not None:
             self.field.linearise_motion(*self._last)
 
@@ -61,23 +58,19 @@ class AbsoluteField(FieldPart):
         self.field.linearise_motion(*self._last)
         self._turn_at_tangent = self._mean_rotation(self._last[1])
         pressure = self.field.pressure_values if self.field.carried else None  # type: ignore[attr-defined]
-        self._taken_at = (*self._last, pressure)
+        t, U, Ud = self._last
+        self._tangent_at = TangentPoint(t, U, Ud, None, pressure)
         return True
 
-    def remember(self, m: Any) -> None:
-        """Take the tangent again where it was taken last (see :mod:`fmbd_fenicsx.system.serialisation`); collective."""
-        t, U, Ud, pressure = self._taken_at or (None,) * 4
-        if not m("own tangent", U is not None):
-            return
-        t, order = m("time", t), self.field.numbering
-        U, Ud = m.nodal("displacement", U, order), m.nodal("rate", Ud, order)
-        if self.field.carried:
-            pressure = m.nodal("pressure", pressure, self.field.pressure_numbering)  # type: ignore[attr-defined]
-        if m.reading:
-            self._last = t, U, Ud
-            if pressure is not None:
-                self.field.pressure_values = pressure  # type: ignore[attr-defined]
-            self.relinearise()
+    def _take_tangent(self, at: TangentPoint) -> None:
+        self._last = at.t, at.U, at.Ud
+        if at.pressure is not None:
+            self.field.pressure_values = at.pressure  # type: ignore[attr-defined]
+        self.relinearise()
+
+    def _first_tangent(self) -> None:
+        self.field.linearise_motion(0.0, np.zeros(self.n), np.zeros(self.n))
+        self._turn_at_tangent = np.eye(self.field.dim)
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:

@@ -6,6 +6,7 @@ followed by the moments b_0, b_k of each surface in use. They are linear in the 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,17 @@ import numpy as np
 from ...fem.fields import Field
 from ...rotations import Array, motions
 from ..placements import DistributedPart, FrameMotion
+
+
+@dataclass(frozen=True)
+class TangentPoint:
+    """Where the tangent of a part was taken: time (s), nodal displacements and rates (n d,), loads, the pressure it carried."""
+
+    t: float
+    U: Array
+    Ud: Array
+    load: Any
+    pressure: Array | None
 
 
 class FieldPart(DistributedPart):
@@ -24,7 +36,7 @@ class FieldPart(DistributedPart):
 
     distributed = True
     port_matrix = np.zeros((0, 0))
-    _tangent_at: tuple[Array, Any, Array | None] | None = None  # U, load and pressure of the last own tangent
+    _tangent_at: TangentPoint | None = None  # where the last own tangent was taken
 
     def __init__(self, field: Field, frame: int, surfaces: list[str], conditions: Array) -> None:
         self.field, self.frame, self.name, self.comm = field, frame, field.name, field.comm
@@ -100,18 +112,32 @@ class FieldPart(DistributedPart):
 
     # -- tangent ------------------------------------------------------------------------------------------------
     def remember(self, m: Any) -> None:
-        """Take the tangent again where it was taken last (see :mod:`fmbd_fenicsx.system.serialisation`); collective."""
-        U, load, pressure = self._tangent_at or (None, None, None)
-        if not m("own tangent", U is not None):
+        """Take the tangent again where it was taken last, or that of the start where none was taken since
+        (see :mod:`fmbd_fenicsx.system.serialisation`); collective.
+        """
+        at = self._tangent_at
+        if not m("own tangent", at is not None):
+            if m.reading and at is not None:
+                self._tangent_at = None
+                self._first_tangent()
             return
-        U, load = m.nodal("displacement", U, self.field.numbering), m("load", load)
-        if self.field.carried:
-            pressure = m.nodal("pressure", pressure, self.field.pressure_numbering)  # type: ignore[attr-defined]
-        if m.reading and U is not None:
-            self._take_tangent(U, load, pressure)
 
-    def _take_tangent(self, U: Array, load: Any, pressure: Array | None) -> None:
-        """The tangent of a configuration, with what else it depends on."""
+        t, load = m("time", at and at.t), m("load", at and at.load)
+        order = self.field.numbering
+        U, Ud = m.nodal("displacement", at and at.U, order), m.nodal("rate", at and at.Ud, order)
+        pressure = None
+        if self.field.carried:
+            numbering = self.field.pressure_numbering  # type: ignore[attr-defined]
+            pressure = m.nodal("pressure", at and at.pressure, numbering)
+        if m.reading:
+            self._take_tangent(TangentPoint(t, U, Ud, load, pressure))
+
+    def _take_tangent(self, at: TangentPoint) -> None:
+        """The tangent of a configuration, with what else it depends on; collective."""
+        raise NotImplementedError
+
+    def _first_tangent(self) -> None:
+        """The tangent that the part had when it was made; collective."""
         raise NotImplementedError
 
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:

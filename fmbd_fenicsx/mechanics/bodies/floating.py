@@ -13,7 +13,6 @@ in V_h and M commutes with node-wise rotations (Galerkin mass, unlumped).
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from ..reduction.foreshortening import Bent, Shortening
 from ..reduction.modes import first_eigenvalue_bound, first_frequency
 from ..reduction.stiffening import Stiffening
 from ..validity import TOO_LARGE, too_large, warn_of_spin
-from .field_part import FieldPart
+from .field_part import FieldPart, TangentPoint
 
 
 class FloatingField(FieldPart):
@@ -50,13 +49,18 @@ class FloatingField(FieldPart):
             moved = [s for s in surfaces if s != held_at]
             self.stiffening = Stiffening(field, attachment(field, held_at), moved)
             self.shortening = self.stiffening.shortening(surfaces, self.n_frame_rows, self.n_port)
-        self.shared_columns = isinstance(kind, MeanAxis)
-        self.inertia_columns = field.Q
-        self.moment, self.inertia = np.zeros(field.dim), field.inertia
+        self.kind = kind
         self._last, self.warned = np.zeros(self.n), False
         self._load: Array = np.zeros(0 if self.stiffening is None else self.stiffening.count)
+        self._columns_taken = 0  # a number for each set of columns, never used twice
+        self._undeformed_columns()
+
+    def _undeformed_columns(self) -> None:
+        """Inertia of the frame about the body as it was meshed."""
+        self.shared_columns = isinstance(self.kind, MeanAxis)
+        self.inertia_columns = self.field.Q
+        self.moment, self.inertia = np.zeros(self.field.dim), self.field.inertia
         self.shown: Bent | None = None
-        self._columns_taken = 0
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
@@ -167,11 +171,18 @@ class FloatingField(FieldPart):
         self.shared_columns = False
         self.shown = None if self.shortening is None else self.shortening.at(self._last)
         self._columns_taken += 1
-        self._tangent_at = (self._last, (self._load, None if self.shortening is None else self.shortening.pull), None)
+        pull = None if self.shortening is None else self.shortening.pull
+        self._tangent_at = TangentPoint(0.0, self._last, np.zeros(self.n), (self._load, pull), None)
         return True
 
-    def _take_tangent(self, U: Array, load: Any, pressure: Array | None) -> None:
-        self._last, (self._load, pull) = U, load
+    def _first_tangent(self) -> None:
+        if self.field.nonlinear or self.stiffening is not None:
+            self.field.linearise(None)
+        self._undeformed_columns()
+        self._columns_taken += 1
+
+    def _take_tangent(self, at: TangentPoint) -> None:
+        self._last, (self._load, pull) = at.U, at.load
         if self.shortening is not None:
             self.shortening.pull = pull
         self.relinearise()
@@ -182,7 +193,7 @@ class FloatingField(FieldPart):
         M = np.zeros((n, n))
         M[range(d), range(d)] = self.field.mass_total
         M[d:, d:] = self.inertia
-        if self._columns_taken:
+        if self._tangent_at is not None:
             c = self.moment[None]
             turn = np.eye(n - d)
             for k in range(n - d):

@@ -55,19 +55,15 @@ class Stepper:
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.system, self.solver, self.newton, self.state = system, solver, newton, state
         self.half = state.lam
-        self._factored: Array | None = None  # the q whose M and G the solver holds
 
     def _prepare(self, ev: Evaluation) -> None:
         """The matrix at ev.q: it serves the end of a step, its accelerations, and the beginning of the next."""
-        if self._factored is not ev.q:
-            self._factored = None  # should the factorisation fail
+        if not self.solver.holds(ev, MASS):
             self.solver.prepare(ev, MASS)
-            self._factored = ev.q
 
     def remember(self, m: Memory) -> None:
         """State and the multipliers of the last half step."""
         self.state, self.half = m.state("state", self.state), m("half", self.half)
-        self._factored = None if m.reading else self._factored
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when the iteration for (1) fails."""

@@ -89,6 +89,9 @@ def build_contacts(
         if names:
             number[body.name] = len(traces)
             traces.append(_trace(k, part, body, names, len(frame_of)))
+    for body in scene.bodies.values():
+        if body.name not in number and contact_surfaces(scene, body):
+            raise _no_mesh(body)
     pairs = tuple(_pair(c, motions, frame_of, (traces, number)) for c in map(oriented, scene.contacts.values()))
     return ContactSet(motions, (*pairs, *stops), tuple(traces), amplitudes, start)
 
@@ -124,7 +127,11 @@ def _trace(number: int, part: Any, body: Any, surfaces: list[str], n_frames: int
         world = made.space.tabulate_dof_coordinates()[: len(made.phi) // body.dim, : body.dim]
         nodes = BodyNodes(made.space, body.source.mesh, body.source.degree, world - made.constants.center, world)
         return ModalTrace(number, part, nodes, made.phi, surfaces)
-    raise InputError(
+    raise _no_mesh(body)
+
+
+def _no_mesh(body: Any) -> InputError:
+    return InputError(
         f'Body "{body.name}" has no mesh whose surface could touch. Contact takes surfaces of FloatingBody, AbsoluteBody and '
         "their reduced bodies, points of a RigidBody (fmbd.contacts.corners, ball, cylinder_end), and rods (fmbd.contacts.along)."
     )
