@@ -230,7 +230,7 @@ TOUCHING = ("contact", "friction")
 SCHEMES: dict[str, Callable[[], Any]] = {
     "generalized-alpha": lambda: fmbd.GeneralizedAlpha(0.8),
     "generalized-alpha, GGL": lambda: fmbd.GeneralizedAlpha(0.8, form=fmbd.GGL()),
-    "generalized-alpha, steps chosen": lambda: fmbd.GeneralizedAlpha(0.8, rtol=1e-4),
+    "generalized-alpha, steps chosen": lambda: fmbd.GeneralizedAlpha(0.8, rtol=1e-5),
     "Radau, index 2": lambda: fmbd.Radau(stages=2, form=fmbd.Index2(), rtol=None),
     "Radau, GGL": lambda: fmbd.Radau(stages=3, form=fmbd.GGL(), rtol=None),
     "BDF": lambda: fmbd.BDF(order=2, rtol=None),

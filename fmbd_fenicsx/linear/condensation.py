@@ -44,7 +44,7 @@ class _Configuration:
 
     t: float
     q: Array
-    v: Array | None
+    v: Any
     weights: Weights
     versions: list[tuple[int, int]]
     stiffness: Any

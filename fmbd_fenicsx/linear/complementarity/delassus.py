@@ -99,7 +99,9 @@ class Compliance:
         m, none = rows.core.shape[0], np.zeros(system.n_lam)
         W = np.zeros((m, m))
 
-        for i, unit in enumerate(np.eye(m)):
+        for i in range(m):
+            unit: Array = np.zeros(m)
+            unit[i] = 1.0
             answer, _ = self.solver.solve(self.contacts.transposed(system, rows, unit), none)
             W[:, i] = self.contacts.times(system, rows, answer)
         self.columns += m
