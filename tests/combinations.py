@@ -8,6 +8,7 @@ Run:  ./with-dolfinx python3 tests/combinations.py                    all of the
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from fmbd_fenicsx import materials
 from fmbd_fenicsx.errors import CallbackError, ConvergenceError, FmbdError, InputError
 
 ROOT = Path(__file__).resolve().parents[1]
+TABLE = ROOT / "docs/combinations.md"
 DT, FINER = 1e-3, 4  # s; the reference takes steps of a quarter
 T_END, UNTIL_CONTACT = 0.02, 0.04  # s; the floor is met after some 20 ms
 YOUNG, DENSITY, HEIGHT = 1e8, 1000.0, 0.1  # a rod of 1 m: 5 Hz as a cantilever
@@ -326,6 +328,7 @@ def error_of(found: fmbd.Run, exact: fmbd.Run) -> float:
     return float(np.linalg.norm(way - right) / max(np.linalg.norm(right), 1e-4))
 
 
+OPEN = "·"  # of a cell that was not run
 PAGE = """# Combinations
 
 Every scheme with every kind of body, hung by every kind of joint, force, tie or contact: a rod of 1 m (a mesh of 0.25 m, 5 Hz
@@ -341,17 +344,21 @@ Written by `tests/combinations.py`; `tests/test_combinations.py` runs a sample o
 
 def page(cells: dict[str, tuple[str, str]]) -> str:
     """The page of all cells: a table for each scheme, its refusals below."""
-    verdicts = [verdict for verdict, _ in cells.values()]
-    text = [PAGE, f"Of {len(cells)} cells {verdicts.count('ok')} run, {verdicts.count('refused')} are refused."]
+    names = [key(*c) for c in itertools.product(SCHEMES, BODIES, FEATURES)]
+    verdicts = [cells[n][0] if n in cells else OPEN for n in names]
+    text = [PAGE, f"Of {len(names)} cells {verdicts.count('ok')} run right, {verdicts.count('refused')} are refused."]
     if "wrong" in verdicts:
-        text[-1] += f" {verdicts.count('wrong')} are wrong, in bold."
+        text[-1] += f" {verdicts.count('wrong')} are wrong: letters in bold, what was found below the table."
+    if OPEN in verdicts:
+        text[-1] += f" {verdicts.count(OPEN)} cells, with {OPEN}, have not been run for this page."
     text.append("")
 
     for scheme in SCHEMES:
         reasons: list[str] = []
         text += [f"## {scheme}", "", "| body | " + " | ".join(FEATURES) + " |", "|---" * (len(FEATURES) + 1) + "|"]
         for body in BODIES:
-            row = [written(*cells[key(scheme, body, feature)], reasons) for feature in FEATURES]
+            found = [cells.get(key(scheme, body, feature), ("ok", OPEN)) for feature in FEATURES]
+            row = [written(*each, reasons) for each in found]
             text.append(f"| {body} | " + " | ".join(row) + " |")
         text += ["", *(f"- {chr(ord('a') + k)}: {reason}" for k, reason in enumerate(reasons)), ""]
     return "\n".join(text).rstrip() + "\n"
@@ -370,6 +377,22 @@ def written(verdict: str, found: str, reasons: list[str]) -> str:
         reasons.append(found)
     letter = chr(ord("a") + reasons.index(found))
     return letter if verdict == "refused" else f"**{letter}**"
+
+
+def on_page(text: str) -> dict[tuple[str, str, str], tuple[str, str]]:
+    """The cells of a page, back from its tables: (verdict, found) by scheme, body and feature, without those not run."""
+    cells = {}
+    for section in text.split("\n## ")[1:]:
+        scheme, *lines = section.splitlines()
+        reasons = dict(line[2:].split(": ", 1) for line in lines if line.startswith("- "))
+        rows = [[x.strip() for x in line.strip("|").split("|")] for line in lines if line.startswith("| ")]
+        for body, *row in rows[1:]:
+            for feature, found in zip(rows[0][1:], row, strict=True):
+                if found in reasons:
+                    cells[scheme, body, feature] = "refused", reasons[found]
+                elif found != OPEN:
+                    cells[scheme, body, feature] = ("wrong", "") if found.startswith("**") else ("ok", found)
+    return cells
 
 
 def main() -> None:
@@ -393,7 +416,7 @@ def main() -> None:
             if wanted.cells is not None:
                 wanted.cells.write_text(json.dumps(cells, indent=0))
     if not wanted.words:
-        (ROOT / "docs/combinations.md").write_text(page(cells))
+        TABLE.write_text(page(cells))
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from ..energies import Hooke
 from ..mechanics.forces.forces import Spring
 from ..mechanics.joints.constraints import standstill
 from ..mechanics.reduction.craig_bampton import ReducedBody
+from ..schemes.declared import Declared
 from ..system.scene.scene import Scene
 from ..versions import short
 
@@ -68,7 +69,7 @@ def run_report(run: Run) -> str:
 
 def _steps(run: Run, steps: int) -> str:
     """Constant steps, or those that the error control chose and refused."""
-    rtol = getattr(run.scheme, "rtol", None)
+    rtol = Declared.by(run.scheme).rtol
     if rtol is None:
         halved = run.counters.get("halved_steps", 0.0)
         return f"h = {run.dt:.6g} s, {steps} steps" + (f", {_n(halved, 'halving')}" if halved else "")

@@ -21,6 +21,7 @@ import numpy as np
 from ..errors import ConvergenceError
 from ..rotations import Array
 from ..schemes.consistent import worst_block
+from ..schemes.declared import Declared
 from ..system.compiled.recording import Openness
 from ..system.system import Evaluation, State, System
 
@@ -67,12 +68,8 @@ class Closed:
     @staticmethod
     def under(system: System, scheme: Any) -> Closed:
         """For the states of a scheme; one that says nothing of its levels is not judged."""
-        rtol = getattr(scheme, "rtol", None)
-        form = getattr(scheme, "form", None)
-        levels = getattr(scheme, "holds", ()) if form is None else form.levels
-        if form is not None and form.projected:
-            levels = (0, 1)
-        return Closed(system, levels, OPEN if rtol is None else max(OPEN, rtol))
+        said = Declared.by(scheme)
+        return Closed(system, said.levels, OPEN if said.rtol is None else max(OPEN, said.rtol))
 
     @cached_property
     def units(self) -> Array:

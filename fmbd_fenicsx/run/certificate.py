@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError, near
+from ..schemes.declared import Declared
 from ..system.scene.refinement import meshed_bodies, modal_bodies
 from .deviation import together
 
@@ -90,7 +91,7 @@ def certificate_of(run: Run) -> Certificate:
     :func:`.deviation.together`.
     """
     reduced, meshed = bool(modal_bodies(run.scene)), bool(meshed_bodies(run.scene))
-    controlled = getattr(run.scheme, "rtol", None) is not None
+    controlled = Declared.by(run.scheme).adaptive
 
     unstated = {}
     if meshed and not run.space_error:

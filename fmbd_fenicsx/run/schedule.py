@@ -11,6 +11,7 @@ import numpy as np
 
 from ..checks import number
 from ..errors import InputError, require
+from ..schemes.declared import Declared
 from ..system.scene.scene import Scene
 
 
@@ -46,7 +47,7 @@ def pace_of(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, multip
     number("End time t_end =", t_end, above=0.0, unit="s")
     if dt is not None:
         number("Step dt =", dt, above=0.0, unit="s")
-    adaptive = getattr(scheme, "rtol", None) is not None
+    adaptive = Declared.by(scheme).adaptive
     if dt is None and not adaptive:
         raise InputError(f"{scheme.name} takes constant steps: give dt (s). Schemes with rtol choose their own.")
     if dt is not None:

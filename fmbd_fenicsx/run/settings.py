@@ -7,6 +7,7 @@ from typing import Any
 
 from ..checks import instance, shown
 from ..errors import InputError, require
+from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..system.scene.scene import Scene
 from ..system.system import System
@@ -42,7 +43,7 @@ def check_pressures(system: System, scheme: Any) -> None:
     """Bodies with a pressure as an unknown need a scheme that moves it."""
     names = [p.name for _, p in system.fields if p.field.carried]
     require(
-        not names or getattr(scheme, "carries_pressure", False),
+        not names or Declared.by(scheme).carries_pressure,
         f'Body "{"".join(names[:1])}" has a pressure that is an unknown; {scheme.name} does not solve for it. Use '
         "GeneralizedAlpha() with form=Index3(), or energy=neo_hookean_mixed(...).",
     )

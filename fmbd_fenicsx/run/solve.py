@@ -19,6 +19,7 @@ from ..notices import Gathered
 from ..rotations import Array
 from ..schemes.consistent import Correction
 from ..schemes.dae import Index3
+from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.plan import Plan, make_plan
@@ -325,7 +326,7 @@ def solve(
         newton.tangent is None or (type(scheme) is GeneralizedAlpha and isinstance(scheme.form, Index3)),
         f"{scheme.name} has no exact tangent. Use scheme=fmbd.GeneralizedAlpha(), or leave out Newton's tangent.",
     )
-    halvings = output.estimate_error and getattr(scheme, "rtol", None) is None
+    halvings = output.estimate_error and not Declared.by(scheme).adaptive
     pace = pace_of(scene, scheme, t_end, dt, multiple=4 if halvings else 1)
     called = clock.perf_counter()
     with Gathered() as warned:

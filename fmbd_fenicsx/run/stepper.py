@@ -24,6 +24,7 @@ from ..checks import typed
 from ..errors import InputError, near, require
 from ..ranks import OneAnswer
 from ..rotations import Array
+from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..system.element_memory import accept
 from ..system.scene.scene import Scene
@@ -59,7 +60,7 @@ class SceneStepper:
         scheme = default_scheme(scene) if scheme is None else scheme
         newton = Newton() if newton is None else newton.afresh()
         self.scene, self.dt = scene, dt
-        self._adaptive = getattr(scheme, "rtol", None) is not None
+        self._adaptive = Declared.by(scheme).adaptive
         self._pace = Pace(dt, 0 if self._adaptive else 1)
         self._inputs = {name: source.value for name, source in scene.inputs.items()}
         system, given, markers = scene.build()

@@ -13,6 +13,7 @@ from ..notices import Gathered
 from ..ranks import OneAnswer
 from ..rotations import Array
 from ..schemes.consistent import Correction, consistent
+from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..system.element_memory import accept, reset
 from ..system.scene.scene import Scene
@@ -87,8 +88,9 @@ def _begun(
         from ..analysis.equilibrium import settled
 
         given = settled(system, given, solver)
-    if hasattr(scheme, "start"):
-        return scheme.start(system, given, solver, h)  # type: ignore[no-any-return]
+    own_start = Declared.by(scheme).start
+    if own_start is not None:
+        return own_start(system, given, solver, h)  # type: ignore[no-any-return]
     require(
         system.contacts is None,
         f"{scheme.name} does not treat contact. Use fmbd.ContactMidpoint(), ContactAlpha() or Moreau().",
@@ -113,7 +115,8 @@ def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: b
         return problem.scheme.stepper(problem.system, solver, problem.newton, start)
 
     if pace.steps:
-        goes_on = hasattr(problem.scheme, "start") or getattr(problem.scheme, "free_steps", False)
+        said = Declared.by(problem.scheme)
+        goes_on = said.start is not None or said.free_steps
         return ConstantSteps(
             made,
             problem.system,

@@ -21,6 +21,7 @@ from ..mechanics.bodies.bodies import ElasticBody
 from ..mechanics.reduction.craig_bampton import ReducedBody
 from ..mechanics.rods.rods import Rod
 from ..schemes.control import FINEST
+from ..schemes.declared import Declared
 from ..system.scene.refinement import meshed_bodies, more_modes, refined
 from ..system.scene.scene import Scene
 from .certificate import KINDS, Statement
@@ -119,7 +120,7 @@ def solve_within(
     _check(scene, tol)
     scheme, dt = start
     scheme = default_scheme(scene) if scheme is None else checked_scheme(scheme)
-    if getattr(scheme, "rtol", None) is not None:
+    if Declared.by(scheme).adaptive:
         plan = _Plan(scene, replace(scheme, rtol=max(scheme.rtol, 1e-4)), None)
     else:
         plan = _Plan(scene, scheme, t_end / START if dt is None else dt)

@@ -57,6 +57,7 @@ class MortarPair:
     carrier = None
     shape = None
     restitution = 0.0
+    moving = False  # no side moves as prescribed
 
     def __init__(
         self,

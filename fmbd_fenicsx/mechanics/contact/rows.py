@@ -108,6 +108,9 @@ class Pair:
         """Whether the obstacle moves as prescribed."""
         return self.carrier.motion is not None
 
+    def update(self, contacts: ContactSet, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
+        """Nothing to pair anew: an obstacle is met where it is."""
+
     @property
     def weight(self) -> Array:
         """Dual weights D of the candidates, 1 on rigid points, (m,)."""
@@ -237,14 +240,13 @@ class ContactSet:
     def update(self, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
         """Pair two-body contacts anew for a step that starts at q; ``keep``: overlaps found stay. Collective."""
         for p in self.pairs:
-            if hasattr(p, "update"):
-                p.update(self, system, q, reach, keep=keep)
+            p.update(self, system, q, reach, keep=keep)
 
     def gap_rate(self, system: Any, t: float, q: Array, h: float) -> Array:
         """Part of the gaps' rates that comes from prescribed motion, m/s, (m,), by central differences;
         collective.
         """
-        if not any(getattr(p, "moving", False) for p in self.pairs):
+        if not any(p.moving for p in self.pairs):
             return np.zeros(len(self.pair))
         e = 1e-3 * h
         return (self.touch(system, t + e, q).gap - self.touch(system, t - e, q).gap) / (2 * e)

@@ -19,6 +19,7 @@ from ...mechanics.catenary.sliding import HeadSide, WireSide
 from ...system.serialisation import Memory, remember_stepper
 from ...system.system import State, System
 from ..consistent import accelerations, project
+from ..declared import Declared
 from ..newton import Newton
 from ..onestep.generalized_alpha import GeneralizedAlpha
 
@@ -53,9 +54,7 @@ class Switching:
         heads = {law.status.rows.start: law for law in laws if isinstance(law, HeadSide)}
         wires = {law.status.rows.start: law for law in laws if isinstance(law, WireSide)}
         self.pairs: list[tuple[Any, Any]] = [(wires[r], h) for r, h in heads.items() if h.idle is not None]
-        require(
-            not hasattr(outer.scheme, "rtol") or outer.scheme.rtol is None, "Unilateral contact needs a constant step."
-        )
+        require(not Declared.by(outer.scheme).adaptive, "Unilateral contact needs a constant step.")
         self.inner = outer.scheme.stepper(system, solver, newton, state)
         self.opened = self.returned = 0
 

@@ -1,0 +1,41 @@
+"""What a scheme says of itself beside its name, order and stepper; read once, with what holds for one that says nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Declared:
+    """Members that a scheme may have, one of a user's own too.
+
+    ``rtol``: of its error control, None for constant steps. ``form``: of the equations, see :mod:`.dae`. ``holds``: levels of the
+    constraints that hold at the end of a step, where no form says so. ``free_steps``: any size may follow any other.
+    ``carries_pressure``: it moves pressures that are unknowns. ``start``: a start of its own, also for scenes with contact.
+    """
+
+    rtol: float | None = None
+    form: Any = None
+    holds: tuple[int, ...] = ()
+    free_steps: bool = False
+    carries_pressure: bool = False
+    start: Callable[..., Any] | None = None
+
+    @classmethod
+    def by(cls, scheme: Any) -> Declared:
+        """What a scheme says."""
+        return cls(**{f.name: getattr(scheme, f.name, f.default) for f in fields(cls) if f.default is not MISSING})
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether the scheme chooses its steps."""
+        return self.rtol is not None
+
+    @property
+    def levels(self) -> tuple[int, ...]:
+        """Levels of the constraints that hold at the end of a step: 0 positions, 1 velocities."""
+        if self.form is None:
+            return self.holds
+        return (0, 1) if self.form.projected else tuple(self.form.levels)
