@@ -3,6 +3,7 @@
 Run:  ./with-dolfinx python3 tests/combinations.py                    all of them (about ten minutes); writes docs/combinations.md
       ./with-dolfinx python3 tests/combinations.py Radau              the schemes with this word; prints only
       ./with-dolfinx python3 tests/combinations.py --cells FILE       keeps what is found in a file, and goes on from there
+      ./with-dolfinx python3 tests/combinations.py --rest             only the cells that the page lacks or has as wrong
 """
 
 from __future__ import annotations
@@ -400,10 +401,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("words", nargs="*")
     parser.add_argument("--cells", type=Path)
+    parser.add_argument("--rest", action="store_true")
     wanted = parser.parse_args()
 
     kept = wanted.cells is not None and wanted.cells.exists()
     cells = json.loads(wanted.cells.read_text()) if kept else {}
+    if wanted.rest:
+        cells |= {key(*name): found for name, found in on_page(TABLE.read_text()).items() if found[0] != "wrong"}
     for scheme in SCHEMES:
         if wanted.words and not any(word in scheme for word in wanted.words):
             continue
