@@ -196,7 +196,9 @@ def floor(scene: fmbd.Scene, rod: Hung, below: float, friction: float = 0.0) -> 
     ground = fmbd.Obstacle("floor", fmbd.HalfSpace(rod.at(0, -HEIGHT / 2 - below), rod.at(0, 1)))
     if isinstance(rod.body, fmbd.RigidBody):
         touching = fmbd.contacts.corners(rod.body, [(x, -HEIGHT / 2) for x in (-0.5, 0.5)])
-    elif isinstance(rod.body, fmbd.Beam | fmbd.Rod):
+    elif isinstance(rod.body, fmbd.Rod):
+        touching = fmbd.contacts.along(rod.body, radius=HEIGHT / 2)
+    elif isinstance(rod.body, fmbd.Beam):
         touching = rod.tip
     else:
         touching = rod.body.surface("side")
@@ -277,7 +279,7 @@ def reference(body: str, feature: str) -> fmbd.Run:
     """By a scheme made for the scene at a fine step; an error where it is refused."""
     scheme: Any = fmbd.GeneralizedAlpha(0.8)
     if feature in TOUCHING:
-        impulses = body in LIGHT
+        impulses = body in (*LIGHT, "rod")
         scheme = fmbd.Moreau() if impulses else fmbd.ContactMidpoint()
         scheme = fmbd.ContactAlpha(0.8) if body == "incompressible" else scheme
     return fmbd.solve(scene_of(body, feature, ""), t_end=end_of(feature), dt=DT / FINER, scheme=scheme)
