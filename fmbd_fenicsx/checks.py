@@ -11,6 +11,7 @@ or on physics, stays with whoever knows it.
 from __future__ import annotations
 
 import inspect
+import math
 import sys
 import types
 import typing
@@ -27,6 +28,7 @@ from .errors import InputError
 P = ParamSpec("P")
 T = TypeVar("T")
 
+SEVERAL = (Sequence[float], tuple[float, ...])  # annotations of vectors
 UNIONS = (typing.Union, types.UnionType)
 
 
@@ -143,27 +145,38 @@ def instance(what: str, value: Any, kinds: type | tuple[type, ...]) -> Any:
 
 def check_fields(data: Any, what: str | None = None) -> None:
     """Check the fields of a dataclass by their annotations; ``what``: whose, in messages; by default ``Kind "name"``."""
-    kind = type(data)
-    values = {f.name: getattr(data, f.name) for f in fields(data) if f.init}
+    kind: Any = type(data)
+    values = {name: getattr(data, name) for name, _, _ in _annotated(kind)}
     label = _label(kind.__name__, values) if what is None else what
-    for f in fields(data):
-        if f.init:
-            _check(f"{label}: {f.name}", values[f.name], _hint(_home(kind, f.name), f.type), default=f.default)
+    for name, hint, default in _annotated(kind):
+        _check(f"{label}: {name}", values[name], hint, default=default)
+
+
+@cache
+def _annotated(kind: Any) -> tuple[tuple[str, Any, Any], ...]:
+    """Name, type and default of each field that users give."""
+    given = [f for f in fields(kind) if f.init]
+    return tuple((f.name, _hint(_home(kind, f.name), f.type), f.default) for f in given)
 
 
 def typed(make: Callable[P, T]) -> Callable[P, T]:
     """A function whose arguments are checked by their annotations before it is called."""
     signature = inspect.signature(make)
     module = make.__module__
+    hints: dict[str, tuple[Any, Any]] = {}
 
     @wraps(make)
     def checked(*args: P.args, **kwargs: P.kwargs) -> T:
         values = signature.bind(*args, **kwargs).arguments
         label = _label(make.__name__, values)
+        if not hints:  # at the first call: names of annotations may come from modules that import this one
+            single = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+            every = {n: p for n, p in signature.parameters.items() if p.kind not in single}
+            hints.update({n: (_hint(module, p.annotation), p.default) for n, p in every.items()})
         for name, value in values.items():
-            p = signature.parameters[name]
-            if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY):
-                _check(f"{label}: {name}", value, _hint(module, p.annotation), default=p.default)
+            if name in hints:
+                hint, default = hints[name]
+                _check(f"{label}: {name}", value, hint, default=default)
         return make(*args, **kwargs)
 
     return checked
@@ -197,16 +210,16 @@ def _check(what: str, value: Any, hint: Any, *, default: Any) -> None:
     """Check one value; the default itself is always allowed, an infinite number where the default is one."""
     if value is default and default is not MISSING:
         return
-    options = typing.get_args(hint) if typing.get_origin(hint) in UNIONS else (hint,)
-    if value is None and type(None) in options:
+    options, anything, objects = _options(hint)
+    if anything or _plainly(value, options):
         return
     if float in options and isinstance(default, float) and np.isinf(default) and value == default:
         return
+    if value is None and type(None) in options:
+        return
 
     options = tuple(option for option in options if option is not type(None))
-    if any(_unknown(option) for option in options):
-        return
-    if all(isinstance(option, type) and option not in (float, int, str, bool, np.ndarray) for option in options):
+    if objects:
         instance(what, value, options)
         return
     for option in options[:-1]:  # any will do; the last one tells what is wrong
@@ -215,6 +228,26 @@ def _check(what: str, value: Any, hint: Any, *, default: Any) -> None:
         except InputError:
             continue
     _one(what, value, options[-1])
+
+
+@cache
+def _options(hint: Any) -> tuple[tuple[Any, ...], bool, bool]:
+    """The types that an annotation allows, whether anything is allowed, and whether all of them are kinds of objects."""
+    options = typing.get_args(hint) if typing.get_origin(hint) in UNIONS else (hint,)
+    some = tuple(option for option in options if option is not type(None))
+    objects = all(isinstance(x, type) and x not in (float, int, str, bool, np.ndarray) for x in some)
+    return options, any(_unknown(option) for option in some), objects
+
+
+def _plainly(value: Any, options: tuple[Any, ...]) -> bool:
+    """Whether a value is seen at a glance to be of one of the types; most are."""
+    kind = type(value)
+    if kind is float or kind is int:
+        return float in options and math.isfinite(value)
+    if kind is tuple:
+        numbers = all((type(x) is float or type(x) is int) and math.isfinite(x) for x in value)
+        return bool(value) and numbers and any(option in SEVERAL for option in options)
+    return kind is str and str in options and bool(value.strip())
 
 
 def _unknown(option: Any) -> bool:

@@ -54,3 +54,25 @@ def test_other_exceptions_of_a_variant_come_back() -> None:
 
     with pytest.raises(ZeroDivisionError, match="of mine"):
         fmbd.study.map(make, [1.0, 0.5, -1.0], t_end=0.01, dt=1e-3)
+
+
+def test_scenes_of_one_structure_share_their_places() -> None:
+    from fmbd_fenicsx.system.compiled.places import structure_of
+    from fmbd_fenicsx.system.compiled.tables import Tables
+
+    tables = [Tables(pendulum(length).build()[0], redundant=False) for length in (1.0, 0.5, 2.0)]
+    assert tables[0].structure is tables[1].structure is tables[2].structure
+    assert tables[0].c.front == tables[1].c.front
+    assert [batch.at for batch in tables[0].batches] == [batch.at for batch in tables[1].batches]
+    assert all(one.P != other.P for one, other in zip(tables[0].batches, tables[1].batches, strict=True))
+
+    twins = fmbd.Scene("two pendulums", gravity=(0, -9.81))
+    for k in range(2):
+        rod = fmbd.RigidBody(f"rod {k}", 1.0, 0.1, (0.5, 0.0))
+        twins.add(rod, fmbd.revolute(f"pin {k}", fmbd.ground, rod, center=(0, 0)))
+    assert Tables(twins.build()[0], redundant=False).structure is not tables[0].structure
+
+    # a run that finds its places itself is the same to the last bit
+    shared = fmbd.solve(pendulum(1.3), t_end=0.05, dt=1e-3)
+    structure_of.cache_clear()
+    assert np.array_equal(fmbd.solve(pendulum(1.3), t_end=0.05, dt=1e-3)["tip"], shared["tip"])

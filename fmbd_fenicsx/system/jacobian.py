@@ -69,8 +69,8 @@ class Jacobian:
         kin, m = ev.kin, s.markers
         numbers, markers = [np.zeros(0, int)], [np.zeros(0, int)]
         sides: list[Array] = [np.zeros((0, kin.jac_frame.shape[1]))]
-        for batch, rows in s.batches:
-            for number, marker, side in batch.sides(kin, ev.t):
+        for (_, rows), of_batch in zip(s.batches, ev.sides, strict=True):
+            for number, marker, side in of_batch:
                 numbers.append(rows[number])
                 markers.append(marker)
                 sides.append(side)

@@ -315,6 +315,11 @@ class Evaluation:
         """G = dg/dv."""
         return Jacobian(self)
 
+    @cached_property
+    def sides(self) -> list[Any]:
+        """The rows of each batch by marker, as :meth:`.Batch.sides`."""
+        return [batch.sides(self.kin, self.t) for batch, _ in self.system.batches]
+
     def constraint_rate(self) -> Array:
         """g_t, the part of dg/dt that does not come from v, (n_lam,)."""
         g = np.zeros(self.system.n_lam)
@@ -330,14 +335,14 @@ class Evaluation:
         """g'' - G a, (n_lam,)."""
         assert self.v is not None and self.kin.bias is not None
         g = np.zeros(self.system.n_lam)
-        for batch, rows in self.system.batches:
+        for k, (batch, rows) in enumerate(self.system.batches):
             value = batch.gamma(self.kin, self.t)
-            for number, marker, side in batch.sides(self.kin, self.t):
+            for number, marker, side in self.sides[k]:
                 value += np.bincount(number, (side * self.kin.bias[marker]).sum(1), len(rows))
             g[rows] = value
         for law, span in self.system.port_constraints:
-            k = self.system.port_slice(law.part)
-            g[span] += law.gamma(self.port[k], self.port_rate[k], self.t)
+            ports = self.system.port_slice(law.part)
+            g[span] += law.gamma(self.port[ports], self.port_rate[ports], self.t)
         for tie, span in self.system.traces:
             g[span] = tie.gamma(self)
         return g + self.jacobian.port @ port_bias(self) if self.bent else g

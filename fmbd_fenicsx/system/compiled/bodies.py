@@ -9,27 +9,29 @@ import numpy as np
 
 from ...mechanics.validity import TOO_LARGE
 from ...rotations import Array
+from .places import rigid_places
 from .structures import structure
 
 if TYPE_CHECKING:
     from .tables import Tables
 
 
-def rigid_body(tables: Tables, b: int, number: int) -> Any:
-    """The structure Body of the frame b, the rigid body ``number``."""
-    block, store = tables.system.rigid, tables.store
-    assert block is not None
-    unknown = tables.at_u[b] + np.arange(tables.width[b])
-
-    # translations and rotations of a rigid body do not meet about its centre of mass
-    d = tables.dim
-    met = [(i, i) for i in range(d)]
-    met += [(d + i, d + j) for i in range(2 * d - 3) for j in range(i + 1)]
-    i, j = np.array(met).T
-    return structure("Body", d)(
-        at_u=int(tables.at_u[b]), mass=float(block.mass[number]), spin=np.inf, large=np.inf,
-        inertia=store.address(block.inertia[number]), dest=store.integers(tables.fronts.place(unknown[i], unknown[j])),
-    )  # fmt: skip
+def rigid_bodies(tables: Tables) -> dict[int, Any]:
+    """The structures Body of all rigid bodies, by their frames."""
+    block, d = tables.system.rigid, tables.dim
+    if block is None:
+        return {}
+    first = tables.at_u[block.frame]
+    dest, ahead = rigid_places(tables, first)
+    inertia, address = tables.store.array(block.inertia)
+    size, kind = inertia[0].nbytes if len(inertia) else 0, structure("Body", d)
+    out = {}
+    for i, frame in enumerate(block.frame):
+        out[int(frame)] = kind(
+            at_u=int(first[i]), mass=float(block.mass[i]), spin=np.inf, large=np.inf,
+            inertia=address + size * i, dest=dest + ahead * i,
+        )  # fmt: skip
+    return out
 
 
 def reduced_body(tables: Tables, b: int) -> Any:

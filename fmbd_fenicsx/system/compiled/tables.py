@@ -8,17 +8,16 @@ from typing import Any
 import numpy as np
 
 from ...mechanics.forces.formulas import MEMORY
-from ...mechanics.kinds.derivation import KERNELS, Kind
 from ...mechanics.kinds.frames import FRAME
-from ...mechanics.kinds.library import kernel_address
 from ...mechanics.reduction.reduced import ReducedPart
 from ...mechanics.rods.elements import RodElements
 from ...rotations import Array
 from ..system import System
-from .bodies import reduced_body, rigid_body, surface
-from .items import GIVEN, LAW, READ, ROW, Items, items_of, other_loads
+from .bodies import reduced_body, rigid_bodies, surface
+from .items import LAW, READ, ROW, Items, items_of, other_loads
 from .mounts import mount_batch
-from .order import Fronts, RowGroup
+from .order import RowGroup
+from .places import Shape, batch_of, fronts_of, pivots_of, structure_of
 from .recording import Looks
 from .rods import RodTable, rod_pairs
 from .structures import Store, structure
@@ -37,6 +36,7 @@ DIRECTIONS = {  # constants that are directions in the axes of a marker: of whic
     "skate": {"e": 1},
     "follower_couple": {"load": 1},
 }
+OF_ITEMS = ("s", "rate", "effort", "weight", "slope", "stiffness", "damping", "free")  # a number for each item
 ONE_SIDED = ("dead", "couple", "follower", "follower_couple")
 
 
@@ -133,22 +133,24 @@ class Tables:
         for row in range(self.rows):
             found.setdefault((tuple(sorted(touched[row])), bool(terms[row] > 1)), []).append(row)
         groups = [RowGroup(near, tuple(rows), coupling) for (near, coupling), rows in found.items()]
-        unknowns = [self.at_u[b] + np.arange(self.width[b]) for b in range(self.nb)]
-        unknowns += [self.nu + np.array(g.rows) for g in groups]
-        self.fronts = Fronts(unknowns, groups, pairs)
+        surfaces = tuple(int(b) for b in self.system.markers.frame[self.surfaces])
+        shape = Shape(self.dim, tuple(int(n) for n in self.width), surfaces, tuple(groups), frozenset(pairs))
+        self.structure = structure_of(shape)
+        self.fronts = self.structure.fronts
 
     # -- batches -------------------------------------------------------------------------------------------------------------
     def _split(self, items: Items) -> list[Items]:
         """Items whose frames are of one sort: bodies, the ground on one side, or some on surfaces."""
         frames = self.frames_of(items)
         sort = np.where((frames > self.nb).any(axis=1), 9, (frames == self.nb) @ np.array([1, 2]))
-        return [items.part(np.flatnonzero(sort == k)) for k in np.unique(sort)]
+        sorts = {int(k) for k in sort}
+        return [items] if len(sorts) == 1 else [items.part(np.flatnonzero(sort == k)) for k in sorted(sorts)]
 
     def constants(self, items: Items) -> Array:
         """The table of constants, (n, width), in the axes of the frames."""
         mk, n, kind = self.system.markers, len(items), items.kind
         P = np.zeros((n, kind.width))
-        on_surface = np.isin(items.markers, self.surfaces)
+        on_surface = self.frame[items.markers] > self.nb
         for name, side in PLACES.items():
             if name in kind.constants:
                 place = mk.position[items.markers[:, side]].copy()
@@ -200,41 +202,32 @@ class Tables:
 
     def _batch(self, items: Items, number: int) -> Any:
         """One structure Batch."""
-        kind, n = items.kind, len(items)
-        store, frames = self.store, self.frames_of(items)
-        mapped = bool((frames > self.nb).any())
-        components = np.array(kind.entries, dtype=int)
-        ground = np.repeat((frames[0] == self.nb), self.twist) & (not mapped)
-        live = np.flatnonzero(~ground[components])
-        places = self.twist_places(frames).reshape(n, -1)
+        kind, n, store = items.kind, len(items), self.store
+        one = batch_of(self, items, self.frames_of(items))
+        one.number = number
+        items.table, one.P = store.array(self.constants(items))
+        one.out = store.address(np.zeros((n, one.outputs)))
 
-        items.table, P = store.array(self.constants(items))
-        one = structure("Batch", self.dim)(
-            **{which: kernel_address(kind, which) for which in KERNELS}, role=items.role, flow=int(kind.flow),
-            number=number, n=n,
-            width=kind.width, outputs=1 + len(components), live=len(live), mapped=int(mapped), P=P,
-            pair=store.integers(frames), out=store.address(np.zeros((n, 1 + len(components)))),
-            entry=store.integers(1 + live), at=store.integers(places[:, components[live]]),
-        )  # fmt: skip
-
-        zero = np.zeros(n)
+        data, first = store.array(np.zeros((len(OF_ITEMS), n)))
         given = {"effort": items.effort, "stiffness": items.stiffness, "damping": items.damping, "free": items.free}
-        for name in ("s", "rate", "effort", "weight", "slope", "stiffness", "damping", "free"):
+        for k, name in enumerate(OF_ITEMS):
             values = given.get(name)
-            items.arrays[name], address = store.array(zero if values is None else values)
-            setattr(one, name, address)
+            items.arrays[name] = data[k]
+            if values is not None:
+                data[k] = values
+            setattr(one, name, first + 8 * n * k)
         if items.role == LAW:
             one.known = store.address(np.zeros((n, 3)))
         if items.formula is not None:
             self._formula(one, items)
         if items.slot is not None:
             one.slot = store.integers(items.slot)
-        one.component = store.integers(components)
         if items.role == ROW:
-            one.row, one.factor = store.integers(items.row), store.address(items.factor)
+            one.factor = store.address(items.factor)
+        if items.role != READ:
+            one.hessian = store.address(np.zeros((n, max(one.hessians, 1))))
         if kind.name == "angle" and self.dim == 3:
             one.near, one.theta = kind.place("near").start, store.integers(self.theta_places(items))
-        self._tangent_places(one, kind, frames, places, live)
         return one
 
     def _formula(self, one: Any, items: Items) -> None:
@@ -246,69 +239,15 @@ class Tables:
         memory = np.zeros((len(items), MEMORY)) if formula.kept is None else formula.kept()
         items.arrays["kept"], one.kept = store.array(memory)
 
-    def _tangent_places(self, one: Any, kind: Kind, frames: np.ndarray, places: np.ndarray, live: np.ndarray) -> None:
-        """Where the entries of a batch go in the fronts: of rows, of products of rows, of geometric stiffness."""
-        store, fronts, n = self.store, self.fronts, len(frames)
-        if one.role == READ:  # nothing acts
-            return
-        components = np.array(kind.entries, dtype=int)[live]
-        pattern = np.array(kind.pattern, dtype=int).reshape(-1, 2)
-        one.hessians = len(pattern)
-        one.hessian = store.address(np.zeros((n, max(len(pattern), 1))))
-        if one.mapped:
-            self._mapped_places(one, kind, frames, pattern)
-            return
-
-        moving = np.repeat(frames[0] != self.nb, self.twist)
-        curve = np.flatnonzero(moving[pattern].all(axis=1))
-        one.curved, one.curve = len(curve), store.integers(curve)
-        one.curve_to = store.integers(fronts.place(places[:, pattern[curve, 0]], places[:, pattern[curve, 1]]))
-        if one.role == ROW:
-            rows = self.nu + np.ctypeslib.as_array((ctypes.c_int * n).from_address(one.row))
-            one.dest = store.integers(fronts.place(rows[:, None], places[:, components]))
-        elif one.role != GIVEN:
-            first, second = np.tril_indices(len(live))
-            one.products = len(first)
-            one.first, one.second = store.integers(1 + live[first]), store.integers(1 + live[second])
-            one.product_to = store.integers(fronts.place(places[:, components[first]], places[:, components[second]]))
-
-    def _mapped_places(self, one: Any, kind: Kind, frames: np.ndarray, pattern: np.ndarray) -> None:
-        """The same for items with frames on surfaces, whose rows act on all rates of the bodies."""
-        store, n = self.store, len(frames)
-        where = np.zeros(2 * self.twist, int)
-        where[list(kind.entries)] = 1 + np.arange(len(kind.entries))
-        one.where = store.integers(np.tile(where, (n, 1)))
-        one.curved, one.curve, one.lower = (
-            len(pattern),
-            store.integers(np.arange(len(pattern))),
-            store.integers(pattern),
-        )
-
-        rates = [np.concatenate([self.rates(int(f)) for f in pair]) for pair in frames]
-        counts = np.array([len(x) for x in rates])
-        starts = [np.concatenate(([0], np.cumsum(x))).astype(np.int64) for x in (counts, counts * (counts + 1) // 2)]
-        one.row_start, one.square_start = (store.array(x, np.int64)[1] for x in starts)
-        squares = []
-        for x in rates:
-            c, r = np.tril_indices(len(x))
-            squares.append(self.fronts.place(x[c], x[r]))
-        one.square_to = store.integers(np.concatenate(squares))
-        if one.role == ROW:
-            rows = self.nu + np.ctypeslib.as_array((ctypes.c_int * n).from_address(one.row))
-            one.row_on = store.integers(np.concatenate(rates))
-            one.row_to = store.integers(
-                np.concatenate([self.fronts.place(row, x) for row, x in zip(rows, rates, strict=True)])
-            )
-
     # -- all of it -------------------------------------------------------------------------------------------------------------
     def _system(self, redundant: bool) -> None:
         """The structure System."""
         s, store = self.system, self.store
-        rigid = {} if s.rigid is None else {int(f): i for i, f in enumerate(s.rigid.frame)}
-        bodies = [rigid_body(self, b, rigid[b]) if b in rigid else reduced_body(self, b) for b in range(self.nb)]
+        rigid = rigid_bodies(self)
+        bodies = [rigid[b] if b in rigid else reduced_body(self, b) for b in range(self.nb)]
         surfaces = [surface(self, int(i)) for i in self.surfaces]
         angles = self._angles()
-        fronts = [self._front(k) for k in range(len(self.fronts.fronts))]
+        fronts, (row_dest, sign) = fronts_of(self), pivots_of(self)
 
         size = self.nu + self.rows
         frames = np.zeros((self.nb + 1 + len(surfaces), FRAME[self.dim]))
@@ -325,17 +264,15 @@ class Tables:
         arrays |= {"rest_gravity": store.array(s.gravity(np.inf)), "row_units": store.array(s.row_units)}
         arrays |= {"frames": store.array(frames), "gravity": store.array(s.gravity(0.0)), "units": store.array(s.units)}
         self.arrays = {name: x for name, (x, _) in arrays.items()}
-        row = self.nu + np.arange(self.rows)
         lists = {
             "body": ("Body", bodies),
             "surface": ("Surface", surfaces),
-            "front": ("Front", fronts),
             "angle": ("Angle", angles),
             "rod": ("Rod", [rod.c for rod in self.rods]),
             "batch": ("Batch", self.batches),
             "reaction": ("Reaction", [self._reaction(name) for name in self.looks.joints]),
         }
-        pointers = {}
+        pointers = {"front": ctypes.addressof(fronts)}
         for name, (kind, made) in lists.items():
             array = (structure(kind, self.dim) * max(len(made), 1))(*made)
             store.kept.append(array)
@@ -344,13 +281,12 @@ class Tables:
                 self.body_array = array
 
         self.c = structure("System", self.dim)(
-            bodies=self.nb, surfaces=len(surfaces), batches=len(self.batches), fronts=len(fronts), angles=len(angles),
+            bodies=self.nb, surfaces=len(surfaces), batches=len(self.batches), fronts=len(self.fronts.fronts), angles=len(angles),
             rods=len(self.rods), rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant),
             stiff=self._stiff(), remembers=int(any(items.remembers for items in self.items)), storage=self.fronts.storage,
             seen=len(self.looks.markers), readings=self.looks.count, reactions=len(self.looks.joints),
             seen_frame=store.integers(self.frame[self.looks.markers]),
-            row_dest=store.integers(self.fronts.place(row, row)),
-            sign=store.array(np.where(np.arange(size) < self.nu, 1, -1), np.int8)[1],
+            row_dest=row_dest, sign=sign,
             **pointers, **{name: address for name, (_, address) in arrays.items()},
         )  # fmt: skip
         self.look()
@@ -386,16 +322,6 @@ class Tables:
         if self.loads:
             return 2
         return int(bool(self.rods) or any(f.stiff for f in self.system.forces))
-
-    def _front(self, k: int) -> Any:
-        """One structure Front."""
-        f = self.fronts.fronts[k]
-        rest = f.unknowns[f.pivots :]
-        to = self.fronts.row_in(np.full(len(rest), f.following), rest) if len(rest) else rest
-        return structure("Front", self.dim)(
-            pivots=f.pivots, rows=len(f.unknowns), ld=self.fronts.ld[k], next=f.following, start=int(self.fronts.start[k]),
-            unknown=self.store.integers(f.unknowns), to=self.store.integers(to),
-        )  # fmt: skip
 
     def look(self) -> None:
         """Take the angular velocities above which a body is to be warned of; those warned of have none."""

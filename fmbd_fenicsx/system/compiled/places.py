@@ -1,0 +1,197 @@
+"""Where the entries of a scene's items, bodies and fronts go: what depends on its structure alone.
+
+Scenes of one structure (the same bodies, joints and forces between them, in the same order) differ in their data only. The places
+are found once for a structure and kept beside its fronts; tables of further scenes take copies of the finished structures and
+put their own data in. C only reads what is shared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...mechanics.kinds.derivation import KERNELS, Kind
+from ...mechanics.kinds.library import kernel_address
+from .items import GIVEN, READ, ROW, Items
+from .order import Fronts, RowGroup
+from .structures import Store, structure
+
+if TYPE_CHECKING:
+    from .tables import Tables
+
+STRUCTURES = 16  # that are kept
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The structure of a scene's matrix: ``dim``, widths of the bodies' blocks, bodies of the ``surfaces``, groups of rows,
+    ``pairs`` of bodies that forces couple.
+    """
+
+    dim: int
+    widths: tuple[int, ...]
+    surfaces: tuple[int, ...]
+    groups: tuple[RowGroup, ...]
+    pairs: frozenset[tuple[int, int]]
+
+
+class Structure:
+    """The fronts of one shape, and the places that were found in them."""
+
+    def __init__(self, shape: Shape) -> None:
+        ends = np.cumsum(shape.widths, dtype=int)
+        count = int(ends[-1]) if len(ends) else 0
+        unknowns = [np.arange(end - width, end) for end, width in zip(ends, shape.widths, strict=True)]
+        unknowns += [count + np.array(group.rows) for group in shape.groups]
+        self.fronts = Fronts(unknowns, list(shape.groups), set(shape.pairs))
+        self.store = Store()
+        self._found: dict[Any, Any] = {}
+
+    def once(self, key: Any, find: Callable[[], Any]) -> Any:
+        """What ``find`` returns, found once for a key."""
+        if key not in self._found:
+            self._found[key] = find()
+        return self._found[key]
+
+
+@lru_cache(maxsize=STRUCTURES)
+def structure_of(shape: Shape) -> Structure:
+    """The structure of a shape, made once."""
+    return Structure(shape)
+
+
+def batch_of(tables: Tables, items: Items, frames: np.ndarray) -> Any:
+    """A structure Batch of items between ``frames`` (n, 2), its places filled in, its data to follow."""
+    rows = b"" if items.row is None else np.asarray(items.row).tobytes()
+    key = items.kind, items.role, frames.tobytes(), rows
+    shared = tables.structure.once(key, lambda: _batch(tables, items, frames))
+    return type(shared).from_buffer_copy(shared)
+
+
+def _batch(tables: Tables, items: Items, frames: np.ndarray) -> Any:
+    kind, n, store = items.kind, len(items), tables.structure.store
+    mapped = bool((frames > tables.nb).any())
+    components = np.array(kind.entries, dtype=int)
+    ground = np.repeat((frames[0] == tables.nb), tables.twist) & (not mapped)
+    live = np.flatnonzero(~ground[components])
+    places = tables.twist_places(frames).reshape(n, -1)
+
+    one = structure("Batch", tables.dim)(
+        **{which: kernel_address(kind, which) for which in KERNELS}, role=items.role, flow=int(kind.flow), n=n,
+        width=kind.width, outputs=1 + len(components), live=len(live), mapped=int(mapped), pair=store.integers(frames),
+        entry=store.integers(1 + live), at=store.integers(places[:, components[live]]), component=store.integers(components),
+    )  # fmt: skip
+    if items.role == READ:  # nothing acts
+        return one
+    one.hessians = len(kind.pattern)
+    if items.role == ROW:
+        one.row = store.integers(items.row)
+    if mapped:
+        _mapped_places(tables, one, (items, frames))
+    else:
+        _plain_places(tables, one, (items, frames), places, live)
+    return one
+
+
+def _pattern(kind: Kind) -> np.ndarray:
+    """Pairs of twist components of a kind's tangent, (k, 2)."""
+    return np.array(kind.pattern, dtype=int).reshape(-1, 2)
+
+
+def _plain_places(
+    tables: Tables, one: Any, batch: tuple[Items, np.ndarray], places: np.ndarray, live: np.ndarray
+) -> None:
+    """Where the entries of a batch go in the fronts: of rows, of products of rows, of geometric stiffness."""
+    (items, frames), store, fronts = batch, tables.structure.store, tables.fronts
+    components = np.array(items.kind.entries, dtype=int)[live]
+    pattern = _pattern(items.kind)
+    moving = np.repeat(frames[0] != tables.nb, tables.twist)
+    curve = np.flatnonzero(moving[pattern].all(axis=1))
+    one.curved, one.curve = len(curve), store.integers(curve)
+    one.curve_to = store.integers(fronts.place(places[:, pattern[curve, 0]], places[:, pattern[curve, 1]]))
+
+    if items.role == ROW:
+        rows = tables.nu + np.asarray(items.row)
+        one.dest = store.integers(fronts.place(rows[:, None], places[:, components]))
+    elif items.role != GIVEN:
+        first, second = np.tril_indices(len(live))
+        one.products = len(first)
+        one.first, one.second = store.integers(1 + live[first]), store.integers(1 + live[second])
+        one.product_to = store.integers(fronts.place(places[:, components[first]], places[:, components[second]]))
+
+
+def _mapped_places(tables: Tables, one: Any, batch: tuple[Items, np.ndarray]) -> None:
+    """The same for items with frames on surfaces, whose rows act on all rates of the bodies."""
+    (items, frames), store, fronts = batch, tables.structure.store, tables.fronts
+    kind, pattern = items.kind, _pattern(items.kind)
+    where = np.zeros(2 * tables.twist, int)
+    where[list(kind.entries)] = 1 + np.arange(len(kind.entries))
+    one.where = store.integers(np.tile(where, (len(items), 1)))
+    one.curved, one.curve, one.lower = len(pattern), store.integers(np.arange(len(pattern))), store.integers(pattern)
+
+    rates = [np.concatenate([tables.rates(int(f)) for f in pair]) for pair in frames]
+    counts = np.array([len(x) for x in rates])
+    starts = [np.concatenate(([0], np.cumsum(x))).astype(np.int64) for x in (counts, counts * (counts + 1) // 2)]
+    one.row_start, one.square_start = (store.array(x, np.int64)[1] for x in starts)
+    squares = []
+    for x in rates:
+        c, r = np.tril_indices(len(x))
+        squares.append(fronts.place(x[c], x[r]))
+    one.square_to = store.integers(np.concatenate(squares))
+    if items.role == ROW:
+        rows = tables.nu + np.asarray(items.row)
+        one.row_on = store.integers(np.concatenate(rates))
+        to = [fronts.place(row, x) for row, x in zip(rows, rates, strict=True)]
+        one.row_to = store.integers(np.concatenate(to))
+
+
+def fronts_of(tables: Tables) -> Any:
+    """All structures Front, one array."""
+    return tables.structure.once("fronts", lambda: _fronts(tables))
+
+
+def _fronts(tables: Tables) -> Any:
+    fronts, store = tables.fronts, tables.structure.store
+    kind, made = structure("Front", tables.dim), []
+    for k, f in enumerate(fronts.fronts):
+        rest = f.unknowns[f.pivots :]
+        to = fronts.row_in(np.full(len(rest), f.following), rest) if len(rest) else rest
+        one = kind(
+            pivots=f.pivots, rows=len(f.unknowns), ld=fronts.ld[k], next=f.following, start=int(fronts.start[k]),
+            unknown=store.integers(f.unknowns), to=store.integers(to),
+        )  # fmt: skip
+        made.append(one)
+    return (kind * max(len(made), 1))(*made)
+
+
+def pivots_of(tables: Tables) -> tuple[int, int]:
+    """Addresses of the places of the rows' pivots, and of the signs of all pivots."""
+
+    def find() -> tuple[int, int]:
+        row = tables.nu + np.arange(tables.rows)
+        sign = np.where(np.arange(tables.nu + tables.rows) < tables.nu, 1, -1)
+        store = tables.structure.store
+        return store.integers(tables.fronts.place(row, row)), store.array(sign, np.int8)[1]
+
+    found: tuple[int, int] = tables.structure.once("pivots", find)
+    return found
+
+
+def rigid_places(tables: Tables, first: np.ndarray) -> tuple[int, int]:
+    """Address of the places of the blocks of rigid bodies whose unknowns begin at ``first`` (n,), and bytes from one to the next.
+
+    Translations and rotations of a rigid body do not meet about its centre of mass.
+    """
+    d = tables.dim
+    met = [(i, i) for i in range(d)]
+    met += [(d + i, d + j) for i in range(2 * d - 3) for j in range(i + 1)]
+
+    def find() -> int:
+        i, j = np.array(met).T
+        return tables.structure.store.integers(tables.fronts.place(first[:, None] + i, first[:, None] + j))
+
+    return tables.structure.once(("rigid", first.tobytes()), find), 4 * len(met)
