@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import numpy as np
 
 from .errors import FmbdError
+from .log import note
 
 OLDEST = (0, 9)
+SLOW = 1.0  # s: a form that is kept is there in a hundredth of it
 JIT_OPTIONS: dict[str, Any] = {"timeout": 600}  # wait for another process that compiles the same form
 
 
@@ -96,7 +99,17 @@ def interpolation_points(space: Any) -> np.ndarray:
 
 
 def form(ufl_form: Any) -> Any:
-    """Compile a UFL form; collective. Waits for other processes that compile the same form."""
+    """Compile a UFL form; collective. Waits for other processes that compile the same form.
+
+    One that is not kept from earlier runs takes seconds, which is then said.
+    """
     from dolfinx import fem
 
-    return fem.form(ufl_form, jit_options=dict(JIT_OPTIONS))
+    sort = ("a functional", "a linear form", "a bilinear form")[len(ufl_form.arguments())]
+    saying = threading.Timer(SLOW, note, (f"compiling {sort} of an elastic body, once (some seconds)",))
+    saying.daemon = True
+    saying.start()
+    try:
+        return fem.form(ufl_form, jit_options=dict(JIT_OPTIONS))
+    finally:
+        saying.cancel()

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-from .log import log
+from .log import log, note
 
 FLAGS = ("-O3", "-ffp-contract=off", "-shared", "-fPIC", "-std=c99")
 PATIENCE = 120.0  # s that a compiler may take
@@ -75,6 +75,7 @@ def load(
         folder, notes = _folders()
         file = folder / f"{name}_{key}.so"
         if not _as_noted(file, notes):
+            note(f"compiling {name}, once (some seconds); it is kept in {folder}")
             text = source() if callable(source) else source
             _build(file, notes, _bytes(text), [*command, *flags])
         return ctypes.CDLL(str(file))

@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import Any, NoReturn
 
 from .errors import FmbdError, Stopped
-from .notices import OnStandardError
+from .notices import OnStandardError, write_note
 
 log = logging.getLogger("fmbd_fenicsx")
 
@@ -53,6 +53,13 @@ def say(text: Any = "") -> None:
     """Print on rank 0 only."""
     if world_rank() == 0:
         print(text, flush=True)
+
+
+def note(text: str) -> None:
+    """Tell a user what takes time or could take less: on standard error once, from rank 0, and to logging as information."""
+    log.info("%s", text)
+    if world_rank() == 0:
+        write_note(text)
 
 
 def install_hooks() -> None:

@@ -42,6 +42,17 @@ class OnStandardError(logging.Handler):
         )
 
 
+_noted: set[str] = set()
+
+
+def write_note(text: str) -> None:
+    """A line on standard error that is no warning, once in a process; a program with logging of its own gets none."""
+    if _set_up_by_program() or text in _noted:
+        return
+    _noted.add(text)
+    print(textwrap.fill(f"fmbd_fenicsx: {text}", WIDTH, subsequent_indent="    "), file=sys.stderr, flush=True)
+
+
 def _set_up_by_program() -> bool:
     """Whether someone else listens."""
     ours = (OnStandardError, Gathered, logging.NullHandler)

@@ -48,6 +48,38 @@ def test_built_once_and_private(folders: tuple[Path, Path]) -> None:
     assert len(list(notes.iterdir())) == 1
 
 
+def test_a_first_compile_is_said_once(folders: tuple[Path, Path]) -> None:
+    code = f"from fmbd_fenicsx import kernel_cache as k; k.load('test', {SOURCE % 8!r})"
+    first, again = (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stderr
+        for _ in range(2)
+    )
+    assert first.count("compiling test, once") == 1
+    assert str(folders[0]) in first.replace("\n    ", "")
+    assert again == ""
+
+
+def test_forms_that_take_long_are_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from fmbd_fenicsx import dolfinx_compat as compat
+
+    said: list[str] = []
+    monkeypatch.setattr(compat, "note", said.append)
+    monkeypatch.setitem(compat.JIT_OPTIONS, "cache_dir", str(tmp_path))
+    import ufl
+    from dolfinx.mesh import create_unit_interval
+    from mpi4py import MPI
+
+    mesh = create_unit_interval(MPI.COMM_SELF, 1)
+    x = ufl.SpatialCoordinate(mesh)
+    monkeypatch.setattr(compat, "SLOW", 0.05)
+    compat.form(x[0] ** 2 * ufl.dx)  # generated and compiled: tenths of a second at least
+    assert said == ["compiling a functional of an elastic body, once (some seconds)"]
+
+    monkeypatch.setattr(compat, "SLOW", 60.0)
+    compat.form(x[0] ** 2 * ufl.dx)
+    assert len(said) == 1
+
+
 @pytest.mark.parametrize("damage", ["another library", "half", "empty", "writable by others", "link", "hash"])
 def test_what_is_not_as_built_is_built_again(folders: tuple[Path, Path], damage: str, tmp_path: Path) -> None:
     """Another's library under the right name would say 8."""

@@ -30,6 +30,7 @@ from .doubts import warn_of_doubts
 from .estimates import Compared, state_errors
 from .ledger import Books, Ledger, make_ledger
 from .output import Output, refuse_too_many
+from .rank_advice import advise_on_ranks
 from .schedule import Pace, pace_of
 from .settings import check_pressures, check_settings, checked_scheme
 from .time_loop import March, Problem, begin, make_solver, march
@@ -333,6 +334,7 @@ def solve(
         system, given, markers = scene.build()
     check_pressures(system, scheme)
     refuse_too_many(output, system, pace.t_end, pace.steps)
+    advise_on_ranks(system)
     built = clock.perf_counter()
     solver = make_solver(scene, system, linear)
     newton.refresh = solver.refresh

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -62,8 +63,14 @@ class HalfSpace(Shape):
 
     def evaluate(self, y: Array) -> tuple[Array, Array]:
         """Gap over the plane and its normal; see :class:`Shape`."""
-        n = _unit(self.normal, "HalfSpace: normal")[: y.shape[1]]
-        return (y - np.asarray(self.point, dtype=float)[: y.shape[1]]) @ n, np.broadcast_to(n, y.shape).copy()
+        point, normal = self._plane
+        n = normal[: y.shape[1]]
+        return (y - point[: y.shape[1]]) @ n, np.broadcast_to(n, y.shape).copy()
+
+    @cached_property
+    def _plane(self) -> tuple[Array, Array]:
+        """Point and unit normal."""
+        return np.asarray(self.point, dtype=float), _unit(self.normal, "HalfSpace: normal")
 
 
 @dataclass(frozen=True, eq=False)

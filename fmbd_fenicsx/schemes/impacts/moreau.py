@@ -198,7 +198,7 @@ class Stepper(ContactStepper):
         def gaps(share: float) -> Array:
             return self._gap_along(step, share)
 
-        closing = free & (gaps(1.0) < 0.0)
+        closing = free & (gaps(1.0) < 0.0) if free.any() else none
         if not closing.any():
             return 1.0, -1, none
         shares = 2.0 ** -np.arange(13)
