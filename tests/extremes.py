@@ -350,7 +350,8 @@ what it carries.""",
 damped by the scheme; the motion is that of a rigid rod. What ends it is roundoff: in a floating frame the
 displacements are small and known to their own digits; in absolute coordinates they contain the motion itself,
 and its roundoff times E is a force, so a body that is too stiff for the step is refused at the start. Linear
-solves are accepted by their true residuals: at 1e18 Pa half the steps fail once, which is said. For a body that
+solves are accepted by their true residuals: at 1e18 Pa every step is made in
+parts, which is said. For a body that
 hardly deforms take modes or a rigid body.""",
     "slivers": """A column of nodes is moved onto the next one until cells are as thin as roundoff. The deflection does not
 change: thin cells spoil the condition of the matrix, not the space, and a Cholesky factor has small residuals
