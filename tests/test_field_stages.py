@@ -79,6 +79,21 @@ def test_orders_of_an_absolute_nonlinear_body(rod_mesh: Callable[..., Any]) -> N
     assert (found > [[2.7, 1.9, 2.5]]).all(), found
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "least"), [("tied", (2.8, 2.8, 2.8)), ("absolute", (2.8, 2.0, 2.8))])
+def test_every_form_has_the_same_orders_where_rows_are_linear(
+    rod_mesh: Callable[..., Any], kind: str, least: tuple[float, ...]
+) -> None:
+    """2 s - 1 in q and lambda for all; v of the absolute body loses to vibrations that these steps do not resolve."""
+    scene = tied_bar(2, 1)[0] if kind == "tied" else pendulum(rod_mesh(dim=2, h=0.5, height=0.2), kind, ramp=T_END)
+    forms = (fmbd.Index3(), fmbd.Index2(), fmbd.Index1(), fmbd.GGL())
+    schemes = [fmbd.Radau(2, form, None) for form in forms]
+    t_end = 0.1 if kind == "tied" else 0.5 * T_END
+    found = orders(scene, schemes, fmbd.Radau(3, fmbd.Index2(), None), (10, 20), t_end)
+    assert (found > least).all(), found
+    assert found == pytest.approx(np.broadcast_to(found[0], found.shape), abs=0.01)
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=lambda f: f.name)
 def test_a_stiff_rod_released_at_once_takes_large_steps(rod_mesh: Callable[..., Any], form: Any) -> None:
