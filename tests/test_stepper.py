@@ -51,7 +51,7 @@ def test_equal_to_solve_with_steps_taken_back(scheme: str) -> None:
                     assert not np.array_equal(s["tip"], run["tip"][k + 5])
                     s.restore(kept)
             assert np.array_equal(s["tip"], run["tip"][k])
-            assert np.array_equal(s["phi"], run["phi"][k])
+            assert np.abs(s["phi"] - run["phi"][k]).max() < 1e-15  # an angle is read by NumPy here, in C there
             s.step()
         assert np.array_equal(s["tip"], run["tip"][-1])
 
