@@ -141,3 +141,51 @@ def test_the_force_of_a_tie_is_not_read_as_zero(rod_mesh: Any) -> None:
     scene.sensor("force", fmbd.reaction_force(tie))
     with pytest.raises(InputError, match='"clamp" cannot be read as those of a joint'):
         fmbd.equilibrium(scene)["force"]
+
+
+def lever(dim: int = 2) -> tuple[fmbd.Scene, fmbd.RigidBody, fmbd.Joint]:
+    """A body that turns about the origin, its centre half a metre to the right."""
+    scene = fmbd.Scene("lever")
+    inertia: Any = 0.1 if dim == 2 else (0.1, 0.1, 0.1)
+    body = fmbd.RigidBody("arm", 1.0, inertia, position=(0.5, 0.0, 0.0)[:dim])
+    pin = fmbd.revolute("pin", fmbd.ground, body, center=(0.0, 0.0, 0.0)[:dim])
+    scene.add(body, pin)
+    scene.sensor("angle", fmbd.angle(pin))
+    return scene, body, pin
+
+
+def test_follower_loads_and_drives() -> None:
+    """A force that turns with the arm bends its spring by F L / k; a drive stands where it is at that time."""
+    scene, body, pin = lever()
+    push = fmbd.force("push", body, lambda t: (0.0, 50.0), point=(1.0, 0.0), follower=True)
+    scene.add(fmbd.joint_spring("spring", fmbd.angle(pin), stiffness=100.0), push)
+    assert fmbd.equilibrium(scene)["angle"][0] == pytest.approx(0.5, abs=1e-10)
+
+    driven, _, pin = lever()
+    driven.add(fmbd.drive("motor", fmbd.angle(pin), lambda t: 0.3 + 2.0 * t))
+    assert fmbd.equilibrium(driven, t=0.1)["angle"][0] == pytest.approx(0.5, abs=1e-10)
+
+
+def test_redundant_hinges() -> None:
+    """Two hinges on one axis: five rows too many; the pendulum hangs and swings as on one."""
+    scene = fmbd.Scene("door", gravity=(0.0, 0.0, -9.81))
+    body = fmbd.RigidBody("door", 1.0, (0.1, 0.1, 0.1), position=(0.0, 0.3, -0.4))
+    for i, x in enumerate((0.0, 1.0)):
+        scene.add(fmbd.revolute(f"hinge {i}", fmbd.ground, body, center=(x, 0.0, 0.0), axis=(1.0, 0.0, 0.0)))
+    scene.add(body)
+    scene.sensor("door", fmbd.position(body))
+    found = fmbd.equilibrium(scene)
+    assert found["door"] == pytest.approx((0.0, 0.0, -0.5), abs=1e-9)
+    assert fmbd.modes(scene, 1, at=found).omega[0] == pytest.approx(np.sqrt(9.81 * 0.5 / 0.35), rel=1e-7)
+
+
+def test_load_above_the_limit_says_how_far_it_came() -> None:
+    """A spring that gives way at 10 N, under 11 N: the last load factor is in the error."""
+    scene = fmbd.Scene("limit")
+    mass = fmbd.RigidBody("mass", 1.0, 1.0)
+    guide = fmbd.prismatic("guide", fmbd.ground, mass, axis=(1.0, 0.0))
+    scene.add(mass, guide, fmbd.force("pull", mass, lambda t: (11.0, 0.0)))
+    scene.add(fmbd.joint_spring("spring", fmbd.displacement(guide), law=lambda s, v, t: 10.0 * np.tanh(s)))
+    with pytest.raises(ConvergenceError, match=r"load steps ended at 0\.90\d+ of the load.*above its limit") as error:
+        fmbd.equilibrium(scene)
+    assert "fmbd.ArcLength" in str(error.value)
