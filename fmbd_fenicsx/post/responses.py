@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from ..analysis.linear_model import LinearModel
+from ..checks import typed
 from ..errors import require
 from ..rotations import Array
 from .plot import figure
 
 
+@typed
 def bode(model: LinearModel, file: str | Path, omega: Sequence[float] | Array, *, title: str = "") -> None:
     """Write amplitude (logarithmic) and phase (degrees) over the angular frequency (rad/s), a curve for each pair of input and
     output.
@@ -27,6 +29,7 @@ def bode(model: LinearModel, file: str | Path, omega: Sequence[float] | Array, *
         phase.set(xlabel="angular frequency (rad/s)", ylabel="phase (degrees)")
 
 
+@typed
 def nyquist(model: LinearModel, file: str | Path, omega: Sequence[float] | Array, *, title: str = "") -> None:
     """Write H(i omega) in the complex plane, from the lowest frequency (dot) to the highest, and the critical point -1."""
     omega = _frequencies(omega)
