@@ -167,6 +167,6 @@ def surface_quotients(markers: Markers, kin: Kinematics, port: Array, which: Arr
         cross = -m.lever(np.eye(3))  # e_k x
         jac[:, 3:, 1:] = (Z[:, None] @ cross[None] @ A.swapaxes(1, 2)[:, None]).swapaxes(1, 2)
     jac[:, range(d), 0, range(d)] = 1.0
-    jac = jac.reshape(len(s), d + m.n_rot, -1)
+    jac = jac.reshape(len(s), d + m.n_rot, d * (1 + d))
     jac[:, :d] += m.lever(lever) @ jac[:, d:]
     return jac
