@@ -54,7 +54,6 @@ def assert_alike(own: Any, known: Any) -> None:
     assert np.abs(own.energy["springs"] - known.energy["springs"]).max() < 1e-6 * known.energy["springs"].max()
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("scheme", [name for name in co.SCHEMES if name not in co.CONTACT])
 def test_a_potential_is_a_spring(scheme: str, dim: int) -> None:
