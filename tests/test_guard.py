@@ -139,6 +139,7 @@ def test_elastic_bodies_may_settle() -> None:
         max_abs=system.max_abs,
         fields=(),
         forces=(),
+        keepers=(),
         poses=system.poses,
         motions=system.motions,
         cache={"turning": ()},
