@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-DEMOS = sorted(p for p in (ROOT / "demos").glob("*.py") if "demo.finish(" in p.read_text())
+DEMOS = sorted(p for p in (ROOT / "demos").glob("*.py") if "finish(" in p.read_text())
 
 
 def run(demo: Path, file: Path, *before: str) -> dict[str, float]:

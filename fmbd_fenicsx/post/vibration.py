@@ -43,7 +43,7 @@ def vibration(modes: Modes, k: int, amplitude: float | None = None, *, frames: i
     omega = float(modes.omega[k]) if 0 <= k < len(modes.omega) else 0.0
     period = 2.0 * np.pi / omega if omega > 0.0 else 1.0
     times = period * phases / (2.0 * np.pi)
-    states = [replace(modes.displaced(k, size, p), t=float(t)) for p, t in zip(phases, times, strict=True)]
+    states = [replace(modes.displaced(k, size, float(p)), t=float(t)) for p, t in zip(phases, times, strict=True)]
 
     series = {name: np.array([read(modes, name, state) for state in states]) for name in modes.scene.sensors}
     return Run(

@@ -163,11 +163,11 @@ class ScalarLoads(Loads):
         ra, rb = self.relative.rows(kin)
         return s - self.free, (ra * kin.twist[self.a] + rb * kin.twist[self.b]).sum(1), ra, rb
 
-    def law(self, which: np.ndarray, s: Array, rate: Array, t: float) -> Array:
+    def law(self, which: np.ndarray, s: np.ndarray, rate: np.ndarray, t: float) -> Array:
         """N of the laws of the user's own of some forces, at their elongations s and rates: arrays like ``which``."""
         forces, laws = self.forces, self.laws
-        every = zip(which.tolist(), s.tolist(), rate.tolist(), strict=True)
-        return np.array([checked_number(forces[i].name, laws[i](x, v, t), t) for i, x, v in every])
+        numbers: tuple[Any, ...] = (which.tolist(), s.tolist(), rate.tolist())
+        return np.array([checked_number(forces[i].name, laws[i](x, v, t), t) for i, x, v in zip(*numbers, strict=True)])
 
     def slopes(self, which: np.ndarray, s: Array, rate: Array, t: float) -> tuple[Array, Array]:
         """dN/ds and dN/ds' of the same: by the law's own formula where it is one of the package's, else by differences."""

@@ -143,7 +143,8 @@ def _pair(c: Contact, m: Motions, frame_of: dict[str, int], known: tuple[list[Tr
         i = number[c.slave.body.name]
         side = Side(i, traces[i].surfaces[c.slave.name], np.zeros(0, dtype=int), np.zeros((0, m.dim)), 0.0)
     else:
-        side = Side(-1, None, *c.slave.at(frame_of), c.slave.radius)
+        frames, points = c.slave.at(frame_of)
+        side = Side(-1, None, frames, points, c.slave.radius)
 
     if isinstance(c.master, Surface):
         return _mortar_pair(c, side, known)
