@@ -58,7 +58,7 @@ def by_joint(name: str, a: Any, b: Any, **ends: Any) -> Any:
 
 # -- against the package's own, and independent integrations ---------------------------------------------------------
 @pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("scheme", [name for name in co.SCHEMES if name not in co.CONTACT])
+@pytest.mark.parametrize("scheme", [name for name in co.SCHEMES if not name.startswith(co.CONTACT)])
 def test_own_distance_rod_is_the_distance_joint(scheme: str, dim: int) -> None:
     own, joint = (pendulum(dim, make, co.SCHEMES[scheme]()) for make in (by_formula, by_joint))
     moved = np.abs(joint["place"][-1] - joint["place"][0]).max()
@@ -124,7 +124,7 @@ def tip(body: str, feature: str, scheme: Any) -> np.ndarray:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("body", list(co.BODIES))
+@pytest.mark.parametrize("body", [name for name in co.BODIES if name != "rod"])  # rods are in space, see below
 def test_every_kind_of_body_is_held_by_a_formula(body: str) -> None:
     schemes = [fmbd.GeneralizedAlpha(0.8)] + [fmbd.Radau(stages=2, rtol=None)] * (body == "reduced")
     for scheme in schemes:

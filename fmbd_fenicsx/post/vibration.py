@@ -8,6 +8,7 @@ import numpy as np
 
 from ..analysis.equilibrium import read
 from ..analysis.modes import Modes
+from ..checks import typed
 from ..errors import require
 from ..run.solve import Run
 from ..schemes.consistent import Correction
@@ -27,6 +28,7 @@ class Vibration:
         return f"mode {self.mode}, {self.frequency:.4g} Hz"
 
 
+@typed
 def vibration(modes: Modes, k: int, amplitude: float | None = None, *, frames: int = 32) -> Run:
     """One period of mode k without its growth or decay, as a run with snapshots and sensors; collective.
 
