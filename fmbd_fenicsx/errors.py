@@ -45,8 +45,16 @@ class ConvergenceError(FmbdError):
     exit_code = 71
 
 
+class StabilityError(ConvergenceError):
+    """A step longer than an explicit scheme can take; parts of it are no cure, the next one would be as long."""
+
+
 class CallbackError(InputError):
     """A function given by the user returned something unusable."""
+
+
+class BalanceError(CallbackError):
+    """The sum of all forces is not finite: of a load, or of a motion that has run away."""
 
 
 class LawError(InputError):

@@ -80,6 +80,46 @@ def test_what_may_do_work_is_not_guarded() -> None:
     assert not closes(replace(rod(), gravity_ramp=0.1))
 
 
+def orbit() -> fmbd.Scene:
+    """A body on a circle about an attracting point, 1 rad/s: the potential is negative, twice the kinetic energy in size."""
+    body = fmbd.RigidBody("moon", 1.0, 1.0, position=(1.0, 0.0), velocity=(0.0, 1.0))
+    scene = fmbd.Scene("orbit")
+    pull = fmbd.force_element("pull", fmbd.ground, body, lambda a, b, t: -1.0 / ((b.x - a.x) @ (b.x - a.x)) ** 0.5)
+    scene.add(body, pull)
+    return scene
+
+
+@pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(0.8), fmbd.Rattle()], ids=lambda s: s.name)
+def test_a_potential_of_ones_own_is_guarded(scheme: Any) -> None:
+    """A law along a coordinate may do anything, a potential may not: a scene with it is watched, in compiled steps too."""
+    assert closes(orbit())
+    run = fmbd.solve(orbit(), t_end=3.0, dt=0.02, scheme=scheme)
+    total = sum(run.energy.values())
+    assert run.counters["energy_rejections"] == 0 and not run.warnings
+    assert np.abs(total + 0.5).max() < 1e-3
+    assert run.energy["springs"] == pytest.approx(-1.0, abs=1e-2)
+    pushed = rod()
+    body = pushed.bodies["rod"]
+    pushed.add(fmbd.force_element("own", fmbd.ground, body, lambda a, b, t: b.x[0] - a.x[0], law=lambda s, v, t: -s))
+    assert not closes(pushed)
+
+
+def test_a_stiff_potential_that_turns_gains_nothing() -> None:
+    """The stiff spring of above as a potential: the guard takes the same steps back."""
+    scene = spinner(1e-2)
+    spring = next(iter(scene.forces.values()))
+    del scene.forces[spring.name]
+    k, free = spring.stiffness, spring.length
+
+    def stretched(a: Any, b: Any, t: Any) -> Any:
+        return 0.5 * k * (((b.x - a.x) @ (b.x - a.x)) ** 0.5 - free) ** 2
+
+    scene.add(fmbd.force_element("own", spring.a, spring.b, stretched, points=(spring.point_a, spring.point_b)))
+    run = fmbd.solve(scene, t_end=10.0, dt=0.5, scheme=fmbd.GeneralizedAlpha(0.9))
+    energy = sum(run.energy.values())
+    assert energy.max() < 1.02 * energy[0] and run.counters["energy_rejections"] >= 1
+
+
 class Heater:
     """Steps that gain energy when they are longer than ``longest``."""
 

@@ -71,6 +71,13 @@ def test_dry_friction_against_the_analytic_decay(dim: int) -> None:
     assert abs(rest) > 0.05
     assert abs(run["effort"][-1, 0] - k * rest) < 1e-2 * F, "held by friction below its limit"
     assert np.ptp(run["phi"][-100:, 0]) < 1e-9, "no creep"
+    assert not run.warnings, "energy is lost, none is gained"
+
+    # friction stores what its spring holds at the limit, F^2 / 2 k, however fast it slides
+    bent = 0.5 * k * (run["phi"][:, 0] - start) ** 2
+    assert np.abs(run.energy["springs"] - bent).max() <= 0.5 * F**2 / 1e6 + 1e-12
+    again = run.system.at(run.state.t, run.state.q, run.state.v).energies()["springs"]
+    assert again == pytest.approx(run.energy["springs"][-1], rel=1e-12), "compiled steps and NumPy tell the same"
 
 
 def test_dry_friction_holds_a_load_that_smooth_friction_lets_creep() -> None:

@@ -43,7 +43,7 @@ def warn_of_doubts(scene: Scene, solver: StepSolver, recorder: Recorder, counter
 def _growth(scene: Scene, system: System, energy: dict[str, Array]) -> None:
     """(1): steps that each gain little are not refused, many of them add up."""
     total = np.sum(list(energy.values()), axis=0)
-    turnover = max(float(np.max(energy["kinetic"] + energy["elastic"] + energy["springs"])), 0.0)
+    turnover = max(float(np.max(energy["kinetic"] + energy["elastic"] + np.abs(energy["springs"]))), 0.0)
     weight = system.mass * float(np.linalg.norm(system.gravity(0.0))) * system.length
     growth = float(np.max(total) - total[0])
     if growth > GROWTH * (turnover + weight):

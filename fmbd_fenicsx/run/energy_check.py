@@ -2,15 +2,15 @@
 
     E_n+1 - max(E_0 .. E_n)  >  1e-3 (T + V + m g L) + R                                                   (1)
 
-with T and V the largest kinetic and elastic energies so far, L the length of the model and m g its weight: the energy that can
-turn into motion. R is the energy of roundoff, which bodies at rest have too: of motion by 1e-12 (L + |x|) in a step, of strains
-of 1e-12.
+with T and V the largest kinetic and elastic energies so far (of springs and potentials the size), L the length of the model and
+m g its weight: the energy that can turn into motion. R is the energy of roundoff, which bodies at rest have too: of motion by
+1e-12 (L + |x|) in a step, of strains of 1e-12.
 
 Damping at high frequencies in the linear sense is no protection: a stiff spring that turns by half a radian in a step makes
 generalized-alpha with rho_inf = 0.9 gain a factor of thirty. Scenes with anything that may do work (loads in time, drives, laws
-of the user's own, contact) are not guarded, nor are runs that record no energies. Of a scene with elastic bodies the first ten
-steps are not guarded: an initial shape that contains vibrations of h omega >> 1 overshoots there, and the damping of the scheme
-then removes it.
+of the user's own that are no potential, contact) are not guarded, nor are runs that record no energies. Of a scene with elastic
+bodies the first ten steps are not guarded: an initial shape that contains vibrations of h omega >> 1 overshoots there, and the
+damping of the scheme then removes it.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import numpy as np
 from ..errors import ConvergenceError
 from ..mechanics.bodies.bodies import CoordinateBody
 from ..mechanics.catenary.wires import Wires
+from ..mechanics.forces.effort_laws import EffortLaw
 from ..mechanics.forces.force_elements import ScalarLoads
 from ..mechanics.joints.couplings import OwnBatch
 from ..system.scene.scene import Scene
@@ -41,9 +42,15 @@ def closed(scene: Scene, system: System) -> bool:
     loaded = any(bool(getattr(b, "loads", False)) for b in scene.bodies.values())
     driven = any(batch.driven or isinstance(batch, OwnBatch) for batch, _ in system.batches)
     moved = any(tie.motion is not None for tie in scene.ties.values())
-    forced = any(not isinstance(f, ScalarLoads) or f.own for f in system.forces)
+    forced = any(not isinstance(f, ScalarLoads) or _gives(f) for f in system.forces)
     ramp = scene.gravity is not None and scene.gravity_ramp > 0
     return not (own or loaded or driven or moved or forced or ramp or scene.unilateral or scene.sliders)
+
+
+def _gives(loads: ScalarLoads) -> bool:
+    """Whether a law of some elements may put energy into a scene: all but those of a potential."""
+    laws = (loads.forces[i].law for i, _, _ in loads.own)
+    return not all(isinstance(law, EffortLaw) and law.conserves for law in laws)
 
 
 class Watch:
@@ -65,7 +72,7 @@ class Watch:
         self.evaluation: Evaluation = self.system.at(s.t, s.q, s.v) if seen is None else seen
         parts = self.evaluation.energies()
         energy = sum(parts.values())
-        turnover = max(self.turnover, parts["kinetic"] + parts["elastic"] + parts["springs"])
+        turnover = max(self.turnover, parts["kinetic"] + parts["elastic"] + abs(parts["springs"]))
         gain = energy - self.highest
         if self.settling == 0 and gain > SHARE * (turnover + self.weight) + self._roundoff(s.t):
             return float(gain)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from ..errors import ConstraintError, ConvergenceError, LinearSolveError
+from ..errors import ConstraintError, ConvergenceError, LinearSolveError, StabilityError
 from ..log import log
 from ..system.compiled.recording import Openness
 from ..system.element_memory import accept
@@ -118,6 +118,8 @@ class ConstantSteps:
         self.local_error = 0.0
         try:
             self._advance(h, 0)
+        except StabilityError:
+            raise
         except (ConvergenceError, LinearSolveError) as error:
             raise type(error)(
                 f"{error} Parts of this step fail too, down to 1/{2 ** (self.whole + DEPTH)} of it."
@@ -136,6 +138,8 @@ class ConstantSteps:
         try:
             after = attempt(self.system, self.stepper, h)
             self._look(after)
+        except StabilityError:
+            raise
         except (ConvergenceError, LinearSolveError) as error:
             if depth - self.whole == DEPTH:
                 raise
@@ -145,6 +149,8 @@ class ConstantSteps:
             try:
                 self._begin(before)
                 return self._halves(h, depth)
+            except StabilityError:
+                raise
             except (ConvergenceError, LinearSolveError):
                 raise error from None
         if self.watch is None or (gain := self.watch.gain(after, self._seen)) is None:

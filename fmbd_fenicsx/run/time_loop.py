@@ -223,7 +223,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
         motions.look(stepper.state.t)  # a contradiction between drives says more than the joint that it opens
         total = f" of {pace.steps}" if pace.steps else ""
         kept = "" if keeper is None or keeper.newest is None else f" The newest checkpoint is {keeper.newest}."
-        raise ConvergenceError(f'Scene "{problem.scene.name}", step {course.done + 1}{total}: {error}{kept}') from error
+        raise type(error)(f'Scene "{problem.scene.name}", step {course.done + 1}{total}: {error}{kept}') from error
     finally:
         bar.close()
     return March(

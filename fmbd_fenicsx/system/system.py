@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import CallbackError, InputError, near
+from ..errors import BalanceError, InputError, near
 from ..fem.fields import rank_sum
 from ..mechanics.bodies.coordinates import PortConstraint
 from ..mechanics.forces.force_elements import Loads
@@ -406,7 +406,7 @@ class Evaluation:
         if lam is not None and s.n_lam:
             out += self.jacobian.transposed(lam)
         if not np.isfinite(out[: s.n_core]).all():
-            raise CallbackError(
+            raise BalanceError(
                 f"The balance of forces is not finite at t = {self.t:g} s; check loads and initial values."
             )
         return out

@@ -56,8 +56,13 @@ class DryFrictionLoads(ScalarLoads):
         return np.asarray(self.k * (s - self.kept) + self.c * rate)
 
     def energy(self, kin: Kinematics, t: float) -> float:
-        """k (s - p)^2 / 2 with p as it would be after this step: what is stored before sliding, J."""
-        stretch = self.relative.values(kin) - self._dragged(kin, t)
+        """k (s - p)^2 / 2 with p as it would be after this step, at most F^2 / 2 k: what is stored before sliding, J.
+
+        While it slides against its damping p runs ahead of the spring, by c s' / k: an offset that is gone when the joint
+        comes to rest, and no energy.
+        """
+        offset = np.abs(self.relative.values(kin) - self._dragged(kin, t))
+        stretch = np.minimum(offset, self.limit / self.k)
         return 0.5 * float((self.k * stretch**2).sum())
 
     def tangent(self, kin: Kinematics, t: float) -> Tangent:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from ...errors import require
 
-SERVO, PID, DRY, SMOOTH, STOP = range(5)  # formulas of compiled steps, as in formulas.c
+SERVO, PID, DRY, SMOOTH, STOP, POTENTIAL = range(6)  # formulas of compiled steps, as in formulas.c
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,12 @@ class Held:
 
 
 class EffortLaw:
-    """A restoring effort N(s, s', t) with its derivatives and its potential."""
+    """A restoring effort N(s, s', t) with its derivatives and its potential.
+
+    ``conserves``: no effort but that of the energy :meth:`stored`, so that it neither gives nor takes any.
+    """
+
+    conserves: ClassVar[bool] = False
 
     @property
     def formula(self) -> tuple[int, tuple[float, ...]] | None:

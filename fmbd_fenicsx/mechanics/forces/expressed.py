@@ -19,7 +19,7 @@ from ..joints.expressed import start_place
 from ..joints.joints import dimension
 from ..kinds.expressions import Expression, Program, gradient, symbol
 from ..kinds.own import OwnTerm, finite_at, own_term, traced
-from .effort_laws import EffortLaw
+from .effort_laws import POTENTIAL, EffortLaw
 from .force_elements import Loads, ScalarLoads
 from .forces import Force, Law, Point
 
@@ -28,6 +28,13 @@ ELONGATION, RATE, TIME = symbol("s"), symbol("rate"), symbol("t")
 
 class OfPotential(EffortLaw):
     """The unit effort of (1): the coordinate itself is the energy."""
+
+    conserves = True
+
+    @property
+    def formula(self) -> tuple[int, tuple[float, ...]]:
+        """1 in compiled steps."""
+        return POTENTIAL, ()
 
     def __call__(self, s: float, rate: float, t: float) -> float:
         """1."""

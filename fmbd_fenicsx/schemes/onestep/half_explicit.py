@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from ...checks import check_fields
-from ...errors import CallbackError, ConvergenceError, LinearSolveError
+from ...errors import BalanceError, CallbackError, ConvergenceError, LinearSolveError
 from ...linear.condensation import StepSolver, Weights
 from ...rotations import Array
 from ...system.serialisation import Memory
@@ -30,6 +30,7 @@ from ...system.system import State, System
 from ..consistent import accelerations, project
 from ..control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands, turn_limit, turns_too_far
 from ..newton import Newton
+from .explicit_limit import StepLimit
 
 MASS = Weights(1.0, 0.0, 0.0)
 
@@ -50,9 +51,24 @@ def coefficients() -> tuple[Array, Array, Array]:
     return c, a, 0.1 * free / np.abs(free).max()
 
 
+def amplification(z: float, damping: float) -> Array:
+    """The matrix of one step for x'' + c x' + w^2 x = 0, z = h w and damping = h c, over (x, h x'), (2, 2)."""
+    A, (x, v) = coefficients()[1], np.eye(2)
+    places, speeds, pushes = [x], [v], []
+    for row in A[1:]:
+        pushes.append(-(z * z * places[-1] + damping * speeds[-1]))
+        known = row[: len(pushes)]
+        places.append(x + known @ np.array(speeds))
+        speeds.append(v + known @ np.array(pushes))
+    return np.array([places[-1], speeds[-1]])
+
+
 @dataclass(frozen=True)
 class HalfExplicit:
-    """Scheme data. ``rtol``: relative tolerance of the local error, None for constant steps; ``atol`` as in Radau."""
+    """Scheme data. ``rtol``: relative tolerance of the local error, None for constant steps; ``atol`` as in Radau.
+
+    Constant steps that do not resolve the fastest vibration are refused.
+    """
 
     rtol: float | None = 1e-6
     atol: float | None = None
@@ -79,6 +95,7 @@ class Stepper:
         self.control, self.stats = StepControl(4.0), Statistics()
         self.proposed: float | None = None
         self.local_error = 0.0
+        self.limit = StepLimit("The half-explicit scheme", system, solver, amplification)
 
     @property
     def counters(self) -> dict[str, float]:
@@ -100,8 +117,12 @@ class Stepper:
     def advance(self, h: float) -> State:
         """One accepted step: of size h, or with error control of at most h (s); collective."""
         if self.scheme.rtol is None:
-            made, _ = self._step(h)
-            return self._accept(made)
+            self.limit.look(self.state, h)
+            try:
+                made, _ = self._step(h)
+                return self._accept(made)
+            except BalanceError as fault:
+                raise self.limit.blame(self.state, h, fault) from fault
         limit = h
         self.control.span = max(self.control.span, limit)
         if self.proposed is None:

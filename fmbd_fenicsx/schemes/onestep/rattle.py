@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...errors import ConvergenceError
+from ...errors import BalanceError, ConvergenceError
 from ...linear.condensation import StepSolver, Weights
 from ...linear.redundancy import least
 from ...rotations import Array
@@ -27,13 +27,14 @@ from ...system.serialisation import Memory
 from ...system.system import Evaluation, State, System
 from ..dae import refuse_positions
 from ..newton import Newton
+from .explicit_limit import StepLimit
 
 MASS = Weights(1.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Rattle:
-    """Scheme data; nothing to choose. Steps must resolve every vibration: h omega < 2."""
+    """Scheme data; nothing to choose. Steps must resolve every vibration: h omega < 2; longer ones are refused."""
 
     order = 2
     name = "RATTLE"
@@ -47,6 +48,14 @@ class Rattle:
         return Stepper(system, solver, newton, state)
 
 
+def amplification(z: float, damping: float) -> Array:
+    """The matrix of one step for x'' + c x' + w^2 x = 0, z = h w and damping = h c, over (x, h x'), (2, 2)."""
+    x, v = np.eye(2)
+    middle = (v - 0.5 * z * z * x) / (1.0 + 0.5 * damping)
+    new = x + middle
+    return np.array([new, middle - 0.5 * (z * z * new + damping * middle)])
+
+
 class Stepper:
     """Advances a consistent state; ``half`` holds the multipliers of the last second half step."""
 
@@ -55,6 +64,7 @@ class Stepper:
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.system, self.solver, self.newton, self.state = system, solver, newton, state
         self.half = state.lam
+        self.limit = StepLimit("RATTLE", system, solver, amplification)
 
     def _prepare(self, ev: Evaluation) -> None:
         """The matrix at ev.q: it serves the end of a step, its accelerations, and the beginning of the next."""
@@ -66,7 +76,14 @@ class Stepper:
         self.state, self.half = m.state("state", self.state), m("half", self.half)
 
     def advance(self, h: float) -> State:
-        """One step of size h (s); collective. Raises ConvergenceError when the iteration for (1) fails."""
+        """One step of size h (s); collective. Raises ConvergenceError when the iteration for (1) fails, or h is too long."""
+        self.limit.look(self.state, h)
+        try:
+            return self._step(h)
+        except BalanceError as error:
+            raise self.limit.blame(self.state, h, error) from error
+
+    def _step(self, h: float) -> State:
         system, s, t = self.system, self.state, self.state.t + h
         a, _ = self._to_half(h)
         v = s.v + 0.5 * h * a

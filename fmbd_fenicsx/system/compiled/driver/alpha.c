@@ -79,7 +79,7 @@ static int gained(System *s, double *p, const Block *now)
     double e[4], energy, motion;
     energies(s, *now->t, now->q, now->v, s->gravity, e);
     energy = e[0] + e[1] + e[2] + e[3];
-    motion = e[0] + e[1] + e[3];
+    motion = e[0] + e[1] + fabs(e[3]);
     if (motion < p[TURNOVER]) motion = p[TURNOVER];
     if (p[SETTLING] == 0.0 && energy - p[HIGHEST] > p[SHARE] * (motion + p[WEIGHT])) return 1;
     if (p[SETTLING] > 0.0) p[SETTLING] -= 1.0;

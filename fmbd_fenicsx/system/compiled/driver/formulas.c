@@ -1,7 +1,8 @@
-/* Efforts on coordinates by formulas with a name: motors, PID controllers, dry friction, smooth friction, stops. The formulas are
+/* Efforts on coordinates by formulas with a name: motors, PID controllers, dry friction, smooth friction, stops,
+   and the unit effort of a coordinate that is an energy. The formulas are
    those of mechanics/forces/effort_laws.py, mechanics/forces/dry_friction.py and system/controllers.py; x: elongation. */
 
-enum { SERVO, PID, DRY, SMOOTH, STOP };                    /* as in mechanics/forces/formulas.py */
+enum { SERVO, PID, DRY, SMOOTH, STOP, POTENTIAL };         /* as in mechanics/forces/formulas.py */
 enum { FORMULA_WIDTH = 6, MEMORY = 3 };
 
 /* k x + c x' within +- limit, with its slopes. */
@@ -68,6 +69,7 @@ static void formula(Batch *k, long i, double t)
     case PID: k->effort[i] = pid_effort(p, kept, x, rate, t, slope, drag); return;
     case SMOOTH: k->effort[i] = smooth_effort(p, rate, drag); return;
     case STOP: k->effort[i] = stop_effort(p, x, rate, slope, drag); return;
+    case POTENTIAL: k->effort[i] = 1.0; *slope = *drag = 0.0; return;
     }
     *slope = p[0];
     *drag = p[1];
@@ -89,8 +91,9 @@ static double stored(const Batch *k, long i)
     const double *p = k->constants + FORMULA_WIDTH * i;
     double x = k->s[i] - k->free[i], stretch;
     if (k->formula == STOP) return 0.5 * p[2] * depth_of(p, x) * depth_of(p, x);
+    if (k->formula == POTENTIAL) return x;
     if (k->formula != DRY) return 0.0;
-    stretch = x - dragged(k, i);
+    stretch = fmin(fabs(x - dragged(k, i)), p[2] / p[0]); /* while it slides p runs ahead: nothing is stored there */
     return 0.5 * p[0] * stretch * stretch;
 }
 

@@ -1,0 +1,115 @@
+"""Explicit schemes know the largest step that they can take."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import StabilityError
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.consistent import consistent
+from fmbd_fenicsx.schemes.onestep import half_explicit, rattle
+from fmbd_fenicsx.schemes.onestep.explicit_limit import Vibration, fastest_vibration, largest_step
+
+QUIET = fmbd.Output(progress=False)
+SCHEMES = [fmbd.Rattle(), fmbd.HalfExplicit(rtol=None)]
+
+
+def sprung(**spring: Any) -> fmbd.Scene:
+    """2 kg on a spring along x, beside a free body: 14.14 rad/s."""
+    mass = fmbd.RigidBody("mass", 2.0, 1.0, velocity=(0.1, 0.0))
+    other = fmbd.RigidBody("other", 1.0, 1.0, position=(3.0, 1.0))
+    scene = fmbd.Scene("sprung")
+    spring = spring if "law" in spring else {"stiffness": 400.0, **spring}
+    slide = fmbd.prismatic("slide", fmbd.ground, mass, axis=(1, 0))
+    scene.add(mass, other, slide, fmbd.joint_spring("spring", fmbd.displacement(slide), **spring))
+    return scene
+
+
+def clamped(joint: str) -> fmbd.Scene:
+    section = fmbd.Section(EA=2.1e7, EI=175.0, rhoA=0.78)
+    beam = fmbd.Beam("beam", (0.0, 0.0), (1.0, 0.0), section, elements=4)
+    scene = fmbd.Scene("beam", gravity=(0, -9.81))
+    start = beam.surface("start")
+    held = (
+        fmbd.fixed("held", fmbd.ground, start)
+        if joint == "clamp"
+        else fmbd.revolute("held", fmbd.ground, start, center=(0.0, 0.0))
+    )
+    scene.add(beam, held)
+    return scene
+
+
+def vibration(scene: fmbd.Scene) -> Vibration:
+    system, given, _ = scene.build()
+    solver = StepSolver(system)
+    found = fastest_vibration(system, consistent(system, given, solver)[0], solver)
+    solver.destroy()
+    assert found is not None
+    return found
+
+
+def test_a_mass_on_a_spring_and_a_damper() -> None:
+    found = vibration(sprung())
+    assert found.omega == pytest.approx(np.sqrt(200.0), rel=1e-6) and found.damping == pytest.approx(0.0, abs=1e-9)
+    assert found.body == "mass"
+    assert vibration(sprung(damping=3.0)).damping == pytest.approx(1.5, rel=1e-6)
+
+
+def test_limits_of_the_schemes() -> None:
+    """2 / omega for RATTLE; the matrices of steps are those of the schemes, by a step of a mass on a spring."""
+    free = Vibration(10.0, 0.0, "")
+    assert largest_step(free, rattle.amplification) == pytest.approx(0.2, rel=1e-3)
+    assert 0.28 < largest_step(free, half_explicit.amplification) < 0.34
+    for scheme, module in zip(SCHEMES, (rattle, half_explicit), strict=True):
+        h, scene = 0.05, sprung(damping=3.0)
+        scene.sensor("x", fmbd.displacement(scene.joints["slide"]))
+        run = fmbd.solve(scene, t_end=h, dt=h, scheme=scheme, output=QUIET)
+        x = module.amplification(h * np.sqrt(200.0), h * 1.5) @ (0.0, h * 0.1)
+        assert run["x"][-1, 0] == pytest.approx(x[0], rel=1e-7)
+        assert run.state.v[0] * h == pytest.approx(x[1], rel=1e-7)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
+def test_the_limit_is_where_motion_grows(scheme: Any) -> None:
+    module = rattle if isinstance(scheme, fmbd.Rattle) else half_explicit
+    limit = largest_step(vibration(sprung()), module.amplification)
+    unguarded = fmbd.Output(progress=False, energy=False)
+    run = fmbd.solve(sprung(), t_end=100 * 0.97 * limit, dt=0.97 * limit, scheme=scheme, output=unguarded)
+    assert abs(run.state.v[0]) < 0.11
+    with pytest.raises(StabilityError, match='body "mass"') as failed:
+        fmbd.solve(sprung(), t_end=1.05 * limit, dt=1.05 * limit, scheme=scheme, output=QUIET)
+    assert f"above {limit:.3g} s" in str(failed.value)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
+@pytest.mark.parametrize("joint", ["clamp", "pin"])
+def test_a_beam_with_steps_that_resolve_bending_only(joint: str, scheme: Any) -> None:
+    with pytest.raises(StabilityError, match='fastest vibration, of body "beam"'):
+        fmbd.solve(clamped(joint), t_end=0.1, dt=1e-3, scheme=scheme, output=QUIET)
+
+
+def test_a_rod() -> None:
+    section = fmbd.RodSection((1e6, 1e6, 1e6, 100.0, 100.0, 100.0), 1.0, (0.2, 0.1, 0.1))
+    rod = fmbd.Rod("rod", [(0, 0, 0), (2, 0, 0)], section, elements=2, degree=2)
+    scene = fmbd.Scene("rod", gravity=(0, -20, 5))
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("start")))
+    with pytest.raises(StabilityError, match="rod"):
+        fmbd.solve(scene, t_end=0.1, dt=5e-3, scheme=fmbd.Rattle(), output=QUIET)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
+def test_a_spring_that_stiffens_on_the_way(scheme: Any) -> None:
+    """No stiffness at the start, far too much of it a step later: the run ends with the step as the cause, not with a load."""
+    scene = sprung(law=lambda s, rate, t: 1e13 * s**3)
+    with pytest.raises(fmbd.errors.ConvergenceError, match="is explicit and cannot|diverged in the step"):
+        fmbd.solve(scene, t_end=10.0, dt=0.02, scheme=scheme, output=QUIET)
+
+
+def test_a_law_that_jumps_is_no_stiffness() -> None:
+    scene = sprung(law=lambda s, rate, t: 0.1 if s > 0 else -0.1)
+    run = fmbd.solve(scene, t_end=0.3, dt=0.02, scheme=fmbd.Rattle(), output=QUIET)
+    assert run.status == "finished"
