@@ -85,14 +85,15 @@ def equilibrium(
     Raises:
         ConvergenceError: there is none nearby: which body can move freely, or the load factor that was reached.
     """
-    require(
-        not scene.unilateral,
-        "equilibrium() does not take contact or joint limits yet: solve(...) with damping finds the resting state.",
-    )
     require(spin is None or isinstance(spin, Spin), f"equilibrium: spin must be fmbd.Spin(rate, ...), found {spin!r}.")
     require(
         path is None or isinstance(path, ArcLength | LoadSteps),
         f"equilibrium: path must be fmbd.ArcLength(...) or fmbd.LoadSteps(...), found {path!r}.",
+    )
+    require(
+        not (scene.unilateral and isinstance(path, ArcLength)),
+        "equilibrium: path=fmbd.ArcLength(...) does not take contact or joint limits, where the path has corners. "
+        "Take fmbd.LoadSteps(...).",
     )
     system, given, markers = scene.build()
     solver = StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
@@ -139,13 +140,27 @@ def static_newton(system: System, solver: StepSolver, t: float, spin: Spin | Non
         for _, p in system.fields
         if isinstance(p.field, Field)
     ]
-    return StaticNewton(Residual(system, spin), solver, min(taus, default=10.0))
+    tau = min(taus, default=10.0)
+    if system.contacts is None:
+        return StaticNewton(Residual(system, spin), solver, tau)
+
+    from .static_contact import ContactNewton, check_contacts
+
+    check_contacts(system)
+    # what slides and rolls freely moves by roundoff as the square of the step: one unit of a pendulum's time, not ten
+    return ContactNewton(Residual(system, spin), solver, 0.1 * tau)
 
 
 def state_of(system: System, point: Point, t: float, spin: Spin | None) -> State:
-    """A point as a state with its steady velocities."""
+    """A point as a state with its steady velocities, and contact forces where there are contacts."""
     v, a = steady_rates(system, point.q, spin)
-    return State(t, point.q, v, a, point.lam)
+    state = State(t, point.q, v, a, point.lam)
+    if system.contacts is None:
+        return state
+
+    from .static_contact import state_with_contact
+
+    return state_with_contact(system, state, point.force)
 
 
 def find(newton: StaticNewton, start: Point, t: float) -> Point:
@@ -157,7 +172,7 @@ def find(newton: StaticNewton, start: Point, t: float) -> Point:
             return _stable(newton, start, found, t)
         except NoEquilibriumError as error:
             try:
-                return by_load_steps(newton, relax(newton, start, t, _slow(system, t)), t)
+                return by_load_steps(newton, _nearer(newton, start, t), t)
             except (ConvergenceError, LinearSolveError):
                 raise ConvergenceError(_why(newton, start, t, error)) from None
         except LinearSolveError:
@@ -167,6 +182,16 @@ def find(newton: StaticNewton, start: Point, t: float) -> Point:
             newton.__post_init__()
 
 
+def _nearer(newton: StaticNewton, start: Point, t: float) -> Point:
+    """A better start by descent; with contact, whose increments descend anyway, the same with a shorter step."""
+    slow = _slow(newton.residual.system, t)
+    if newton.residual.system.contacts is None:
+        return relax(newton, start, t, slow)
+    newton.tau = min(newton.tau, slow)
+    newton.__post_init__()
+    return start
+
+
 def _stable(newton: StaticNewton, start: Point, found: Point, t: float) -> Point:
     """The equilibrium found, or a stable one by descent where Newton went far and ended on an unstable one.
 
@@ -174,7 +199,7 @@ def _stable(newton: StaticNewton, start: Point, found: Point, t: float) -> Point
     """
     system = newton.residual.system
     moved = system.max_abs(system.difference(start.q, found.q))
-    if system.fields or system.n_core > FEW or moved <= 0.1 * system.length:
+    if system.contacts is not None or system.fields or system.n_core > FEW or moved <= 0.1 * system.length:
         return found
     about = Perturbation(system, state_of(system, found, t, newton.residual.spin), newton.residual.spin)
     V = free_motions(about)
@@ -196,15 +221,15 @@ def _slow(system: System, t: float) -> float:
 
 def _why(newton: StaticNewton, start: Point, t: float, error: NoEquilibriumError) -> str:
     """What a missing equilibrium means: a body that moves freely, or a load above the limit."""
-    system, solver = newton.residual.system, newton.solver
-    newton.take(start, t)
+    system = newton.residual.system
+    q, answer = newton.respond(start, t)
     motion: Array = np.ones(system.n_v)
-    zero, grown = np.zeros(system.n_lam), 0.0
+    grown = 0.0
     for _ in range(6):
         motion = motion / max(system.max_abs(motion), 1e-300)
-        ev = newton.residual.at(start.q, t)
+        ev = newton.residual.at(q, t)
         inertia = ev.balance(motion) - ev.balance(np.zeros(system.n_v))
-        motion = solver.solve(newton.weights.cm * inertia, zero)[0]
+        motion = answer(newton.solver.weights.cm * inertia)
         grown = system.max_abs(motion)
     if grown > 1.0 - 1e-6:
         return f"No static equilibrium: {_mover(system, motion)} can move freely ({error}). Hold it by a joint or a spring."

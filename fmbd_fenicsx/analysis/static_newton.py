@@ -43,10 +43,11 @@ Increment = Callable[["Point", float, Pair, Pair], Pair | None]  # point, time, 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A configuration and its multipliers."""
+    """A configuration and its multipliers; ``force`` (m,) N on the candidates of contacts, None without any."""
 
     q: Array
     lam: Array
+    force: Array | None = None
 
 
 @dataclass(eq=False)
@@ -153,6 +154,12 @@ class StaticNewton:
             return dq, dlam
         share = self._share(point, t, (dq, dlam), (rest[0] - r[0], rest[1] - r[1]), rest)
         return (share * dq, share * dlam) if share else None
+
+    def respond(self, start: Point, t: float) -> tuple[Array, Callable[[Array], Array]]:
+        """A configuration, and P^-1 there: what forces move where there is no equilibrium."""
+        self.take(start, t)
+        zero = np.zeros(self.residual.system.n_lam)
+        return start.q, lambda b: self.solver.solve(b, zero)[0]
 
     def _balanced(self, point: Point, t: float, rest: Pair) -> bool:
         """Whether the residuals are small in the measure of the preconditioner: no increment is no proof where J is singular."""

@@ -84,9 +84,9 @@ class Residual:
         """The system in a configuration, with its steady velocities; collective."""
         return self.system.at(t, q, steady_rates(self.system, q, self.spin)[0])
 
-    def values(self, ev: Evaluation, lam: Array) -> tuple[Array, Array]:
-        """Balance, like v, and constraints (n_lam,); collective."""
-        a = steady_rates(self.system, ev.q, self.spin)[1]
+    def values(self, ev: Evaluation, lam: Array, more: Array | float = 0.0) -> tuple[Array, Array]:
+        """Balance, like v, and constraints (n_lam,); ``more``: accelerations beside the steady ones. Collective."""
+        a = steady_rates(self.system, ev.q, self.spin)[1] + more
         return ev.balance(a, lam), ev.constraint()
 
     def by_time(self, q: Array, lam: Array, t: float, step: float) -> tuple[Array, Array]:
