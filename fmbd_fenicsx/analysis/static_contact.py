@@ -9,8 +9,9 @@ An increment is made twice. With the matrix P of a very long time step, as of :m
 
 the implicit step of a motion without velocity: it descends, and says which points touch. With these held closed, Newton's
 increment has the exact tangent J of (1), the turning of N included, and M / tau^2 as well: what a body without friction may do
-unhindered (slide along a floor, roll on it) has no stiffness, and roundoff would move it far; points that would pull are let go, points that would pass
-through are held. It is taken where (2) becomes shorter by it, otherwise (2) itself is. Both are zero at the same places.
+unhindered (slide along a floor, roll on it) has no stiffness, and roundoff would move it far. Points that would pull are let go,
+points that would pass through are held. It is taken where (2) becomes shorter by it, otherwise (2) itself is. Both are zero at
+the same places.
 
 Source of the active sets: Hintermueller, Ito and Kunisch, doi:10.1137/S1052623401383558.
 """
@@ -210,7 +211,8 @@ class ContactNewton(StaticNewton):
             there, size = self._by_exact(here, t, rest)
             if there is not None:
                 stalled = size > 0.5 * before and size <= FLOOR * system.length
-                if (size <= self.tolerance * system.length or stalled) and there.size <= 1e-6 * system.length:
+                ended = size <= self.tolerance * system.length or stalled
+                if ended and there.size <= 1e-6 * system.length:
                     return self._with_forces(there)
                 here, before = there, size
                 continue
