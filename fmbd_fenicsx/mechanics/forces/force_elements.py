@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import CallbackError, InputError, named
+from ...errors import InputError, named
 from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..joints.constraints import time_of
@@ -52,6 +52,7 @@ class Loads:
     """
 
     stiff = True
+    length = 1.0  # m, of the model: the scale of steps of differences
 
     def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]]) -> None:
         self.motions, self.forces = motions, forces
@@ -284,80 +285,3 @@ class TyreLoads(Loads):
         outer = np.zeros((len(c), 2 * n, 2 * n))
         outer[:, :d, :d] = up[:, :, None] * row[:, None, :]
         return Tangent(self.a, self.b, (on * k)[:, None, None] * outer, (on * damping)[:, None, None] * outer)
-
-
-def _force_and_torque(name: str, value: Any, t: float) -> Any:
-    """What a law of the user's own returned, as one row of numbers."""
-    try:
-        return np.concatenate([np.atleast_1d(x) for x in value])
-    except (TypeError, ValueError):
-        raise CallbackError(
-            f'Force "{name}": the law returned {value!r:.80} at t = {t:g} s, expected (force (d,), torque).'
-        ) from None
-
-
-class OwnLoads(Loads):
-    """Forces law(t, a, b) of the user's own; tangents by differences where no Jacobian is given."""
-
-    @staticmethod
-    def law_of(f: Any) -> Any:
-        """The law, and the Jacobian or None."""
-        jacobian = None if f.jacobian is None else named("The Jacobian of force", f.name, f.jacobian, time=0)
-        return Repeatable("The law of force", f.name, f.law, time=0), jacobian
-
-    def _one(self, k: int, kin: Kinematics, twist: Array, t: float, markers: tuple[int, int]) -> Array:
-        """Wrenches on (a, b) of one force, (2 n,)."""
-        d, f, law = self.motions.dim, self.forces[k], self.laws[k][0]
-        a, b = markers
-        motion = [MarkerMotion(kin.x[i], kin.R[i], twist[i, :d], twist[i, d:]) for i in markers]
-        n = d + self.motions.n_rot
-        if f.b is None:
-            found = checked(f.name, _force_and_torque(f.name, law(t, motion[0]), t), n, t)
-            return np.concatenate((found, np.zeros(n)))
-        on_b = checked(f.name, _force_and_torque(f.name, law(t, *motion), t), n, t)
-        on_a = -on_b
-        on_a[d:] -= self.motions.moment(kin.x[b] - kin.x[a], on_b[:d])
-        return np.concatenate((on_a, on_b))
-
-    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
-        """Wrenches of the user's laws on both markers."""
-        assert kin.twist is not None
-        n = self.motions.dim + self.motions.n_rot
-        found = [self._one(k, kin, kin.twist, t, (a, b)) for k, (a, b) in enumerate(zip(self.a, self.b, strict=True))]
-        both = np.array(found)
-        return both[:, :n], both[:, n:]
-
-    def tangent(self, kin: Kinematics, t: float) -> Tangent:
-        """Central differences of the wrenches by displacements and velocities of both markers."""
-        assert kin.twist is not None
-        d, n = self.motions.dim, self.motions.dim + self.motions.n_rot
-        K, D = np.zeros((2, len(self.forces), 2 * n, 2 * n))
-        for i, f in enumerate(self.forces):
-            markers = (int(self.a[i]), int(self.b[i]))
-            if (jacobian := self.laws[i][1]) is not None:
-                motion = (MarkerMotion(kin.x[j], kin.R[j], kin.twist[j, :d], kin.twist[j, d:]) for j in markers)
-                found = jacobian(t, *motion)
-                try:
-                    K[i], D[i] = found
-                except (TypeError, ValueError):
-                    raise CallbackError(
-                        f'Force "{f.name}": its Jacobian returned {found!r:.60} at t = {t:g} s, '
-                        f"expected (K, D), each {K[i].shape}."
-                    ) from None
-                continue
-            base = self._one(i, kin, kin.twist, t, markers)
-            for c in range(n if f.b is None else 2 * n):
-                j, k = markers[c // n], c % n
-                h = 1e-7
-                x, R, twist = kin.x.copy(), kin.R.copy(), kin.twist.copy()
-                if k < d:
-                    x[j, k] += h
-                else:
-                    turn = np.zeros(self.motions.n_rot)
-                    turn[k - d] = h
-                    R[j] = R[j] + self.motions.spin(turn, R[j].T).T
-                moved = Kinematics(x, R, kin.jac_frame, kin.jac_port, turned=kin.turned)
-                K[i, :, c] = -(self._one(i, moved, kin.twist, t, markers) - base) / h
-                twist[j, k] += h
-                D[i, :, c] = -(self._one(i, kin, twist, t, markers) - base) / h
-        return Tangent(self.a, self.b, K, D)

@@ -24,7 +24,8 @@ from ...errors import InputError, require
 from ...rotations import Array
 from ..joints.drives import JointCoordinate
 from ..joints.joints import ground, refuse_no_attachment
-from .force_elements import Loads, OwnLoads, ScalarLoads, TimeLoads, TyreLoads
+from .force_elements import Loads, ScalarLoads, TimeLoads, TyreLoads
+from .own_loads import OwnLoads
 
 Law = Callable[..., Any]
 Point = Sequence[float] | Array | None
@@ -249,7 +250,8 @@ def own_force(
     a and b are :class:`~fmbd_fenicsx.mechanics.forces.force_elements.MarkerMotion` (x, R, v, w) of the two points;
     force (d,) N and torque
     N m in world axes. ``jacobian``(t, a, b) -> (K, D), each (2 n, 2 n): minus the derivatives of the wrenches on (a, b)
-    with respect to displacements and velocities of the markers, n = d + n_rot; by differences where missing.
+    with respect to displacements and velocities of the markers, n = d + n_rot. Where it is missing, the law is called once more
+    for each component of what it reads (of x, R, v, w), where the last slopes do not foretell the force.
     """
     if len(points) != 2:
         raise InputError(f'Force "{name}": points must be two, of a and of b, found {points!r}.')

@@ -66,6 +66,27 @@ class AlphaDriver:
         for items in self._remembering:
             items.formula.keep(items.arrays["kept"])
 
+    @property
+    def slopes(self) -> Array | None:
+        """What the next step knows of forces that Python gives as a whole; None without any."""
+        tables = self.tables
+        if not tables.whole:
+            return None
+        return np.concatenate(([tables.c.ck], tables.arrays["diagonal"], *(x.memory for x in tables.whole)))
+
+    @slopes.setter
+    def slopes(self, kept: Array | None) -> None:
+        tables = self.tables
+        if kept is None:
+            for x in tables.whole:
+                x.astray[0] = 1
+            return
+        diagonal, at = tables.arrays["diagonal"], 1 + len(tables.arrays["diagonal"])
+        tables.c.ck, diagonal[:] = kept[0], kept[1:at]
+        for x in tables.whole:
+            x.recall(kept[at : at + len(x.memory)])
+            at += len(x.memory)
+
     def tape(self, judged: Openness) -> Tape:
         """Room for records; ``judged``: how open joints are told. Made once."""
         if self._tape is None:

@@ -55,6 +55,15 @@ class CompiledStepper(Stepper):
     def _past(self, value: list[tuple[float, Array, Array]]) -> None:
         self._earlier = value
 
+    @property
+    def slopes(self) -> Array | None:  # type: ignore[override]
+        """Slopes of forces in Python that the next step begins with."""
+        return self.driver.slopes
+
+    @slopes.setter
+    def slopes(self, kept: Array | None) -> None:
+        self.driver.slopes = kept
+
     def _split(self, block: Array) -> tuple[float, Array, Array, Array, Array, Array]:
         """t, q, v, a, A, lambda of a block."""
         n, at = self.driver.n, 1 + self.driver.nq

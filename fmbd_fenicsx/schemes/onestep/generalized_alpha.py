@@ -137,6 +137,8 @@ class GeneralizedAlpha:
 class Stepper:
     """Advances a consistent state; holds the algorithmic acceleration and the history of the predictor."""
 
+    slopes: Array | None = None  # of forces in Python, where steps go on with earlier ones
+
     def __init__(
         self, scheme: GeneralizedAlpha, system: System, solver: StepSolver, newton: Newton, state: State
     ) -> None:
@@ -183,6 +185,7 @@ class Stepper:
         self.counters |= counters  # a compiled step may be there on one rank only
         past = m.each("past", self._past, 3)
         self._past = [(i("t", t), i.like_v("a", a), i("lam", lam)) for i, (t, a, lam) in past]
+        self.slopes = m("slopes", self.slopes)
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""

@@ -21,6 +21,7 @@ from .places import Shape, batch_of, fronts_of, pivots_of, structure_of
 from .recording import Looks
 from .rods import RodTable, rod_pairs
 from .structures import Store, structure
+from .whole import WholeLoads
 
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
 TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
@@ -59,6 +60,8 @@ class Tables:
         self.sources = [one for items in self.items for one in self._split(items)]
         self.batches = [self._batch(items, number) for number, items in enumerate(self.sources)]
         self.batches += [mount_batch(self, loads) for loads in self.mounts]
+        self.whole = [WholeLoads(self, loads, number) for number, loads in enumerate(self.loads)]
+        self.batches += [loads.batch for loads in self.whole]
         rods: tuple[Any, ...] = system.elements
         self.rods = [RodTable(self, rod, number) for number, rod in enumerate(rods)]
         self._system(redundant)
@@ -254,7 +257,7 @@ class Tables:
         frames[self.nb, self.dim : self.dim + self.dim**2] = np.eye(self.dim).ravel()
         widest = int(self.width.max(initial=0))
         sizes = {
-            "velocity": self.nothing + 1, "residual": self.nothing + 1, "wrench": self.nothing + 1,
+            "velocity": self.nothing + 1, "residual": self.nothing + 1,
             "gap": self.rows, "motion": self.rows, "weight": self.rows, "diagonal": size,
             "L": self.fronts.storage + 8, "inverse": size, "b": size, "local": size,
             "work": 4 * s.n_v + 3 * self.rows, "big": (2 * self.twist + 1) * 2 * widest + size,
@@ -283,7 +286,8 @@ class Tables:
         self.c = structure("System", self.dim)(
             bodies=self.nb, surfaces=len(surfaces), batches=len(self.batches), fronts=len(self.fronts.fronts), angles=len(angles),
             rods=len(self.rods), rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant),
-            stiff=self._stiff(), remembers=int(any(items.remembers for items in self.items)), storage=self.fronts.storage,
+            stiff=int(bool(self.rods) or any(f.stiff for f in s.forces)),
+            remembers=int(any(items.remembers for items in self.items)), storage=self.fronts.storage,
             seen=len(self.looks.markers), readings=self.looks.count, reactions=len(self.looks.joints),
             seen_frame=store.integers(self.frame[self.looks.markers]),
             row_dest=row_dest, sign=sign,
@@ -316,12 +320,6 @@ class Tables:
             items=len(found), frame=frame, p=(ctypes.c_double * self.dim)(*place),
             batch=integers(batch), item=integers(item), side=integers(side),
         )  # fmt: skip
-
-    def _stiff(self) -> int:
-        """Whether efforts depend on the motion: 0 no, 1 on coordinates, 2 in ways that Python evaluates as a whole."""
-        if self.loads:
-            return 2
-        return int(bool(self.rods) or any(f.stiff for f in self.system.forces))
 
     def look(self) -> None:
         """Take the angular velocities above which a body is to be warned of; those warned of have none."""

@@ -110,7 +110,7 @@ class Builder:
             forces=forces,
             gravity=self._gravity(),
             blocks=tuple(blocks),
-            length=self._length(),
+            length=self.length(),
             mass=self._mass(rigid),
             ground=self.m.identity[None],
             contacts=self._contacts(),
@@ -294,7 +294,8 @@ class Builder:
     def _mass(self, rigid: list[RigidBody]) -> float:
         return self.nodes.mass + sum(b.mass for b in rigid) + sum(p.mass_total for p in self.fields)
 
-    def _length(self) -> float:
+    def length(self) -> float:
+        """The characteristic length of the model, m."""
         points = [q[: self.m.dim] for q in self.poses]
         points += [x for j in self.scene.joints.values() for x in (j.center_a, j.center_b) if x is not None]
         spread = np.ptp(np.array(points), axis=0) if points else np.zeros(1)
@@ -443,8 +444,7 @@ class Builder:
 
     def _state(self, system: System) -> State:
         theta = np.zeros(0 if system.counted is None else system.counted.count)
-        q = [*self.poses, theta, *(u for u, _ in self.starts)]
         v = [*self.twists, *(ud for _, ud in self.starts)]
-        start = np.concatenate(q)
+        start = np.concatenate([*self.poses, theta, *(u for u, _ in self.starts)])
         count(system, start)
         return State(0.0, start, np.concatenate(v), np.zeros(system.n_v), np.zeros(system.n_lam))

@@ -64,6 +64,8 @@ def build_loads(builder: Builder) -> tuple[Loads, ...]:
             out.append(batch(builder.m, fs, ms, _relative(builder.m, kind, fs, ms)))
         else:
             out.append(batch(builder.m, fs, ms))
+    for loads in out:
+        loads.length = builder.length()
     return tuple(out)
 
 

@@ -126,6 +126,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
     }
 
     double tolerance = fmax(p[TOL] * scale * largest_of(s->units, out.a, n), p[FLOOR]);
+    s->settled = tolerance;
 
     while (done < (int)p[MAXIT] && done < MOST && !converged) {
         configuration(s, now.q, xi, out.q);
@@ -137,7 +138,8 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         if ((verdict = evaluate(s, out.q, out.v, out.a, out.lam, t))) return verdict;
         /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment; a law may
            have other slopes there */
-        int turning = s->stiff && done > 0 && (p[THETA] > SLOW_TURN || (done == 1 && s->stiff > 1) || other_slopes(s, damp, scale));
+        s->renewed = done > 0 && p[THETA] > SLOW_TURN;
+        int turning = s->stiff && done > 0 && (s->renewed || misled(s) || other_slopes(s, damp, scale));
         if (far || turning || done > (int)p[PATIENCE])
             if ((verdict = prepare(s, out.q, damp, scale, lam, done > (int)p[PATIENCE], t))) return verdict;
 

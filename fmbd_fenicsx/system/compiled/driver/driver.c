@@ -23,6 +23,7 @@ static double rod_energy(System *s, Rod *k) { return (void)s, (void)k, 0.0; }
 #include "formulas.c"
 #include "mapped.c"
 #include "mounts.c"
+#include "whole.c"
 #include "evaluate.c"
 #include "matrix.c"
 #include "states.c"

@@ -148,6 +148,7 @@ static int items(System *s, Batch *k, const double *lam, double t)
         mount_forces(s, k);
         return DONE;
     }
+    if (k->role == WHOLE) return whole_forces(s, k, t);
     k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
     if (k->role == LINEAR || k->role == LAW || k->role == FORMULA) {
         int verdict = efforts(s, k, t);
@@ -184,12 +185,6 @@ static int evaluate(System *s, const double *q, const double *v, const double *a
 
     for (Rod *k = s->rod; k < s->rod + s->rods; k++)
         if (rod_forces(s, k, t)) return FAILED;
-
-    if (s->laws) {
-        s->calls++;
-        if (s->python(WRENCHES, 0, t)) return FAILED;
-        for (int i = 0; i < s->nu + TWIST * s->surfaces; i++) s->residual[i] -= s->wrench[i];
-    }
 
     for (int i = 0; i < s->surfaces; i++) {
         const Surface *k = s->surface + i;

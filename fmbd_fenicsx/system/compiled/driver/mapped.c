@@ -53,11 +53,23 @@ static void mapped_rows(System *s, const Batch *k)
     }
 }
 
+/* A symmetric block on the twists of frames of bodies, from ``first`` up to ``end``. */
+static void plain_square(System *s, const Batch *k, long i, int first, int end, const double *C)
+{
+    const int *to = k->square_to + k->square_start[i];
+    for (int c = first; c < end; c++)
+        for (int r = first; r <= c; r++, to++) s->L[*to] += C[2 * TWIST * c + r];
+}
+
 static void mapped_square(System *s, const Batch *k, long i, const double *C)
 {
     const double *map[2];
     int width[2], total = 0;
     for (int side = 0; side < 2; side++) total += width[side] = side_map(s, k->pair[2 * i + side], &map[side]);
+    if (!map[0] && !map[1]) {
+        plain_square(s, k, i, width[0] ? 0 : TWIST, width[1] ? 2 * TWIST : TWIST, C);
+        return;
+    }
 
     /* CM = C Map, by rows of C; then Map^T (C Map), column by column of Map: the columns of the result, symmetric */
     double *CM = s->big, *column = CM + 2 * TWIST * total;

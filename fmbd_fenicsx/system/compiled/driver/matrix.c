@@ -44,6 +44,7 @@ static int tangents(System *s, Batch *k, double cd, double ck, double geometric,
         mount_tangents(s, k, cd, ck, geometric);
         return DONE;
     }
+    if (k->role == WHOLE) return whole_tangents(s, k, cd, ck, t);
     if (k->role == LAW) {
         s->calls++;
         if (s->python(SLOPES, k->number, t)) return FAILED;
@@ -89,10 +90,6 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
     }
     for (Rod *k = s->rod; k < s->rod + s->rods; k++)
         if (rod_tangents(s, k, t, geometric)) return FAILED;
-    if (s->laws) {
-        s->calls++;
-        if (s->python(SLOPES, -1, t)) return FAILED;
-    }
     return factor(s);
 }
 

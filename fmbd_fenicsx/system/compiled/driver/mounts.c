@@ -7,6 +7,7 @@ enum { MOUNT_P = 0, MOUNT_TA = D, MOUNT_Q = D + D * D, MOUNT_TB = 2 * D + D * D,
 typedef struct {
     double s[MOUNT_ROWS], rate[MOUNT_ROWS], effort[MOUNT_ROWS];
     double row[MOUNT_ROWS][2 * TWIST];                     /* s' from the twists of both frames, world axes */
+    double axes[D * D], arm[D], lever[D];                  /* of marker a; from the origins of both frames to marker b */
 } Mount;
 
 #if DIM == 3
@@ -37,7 +38,7 @@ static void rotation_vector(const double *R, double *theta, double *rate)
 /* s and its rows for two frames (place and rotation of each). */
 static void mount_rows(const double *a, const double *b, const double *P, Mount *m)
 {
-    double Ra[D * D], Rb[D * D], R[D * D], la[D], lb[D], arm[D], rate[ROT * ROT], out[ROT], back[D];
+    double *Ra = m->axes, *la = m->arm, *lb = m->lever, Rb[D * D], R[D * D], arm[D], rate[ROT * ROT], out[ROT], back[D];
     product(a + TURN, P + MOUNT_TA, Ra);
     product(b + TURN, P + MOUNT_TB, Rb);
     times(a + TURN, P + MOUNT_P, la);
@@ -88,11 +89,13 @@ static void mount_at(const System *s, const Batch *k, long i, Mount *m)
         m->effort[r] = dot(P + MOUNT_K + MOUNT_ROWS * r, m->s, MOUNT_ROWS) + dot(P + MOUNT_C + MOUNT_ROWS * r, m->rate, MOUNT_ROWS);
 }
 
+/* Efforts into the residuals; what was evaluated is kept for the tangent. */
 static void mount_forces(System *s, const Batch *k)
 {
     for (long i = 0; i < k->n; i++) {
-        Mount m;
+        Mount m, *kept = (Mount *)k->known + i;
         mount_at(s, k, i, &m);
+        *kept = m;
         const int *at = k->at + 2 * TWIST * i;
         for (int r = 0; r < MOUNT_ROWS; r++)
             for (int j = 0; j < 2 * TWIST; j++) s->residual[at[j]] += m.effort[r] * m.row[r][j];
@@ -111,53 +114,105 @@ static double mount_energy(const System *s, const Batch *k)
     return sum;
 }
 
-/* The geometric stiffness, weight times the derivative of effort . rows by displacements of the frames, by differences. */
-static void mount_curve(const System *s, const Batch *k, long i, const Mount *m, double weight, double *C)
+#if DIM == 3
+/* c of the matrix in rotation_vector as a function of the square of the angle, and its derivative. */
+static double curl(double square, double *slope)
 {
-    const double step = 1e-7;
-    for (int c = 0; c < 2 * TWIST; c++) {
-        double frames[2][FRAME], w[ROT] = {0.0};
-        for (int side = 0; side < 2; side++)
-            memcpy(frames[side], s->frames + FRAME * k->pair[2 * i + side], FRAME * sizeof(double));
-        double *x = frames[c / TWIST];
-        if (c % TWIST < D) x[c % TWIST] += step;
-        else {
-            w[c % TWIST - D] = step;
-            for (int j = 0; j < D; j++) { /* the columns of R turn with the frame */
-                double column[D], turned[D];
-                for (int r = 0; r < D; r++) column[r] = x[TURN + D * r + j];
-                spin(w, column, turned);
-                for (int r = 0; r < D; r++) x[TURN + D * r + j] += turned[r];
-            }
-        }
-        Mount moved;
-        mount_rows(frames[0], frames[1], k->P + k->width * i, &moved);
-        for (int j = 0; j < 2 * TWIST; j++) {
-            double change = 0.0;
-            for (int r = 0; r < MOUNT_ROWS; r++) change += m->effort[r] * (moved.row[r][j] - m->row[r][j]);
-            C[2 * TWIST * j + c] += 0.5 * weight / step * change;
-            C[2 * TWIST * c + j] += 0.5 * weight / step * change;
+    if (square < 1e-2) {
+        *slope = 1.0 / 720 + square * (1.0 / 15120 + square * (1.0 / 403200 + square / 11975040));
+        return 1.0 / 12 + square * (1.0 / 720 + square * (1.0 / 30240 + square * (1.0 / 1209600 + square / 47900160)));
+    }
+    double angle = sqrt(square), half = 0.5 * angle, sine = sin(half), cotangent = cos(half) / sine, open = 1 - half * cotangent;
+    *slope = -(cotangent - half / (sine * sine)) / (4 * angle * square) - open / (square * square);
+    return open / square;
+}
+
+/* What turning by dtheta of the rotation vector does to the torque of the rows, world axes; torque: efforts about the axes. */
+static void torque_turns(const Mount *m, const double *dtheta, double *out)
+{
+    const double *theta = m->s + D, *torque = m->effort + D;
+    double slope, c = curl(dot(theta, theta, 3), &slope), local[3], across[3];
+    double along = dot(theta, torque, 3), forward = dot(theta, dtheta, 3), pulled = dot(dtheta, torque, 3);
+    spin(dtheta, torque, across);
+    for (int i = 0; i < 3; i++) {
+        double bent = theta[i] * along - dot(theta, theta, 3) * torque[i];
+        local[i] = 0.5 * across[i] + c * (dtheta[i] * along + theta[i] * pulled - 2 * forward * torque[i]) + 2 * slope * forward * bent;
+    }
+    times(m->axes, local, out);
+}
+#endif
+
+/* The change of effort . rows, at constant efforts, with a small displacement of both frames. With the force F and the torque T on
+   b, the levers r from a and l from b, and rotations p of the frames:
+
+       dF = p_a x F,   d(l x F) = (p_b x l) x F + l x dF,   d(r x F) = (dx_b + p_b x l - dx_a) x F + r x dF,
+       dT = p_a x T + R_a (dH / dtheta)^T tau                                                                  (2) */
+static void mount_change(const Mount *m, const double *force, const double *torque, const double *moved, double *out)
+{
+    const double *xa = moved, *pa = moved + D, *xb = moved + TWIST, *pb = moved + TWIST + D;
+    double dF[D], swing[D], apart[D], on_a[ROT], on_b[ROT], part[ROT], dT[ROT] = {0.0};
+    spin(pa, force, dF);
+    spin(pb, m->lever, swing);
+    for (int i = 0; i < D; i++) apart[i] = xb[i] + swing[i] - xa[i];
+
+#if DIM == 3
+    double apart_turn[3], dtheta[3];
+    for (int i = 0; i < 3; i++) apart_turn[i] = pb[i] - pa[i];
+    for (int i = 0; i < 3; i++) dtheta[i] = dot(m->row[D + i] + TWIST + D, apart_turn, 3);
+    torque_turns(m, dtheta, dT);
+    spin(pa, torque, part);
+    for (int i = 0; i < 3; i++) dT[i] += part[i];
+#else
+    (void)torque;
+#endif
+
+    moment(apart, force, on_a);
+    moment(m->arm, dF, part);
+    for (int i = 0; i < ROT; i++) on_a[i] += part[i] + dT[i];
+    moment(swing, force, on_b);
+    moment(m->lever, dF, part);
+    for (int i = 0; i < ROT; i++) on_b[i] += part[i] + dT[i];
+
+    for (int i = 0; i < D; i++) out[i] = -dF[i], out[TWIST + i] = dF[i];
+    for (int i = 0; i < ROT; i++) out[D + i] = -on_a[i], out[TWIST + D + i] = on_b[i];
+}
+
+/* The geometric stiffness, weight times the symmetric part of (2), by the twist components from ``first`` up to ``end``. */
+static void mount_curve(const Mount *m, int first, int end, double weight, double *C)
+{
+    double force[D] = {0.0}, torque[ROT] = {0.0};
+    for (int r = 0; r < D; r++) add(force, m->effort[r], m->row[r] + TWIST, D);
+    for (int r = D; r < MOUNT_ROWS; r++) add(torque, m->effort[r], m->row[r] + TWIST + D, ROT);
+
+    for (int c = first; c < end; c++) {
+        double moved[2 * TWIST] = {0.0}, change[2 * TWIST];
+        moved[c] = 1.0;
+        mount_change(m, force, torque, moved, change);
+        for (int j = first; j < end; j++) {
+            C[2 * TWIST * j + c] += 0.5 * weight * change[j];
+            C[2 * TWIST * c + j] += 0.5 * weight * change[j];
         }
     }
 }
 
-/* The symmetric part of the tangent of all bushings into the fronts. */
+/* The symmetric part of the tangent of all bushings, as they were evaluated last, into the fronts. */
 static void mount_tangents(System *s, const Batch *k, double cd, double ck, double geometric)
 {
     for (long i = 0; i < k->n; i++) {
         const double *K = k->P + k->width * i + MOUNT_K, *B = k->P + k->width * i + MOUNT_C;
         double C[4 * TWIST * TWIST] = {0.0}, weight[MOUNT_ROWS][MOUNT_ROWS], pulled[MOUNT_ROWS][2 * TWIST] = {{0.0}};
-        Mount m;
-        mount_at(s, k, i, &m);
+        const int *pair = k->pair + 2 * i, first = pair[0] == s->bodies ? TWIST : 0; /* the ground does not move */
+        const int end = pair[1] == s->bodies ? TWIST : 2 * TWIST, wide = end - first;
+        const Mount m = ((const Mount *)k->known)[i];
         for (int r = 0; r < MOUNT_ROWS; r++)
             for (int c = 0; c < MOUNT_ROWS; c++) {
                 int one = MOUNT_ROWS * r + c, other = MOUNT_ROWS * c + r;
                 weight[r][c] = 0.5 * (ck * (K[one] + K[other]) + cd * (B[one] + B[other]));
-                add(pulled[r], weight[r][c], m.row[c], 2 * TWIST);
+                if (weight[r][c] != 0.0) add(pulled[r] + first, weight[r][c], m.row[c] + first, wide);
             }
-        for (int j = 0; j < 2 * TWIST; j++)
-            for (int r = 0; r < MOUNT_ROWS; r++) add(C + 2 * TWIST * j, m.row[r][j], pulled[r], 2 * TWIST);
-        if (geometric != 0.0) mount_curve(s, k, i, &m, geometric, C);
+        for (int j = first; j < end; j++)
+            for (int r = 0; r < MOUNT_ROWS; r++) add(C + 2 * TWIST * j + first, m.row[r][j], pulled[r] + first, wide);
+        if (geometric != 0.0) mount_curve(&m, first, end, geometric, C);
         mapped_square(s, k, i, C);
     }
 }

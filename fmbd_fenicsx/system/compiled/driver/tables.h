@@ -14,9 +14,10 @@ enum { D = 2, ROT = 1, POSE = 3, TWIST = 3, PORT = 6, FRAME = 10 };
 #endif
 enum { TURN = D, SPEED = D + D * D, SPIN = SPEED + D };  /* where R, v, w begin in a frame */
 
-enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA, MOUNT };   /* roles of items: a term of a constraint; an effort that is linear, */
+enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA, MOUNT, WHOLE }; /* roles of items: a term of a constraint; an effort that is linear, */
                                                           /* given for the whole step, or from a law in Python; READ: only */
-                                                          /* looked at in records; FORMULA: one of formulas.c; MOUNT: bushings */
+                                                          /* looked at in records; FORMULA: one of formulas.c; MOUNT: bushings; */
+                                                          /* WHOLE: wrenches on two markers from Python */
 enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN };      /* verdicts; LOOK: the NumPy path has something to say; FAILED: a */
                                                           /* law in Python raised; GAIN: energy from nothing */
 
@@ -38,7 +39,7 @@ typedef struct {
     double *s, *rate, *effort, *weight, *slope; /* n each */
     int formula;                       /* FORMULA: which; n x FORMULA_WIDTH constants, n x MEMORY memory of accepted steps */
     double *constants, *kept;
-    double *known;                     /* LAW: n x 3, s, s' and N where the slopes were taken */
+    double *known;                     /* LAW: n x 3, s, s' and N where the slopes were taken; WHOLE, MOUNT: see whole.c, mounts.c */
     int *first, *second, *product_to;  /* products: pairs of live entries; n x products places in the fronts */
     int *curve, *curve_to, hessians;   /* curved: which outputs of the tangent kernel; n x curved places; outputs in all */
     double *hessian;
@@ -50,6 +51,8 @@ typedef struct {
     int *lower;                        /* curved x 2: twist components of each output of the tangent kernel */
     long *row_start, *square_start;    /* where an item's places begin in: */
     int *row_to, *row_on, *square_to;  /* places of its row and the unknowns it acts on, places of the lower half of its block */
+    int *marker, *astray;              /* WHOLE: n x 2 rows of the sights; whether the slopes misled since they were taken */
+    double *sight, *push, *K, *B;      /* markers: x, R, twist; n x 2 wrenches; slopes of each force, see whole.c */
 } Batch;
 
 /* A surface of a reduced body, symbols as in mechanics/frames.py. */
@@ -115,7 +118,7 @@ typedef struct {
     Front *front;
     Angle *angle;
     Rod *rod;
-    double *frames, *velocity, *residual, *wrench; /* wrench: nu, loads given by Python for a step or an evaluation */
+    double *frames, *velocity, *residual;
     double *gap, *motion, *gravity, *weight, *diagonal;
     int *row_dest;                     /* diagonal places of the rows */
     long storage;
@@ -123,7 +126,7 @@ typedef struct {
     signed char *sign;                 /* of the pivots, by unknowns */
     double *units, *row_units;         /* nv, rows: what turns increments and gaps into lengths */
     int (*python)(int what, int number, double t); /* what: see below; 0 when all is well */
-    int samples, laws, stiff;   /* stiff: efforts depend on the motion (2: as a whole, in Python); whether Python is asked once a step, at every evaluation */
+    int samples, stiff;                /* whether Python is asked once a step; whether efforts depend on the motion */
     double cd, ck, epsilon;            /* of the matrix in the fronts */
     double share;                      /* change of q over that of v in a step: open speeds times it are closed like gaps */
     const double *q;                   /* the configuration evaluated last */
@@ -134,6 +137,8 @@ typedef struct {
     int *seen_frame;
     Reaction *reaction;
     double *motion_rate, *rest_gravity, *slip;
+    double settled;                    /* Newton's tolerance of a step */
+    int renewed;                       /* whether forces as a whole get new slopes at any rate */
 } System;
 
 /* Records of accepted steps; every array holds ``capacity`` of them. ``left``: steps up to the next. */
@@ -146,5 +151,5 @@ typedef struct {
     double *doubt;                     /* the state of the doubtful record */
 } Tape;
 
-enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES };  /* what Python is asked for */
+enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES };  /* what Python is asked for */
 

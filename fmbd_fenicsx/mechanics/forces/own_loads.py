@@ -1,0 +1,165 @@
+"""Forces by a law of the user's own of the motions of one or two markers, with slopes by differences where none are given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from ...errors import CallbackError, named
+from ...rotations import Array, Motions
+from ..frames import Kinematics
+from .force_elements import Loads, MarkerMotion, Tangent
+from .user_laws import Repeatable, checked
+
+SMALL = 1e-7  # steps of differences as shares of a length, a turn, a speed: about the root of roundoff
+SLOWEST = 1e-2  # 1/s: lengths of the model a second; speeds below are differenced as this one
+SEEN = ("x", "R", "v", "w")
+
+
+class _Watched(MarkerMotion):
+    """A motion that notes what of it is read: a law can depend on nothing else."""
+
+    def __getattribute__(self, name: str) -> Any:
+        """The attribute; ``__dict__`` is all of them."""
+        if name in SEEN or name == "__dict__":
+            object.__getattribute__(self, "__dict__").setdefault("read", set()).update(
+                SEEN if name == "__dict__" else (name,)
+            )
+        return object.__getattribute__(self, name)
+
+
+def _what_was_read(motion: MarkerMotion) -> set[str]:
+    found: set[str] = object.__getattribute__(motion, "__dict__").get("read", set())
+    return found
+
+
+class OwnLoads(Loads):
+    """Forces law(t, a, b) of the user's own; K and D of the tangent by differences where no Jacobian is given."""
+
+    def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]]) -> None:
+        super().__init__(motions, forces, markers)
+        self.single: np.ndarray = np.array([f.b is None for f in forces])[
+            :, None
+        ]  # (m, 1): those without a second marker
+
+    @staticmethod
+    def law_of(f: Any) -> Any:
+        """The law, and the Jacobian or None."""
+        jacobian = None if f.jacobian is None else named("The Jacobian of force", f.name, f.jacobian, time=0)
+        return Repeatable("The law of force", f.name, f.law, time=0), jacobian
+
+    def _motions(self, k: int, kin: Kinematics, kind: Callable[..., MarkerMotion] = MarkerMotion) -> list[MarkerMotion]:
+        """What the law of force k sees: one marker, or two."""
+        d, twist = self.motions.dim, kin.twist
+        assert twist is not None
+        markers = (self.a[k],) if self.forces[k].b is None else (self.a[k], self.b[k])
+        return [kind(kin.x[i], kin.R[i], twist[i, :d], twist[i, d:]) for i in markers]
+
+    def _answer(self, k: int, t: float, motions: list[MarkerMotion]) -> Array:
+        """Force and torque that the law of force k returns, (n,)."""
+        d, n, name = self.motions.dim, self.motions.dim + self.motions.n_rot, self.forces[k].name
+        value = self.laws[k][0](t, *motions)
+        try:
+            found = np.concatenate([np.atleast_1d(x) for x in value])
+        except (TypeError, ValueError):
+            raise CallbackError(
+                f'Force "{name}": the law returned {value!r:.80} at t = {t:g} s, expected (force ({d},), torque).'
+            ) from None
+        if found.dtype == np.float64 and found.shape == (n,) and isfinite(found.dot(found)):
+            return found
+        return checked(name, found, n, t)
+
+    def _answers(self, kin: Kinematics, t: float) -> Array:
+        """What all laws return, (m, n)."""
+        found = [self._answer(k, t, self._motions(k, kin)) for k in range(len(self.forces))]
+        return np.array(found)
+
+    def _both(self, kin: Kinematics, found: Array) -> tuple[Array, Array]:
+        """Wrenches on a and on b from what the laws return: on a alone, or on b with the reaction on a."""
+        d, single = self.motions.dim, self.single
+        if single.all():
+            return found, np.zeros_like(found)
+        reaction = -found
+        reaction[:, d:] -= self.motions.moment(kin.x[self.b] - kin.x[self.a], found[:, :d])
+        return np.where(single, found, reaction), np.where(single, 0.0, found)
+
+    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """Wrenches of the user's laws on both markers."""
+        return self._both(kin, self._answers(kin, t))
+
+    def tangent(self, kin: Kinematics, t: float) -> Tangent:
+        """By the Jacobians of the user, or by forward differences of the law by what it reads of its markers."""
+        n = self.motions.dim + self.motions.n_rot
+        K, D = np.zeros((2, len(self.forces), 2 * n, 2 * n))
+        for k in range(len(self.forces)):
+            K[k], D[k] = self._given(k, kin, t) if self.laws[k][1] is not None else self._differenced(k, kin, t)
+        return Tangent(self.a, self.b, K, D)
+
+    def _given(self, k: int, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """K and D of a Jacobian of the user's own."""
+        d, n, twist = self.motions.dim, self.motions.dim + self.motions.n_rot, kin.twist
+        assert twist is not None
+        motions = (MarkerMotion(kin.x[j], kin.R[j], twist[j, :d], twist[j, d:]) for j in (self.a[k], self.b[k]))
+        found, made = self.laws[k][1](t, *motions), np.zeros((2, 2 * n, 2 * n))
+        try:
+            made[0], made[1] = found
+        except (TypeError, ValueError):
+            raise CallbackError(
+                f'Force "{self.forces[k].name}": its Jacobian returned {found!r:.60} at t = {t:g} s, '
+                f"expected (K, D), each {made[0].shape}."
+            ) from None
+        return made[0], made[1]
+
+    def _differenced(self, k: int, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """K and D of one force: the law once, and once more for each component of x, R, v, w that this call has read.
+
+        The reaction on a, -f and -tau - (x_b - x_a) x f, is differentiated by the rule of products.
+        """
+        m, d, n = self.motions, self.motions.dim, self.motions.dim + self.motions.n_rot
+        watched = self._motions(k, kin, _Watched)
+        base = self._answer(k, t, watched)
+        read = [_what_was_read(x) for x in watched]
+        plain = self._motions(k, kin)
+        steps = self._steps(plain)
+
+        slopes = np.zeros((2, n, 2 * n))  # of force and torque, by displacements and by velocities
+        for side, motion in enumerate(plain):
+            for name in SEEN:
+                if name not in read[side]:
+                    continue
+                for c, near in enumerate(self._near(motion, name, steps[name])):
+                    others = [near if i == side else x for i, x in enumerate(plain)]
+                    column = side * n + c + (d if name in "Rw" else 0)
+                    slopes[SEEN.index(name) // 2, :, column] = (self._answer(k, t, others) - base) / steps[name]
+
+        out = np.zeros((2, 2 * n, 2 * n))
+        if len(plain) == 1:
+            out[:, :n] = -slopes
+            return out[0], out[1]
+        out[:, n:], out[:, :n] = -slopes, slopes
+        arm = plain[1].x - plain[0].x
+        for which in range(2):
+            out[which, d:n] += m.moment(arm, slopes[which, :d].T).T
+        lever = m.moment(np.eye(d), base[:d]).T  # of unit displacements of b
+        out[0, d:n, n : n + d] += lever
+        out[0, d:n, :d] -= lever
+        return out[0], out[1]
+
+    def _steps(self, motions: list[MarkerMotion]) -> dict[str, float]:
+        """Steps of differences, from the model's length and the speeds of the markers."""
+        length = self.length
+        speeds = [max(np.abs(x.v).max(), length * np.abs(x.w).max()) for x in motions]
+        speed = max(*speeds, SLOWEST * length)
+        return {"x": SMALL * length, "R": SMALL, "v": SMALL * speed, "w": SMALL * speed / length}
+
+    def _near(self, motion: MarkerMotion, name: str, step: float) -> list[MarkerMotion]:
+        """The motion moved, turned, or made faster by a step along each axis."""
+        parts = {part: getattr(motion, part) for part in SEEN}
+        if name == "R":
+            turned = [motion.R + self.motions.spin(e, motion.R.T).T for e in step * np.eye(self.motions.n_rot)]
+            return [MarkerMotion(**{**parts, "R": R}) for R in turned]
+        value = parts[name]
+        return [MarkerMotion(**{**parts, name: value + e}) for e in step * np.eye(len(value))]

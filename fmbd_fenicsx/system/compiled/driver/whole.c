@@ -1,0 +1,181 @@
+/* Forces that Python gives as a whole from the motion of two markers: own laws and tyres. C places the markers, takes the wrenches on
+   them, and keeps the slopes K and B (minus the derivatives by displacements and velocities of both markers) of an earlier state for as
+   long as they foretell what the wrenches do. */
+
+enum { PAIR = 2 * TWIST, SIGHT = D + D * D + TWIST, SIDE = D + D * D }; /* of both markers; of one: x, R, twist; constants of a side */
+enum { KNOWN = 2 * SIGHT + PAIR };
+static const double WRONG = 0.01, FAINT = 0.1; /* share of a motion by which slopes may mislead, of Newton's tolerance that is nothing */
+
+/* Whether side 1 of a force is no marker of its own. */
+static int alone(const Batch *k, long i, int side) { return side && k->marker[2 * i] == k->marker[2 * i + 1]; }
+
+static void sight_of(const double *frame, const double *constants, double *sight)
+{
+    double lever[D], swing[D];
+    times(frame + TURN, constants, lever);
+    product(frame + TURN, constants + D, sight + D);
+    spin(frame + SPIN, lever, swing);
+    for (int j = 0; j < D; j++) {
+        sight[j] = frame[j] + lever[j];
+        sight[D + D * D + j] = frame[SPEED + j] + swing[j];
+    }
+    memcpy(sight + D + D * D + D, frame + SPIN, ROT * sizeof(double));
+}
+
+/* A force at a marker as one at the origin of its frame. */
+static void at_origin(const double *lever, const double *wrench, double *out)
+{
+    double turning[ROT];
+    moment(lever, wrench, turning);
+    memcpy(out, wrench, TWIST * sizeof(double));
+    for (int j = 0; j < ROT; j++) out[D + j] += turning[j];
+}
+
+/* The small displacement from one sight of a marker to another. */
+static void moved_between(const double *from, const double *to, double *out)
+{
+    double turned[D * D];
+    product_transposed(to + D, from + D, turned);
+    for (int j = 0; j < D; j++) out[j] = to[j] - from[j];
+#if DIM == 3
+    for (int j = 0; j < 3; j++) out[3 + j] = 0.5 * (turned[3 * ((j + 2) % 3) + (j + 1) % 3] - turned[3 * ((j + 1) % 3) + (j + 2) % 3]);
+#else
+    out[2] = 0.5 * (turned[2] - turned[1]);
+#endif
+}
+
+/* Whether a wrench that is not foretold by ``miss`` misleads the increment of a body by more than a share of the motion. */
+static int misleads(const System *s, int body, const double *miss, const double *moved)
+{
+    const double *units = s->units + TWIST * body, *inertia = s->diagonal + s->body[body].at_u;
+    double most = 0.0;
+    for (int j = 0; j < TWIST; j++) most = fmax(most, units[j] * fabs(moved[j]));
+    for (int j = 0; j < TWIST; j++) {
+        double allowed = WRONG * (units[j] * fabs(moved[j]) + 0.1 * most) + FAINT * s->settled;
+        if (!(units[j] * s->ck * fabs(miss[j]) <= allowed * inertia[j])) return 1;
+    }
+    return 0;
+}
+
+/* Whether the slopes foretell the wrenches from the last evaluation to this one. On surfaces, where a small part of a body moves, they
+   have to be right to 2 %. */
+static int surprised(const System *s, const Batch *k, long i)
+{
+    const double *known = k->known + KNOWN * i, *push = k->push + PAIR * i;
+    double moved[PAIR] = {0.0}, faster[PAIR] = {0.0};
+    for (int side = 0; side < 2; side++) {
+        const double *now = k->sight + SIGHT * k->marker[2 * i + side], *then = known + SIGHT * side;
+        if (alone(k, i, side)) continue;
+        moved_between(then, now, moved + TWIST * side);
+        for (int j = 0; j < TWIST; j++) faster[TWIST * side + j] = now[SIDE + j] - then[SIDE + j];
+    }
+
+    double miss[PAIR], missed = 0.0, change = 0.0, whole = 0.0;
+    for (int j = 0; j < PAIR; j++) {
+        const long row = (long)PAIR * (PAIR * i + j);
+        double went = push[j] - known[2 * SIGHT + j];
+        miss[j] = went + dot(k->K + row, moved, PAIR) + dot(k->B + row, faster, PAIR);
+        missed += miss[j] * miss[j], change += went * went, whole += push[j] * push[j];
+    }
+    if (!(missed > 1e-22 * whole)) return !(missed <= 1e-22 * whole);
+
+    for (int side = 0; side < 2; side++) {
+        int frame = k->pair[2 * i + side];
+        double on_body[TWIST], lever[D];
+        if (frame == s->bodies) continue;
+        if (frame > s->bodies) {
+            if (missed > 4e-4 * change) return 1;
+            continue;
+        }
+        for (int j = 0; j < D; j++) lever[j] = k->sight[SIGHT * k->marker[2 * i + side] + j] - s->frames[FRAME * frame + j];
+        at_origin(lever, miss + TWIST * side, on_body);
+        if (misleads(s, frame, on_body, moved + TWIST * side)) return 1;
+    }
+    return 0;
+}
+
+static void keep_sights(Batch *k)
+{
+    for (long i = 0; i < k->n; i++) {
+        double *known = k->known + KNOWN * i;
+        for (int side = 0; side < 2; side++)
+            memcpy(known + SIGHT * side, k->sight + SIGHT * k->marker[2 * i + side], SIGHT * sizeof(double));
+        memcpy(known + 2 * SIGHT, k->push + PAIR * i, PAIR * sizeof(double));
+    }
+}
+
+/* Wrenches on the markers into the residuals of their frames; one call into Python for all forces of a batch. */
+static int whole_forces(System *s, Batch *k, double t)
+{
+    for (long i = 0; i < 2 * k->n; i++)
+        if (!alone(k, i / 2, i % 2)) sight_of(s->frames + FRAME * k->pair[i], k->P + SIDE * i, k->sight + SIGHT * k->marker[i]);
+    s->calls++;
+    if (s->python(WRENCHES, k->number, t)) return FAILED;
+
+    for (long i = 0; i < 2 * k->n; i++) {
+        const double *frame = s->frames + FRAME * k->pair[i], *x = k->sight + SIGHT * k->marker[i];
+        double lever[D], on_frame[TWIST];
+        for (int j = 0; j < D; j++) lever[j] = x[j] - frame[j];
+        at_origin(lever, k->push + TWIST * i, on_frame);
+        for (int j = 0; j < TWIST; j++) s->residual[k->at[TWIST * i + j]] -= on_frame[j];
+    }
+
+    for (long i = 0; i < k->n && !*k->astray; i++) *k->astray = surprised(s, k, i);
+    keep_sights(k);
+    return DONE;
+}
+
+/* A matrix on the twists of both markers as one on those of their frames: W^T C W with W = [1, -lever x; 0, 1] of each side. */
+static void to_frames(const double (*lever)[D], double *C)
+{
+    for (int side = 0; side < 2; side++)
+        for (int r = 0; r < ROT; r++) {
+            double axis[ROT] = {0.0}, swing[D];
+            int to = TWIST * side + D + r;
+            axis[r] = 1.0;
+            spin(axis, lever[side], swing);
+            for (int j = 0; j < PAIR; j++) C[PAIR * j + to] += dot(C + PAIR * j + TWIST * side, swing, D);
+        }
+    for (int side = 0; side < 2; side++)
+        for (int r = 0; r < ROT; r++) {
+            double axis[ROT] = {0.0}, swing[D];
+            int to = TWIST * side + D + r;
+            axis[r] = 1.0;
+            spin(axis, lever[side], swing);
+            for (int j = 0; j < D; j++) add(C + PAIR * to, swing[j], C + PAIR * (TWIST * side + j), PAIR);
+        }
+}
+
+/* The symmetric part of ck K + cd B into the fronts; Python gives new slopes where the old ones misled, or Newton is slow with them. */
+static int whole_tangents(System *s, Batch *k, double cd, double ck, double t)
+{
+    if (*k->astray || s->renewed) {
+        s->calls++;
+        if (s->python(WHOLE_SLOPES, k->number, t)) return FAILED;
+        *k->astray = 0;
+    }
+    for (long i = 0; i < k->n; i++) {
+        const double *K = k->K + (long)PAIR * PAIR * i, *B = k->B + (long)PAIR * PAIR * i;
+        double C[PAIR * PAIR], lever[2][D];
+        for (int r = 0; r < PAIR; r++)
+            for (int c = 0; c < PAIR; c++) {
+                int one = PAIR * r + c, other = PAIR * c + r;
+                C[one] = 0.5 * (ck * (K[one] + K[other]) + cd * (B[one] + B[other]));
+            }
+        for (int side = 0; side < 2; side++) {
+            const double *frame = s->frames + FRAME * k->pair[2 * i + side], *x = k->sight + SIGHT * k->marker[2 * i + side];
+            for (int j = 0; j < D; j++) lever[side][j] = x[j] - frame[j];
+        }
+        to_frames((const double (*)[D])lever, C);
+        mapped_square(s, k, i, C);
+    }
+    return DONE;
+}
+
+/* Whether slopes in the matrix misled at the last evaluation. */
+static int misled(const System *s)
+{
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
+        if (k->role == WHOLE && *k->astray) return 1;
+    return 0;
+}

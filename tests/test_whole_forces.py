@@ -1,0 +1,276 @@
+"""Laws of the motion of two markers: what a step asks of Python, slopes that are kept, and slopes by differences."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_checkpoint import at_every_step
+from test_compiled import pair, stepper_of
+from test_driver import bushings, joint_springs, links
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.mechanics.forces.own_loads import OwnLoads
+from fmbd_fenicsx.rotations import Array
+from fmbd_fenicsx.system.compiled.library import driver_library
+
+compiled = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")
+STEPS = 100
+
+
+class Counted:
+    """A law that counts its calls."""
+
+    def __init__(self, law: Callable[..., Any]) -> None:
+        self.law, self.calls = law, 0
+
+    def __call__(self, *args: Any) -> Any:
+        self.calls += 1
+        return self.law(*args)
+
+
+def dragging(t: float, a: Any, b: Any) -> Any:
+    """A soft spring and damper between two points, and a damper of the turn."""
+    return -20.0 * (b.x - a.x) - 0.1 * (b.v - a.v), -1e-5 * (b.w - a.w)
+
+
+def between_links(dim: int, law: Callable[..., Any]) -> fmbd.Scene:
+    """Five links with a law between each two neighbours."""
+    scene = links(5, dim)
+    bodies = list(scene.bodies.values())
+    for i, (a, b) in enumerate(zip(bodies, bodies[1:], strict=False)):
+        points = ((0.1 * i + 0.02, 0.01, 0.0)[:dim], (0.1 * i + 0.13, 0.0, 0.02)[:dim])
+        scene.add(fmbd.own_force(f"own {i}", a, b, law, points=points))
+    return scene
+
+
+def landing(stiffness: float) -> tuple[fmbd.Scene, Counted]:
+    """A ball that falls on a floor given as a law, and leaves it again."""
+    ball = fmbd.RigidBody("ball", 1.0, 0.01, (0.0, 0.012), velocity=(0.2, -0.3))
+    law = Counted(lambda t, a: ((-0.3 * a.v[0], stiffness * max(-a.x[1], 0.0)), 0.0))
+    scene = fmbd.Scene("landing", gravity=(0, -9.81))
+    scene.add(ball, fmbd.own_force("floor", ball, None, law))
+    return scene, law
+
+
+def marched(scene: fmbd.Scene) -> tuple[Any, Any]:
+    """The driver after some steps, its counters set to zero, and its stepper."""
+    stepper: Any = stepper_of(scene)
+    for _ in range(3):
+        stepper.advance(1e-3)
+    c = stepper.driver.tables.c
+    c.evaluations = c.factors = c.calls = 0
+    return c, stepper
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+def test_laws_are_called_once_an_evaluation_and_slopes_are_kept(dim: int) -> None:
+    law = Counted(dragging)
+    c, stepper = marched(between_links(dim, law))
+    law.calls = 0
+    assert stepper.march(1e-3, STEPS) == STEPS
+
+    assert c.evaluations <= 2.1 * STEPS
+    assert c.evaluations <= c.calls <= 1.1 * c.evaluations
+    assert 4 * c.evaluations <= law.calls <= 2.5 * 4 * c.evaluations
+
+
+@compiled
+def test_slopes_are_new_where_a_law_sets_in() -> None:
+    """Free, in contact, free again: as many iterations as a law of one slope needs, and the motion of the NumPy path."""
+    for stiffness in (1e4, 1e7):
+        fast, slow = pair(lambda k=stiffness: landing(k)[0], t_end=0.08, dt=1e-3)
+        assert fast.counters["compiled_steps"] == 80
+        assert fast.counters["newton_iterations"] <= slow.counters["newton_iterations"] + 5
+        assert np.abs(fast.state.q - slow.state.q).max() < 1e-9
+        assert slow.state.q[1] > 5e-3  # it has left the floor
+
+    scene, law = landing(1e4)
+    run = fmbd.solve(scene, t_end=0.08, dt=1e-3)
+    assert law.calls <= 1.4 * run.counters["newton_iterations"]
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_run_that_is_taken_up_goes_on_with_the_same_slopes(dim: int, tmp_path: Path) -> None:
+    """Between records, after a checkpoint and step by step: the same bits."""
+    make = lambda: between_links(dim, dragging)  # noqa: E731
+    whole = at_every_step(make, tmp_path, (1, 7, 15), t_end=0.02, dt=1e-3)
+    rare = fmbd.solve(make(), t_end=0.02, dt=1e-3, output=fmbd.Output(every=20))
+    assert np.array_equal(whole.state.q, rare.state.q) and np.array_equal(whole.state.a, rare.state.a)
+
+
+@compiled
+@pytest.mark.parametrize("make", [joint_springs, bushings, links], ids=["springs", "bushings", "links"])
+def test_steps_without_laws_ask_python_nothing_and_allocate_nothing(make: Any) -> None:
+    scene = make(4, 2) if make is links else make(2)
+    c, stepper = marched(scene)
+    driver = stepper.driver
+    driver.march(1)
+    c.evaluations = c.factors = c.calls = 0
+
+    tracemalloc.start()
+    try:
+        driver.march(10)
+        tracemalloc.reset_peak()
+        before, _ = tracemalloc.get_traced_memory()
+        few = _peak(driver, 10)
+        many = _peak(driver, 10 * STEPS)
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert c.calls == 0
+    assert many <= few
+    assert after - before < 512  # the numbers that tell what was read
+
+    steps = 10 + 10 + 10 * STEPS
+    assert c.factors <= 1.5 * steps
+    assert c.evaluations <= 2.5 * steps
+
+
+def _peak(driver: Any, steps: int) -> int:
+    """Bytes that a call of so many steps has at most."""
+    tracemalloc.reset_peak()
+    before, _ = tracemalloc.get_traced_memory()
+    assert driver.march(steps) == (steps, 0)
+    return tracemalloc.get_traced_memory()[1] - before
+
+
+def turned_bushing(dim: int) -> tuple[fmbd.Scene, Any]:
+    """A body far from rest on a bushing to the ground."""
+    rng = np.random.default_rng(7)
+    n = 3 if dim == 2 else 6
+    A = rng.standard_normal((n, n))
+    body = fmbd.RigidBody("body", 1.3, 0.4 if dim == 2 else (0.4, 0.5, 0.6), (0.3, -0.2, 0.1)[:dim])
+    scene = fmbd.Scene("mount")
+    mount = fmbd.bushing("mount", fmbd.ground, body, stiffness=A @ A.T, damping=A + 5 * np.eye(n), center=(0.0,) * dim)
+    scene.add(body, mount)
+    return scene, body
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("turn", [0.05, 1.2])
+def test_tangent_of_bushings_is_the_derivative_of_their_wrench(dim: int, turn: float) -> None:
+    """The matrix of the compiled step, read from the increments that it makes, against the evaluation in NumPy."""
+    stepper: Any = stepper_of(turned_bushing(dim)[0])
+    system, driver, n = stepper.system, stepper.driver, 3 * (dim - 1)
+    move = np.array([0.3, -0.2, 0.1][:dim] + [turn * x for x in ([1.0] if dim == 2 else [0.5, -0.7, 0.4])])
+    q = np.ascontiguousarray(system.compose(stepper.state.q, move))
+    v, cd, ck = np.zeros(n), 0.3, 0.7
+    v[:dim] = (0.4, -0.3, 0.6)[:dim]
+
+    def increments() -> Array:
+        out = []
+        for a in (np.zeros(n), *np.eye(n)):
+            x, y = np.zeros(n), np.zeros(1)
+            library, at = driver.library, driver.address
+            library.driver_evaluate(at, q.ctypes.data, v.ctypes.data, a.ctypes.data, y.ctypes.data, 0.0)
+            library.driver_prepare(at, q.ctypes.data, cd, ck, y.ctypes.data, 0, 0.0)
+            library.driver_increment(at, 1.0, x.ctypes.data, y.ctypes.data)
+            out.append(x)
+        return -(np.array(out[1:]) - out[0]).T
+
+    ev = system.at(0.0, q, v)
+    M = np.diag([1.3] * dim + ([0.4] if dim == 2 else [0.4, 0.5, 0.6]))
+    tangent = system.forces[0].tangent(ev.kin, 0.0)
+    assert tangent is not None
+    W = ev.kin.jac_frame[tangent.b[0]]
+    K, D = (W.T @ x[0, n:, n:] @ W for x in (tangent.K, tangent.D))
+    matrix = M @ np.linalg.inv(increments())
+    K[dim:, dim:] += carried(ev.kin.x[tangent.b[0]] - q[:dim], system.forces[0].wrenches(ev.kin, 0.0)[1][0, :dim], W)
+    found = ck * K + cd * D
+    assert np.abs(matrix - M - 0.5 * (found + found.T)).max() < 1e-7 * np.abs(found).max()
+
+
+def carried(lever: Array, force: Array, W: Array) -> Array:
+    """The stiffness of a force whose lever turns with its body."""
+    dim = len(lever)
+    if dim == 2:
+        return np.array([[lever @ force]])
+    R = W[3:, 3:]
+    return R.T @ -np.cross(np.cross(np.eye(3), lever), force).T @ R
+
+
+def known_slopes(scale: float, dim: int) -> tuple[Any, Any]:
+    """A nonlinear law with differenced slopes and with its own, in a model that is ``scale`` times as large."""
+    stiffness, damping, n = 20.0 / scale, 0.1 / scale, 3 * (dim - 1)
+
+    def law(t: float, a: Any, b: Any) -> Any:
+        d = b.x - a.x
+        return -stiffness * d * (1 + d @ d / scale**2) - damping * b.v, -1e-2 * scale * b.w
+
+    def jacobian(t: float, a: Any, b: Any) -> Any:
+        d = b.x - a.x
+        slope = stiffness * ((1 + d @ d / scale**2) * np.eye(dim) + 2 * np.outer(d, d) / scale**2)
+        K, D = np.zeros((2, 2 * n, 2 * n))
+        force = -stiffness * d * (1 + d @ d / scale**2) - damping * b.v
+        K[n : n + dim, n : n + dim], K[n : n + dim, :dim] = slope, -slope
+        D[n : n + dim, n : n + dim] = damping * np.eye(dim)
+        D[n + dim :, n + dim :] = 1e-2 * scale * np.eye(n - dim)
+        K[:dim], D[:dim] = -K[n : n + dim], -D[n : n + dim]
+        for X in (K, D):
+            X[dim:n] = -X[n + dim :] - _crossed(d, X[n : n + dim])
+        lever = _crossed_by(force, dim)
+        K[dim:n, n : n + dim] += lever
+        K[dim:n, :dim] -= lever
+        return K, D
+
+    made = []
+    for own in (None, jacobian):
+        scene = fmbd.Scene("scaled")
+        one, two = (
+            fmbd.RigidBody(name, 1.0, scale**2 if dim == 2 else scale**2 * np.eye(3), np.array(x)[:dim] * scale)
+            for name, x in (("one", (0.0, 0.1, 0.2)), ("two", (1.0, 0.3, -0.4)))
+        )
+        scene.add(one, two, fmbd.own_force("own", one, two, law, jacobian=own))
+        system, state, _ = scene.build()
+        v = np.linspace(-1.0, 1.0, 2 * n).reshape(2, n)
+        v[:, :dim] *= scale
+        loads = system.forces[0]
+        assert isinstance(loads, OwnLoads)
+        made.append(loads.tangent(system.at(0.0, state.q, v.ravel()).kin, 0.0))
+    return made[0], made[1]
+
+
+def _crossed(d: Array, X: Array) -> Array:
+    """d x each column."""
+    if len(d) == 2:
+        return (d[0] * X[1] - d[1] * X[0])[None]
+    return np.cross(d, X.T).T
+
+
+def _crossed_by(force: Array, dim: int) -> Array:
+    """The matrix of e x force for unit vectors e."""
+    if dim == 2:
+        return np.array([[force[1], -force[0]]])
+    return np.cross(np.eye(3), force).T
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+def test_differences_are_scaled_with_the_model(scale: float, dim: int) -> None:
+    found, exact = known_slopes(scale, dim)
+    units = np.tile([1.0] * dim + [1 / scale] * (2 * dim - 3), 2)  # of turns as lengths
+    for x, y in ((found.K, exact.K), (found.D, exact.D)):
+        away, size = (np.abs(units[:, None] * z * units).max() for z in (x - y, y))
+        assert away < 1e-6 * size
+
+
+def test_only_what_a_law_reads_is_differenced() -> None:
+    """A law of places and speeds along x: one call, and one for each component that is read of both markers."""
+    law = Counted(lambda t, a, b: (-(b.x - a.x), 0.0))
+    one, two = (fmbd.RigidBody(name, 1.0, 1.0, (x, 0.0)) for name, x in (("one", 0.0), ("two", 1.0)))
+    scene = fmbd.Scene("two")
+    scene.add(one, two, fmbd.own_force("own", one, two, law))
+    system, state, _ = scene.build()
+    kin = system.at(0.0, state.q, np.ones(6)).kin
+    system.forces[0].wrenches(kin, 0.0)
+    law.calls = 0
+    system.forces[0].tangent(kin, 0.0)
+    assert law.calls == 1 + 4
