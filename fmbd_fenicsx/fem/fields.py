@@ -99,6 +99,7 @@ class Field:
         self.K = fp.create_matrix(self.stiffness_form, "baij")
         self.tangents = -1
         self._with_extra: Any = None
+        self._unstressed: Any = None  # K of the body without stress, where stiffness_damping has to know it
         self.linearise(None)
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
         self.mass_form = compat.form(rho * ufl.inner(u, v) * dx)
@@ -168,6 +169,8 @@ class Field:
             self.K.zeroEntries()
             fp.assemble_matrix(self.K, self.stiffness_form)
             self.K.assemble()
+        if self.tangents < 0 and self.nonlinear and not self.mixed and self.forms.stiffness_damping > 0:
+            self._unstressed = self.K.copy()
         if extra is not None:
             if self._with_extra is None:
                 self._with_extra = fp.create_matrix(self.stiffness_form, "baij")
@@ -197,6 +200,10 @@ class Field:
     def stiffness(self, U: Array) -> Array:
         """K U, (n d,) -> (n d,)."""
         return self._times(self.K, U)
+
+    def stiffness_at_rest(self, U: Array) -> Array:
+        """K_0 U with the stiffness of the body without stress, what stiffness_damping acts by, (n d,) -> (n d,)."""
+        return self.stiffness(U) if self._unstressed is None else self._times(self._unstressed, U)
 
     def tangent(self, U: Array) -> Array:
         """K U with the extra form of :meth:`linearise`: the matrix that :meth:`combination` holds."""
@@ -377,5 +384,6 @@ class Field:
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""
-        for x in (self.M, self.K, *self._work, *self._big, *(A for A in (self._with_extra, self.D) if A is not None)):
+        own = (A for A in (self._with_extra, self._unstressed, self.D) if A is not None)
+        for x in (self.M, self.K, *self._work, *self._big, *own):
             x.destroy()

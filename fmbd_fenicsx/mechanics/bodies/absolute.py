@@ -96,12 +96,18 @@ class AbsoluteField(FieldPart):
         return np.zeros(self.motions.n_twist), rows
 
     def _turned_stiffness(self, U: Array, Ud: Array) -> Array:
-        """T K_0 T^T u': damping by the co-rotated tangent leaves rigid motion alone."""
-        T = self.corotation(U)
-        if T is None:
+        """R K_0 R^T u', R the mean rotation of the body: damping by the stiffness without stress leaves rigid motion alone and
+        never gives energy. It depends on the state only; Newton's matrix has the tangent in its place.
+        """
+        if not self.field.nonlinear:
             return self.field.stiffness(Ud)
-        d = self.field.dim
-        return (self.field.stiffness((Ud.reshape(-1, d) @ T).ravel()).reshape(-1, d) @ T.T).ravel()
+        d, R = self.field.dim, self._damping_turn(U)
+        return (self.field.stiffness_at_rest((Ud.reshape(-1, d) @ R).ravel()).reshape(-1, d) @ R.T).ravel()
+
+    def _damping_turn(self, U: Array) -> Array:
+        """R of the damping, (d, d); of bodies with a pressure the turn since the tangent was taken, as in Newton's matrix."""
+        turn = self._mean_rotation(U)
+        return turn @ self._turn_at_tangent.T if self.field.mixed else turn
 
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
         """Power (W) of loads and of material damping; collective."""

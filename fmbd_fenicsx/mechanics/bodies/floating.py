@@ -120,13 +120,13 @@ class FloatingField(FieldPart):
         return 0.1 * float(np.sqrt(first_eigenvalue_bound(self.field)))
 
     def internal(self, U: Array, Ud: Array) -> Array:
-        """f_int(U) + beta K U', (n d,)."""
+        """f_int(U) + beta K_0 U', (n d,)."""
         beta = self.field.forms.stiffness_damping
         self._last = U
         if not self.field.nonlinear:
             return self.field.stiffness(U + beta * Ud if beta else U)
         f = self.field.internal(U)
-        return f + beta * self.field.stiffness(Ud) if beta else f
+        return f + beta * self.field.stiffness_at_rest(Ud) if beta else f
 
     def port_columns(self, used: np.ndarray) -> Array:
         """Columns (n d, count) of port forces, of the body as it was bent at the last :meth:`relinearise`."""
@@ -243,7 +243,7 @@ class FloatingField(FieldPart):
         f = self.field
         out = f.forms.mass_damping * f.mass(Ud.reshape(-1, f.dim)).ravel()
         if f.forms.stiffness_damping:
-            out += f.forms.stiffness_damping * f.stiffness(Ud)
+            out += f.forms.stiffness_damping * f.stiffness_at_rest(Ud)
         return out if f.D is None else out + f.damping(Ud)
 
     def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:

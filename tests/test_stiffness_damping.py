@@ -1,0 +1,79 @@
+"""Rayleigh damping by the stiffness: of bodies with an energy that of the body without stress, whatever was solved before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.materials import neo_hookean
+from fmbd_fenicsx.mechanics.placements import FrameMotion
+
+BETA = 0.02
+
+
+def part_of(kind: Any, mesh: Any, beta: float = BETA) -> Any:
+    scene = fmbd.Scene("one")
+    scene.add(kind("rod", mesh, density=1e3, energy=neo_hookean(1e6, 0.3), stiffness_damping=beta))
+    return scene.build()[0].fields[0][1]
+
+
+def bent(X: np.ndarray) -> np.ndarray:
+    """Displacements that shorten a rod by a third and bend it: far beyond buckling."""
+    return np.column_stack((-0.35 * X[:, 0], 0.2 * np.sin(3 * X[:, 0]))).ravel()
+
+
+def damping(part: Any, U: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Forces with the rate less those without, (n,)."""
+    n, zero = part.motions.n_twist, np.zeros_like(U)
+    motion = FrameMotion(0.0, np.eye(2), np.zeros(n), np.zeros(n), np.zeros(2))
+    return np.asarray(part.force(motion, (U, rate, zero))[1] - part.force(motion, (U, zero, zero))[1])
+
+
+@pytest.mark.parametrize("kind", [fmbd.AbsoluteBody, fmbd.FloatingBody])
+def test_damping_is_a_function_of_the_state(rod_mesh: Callable[..., Any], kind: Any) -> None:
+    """The same force before and after a tangent was taken elsewhere; no gain of energy, also where the tangent is indefinite."""
+    part = part_of(kind, rod_mesh(dim=2, h=0.25))
+    U = bent(part.field.X)
+    rates = np.random.default_rng(3).standard_normal((20, len(U)))
+    before = [damping(part, U, rate) for rate in rates]
+    free = [float(rate @ part.field.stiffness(rate)) for rate in rates]
+
+    part.relinearise()
+    after = [damping(part, U, rate) for rate in rates]
+    assert any(abs(rate @ part.field.stiffness(rate) - x) > 0.05 * x for rate, x in zip(rates, free, strict=True))
+    size = np.abs(before).max()
+    assert np.abs(np.subtract(after, before)).max() < 1e-10 * size
+    assert min(float(rate @ f) for rate, f in zip(rates, after, strict=True)) > 0
+
+
+def test_a_turning_body_is_not_damped(rod_mesh: Callable[..., Any]) -> None:
+    """By any tangent: of the body at rest, turned, or bent."""
+    part = part_of(fmbd.AbsoluteBody, rod_mesh(dim=2, h=0.25))
+    X, turn = part.field.X, 0.7
+    R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    U, rate = (X @ R.T - X).ravel(), (X @ R.T @ np.array([[0.0, 1.0], [-1.0, 0.0]])).ravel()
+    size = BETA * np.abs(part.field.stiffness(X.ravel())).max()
+    for place in (None, U, bent(X)):
+        if place is not None:
+            damping(part, place, rate)
+            part.relinearise()
+        assert np.abs(part._turned_stiffness(U, rate)).max() * BETA < 1e-9 * size
+
+
+def test_runs_with_strong_damping_do_not_depend_on_when_the_tangent_is_taken(rod_mesh: Callable[..., Any]) -> None:
+    """A heavy rod that sags by half of its length, damped far beyond critical: few tangents or many."""
+    rod = fmbd.AbsoluteBody(
+        "rod", rod_mesh(dim=2, h=0.25), density=1e3, energy=neo_hookean(1e6, 0.3), stiffness_damping=BETA
+    )
+    tips = []
+    for patience in (0.5, 30.0):
+        scene = fmbd.Scene("sag", gravity=(0, -9.81))
+        scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
+        scene.sensor("tip", fmbd.position(rod.surface("tip")))
+        newton = fmbd.Newton(1e-10, 60, patience=patience)
+        tips.append(fmbd.solve(scene, t_end=0.2, dt=0.01, newton=newton, output=fmbd.Output(progress=False))["tip"][-1])
+    assert np.abs(tips[0] - tips[1]).max() < 1e-7
