@@ -152,3 +152,36 @@ def test_slow_dynamic_at_an_angle(k: int) -> None:
     found = ramped(ANGLES[k], 0.5, 0.005, (3, 20))
     np.testing.assert_allclose(found[1], Y[k], rtol=0.01)
     np.testing.assert_allclose(found[2], Z[k], rtol=0.01, atol=1e-4)
+
+
+# first load, 4.448 N: exact rod of the same section (shooting, tolerances of 1e-12); way along the soft and the stiff axis, m
+FIRST = {
+    0: (0.0, 0.005359539372302655),
+    15: (0.020801395117408722, 0.005210157534470404),
+    30: (0.039949985968516816, 0.004751073377762845),
+    45: (0.05605600485691858, 0.003965164595317612),
+    60: (0.0681300995255365, 0.0028622092108921133),
+    75: (0.07557257330721391, 0.0015029965072212),
+    90: (0.07808297697417127, 0.0),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.serial
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("angle", FIRST)
+def test_equilibrium_under_the_first_load(angle: int) -> None:
+    """The scene's equilibrium by load steps: every angle to 1 % of the way of the tip."""
+    turn = np.radians(angle)
+    scene = fmbd.Scene("princeton")
+    blade = solid([], cells=20)
+    direction = np.array((0.0, np.cos(turn), np.sin(turn)))
+    scene.add(blade, fmbd.fixed("clamp", fmbd.ground, blade.surface("left")))
+    scene.add(fmbd.force("load", blade.surface("right"), lambda t: 4.448 * t * direction))
+    scene.sensor("tip", fmbd.position(blade.surface("right")))
+    path = fmbd.equilibrium(scene, path=fmbd.LoadSteps((1.0,), first=0.25)).path
+    assert path is not None
+
+    way = path.series["tip"][-1] - path.series["tip"][0]
+    soft, stiff = FIRST[angle]
+    np.testing.assert_allclose((way[2], way[1]), (soft, stiff), rtol=0.01, atol=1e-5)
