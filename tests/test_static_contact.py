@@ -116,7 +116,7 @@ LONG, HIGH, GAP, YOUNG, LOAD = 1.0, 0.04, 1e-3, 1e9, 100.0
 def propped(kind: str) -> fmbd.Scene:
     """A cantilever pulled down at its end, a round stop under its middle."""
     mesh = fmbd.read_gmsh(BLOCK, size=(LONG, HIGH), counts=(20, 1), quads=True)
-    data = {"degree": 2, "density": 1000.0, "elastic": plane_stress(YOUNG, 0.0)}
+    data: Any = {"degree": 2, "density": 1000.0, "elastic": plane_stress(YOUNG, 0.0)}
     body: Any = (
         fmbd.AbsoluteBody("beam", mesh, **data) if kind == "absolute" else fmbd.FloatingBody("beam", mesh, **data)
     )
@@ -179,7 +179,7 @@ def test_a_block_pushed_along_the_wall_is_refused() -> None:
 @pytest.mark.mpi
 def test_two_blocks_with_meshes_that_do_not_match() -> None:
     """Uniform pressure between two surfaces (mortar rows)."""
-    data = {"degree": 1, "density": 1.0, "elastic": fmbd.materials.linear_elastic(1e3, 0.3)}
+    data: Any = {"degree": 1, "density": 1.0, "elastic": fmbd.materials.linear_elastic(1e3, 0.3)}
     low, high = (
         fmbd.AbsoluteBody(name, fmbd.read_gmsh(BLOCK, size=(1.0, 0.5), cells=n, origin=(0.0, y)), **data)
         for name, n, y in (("low", 4, 0.0), ("high", 7, 0.5))
@@ -199,7 +199,7 @@ def supported(middle: bool) -> fmbd.Scene:
     section = fmbd.RodSection.circle(youngs_modulus=1e10, poisson_ratio=0.3, density=1000.0, radius=0.02)
     rod = fmbd.Rod("rod", [(-1, 0, 0.13), (1, 0, 0.13)], section, elements=16, degree=2)
     scene = fmbd.Scene("supported", gravity=GRAVITY)
-    ends = {"point_a": (-2.0, 0.0, 0.12), "point_b": (-1.0, 0.0, 0.13)}
+    ends: Any = {"point_a": (-2.0, 0.0, 0.12), "point_b": (-1.0, 0.0, 0.13)}
     scene.add(rod, fmbd.Spring("along", fmbd.ground, rod.surface("start"), stiffness=1e4, length=1.0, **ends))
     for name, x in (("left", -1.0), ("middle", 0.0), ("right", 1.0)):
         if name == "middle" and not middle:
