@@ -52,7 +52,8 @@ def test_a_rod_falls_and_lies_on_a_floor():
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.4])
 def test_a_rope_around_a_cylinder(friction):
-    """Half a turn around a fixed cylinder: it slips when one end's force exceeds the other's by exp(mu pi) (Eytelwein)."""
+    """Half a turn around a fixed cylinder: it slips when one end's force exceeds the other's by exp(mu pi) (Eytelwein);
+    a few nodes stand for the half turn, so the bounds are a fifth below and a tenth above."""
     R, r, pull = 0.1, 0.005, 1.0
     rope = fmbd.RodSection((2e3, 2e2, 2e2, 1e-4, 1e-4, 1e-4), mass=0.05, inertia=(2e-6, 1e-6, 1e-6))
     bent = lambda u: _around(u, R + r, 0.15)  # noqa: E731
@@ -67,10 +68,10 @@ def test_a_rope_around_a_cylinder(friction):
         scene.add(fmbd.forces.force("left", rod.surface("start"), lambda t: (0, 0, -pull * ramp(t))))
         scene.add(fmbd.forces.force("right", rod.surface("end"), lambda t: (0, 0, -pull * ratio * ramp(t))))
         scene.sensor("end", fmbd.sensors.velocity(rod.surface("end")))
-        return -fmbd.solve(scene, t_end=0.15, dt=5e-4, scheme=fmbd.Moreau())["end"][-1][2]
+        return -fmbd.solve(scene, t_end=0.12, dt=1e-3, scheme=fmbd.Moreau())["end"][-1][2]
 
-    assert speed(1.0 + 0.9 * (slip - 1.0)) < 1e-3
-    assert speed(1.2 * slip) > 0.1
+    assert abs(speed(1.0 + 0.8 * (slip - 1.0))) < 1e-3
+    assert speed(1.1 * slip) > 0.3
 
 
 def _around(u, radius, leg):
