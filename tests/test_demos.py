@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -27,15 +28,13 @@ def run(demo: Path, file: Path, *before: str) -> dict[str, float]:
 
 MARKS = {
     "elastic_pendulum": pytest.mark.smoke,
+    "robot_arm": pytest.mark.skipif(find_spec("yourdfpy") is None, reason="no yourdfpy"),
 }
+PARAMETERS = [pytest.param(p, marks=MARKS.get(p.stem, ()), id=p.stem) for p in DEMOS]
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(
-    "demo",
-    [pytest.param(p, marks=MARKS.get(p.stem, ())) for p in DEMOS],
-    ids=lambda p: p.stem,
-)
+@pytest.mark.parametrize("demo", PARAMETERS)
 def test_demo_passes_its_checks(demo, tmp_path):
     run(demo, tmp_path / "one.json")
 
@@ -43,7 +42,7 @@ def test_demo_passes_its_checks(demo, tmp_path):
 @pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("mpirun") is None, reason="no mpirun")
-@pytest.mark.parametrize("demo", DEMOS, ids=lambda p: p.stem)
+@pytest.mark.parametrize("demo", PARAMETERS)
 def test_demo_has_the_same_figures_on_two_ranks(demo, tmp_path):
     one = run(demo, tmp_path / "one.json")
     two = run(demo, tmp_path / "two.json", "mpirun", "-n", "2")
