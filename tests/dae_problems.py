@@ -93,3 +93,18 @@ def state_errors(scene: fmbd.Scene, a: Any, b: Any) -> np.ndarray:
     """Differences of two states in q, v, lambda, (3,)."""
     system = scene.build()[0]
     return np.array([np.abs(system.difference(a.q, b.q)).max(), np.abs(a.v - b.v).max(), np.abs(a.lam - b.lam).max()])
+
+
+def double_four_bar() -> fmbd.Scene:
+    """Five links of 1 m and 1 kg, B0 starts with 1 m/s; flat at 0.714 s, three freedoms there in place of one (IFToMM A02)."""
+    scene = fmbd.Scene("double four-bar", gravity=(0, -GRAVITY))
+    legs = [fmbd.RigidBody(f"leg {i}", 1.0, 1 / 12, (i, 0.5), np.pi / 2, (0.5, 0.0), -1.0) for i in range(3)]
+    bars = [fmbd.RigidBody(f"bar {i}", 1.0, 1 / 12, (i + 0.5, 1.0), 0.0, (1.0, 0.0)) for i in range(2)]
+    scene.add(*legs, *bars)
+    for i, leg in enumerate(legs):
+        scene.add(fmbd.revolute(f"A{i}", fmbd.ground, leg, center=(i, 0)))
+    for i, bar in enumerate(bars):
+        scene.add(fmbd.revolute(f"B{i}", legs[i], bar, center=(i, 1)))
+        scene.add(fmbd.revolute(f"B{i}'", bar, legs[i + 1], center=(i + 1, 1)))
+    scene.sensor("B0", fmbd.position(legs[0], point=(0, 1)))
+    return scene

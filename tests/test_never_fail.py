@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dae_problems import GRAVITY, pendulum, pendulum_at
+from dae_problems import GRAVITY, double_four_bar, pendulum, pendulum_at
 
 import fmbd_fenicsx as fmbd
 
@@ -40,21 +40,6 @@ def slider_crank() -> fmbd.Scene:
     )
     scene.add(fmbd.prismatic("slide", fmbd.ground, block, axis=(1, 0), center=(r + length, 0)))
     scene.sensor("x", fmbd.position(block))
-    return scene
-
-
-def double_four_bar() -> fmbd.Scene:
-    """Five links of 1 m and 1 kg, started at 1 m/s; flat at t = 0.714 s, where it has three degrees of freedom instead of one."""
-    scene = fmbd.Scene("double four-bar", gravity=(0, -9.81))
-    legs = [fmbd.RigidBody(f"leg {i}", 1.0, 1 / 12, (i, 0.5), np.pi / 2, (0.5, 0.0), -1.0) for i in range(3)]
-    bars = [fmbd.RigidBody(f"bar {i}", 1.0, 1 / 12, (i + 0.5, 1.0), 0.0, (1.0, 0.0)) for i in range(2)]
-    scene.add(*legs, *bars)
-    for i, leg in enumerate(legs):
-        scene.add(fmbd.revolute(f"A{i}", fmbd.ground, leg, center=(i, 0)))
-    for i, bar in enumerate(bars):
-        scene.add(fmbd.revolute(f"B{i}", legs[i], bar, center=(i, 1)))
-        scene.add(fmbd.revolute(f"B{i}'", bar, legs[i + 1], center=(i + 1, 1)))
-    scene.sensor("B0", fmbd.position(legs[0], point=(0, 1)))
     return scene
 
 

@@ -214,7 +214,8 @@ class CoreSolver:
 
     def _residual(self, z: Array, b: Array, c: Array) -> tuple[Array, Array, Array]:
         """x, y of scaled unknowns z, and their scaled residual."""
-        x, y = np.split(self.scale * z, [self.n])
+        unscaled = self.scale * z
+        x, y = unscaled[: self.n], unscaled[self.n :]
         upper = self.A @ x + self.upper @ y - b
         lower = self.G @ x - c if self.C is None else self.G @ x + self.C @ y - c
         return x, y, self.scale * np.concatenate((upper, lower if self.exact else np.zeros_like(lower)))

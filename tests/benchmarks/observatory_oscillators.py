@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from dae_problems import double_four_bar
 from observatory_problem import Problem, ordinary
 from scipy.integrate import quad
 from scipy.optimize import brentq
@@ -131,21 +132,6 @@ def crank_pace(phi: float) -> float:
 CRANK_TURN = quad(crank_pace, 0, 2 * np.pi, epsabs=1e-14, limit=400)[0] / (crank_pace(0.0) * SPEED)  # s
 
 
-def four_bar() -> fmbd.Scene:
-    """Two four-bar mechanisms in a row, links of 1 m and 1 kg, B0 starts with 1 m/s (IFToMM A02, N = 2)."""
-    scene = fmbd.Scene("double four-bar", gravity=(0, -G))
-    legs = [fmbd.RigidBody(f"leg {i}", 1.0, 1 / 12, (i, 0.5), np.pi / 2, (0.5, 0.0), -1.0) for i in range(3)]
-    bars = [fmbd.RigidBody(f"bar {i}", 1.0, 1 / 12, (i + 0.5, 1.0), 0.0, (1.0, 0.0)) for i in range(2)]
-    scene.add(*legs, *bars)
-    for i, leg in enumerate(legs):
-        scene.add(fmbd.revolute(f"A{i}", fmbd.ground, leg, center=(i, 0)))
-    for i, bar in enumerate(bars):
-        scene.add(fmbd.revolute(f"B{i}", legs[i], bar, center=(i, 1)))
-        scene.add(fmbd.revolute(f"B{i}'", bar, legs[i + 1], center=(i + 1, 1)))
-    scene.sensor("B0", fmbd.position(legs[0], point=(0, 1)))
-    return scene
-
-
 def four_bar_end(t_end: float) -> Any:
     """By the angle a of the legs from the vertical: three legs of 1/3 kg m^2 and two carried bars, 3 a'' = 3.5 g sin a."""
     a = ordinary(lambda t, y: [y[1], 3.5 * G * np.sin(y[0]) / 3.0], [0.0, 1.0], t_end)[0]
@@ -158,5 +144,7 @@ OSCILLATORS: dict[str, Problem] = {
     "cart and pendulum": Problem(cart, 1.0, "place", lambda: cart_end(1.0), ORDINARY),
     "Kepler's orbit": Problem(orbit, 5.0, "place", lambda: orbit_end(5.0), "exact (Kepler's equation)", 250),
     "slider crank": Problem(crank, CRANK_TURN, "phi", lambda: [2 * np.pi], "exact up to a quadrature (energy)", 200),
-    "double four-bar": Problem(four_bar, 1.0, "B0", lambda: four_bar_end(1.0), "ordinary equations (IFToMM A02)"),
+    "double four-bar": Problem(
+        double_four_bar, 1.0, "B0", lambda: four_bar_end(1.0), "ordinary equations (IFToMM A02)"
+    ),
 }

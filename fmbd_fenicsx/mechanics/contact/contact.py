@@ -26,7 +26,7 @@ from ...checks import array, number, typed, vector, whole
 from ...errors import InputError, require
 from ...rotations import Array
 from ..bodies.bodies import RigidBody, Surface
-from ..rods.rods import Rod, first_node
+from ..rods.rods import Rod, node_name
 from .shapes import Obstacle
 
 
@@ -66,7 +66,7 @@ class RodPoints:
     def at(self, frame_of: Mapping[str, int]) -> tuple[np.ndarray, Array]:
         """Frames (n,) of the nodes and places (n, 3) there: their origins."""
         nodes = len(self.body.nodes)
-        return frame_of[first_node(self.body.name)] + np.arange(nodes), np.zeros((nodes, 3))
+        return frame_of[node_name(self.body.name, 0)] + np.arange(nodes), np.zeros((nodes, 3))
 
     def __repr__(self) -> str:
         return f'nodes of "{self.body.name}"'

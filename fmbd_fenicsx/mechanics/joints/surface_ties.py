@@ -28,7 +28,7 @@ from ...fem.traces.traces import Trace, surface_trace, trace_of
 from ...log import log
 from ...rotations import Array, motions
 from ..bodies.bodies import AbsoluteBody, FloatingBody, RigidBody, Surface
-from ..rods.rods import Rod, first_node
+from ..rods.rods import Rod, node_name
 from .constraints import Motion, standstill
 from .couplings import smooth_motion
 from .joints import ground
@@ -270,7 +270,7 @@ def build_surface_ties(
         """Frame, position and rotation at the start of a rigid body, a section of a rod, or the ground."""
         if _is_section(body):
             rod, node = body.body, body.body.node_of(body.name)
-            return frame_of[first_node(rod.name)] + node, rod.poses[node, :3], rod.poses_matrix[node]
+            return frame_of[node_name(rod.name, node)], rod.poses[node, :3], rod.poses_matrix[node]
         if body is ground or body.locked:
             d = next(iter(ties.values())).a.dim
             return len(frame_of), np.zeros(d), np.eye(d)

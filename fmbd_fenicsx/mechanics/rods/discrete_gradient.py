@@ -42,7 +42,7 @@ def mean_forces(rod: RodElements, poses: tuple[Array, Array], twist: Array, h: f
     along = (C @ change[..., None])[..., 0]
     if rod.beta:
         S = S + (rod.beta / h) * along
-    if rod.arms is not None and rod.kept is not None:
+    if rod.arms is not None:
         S = S + rod.arms.stress(rod.kept, rod.kept.t + 0.5 * h, 0.5 * (e0 + e1))
     gained = (
         rod.law.energy(e1) - rod.law.energy(e0) - 0.5 * ((rod.law.stress(e0) + rod.law.stress(e1)) * change).sum(-1)

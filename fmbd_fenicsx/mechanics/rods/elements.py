@@ -61,7 +61,7 @@ class RodElements:
         self.law: Any = None
         self.beta = 0.0
         self.arms: Arms | None = None
-        self.kept: ArmMemory | None = None
+        self.kept: Any = None  # ArmMemory where there are arms
         self.loads: tuple[LineLoad, ...] = ()
         self.nodes = np.unique(frames)[:, None]
         self.points: Array = np.zeros((0, 0))  # arc lengths of the Gauss points, (m, q)
@@ -94,7 +94,7 @@ class RodElements:
     def _stress(self, t: float, e: Array, rate: Callable[[], Array] | None) -> Array:
         """Section forces and moments S of (1), (m, q, 6), for strains less those free of stress, and their rate where wanted."""
         S: Array = self.law.stress(e)
-        if self.arms is not None and self.kept is not None:
+        if self.arms is not None:
             S = S + self.arms.stress(self.kept, t, e)
         if self.beta and rate is not None:
             S = S + self.beta * (self.law.tangent(e) @ rate()[..., None])[..., 0]
@@ -132,7 +132,7 @@ class RodElements:
         Z = self.directions(spins(p))
         S = self._stress(t, e - self.natural, self._rate(E, Z, twist))
         C = (ck + self.beta * cd) * self.law.tangent(e - self.natural)
-        if self.arms is not None and self.kept is not None:
+        if self.arms is not None:
             C = C + ck * self.arms.tangent(self.kept, t)
 
         inner = np.swapaxes(E, -1, -2) @ C @ E
@@ -189,7 +189,7 @@ class RodElements:
         found = {"loads": sum(power(x) for x in loads)} if loads else {}
         if self.beta:
             found["damping"] = power(with_rates) - power(self.forces(t, pose, None)[0])
-        if self.arms is not None and self.kept is not None:
+        if self.arms is not None:
             lost = self.arms.loss(self.kept, t, self.strains(pose))
             found["relaxation"] = -float((self.weights * lost).sum())
         return found
@@ -198,7 +198,7 @@ class RodElements:
         """Elastic energy, J."""
         e = self.strains(pose)
         density = self.law.energy(e)
-        if self.arms is not None and self.kept is not None:
+        if self.arms is not None:
             density = density + self.arms.energy(self.kept, t, e)
         return float((self.weights * density).sum())
 
@@ -212,10 +212,11 @@ class RodElements:
 
     def accepted(self, ev: Any, state: Any) -> ArmMemory | None:
         """The memory after a step that ended in a state, evaluated as ``ev``."""
-        if self.arms is None or self.kept is None:
+        if self.arms is None:
             return None
         e = self.strains(ev.pose)
-        return self.kept.followed_by(state.t, e, self.arms.inner(self.kept, state.t, e))
+        found: ArmMemory = self.kept.followed_by(state.t, e, self.arms.inner(self.kept, state.t, e))
+        return found
 
     def jumps(self, kept: Any) -> bool:
         """Never: forces are continuous."""

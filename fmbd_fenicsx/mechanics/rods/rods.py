@@ -27,9 +27,9 @@ ON_CURVE = 1e-6  # distance of a station from the curve, over its length
 LARGEST_TURN = np.pi / 2  # between neighbouring nodes of the reference
 
 
-def first_node(rod: str) -> str:
-    """Name of the frame of a rod's first node."""
-    return f"{rod}, node 1"
+def node_name(rod: str, node: int) -> str:
+    """Name of the frame of a rod's node, counted from 0."""
+    return f"{rod}, node {node + 1}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...mechanics.rods.rods import Rod, first_node
+from ...mechanics.rods.rods import Rod, node_name
 from ...mechanics.rods.skin import skin
 from ...rotations import Array
 from .bodies import pieces_of
@@ -25,7 +25,7 @@ def _rod(body: Rod, at: Places, paint: Paint | None, symbol: float) -> list[Piec
 def _poses(body: Rod, at: Places, k: int) -> Array:
     """Poses of the nodes (nodes, 7) at an instant."""
     s = at.run.system
-    first = s.frame_names.index(first_node(body.name))
+    first = s.frame_names.index(node_name(body.name, 0))
 
     return s.poses(at.states[k].q)[first : first + len(body.nodes)]
 

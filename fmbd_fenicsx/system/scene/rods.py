@@ -9,7 +9,7 @@ import numpy as np
 from ...mechanics.bodies.bodies import RigidBody, Surface
 from ...mechanics.placements import RigidBlock
 from ...mechanics.rods.elements import RodElements
-from ...mechanics.rods.rods import Rod
+from ...mechanics.rods.rods import Rod, node_name
 from ...rotations import Array, Motions
 
 
@@ -24,7 +24,7 @@ class RodNodes:
         """Take a rod whose nodes are the frames from ``first`` on; returns names of nodes -> frames."""
         self.rods.append((rod, first))
         self.elements.append(rod.elements_on(first))
-        return {f"{rod.name}, node {i + 1}": first + i for i in range(len(rod.nodes))}
+        return {node_name(rod.name, i): first + i for i in range(len(rod.nodes))}
 
     def section(self, side: Surface) -> tuple[int, Array]:
         """Frame and pose at the start of a section."""
