@@ -10,6 +10,7 @@ from test_modes import two_masses
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.post.plot import _of
 
 
 def test_one_period_of_a_mode() -> None:
@@ -28,6 +29,8 @@ def test_one_period_of_a_mode() -> None:
     assert np.abs(moved - swing).max() < 1e-12
     assert np.abs(moved[0]).max() == pytest.approx(0.01, rel=1e-9)
     assert moved[0, 0] / moved[0, 1] == pytest.approx(exact[0] / exact[1], rel=1e-7)
+    assert _of(shown) == f"two: mode 0, {found.frequencies[0]:.4g} Hz"
+    assert shown.report().startswith("two: mode 0") and "mode 0" in repr(shown)
     with pytest.raises(InputError, match="Mode 2 does not exist"):
         fmbd.vibration(found, 2)
     with pytest.raises(InputError, match="frames = 3"):

@@ -35,6 +35,7 @@ SHORTEST = 1 / 256  # load step, and share of an increment in the line search
 EXACT = ExactTangent(rtol=1e-6, max_iterations=60)
 
 WHOLE, DAMPED = 12, 40  # increments at most, without and with a line search
+TINY = 1e-6  # increments, over the model's length, that ought to become smaller
 LONG = 0.5  # increment that is not taken whole, over the model's length
 
 Pair = tuple[Array, Array]
@@ -78,16 +79,16 @@ class StaticNewton:
         self.solver.prepare(ev, self.weights)
         return r
 
-    def inverse(self, point: Point, t: float, r: Pair, goal: Pair) -> Pair:
-        """J^-1 (goal - r) at a point with residuals r, J exact; increments of q and lambda."""
-        system = self.residual.system
+    def inverse(self, point: Point, t: float, r: Pair, goal: Pair, share: float = 0.0) -> Pair:
+        """(J + s M / tau^2)^-1 (goal - r) at a point with residuals r, J exact, s = ``share``; increments of q and lambda."""
+        system, inertia = self.residual.system, share * self.weights.cm
 
         rolling = speed_rows(system)
         G = self.residual.at(point.q, t).jacobian if rolling.size else None
 
         def moved(d: Array) -> Pair:
             q = system.compose(point.q, d)
-            found = self.residual.values(self.residual.at(q, t), point.lam)
+            found = self.residual.values(self.residual.at(q, t), point.lam, inertia * d)
             if G is not None:  # rows without g: the increment itself rolls
                 found[1][rolling] += G.times(d)[rolling]
             return found[0] - goal[0], found[1] - goal[1]
@@ -110,7 +111,11 @@ class StaticNewton:
         try:
             return self._iterate(start, t, rest, WHOLE, self._whole_increment)
         except ConvergenceError:
+            pass
+        try:
             return self._iterate(start, t, rest, DAMPED, self._damped_increment)
+        except ConvergenceError:
+            return self._iterate(start, t, rest, WHOLE, self._slow_increment)
 
     def _iterate(self, start: Point, t: float, rest: Pair, most: int, increment: Increment) -> Point:
         """Newton's iteration of at most ``most`` increments from ``increment``, which gives None where there is none to take."""
@@ -130,6 +135,8 @@ class StaticNewton:
                 if not self._balanced(point, t, rest):
                     break
                 return point
+            if sizes[-2] <= size <= TINY * system.length:  # roundoff, enlarged by a motion without stiffness
+                break
         raise ConvergenceError(f"increments of {', '.join(f'{x:.1e}' for x in sizes[-4:])} m")
 
     def _carrying_increment(self, point: Point, t: float, r: Pair, rest: Pair) -> Pair | None:
@@ -150,10 +157,19 @@ class StaticNewton:
         size = system.max_abs(dq)
         if not np.isfinite(size):
             return None
-        if size < 1e-6 * system.length:
+        if size < TINY * system.length:
             return dq, dlam
         share = self._share(point, t, (dq, dlam), (rest[0] - r[0], rest[1] - r[1]), rest)
         return (share * dq, share * dlam) if share else None
+
+    def _slow_increment(self, point: Point, t: float, r: Pair, rest: Pair) -> Pair | None:
+        """Increment with M / tau^2 beside the exact tangent.
+
+        What may turn or slide freely has no stiffness, and roundoff would move it far; the rest hardly feels it, as tau is long.
+        """
+        system = self.residual.system
+        dq, dlam = self.inverse(point, t, r, rest, 1.0)
+        return (dq, dlam) if system.max_abs(dq) <= LONG * system.length else None
 
     def respond(self, start: Point, t: float) -> tuple[Array, Callable[[Array], Array]]:
         """A configuration, and P^-1 there: what forces move where there is no equilibrium."""

@@ -15,6 +15,7 @@ from ..errors import InputError
 from ..log import on_root, world_rank
 from ..rotations import Array
 from ..run.solve import Run
+from ..schemes.declared import Declared
 from .drawing.render import strobe
 from .drawing.scene_graph import Deforming, Drawing, Role
 
@@ -187,8 +188,10 @@ def _title(figure: Any, text: str) -> None:
 
 
 def _of(run: Run) -> str:
-    """What a figure of a run is called: scene, scheme and step."""
-    return f"{run.scene.name}: {run.scheme.name}, h = {run.dt:.4g} s"
+    """What a figure of a run is called: scene, scheme, and its step or tolerance."""
+    said = Declared.by(run.scheme)
+    step = "" if said.timeless else f", rtol = {said.rtol:g}" if said.adaptive else f", h = {run.dt:.4g} s"
+    return f"{run.scene.name}: {run.scheme.name}{step}"
 
 
 def shapes(axes: Any, run: Run, *, paint: tuple[Any, Callable[[Any], Any], str] | None = None) -> None:

@@ -29,6 +29,8 @@ def run_report(run: Run) -> str:
     """Steps, iterations, solves, start, drift, time error, energy ledger, seconds, memory and the plan; not
     collective.
     """
+    if Declared.by(run.scheme).timeless:
+        return "\n".join([f"{run.scene.name}: {run.scheme.name}, {len(run.times)} instants", *_plan(run)])
     c, (gap, slip), start = run.counters, run.drift, run.correction
     steps = max(int(c["steps"]), 1)
     lines = [f"{run.scene.name}: {run.status} at t = {run.state.t:.6g} s"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ class Vibration:
 
     mode: int
     frequency: float  # Hz
+    timeless: ClassVar[bool] = True
 
     @property
     def name(self) -> str:

@@ -14,6 +14,7 @@ class Declared:
     ``rtol``: of its error control, None for constant steps. ``form``: of the equations, see :mod:`.dae`. ``holds``: levels of the
     constraints that hold at the end of a step, where no form says so. ``free_steps``: any size may follow any other.
     ``carries_pressure``: it moves pressures that are unknowns. ``start``: a start of its own, also for scenes with contact.
+    ``timeless``: no scheme in time at all, as the pictures of a mode.
     """
 
     rtol: float | None = None
@@ -22,6 +23,7 @@ class Declared:
     free_steps: bool = False
     carries_pressure: bool = False
     start: Callable[..., Any] | None = None
+    timeless: bool = False
 
     @classmethod
     def by(cls, scheme: Any) -> Declared:
