@@ -11,6 +11,7 @@ import dae_problems
 import numpy as np
 import pytest
 from motion import elastic_rod
+from scipy.integrate import solve_ivp
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
@@ -191,3 +192,38 @@ def test_stabilised_form_holds_both_levels_and_permits_no_damping() -> None:
         fmbd.GeneralizedAlpha(1.0)
     with pytest.raises(InputError, match=r"takes form=Index3\(\) or GGL\(\)"):
         fmbd.GeneralizedAlpha(0.8, form=fmbd.Index1())
+
+
+@pytest.mark.parametrize(("loops", "dt"), [(20, 2.5e-4), (9, 5e-5)])
+def test_many_loops_through_the_flat_position(loops: int, dt: float, caplog: Any) -> None:
+    """Parallel legs under bars lie flat at 0.09 s, where every loop could fold: they go on together, in whole steps of any size.
+
+    All turn alike: theta'' = -g (legs / 2 + bars) cos(theta) / (legs / 3 + bars), for legs and bars of 1 kg and 1 m.
+    """
+    start, rate, end, g = 0.3, -3.0, 0.15, 9.81
+    along, across = np.array([np.cos(start), np.sin(start)]), rate * np.array([-np.sin(start), np.cos(start)])
+    scene = fmbd.Scene("four-bars", gravity=(0.0, -g))
+    legs = [
+        fmbd.RigidBody(
+            f"leg {i}", 1.0, 1 / 12, 0.5 * along + (i, 0), start, velocity=0.5 * across, angular_velocity=rate
+        )
+        for i in range(loops + 1)
+    ]
+    bars = [fmbd.RigidBody(f"bar {i}", 1.0, 1 / 12, along + (i + 0.5, 0), velocity=across) for i in range(loops)]
+    scene.add(*legs, *bars)
+    scene.add(*(fmbd.revolute(f"A{i}", fmbd.ground, leg, center=(i, 0.0)) for i, leg in enumerate(legs)))
+    for i, bar in enumerate(bars):
+        scene.add(fmbd.revolute(f"B{i}", legs[i], bar, center=along + (i, 0)))
+        scene.add(fmbd.revolute(f"C{i}", bar, legs[i + 1], center=along + (i + 1, 0)))
+    scene.sensor("top", fmbd.position(legs[0], point=along))
+
+    with caplog.at_level("WARNING", logger="fmbd_fenicsx"):
+        run = fmbd.solve(scene, t_end=end, dt=dt)
+    pull = g * ((loops + 1) / 2 + loops) / ((loops + 1) / 3 + loops)
+    turn = solve_ivp(lambda t, y: (y[1], -pull * np.cos(y[0])), (0.0, end), (start, rate), rtol=1e-10, atol=1e-12)
+    exact = np.array([np.cos(turn.y[0, -1]), np.sin(turn.y[0, -1])])
+    assert np.abs(run["top"][-1] - exact).max() < 20 * dt**2
+    assert not run.counters.get("halved_steps", 0)
+
+    lines = [r.getMessage() for r in caplog.records]
+    assert len(lines) == 1 and "near-singular" in lines[0] and 'joint "' in lines[0]

@@ -29,7 +29,7 @@ from ..system.mobility import independent, mobility
 from ..system.system import Evaluation, System
 from .blocks.field_blocks import Block, FieldBlocks, Weights
 from .border import AroundSolver, Border
-from .configuration_warnings import mover, warn_near_singular, warn_of_ties
+from .configuration_warnings import CLOSE, mover, warn_near_singular, warn_of_ties
 from .core import ADVICE, TIE_LIMIT, CoreSolver, dense
 from .residual import Judge
 
@@ -165,6 +165,10 @@ class StepSolver:
         self._held = self._configuration(ev, weights, stiffness)
         if s.n_lam and (self.core.ratio < 1e-5 or self._near_singular):
             self._near_singular = warn_near_singular(ev, self.core.rank, self._near_singular)
+
+    def note_lost_gaps(self, ev: Evaluation) -> None:
+        """Gaps of roundoff were all that an iteration could close: say so where the position is close to a singular one."""
+        self._near_singular = warn_near_singular(ev, self.core.rank, self._near_singular, limit=CLOSE)
 
     def holds(self, ev: Evaluation, weights: Weights) -> bool:
         """Whether :meth:`prepare` would make the matrices again that are there; collective."""

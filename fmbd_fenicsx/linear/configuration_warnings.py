@@ -9,6 +9,8 @@ from ..rotations import Array
 from ..system.mobility import NEAR_SINGULAR, nearly_dependent
 from ..system.system import Evaluation, System
 
+CLOSE = 1e-3  # sigma_min / sigma_max of a position close to a singular one
+
 
 def warn_of_ties(system: System, shares: dict[str, float]) -> None:
     """Say which surface ties depend on each other; their multipliers are then of minimum norm."""
@@ -30,9 +32,12 @@ def mover(system: System, motion: Array) -> str:
     return f'Body "{owner.name}"'
 
 
-def warn_near_singular(ev: Evaluation, rank: int | None, warned: bool) -> bool:
-    """One line for each time that the configuration comes close to a singular one; whether it is close now."""
+def warn_near_singular(ev: Evaluation, rank: int | None, warned: bool, *, limit: float = NEAR_SINGULAR) -> bool:
+    """One line for each time that the configuration comes close to a singular one; whether it is close now.
+
+    ``limit``: sigma_min / sigma_max below which it is. Once warned of, a position is left behind above ``CLOSE``.
+    """
     ratio, joint = nearly_dependent(ev, rank or ev.system.n_lam)
-    if ratio < NEAR_SINGULAR and not warned:
+    if ratio < limit and not warned:
         log.warning('near-singular: sigma_min/sigma_max = %.1e, joint "%s", t = %g s', ratio, joint, ev.t)
-    return bool(ratio < NEAR_SINGULAR)
+    return bool(ratio < (CLOSE if warned else limit))

@@ -23,6 +23,7 @@ from ..rotations import Array
 from ..schemes.consistent import worst_block
 from ..schemes.declared import Declared
 from ..system.compiled.recording import Openness
+from ..system.lengths import farthest
 from ..system.system import Evaluation, State, System
 
 OPEN = 5e-7  # of the model's length
@@ -99,7 +100,7 @@ class Closed:
         if not s.n_lam or 0 not in self.levels:
             return
         gap = self.units * np.abs(ev.constraint())
-        allowed = self.share * s.length + ROUNDOFF * self._far(ev.q)
+        allowed = self.share * s.length + ROUNDOFF * farthest(s, ev.q)
         if not gap.max() <= allowed:
             raise ConvergenceError(
                 f"At t = {ev.t:.6g} s {worst_block(s, gap)} is open by {gap.max():.3g} m, {allowed:.2g} m is allowed. Look for "
@@ -116,18 +117,9 @@ class Closed:
         rate = ev.constraint_rate()
         slip = self.units * np.abs(ev.jacobian.times(v) + rate)
         allowed = (SLIP + self.share) * (self.fastest + float((self.units * np.abs(rate)).max()))
-        allowed += ROUNDOFF * (s.length + self._far(ev.q)) / h  # of a body at rest
+        allowed += ROUNDOFF * (s.length + farthest(s, ev.q)) / h  # of a body at rest
         if not slip.max() <= allowed:
             raise ConvergenceError(
                 f"At t = {ev.t:.6g} s {worst_block(s, slip)} opens at {slip.max():.3g} m/s, {allowed:.2g} m/s is allowed. Take a "
                 "smaller dt."
             )
-
-    def _far(self, q: Array) -> float:
-        """Largest coordinate of a frame, its angles as lengths, and of what is counted, m."""
-        m, at = self.system.motions, self.system.counted_angles
-        frames = np.abs(q[: at.start].reshape(-1, m.n_pose))
-        place = float(frames[:, : m.dim].max(initial=0.0))
-        angle = float(frames[:, 2].max(initial=0.0)) if m.dim == 2 else 1.0
-        counted = float(np.abs(q[at]).max(initial=0.0))
-        return place + self.system.length * (angle + counted)

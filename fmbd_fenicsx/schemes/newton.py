@@ -16,6 +16,7 @@ import numpy as np
 from ..checks import check_fields
 from ..errors import ConvergenceError, require
 from ..rotations import Array
+from ..system.lengths import farthest
 from ..system.system import Evaluation, System
 
 FINEST = 1e-13  # increments are known to about this share
@@ -139,6 +140,19 @@ def above_roundoff(ev: Evaluation, lam: Array, r: Array, g: Array) -> Array:
     for components in (slice(None, system.motions.dim), slice(system.motions.dim, None)):
         frames[:, components] = frames[:, components].max(axis=1, keepdims=True)
     return np.where(np.abs(r) > few * terms, 1.0, 0.0)
+
+
+def known_gaps(ev: Evaluation, g: Array) -> Array:
+    """Gaps ``g`` that are larger than the roundoff of the places that they are differences of; 0 for the others.
+
+    Close to a singular position a motion u has hardly any part in the rows, |G u| = sigma |u|: a gap of roundoff stands for an
+    increment of roundoff over sigma, which no iteration makes smaller. Bodies keep the places that they are predicted in then.
+    """
+    system = ev.system
+    known = system.row_units * np.abs(g) > 16 * np.finfo(float).eps * (system.length + farthest(system, ev.q))
+    for _, span in system.port_constraints:
+        known[span] = True  # equations of the user's own, in units of their own
+    return np.where(known, g, 0.0)
 
 
 def strayed(system: System, xi: Array, predicted: Array) -> bool:

@@ -29,3 +29,13 @@ def of_rows(system: System) -> Array:
     for batch, rows in system.batches:
         out[rows] = batch.lengths(system.length)
     return out
+
+
+def farthest(system: System, q: Array) -> float:
+    """Largest coordinate of a frame in q, its angles as lengths, and of what is counted: places are known to eps times it, m."""
+    m, at = system.motions, system.counted_angles
+    frames = np.abs(q[: at.start].reshape(-1, m.n_pose))
+    place = float(frames[:, : m.dim].max(initial=0.0))
+    angle = float(frames[:, 2].max(initial=0.0)) if m.dim == 2 else 1.0
+    counted = float(np.abs(q[at]).max(initial=0.0))
+    return place + system.length * (angle + counted)

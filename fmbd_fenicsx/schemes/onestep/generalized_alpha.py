@@ -45,13 +45,14 @@ from ..consistent import jerk, spin_of_acceleration, worst_block
 from ..control import check_controlled
 from ..dae import GGL, Form, Index3, refuse_positions
 from ..exact_tangent import exact_increment
-from ..newton import Newton, above_roundoff, not_converged, strayed
+from ..newton import Newton, above_roundoff, known_gaps, not_converged, strayed
 
 # of the model's length: after a larger increment, rows and the core's matrix are taken where it led
 FAR = 1e-4
 # rate above which force elements get a new tangent: a stiff spring has its true tension, and with it its
 # stiffness across, only after the first increment
 SLOW_TURN = 0.01
+SLOW = 0.1  # rate above which gaps of roundoff may be what keeps increments from falling
 PATIENCE = 4  # iterations with the tangent of the first one, where a new tangent is cheap
 
 
@@ -220,7 +221,7 @@ class Stepper:
         A = ((1 - af) * a + af * s.a - am * A0) / (1 - am)
         xi = fixed_a + h * h * beta * A
         tolerance = self._tolerance(scale, a)
-        done, far = 0, True
+        done, far, lost = 0, True, False
         stiff = any(loads.stiff for loads in system.forces)
         last: Array = np.zeros(0)
         stabilised = bool(system.n_lam) and isinstance(self.scheme.form, GGL)
@@ -233,11 +234,13 @@ class Stepper:
             return scale * ev.balance(a + d / scale, lam), gaps(ev, share)
 
         def increment() -> float:
-            nonlocal a, lam, A, xi, done, last, far
+            nonlocal a, lam, A, xi, done, last, far, lost
             q = system.compose(s.q, xi)
             v = fixed_v + h * gamma * A
             ev = system.at(t, q, v)
             g = gaps(ev, share)
+            if done > 2 and self.newton.theta > SLOW:
+                g, lost = known_gaps(ev, g), True
             r = ev.balance(a, lam)
             turning = stiff and done > 0 and (done == 1 or self.newton.theta > SLOW_TURN)
             new = far or tangent is not None or turning or (done > patience and not system.fields)
@@ -280,6 +283,8 @@ class Stepper:
         self._past = [(s.t, s.a, s.lam), *self._past][:2]
         self.A, self.fresh = A, False
         q, v = system.compose(s.q, xi), fixed_v + h * gamma * A
+        if lost:
+            self.solver.note_lost_gaps(system.at(t, q))
         self.state = State(t, q, v, a, self._reactions(t, q, lam))
         return self.state
 
