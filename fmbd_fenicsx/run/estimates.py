@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,17 +16,19 @@ from ..schemes.control import FINEST
 from ..system.scene.refined_basis import finer_system
 from ..system.scene.refinement import finer_space
 from ..system.scene.scene import Scene
+from .built import Built, build
 from .deviation import Deviation
 from .output import Output, Recorder
 from .schedule import Pace
-from .time_loop import Problem, begin, make_solver, march
+from .time_loop import March, Problem, begin, make_solver, march
 
 if TYPE_CHECKING:
-    from .solve import Run
+    from .result import Run
 
 SEEN = 0.75  # share of the scheme's order above which runs with larger steps follow the same motion
 AHEAD = 4.0 / 3.0  # the error of the finer space counts as at most a quarter of that of the given one
 ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
+UNENDED = "the run with finer spaces did not end"
 SATURATION = 2.0  # the error of the finer basis counts as at most half of that of the given one
 
 
@@ -48,39 +50,65 @@ class TimeError:
 
 
 def time_error(problem: Problem, fine: Recorder, pace: Pace) -> TimeError:
-    """Error of each sensor by Richardson's extrapolation from runs with 2 h and 4 h, and the observed order;
-    collective.
+    """Error of each sensor from runs with 2 h and 4 h, and the observed order, see :func:`compare_steps`; collective.
 
-        |x_h - x| ~ |x_h - x_2h| / (2^p - 1),     p = log2(|x_2h - x_4h| / |x_h - x_2h|)               (1)
-
-    in the maximum norm over time, p at most the order of the scheme. Where fast motion is not resolved (say,
-    gravity switched on at once) the observed order is below the scheme's, and the estimate larger; an order
-    below 1/2 counts as 1/2. Motion that the scheme damps in all three runs is not seen. Hairer, Norsett,
-    Wanner, doi:10.1007/978-3-540-78862-1, II.4.
+    Motion that the scheme damps in all three runs is not seen. Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.4.
     """
     times, given = fine.output.times, Compared(fine, pace)
     try:
-        half = _again(problem, pace, 2, times)
+        half = again(problem, pace, pace.steps // 2, times)
     except ConvergenceError as error:
         log.warning("no error estimate: the run with twice the step did not end: %s", error)
         return TimeError({}, {}, given)
     try:
-        quarter = _again(problem, pace, 4, times)
+        quarter = again(problem, pace, pace.steps // 4, times)
     except ConvergenceError:
-        quarter = None
+        return compare_steps(problem.scheme.order, given, [half])
+    return compare_steps(problem.scheme.order, given, [half, quarter])
+
+
+def compare_steps(
+    order: int, given: Compared, coarser: Sequence[Compared], known: Mapping[str, float] | None = None
+) -> TimeError:
+    """Error of each sensor by Richardson's extrapolation from one or two runs with larger steps, h < H < K:
+
+        |x_h - x| ~ |x_h - x_H| / ((H/h)^p - 1),     (K^p - H^p) / (H^p - h^p) = |x_H - x_K| / |x_h - x_H|     (1)
+
+    in the maximum norm over time, p at most the ``order`` of the scheme. Where fast motion is not resolved (say,
+    gravity switched on at once) the observed order is below the scheme's, and the estimate larger; an order
+    below 1/2 counts as 1/2. From one run alone p is the ``known`` one, sensor -> p, or that of the scheme.
+    """
+    fine, coarse = given.recorder, coarser[0].recorder
+    ratio = given.pace.steps / coarser[0].pace.steps
     errors, orders = {}, {}
     for name in fine.series:
-        near, p = _distance(fine, half, name), float("nan")
-        if quarter is not None and near > 0:
-            far = _distance(half, quarter, name)
-            p = float(np.log2(far / near)) if far > 0 else 0.0
-        usable = problem.scheme.order if np.isnan(p) else min(max(p, 0.5), problem.scheme.order)
-        errors[name], orders[name] = _scaled(_deviation(fine, half, name), 1.0 / (2.0**usable - 1.0)), p
+        between = _deviation(fine, coarse, name)
+        p = float("nan") if known is None else known.get(name, float("nan"))
+        if len(coarser) > 1 and between.size > 0:
+            far = _deviation(coarse, coarser[1].recorder, name).size
+            p = order_seen(coarser[1].pace.steps, coarser[0].pace.steps, given.pace.steps, far / between.size)
+        usable = order if np.isnan(p) else min(max(p, 0.5), order)
+        errors[name], orders[name] = _scaled(between, 1.0 / (ratio**usable - 1.0)), p
+
     moving = [n for n, x in fine.series.items() if errors[n].size > ROUNDOFF * np.abs(x).max(initial=0.0)]
-    known = [orders[n] for n in moving]
-    if quarter is None or not known or not min(known) >= SEEN * problem.scheme.order:
-        return TimeError(errors, orders, given)
-    return TimeError(errors, orders, Compared(quarter, Pace(pace.t_end, pace.steps // 4)))
+    seen = [orders[n] for n in moving]
+    follows = bool(seen) and min(seen) >= SEEN * order and (len(coarser) > 1 or known is not None)
+    return TimeError(errors, orders, coarser[-1] if follows else given)
+
+
+def order_seen(first: int, second: int, third: int, ratio: float) -> float:
+    """The order p for which errors like n^-p of runs with so many steps n, rising, give differences of this ratio:
+
+    (first^-p - second^-p) / (second^-p - third^-p) = ratio,     0 where it is too small for any p > 0           (1)
+    """
+    if second**2 == first * third:
+        return float(np.log(ratio) / np.log(second / first)) if ratio > 0 else 0.0
+    below, above = 0.0, 64.0
+    for _ in range(60):
+        p = 0.5 * (below + above)
+        found = (1 - (first / second) ** p) / ((first / second) ** p - (first / third) ** p)
+        below, above = (p, above) if found < ratio else (below, p)
+    return below
 
 
 def tolerance_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str, Deviation]:
@@ -93,7 +121,7 @@ def tolerance_error(problem: Problem, coarse: Recorder, pace: Pace) -> dict[str,
     newton = problem.newton.afresh(solver.refresh)
     solver.pressures = problem.pressures
     try:
-        fine = _whole(replace(problem, scheme=scheme, newton=newton), solver, pace, wanted)
+        fine = _whole(replace(problem, scheme=scheme, newton=newton), solver, pace, wanted).recorder
     except ConvergenceError as error:
         log.warning("no error estimate: the run with a tenth of the tolerance did not end: %s", error)
         return {}
@@ -113,23 +141,38 @@ def space_error(problem: Problem, compared: Compared) -> tuple[dict[str, Deviati
     in the maximum norm over time, x the run without an error in space. Near singular corners the finer space is less far ahead,
     and the estimate too small by up to a third.
     """
-    scene, why, built = _finer_scene(problem.scene)
+    scene, why, built = finer_scene(problem.scene)
     if built is None:
         return {}, why or "no body is on a mesh"
-    system, given, markers = built
-    solver = make_solver(scene, system, problem.linear)
+    marched = run_like(problem, compared, scene, built)
+    if marched is None:
+        return {}, UNENDED
+    return space_deviations(compared.recorder, marched.recorder, why)
+
+
+def run_like(problem: Problem, compared: Compared, scene: Scene, built: Built) -> March | None:
+    """The march of another scene, with the same sensors, with the same steps; None, with a warning, where the run does not end.
+
+    Collective.
+    """
+    solver = make_solver(scene, built.system, problem.linear)
     newton = problem.newton.afresh(solver.refresh)
-    coarse, pace = compared.recorder, compared.pace
-    wanted = _as_recorded(coarse, pace)
+    pace = compared.pace
+    wanted = _as_recorded(compared.recorder, pace)
     try:
-        start, _ = begin(scene, problem.scheme, system, given, solver=solver, h=pace.next(0.0))
-        finer = replace(problem, scene=scene, system=system, markers=markers, given=given, start=start, newton=newton)
-        fine = _whole(replace(finer, pressures=solver.pressures), solver, pace, wanted)
+        start, _ = begin(scene, problem.scheme, built.system, built.given, solver=solver, h=pace.next(0.0))
+        other = replace(problem, scene=scene, system=built.system, markers=built.markers, given=built.given)
+        other = replace(other, start=start, newton=newton, pressures=solver.pressures)
+        return _whole(other, solver, pace, wanted)
     except ConvergenceError as error:
         log.warning("no error in space: the run with finer spaces did not end: %s", error)
-        return {}, "the run with finer spaces did not end"
+        return None
     finally:
         solver.destroy()
+
+
+def space_deviations(coarse: Recorder, fine: Recorder, why: str) -> tuple[dict[str, Deviation], str]:
+    """(2) from what both have recorded, and what could not be stated, with what was not before (``why``)."""
     errors = {}
     for name, x in coarse.series.items():
         if x.shape == fine.series[name].shape:
@@ -139,7 +182,7 @@ def space_error(problem: Problem, compared: Compared) -> tuple[dict[str, Deviati
     return errors, why
 
 
-def _finer_scene(scene: Scene) -> tuple[Scene, str, Any]:
+def finer_scene(scene: Scene) -> tuple[Scene, str, Built | None]:
     """The scene in finer spaces, what has none, and the system; None where nothing is finer. Collective.
 
     Ties and contact take some degrees only: where they refuse a higher one, meshes of half the cell size are taken.
@@ -151,48 +194,42 @@ def _finer_scene(scene: Scene) -> tuple[Scene, str, Any]:
         if finer is scene:
             continue
         try:
-            return finer, why, finer.build()
+            return finer, why, build(finer)
         except InputError as error:
             why = str(error)
     return scene, why, None
 
 
-def _again(problem: Problem, pace: Pace, factor: int, times: Sequence[float] | None) -> Recorder:
-    """The march once more with steps larger by a factor, sensors recorded in every step or at the ``times``; collective."""
+def again(problem: Problem, pace: Pace, steps: int, times: Sequence[float] | None) -> Compared:
+    """The march once more with another number of steps, sensors recorded in every step or at the ``times``; collective."""
     solver = make_solver(problem.scene, problem.system, problem.linear)
     newton = problem.newton.afresh(solver.refresh)
     solver.pressures = problem.pressures
-    wanted = Output(energy=False, progress=False, times=times)
+    wanted, other = Output(energy=False, progress=False, times=times), Pace(pace.t_end, steps)
     try:
-        return _whole(
-            replace(problem, newton=newton), solver, Pace(pace.t_end, pace.steps // factor), wanted, parts=False
-        )
+        made = _whole(replace(problem, newton=newton), solver, other, wanted, parts=False)
+        return Compared(made.recorder, other)
     finally:
         solver.destroy()
 
 
-def _whole(problem: Problem, solver: StepSolver, pace: Pace, output: Output, *, parts: bool = True) -> Recorder:
-    """What a march recorded that was not stopped on request; collective. ``parts``: whether steps may be made in parts."""
+def _whole(problem: Problem, solver: StepSolver, pace: Pace, output: Output, *, parts: bool = True) -> March:
+    """A march that was not stopped on request; collective. ``parts``: whether steps may be made in parts."""
     marched = march(problem, solver, pace, output)
     if marched.status != "finished":
         raise ConvergenceError(f"stopped at t = {marched.state.t:g} s")
     if not parts and marched.counters.get("halved_steps"):
         raise ConvergenceError("steps had to be made in parts, so their size is not known")
-    return marched.recorder
-
-
-def _distance(fine: Recorder, coarse: Recorder, name: str) -> float:
-    """Largest difference of two series, see :func:`_deviation`."""
-    return _deviation(fine, coarse, name).size
+    return marched
 
 
 def _deviation(fine: Recorder, coarse: Recorder, name: str) -> Deviation:
-    """A series, recorded at some steps, less one recorded at every step of twice the size; or two at the same times."""
+    """A series less one recorded with larger steps, at the instants that both have."""
     x, y = fine.series[name], coarse.series[name]
-    if fine.output.times is not None:
-        return Deviation(fine.times, x - y)
-    rows = [k for k, n in enumerate(fine.indices) if n % 2 == 0]
-    return Deviation(fine.times[rows], x[rows] - y[[fine.indices[k] // 2 for k in rows]])
+    t, rounding = fine.times, 1e-9 * fine.t_end
+    rows = np.searchsorted(coarse.times, t - rounding).clip(max=len(coarse.times) - 1)
+    common = np.abs(coarse.times[rows] - t) <= rounding
+    return Deviation(t[common], x[common] - y[rows[common]])
 
 
 def _scaled(deviation: Deviation, factor: float) -> Deviation:
@@ -227,7 +264,7 @@ def reduction_error(problem: Problem, compared: Compared) -> dict[str, Deviation
     try:
         start, _ = begin(problem.scene, problem.scheme, system, given, solver=solver, h=pace.next(0.0))
         finer = replace(problem, system=system, given=given, start=start, newton=newton, pressures=solver.pressures)
-        fine = _whole(finer, solver, pace, wanted)
+        fine = _whole(finer, solver, pace, wanted).recorder
     except ConvergenceError as error:
         log.warning("no error of reduction: the run with more modes did not end: %s", error)
         return {}

@@ -7,8 +7,10 @@ from typing import Any
 
 from ..checks import instance, shown
 from ..errors import InputError, require
+from ..schemes.dae import Index3
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton
+from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.scene import Scene
 from ..system.system import System
 from .output import Output
@@ -37,6 +39,16 @@ def checked_scheme(scheme: Any) -> Any:
             "see fmbd.schemes."
         )
     return scheme
+
+
+def check_tangent(scheme: Any, newton: Newton | None) -> None:
+    """Refuse an exact tangent of schemes that have none."""
+    require(
+        newton is None
+        or newton.tangent is None
+        or (type(scheme) is GeneralizedAlpha and isinstance(scheme.form, Index3)),
+        f"{scheme.name} has no exact tangent. Use scheme=fmbd.GeneralizedAlpha(), or leave out Newton's tangent.",
+    )
 
 
 def check_pressures(system: System, scheme: Any) -> None:

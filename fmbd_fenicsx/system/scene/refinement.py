@@ -123,6 +123,12 @@ def refined(scene: Scene) -> Scene:
     return with_bodies(scene, found)
 
 
+def refined_by_finer_space(scene: Scene) -> bool:
+    """Whether the finer spaces of :func:`finer_space` are those of :func:`refined`: slender bodies, and linear displacements."""
+    bodies = [scene.bodies[name] for name in meshed_bodies(scene)]
+    return all(_degree(b) == 1 or not isinstance(b, ElasticBody | ReducedBody) for b in bodies)
+
+
 def more_modes(scene: Scene, system: System) -> Scene:
     """The scene with each reduced body by its finer basis: static modes of the surfaces that its ``system`` uses, and more
     vibration modes. It is the basis that the error by the modes was measured against, so its modes are known already.

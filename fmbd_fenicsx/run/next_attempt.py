@@ -1,0 +1,191 @@
+"""What the next attempt of a run with a tolerance is made with: fewer or more steps, modes, elements.
+
+Spaces and modes of solids come first, with steps as they are: runs that are compared for them may be coarse in time. Steps
+are then made as small as what is left of the tolerance asks for; at once, where the next error in space can be foreseen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..mechanics.bodies.beams import Beam
+from ..mechanics.bodies.bodies import ElasticBody
+from ..mechanics.reduction.craig_bampton import ReducedBody
+from ..mechanics.rods.rods import Rod
+from ..schemes.control import FINEST
+from ..system.scene.refinement import meshed_bodies, more_modes
+from ..system.scene.scene import Scene
+from .certificate import KINDS
+from .deviation import Deviation
+from .estimates import SEEN
+from .result import Run
+from .schedule import Pace
+from .shared_runs import Orders, SharedRuns
+from .shares import AIM, WHOLE, Tolerance, share
+
+if TYPE_CHECKING:
+    from .tolerance import Attempt
+
+RATE = 4.0  # by which the error in space falls from one level to the next, until it was seen
+LEAST = 0.65  # of smaller changes of the step the runs cost more than they save
+NEAR, FAR = 1 / 16, 1 / 128  # most that a step is made smaller at once, without and with the order of the scheme seen
+HALF, LATER = 0.45, 0.3  # shares for time beside an error in space that is not known yet: allowed, and brought below
+MANY = 32  # grains above which numbers of steps are rounded to four
+
+
+@dataclass(frozen=True)
+class Known:
+    """Errors of space and modes that were estimated with other steps, and what could not be stated."""
+
+    errors: dict[str, dict[str, Deviation]]
+    unstated: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What an attempt is made with.
+
+    ``steps``: their number, a multiple of ``grain``; 0 for schemes with error control. ``known``: errors of space and modes that
+    still hold. ``orders``: of time, seen with other spaces. ``before``: level of the meshes and error in space over the
+    tolerance of the attempt before they were refined last.
+    """
+
+    scene: Scene
+    scheme: Any
+    pace: Pace
+    grain: int
+    meshes: int = 0
+    modes: int = 0
+    known: Known | None = None
+    orders: Orders = field(default_factory=Orders)
+    before: tuple[int, float] | None = None
+
+    @property
+    def steps(self) -> int:
+        """Number of equal steps; 0 with error control."""
+        return self.pace.steps
+
+    @property
+    def step(self) -> float:
+        """Size of the steps (s), or rtol."""
+        return self.pace.t_end / self.steps if self.steps else self.scheme.rtol
+
+
+def next_plan(
+    plan: Plan, run: Run, tol: Tolerance, *, shared: SharedRuns, history: Sequence[Attempt]
+) -> tuple[Plan | None, str]:
+    """The next plan and what it changes, or None and why there is none; collective where meshes are refined."""
+    over = {kind: max(share(run.certificate, n, x, kind) for n, x in tol.items()) for kind in KINDS}
+    if over["algebra"] > AIM:
+        return None, "Newton's tolerance is too large: give newton=Newton(tolerance=...)"
+
+    made, done = plan, []
+    limits = _limits(over)
+    try:
+        if over["space"] > limits["space"]:
+            made = _finer_meshes(made, over["space"], limits["space"], shared)
+            done.append("finer meshes")
+        if over["modes"] > limits["modes"]:
+            made = replace(made, scene=more_modes(made.scene, run.system), modes=made.modes + 1, known=None)
+            done.append("more modes")
+    except InputError as error:
+        known = run.certificate.unstated.get("space")
+        return None, f"{error}" + (f" Of its error in space: {known}." if known else "")
+
+    # where the next error in space is open, steps change in the same attempt only if they have to
+    unseen = not np.isfinite(over["time"])
+    allowed = wanted = limits["time"]
+    if made.meshes != plan.meshes and not _foreseen(plan):
+        allowed, wanted = max(HALF, wanted), max(LATER, wanted)
+    if made is not plan and not (unseen or over["time"] > allowed):
+        return made, " and ".join(done)
+    if made is plan:
+        errors = {k: run.deviations.get(k, {}) for k in ("space", "modes")}
+        made = replace(made, known=Known(errors, run.space_unstated))
+    factor = 0.25 if unseen else _factor(plan, run, tol, shares=(over["time"], wanted), history=history)
+    made = finer_steps(made, factor)
+    if not made.steps and made.scheme.rtol <= FINEST:
+        return None, "the scheme's tolerance is at roundoff"
+    return made, " and ".join([*done, "finer steps"])
+
+
+def _limits(over: Mapping[str, float]) -> dict[str, float]:
+    """Shares of the tolerance below which spaces, modes and time are left alone: what is fixed first leaves the rest to time."""
+    kinds = sum(over[k] > 0 for k in ("space", "modes"))
+    fixed = AIM if kinds < 2 else 0.6 * AIM
+    spent = sum(min(over[k], fixed) for k in ("space", "modes")) + over["algebra"]
+    return {"space": fixed, "modes": fixed, "time": WHOLE - spent}
+
+
+def _finer_meshes(plan: Plan, over: float, limit: float, shared: SharedRuns) -> Plan:
+    """The plan with meshes refined as often as the rate seen so far asks for, rounded down."""
+    rate = _expected(plan.scene)
+    if plan.before is not None and np.isfinite(plan.before[1]):
+        rate = float(np.clip((plan.before[1] / over) ** (1.0 / (plan.meshes - plan.before[0])), 2.0, 16.0))
+    solid = any(isinstance(b, ElasticBody | ReducedBody) and b.dim == 3 for b in plan.scene.bodies.values())
+    exact = np.log(over / limit) / np.log(rate) if np.isfinite(over) else 1.0
+    wanted = int(np.ceil(exact - 0.1) if _foreseen(plan) and np.isfinite(over) else exact + 0.1)
+    levels = min(max(wanted, 1), 1 if solid else 3)
+
+    scene = plan.scene
+    for _ in range(levels):
+        scene = shared.refined(scene)
+    return replace(plan, scene=scene, meshes=plan.meshes + levels, known=None, before=(plan.meshes, over))
+
+
+def _slender(scene: Scene) -> bool:
+    """Whether all that has an error in space are beams, rods, lines or wires: no corners, and cheap to refine."""
+    return not any(isinstance(scene.bodies[n], ElasticBody | ReducedBody) for n in meshed_bodies(scene))
+
+
+def _expected(scene: Scene) -> float:
+    """By what the error in space falls from one level to the next, as long as it was not seen."""
+    if not _slender(scene):
+        return RATE
+    bodies = [scene.bodies[n] for n in meshed_bodies(scene)]
+    return min(
+        [16.0 if isinstance(b, Beam) else 4.0**b.degree if isinstance(b, Rod) else RATE for b in bodies], default=RATE
+    )
+
+
+def _foreseen(plan: Plan) -> bool:
+    """Whether the next error in space can be told in advance: from a rate that was seen, or of slender bodies."""
+    return plan.before is not None or _slender(plan.scene)
+
+
+def _factor(plan: Plan, run: Run, tol: Tolerance, *, shares: tuple[float, float], history: Sequence[Attempt]) -> float:
+    """By what steps, or the scheme's tolerance, are multiplied, so that the error of time falls from one share to another."""
+    now, wanted = shares
+    if plan.steps:
+        order = _order(run, tol)
+        most = FAR if order > SEEN * run.scheme.order else NEAR
+        return float(np.clip((wanted / now) ** (1.0 / order), most, LEAST))
+
+    # errors of controlled runs follow the tolerance with a slope of their own
+    same = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]
+    slope = 0.9
+    if same and same[-1].worst > now:
+        slope = float(np.clip(np.log(same[-1].worst / now) / np.log(same[-1].step / plan.step), 0.5, 1.2))
+    return float(np.clip(0.7 * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))
+
+
+def _order(run: Run, tol: Tolerance) -> float:
+    """The lowest order seen in the sensors that have a tolerance, between 1/2 and the scheme's."""
+    seen = [run.observed_order.get(n, np.nan) for n in tol]
+    known = [p for p in seen if np.isfinite(p)]
+    return float(np.clip(min(known), 0.5, run.scheme.order)) if known else float(run.scheme.order)
+
+
+def finer_steps(plan: Plan, factor: float) -> Plan:
+    """Smaller steps by a factor below one, rounded to whole grains; or a smaller tolerance of the scheme."""
+    if not plan.steps:
+        return replace(plan, scheme=replace(plan.scheme, rtol=max(plan.scheme.rtol * factor, FINEST)))
+    wanted = plan.steps / factor
+    grain = plan.grain if wanted < MANY * plan.grain else 4 * plan.grain
+    steps = int(np.ceil(wanted / grain - 1e-9)) * grain
+    return replace(plan, pace=Pace(plan.pace.t_end, steps))

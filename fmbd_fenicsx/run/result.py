@@ -1,0 +1,253 @@
+"""What a run left behind: series, last state, counts, seconds, stated errors; and how it is shown and written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import InputError, near
+from ..rotations import Array
+from ..schemes.consistent import Correction
+from ..system.scene.plan import Plan
+from ..system.scene.scene import Scene
+from ..system.system import State, System
+from .deviation import Deviation, sizes
+from .ledger import Books, Ledger, make_ledger
+
+if TYPE_CHECKING:
+    from ..post.drawing.view import Paint, View
+    from .certificate import Certificate
+
+
+@dataclass(repr=False)
+class Run:
+    """What a run left behind; equal on all ranks but for the field values in ``state`` and ``snapshots``.
+
+    Attributes:
+        scene, scheme, plan: what was solved, how, and what existed.
+        dt: step size used, s (``t_end`` divided by a whole number of steps).
+        times: (n,) s; ``series``: sensor name -> (n, size) values; ``energy``: kind -> (n,) J.
+        state, system: the last state and its system. ``snapshots``: states kept for pictures.
+        counters: steps, Newton iterations, factorisations, back-solves. ``seconds``: by phase.
+        warnings: what was warned of during the run, and what is doubtful at its end; in the report under "look at this".
+        not_unique: joints whose reactions are not unique at the end, of which the smallest are given.
+        drift: largest position constraint (m) and velocity constraint (m/s) residual seen.
+        local_error: the scheme's own indicator of the error of one step, largest over the run (m, rad).
+        error_estimate: sensor name -> estimated time-discretisation error, in the sensor's unit; empty when
+            not asked for.
+        observed_order: sensor name -> order in h seen in the runs of the estimate, nan where it could not be
+            seen.
+        reduction_error: sensor name -> estimate from above of the error by left-out modes of reduced bodies, in the
+            sensor's unit; empty when not asked for and without reduced bodies.
+        space_error: sensor name -> estimated error by the meshes, in the sensor's unit; empty when not asked for.
+            ``space_unstated``: what of it could not be stated, and why.
+        newton_accuracy: mean relative error that Newton's iteration left: its tolerance or less.
+        deviations: kind (space, time, modes) -> sensor -> estimated error over time, with its sign.
+        history: attempts of :func:`solve` with ``tol``.
+        memory: peak memory of the largest rank, bytes.
+        status: "finished", or "stopped" on request.
+    """
+
+    scene: Scene
+    scheme: Any
+    plan: Plan
+    system: System
+    state: State
+    dt: float
+    times: Array
+    series: dict[str, Array]
+    energy: dict[str, Array]
+    snapshots: list[State]
+    counters: dict[str, float]
+    seconds: dict[str, float]
+    drift: tuple[float, float]
+    correction: Correction
+    local_error: float
+    error_estimate: dict[str, float] = field(default_factory=dict)
+    observed_order: dict[str, float] = field(default_factory=dict)
+    reduction_error: dict[str, float] = field(default_factory=dict)
+    space_error: dict[str, float] = field(default_factory=dict)
+    space_unstated: str = ""
+    newton_accuracy: float = 1e-6
+    deviations: dict[str, dict[str, Deviation]] = field(default_factory=dict)
+    history: tuple[Any, ...] = ()
+    memory: float = 0.0
+    status: str = "finished"
+    not_unique: list[str] = field(default_factory=list)
+    books: Books | None = None
+    warnings: list[str] = field(default_factory=list)
+
+    def __getitem__(self, sensor: str) -> Array:
+        """Series of a sensor, (n, size)."""
+        if sensor not in self.series:
+            raise InputError(f'No sensor "{sensor}". {near(sensor, self.series)}')
+        return self.series[sensor]
+
+    def state_error(self, kind: str, found: dict[str, Deviation]) -> None:
+        """Take the estimated errors of one kind: "space", "time" or "modes"."""
+        self.deviations[kind] = found
+        if kind == "time":
+            self.error_estimate = sizes(found)
+        elif kind == "modes":
+            self.reduction_error = sizes(found)
+        else:
+            self.space_error = sizes(found)
+
+    def report(self) -> str:
+        """Steps, iterations, error estimate, drift, energy, seconds by phase, and the plan, as text; not
+        collective.
+        """
+        from ..post.report import run_report
+
+        return run_report(self)
+
+    @property
+    def certificate(self) -> Certificate:
+        """Errors of space, time, reduction and algebra of every sensor, their sum, and what could not be stated."""
+        from .certificate import certificate_of
+
+        return certificate_of(self)
+
+    @property
+    def ledger(self) -> Ledger:
+        """Work and power of every force, drive and damping, and the change of energy that they explain; of a run with
+        ``Output(ledger=True)``.
+        """
+        return make_ledger(self.times, self.energy, self.books)
+
+    def plot_history(self, file: str | Path) -> None:
+        """Write the error against the seconds of every attempt of a run with ``tol`` (matplotlib); rank 0 writes."""
+        from ..post.plot import plot_history
+
+        plot_history(self, file)
+
+    @property
+    def total_energy(self) -> Array:
+        """Sum of the recorded energies, (n,) J."""
+        return np.sum(list(self.energy.values()), axis=0)
+
+    def momenta(self, state: State | None = None) -> tuple[Array, Array]:
+        """Momentum (N s) and angular momentum about the origin (N m s) of a state, the last by default; collective."""
+        s = self.state if state is None else state
+        return self.system.at(s.t, s.q, s.v).momenta()
+
+    def plot(self, *sensors: str, file: str | Path, reference: Mapping[str, Any] | None = None) -> None:
+        """Write a figure of sensor series over time (matplotlib); rank 0 writes.
+
+        Args:
+            sensors: names of sensors ("tip") or of their components ("tip y"); all sensors when none is given.
+            reference: name -> exact value as a function of time (s), drawn behind the curve, or (times, values),
+                drawn as crosses.
+        """
+        from ..post.plot import plot_series
+
+        plot_series(self, sensors, file, reference)
+
+    def save(self, file: str | Path) -> None:
+        """Write times, sensors with units and energies as comma-separated values; rank 0 writes.
+
+        Stated errors of sensors go to a second file beside it, ``<name>.errors.csv``.
+        """
+        from ..post.export import save_series
+
+        save_series(self, file)
+
+    def to_xarray(self) -> Any:
+        """All sensors and energies over time as an ``xarray.Dataset`` with units and names of components; ``.to_netcdf(file)``
+        writes it. Needs xarray.
+        """
+        from ..post.tables import to_xarray
+
+        return to_xarray(self)
+
+    def to_pandas(self) -> Any:
+        """All sensors and energies as a ``pandas.DataFrame`` over time, columns "tip x (m)". Needs pandas."""
+        from ..post.tables import to_pandas
+
+        return to_pandas(self)
+
+    def save_fields(self, folder: str | Path, quantities: Mapping[str, Any] | None = None) -> list[Path]:
+        """Write the snapshots of elastic bodies for ParaView, ``folder/<body>.pvd``; collective. Returns the files.
+
+        Each holds the displacement x - X of the true motion, for "Warp by Vector", and ``quantities`` in the middle of each cell:
+        name -> UFL expression of the displacement in the body's axes, as for :func:`fmbd_fenicsx.stress`.
+        """
+        from ..post.export import save_fields
+
+        return save_fields(self, folder, quantities)
+
+    def picture(
+        self,
+        file: str | Path,
+        *,
+        sensors: Sequence[str] | str = (),
+        view: View | None = None,
+        paint: Paint | None = None,
+        reference: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Write a picture of some snapshots (pyvista), with the histories of sensors beside it; collective, rank 0 writes.
+
+        Args:
+            sensors: names of sensors or of their components ("tip y").
+            view: camera, number of instants, arrows; see :class:`~fmbd_fenicsx.View`.
+            paint: a quantity that colours elastic bodies; else they are coloured by time.
+            reference: what is known of sensors, as for :meth:`plot`.
+        """
+        from ..post.plot import picture
+
+        names = [sensors] if isinstance(sensors, str) else sensors
+        picture(self, file, sensors=names, view=view, paint=paint, reference=reference)
+
+    def animate(
+        self,
+        file: str | Path,
+        *,
+        sensors: Sequence[str] | str = (),
+        view: View | None = None,
+        paint: Paint | None = None,
+        seconds: float | None = None,
+    ) -> Path:
+        """Write an animation of the snapshots, ``.gif``, ``.mp4`` (ffmpeg) or ``.html``; collective, rank 0 writes.
+
+            run = fmbd.solve(scene, ..., output=fmbd.Output(snapshots=100))
+            run.animate("arm.gif", sensors="tip", paint=fmbd.Paint(von_mises, "von Mises stress (Pa)"))
+
+        A web page (.html) needs no other file and no network: it turns, zooms, plays and stops.
+
+        Args:
+            sensors: names of sensors or of their components, drawn beside the scene with a dot at the present instant.
+            view: camera, size, arrows of forces; see :class:`~fmbd_fenicsx.View`.
+            paint: a quantity that colours elastic bodies.
+            seconds: how long it lasts; by default the simulated time where that is 2 s to 12 s, else 5 s.
+
+        Raises:
+            InputError: no snapshots, an unknown sensor or kind of file, no ffmpeg for .mp4.
+        """
+        from ..post.animation import animate
+
+        return animate(self, file, sensors=sensors, view=view, paint=paint, seconds=seconds)
+
+    def show(self, *, sensors: Sequence[str] | str = (), view: View | None = None, paint: Paint | None = None) -> Any:
+        """The animation to look at: in a notebook as the last expression of a cell, else in the web browser; collective.
+
+        Raises InputError without snapshots, and where there is neither a notebook nor a screen.
+        """
+        from ..post.showing import show
+
+        return show(self, sensors=sensors, view=view, paint=paint)
+
+    def __repr__(self) -> str:
+        steps = f"{self.counters.get('steps', 0):.0f} steps to t = {self.state.t:g} s"
+        return (
+            f'<Run of "{self.scene.name}": {self.scheme.name}, {steps}, '
+            f"{self.status}; sensors {', '.join(self.series) or 'none'}; {len(self.snapshots)} snapshots>"
+        )
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return f"<pre>{escape(self.report())}</pre>"

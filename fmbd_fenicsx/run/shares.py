@@ -1,0 +1,84 @@
+"""Tolerances of sensors, and the shares of them that the stated errors of a run take."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..checks import typed
+from ..errors import InputError, near, require
+from ..system.scene.scene import Scene
+from .certificate import Certificate, Statement
+
+AIM = 0.6  # share of the tolerance below which the error of space, or of modes, is brought: its estimate is the coarser one
+WHOLE, SAFE = 0.8, 0.9  # shares that all kinds together are brought below, and must be
+FLOOR = 1e-12  # share of the range of a sensor that roundoff leaves
+
+Tolerance = Mapping[str, Any]  # sensor -> number in its unit, or Relative
+
+
+@dataclass(frozen=True)
+class Relative:
+    """A share of the range (largest less smallest value) of a sensor."""
+
+    share: float
+
+
+@typed
+def relative(share: float) -> Relative:
+    """A tolerance as a share of the range of the sensor: ``tol={"tip": relative(1e-3)}``."""
+    require(bool(np.isfinite(share)) and share > 0, f"relative({share}): the share must be positive.")
+    require(share >= FLOOR, f"relative({share:g}) is below what roundoff allows, about {FLOOR:g}.")
+    return Relative(float(share))
+
+
+def check_tolerances(scene: Scene, tol: Tolerance) -> None:
+    """Tolerances of known sensors, positive."""
+    require(bool(tol), "tol must name a sensor: tol={'tip': 1e-4}.")
+    for name, value in tol.items():
+        if name not in scene.sensors:
+            raise InputError(f'tol: no sensor "{name}". {near(name, scene.sensors)}')
+        if isinstance(value, Relative):
+            continue
+        number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        require(
+            number and bool(np.isfinite(value)) and value > 0,
+            f'tol of "{name}" is {value!r}: give a positive number in {scene.sensors[name].unit}, or relative(1e-3).',
+        )
+
+
+def _limit(statement: Statement, value: Any) -> float:
+    """The tolerance of a sensor in its unit, not below roundoff.
+
+    Raises InputError where it is below.
+    """
+    limit = value.share * statement.span if isinstance(value, Relative) else float(value)
+    floor = FLOOR * statement.span
+    require(
+        limit >= floor,
+        f'tol of "{statement.sensor}", {limit:g} {statement.unit}, is below what roundoff allows: about {floor:.1e}.',
+    )
+    return limit if limit > 0 else np.inf  # a sensor that does not move has no error to speak of
+
+
+def share(made: Certificate, sensor: str, value: Any, kind: str) -> float:
+    """One kind of error over the tolerance; infinite where it could not be stated."""
+    if kind in made.unstated:
+        return np.inf
+    error = getattr(made[sensor], kind)
+    return 0.0 if error is None else float(error / _limit(made[sensor], value))
+
+
+def worst(made: Certificate, tol: Tolerance) -> float:
+    """The largest stated error over its tolerance; infinite where a kind of error could not be stated."""
+    shares = [made[name].sum / _limit(made[name], value) for name, value in tol.items()]
+    return np.inf if made.unstated else max(shares)
+
+
+def safe(made: Certificate, tol: Tolerance) -> bool:
+    """Whether the stated errors leave room for that of the estimates themselves."""
+    fixed = max(share(made, n, x, kind) for n, x in tol.items() for kind in ("space", "modes"))
+    return worst(made, tol) <= SAFE and fixed <= AIM
