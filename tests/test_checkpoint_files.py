@@ -22,6 +22,7 @@ from test_ranks import ROOT, launch
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CheckpointError, InputError, Stopped
 from fmbd_fenicsx.run import archive
+from fmbd_fenicsx.schemes import TimeStepper
 
 pytestmark = pytest.mark.serial
 
@@ -188,10 +189,21 @@ def test_a_scheme_without_memory(tmp_path: Path) -> None:
         name, order = "own", 1
 
         def stepper(self, system: Any, solver: Any, newton: Any, state: Any) -> Any:
-            return type("OwnStepper", (), {"state": state, "local_error": 0.0})()
+            return type("OwnStepper", (TimeStepper,), {"state": state})()
 
     with pytest.raises(InputError, match="OwnStepper does not say what it remembers"):
         run(tmp_path, scheme=Own(), output=fmbd.Output(energy=False))
+
+
+def test_a_stepper_of_another_kind() -> None:
+    class Own:
+        name, order = "own", 1
+
+        def stepper(self, *given: Any) -> Any:
+            return object()
+
+    with pytest.raises(InputError, match=r"Own.stepper\(...\) must give a time stepper: let builtins.object derive"):
+        fmbd.solve(pendulum(), t_end=0.1, dt=0.01, scheme=Own())
 
 
 # -- disks -------------------------------------------------------------------------------------------------------

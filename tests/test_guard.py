@@ -14,6 +14,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.run.energy_check import Guarded, Watch, closed
 from fmbd_fenicsx.run.step_bisection import ConstantSteps
+from fmbd_fenicsx.schemes import TimeStepper
 from fmbd_fenicsx.system.system import State
 
 
@@ -120,10 +121,8 @@ def test_a_stiff_potential_that_turns_gains_nothing() -> None:
     assert energy.max() < 1.02 * energy[0] and run.counters["energy_rejections"] >= 1
 
 
-class Heater:
+class Heater(TimeStepper):
     """Steps that gain energy when they are longer than ``longest``."""
-
-    local_error = 0.0
 
     def __init__(self, state: State, longest: float) -> None:
         self.state, self.longest = state, longest

@@ -13,6 +13,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, LinearSolveError
 from fmbd_fenicsx.run.energy_check import Watch
 from fmbd_fenicsx.run.step_bisection import ConstantSteps
+from fmbd_fenicsx.schemes import TimeStepper
 from fmbd_fenicsx.system.system import State, System
 
 TOUCH = -0.5  # rad
@@ -57,7 +58,7 @@ def test_a_stiff_law_that_switches_on(
     assert run.times == pytest.approx(np.linspace(0.0, end, steps + 1), abs=1e-13)
 
 
-class Brittle:
+class Brittle(TimeStepper):
     """Steps that fail when they are longer than ``longest``, or after ``end``; counts what it does."""
 
     local_error = 0.1

@@ -85,6 +85,12 @@ class Part(Protocol):
     plain: bool = False  # whether the ports are the coordinates
     shortening: Shortening | None = None  # of ports that are of second order in u
 
+    def remember(self, m: Any) -> None:
+        """Write to a checkpoint what the part remembers beside its coordinates, or take it from there: nothing, unless it holds a
+        frozen tangent; collective.
+        """
+        return None
+
     def ports_of(self, w: Array) -> Array:
         """Ports of local coordinates, without the reference part; collective."""
         return np.asarray(self.port_matrix @ w)

@@ -1,30 +1,22 @@
 """States between the ends of a step: what a run records at given times.
 
-A scheme whose steps are polynomials gives their values (:meth:`Dense.between`). Otherwise positions follow the cubic
+A scheme whose steps are polynomials gives their values (:meth:`.TimeStepper.between`). Otherwise positions follow the cubic
 through the ends with their velocities, in the local coordinates of the step's start, and velocities, accelerations and
 multipliers the straight lines between their ends, all of at least second order in the step.
 """
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
+from ..schemes.stepping import TimeStepper
 from ..system.system import State, System
 
 
-@runtime_checkable
-class Dense(Protocol):
-    """A stepper that knows the states between the ends of its last step."""
-
-    def between(self, t: float) -> State | None:
-        """The state at a time t (s) within the last step, None where it holds no step."""
-
-
-def state_between(system: System, before: State, after: State, t: float, stepper: Any = None) -> State:
+def state_between(system: System, before: State, after: State, t: float, stepper: TimeStepper | None = None) -> State:
     """The state at a time t (s) between two ends of a step, in which the ``stepper`` made it where given."""
-    inner = getattr(stepper, "stepper", stepper)  # under guard, or in parts
-    if isinstance(inner, Dense) and inner.state is after:  # type: ignore[attr-defined]
-        found = inner.between(t)
+    if stepper is not None and stepper.unwrapped.state is after:
+        found = stepper.unwrapped.between(t)
         if found is not None:
             return found
 

@@ -15,7 +15,7 @@ damping of the scheme then removes it.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
@@ -25,8 +25,9 @@ from ..mechanics.catenary.wires import Wires
 from ..mechanics.forces.effort_laws import EffortLaw
 from ..mechanics.forces.force_elements import ScalarLoads
 from ..mechanics.joints.couplings import OwnBatch
+from ..schemes.stepping import TimeStepper
 from ..system.scene.scene import Scene
-from ..system.serialisation import Memory, remember_stepper
+from ..system.serialisation import Remembering, plain, worker
 from ..system.system import Evaluation, State, System
 from .acceptance import attempt
 
@@ -53,8 +54,10 @@ def _gives(loads: ScalarLoads) -> bool:
     return not all(isinstance(law, EffortLaw) and law.conserves for law in laws)
 
 
-class Watch:
+class Watch(Remembering):
     """What (1) needs of the states so far; ``rejections`` counts the steps that were taken back."""
+
+    keeps: ClassVar = dict.fromkeys(("turnover", "highest", "time", "rejections", "settling"), plain())
 
     def __init__(self, system: System, state: State) -> None:
         self.system, self.rejections = system, 0
@@ -99,11 +102,6 @@ class Watch:
         speed = ROUNDOFF * far / h if h > 0 else 0.0
         return self.system.mass * speed**2 + self.strained
 
-    def remember(self, m: Memory) -> None:
-        """What was seen of energies."""
-        self.turnover, self.highest, self.time = m("energies", (self.turnover, self.highest, self.time))
-        self.rejections, self.settling = m("steps", (self.rejections, self.settling))
-
     def count(self, before: State, gain: float, stop: bool) -> None:
         """One more step from ``before`` taken back; raises ConvergenceError when it must ``stop``."""
         self.rejections += 1
@@ -119,17 +117,24 @@ def _strain_energy(system: System) -> float:
     return sum(abs(float(part.field.energy(ROUNDOFF * part.field.X.ravel()))) for _, part in system.fields)
 
 
-class Guarded:
-    """A stepper with error control under guard: told to start again from before. Constant steps: :mod:`.halving`."""
+class Guarded(TimeStepper):
+    """A stepper with error control under guard: told to start again from before. Constant steps: :mod:`.step_bisection`."""
 
-    def __init__(self, stepper: Any, watch: Watch) -> None:
+    keeps: ClassVar = {"stepper": worker, "watch": worker, "largest": plain(), "local_error": plain()}
+
+    def __init__(self, stepper: TimeStepper, watch: Watch) -> None:
         self.stepper, self.watch, self.largest = stepper, watch, float("inf")
         self.local_error = 0.0
 
     @property
-    def state(self) -> State:
+    def state(self) -> State:  # type: ignore[override]
         """The state of the stepper."""
         return self.stepper.state
+
+    @property
+    def unwrapped(self) -> TimeStepper:
+        """The scheme's own."""
+        return self.stepper
 
     @property
     def evaluation(self) -> Evaluation:
@@ -139,13 +144,7 @@ class Guarded:
     @property
     def counters(self) -> dict[str, float]:
         """Those of the stepper, and the steps taken back."""
-        return {**getattr(self.stepper, "counters", {}), "energy_rejections": self.watch.rejections}
-
-    def remember(self, m: Memory) -> None:
-        """The stepper, its largest step, and what was seen of energies."""
-        remember_stepper(self.stepper, m.inside("stepper"))
-        self.watch.remember(m.inside("watch"))
-        self.largest, self.local_error = m("steps", (self.largest, self.local_error))
+        return {**self.stepper.counters, "energy_rejections": self.watch.rejections}
 
     def restart(self, t: float) -> None:
         """Go on behind a kink at t."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..linear.condensation import StepSolver
 from ..schemes.newton import Newton
+from ..schemes.stepping import TimeStepper
 from ..system.system import System
 from .output import Recorder
 
@@ -24,7 +25,7 @@ class Course:
     system: System
     solver: StepSolver
     newton: Newton
-    stepper: Any
+    stepper: TimeStepper
     recorder: Recorder
     done: int = 0
     local_error: float = 0.0
@@ -36,16 +37,12 @@ class Course:
         """Write all of it, or read it from the checkpoint ``where``; see :mod:`fmbd_fenicsx.system.serialisation`. Collective."""
         from ..linear.blocks.solver_memory import remember_solver
         from ..system.element_memory import kinds, memories, restore
-        from ..system.serialisation import remember_stepper
         from .fingerprint import check_effect
 
         restore(self.system, m("elements", memories(self.system), *kinds(self.system)))
-        tangents = [p for p in self.system.parts if hasattr(p, "evaluated")]
-        left = m("evaluated", [p.evaluated for p in tangents])
         for k, part in enumerate(self.system.parts):
-            if hasattr(part, "remember"):
-                part.remember(m.inside(f"part {k}"))
-        remember_stepper(self.stepper, m.inside("stepper"))
+            part.remember(m.inside(f"part {k}"))
+        self.stepper.remember(m.inside("stepper"))
         remember_solver(self.solver, m.inside("solver"), self.stepper.state)
         self.newton.iterations, self.newton.theta = m("Newton", (self.newton.iterations, self.newton.theta))
         self.recorder.remember(m.inside("recorder"))
@@ -55,5 +52,3 @@ class Course:
         if m.reading:
             self.earlier, self.begun = spent, now
         check_effect(self.system, self.stepper.state, m.inside("effect"), where)
-        for p, value in zip(tangents, left, strict=True):
-            p.evaluated = value

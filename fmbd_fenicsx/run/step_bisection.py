@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 from ..errors import ConstraintError, ConvergenceError, LinearSolveError, StabilityError
 from ..log import log
-from ..system.compiled.recording import Openness
+from ..schemes.stepping import TimeStepper
+from ..system.compiled.recording import Openness, Tape
 from ..system.element_memory import accept
-from ..system.serialisation import Memory, remember_stepper
+from ..system.serialisation import plain, worker
 from ..system.system import Evaluation, State, System
 from .acceptance import Closed, attempt
 from .energy_check import HALVINGS, Watch
@@ -27,18 +28,24 @@ from .forecast import Forecast
 DEPTH = 6  # times that a step that fails may be halved
 
 
-class ConstantSteps:
+class ConstantSteps(TimeStepper):
     """A stepper with constant steps, whole or in parts.
 
     ``renew`` makes a stepper from a state, None: the stepper goes on with another size. ``watch``: the energy guard, if any.
     ``closed`` refuses states with open joints, ``forecast`` counts the parts.
     """
 
+    keeps: ClassVar = {
+        "stepper": worker,
+        "watch": worker,
+        **dict.fromkeys(("halved", "whole", "_size", "local_error", "_past"), plain()),
+    }
+
     def __init__(
         self,
-        stepper: Any,
+        stepper: TimeStepper,
         system: System,
-        renew: Callable[[State], Any] | None,
+        renew: Callable[[State], TimeStepper] | None,
         watch: Watch | None,
         *,
         closed: Closed | None = None,
@@ -54,14 +61,19 @@ class ConstantSteps:
         self._past: dict[str, float] = {}  # counters of former steppers
 
     @property
-    def state(self) -> State:
+    def state(self) -> State:  # type: ignore[override]
         """The state of the stepper."""
         return self.stepper.state
 
     @property
-    def path(self) -> str:
+    def path(self) -> str:  # type: ignore[override]
         """How the stepper computes."""
-        return getattr(self.stepper, "path", "NumPy")
+        return self.stepper.path
+
+    @property
+    def unwrapped(self) -> TimeStepper:
+        """The scheme's own."""
+        return self.stepper
 
     @property
     def evaluation(self) -> Evaluation | None:
@@ -76,35 +88,19 @@ class ConstantSteps:
         return own if self.watch is None else {**own, "energy_rejections": self.watch.rejections}
 
     def _sum(self) -> dict[str, float]:
-        found = getattr(self.stepper, "counters", {})
+        found = self.stepper.counters
         return {k: found.get(k, 0.0) + self._past.get(k, 0.0) for k in {**self._past, **found}}
 
-    def remember(self, m: Memory) -> None:
-        """The stepper, its size and what it counts, the guard."""
-        remember_stepper(self.stepper, m.inside("stepper"))
-        if self.watch is not None:
-            self.watch.remember(m.inside("watch"))
-        sizes = self.halved, self.whole, self._size, self.local_error
-        self.halved, self.whole, self._size, self.local_error = m("sizes", sizes)
-        self._past = m("past", self._past)
-
-    def tape(self, judged: Openness) -> Any:
+    def tape(self, judged: Openness) -> Tape | None:
         """Room for records of compiled steps; None where the stepper has none."""
-        made = getattr(self.stepper, "tape", None)
-        return None if made is None else made(judged)
+        return self.stepper.tape(judged)
 
-    @property
-    def _remembers(self) -> bool:
-        """Whether the stepper moves the memory of elements on by itself."""
-        return getattr(self.stepper, "keeps_memories", False)
-
-    def march(self, h: float, steps: int, tape: Any = None) -> int:
+    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None) -> int:
         """Up to so many whole steps of size h (s) in one call; how many were made, 0 where :meth:`advance` has to."""
-        many = getattr(self.stepper, "march", None)
-        remembering = bool(self.system.keepers) and not self._remembers
-        if many is None or self.whole or self._size not in (None, h) or remembering:
+        remembering = bool(self.system.keepers) and not self.stepper.keeps_memories
+        if self.whole or self._size not in (None, h) or remembering:
             return 0
-        made: int = many(h, steps, self.watch, tape)
+        made = self.stepper.march(h, steps, self.watch, tape)
         if made:
             self._size, self.local_error = h, max(self.local_error, self.stepper.local_error)
         return made
@@ -157,8 +153,9 @@ class ConstantSteps:
             self.local_error = max(self.local_error, self.stepper.local_error)
             if self.forecast is not None:
                 self.forecast.note(after)
-            noted = self._remembers and self.stepper.note()
-            if not noted and accept(self.system, after):  # the past of the stepper is that of other forces
+            if not self.stepper.note() and accept(
+                self.system, after
+            ):  # the past of the stepper is that of other forces
                 self._begin(after)
             return None
         self.whole = depth + 1

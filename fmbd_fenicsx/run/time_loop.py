@@ -15,6 +15,7 @@ from ..rotations import Array
 from ..schemes.consistent import Correction, consistent
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton
+from ..schemes.stepping import TimeStepper, made_stepper
 from ..system.element_memory import accept, reset
 from ..system.scene.scene import Scene
 from ..system.system import State, System
@@ -98,21 +99,21 @@ def _begun(
     return consistent(system, given, solver, h=h)
 
 
-def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: bool) -> Any:
+def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: bool) -> TimeStepper:
     """The scheme's worker from the consistent start: constant steps in parts where that must be, under the energy guard where
     that makes sense.
     """
-    made = problem.scheme.stepper(problem.system, solver, problem.newton, problem.start)
+    made = made_stepper(problem.scheme, problem.system, solver, problem.newton, problem.start)
     watch = Watch(problem.system, made.state) if guarded else None
 
-    def renew(state: State) -> Any:
+    def renew(state: State) -> TimeStepper:
         problem.newton.theta = 0.5
         if problem.system.fields:  # tangents of a failed iteration are of no use
             problem.system.at(state.t, state.q, state.v).balance(state.a, state.lam)
             for _, part in problem.system.fields:
                 part.relinearise()
         start, _ = consistent(problem.system, state, solver, h=pace.next(0.0))
-        return problem.scheme.stepper(problem.system, solver, problem.newton, start)
+        return made_stepper(problem.scheme, problem.system, solver, problem.newton, start)
 
     if pace.steps:
         said = Declared.by(problem.scheme)
@@ -131,7 +132,7 @@ def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: b
 CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to stop
 
 
-def quietly(stepper: Any, pace: Pace, recorder: Recorder, done: int, *, most: int) -> int:
+def quietly(stepper: TimeStepper, pace: Pace, recorder: Recorder, done: int, *, most: int) -> int:
     """How many steps, at most so many, were made in one call, where the stepper can: recorded on the way or up to a record."""
     t, h = stepper.state.t, pace.next(stepper.state.t)
     if recorder.output.on_step is not None or recorder.output.events:
@@ -149,7 +150,7 @@ def quietly(stepper: Any, pace: Pace, recorder: Recorder, done: int, *, most: in
         if tape is not None:
             tape.begin(every, every - (done + made) % every)
             now = min(now, tape.capacity * every)
-        now = stepper.march(h, now, tape)
+        now = stepper.march(h, now, tape=tape)
         if tape is not None and now:
             recorder.take_tape(tape.recorded(), done + made)
         made += now
@@ -176,7 +177,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
     stepper = make_stepper(problem, solver, pace, guarded=output.energy and closed(problem.scene, problem.system))
     recorder = Recorder(problem.scene, problem.system, problem.markers, output, pace.t_end)
     recorder.closed, recorder.warned = Closed.under(problem.system, problem.scheme), problem.warned
-    recorder.take(0, stepper.state, getattr(stepper, "evaluation", None))
+    recorder.take(0, stepper.state, stepper.evaluation)
     course = Course(problem.system, solver, problem.newton, stepper, recorder)
     if keeper is not None:
         keeper.resume(course)
@@ -206,7 +207,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
                     recorder.take_until(course.done, state, met, stepper)
                     state, ended = met, True
                     break
-                recorder.take(course.done, state, getattr(stepper, "evaluation", None), stepper)
+                recorder.take(course.done, state, stepper.evaluation, stepper)
                 if output.on_step is not None:
                     output.on_step(Moment(problem.scene, problem.system, problem.markers, state, course.done))
                 bar.update(max(made, 1))
@@ -233,7 +234,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
         done=course.done,
         first=course.first,
         status="ended by an event" if ended else "finished" if pace.ended(state.t, course.done) else "stopped",
-        counters=getattr(stepper, "counters", {}),
-        path=getattr(stepper, "path", "NumPy"),
+        counters=stepper.counters,
+        path=stepper.path,
         earlier=course.earlier,
     )

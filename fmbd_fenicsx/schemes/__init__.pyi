@@ -9,3 +9,4 @@ from .onestep.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
 from .onestep.half_explicit import HalfExplicit as HalfExplicit
 from .onestep.radau import Radau as Radau
 from .onestep.rattle import Rattle as Rattle
+from .stepping import TimeStepper as TimeStepper

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from ..errors import ConvergenceError, require
 from ..fem.fields import rank_sum
 from ..rotations import Array
 from ..system.linearise import Sizes
-from ..system.serialisation import Memory
+from ..system.serialisation import Memory, Remembering, plain
 from ..system.system import State, System
 
 ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the tolerance are accepted
@@ -54,13 +54,18 @@ def check_tolerance(rtol: float | None, atol: float | None, scheme: str) -> None
         require(bool(np.isfinite(atol)) and atol > 0, f"{scheme}: atol = {atol} must be positive.")
 
 
-class ErrorNorm:
+class ErrorNorm(Remembering):
     """(1), with sizes that grow along the run. ``atol``: added to the tolerance of every coordinate (m, rad or its own unit).
 
     A field counts by its root mean square: displacements against the largest one seen, at least a hundredth of the model's
     length, rates as h e_v / w_q in all forms, so that a stiff body with vibrations too small to matter does not hold the steps
     down.
     """
+
+    keeps: ClassVar = {
+        **dict.fromkeys(("q_size", "v_size", "field_size"), plain()),
+        **dict.fromkeys(("wq", "wv"), Memory.like_v),
+    }
 
     def __init__(self, system: System, rtol: float, atol: float | None, index: int) -> None:
         self.system, self.rtol, self.atol, self.index = system, rtol, atol, index
@@ -94,12 +99,6 @@ class ErrorNorm:
         self.field_size = np.maximum(self.field_size, np.maximum(seen, 1e-2 * s.length))
         own = (np.full(p.n, x) for (_, p), x in zip(s.fields, self.field_size, strict=True))
         return np.concatenate((self.q_size, *own))
-
-    def remember(self, m: Memory) -> None:
-        """The sizes seen so far, and the weights of the last step."""
-        sizes = (self.q_size, self.v_size, self.field_size)
-        self.q_size, self.v_size, self.field_size = m("sizes", sizes)
-        self.wq, self.wv = m.like_v("wq", self.wq), m.like_v("wv", self.wv)
 
     def __call__(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
         """The norm (1) of errors like v, (n,), or the largest over several, (s, n); collective."""

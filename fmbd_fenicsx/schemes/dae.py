@@ -42,7 +42,7 @@ from ..linear.saddle.pencil import Pencil, Tangent
 from ..rotations import Array
 from ..system.batch import Many, copies
 from ..system.linearise import differences, many
-from ..system.serialisation import Memory
+from ..system.serialisation import Remembering, plain
 from ..system.speed_rows import speed_rows
 from ..system.system import State, System
 
@@ -213,13 +213,14 @@ class Points:
     mult: Array
 
 
-class StepEquations:
+class StepEquations(Remembering):
     """(1), (2) in the local coordinates of one step; shared by the implicit schemes. Small systems: dense.
 
     ``begin`` sets the origin of the coordinates, ``refresh`` the tangent, ``residual`` evaluates. Counts its work. Systems with
     elastic fields have :class:`.field_stages.FieldEquations`, with the same names.
     """
 
+    keeps: ClassVar = dict.fromkeys(("residuals", "jacobians", "U", "normal", "origin", "_inverse_mass"), plain())
     dense = True
     counters: ClassVar[dict[str, float]] = {}
 
@@ -233,13 +234,6 @@ class StepEquations:
         self._closed: State | None = None
         self._start: tuple[Array, Array, Array] = (self.origin,) * 3
         self._inverse_mass: Any = None
-
-    def remember(self, m: Memory) -> None:
-        """Metric, normal directions and the counts of work."""
-        work = self.residuals, self.jacobians
-        self.residuals, self.jacobians = m("work", work)
-        metric = self.U, self.normal, self.origin, self._inverse_mass
-        self.U, self.normal, self.origin, self._inverse_mass = m("metric", metric)
 
     def begin(self, state: State) -> None:
         """Local coordinates about the state."""

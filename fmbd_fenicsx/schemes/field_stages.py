@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -37,7 +37,7 @@ from ..fem.fields import rank_sum
 from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
 from ..rotations import Array
-from ..system.serialisation import Memory
+from ..system.serialisation import Memory, Remembering, plain
 from ..system.system import Evaluation, State, System
 from .dae import Form, Points
 
@@ -96,12 +96,16 @@ def lower(form: Form, levels: int, ev: Evaluation, a: Array, lam: Array) -> Arra
     return np.concatenate((balance, form.rows(ev, a))) if levels else balance
 
 
-class FieldEquations:
+class FieldEquations(Remembering):
     """What :class:`.StepEquations` is for small systems, for those with elastic fields; the same names. Collective.
 
     Multipliers of the second and third level are the slips c (m/s) and e (m/s^2) of (1).
     """
 
+    keeps: ClassVar = {
+        **dict.fromkeys(("residuals", "jacobians", "krylov", "anchor"), plain()),
+        "metric": plain(Weights),
+    }
     dense = False
 
     def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
@@ -122,12 +126,6 @@ class FieldEquations:
     def counters(self) -> dict[str, float]:
         """Work that dense systems do not have."""
         return {"stage_iterations": self.krylov}
-
-    def remember(self, m: Memory) -> None:
-        """Counts, where the grid of factors is anchored, and the metric of the corrections."""
-        work = self.residuals, self.jacobians, self.krylov, self.anchor
-        self.residuals, self.jacobians, self.krylov, self.anchor = m("work", work)
-        self.metric = m("metric", self.metric, Weights)
 
     def remember_points(self, m: Memory, last: Any) -> Any:
         """The last step: its size, q and v at its start, and its stages, in an order that does not depend on the ranks."""

@@ -1,23 +1,22 @@
 """What a run in progress remembers, written and read by one and the same method of each worker.
 
-A worker with a memory (a stepper, a part with a frozen tangent) has a method
+A worker with a memory (a time stepper, an error norm) says what it keeps, and of which kind each attribute is:
 
-    def remember(self, m: Memory) -> None:
-        self.state = m.state("state", self.state)
-        self.A = m.like_v("A", self.A)
-        self.count = m("count", self.count)
+    class Stepper(TimeStepper):
+        keeps = {"state": Memory.state, "A": Memory.like_v, "count": plain(), "norm": worker}
 
-When a checkpoint is written each call takes note of the value and gives it back; when it is read, the call gives the value of
-the checkpoint. Numbers, strings, arrays, lists, tuples, dictionaries and dataclasses of these go through ``m(...)`` and are
-equal on all ranks. What is distributed has calls of its own: it is kept in an order that does not depend on the number of
-ranks (:mod:`fmbd_fenicsx.fem.numbering`).
+When a checkpoint is written each value is taken note of; when it is read, the attribute gets the value of the checkpoint.
+Numbers, strings, arrays, lists, tuples, dictionaries and dataclasses of these are :func:`plain` and equal on all ranks. What is
+distributed has kinds of its own: it is kept in an order that does not depend on the number of ranks
+(:mod:`fmbd_fenicsx.fem.numbering`). A worker whose memory is more than values, say a factor that is made again, adds to the
+method ``remember``, which does both.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -119,18 +118,39 @@ class Memory:
         return ContactState(t, q, v, a, lam, ContactForces(**found)) if self.reading else s
 
 
-def remember_stepper(stepper: Any, m: Memory) -> None:
-    """Memory of a stepper.
+Keep = Callable[[Memory, str, Any], Any]  # how a value goes to a memory by its name, and back
 
-    Raises:
-        InputError: a scheme of the user's own that has none.
-    """
-    if not hasattr(stepper, "remember"):
-        raise InputError(
-            f"{type(stepper).__module__}.{type(stepper).__qualname__} does not say what it remembers: give it a method "
-            "remember(m), see docs/contributing.md, or leave out checkpoint."
-        )
-    stepper.remember(m)
+
+def plain(*types: type) -> Keep:
+    """Plain data, equal on all ranks; ``types``: the dataclasses that it may hold."""
+    return lambda m, name, value: m(name, value, *types)
+
+
+def worker(m: Memory, name: str, value: Any) -> Any:
+    """A worker inside this one, with a memory of its own; None where there is none."""
+    if value is not None:
+        value.remember(m.inside(name))
+    return value
+
+
+class Remembering:
+    """A worker with a memory. ``keeps``: its attributes that a checkpoint holds, each with its kind; None: it does not say."""
+
+    keeps: ClassVar[Mapping[str, Keep] | None] = None
+
+    def remember(self, m: Memory) -> None:
+        """Write what is kept to a memory, or take it from there; collective.
+
+        Raises:
+            InputError: a worker of the user's own that does not say what it keeps.
+        """
+        if self.keeps is None:
+            raise InputError(
+                f"{type(self).__module__}.{type(self).__qualname__} does not say what it remembers: give it keeps = {{...}}, "
+                "see docs/contributing.md, or leave out checkpoint."
+            )
+        for name, keep in self.keeps.items():
+            setattr(self, name, keep(m, name, getattr(self, name)))
 
 
 def _order(system: System) -> np.ndarray:

@@ -12,7 +12,7 @@ as the factor of E; directions, active sets and rotations change small dense pro
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,15 +20,20 @@ import scipy.sparse as sp
 from ...errors import require
 from ...mechanics.contact.rows import ContactSet, Linear
 from ...rotations import Array
-from ...system.serialisation import Memory
+from ...system.serialisation import Remembering, plain, worker
 from ..condensation import StepSolver
 from .delassus_matrix_free import MANY, Applied, SlaveBlocks
 
 CHUNK = 64  # columns solved together
 
 
-class Compliance:
-    """W for rows of a contact set; columns of C_s are kept from step to step. Methods are collective."""
+class Compliance(Remembering):
+    """W for rows of a contact set; columns of C_s are kept from step to step. Methods are collective.
+
+    A checkpoint holds which columns are known (they are solved again when they are needed), and counts.
+    """
+
+    keeps: ClassVar = {"_together": plain(), "columns": plain(), "blocks": worker}
 
     def __init__(self, solver: StepSolver, contacts: ContactSet) -> None:
         self.solver, self.contacts = solver, contacts
@@ -37,11 +42,6 @@ class Compliance:
         self._surface: dict[int, tuple[Any, Array]] = {}
         self.columns = 0
         self.blocks = SlaveBlocks(solver, contacts)
-
-    def remember(self, m: Memory) -> None:
-        """Which columns are known (they are solved again when they are needed), and counts."""
-        self._together = m("together", self._together)
-        self.columns, self.blocks.products = m("solved", (self.columns, self.blocks.products))
 
     def of(self, rows: Linear, trace: np.ndarray, scale: float) -> Any:
         """s W for the rows of points, d' after each other, whose multipliers the given traces (m,) carry: a matrix, or an

@@ -14,7 +14,7 @@ N N^T is nearly diagonal with dual multipliers. Forces are kept on all ranks ali
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,6 +22,7 @@ import scipy.sparse as sp
 from ...errors import ConvergenceError
 from ...mechanics.contact.rows import ContactSet, Linear
 from ...rotations import Array
+from ...system.serialisation import Remembering, plain
 from ..condensation import StepSolver
 from .normal import ContactCounts, active_set
 
@@ -30,8 +31,10 @@ ROUGH, FINE = 1e-3, 1e-12  # errors of the forces over the largest force
 LIMIT = 500  # conjugate-gradient iterations
 
 
-class SlaveBlocks:
+class SlaveBlocks(Remembering):
     """E_s of (2) for the traces of a contact set, and a count of products; one object for a whole run. Collective."""
+
+    keeps: ClassVar = {"products": plain()}
 
     def __init__(self, solver: StepSolver, contacts: ContactSet) -> None:
         self.solver, self.contacts = solver, contacts

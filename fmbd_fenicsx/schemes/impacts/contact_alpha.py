@@ -14,6 +14,7 @@ Source: Bruels, Acary and Cardona, doi:10.1016/j.cma.2014.07.025.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -62,15 +63,12 @@ class ContactAlpha(GeneralizedAlpha):
 class Stepper(ContactStepper):
     """Advances a state; holds the algorithmic acceleration A."""
 
+    keeps: ClassVar = {**ContactStepper.keeps, "A": Memory.like_v}
+
     def __init__(self, scheme: ContactAlpha, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(system, solver, newton, state)
         self.scheme = scheme
         self.A = state.a.copy()
-
-    def remember(self, m: Memory) -> None:
-        """With the algorithmic acceleration."""
-        super().remember(m)
-        self.A = m.like_v("A", self.A)
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then

@@ -5,6 +5,7 @@ active sets.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from ...linear.complementarity.normal import ContactCounts
 from ...mechanics.contact.rows import Rows, Touch
 from ...rotations import Array
 from ...system.sensors.contact import WORKS, ContactForces, ContactState, forces_of
-from ...system.serialisation import Memory
+from ...system.serialisation import Memory, Remembering, plain
 from ...system.system import Evaluation, State, System
 from .contact_detection import in_world
 
@@ -32,10 +33,17 @@ class StepForces:
 
 
 @dataclass
-class Ledger:
+class Ledger(Remembering):
     """Sums over the steps; ``write`` after each step makes the state that sensors read. Methods are
     collective.
     """
+
+    keeps: ClassVar = {
+        "force": Memory.candidates,
+        **dict.fromkeys(("impulse", "work", "energy", "springs"), plain()),
+        "counts": plain(ContactCounts),
+        **dict.fromkeys(("in_contact", "newton_in_contact", "touching", "impacts", "short"), plain()),
+    }
 
     system: System
     counts: ContactCounts = field(default_factory=ContactCounts)
@@ -54,16 +62,6 @@ class Ledger:
         self.work: Array = np.zeros(len(WORKS))
         self.energy = self.springs = 0.0
         self.touching = [0] * len(self.contacts.pairs)
-
-    def remember(self, m: Memory) -> None:
-        """Forces, sums and statistics."""
-        self.force = m.candidates("force", self.force)
-        self.impulse, self.work, self.energy, self.springs = m(
-            "sums", (self.impulse, self.work, self.energy, self.springs)
-        )
-        counts = self.counts, self.in_contact, self.newton_in_contact
-        self.counts, self.in_contact, self.newton_in_contact = m("counts", counts, ContactCounts)
-        self.touching, self.impacts, self.short = m("impacts", (self.touching, self.impacts, self.short))
 
     def open(self, state: State) -> ContactState:
         """The first state: no forces yet."""

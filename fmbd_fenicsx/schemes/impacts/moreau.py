@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from ...linear.condensation import StepSolver, Weights
 from ...log import log
 from ...rotations import Array
 from ...system.sensors.contact import forces_of
-from ...system.serialisation import Memory
+from ...system.serialisation import Memory, plain
 from ...system.system import Evaluation, State, System
 from ..consistent import Correction, consistent
 from ..newton import Newton, not_converged
@@ -79,6 +80,12 @@ class Moreau:
 class Stepper(ContactStepper):
     """Advances a state through impacts."""
 
+    keeps: ClassVar = {
+        **ContactStepper.keeps,
+        **dict.fromkeys(("impulse", "carrying"), Memory.candidates),
+        **dict.fromkeys(("located", "accumulations"), plain()),
+    }
+
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State, impacts: int) -> None:
         super().__init__(system, solver, newton, state)
         self._joints = any(b.kind != "frame" for b in system.blocks)
@@ -90,12 +97,6 @@ class Stepper(ContactStepper):
     def counters(self) -> dict[str, float]:
         """Statistics of contact, with the impacts found at their own times."""
         return {**super().counters, "impacts": self.located, "accumulations": self.accumulations}
-
-    def remember(self, m: Memory) -> None:
-        """With the impulses and the contacts that carry a force."""
-        super().remember(m)
-        self.impulse, self.carrying = m.candidates("impulse", self.impulse), m.candidates("carrying", self.carrying)
-        self.located, self.accumulations = m("impacts", (self.located, self.accumulations))
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then

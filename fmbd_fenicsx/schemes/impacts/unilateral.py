@@ -9,19 +9,20 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ...errors import require
 from ...linear.condensation import StepSolver
 from ...mechanics.catenary.sliding import HeadSide, WireSide
-from ...system.serialisation import Memory, remember_stepper
+from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..consistent import accelerations, project
 from ..declared import Declared
 from ..newton import Newton
 from ..onestep.generalized_alpha import GeneralizedAlpha
+from ..stepping import TimeStepper, made_stepper
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,10 @@ class Unilateral:
         return Switching(self, system, solver, newton, state)
 
 
-class Switching:
+class Switching(TimeStepper):
     """Advances the inner stepper and changes the contacts' status where their conditions are violated."""
+
+    keeps: ClassVar = {"opened": plain(), "returned": plain(), "inner": worker}
 
     def __init__(self, outer: Unilateral, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.outer, self.system, self.solver, self.newton = outer, system, solver, newton
@@ -55,31 +58,30 @@ class Switching:
         wires = {law.status.rows.start: law for law in laws if isinstance(law, WireSide)}
         self.pairs: list[tuple[Any, Any]] = [(wires[r], h) for r, h in heads.items() if h.idle is not None]
         require(not Declared.by(outer.scheme).adaptive, "Unilateral contact needs a constant step.")
-        self.inner = outer.scheme.stepper(system, solver, newton, state)
+        self.inner = made_stepper(outer.scheme, system, solver, newton, state)
         self.opened = self.returned = 0
 
     @property
-    def state(self) -> State:
+    def state(self) -> State:  # type: ignore[override]
         """The last state."""
-        return self.inner.state  # type: ignore[no-any-return]
+        return self.inner.state
 
     @property
-    def local_error(self) -> float:
+    def local_error(self) -> float:  # type: ignore[override]
         """Of the inner scheme."""
-        return float(self.inner.local_error)
+        return self.inner.local_error
 
     @property
     def counters(self) -> dict[str, float]:
         """How often contact was lost and found again."""
-        return {**getattr(self.inner, "counters", {}), "contact lost": self.opened, "contact found": self.returned}
+        return {**self.inner.counters, "contact lost": self.opened, "contact found": self.returned}
 
     def remember(self, m: Memory) -> None:
-        """Which contacts are closed, and the inner scheme."""
+        """With the contacts that are closed."""
         closed = m("closed", [wire.status.closed for wire, _ in self.pairs])
         for (wire, _), now in zip(self.pairs, closed, strict=True):
             wire.status.closed = now
-        self.opened, self.returned = m("changes", (self.opened, self.returned))
-        remember_stepper(self.inner, m.inside("inner"))
+        super().remember(m)
 
     def gap(self, state: State, pair: tuple[Any, Any]) -> float:
         """y - w, m: negative where the contact is open."""
@@ -114,5 +116,5 @@ class Switching:
                 wire.status.closed = False
             return state
         self.returned += len(met)
-        self.inner = self.outer.scheme.stepper(self.system, self.solver, self.newton, closed)
+        self.inner = made_stepper(self.outer.scheme, self.system, self.solver, self.newton, closed)
         return closed

@@ -19,7 +19,7 @@ ODEs II, sections III.5 and VII.3, doi:10.1007/978-3-642-05221-7; Gear, Gupta an
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import Tangent
 from ...rotations import Array
-from ...system.serialisation import Memory
+from ...system.serialisation import Memory, plain, worker
 from ...system.system import Evaluation, State, System
 from ..consistent import accelerations, project
 from ..control import (
@@ -49,6 +49,7 @@ from ..control import (
 from ..dae import GGL, Form, Points, step_equations
 from ..newton import Newton, strayed
 from ..onestep.radau import Radau
+from ..stepping import TimeStepper
 
 STABLE = 2  # the highest order that damps undamped vibrations at any step
 
@@ -98,8 +99,19 @@ class _Past:
     mult: Array
 
 
-class Stepper:
+class Stepper(TimeStepper):
     """Advances a consistent state; holds the past values, tangent, factor and the choice of step and order."""
+
+    keeps: ClassVar = {
+        "state": Memory.state,
+        "past": plain(_Past),
+        **dict.fromkeys(("k", "held", "_fresh", "_full", "proposed", "local_error", "_theta"), plain()),
+        "control": plain(StepControl),
+        "stats": plain(Statistics),
+        "norm": worker,
+        "eq": worker,
+        "_starter": worker,
+    }
 
     def __init__(self, scheme: BDF, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
@@ -138,11 +150,8 @@ class Stepper:
     @property
     def counters(self) -> dict[str, float]:
         """Work so far, for the counters of a run."""
-        self.stats.residuals, self.stats.jacobians, self.stats.solves = (
-            self.eq.residuals,
-            self.eq.jacobians,
-            self.judge.solves,
-        )
+        eq, judge = self.eq, self.judge
+        self.stats.residuals, self.stats.jacobians, self.stats.solves = eq.residuals, eq.jacobians, judge.solves
         return {**self.stats.as_dict(), **self.eq.counters}
 
     def restart(self, t: float) -> None:
@@ -152,19 +161,12 @@ class Stepper:
         self._begin()
 
     def remember(self, m: Memory) -> None:
-        """Past values, tangent, and the choice of step and order."""
-        self.state, self.past = m.state("state", self.state), m("past", self.past, _Past)
+        """With the tangent, whose factor is made again."""
         self._tangent, self.judge = m("tangent", (self._tangent, self.judge), Tangent, Judge)
         factored = m("factored", None if self._pencil is None else (self._pencil.t, self._pencil.s), Tangent)
         if m.reading:
             self._pencil = None if factored is None else self.eq.pencil(factored[0], factored[1], self.judge)
-        self.k, self.held, self._fresh, self._full = m("order", (self.k, self.held, self._fresh, self._full))
-        self.proposed, self.local_error, self._theta = m("step", (self.proposed, self.local_error, self._theta))
-        self.control, self.stats = m("control", (self.control, self.stats), StepControl, Statistics)
-        self.norm.remember(m)
-        self.eq.remember(m.inside("equations"))
-        if self._starter is not None:
-            self._starter.remember(m.inside("starter"))
+        super().remember(m)
 
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step, on the polynomials through the newest k + 1 past values."""

@@ -32,7 +32,7 @@ doi:10.1002/nme.1620310103 (rotations); Betsch, doi:10.1007/s11044-005-0103-8.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -41,11 +41,12 @@ from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...rotations import Array
 from ...system.configurations import count
-from ...system.serialisation import Memory
+from ...system.serialisation import Memory, plain
 from ...system.speed_rows import speed_rows
 from ...system.system import Evaluation, State, System
 from ..consistent import accelerations
 from ..newton import Newton
+from ..stepping import TimeStepper
 from .discrete_gradient import End, Mean
 
 SLOW = 0.1  # rate of Newton's iteration above which a new tangent is taken
@@ -69,10 +70,11 @@ class EnergyMomentum:
         return Stepper(system, solver, newton, state)
 
 
-class Stepper:
+class Stepper(TimeStepper):
     """Advances a consistent state. The unknowns of a step: mean accelerations of the core, ports of fields in use, lambda."""
 
-    local_error = 0.0
+    keeps: ClassVar = {"state": Memory.state, "_last": plain(), "_kept": plain(), "counters": plain()}
+    counters: dict[str, float] = {}
 
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.system, self.solver, self.newton, self.state = system, solver, newton, state
@@ -84,17 +86,8 @@ class Stepper:
         self.ports = np.zeros(0, int) if self.fields is None else self.fields.used
         self.n, self.n_q = system.n_core, system.n_q - (system.n_v - system.n_core)
         self._last = state.a[: self.n], state.lam  # means over the last step
-        self.counters: dict[str, float] = {}
+        self.counters = {}
         self._kept: tuple[float, Array] | None = None  # step and tangent, where Newton converges well with an old one
-
-    def remember(self, m: Memory) -> None:
-        """State, means over the last step, counts, and the tangent that is kept."""
-        self.state, self._last, self._kept = (
-            m.state("state", self.state),
-            m("means", self._last),
-            m("tangent", self._kept),
-        )
-        self.counters = m("counters", self.counters)
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton's iteration fails."""

@@ -29,7 +29,7 @@ Arnold and Bruels, doi:10.1007/s11044-007-9084-0.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from ...linear.blocks.incompressibility import volume_push
 from ...linear.condensation import StepSolver, Weights
 from ...linear.redundancy import least
 from ...rotations import Array
-from ...system.serialisation import Memory
+from ...system.serialisation import Memory, plain
 from ...system.speed_rows import gaps, speed_rows
 from ...system.system import State, System
 from ..consistent import jerk, spin_of_acceleration, worst_block
@@ -46,6 +46,7 @@ from ..control import check_controlled
 from ..dae import GGL, Form, Index3, refuse_positions
 from ..exact_tangent import exact_increment
 from ..newton import Newton, above_roundoff, known_gaps, not_converged, strayed
+from ..stepping import TimeStepper
 
 # of the model's length: after a larger increment, rows and the core's matrix are taken where it led
 FAR = 1e-4
@@ -135,9 +136,29 @@ class GeneralizedAlpha:
         return Stepper(self, system, solver, newton, state)
 
 
-class Stepper:
+def _keep_past(m: Memory, name: str, past: Any) -> list[tuple[float, Array, Array]]:
+    """The past of the predictor: times, accelerations, multipliers."""
+    return [(i("t", t), i.like_v("a", a), i("lam", lam)) for i, (t, a, lam) in m.each(name, past, 3)]
+
+
+def _keep_counters(m: Memory, name: str, counters: Any) -> dict[str, float]:
+    """Counts; a compiled step may be there on one rank only."""
+    return {**counters, **m(name, counters)}
+
+
+class Stepper(TimeStepper):
     """Advances a consistent state; holds the algorithmic acceleration and the history of the predictor."""
 
+    keeps: ClassVar = {
+        "state": Memory.state,
+        "A": Memory.like_v,
+        "fresh": plain(),
+        "local_error": plain(),
+        "counters": _keep_counters,
+        "_past": _keep_past,
+        "slopes": plain(),
+    }
+    counters: dict[str, float] = {}
     slopes: Array | None = None  # of forces in Python, where steps go on with earlier ones
 
     def __init__(
@@ -149,7 +170,7 @@ class Stepper:
         self.fresh = True  # the next step is the first after a consistent start
         self._past: list[tuple[float, Array, Array]] = []
         self.local_error = 0.0
-        self.counters: dict[str, float] = {}
+        self.counters = {}
 
     def _predict(self, h: float) -> tuple[Array, Array]:
         """a and lambda extrapolated by the parabola through the last steps (less at the start)."""
@@ -178,15 +199,6 @@ class Stepper:
             across[speed_rows(system)] = 0.0  # rows on velocities are held there, not missed
             v = v + self.solver.solve(push, across)[0]
         return v, s.a + (am - af) * h * rate, s.a + h * rate, s.lam + h * lam_rate
-
-    def remember(self, m: Memory) -> None:
-        """State, algorithmic acceleration and the past of the predictor."""
-        self.state, self.A = m.state("state", self.state), m.like_v("A", self.A)
-        self.fresh, self.local_error, counters = m("rest", (self.fresh, self.local_error, self.counters))
-        self.counters |= counters  # a compiled step may be there on one rank only
-        past = m.each("past", self._past, 3)
-        self._past = [(i("t", t), i.like_v("a", a), i("lam", lam)) for i, (t, a, lam) in past]
-        self.slopes = m("slopes", self.slopes)
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -25,11 +25,12 @@ from ...checks import check_fields
 from ...errors import BalanceError, CallbackError, ConvergenceError, LinearSolveError
 from ...linear.condensation import StepSolver, Weights
 from ...rotations import Array
-from ...system.serialisation import Memory
+from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..consistent import accelerations, project
 from ..control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands, turn_limit, turns_too_far
 from ..newton import Newton
+from ..stepping import TimeStepper
 from .explicit_limit import StepLimit
 
 MASS = Weights(1.0, 0.0, 0.0)
@@ -86,8 +87,17 @@ class HalfExplicit:
         return Stepper(self, system, solver, newton, state)
 
 
-class Stepper:
+class Stepper(TimeStepper):
     """Advances a consistent state."""
+
+    keeps: ClassVar = {
+        "state": Memory.state,
+        "control": plain(StepControl),
+        "stats": plain(Statistics),
+        "proposed": plain(),
+        "local_error": plain(),
+        "norm": worker,
+    }
 
     def __init__(self, scheme: HalfExplicit, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
@@ -106,13 +116,6 @@ class Stepper:
         """Accelerations and multipliers behind a kink at t."""
         self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
         self.proposed, self.control.h_old = None, 0.0
-
-    def remember(self, m: Memory) -> None:
-        """State, sizes of the error norm, step control."""
-        self.state = m.state("state", self.state)
-        self.control, self.stats = m("control", (self.control, self.stats), StepControl, Statistics)
-        self.proposed, self.local_error = m("step", (self.proposed, self.local_error))
-        self.norm.remember(m)
 
     def advance(self, h: float) -> State:
         """One accepted step: of size h, or with error control of at most h (s); collective."""

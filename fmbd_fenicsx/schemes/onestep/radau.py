@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import Pencil, Tangent, stacked
 from ...rotations import Array
-from ...system.serialisation import Memory
+from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..consistent import accelerations, project
 from ..control import (
@@ -48,6 +48,7 @@ from ..control import (
 )
 from ..dae import GGL, Form, Points, step_equations
 from ..newton import Newton
+from ..stepping import TimeStepper
 from .collocation import lagrange, tableau
 
 CAUTIOUS = 0.05  # with constant steps no rate below this is believed
@@ -88,8 +89,17 @@ class Radau:
         return Stepper(self, system, solver, newton, state)
 
 
-class Stepper:
+class Stepper(TimeStepper):
     """Advances a consistent state; holds tangent, factors, the last collocation polynomial and the step control."""
+
+    keeps: ClassVar = {
+        "state": Memory.state,
+        **dict.fromkeys(("mult", "_fresh", "_full", "_trouble", "proposed", "local_error", "_theta", "_eta"), plain()),
+        "control": plain(StepControl),
+        "stats": plain(Statistics),
+        "norm": worker,
+        "eq": worker,
+    }
 
     def __init__(self, scheme: Radau, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
@@ -102,7 +112,6 @@ class Stepper:
         self.control = StepControl(scheme.stages + 1.0)
         self.stats = Statistics()
         self.judge = Judge("a Radau step")
-        self.local_error = 0.0
         self.proposed: float | None = None
         self._tangent: Any = None  # of the equations' own kind
         self._fresh = self._full = False
@@ -118,33 +127,24 @@ class Stepper:
     @property
     def counters(self) -> dict[str, float]:
         """Work so far, for the counters of a run."""
-        self.stats.residuals, self.stats.jacobians, self.stats.solves = (
-            self.eq.residuals,
-            self.eq.jacobians,
-            self.judge.solves,
-        )
+        eq, judge = self.eq, self.judge
+        self.stats.residuals, self.stats.jacobians, self.stats.solves = eq.residuals, eq.jacobians, judge.solves
         return {**self.stats.as_dict(), **self.eq.counters}
 
     def remember(self, m: Memory) -> None:
-        """Tangent, the last collocation polynomial and the step control."""
-        self.state, self.mult = m.state("state", self.state), m("mult", self.mult)
+        """With the last collocation polynomial and the tangent, whose factors are made again."""
         if self.eq.dense:
             self._last, self._tangent = m("last", (self._last, self._tangent), Points, Tangent)
         else:  # every step takes its own derivatives
             self._last = self.eq.remember_points(m.inside("last"), self._last)
-        flags = m("flags", (self._fresh, self._full, self._trouble, self._pencil is not None, self._filter is not None))
-        self._fresh, self._full, self._trouble, *made = flags
-        steps = self.proposed, self.local_error, self._theta, self._eta, self._h_factor
-        self.proposed, self.local_error, self._theta, self._eta, self._h_factor = m("step", steps)
-        self.judge = m("judge", self.judge, Judge)
+        made = m("made", (self._pencil is not None, self._filter is not None))
+        self.judge, self._h_factor = m("judge", (self.judge, self._h_factor), Judge)
         if m.reading:
             self._pencil = self._filter = None
             if self._tangent is not None and made[0]:
                 self._prepare(self._h_factor)
                 self._filter = self._error_filter(self._h_factor) if made[1] else None
-        self.control, self.stats = m("control", (self.control, self.stats), StepControl, Statistics)
-        self.norm.remember(m)
-        self.eq.remember(m.inside("equations"))
+        super().remember(m)
 
     # -- one accepted step --------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -23,10 +24,11 @@ from ...errors import BalanceError, ConvergenceError
 from ...linear.condensation import StepSolver, Weights
 from ...linear.redundancy import least
 from ...rotations import Array
-from ...system.serialisation import Memory
+from ...system.serialisation import Memory, plain
 from ...system.system import Evaluation, State, System
 from ..dae import refuse_positions
 from ..newton import Newton
+from ..stepping import TimeStepper
 from .explicit_limit import StepLimit
 
 MASS = Weights(1.0, 0.0, 0.0)
@@ -56,10 +58,10 @@ def amplification(z: float, damping: float) -> Array:
     return np.array([new, middle - 0.5 * (z * z * new + damping * middle)])
 
 
-class Stepper:
+class Stepper(TimeStepper):
     """Advances a consistent state; ``half`` holds the multipliers of the last second half step."""
 
-    local_error = 0.0
+    keeps: ClassVar = {"state": Memory.state, "half": plain()}
 
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.system, self.solver, self.newton, self.state = system, solver, newton, state
@@ -70,10 +72,6 @@ class Stepper:
         """The matrix at ev.q: it serves the end of a step, its accelerations, and the beginning of the next."""
         if not self.solver.holds(ev, MASS):
             self.solver.prepare(ev, MASS)
-
-    def remember(self, m: Memory) -> None:
-        """State and the multipliers of the last half step."""
-        self.state, self.half = m.state("state", self.state), m("half", self.half)
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when the iteration for (1) fails, or h is too long."""

@@ -25,19 +25,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from ...errors import ConvergenceError, LinearSolveError
 from ...linear.condensation import StepSolver, Weights
 from ...rotations import Array
-from ...system.serialisation import Memory
+from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..consistent import consistent
 from ..control import ErrorNorm, Statistics, StepControl, first_step, moves, turn_limit
 from ..dae import GGL
 from ..newton import Newton
+from ..stepping import TimeStepper
 
 if TYPE_CHECKING:
     from .generalized_alpha import GeneralizedAlpha
@@ -52,8 +53,23 @@ def parts(level: int) -> int:
     return int(6 ** (level // 2) * (2 if level % 2 else 1))
 
 
-class VariableAlpha:
+def _keep_share(m: Memory, name: str, share: Fraction) -> Fraction:
+    """An exact share."""
+    above, below = m(name, (share.numerator, share.denominator))
+    return Fraction(int(above), int(below))
+
+
+class VariableAlpha(TimeStepper):
     """Drives a stepper of constant steps: chooses its steps, and moves its memory from one size to another."""
+
+    keeps: ClassVar = {
+        "inner": worker,
+        "norm": worker,
+        "control": plain(StepControl),
+        "stats": plain(Statistics),
+        **dict.fromkeys(("proposed", "size", "local_error", "stretch", "end"), plain()),
+        "place": _keep_share,
+    }
 
     def __init__(
         self, scheme: GeneralizedAlpha, system: System, solver: StepSolver, newton: Newton, state: State
@@ -85,17 +101,7 @@ class VariableAlpha:
         """Work so far, rejections by their cause."""
         counted = {"steps", "rejections"} | {f"rejected: {cause}" for cause in self.stats.rejected}
         own = {k: x for k, x in self.stats.as_dict().items() if k in counted}
-        return {**getattr(self.inner, "counters", {}), **own}
-
-    def remember(self, m: Memory) -> None:
-        """The stepper's memory, and where the steps are in the stretch."""
-        self.inner.remember(m.inside("constant"))
-        self.norm.remember(m.inside("norm"))
-        self.control, self.stats = m("control", (self.control, self.stats), StepControl, Statistics)
-        steps = self.proposed, self.size, self.local_error, self.stretch, self.end
-        self.proposed, self.size, self.local_error, self.stretch, self.end = m("steps", steps)
-        above, below = m("place", (self.place.numerator, self.place.denominator))
-        self.place = Fraction(int(above), int(below))
+        return {**self.inner.counters, **own}
 
     def restart(self, t: float) -> None:
         """Go on behind a jump of forces: consistent accelerations and multipliers, a new stretch, small steps at first."""

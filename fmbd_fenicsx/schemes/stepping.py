@@ -1,0 +1,96 @@
+"""What a run asks of a time stepper, with what holds for one that says nothing.
+
+A scheme is data; its ``stepper(system, solver, newton, state)`` makes one of these from a consistent state. A stepper of a
+user's own derives from :class:`TimeStepper` and has to say how it advances; all else has a default.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from ..errors import InputError, require
+from ..system.serialisation import Remembering
+from ..system.system import Evaluation, State
+
+if TYPE_CHECKING:
+    from ..system.compiled.recording import Openness, Tape
+
+
+class TimeStepper(Remembering):
+    """Advances a state in time. Methods are collective.
+
+    Attributes:
+        state: the newest state; who sets it takes a step back.
+        local_error: the scheme's own indicator of the error of its last step (m, rad).
+        counters: work so far and statistics, name -> number, for the report.
+        path: who makes the steps, for the report.
+        keeps_memories: it moves the memory of elements on by itself, see :meth:`note`.
+        keeps: what a checkpoint holds of it, see :class:`~fmbd_fenicsx.system.serialisation.Remembering`.
+    """
+
+    state: State
+    local_error: float = 0.0
+    path: str = "NumPy"
+    keeps_memories: bool = False
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Nothing is counted."""
+        return {}
+
+    @property
+    def unwrapped(self) -> TimeStepper:
+        """The scheme's own stepper, where others are around it: those that halve steps, or watch the energy."""
+        return self
+
+    @property
+    def evaluation(self) -> Evaluation | None:
+        """The system in the newest state, where it is known."""
+        return None
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s), with error control of at most h; returns the new state, which is ``self.state`` then.
+
+        Raises:
+            ConvergenceError: the step fails. The stepper is made anew before a smaller one.
+        """
+        raise NotImplementedError(f"{_kind(self)} has no advance(h).")
+
+    def restart(self, t: float) -> None:
+        """Go on behind a jump of forces at t (s)."""
+        raise InputError(f"{_kind(self)} cannot go on behind a jump of forces: give it a method restart(t).")
+
+    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None) -> int:
+        """Up to so many steps in one call, recorded on the ``tape``; how many were made. None here: they are made one by one."""
+        return 0
+
+    def tape(self, judged: Openness) -> Tape | None:
+        """Room for the records of :meth:`march`; None: it has none."""
+        return None
+
+    def note(self) -> bool:
+        """Take the memory of elements to the newest state; whether that was done."""
+        return False
+
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step; None: a cubic through its ends has to do."""
+        return None
+
+
+def made_stepper(scheme: Any, *given: Any) -> TimeStepper:
+    """The stepper of a scheme from (system, solver, newton, consistent state).
+
+    Raises:
+        InputError: a user's own scheme made something else.
+    """
+    made = scheme.stepper(*given)
+    require(
+        isinstance(made, TimeStepper),
+        f"{_kind(scheme)}.stepper(...) must give a time stepper: let {_kind(made)} derive from fmbd.schemes.TimeStepper, see "
+        "docs/contributing.md.",
+    )
+    return made  # type: ignore[no-any-return]
+
+
+def _kind(x: Any) -> str:
+    return f"{type(x).__module__}.{type(x).__qualname__}"
