@@ -50,6 +50,7 @@ from ..dae import GGL, Form, Points, step_equations
 from ..newton import Newton, strayed
 from ..onestep.radau import Radau
 from ..stepping import TimeStepper
+from .amplification import Amplification
 
 STABLE = 2  # the highest order that damps undamped vibrations at any step
 
@@ -109,6 +110,7 @@ class Stepper(TimeStepper):
         "control": plain(StepControl),
         "stats": plain(Statistics),
         "norm": worker,
+        "amplification": worker,
         "eq": worker,
         "_starter": worker,
     }
@@ -120,6 +122,7 @@ class Stepper(TimeStepper):
         self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
         self.control, self.stats = StepControl(2.0), Statistics()
         self.judge = Judge("a BDF step")
+        self.amplification = Amplification(solver)
         self.local_error = 0.0
         self.proposed: float | None = None
         require(
@@ -158,6 +161,7 @@ class Stepper(TimeStepper):
         """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
         self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
         self.proposed, self.k, self.held, self._tangent = None, 1, 0, None
+        self.amplification.forget()
         self._begin()
 
     def remember(self, m: Memory) -> None:
@@ -205,10 +209,14 @@ class Stepper(TimeStepper):
                 self._tangent = None
                 if stale:
                     continue  # once more with a new tangent
+                if cause.startswith("Newton") and self.eq.dense and not self._full:
+                    self._full = True
+                    continue  # and with one for each iteration, before the step is made smaller
             else:
                 error, cause = self._error(h, found, self.k), "error estimate"
                 if error <= 1.0:
                     break
+            self._full = False
             self.stats.rejected[cause] += 1
             self.control.order = self.k + 1.0
             self.proposed = self.control.rejected(s.t, h, error, cause)
@@ -259,8 +267,9 @@ class Stepper(TimeStepper):
         self._remember(self.state, mult)
         self.stats.steps += 1
         self._fresh = False
-        if self._theta > 0.2 or not self.eq.dense:
+        if self._theta > 0.2 or self._full or not self.eq.dense:
             self._tangent = None
+        self._full = self._full and not self.adaptive
         return self.state
 
     def _least(self, ev: Evaluation, mult: Array) -> Array:
@@ -386,7 +395,10 @@ class Stepper(TimeStepper):
 
         if self.control.rejections:
             self.held = 0
-            return h * min(factor(error, k), 1.0)
+            new = h * min(factor(error, k), 1.0)
+            if not self.amplification.permits(k, new, self.state):
+                self.k = STABLE
+            return new
         stay = factor(error, k)
         if self.held <= k and stay > 0.9:
             return h
@@ -399,6 +411,9 @@ class Stepper(TimeStepper):
             and (higher := factor(self._error(h, p, k + 1), k + 1)) > 1.1 * best
         ):
             best, order = higher, k + 1
+        while not self.amplification.permits(order, h * min(max(best, 0.3), 2.0), self.state):
+            order -= 1
+            best = factor(self._error(h, p, order), order)
         if order == k and 0.9 <= best <= 1.2:
             return h
         self.k, self.held = order, 0

@@ -1,0 +1,87 @@
+"""Orders of backward differentiation that amplify vibrations, against the formula itself and in runs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.multistep.amplification import Amplification, growth, vibrations
+
+FORMULAS = {  # y_n+1, y_n, ..: h y'
+    1: (1.0, -1.0),
+    2: (3 / 2, -2.0, 1 / 2),
+    3: (11 / 6, -3.0, 3 / 2, -1 / 3),
+    4: (25 / 12, -4.0, 3.0, -4 / 3, 1 / 4),
+    5: (137 / 60, -5.0, 5.0, -10 / 3, 5 / 4, -1 / 5),
+}
+
+
+@pytest.mark.parametrize("order", FORMULAS)
+def test_growth_is_that_of_the_recursion(order: int) -> None:
+    """Two hundred steps of the formula itself for a vibration, by its growth over the last half."""
+    first, *rest = FORMULAS[order]
+    z = 1j * np.array([0.4, 1.3, 5.0])
+    past = [np.exp(-k * z) + 1e-3 for k in range(order)]
+    sizes = []
+    for _ in range(200):
+        new = -sum(c * y for c, y in zip(rest, past, strict=True)) / (first - z)
+        past = [new, *past][:order]
+        sizes.append(np.abs(new))
+    rate = (sizes[-1] / sizes[99]) ** 0.01
+    assert np.abs(growth(order, z) - rate).max() < 0.01
+    assert np.all(growth(order, z) <= 1.0 + 1e-12) == (order <= 2)
+
+
+def spring_and_mass(damping: float) -> fmbd.Scene:
+    """1 kg on 1e6 N/m along x, held across: 1 000 rad/s; it falls along no direction but that."""
+    body = fmbd.RigidBody("mass", 1.0, 1.0, position=(1.0, 0.0))
+    scene = fmbd.Scene("vibration", gravity=(0.0, -9.81))
+    scene.add(body, fmbd.prismatic("guide", fmbd.ground, body, center=(1.0, 0.0), axis=(1.0, 0.0)))
+    scene.add(
+        fmbd.Spring("spring", fmbd.ground, body, (0.0, 0.0), (1.0, 0.0), stiffness=1e6, damping=damping, length=1.0)
+    )
+    return scene
+
+
+@pytest.mark.parametrize("damping", [0.0, 200.0])
+def test_vibrations_are_those_of_the_scene(damping: float) -> None:
+    """lambda = -d / 2m +- i sqrt(k/m - (d / 2m)^2); constraints take the other motions."""
+    system, state, _ = spring_and_mass(damping).build()
+    found = vibrations(StepSolver(system), state)
+    decay = 0.5 * damping
+    exact = -decay + 1j * np.sqrt(1e6 - decay**2)
+    assert len(found) == 2
+    assert np.abs(found[np.argmax(found.imag)] - exact) < 1e-6 * abs(exact)
+
+    orders = Amplification(StepSolver(system))
+    assert orders.permits(2, 1e-3, state) and orders.permits(5, 1e-5, state)
+    assert orders.permits(5, 1e-3, state) == (damping > 0 and growth(5, 1e-3 * found).max() < 1.0)
+
+
+@pytest.mark.parametrize(("stiffness", "masses"), [(1e10, (1e-3, 1e3)), (1e8, (1e-2, 10.0))])
+def test_light_and_heavy_body_on_a_stiff_spring(stiffness: float, masses: tuple[float, float], caplog: Any) -> None:
+    """A pendulum of 2 m, of two bodies with a spring between them that carries the heavy one: few steps, for a vibration of
+    1e-6 m is none of its motion.
+    """
+    from scipy.integrate import solve_ivp
+
+    angle, g = 0.5, 9.81
+    down = np.array([np.sin(angle), -np.cos(angle)])
+    light, heavy = masses
+    a = fmbd.RigidBody("light", light, 1e-4 * light, position=down)
+    b = fmbd.RigidBody("heavy", heavy, 0.1 * heavy, position=2 * down)
+    scene = fmbd.Scene("stiff", gravity=(0.0, -g))
+    scene.add(a, b, fmbd.distance("rod", fmbd.ground, a, point_a=(0.0, 0.0), point_b=down, length=1.0))
+    natural = 1.0 - heavy * g * np.cos(angle) / stiffness
+    scene.add(fmbd.Spring("spring", a, b, down, 2 * down, stiffness=stiffness, length=natural))
+    scene.sensor("heavy", fmbd.position(b))
+    run = fmbd.solve(scene, t_end=1.0, scheme=fmbd.BDF(rtol=1e-4))
+
+    swing = solve_ivp(lambda t, y: (y[1], -0.5 * g * np.sin(y[0])), (0.0, 1.0), (angle, 0.0), rtol=1e-11, atol=1e-12)
+    exact = 2 * np.array([np.sin(swing.y[0, -1]), -np.cos(swing.y[0, -1])])
+    assert np.abs(run["heavy"][-1] - exact).max() < 5e-3
+    assert run.counters["steps"] < 600
