@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.schemes.newton import Newton, above_roundoff
+from fmbd_fenicsx.schemes.newton import Newton, above_roundoff, known_gaps
 from fmbd_fenicsx.system.scene.build import Builder
 
 
@@ -74,3 +74,16 @@ def test_what_counts_of_a_balance_at_roundoff() -> None:
     lam, r = np.full(3, 10.0), np.array([0.0, 0.0, 0.0, 1e-17, 1e-10, 0.0])
     assert above_roundoff(ev, lam, r, np.zeros(3)).tolist() == [0, 0, 0, 0, 1, 0]
     assert above_roundoff(ev, lam, r, np.full(3, 1e-6)).all()  # open constraints: everything counts
+
+
+def test_gaps_of_roundoff_are_not_known() -> None:
+    """Those above it stay; a scene without joints has none."""
+    body = fmbd.RigidBody("a", 1.0, 1.0, position=(1.0, 0.0))
+    scene = fmbd.Scene("one")
+    scene.add(body)
+    system, state, _ = scene.build()
+    assert known_gaps(system.at(state.t, state.q), np.zeros(0)).shape == (0,)
+
+    scene.add(fmbd.revolute("pin", fmbd.ground, body, center=(0.0, 0.0)))
+    system, state, _ = scene.build()
+    np.testing.assert_array_equal(known_gaps(system.at(state.t, state.q), np.array([1e-15, 1e-12])), [0.0, 1e-12])

@@ -252,7 +252,8 @@ class Stepper(TimeStepper):
             ev = system.at(t, q, v)
             g = gaps(ev, share)
             if done > 2 and self.newton.theta > SLOW:
-                g, lost = known_gaps(ev, g), True
+                g, all_of_them = known_gaps(ev, g), g
+                lost = lost or bool((g != all_of_them).any())
             r = ev.balance(a, lam)
             turning = stiff and done > 0 and (done == 1 or self.newton.theta > SLOW_TURN)
             new = far or tangent is not None or turning or (done > patience and not system.fields)
