@@ -67,6 +67,16 @@ def test_transfer_function_of_two_masses() -> None:
     assert model.state_space.A.shape == (4, 4)
 
 
+def test_outputs_of_one_number_and_of_the_plane() -> None:
+    """A whole vector has two components in the plane; a joint's coordinate is one number."""
+    scene = two_masses(0.1)
+    scene.sensor("way", fmbd.displacement(scene.joints["guide b"]))
+    model = fmbd.linearise(scene, ["push"], ["b", "way"])
+    assert model.outputs == ("b x", "b y", "way")
+    H = model.frequency_response(1.3)[0]
+    assert H[2] == pytest.approx(H[0], rel=1e-9) and np.abs(H[1]).max() < 1e-12
+
+
 def test_damping_ratio_of_one_mass() -> None:
     """zeta = c / 2 sqrt(k m)."""
     scene = fmbd.Scene("one")

@@ -67,7 +67,7 @@ def _speeds(about: Perturbation, V: Array) -> tuple[Array, Array]:
 def free_motions(about: Perturbation) -> Array:
     """Basis (k, n_v) of all motions that the constraints leave (those on velocities aside); replicated coordinates only."""
     system = about.system
-    held = np.setdiff1d(np.arange(system.n_lam), speed_rows(system))
+    held = np.setdiff1d(np.arange(about.row_count), speed_rows(system))
     if not len(held):
         return np.diag(1.0 / system.units)
     G = np.array([about.rows(e)[held] for e in np.diag(1.0 / system.units)]).T
@@ -120,7 +120,7 @@ def _turning(about: Perturbation, x: Array) -> bool:
 def _freedom(about: Perturbation) -> int:
     system = about.system
     fields = sum(p.field.n_global for _, p in system.fields)
-    return max(int(system.n_core + fields - system.n_lam), 1)
+    return max(int(system.n_core + fields - about.row_count), 1)
 
 
 def _random(about: Perturbation, k: int) -> Array:
@@ -141,27 +141,28 @@ class _Shifted:
     """(K + s M)^-1 with the constraints, exact up to GMRES's tolerance."""
 
     def __init__(self, about: Perturbation, solver: StepSolver, shift: float) -> None:
-        self.about, self.solver, self.shift = about, solver, shift
+        self.about, self.shift = about, shift
         s = about.state
         ev = about.system.at(s.t, s.q, s.v)
         ev.balance(s.a, s.lam)
         for _, part in about.system.fields:
             part.relinearise()
         solver.prepare(ev, Weights(shift, 0.0, 1.0))
+        self.inverse = solver.solve if about.closed is None else about.closed.held(solver)
 
     def held(self, x: Array) -> Array:
         """x without what violates the constraints: differences of nearly equal vectors enlarge it."""
-        return x + self.solver.solve(np.zeros_like(x), -self.about.rows(x))[0]
+        return x + self.inverse(np.zeros_like(x), -self.about.rows(x))[0]
 
     def solve(self, b: Array) -> Array:
         """x with (K + s M) x + G^T mu = b, G x = 0."""
         about, system = self.about, self.about.system
-        none = np.zeros(system.n_lam)
+        none = np.zeros(about.row_count)
 
         def moved(d: Array) -> tuple[Array, Array]:
             return about.stiffness(d) + self.shift * about.mass(d) - b, about.rows(d)
 
-        x, _, _ = exact_increment(EXACT, system, self.solver.solve, moved, (b, none))
+        x, _, _ = exact_increment(EXACT, system, self.inverse, moved, (b, none))
         if not np.isfinite(system.max_abs(x)):
             raise InputError("The linearised scene is singular at this state: a body without mass is not held.")
         return x

@@ -29,7 +29,7 @@ from ..system.scene.scene import Scene
 from ..system.system import State
 from .basis import Projected, projected
 from .first_order import first_order
-from .modes import Linearised, eigenpairs, prepared
+from .modes import Linearised, eigenpairs, prepared, readable
 
 STEP = 1e-4
 AXES = ("x", "y", "z")
@@ -147,11 +147,20 @@ def _chosen(name: str, known: Any, what: str) -> list[str]:
 def _outputs(made: Linearised, names: Sequence[str]) -> list[tuple[str, str, int]]:
     """Label, sensor and component of each output."""
     known = {}
-    for name, sensor in made.scene.sensors.items():
-        labels = list(sensor.labels)
+    for name, sensor in readable(made.scene).items():
+        size = len(_values(made, made.about.state, [name])[0])
+        labels = list(sensor.labels)[:size] or range(size)  # in the plane vectors have two components
         for c, label in enumerate(labels):
             known[name if len(labels) == 1 else f"{name} {label}"] = (name, c)
     return [(label, *known[label]) for name in names for label in _chosen(name, known, "output")]
+
+
+def _values(made: Linearised, state: State, names: Sequence[str]) -> list[Array]:
+    """Values of sensors in a state."""
+    ev = made.about.system.at(state.t, state.q, state.v)
+    ev.balance(state.a, state.lam)
+    sensors = made.scene.sensors
+    return [np.atleast_1d(sensors[name].read(ev, state, made.markers.get(name, -1))) for name in names]
 
 
 def _model(
@@ -187,10 +196,10 @@ def _answer(
     system, s = about.system, about.state
     v, a = about.velocity(y, rate), about.acceleration(y, rate, accel)
     reaction = np.zeros(system.n_lam)
-    if system.n_lam and not system.fields:
+    if about.row_count and not system.fields:
         left = force - about.stiffness(y) - about.damping(rate) - about.mass(accel)
         G = np.array([about.rows(e) for e in np.eye(system.n_v)]).T
-        reaction = np.linalg.lstsq(G.T, left, rcond=None)[0]
+        reaction = np.linalg.lstsq(G.T, left, rcond=None)[0][: system.n_lam]
     size = max(system.max_abs(y), system.max_abs(rate), system.max_abs(accel))
     if size == 0.0 and not reaction.any():
         return np.zeros(len(outputs))
@@ -198,9 +207,7 @@ def _answer(
 
     def read(e: float) -> Array:
         state = State(s.t, system.compose(s.q, e * y), s.v + e * v, s.a + e * a, s.lam + e * reaction)
-        ev = system.at(state.t, state.q, state.v)
-        ev.balance(state.a, state.lam)
-        values = [made.scene.sensors[name].read(ev, state, made.markers.get(name, -1)) for _, name, _ in outputs]
-        return np.array([np.atleast_1d(x)[c] for x, (_, _, c) in zip(values, outputs, strict=True)], dtype=float)
+        values = _values(made, state, [name for _, name, _ in outputs])
+        return np.array([x[c] for x, (_, _, c) in zip(values, outputs, strict=True)], dtype=float)
 
     return np.asarray((8.0 * (read(h) - read(-h)) - read(2 * h) + read(-2 * h)) / (12.0 * h))

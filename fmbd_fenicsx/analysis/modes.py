@@ -149,10 +149,6 @@ def modes(scene: Scene, n: int, *, at: Any = None, linear: Any = None) -> Modes:
 @contextmanager
 def prepared(scene: Scene, at: Any, linear: Any) -> Iterator[Linearised]:
     """A scene linearised about a start, an equilibrium, a run's last state or a state, as a context; collective."""
-    require(
-        not scene.unilateral,
-        "Modes and linear models of scenes with contact or joint limits are not offered: contact has no tangent.",
-    )
     system, given, markers = scene.build()
     with OneAnswer(system.comm):
         made = _linearised(scene, at, linear, (system, given, markers))
@@ -162,38 +158,68 @@ def prepared(scene: Scene, at: Any, linear: Any) -> Iterator[Linearised]:
             made.solver.destroy()
 
 
+def readable(scene: Scene) -> dict[str, Any]:
+    """The sensors that small motions can be read with, by name."""
+    if not scene.unilateral:
+        return scene.sensors
+
+    from .closed_contacts import without_contact
+
+    return without_contact(scene.sensors)
+
+
 def _linearised(scene: Scene, at: Any, linear: Any, built: tuple[System, State, dict[str, int]]) -> Linearised:
     """See :func:`prepared`."""
     system, given, markers = built
     solver = StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
-    spin = at.spin if isinstance(at, Equilibrium) else None
+    try:
+        about = _about(scene, at, (system, given), solver)
+        _refuse_rolling_fields(system, about.state)
+        shift = static_newton(system, solver, about.state.t, about.spin).weights.cm
+        _refuse_moving(about, shift)
+    except BaseException:
+        solver.destroy()
+        raise
+    return Linearised(scene, about, solver, markers, shift)
+
+
+def _about(scene: Scene, at: Any, built: tuple[System, State], solver: StepSolver) -> Perturbation:
+    """The operators at the state that ``at`` stands for."""
+    system, given = built
+    closed = None
+    if scene.unilateral:
+        from .closed_contacts import closed_contacts, without_forces
+
+        closed = closed_contacts(at, system, solver)
     state = at if isinstance(at, State) else getattr(at, "state", None)
     if at is None:
         state, _ = consistent(system, given, solver)
     if not isinstance(state, State):
         raise InputError(f"at must be an equilibrium, a run or a state of the same scene, found {at!r}.")
+    _require_same(scene, system, state)
+    if closed is not None:
+        state = without_forces(state)
+    return Perturbation(system, state, at.spin if isinstance(at, Equilibrium) else None, closed)
+
+
+def _require_same(scene: Scene, system: System, state: State) -> None:
+    """Refuse a state of another scene."""
     require(
         len(state.q) == system.n_q and len(state.lam) == system.n_lam,
         f'The state belongs to another scene or number of ranks: {len(state.q)} coordinates, "{scene.name}" has {system.n_q}.',
     )
-    _refuse_rolling_fields(system, state, solver)
-    about = Perturbation(system, state, spin)
-    shift = static_newton(system, solver, state.t, spin).weights.cm
-    _refuse_moving(about, solver, shift)
-    return Linearised(scene, about, solver, markers, shift)
 
 
-def _refuse_rolling_fields(system: System, state: State, solver: StepSolver) -> None:
+def _refuse_rolling_fields(system: System, state: State) -> None:
     """Elastic fields that roll: the basis of their motions takes rows on velocities for rows on positions, right at rest only."""
     if speed_rows(system).size and system.fields and system.max_abs(state.v) > 0.0:
-        solver.destroy()
         raise InputError(
             "Modes about a rolling motion are offered for rigid and reduced bodies: reduce the elastic bodies by "
             "body.reduced(...), or take the modes at rest."
         )
 
 
-def _refuse_moving(about: Perturbation, solver: StepSolver, shift: float) -> None:
+def _refuse_moving(about: Perturbation, shift: float) -> None:
     """A state at rest that accelerates is no equilibrium: frequencies about it would mean nothing.
 
     ``shift`` (1/s^2): of a time that is long against all vibrations; what moves nothing in it is roundoff.
@@ -204,7 +230,6 @@ def _refuse_moving(about: Perturbation, solver: StepSolver, shift: float) -> Non
     speed, accel = system.max_abs(state.v), system.max_abs(state.a)
     pull = float(np.abs(system.gravity(state.t)).max(initial=0.0))
     if speed == 0.0 and accel > max(FAR * pull, NOTHING * system.length * shift):
-        solver.destroy()
         raise InputError(
             f"The scene is not in equilibrium at this state: bodies accelerate with {accel:.3g} m/s^2 at rest. "
             "Take the modes about fmbd.equilibrium(scene)."

@@ -14,7 +14,7 @@ its w: wheels, rotors. The residual r of the balance, linear in a, then gives
     M y'' + C y' + K y + G^T lambda = f,     G y = 0                                                          (2)
 
 by central differences of fourth order along y: stress, reactions, weights, spins and springs stiffen as in the equations. Rows on
-velocities (rolling) are G_s y' + P y = 0 instead.
+velocities (rolling) are G_s y' + P y = 0 instead. Contacts that are closed are further rows of G, see :mod:`.closed_contacts`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +30,9 @@ from ..rotations import Array
 from ..system.speed_rows import gaps, speed_rows
 from ..system.system import State, System
 from .steady import Spin
+
+if TYPE_CHECKING:
+    from .closed_contacts import ClosedContacts
 
 SHIFT = 1e-4  # of a difference, over the model's length
 SIDES = ((1.0, 8.0), (-1.0, -8.0), (2.0, -1.0), (-2.0, 1.0))  # weights over 12 h
@@ -41,6 +45,12 @@ class Perturbation:
     system: System
     state: State
     spin: Spin | None = None
+    closed: ClosedContacts | None = None
+
+    @property
+    def row_count(self) -> int:
+        """Rows of G: those of the joints, then those of closed contacts."""
+        return self.system.n_lam + (0 if self.closed is None else self.closed.count)
 
     def stiffness(self, y: Array) -> Array:
         """K y, like v."""
@@ -58,8 +68,9 @@ class Perturbation:
         return self._here.balance(s.a + accel, s.lam) - self._balance
 
     def rows(self, y: Array) -> Array:
-        """G y, (n_lam,)."""
-        return self._here.jacobian.times(y)
+        """G y, (row_count,)."""
+        joints = self._here.jacobian.times(y)
+        return joints if self.closed is None else np.append(joints, self.closed.times(y))
 
     @cached_property
     def _here(self):  # type: ignore[no-untyped-def]
@@ -72,7 +83,11 @@ class Perturbation:
 
     def residual(self) -> Array:
         """What is left of the balance at the state, like v: zero in a steady motion."""
-        return self._balance
+        return self._balance - self._pushed(self.state.q)
+
+    def _pushed(self, q: Array) -> Array | float:
+        """Forces of closed contacts, which stay as they are and turn with their surfaces; like v."""
+        return 0.0 if self.closed is None else self.closed.pushed(q)
 
     # -- differences ------------------------------------------------------------------------------------------------
     def _difference(self, along: Array, moved: tuple[Array | None, Array, Array]) -> Array:
@@ -86,7 +101,7 @@ class Perturbation:
             e = side * h
             q = s.q if y is None else self.system.compose(s.q, e * y)
             ev = self.system.at(s.t, q, s.v + e * v)
-            total += weight * ev.balance(s.a + e * a, s.lam)
+            total += weight * (ev.balance(s.a + e * a, s.lam) - (self._pushed(q) if y is not None else 0.0))
         return total / (12.0 * h)
 
     def slip(self, y: Array) -> Array:

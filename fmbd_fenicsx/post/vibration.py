@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..analysis.equilibrium import read
-from ..analysis.modes import Modes
+from ..analysis.modes import Modes, readable
 from ..checks import typed
 from ..errors import require
 from ..run.solve import Run
@@ -49,7 +49,7 @@ def vibration(modes: Modes, k: int, amplitude: float | None = None, *, frames: i
     times = period * phases / (2.0 * np.pi)
     states = [replace(modes.displaced(k, size, float(p)), t=float(t)) for p, t in zip(phases, times, strict=True)]
 
-    series = {name: np.array([read(modes, name, state) for state in states]) for name in modes.scene.sensors}
+    series = {name: np.array([read(modes, name, state) for state in states]) for name in readable(modes.scene)}
     return Run(
         scene=modes.scene,
         scheme=Vibration(k, omega / (2.0 * np.pi)),

@@ -23,6 +23,7 @@ from .result import Run
 from .schedule import Pace
 from .settings import check_pressures
 from .time_loop import March, Problem, begin, make_solver, march
+from .turning_rows import warn_of_turning_rows
 
 if TYPE_CHECKING:
     from .checkpoint import Checkpoint, Keeper
@@ -77,6 +78,7 @@ def run_once(
             counters = _counters(marched, newton, solver)
             undetermined = not_unique(solver, marched.state)
             warn_of_doubts(scene, solver, marched.recorder, counters)
+            warn_of_turning_rows(system, scheme, (start, marched.state), pace.next(0.0))
     finally:
         solver.destroy()
         if keeper is not None:

@@ -14,6 +14,7 @@ class Declared:
     ``rtol``: of its error control, None for constant steps. ``form``: of the equations, see :mod:`.dae`. ``holds``: levels of the
     constraints that hold at the end of a step, where no form says so. ``free_steps``: any size may follow any other.
     ``carries_pressure``: it moves pressures that are unknowns. ``start``: a start of its own, also for scenes with contact.
+    ``turn_limit``: angle (rad) by which rows of joints may turn in a step, None for any (:mod:`~fmbd_fenicsx.run.turning_rows`).
     ``timeless``: no scheme in time at all, as the pictures of a mode.
     """
 
@@ -23,6 +24,7 @@ class Declared:
     free_steps: bool = False
     carries_pressure: bool = False
     start: Callable[..., Any] | None = None
+    turn_limit: float | None = None
     timeless: bool = False
 
     @classmethod

@@ -43,7 +43,7 @@ from ...system.speed_rows import gaps, speed_rows
 from ...system.system import State, System
 from ..consistent import jerk, spin_of_acceleration, worst_block
 from ..control import check_controlled
-from ..dae import GGL, Form, Index3, refuse_positions
+from ..dae import GGL, Form, Index3
 from ..exact_tangent import exact_increment
 from ..newton import Newton, above_roundoff, known_gaps, not_converged, strayed
 from ..stepping import TimeStepper
@@ -96,6 +96,12 @@ class GeneralizedAlpha:
         return isinstance(self.form, Index3)
 
     @property
+    def turn_limit(self) -> float | None:
+        """Angle (rad) by which constraints on positions may turn in a step: :mod:`~fmbd_fenicsx.run.turning_rows`."""
+        fixed = self.rtol is None and isinstance(self.form, Index3)
+        return 0.7 * (1.0 - self.rho_inf) if fixed else None
+
+    @property
     def name(self) -> str:
         """Name in reports."""
         stabilised = ", GGL" if isinstance(self.form, GGL) else ""
@@ -112,15 +118,14 @@ class GeneralizedAlpha:
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Any:
         """Time stepper from a consistent state."""
-        if isinstance(self.form, GGL):
-            refuse_positions(system, "form=GGL()", self.form.levels)
         if self.rtol is not None:
             from .variable_alpha import VariableAlpha
 
             return VariableAlpha(self, system, solver, newton, state)
         compiled = self.compiled and newton.tangent is None
         plain = compiled and isinstance(self.form, Index3)
-        if not system.fields and (plain or (compiled and not solver.core.redundant)):
+        rolls = speed_rows(system).size > 0
+        if not system.fields and (plain or (compiled and not solver.core.redundant and not rolls)):
             from .alpha_driver import alpha_driver
             from .compiled_stepper import CompiledStepper
 
@@ -262,7 +267,9 @@ class Stepper(TimeStepper):
             if stabilised:
                 slip = ev.jacobian.times(v) + ev.constraint_rate()
                 dq, dlam = self.solver.solve(-scale * r, -scale / weights.cd * slip)
-                closing, _ = self.solver.solve(np.zeros_like(dq), -g - ev.jacobian.times(dq))
+                open_after = -g - ev.jacobian.times(dq)
+                open_after[speed_rows(system)] = 0.0  # these have no g: the correction rolls
+                closing, _ = self.solver.solve(np.zeros_like(dq), open_after)
                 xi = xi + system.rate(xi, closing)
             elif tangent is not None:
                 dq, dlam, count = exact_increment(tangent, system, self.solver.solve, moved, (-scale * r, -g))
