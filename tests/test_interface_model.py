@@ -68,7 +68,7 @@ def test_files_hold_all_of_it(rod_mesh: Callable[..., Any], tmp_path: Path) -> N
     again = fmbd.load_interface_model(model.save(tmp_path / "arm.npz"))
     for name, value in vars(model).items():
         if name != "body":  # see the motion of the body below
-            assert np.array_equal(getattr(again, name), value)
+            assert np.array_equal(getattr(again, name), value), name
     found = loadmat(model.save(tmp_path / "arm.mat"))
     assert np.array_equal(found["K"], model.K) and np.array_equal(found["origins"], model.origins)
     with pytest.raises(InputError, match=r"must end in .npz or .mat"):
@@ -128,3 +128,88 @@ def test_what_cannot_be_read_as_a_body_is_refused(rod_mesh: Callable[..., Any], 
     with pytest.raises(InputError, match="attach to a surface"):
         scene.sensor("arm", fmbd.position(again))
         scene.build()
+
+
+def stacked(vectors: Any) -> Any:
+    """Matrices of the cross products of n points under each other, (3 n, 3)."""
+    from fmbd_fenicsx.rotations import hat
+
+    return np.concatenate([hat(x) for x in np.reshape(vectors, (-1, 3))])
+
+
+@pytest.mark.serial
+def test_exudyn_gets_the_integrals_of_nodal_sums() -> None:
+    """Against the sums over nodes that Exudyn itself takes of a finite element model."""
+    from fmbd_fenicsx.mechanics.reduction.reduced import Constants, constants_of
+    from fmbd_fenicsx.post.exudyn_file import _integrals
+
+    n, m = 5, 3
+    rng = np.random.default_rng(1)
+    A = rng.normal(size=(n, n))
+    mass = A @ A.T + n * np.eye(n)
+    Z = rng.normal(size=(n, 3, m + 1))
+    S, T = constants_of(Z, np.tensordot(mass, Z, 1))
+    found = _integrals(Constants(float(mass.sum()), S, T, np.eye(m), np.zeros((m, m)), {}, np.zeros(3), 1.0))
+
+    M, X = np.kron(mass, np.eye(3)), Z[:, :, 0].ravel()
+    psi = Z[:, :, 1:].reshape(3 * n, m)
+    tilde_x, tilde = stacked(X), np.concatenate([stacked(column) for column in psi.T], axis=1)
+    ones = np.kron(np.ones((n, 1)), np.eye(3))
+    wanted = {
+        "Mtt": ones.T @ M @ ones,
+        "chiU": ones.T @ M @ X / mass.sum(),
+        "inertiaLocal": tilde_x.T @ M @ tilde_x,
+        "massMatrixReduced": psi.T @ M @ psi,
+        "mPsiTildePsi": tilde.T @ M @ psi,
+        "mPsiTildePsiTilde": tilde.T @ M @ tilde,
+        "mPhitTPsi": ones.T @ M @ psi,
+        "mPhitTPsiTilde": ones.T @ M @ tilde,
+        "mXRefTildePsi": tilde_x.T @ M @ psi,
+        "mXRefTildePsiTilde": tilde_x.T @ M @ tilde,
+    }
+    for name, value in wanted.items():
+        assert np.allclose(found[name], value, rtol=1e-12, atol=1e-11), name
+
+
+@pytest.mark.serial
+def test_exudyn_nodes_move_with_their_interface(
+    rod_mesh: Callable[..., Any], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Seven nodes of each interface: their mean and their rotation are those of the surface, mode by mode."""
+    body = arm(rod_mesh(dim=3, h=0.25), 2)
+    model = fmbd.interface_model(body, ("pin", "tip"))
+    with caplog.at_level("WARNING"):
+        file = model.save_exudyn(tmp_path / "arm.npz")
+    assert "massProportionalDamping=0, stiffnessProportionalDamping=0.001 " in caplog.text
+    with np.load(file, allow_pickle=True) as found:
+        nodes, modes = found["xRef"].reshape(2, 7, 3), found["modeBasis"].reshape(2, 7, 3, -1)
+        assert found["trigList"].max() == 13
+    assert np.allclose(nodes.mean(1) + model.center, model.origins)
+
+    motion = model.motion.reshape(2, 2, 3, -1)
+    assert np.allclose(modes.mean(1), motion[:, 0])
+    arms = nodes[:, 1:] - nodes[:, :1]
+    turned = np.cross(arms[..., None], modes[:, 1:], axis=2).sum(1) / (4 * (arms[0, 0] @ arms[0, 0]))
+    assert np.allclose(turned, motion[:, 1], atol=1e-9 * np.abs(motion).max())
+
+
+@pytest.mark.serial
+def test_what_exudyn_cannot_hold_is_refused(rod_mesh: Callable[..., Any], tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    flat = fmbd.interface_model(arm(rod_mesh(dim=2, h=0.25), 2), ("pin", "tip"))
+    with pytest.raises(InputError, match="spatial, this one is plane"):
+        flat.save_exudyn(tmp_path / "arm.npz")
+    model = fmbd.interface_model(arm(rod_mesh(dim=3, h=0.25), 2), ("pin", "tip"))
+    assert model.body is not None
+    odd = np.diag(np.arange(1.0, len(model.body.K) + 1))
+    for changed, message in (
+        ({"stiffening": np.zeros((12, *odd.shape))}, "no geometric stiffening"),
+        ({"D": odd}, "damping a M . b K only"),
+    ):
+        with pytest.raises(InputError, match=message):
+            replace(model, body=replace(model.body, **changed)).save_exudyn(tmp_path / "arm.npz")
+    with pytest.raises(InputError, match="at rest only"):
+        replace(model, body=None).save_exudyn(tmp_path / "arm.npz")
+    with pytest.raises(InputError, match="must end in .npz"):
+        model.save_exudyn(tmp_path / "arm.mat")

@@ -41,7 +41,8 @@ class InterfaceModel:
 
     Attributes: ``M``, ``K``, ``D`` mass, stiffness, damping; ``interfaces`` their names; ``origins`` (k, d) m, centres of the
     surfaces; ``omega`` (rad/s) of the modes; ``mass`` kg; ``center`` (d,) centre of mass, m; ``body``: the constants of the
-    reduced body itself, with the inertia of large rotations, for :func:`read_reduced`.
+    reduced body itself, with the inertia of large rotations, for :func:`read_reduced`; ``motion`` (6 k or 3 k, m): mean
+    translations (m) and rotations (rad) of the interfaces by unit amplitudes of its m modes, in its axes.
     """
 
     M: Array
@@ -53,6 +54,7 @@ class InterfaceModel:
     mass: float
     center: Array
     body: Constants | None = field(default=None, repr=False)
+    motion: Array | None = field(default=None, repr=False)
 
     def save(self, file: str | Path) -> Path:
         """Write all of it to a ``.npz`` (NumPy) or ``.mat`` (MATLAB: M, K, D, origins, ...) file; rank 0 writes.
@@ -66,7 +68,8 @@ class InterfaceModel:
         require(
             file.suffix in KINDS, f'Interface model "{file}": the name must end in .npz or .mat, found "{file.suffix}".'
         )
-        content: dict[str, Any] = {name: np.asarray(value) for name, value in vars(self).items() if name != "body"}
+        given = {name: value for name, value in vars(self).items() if name != "body" and value is not None}
+        content: dict[str, Any] = {name: np.asarray(value) for name, value in given.items()}
         content |= {} if self.body is None else packed(self.body, file.stem)
 
         def write() -> None:
@@ -84,6 +87,26 @@ class InterfaceModel:
 
         on_root(MPI.COMM_WORLD, write)
         return file
+
+    def save_exudyn(self, file: str | Path) -> Path:
+        """Write the body for Exudyn's floating frame of reference object: ``.npz``; rank 0 writes.
+
+            fmbd.interface_model(arm, ("pin", "tip")).save_exudyn("arm.npz")
+
+        There, without this package (positionRef: ``model.center`` of the body as it was meshed; interface k has the nodes 7 k
+        to 7 k + 6 with equal weights, 7 k is its centre):
+
+            body = exudyn.FEM.ObjectFFRFreducedOrderInterface()
+            body.LoadFromFile("arm.npz")
+            found = body.AddObjectFFRFreducedOrder(mbs, positionRef=[0.5, 0, 0], gravity=[0, 0, -9.81])
+
+        Raises:
+            InputError: another ending; a plane body, or one with loads, with geometric stiffening, with damping other than
+                a M + b K; a model read from a file without the inertia of large rotations.
+        """
+        from .exudyn_file import save_exudyn
+
+        return save_exudyn(self, file)
 
 
 def load_interface_model(file: str | Path) -> InterfaceModel:
@@ -105,6 +128,7 @@ def load_interface_model(file: str | Path) -> InterfaceModel:
             mass=float(np.ravel(found["mass"])[0]),
             center=np.ravel(found["center"]),
             body=unpacked(found) if "body_T" in found else None,
+            motion=found.get("motion"),
         )
     except (OSError, KeyError, ValueError, TypeError, IndexError) as error:
         raise InputError(f"{file} is no interface model written by .save(...): {error}") from None
@@ -168,7 +192,8 @@ def interface_model(body: ReducedBody, interfaces: Sequence[str]) -> InterfaceMo
     c = part.constants
     origins = np.array([c.surfaces[name].center for name in names])
     M, K, D = (0.5 * (A + A.T) for A in (T.T @ M @ T, T.T @ K @ T, T.T @ D @ T))
-    return InterfaceModel(M, K, D, names, origins, omega, float(c.mass), np.array(c.center), c)
+    known = (names, origins, omega, float(c.mass), np.array(c.center))
+    return InterfaceModel(M, K, D, *known, body=c, motion=B[:, frame:])
 
 
 def _coordinates(body: ReducedBody, names: tuple[str, ...]) -> tuple[Any, Array, Array]:
