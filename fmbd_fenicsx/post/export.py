@@ -14,7 +14,6 @@ import numpy as np
 
 from ..errors import InputError, require
 from ..log import on_root
-from ..mechanics.reduction.craig_bampton import ReducedBody
 from ..mechanics.reduction.recovery import displacement_field, within_cells
 from ..run.solve import Run
 from ..system.system import State
@@ -71,7 +70,7 @@ def save_fields(run: Run, folder: str | Path, quantities: Mapping[str, Quantity]
     ``quantities`` are those of the middle of each cell. Returns the files, that of the scene last.
     """
     require(bool(run.snapshots), "Fields are those of snapshots: solve(..., output=Output(snapshots=50)).")
-    bodies = [b for b in run.scene.bodies.values() if hasattr(b, "mesh") or isinstance(b, ReducedBody)]
+    bodies = [b for b in run.scene.bodies.values() if b.meshed]
     files = [_save_body(run, b, Path(folder), dict(quantities or {})) for b in bodies]
     drawing = draw(run, view=View(floor=False))
     on_root(run.system.comm, lambda: save_scene(drawing, Path(folder), files))
@@ -104,6 +103,6 @@ def _motion(run: Run, body: Any, state: State, u: Any) -> np.ndarray:
         return np.asarray(u.x.array)
     ev, d = s.at(state.t, state.q), s.motions.dim
     X = u.function_space.tabulate_dof_coordinates()[:, :d]
-    origin = part.constants.center if isinstance(body, ReducedBody) else part.origin
+    origin = part.constants.center if body.modal else part.origin
     P = X - origin + u.x.array.reshape(-1, d)
     return np.asarray((ev.pose[part.frame, :d] + P @ ev.rotation[part.frame].T - X).ravel())

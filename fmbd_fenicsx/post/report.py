@@ -11,7 +11,6 @@ import numpy as np
 from ..energies import Hooke
 from ..mechanics.forces.forces import Spring
 from ..mechanics.joints.constraints import standstill
-from ..mechanics.reduction.craig_bampton import ReducedBody
 from ..schemes.declared import Declared
 from ..system.scene.scene import Scene
 from ..versions import short
@@ -131,7 +130,7 @@ def _time_error(run: Run) -> str:
 def _reduction_error(run: Run) -> list[str]:
     """The error by left-out modes; nothing for a run without reduced bodies."""
     if "reduction estimate" not in run.seconds:
-        known = any(isinstance(b, ReducedBody) for b in run.scene.bodies.values())
+        known = any(b.modal and b.meshed for b in run.scene.bodies.values())
         text = "not estimated (Output(estimate_reduction=True) repeats the run with more modes)"
         return _entry("reduction error", text) if known else []
     if not run.reduction_error:
@@ -165,11 +164,8 @@ def conservative(scene: Scene) -> bool:
     """
     if scene.gravity is not None and scene.gravity_ramp > 0:
         return False
-    for body in scene.bodies.values():
-        damped = getattr(body, "mass_damping", 0.0) or getattr(body, "stiffness_damping", 0.0)
-        unknown = hasattr(body, "potential") and body.potential is None
-        if damped or unknown:
-            return False
+    if not all(body.keeps_energy for body in scene.bodies.values()):
+        return False
     if any(row.motion is not standstill for joint in scene.joints.values() for row in joint.rows):
         return False
     return all(isinstance(f, Spring) and f.law is None and f.damping == 0 for f in scene.forces.values())
@@ -223,7 +219,7 @@ def _plan(run: Run) -> list[str]:
 
 def _in_plane(scene: Scene) -> str:
     """What linear laws mean in the plane, by body; nothing in space."""
-    laws = [(name, getattr(body, "elastic", None)) for name, body in scene.bodies.items() if body.dim == 2]
+    laws = [(name, body.elastic_law) for name, body in scene.bodies.items() if body.dim == 2]
     return ", ".join(f'"{name}" in {law.in_plane} ({law.name})' for name, law in laws if isinstance(law, Hooke))
 
 

@@ -20,8 +20,6 @@ from typing import ClassVar
 import numpy as np
 
 from ..errors import ConvergenceError
-from ..mechanics.bodies.bodies import CoordinateBody
-from ..mechanics.catenary.wires import Wires
 from ..mechanics.forces.effort_laws import EffortLaw
 from ..mechanics.forces.force_elements import ScalarLoads
 from ..mechanics.joints.couplings import OwnBatch
@@ -39,13 +37,12 @@ ROUNDOFF = 1e-12
 
 def closed(scene: Scene, system: System) -> bool:
     """Whether nothing can put energy into a scene."""
-    own = any(isinstance(b, CoordinateBody | Wires) for b in scene.bodies.values())
-    loaded = any(bool(getattr(b, "loads", False)) for b in scene.bodies.values())
+    worked = any(b.may_do_work for b in scene.bodies.values())
     driven = any(batch.driven or isinstance(batch, OwnBatch) for batch, _ in system.batches)
     moved = any(tie.motion is not None for tie in scene.ties.values())
     forced = any(not isinstance(f, ScalarLoads) or _gives(f) for f in system.forces)
     ramp = scene.gravity is not None and scene.gravity_ramp > 0
-    return not (own or loaded or driven or moved or forced or ramp or scene.unilateral or scene.sliders)
+    return not (worked or driven or moved or forced or ramp or scene.unilateral or scene.sliders)
 
 
 def _gives(loads: ScalarLoads) -> bool:

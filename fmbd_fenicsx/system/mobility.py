@@ -18,7 +18,6 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.sparse.linalg import splu
 
 from ..energies import MixedEnergy
-from ..mechanics.bodies.bodies import CoordinateBody
 from ..mechanics.bodies.coordinates import CoordinatePart
 from ..mechanics.forces.force_elements import ScalarLoads
 from ..mechanics.joints.joints import ground
@@ -193,8 +192,8 @@ def loose_bodies(bodies: dict[str, Any], joints: dict[str, Any], forces: dict[st
     attached = {getattr(side, "body", side).name for side in sides}
     if not attached:
         return []
-    free = [n for n, b in bodies.items() if n not in attached and not getattr(b, "locked", False)]
-    return [n for n in free if not isinstance(bodies[n], CoordinateBody)]
+    free = [n for n, b in bodies.items() if n not in attached and not b.locked]
+    return [n for n in free if not bodies[n].alone]
 
 
 def check(scene: Any, deep: bool = False) -> Mobility:
@@ -243,11 +242,7 @@ def _weak_ties(scene: Any) -> list[str]:
 
 def _pressures(scene: Any) -> list[str]:
     """Inf-sup constants of displacement and pressure in mixed bodies, on their own meshes."""
-    mixed = [
-        b
-        for b in scene.bodies.values()
-        if isinstance(getattr(b, "energy", None) or getattr(b, "elastic", None), MixedEnergy)
-    ]
+    mixed = [b for b in scene.bodies.values() if b.nodal and isinstance(b.elastic_law, MixedEnergy)]
     if not mixed:
         return []
     from ..fem.pressure_stability import infsup_pressure

@@ -27,6 +27,7 @@ from ...errors import InputError, near, require
 from ...rotations import Array
 from ..reduction.reduced import Constants, SurfaceData
 from .bodies import RigidBody, Surface
+from .body import Body
 
 GAUSS_X, GAUSS_W = np.polynomial.legendre.leggauss(4)  # exact for products of cubics
 
@@ -81,7 +82,7 @@ class Section:
 
 
 @dataclass(frozen=True, eq=False)
-class Beam:
+class Beam(Body):
     """A straight elastic beam from ``start`` to ``end`` (world, m; two components in the plane, three in space).
 
     Args:
@@ -109,6 +110,11 @@ class Beam:
     angular_velocity: Any = None
     mass_damping: float = 0.0
     stiffness_damping: float = 0.0
+
+    @property
+    def keeps_energy(self) -> bool:
+        """Without damping."""
+        return not (self.mass_damping or self.stiffness_damping)
 
     def __post_init__(self) -> None:
         what = f'Beam "{self.name}"'

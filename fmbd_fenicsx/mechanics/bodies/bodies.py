@@ -19,6 +19,7 @@ from ...fem.fields import ElasticForms
 from ...fem.loads import Load
 from ...rotations import Array, motions
 from ..placements import Attached, Chord, MeanAxis, Part
+from .body import Body
 
 Vector = Sequence[float] | Array
 Same = TypeVar("Same", bound="ElasticBody")
@@ -39,7 +40,7 @@ def _velocity(what: str, value: Any, size: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class RigidBody:
+class RigidBody(Body):
     """A rigid body, placed by x = r + R X with X from the centre of mass.
 
     Args:
@@ -55,6 +56,8 @@ class RigidBody:
             (box, cylinder, sphere, ...), an STL file (lengths in m), a mesh of :func:`~fmbd_fenicsx.read_gmsh`, or a list of
             them. None: what it touches with, else bars to its joints. It has no part in the motion.
     """
+
+    by_surface = False
 
     name: str
     mass: float
@@ -159,7 +162,7 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
-class ElasticBody:
+class ElasticBody(Body):
     """What elastic bodies have in common, however they are placed.
 
     Args:
@@ -180,6 +183,8 @@ class ElasticBody:
             bodies with an energy, a :class:`~fmbd_fenicsx.ViscousForm` (u, rate, v, dx), for instance
             :func:`~fmbd_fenicsx.materials.kelvin_voigt`, which damps strain and never rigid motion.
     """
+
+    nodal = meshed = True
 
     name: str
     mesh: Any
@@ -233,9 +238,25 @@ class ElasticBody:
             load.check(self)
 
     @property
-    def dim(self) -> int:
+    def dim(self) -> int:  # type: ignore[override]
         """Space dimension, from the mesh."""
         return int(self.mesh.dim)
+
+    @property
+    def elastic_law(self) -> Any:
+        """The form or energy given."""
+        return self.elastic if self.energy is None else self.energy
+
+    @property
+    def may_do_work(self) -> bool:
+        """Loads may."""
+        return bool(self.loads)
+
+    @property
+    def keeps_energy(self) -> bool:
+        """Without loads and damping."""
+        damped = self.mass_damping or self.stiffness_damping or self.viscous is not None
+        return not (self.may_do_work or damped)
 
     def surface(self, name: str) -> Surface:
         """The named surface of the mesh."""
@@ -351,9 +372,11 @@ class AbsoluteBody(ElasticBody):
     ``energy`` they are of any size (total Lagrangian).
     """
 
+    framed = False
+
 
 @dataclass(frozen=True, eq=False)
-class CoordinateBody:
+class CoordinateBody(Body):
     """A body or mechanism given by its own equations: M(q) q'' = f(q, q', t) - G^T lambda, 0 = g(q, t).
 
     Args:
@@ -372,6 +395,9 @@ class CoordinateBody:
             that have one more, last axis: q (n, k), t (k,) -> f (n, k), M (n, n, k), dg/dq (m, n, k). Several times faster.
     """
 
+    framed = by_surface = False
+    alone = True
+
     name: str
     mass: Any
     force: Callable[[Array, Array, float], Any]
@@ -386,6 +412,16 @@ class CoordinateBody:
     vectorized: bool = False
     dim: int | None = None  # fits scenes of any dimension
     outline: Callable[[Array], Sequence[Array]] | None = None
+
+    @property
+    def may_do_work(self) -> bool:
+        """Nobody knows what equations of a user's own do."""
+        return True
+
+    @property
+    def keeps_energy(self) -> bool:
+        """With a potential it is taken to hold all of the forces."""
+        return self.potential is not None
 
     def __post_init__(self) -> None:
         what = f'Body "{self.name}"'

@@ -26,12 +26,13 @@ from ...errors import CallbackError, InputError, near, require
 from ...rotations import Array
 from ..placements import FrameMotion, Part
 from .bodies import Surface
+from .body import Body
 
 ENDS = ("start", "end")
 
 
 @dataclass(frozen=True, eq=False)
-class LineBody:
+class LineBody(Body):
     """A planar line by its own weak form, equation (1) of ``mechanics.bodies.line_body``.
 
     Args:
@@ -45,6 +46,8 @@ class LineBody:
         mass_damping: alpha (1/s): forces alpha m(z', w).
     """
 
+    framed = False
+
     name: str
     length: float
     mass: Callable[[Any, Any, Any], Any]
@@ -55,6 +58,11 @@ class LineBody:
     degree: int = 2
     mass_damping: float = 0.0
     dim: int = 2
+
+    @property
+    def keeps_energy(self) -> bool:
+        """Without damping."""
+        return not self.mass_damping
 
     def __post_init__(self) -> None:
         what = f'Line "{self.name}"'

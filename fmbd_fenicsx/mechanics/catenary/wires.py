@@ -20,6 +20,7 @@ import numpy as np
 from ...checks import check_fields, number, whole
 from ...errors import InputError, require
 from ...rotations import Array, motions
+from ..bodies.body import Body
 from ..bodies.field_part import FieldPart
 from ..placements import FrameMotion
 from .line_field import LineField
@@ -73,7 +74,7 @@ class Dropper:
 
 
 @dataclass(frozen=True, eq=False)
-class Wires:
+class Wires(Body):
     """Parallel wires over (0, length), ends held by stiff anchors; transverse to x, positive against gravity.
 
     Args:
@@ -83,6 +84,9 @@ class Wires:
         mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s) of wires and supports.
         anchor: stiffness (N/m) with which both ends of every wire are held.
     """
+
+    nodal = True
+    framed = by_surface = False
 
     name: str
     length: float
@@ -94,6 +98,11 @@ class Wires:
     stiffness_damping: float = 0.0
     anchor: float = 1e7
     dim: int | None = None
+
+    @property
+    def may_do_work(self) -> bool:
+        """A contact that slides along them is moved by who drives it."""
+        return True
 
     def __post_init__(self) -> None:
         what = f'Wires "{self.name}"'

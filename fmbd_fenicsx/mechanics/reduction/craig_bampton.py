@@ -23,6 +23,7 @@ from ...fem.fields import Field
 from ...fem.mixed import make_field
 from ...log import log
 from ...rotations import Array
+from ..bodies.body import Body
 from ..bodies.floating import attachment, frame_conditions, moment_columns
 from ..bodies.floating_start import framed_start
 from .reduced import Constants, SurfaceData, constants_of
@@ -161,24 +162,41 @@ def _select(field: Field, conditions: Array, wanted: Any) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class ReducedBody:
+class ReducedBody(Body):
     """An elastic body by a few modes in its floating frame; made by ``FloatingBody.reduced``.
 
     The reduction is computed at first use and kept: later runs of the body start at once. ``source`` is the full body.
     """
 
+    meshed = modal = True
+
     source: Any
     basis: FrameModes | CraigBampton | Finer
 
     @property
-    def name(self) -> str:
+    def name(self) -> str:  # type: ignore[override]
         """Name of the full body."""
         return str(self.source.name)
 
     @property
-    def dim(self) -> int:
+    def dim(self) -> int:  # type: ignore[override]
         """Space dimension."""
         return int(self.source.dim)
+
+    @property
+    def elastic_law(self) -> Any:
+        """That of the full body."""
+        return self.source.elastic_law
+
+    @property
+    def may_do_work(self) -> bool:
+        """Loads of the full body may."""
+        return bool(self.source.may_do_work)
+
+    @property
+    def keeps_energy(self) -> bool:
+        """As the full body does."""
+        return bool(self.source.keeps_energy)
 
     def surface(self, name: str) -> Any:
         """The named surface of the mesh."""

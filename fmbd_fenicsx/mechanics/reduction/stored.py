@@ -10,22 +10,35 @@ import numpy as np
 from ...errors import InputError, near
 from ...rotations import Array, motions
 from ..bodies.bodies import Surface
+from ..bodies.body import Body
 from .reduced import Constants, SurfaceData
 
 PLAIN = ("mass", "S", "T", "K", "D", "center", "size")
 
 
 @dataclass(frozen=True, eq=False)
-class StoredBody:
+class StoredBody(Body):
     """A reduced body by its constants; made by :func:`fmbd_fenicsx.read_reduced`. It starts at rest, where it was saved."""
+
+    modal = True
 
     name: str
     constants: Constants
 
     @property
-    def dim(self) -> int:
+    def dim(self) -> int:  # type: ignore[override]
         """Space dimension."""
         return len(self.constants.S)
+
+    @property
+    def may_do_work(self) -> bool:
+        """Loads may."""
+        return bool(self.constants.loads)
+
+    @property
+    def keeps_energy(self) -> bool:
+        """Without loads and damping."""
+        return not (self.may_do_work or self.constants.D.any())
 
     def surface(self, name: str) -> Surface:
         """A surface of the body that was saved: what joints, forces and sensors take hold of."""

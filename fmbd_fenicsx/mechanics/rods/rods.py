@@ -17,6 +17,7 @@ import numpy as np
 from ...errors import InputError, near, require
 from ...rotations import SPACE, Array
 from ..bodies.bodies import RigidBody, Surface, Vector
+from ..bodies.body import Body
 from .curves import Curve
 from .elements import LineLoad, RodElements
 from .sections import RodSection
@@ -45,7 +46,7 @@ class RodLoad:
 
 
 @dataclass(frozen=True, eq=False)
-class Rod:
+class Rod(Body):
     """A geometrically exact rod in space; sections stay plane, shear is free.
 
     Args:
@@ -67,6 +68,8 @@ class Rod:
     Surfaces are "start", "end" and the stations: sections that joints, ties, forces and sensors attach to.
     """
 
+    framed = False
+
     name: str
     curve: Any
     section: RodSection
@@ -81,6 +84,16 @@ class Rod:
     velocity: Vector | None = None
     angular_velocity: Any = None
     dim: int = field(init=False, default=3)
+
+    @property
+    def may_do_work(self) -> bool:
+        """Loads may."""
+        return bool(self.loads)
+
+    @property
+    def keeps_energy(self) -> bool:
+        """Without loads, damping and relaxation."""
+        return not (self.loads or self.damping or len(self.section.relaxation))
 
     def __post_init__(self) -> None:
         n = self.name

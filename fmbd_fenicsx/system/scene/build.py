@@ -84,7 +84,7 @@ class Builder:
         """The system, its state as given, and the marker of each sensor; collective."""
         scene = self.scene
         self._check()
-        moving = [b for b in scene.bodies.values() if not (isinstance(b, RigidBody) and b.locked)]
+        moving = [b for b in scene.bodies.values() if not b.locked]
         if not moving:
             raise InputError(f'Scene "{scene.name}": all bodies are locked, so nothing can move.')
         rigid = [b for b in moving if isinstance(b, RigidBody)]
@@ -124,7 +124,7 @@ class Builder:
     def _add_frames(self, moving: list[Any]) -> None:
         """Poses and twists of all moving frames; those of elastic bodies follow with their parts."""
         for body in moving:
-            if isinstance(body, CoordinateBody | LineBody | AbsoluteBody | Wires | Rod):
+            if not body.framed:
                 continue
             self.frame_of[body.name] = len(self.poses)
             self.poses.append(body.start_pose() if isinstance(body, RigidBody) else np.zeros(0))
@@ -213,7 +213,7 @@ class Builder:
             raise InputError(
                 f"{what} refers to {named}, which is not in the scene. {near(name or '', self.scene.bodies)}"
             )
-        if isinstance(side, FloatingBody | AbsoluteBody | ReducedBody | StoredBody | Beam | LineBody | Rod):
+        if side is body and body.by_surface:
             raise InputError(
                 f'{what}: attach to a surface of the elastic body "{body.name}", say {body.name}.surface("...").'
             )

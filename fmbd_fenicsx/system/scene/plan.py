@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...mechanics.bodies.line_body import LineBody
-from ...mechanics.reduction.craig_bampton import ReducedBody
-from ...mechanics.reduction.stored import StoredBody
 from ..system import System
 from .scene import Scene
 
@@ -31,7 +29,7 @@ class Plan:
 
 def make_plan(scene: Scene, system: System, path: str = "NumPy") -> Plan:
     """Derive the plan from the scene, its system and the path its steps take; no computation."""
-    reduced = [b for b in scene.bodies.values() if isinstance(b, ReducedBody | StoredBody)]
+    reduced = [b for b in scene.bodies.values() if b.modal]
     modes = [(f"{b.name}: modes", b.constants.n_modes) for b in reduced]
     unknowns = [("frames", system.n_core - sum(n for _, n in modes)), *modes]
     unknowns += [(f"{f.name}.u", f.field.n_global) for _, f in system.fields]
