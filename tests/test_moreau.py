@@ -51,6 +51,40 @@ def test_flights_between_impacts_are_exact() -> None:
     assert abs(classical["x"][-1, 1] - run["x"][-1, 1]) > 1e-4  # all impacts of a step as one: half a step late
 
 
+@pytest.mark.parametrize("dt", [0.1, 0.02, 0.01])
+@pytest.mark.parametrize("push", [0.01, 3.0])
+def test_free_ball_keeps_its_restitution_under_a_force_in_time(dt: float, push: float) -> None:
+    """The flight to the touch is not the parabola of the whole step: it ends at the touch all the same, and bounces there."""
+    scene = fmbd.Scene("pushed ball", gravity=(0, -9.81))
+    ball = fmbd.RigidBody("ball", 1.0, 0.1, position=(0.0, 1.1))
+    floor = fmbd.contact(
+        "floor", fmbd.ball(ball, 0.1), fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1))), restitution=1.0
+    )
+    w = 20.0
+    scene.add(ball, floor, fmbd.force("push", ball, lambda t: (0.0, push * np.sin(w * t))))
+    scene.sensor("impulse", fmbd.contact_impulse(floor))
+    run = fmbd.solve(scene, t_end=3.0, dt=dt, scheme=fmbd.Moreau())
+
+    # x'' = -g + f sin(w t) from one impact to the next
+    t, x, v, impulse = 0.0, 1.0, 0.0, 0.0
+    impacts = 0
+    while True:
+        rest = v + push / w * np.cos(w * t)
+        begin = x + push / w**2 * np.sin(w * t)
+        ahead = np.linspace(1e-3, 3.0, 30001)
+        s = t + ahead
+        gap = begin + rest * ahead - 9.81 / 2 * ahead**2 - push / w**2 * np.sin(w * s)
+        below = np.flatnonzero(gap < 0)[0]
+        hit = ahead[below - 1] + 1e-4 * gap[below - 1] / (gap[below - 1] - gap[below])
+        if t + hit > 3.0:
+            break
+        t, x = t + hit, 0.0
+        v = 9.81 * hit + push / w * np.cos(w * t) - rest
+        impulse, impacts = impulse + 2 * v, impacts + 1
+    assert run.counters["impacts"] == impacts
+    assert run["impulse"][-1, 1] == pytest.approx(impulse, rel=1e-6 + 0.5 * push * dt**2)
+
+
 def plate(dim: int, friction: float, restitution: float) -> Any:
     """A plate dropped obliquely onto its four corners (plane: three collinear points)."""
     if dim == 3:

@@ -159,17 +159,20 @@ class Stepper(ContactStepper):
     def _located(self, step: _Step, share: float, which: int) -> _Step:
         """The step that ends where contact ``which`` closes, first found at a share of ``step``.
 
-        That was on the parabola of the whole step, without the projection on the joints: a step to there ends a little
-        off the touch, and Newton's method with the rate of the gap on the parabola finds its length.
+        That was on the parabola of the whole step, without the projection on the joints: a step to there, with the forces of
+        its own middle, ends a little off the touch, and Newton's method with the rate of the gap on the parabola finds its
+        length. A contact that is left open would not be known as an impact; free bodies may end as deep as closed contacts
+        drift, while joints would bend there.
         """
-        whole, s = step.h, self.state
+        whole, s, length = step.h, self.state, self.system.length
+        deepest = (0.5 * TOUCH if self._joints else DRIFT) * length
         near = self._gap_along(step, (1 - 1e-3) * share)[which]
         slope = (self._gap_along(step, share)[which] - near) / (1e-3 * share)
-        for _ in range(LOCATING if self._joints else 1):
+        for _ in range(LOCATING):
             step = _Step(self, share * whole, step.closed)
             q = self._closed_joints(self.system.compose(s.q, 0.5 * step.h * (s.v + step.v)), s.t + step.h)
             gap = self.contacts.touch(self.system, s.t + step.h, q).gap[which]
-            if abs(gap) <= 0.5 * TOUCH * self.system.length or not slope < 0.0:
+            if -deepest <= gap <= 0.5 * TOUCH * length or not slope < 0.0:
                 break
             share = float(np.clip(share - gap / slope, 0.5 * share, min(2 * share, 1.0)))
         return step
