@@ -100,7 +100,8 @@ def equilibrium(
     with OneAnswer(system.comm):
         try:
             newton = static_newton(system, solver, t, spin)
-            point = find(newton, Point(given.q, np.zeros(system.n_lam)), t)
+            _check_drives(newton.residual, given.q, t)
+            point = _with_controllers(newton, Point(given.q, np.zeros(system.n_lam)), t, path)
             made = None if path is None else path.trace(newton, point, t)
         finally:
             solver.destroy()
@@ -116,6 +117,44 @@ def equilibrium(
         if made is not None:
             _read_along(found, made)
     return found
+
+
+def _check_drives(residual: Residual, q: Array, t: float) -> None:
+    """Refuse drives that move in another way than the steady rotation does."""
+    ev = residual.at(q, t)
+    if residual.spin is None or not residual.system.n_lam:
+        return
+    rate = ev.constraint_rate()
+    missed = np.where(rate != 0.0, ev.jacobian.times(ev.v) + rate, 0.0)
+    row = int(np.abs(missed).argmax())
+    if np.abs(missed[row]) > 1e-6 * np.abs(rate[row]):
+        name = next(b.name for b in residual.system.blocks if b.rows.start <= row < b.rows.stop)
+        raise InputError(
+            f'"{name}" moves with {-rate[row]:.6g} (rad/s, m/s) at t = {t:g} s; in the rotation with {residual.spin.rate:g} '
+            f"rad/s it would with {missed[row] - rate[row]:.6g}: no steady motion has both. Let the drive stand, as the ground "
+            "turns, or give both one rate."
+        )
+
+
+def _with_controllers(newton: StaticNewton, start: Point, t: float, path: ArcLength | LoadSteps | None) -> Point:
+    """:func:`find`, with memories of controllers at rest as well; collective."""
+    system = newton.residual.system
+    if not system.keepers:
+        return find(newton, start, t)
+
+    from .memories import begin, check_sampled, remembering, steady
+
+    check_sampled(system)
+    begin(system, State(t, start.q, np.zeros(system.n_v), np.zeros(system.n_v), start.lam))
+    point = find(newton, start, t)
+    keeping = remembering(system, point.q, t)
+    if not keeping:
+        return point
+    require(
+        path is None,
+        f'Controller "{keeping[0].controller.name}" has a memory, which no path of equilibria follows. Leave path out.',
+    )
+    return steady(newton, point, t, keeping)
 
 
 def _read_along(found: Equilibrium, path: Path) -> None:

@@ -23,6 +23,7 @@ from ..linear.condensation import StepSolver
 from ..ranks import OneAnswer
 from ..rotations import Array
 from ..schemes.consistent import consistent
+from ..system.element_memory import memories, restore
 from ..system.scene.scene import Scene
 from ..system.speed_rows import speed_rows
 from ..system.system import State, System
@@ -191,6 +192,8 @@ def _about(scene: Scene, at: Any, built: tuple[System, State], solver: StepSolve
         from .closed_contacts import closed_contacts, without_forces
 
         closed = closed_contacts(at, system, solver)
+    if system.keepers:
+        _remember(system, given, at)
     state = at if isinstance(at, State) else getattr(at, "state", None)
     if at is None:
         state, _ = consistent(system, given, solver)
@@ -200,6 +203,22 @@ def _about(scene: Scene, at: Any, built: tuple[System, State], solver: StepSolve
     if closed is not None:
         state = without_forces(state)
     return Perturbation(system, state, at.spin if isinstance(at, Equilibrium) else None, closed)
+
+
+def _remember(system: System, given: State, at: Any) -> None:
+    """Take what elements remember at the state; refuse those that have no linear model there."""
+    from .memories import begin, check_sampled, remembering, stick
+
+    begin(system, given)
+    if isinstance(at, Equilibrium):
+        restore(system, memories(at.system))
+    check_sampled(system)
+    stick(system, at.state if isinstance(at, Equilibrium) else given)
+    for loads in remembering(system, given.q, given.t):
+        raise InputError(
+            f'Controller "{loads.controller.name}" has a memory that moves with the scene; modes and linear models do not '
+            "have it among their unknowns. Take a law without memory (a PID without integral), or a run."
+        )
 
 
 def _require_same(scene: Scene, system: System, state: State) -> None:

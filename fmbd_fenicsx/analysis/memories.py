@@ -1,0 +1,114 @@
+"""What elements remember in equilibria; of controllers z' = g(t, y, z) = 0 beside the balance of forces.
+
+An equilibrium is a state in which nothing changes, the memory included: under a PID controller the angle stands at its target
+and the integral carries the load. The memory is that of a step of length T that began with the memory z_k, by the same formula
+as in a run,
+
+    z_k+1 = z_k + T / 2 g(t, y(q_k+1), z_k+1),     balance(q_k+1, u(y, z_k+1)) = 0,     k = 0, 1, ...           (1)
+
+with T long against all periods: for an integral a stiff spring to the target, whose centre moves until nothing pulls at it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import ConvergenceError, require
+from ..mechanics.forces.dry_friction import DryFrictionLoads
+from ..rotations import Array
+from ..system.controllers import ControlLoads, Kept
+from ..system.system import State, System
+from .static_newton import Point, StaticNewton, by_load_steps
+
+LENGTHS = 100.0  # T over the preconditioner's time step
+MOST = 60
+STILL = 1e-10  # change of the efforts, over the largest
+MOVED = 1e-3  # of the memory, by which its influence on the efforts is seen
+
+
+def controllers(system: System) -> list[ControlLoads]:
+    """The controllers of a system."""
+    return [f for f in system.forces if isinstance(f, ControlLoads)]
+
+
+def begin(system: System, state: State) -> None:
+    """What force elements remember at a start; viscoelastic rods stay relaxed. Collective."""
+    ev = system.at(state.t, state.q, state.v)
+    for loads in system.forces:
+        if loads.kept is not None:
+            loads.kept = loads.first(ev, state)
+
+
+def stick(system: System, state: State) -> None:
+    """Dry friction sticks in small motions; refused where it is at its limit: one way it slides, the other way it sticks."""
+    kin = system.at(state.t, state.q, state.v).kin
+    for loads in system.forces:
+        if isinstance(loads, DryFrictionLoads):
+            _, _, effort = loads.scalar(kin, state.t)
+            full = np.flatnonzero(np.abs(effort) >= (1.0 - 1e-9) * loads.limit)
+            require(
+                not len(full),
+                f'Dry friction "{loads.forces[full[0]].name if len(full) else ""}" is at its limit in this state: one way it '
+                "slides, the other way it sticks, so that small motions are not linear.",
+            )
+            loads.limit = np.full_like(loads.limit, np.inf)  # differences go farther than small motions
+
+
+def check_sampled(system: System) -> None:
+    """Refuse controllers whose efforts are held from sample to sample."""
+    for loads in controllers(system):
+        require(
+            loads.controller.every is None,
+            f'Controller "{loads.controller.name}" is sampled: its efforts are held from sample to sample and are no '
+            "function of the place; equilibria, modes and linear models do not know them. Take every=None, the continuous law.",
+        )
+
+
+def remembering(system: System, point: Array, t: float) -> list[ControlLoads]:
+    """The controllers whose efforts depend on their memory in a configuration; collective."""
+    found = []
+    for loads in controllers(system):
+        z = loads.kept.z
+        if not len(z) or loads.controller.every is not None:
+            continue
+        readings = loads._read(system.at(t, point, np.zeros(system.n_v)).kin)
+        steps = np.diag(MOVED * np.maximum(1.0, np.abs(z)))
+        u = loads._call(t, readings, z)[0]
+        if any(np.abs(loads._call(t, readings, z + step)[0] - u).max() > 0.0 for step in steps):
+            found.append(loads)
+    return found
+
+
+def steady(newton: StaticNewton, start: Point, t: float, keeping: list[ControlLoads]) -> Point:
+    """The equilibrium with memories at rest, from the one with the memories as given; collective.
+
+    Raises ConvergenceError where a memory keeps changing: an integral whose target cannot be reached.
+    """
+    system, point, efforts = newton.residual.system, start, np.zeros(0)
+    span = LENGTHS * newton.tau
+    for _ in range(MOST):
+        for loads in keeping:
+            loads.kept = Kept(t - span, loads.kept.z, np.zeros_like(loads.kept.z), loads.kept.u, 0)
+        point = by_load_steps(newton, point, t)
+
+        kin = system.at(t, point.q, np.zeros(system.n_v)).kin
+        before, efforts = efforts, np.concatenate([_advanced(loads, kin, t) for loads in keeping])
+        change = np.abs(efforts - before).max() if len(before) else np.inf
+        if change <= STILL * max(float(np.abs(efforts).max()), 1e-300):
+            for loads in keeping:
+                loads.kept = replace(loads.kept, t=t)
+            return point
+    names = ", ".join(f'"{loads.controller.name}"' for loads in keeping)
+    raise ConvergenceError(
+        f"No equilibrium: the memory of controller {names} goes on changing, the last efforts by {change:.3g}. "
+        "Its target cannot be held."
+    )
+
+
+def _advanced(loads: ControlLoads, kin: object, t: float) -> Array:
+    """The efforts at the end of the long step; its memory is kept."""
+    u, z, _ = loads._continuous(t, loads._read(kin))  # type: ignore[arg-type]
+    loads.kept = Kept(t, z, np.zeros_like(z), u, 0)
+    return u
