@@ -93,17 +93,3 @@ def test_schemes_without_an_impact_law_refuse_inertia_on_contact_points(rod_mesh
     scene.add(body, pair)
     with pytest.raises(InputError, match="Moreau"):
         fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.schemes.ContactMidpoint())
-
-
-def test_a_body_without_a_mesh_is_refused() -> None:
-    beam = fmbd.Beam(
-        "beam",
-        (0, 0),
-        (1, 0),
-        fmbd.Section.rectangle(youngs_modulus=1e9, poisson_ratio=0.3, density=1000.0, width=0.1, height=0.1),
-    )
-    floor = fmbd.contacts.Obstacle("floor", fmbd.contacts.HalfSpace((0, -1), (0, 1)))
-    scene = fmbd.Scene("falling", gravity=(0, -9.81))
-    scene.add(beam, fmbd.contact("floor", beam.surface("end"), floor))
-    with pytest.raises(InputError, match="mesh"):
-        fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.schemes.Moreau())

@@ -11,8 +11,8 @@ from ..schemes.dae import Index3
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
+from ..system.scene.contents import contents_of
 from ..system.scene.scene import Scene
-from ..system.system import System
 from .output import Output
 
 
@@ -51,11 +51,7 @@ def check_tangent(scheme: Any, newton: Newton | None) -> None:
     )
 
 
-def check_pressures(system: System, scheme: Any) -> None:
-    """Bodies with a pressure as an unknown need a scheme that moves it."""
-    names = [p.name for _, p in system.fields if p.field.carried]
-    require(
-        not names or Declared.by(scheme).carries_pressure,
-        f'Body "{"".join(names[:1])}" has a pressure that is an unknown; {scheme.name} does not solve for it. Use '
-        "GeneralizedAlpha() with form=Index3(), or energy=neo_hookean_mixed(...).",
-    )
+def check_contents(scene: Scene, scheme: Any) -> None:
+    """Refuse a scheme that does not take what a scene holds, before anything is computed."""
+    reason = Declared.by(scheme).refuse(scheme.name, contents_of(scene))
+    require(not reason, reason)

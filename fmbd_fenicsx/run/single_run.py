@@ -21,7 +21,6 @@ from .output import Output, refuse_too_many
 from .rank_advice import advise_on_ranks
 from .result import Run
 from .schedule import Pace
-from .settings import check_pressures
 from .time_loop import March, Problem, begin, make_solver, march
 from .turning_rows import warn_of_turning_rows
 
@@ -56,7 +55,6 @@ def run_once(
     """Consistent start and march of a system that may have made other runs before; collective."""
     scene, scheme, pace, newton, output = task.scene, task.scheme, task.pace, task.newton, task.output
     system, warned = built.system, built.warned
-    check_pressures(system, scheme)
     refuse_too_many(output, system, pace.t_end, pace.steps)
     advise_on_ranks(system)
     begun = clock.perf_counter()

@@ -18,7 +18,7 @@ from .estimates import state_errors
 from .output import Output
 from .result import Run
 from .schedule import pace_of
-from .settings import check_settings, check_tangent, checked_scheme
+from .settings import check_contents, check_settings, check_tangent, checked_scheme
 from .single_run import Task, run_once
 
 if TYPE_CHECKING:
@@ -70,6 +70,8 @@ def solve(
     check_settings(scene, newton, output, restart)
     if tol is not None:
         instance("solve: tol", tol, Mapping)
+        if scheme is not None:
+            check_contents(scene, checked_scheme(scheme))
         from .tolerance import solve_within
 
         require(
@@ -80,6 +82,7 @@ def solve(
     output = Output() if output is None else output
     newton = Newton() if newton is None else newton.afresh()
     check_tangent(scheme, newton)
+    check_contents(scene, scheme)
     halvings = output.estimate_error and not Declared.by(scheme).adaptive
     pace = pace_of(scene, scheme, t_end, dt, multiple=4 if halvings else 1)
     task = Task(scene, scheme, pace, newton, linear, output)

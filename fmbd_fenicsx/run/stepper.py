@@ -37,7 +37,7 @@ from .output import Output, Recorder
 from .prescribed_motions import PrescribedMotions
 from .progress import Course
 from .schedule import Pace
-from .settings import check_pressures
+from .settings import check_contents
 from .solve import default_scheme
 from .time_loop import Problem, begin, make_solver, make_stepper
 
@@ -59,12 +59,12 @@ class SceneStepper:
         require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
         scheme = default_scheme(scene) if scheme is None else scheme
         newton = Newton() if newton is None else newton.afresh()
+        check_contents(scene, scheme)
         self.scene, self.dt = scene, dt
         self._adaptive = Declared.by(scheme).adaptive
         self._pace = Pace(dt, 0 if self._adaptive else 1)
         self._inputs = {name: source.value for name, source in scene.inputs.items()}
         system, given, markers = scene.build()
-        check_pressures(system, scheme)
         self._solver = make_solver(scene, system, linear)
         newton.refresh = self._solver.refresh
         try:

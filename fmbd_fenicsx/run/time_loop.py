@@ -6,7 +6,7 @@ import time as clock
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ..errors import ConvergenceError, require
+from ..errors import ConvergenceError
 from ..linear.condensation import StepSolver
 from ..log import StopRequests, log
 from ..notices import Gathered
@@ -92,10 +92,6 @@ def _begun(
     own_start = Declared.by(scheme).start
     if own_start is not None:
         return own_start(system, given, solver, h)  # type: ignore[no-any-return]
-    require(
-        system.contacts is None,
-        f"{scheme.name} does not treat contact. Use fmbd.ContactMidpoint(), ContactAlpha() or Moreau().",
-    )
     return consistent(system, given, solver, h=h)
 
 

@@ -35,15 +35,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..checks import check_fields
-from ..errors import InputError, require
+from ..errors import require
 from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
 from ..linear.saddle.pencil import Pencil, Tangent
 from ..rotations import Array
 from ..system.batch import Many, copies
 from ..system.linearise import differences, many
+from ..system.scene.contents import Contents
 from ..system.serialisation import Remembering, plain
-from ..system.speed_rows import speed_rows
 from ..system.system import State, System
 
 
@@ -80,16 +80,25 @@ class Form:
         return ev.jacobian.times(a) + ev.gamma()
 
 
-def refuse_positions(system: System, name: str, levels: tuple[int, ...]) -> None:
-    """Refuse forms that ask for g = 0 where some rows hold between velocities only."""
-    if not speed_rows(system).size or 0 not in levels:
-        return
-    row = int(speed_rows(system)[0])
-    joint = next(b for b in system.blocks if b.rows.start <= row < b.rows.stop)
-    raise InputError(
-        f'Joint "{joint.name}" ({joint.kind}) holds velocities only, and {name} asks for positions. Take '
+def positions_refused(held: Contents, name: str, levels: tuple[int, ...]) -> str:
+    """Why a scheme or form ``name`` that asks for g = 0 does not take joints that hold velocities only; "" where it does."""
+    if not held.rolling or 0 not in levels:
+        return ""
+    joint, kind = held.rolling[0]
+    return (
+        f'Joint "{joint}" ({kind}) holds velocities only, and {name} asks for positions. Take '
         "scheme=fmbd.GeneralizedAlpha(), fmbd.EnergyMomentum(), or BDF and Radau with form=fmbd.Index2()."
     )
+
+
+class OfForm:
+    """A scheme that takes the constraints in any form, but for those on positions where there are none."""
+
+    form: Form
+
+    def refusal(self, held: Contents) -> str:
+        """Why it does not take what a scene holds."""
+        return positions_refused(held, f"form={self.form.name}", self.form.levels)
 
 
 @dataclass(frozen=True)
@@ -367,7 +376,6 @@ class StepEquations(Remembering):
 
 def step_equations(system: System, form: Form, solver: StepSolver) -> Any:
     """The equations of a step: with dense tangents, or by their action where there are elastic fields."""
-    refuse_positions(system, f"form={form.name}", form.levels)
     if not system.fields:
         return StepEquations(system, form, solver)
     from .field_stages import FieldEquations

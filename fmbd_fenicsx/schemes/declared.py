@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
+from ..system.scene.contents import Contents
+
 
 @dataclass(frozen=True)
 class Declared:
@@ -14,6 +16,7 @@ class Declared:
     ``rtol``: of its error control, None for constant steps. ``form``: of the equations, see :mod:`.dae`. ``holds``: levels of the
     constraints that hold at the end of a step, where no form says so. ``free_steps``: any size may follow any other.
     ``carries_pressure``: it moves pressures that are unknowns. ``start``: a start of its own, also for scenes with contact.
+    ``refusal``: why it does not take what a scene holds, "" where it does.
     ``turn_limit``: angle (rad) by which rows of joints may turn in a step, None for any (:mod:`~fmbd_fenicsx.run.turning_rows`).
     ``timeless``: no scheme in time at all, as the pictures of a mode.
     """
@@ -24,6 +27,7 @@ class Declared:
     free_steps: bool = False
     carries_pressure: bool = False
     start: Callable[..., Any] | None = None
+    refusal: Callable[[Contents], str] | None = None
     turn_limit: float | None = None
     timeless: bool = False
 
@@ -31,6 +35,20 @@ class Declared:
     def by(cls, scheme: Any) -> Declared:
         """What a scheme says."""
         return cls(**{f.name: getattr(scheme, f.name, f.default) for f in fields(cls) if f.default is not MISSING})
+
+    def refuse(self, name: str, held: Contents) -> str:
+        """Why the scheme ``name`` does not take what a scene holds, "" where it does; known before anything is computed."""
+        if held.contacts and self.start is None:
+            return (
+                f'{name} does not treat contact, and the scene has "{held.contacts[0]}". Use fmbd.ContactMidpoint(), '
+                "ContactAlpha() or Moreau()."
+            )
+        if held.pressures and not self.carries_pressure:
+            return (
+                f'Body "{held.pressures[0]}" has a pressure that is an unknown; {name} does not solve for it. Use '
+                "GeneralizedAlpha() with form=Index3(), or energy=neo_hookean_mixed(...)."
+            )
+        return "" if self.refusal is None else self.refusal(held)
 
     @property
     def adaptive(self) -> bool:

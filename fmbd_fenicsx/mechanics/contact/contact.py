@@ -135,6 +135,17 @@ class Contact:
     search: float | None = None
     redistribute_mass: bool = True
 
+    @property
+    def bounces(self) -> bool:
+        """Whether its points carry inertia that cannot be taken off: those of rigid bodies, of rods, and of modes."""
+        touching = [self.slave, *([self.master] if isinstance(self.master, Surface) else [])]
+        return not all(isinstance(side, Surface) and side.body.nodal for side in touching)
+
+    @property
+    def massless(self) -> bool:
+        """Whether the inertia of its nodes goes to their neighbours."""
+        return self.redistribute_mass and not self.bounces
+
 
 @typed
 def contact(
@@ -160,7 +171,7 @@ def contact(
         ``docs/contact.md``.
 
     Raises:
-        InputError: slave and master are the same surface, or values out of range.
+        InputError: slave and master are the same surface, a body without a mesh, or values out of range.
     """
     what = f'Contact "{name}"'
     number(f"{what}: friction", friction, least=0.0)
@@ -168,6 +179,13 @@ def contact(
     if search is not None:
         number(f"{what}: search", search, above=0.0, unit="m")
 
+    for side in (slave, master):
+        if isinstance(side, Surface) and not side.body.meshed:
+            raise InputError(
+                f'{what}: body "{side.body.name}" has no mesh whose surface could touch. Contact takes surfaces of FloatingBody, '
+                "AbsoluteBody and their reduced bodies, points of a RigidBody (fmbd.contacts.corners, ball, cylinder_end), and "
+                "rods (fmbd.contacts.along)."
+            )
     if isinstance(slave, RigidPoints):
         require(not slave.body.locked, f'{what}: the slave body "{slave.body.name}" is locked; it cannot move.')
     if isinstance(master, Obstacle):

@@ -29,7 +29,7 @@ from ...fem.traces.traces import Trace as Facets
 from ...fem.traces.traces import scatter
 from ...rotations import Array
 from .rows import ContactSet, Linear, Rows, Side, Touch, tangents_of
-from .trace import ModalTrace, Trace
+from .trace import Trace
 
 COVERED = 0.05  # a multiplier with less than this share of its weight in the overlap is left out
 
@@ -69,8 +69,7 @@ class MortarPair:
     ) -> None:
         self.name, self.slave, self.master = name, sides[0], sides[1]
         self.friction, self.search = law.friction, law.search
-        self.bounces = any(isinstance(traces[s.trace], ModalTrace) for s in sides)
-        self.massless = law.redistribute_mass and not self.bounces
+        self.bounces, self.massless = law.bounces, law.massless
         self.facets = facets
         self.order = [_match(f, s, traces[s.trace]) for f, s in zip(facets, sides, strict=True)]
 

@@ -21,6 +21,7 @@ import numpy as np
 from ...linear.condensation import StepSolver, Weights
 from ...mechanics.contact.rows import Rows
 from ...rotations import Array
+from ...system.scene.contents import Contents
 from ...system.serialisation import Memory
 from ...system.speed_rows import gaps
 from ...system.system import Evaluation, State, System
@@ -29,7 +30,7 @@ from ..newton import Newton, not_converged
 from ..onestep.generalized_alpha import GeneralizedAlpha
 from .contact_detection import candidates
 from .contact_ledger import StepForces
-from .contact_midpoint import elastic_start
+from .contact_midpoint import elastic_refusal, elastic_start
 from .contact_newton import Unilateral, normal_forces, openings
 from .contact_stepper import ContactStepper
 
@@ -43,13 +44,17 @@ class ContactAlpha(GeneralizedAlpha):
         """Name in reports."""
         return f"contact generalized-alpha(rho_inf={self.rho_inf:g})"
 
+    def refusal(self, held: Contents) -> str:
+        """Why it does not take what a scene holds."""
+        return elastic_refusal(self.name, held)
+
     def start(self, system: System, state: State, solver: StepSolver, h: float) -> tuple[State, Correction]:
         """As for the midpoint rule, with accelerations.
 
         M is singular on massless nodes; (M + h^2 K / 4) a = -h - G^T lambda gives them the acceleration of their neighbours,
         and differs from a by what the step leaves out as well. A start with a = 0 would delay all forces by half a step.
         """
-        start, correction = elastic_start(self.name, system, state, solver, 0.5 * h)
+        start, correction = elastic_start(system, state, solver, 0.5 * h)
         ev = system.at(start.t, start.q, start.v)
         solver.prepare(ev, Weights(1.0, 0.0, 0.25 * h * h))
         a, lam = solver.solve(-ev.balance(np.zeros(system.n_v)), -ev.gamma())

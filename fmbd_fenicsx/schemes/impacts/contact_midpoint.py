@@ -25,10 +25,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...checks import check_fields
-from ...errors import InputError, require
+from ...errors import require
 from ...linear.condensation import StepSolver, Weights
 from ...log import log
 from ...rotations import Array
+from ...system.scene.contents import Contents
 from ...system.speed_rows import gaps, speed_rows
 from ...system.system import Evaluation, State, System
 from ..consistent import Correction, consistent, worst_block
@@ -61,9 +62,13 @@ class ContactMidpoint:
         """Name in reports."""
         return "contact-implicit midpoint" if self.theta == 0.5 else f"contact-implicit theta rule ({self.theta:g})"
 
+    def refusal(self, held: Contents) -> str:
+        """Why it does not take what a scene holds."""
+        return elastic_refusal(self.name, held)
+
     def start(self, system: System, state: State, solver: StepSolver, h: float) -> tuple[State, Correction]:
-        """Consistent positions and velocities; refuses overlap, and contact between rigid bodies."""
-        return elastic_start(self.name, system, state, solver, self.theta * h)
+        """Consistent positions and velocities; refuses overlap."""
+        return elastic_start(system, state, solver, self.theta * h)
 
     holds = (0,)
 
@@ -72,22 +77,26 @@ class ContactMidpoint:
         return Stepper(self.theta, system, solver, newton, state)
 
 
-def elastic_start(name: str, system: System, state: State, solver: StepSolver, tau: float) -> tuple[State, Correction]:
+def elastic_refusal(name: str, held: Contents) -> str:
+    """Why a scheme for elastic contact does not take what a scene holds; "" where it does."""
+    if not held.contacts:
+        return f"{name} is a scheme for scenes with contact; this scene has none. Use another scheme."
+    if not held.bouncing:
+        return ""
+    return (
+        f'Contact "{held.bouncing[0]}" is between rigid or reduced bodies, or a joint limit: {name} has no impact law for '
+        "inertia on the contact point, its rebound would depend on dt. Use fmbd.schemes.Moreau(), which takes the restitution."
+    )
+
+
+def elastic_start(system: System, state: State, solver: StepSolver, tau: float) -> tuple[State, Correction]:
     """Start of a scheme for elastic contact: consistent in the metric M + tau^2 K (M is singular on massless
     nodes); collective.
 
     Raises:
-        InputError: no contact in the scene, a contact of rigid bodies, or bodies that overlap.
+        InputError: bodies that overlap.
     """
     contacts = system.contacts
-    if contacts is None:
-        raise InputError(f"{name} is a scheme for scenes with contact; this scene has none. Use another scheme.")
-    bouncing = [p.name for p in contacts.pairs if p.bounces]
-    if bouncing:
-        raise InputError(
-            f'Contact "{bouncing[0]}" is between rigid or reduced bodies, or a joint limit: {name} has no impact law for inertia '
-            "on the contact point, its rebound would depend on dt. Use fmbd.schemes.Moreau(), which takes the restitution."
-        )
     heavy = [p.name for p in contacts.pairs if not p.massless]
     if heavy:
         log.warning(

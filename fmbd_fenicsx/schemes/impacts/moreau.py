@@ -23,10 +23,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...errors import FmbdError, InputError
+from ...errors import FmbdError
 from ...linear.condensation import StepSolver, Weights
 from ...log import log
 from ...rotations import Array
+from ...system.scene.contents import Contents
 from ...system.sensors.contact import forces_of
 from ...system.serialisation import Memory, plain
 from ...system.system import Evaluation, State, System
@@ -56,16 +57,19 @@ class Moreau:
     order = 1
     name = "Moreau-Jean"
 
+    def refusal(self, held: Contents) -> str:
+        """Why it does not take what a scene holds."""
+        if not held.contacts:
+            return "Moreau is a scheme for scenes with contact; this scene has none. Use another scheme."
+        if not held.massless:
+            return ""
+        return (
+            f'Contact "{held.massless[0]}" is of an elastic surface whose nodes carry no inertia: they take no impulse. '
+            "Use fmbd.schemes.ContactMidpoint(), a reduced body, or contact(..., redistribute_mass=False)."
+        )
+
     def start(self, system: System, state: State, solver: StepSolver, h: float) -> tuple[State, Correction]:
         """Consistent positions and velocities; refuses overlap."""
-        if system.contacts is None:
-            raise InputError("Moreau is a scheme for scenes with contact; this scene has none. Use another scheme.")
-        massless = [p.name for p in system.contacts.pairs if p.massless]
-        if massless:
-            raise InputError(
-                f'Contact "{massless[0]}" is of an elastic surface whose nodes carry no inertia: they take no impulse. '
-                "Use fmbd.schemes.ContactMidpoint(), a reduced body, or contact(..., redistribute_mass=False)."
-            )
         start, correction = consistent(system, state, solver, metric=Weights(1.0, 0.0, h * h / 4), accelerated=False)
         refuse_penetration(system, system.contacts, start)
         return start, correction

@@ -30,6 +30,7 @@ from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import Tangent
 from ...rotations import Array
+from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import Evaluation, State, System
 from ..consistent import accelerations, project
@@ -46,7 +47,7 @@ from ..control import (
     turn_limit,
     turns_too_far,
 )
-from ..dae import GGL, Form, Points, step_equations
+from ..dae import GGL, Form, OfForm, Points, step_equations
 from ..newton import Newton, strayed
 from ..onestep.radau import Radau
 from ..stepping import TimeStepper
@@ -56,7 +57,7 @@ STABLE = 2  # the highest order that damps undamped vibrations at any step
 
 
 @dataclass(frozen=True)
-class BDF:
+class BDF(OfForm):
     """Scheme data.
 
     Args:
@@ -84,6 +85,13 @@ class BDF:
     def name(self) -> str:
         """Name in reports."""
         return f"BDF({self.order}), {self.form.name}"
+
+    def refusal(self, held: Contents) -> str:
+        """Why it does not take what a scene holds."""
+        if self.rtol is None and self.order > STABLE and held.nodal:
+            name, most = held.nodal[0].name, f"take order={STABLE}, or Radau"
+            return f'Body "{name}": BDF of order {self.order} amplifies elastic vibrations: {most}.'
+        return super().refusal(held)
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
@@ -123,12 +131,7 @@ class Stepper(TimeStepper):
         self.control, self.stats = StepControl(2.0), Statistics()
         self.judge = Judge("a BDF step")
         self.amplification = Amplification(solver)
-        self.local_error = 0.0
         self.proposed: float | None = None
-        require(
-            self.adaptive or scheme.order <= STABLE or not system.fields,
-            f"BDF of order {scheme.order} amplifies vibrations of elastic fields: take order={STABLE}, or Radau.",
-        )
         self.highest = min(scheme.order, STABLE) if system.fields else scheme.order
         self.k, self.held = (1, 0) if self.adaptive else (scheme.order, 0)
         self._tangent: Any = None  # of the equations' own kind

@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from ...energies import StoredEnergy, ViscousForm
-from ...errors import InputError
 from ...mechanics.bodies.absolute import AbsoluteField
 from ...rotations import Array
 from ...system.system import State, System
@@ -77,11 +76,6 @@ class _Body:
         if forms.mass_damping:
             force += forms.mass_damping * density * ufl.inner(rate, v) * ufl.Measure("dx", domain=field.mesh.dolfinx)
         if forms.stiffness_damping:
-            if forms.elastic is None:
-                raise InputError(
-                    f'Body "{field.name}": stiffness_damping does not go with EnergyMomentum and an energy: it would change the '
-                    "angular momentum of strained bodies. Use viscous=fmbd.materials.kelvin_voigt(...)."
-                )
             force += forms.stiffness_damping * forms.elastic(rate, v, dx)
         if field.loads.moving:
             for x in POINTS:
@@ -95,10 +89,7 @@ class _Body:
         field, stored = self.field, self.field.forms.energy
         if stored is None and not field.mixed:
             return field.stress_form(mean, v)[0]
-        if not isinstance(stored, StoredEnergy):
-            raise InputError(
-                f'Body "{field.name}": EnergyMomentum needs a StoredEnergy W(C), such as saint_venant_kirchhoff(...).'
-            )
+        assert isinstance(stored, StoredEnergy)
         eye = ufl.Identity(field.dim)
         F0, F1 = eye + ufl.grad(self.u0), eye + ufl.grad(self.u1)
         C0, C1 = F0.T * F0, F1.T * F1
@@ -186,12 +177,6 @@ class Fields:
 
     def __init__(self, system: System, used: np.ndarray) -> None:
         parts: list[tuple[int, Any]] = list(system.fields)
-        for _, part in parts:
-            if not isinstance(part, AbsoluteField):
-                raise InputError(
-                    f'EnergyMomentum takes elastic fields in absolute coordinates only, and "{part.name}" is not one. Use an '
-                    "AbsoluteBody, a ReducedBody (energy not kept), or GeneralizedAlpha."
-                )
         self.system, self.used = system, used
         self.bodies: list[_Body] = []
         self._at: list[tuple[np.ndarray, np.ndarray]] = []

@@ -36,11 +36,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ...energies import MixedEnergy, StoredEnergy
 from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
+from ...mechanics.bodies.bodies import AbsoluteBody
 from ...rotations import Array
 from ...system.configurations import count
+from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
 from ...system.speed_rows import speed_rows
 from ...system.system import Evaluation, State, System
@@ -65,9 +68,31 @@ class EnergyMomentum:
 
     holds = (0,)
 
+    def refusal(self, held: Contents) -> str:
+        """Why it does not take what a scene holds."""
+        return next((reason for body in held.nodal if (reason := _refused(body))), "")
+
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
         return Stepper(system, solver, newton, state)
+
+
+def _refused(body: Any) -> str:
+    """Why the scheme does not take a body with unknowns of a mesh, "" where it does."""
+    if not isinstance(body, AbsoluteBody):
+        return (
+            f'EnergyMomentum takes elastic fields in absolute coordinates only, and "{body.name}" is not one. Use an '
+            "AbsoluteBody, a ReducedBody (energy not kept), or GeneralizedAlpha."
+        )
+    law = body.elastic_law
+    if isinstance(law, MixedEnergy) or (body.energy is not None and not isinstance(law, StoredEnergy)):
+        return f'Body "{body.name}": EnergyMomentum needs a StoredEnergy W(C), such as saint_venant_kirchhoff(...).'
+    if body.stiffness_damping and body.energy is not None:
+        return (
+            f'Body "{body.name}": stiffness_damping does not go with EnergyMomentum and an energy: it would change the '
+            "angular momentum of strained bodies. Use viscous=fmbd.materials.kelvin_voigt(...)."
+        )
+    return ""
 
 
 class Stepper(TimeStepper):

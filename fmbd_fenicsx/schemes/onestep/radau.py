@@ -46,7 +46,7 @@ from ..control import (
     turn_limit,
     turns_too_far,
 )
-from ..dae import GGL, Form, Points, step_equations
+from ..dae import GGL, Form, OfForm, Points, step_equations
 from ..newton import Newton
 from ..stepping import TimeStepper
 from .collocation import lagrange, tableau
@@ -55,7 +55,7 @@ CAUTIOUS = 0.05  # with constant steps no rate below this is believed
 
 
 @dataclass(frozen=True)
-class Radau:
+class Radau(OfForm):
     """Scheme data.
 
     Args:

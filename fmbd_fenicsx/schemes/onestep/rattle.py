@@ -24,9 +24,10 @@ from ...errors import BalanceError, ConvergenceError
 from ...linear.condensation import StepSolver, Weights
 from ...linear.redundancy import least
 from ...rotations import Array
+from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
 from ...system.system import Evaluation, State, System
-from ..dae import refuse_positions
+from ..dae import positions_refused
 from ..newton import Newton
 from ..stepping import TimeStepper
 from .explicit_limit import StepLimit
@@ -44,9 +45,12 @@ class Rattle:
 
     holds = (0, 1)
 
+    def refusal(self, held: Contents) -> str:
+        """Why it does not take what a scene holds."""
+        return positions_refused(held, "Rattle", self.holds)
+
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
         """A run's worker, from a consistent state."""
-        refuse_positions(system, "Rattle", self.holds)
         return Stepper(system, solver, newton, state)
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from ...errors import InputError, named, near, require
 from ...log import log
 from ...mechanics.bodies.bodies import ElasticBody, RigidBody, Surface
-from ...mechanics.bodies.field_part import FieldPart
 from ...mechanics.contact.contact import Contact
 from ...mechanics.contact.limits import LimitPair
 from ...mechanics.contact.mass import redistribute_mass
@@ -89,9 +88,6 @@ def build_contacts(
         if names:
             number[body.name] = len(traces)
             traces.append(_trace(k, part, body, names, len(frame_of)))
-    for body in scene.bodies.values():
-        if body.name not in number and contact_surfaces(scene, body):
-            raise _no_mesh(body)
     pairs = tuple(_pair(c, motions, frame_of, (traces, number)) for c in map(oriented, scene.contacts.values()))
     return ContactSet(motions, (*pairs, *stops), tuple(traces), amplitudes, start)
 
@@ -115,26 +111,13 @@ def limit_pairs(scene: Any, motions: Motions, markers: dict[str, tuple[int, int]
 
 
 def _trace(number: int, part: Any, body: Any, surfaces: list[str], n_frames: int) -> Trace:
-    """The contact nodes of an elastic body; collective.
-
-    Raises:
-        InputError: a body without a mesh.
-    """
-    if isinstance(part, FieldPart):
+    """The contact nodes of an elastic body; collective."""
+    if body.nodal:
         return FieldTrace(number, part, surfaces, moving=part.frame < n_frames)
-    if isinstance(body, ReducedBody):
-        made = body.reduction
-        world = made.space.tabulate_dof_coordinates()[: len(made.phi) // body.dim, : body.dim]
-        nodes = BodyNodes(made.space, body.source.mesh, body.source.degree, world - made.constants.center, world)
-        return ModalTrace(number, part, nodes, made.phi, surfaces)
-    raise _no_mesh(body)
-
-
-def _no_mesh(body: Any) -> InputError:
-    return InputError(
-        f'Body "{body.name}" has no mesh whose surface could touch. Contact takes surfaces of FloatingBody, AbsoluteBody and '
-        "their reduced bodies, points of a RigidBody (fmbd.contacts.corners, ball, cylinder_end), and rods (fmbd.contacts.along)."
-    )
+    made = body.reduction
+    world = made.space.tabulate_dof_coordinates()[: len(made.phi) // body.dim, : body.dim]
+    nodes = BodyNodes(made.space, body.source.mesh, body.source.degree, world - made.constants.center, world)
+    return ModalTrace(number, part, nodes, made.phi, surfaces)
 
 
 def _pair(c: Contact, m: Motions, frame_of: dict[str, int], known: tuple[list[Trace], dict[str, int]]) -> Any:
@@ -148,10 +131,9 @@ def _pair(c: Contact, m: Motions, frame_of: dict[str, int], known: tuple[list[Tr
 
     if isinstance(c.master, Surface):
         return _mortar_pair(c, side, known)
-    bounces = side.trace < 0 or not isinstance(traces[side.trace], FieldTrace)
     return ObstaclePair(
         c.name, side, c.master.shape, _carrier(c.name, c.master, m, frame_of), c.friction, c.restitution, c.search,
-        c.redistribute_mass and not bounces, bounces,
+        c.massless, c.bounces,
     )  # fmt: skip
 
 
