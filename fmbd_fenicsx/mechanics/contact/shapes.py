@@ -63,12 +63,12 @@ class HalfSpace(Shape):
 
     def evaluate(self, y: Array) -> tuple[Array, Array]:
         """Gap over the plane and its normal; see :class:`Shape`."""
-        point, normal = self._plane
+        point, normal = self.plane
         n = normal[: y.shape[1]]
         return (y - point[: y.shape[1]]) @ n, np.broadcast_to(n, y.shape).copy()
 
     @cached_property
-    def _plane(self) -> tuple[Array, Array]:
+    def plane(self) -> tuple[Array, Array]:
         """Point and unit normal."""
         return np.asarray(self.point, dtype=float), _unit(self.normal, "HalfSpace: normal")
 
@@ -122,10 +122,15 @@ class Cylinder(Shape):
         """The smaller of diameter and length."""
         return min(2.0 * self.radius, self.length)
 
+    @cached_property
+    def direction(self) -> Array:
+        """Unit vector along the axis."""
+        return _unit(self.axis, "Cylinder: axis")
+
     def evaluate(self, y: Array) -> tuple[Array, Array]:
         """Distance from the cylinder, rounded outside its rims, and its gradient; see :class:`Shape`."""
         require(y.shape[1] == 3, "Cylinder is a shape of space; use Sphere for a disk in the plane.")
-        e = _unit(self.axis, "Cylinder: axis")
+        e = self.direction
         r = y - np.asarray(self.center, dtype=float)
         z = r @ e
         across = r - z[:, None] * e

@@ -77,8 +77,15 @@ class Moreau:
     holds = (0,)
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
-        """A run's worker, from a consistent state."""
-        return Stepper(system, solver, newton, state, self.impacts)
+        """A run's worker, from a consistent state: compiled where the driver knows bodies, forces and contacts."""
+        from .contact_driver import contact_driver
+
+        driver = contact_driver(system, redundant=solver.core.redundant) if self.impacts else None
+        if driver is None:
+            return Stepper(system, solver, newton, state, self.impacts)
+        from .compiled_moreau import CompiledStepper
+
+        return CompiledStepper((system, solver, newton, state), self.impacts, driver)
 
 
 class Stepper(ContactStepper):

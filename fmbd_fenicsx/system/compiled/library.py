@@ -48,6 +48,8 @@ def _typed(library: Any) -> Any:
     """The library with the types of its functions."""
     p, r, i = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
     library.march.argtypes, library.march.restype = [p, p, ctypes.c_long, p, p, p], ctypes.c_long
+    library.moreau_march.argtypes = [p, p, p, ctypes.c_long, p, p]
+    library.moreau_march.restype = ctypes.c_long
     library.driver_evaluate.argtypes = [p] * 5 + [r]
     library.driver_prepare.argtypes = [p, p, r, r, p, i, r]
     library.driver_increment.argtypes, library.driver_increment.restype = [p, r, p, p], None

@@ -29,6 +29,9 @@ static double rod_energy(System *s, Rod *k) { return (void)s, (void)k, 0.0; }
 #include "states.c"
 #include "record.c"
 #include "alpha.c"
+#include "contact.c"
+#include "complementarity.c"
+#include "moreau.c"
 
 /* The evaluation, the factor and a solution for Python: what other schemes and tests call. */
 EXPORT int driver_evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t)

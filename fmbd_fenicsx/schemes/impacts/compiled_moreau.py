@@ -1,0 +1,112 @@
+"""The Moreau scheme with compiled steps; those with impacts, and all that compiled code gives back, are made in NumPy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...linear.condensation import StepSolver
+from ...rotations import Array
+from ...system.sensors.contact import ContactForces, ContactState
+from ...system.serialisation import Memory
+from ...system.system import State, System
+from ..newton import Newton
+from ..onestep import alpha_driver as slots
+from .contact_driver import ContactDriver, Tally
+from .moreau import Stepper
+
+
+class CompiledStepper(Stepper):
+    """Steps by the driver where contacts stay as they are, one or many in a call."""
+
+    path = "compiled (bodies, joints, forces and contacts in C; NumPy for the start and for steps with impacts)"
+
+    def __init__(self, data: tuple[System, StepSolver, Newton, State], impacts: int, driver: ContactDriver) -> None:
+        self.driver, self.compiled = driver, 0
+        self._tail: State | None = None  # the state that the driver's block holds
+        self._refused: tuple[State, float] | None = None  # where the driver gave a step of this size back
+        super().__init__(*data, impacts)
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """With the number of compiled steps."""
+        return {**super().counters, "compiled_steps": float(self.compiled)}
+
+    def remember(self, m: Memory) -> None:
+        """With the number of compiled steps."""
+        super().remember(m)
+        self.compiled = m("compiled", self.compiled)
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s), as :meth:`Stepper.advance`."""
+        return self.state if self.march(h, 1) else super().advance(h)
+
+    def march(self, h: float, steps: int, watch: Any = None, tape: Any = None) -> int:
+        """Up to so many steps of size h (s) in one call; how many were made: fewer where an impact is next."""
+        refused = self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
+        if refused or watch is not None or tape is not None:
+            return 0
+        if self._tail is not self.state:
+            self._load()
+        made = self.driver.march(h, steps, self.newton)
+        if made:
+            self._take_newest(h, made)
+        self._refused = (self.state, h) if made < steps else None
+        return made
+
+    def tape(self, judged: Any) -> None:
+        """Records are made from states."""
+
+    def _load(self) -> None:
+        """State, impulses and books into the driver."""
+        s, x, books = self.state, self.driver.arrays, self.ledger
+        self.driver.load(s.t, (s.q, s.v, s.a, s.lam))
+        x["held"][:], x["carrying"][:] = self.impulse.ravel(), self.carrying
+        x["impulse"][:], x["works"][:] = books.impulse.ravel(), books.work
+        self.driver.c.energy, self.driver.c.springs = books.energy, books.springs
+        self._tail = s
+
+    def _take_newest(self, h: float, made: int) -> None:
+        """The newest state, impulses, books and counts from the driver."""
+        driver, books, newton = self.driver, self.ledger, self.newton
+        x, c, p = driver.arrays, driver.c, driver.parameters
+        self.impulse, self.carrying = x["held"].reshape(self.impulse.shape).copy(), x["carrying"].astype(bool)
+        books.impulse, books.work = x["impulse"].reshape(books.impulse.shape).copy(), x["works"].copy()
+        books.energy, books.springs = float(c.energy), float(c.springs)
+        normal = self.impulse[:, 0] / h
+        books.force = np.zeros_like(books.force)
+        books.force[:, 0] = normal
+
+        self.compiled += made
+        self.solver.core.factorisations += made
+        newton.iterations += int(p[slots.ITERATIONS])
+        newton.note(float(p[slots.LEFT]), made)
+        newton.theta = float(p[slots.THETA])
+        self.local_error = float(p[slots.LOCAL])
+        self._count()
+
+        t, q, v, a, lam = driver.newest()
+        self.state = self._tail = ContactState(t, q, v, a, lam, self._forces(t, h, normal))
+
+    def _count(self) -> None:
+        """Statistics of contact since the last call."""
+        tally, books, counts = self.driver.c.tally, self.ledger, self.ledger.counts
+        books.in_contact += tally.steps
+        books.newton_in_contact += tally.newton
+        counts.iterations += tally.iterations
+        counts.changes += tally.changes
+        counts.cycles += tally.cycles
+        counts.solves += tally.solves
+        counts.residual = max(counts.residual, float(tally.residual))
+        self.driver.c.tally = Tally()
+
+    def _forces(self, t: float, h: float, normal: Array) -> ContactForces:
+        """What sensors read of the contacts in the last step."""
+        gap, x, n = self.driver.touching()
+        force = self.driver.arrays["force"].reshape(x.shape).copy()
+        contacts, books = self.contacts, self.ledger
+        return ContactForces(
+            contacts.names, t - h / 2, contacts.pair, x, n, gap, normal, force, contacts.pressures(normal),
+            books.impulse, books.work,
+        )  # fmt: skip

@@ -1,0 +1,119 @@
+/* The small problem of contacts without or with Coulomb friction: Newton's iteration on Alart and Curnier's function
+   (doi:10.1016/0045-7825(91)90022-X). Problems that it does not solve at once are Python's, see linear/complementarity. */
+
+enum { ROUNDS = 12 };
+
+/* LU with row exchanges in place, and x in b; 1 where a pivot is small: dependent contacts are left to Python. */
+static int solve_small(double *A, double *b, int n)
+{
+    double largest = 0.0;
+    for (int i = 0; i < n * n; i++) largest = fmax(largest, fabs(A[i]));
+    for (int k = 0; k < n; k++) {
+        int p = k;
+        for (int i = k + 1; i < n; i++)
+            if (fabs(A[i * n + k]) > fabs(A[p * n + k])) p = i;
+        if (!(fabs(A[p * n + k]) > 1e-10 * largest)) return 1;
+        for (int j = 0; j < n && p != k; j++) {
+            double swap = A[k * n + j];
+            A[k * n + j] = A[p * n + j];
+            A[p * n + j] = swap;
+        }
+        double swap = b[k];
+        b[k] = b[p];
+        b[p] = swap;
+        for (int i = k + 1; i < n; i++) {
+            double factor = A[i * n + k] / A[k * n + k];
+            if (factor == 0.0) continue;
+            for (int j = k; j < n; j++) A[i * n + j] -= factor * A[k * n + j];
+            b[i] -= factor * b[k];
+        }
+    }
+    for (int k = n - 1; k >= 0; k--) {
+        for (int j = k + 1; j < n; j++) b[k] -= A[k * n + j] * b[j];
+        b[k] /= A[k * n + k];
+    }
+    return 0;
+}
+
+/* Alart and Curnier's function of one point, and its derivatives by force and by opening; its status. */
+static int coulomb(const double *x, const double *u, double cn, double ct, double mu, int d, double *F, double *dx, double *du)
+{
+    int on = x[0] - cn * u[0] > 0;
+    double y[2] = {0.0, 0.0}, size = 0.0, radius = mu * fmax(x[0], 0.0);
+    memset(dx, 0, d * d * sizeof(double));
+    memset(du, 0, d * d * sizeof(double));
+    F[0] = on ? cn * u[0] : x[0];
+    if (on) du[0] = cn;
+    else dx[0] = 1.0;
+    for (int i = 1; i < d; i++) {
+        y[i - 1] = x[i] - ct * u[i];
+        size += y[i - 1] * y[i - 1];
+    }
+    size = sqrt(size);
+
+    int stick = on && size <= radius;
+    for (int i = 1; i < d; i++) {
+        F[i] = stick ? ct * u[i] : x[i];
+        if (stick) du[i * d + i] = ct;
+        else dx[i * d + i] = 1.0;
+    }
+    if (!on || stick) return on;
+    for (int i = 1; i < d; i++) {
+        double e = y[i - 1] / size;
+        F[i] = x[i] - radius * e;
+        if (x[0] > 0) dx[i * d] = -mu * e;
+        for (int j = 1; j < d && d == 3; j++) {
+            double P = radius / size * ((i == j) - e * y[j - 1] / size);
+            dx[i * d + j] -= P;
+            du[i * d + j] += ct * P;
+        }
+    }
+    return 2;
+}
+
+/* Newton's iteration for m points from the forces f, as linear/complementarity/coulomb.py does at first; without friction it is
+   that of active sets. 1 where it does not find the forces. */
+static int contact_forces(Contacts *c, int m)
+{
+    const int d = c->components, n = m * d;
+    double *x = c->work, *u = x + n, *F = u + n, *A = F + n, dx[9], du[9], free = 0.0;
+    int before[64];
+    if (m > 64) return 1;
+    memcpy(x, c->f, n * sizeof(double));
+
+    for (int round = 0; round < ROUNDS; round++) {
+        double residual = 0.0, largest = 0.0;
+        memset(A, 0, n * n * sizeof(double));
+        for (int i = 0; i < n; i++) u[i] = c->q[i] + dot(c->W + i * n, x, n);
+        for (int i = 0; i < m; i++) {
+            double cn = 1.0 / fmax(c->W[i * d * (n + 1)], 1e-300), ct = INFINITY;
+            for (int k = 1; k < d; k++) ct = fmin(ct, 1.0 / fmax(c->W[(i * d + k) * (n + 1)], 1e-300));
+            int status = coulomb(x + i * d, u + i * d, cn, ct, c->mu[i], d, F + i * d, dx, du);
+            c->tally.changes += round && status != before[i];
+            before[i] = status;
+            free = fmax(free, fabs(cn * c->q[i * d]));
+            for (int a = 0; a < d; a++) {
+                double *row = A + (i * d + a) * n;
+                for (int b = 0; b < d; b++) {
+                    row[i * d + b] += dx[a * d + b];
+                    if (du[a * d + b] != 0.0) add(row, du[a * d + b], c->W + (i * d + b) * n, n);
+                }
+            }
+        }
+        for (int i = 0; i < n; i++) {
+            residual = fmax(residual, fabs(F[i]));
+            largest = fmax(largest, fabs(x[i]));
+        }
+        residual /= fmax(free + fmin(largest, 1e3 * free), 1e-300);
+        if (residual <= 1e-13) {
+            memcpy(c->f, x, n * sizeof(double));
+            c->tally.residual = fmax(c->tally.residual, residual);
+            c->tally.solves++;
+            return 0;
+        }
+        if (!isfinite(residual) || solve_small(A, F, n)) return 1;
+        for (int i = 0; i < n; i++) x[i] -= F[i];
+        c->tally.iterations++;
+    }
+    return 1;
+}

@@ -1,0 +1,228 @@
+/* Contact of rigid points with obstacles: gaps, normals and rows, as mechanics/contact/rows.py and shapes.py define them.
+
+   Frames are given by the configuration. An obstacle is at rest, moves as prescribed (Python gives its pose), or is carried by a
+   body. */
+
+enum { HALF_SPACE, SPHERE, CYLINDER, BOX };
+enum { POSE_OF, COMPLEMENTARITY }; /* what Python is asked for by contact */
+
+typedef struct {
+    int shape, first, count, carrier, moving; /* points; carrier: body, -1 for none */
+    double radius, friction, thickness;
+    double data[8];                           /* of the shape: see contact_tables.py */
+    double pose[POSE];                        /* of an obstacle that no body carries */
+} Pair;
+
+/* Where all points stand: gaps, places and normals in world axes, places in the axes of the obstacle. */
+typedef struct {
+    double *gap, *x, *normal, *relative;
+} Touch;
+
+/* What is counted of contacts; a step that is given back counts nothing. */
+typedef struct {
+    long solves, iterations, changes, cycles, steps, newton;
+    double residual;
+} Tally;
+
+typedef struct {
+    int pairs, points, components, known;     /* known: whether ``now`` is that of the newest state */
+    Pair *pair;
+    int *frame, *of;                          /* points: body, and pair */
+    double *place;                            /* points x D: in the body */
+    Touch now, end, aside;
+    int *carrying, *closed;                   /* points */
+    double *held, *force;                     /* points x components: impulses; points x D: forces in world axes */
+    double *impulse, *works;                  /* pairs x D; 5: see sensors/contact.py */
+    double energy, springs;
+    int loaded;                               /* whether there are force elements */
+    double *rows, *drift, *rate;              /* of closed contacts: components x 2 TWIST, body axes; tangential; of gaps */
+    double *W, *q, *f, *mu, *Y, *work;        /* the small problem; A^-1 L^T; see moreau.c */
+    double *ahead, *xi, *kept;                /* like q, like v, like lambda */
+    int size;                                 /* of v */
+    System *system;
+    Tally tally;
+    int (*python)(int what, int number, double t);
+} Contacts;
+
+static double length_of(const double *x) { return sqrt(dot(x, x, D)); }
+
+/* Distance to the intersection of two orthogonal convex sets at distances a, b. */
+static double rounded(double a, double b, const double *na, const double *nb, double *n)
+{
+    double d = a > 0 && b > 0 ? hypot(a, b) : fmax(a, b), w = a >= b, u = a < b;
+    if (a > 0 && b > 0) w = a / d, u = b / d;
+    for (int i = 0; i < D; i++) n[i] = w * na[i] + u * nb[i];
+    return d;
+}
+
+/* data: axis, centre, radius, length */
+static double cylinder(const double *data, const double *y, double *n)
+{
+    double r[D], side[D], cap[D], z, rho;
+    for (int i = 0; i < D; i++) r[i] = y[i] - data[D + i];
+    z = dot(r, data, D);
+    for (int i = 0; i < D; i++) side[i] = r[i] - z * data[i];
+    rho = length_of(side);
+    for (int i = 0; i < D; i++) {
+        side[i] /= rho > 0 ? rho : 1.0;
+        cap[i] = (z > 0) - (z < 0) ? ((z > 0) - (z < 0)) * data[i] : 0.0;
+    }
+    double radius = data[6], length = data[7];
+    if (isfinite(length)) return rounded(rho - radius, fabs(z) - 0.5 * length, side, cap, n);
+    memcpy(n, side, D * sizeof(double));
+    return rho - radius;
+}
+
+/* data: half edges, centre */
+static double box(const double *data, const double *y, double *n)
+{
+    double far = 0.0, inner = -INFINITY, outside[D], sign[D];
+    int nearest = 0;
+    for (int i = 0; i < D; i++) {
+        double r = y[i] - data[D + i], over = fabs(r) - data[i];
+        sign[i] = r < 0 ? -1.0 : 1.0;
+        outside[i] = fmax(over, 0.0);
+        if (over > inner) inner = over, nearest = i;
+    }
+    far = length_of(outside);
+    for (int i = 0; i < D; i++) n[i] = far > 0 ? sign[i] * outside[i] / far : sign[i] * (i == nearest);
+    return far > 0 ? far : inner;
+}
+
+/* Signed distance and its gradient at y, in the shape's axes. */
+static double distance(const Pair *o, const double *y, double *n)
+{
+    const double *data = o->data;
+    if (o->shape == CYLINDER) return cylinder(data, y, n);
+    if (o->shape == BOX) return box(data, y, n);
+    if (o->shape == HALF_SPACE) { /* normal, its level */
+        memcpy(n, data, D * sizeof(double));
+        return dot(y, data, D) - data[D];
+    }
+
+    /* centre, radius, 1 or -1 for a hollow */
+    double r[D], length, sign = data[D + 1];
+    for (int i = 0; i < D; i++) r[i] = y[i] - data[i];
+    length = length_of(r);
+    for (int i = 0; i < D; i++) n[i] = sign * (length > 0 ? r[i] / length : i == 0);
+    return sign * (length - data[D]);
+}
+
+/* Place and rotation of an obstacle; 1 where Python failed. */
+static int obstacle(const Contacts *c, Pair *o, const double *q, double t, double *r, double *R)
+{
+    if (o->moving && c->python(POSE_OF, (int)(o - c->pair), t)) return 1;
+    const double *pose = o->carrier >= 0 ? q + POSE * o->carrier : o->pose;
+    memcpy(r, pose, D * sizeof(double));
+    rotation(pose, R);
+    return 0;
+}
+
+/* All points at a configuration. */
+static int touch(const Contacts *c, const double *q, double t, Touch *out)
+{
+    for (Pair *o = c->pair; o < c->pair + c->pairs; o++) {
+        double r[D], R[D * D];
+        if (obstacle(c, o, q, t, r, R)) return 1;
+        for (int i = o->first; i < o->first + o->count; i++) {
+            const double *pose = q + POSE * c->frame[i];
+            double *x = out->x + D * i, *y = out->relative + D * i, Rb[D * D], way[D], n[D];
+            rotation(pose, Rb);
+            times(Rb, c->place + D * i, x);
+            for (int j = 0; j < D; j++) x[j] += pose[j], way[j] = x[j] - r[j];
+            transposed(R, way, y);
+            out->gap[i] = distance(o, y, n) - o->radius;
+            times(R, n, out->normal + D * i);
+            for (int j = 0; j < D; j++) x[j] -= o->radius * out->normal[D * i + j];
+        }
+    }
+    return 0;
+}
+
+/* D - 1 unit vectors across a normal. */
+static void across(const double *n, double *e)
+{
+#if DIM == 2
+    e[0] = -n[1];
+    e[1] = n[0];
+#else
+    double pick[3] = {0.0, 0.0, 0.0};
+    int least = 0;
+    for (int i = 1; i < 3; i++)
+        if (fabs(n[i]) < fabs(n[least])) least = i;
+    pick[least] = 1.0;
+    moment(n, pick, e);
+    double size = length_of(e);
+    for (int i = 0; i < 3; i++) e[i] /= size;
+    moment(n, e, e + 3);
+#endif
+}
+
+/* The row of a point's velocity along e on the twist of a frame, in its body axes. */
+static void frame_row(const double *pose, const double *x, const double *e, double sign, double *row)
+{
+    double R[D * D], arm[D], turning[ROT];
+    rotation(pose, R);
+    for (int j = 0; j < D; j++) arm[j] = x[j] - pose[j], row[j] = sign * e[j];
+    moment(arm, e, turning);
+    to_body(R, turning, row + D);
+    for (int j = 0; j < ROT; j++) row[D + j] *= sign;
+}
+
+/* Rows of contact i on both bodies: normal, then across where there is friction. */
+static void contact_rows(const Contacts *c, int i, const double *q, const Touch *at, double *rows)
+{
+    const Pair *o = c->pair + c->of[i];
+    double e[D * D];
+    memcpy(e, at->normal + D * i, D * sizeof(double));
+    if (c->components > 1) across(e, e + D);
+    for (int k = 0; k < c->components; k++) {
+        double *row = rows + 2 * TWIST * k;
+        memset(row, 0, 2 * TWIST * sizeof(double));
+        frame_row(q + POSE * c->frame[i], at->x + D * i, e + D * k, 1.0, row);
+        if (o->carrier >= 0) frame_row(q + POSE * o->carrier, at->x + D * i, e + D * k, -1.0, row + TWIST);
+    }
+}
+
+/* A row of contact i times an array like v. */
+static double along(const Contacts *c, int i, const double *row, const double *v)
+{
+    const Pair *o = c->pair + c->of[i];
+    double sum = dot(row, v + TWIST * c->frame[i], TWIST);
+    return o->carrier >= 0 ? sum + dot(row + TWIST, v + TWIST * o->carrier, TWIST) : sum;
+}
+
+/* Rates of all gaps that come from prescribed motion, by central differences over the span. */
+static int gap_rates(const Contacts *c, const double *q, double t, double span, double *rate)
+{
+    int moving = 0;
+    memset(rate, 0, c->points * sizeof(double));
+    for (int i = 0; i < c->pairs; i++) moving |= c->pair[i].moving;
+    if (!moving) return 0;
+
+    double e = 1e-3 * span;
+    Touch aside = c->aside;
+    if (touch(c, q, t + e, &aside)) return 1;
+    memcpy(rate, aside.gap, c->points * sizeof(double));
+    if (touch(c, q, t - e, &aside)) return 1;
+    for (int i = 0; i < c->points; i++) rate[i] = (rate[i] - aside.gap[i]) / (2 * e);
+    return 0;
+}
+
+/* How far the obstacle of contact i moves across its normal from t to t + span, along the directions across. */
+static int drifts(const Contacts *c, int i, const double *q, double t, double span, const Touch *at, double *drift)
+{
+    Pair *o = c->pair + c->of[i];
+    double r[D], R[D * D], ra[D], Ra[D * D], rb[D], Rb[D * D], way[D], y[D], ya[D], yb[D], e[D * D];
+    memset(drift, 0, c->components * sizeof(double));
+    if (!o->moving || c->components == 1) return 0;
+    if (obstacle(c, o, q, t + 0.5 * span, r, R) || obstacle(c, o, q, t, ra, Ra) || obstacle(c, o, q, t + span, rb, Rb)) return 1;
+    for (int j = 0; j < D; j++) way[j] = at->x[D * i + j] - r[j];
+    transposed(R, way, y);
+    times(Ra, y, ya);
+    times(Rb, y, yb);
+    across(at->normal + D * i, e + D);
+    for (int k = 1; k < c->components; k++)
+        for (int j = 0; j < D; j++) drift[k] += e[D * k + j] * (rb[j] - ra[j] + yb[j] - ya[j]);
+    return 0;
+}

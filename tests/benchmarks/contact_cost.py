@@ -1,0 +1,85 @@
+"""Scenes of rigid contact: CPU time of a step by the difference of two runs, and the share of steps that compiled code made.
+
+Run:  ./with-dolfinx python3 tests/benchmarks/contact_cost.py [--repeat 3]
+"""
+
+import argparse
+import time
+
+import numpy as np
+
+import fmbd_fenicsx as fmbd
+
+G = 9.81
+
+
+def on_floor(body, points, **law):
+    """A scene of one body over the plane z = 0 (y = 0)."""
+    up = np.eye(body.dim)[-1]
+    scene = fmbd.Scene("contact", gravity=tuple(-G * up))
+    scene.add(body, fmbd.contact("floor", points, fmbd.Obstacle("floor", fmbd.HalfSpace(0 * up, up)), **law))
+    return scene
+
+
+def ball():
+    """A sphere thrown onto the plane."""
+    sphere = fmbd.RigidBody("ball", 1.0, (0.004,) * 3, (0, 0, 0.5), velocity=(1.0, 0, 0))
+    return on_floor(sphere, fmbd.ball(sphere, 0.1), restitution=0.7, friction=0.3)
+
+
+def cylinder():
+    """A cylinder of the plane that slides, then rolls."""
+    disk = fmbd.RigidBody("disk", 1.0, 0.005, (0, 0.1), velocity=(1.0, 0))
+    return on_floor(disk, fmbd.ball(disk, 0.1), friction=0.3)
+
+
+def plate():
+    """A plate that rattles on its four corners."""
+    body = fmbd.RigidBody(
+        "plate", 1.0, (0.0842, 0.0842, 0.1667), (0, 0, 0.2), velocity=(0.5, 0.2, 0), angular_velocity=(0.3, 0.7, 1.0)
+    )
+    corners = [(x, y, -0.05) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
+    return on_floor(body, fmbd.corners(body, corners), friction=0.3, restitution=0.4)
+
+
+def cam():
+    """A follower on a guide over an eccentric disk that turns as prescribed."""
+    e, r, w = 0.02, 0.05, 6 * np.pi
+    follower = fmbd.RigidBody("follower", 0.5, 0.01, (0, r - e + 0.01))
+    turning = lambda t: ((e * np.sin(w * t), -e * np.cos(w * t)), w * t)  # noqa: E731
+    scene = fmbd.Scene("cam", gravity=(0, -G))
+    disk = fmbd.Obstacle("cam", fmbd.Sphere(r), motion=turning)
+    scene.add(follower, fmbd.contact("cam", fmbd.ball(follower, 0.01), disk))
+    scene.add(fmbd.prismatic("guide", fmbd.ground, follower, axis=(0, 1)))
+    return scene
+
+
+SCENES = {"ball": (ball, 1e-3), "rolling cylinder": (cylinder, 1e-3), "plate": (plate, 4e-3), "cam": (cam, 1e-3)}
+
+
+def seconds(make, h, steps):
+    """CPU time of a run, and its counters."""
+    scene = make()
+    begin = time.process_time()
+    output = fmbd.Output(every=100, progress=False)
+    run = fmbd.solve(scene, t_end=steps * h, dt=h, scheme=fmbd.Moreau(), output=output)
+    return time.process_time() - begin, run.counters
+
+
+def main():
+    """One line a scene."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeat", type=int, default=3)
+    given = parser.parse_args()
+    for name, (make, h) in SCENES.items():
+        seconds(make, h, 20)
+        rows = []
+        for _ in range(given.repeat):
+            (a, _), (b, counters) = seconds(make, h, 400), seconds(make, h, 800)
+            rows.append((b - a) / 400 * 1e6)
+        compiled = counters.get("compiled_steps", 0.0) / 800
+        print(f"{name}: {np.median(rows):.0f} us a step, {100 * compiled:.0f} % of them compiled")
+
+
+if __name__ == "__main__":
+    main()
