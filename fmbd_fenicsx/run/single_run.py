@@ -76,7 +76,7 @@ def run_once(
             counters = _counters(marched, newton, solver)
             undetermined = not_unique(solver, marched.state)
             warn_of_doubts(scene, solver, marched.recorder, counters)
-            warn_of_turning_rows(system, scheme, (start, marched.state), pace.next(0.0))
+            warn_of_turning_rows(solver, scheme, (start, marched.state), pace.next(0.0))
     finally:
         solver.destroy()
         if keeper is not None:

@@ -20,6 +20,8 @@ from collections.abc import Iterable
 import numpy as np
 import scipy.linalg as sl
 
+from ..linear.condensation import StepSolver, Weights
+from ..linear.core import dense
 from ..log import log
 from ..rotations import Array
 from ..schemes.declared import Declared
@@ -30,12 +32,12 @@ LARGEST = 150  # replicated coordinates up to which the angle is looked at
 RANK = 1e-9  # singular values of rows below this share of the largest are zero
 
 
-def warn_of_turning_rows(system: System, scheme: object, states: Iterable[State], h: float) -> None:
+def warn_of_turning_rows(solver: StepSolver, scheme: object, states: Iterable[State], h: float) -> None:
     """Warn where rows turn beyond the scheme's limit in one of the states; no fields, not collective."""
-    limit = Declared.by(scheme).turn_limit
+    limit, system = Declared.by(scheme).turn_limit, solver.system
     if limit is None or system.fields or not 0 < system.n_core <= LARGEST:
         return
-    angle, state = max(((turned(system, s, h), s) for s in states), key=lambda found: found[0])
+    angle, state = max(((turned(solver, s, h), s) for s in states), key=lambda found: found[0])
     if angle <= limit:
         return
     log.warning(
@@ -45,24 +47,29 @@ def warn_of_turning_rows(system: System, scheme: object, states: Iterable[State]
     )  # fmt: skip
 
 
-def turned(system: System, state: State, h: float) -> float:
+def turned(solver: StepSolver, state: State, h: float) -> float:
     """phi of the module for a step h (s) with the velocity of a state, rad."""
+    system = solver.system
     if not np.isfinite(state.q).all() or not np.isfinite(state.v).all() or not state.v.any():
         return 0.0
-    before = _row_space(system, state, state.q)
-    after = _row_space(system, state, system.compose(state.q, h * state.v))
+    before = _row_space(solver, state, state.q)
+    after = _row_space(solver, state, system.compose(state.q, h * state.v))
     if not before.shape[1] or not after.shape[1]:
         return 0.0
-    return float(sl.subspace_angles(before, after).max())
+
+    # the sine of the largest angle: what the smaller space has outside of the larger
+    small, large = sorted((before, after), key=lambda basis: basis.shape[1])
+    outside = small - large @ (large.T @ small)
+    return float(np.arcsin(min(np.linalg.norm(outside, 2), 1.0)))
 
 
-def _row_space(system: System, state: State, q: Array) -> Array:
+def _row_space(solver: StepSolver, state: State, q: Array) -> Array:
     """Orthonormal basis of L^-1 G^T with M = L L^T, rows on positions only, (n_v, rank)."""
+    system = solver.system
     held = np.setdiff1d(np.arange(system.n_lam), speed_rows(system))
-    ev, n = system.at(state.t, q, state.v), system.n_v
-    rest = ev.balance(np.zeros(n))
-    M = np.array([ev.balance(e) - rest for e in np.eye(n)])
-    G = np.array([ev.jacobian.times(e)[held] for e in np.eye(n)])
+    ev = system.at(state.t, q, state.v)
+    M = dense(solver.core_matrix(ev, Weights(1.0, 0.0, 0.0)))
+    G = dense(ev.jacobian.core)[held].T
 
     # bodies without inertia in some direction: a little of it, which rows that hold them hardly feel
     M = 0.5 * (M + M.T) + 1e-12 * np.diag(np.maximum(np.diag(M), np.diag(M).max() * 1e-12))

@@ -11,6 +11,7 @@ sys.exudynFast = True  # the build without range checks
 import exudyn as exu  # noqa: E402
 import exudyn.itemInterface as ii  # noqa: E402, N813
 import numpy as np  # noqa: E402
+from exudyn_side import settings  # noqa: E402
 
 
 def rigid(mbs, mass, inertia, position, angle, velocity=(0, 0), omega=0.0):
@@ -69,16 +70,8 @@ def main():
         mbs = system.AddSystem()
         body, point = crank(mbs) if model == "crank" else chain(mbs, int(model))
         mbs.Assemble()
-        s = exu.SimulationSettings()
-        s.timeIntegration.numberOfSteps, s.timeIntegration.endTime = steps, steps * h
-        s.timeIntegration.generalizedAlpha.spectralRadius = 0.8
-        s.timeIntegration.newton.useModifiedNewton = modified
-        s.parallel.numberOfThreads = 1
-        s.timeIntegration.verboseMode = 0
-        s.solutionSettings.writeSolutionToFile = False
-        s.solutionSettings.sensorsWritePeriod = steps * h
         large = model != "crank" and int(model) > 10
-        s.linearSolverType = exu.LinearSolverType.EigenSparse if large else exu.LinearSolverType.EXUdense
+        s = settings(exu, steps, h, modified=modified, sparse=large, records=1)
         solver = exu.MainSolverImplicitSecondOrder()
         solver.InitializeSolver(mbs, s)
         begin = time.process_time()

@@ -16,6 +16,7 @@ import exudyn.itemInterface as ii  # noqa: E402, N813
 import numpy as np  # noqa: E402
 import scipy.sparse as sp  # noqa: E402
 from exudyn.FEM import FEMinterface, ObjectFFRFinterface, ObjectFFRFreducedOrderInterface  # noqa: E402
+from exudyn_side import settings  # noqa: E402
 
 
 def interface(data):
@@ -72,15 +73,7 @@ def model(kind, data):
 def run(kind, data, steps, h, modified):
     """Seconds of the steps, the tip at the end, iterations per step."""
     mbs, tip = model(kind, data)
-    s = exu.SimulationSettings()
-    s.timeIntegration.numberOfSteps, s.timeIntegration.endTime = steps, steps * h
-    s.timeIntegration.generalizedAlpha.spectralRadius = 0.8
-    s.timeIntegration.newton.useModifiedNewton = modified
-    s.timeIntegration.verboseMode = 0
-    s.parallel.numberOfThreads = 1
-    s.solutionSettings.writeSolutionToFile = False
-    s.solutionSettings.sensorsWritePeriod = steps * h
-    s.linearSolverType = exu.LinearSolverType.EigenSparse if kind == "full" else exu.LinearSolverType.EXUdense
+    s = settings(exu, steps, h, modified=modified, sparse=kind == "full", records=1)
     stamps = []
     if kind == "full":
         mbs.SetPreStepUserFunction(lambda mbs, t: stamps.append(time.process_time()) or True)

@@ -68,9 +68,8 @@ class Exudyn:
         return spent, np.array(end)
 
 
-def exudyn_steps(model, steps, h, *, modified, sparse):
-    """CPU time of so many steps of an assembled model (exudyn, system): rho_inf = 0.8, one thread, ten records."""
-    exu, mbs = model
+def settings(exu, steps, h, *, modified, sparse, records=10):
+    """Exudyn's settings of so many steps: generalized-alpha with rho_inf = 0.8, one thread, nothing written but some records."""
     s = exu.SimulationSettings()
     s.timeIntegration.numberOfSteps, s.timeIntegration.endTime = steps, steps * h
     s.timeIntegration.generalizedAlpha.spectralRadius = 0.8
@@ -78,8 +77,15 @@ def exudyn_steps(model, steps, h, *, modified, sparse):
     s.timeIntegration.verboseMode = 0
     s.parallel.numberOfThreads = 1
     s.solutionSettings.writeSolutionToFile = False
-    s.solutionSettings.sensorsWritePeriod = steps * h / 10
+    s.solutionSettings.sensorsWritePeriod = steps * h / records
     s.linearSolverType = exu.LinearSolverType.EigenSparse if sparse else exu.LinearSolverType.EXUdense
+    return s
+
+
+def exudyn_steps(model, steps, h, *, modified, sparse):
+    """CPU time of so many steps of an assembled model (exudyn, system), with ten records."""
+    exu, mbs = model
+    s = settings(exu, steps, h, modified=modified, sparse=sparse)
     begin = time.process_time()
     mbs.SolveDynamic(s)
     return time.process_time() - begin
