@@ -181,9 +181,8 @@ class _Page:
             if k == count - 1:
                 axes.set_xlabel("time (s)")
             for line in list(axes.lines):
-                (dot,) = axes.plot(
-                    [], [], "o", color=line.get_color(), markersize=7, markeredgecolor="k", animated=True
-                )
+                look = {"color": line.get_color(), "markersize": 7, "markeredgecolor": "k", "clip_on": False}
+                (dot,) = axes.plot([], [], "o", animated=True, **look)
                 found.append((dot, np.asarray(line.get_xdata()), np.asarray(line.get_ydata())))
         return found
 
