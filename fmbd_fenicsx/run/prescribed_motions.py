@@ -36,7 +36,7 @@ from ..system.system import System
 DOUBTFUL = 2e-3  # (1), (2) over the motion in the steps, from which on they are looked at closely
 SHARP = 0.01  # change of slope over the slopes that is a kink
 JUMP = 1e-3  # of the model's length, or rad: a jump that is refused
-SEEN = 1e-12  # of the same: a kink that moves less in the steps around it is rounding of a motion that begins slowly
+SEEN = 1e-12  # of the same: what moves less in three steps is looked at later; it may be a motion that begins slowly
 WRONG = 1e-3  # relative difference of a rate from the slope
 HALVINGS = 20
 LOOKS = 40  # close looks at one motion that found nothing; afterwards only worse steps are looked at
@@ -93,7 +93,7 @@ class Follower:
         parabola = s[1] + (t[3] - t[1]) * (rise[1] + (t[3] - t[2]) * (rise[1] - rise[0]) / (t[2] - t[0]))
         size = max(s) - min(s) + 1e-3 * (t[3] - t[0]) * self.fastest
         roundoff = 1e3 * EPS * max(map(abs, s))
-        return max(abs(s[3] - parabola) - roundoff, 0.0) / size if size > roundoff else 0.0
+        return max(abs(s[3] - parabola) - roundoff, 0.0) / size if size > max(roundoff, SEEN * self.length) else 0.0
 
     def _look_for_kinks(self, bend: float) -> None:
         if bend <= DOUBTFUL or (self.looks >= LOOKS and bend <= 2 * self.worst):
@@ -106,7 +106,6 @@ class Follower:
 
     def find_sharp(self, a: float, b: float) -> bool:
         """Whether there is a kink or a jump between two times (s): warns of it, or refuses it."""
-        span = b - a
         try:
             a, b, steepest = self._sharpest(a, b)
             d, s = b - a, self.motion.place
@@ -120,8 +119,7 @@ class Follower:
         if abs(step - 0.5 * (before + after)) > 10 * bend + around + noise:
             self._jump(0.5 * (a + b), step)
             return True
-        seen = bend * span > SEEN * self.length * d  # what the change of slope moves in the whole interval
-        if seen and bend > SHARP * max(around, 0.1 * d * max(self.fastest, steepest)) + noise:
+        if bend > SHARP * max(around, 0.1 * d * max(self.fastest, steepest)) + noise:
             self._kink(0.5 * (a + b), before / d, after / d)
             return True
         return False
