@@ -95,9 +95,7 @@ def ball(body: RigidBody, radius: float, *, center: Sequence[float] | None = Non
 
 @typed
 def corners(body: RigidBody, points: Sequence[Sequence[float]] | Array) -> RigidPoints:
-    """Corners of a rigid body, (n, d) m, in body axes from its centre of mass as its ``shape`` is: (w/2, -h/2), ... of a
-    ``Box((w, h))``. (Points of joints, forces and sensors are places in the world instead.)
-    """
+    """Corners of a rigid body in body axes, (n, d) m."""
     found = array(f'corners("{body.name}"): points', points, shape=f"(n, {body.dim}) finite numbers")
     require(
         found.ndim == 2 and found.shape[1] == body.dim and len(found) > 0,
