@@ -18,5 +18,6 @@ autodoc_default_options = {"members": True, "show-inheritance": False}
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 napoleon_google_docstring = True
+napoleon_use_ivar = True  # attributes that are properties are described once
 nitpicky = False
 suppress_warnings = ["myst.header", "docutils", "autodoc", "ref.python", "toc.not_included"]

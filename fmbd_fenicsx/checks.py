@@ -167,7 +167,11 @@ def typed(make: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(make)
     def checked(*args: P.args, **kwargs: P.kwargs) -> T:
-        values = signature.bind(*args, **kwargs).arguments
+        try:
+            values = signature.bind(*args, **kwargs).arguments
+        except TypeError as error:  # without the function's name
+            known = ", ".join(signature.parameters)
+            raise TypeError(f"{make.__name__}(): {error}. It takes {known}.") from None
         label = _label(make.__name__, values)
         if not hints:  # at the first call: names of annotations may come from modules that import this one
             single = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)

@@ -67,6 +67,13 @@ class Mesh:
     label: str
     recipe: Recipe | None = None
 
+    def __repr__(self) -> str:
+        cells = self.dolfinx.topology.index_map(self.dim).size_global
+        names = ", ".join(f'"{name}"' for name in self.surface_names)
+        return (
+            f'<Mesh of {self.label}: {cells} cells in {self.dim}D, volume "{self.volume}", surfaces {names or "none"}>'
+        )
+
     def refined(self) -> Mesh:
         """The mesh of half the cell size, by the same script at the same place; collective.
 

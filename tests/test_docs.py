@@ -58,6 +58,35 @@ def test_tutorial_runs_and_shows_what_it_says(clone: Path) -> None:
     assert list((clone / "arm_fields").glob("*.pvd"))
 
 
+def anchors(page: Path) -> set[str]:
+    """Places of a page that links can name: those of its headings, as GitHub and the site form them."""
+    text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+    titles = [re.sub(r"[`*]", "", title) for title in re.findall(r"^#+ (.*)$", text, re.MULTILINE)]
+
+    return {re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize(
+    "page", sorted(str(p.relative_to(ROOT)) for p in (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")))
+)
+def test_links_name_pages_and_headings(page: str) -> None:
+    here = ROOT / page
+    text = re.sub(r"```.*?```", "", here.read_text(), flags=re.DOTALL)
+    for file, place in re.findall(r"\]\((?!https?:|mailto:)([^)#\s]*)(?:#([^)\s]+))?\)", text):
+        target = (here.parent / file).resolve() if file else here
+        assert target.exists(), f"{page}: {file}"
+        if place:
+            assert place in anchors(target), f"{page}: {file}#{place}; there is {sorted(anchors(target))}"
+
+
+def test_twenty_questions_are_answered() -> None:
+    table = HOWTO.split("## Where is it?")[1].split("\n## ")[0]
+    rows = [row.split("|")[1:3] for row in table.splitlines() if row.startswith("| ")][1:]
+    assert len(rows) >= 20
+    for question, answer in rows:
+        assert question.strip() and "](" in answer, question
+
+
 @pytest.mark.parametrize("page", sorted(p.name for p in (ROOT / "docs").glob("*.md")))
 def test_every_page_is_in_the_index(page: str) -> None:
     index = (ROOT / "docs/index.md").read_text()

@@ -291,6 +291,19 @@ def test_snapshots_after_the_end_are_refused() -> None:
         fmbd.PerSecond(0.0)
 
 
+def test_a_cable_of_millimetres_is_seen_in_a_scene_of_metres() -> None:
+    """Its centre line stays, its section is widened to what a picture can show; a thick one is drawn as it is."""
+    for radius in (1e-4, 0.1):
+        section = fmbd.RodSection.circle(youngs_modulus=1e9, poisson_ratio=0.3, density=1e3, radius=radius)
+        cable = fmbd.Rod("cable", [(0, 0, 0), (4, 0, 0)], section, elements=2)
+        scene = fmbd.Scene("cable")
+        scene.add(cable, fmbd.fixed("clamp", fmbd.ground, cable.surface("start")))
+        drawn = piece(draw(fmbd.solve(scene, t_end=0.01, dt=0.01, output=few(2))), "cable").motion.at(0)
+        assert np.allclose(drawn.mean(0), (2.0, 0.0, 0.0), atol=1e-12)
+        width = float(np.abs(drawn[:, 1:]).max())
+        assert width == pytest.approx(radius, rel=1e-6) if radius == 0.1 else 4e-3 < width < 0.05
+
+
 def test_rods_are_drawn_with_their_section() -> None:
     """A pulled and bent rod: the skin has the outline's perimeter times the length, and ends where the sensor says."""
     section = fmbd.RodSection.rectangle(youngs_modulus=1e7, poisson_ratio=0.3, density=1e3, width=0.02, height=0.05)

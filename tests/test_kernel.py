@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 from test_compiled import pair, stepper_of
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
-from fmbd_fenicsx.schemes.onestep import compiled
 from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledStepper
-from fmbd_fenicsx.schemes.onestep.field_stepper import FieldStepper
 from fmbd_fenicsx.schemes.onestep.generalized_alpha import GeneralizedAlpha, Stepper
+from fmbd_fenicsx.system.compiled.library import driver_library
 
 ROOT = Path(__file__).resolve().parents[1]
-pytestmark = pytest.mark.skipif(compiled.library(3) is None, reason="no C compiler")
+pytestmark = pytest.mark.skipif(driver_library(3) is None, reason="no C compiler")
 PLANE = fmbd.Section(EA=1e5, EI=40.0, rhoA=0.5, rhoI=1e-4)
 SPACE = fmbd.Section(EA=1e5, EI=40.0, rhoA=0.5, rhoI=1e-4, GA=1e5, EI_y=50.0, GJ=20.0, rhoI_y=2e-4)
 
@@ -71,10 +71,10 @@ def soft_pendulum(mesh: Any, modes: int, **changes: Any) -> fmbd.Scene:
     return scene
 
 
-def agree(fast: fmbd.Run, slow: fmbd.Run) -> None:
-    """Equal to roundoff: in q a few units, in a and lambda those over h^2."""
+def agree(fast: fmbd.Run, slow: fmbd.Run, *, rates: float = 1e-9) -> None:
+    """Equal to roundoff: in q a few units, in a and lambda those over h^2; ``rates``: share that v may differ by."""
     assert fast.counters["newton_iterations"] == slow.counters["newton_iterations"]
-    for name, bar in (("q", 1e-12), ("v", 1e-9), ("a", 1e-6), ("lam", 1e-6)):
+    for name, bar in (("q", 1e-12), ("v", rates), ("a", 1e-6), ("lam", 1e-6)):
         x, y = getattr(fast.state, name), getattr(slow.state, name)
         assert np.abs(x - y).max() < bar * np.abs(y).max(), name
     assert fast.local_error == pytest.approx(slow.local_error, rel=1e-5)
@@ -95,7 +95,7 @@ def floating(mesh: Any, frame: Any, **changes: Any) -> fmbd.Scene:
     """Two floating rods, the second from the middle of the first's tip on, and a rigid bob at its end."""
     d = mesh.dim
     elastic = fmbd.materials.linear_elastic(3e7, 0.3) if d == 3 else fmbd.materials.plane_stress(3e7, 0.3)
-    one = fmbd.FloatingBody("one", mesh, density=1000.0, elastic=elastic, frame=frame, **changes)
+    one = fmbd.FloatingBody("one", mesh, **({"density": 1000.0, "elastic": elastic, "frame": frame} | changes))
     two = fmbd.FloatingBody("two", mesh, density=1000.0, elastic=elastic)
     bob = fmbd.RigidBody("bob", 2.0, 0.01 if d == 2 else (0.01, 0.02, 0.015), position=(1.0, 0.4, 0.0)[:d])
     scene = fmbd.Scene("floating", gravity=(0.3, -9.81, 0.2)[:d])
@@ -117,11 +117,44 @@ def test_same_digits_for_floating_bodies(rod_mesh: Callable[..., Any], dim: int,
     agree(fast, slow)
 
 
-def test_fields_with_more_than_stiffness_stay_in_numpy(rod_mesh: Callable[..., Any]) -> None:
-    mesh = rod_mesh(dim=2, h=0.25)
-    assert isinstance(stepper_of(floating(mesh, fmbd.MeanAxis())), FieldStepper)
-    for changes in ({"mass_damping": 0.1}, {"loads": (fmbd.body_force((0.0, 1.0)),)}):
-        assert type(stepper_of(floating(mesh, fmbd.MeanAxis(), **changes))) is Stepper
+@pytest.mark.parametrize("frame", ["mean axis", "attached"])
+@pytest.mark.parametrize("what", ["mass damping", "load", "large strain", "viscous"])
+def test_same_digits_where_python_tells_the_forces_of_a_field(
+    rod_mesh: Callable[..., Any], frame: str, what: str
+) -> None:
+    """Fields with more than linear elasticity are asked for their forces and energies; all else is compiled."""
+    kind = fmbd.MeanAxis() if frame == "mean axis" else fmbd.Attached("pin")
+    changes: dict[str, Any] = {
+        "mass damping": {"mass_damping": 0.1},
+        "load": {"loads": (fmbd.body_force((0.0, 50.0, 5.0), time=lambda t: np.sin(40 * t)),)},
+        "large strain": {"elastic": None, "energy": fmbd.materials.saint_venant_kirchhoff(3e7, 0.3)},
+        "viscous": {"viscous": lambda u, v, dx: 3e3 * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * dx},
+    }[what]
+    fast, slow = pair(lambda: floating(rod_mesh(dim=3, h=0.25), kind, **changes), t_end=0.01, dt=5e-4)
+    assert fast.counters["compiled_steps"] >= 14
+    agree(fast, slow, rates=1e-8)  # Newton's last increments
+    for name, series in fast.energy.items():
+        assert np.allclose(series, slow.energy[name], rtol=1e-7, atol=1e-9), name
+
+
+def sprung(mesh: Any) -> fmbd.Scene:
+    """Floating rods with springs, a bushing, a motor, a stop, a law of the user's own and a force on their surfaces."""
+    scene = floating(mesh, fmbd.Attached("pin"))
+    one, two, bob = (scene.bodies[name] for name in ("one", "two", "bob"))
+    tip, free = one.surface("tip"), two.surface("pin")
+    scene.add(fmbd.Spring("stay", fmbd.ground, tip, stiffness=3e3, damping=5.0, length=0.86, point_a=(0.7, 0.8, 0.1)))
+    scene.add(fmbd.force("push", free, lambda t: (20.0 * np.sin(30 * t), 5.0, 0.0)))
+    scene.add(fmbd.Spring("own", free, bob, law=lambda s, rate, t: 200.0 * s**3 + 2.0 * rate))
+    scene.add(fmbd.bushing("pad", fmbd.ground, free, stiffness=np.full(6, 40.0), damping=np.full(6, 0.5)))
+    return scene
+
+
+def test_springs_on_floating_bodies_are_compiled(rod_mesh: Callable[..., Any]) -> None:
+    fast, slow = pair(lambda: sprung(rod_mesh(dim=3, h=0.25)), t_end=0.02, dt=5e-4)
+    assert fast.counters["compiled_steps"] >= 30
+    for name, bar in (("q", 1e-9), ("v", 1e-7), ("a", 1e-4), ("lam", 1e-4)):
+        x, y = getattr(fast.state, name), getattr(slow.state, name)
+        assert np.abs(x - y).max() < bar * np.abs(y).max(), name
 
 
 def test_plan_tells_the_path() -> None:

@@ -117,6 +117,14 @@ def test_a_run_names_a_jump(scheme: Any) -> None:
         driven(lambda t: 0.0 if t < 0.35 else 1.0, scheme=scheme, t_end=0.5)
 
 
+@pytest.mark.parametrize("power", [2, 3, 4])
+def test_a_motion_that_begins_slowly_at_a_step_has_no_kink(power: int, caplog: Any) -> None:
+    """A step that ends at 0.1 s but for rounding sees 1e-48 of what comes."""
+    times = np.cumsum(np.full(300, 1e-3))
+    found = followed(lambda t: 0.1 * max((t - 0.1) / 0.3, 0.0) ** power, times)
+    assert found.kinks == 0, caplog.text
+
+
 def test_a_run_warns_of_a_kink_in_its_report_unless_it_is_stated() -> None:
     def kink(t: Any) -> Any:
         return np.where(np.real(t) < 0.5, 0.0, t - 0.5)

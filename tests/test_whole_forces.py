@@ -172,7 +172,7 @@ def test_tangent_of_bushings_is_the_derivative_of_their_wrench(dim: int, turn: f
             library, at = driver.library, driver.address
             library.driver_evaluate(at, q.ctypes.data, v.ctypes.data, a.ctypes.data, y.ctypes.data, 0.0)
             library.driver_prepare(at, q.ctypes.data, cd, ck, y.ctypes.data, 0, 0.0)
-            library.driver_increment(at, 1.0, x.ctypes.data, y.ctypes.data)
+            library.driver_increment(at, 1.0, x.ctypes.data, y.ctypes.data, 0.0)
             out.append(x)
         return -(np.array(out[1:]) - out[0]).T
 

@@ -174,16 +174,16 @@ class _Page:
             box = (share + 0.095, 0.93 - height * (k + 1) + 0.11, 1 - share - 0.12, height - 0.19 / max(1, 0.6 * count))
             axes = self.figure.add_axes(box)
             _history(axes, run, name)
-            axes.yaxis.label.set_fontsize(9)
+            room = box[3] * self.story.view.size[1]  # pixels; a letter of size 9 is about 7 wide
+            axes.yaxis.label.set_fontsize(min(9.0, max(6.0, 9.0 * 1.15 * room / (7.0 * len(axes.get_ylabel()) + 1))))
             if axes.get_legend() is not None:
                 room = {"ncols": 6, "fontsize": 7, "columnspacing": 1.0, "handlelength": 1.2, "borderaxespad": 0.0}
                 axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), **room)
             if k == count - 1:
                 axes.set_xlabel("time (s)")
             for line in list(axes.lines):
-                (dot,) = axes.plot(
-                    [], [], "o", color=line.get_color(), markersize=7, markeredgecolor="k", animated=True
-                )
+                look = {"color": line.get_color(), "markersize": 7, "markeredgecolor": "k", "clip_on": False}
+                (dot,) = axes.plot([], [], "o", animated=True, **look)
                 found.append((dot, np.asarray(line.get_xdata()), np.asarray(line.get_ydata())))
         return found
 

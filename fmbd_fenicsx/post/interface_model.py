@@ -56,6 +56,10 @@ class InterfaceModel:
     body: Constants | None = field(default=None, repr=False)
     motion: Array | None = field(default=None, repr=False)
 
+    def __repr__(self) -> str:
+        names = ", ".join(self.interfaces)
+        return f"<InterfaceModel of {len(self.M)} freedoms: interfaces {names}; {self.omega.size} modes; {self.mass:.6g} kg>"
+
     def save(self, file: str | Path) -> Path:
         """Write all of it to a ``.npz`` (NumPy) or ``.mat`` (MATLAB: M, K, D, origins, ...) file; rank 0 writes.
 

@@ -338,7 +338,7 @@ class Recorder:
     def books(self) -> Books:
         """What was recorded for the ledger."""
         power, work = (
-            {name: np.array([one.get(name, 0.0) for one in entries]) for entry in entries for name in entry}
+            {name: np.array([one.get(name, 0.0) for one in entries]) for name in _names(entries)}
             for entries in (self.powers, self.works)
         )
         return Books(power, work, self.unlisted)
@@ -378,6 +378,11 @@ class Recorder:
     def energy(self) -> dict[str, Array]:
         """Kind -> energies in J, (n,)."""
         return {name: np.concatenate(values) for name, values in self.energies.items()}
+
+
+def _names(entries: Sequence[Mapping[str, float]]) -> list[str]:
+    """Every name that occurs, once, in the order of its first record."""
+    return list(dict.fromkeys(name for entry in entries for name in entry))
 
 
 def _entries(columns: Mapping[str, Array], count: int) -> list[dict[str, float]]:

@@ -36,6 +36,7 @@ from ..system.system import System
 DOUBTFUL = 2e-3  # (1), (2) over the motion in the steps, from which on they are looked at closely
 SHARP = 0.01  # change of slope over the slopes that is a kink
 JUMP = 1e-3  # of the model's length, or rad: a jump that is refused
+SEEN = 1e-12  # of the same: what moves less in three steps is looked at later; it may be a motion that begins slowly
 WRONG = 1e-3  # relative difference of a rate from the slope
 HALVINGS = 20
 LOOKS = 40  # close looks at one motion that found nothing; afterwards only worse steps are looked at
@@ -92,7 +93,7 @@ class Follower:
         parabola = s[1] + (t[3] - t[1]) * (rise[1] + (t[3] - t[2]) * (rise[1] - rise[0]) / (t[2] - t[0]))
         size = max(s) - min(s) + 1e-3 * (t[3] - t[0]) * self.fastest
         roundoff = 1e3 * EPS * max(map(abs, s))
-        return max(abs(s[3] - parabola) - roundoff, 0.0) / size if size > roundoff else 0.0
+        return max(abs(s[3] - parabola) - roundoff, 0.0) / size if size > max(roundoff, SEEN * self.length) else 0.0
 
     def _look_for_kinks(self, bend: float) -> None:
         if bend <= DOUBTFUL or (self.looks >= LOOKS and bend <= 2 * self.worst):

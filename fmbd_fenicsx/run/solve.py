@@ -92,10 +92,12 @@ def solve(
 
 
 def default_scheme(scene: Scene) -> Any:
-    """Generalized-alpha; for contact the contact-implicit midpoint rule, for joints with limits the scheme with impacts."""
+    """Generalized-alpha; for contact of elastic bodies the contact-implicit midpoint rule; with stops of joints, or where rigid
+    or reduced bodies or rods touch, the scheme with impacts.
+    """
     if not scene.unilateral:
         return GeneralizedAlpha()
-    if scene.limits:
+    if scene.limits or any(pair.bounces for pair in scene.contacts.values()):
         from ..schemes.impacts.moreau import Moreau
 
         return Moreau()

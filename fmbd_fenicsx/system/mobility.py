@@ -185,15 +185,28 @@ def nearly_dependent(ev: Evaluation, rank: int) -> tuple[float, str]:
     return float(s[k] / s[0]), max(part, key=lambda name: part[name])
 
 
-def loose_bodies(bodies: dict[str, Any], joints: dict[str, Any], forces: dict[str, Any]) -> list[str]:
-    """Bodies that no joint and no force attaches to anything, where there are joints or forces at all."""
-    parts = (*joints.values(), *forces.values())
+def loose_bodies(scene: Any) -> list[str]:
+    """Bodies that no joint and no force attaches to anything and no contact can hold, where there are joints or forces at all."""
+    bodies = scene.bodies
+    parts = (*scene.joints.values(), *scene.ties.values(), *scene.forces.values())
     sides = [side for part in parts for side in (part.a, part.b) if side is not None and side is not ground]
     attached = {getattr(side, "body", side).name for side in sides}
+    attached |= _touching(scene) if attached else set()
     if not attached:
         return []
     free = [n for n, b in bodies.items() if n not in attached and not b.locked]
     return [n for n in free if not bodies[n].alone]
+
+
+def _touching(scene: Any) -> set[str]:
+    """Names of the bodies that take part in contacts: by a surface, by points, or by an obstacle that they carry."""
+    from ..mechanics.contact.shapes import Obstacle
+
+    carriers = (
+        pair.master.on if isinstance(pair.master, Obstacle) else pair.master.body for pair in scene.contacts.values()
+    )
+    slaves = (pair.slave.body for pair in scene.contacts.values())
+    return {body.name for body in (*carriers, *slaves) if body is not None}
 
 
 def check(scene: Any, deep: bool = False) -> Mobility:
@@ -203,9 +216,7 @@ def check(scene: Any, deep: bool = False) -> Mobility:
     """
     system, state, _ = scene.build()
     found = mobility(system.at(state.t, state.q))
-    attached = {**scene.joints, **scene.ties}
-    loose = loose_bodies(scene.bodies, attached, scene.forces)
-    notes = [f'body "{n}" is attached to nothing' for n in loose]
+    notes = [f'body "{n}" is attached to nothing' for n in loose_bodies(scene)]
     notes += _units(scene, system)
     notes += [
         f'tie "{tie.name}" leaves free: {", ".join(free)}' for tie, _ in system.traces if (free := tie.left_free())

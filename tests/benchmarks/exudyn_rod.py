@@ -114,5 +114,4 @@ def main():
     print(json.dumps(min(runs, key=lambda r: r["seconds"])))
 
 
-if __name__ == "__main__":
-    main()
+main()

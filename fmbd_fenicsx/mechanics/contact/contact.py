@@ -95,7 +95,9 @@ def ball(body: RigidBody, radius: float, *, center: Sequence[float] | None = Non
 
 @typed
 def corners(body: RigidBody, points: Sequence[Sequence[float]] | Array) -> RigidPoints:
-    """Corners of a rigid body in body axes, (n, d) m."""
+    """Corners of a rigid body, (n, d) m, in body axes from its centre of mass as its ``shape`` is: (w/2, -h/2), ... of a
+    ``Box((w, h))``. (Points of joints, forces and sensors are places in the world instead.)
+    """
     found = array(f'corners("{body.name}"): points', points, shape=f"(n, {body.dim}) finite numbers")
     require(
         found.ndim == 2 and found.shape[1] == body.dim and len(found) > 0,
@@ -151,7 +153,7 @@ class Contact:
 def contact(
     name: str,
     slave: Surface | RigidPoints | RodPoints,
-    master: Obstacle | Surface | RodPoints,
+    master: Obstacle | Surface,
     *,
     friction: float = 0.0,
     restitution: float = 0.0,
@@ -186,11 +188,6 @@ def contact(
                 "AbsoluteBody and their reduced bodies, points of a RigidBody (fmbd.contacts.corners, ball, cylinder_end), and "
                 "rods (fmbd.contacts.along)."
             )
-    if isinstance(master, RodPoints):
-        raise InputError(
-            f'{what}: rod "{master.body.name}" cannot be the master: contact between rods is not offered. Rods touch obstacles, '
-            "on the ground or on a rigid body. Give a stiff one of the two as a RigidBody with an Obstacle such as a Cylinder."
-        )
     if isinstance(slave, RigidPoints):
         require(not slave.body.locked, f'{what}: the slave body "{slave.body.name}" is locked; it cannot move.')
     if isinstance(master, Obstacle):

@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...checks import check_fields, number, typed, vector
+from ...checks import check_fields, number, shown, typed, vector
 from ...errors import InputError, require
 from ...rotations import Array
 from ..joints.drives import JointCoordinate
@@ -197,19 +197,36 @@ def _constants(name: str, stiffness: float, damping: float, length: float) -> No
     number(f'Spring "{name}": length', length)
 
 
+def in_time(what: str, law: Any) -> Law:
+    """What is prescribed over time as a function: ``law`` itself, or one that returns the constant."""
+    if callable(law):
+        return law
+    try:
+        value = np.array(law, dtype=float)
+    except (TypeError, ValueError):
+        value = np.array(np.nan)
+    good = not isinstance(law, bool) and value.ndim <= 1 and value.size > 0 and bool(np.isfinite(value).all())
+    require(good, f"{what}: law must be a function of time t (s) or a constant, found {shown(law)}.")
+
+    def constant(t: float) -> Array:
+        return value
+
+    return constant
+
+
 @typed
-def force(name: str, on: Any, law: Law, *, point: Point = None, follower: bool = False) -> PointForce:
-    """A force law(t) -> (d,) N on a rigid body's point (world, initial configuration) or on an elastic surface.
+def force(name: str, on: Any, law: Any, *, point: Point = None, follower: bool = False) -> PointForce:
+    """A force law(t) -> (d,) N, or a constant (d,), on a rigid body's point (world, initial configuration) or elastic surface.
 
     World axes, or the body's axes as they were turned since the start (``follower``).
     """
-    return PointForce(name, on, None, point, None, law, follower)
+    return PointForce(name, on, None, point, None, in_time(f'Force "{name}"', law), follower)
 
 
 @typed
-def torque(name: str, on: Any, law: Law, *, follower: bool = False) -> Torque:
-    """A torque law(t) in N m on a body or an elastic surface; world axes, or the body's with ``follower``."""
-    return Torque(name, on, None, None, None, law, follower)
+def torque(name: str, on: Any, law: Any, *, follower: bool = False) -> Torque:
+    """A torque law(t), or a constant, in N m on a body or an elastic surface; world axes, or the body's with ``follower``."""
+    return Torque(name, on, None, None, None, in_time(f'Torque "{name}"', law), follower)
 
 
 @typed
@@ -228,10 +245,11 @@ def joint_spring(
 
 
 @typed
-def effort(name: str, on: JointCoordinate, law: Law) -> CoordinateForce:
-    """Prescribed effort law(t) of a drive on a joint coordinate: torque (N m) or force (N), positive where s increases."""
+def effort(name: str, on: JointCoordinate, law: Any) -> CoordinateForce:
+    """Prescribed effort law(t), or a constant, on a joint coordinate s: torque (N m) or force (N), positive where s increases."""
+    given = in_time(f'Effort "{name}"', law)
     return CoordinateForce(
-        name, on.joint.a, on.joint.b, None, None, on, law=lambda s, rate, t: -np.asarray(law(t)), of_time=True
+        name, on.joint.a, on.joint.b, None, None, on, law=lambda s, rate, t: -np.asarray(given(t)), of_time=True
     )
 
 

@@ -29,6 +29,7 @@ from .view import Paint
 
 LARGEST = 2_000_000  # triangles that are still drawn
 BALL, BAR = 1.3, 0.6  # of the size of symbols: centre of mass of a body without a shape, its bars
+THINNEST = 0.2  # the same: radius of a beam or rod that would be too thin to be seen
 
 
 @singledispatch
@@ -85,7 +86,8 @@ def _beam(body: Beam, at: Places, paint: Paint | None, symbol: float) -> list[Pi
     amplitudes = at.coordinates[body.name]
     local = line[:, :, 0] + np.einsum("ndm,tm->tnd", line[:, :, 1:], amplitudes)
     x = origin[:, None, :d] + np.einsum("tij,tnj->tni", axes[:, :d, :d], local)
-    return [tube(body.name, np.array([in_space(one) for one in x]), body.section.thickness / 2)]
+    radius = max(body.section.thickness / 2, THINNEST * symbol)
+    return [tube(body.name, np.array([in_space(one) for one in x]), radius)]
 
 
 @pieces_of.register

@@ -7,7 +7,7 @@ import numpy as np
 from ...mechanics.rods.rods import Rod, node_name
 from ...mechanics.rods.skin import skin
 from ...rotations import Array
-from .bodies import pieces_of
+from .bodies import THINNEST, pieces_of
 from .places import Places
 from .scene_graph import Deforming, Piece, Role
 from .view import Paint
@@ -17,6 +17,11 @@ from .view import Paint
 def _rod(body: Rod, at: Places, paint: Paint | None, symbol: float) -> list[Piece]:
     rings = np.array([skin(body, _poses(body, at, k)) for k in range(at.count)])  # (instants, n, corners, 3)
     _, n, corners, _ = rings.shape
+
+    # a cable of millimetres in a scene of metres would be thinner than a pixel
+    middle = rings.mean(axis=2, keepdims=True)
+    radius = float(np.linalg.norm(rings - middle, axis=-1).max())
+    rings = middle + max(1.0, THINNEST * symbol / radius) * (rings - middle)
     triangles, edges = _tube(n, corners)
 
     return [Piece(body.name, Role.BODY, triangles, edges, Deforming(rings.reshape(at.count, -1, 3)))]

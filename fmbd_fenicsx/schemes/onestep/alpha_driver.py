@@ -1,4 +1,4 @@
-"""Generalized-alpha in the compiled driver: many steps in one call, for systems of rigid and reduced bodies.
+"""Generalized-alpha in the compiled driver: many steps in one call, for systems of rigid, reduced and floating bodies and rods.
 
 Joints, drives, gears, springs, dampers, loads and laws of the user's own are all items of the driver's tables; Python is entered
 once a step where something depends on time, and at evaluations where a law is given in Python.
@@ -7,13 +7,15 @@ once a step where something depends on time, and at evaluations where a law is g
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...rotations import Array
 from ...system.compiled.calls import Calls
-from ...system.compiled.items import covers
+from ...system.compiled.fields import Block
+from ...system.compiled.items import covers, other_loads
 from ...system.compiled.library import driver_library
 from ...system.compiled.recording import Openness, Tape
 from ...system.compiled.tables import Tables, covers_bodies
@@ -34,9 +36,9 @@ DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN = range(6)
 class AlphaDriver:
     """The driver for one system: its tables, its calls into Python, and a ring of four states."""
 
-    def __init__(self, system: System, library: Any, *, redundant: bool) -> None:
-        self.system, self.library = system, library
-        self.tables = Tables(system, redundant=redundant)
+    def __init__(self, system: System, library: Any, *, redundant: bool, blocks: Sequence[Block] = ()) -> None:
+        self.system, self.library, self.field_blocks = system, library, blocks
+        self.tables = Tables(system, redundant=redundant, blocks=blocks)
         self.calls = Calls(self.tables)
         self.address = ctypes.addressof(self.tables.c)
         self.n, self.nq, self.m = system.n_v, system.n_q, system.n_lam
@@ -121,12 +123,20 @@ def settings(p: Array, parameters: tuple[float, float, float, float], system: Sy
     p[SLOW], p[MAXIT], p[NEW_TANGENT] = newton.slow, newton.max_iterations, newton.patience
 
 
-def alpha_driver(system: System, *, redundant: bool) -> AlphaDriver | None:
-    """The driver for a system, or None where the NumPy path has to do."""
-    if system.fields or not (covers_bodies(system) and covers(system)):
-        return None
-    library = driver_library(system.motions.dim)
+def drivable(system: System) -> Any:
+    """The library of the driver where it knows all of a system, else None.
+
+    It takes the symmetric half of the tangents of forces that Python gives as a whole: cheap iterations may make up for that,
+    those with the factor of a field do not.
+    """
+    known = covers_bodies(system) and covers(system) and not (system.fields and other_loads(system))
+    return driver_library(system.motions.dim) if known else None
+
+
+def alpha_driver(system: System, *, redundant: bool, blocks: Sequence[Block] = ()) -> AlphaDriver | None:
+    """The driver for a system, or None where the NumPy path has to do; ``blocks``: of its fields for the size of a step."""
+    library = drivable(system)
     if library is None:
         return None
-    driver = AlphaDriver(system, library, redundant=redundant)
+    driver = AlphaDriver(system, library, redundant=redundant, blocks=blocks)
     return driver if driver.tables.fronts.storage <= STORAGE_LIMIT else None

@@ -25,16 +25,29 @@ class CompiledStepper(Stepper):
     path = "compiled (all bodies, joints and forces in C; NumPy for the start and for steps it gives back)"
     keeps_memories = True
 
-    def __init__(self, data: tuple[GeneralizedAlpha, Any, Any, Any, State], driver: AlphaDriver) -> None:
-        self.driver = driver
+    def __init__(self, data: tuple[GeneralizedAlpha, Any, Any, Any, State], driver: AlphaDriver | None) -> None:
+        self._driver: AlphaDriver | None = None
         self._tail: State | None = None  # the state of the newest block
         self._ahead = False  # blocks are newer than A and the past of the NumPy path
+        self._stuck: tuple[State | None, float] = (None, 0.0)  # where the driver gave a step back, and the step's size
         super().__init__(*data)
         self.counters["compiled_steps"] = 0.0
+        if driver is not None:
+            self._use(driver)
+
+    def _use(self, driver: AlphaDriver) -> None:
+        """Take a driver."""
+        self._driver, self._tail = driver, None
         settings(driver.parameters, self.scheme.parameters, self.system, self.newton)
         driver.parameters[slots.FAR] = FAR * self.system.length
         driver.parameters[slots.PATIENCE] = PATIENCE
         driver.parameters[slots.STABILISED] = isinstance(self.scheme.form, GGL)
+
+    @property
+    def driver(self) -> AlphaDriver:
+        """The driver in use."""
+        assert self._driver is not None
+        return self._driver
 
     @property
     def A(self) -> Array:  # type: ignore[override]
@@ -58,11 +71,12 @@ class CompiledStepper(Stepper):
     @property
     def slopes(self) -> Array | None:  # type: ignore[override]
         """Slopes of forces in Python that the next step begins with."""
-        return self.driver.slopes
+        return None if self._driver is None else self._driver.slopes
 
     @slopes.setter
     def slopes(self, kept: Array | None) -> None:
-        self.driver.slopes = kept
+        if self._driver is not None:
+            self._driver.slopes = kept
 
     def _split(self, block: Array) -> tuple[float, Array, Array, Array, Array, Array]:
         """t, q, v, a, A, lambda of a block."""
@@ -130,7 +144,7 @@ class CompiledStepper(Stepper):
 
     def _march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
         """The same; the memory of elements is left as it was."""
-        if self.fresh:
+        if self.fresh or (self._stuck[0] is self.state and self._stuck[1] == h):
             return 0
         if self._tail is not self.state:
             self._load()
@@ -149,11 +163,12 @@ class CompiledStepper(Stepper):
         made, verdict = driver.march(steps, tape)
         if verdict == slots.LOOK:
             driver.tables.look()
-        if not made:
-            return 0
-        if watch is not None:
+        if made and watch is not None:
             watch.limits = tuple(p[slots.HIGHEST : slots.SETTLING + 1])
-        self._take(made)
+        if made:
+            self._take(made)
+        if verdict in (slots.NEWTON, slots.SINGULAR):
+            self._stuck = self.state, h
         return made
 
     def tape(self, judged: Openness) -> Tape | None:

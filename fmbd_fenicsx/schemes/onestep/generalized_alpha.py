@@ -125,19 +125,20 @@ class GeneralizedAlpha:
         compiled = self.compiled and newton.tangent is None
         plain = compiled and isinstance(self.form, Index3)
         rolls = speed_rows(system).size > 0
-        if not system.fields and (plain or (compiled and not solver.core.redundant and not rolls)):
+        if system.fields:
+            if plain:
+                from .alpha_driver import drivable
+                from .field_stepper import FieldStepper
+
+                if drivable(system) is not None:
+                    return FieldStepper((self, system, solver, newton, state), None)
+        elif plain or (compiled and not solver.core.redundant and not rolls):
             from .alpha_driver import alpha_driver
             from .compiled_stepper import CompiledStepper
 
             driver = alpha_driver(system, redundant=solver.core.redundant)
             if driver is not None:
                 return CompiledStepper((self, system, solver, newton, state), driver)
-        if plain and system.fields and not solver.core.redundant:
-            from .field_stepper import FieldStepper
-            from .kernel import kernel_library
-
-            if kernel_library(system) is not None:
-                return FieldStepper((self, system, solver, newton, state), None)
         return Stepper(self, system, solver, newton, state)
 
 
@@ -220,11 +221,16 @@ class Stepper(TimeStepper):
 
     def _predicted(self, h: float) -> tuple[Weights, tuple[Array, Array, Array, Array]]:
         """Weights of the step's matrix; v and A at its start, a and lambda predicted for its end."""
-        am, af, gamma, beta = self.scheme.parameters
-        weights = Weights(1.0, h * gamma * (1 - af) / (1 - am), beta * h * h * (1 - af) / (1 - am))
+        weights = self._weights(h)
         if self.fresh:
             return weights, self._first(h, weights)
         return weights, (self.state.v, self.A, *self._predict(h))
+
+    def _weights(self, h: float) -> Weights:
+        """Weights of the matrix of a step of size h (s)."""
+        am, af, gamma, beta = self.scheme.parameters
+        share = (1 - af) / (1 - am)
+        return Weights(1.0, h * gamma * share, beta * h * h * share)
 
     def _newton(self, h: float, weights: Weights, motion: tuple[Array, Array, Array, Array], patience: int) -> State:
         """The step by Newton's iteration, its first ``patience`` iterations with one tangent."""
@@ -241,7 +247,6 @@ class Stepper(TimeStepper):
         done, far, lost = 0, True, False
         stiff = any(loads.stiff for loads in system.forces)
         last: Array = np.zeros(0)
-        newest: Array | None = None
         stabilised = bool(system.n_lam) and isinstance(self.scheme.form, GGL)
 
         tangent = None if stabilised else self.newton.tangent
@@ -252,7 +257,7 @@ class Stepper(TimeStepper):
             return scale * ev.balance(a + d / scale, lam), gaps(ev, share)
 
         def increment() -> float:
-            nonlocal a, lam, A, xi, done, last, far, lost, newest
+            nonlocal a, lam, A, xi, done, last, far, lost
             q = system.compose(s.q, xi)
             v = fixed_v + h * gamma * A
             ev = system.at(t, q, v)
@@ -284,21 +289,15 @@ class Stepper(TimeStepper):
             xi = xi + d_xi
             A = A + d_xi / (h * h * beta)
             a = a + d_xi / scale
-            last, newest = g, dq
+            last = g
             size = max(system.max_abs(dq), system.max_abs(closing))
             far = size > FAR * system.length
             if done > 2 and size > tolerance and not stabilised:
                 size = system.max_abs(dq * above_roundoff(ev, lam - dlam / scale, r, g))
             return size / tolerance
 
-        def look() -> None:
-            ev = system.at(t, system.compose(s.q, xi), fixed_v + h * gamma * A)
-            ev.balance(a, lam)
-            self.solver.prepare(ev, weights, keep=True)
-            self.solver.increment = newest
-
-        begun, foretells = xi, any(part.foretells for _, part in system.fields)
-        converged, history = self.newton.solve(increment, look if foretells else None)
+        begun = xi
+        converged, history = self.newton.solve(increment)
         if not converged or (patience == 0 and strayed(system, xi, begun)):
             where = f"; the largest open constraint is {worst_block(system, last)}" if last.size else ""
             damping = ", or a smaller rho_inf" if self.scheme.rho_inf > 0.8 else ""

@@ -70,7 +70,7 @@ def modal_arrays(constants: Any, m: int, d: int) -> dict[str, Array]:
 
 
 def surface(tables: Tables, marker: int) -> Any:
-    """The structure Surface of a marker on a reduced body; its map is kept in ``tables.maps``."""
+    """The structure Surface of a marker on a reduced or floating body; its map is kept in ``tables.maps``."""
     system, store, d = tables.system, tables.store, tables.dim
     markers = system.markers
     body = int(markers.frame[marker])
@@ -78,7 +78,7 @@ def surface(tables: Tables, marker: int) -> Any:
     ports = markers.port[np.searchsorted(markers.surface, marker)] - system.port_slice(k).start
     one = structure("Surface", d)(
         body=body, p=(ctypes.c_double * d)(*markers.position[marker]),
-        reference=store.address(part.reference[ports]), ports=store.address(part.port_matrix[ports]),
+        reference=store.address(part.reference[ports]), ports=store.address(tables.port_matrix(body)[ports]),
     )  # fmt: skip
     surface_map, one.map = store.array(np.zeros((tables.twist, tables.width[body])))
     tables.maps.append(surface_map)

@@ -10,13 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from ...errors import ConvergenceError
 from ...mechanics.forces.formulas import TARGET
 from ...mechanics.joints.couplings import SmoothMotion
 from .items import GIVEN, Items
 from .structures import PYTHON
 from .tables import Tables
 
-SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES = range(7)
+SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES = range(
+    10
+)
+OUTSIDE = 2
 
 
 class Calls:
@@ -45,7 +49,7 @@ class Calls:
         tables.c.python = self.function
 
     def answer(self, what: int, number: int, t: float) -> int:
-        """0, or 1 after an exception."""
+        """0, 1 after an exception, OUTSIDE where a field's forces have no value."""
         try:
             if what == SAMPLE:
                 self.sample(t)
@@ -55,6 +59,12 @@ class Calls:
                 self.tables.whole[number].wrenches(t)
             elif what == WHOLE_SLOPES:
                 self.tables.whole[number].slopes(t)
+            elif what == FIELD:
+                self.tables.fields[number].solve()
+            elif what == FIELD_FORCES:
+                self.tables.fields[number].forces(t)
+            elif what == FIELD_ENERGIES:
+                self.tables.fields[number].energies(t)
             elif what == SECTIONS:
                 self.tables.rods[number].sections()
             elif what == SECTION_SLOPES:
@@ -62,6 +72,8 @@ class Calls:
             else:
                 self._slopes(self.tables.sources[number], t)
         except Exception as error:
+            if what == FIELD_FORCES and isinstance(error, ConvergenceError):
+                return OUTSIDE
             self.error = error
             return 1
         return 0

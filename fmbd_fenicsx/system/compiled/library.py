@@ -52,6 +52,6 @@ def _typed(library: Any) -> Any:
     library.moreau_march.restype = ctypes.c_long
     library.driver_evaluate.argtypes = [p] * 5 + [r]
     library.driver_prepare.argtypes = [p, p, r, r, p, i, r]
-    library.driver_increment.argtypes, library.driver_increment.restype = [p, r, p, p], None
+    library.driver_increment.argtypes = [p, r, p, p, r]
     library.driver_energies.argtypes = [p, r] + [p] * 4
     return library

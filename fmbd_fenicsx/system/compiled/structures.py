@@ -55,7 +55,15 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
         "Body": [
             *_fields("modes at_v at_q at_u", _INT),
             *_fields("mass large spin", _REAL),
-            *_fields("inertia S T V modal K C stress U now block dest", _POINTER),
+            *_fields("inertia S T V modal K C stress U now block dest field", _POINTER),
+        ],
+        "Field": [
+            *_fields("n nodes", _LONG),
+            *_fields("solved frames row sways number", _INT),
+            *_fields("X Q port port_start port_on M_start M_column K_start K_column M K", _POINTER),
+            ("beta", _REAL),
+            ("own", _INT),
+            *_fields("state sums inertia moment Y S A W G frame_slot p rates accel force MU b z pz rest f h", _POINTER),
         ],
         "Angle": [*_fields("a b", _INT), *_fields("ea fa ga eb fb gb", _REAL * dim)],
         "Front": [
@@ -71,7 +79,7 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
             *_fields("N slope weight natural C z E strain rate S density load to", _POINTER),
         ],
         "System": [
-            *_fields("bodies surfaces batches fronts angles rods rows nu nv nq redundant", _INT),
+            *_fields("bodies surfaces batches fronts angles rods rows nu nv nq redundant fields core", _INT),
             *_fields("body surface batch front angle rod frames velocity residual", _POINTER),
             *_fields("gap motion gravity weight diagonal row_dest", _POINTER),
             ("storage", _LONG),
@@ -84,7 +92,7 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
             *_fields("remembers seen readings reactions", _INT),
             *_fields("seen_frame reaction motion_rate rest_gravity slip", _POINTER),
             ("settled", _REAL),
-            ("renewed", _INT),
+            *_fields("again renewed", _INT),
         ],
         "Reaction": [*_fields("items frame", _INT), *_fields("batch item side", _POINTER), ("p", _REAL * dim)],
     }
@@ -106,6 +114,11 @@ class Store:
     def address(self, values: Any, dtype: Any = np.float64) -> int:
         """The address of a contiguous copy."""
         return self.array(values, dtype)[1]
+
+    def structure(self, one: Any) -> tuple[Any, int]:
+        """A structure and its address."""
+        self.kept.append(one)
+        return one, ctypes.addressof(one)
 
     def integers(self, values: Any) -> int:
         """The address of a copy as C's int."""

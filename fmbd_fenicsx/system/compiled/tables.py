@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,14 +15,18 @@ from ...mechanics.rods.elements import RodElements
 from ...rotations import Array
 from ..system import System
 from .bodies import reduced_body, rigid_bodies, surface
+from .fields import FieldTable, known_field
 from .items import LAW, READ, ROW, Items, items_of, other_loads
 from .mounts import mount_batch
-from .order import RowGroup
-from .places import Shape, batch_of, fronts_of, pivots_of, structure_of
+from .order import Fronts, RowGroup
+from .places import Shape, Structure, batch_of, fronts_of, pivots_of, structure_of
 from .recording import Looks
 from .rods import RodTable, rod_pairs
 from .structures import Store, structure
 from .whole import WholeLoads
+
+if TYPE_CHECKING:
+    from .fields import Block
 
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
 TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
@@ -44,11 +49,21 @@ ONE_SIDED = ("dead", "couple", "follower", "follower_couple")
 class Tables:
     """All tables of one system; ``c`` is the driver's System, ``batches`` the items behind its batches."""
 
-    def __init__(self, system: System, *, redundant: bool) -> None:
+    width: np.ndarray  # of the bodies' blocks
+    at_u: np.ndarray  # where they begin among the unknowns
+    nu: int
+    rows: int
+    structure: Structure
+    fronts: Fronts
+
+    def __init__(self, system: System, *, redundant: bool, blocks: Sequence[Block] = ()) -> None:
+        """``blocks``: factors and columns of the floating fields for the size of a step."""
         self.system, self.store, self.dim = system, Store(), system.motions.dim
         self.nb, self.twist = system.n_frames, system.motions.n_twist
         reduced: tuple[Any, ...] = system.parts
         self.parts: dict[int, tuple[int, Any]] = {p.frame: (k, p) for k, p in enumerate(reduced)}
+        numbered = enumerate(zip(system.fields, blocks, strict=True))
+        self.fields: list[FieldTable] = [FieldTable(self, number, k, block) for number, ((k, _), block) in numbered]
         self.looks = Looks(system)
         self.items = items_of(system, self.looks)
         self.loads, self.mounts = other_loads(system), [f for f in system.forces if f.mounts() is not None]
@@ -70,6 +85,8 @@ class Tables:
     def _lay_out(self) -> None:
         """Widths of the bodies' blocks and where they begin; the rows come behind."""
         modes = [self.parts[b][1].n if b in self.parts else 0 for b in range(self.nb)]
+        for field in self.fields:
+            modes[field.part.frame] = field.count
         self.modes = np.array(modes, dtype=int)
         self.width = self.twist + self.modes
         self.at_u = np.cumsum(self.width) - self.width
@@ -92,6 +109,14 @@ class Tables:
         on = np.append(np.arange(self.nb), -1)
         on = np.append(on, self.system.markers.frame[self.surfaces])
         return np.asarray(on[frame])
+
+    def port_matrix(self, body: int) -> Array:
+        """Rates of the ports of a body from those of its modes, (ports, modes)."""
+        for field in self.fields:
+            if field.part.frame == body:
+                return field.port_matrix
+        matrix: Array = self.parts[body][1].port_matrix
+        return matrix
 
     def twist_places(self, frame: np.ndarray) -> np.ndarray:
         """Places of the twists of frames in arrays of velocities, (..., n_twist)."""
@@ -247,7 +272,11 @@ class Tables:
         """The structure System."""
         s, store = self.system, self.store
         rigid = rigid_bodies(self)
-        bodies = [rigid[b] if b in rigid else reduced_body(self, b) for b in range(self.nb)]
+        floating = {field.part.frame: field for field in self.fields}
+        bodies = [
+            rigid[b] if b in rigid else floating[b].body() if b in floating else reduced_body(self, b)
+            for b in range(self.nb)
+        ]
         surfaces = [surface(self, int(i)) for i in self.surfaces]
         angles = self._angles()
         fronts, (row_dest, sign) = fronts_of(self), pivots_of(self)
@@ -256,11 +285,12 @@ class Tables:
         frames = np.zeros((self.nb + 1 + len(surfaces), FRAME[self.dim]))
         frames[self.nb, self.dim : self.dim + self.dim**2] = np.eye(self.dim).ravel()
         widest = int(self.width.max(initial=0))
+        once = 4 * s.n_v + 3 * self.rows  # work of a step, and of a second solution where there are fields
         sizes = {
             "velocity": self.nothing + 1, "residual": self.nothing + 1,
             "gap": self.rows, "motion": self.rows, "weight": self.rows, "diagonal": size,
             "L": self.fronts.storage + 8, "inverse": size, "b": size, "local": size,
-            "work": 4 * s.n_v + 3 * self.rows, "big": (2 * self.twist + 1) * 2 * widest + size,
+            "work": once + s.n_v + self.rows, "big": (2 * self.twist + 1) * 2 * widest + size,
         }  # fmt: skip
         arrays = {name: store.array(np.zeros(max(count, 1))) for name, count in sizes.items()}
         arrays |= {name: store.array(np.zeros(max(self.rows, 1))) for name in ("motion_rate", "slip")}
@@ -286,6 +316,7 @@ class Tables:
         self.c = structure("System", self.dim)(
             bodies=self.nb, surfaces=len(surfaces), batches=len(self.batches), fronts=len(self.fronts.fronts), angles=len(angles),
             rods=len(self.rods), rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant),
+            fields=len(self.fields), core=s.n_core, again=once,
             stiff=int(bool(self.rods) or any(f.stiff for f in s.forces)),
             remembers=int(any(items.remembers for items in self.items)), storage=self.fronts.storage,
             seen=len(self.looks.markers), readings=self.looks.count, reactions=len(self.looks.joints),
@@ -327,12 +358,14 @@ class Tables:
             if isinstance(part, ReducedPart):
                 known = part.warned or part.constants.stiffening is not None
                 self.body_array[b].spin = np.inf if known else part.first_frequency**2
+        for field in self.fields:
+            self.body_array[field.part.frame].spin = np.inf if field.part.warned else field.part.spin_to_check**2
 
 
 def covers_bodies(system: System) -> bool:
-    """Whether all bodies are rigid, reduced or rods, without loads that the driver does not know."""
+    """Whether all bodies are rigid, reduced, floating or rods, without loads that the driver does not know."""
     parts: tuple[Any, ...] = system.parts
-    known = all(type(p) is ReducedPart and not p.constants.loads for p in parts)
+    known = all(known_field(p) if p.distributed else type(p) is ReducedPart and not p.constants.loads for p in parts)
     plain = system.markers.section is None and system.contacts is None
     rods = all(isinstance(e, RodElements) for e in system.elements)
     return known and plain and rods and not system.port_constraints and not system.traces and system.n_frames > 0

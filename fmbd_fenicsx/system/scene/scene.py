@@ -148,7 +148,7 @@ class Scene:
 
     def build(self) -> tuple[System, State, dict[str, int]]:
         """The system, its state as given (not yet consistent), and the marker of each sensor; collective."""
-        for name in loose_bodies(self.bodies, {**self.joints, **self.ties}, self.forces):
+        for name in loose_bodies(self):
             log.warning('scene "%s": body "%s" is attached to nothing', self.name, name)
         return Builder(self).build()
 

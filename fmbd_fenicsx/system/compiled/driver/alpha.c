@@ -73,6 +73,12 @@ static int judge(double *p, const double *sizes, int done, double *error)
     return left <= 1.0 || size <= 1e-3;
 }
 
+/* Whether an iteration that converges would still take many increments. */
+static int lingers(const double *p, int done, double left)
+{
+    return done > 1 && left > 1.0 && -log(left) / log(p[THETA]) > p[NEW_TANGENT];
+}
+
 /* Whether a step gained energy from nothing, as run/energy_check.py; frames are placed. */
 static int gained(System *s, double *p, const Block *now)
 {
@@ -103,7 +109,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
     const double h = p[H], am = p[AM], af = p[AF], gamma = p[GAMMA], hb = h * h * p[BETA], t = *past[0].t + h;
     const double scale = hb * (1 - af) / (1 - am), damp = h * gamma * (1 - af) / (1 - am);
     const Block now = past[0];
-    double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, *closing = begun + n, *none = closing + n;
+    double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, *closing = begun + n, *none = closing + n; /* sway() has the rest */
     double w[3], sizes[MOST], left = 0.0;
     int verdict, far = 1, converged = 0, done = 0;
     s->share = h * p[BETA] / gamma;
@@ -125,7 +131,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         for (int j = 0; j <= known; j++) out.lam[i] += w[j] * past[j].lam[i];
     }
 
-    double tolerance = fmax(p[TOL] * scale * largest_of(s->units, out.a, n), p[FLOOR]);
+    double tolerance = fmax(p[TOL] * scale * largest_of(s->units, out.a, s->core), p[FLOOR]);
     s->settled = tolerance;
 
     while (done < (int)p[MAXIT] && done < MOST && !converged) {
@@ -139,7 +145,8 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment; a law may
            have other slopes there */
         s->renewed = done > 0 && p[THETA] > SLOW_TURN;
-        int turning = s->stiff && done > 0 && (s->renewed || misled(s) || other_slopes(s, damp, scale));
+        int cheap = done == 1 && s->fields; /* beside a solution with the factor of a field */
+        int turning = s->stiff && done > 0 && (s->renewed || cheap || misled(s) || other_slopes(s, damp, scale));
         if (far || turning || done > (int)p[PATIENCE])
             if ((verdict = prepare(s, out.q, damp, scale, lam, done > (int)p[PATIENCE], t))) return verdict;
 
@@ -149,7 +156,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
             closed = largest_of(s->units, closing, n);
             for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, closing + TWIST * b);
             for (int i = 0; i < n; i++) xi[i] += closing[i];
-        } else increment(s, scale, x, y);
+        } else if ((verdict = increment(s, scale, x, y, t))) return verdict;
         size = largest_of(s->units, x, n);
         if (!(closed <= size)) size = closed; /* nan stays */
         far = size > p[FAR];
@@ -162,6 +169,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
             out.a[i] += x[i] / scale;
         }
         converged = judge(p, sizes, done, &left);
+        if (s->fields && lingers(p, done, left)) return NEWTON; /* NumPy takes new tangents of fields */
         if (s->redundant && done == 1 && converged > 0) converged = 0; /* the first solution leaves epsilon y open */
         if (converged < 0) return NEWTON;
     }

@@ -12,6 +12,7 @@
 #include "rotations.c"
 #include "factor.c"
 #include "bodies.c"
+#include "fields.c"
 #if DIM == 3
 #include "strains.c"
 #include "rods.c"
@@ -31,7 +32,6 @@ static double rod_energy(System *s, Rod *k) { return (void)s, (void)k, 0.0; }
 #include "alpha.c"
 #include "contact.c"
 #include "complementarity.c"
-#include "impulses.c"
 #include "moreau.c"
 
 /* The evaluation, the factor and a solution for Python: what other schemes and tests call. */
@@ -45,7 +45,7 @@ EXPORT int driver_prepare(System *s, const double *q, double cd, double ck, cons
     return prepare(s, q, cd, ck, lam, reactions, t);
 }
 
-EXPORT void driver_increment(System *s, double scale, double *x, double *y) { increment(s, scale, x, y); }
+EXPORT int driver_increment(System *s, double scale, double *x, double *y, double t) { return increment(s, scale, x, y, t); }
 
 EXPORT int driver_energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out)
 {

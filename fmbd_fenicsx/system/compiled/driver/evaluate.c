@@ -53,7 +53,7 @@ static int place_surface(System *s, int number, const double *q)
 {
     Surface *k = s->surface + number;
     const Body *body = s->body + k->body;
-    const double *frame = s->frames + FRAME * k->body, *R = frame + TURN, *eta = q + body->at_q;
+    const double *frame = s->frames + FRAME * k->body, *R = frame + TURN, *eta = modes_of(body, q);
     double *x = s->frames + FRAME * (s->bodies + 1 + number), b[PORT], Rs[D * D], centre[D];
     int m = body->modes;
 
@@ -99,7 +99,8 @@ static int place(System *s, const double *q, const double *v)
         x[FRAME - 1] = pose[2];
 #endif
         memcpy(velocity, x + SPEED, TWIST * sizeof(double));
-        memcpy(velocity + TWIST, v + o->at_v, o->modes * sizeof(double));
+        if (o->field) field_columns(o, q, v);
+        memcpy(velocity + TWIST, o->field ? o->field->rates : v + o->at_v, o->modes * sizeof(double));
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++)
         for (long i = 0; k->theta && i < k->n; i++) k->P[i * k->width + k->near] = q[k->theta[i]];
@@ -110,14 +111,20 @@ static int place(System *s, const double *q, const double *v)
     return DONE;
 }
 
-static int inertia(System *s, const double *q, const double *v, const double *a)
+static int inertia(System *s, const double *q, const double *v, const double *a, double t)
 {
     int verdict = DONE;
     for (int b = 0; b < s->bodies; b++) {
         const Body *o = s->body + b;
         const double *R = s->frames + FRAME * b + TURN, *w = v + TWIST * b + D, *accel = a + TWIST * b;
         double *f = s->residual + o->at_u;
-        if (!o->T) rigid_force(o, R, w, accel, s->gravity, f);
+        if (o->field) {
+            memset(f + TWIST, 0, o->modes * sizeof(double));
+            Motion m = motion_of(o, b, q, v, a);
+            int found = field_force(s, o, R, &m, f, t);
+            if (found == FAILED) return FAILED;
+            if (found) verdict = found;
+        } else if (!o->T) rigid_force(o, R, w, accel, s->gravity, f);
         else if (reduced_force(o, R, q, v, a, w, s->gravity, accel, f, f + TWIST)) verdict = LOOK;
     }
     return verdict;
@@ -176,7 +183,8 @@ static int evaluate(System *s, const double *q, const double *v, const double *a
     int verdict = place(s, q, v), looked;
     s->evaluations++;
     if (verdict) return verdict;
-    looked = inertia(s, q, v, a);
+    looked = inertia(s, q, v, a, t);
+    if (looked == FAILED) return FAILED;
     memset(s->residual + s->nu, 0, TWIST * s->surfaces * sizeof(double));
     for (int i = 0; i < s->rows; i++) s->gap[i] = -s->motion[i];
 
@@ -185,6 +193,9 @@ static int evaluate(System *s, const double *q, const double *v, const double *a
 
     for (Rod *k = s->rod; k < s->rod + s->rods; k++)
         if (rod_forces(s, k, t)) return FAILED;
+
+    for (int b = 0; s->fields && b < s->bodies; b++)
+        if (s->body[b].field) frame_conditions(s, s->body + b, lam);
 
     for (int i = 0; i < s->surfaces; i++) {
         const Surface *k = s->surface + i;

@@ -78,7 +78,8 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
     for (int b = 0; b < s->bodies; b++) {
         const Body *o = s->body + b;
         const double *R = s->frames + FRAME * b + TURN;
-        if (o->T) reduced_block(s, o, R, q + o->at_q, cd, ck);
+        if (o->field) field_block(s, o, R, q);
+        else if (o->T) reduced_block(s, o, R, q + o->at_q, cd, ck);
         else rigid_block(s, o, R);
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
@@ -112,23 +113,50 @@ static void solution(System *s, double *x, double *y)
         const double *u = b + o->at_u;
         memcpy(x + TWIST * k, u, D * sizeof(double));
         to_body(s->frames + FRAME * k + TURN, u + D, x + TWIST * k + D);
-        memcpy(x + o->at_v, u + TWIST, o->modes * sizeof(double));
+        if (o->field) field_increment(o, u + TWIST, x + o->at_v, b + s->nu);
+        else memcpy(x + o->at_v, u + TWIST, o->modes * sizeof(double));
     }
     memcpy(y, b + s->nu, s->rows * sizeof(double));
 }
 
-/* Newton's increment from -scale times the residuals evaluated last and the open constraints. */
-static void increment(System *s, double scale, double *x, double *y)
+/* Frames whose columns of inertia leave out U: the moments of M U x dU go to them in a second solution, added to the first. */
+static void sway(System *s, double *x, double *y)
 {
+    double *again = s->work + s->again, *more = again + s->nv;
+    memset(s->b, 0, (s->nu + s->rows) * sizeof(double));
+    for (int b = 0; b < s->bodies; b++) {
+        const Body *o = s->body + b;
+        if (o->field) field_sway(o, s->frames + FRAME * b + TURN, x + o->at_v, s->b + o->at_u + D);
+    }
+    solution(s, again, more);
+    add(x, 1.0, again, s->nv);
+    add(y, 1.0, more, s->rows);
+}
+
+/* Newton's increment from -scale times the residuals evaluated last and the open constraints. */
+static int increment(System *s, double scale, double *x, double *y, double t)
+{
+    int verdict, sways = 0;
     for (int i = 0; i < s->nu; i++) s->b[i] = -scale * s->residual[i];
     for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->gap[i];
+    for (int b = 0; s->fields && b < s->bodies; b++) {
+        const Body *o = s->body + b;
+        if (!o->field) continue;
+        if ((verdict = field_load(s, o, scale, t))) return verdict;
+        sways |= o->field->sways;
+    }
     solution(s, x, y);
+    if (sways) sway(s, x, y);
+    return DONE;
 }
 
 /* Rows of the constraints on the velocities as they stand, and the rates of what is prescribed where ``rates``, into slip. */
 static void slips(System *s, int rates)
 {
     for (int i = 0; i < s->rows; i++) s->slip[i] = rates ? -s->motion_rate[i] : 0.0;
+    for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
+        for (int i = 0; o->field && i < o->field->frames; i++)
+            s->slip[o->field->row + i] = s->velocity[o->at_u + TWIST + o->field->frame_slot[i]];
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != ROW) continue;
         if (rates) {

@@ -22,7 +22,8 @@ static void energies(System *s, double t, const double *q, const double *v, cons
     out[0] = out[1] = out[2] = out[3] = 0.0;
     for (int b = 0; b < s->bodies; b++) {
         const Body *o = s->body + b;
-        body_energies(o, s->frames + FRAME * b + TURN, q, v, q + POSE * b, v + TWIST * b, gravity, out);
+        if (o->field) field_energies(s, b, t, q, v, gravity, out);
+        else body_energies(o, s->frames + FRAME * b + TURN, q, v, q + POSE * b, v + TWIST * b, gravity, out);
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role == MOUNT) out[3] += mount_energy(s, k);

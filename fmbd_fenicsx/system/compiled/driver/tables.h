@@ -67,6 +67,29 @@ typedef struct {
     double *bend_map;                  /* TWIST x bends */
 } Surface;
 
+/* The elastic field U of a floating body, which its own factor eliminates from the step's matrix; see fields.c. */
+typedef struct {
+    long n, nodes;
+    int solved, frames, row, sways, number; /* columns of H in the factor; frame conditions and their first row; whether the */
+                                       /* moments of M U act on the frame's inertia; for the call into Python */
+    double *X;                         /* nodes x D, at rest */
+    double *Q, *port;                  /* H: TWIST x n columns of inertia, then the entries of columns of ports */
+    int *port_start, *port_on;         /* by columns */
+    int *M_start, *M_column, *K_start, *K_column; /* by rows of nodes: scalars, D x D blocks */
+    double *M, *K;
+    double beta;                       /* s, damping by the stiffness */
+    int own;                           /* whether Python tells forces and energies, from: */
+    double *state, *sums;              /* R, twist, its rate, pose, gravity, U, U', U''; TWIST: rows of the frame, or energies */
+    double *inertia, *moment;          /* of the columns of inertia: ROT x ROT; D: sum of M P */
+    double *Y, *S;                     /* solved x n, solved x solved: see fields.c */
+    double *A, *W, *G;                 /* frames x frames: A^-1; solved x frames: H^T E^-1 C; frames x solved: A^-1 C^T E^-1 H */
+    int *frame_slot;                   /* columns of the frame conditions */
+    double *p, *rates;                 /* H^T U and H^T U' */
+    double *accel, *force, *MU;        /* n each: work, force on the nodes, M U of the factor's configuration */
+    double *b, *z;                     /* n each: E z = b, by Python */
+    double *pz, *rest, *f, *h;         /* solved each, frames: see fields.c */
+} Field;
+
 typedef struct {
     int modes, at_v, at_q, at_u;       /* places of the modes in v and q, of the block among the unknowns */
     double mass, large, spin;          /* bounds: eta . modal mass . eta and |omega|^2 */
@@ -74,6 +97,7 @@ typedef struct {
     double *S, *T, *V, *modal, *K, *C, *stress; /* reduced, see mechanics/reduction/reduced.py; stress NULL without stiffening */
     double *U, *now, *block;           /* work: T(e_a, p), stiffness of the present stress, the block of the step's matrix */
     int *dest;                         /* places of the lower half of the block */
+    Field *field;                      /* of floating elastic bodies, whose modes are the numbers H^T U; else NULL */
 } Body;
 
 /* An angle counted over revolutions, mechanics/joints/counted.py: axes in the two frames, e the joint's, f, g across. */
@@ -112,6 +136,7 @@ typedef struct {
 
 typedef struct {
     int bodies, surfaces, batches, fronts, angles, rods, rows, nu, nv, nq, redundant;
+    int fields, core;                  /* bodies with a field; the rates of all others and of frames come first in v */
     Body *body;
     Surface *surface;
     Batch *batch;
@@ -138,6 +163,7 @@ typedef struct {
     Reaction *reaction;
     double *motion_rate, *rest_gravity, *slip;
     double settled;                    /* Newton's tolerance of a step */
+    int again;                         /* where the work of a second solution begins */
     int renewed;                       /* whether forces as a whole get new slopes at any rate */
 } System;
 
@@ -151,5 +177,8 @@ typedef struct {
     double *doubt;                     /* the state of the doubtful record */
 } Tape;
 
-enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES };  /* what Python is asked for */
+enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES,
+       FIELD_ENERGIES };
+enum { OUTSIDE = 2 };                  /* its answer where a body does not go: NumPy makes, or refuses, the step */
+  /* what Python is asked for */
 

@@ -1,0 +1,313 @@
+/* Floating elastic bodies, equations (1) and (2) of mechanics/bodies/floating.py, and how their fields leave the step's matrix.
+
+   With H = [columns of inertia, ports] and the frame conditions C^T U = 0, C among the columns of H, the rows of a field are
+
+       E dU + H f + C y = b,   C^T dU = -C^T U                                                                            (1)
+
+   What acts on it is f = T t + J^T lambda + ..: the frame's increment t (T turns it into body axes), reactions and efforts on
+   its surfaces. The frame conditions go with the field; for what the other rows see of it, p = H^T dU, this leaves
+
+       p = pz - W f,   W = H^T E^-1 (H - C A^-1 C^T E^-1 H),   A = C^T E^-1 C,   so   S p + f = S pz,   S = W^-1          (2)
+
+   and the body looks like a reduced one whose modes are the numbers H^T U and whose stiffness is S. Combinations of columns that
+   do not move (the conditions themselves, moments along the normal of a flat surface) are given a small compliance in S: no dU
+   follows from it, and what other rows see of it is closed by the next increment. Columns that are only read have no place in
+   (2). */
+
+/* The coordinates of a body's modes. */
+static const double *modes_of(const Body *o, const double *q)
+{
+    return o->field ? o->field->p : q + o->at_q;
+}
+
+/* Four sums, so that the processor adds them at once. */
+static double long_dot(const double *x, const double *y, long n)
+{
+    double sum[4] = {0.0};
+    long i = 0;
+    for (; i + 3 < n; i += 4)
+        for (int j = 0; j < 4; j++) sum[j] += x[i + j] * y[i + j];
+    for (; i < n; i++) sum[0] += x[i] * y[i];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+/* One number of H^T U */
+static double column(const Field *e, int k, const double *U)
+{
+    double sum = 0.0;
+    if (k < TWIST) return long_dot(e->Q + e->n * k, U, e->n);
+    for (int i = e->port_start[k - TWIST]; i < e->port_start[k - TWIST + 1]; i++) sum += e->port[i] * U[e->port_on[i]];
+    return sum;
+}
+
+/* U += c H e_k */
+static void add_column(const Field *e, int k, double c, double *U)
+{
+    if (k < TWIST)
+        for (long i = 0; i < e->n; i++) U[i] += c * e->Q[e->n * k + i];
+    else
+        for (int i = e->port_start[k - TWIST]; i < e->port_start[k - TWIST + 1]; i++) U[e->port_on[i]] += c * e->port[i];
+}
+
+static void field_columns(const Body *o, const double *q, const double *v)
+{
+    for (int k = 0; k < o->modes; k++) {
+        o->field->p[k] = column(o->field, k, q + o->at_q);
+        o->field->rates[k] = column(o->field, k, v + o->at_v);
+    }
+}
+
+/* F = M A by nodes */
+static void mass_times(const Field *e, const double *A, double *F)
+{
+    for (long i = 0; i < e->nodes; i++) {
+        double sum[D] = {0.0};
+        for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++)
+            for (int j = 0; j < D; j++) sum[j] += e->M[k] * A[D * e->M_column[k] + j];
+        memcpy(F + D * i, sum, sizeof sum);
+    }
+}
+
+/* F += K (U + beta U') by nodes */
+static void stiffness_times(const Field *e, const double *U, const double *Ud, double *F)
+{
+    for (long i = 0; i < e->nodes; i++)
+        for (int k = e->K_start[i]; k < e->K_start[i + 1]; k++) {
+            const double *K = e->K + D * D * k, *u = U + D * e->K_column[k], *ud = Ud + D * e->K_column[k];
+            for (int c = 0; c < D; c++) {
+                double x = u[c] + e->beta * ud[c];
+                for (int j = 0; j < D; j++) F[D * i + j] += K[D * j + c] * x;
+            }
+        }
+}
+
+/* What a part knows of its motion: twist of the frame and its rate (rotations in body axes), pose, the nodes'. */
+typedef struct {
+    const double *pose, *twist, *accel, *U, *Ud, *Udd;
+} Motion;
+
+static Motion motion_of(const Body *o, int b, const double *q, const double *v, const double *a)
+{
+    Motion m = {q + POSE * b, v + TWIST * b, a + TWIST * b, q + o->at_q, v + o->at_v, a + o->at_v};
+    return m;
+}
+
+/* Ask Python for forces or energies. */
+static int own_field(System *s, const Field *e, int what, const double *R, const Motion *m, const double *gravity, double t)
+{
+    double *x = e->state;
+    const double *parts[8] = {R, m->twist, m->accel, m->pose, gravity, m->U, m->Ud, m->Udd};
+    const long sizes[8] = {D * D, TWIST, TWIST, POSE, D, e->n, e->n, e->n};
+    for (int i = 0; i < 8; x += sizes[i++]) memcpy(x, parts[i], sizes[i] * sizeof(double));
+    s->calls++;
+    int told = s->python(what, e->number, t);
+    return told == OUTSIDE ? NEWTON : told ? FAILED : DONE;
+}
+
+/* Forces of linear elasticity on the nodes, and their resultant (world axes) into f. Verdict LOOK outside of the range of small
+   displacements. */
+static int linear_field(const Body *o, const double *R, const Motion *m, const double *gravity, double *f)
+{
+    const Field *e = o->field;
+    const double *U = m->U, *Ud = m->Ud, *Udd = m->Udd, *w = m->twist + D, *accel = m->accel;
+    double W[D * D], L[D * D], alpha[D * D], free_[D], base[D], sum[D] = {0.0}, N[D * D] = {0.0}, local[ROT], square = 0.0;
+
+    for (int i = 0; i < D; i++) free_[i] = accel[i] - gravity[i];
+    transposed(R, free_, base);
+    hat(w, W);
+    product(W, W, L);
+    hat(accel + D, alpha);
+    add(L, 1.0, alpha, D * D);
+
+    /* R^T (r'' - g) + (w' x) P + w x (w x P) + 2 w x U' + U'' */
+    for (long i = 0; i < e->nodes; i++)
+        for (int j = 0; j < D; j++) {
+            double x = base[j] + Udd[D * i + j], u = U[D * i + j];
+            for (int c = 0; c < D; c++) x += L[D * j + c] * (e->X[D * i + c] + U[D * i + c]) + 2.0 * W[D * j + c] * Ud[D * i + c];
+            e->accel[D * i + j] = x;
+            square += u * u;
+        }
+    mass_times(e, e->accel, e->force);
+
+    for (long i = 0; i < e->nodes; i++)
+        for (int j = 0; j < D; j++) {
+            sum[j] += e->force[D * i + j];
+            for (int c = 0; c < D; c++) N[D * j + c] += (e->X[D * i + j] + U[D * i + j]) * e->force[D * i + c];
+        }
+    times(R, sum, f);
+    axial(N, local);
+    to_world(R, local, f + D);
+
+    stiffness_times(e, U, Ud, e->force);
+    return square <= o->large && dot(w, w, ROT) <= o->spin ? DONE : LOOK;
+}
+
+/* Forces on the nodes, and their resultant (world axes) into f. */
+static int field_force(System *s, const Body *o, const double *R, const Motion *m, double *f, double t)
+{
+    const Field *e = o->field;
+    if (!e->own) return linear_field(o, R, m, s->gravity, f);
+    if (own_field(s, e, FIELD_FORCES, R, m, s->gravity, t)) return FAILED;
+    memcpy(f, e->sums, D * sizeof(double));
+    to_world(R, e->sums + D, f + D);
+    return DONE;
+}
+
+/* The open frame conditions, and their reactions C lambda on the nodes. */
+static void frame_conditions(System *s, const Body *o, const double *lam)
+{
+    const Field *e = o->field;
+    for (int i = 0; i < e->frames; i++) {
+        s->gap[e->row + i] = e->p[e->frame_slot[i]];
+        add_column(e, e->frame_slot[i], lam[e->row + i], e->force);
+    }
+}
+
+/* The lower half of the block of (2) into the fronts; the frame conditions, solved already, get rows of their own. */
+static void field_block(System *s, const Body *o, const double *R, const double *q)
+{
+    const Field *e = o->field;
+    int n = TWIST + o->modes;
+    double *A = o->block, world[D];
+    memset(A, 0, (size_t)n * n * sizeof(double));
+    if (e->sways) mass_times(e, q + o->at_q, e->MU);
+
+    for (int i = 0; i < D; i++) A[(n + 1) * i] = o->mass;
+    times(R, e->moment, world);
+#if DIM == 3
+    double X[9], T[9], J[9];
+    hat(world, X);
+    product_transposed(e->inertia, R, T);
+    product(R, T, J);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            A[n * (3 + i) + 3 + j] = J[3 * i + j];
+            A[n * (3 + i) + j] = X[3 * i + j];
+        }
+#else
+    double one = 1.0;
+    A[n * 2 + 2] = e->inertia[0];
+    spin(&one, world, A + n * 2);
+#endif
+    for (int i = 0; i < D; i++)
+        for (int j = 0; j < D; j++) A[n * (TWIST + i) + j] = R[D * j + i];
+    for (int i = 0; i < ROT; i++)
+        for (int j = 0; j < ROT; j++) A[n * (TWIST + D + i) + D + j] = DIM == 3 ? R[D * j + i] : 1.0;
+    for (int i = 0; i < o->modes; i++)
+        for (int j = 0; j <= i; j++)
+            A[n * (TWIST + i) + TWIST + j] = i < e->solved ? e->S[e->solved * i + j] : (i == j ? 1.0 : 0.0);
+
+    const int *dest = o->dest;
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j <= i; j++) s->L[*dest++] += A[n * i + j];
+        s->diagonal[o->at_u + i] = A[(n + 1) * i];
+    }
+    for (int i = 0; i < e->frames; i++) {
+        s->L[s->row_dest[e->row + i]] -= 1.0;
+        s->weight[e->row + i] = 1.0;
+    }
+}
+
+/* The right-hand side of (2) into s->b: the field's own forces through its factor. */
+static int field_load(System *s, const Body *o, double scale, double t)
+{
+    const Field *e = o->field;
+    double *b = s->b + o->at_u + TWIST;
+    for (int i = e->solved; i < o->modes; i++)
+        if (b[i] != 0.0) return LOOK; /* a column that is only read */
+
+    for (long i = 0; i < e->n; i++) e->b[i] = -scale * e->force[i];
+    s->calls++;
+    if (s->python(FIELD, e->number, t)) return FAILED;
+
+    /* h closes the frame conditions */
+    double open[TWIST];
+    for (int i = 0; i < e->solved; i++) e->pz[i] = column(e, i, e->z);
+    for (int i = 0; i < e->frames; i++) open[i] = e->pz[e->frame_slot[i]] + s->gap[e->row + i];
+    for (int i = 0; i < e->frames; i++) e->h[i] = dot(e->A + e->frames * i, open, e->frames);
+    for (int i = 0; i < e->solved; i++) e->pz[i] -= dot(e->W + e->frames * i, e->h, e->frames);
+
+    for (int i = 0; i < e->solved; i++) b[i] += dot(e->S + e->solved * i, e->pz, e->solved);
+    for (int i = 0; i < e->frames; i++) s->b[s->nu + e->row + i] = 0.0;
+    return DONE;
+}
+
+/* dU and the multipliers of the frame conditions from the numbers p. */
+static void field_increment(const Body *o, const double *p, double *dU, double *lam)
+{
+    const Field *e = o->field;
+    double *y = lam + e->row;
+    for (int i = 0; i < e->solved; i++) e->rest[i] = e->pz[i] - p[i];
+    for (int i = 0; i < e->solved; i++) e->f[i] = dot(e->S + e->solved * i, e->rest, e->solved);
+    for (int i = 0; i < e->frames; i++) y[i] = e->h[i] - dot(e->G + e->solved * i, e->f, e->solved);
+    for (int i = 0; i < e->frames; i++) e->f[e->frame_slot[i]] += y[i];
+
+    memcpy(dU, e->z, e->n * sizeof(double));
+    for (int i = 0; i < e->solved; i++) {
+        const double *Y = e->Y + e->n * i;
+        for (long j = 0; e->f[i] != 0.0 && j < e->n; j++) dU[j] -= e->f[i] * Y[j];
+    }
+}
+
+/* The moments -sum M U x dU on the frame into f (world axes), for a solution with no other right-hand side. */
+static void field_sway(const Body *o, const double *R, const double *dU, double *f)
+{
+    const Field *e = o->field;
+    double local[ROT] = {0.0}, one[ROT], turned[ROT];
+    memset(e->z, 0, e->n * sizeof(double));
+    memset(e->h, 0, e->frames * sizeof(double));
+    memset(e->pz, 0, e->solved * sizeof(double));
+    if (!e->sways) return;
+
+    for (long i = 0; i < e->nodes; i++) {
+        moment(e->MU + D * i, dU + D * i, one);
+        add(local, -1.0, one, ROT);
+    }
+    to_world(R, local, turned);
+    add(f, 1.0, turned, ROT);
+}
+
+/* Kinetic, elastic and potential energy of weight, added to out. */
+static void linear_energies(const Body *o, const double *R, const Motion *m, const double *gravity, double *out)
+{
+    const Field *e = o->field;
+    const double *U = m->U, *Ud = m->Ud, *twist = m->twist;
+    double base[D], W[D * D], arm[D] = {0.0}, world[D], kinetic = 0.0, elastic = 0.0;
+    transposed(R, twist, base);
+    hat(twist + D, W);
+
+    for (long i = 0; i < e->nodes; i++)
+        for (int j = 0; j < D; j++) {
+            double x = base[j] + Ud[D * i + j];
+            for (int c = 0; c < D; c++) x += W[D * j + c] * (e->X[D * i + c] + U[D * i + c]);
+            e->accel[D * i + j] = x;
+        }
+    mass_times(e, e->accel, e->force);
+    kinetic = long_dot(e->accel, e->force, e->n);
+
+    for (long i = 0; i < e->n; i++) e->accel[i] = e->X[i] + U[i];
+    mass_times(e, e->accel, e->force);
+    for (long i = 0; i < e->n; i++) arm[i % D] += e->force[i];
+    times(R, arm, world);
+
+    memset(e->force, 0, e->n * sizeof(double));
+    memset(e->accel, 0, e->n * sizeof(double));
+    stiffness_times(e, U, e->accel, e->force);
+    elastic = long_dot(U, e->force, e->n);
+
+    out[0] += 0.5 * kinetic;
+    out[1] += 0.5 * elastic;
+    out[2] -= o->mass * dot(m->pose, gravity, D) + dot(world, gravity, D);
+}
+
+/* The same for every field; frames are placed. */
+static void field_energies(System *s, int b, double t, const double *q, const double *v, const double *gravity, double *out)
+{
+    const Body *o = s->body + b;
+    const Field *e = o->field;
+    const double *R = s->frames + FRAME * b + TURN;
+    Motion m = motion_of(o, b, q, v, v);
+    if (!e->own) linear_energies(o, R, &m, gravity, out);
+    else if (!own_field(s, e, FIELD_ENERGIES, R, &m, gravity, t))
+        for (int i = 0; i < 3; i++) out[i] += e->sums[i];
+}

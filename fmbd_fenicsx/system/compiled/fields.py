@@ -1,0 +1,175 @@
+"""Floating elastic fields in the driver's tables: their matrices, and the columns that their own factors have solved."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...mechanics.bodies.floating import FloatingField
+from ...mechanics.placements import FrameMotion
+from ...mechanics.validity import TOO_LARGE
+from ...rotations import Array
+from .structures import structure
+
+if TYPE_CHECKING:
+    from .tables import Tables
+
+FIELD_LIMIT = 50_000  # unknowns of a field: above, calls cost nothing, and the driver's copies of the matrices memory
+VANISHING = 1e-9  # size of a port's column, against the largest
+LEAST = 1e-10  # compliance of a combination of columns, against the largest
+
+
+class Block(Protocol):
+    """Factor and columns of a field for one size of a step: Y = E^-1 H and W = H^T Y of its inertia and of the ports
+    ``used``.
+    """
+
+    factor: Any
+    used: np.ndarray
+    Y: Array
+    W: Array
+
+
+class FieldTable:
+    """One floating field as the structure Field of ``driver/tables.h``.
+
+    Columns of H: those of inertia, the ports that the factor has solved for, then ports that are only read.
+    """
+
+    def __init__(self, tables: Tables, number: int, k: int, block: Block) -> None:
+        system = tables.system
+        self.tables, self.number, self.k, self.block = tables, number, k, block
+        self.part: Any = system.parts[k]
+        place = [i for i, _ in system.fields].index(k)
+        self.rows = system.frame_rows[place]
+
+        first = system.port_slice(k).start
+        seen = [x for x in np.unique(system.markers.port) - first if 0 <= x < self.part.n_port]
+        self.ports = np.concatenate((block.used, np.setdiff1d(seen, block.used))).astype(int)
+        inertial = self.part.inertia_columns.shape[1]
+        self.solved, self.count = inertial + len(block.used), inertial + len(self.ports)
+        conditions = np.arange(self.part.n_frame_rows)
+        places = inertial + np.searchsorted(block.used, conditions)
+        self.frame_slots = conditions if self.part.shared_columns else places
+        self.inverse = Condensed(block.W, self.frame_slots, inertial)
+
+        self.port_matrix = np.zeros((self.part.n_port, self.count))
+        self.port_matrix[self.ports, inertial + np.arange(len(self.ports))] = 1.0
+        nothing: Array = np.zeros(0)
+        self.b = self.z = self.force = self.sums = self.state = nothing  # those of the structure
+
+    def solve(self) -> None:
+        """z = E^-1 b."""
+        self.z[:] = self.block.factor.solve(self.b)
+
+    def _motion(self, t: float) -> tuple[FrameMotion, Array, tuple[Array, Array, Array]]:
+        """Motion and pose of the frame, and of the nodes, as C left them in ``state``."""
+        d, n, twist = self.tables.dim, self.part.n, self.tables.twist
+        sizes = [d * d, twist, twist, self.tables.system.motions.n_pose, d, n, n, n]
+        R, velocity, accel, pose, gravity, *local = np.split(self.state, np.cumsum(sizes)[:-1])
+        motion = FrameMotion(t, R.reshape(d, d), velocity, accel, gravity)
+        return motion, pose, (local[0].copy(), local[1], local[2])
+
+    def forces(self, t: float) -> None:
+        """Rows of the frame and forces on the nodes."""
+        motion, _, local = self._motion(t)
+        self.sums[:], self.force[:] = self.part.force(motion, local)
+
+    def energies(self, t: float) -> None:
+        """Kinetic, elastic and weight energy."""
+        motion, pose, local = self._motion(t)
+        self.sums[:3] = self.part.energies(motion, pose, local[:2])
+
+    # -- structures ----------------------------------------------------------------------------------------------------------
+    def body(self) -> Any:
+        """The structure Body."""
+        tables, part, system = self.tables, self.part, self.tables.system
+        frame, d = part.frame, tables.dim
+        width = int(tables.width[frame])
+        i, j = np.tril_indices(width)
+        unknown = tables.at_u[frame] + np.arange(width)
+        _, address = tables.store.structure(self._field())
+        return structure("Body", d)(
+            modes=self.count, at_v=system.slices[1][self.k].start, at_q=system.slices[0][self.k].start,
+            at_u=int(tables.at_u[frame]), mass=part.mass_total, large=(TOO_LARGE * part.size) ** 2 * part.field.n_global / d,
+            block=tables.store.address(np.zeros((width, width))),
+            dest=tables.store.integers(tables.fronts.place(unknown[i], unknown[j])), field=address,
+        )  # fmt: skip
+
+    def _field(self) -> Any:
+        """The structure Field."""
+        part, field, tables, d = self.part, self.part.field, self.tables, self.tables.dim
+        store, n, inverse = tables.store, self.part.n, self.inverse
+        arrays = {
+            **self._matrices(), "Y": self.block.Y.T,
+            "A": inverse.A, "W": inverse.W, "G": inverse.G, "S": inverse.S,
+            "X": field.X, "Q": part.inertia_columns.T, "inertia": part.inertia,
+            "moment": part.moment if part.column_version else np.zeros(d),
+            **{name: np.zeros(self.count) for name in ("p", "rates", "pz", "rest", "f", "h")},
+            **{name: np.zeros(n) for name in ("accel", "MU")},
+        }  # fmt: skip
+        self.b, b = store.array(np.zeros(n))
+        self.z, z = store.array(np.zeros(n))
+        self.force, force = store.array(np.zeros(n))
+        self.sums, sums = store.array(np.zeros(max(tables.twist, 3)))
+        self.state, state = store.array(np.zeros(d * d + 2 * tables.twist + tables.system.motions.n_pose + d + 3 * n))
+        return structure("Field", d)(
+            n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,
+            sways=int(part.shared_columns), number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
+            own=int(not linear_field(part)), force=force, sums=sums, state=state,
+            frame_slot=store.integers(self.frame_slots),
+            **{name: store.integers(x) if x.dtype == np.int32 else store.address(x) for name, x in arrays.items()},
+        )  # fmt: skip
+
+    def _matrices(self) -> dict[str, np.ndarray]:
+        """M and K by rows of nodes, and the columns of ports."""
+        part, field, d = self.part, self.part.field, self.tables.dim
+        start, columns, values = field.M.getValuesCSR()
+        K = sp.csr_matrix(field.K.getValuesCSR()[::-1], shape=(part.n, part.n)).tobsr((d, d))
+        ports = sp.csc_matrix(part.port_columns(self.ports))
+        return {
+            "M_start": start.astype(np.int32), "M_column": columns.astype(np.int32), "M": values,
+            "K_start": K.indptr.astype(np.int32), "K_column": K.indices.astype(np.int32), "K": K.data,
+            "port": ports.data, "port_start": ports.indptr.astype(np.int32), "port_on": ports.indices.astype(np.int32),
+        }  # fmt: skip
+
+
+class Condensed:
+    """What equation (2) of ``driver/fields.c`` knows of the columns of H: S, the inverse of their compliance with the frame
+    conditions solved.
+
+    W: H^T E^-1 H. ``at``: columns of the frame conditions. ``inertial``: how many columns are those of inertia.
+    """
+
+    def __init__(self, W: Array, at: np.ndarray, inertial: int) -> None:
+        self.A = np.linalg.inv(W[np.ix_(at, at)])
+        self.W = W[:, at]
+        self.G = self.A @ W[at]
+        compliance = W - self.W @ self.G
+
+        # columns at one scale; those of ports that vanish have that of the smallest one
+        size = np.sqrt(np.maximum(W.diagonal(), 0.0))
+        ports = np.arange(len(W)) >= inertial
+        vanishes = ports & (size <= VANISHING * size[ports].max(initial=0.0))
+        size[vanishes] = size[ports & ~vanishes].min(initial=np.inf)
+        scaled = compliance / np.outer(size, size)
+
+        share, directions = np.linalg.eigh(0.5 * (scaled + scaled.T))
+        stiffness = 1.0 / np.maximum(share, LEAST * max(share[-1], LEAST))
+        self.S = (directions * stiffness) @ directions.T / np.outer(size, size)
+
+
+def known_field(part: Any) -> bool:
+    """Whether the driver takes a part with a field: a floating one on one rank, of moderate size, whose ports are linear."""
+    if type(part) is not FloatingField:
+        return False
+    small = part.comm.size == 1 and part.n <= FIELD_LIMIT
+    return small and not (part.field.mixed or part.field.redistributed or part.traces or part.stiffening is not None)
+
+
+def linear_field(part: Any) -> bool:
+    """Whether the forces of a field are in C: linear elasticity and damping by the stiffness. Python tells all others."""
+    field = part.field
+    return not (field.nonlinear or field.D is not None or field.loads.loads or field.forms.mass_damping)

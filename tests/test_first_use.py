@@ -1,0 +1,104 @@
+"""What a newcomer writes: constants where functions may stand, default schemes, contacts as attachments, mistyped arguments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+
+C = fmbd.contacts
+pytestmark = pytest.mark.serial
+
+
+def arm() -> tuple[Any, Any]:
+    body = fmbd.RigidBody("arm", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    return body, fmbd.revolute("pin", fmbd.ground, body, center=(0, 0))
+
+
+@pytest.mark.parametrize(
+    "push",
+    [
+        lambda body, pin, x: fmbd.force("push", body, x((0.0, 3.0)), point=(1.0, 0.0)),
+        lambda body, pin, x: fmbd.torque("push", body, x(3.0)),
+        lambda body, pin, x: fmbd.effort("push", fmbd.angle(pin), x(3.0)),
+    ],
+    ids=["force", "torque", "effort"],
+)
+def test_a_constant_is_a_function_of_time(push: Any) -> None:
+    ends = []
+    for form in (lambda value: value, lambda value: lambda t: np.array(value)):
+        body, pin = arm()
+        scene = fmbd.Scene("arm")
+        scene.add(body, pin, push(body, pin, form))
+        scene.sensor("angle", fmbd.angle(pin))
+        ends.append(fmbd.solve(scene, t_end=0.05, dt=0.01)["angle"])
+    assert np.array_equal(*ends)
+    assert ends[0][-1] == pytest.approx(0.5 * 3.0 / 0.35 * 0.05**2, rel=1e-2)
+
+
+@pytest.mark.parametrize("law", [None, "push", np.nan, True, (1.0, np.inf), [[1.0, 2.0]], ()])
+def test_what_is_neither_is_refused(law: Any) -> None:
+    _, pin = arm()
+    with pytest.raises(InputError, match='Effort "push": law must be a function of time t .* or a constant, found'):
+        fmbd.effort("push", fmbd.angle(pin), law)
+
+
+def test_a_mistyped_argument_is_named_with_its_function() -> None:
+    body, _ = arm()
+    with pytest.raises(TypeError, match=r"^ball\(\): .*'centre'. It takes body, radius, center.$"):
+        C.ball(body, 0.1, centre=(0, 0))  # type: ignore[call-arg]
+
+
+def dropped() -> Any:
+    """A ball above a floor beside a hinged arm."""
+    body, pin = arm()
+    ball = fmbd.RigidBody("ball", 1.0, 0.1, position=(2.0, 0.15))
+    floor = C.Obstacle("floor", C.HalfSpace((0, 0), (0, 1)))
+    scene = fmbd.Scene("drop", gravity=(0, -9.81))
+    scene.add(body, pin, ball, fmbd.contact("touch", C.ball(ball, 0.1), floor))
+    scene.sensor("ball", fmbd.position(ball))
+    return scene
+
+
+def test_rigid_bodies_that_touch_need_no_scheme() -> None:
+    run = fmbd.solve(dropped(), t_end=0.3, dt=1e-3)
+    assert run.scheme.name == fmbd.Moreau().name
+    assert run["ball"][-1, 1] == pytest.approx(0.1, abs=1e-3)
+
+
+def test_a_body_that_lies_on_another_is_not_called_loose() -> None:
+    assert not [note for note in dropped().check().notes if "attached to nothing" in note]
+    scene = dropped()
+    scene.add(fmbd.RigidBody("lost", 1.0, 0.1, position=(9.0, 9.0)))
+    assert 'body "lost" is attached to nothing' in scene.check().notes
+
+
+def test_default_scheme_of_elastic_and_reduced_surfaces(rod_mesh: Any) -> None:
+    from fmbd_fenicsx.run.solve import default_scheme
+
+    rod = fmbd.FloatingBody("rod", rod_mesh(dim=2, h=0.5), density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
+    for body, wanted in ((rod, fmbd.ContactMidpoint), (rod.reduced(modes=3), fmbd.Moreau)):
+        scene = fmbd.Scene("wall")
+        wall = C.Obstacle("wall", C.HalfSpace((2, 0), (-1, 0)))
+        scene.add(body, fmbd.contact("touch", body.surface("tip"), wall))
+        assert isinstance(default_scheme(scene), wanted)
+
+
+def test_objects_print_as_what_they_are(rod_mesh: Any) -> None:
+    mesh = rod_mesh(dim=2, h=0.5)
+    assert f"{mesh.dolfinx.topology.index_map(2).size_global} cells in 2D" in repr(mesh)
+    assert 'surfaces "pin"' in repr(mesh)
+    rod = fmbd.FloatingBody("rod", mesh, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
+    model = fmbd.interface_model(rod.reduced(basis=fmbd.CraigBampton(("pin", "tip"), 2)), ("pin", "tip"))
+    assert repr(model).startswith("<InterfaceModel of 10 freedoms: interfaces pin, tip; 4 modes")
+
+
+def test_books_name_each_element_once() -> None:
+    """Elements that appear late count as zero before."""
+    from fmbd_fenicsx.run.output import _names
+
+    assert _names([{"b": 1.0}, {"a": 1.0, "b": 2.0}, {"a": 0.0}]) == ["b", "a"]
