@@ -129,3 +129,14 @@ def test_web_page_holds_the_motion_and_needs_nothing_else(tmp_path: Path) -> Non
     assert np.abs(points[:48]).max() == pytest.approx(0.2)
     assert places[-1, 9:11] == pytest.approx(run["bob"][-1], abs=1e-6)
     assert data["curves"][0]["name"] == "bob (m)" and len(data["curves"][0]["values"]) == 2
+
+
+def test_web_page_keeps_colours_beside_the_scene_and_ticks_at_multiples() -> None:
+    """The colour bar has a canvas of its own; ticks are multiples of their step, so that zero is not -5.6e-17."""
+    from fmbd_fenicsx.post.webpage import VIEWER
+
+    text = VIEWER.read_text()
+    assert '<canvas id="bar"' in text and "calc(100% - 96px)" in text
+    drawn_on = re.search(r"function colors\(\).*?getElementById\(\"(\w+)\"\)", text, re.DOTALL)
+    assert drawn_on is not None and drawn_on[1] == "bar"
+    assert not re.search(r"for \(let \w = Math.ceil[^)]*\)[^)]*\+= ", text)

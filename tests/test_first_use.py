@@ -102,3 +102,14 @@ def test_books_name_each_element_once() -> None:
     from fmbd_fenicsx.run.output import _names
 
     assert _names([{"b": 1.0}, {"a": 1.0, "b": 2.0}, {"a": 0.0}]) == ["b", "a"]
+
+
+def test_an_element_that_did_no_work_has_an_entry() -> None:
+    """A stop that was not reached; the joint itself, at rest, has none."""
+    body, pin = arm()
+    stop = fmbd.elastic_stop("stop", fmbd.angle(pin), upper=1.0, stiffness=100.0)
+    scene = fmbd.Scene("arm", gravity=(0, -9.81))
+    scene.add(body, pin, stop)
+    ledger = fmbd.solve(scene, t_end=0.02, dt=0.01, output=fmbd.Output(ledger=True)).ledger
+    assert not ledger["stop"].any() and not ledger.power["stop"].any() and "stop" in str(ledger)
+    assert "pin" not in ledger.work

@@ -20,11 +20,14 @@ from ..rotations import Array
 
 @dataclass(frozen=True)
 class Books:
-    """What a run recorded for its ledger: powers (W) and works (J) by element, each (n,), and bodies that are not listed."""
+    """What a run recorded for its ledger: powers (W) and works (J) by element, each (n,), bodies that are not listed, and the
+    ``elements`` that are entries even where they did no work.
+    """
 
     power: Mapping[str, Array]
     work: Mapping[str, Array]
     unlisted: tuple[str, ...]
+    elements: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, repr=False)
@@ -88,8 +91,8 @@ def make_ledger(times: Array, energy: Mapping[str, Array], books: Books | None) 
     if books is None:
         raise InputError("This run kept no ledger: solve(..., output=fmbd.Output(ledger=True)).")
 
-    # elements that never work are left out: joints at rest
-    power = {name: p for name, p in books.power.items() if p.any()}
+    # joints at rest are left out, and damping that there is not; a stop that was not reached has an entry of zeros
+    power = {name: p for name, p in books.power.items() if p.any() or name in books.elements}
     steps = np.diff(times)
     work = {name: np.concatenate(([0.0], np.cumsum(0.5 * steps * (p[1:] + p[:-1])))) for name, p in power.items()}
     bodies = np.sum([energy[kind] for kind in ("kinetic", "elastic", "weight")], axis=0)

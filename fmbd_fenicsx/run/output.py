@@ -341,7 +341,7 @@ class Recorder:
             {name: np.array([one.get(name, 0.0) for one in entries]) for name in _names(entries)}
             for entries in (self.powers, self.works)
         )
-        return Books(power, work, self.unlisted)
+        return Books(power, work, self.unlisted, tuple(self.scene.forces))
 
     def remember(self, m: Memory) -> None:
         """All that was recorded so far."""

@@ -103,7 +103,7 @@ class OfForm:
 
 @dataclass(frozen=True)
 class Index3(Form):
-    """Constraints on positions."""
+    """Constraints on positions, g(q, t) = 0, with M a = f - G^T lambda: index 3."""
 
 
 @dataclass(frozen=True)
