@@ -81,7 +81,8 @@ class Stopped(KeyboardInterrupt):
 def near(name: str, known: Iterable[str]) -> str:
     """A sentence with the known names, the closest first: ``Did you mean "pin"? Known: "pin", "tip".``"""
     known = list(known)
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    same = [k for k in known if k.casefold() == name.casefold()]
+    close = same or difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     hint = f'Did you mean "{close[0]}"? ' if close else ""
     listed = ", ".join(f'"{k}"' for k in known) or "none"
     return f"{hint}Known: {listed}."

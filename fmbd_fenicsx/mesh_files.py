@@ -92,7 +92,9 @@ def _faces(model: Any, path: Path, name: str, where: Any) -> list[int]:
         found = [faces[int(np.argmin(away))]]
 
     if not found:
-        known = "; ".join(f"about ({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in list(middles.values())[:12])
+        size = float(np.abs(list(middles.values())).max()) or 1.0
+        shown = [np.where(np.abs(c) < 1e-9 * size, 0.0, c) for c in list(middles.values())[:12]]
+        known = "; ".join(f"about ({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in shown)
         raise MeshError(f'{path}: no face belongs to surface "{name}". It has {len(faces)} faces, in m: {known}.')
     return found
 

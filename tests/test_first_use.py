@@ -113,3 +113,28 @@ def test_an_element_that_did_no_work_has_an_entry() -> None:
     ledger = fmbd.solve(scene, t_end=0.02, dt=0.01, output=fmbd.Output(ledger=True)).ledger
     assert not ledger["stop"].any() and not ledger.power["stop"].any() and "stop" in str(ledger)
     assert "pin" not in ledger.work
+
+
+def test_files_that_cannot_be_written_are_named(tmp_path: Any, rod_mesh: Any) -> None:
+    body, pin = arm()
+    scene = fmbd.Scene("arm")
+    scene.add(body, pin)
+    scene.sensor("arm", fmbd.position(body))
+    run = fmbd.solve(scene, t_end=0.02, dt=0.01, output=fmbd.Output(snapshots=2))
+    for file, why in (
+        (tmp_path / "none/arm.png", "No such file or directory"),
+        (tmp_path / "arm.doc", "not supported"),
+    ):
+        with pytest.raises(InputError, match=f"cannot be written to .*{file.name}.*{why}"):
+            run.plot("arm", file=file)
+
+    rod = fmbd.FloatingBody("rod", rod_mesh(dim=2, h=0.5), density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
+    model = fmbd.interface_model(rod.reduced(basis=fmbd.CraigBampton(("pin", "tip"), 2)), ("pin", "tip"))
+    with pytest.raises(InputError, match="The body cannot be written to .*none"):
+        model.save(tmp_path / "none/rod.npz")
+
+
+def test_near_matches_do_not_mind_capitals() -> None:
+    from fmbd_fenicsx.errors import near
+
+    assert near("Root", ["TIP", "ROOT"]).startswith('Did you mean "ROOT"?')

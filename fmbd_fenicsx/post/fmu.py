@@ -115,7 +115,7 @@ def write_fmu(script: str | Path, folder: str | Path, *, dt: float, name: str | 
     try:
         from pythonfmu3 import FmuBuilder
     except ImportError:
-        raise InputError("write_fmu needs pythonfmu3: pip install pythonfmu3 (extra: fmi).") from None
+        raise InputError("write_fmu needs pythonfmu3: ./with-dolfinx pip install pythonfmu3.") from None
     script = Path(script)
     require(script.is_file(), f"write_fmu: there is no script {script} (looked in {Path.cwd()}).")
     name = script.stem.capitalize() if name is None else name

@@ -10,7 +10,7 @@ which is the form of Craig and Bampton, doi:10.2514/3.4741: K = diag(K_yy, omega
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -89,7 +89,7 @@ class InterfaceModel:
             }
             savemat(file, content | names)
 
-        on_root(MPI.COMM_WORLD, write)
+        on_root(MPI.COMM_WORLD, lambda: written(file, write))
         return file
 
     def save_exudyn(self, file: str | Path) -> Path:
@@ -111,6 +111,14 @@ class InterfaceModel:
         from .exudyn_file import save_exudyn
 
         return save_exudyn(self, file)
+
+
+def written(file: Path, write: Callable[[], None]) -> None:
+    """Call ``write``; a folder that is not there or not writable is an InputError."""
+    try:
+        write()
+    except OSError as error:
+        raise InputError(f'The body cannot be written to "{file}": {error.strerror or error}.') from error
 
 
 def load_interface_model(file: str | Path) -> InterfaceModel:

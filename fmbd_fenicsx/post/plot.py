@@ -55,6 +55,20 @@ class Comparison(Protocol):
         """Names of the compared quantities."""
 
 
+def _saved(figure: Any, file: str | Path, dpi: int) -> None:
+    """Write a figure.
+
+    Raises:
+        InputError: no such folder, or a kind of file that matplotlib does not write.
+    """
+    try:
+        figure.savefig(file, dpi=dpi)
+    except OSError as error:
+        raise InputError(f'The picture cannot be written to "{file}": {error.strerror or error}.') from error
+    except ValueError as error:
+        raise InputError(f'The picture cannot be written to "{file}": {error}') from error
+
+
 def _figure(width: float, height: float) -> tuple[Any, Any]:
     """A matplotlib module and an empty figure (inches) that belongs to no window."""
     try:
@@ -177,7 +191,7 @@ def figure(
         if title:
             _title(made, title)
         if world_rank() == 0:
-            made.savefig(file, dpi=160)
+            _saved(made, file, 160)
 
 
 def _title(figure: Any, text: str) -> None:
@@ -242,7 +256,7 @@ def plot_series(
                 _history(axes, run, name, known.get(name))
             rows[-1].set_xlabel("time (s)")
             _title(figure, _of(run))
-            figure.savefig(file, dpi=200)
+            _saved(figure, file, 200)
 
     on_root(_comm(run), draw)
 
@@ -262,7 +276,7 @@ def plot_history(run: Run, file: str | Path) -> None:
         for a in run.history:
             axes.annotate(f"  {a.step:.1g}", (a.seconds, a.worst), fontsize=8)
         axes.set(xlabel="seconds, estimates included (s)", ylabel="stated error over tolerance", title=run.scene.name)
-        fig.savefig(file, dpi=150)
+        _saved(fig, file, 150)
 
 
 def picture(
@@ -303,7 +317,7 @@ def picture(
                 _dots(axes, run, name, (states, colors))
                 axes.set_xlabel("time (s)")
             _title(figure, _of(run))
-            figure.savefig(file, dpi=200)
+            _saved(figure, file, 200)
 
     on_root(_comm(run), write)
 
@@ -386,4 +400,4 @@ def plot_work_precision(study: Comparison, file: str | Path, work: str, title: s
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2 * len(names))
         if title:
             _title(figure, title)
-        figure.savefig(file, dpi=200)
+        _saved(figure, file, 200)

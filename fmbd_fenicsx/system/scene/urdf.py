@@ -160,7 +160,7 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
     try:
         from yourdfpy import URDF
     except ImportError:
-        raise InputError("read_urdf needs yourdfpy: pip install yourdfpy (extra: exchange).") from None
+        raise InputError("read_urdf needs yourdfpy: ./with-dolfinx pip install yourdfpy.") from None
     path = Path(file)
     require(path.is_file(), f"read_urdf: there is no file {path} (looked in {Path.cwd()}).")
 
