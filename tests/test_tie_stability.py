@@ -116,3 +116,14 @@ def test_finer_first(caplog: pytest.LogCaptureFixture) -> None:
         with caplog.at_level(logging.WARNING, "fmbd_fenicsx"):
             scene.build()
         assert ("choose the finer side as slave" in caplog.text) == warned
+
+
+def test_ties_to_sections_of_rods_count_as_held() -> None:
+    """A section moves as a rigid body: together with another tie, such a tie has no second mesh."""
+    body, law = block("b"), {"youngs_modulus": 1.0, "poisson_ratio": 0.3, "density": 1.0, "width": 0.1, "height": 0.1}
+    rod = fmbd.Rod("rod", [(1, 0.5, 0.5), (2, 0.5, 0.5)], fmbd.RodSection.rectangle(**law), elements=1)
+    ties = [
+        fmbd.tie_surface(s, body.surface(s), on) for s, on in (("left", fmbd.ground), ("right", rod.surface("start")))
+    ]
+    assert ties[1].surfaces == (ties[1].a,)
+    assert infsup_together(ties).beta > 0.1

@@ -138,7 +138,7 @@ def infsup_together(ties: Sequence[Any]) -> Together:
     """Constant (2) of several ties; collective."""
     from dolfinx import fem
 
-    bodies = {side.body.name: side.body for t in ties for side in (t.a, t.b) if hasattr(side, "body")}
+    bodies = {side.body.name: side.body for t in ties for side in t.surfaces}
     length = max(b.mesh.extent for b in bodies.values())
     norms = {name: BodyNorm(b.mesh, b.degree, length=length) for name, b in bodies.items()}
     spaces = {name: fem.functionspace(b.mesh.dolfinx, ("Lagrange", b.degree)) for name, b in bodies.items()}
@@ -168,7 +168,7 @@ def _couplings(tie: Any, spaces: dict[str, Any]) -> tuple[Any, list[tuple[str, T
     a, b = tie.a, tie.b
     trace = trace_of(spaces[a.body.name], a.body.mesh, a.name)
     space = tie.space or default_space(trace.degree)
-    if not hasattr(b, "body"):
+    if b not in tie.surfaces:
         mu = space.on(trace)
         return mu, [(a.body.name, trace, mu.coupling())]
     c = mortar(trace, trace_of(spaces[b.body.name], b.body.mesh, b.name), space)

@@ -142,7 +142,7 @@ class Beam(Body):
             )
 
     @property
-    def dim(self) -> int:
+    def dim(self) -> int:  # type: ignore[override]
         """Space dimension, from the end points."""
         return len(self.start)
 

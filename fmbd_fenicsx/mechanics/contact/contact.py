@@ -26,6 +26,7 @@ from ...checks import array, number, typed, vector, whole
 from ...errors import InputError, require
 from ...rotations import Array
 from ..bodies.bodies import RigidBody, Surface
+from ..parts import ScenePart
 from ..rods.rods import Rod, node_name
 from .shapes import Obstacle
 
@@ -126,8 +127,10 @@ def cylinder_end(
 
 
 @dataclass(frozen=True, eq=False)
-class Contact:
+class Contact(ScenePart):
     """A pair that may touch; made by :func:`contact`, which documents the fields."""
+
+    what = "contact"
 
     name: str
     slave: Any

@@ -33,6 +33,7 @@ from ...checks import number, shown, typed, vector, word
 from ...errors import InputError, require
 from ...rotations import Array
 from ..bodies.bodies import RigidBody, Surface
+from ..bodies.body import Body
 from ..kinds.derivation import Kind
 from . import constraints as ct
 from .couplings import smooth_motion
@@ -91,20 +92,18 @@ class Joint:
 
     def __post_init__(self) -> None:
         word("A joint's name", self.name)
-        ends = [(getattr(x, "body", x), x.name) for x in (self.a, self.b)]  # surfaces are made anew at each call
+        ends = [
+            (x.body if isinstance(x, Surface) else x, x.name) for x in (self.a, self.b)
+        ]  # surfaces are made anew at each call
         same = ends[0][0] is ends[1][0] and ends[0][1] == ends[1][1]
-        require(not same, f'Joint "{self.name}" connects {getattr(self.a, "name", self.a)!r} with itself.')
+        require(not same, f'Joint "{self.name}" connects {self.a.name!r} with itself.')
 
 
 def refuse_no_attachment(side: Any, what: str) -> None:
     """Refuse what no joint or force can hold: all but rigid bodies, surfaces of elastic bodies, and the ground."""
     if isinstance(side, Ground | RigidBody | Surface):
         return
-    if (
-        not isinstance(side, type)
-        and isinstance(getattr(side, "name", None), str)
-        and callable(getattr(side, "surface", None))
-    ):
+    if isinstance(side, Body) and side.by_surface:
         raise InputError(
             f'{what}: attach to a surface of the elastic body "{side.name}", say {side.name}.surface("...").'
         )

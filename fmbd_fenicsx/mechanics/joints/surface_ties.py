@@ -28,6 +28,7 @@ from ...fem.traces.traces import Trace, surface_trace, trace_of
 from ...log import log
 from ...rotations import Array, motions
 from ..bodies.bodies import AbsoluteBody, FloatingBody, RigidBody, Surface
+from ..parts import ScenePart
 from ..rods.rods import Rod, node_name
 from .constraints import Motion, standstill
 from .couplings import smooth_motion
@@ -37,8 +38,10 @@ LOOK_LIMIT = 1500  # multiplier functions up to which a tie looks for combinatio
 
 
 @dataclass(frozen=True, eq=False)
-class SurfaceTie:
+class SurfaceTie(ScenePart):
     """What a user says of a tie (1); see :func:`tie_surface`."""
+
+    what = "tie"
 
     name: str
     a: Surface
@@ -61,6 +64,11 @@ class SurfaceTie:
                 )
         if isinstance(self.b, Surface) and self.b.body is self.a.body and self.b.name == self.a.name:
             raise InputError(f'Tie "{self.name}" ties {self.a!r} with itself.')
+
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """Its sides that are surfaces of elastic bodies: one or both."""
+        return tuple(side for side in (self.a, self.b) if isinstance(side, Surface) and side.body.nodal)
 
 
 def _is_section(side: Any) -> bool:

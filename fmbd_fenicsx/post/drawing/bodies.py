@@ -17,6 +17,7 @@ from ...mechanics.bodies.beams import Beam
 from ...mechanics.bodies.bodies import AbsoluteBody, CoordinateBody, FloatingBody, RigidBody
 from ...mechanics.bodies.line_body import LineBody
 from ...mechanics.catenary.wires import Wires
+from ...mechanics.contact.shapes import Obstacle
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...mechanics.reduction.recovery import displacement_field
 from ...rotations import Array
@@ -184,12 +185,12 @@ def _contact_shape(body: RigidBody, at: Places) -> Solid | None:
     corners: list[Array] = []
     for contact in at.run.scene.contacts.values():
         points = contact.slave
-        if getattr(points, "body", None) is body:
+        if points.body is body:
             if points.radius > 0:
                 found += [_ball(points.radius, body.dim).moved(in_space(c[None])[0]) for c in points.points]
             else:
                 corners.append(points.points)
-        if getattr(contact.master, "on", None) is body:
+        if isinstance(contact.master, Obstacle) and contact.master.on is body:
             found.append(shape_solid(contact.master.shape, body.dim))
     if corners:
         found.append(hull(np.concatenate(corners)))

@@ -76,6 +76,7 @@ class _Body:
         if forms.mass_damping:
             force += forms.mass_damping * density * ufl.inner(rate, v) * ufl.Measure("dx", domain=field.mesh.dolfinx)
         if forms.stiffness_damping:
+            assert forms.elastic is not None  # an energy is refused by the scheme
             force += forms.stiffness_damping * forms.elastic(rate, v, dx)
         if field.loads.moving:
             for x in POINTS:
@@ -89,7 +90,7 @@ class _Body:
         field, stored = self.field, self.field.forms.energy
         if stored is None and not field.mixed:
             return field.stress_form(mean, v)[0]
-        assert isinstance(stored, StoredEnergy)
+        assert isinstance(stored, StoredEnergy)  # others are refused by the scheme
         eye = ufl.Identity(field.dim)
         F0, F1 = eye + ufl.grad(self.u0), eye + ufl.grad(self.u1)
         C0, C1 = F0.T * F0, F1.T * F1

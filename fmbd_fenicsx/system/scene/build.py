@@ -206,13 +206,9 @@ class Builder:
         if side is ground:
             return
         body = side.body if isinstance(side, Surface) else side
-        found = self.scene.bodies.get(getattr(body, "name", ""))
-        if found is not body:
-            name = getattr(body, "name", None)
-            named = f'body "{name}"' if name else repr(side)
-            raise InputError(
-                f"{what} refers to {named}, which is not in the scene. {near(name or '', self.scene.bodies)}"
-            )
+        if self.scene.bodies.get(body.name) is not body:
+            known = near(body.name, self.scene.bodies)
+            raise InputError(f'{what} refers to body "{body.name}", which is not in the scene. {known}')
         if side is body and body.by_surface:
             raise InputError(
                 f'{what}: attach to a surface of the elastic body "{body.name}", say {body.name}.surface("...").'

@@ -20,6 +20,7 @@ from ...mechanics.forces.inputs import Input
 from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.joints import Joint
 from ...mechanics.joints.limits import JointLimit
+from ...mechanics.parts import ScenePart
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...mechanics.reduction.stored import StoredBody
 from ...mechanics.rods.rods import Rod
@@ -101,10 +102,8 @@ class Scene:
                 self._put(self.limits, part, "joint limit")
             elif isinstance(part, Force):
                 self._put(self.forces, part, "force")
-            elif hasattr(part, "space") and hasattr(part, "sliding"):  # a SurfaceTie, without loading its module
-                self._put(self.ties, part, "tie")
-            elif hasattr(part, "slave") and hasattr(part, "master"):  # a Contact, without loading its module
-                self._put(self.contacts, part, "contact")
+            elif isinstance(part, ScenePart):
+                self._put({"tie": self.ties, "contact": self.contacts}[part.what], part, part.what)
             else:
                 raise InputError(f"A scene takes bodies, joints, forces and contacts; found {shown(part)}.")
 

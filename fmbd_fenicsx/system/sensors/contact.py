@@ -55,7 +55,7 @@ class ContactState(State):
 
 def forces_of(state: Any) -> ContactForces:
     """Contact forces of a state, or an error that says why there are none."""
-    found = getattr(state, "contact", None)
+    found = state.contact if isinstance(state, ContactState) else None
     if found is None:
         raise InputError("This run has no contact forces: add a contact to the scene, or use a scheme that treats it.")
     return found
