@@ -60,7 +60,8 @@ def turned(solver: StepSolver, state: State, h: float) -> float:
     # the sine of the largest angle: what the smaller space has outside of the larger
     small, large = sorted((before, after), key=lambda basis: basis.shape[1])
     outside = small - large @ (large.T @ small)
-    return float(np.arcsin(min(np.linalg.norm(outside, 2), 1.0)))
+    sine = float(np.linalg.norm(outside, 2))
+    return float(np.arcsin(min(sine, 1.0)))
 
 
 def _row_space(solver: StepSolver, state: State, q: Array) -> Array:

@@ -76,6 +76,7 @@ def pair_structure(poses: int) -> type[ctypes.Structure]:
         *_fields("radius friction thickness", REAL),
         ("data", REAL * 8),
         ("pose", REAL * poses),
+        ("asked", REAL),
     ]
     return type("Pair", (ctypes.Structure,), {"_fields_": fields})
 
@@ -167,7 +168,7 @@ class ContactDriver:
             )  # fmt: skip
             carried = 0 <= pair.carrier.frame < self.system.n_frames and not pair.moving
             one.carrier = pair.carrier.frame if carried else -1
-            one.data[: len(found[1])] = found[1]
+            one.data[: len(found[1])], one.asked = found[1], np.nan
             if not carried and not pair.moving:
                 at_rest = self.contacts.pose(self.system, pair.carrier, 0.0, self._no_poses())
                 one.pose[:] = list(at_rest)

@@ -10,7 +10,7 @@ typedef struct {
     int shape, first, count, carrier, moving; /* points; carrier: body, -1 for none */
     double radius, friction, thickness;
     double data[8];                           /* of the shape: see contact_tables.py */
-    double pose[POSE];                        /* of an obstacle that no body carries */
+    double pose[POSE], asked;                 /* of an obstacle that no body carries; the time it was last asked for */
 } Pair;
 
 /* Where all points stand: gaps, places and normals in world axes, places in the axes of the obstacle. */
@@ -111,7 +111,10 @@ static double distance(const Pair *o, const double *y, double *n)
 /* Place and rotation of an obstacle; 1 where Python failed. */
 static int obstacle(const Contacts *c, Pair *o, const double *q, double t, double *r, double *R)
 {
-    if (o->moving && c->python(POSE_OF, (int)(o - c->pair), t)) return 1;
+    if (o->moving && o->asked != t) {
+        if (c->python(POSE_OF, (int)(o - c->pair), t)) return 1;
+        o->asked = t;
+    }
     const double *pose = o->carrier >= 0 ? q + POSE * o->carrier : o->pose;
     memcpy(r, pose, D * sizeof(double));
     rotation(pose, R);
