@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from dae_problems import pendulum
 from tolerance_scenes import CASES, TIMES, check
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.run import estimates, single_run
 
 QUICK = ("pendulum", "mass on spring", "clamped beam", "spin-up")
 CALLS = [
@@ -23,3 +29,26 @@ def test_a_tolerance_is_kept(name: str, k: int) -> None:
     assert found.ok, found
     assert found.stated <= found.tol
     assert found.attempts <= 3
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-5])
+def test_all_attempts_together_take_few_steps(monkeypatch: pytest.MonkeyPatch, tol: float) -> None:
+    """An earlier attempt tells the error of the last one: all runs together take at most 1.7 times the steps of the last."""
+    taken = []
+    march = single_run.march
+
+    def counted(problem: Any, solver: Any, pace: Any, *rest: Any, **more: Any) -> Any:
+        taken.append(pace.steps)
+        return march(problem, solver, pace, *rest, **more)
+
+    for module in (estimates, single_run):
+        monkeypatch.setattr(module, "march", counted)
+    run = fmbd.solve(pendulum(), t_end=2.0, tol={"x": tol}, output=fmbd.Output(every=7))
+    steps = run.counters["steps"]
+    assert sum(taken) <= 1.7 * steps, taken
+    assert run.observed_order["x"] == pytest.approx(2.0, abs=0.1)
+
+    # recorded as asked for
+    wanted = np.append(np.arange(0, steps, 7), steps) * 2.0 / steps
+    np.testing.assert_allclose(run.times, np.unique(wanted.round(12)), atol=1e-9)
+    assert len(run["x"]) == len(run.times) == len(run.total_energy)

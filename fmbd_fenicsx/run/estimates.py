@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 SEEN = 0.75  # share of the scheme's order above which runs with larger steps follow the same motion
 AHEAD = 4.0 / 3.0  # the error of the finer space counts as at most a quarter of that of the given one
 ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
+FALLING = 2.0  # from one level to the next; below, the differences of levels do not tell the error
 UNENDED = "the run with finer spaces did not end"
 SATURATION = 2.0  # the error of the finer basis counts as at most half of that of the given one
 
@@ -182,6 +183,30 @@ def space_deviations(coarse: Recorder, fine: Recorder, why: str) -> tuple[dict[s
     return errors, why
 
 
+def levels_compared(highest: float, given: Recorder, below: Recorder, lowest: Recorder) -> dict[str, Deviation] | None:
+    """Error in space of each sensor from runs on the two levels below, elements of the size h, 2 h and 4 h:
+
+        x - x_h ~ (x_h - x_2h) / (r - 1),     r = |x_2h - x_4h| / |x_h - x_2h|, at most the ``highest``              (1)
+
+    in the maximum norm over time. None where errors do not fall by :data:`FALLING` or more, so that the next difference is open,
+    and where a sensor has other values on each mesh.
+    """
+    errors = {}
+    for name, x in given.series.items():
+        y, z = below.series[name], lowest.series[name]
+        if not x.shape == y.shape == z.shape:
+            return None
+        near, far = x - y, float(np.abs(y - z).max(initial=0.0))
+        size = float(np.abs(near).max(initial=0.0))
+        if size <= ROUNDOFF * float(np.abs(x).max(initial=0.0)):
+            errors[name] = Deviation(given.times, near)
+            continue
+        if far < FALLING * size:
+            return None
+        errors[name] = Deviation(given.times, near / (min(far / size, highest) - 1.0))
+    return errors
+
+
 def finer_scene(scene: Scene) -> tuple[Scene, str, Built | None]:
     """The scene in finer spaces, what has none, and the system; None where nothing is finer. Collective.
 
@@ -215,7 +240,7 @@ def again(problem: Problem, pace: Pace, steps: int, times: Sequence[float] | Non
 
 def _whole(problem: Problem, solver: StepSolver, pace: Pace, output: Output, *, parts: bool = True) -> March:
     """A march that was not stopped on request; collective. ``parts``: whether steps may be made in parts."""
-    marched = march(problem, solver, pace, output)
+    marched = march(replace(problem, warned=None), solver, pace, output)
     if marched.status != "finished":
         raise ConvergenceError(f"stopped at t = {marched.state.t:g} s")
     if not parts and marched.counters.get("halved_steps"):

@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InputError
-from ..mechanics.bodies.beams import Beam
 from ..mechanics.bodies.bodies import ElasticBody
 from ..mechanics.reduction.craig_bampton import ReducedBody
-from ..mechanics.rods.rods import Rod
 from ..schemes.control import FINEST
-from ..system.scene.refinement import meshed_bodies, more_modes
+from ..system.scene.refinement import expected_rate, more_modes, slender
 from ..system.scene.scene import Scene
 from .certificate import KINDS
 from .deviation import Deviation
@@ -31,7 +29,6 @@ from .shares import AIM, WHOLE, Tolerance, share
 if TYPE_CHECKING:
     from .tolerance import Attempt
 
-RATE = 4.0  # by which the error in space falls from one level to the next, until it was seen
 LEAST = 0.65  # of smaller changes of the step the runs cost more than they save
 NEAR, FAR = 1 / 16, 1 / 128  # most that a step is made smaller at once, without and with the order of the scheme seen
 HALF, LATER = 0.45, 0.3  # shares for time beside an error in space that is not known yet: allowed, and brought below
@@ -52,7 +49,7 @@ class Plan:
 
     ``steps``: their number, a multiple of ``grain``; 0 for schemes with error control. ``known``: errors of space and modes that
     still hold. ``orders``: of time, seen with other spaces. ``before``: level of the meshes and error in space over the
-    tolerance of the attempt before they were refined last.
+    tolerance of the attempt before they were refined last. ``below``: the scene with the meshes of each level below.
     """
 
     scene: Scene
@@ -64,6 +61,7 @@ class Plan:
     known: Known | None = None
     orders: Orders = field(default_factory=Orders)
     before: tuple[int, float] | None = None
+    below: tuple[Scene, ...] = ()
 
     @property
     def steps(self) -> int:
@@ -91,7 +89,8 @@ def next_plan(
             made = _finer_meshes(made, over["space"], limits["space"], shared)
             done.append("finer meshes")
         if over["modes"] > limits["modes"]:
-            made = replace(made, scene=more_modes(made.scene, run.system), modes=made.modes + 1, known=None)
+            scene, *below = (more_modes(x, run.system) for x in (made.scene, *made.below))
+            made = replace(made, scene=scene, modes=made.modes + 1, known=None, below=tuple(below))
             done.append("more modes")
     except InputError as error:
         known = run.certificate.unstated.get("space")
@@ -123,39 +122,25 @@ def _limits(over: Mapping[str, float]) -> dict[str, float]:
 
 
 def _finer_meshes(plan: Plan, over: float, limit: float, shared: SharedRuns) -> Plan:
-    """The plan with meshes refined as often as the rate seen so far asks for, rounded down."""
-    rate = _expected(plan.scene)
+    """The plan with meshes refined as often as the rate seen so far asks for."""
+    rate = expected_rate(plan.scene)
     if plan.before is not None and np.isfinite(plan.before[1]):
         rate = float(np.clip((plan.before[1] / over) ** (1.0 / (plan.meshes - plan.before[0])), 2.0, 16.0))
     solid = any(isinstance(b, ElasticBody | ReducedBody) and b.dim == 3 for b in plan.scene.bodies.values())
     exact = np.log(over / limit) / np.log(rate) if np.isfinite(over) else 1.0
-    wanted = int(np.ceil(exact - 0.1) if _foreseen(plan) and np.isfinite(over) else exact + 0.1)
-    levels = min(max(wanted, 1), 1 if solid else 3)
+    wanted = int(np.ceil(exact - 0.1) if _foreseen(plan) and np.isfinite(over) else exact + 0.5)
+    levels = min(max(wanted, 1), 1 if solid else 5 if slender(plan.scene) else 3)
 
-    scene = plan.scene
+    scenes = [*plan.below, plan.scene]
     for _ in range(levels):
-        scene = shared.refined(scene)
-    return replace(plan, scene=scene, meshes=plan.meshes + levels, known=None, before=(plan.meshes, over))
-
-
-def _slender(scene: Scene) -> bool:
-    """Whether all that has an error in space are beams, rods, lines or wires: no corners, and cheap to refine."""
-    return not any(isinstance(scene.bodies[n], ElasticBody | ReducedBody) for n in meshed_bodies(scene))
-
-
-def _expected(scene: Scene) -> float:
-    """By what the error in space falls from one level to the next, as long as it was not seen."""
-    if not _slender(scene):
-        return RATE
-    bodies = [scene.bodies[n] for n in meshed_bodies(scene)]
-    return min(
-        [16.0 if isinstance(b, Beam) else 4.0**b.degree if isinstance(b, Rod) else RATE for b in bodies], default=RATE
-    )
+        scenes.append(shared.refined(scenes[-1]))
+    made = replace(plan, scene=scenes[-1], meshes=plan.meshes + levels, below=tuple(scenes[:-1]))
+    return replace(made, known=None, before=(plan.meshes, over))
 
 
 def _foreseen(plan: Plan) -> bool:
     """Whether the next error in space can be told in advance: from a rate that was seen, or of slender bodies."""
-    return plan.before is not None or _slender(plan.scene)
+    return plan.before is not None or slender(plan.scene)
 
 
 def _factor(plan: Plan, run: Run, tol: Tolerance, *, shares: tuple[float, float], history: Sequence[Attempt]) -> float:

@@ -7,7 +7,7 @@ follow the same motion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,11 +15,21 @@ from ..errors import ConvergenceError
 from ..log import log
 from ..notices import Gathered
 from ..schemes.newton import Newton
-from ..system.scene.refinement import refined, refined_by_finer_space
+from ..system.scene.refinement import expected_rate, one_kind, refined, refined_by_finer_space
 from ..system.scene.scene import Scene
 from .built import Built, build
 from .deviation import Deviation
-from .estimates import UNENDED, Compared, TimeError, again, compare_steps, finer_scene, run_like, space_deviations
+from .estimates import (
+    UNENDED,
+    Compared,
+    TimeError,
+    again,
+    compare_steps,
+    finer_scene,
+    levels_compared,
+    run_like,
+    space_deviations,
+)
 from .output import Output
 from .schedule import Pace
 from .single_run import Solved, Task, run_once
@@ -119,9 +129,18 @@ class SharedRuns:
         return have[steps]
 
     # -- errors in space ----------------------------------------------------------------------------------------------
-    def space_error(self, solved: Solved, made: Compared) -> tuple[dict[str, Deviation], str]:
-        """The error by the meshes, from a run with the steps of another one in finer spaces; collective."""
+    def space_error(self, solved: Solved, made: Compared, below: Sequence[Scene]) -> tuple[dict[str, Deviation], str]:
+        """The error by the meshes, from runs on the levels ``below`` where there are two, else from one in finer spaces; with the
+        steps of a run ``made``; collective.
+        """
         scene = solved.problem.scene
+        if len(below) > 1 and one_kind(below[-2]):
+            others = [self._like(solved, made, x) for x in below[:-3:-1]]
+            if others[0] is not None and others[1] is not None:
+                found = levels_compared(expected_rate(scene), made.recorder, others[0].recorder, others[1].recorder)
+                if found is not None:
+                    return found, ""
+
         if id(scene) not in self._finer:
             self._finer[id(scene)] = finer_scene(scene)
         finer, why, built = self._finer[id(scene)]
@@ -129,16 +148,23 @@ class SharedRuns:
             return {}, why or "no body is on a mesh"
         if id(finer) not in self._built:
             self._keep(finer, built)
-
-        fine = self._runs.get(id(finer), {}).get(made.pace.steps)
+        fine = self._like(solved, made, finer)
         if fine is None:
-            marched = run_like(solved.problem, made, finer, built)
-            if marched is None:
-                return {}, UNENDED
-            fine = Compared(marched.recorder, made.pace)
-            if not marched.counters.get("halved_steps"):
-                self._note(finer, fine)
+            return {}, UNENDED
         return space_deviations(made.recorder, fine.recorder, why)
+
+    def _like(self, solved: Solved, made: Compared, scene: Scene) -> Compared | None:
+        """A run of the scene with other meshes and the steps of a run ``made``; None where it does not end."""
+        kept = self._runs.get(id(scene), {}).get(made.pace.steps)
+        if kept is not None:
+            return kept
+        marched = run_like(solved.problem, made, scene, self.built(scene))
+        if marched is None:
+            return None
+        found = Compared(marched.recorder, made.pace)
+        if not marched.counters.get("halved_steps"):
+            self._note(scene, found)
+        return found
 
     def refined(self, scene: Scene) -> Scene:
         """The next level: the spaces that the error was measured against, where these are it, so that their system and run

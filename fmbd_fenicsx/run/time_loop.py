@@ -47,7 +47,7 @@ class Problem:
     newton: Newton
     linear: Any
     pressures: list[Array]  # that bodies carry as unknowns
-    warned: Gathered | None = None  # the warnings of the run
+    warned: Gathered | None = None  # the warnings of the run; None: it warns of nothing
 
 
 @dataclass(frozen=True)
@@ -167,6 +167,16 @@ def _events(problem: Problem, pace: Pace, output: Output, state: State) -> Event
     return watch
 
 
+def _motions(problem: Problem, pace: Pace, t: float) -> PrescribedMotions | None:
+    """Who looks whether prescribed motions make sense; None in runs that warn of nothing."""
+    if problem.warned is None:
+        return None
+    motions = PrescribedMotions(problem.scene, problem.system, t, planned=pace.steps)
+    if not pace.steps:
+        motions.ahead(pace.t_end)
+    return motions
+
+
 def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keeper: Keeper | None = None) -> March:
     """All steps from a consistent start, or from the checkpoint that the ``keeper`` takes up; collective."""
     reset(problem.system, problem.start)
@@ -179,20 +189,19 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
         keeper.resume(course)
     state = stepper.state
     forecast = Forecast(solver, state.t, pace.t_end, pace.steps)
-    motions = PrescribedMotions(problem.scene, problem.system, state.t, planned=pace.steps)
+    motions = _motions(problem, pace, state.t)
     events, ended = _events(problem, pace, output, state), False
     bar = Progress(problem.scene.name, pace.steps or None, output.progress)
-    if not pace.steps:
-        motions.ahead(pace.t_end)
     try:
         with OneAnswer(problem.system.comm), StopRequests() if keeper is None else keeper.listen() as stop:
             while not pace.ended(state.t, course.done):
-                if pace.steps:
+                if motions is not None and pace.steps:
                     motions.look(state.t + pace.next(state.t))
                 most = pace.steps if keeper is None else 1  # a checkpoint may be due after every step
                 made = quietly(stepper, pace, recorder, course.done, most=most) if pace.steps else 0
                 state = stepper.state if made else attempt(problem.system, stepper, pace.next(state.t))
-                motions.look(state.t, made)
+                if motions is not None:
+                    motions.look(state.t, made)
                 if not pace.steps:  # constant steps note their parts one by one
                     accept(problem.system, state)
                     forecast.note(state)
@@ -217,7 +226,8 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
         if keeper is not None:
             keeper.write(course)
     except ConvergenceError as error:
-        motions.look(stepper.state.t)  # a contradiction between drives says more than the joint that it opens
+        if motions is not None:
+            motions.look(stepper.state.t)  # a contradiction between drives says more than the joint that it opens
         total = f" of {pace.steps}" if pace.steps else ""
         kept = "" if keeper is None or keeper.newest is None else f" The newest checkpoint is {keeper.newest}."
         raise type(error)(f'Scene "{problem.scene.name}", step {course.done + 1}{total}: {error}{kept}') from error

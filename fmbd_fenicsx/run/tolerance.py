@@ -29,7 +29,7 @@ from .result import Run
 from .schedule import Pace, pace_of
 from .settings import check_tangent, checked_scheme
 from .shared_runs import Orders, SharedRuns
-from .shares import Relative, Tolerance, check_tolerances, relative, safe, share, worst
+from .shares import Relative, Tolerance, check_tolerances, relative, safe, worst
 from .single_run import Solved
 
 __all__ = ["Attempt", "Relative", "relative", "solve_within"]
@@ -38,7 +38,6 @@ ATTEMPTS = 12
 START = 100  # steps of the first attempt where no dt is given
 LOOSEST = 1e-4  # rtol of the first attempt of schemes with error control
 RECORDS = 200  # that runs make at least, so that they can be compared
-FAR_OFF = 8.0  # times the tolerance: errors of time of which the order does not matter yet
 
 
 @dataclass(frozen=True)
@@ -156,13 +155,13 @@ def _time_error(plan: Plan, tol: Tolerance, shared: SharedRuns, solved: Solved) 
         run.state_error("time", errors)
         return TimeError(errors, {}, made)
 
-    # far from the tolerance one more run is enough, unless other errors are told by the runs with few steps
+    # the order matters as soon as the run could be the last one, or where other errors are told by runs with few steps
     rough = not meshed_bodies(plan.scene) and not modal_bodies(plan.scene)
     for less in (True, False) if rough else (False,):
         found = shared.time_error(solved, plan.orders, rough=less)
         run.state_error("time", found.errors)
         run.observed_order = found.orders
-        if less and max(share(run.certificate, n, x, "time") for n, x in tol.items()) > FAR_OFF:
+        if less and not safe(run.certificate, tol):
             break
     return found
 
@@ -182,7 +181,7 @@ def _other_errors(plan: Plan, shared: SharedRuns, solved: Solved, made: Compared
         run.seconds["reduction estimate"] = clock.perf_counter() - begun
     begun = clock.perf_counter()
     if meshed_bodies(plan.scene):
-        in_space, run.space_unstated = shared.space_error(solved, made)
+        in_space, run.space_unstated = shared.space_error(solved, made, plan.below)
         run.state_error("space", in_space)
         run.seconds["space estimate"] = clock.perf_counter() - begun
 

@@ -213,20 +213,27 @@ class Curve:
         n = first - (first @ t[0]) * t[0]
         carried = np.empty_like(x)
         carried[0] = n / np.linalg.norm(n)
-        for i in range(len(fine) - 1):
-            carried[i + 1] = _reflected(carried[i], (x[i], x[i + 1]), (t[i], t[i + 1]))
+        for i, step in enumerate(_reflections(x, t)):
+            r = step @ carried[i]
+            carried[i + 1] = r / np.sqrt(r @ r)
         found: Array = carried[np.searchsorted(fine, s)]
         return found
 
 
-def _reflected(r: Array, x: tuple[Array, Array], t: tuple[Array, Array]) -> Array:
-    """One step of the double reflection: the direction r at the first of two points, carried to the second."""
-    chord = x[1] - x[0]
-    square = chord @ chord
-    left = r - (2.0 / square) * (chord @ r) * chord
-    tangent = t[0] - (2.0 / square) * (chord @ t[0]) * chord
-    v = t[1] - tangent
-    left = left - (2.0 / (v @ v)) * (v @ left) * v if v @ v > 0 else left
-    left = left - (left @ t[1]) * t[1]
-    found: Array = left / np.linalg.norm(left)
-    return found
+def _reflections(x: Array, t: Array) -> Array:
+    """Steps of the double reflection (n - 1, 3, 3): what carries a direction from each of the points x (n, 3) to the next, t
+    (n, 3) the tangents there.
+    """
+
+    def across(normal: Array) -> Array:
+        """Reflections in the planes with these normals; nothing where there is none."""
+        square = (normal * normal).sum(1)
+        share = np.divide(2.0, square, out=np.zeros_like(square), where=square > 0)
+        return np.eye(3) - share[:, None, None] * normal[:, :, None] * normal[:, None, :]
+
+    first = across(x[1:] - x[:-1])
+    second = across(t[1:] - np.einsum("nij,nj->ni", first, t[:-1]))
+
+    # roundoff along the tangent is taken away
+    square = np.eye(3) - t[1:, :, None] * t[1:, None, :]
+    return np.asarray(square @ second @ first)

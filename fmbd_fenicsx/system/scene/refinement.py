@@ -17,8 +17,11 @@ from ...mechanics.bodies.beams import Beam
 from ...mechanics.bodies.bodies import ElasticBody
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...mechanics.reduction.reduced import ReducedPart
+from ...mechanics.rods.rods import Rod
 from ..system import System
 from .scene import Scene
+
+RATE = 4.0  # of solids: squares of the size of the elements, less at corners
 
 
 @runtime_checkable
@@ -127,6 +130,27 @@ def refined_by_finer_space(scene: Scene) -> bool:
     """Whether the finer spaces of :func:`finer_space` are those of :func:`refined`: slender bodies, and linear displacements."""
     bodies = [scene.bodies[name] for name in meshed_bodies(scene)]
     return all(_degree(b) == 1 or not isinstance(b, ElasticBody | ReducedBody) for b in bodies)
+
+
+def slender(scene: Scene) -> bool:
+    """Whether all that has an error in space are beams, rods, lines or wires: no corners, and cheap to refine."""
+    return not any(isinstance(scene.bodies[n], ElasticBody | ReducedBody) for n in meshed_bodies(scene))
+
+
+def expected_rate(scene: Scene) -> float:
+    """By what the error in space falls from one level of :func:`refined` to the next, as long as it was not seen."""
+    if not slender(scene):
+        return RATE
+    bodies = [scene.bodies[n] for n in meshed_bodies(scene)]
+    return min(
+        [8.0 if isinstance(b, Beam) else 4.0**b.degree if isinstance(b, Rod) else RATE for b in bodies], default=RATE
+    )
+
+
+def one_kind(scene: Scene) -> bool:
+    """Whether levels from this one on halve elements: linear displacements become quadratic ones first."""
+    bodies = [scene.bodies[name] for name in meshed_bodies(scene)]
+    return all(_degree(b) != 1 for b in bodies)
 
 
 def more_modes(scene: Scene, system: System) -> Scene:
