@@ -155,6 +155,16 @@ def test_tolerances_that_are_none(tol: dict[str, Any], message: str) -> None:
         fmbd.solve(point_pendulum(), t_end=0.1, dt=0.01, tol=tol)
 
 
+def test_a_sensor_without_unit_takes_a_share_of_its_range() -> None:
+    section = fmbd.Section.rectangle(youngs_modulus=2e9, poisson_ratio=0.3, density=1e3, width=0.02, height=0.02)
+    beam = fmbd.Beam("beam", (0.0, 0.0), (1.0, 0.0), section, elements=2)
+    scene = fmbd.Scene("beam", gravity=(0.0, -9.81), gravity_ramp=0.05)
+    scene.add(beam, fmbd.fixed("clamp", fmbd.ground, beam.surface("start")))
+    scene.sensor("modes", fmbd.sensors.coordinates(beam))
+    with pytest.raises(InputError, match='"modes".*has no unit.*relative'):
+        fmbd.solve(scene, t_end=0.1, dt=1e-3, tol={"modes": 1e-6})
+
+
 # -- scenes made again ----------------------------------------------------------------------------------------------
 def test_a_scene_with_finer_bodies_shares_nothing_with_the_old_one_but_what_is_equal(
     rod_mesh: Callable[..., Any],

@@ -56,11 +56,27 @@ def test_orders_of_two_stages_on_the_elastic_pendulum(rod_mesh: Callable[..., An
 
 
 @pytest.mark.slow
-def test_orders_of_three_stages(rod_mesh: Callable[..., Any]) -> None:
-    """5, 5, 3 at index 2: v and lambda still lose to the stiffest modes."""
+def test_orders_of_three_stages_by_form(rod_mesh: Callable[..., Any]) -> None:
+    """5, 3, 2 at index 3; 5, 5, 3 at index 2 and 1: q and v still lose half an order to the stiffest modes, lambda gains one."""
     scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.2), ramp=T_END)
-    found = orders(scene, [fmbd.Radau(3, fmbd.Index2(), None)], fmbd.Radau(5, fmbd.Index2(), None), (10, 20), T_END)
-    assert (found > [[4.6, 3.8, 2.6]]).all(), found
+    schemes = [fmbd.Radau(3, form, None) for form in (fmbd.Index3(), fmbd.Index2(), fmbd.Index1(), fmbd.GGL())]
+    found = orders(scene, schemes, fmbd.Radau(5, fmbd.Index2(), None), (20, 40), T_END)
+    least = np.array([[4.3, 2.8, 1.8], [4.3, 4.5, 2.8], [4.3, 4.5, 2.8], [4.3, 3.3, 2.8]])
+    assert (found > least).all(), found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "least"), [("tied", (4.8, 4.8, 4.8)), ("absolute", (4.6, 3.8))])
+def test_orders_of_three_stages_where_rows_are_linear(
+    rod_mesh: Callable[..., Any], kind: str, least: tuple[float, ...]
+) -> None:
+    """5 in q, v and lambda of the tied bar in every form; 5 in q and 4 in v of the absolute body."""
+    scene = tied_bar(2, 1)[0] if kind == "tied" else pendulum(rod_mesh(dim=2, h=0.5, height=0.2), kind, ramp=T_END)
+    schemes = [fmbd.Radau(3, form, None) for form in (fmbd.Index3(), fmbd.Index2(), fmbd.Index1(), fmbd.GGL())]
+    t_end = 0.1 if kind == "tied" else 0.5 * T_END
+    found = orders(scene, schemes, fmbd.Radau(5, fmbd.Index2(), None), (10, 20), t_end)[:, : len(least)]
+    assert (found > least).all(), found
+    assert found == pytest.approx(np.broadcast_to(found[0], found.shape), abs=0.01)
 
 
 def test_orders_on_a_tied_bar() -> None:

@@ -104,3 +104,38 @@ def test_three_factors_for_a_decade_of_sizes(rod_mesh: Callable[..., Any]) -> No
     sizes = np.diff(run.times)
     assert sizes.max() > 1e3 * sizes.min()
     assert run.counters["factorisations"] <= 3 * np.log10(sizes.max() / sizes.min()) + 1
+
+
+def loaded_rod(load: float) -> fmbd.Scene:
+    """A clamped rod, bent by a force that grows within 0.3 s."""
+    section = fmbd.RodSection((1e5, 4e4, 4e4, 20.0, 30.0, 30.0), 1.0, (2e-3, 1e-3, 1e-3))
+    rod = fmbd.Rod("rod", [(0, 0, 0), (1, 0, 0)], section, elements=2, degree=2)
+    scene = fmbd.Scene("loaded rod")
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("start")))
+    scene.add(fmbd.force("load", rod.surface("end"), lambda t: (0.0, 0.0, -load * min(t / 0.3, 1.0) ** 3)))
+    scene.sensor("tip", fmbd.position(rod.surface("end")))
+    return scene
+
+
+def test_small_ways_of_a_rod_are_judged_as_large_ones() -> None:
+    """A rod that moves by five hundredths of its length and one that moves by five millionths take the same steps."""
+    output = fmbd.Output(times=tuple(np.linspace(0.0, 0.4, 21)), energy=False)
+    steps = []
+    for load in (0.3, 3e-4):
+        run = fmbd.solve(loaded_rod(load), t_end=0.4, scheme=fmbd.GeneralizedAlpha(rtol=1e-4), output=output)
+        exact = fmbd.solve(loaded_rod(load), t_end=0.4, scheme=fmbd.Radau(3, rtol=1e-7), output=output)
+        assert np.abs(run["tip"] - exact["tip"]).max() < 1e-2 * np.ptp(exact["tip"], axis=0).max()
+        steps.append(run.counters["steps"])
+    assert steps[0] == pytest.approx(steps[1], rel=0.05)
+
+
+def test_a_rod_at_rest_takes_large_steps() -> None:
+    """Roundoff is no motion: ten seconds of equilibrium under weight in a few steps."""
+    section = fmbd.RodSection((1e5, 4e4, 4e4, 20.0, 30.0, 30.0), 1.0, (2e-3, 1e-3, 1e-3))
+    rod = fmbd.Rod("rod", [(0, 0, 0), (1, 0, 0)], section, elements=4, degree=2)
+    scene = fmbd.Scene("resting rod", gravity=(0, 0, -9.81), settle=True)
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("start")))
+    scene.sensor("tip", fmbd.position(rod.surface("end")))
+    run = fmbd.solve(scene, t_end=10.0, scheme=fmbd.GeneralizedAlpha(rtol=1e-5))
+    assert run.counters["steps"] <= 10
+    assert np.ptp(run["tip"], axis=0).max() < 1e-9

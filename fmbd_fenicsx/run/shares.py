@@ -16,6 +16,7 @@ from .certificate import Certificate, Statement
 AIM = 0.6  # share of the tolerance below which the error of space, or of modes, is brought: its estimate is the coarser one
 WHOLE, SAFE = 0.8, 0.9  # shares that all kinds together are brought below, and must be
 FLOOR = 1e-12  # share of the range of a sensor that roundoff leaves
+UNKNOWN = ("", "-", "?")  # units that are none
 
 Tolerance = Mapping[str, Any]  # sensor -> number in its unit, or Relative
 
@@ -43,10 +44,16 @@ def check_tolerances(scene: Scene, tol: Tolerance) -> None:
             raise InputError(f'tol: no sensor "{name}". {near(name, scene.sensors)}')
         if isinstance(value, Relative):
             continue
+        unit = scene.sensors[name].unit
+        require(
+            unit.strip() not in UNKNOWN,
+            f'tol of "{name}" is {value!r}, but this sensor has no unit. Give the sensor its unit '
+            '(unit="rad" where it is made), or a share of its range: relative(1e-3).',
+        )
         number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
         require(
             number and bool(np.isfinite(value)) and value > 0,
-            f'tol of "{name}" is {value!r}: give a positive number in {scene.sensors[name].unit}, or relative(1e-3).',
+            f'tol of "{name}" is {value!r}: give a positive number in {unit}, or relative(1e-3).',
         )
 
 

@@ -64,7 +64,7 @@ class ErrorNorm(Remembering):
 
     keeps: ClassVar = {
         **dict.fromkeys(("q_size", "v_size", "field_size"), plain()),
-        **dict.fromkeys(("wq", "wv"), Memory.like_v),
+        **dict.fromkeys(("scale", "wq", "wv"), Memory.like_v),
     }
 
     def __init__(self, system: System, rtol: float, atol: float | None, index: int) -> None:
@@ -73,6 +73,7 @@ class ErrorNorm(Remembering):
         self.v_size: Array = np.zeros(system.n_core)
         self.q_size: Array = np.zeros(system.n_core)
         self.field_size: Array = np.zeros(len(system.fields))  # m
+        self.scale: Array = np.ones(system.n_v)  # of positions, in the model
         self.wq: Array = np.ones(system.n_v)
         self.wv: Array = np.ones(system.n_v)
 
@@ -85,11 +86,15 @@ class ErrorNorm(Remembering):
             fast[block] = fast[block].max(initial=0.0)
         self.v_size = np.maximum(self.v_size, fast)
 
-        sizes = self._with_fields(state) if s.fields else self.q_size
-        self.wq = self.rtol * sizes + (0.0 if self.atol is None else self.atol)
+        self.scale = self._with_fields(state) if s.fields else self.q_size
+        self.wq = self.rtol * self.judged(state) + (0.0 if self.atol is None else self.atol)
         n = s.n_core
         self.wv = self.wq / h
         self.wv[:n] = self.rtol * self.v_size + 1e-4 * self.wv[:n]
+
+    def judged(self, state: State) -> Array:
+        """Sizes like v that the tolerance of positions is relative to: those of the model."""
+        return self.scale
 
     def _with_fields(self, state: State) -> Array:
         """Sizes like v: those of the core, and the largest displacement of each field; collective."""
@@ -130,6 +135,49 @@ class ErrorNorm(Remembering):
         typical = max(s.max_abs(state.a), 1e-3 * s.max_abs(state.v) / h)
         moved = max(s.max_abs(e_q), h * s.max_abs(e_v), 0.0 if e_a is None else h * h * s.max_abs(e_a))
         return moved / max(self.rtol * h * h * typical, 64 * float(np.finfo(float).eps) * s.length)
+
+
+def _configuration(m: Memory, name: str, q: Array | None) -> Array | None:
+    """An array like q, or None as long as there is none."""
+    if not m(f"{name} known", q is not None):
+        return None
+    found: Array = m.like_q(name, np.zeros(m.system.n_q) if q is None else q)
+    return found
+
+
+class NormOfWays(ErrorNorm):
+    """The norm of a scheme that judges positions alone: those of frames against the way that they have gone so far.
+
+    A rod or a chain that moves by a thousandth of its length would else pass with errors as large as its motion. With w the
+    largest way of a frame over the model's length, or its turn in radians,
+
+        sizes = max(min(w, 1), least) (length, one radian),      least = 1e-6, or what leaves 1e-12 beside rtol           (1)
+
+    so that bodies at rest, which move by roundoff, take large steps.
+    """
+
+    LEAST, FINEST = 1e-6, 1e-12
+    keeps: ClassVar = {**ErrorNorm.keeps, "origin": _configuration, "way": plain()}
+
+    def __init__(self, system: System, rtol: float, atol: float | None, index: int) -> None:
+        super().__init__(system, rtol, atol, index)
+        self.origin: Array | None = None
+        self.way = 0.0
+
+    def judged(self, state: State) -> Array:
+        """(1), with the state among those that were reached."""
+        s = self.system
+        if self.origin is None:
+            self.origin = state.q.copy()
+        moved = s.difference(self.origin, state.q)
+        translations, rotations = self.sizes.blocks
+        for block, unit in ((translations, s.length), (rotations, 1.0)):
+            self.way = max(self.way, float(np.abs(moved[block]).max(initial=0.0)) / unit)
+
+        sizes = self.scale.copy()
+        least = min(max(self.LEAST, self.FINEST / self.rtol), 1.0)
+        sizes[: s.n_frames * s.motions.n_twist] *= max(min(self.way, 1.0), least)
+        return sizes
 
 
 @dataclass
@@ -207,7 +255,7 @@ def first_step(norm: ErrorNorm, state: State, order: float, h_max: float) -> flo
     Collective where there are elastic fields; their own accelerations do not count: those of stiff vibrations fall to the
     error test.
     """
-    sizes = (norm.wq - (0.0 if norm.atol is None else norm.atol)) / norm.rtol
+    sizes = norm.scale
     n, fields = norm.system.n_core, norm.system.fields
 
     def mean(x: Array) -> float:

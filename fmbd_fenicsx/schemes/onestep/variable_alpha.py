@@ -35,7 +35,7 @@ from ...rotations import Array
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..consistent import consistent
-from ..control import ErrorNorm, Statistics, StepControl, first_step, moves, turn_limit
+from ..control import NormOfWays, Statistics, StepControl, first_step, moves, turn_limit
 from ..dae import GGL
 from ..newton import Newton
 from ..stepping import TimeStepper
@@ -78,7 +78,7 @@ class VariableAlpha(TimeStepper):
         self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
         self.constant = replace(scheme, rtol=None, atol=None)
         self.inner: Any = self.constant.stepper(system, solver, newton, state)
-        self.norm = ErrorNorm(system, scheme.rtol, scheme.atol, 3)
+        self.norm = NormOfWays(system, scheme.rtol, scheme.atol, 3)
         self.control = StepControl(3.0)
         self.stats = Statistics()
         self.local_error = 0.0
@@ -221,4 +221,5 @@ class VariableAlpha(TimeStepper):
         push = ev.balance(s.a + jump, s.lam) - ev.balance(s.a, s.lam)
         self.solver.prepare(ev, self._weights)
         e, _ = self.solver.solve(push, np.zeros(self.system.n_lam))
+        self.norm.update(s, h)  # the way of this step counts
         return self.norm(h, e, np.zeros_like(e))
