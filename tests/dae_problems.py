@@ -35,8 +35,8 @@ def pendulum(angle: float = 1.0, rate: float = 1.0, gravity: float = GRAVITY) ->
             vectorized=True,
         )
     )
-    scene.sensor("x", fmbd.coordinates("mass"))
-    scene.sensor("v", fmbd.coordinates("mass", level=1))
+    scene.sensor("x", fmbd.coordinates("mass", unit="m"))
+    scene.sensor("v", fmbd.coordinates("mass", level=1, unit="m/s"))
     return scene
 
 
