@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, state_errors
@@ -68,3 +70,20 @@ def test_a_driven_turn() -> None:
         return float(np.abs(run["place"][-1] - 0.5 * np.cosh(1.0) * np.array([np.cos(1.0), np.sin(1.0)])).max())
 
     assert np.log2(error(5) / error(10)) > 3.5
+
+
+@pytest.mark.parametrize("make", [pendulum, spinning_top])
+def test_values_between_the_ends_of_steps_have_the_order_of_the_scheme(make: Any) -> None:
+    """4 in positions, velocities and, as these are solved for, reactions; also with rotations in space."""
+    scene = make()
+    if make is spinning_top:
+        body = next(iter(scene.bodies.values()))
+        scene.sensor("x", fmbd.position(body, point=(0.1, 0.2, 0.3)))
+        scene.sensor("v", fmbd.velocity(body))
+    scene.sensor("force", fmbd.reaction(next(iter(scene.joints)))) if scene.joints else None
+    output = fmbd.Output(times=tuple(np.linspace(0.013, 0.247, 14)), energy=False)
+    exact = fmbd.solve(scene, t_end=0.25, scheme=fmbd.Radau(5, rtol=1e-12), output=output)
+    runs = [fmbd.solve(scene, t_end=0.25, dt=0.25 / n, scheme=fmbd.HalfExplicit(None), output=output) for n in (20, 80)]
+    for name in scene.sensors:
+        errors = [np.abs(run[name] - exact[name]).max() for run in runs]
+        assert np.log2(errors[0] / errors[1]) > 2 * 3.7, (name, errors)

@@ -105,6 +105,7 @@ class Stepper(TimeStepper):
         self.control, self.stats = StepControl(4.0), Statistics()
         self.proposed: float | None = None
         self.local_error = 0.0
+        self.before: State | None = None  # at the start of the last step
         self.limit = StepLimit("The half-explicit scheme", system, solver, amplification)
 
     @property
@@ -115,7 +116,7 @@ class Stepper(TimeStepper):
     def restart(self, t: float) -> None:
         """Accelerations and multipliers behind a kink at t."""
         self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
-        self.proposed, self.control.h_old = None, 0.0
+        self.proposed, self.control.h_old, self.before = None, 0.0, None
 
     def advance(self, h: float) -> State:
         """One accepted step: of size h, or with error control of at most h (s); collective."""
@@ -154,7 +155,30 @@ class Stepper(TimeStepper):
         self.local_error = error
         return self._accept(made)
 
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step, of the order of the scheme; None after a new start; collective.
+
+        Positions are those of the polynomial of degree 4 through both ends with their velocities and the first acceleration, in the
+        local coordinates of the step's start; velocities those of the cubic through both ends with their accelerations;
+        accelerations and multipliers are solved for. Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.6.
+        """
+        if self.before is None:
+            return None
+        system, a, b = self.system, self.before, self.state
+        h = b.t - a.t
+        x = (t - a.t) / h
+        moved = system.difference(a.q, b.q)
+
+        # what the parabola of the start leaves open at the end, in place and rate
+        gap = moved - h * a.v - 0.5 * h * h * a.a
+        turn = h * (system.rate(moved, b.v) - a.v - h * a.a)
+        xi = x * h * a.v + 0.5 * (x * h) ** 2 * a.a + x**3 * ((4 - 3 * x) * gap + (x - 1) * turn)
+        change, first, last = b.v - a.v, h * a.a, h * b.a
+        v = a.v + x * x * (3 - 2 * x) * change + x * (1 - x) ** 2 * first - x * x * (1 - x) * last
+        return accelerations(system, State(t, system.compose(a.q, xi), v, a.a, a.lam), self.solver)
+
     def _accept(self, made: State) -> State:
+        self.before = self.state
         self.state = accelerations(self.system, project(self.system, made, self.solver), self.solver)
         self.stats.steps += 1
         return self.state
