@@ -158,8 +158,8 @@ class Stepper(TimeStepper):
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step, of the order of the scheme; None after a new start; collective.
 
-        Positions are those of the polynomial of degree 4 through both ends with their velocities and the first acceleration, in the
-        local coordinates of the step's start; velocities those of the cubic through both ends with their accelerations;
+        Positions are those of the polynomial of degree 4 through both ends with their velocities and the first acceleration, in
+        the local coordinates of the step's start; velocities those of the cubic through both ends with their accelerations;
         accelerations and multipliers are solved for. Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.6.
         """
         if self.before is None:
