@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 SEEN = 0.75  # share of the scheme's order above which runs with larger steps follow the same motion
 AHEAD = 4.0 / 3.0  # the error of the finer space counts as at most a quarter of that of the given one
 ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
-FALLING = 2.0  # from one level to the next; below, the differences of levels do not tell the error
+FALLING = 3.0  # from one level to the next; below, the differences of levels do not tell the error
 UNENDED = "the run with finer spaces did not end"
 SATURATION = 2.0  # the error of the finer basis counts as at most half of that of the given one
 
