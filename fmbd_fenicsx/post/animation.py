@@ -174,8 +174,8 @@ class _Page:
             box = (share + 0.095, 0.93 - height * (k + 1) + 0.11, 1 - share - 0.12, height - 0.19 / max(1, 0.6 * count))
             axes = self.figure.add_axes(box)
             _history(axes, run, name)
-            room = box[3] * self.story.view.size[1]  # pixels; a letter of size 9 is about 7 wide
-            axes.yaxis.label.set_fontsize(min(9.0, max(6.0, 9.0 * 1.15 * room / (7.0 * len(axes.get_ylabel()) + 1))))
+            pixels = box[3] * self.story.view.size[1]  # a letter of size 9 is about 7 wide
+            axes.yaxis.label.set_fontsize(min(9.0, max(6.0, 9.0 * 1.15 * pixels / (7.0 * len(axes.get_ylabel()) + 1))))
             if axes.get_legend() is not None:
                 room = {"ncols": 6, "fontsize": 7, "columnspacing": 1.0, "handlelength": 1.2, "borderaxespad": 0.0}
                 axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), **room)
