@@ -124,6 +124,7 @@ def _check_drives(residual: Residual, q: Array, t: float) -> None:
     ev = residual.at(q, t)
     if residual.spin is None or not residual.system.n_lam:
         return
+    assert ev.v is not None
     rate = ev.constraint_rate()
     missed = np.where(rate != 0.0, ev.jacobian.times(ev.v) + rate, 0.0)
     row = int(np.abs(missed).argmax())

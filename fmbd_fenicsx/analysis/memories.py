@@ -86,7 +86,8 @@ def steady(newton: StaticNewton, start: Point, t: float, keeping: list[ControlLo
 
     Raises ConvergenceError where a memory keeps changing: an integral whose target cannot be reached.
     """
-    system, point, efforts = newton.residual.system, start, np.zeros(0)
+    system, point = newton.residual.system, start
+    efforts: Array = np.zeros(0)
     span = LENGTHS * newton.tau
     for _ in range(MOST):
         for loads in keeping:
