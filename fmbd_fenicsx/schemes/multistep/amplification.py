@@ -111,7 +111,7 @@ def growth(order: int, z: Array) -> Array:
     """Largest |zeta| of (1) for values z = h lambda, as z."""
     # coefficients of powers of 1 / zeta
     powers = np.zeros(order + 1)
-    term = np.ones(1)
+    term: Array = np.ones(1)
     for j in range(1, order + 1):
         term = np.convolve(term, [1.0, -1.0])
         powers[: j + 1] += term / j
