@@ -225,7 +225,7 @@ def main() -> int:
     found = json.loads(wanted.found.read_text()) if wanted.found is not None and wanted.found.exists() else {}
     with tempfile.TemporaryDirectory() as scratch:
         copy = Path(scratch) / "copy"
-        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", "__pycache__", "docs", ".mypy_cache"))
+        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", "__pycache__", ".mypy_cache"))
         for k, mutant in enumerate(drawn):
             if str(mutant) in found:
                 continue
