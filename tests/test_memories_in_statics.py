@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ from test_controllers import G as GRAVITY
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
+
+BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
 
 
 def test_an_integral_holds_the_target() -> None:
@@ -128,7 +131,7 @@ def test_two_tied_halves_bend_as_one() -> None:
         scene, bodies = fmbd.Scene("halves"), []
         for i in range(parts):
             size, start = 1.0 / parts, (i / parts, 0.0)
-            mesh = fmbd.read_gmsh("meshes/block.py", size=(size, 0.1), origin=start, counts=(20 // parts, 2))
+            mesh = fmbd.read_gmsh(BLOCK, size=(size, 0.1), origin=start, counts=(20 // parts, 2))
             law = fmbd.materials.plane_stress(1e6, 0.3)
             bodies.append(fmbd.AbsoluteBody(f"part {i}", mesh, density=1e3, degree=2, elastic=law))
         scene.add(*bodies, fmbd.fixed("clamp", fmbd.ground, bodies[0].surface("left")))

@@ -89,6 +89,13 @@ def test_bad_input():
     rod = fmbd.Rod("rod", [(0, 0, 1), (1, 0, 1)], SECTION)
     with pytest.raises(fmbd.errors.InputError, match="radius"):
         fmbd.contacts.along(rod, 0.0)
+    other = fmbd.Rod("other", [(0, -1, 0), (0, 1, 0)], SECTION)
+    with pytest.raises(
+        fmbd.errors.InputError, match='"other" cannot be the master: contact between rods is not offered'
+    ):
+        fmbd.contact("crossing", fmbd.contacts.along(rod, 0.02), fmbd.contacts.along(other, 0.02))
+    with pytest.raises(fmbd.errors.InputError, match="no mesh whose surface could touch"):
+        fmbd.contact("ends", rod.surface("end"), other.surface("end"))
     with pytest.raises(fmbd.errors.InputError, match="overlap at the start by 0.01"):
         scene = fmbd.Scene("low", gravity=(0, 0, -9.81))
         low = fmbd.Rod("low", [(0, 0, 0.01), (1, 0, 0.01)], SECTION)

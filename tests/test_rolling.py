@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 
+BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
 UP = (0.0, 0.0, 1.0)
 SHAPES = {
     "knife edge": fmbd.Wheel(0.3, axis=(0, 1, 0)),
@@ -143,6 +145,37 @@ def test_upright_spinning_top_has_its_exact_frequencies() -> None:
     scene.add(top, fmbd.spherical("pivot", fmbd.ground, top, center=(0, 0, 0)))
     exact = np.sort(np.abs(np.roots([A, -C * spin, m * 9.81 * l]).real))
     assert fmbd.modes(scene, 4).omega[-2:] == pytest.approx(exact, rel=1e-6)
+
+
+def test_a_rolling_disc_hits_a_wall() -> None:
+    """With contact in the same scene: half of the speed comes back, and the disc rolls back without slip."""
+    scene = fmbd.Scene("wall", gravity=(0.0, -9.81))
+    disc = fmbd.RigidBody("disc", 2.0, 0.04, (0.0, 0.2), velocity=(1.0, 0.0), angular_velocity=-5.0)
+    scene.add(disc, fmbd.rolling("road", fmbd.ground, disc, shape=fmbd.Ball(0.2), normal=(0.0, 1.0)))
+    wall = fmbd.Obstacle("wall", fmbd.HalfSpace((0.5, 0.0, 0.0), normal=(-1.0, 0.0, 0.0)))
+    scene.add(fmbd.contact("hit", fmbd.contacts.ball(disc, 0.2), wall, restitution=0.5))
+    scene.sensor("at", fmbd.position(disc))
+    run = fmbd.solve(scene, t_end=0.6, dt=2e-3, scheme=fmbd.Moreau())
+    assert run["at"][-1] == pytest.approx((0.15, 0.2), abs=2e-3)
+    assert run.state.v == pytest.approx((-0.5, 0.0, 2.5), abs=1e-9)
+
+
+@pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(), fmbd.GeneralizedAlpha(form=fmbd.GGL())])
+def test_an_elastic_cart_rolls(scheme: Any) -> None:
+    """Two wheels under an elastic beam: a = F / (m + 2 (m_w + J / r^2)), less what the beam gives way."""
+    mesh = fmbd.read_gmsh(BLOCK, size=(0.4, 0.1), origin=(-0.2, 0.15), counts=(4, 1))
+    law = fmbd.materials.plane_stress(1e10, 0.3)
+    beam = fmbd.FloatingBody("beam", mesh, degree=2, density=1000.0, elastic=law)
+    scene = fmbd.Scene("cart", gravity=(0.0, -9.81))
+    scene.add(beam)
+    for side, x in (("left", -0.2), ("right", 0.2)):
+        wheel = fmbd.RigidBody(f"wheel {side}", 1.0, 0.005, (x, 0.1))
+        scene.add(wheel, fmbd.revolute(f"axle {side}", wheel, beam.surface(side), center=(x, 0.1)))
+        scene.add(fmbd.rolling(f"road {side}", fmbd.ground, wheel, shape=fmbd.Ball(0.1), normal=(0.0, 1.0)))
+    scene.add(fmbd.force("push", scene.bodies["wheel left"], lambda t: (10.0, 0.0)))
+    scene.sensor("at", fmbd.position(scene.bodies["wheel right"]))
+    run = fmbd.solve(scene, t_end=0.1, dt=4e-3, scheme=scheme)
+    assert run["at"][-1, 0] - 0.2 == pytest.approx(0.5 * 10.0 / (40.0 + 3.0) * 0.01, rel=1e-3)
 
 
 @pytest.mark.parametrize("scheme", [fmbd.Radau(), fmbd.Rattle(), fmbd.BDF(form=fmbd.GGL())])

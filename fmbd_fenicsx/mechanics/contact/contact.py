@@ -156,7 +156,7 @@ class Contact(ScenePart):
 def contact(
     name: str,
     slave: Surface | RigidPoints | RodPoints,
-    master: Obstacle | Surface,
+    master: Obstacle | Surface | RodPoints,
     *,
     friction: float = 0.0,
     restitution: float = 0.0,
@@ -191,6 +191,11 @@ def contact(
                 "AbsoluteBody and their reduced bodies, points of a RigidBody (fmbd.contacts.corners, ball, cylinder_end), and "
                 "rods (fmbd.contacts.along)."
             )
+    if isinstance(master, RodPoints):
+        raise InputError(
+            f'{what}: rod "{master.body.name}" cannot be the master: contact between rods is not offered. Rods touch obstacles, '
+            "on the ground or on a rigid body. Give a stiff one of the two as a RigidBody with an Obstacle such as a Cylinder."
+        )
     if isinstance(slave, RigidPoints):
         require(not slave.body.locked, f'{what}: the slave body "{slave.body.name}" is locked; it cannot move.')
     if isinstance(master, Obstacle):
