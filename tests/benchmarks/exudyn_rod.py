@@ -114,4 +114,5 @@ def main():
     print(json.dumps(min(runs, key=lambda r: r["seconds"])))
 
 
-main()
+if __name__ == "__main__":
+    main()

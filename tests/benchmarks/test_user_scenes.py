@@ -13,7 +13,7 @@ NAMES = [
     *(f"{kind} {n}" for kind in ("links", "hinge springs") for n in (10, 100, 1000)),
     *(f"{kind} {n}" for kind in ("space links", "space hinge springs") for n in (10, 40, 200)),
     "body on springs", "body on bushings", "Python force", "PD arm, Python laws", "driven slider crank", "wheel suspension",
-    "truck over a road, Python tyres", "flyball governor",
+    "truck over a road, Python tyres", "flyball governor", "Bricard", "16 modes, spring and damper", "sphere bouncing on a plane",
 ]  # fmt: skip
 
 
@@ -27,4 +27,4 @@ def test_ratio_of_cpu_times(scene: str) -> None:
     assert list(SCENES) == NAMES
     row = compare(scene, 3)
     assert row["ratio"] <= row["goal"], row
-    assert row["difference, m"] < 1e-4, row
+    assert row["difference, m"] < row["agree to, m"], row

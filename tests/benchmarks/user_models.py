@@ -24,6 +24,7 @@ class Model:
     pushes: list = field(default_factory=list)  # (body, law of time)
     torques: list = field(default_factory=list)  # (body, number)
     wheels: list = field(default_factory=list)  # (body, force law(x, v))
+    dependent: set = field(default_factory=set)  # numbers of hinges with a row too many: Exudyn must not have it
     end: str = ""
 
     def body(self, name, mass, inertia, place, velocity=None, spin=None):
@@ -73,12 +74,14 @@ class Model:
             number, place = at[name]
             return e.marker(number, np.array([*point, 0.0][:3]) - place, rigid)
 
-        for a, b, point, axis, spring in self.hinges:
+        for i, (a, b, point, axis, spring) in enumerate(self.hinges):
             ends = [marker(a, point), marker(b, point)]
             turned = {} if self.dim == 2 else dict.fromkeys(("rotationMarker0", "rotationMarker1"), along(axis))
-            e.mbs.AddObject(
-                (items.RevoluteJoint2D if self.dim == 2 else items.ObjectJointRevoluteZ)(markerNumbers=ends, **turned)
-            )
+            if i in self.dependent:
+                e.mbs.AddObject(items.GenericJoint(markerNumbers=ends, constrainedAxes=[1, 1, 1, 1, 0, 0], **turned))
+            else:
+                kind = items.RevoluteJoint2D if self.dim == 2 else items.ObjectJointRevoluteZ
+                e.mbs.AddObject(kind(markerNumbers=ends, **turned))
             if callable(spring):
                 user = lambda mbs, t, i, x, v, k, c, o, law=spring: law(x, v, t)  # noqa: E731
                 e.mbs.AddObject(
@@ -230,4 +233,18 @@ def governor():
     for name, side in (("right", 1.0), ("left", -1.0)):
         middle = np.array([1.0, 0.05 * side, 0.0]) + 0.5 * np.array([-0.5, 0.75**0.5 * side, 0.0])
         model.springs.append((name, "slider", middle, np.array([0.5, 0.05 * side, 0.0]), 8e3, 4e2, 0.5))
+    return model
+
+
+def bricard():
+    """Six hinges and five rods along the edges of a unit cube: one degree of freedom, one constraint too many."""
+    model = Model(3)
+    corners = np.array([(0, 0, 0), (0, 1, 0), (0, 1, -1), (1, 1, -1), (1, 0, -1), (1, 0, 0)], dtype=float)
+    for i, (p, q) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
+        inertia = np.where(np.abs(q - p) > 0.5, 0.1**2 / 6, (1 + 0.1**2) / 12)
+        model.body(f"{i}", 1.0, np.diag(inertia), (p + q) / 2)
+    names = [None, *model.bodies, None]
+    for i, (a, b) in enumerate(zip(names[:-1], names[1:], strict=True)):
+        model.hinges.append((a, b, corners[i], np.eye(3)[[2, 0, 1][i % 3]], None))
+    model.dependent, model.end = {5}, "2"
     return model

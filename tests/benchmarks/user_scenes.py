@@ -10,11 +10,12 @@ two Newton iterations the faster one counts. Ends must agree to the error of the
 import argparse
 import json
 import time
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from exudyn_side import Exudyn, G, H
-from user_models import chain, crank, governor, mounted, pd_arm, suspension, truck
+from user_models import bricard, chain, crank, governor, mounted, pd_arm, suspension, truck
 
 import fmbd_fenicsx as fmbd
 
@@ -94,6 +95,80 @@ def pushed_exudyn():
     return e, body, point
 
 
+def sphere():
+    """A sphere thrown on a plane, without loss."""
+    body = fmbd.RigidBody("sphere", 1.0, (0.004,) * 3, (0, 0, 5.1), velocity=(0.2, 0, 0))
+    scene = fmbd.Scene("sphere", gravity=(0, 0, -G))
+    plane = fmbd.Obstacle("plane", fmbd.HalfSpace((0, 0, 0), (0, 0, 1)))
+    scene.add(body, fmbd.contact("bounce", fmbd.ball(body, 0.1), plane, restitution=1.0))
+    return scene, body, (0.0, 0.0, 0.0)
+
+
+def sphere_exudyn():
+    """Its plane is a sphere of 1e5 m with a penalty."""
+    e = Exudyn()
+    body = e.body(3, 1.0, 0.004 * np.eye(3), (0, 0, 5.1), (0.2, 0, 0), None)
+    ends = [e.marker(body, [0, 0, 0], True), e.marker(e.ground, [0, 0, -1e5], True)]
+    data = e.mbs.AddNode(e.items.NodeGenericData(initialCoordinates=[0.0, 0.0, 0.0, 0.0], numberOfDataCoordinates=4))
+    e.mbs.AddObject(
+        e.items.ObjectContactSphereSphere(
+            markerNumbers=ends, nodeNumber=data, spheresRadii=[0.1, 1e5], contactStiffness=1e6
+        )
+    )
+    return e, body, [0.0, 0.0, 0.0]
+
+
+def modes():
+    """A bar by 16 modes on a spherical joint, its tip on a spring-damper."""
+    from rod_vs_exudyn import pendulum
+
+    body = bar_and_modes()[1]
+    scene, tip = pendulum(body), body.surface("tip")
+    scene.add(fmbd.Spring("spring", fmbd.ground, tip, ABOVE, stiffness=50.0, damping=0.5, length=0.4))
+    return scene, tip, None
+
+
+class ModesExudyn:
+    """The same by ObjectFFRFreducedOrder, from the matrices, modes and weights of ours."""
+
+    def __init__(self):
+        from io import BytesIO
+
+        from rod_vs_exudyn import export
+
+        file = BytesIO()
+        export(*bar_and_modes(), file)
+        file.seek(0)
+        self.data = dict(np.load(file))
+
+    def run(self, steps, body, point, modified, sparse):  # noqa: ARG002, as of other models
+        import exudyn as exu
+        import exudyn.itemInterface as items  # noqa: N813
+        from exudyn_rod import model
+        from exudyn_side import exudyn_steps
+
+        mbs, tip = model("reduced", self.data)
+        ground = mbs.AddMarker(
+            items.MarkerBodyPosition(bodyNumber=mbs.AddObject(items.ObjectGround()), localPosition=ABOVE)
+        )
+        mbs.AddObject(items.SpringDamper(markerNumbers=[ground, tip], stiffness=50.0, damping=0.5, referenceLength=0.4))
+        mbs.Assemble()
+        spent = exudyn_steps((exu, mbs), steps, H, modified=modified, sparse=sparse)
+        return spent, np.array(mbs.GetMarkerOutput(tip, exu.OutputVariableType.Position))
+
+
+ABOVE = (1.0, 0.0, 0.5)  # m, where the spring of the bar hangs
+
+
+@cache
+def bar_and_modes():
+    """The bar and its reduced body, made once."""
+    from rod_vs_exudyn import bar
+
+    body = bar("3075")
+    return body, body.reduced(modes=16)
+
+
 def model(make, *data):
     """Both sides of a mechanism that is described once."""
     return (lambda: make(*data).ours()), (lambda: make(*data).theirs())
@@ -122,16 +197,24 @@ SCENES = {  # name: ours, theirs, steps, goal of the ratio, sparse solver there
     "wheel suspension": (*model(suspension), 2000, 0.5, False),
     "truck over a road, Python tyres": (*model(truck), 1000, 1.5, False),
     "flyball governor": (*model(governor), 1000, 0.5, False),
+    "Bricard": (*model(bricard), 1000, 0.5, False),
+    "16 modes, spring and damper": (modes, lambda: (ModesExudyn(), None, None), 500, 0.5, False),
+    "sphere bouncing on a plane": (sphere, sphere_exudyn, 1000, 0.5, False),
 }
+AGREE = {
+    "sphere bouncing on a plane": 0.05
+}  # m, where it is not 1e-4: a penalty takes its time to turn a sphere around
 
 
 def ours(made, steps):
     """CPU time of a whole run, and the place of a point at its end."""
     scene, body, point = made()
-    start = np.asarray(body.start_pose()[: scene.dim], dtype=float) + np.asarray(point)
+    start = None if point is None else np.asarray(body.start_pose()[: scene.dim], dtype=float) + np.asarray(point)
     scene.sensor("end", fmbd.sensors.position(body, point=start))
+    scheme = {"scheme": fmbd.Moreau()} if scene.contacts else {}
+    output = fmbd.Output(every=max(steps // 10, 1), progress=False)
     begin = time.process_time()
-    run = fmbd.solve(scene, t_end=steps * H, dt=H, output=fmbd.Output(every=max(steps // 10, 1), progress=False))
+    run = fmbd.solve(scene, t_end=steps * H, dt=H, output=output, **scheme)
     return time.process_time() - begin, run["end"][-1], run.counters["newton_iterations"] / steps
 
 
@@ -161,7 +244,7 @@ def compare(name, repeat):
     away = float(np.abs(end - there[: len(end)]).max())
     return {
         "scene": name, "us a step": mine, "Exudyn, us": exudyn, "ratio": ratio, "goal": goal, "set-up, ms": setup,
-        "iterations": iterations, "difference, m": away,
+        "iterations": iterations, "difference, m": away, "agree to, m": AGREE.get(name, 1e-4),
     }  # fmt: skip
 
 

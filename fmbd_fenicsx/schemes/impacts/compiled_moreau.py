@@ -1,4 +1,4 @@
-"""The Moreau scheme with compiled steps; those with impacts, and all that compiled code gives back, are made in NumPy."""
+"""The Moreau scheme with compiled steps; those that compiled code gives back are made in NumPy."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from .moreau import Stepper
 
 
 class CompiledStepper(Stepper):
-    """Steps by the driver where contacts stay as they are, one or many in a call."""
+    """Steps by the driver, one or many in a call."""
 
-    path = "compiled (bodies, joints, forces and contacts in C; NumPy for the start and for steps with impacts)"
+    path = "compiled (bodies, joints, forces and contacts in C; NumPy for the start and for steps it gives back)"
 
     def __init__(self, data: tuple[System, StepSolver, Newton, State], impacts: int, driver: ContactDriver) -> None:
         self.driver, self.compiled = driver, 0
@@ -43,7 +43,7 @@ class CompiledStepper(Stepper):
         return self.state if self.march(h, 1) else super().advance(h)
 
     def march(self, h: float, steps: int, watch: Any = None, tape: Any = None) -> int:
-        """Up to so many steps of size h (s) in one call; how many were made: fewer where an impact is next."""
+        """Up to so many steps of size h (s) in one call; how many were made: fewer where one is given back."""
         refused = self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
         if refused or watch is not None or tape is not None:
             return 0
@@ -51,7 +51,7 @@ class CompiledStepper(Stepper):
             self._load()
         made = self.driver.march(h, steps, self.newton)
         if made:
-            self._take_newest(h, made)
+            self._take_newest(made)
         self._refused = (self.state, h) if made < steps else None
         return made
 
@@ -67,14 +67,14 @@ class CompiledStepper(Stepper):
         self.driver.c.energy, self.driver.c.springs = books.energy, books.springs
         self._tail = s
 
-    def _take_newest(self, h: float, made: int) -> None:
+    def _take_newest(self, made: int) -> None:
         """The newest state, impulses, books and counts from the driver."""
         driver, books, newton = self.driver, self.ledger, self.newton
         x, c, p = driver.arrays, driver.c, driver.parameters
         self.impulse, self.carrying = x["held"].reshape(self.impulse.shape).copy(), x["carrying"].astype(bool)
         books.impulse, books.work = x["impulse"].reshape(books.impulse.shape).copy(), x["works"].copy()
         books.energy, books.springs = float(c.energy), float(c.springs)
-        normal = self.impulse[:, 0] / h
+        normal = x["normal"].copy()
         books.force = np.zeros_like(books.force)
         books.force[:, 0] = normal
 
@@ -87,7 +87,7 @@ class CompiledStepper(Stepper):
         self._count()
 
         t, q, v, a, lam = driver.newest()
-        self.state = self._tail = ContactState(t, q, v, a, lam, self._forces(t, h, normal))
+        self.state = self._tail = ContactState(t, q, v, a, lam, self._forces(normal))
 
     def _count(self) -> None:
         """Statistics of contact since the last call."""
@@ -98,15 +98,16 @@ class CompiledStepper(Stepper):
         counts.changes += tally.changes
         counts.cycles += tally.cycles
         counts.solves += tally.solves
+        self.located += tally.impacts
         counts.residual = max(counts.residual, float(tally.residual))
         self.driver.c.tally = Tally()
 
-    def _forces(self, t: float, h: float, normal: Array) -> ContactForces:
+    def _forces(self, normal: Array) -> ContactForces:
         """What sensors read of the contacts in the last step."""
         gap, x, n = self.driver.touching()
         force = self.driver.arrays["force"].reshape(x.shape).copy()
         contacts, books = self.contacts, self.ledger
         return ContactForces(
-            contacts.names, t - h / 2, contacts.pair, x, n, gap, normal, force, contacts.pressures(normal),
+            contacts.names, float(self.driver.c.time), contacts.pair, x, n, gap, normal, force, contacts.pressures(normal),
             books.impulse, books.work,
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Contact of rigid points with obstacles in the compiled driver: its tables, and the march through steps without impacts.
+"""Contact of rigid points with obstacles in the compiled driver: its tables, and the march through flights, contacts and impacts.
 
 Frames, joints and forces are those of the driver's tables; Python is entered for the poses of obstacles that move as prescribed,
 and for contacts whose forces are hard to find (dependent ones with friction).
@@ -48,7 +48,7 @@ class Touching(ctypes.Structure):
 class Tally(ctypes.Structure):
     """The structure Tally."""
 
-    _fields_ = [*_fields("solves iterations changes cycles steps newton", LONG), ("residual", REAL)]
+    _fields_ = [*_fields("solves iterations changes cycles steps newton impacts", LONG), ("residual", REAL)]
 
 
 class Contacts(ctypes.Structure):
@@ -58,11 +58,11 @@ class Contacts(ctypes.Structure):
         *_fields("pairs points components known", INT),
         *_fields("pair frame of place", POINTER),
         *_fields("now end aside", Touching),
-        *_fields("carrying closed held force impulse works", POINTER),
-        *_fields("energy springs", REAL),
+        *_fields("carrying closed bouncing hits held force normal impulse works", POINTER),
+        *_fields("energy springs time last", REAL),
         ("loaded", INT),
-        *_fields("rows drift rate W q f mu Y work ahead xi kept", POINTER),
-        ("size", INT),
+        *_fields("rows drift rate W q f mu Y work ahead xi kept saved was", POINTER),
+        *_fields("size most done total", INT),
         ("system", POINTER),
         ("tally", Tally),
         ("python", PYTHON),
@@ -73,7 +73,7 @@ def pair_structure(poses: int) -> type[ctypes.Structure]:
     """The structure Pair, for poses of so many numbers."""
     fields = [
         *_fields("shape first count carrier moving", INT),
-        *_fields("radius friction thickness", REAL),
+        *_fields("radius friction restitution thickness", REAL),
         ("data", REAL * 8),
         ("pose", REAL * poses),
         ("asked", REAL),
@@ -102,14 +102,15 @@ def known(pair: Any, dim: int) -> bool:
 
 
 class ContactDriver:
-    """The driver for one system with contact: tables, calls into Python, and two states in turn."""
+    """The driver for one system with contact: tables, calls into Python, and three states in turn."""
 
-    def __init__(self, system: System, plain: System, library: Any) -> None:
+    def __init__(self, system: System, plain: System, library: Any, impacts: int) -> None:
+        self.impacts = impacts
         self.system, self.library, self.contacts = system, library, system.contacts
         self.tables = Tables(plain, redundant=False)
         self.calls = Calls(self.tables)
         self.n, self.nq, self.m = system.n_v, system.n_q, system.n_lam
-        self.blocks = np.zeros((2, 1 + self.nq + 3 * self.n + self.m))
+        self.blocks = np.zeros((3, 1 + self.nq + 3 * self.n + self.m))
         self.ring = np.array([x.ctypes.data for x in self.blocks], dtype=np.uintp)
         self.parameters = np.zeros(25)
         self.parameters[BOUNDED] = float(np.isfinite(self.contacts.thickness).any())
@@ -135,19 +136,21 @@ class ContactDriver:
         self._pairs()
 
         sizes = {
-            "held": rows, "force": m * d, "impulse": len(contacts.pairs) * d, "works": 5, "drift": rows, "rate": m,
+            "held": rows, "force": m * d, "normal": m, "impulse": len(contacts.pairs) * d, "works": 5, "drift": rows, "rate": m,
             "rows": 2 * rows * s.motions.n_twist, "W": rows**2, "q": rows, "f": rows, "mu": m,
             "Y": rows * (self.n + self.m), "work": 6 * rows + rows**2, "ahead": self.nq, "xi": self.n, "kept": self.m + 1,
+            "saved": rows + len(contacts.pairs) * d + 7,
         }  # fmt: skip
+        counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m}
         places = {name: self._array(name, np.zeros(size)) for name, size in sizes.items()}
         return Contacts(
             pairs=len(contacts.pairs), points=m, components=k, known=0, pair=ctypes.addressof(self.pairs),
             frame=self._array("frame", np.concatenate([x.frames for x in sides]), np.int32),
             of=self._array("of", contacts.pair, np.int32),
             place=self._array("place", np.concatenate([x.points for x in sides])),
-            carrying=self._array("carrying", np.zeros(m), np.int32), closed=self._array("closed", np.zeros(m), np.int32),
+            **{name: self._array(name, np.zeros(size), np.int32) for name, size in counts.items()},
             now=self._touch("now", m, d), end=self._touch("end", m, d), aside=self._touch("aside", m, d),
-            loaded=int(bool(s.forces)), size=self.n, system=ctypes.addressof(self.tables.c), **places,
+            loaded=int(bool(s.forces)), size=self.n, most=2 * self.impacts, system=ctypes.addressof(self.tables.c), **places,
         )  # fmt: skip
 
     def _touch(self, name: str, m: int, d: int) -> Touching:
@@ -164,7 +167,7 @@ class ContactDriver:
             assert found is not None
             one = kind(
                 shape=found[0], first=first, count=pair.count, moving=int(pair.moving), radius=pair.slave.radius,
-                friction=pair.friction, thickness=pair.thickness,
+                friction=pair.friction, restitution=pair.restitution, thickness=pair.thickness,
             )  # fmt: skip
             carried = 0 <= pair.carrier.frame < self.system.n_frames and not pair.moving
             one.carrier = pair.carrier.frame if carried else -1
@@ -256,8 +259,8 @@ class ContactDriver:
         return read(now.gap, m), read(now.x, m * d).reshape(m, d), read(now.normal, m * d).reshape(m, d)
 
 
-def contact_driver(system: System, *, redundant: bool) -> ContactDriver | None:
-    """The driver for a system with contact, or None where the NumPy path has to do."""
+def contact_driver(system: System, *, redundant: bool, impacts: int) -> ContactDriver | None:
+    """The driver for a system with contact and so many impacts a step, or None where the NumPy path has to do."""
     contacts, d = system.contacts, system.motions.dim
     if system.fields or system.keepers or redundant or len(contacts.pair) > MOST:
         return None
@@ -267,4 +270,4 @@ def contact_driver(system: System, *, redundant: bool) -> ContactDriver | None:
     if not (covers_bodies(plain) and covers(plain)) or speed_rows(plain).size:
         return None
     library = driver_library(d)
-    return None if library is None else ContactDriver(system, plain, library)
+    return None if library is None else ContactDriver(system, plain, library, impacts)

@@ -80,7 +80,7 @@ class Moreau:
         """A run's worker, from a consistent state: compiled where the driver knows bodies, forces and contacts."""
         from .contact_driver import contact_driver
 
-        driver = contact_driver(system, redundant=solver.core.redundant) if self.impacts else None
+        driver = contact_driver(system, redundant=solver.core.redundant, impacts=self.impacts) if self.impacts else None
         if driver is None:
             return Stepper(system, solver, newton, state, self.impacts)
         from .compiled_moreau import CompiledStepper

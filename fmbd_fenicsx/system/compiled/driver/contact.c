@@ -8,7 +8,7 @@ enum { POSE_OF, COMPLEMENTARITY }; /* what Python is asked for by contact */
 
 typedef struct {
     int shape, first, count, carrier, moving; /* points; carrier: body, -1 for none */
-    double radius, friction, thickness;
+    double radius, friction, restitution, thickness;
     double data[8];                           /* of the shape: see contact_tables.py */
     double pose[POSE], asked;                 /* of an obstacle that no body carries; the time it was last asked for */
 } Pair;
@@ -20,7 +20,7 @@ typedef struct {
 
 /* What is counted of contacts; a step that is given back counts nothing. */
 typedef struct {
-    long solves, iterations, changes, cycles, steps, newton;
+    long solves, iterations, changes, cycles, steps, newton, impacts;
     double residual;
 } Tally;
 
@@ -30,15 +30,18 @@ typedef struct {
     int *frame, *of;                          /* points: body, and pair */
     double *place;                            /* points x D: in the body */
     Touch now, end, aside;
-    int *carrying, *closed;                   /* points */
-    double *held, *force;                     /* points x components: impulses; points x D: forces in world axes */
+    int *carrying, *closed, *bouncing, *hits; /* points; hits: impacts in a step */
+    double *held, *force, *normal;            /* points x components: impulses; points x D: mean forces of a step, world axes; */
+                                              /* points: their normal parts */
     double *impulse, *works;                  /* pairs x D; 5: see sensors/contact.py */
-    double energy, springs;
+    double energy, springs, time, last;       /* time: when forces act; last: error of the last part */
     int loaded;                               /* whether there are force elements */
     double *rows, *drift, *rate;              /* of closed contacts: components x 2 TWIST, body axes; tangential; of gaps */
     double *W, *q, *f, *mu, *Y, *work;        /* the small problem; A^-1 L^T; see moreau.c */
     double *ahead, *xi, *kept;                /* like q, like v, like lambda */
-    int size;                                 /* of v */
+    double *saved;                            /* held, impulse and works at the start of a step */
+    int *was;                                 /* carrying then */
+    int size, most, done, total;              /* of v; parts of a step; iterations of a part and of the parts of a step */
     System *system;
     Tally tally;
     int (*python)(int what, int number, double t);
@@ -212,14 +215,15 @@ static int gap_rates(const Contacts *c, const double *q, double t, double span, 
     return 0;
 }
 
-/* How far the obstacle of contact i moves across its normal from t to t + span, along the directions across. */
-static int drifts(const Contacts *c, int i, const double *q, double t, double span, const Touch *at, double *drift)
+/* How far the obstacle of contact i moves across its normal from t to t + span, along the directions across; the contact is that
+   in the middle of a step of a length. */
+static int drifts(const Contacts *c, int i, const double *q, double t, double length, double span, const Touch *at, double *drift)
 {
     Pair *o = c->pair + c->of[i];
     double r[D], R[D * D], ra[D], Ra[D * D], rb[D], Rb[D * D], way[D], y[D], ya[D], yb[D], e[D * D];
     memset(drift, 0, c->components * sizeof(double));
     if (!o->moving || c->components == 1) return 0;
-    if (obstacle(c, o, q, t + 0.5 * span, r, R) || obstacle(c, o, q, t, ra, Ra) || obstacle(c, o, q, t + span, rb, Rb)) return 1;
+    if (obstacle(c, o, q, t + 0.5 * length, r, R) || obstacle(c, o, q, t, ra, Ra) || obstacle(c, o, q, t + span, rb, Rb)) return 1;
     for (int j = 0; j < D; j++) way[j] = at->x[D * i + j] - r[j];
     transposed(R, way, y);
     times(Ra, y, ya);

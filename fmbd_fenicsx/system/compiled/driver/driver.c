@@ -32,6 +32,7 @@ static double rod_energy(System *s, Rod *k) { return (void)s, (void)k, 0.0; }
 #include "alpha.c"
 #include "contact.c"
 #include "complementarity.c"
+#include "impulses.c"
 #include "moreau.c"
 
 /* The evaluation, the factor and a solution for Python: what other schemes and tests call. */

@@ -1,191 +1,49 @@
-/* Steps of the Moreau-Jean scheme without impacts: the algorithm of schemes/impacts/moreau.py for free flight and for contacts that
-   stay closed, many steps in one call. A step in which something else happens is given back with the verdict LOOK. */
+/* Steps of the Moreau-Jean scheme: the algorithm of schemes/impacts/moreau.py for free flight, closed contacts, and impacts at
+   their own times, many steps in one call. Steps in which impacts accumulate, contacts open and close at once, or points could
+   pass through an obstacle are given back with the verdict LOOK. */
 
 enum { BOUNDED = AM }; /* of the parameters: whether obstacles are thin, so that points could pass through */
-static const double TOUCHING = 1e-9, DRIFTING = 1e-5, APPROACH = 1e-8; /* as in moreau.py */
-/* Rows and compliance of the closed contacts at the frames evaluated last, whose matrix is factored. */
-static void compliance(System *s, Contacts *c, const int *closed, int m)
-{
-    const int d = c->components, n = m * d, size = s->nv + s->rows;
-    for (int r = 0; r < n; r++) {
-        int i = closed[r / d];
-        const Pair *o = c->pair + c->of[i];
-        const double *row = c->rows + 2 * TWIST * r;
-        memset(s->b, 0, (s->nu + s->rows) * sizeof(double));
-        for (int side = 0; side < 2; side++, row += TWIST) {
-            int body = side ? o->carrier : c->frame[i];
-            if (body < 0) continue;
-            double turning[ROT], *to = s->b + s->body[body].at_u;
-            to_world(s->frames + FRAME * body + TURN, row + D, turning);
-            add(to, 1.0, row, D);
-            add(to + D, 1.0, turning, ROT);
-        }
-        solution(s, c->Y + (long)size * r, c->Y + (long)size * r + s->nv);
-    }
-    for (int r = 0; r < n; r++)
-        for (int k = 0; k < n; k++) c->W[r * n + k] = along(c, closed[r / d], c->rows + 2 * TWIST * r, c->Y + (long)size * k);
-    for (int r = 0; r < n; r++)
-        for (int k = 0; k < r; k++) c->W[r * n + k] = c->W[k * n + r] = 0.5 * (c->W[r * n + k] + c->W[k * n + r]);
-}
-
-/* Velocities as an array like v into s->velocity, world axes; frames are placed. */
-static void turn_velocity(System *s, const double *v)
-{
-    for (int b = 0; b < s->bodies; b++) {
-        const Body *o = s->body + b;
-        double *to = s->velocity + o->at_u;
-        memcpy(to, v + TWIST * b, D * sizeof(double));
-        to_world(s->frames + FRAME * b + TURN, v + TWIST * b + D, to + D);
-        memcpy(to + TWIST, v + o->at_v, o->modes * sizeof(double));
-    }
-    for (int i = 0; i < s->surfaces; i++) {
-        const Surface *k = s->surface + i;
-        const Body *o = s->body + k->body;
-        for (int j = 0; j < TWIST; j++)
-            s->velocity[s->nu + TWIST * i + j] = dot(k->map + j * (TWIST + o->modes), s->velocity + o->at_u, TWIST + o->modes);
-    }
-}
-
-/* The step of length h with the closed contacts: velocities in out.v, multipliers in out.lam, impulses in c->f. */
-static int velocities(System *s, Contacts *c, double *p, Block now, Block out, const int *closed, int m, double *kept)
-{
-    const int n = m * c->components, size = s->nv + s->rows, d = c->components;
-    const double h = p[H], middle = *now.t + 0.5 * h;
-    double *vm = s->work, *xi = vm + s->nv, *x = xi + s->nv, *y = x + s->nv, sizes[MOST], left = 0.0;
-    int done = 0, verdict, converged = 0;
-
-    memcpy(out.v, now.v, s->nv * sizeof(double));
-    memcpy(out.lam, now.lam, s->rows * sizeof(double));
-    while (done < (int)p[MAXIT] && done < MOST && !converged) {
-        for (int i = 0; i < s->nv; i++) {
-            vm[i] = 0.5 * (now.v[i] + out.v[i]);
-            xi[i] = 0.5 * h * vm[i];
-            out.a[i] = (out.v[i] - now.v[i]) / h;
-        }
-        configuration(s, now.q, xi, out.q);
-        if ((verdict = evaluate(s, out.q, vm, out.a, out.lam, middle))) return verdict;
-        if (!done && (verdict = prepare(s, out.q, 0.5 * h, 0.25 * h * h, out.lam, 0, middle))) return verdict;
-        if (!done && m) compliance(s, c, closed, m);
-        memcpy(kept, out.lam, s->rows * sizeof(double));
-
-        /* the step without a change of the impulses, and what that leaves of the contacts */
-        turn_velocity(s, out.v);
-        if (s->rows) slips(s, 1);
-        for (int i = 0; i < s->nu; i++) s->b[i] = -h * s->residual[i];
-        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->slip[i];
-        solution(s, x, y);
-        for (int k = 0; k < n; k++)
-            for (int i = 0; i < s->nv; i++) x[i] += c->f[k] * c->Y[(long)size * k + i];
-        for (int k = 0; k < n; k++)
-            for (int i = 0; i < s->rows; i++) y[i] += c->f[k] * c->Y[(long)size * k + s->nv + i];
-        for (int k = 0; k < n; k++) {
-            int i = closed[k / d];
-            const double *row = c->rows + 2 * TWIST * k;
-            c->q[k] = along(c, i, row, out.v) + along(c, i, row, x) - c->drift[k] / h + (k % d ? 0.0 : c->rate[i]);
-        }
-        for (int k = 0; k < n; k++) c->q[k] -= dot(c->W + k * n, c->f, n);
-
-        double *old = c->work + 4 * n + n * n;
-        memcpy(old, c->f, n * sizeof(double));
-        if (m && contact_forces(c, m)) {
-            memcpy(c->f, old, n * sizeof(double));
-            if (c->python(COMPLEMENTARITY, m, middle)) return LOOK;
-        }
-        for (int k = 0; k < n; k++) {
-            add(x, c->f[k] - old[k], c->Y + (long)size * k, s->nv);
-            add(y, c->f[k] - old[k], c->Y + (long)size * k + s->nv, s->rows);
-        }
-
-        add(out.v, 1.0, x, s->nv);
-        add(out.lam, 1.0 / h, y, s->rows);
-        double size_v = fmax(fmax(largest_of(s->units, out.v, s->nv), largest_of(s->units, now.v, s->nv)), 1e-6 * p[LENGTH] / h);
-        sizes[done++] = largest_of(s->units, x, s->nv) / (1e-4 * p[TOL] * size_v);
-        converged = judge(p, sizes, done, &left);
-        if (converged < 0) return NEWTON;
-    }
-    p[ITERATIONS] += done;
-    p[LEFT] += left;
-    return converged ? DONE : NEWTON;
-}
-
-/* Positions closed to roundoff by the matrix of the step. */
-static int closed_rows(System *s, Contacts *c, double *p, double *q, const double *v, double t)
-{
-    double *x = s->work, *y = x + s->nv, *moved = c->ahead;
-    if (!s->rows) return DONE;
-    if (s->samples && s->python(SAMPLE, 0, t)) return FAILED;
-    for (int round = 0; round < 3; round++) {
-        double widest = 0.0;
-        int verdict = place(s, q, v);
-        if (verdict) return verdict;
-        for (int i = 0; i < s->rows; i++) s->gap[i] = -s->motion[i];
-        for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
-            if (k->role != ROW) continue;
-            k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
-            for (long i = 0; i < k->n; i++) s->gap[k->row[i]] += k->factor[i] * k->out[i * k->outputs];
-        }
-        for (int i = 0; i < s->rows; i++) widest = fmax(widest, fabs(s->gap[i]));
-        if (widest <= 1e-13 * p[LENGTH]) break;
-        memset(s->b, 0, s->nu * sizeof(double));
-        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->gap[i];
-        solution(s, x, y);
-        configuration(s, q, x, moved);
-        memcpy(q, moved, s->nq * sizeof(double));
-    }
-    return DONE;
-}
-
-/* Works of contacts, friction, loads and joints over the increment of a step; frames are those of its middle. */
-static void add_works(System *s, Contacts *c, Block now, Block out, const double *xi, const int *closed, int m, const double *kept, double h)
-{
-    const int d = c->components;
-    double work[4] = {0.0, 0.0, 0.0, 0.0}, total, own;
-    for (int k = 0; k < m * d; k++) work[k % d > 0] += c->f[k] / h * along(c, closed[k / d], c->rows + 2 * TWIST * k, xi);
-
-    /* of loads: what is left of the balance without inertia and reactions */
-    turn_velocity(s, xi);
-    if (s->rows) slips(s, 0);
-    for (int i = 0; i < s->rows; i++) work[3] -= out.lam[i] * s->slip[i];
-    if (c->loaded) {
-        total = dot(s->residual, s->velocity, s->nu) - (s->rows ? dot(kept, s->slip, s->rows) : 0.0);
-        double *vm = s->work;
-        for (int i = 0; i < s->nv; i++) vm[i] = 0.5 * (now.v[i] + out.v[i]);
-        inertia(s, s->q, vm, out.a, *out.t);
-        own = dot(s->residual, s->velocity, s->nu);
-        work[2] = own - total;
-    }
-    for (int i = 0; i < 4; i++) c->works[i] += work[i];
-    c->works[4] -= work[0] + work[1] + work[2] + work[3];
-}
-
-/* Contacts that are closed in a step, into c->closed: how many, or -1 where one of them takes an impact. */
-static int closed_contacts(Contacts *c, const double *p, Block now)
+static const double TOUCHING = 1e-9, DRIFTING = 1e-5, APPROACH = 1e-8, INSTANT = 1e-9; /* as in moreau.py */
+enum { LOCATING = 6, REPEATS = 3, SHARES = 13 };
+/* Contacts that take part in a step, into c->closed: how many, or -1 where Python failed. ``hit``: whether some take an impact;
+   then all that touch take part, and those that approach bounce. */
+static int taking_part(Contacts *c, const double *p, Block now, double h, int *hit)
 {
     int m = 0, fresh = 0;
-    const double slow = APPROACH * p[LENGTH] / p[H];
+    const double slow = APPROACH * p[LENGTH] / h;
     for (int i = 0; i < c->points; i++)
         fresh |= !c->carrying[i] && c->now.gap[i] <= TOUCHING * p[LENGTH];
-    if (fresh && gap_rates(c, now.q, *now.t, p[H], c->rate)) return -1;
+    if (fresh && gap_rates(c, now.q, *now.t, h, c->rate)) return -1;
 
+    *hit = 0;
     for (int i = 0; i < c->points; i++) {
+        double rate = 0.0;
+        c->bouncing[i] = 0;
         if (c->now.gap[i] > (c->carrying[i] ? DRIFTING : TOUCHING) * p[LENGTH]) continue;
         if (!c->carrying[i]) {
             contact_rows(c, i, now.q, &c->now, c->rows);
-            double rate = along(c, i, c->rows, now.v) + c->rate[i];
-            if (rate < -slow) return -1;
-            if (rate > slow) continue;
+            rate = along(c, i, c->rows, now.v) + c->rate[i];
         }
-        c->closed[m++] = i;
+        *hit |= c->bouncing[i] = rate < -slow;
+        c->closed[m++] = rate > slow ? -1 - i : i;
     }
-    return m;
+
+    /* without an impact those that leave are free */
+    int taken = 0;
+    for (int k = 0; k < m; k++) {
+        int i = c->closed[k];
+        if (i < 0 && !*hit) continue;
+        c->closed[taken++] = i < 0 ? -1 - i : i;
+    }
+    return taken;
 }
 
-/* Whether a point would pass more than half of an obstacle's thickness. */
-static int passes(Contacts *c, const double *p, Block now, double *xi)
+/* Whether a point would pass more than half of an obstacle's thickness in a time h. */
+static int passes(Contacts *c, Block now, double h)
 {
-    for (int i = 0; i < c->size; i++) xi[i] = p[H] * now.v[i];
-    configuration(c->system, now.q, xi, c->ahead);
-    if (touch(c, c->ahead, *now.t + p[H], &c->end)) return 1;
+    for (int i = 0; i < c->size; i++) c->xi[i] = h * now.v[i];
+    configuration(c->system, now.q, c->xi, c->ahead);
+    if (touch(c, c->ahead, *now.t + h, &c->end)) return 1;
     for (int i = 0; i < c->points; i++) {
         double way[D], thick = c->pair[c->of[i]].thickness;
         for (int j = 0; j < D; j++) way[j] = c->end.relative[D * i + j] - c->now.relative[D * i + j];
@@ -194,116 +52,255 @@ static int passes(Contacts *c, const double *p, Block now, double *xi)
     return 0;
 }
 
-/* Forces of the closed contacts become those of the step, its impulses those of the run. */
+/* Impulses of the m contacts of a part, as forces over the whole step h, and for the books. */
 static void take_forces(Contacts *c, int m, double h)
 {
     const int d = c->components;
     memset(c->held, 0, c->points * d * sizeof(double));
     memset(c->carrying, 0, c->points * sizeof(int));
-    memset(c->force, 0, c->points * D * sizeof(double));
-    int acts = 0;
     for (int k = 0; k < m; k++) {
         int i = c->closed[k];
         const double *f = c->f + d * k, *n = c->end.normal + D * i;
-        double e[D * D], world[D];
+        double e[D * D];
         memcpy(c->held + d * i, f, d * sizeof(double));
-        c->carrying[i] = f[0] > 0;
+        c->carrying[i] = f[0] > 0 && !c->bouncing[i];
+        c->normal[i] += f[0] / h;
         across(n, e);
         for (int j = 0; j < D; j++) {
-            world[j] = f[0] * n[j];
-            for (int a = 1; a < d; a++) world[j] += f[a] * e[D * (a - 1) + j];
-            acts |= world[j] != 0.0;
-            c->force[D * i + j] = world[j] / h;
-            c->impulse[D * c->of[i] + j] += world[j];
+            double world = f[0] * n[j];
+            for (int a = 1; a < d; a++) world += f[a] * e[D * (a - 1) + j];
+            c->force[D * i + j] += world / h;
+            c->impulse[D * c->of[i] + j] += world;
         }
     }
-    c->tally.steps += acts;
 }
 
-static int plain_step(System *s, Contacts *c, double *p, Block now, Block out)
+/* The step of a length with the m contacts in c->closed: rows of the middle that the velocities at the start lead to. */
+static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m, double length, double span)
 {
-    const double h = p[H], t = *now.t;
-    double *xi = c->xi, *kept = c->kept, e[4];
-    int m, verdict;
-    if (!c->known && touch(c, now.q, t, &c->now)) return LOOK;
-    c->known = 1;
-    if (p[BOUNDED] != 0.0 && passes(c, p, now, xi)) return LOOK;
-    if ((m = closed_contacts(c, p, now)) < 0) return LOOK;
-
-    if (m) { /* rows of the middle that the velocities at the start lead to */
-        for (int i = 0; i < s->nv; i++) xi[i] = 0.5 * h * now.v[i];
-        configuration(s, now.q, xi, c->ahead);
-        if (touch(c, c->ahead, t + 0.5 * h, &c->end) || gap_rates(c, c->ahead, t + 0.5 * h, h, c->rate)) return LOOK;
+    const double t = *now.t;
+    const int d = c->components;
+    if (m) {
+        for (int i = 0; i < s->nv; i++) c->xi[i] = 0.5 * length * now.v[i];
+        configuration(s, now.q, c->xi, c->ahead);
+        if (touch(c, c->ahead, t + 0.5 * length, &c->end)) return LOOK;
+        if (gap_rates(c, c->ahead, t + 0.5 * length, span, c->rate)) return LOOK;
     }
     for (int k = 0; k < m; k++) {
-        int i = c->closed[k], d = c->components;
-        contact_rows(c, i, c->ahead, &c->end, c->rows + 2 * TWIST * d * k);
-        if (drifts(c, i, c->ahead, t, h, &c->end, c->drift + d * k)) return LOOK;
+        int i = c->closed[k];
+        const Pair *o = c->pair + c->of[i];
+        double *rows = c->rows + 2 * TWIST * d * k;
+        contact_rows(c, i, c->ahead, &c->end, rows);
+        if (drifts(c, i, c->ahead, t, length, span, &c->end, c->drift + d * k)) return LOOK;
         memcpy(c->f + d * k, c->held + d * i, d * sizeof(double));
-        c->mu[k] = c->pair[c->of[i]].friction;
+        c->mu[k] = o->friction;
+        if (c->bouncing[i]) c->rate[i] += o->restitution * fmin(along(c, i, rows, now.v) + c->rate[i], 0.0);
     }
-    if (s->samples && s->python(SAMPLE, 0, t + 0.5 * h)) return FAILED;
-    double begun = p[ITERATIONS];
-    if ((verdict = velocities(s, c, p, now, out, c->closed, m, kept))) return verdict;
+    if (s->samples && s->python(SAMPLE, 0, t + 0.5 * length)) return FAILED;
+    return velocities(s, c, p, now, out, m, length, span);
+}
 
-    /* another contact closes on the way: an impact, or one that is held */
-    for (int i = 0; i < s->nv; i++) {
-        xi[i] = 0.5 * h * (now.v[i] + out.v[i]);
-        out.a[i] = (out.v[i] - now.v[i]) / h;
+/* All points at a share of a solved step, along its parabola, into ``aside``. */
+static int along_parabola(System *s, Contacts *c, Block now, Block out, double length, double share)
+{
+    for (int i = 0; i < s->nv; i++) c->xi[i] = length * share * (now.v[i] + 0.5 * share * (out.v[i] - now.v[i]));
+    configuration(s, now.q, c->xi, c->ahead);
+    return touch(c, c->ahead, *now.t + share * length, &c->aside);
+}
+
+/* Share of a solved step at which the first free contact closes, into ``share`` (1: none), and which one that is; LOOK where one
+   leaves for a moment only. */
+static int next_touch(System *s, Contacts *c, Block now, Block out, int m, double length, double *share, int *which)
+{
+    int any = 0, left = 0, *open = c->hits + c->points; /* -1: not closing; 0: not yet seen open; else which share it is open at */
+    if (along_parabola(s, c, now, out, length, 1.0)) return LOOK;
+    for (int i = 0; i < c->points; i++) open[i] = c->aside.gap[i] < 0.0 ? 0 : -1;
+    for (int k = 0; k < m; k++) open[c->closed[k]] = -1;
+    for (int i = 0; i < c->points; i++) any |= open[i] == 0;
+    *share = 1.0;
+    if (!any) return DONE;
+
+    double upper = 1.0;
+    for (int k = 1; k < SHARES; k++) {
+        if (along_parabola(s, c, now, out, length, ldexp(1.0, -k))) return LOOK;
+        left = 0;
+        for (int i = 0; i < c->points; i++) {
+            if (open[i] == 0 && c->aside.gap[i] > 0.0) open[i] = k;
+            left |= open[i] == 0;
+        }
+        if (!left) break;
     }
-    configuration(s, now.q, xi, c->ahead);
-    if (touch(c, c->ahead, t + h, &c->aside)) return LOOK;
-    for (int k = 0; k < m; k++) c->aside.gap[c->closed[k]] = 0.0;
+    if (left) return LOOK;
+    *which = -1;
     for (int i = 0; i < c->points; i++)
-        if (c->aside.gap[i] < 0.0) return LOOK;
+        if (open[i] > 0 && (*which < 0 || open[i] > open[*which])) *which = i;
 
-    double works[5], before = c->energy, springs = c->springs;
-    memcpy(works, c->works, sizeof works);
-    add_works(s, c, now, out, xi, c->closed, m, kept, h);
-    memcpy(out.q, c->ahead, s->nq * sizeof(double));
-    verdict = closed_rows(s, c, p, out.q, out.v, t + h);
-    if (!verdict) verdict = place(s, out.q, out.v);
-    if (verdict || touch(c, out.q, t + h, &c->aside)) {
-        memcpy(c->works, works, sizeof works);
-        return verdict ? verdict : LOOK;
+    /* the root by halves of the interval */
+    double lower = ldexp(1.0, -open[*which]);
+    upper = 2.0 * lower;
+    while (upper - lower > 1e-14) {
+        double middle = 0.5 * (lower + upper);
+        if (along_parabola(s, c, now, out, length, middle)) return LOOK;
+        if (c->aside.gap[*which] > 0.0) lower = middle;
+        else upper = middle;
     }
+    *share = 0.5 * (lower + upper);
+    return DONE;
+}
 
-    *out.t = t + h;
-    energies(s, t + h, out.q, out.v, s->rest_gravity, e);
+/* The solved step once more, so that it ends where contact ``which`` closes; its length. */
+static int located(System *s, Contacts *c, double *p, Block now, Block out, int m, int which, double *length, double share)
+{
+    const double whole = *length, deepest = (s->rows ? 0.5 * TOUCHING : DRIFTING) * p[LENGTH];
+    double near, slope;
+    int verdict;
+    if (along_parabola(s, c, now, out, whole, (1 - 1e-3) * share)) return LOOK;
+    near = c->aside.gap[which];
+    if (along_parabola(s, c, now, out, whole, share)) return LOOK;
+    slope = (c->aside.gap[which] - near) / (1e-3 * share);
+    for (int k = 0; k < LOCATING; k++) {
+        *length = share * whole;
+        if ((verdict = solved(s, c, p, now, out, m, *length, *length))) return verdict;
+        for (int i = 0; i < s->nv; i++) c->xi[i] = 0.5 * *length * (now.v[i] + out.v[i]);
+        configuration(s, now.q, c->xi, out.q);
+        if ((verdict = closed_rows(s, c, p, out.q, out.v, *now.t + *length))) return verdict;
+        if (touch(c, out.q, *now.t + *length, &c->aside)) return LOOK;
+        double gap = c->aside.gap[which];
+        if ((gap >= -deepest && gap <= 0.5 * TOUCHING * p[LENGTH]) || !(slope < 0.0)) break;
+        share = fmin(fmax(share - gap / slope, 0.5 * share), fmin(2 * share, 1.0));
+    }
+    return DONE;
+}
+
+/* Make a solved part the state in ``out``; m contacts took part. */
+static int taken(System *s, Contacts *c, double *p, Block now, Block out, int m, double length, double h)
+{
+    double e[4], before = c->energy, springs = c->springs, t = *now.t;
+    int verdict;
+
+    /* works by what was evaluated in the middle, which finding the touch has left behind */
+    for (int i = 0; i < s->nv; i++) {
+        c->xi[i] = 0.5 * (now.v[i] + out.v[i]);
+        out.a[i] = (out.v[i] - now.v[i]) / length;
+    }
+    memcpy(c->kept, out.lam, s->rows * sizeof(double));
+    for (int i = 0; i < s->nv; i++) s->work[i] = 0.5 * length * c->xi[i];
+    configuration(s, now.q, s->work, out.q);
+    if (c->loaded && s->samples && s->python(SAMPLE, 0, t + 0.5 * length)) return FAILED;
+    if (c->loaded) verdict = evaluate(s, out.q, c->xi, out.a, out.lam, t + 0.5 * length);
+    else verdict = place(s, out.q, c->xi);
+    if (verdict) return verdict;
+    for (int i = 0; i < s->nv; i++) c->xi[i] *= length;
+    add_works(s, c, now, out, c->xi, c->closed, m, c->kept, length);
+
+    configuration(s, now.q, c->xi, c->ahead);
+    memcpy(out.q, c->ahead, s->nq * sizeof(double));
+    if ((verdict = closed_rows(s, c, p, out.q, out.v, t + length)) || (verdict = place(s, out.q, out.v))) return verdict;
+    if (touch(c, out.q, t + length, &c->aside)) return LOOK;
+
+    *out.t = t + length;
+    energies(s, t + length, out.q, out.v, s->rest_gravity, e);
     c->energy = e[0] + e[1] + e[2] + e[3];
     c->springs = e[3];
     c->works[4] += c->energy - before;
     if (c->loaded) c->works[2] += c->springs - springs, c->works[4] -= c->springs - springs;
     take_forces(c, m, h);
-    for (int k = 0, acts = 0; k < m * c->components && !acts; k++)
-        if ((acts = c->f[k] != 0.0)) c->tally.newton += (long)(p[ITERATIONS] - begun);
+    c->time = t + 0.5 * length;
+    c->total += c->done;
 
-    if (!m) {
-        for (int i = 0; i < s->nv; i++) s->work[i] = out.a[i] - now.a[i];
-        p[LOCAL] = fmax(p[LOCAL], h * h / 12.0 * largest_of(s->units, s->work, s->nv));
-    }
+    for (int i = 0; i < s->nv; i++) s->work[i] = out.a[i] - now.a[i];
+    c->last = m ? 0.0 : length * length / 12.0 * largest_of(s->units, s->work, s->nv);
     Touch last = c->now;
     c->now = c->aside;
     c->aside = last;
     return DONE;
 }
 
-/* Up to ``steps`` steps from ring[0]; ring[1] is free. Returns how many were made; ring[0] is then the newest. */
+/* The part of a step h to the next impact, through it, or to the end, for which ``left`` is left. */
+static int part(System *s, Contacts *c, double *p, Block now, Block out, double left, double h)
+{
+    int hit, which, verdict;
+    double length = left, share;
+    if (!c->known && touch(c, now.q, *now.t, &c->now)) return LOOK;
+    c->known = 1;
+    if (p[BOUNDED] != 0.0 && passes(c, now, left)) return LOOK;
+    int m = taking_part(c, p, now, h, &hit);
+    if (m < 0) return LOOK;
+    if (hit) {
+        for (int i = 0; i < c->points; i++) {
+            if (!c->bouncing[i]) continue;
+            c->tally.impacts++;
+            if (++c->hits[i] > REPEATS) return LOOK;
+        }
+        length = INSTANT * h;
+        verdict = solved(s, c, p, now, out, m, length, h);
+        return verdict ? verdict : taken(s, c, p, now, out, m, length, h);
+    }
+
+    if ((verdict = solved(s, c, p, now, out, m, length, length))) return verdict;
+    if ((verdict = next_touch(s, c, now, out, m, length, &share, &which))) return verdict;
+    if (share < 1.0 && (verdict = located(s, c, p, now, out, m, which, &length, share))) return verdict;
+    return taken(s, c, p, now, out, m, length, h);
+}
+
+/* What a step changes beside the state: kept, or put back. */
+static void keep_books(Contacts *c, int back)
+{
+    size_t held = c->points * c->components, impulse = c->pairs * D;
+    double *places[] = {c->held, c->impulse, c->works, &c->energy, &c->springs}, *at = c->saved;
+    size_t sizes[] = {held, impulse, 5, 1, 1};
+    for (int k = 0; k < 5; at += sizes[k++]) {
+        if (back) memcpy(places[k], at, sizes[k] * sizeof(double));
+        else memcpy(at, places[k], sizes[k] * sizeof(double));
+    }
+    if (back) memcpy(c->carrying, c->was, c->points * sizeof(int));
+    else memcpy(c->was, c->carrying, c->points * sizeof(int));
+}
+
+/* A whole step from ring[0], in parts; where the newest state is then. */
+static int whole_step(System *s, Contacts *c, double *p, double **ring, int *newest)
+{
+    const double h = p[H], end = *block_at(s, ring[0]).t + h;
+    int from = 0, to = 1, verdict, acts = 0;
+    c->total = 0;
+    memset(c->hits, 0, c->points * sizeof(int));
+    memset(c->force, 0, c->points * D * sizeof(double));
+    memset(c->normal, 0, c->points * sizeof(double));
+    for (int done = 0; end - *block_at(s, ring[from]).t > 2 * INSTANT * h; done++) {
+        if (done >= c->most) return LOOK;
+        Block now = block_at(s, ring[from]);
+        if ((verdict = part(s, c, p, now, block_at(s, ring[to]), end - *now.t, h))) return verdict;
+        from = to;
+        to = 3 - to;
+    }
+    *block_at(s, ring[from]).t = end;
+    for (int i = 0; i < c->points; i++) acts |= c->normal[i] != 0.0;
+    if (acts) c->tally.steps++, c->tally.newton += c->total;
+    p[LOCAL] = fmax(p[LOCAL], c->last);
+    *newest = from;
+    return DONE;
+}
+
+/* Up to ``steps`` steps from ring[0]; the other two are free. Returns how many were made; ring[0] is then the newest. */
 EXPORT long moreau_march(System *s, Contacts *c, double *p, long steps, double **ring, int *verdict)
 {
     long made = 0;
+    int newest;
     *verdict = DONE;
     while (made < steps) {
         double theta = p[THETA], iterations = p[ITERATIONS], left = p[LEFT];
         Tally tally = c->tally;
-        if ((*verdict = plain_step(s, c, p, block_at(s, ring[0]), block_at(s, ring[1])))) {
+        keep_books(c, 0);
+        if ((*verdict = whole_step(s, c, p, ring, &newest))) {
             p[THETA] = theta, p[ITERATIONS] = iterations, p[LEFT] = left;
             c->tally = tally;
+            c->known = 0;
+            keep_books(c, 1);
             break;
         }
-        double *newest = ring[1];
-        ring[1] = ring[0];
-        ring[0] = newest;
+        double *last = ring[newest];
+        ring[newest] = ring[0];
+        ring[0] = last;
         made++;
     }
     return made;

@@ -1,0 +1,158 @@
+/* Velocities and impulses of a part of a Moreau step, equations (1) to (3) of schemes/impacts/moreau.py, and the works of both. */
+
+/* Rows and compliance of the closed contacts at the frames evaluated last, whose matrix is factored. */
+static void compliance(System *s, Contacts *c, const int *closed, int m)
+{
+    const int d = c->components, n = m * d, size = s->nv + s->rows;
+    for (int r = 0; r < n; r++) {
+        int i = closed[r / d];
+        const Pair *o = c->pair + c->of[i];
+        const double *row = c->rows + 2 * TWIST * r;
+        memset(s->b, 0, (s->nu + s->rows) * sizeof(double));
+        for (int side = 0; side < 2; side++, row += TWIST) {
+            int body = side ? o->carrier : c->frame[i];
+            if (body < 0) continue;
+            double turning[ROT], *to = s->b + s->body[body].at_u;
+            to_world(s->frames + FRAME * body + TURN, row + D, turning);
+            add(to, 1.0, row, D);
+            add(to + D, 1.0, turning, ROT);
+        }
+        solution(s, c->Y + (long)size * r, c->Y + (long)size * r + s->nv);
+    }
+    for (int r = 0; r < n; r++)
+        for (int k = 0; k < n; k++) c->W[r * n + k] = along(c, closed[r / d], c->rows + 2 * TWIST * r, c->Y + (long)size * k);
+    for (int r = 0; r < n; r++)
+        for (int k = 0; k < r; k++) c->W[r * n + k] = c->W[k * n + r] = 0.5 * (c->W[r * n + k] + c->W[k * n + r]);
+}
+
+/* Velocities as an array like v into s->velocity, world axes; frames are placed. */
+static void turn_velocity(System *s, const double *v)
+{
+    for (int b = 0; b < s->bodies; b++) {
+        const Body *o = s->body + b;
+        double *to = s->velocity + o->at_u;
+        memcpy(to, v + TWIST * b, D * sizeof(double));
+        to_world(s->frames + FRAME * b + TURN, v + TWIST * b + D, to + D);
+        memcpy(to + TWIST, v + o->at_v, o->modes * sizeof(double));
+    }
+    for (int i = 0; i < s->surfaces; i++) {
+        const Surface *k = s->surface + i;
+        const Body *o = s->body + k->body;
+        for (int j = 0; j < TWIST; j++)
+            s->velocity[s->nu + TWIST * i + j] = dot(k->map + j * (TWIST + o->modes), s->velocity + o->at_u, TWIST + o->modes);
+    }
+}
+
+/* The step of length h with the closed contacts: velocities in out.v, multipliers in out.lam, impulses in c->f. */
+static int velocities(System *s, Contacts *c, double *p, Block now, Block out, int m, double h, double span)
+{
+    const int n = m * c->components, size = s->nv + s->rows, d = c->components, *closed = c->closed;
+    double *kept = c->kept;
+    const double middle = *now.t + 0.5 * h;
+    double *vm = s->work, *xi = vm + s->nv, *x = xi + s->nv, *y = x + s->nv, sizes[MOST], left = 0.0;
+    int done = 0, verdict, converged = 0;
+
+    memcpy(out.v, now.v, s->nv * sizeof(double));
+    memcpy(out.lam, now.lam, s->rows * sizeof(double));
+    while (done < (int)p[MAXIT] && done < MOST && !converged) {
+        for (int i = 0; i < s->nv; i++) {
+            vm[i] = 0.5 * (now.v[i] + out.v[i]);
+            xi[i] = 0.5 * h * vm[i];
+            out.a[i] = (out.v[i] - now.v[i]) / h;
+        }
+        configuration(s, now.q, xi, out.q);
+        if ((verdict = evaluate(s, out.q, vm, out.a, out.lam, middle))) return verdict;
+        if (!done && (verdict = prepare(s, out.q, 0.5 * h, 0.25 * h * h, out.lam, 0, middle))) return verdict;
+        if (!done && m) compliance(s, c, closed, m);
+        memcpy(kept, out.lam, s->rows * sizeof(double));
+
+        /* the step without a change of the impulses, and what that leaves of the contacts */
+        turn_velocity(s, out.v);
+        if (s->rows) slips(s, 1);
+        for (int i = 0; i < s->nu; i++) s->b[i] = -h * s->residual[i];
+        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->slip[i];
+        solution(s, x, y);
+        for (int k = 0; k < n; k++)
+            for (int i = 0; i < s->nv; i++) x[i] += c->f[k] * c->Y[(long)size * k + i];
+        for (int k = 0; k < n; k++)
+            for (int i = 0; i < s->rows; i++) y[i] += c->f[k] * c->Y[(long)size * k + s->nv + i];
+        for (int k = 0; k < n; k++) {
+            int i = closed[k / d];
+            const double *row = c->rows + 2 * TWIST * k;
+            c->q[k] = along(c, i, row, out.v) + along(c, i, row, x) - c->drift[k] / span + (k % d ? 0.0 : c->rate[i]);
+        }
+        for (int k = 0; k < n; k++) c->q[k] -= dot(c->W + k * n, c->f, n);
+
+        double *old = c->work + 4 * n + n * n;
+        memcpy(old, c->f, n * sizeof(double));
+        if (m && contact_forces(c, m)) {
+            memcpy(c->f, old, n * sizeof(double));
+            if (c->python(COMPLEMENTARITY, m, middle)) return LOOK;
+        }
+        for (int k = 0; k < n; k++) {
+            add(x, c->f[k] - old[k], c->Y + (long)size * k, s->nv);
+            add(y, c->f[k] - old[k], c->Y + (long)size * k + s->nv, s->rows);
+        }
+
+        add(out.v, 1.0, x, s->nv);
+        add(out.lam, 1.0 / h, y, s->rows);
+        double size_v = fmax(fmax(largest_of(s->units, out.v, s->nv), largest_of(s->units, now.v, s->nv)), 1e-6 * p[LENGTH] / span);
+        sizes[done++] = largest_of(s->units, x, s->nv) / (1e-4 * p[TOL] * size_v);
+        converged = judge(p, sizes, done, &left);
+        if (converged < 0) return NEWTON;
+    }
+    p[ITERATIONS] += done;
+    p[LEFT] += left;
+    c->done = done;
+    return converged ? DONE : NEWTON;
+}
+
+/* Positions closed to roundoff by the matrix of the step. */
+static int closed_rows(System *s, Contacts *c, double *p, double *q, const double *v, double t)
+{
+    double *x = s->work, *y = x + s->nv, *moved = c->ahead;
+    if (!s->rows) return DONE;
+    if (s->samples && s->python(SAMPLE, 0, t)) return FAILED;
+    for (int round = 0; round < 3; round++) {
+        double widest = 0.0;
+        int verdict = place(s, q, v);
+        if (verdict) return verdict;
+        for (int i = 0; i < s->rows; i++) s->gap[i] = -s->motion[i];
+        for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+            if (k->role != ROW) continue;
+            k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+            for (long i = 0; i < k->n; i++) s->gap[k->row[i]] += k->factor[i] * k->out[i * k->outputs];
+        }
+        for (int i = 0; i < s->rows; i++) widest = fmax(widest, fabs(s->gap[i]));
+        if (widest <= 1e-13 * p[LENGTH]) break;
+        memset(s->b, 0, s->nu * sizeof(double));
+        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->gap[i];
+        solution(s, x, y);
+        configuration(s, q, x, moved);
+        memcpy(q, moved, s->nq * sizeof(double));
+    }
+    return DONE;
+}
+
+/* Works of contacts, friction, loads and joints over the increment of a step; frames are those of its middle. */
+static void add_works(System *s, Contacts *c, Block now, Block out, const double *xi, const int *closed, int m, const double *kept, double h)
+{
+    const int d = c->components;
+    double work[4] = {0.0, 0.0, 0.0, 0.0}, total, own;
+    for (int k = 0; k < m * d; k++) work[k % d > 0] += c->f[k] / h * along(c, closed[k / d], c->rows + 2 * TWIST * k, xi);
+
+    /* of loads: what is left of the balance without inertia and reactions */
+    turn_velocity(s, xi);
+    if (s->rows) slips(s, 0);
+    for (int i = 0; i < s->rows; i++) work[3] -= out.lam[i] * s->slip[i];
+    if (c->loaded) {
+        total = dot(s->residual, s->velocity, s->nu) - (s->rows ? dot(kept, s->slip, s->rows) : 0.0);
+        double *vm = s->work;
+        for (int i = 0; i < s->nv; i++) vm[i] = 0.5 * (now.v[i] + out.v[i]);
+        inertia(s, s->q, vm, out.a, *now.t + h);
+        own = dot(s->residual, s->velocity, s->nu);
+        work[2] = own - total;
+    }
+    for (int i = 0; i < 4; i++) c->works[i] += work[i];
+    c->works[4] -= work[0] + work[1] + work[2] + work[3];
+}
