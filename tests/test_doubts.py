@@ -26,6 +26,19 @@ def test_energy_that_grows_is_in_the_report() -> None:
     assert "look at this" in run.report() and '"rod" in plane stress' in run.report()
 
 
+def test_an_overshoot_of_the_first_steps_is_told_from_growth() -> None:
+    """A slender rod bent without the contraction across that belongs to it: h omega of that vibration is near 100."""
+    mesh = fmbd.read_gmsh("meshes/rod.py", dim=2, h=0.1, height=0.02)
+    bent = {"displacement": lambda x: (-1e-3 * x[0] * x[1], 5e-4 * x[0] ** 2)}
+    rod = fmbd.FloatingBody("rod", mesh, density=1e3, elastic=fmbd.materials.linear_elastic(5e6, 0.3), **bent)
+    scene = fmbd.Scene("overshoot")
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
+    run = fmbd.solve(scene, t_end=2.0, dt=0.02)
+    total = run.total_energy
+    assert total.max() > 2.0 * total[0] > 2.0 * total[-1]
+    assert [text for text in run.warnings if "falls again" in text] and not any("grows by" in x for x in run.warnings)
+
+
 def test_a_good_run_has_no_warnings() -> None:
     run = swing(0.01, 0.2)
     assert run.warnings == [] and "look at this" not in run.report()

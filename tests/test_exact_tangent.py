@@ -33,8 +33,8 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> list[list[float]]:
     histories: list[list[float]] = []
     plain = Newton.solve
 
-    def solve(self: Newton, increment: Callable[[], float]) -> tuple[bool, list[float]]:
-        converged, history = plain(self, increment)
+    def solve(self: Newton, increment: Callable[[], float], look: Any = None) -> tuple[bool, list[float]]:
+        converged, history = plain(self, increment, look)
         histories.append(history)
         return converged, history
 

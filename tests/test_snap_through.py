@@ -50,10 +50,12 @@ def ramp(t: float) -> float:
 @pytest.mark.mpi
 @pytest.mark.parametrize("dt", [0.005, 0.02, 0.1])
 def test_snaps_through(dt: float) -> None:
-    """Three steps, one of them 40 times the time of the snap: steps are halved where Newton fails, and the arch hangs below."""
+    """Three steps, one of them 40 times the time of the snap: steps are halved where Newton fails, and the arch hangs below by
+    half its rise at least (steps that do not resolve the snap damp it).
+    """
     run = run_of(PRESSURE, dt, ramp)
     top = run["top"][:, 1]
-    assert top[0] > 0.03 and top.min() < -0.03
+    assert top[0] > 0.5 * RISE and top.min() < -0.5 * RISE
     halved = run.counters.get("halved_steps", 0)
     assert (halved == 0) if dt < 0.01 else (halved > 0 and "halving" in run.report())
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..energies import ViscousForm
+from ..energies import StoredEnergy, ViscousForm
 from ..errors import InputError
 from ..log import together
 from ..rotations import Array, motions
@@ -159,8 +159,8 @@ class Field:
         """The pressure that belongs to displacements U, as a dolfinx function: only bodies with a pressure have one."""
         raise NotImplementedError
 
-    def linearise(self, U: Array | None, extra: Any = None) -> None:
-        """Assemble K, for an energy at the displacements U (n d,) (None: zero), plus an ``extra`` compiled form; collective."""
+    def linearise(self, U: Array | None, *extra: Any) -> None:
+        """Assemble K, for an energy at the displacements U (n d,) (None: zero), plus ``extra`` compiled forms; collective."""
         import dolfinx.fem.petsc as fp
 
         if self.nonlinear:
@@ -171,11 +171,11 @@ class Field:
             self.K.assemble()
         if self.tangents < 0 and self.nonlinear and not self.mixed and self.forms.stiffness_damping > 0:
             self._unstressed = self.K.copy()
-        if extra is not None:
+        if extra:
             if self._with_extra is None:
                 self._with_extra = fp.create_matrix(self.stiffness_form, "baij")
             self._with_extra.zeroEntries()
-            for form in (self.stiffness_form, extra):
+            for form in (self.stiffness_form, *extra):
                 fp.assemble_matrix(self._with_extra, form)
             self._with_extra.assemble()
         self._linearised, self._extra = U, extra
@@ -207,7 +207,7 @@ class Field:
 
     def tangent(self, U: Array) -> Array:
         """K U with the extra form of :meth:`linearise`: the matrix that :meth:`combination` holds."""
-        return self._times(self.K if self._extra is None else self._with_extra, U)
+        return self._times(self._with_extra if self._extra else self.K, U)
 
     def _times(self, A: Any, U: Array) -> Array:
         x, y = self._big
@@ -249,12 +249,44 @@ class Field:
             return None
         return compat.form(symmetric(ufl.derivative(sum(parts), self._w, ufl.TrialFunction(self.space))))
 
-    def linearise_motion(self, t: float, U: Array, Ud: Array) -> None:
-        """:meth:`linearise` at displacements U with rates Ud (n d,), moving loads and viscous law included; collective."""
+    def linearise_motion(self, t: float, U: Array, Ud: Array, increment: Array | None = None) -> None:
+        """:meth:`linearise` at displacements U with rates Ud (n d,), moving loads and viscous law included; collective.
+
+        ``increment`` (n d,) of Newton that led to U: the stress is the one that it foretold, see :mod:`.foretold_stress`.
+        """
         self.loads.at(t)
         self._place(U)
         self.viscous.linearise(Ud)
-        self.linearise(U, self.moving_tangent)
+        moving = () if self.moving_tangent is None else (self.moving_tangent,)
+        if increment is None or not self.foretells:
+            self.linearise(U, *moving)
+            return
+        self.linearise(U, *moving, self._foretold(increment))
+        if not np.isfinite(self._with_extra.norm()):  # too far for a law that has no stress there
+            self.linearise(U, *moving)
+
+    @property
+    def foretells(self) -> bool:
+        """Whether an increment foretells a stress: bodies with a stored energy."""
+        return isinstance(self.forms.energy, StoredEnergy)
+
+    def _foretold(self, increment: Array) -> Any:
+        """The change of the tangent by the stress that an increment foretold."""
+        self._increment.x.array[: len(increment)] = increment
+        self._increment.x.scatter_forward()
+        return self._geometric_change
+
+    @cached_property
+    def _increment(self) -> Any:
+        from dolfinx import fem
+
+        return fem.Function(self.space)
+
+    @cached_property
+    def _geometric_change(self) -> Any:
+        from .foretold_stress import geometric_change
+
+        return geometric_change(self, self._increment)
 
     def damping(self, U: Array) -> Array:
         """D U, (n d,) -> (n d,); zero without a viscous form."""
@@ -292,8 +324,8 @@ class Field:
         E.scale(cm / ck)
         fp.assemble_matrix(E, self.stiffness_form)
         E.assemble()
-        if self._extra is not None:
-            fp.assemble_matrix(E, self._extra)
+        for form in self._extra:
+            fp.assemble_matrix(E, form)
             E.assemble()
         E.scale(ck)
         if cd and self.D is not None:
@@ -316,8 +348,8 @@ class Field:
 
         fp.assemble_matrix(E, self.stiffness_form)
         E.assemble()
-        if self._extra is not None:
-            fp.assemble_matrix(E, self._extra)
+        for form in self._extra:
+            fp.assemble_matrix(E, form)
             E.assemble()
         E.scale(ck)
         d, (low, high) = self.dim, self.M.getOwnershipRange()

@@ -106,12 +106,12 @@ class MixedField(Field):
         self._C = C
         self._B: Any = None
 
-    def linearise(self, U: Array | None, extra: Any = None) -> None:
+    def linearise(self, U: Array | None, *extra: Any) -> None:
         """Assemble the blocks at the displacements U (None: zero); collective."""
         import dolfinx.fem.petsc as fp
 
         self._place(np.zeros(self.n * self.dim) if U is None else U)
-        super().linearise(U, extra)
+        super().linearise(U, *extra)
         if self.carried and self._rest is None:
             self._rest = self.K.copy()
         if self._B is None:
@@ -258,7 +258,7 @@ class MixedField(Field):
     def tangent(self, U: Array) -> Array:
         """The matrix of :meth:`combination` with its pressure eliminated, times U."""
         out = self.stiffness(U)
-        return out if self._extra is None else out + self._times(self._with_extra, U) - self._times(self.K, U)
+        return out + self._times(self._with_extra, U) - self._times(self.K, U) if self._extra else out
 
     def combination(self, cm: float, ck: float, cd: float = 0.0) -> Any:
         """[cm M + ck A, ck B^T; ck B, -ck C] as one PETSc matrix (aij); collective. The caller destroys it."""

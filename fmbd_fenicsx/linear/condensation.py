@@ -76,6 +76,7 @@ class StepSolver:
         self.system, self.linear, self.prefix = system, linear, prefix
         self._look = redundant is None
         self._near_singular = False
+        self.increment: Array | None = None  # Newton's last, like v, where the next :meth:`refresh` is to know of it
         self._held: _Configuration | None = None  # that of the matrices
         self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
         self.elastic = FieldBlocks(system, linear, prefix)
@@ -434,7 +435,8 @@ class StepSolver:
         """New tangents of nonlinear parts at the configuration evaluated last, and rows at the one given last to
         :meth:`prepare`; False when all are constant. Collective.
         """
-        changed = [f.relinearise() for _, f in self.system.fields]
+        s, x, self.increment = self.system, self.increment, None
+        changed = [f.relinearise(None if x is None else s.local_v(x, k)) for k, f in s.fields]
         if any(changed):
             self.prepare(self._ev, self.weights, self._stiffness)
         return any(changed)

@@ -165,8 +165,16 @@ class DistributedPart(Part, Protocol):
         """Nodal momenta M u (nodes, d), if their moments are missing from the columns of inertia, else None; collective."""
         return None
 
-    def relinearise(self) -> bool:
-        """Take the tangent at the configuration evaluated last; False when it is constant anyway. Collective."""
+    @property
+    def foretells(self) -> bool:
+        """Whether an increment of Newton foretells stresses for the tangent, see :meth:`relinearise`."""
+        return False
+
+    def relinearise(self, increment: Array | None = None) -> bool:
+        """Take the tangent at the configuration evaluated last; False when it is constant anyway. Collective.
+
+        ``increment``: Newton's of the local coordinates, that led there, where it is known.
+        """
         return False
 
     def free_factors(self) -> None:

@@ -44,7 +44,8 @@ class Course:
             part.remember(m.inside(f"part {k}"))
         self.stepper.remember(m.inside("stepper"))
         remember_solver(self.solver, m.inside("solver"), self.stepper.state)
-        self.newton.iterations, self.newton.theta = m("Newton", (self.newton.iterations, self.newton.theta))
+        n = self.newton
+        n.iterations, n.theta, n.renewals = m("Newton", (n.iterations, n.theta, n.renewals))
         self.recorder.remember(m.inside("recorder"))
         self.done, self.local_error, self.first = m("course", (self.done, self.local_error, self.first))
         now = clock.perf_counter()

@@ -19,6 +19,7 @@ from ..rotations import Array
 from ..system.lengths import farthest
 from ..system.system import Evaluation, System
 
+FAR = 1e3  # of the tolerance: a first increment above it is worth a tangent of its own in bodies that change theirs every step
 FINEST = 1e-13  # increments are known to about this share
 
 
@@ -54,6 +55,7 @@ class Newton:
     patience: float = 4.0  # a new tangent is taken when more than this many further iterations are to be expected
     tangent: ExactTangent | None = None
     refresh: Callable[[], bool] | None = field(default=None, repr=False)  # takes a new tangent where one can change
+    renewals: int = 0  # tangents that the last step took: where there were several, the next one begins with one
     iterations: int = 0
     theta: float = field(default=0.5)
     left: float = 0.0  # errors that solved steps left, over the tolerance, summed
@@ -67,14 +69,17 @@ class Newton:
         )
         require(self.max_iterations >= 1, f"Newton needs max_iterations of 1 at least, found {self.max_iterations}.")
 
-    def solve(self, increment: Callable[[], float]) -> tuple[bool, list[float]]:
+    def solve(
+        self, increment: Callable[[], float], look: Callable[[], object] | None = None
+    ) -> tuple[bool, list[float]]:
         """Call ``increment`` (it applies one increment, returns its norm over the tolerance) until the error
-        is below 1.
+        is below 1. ``look`` evaluates the forces where the last increment led: a new tangent is taken there, and one increment
+        before without it.
 
         Returns whether it converged, and the history of norms.
         """
         history: list[float] = []
-        refreshed = 0
+        at_once, refreshed = look is not None and self.renewals > 1, 0
         for _ in range(self.max_iterations):
             size = increment()
             self.iterations += 1
@@ -87,7 +92,7 @@ class Newton:
                 left = self.theta / (1 - self.theta) * size
                 if left > 1.0 and refreshed < 10 and -math.log(left) / math.log(self.theta) > self.patience:
                     refreshed += 1
-                    if self.refresh is not None and self.refresh():
+                    if self._renewed(look):
                         self.theta = 0.1
                         continue
                 if (
@@ -96,14 +101,26 @@ class Newton:
                     return False, history
             else:
                 left = max(self.theta, 0.02) / (1 - min(max(self.theta, 0.02), 0.9)) * size
+                if at_once and size > FAR and self._renewed(look):
+                    refreshed, self.theta = 1, 0.1
+                    continue
             if left <= 1.0 or size <= 1e-3:
                 self.note(left)
+                self.renewals = refreshed
                 return True, history
         return False, history
 
+    def _renewed(self, look: Callable[[], object] | None) -> bool:
+        """Take a new tangent; whether there was one to take."""
+        if self.refresh is None:
+            return False
+        if look is not None:
+            look()
+        return self.refresh()
+
     def afresh(self, refresh: Callable[[], bool] | None = None) -> Newton:
         """The same settings, nothing counted yet."""
-        made = replace(self, iterations=0, theta=0.5, left=0.0, solved=0)
+        made = replace(self, renewals=0, iterations=0, theta=0.5, left=0.0, solved=0)
         made.refresh = self.refresh if refresh is None else refresh
         return made
 

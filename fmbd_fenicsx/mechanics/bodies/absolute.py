@@ -51,22 +51,31 @@ class AbsoluteField(FieldPart):
         """Number of tangents taken so far."""
         return self.field.tangents
 
-    def relinearise(self) -> bool:
-        """Take the tangent at the configuration whose forces were evaluated last; collective."""
+    @property
+    def foretells(self) -> bool:
+        """Bodies with a stored energy: see :mod:`fmbd_fenicsx.fem.foretold_stress`."""
+        return self.field.foretells
+
+    def relinearise(self, increment: Array | None = None) -> bool:
+        """Take the tangent at the configuration whose forces were evaluated last; collective.
+
+        ``increment`` (n d,): Newton's, that led there.
+        """
         if not self.field.nonlinear:
             return False
-        self.field.linearise_motion(*self._last)
+        increment = increment if self.foretells else None
+        self.field.linearise_motion(*self._last, increment)
         self._turn_at_tangent = self._mean_rotation(self._last[1])
         pressure = self.field.pressure_values if self.field.carried else None  # type: ignore[attr-defined]
         t, U, Ud = self._last
-        self._tangent_at = TangentPoint(t, U, Ud, None, pressure)
+        self._tangent_at = TangentPoint(t, U, Ud, None, pressure, increment)
         return True
 
     def _take_tangent(self, at: TangentPoint) -> None:
         self._last = at.t, at.U, at.Ud
         if at.pressure is not None:
             self.field.pressure_values = at.pressure  # type: ignore[attr-defined]
-        self.relinearise()
+        self.relinearise(at.increment)
 
     def _first_tangent(self) -> None:
         self.field.linearise_motion(0.0, np.zeros(self.n), np.zeros(self.n))

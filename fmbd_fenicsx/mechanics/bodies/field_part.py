@@ -18,13 +18,16 @@ from ..placements import DistributedPart, FrameMotion
 
 @dataclass(frozen=True)
 class TangentPoint:
-    """Where the tangent of a part was taken: time (s), nodal displacements and rates (n d,), loads, the pressure it carried."""
+    """Where the tangent of a part was taken: time (s), nodal displacements and rates (n d,), loads, the pressure it carried, the
+    increment of Newton that led there.
+    """
 
     t: float
     U: Array
     Ud: Array
     load: Any
     pressure: Array | None
+    increment: Array | None = None
 
 
 class FieldPart(DistributedPart):
@@ -129,8 +132,11 @@ class FieldPart(DistributedPart):
         if self.field.carried:
             numbering = self.field.pressure_numbering  # type: ignore[attr-defined]
             pressure = m.nodal("pressure", at and at.pressure, numbering)
+        increment = None
+        if m("foretold", at is not None and at.increment is not None):
+            increment = m.nodal("increment", at and at.increment, order)
         if m.reading:
-            self._take_tangent(TangentPoint(t, U, Ud, load, pressure))
+            self._take_tangent(TangentPoint(t, U, Ud, load, pressure, increment))
 
     def _take_tangent(self, at: TangentPoint) -> None:
         """The tangent of a configuration, with what else it depends on; collective."""

@@ -143,7 +143,7 @@ class FloatingField(FieldPart):
         """Number of tangents taken so far."""
         return self.field.tangents
 
-    def relinearise(self) -> bool:
+    def relinearise(self, increment: Array | None = None) -> bool:
         """Take tangent and inertia of the configuration whose forces were evaluated last; collective.
 
         The columns of the frame's inertia M (e x P), frozen at P = X before, follow the deformed body: an attached frame

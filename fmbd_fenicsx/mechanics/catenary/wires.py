@@ -230,7 +230,7 @@ class WiresPart(FieldPart):
         """Number of slack sets taken so far."""
         return self._tangents
 
-    def relinearise(self) -> bool:
+    def relinearise(self, increment: Array | None = None) -> bool:
         """Take the slack droppers of the configuration evaluated last; False when they are the same."""
         self._chosen = self._see(self._last)
         return self._chosen

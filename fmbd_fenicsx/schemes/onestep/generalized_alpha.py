@@ -247,6 +247,7 @@ class Stepper(TimeStepper):
         done, far, lost = 0, True, False
         stiff = any(loads.stiff for loads in system.forces)
         last: Array = np.zeros(0)
+        newest: Array | None = None
         stabilised = bool(system.n_lam) and isinstance(self.scheme.form, GGL)
 
         tangent = None if stabilised else self.newton.tangent
@@ -257,7 +258,7 @@ class Stepper(TimeStepper):
             return scale * ev.balance(a + d / scale, lam), gaps(ev, share)
 
         def increment() -> float:
-            nonlocal a, lam, A, xi, done, last, far, lost
+            nonlocal a, lam, A, xi, done, last, far, lost, newest
             q = system.compose(s.q, xi)
             v = fixed_v + h * gamma * A
             ev = system.at(t, q, v)
@@ -289,15 +290,21 @@ class Stepper(TimeStepper):
             xi = xi + d_xi
             A = A + d_xi / (h * h * beta)
             a = a + d_xi / scale
-            last = g
+            last, newest = g, dq
             size = max(system.max_abs(dq), system.max_abs(closing))
             far = size > FAR * system.length
             if done > 2 and size > tolerance and not stabilised:
                 size = system.max_abs(dq * above_roundoff(ev, lam - dlam / scale, r, g))
             return size / tolerance
 
-        begun = xi
-        converged, history = self.newton.solve(increment)
+        def look() -> None:
+            ev = system.at(t, system.compose(s.q, xi), fixed_v + h * gamma * A)
+            ev.balance(a, lam)
+            self.solver.prepare(ev, weights, keep=True)
+            self.solver.increment = newest
+
+        begun, foretells = xi, any(part.foretells for _, part in system.fields)
+        converged, history = self.newton.solve(increment, look if foretells else None)
         if not converged or (patience == 0 and strayed(system, xi, begun)):
             where = f"; the largest open constraint is {worst_block(system, last)}" if last.size else ""
             damping = ", or a smaller rho_inf" if self.scheme.rho_inf > 0.8 else ""
