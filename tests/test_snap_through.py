@@ -14,6 +14,7 @@ from fmbd_fenicsx.materials import sheet_saint_venant_kirchhoff
 
 ROOT = Path(__file__).resolve().parents[1]
 SPAN, RISE, HEIGHT, PRESSURE = 1.0, 0.05, 0.01, 80.0  # m, m, m, N/m
+LOWEST = -0.0350  # m, of the top in steps of 1.25 ms
 
 
 def arch() -> Any:
@@ -48,14 +49,14 @@ def ramp(t: float) -> float:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("dt", [0.005, 0.02, 0.1])
-def test_snaps_through(dt: float) -> None:
-    """Three steps, one of them 40 times the time of the snap: steps are halved where Newton fails, and the arch hangs below by
-    half its rise at least (steps that do not resolve the snap damp it).
+@pytest.mark.parametrize("dt, share", [(0.005, 0.01), (0.02, 0.06), (0.1, 0.15)])
+def test_snaps_through(dt: float, share: float) -> None:
+    """Three steps, one of them 40 times the time of the snap: steps are halved where Newton fails, and the arch hangs as low as
+    in a run of steps of 1.25 ms, but for the ``share`` that larger steps damp.
     """
     run = run_of(PRESSURE, dt, ramp)
     top = run["top"][:, 1]
-    assert top[0] > 0.5 * RISE and top.min() < -0.5 * RISE
+    assert top[0] > 0.03 and top.min() == pytest.approx(LOWEST, rel=share)
     halved = run.counters.get("halved_steps", 0)
     assert (halved == 0) if dt < 0.01 else (halved > 0 and "halving" in run.report())
 
