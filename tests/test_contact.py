@@ -248,7 +248,7 @@ def test_rigid_contact_needs_an_impact_law() -> None:
     scene = fmbd.Scene("ball")
     scene.add(ball, fmbd.contact("c", fmbd.ball(ball, 0.1), floor_at(0.0)))
     with pytest.raises(InputError, match="Moreau"):
-        fmbd.solve(scene, t_end=0.1, dt=0.01)
+        fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.schemes.ContactMidpoint())
 
 
 def test_schemes_without_contact_refuse_it() -> None:

@@ -81,7 +81,9 @@ def _row_space(solver: StepSolver, state: State, q: Array) -> Array:
 
 
 def _fastest(system: System, state: State) -> str:
-    """The body that turns fastest, quoted."""
+    """The body that turns fastest, quoted; of bodies without a frame all."""
     m, n = system.motions, system.n_frames
+    if not n:
+        return ", ".join(f'"{part.name}"' for part in system.parts)
     rates = state.v[: n * m.n_twist].reshape(n, m.n_twist)[:, m.dim :]
     return f'"{system.frame_names[int(np.linalg.norm(rates, axis=1).argmax())]}"'
