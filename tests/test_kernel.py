@@ -157,6 +157,25 @@ def test_springs_on_floating_bodies_are_compiled(rod_mesh: Callable[..., Any]) -
         assert np.abs(x - y).max() < bar * np.abs(y).max(), name
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("follower", [False, True], ids=["dead", "follower"])
+def test_forces_act_where_the_factor_has_solved_nothing(rod_mesh: Callable[..., Any], dim: int, follower: bool) -> None:
+    """A force and a torque on a surface that no joint holds, away from its centroid."""
+
+    def make() -> fmbd.Scene:
+        scene = floating(rod_mesh(dim=dim, h=0.25), fmbd.MeanAxis())
+        free = scene.bodies["two"].surface("pin")
+        push, point = (20.0, 5.0, 3.0)[:dim], (0.1, 0.02, 0.01)[:dim]
+        scene.add(fmbd.force("push", free, push, point=point, follower=follower))
+        turn = 1.0 if dim == 2 else (0.5, 0.2, 1.0)
+        scene.add(fmbd.torque("turn", free, lambda t: np.multiply(np.sin(30 * t), turn), follower=follower))
+        return scene
+
+    fast, slow = pair(make, t_end=0.02, dt=5e-4)
+    assert fast.counters["compiled_steps"] >= 30
+    agree(fast, slow, rates=1e-8)
+
+
 def test_plan_tells_the_path() -> None:
     fast, slow = pair(rigid, t_end=0.005, dt=1e-3)
     assert "steps: compiled" in str(fast.plan)

@@ -11,8 +11,10 @@
 
    and the body looks like a reduced one whose modes are the numbers H^T U and whose stiffness is S. Combinations of columns that
    do not move (the conditions themselves, moments along the normal of a flat surface) are given a small compliance in S: no dU
-   follows from it, and what other rows see of it is closed by the next increment. Columns that are only read have no place in
-   (2). */
+   follows from it, and what other rows see of it is closed by the next increment. Columns for which nothing was solved have no
+   place in (2): sensors read them, and forces without a tangent act on them, see field_load(). */
+
+static const double HELD = 1e100; /* stiffness of such a column, so that the others see none of it */
 
 /* The coordinates of a body's modes. */
 static const double *modes_of(const Body *o, const double *q)
@@ -195,7 +197,7 @@ static void field_block(System *s, const Body *o, const double *R, const double 
         for (int j = 0; j < ROT; j++) A[n * (TWIST + D + i) + D + j] = DIM == 3 ? R[D * j + i] : 1.0;
     for (int i = 0; i < o->modes; i++)
         for (int j = 0; j <= i; j++)
-            A[n * (TWIST + i) + TWIST + j] = i < e->solved ? e->S[e->solved * i + j] : (i == j ? 1.0 : 0.0);
+            A[n * (TWIST + i) + TWIST + j] = i < e->solved ? e->S[e->solved * i + j] : (i == j ? HELD : 0.0);
 
     const int *dest = o->dest;
     for (int i = 0; i < n; i++) {
@@ -213,10 +215,13 @@ static int field_load(System *s, const Body *o, double scale, double t)
 {
     const Field *e = o->field;
     double *b = s->b + o->at_u + TWIST;
-    for (int i = e->solved; i < o->modes; i++)
-        if (b[i] != 0.0) return LOOK; /* a column that is only read */
-
     for (long i = 0; i < e->n; i++) e->b[i] = -scale * e->force[i];
+
+    /* forces without a tangent may act on ports that the factor has not solved for: on the nodes, then */
+    for (int i = e->solved; i < o->modes; i++) {
+        if (b[i] != 0.0) add_column(e, i, b[i], e->b);
+        b[i] = 0.0;
+    }
     s->calls++;
     if (s->python(FIELD, e->number, t)) return FAILED;
 
