@@ -176,6 +176,29 @@ def test_forces_act_where_the_factor_has_solved_nothing(rod_mesh: Callable[..., 
     agree(fast, slow, rates=1e-8)
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+@pytest.mark.parametrize("twice", [False, True], ids=["once", "twice"])
+def test_floating_bodies_in_any_unit_of_mass(rod_mesh: Callable[..., Any], unit: float, twice: bool) -> None:
+    """A rod on one hinge, or held twice by rows that depend on each other: the same steps in grams as in tonnes."""
+
+    def make(unit: float) -> fmbd.Scene:
+        elastic = fmbd.materials.plane_stress(3e7 * unit, 0.3)
+        mesh, kind = rod_mesh(dim=2, h=0.25), fmbd.Attached("pin")
+        rod = fmbd.FloatingBody("rod", mesh, density=1000.0 * unit, elastic=elastic, frame=kind)
+        scene = fmbd.Scene("units", gravity=(0.3, -9.81))
+        scene.add(rod, fmbd.revolute("hinge", fmbd.ground, rod.surface("pin")))
+        if twice:
+            scene.add(fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
+        return scene
+
+    known = fmbd.solve(make(1.0), t_end=0.005, dt=5e-4, scheme=GeneralizedAlpha(0.8))
+    fast, slow = pair(lambda: make(unit), t_end=0.005, dt=5e-4)
+    assert fast.counters["compiled_steps"] == known.counters["compiled_steps"] >= 8
+    for run in (fast, slow):
+        assert run.counters["newton_iterations"] == known.counters["newton_iterations"]
+        assert np.abs(run.state.q - known.state.q).max() < 1e-11
+
+
 def test_plan_tells_the_path() -> None:
     fast, slow = pair(rigid, t_end=0.005, dt=1e-3)
     assert "steps: compiled" in str(fast.plan)

@@ -25,6 +25,8 @@ from .residual import Judge
 TIE_LIMIT = 1500  # multipliers of surface ties that the dense core takes
 RANK_TOLERANCE = 1e-11
 SINGULAR = 1e-7  # ratio of pivots below which a matrix is solved in the minimum-norm sense
+MOST_SCALINGS = 6  # of a matrix whose rows are of different size
+SMALL_ROW = 1e-3  # largest entry of a row, scaled, above which it is large enough
 LARGEST_GROWTH = 1e13  # of a solution over its right-hand side, both scaled
 REFINEMENTS = 3  # of a solution whose residual is too large
 ADVICE = "Constraints depend on each other, or a body without mass is not held. See scene.check()."
@@ -228,9 +230,7 @@ def _norm(x: Array) -> float:
 def _scales(A: Any, G: Any, C: Array | None, upper: Any) -> tuple[Array, Array]:
     """Scales of rows and columns: diag(A)^-1/2 and row norms of G D; with a block C, square roots of the row maxima."""
     if C is not None:
-        rows = np.abs(np.concatenate((np.concatenate((A, upper), axis=1), np.concatenate((G, C), axis=1))))
-        top = np.maximum(rows.max(axis=1), rows.max(axis=0))
-        scale = 1.0 / np.sqrt(np.where(top > 0, top, 1.0))
+        scale = _even(np.abs(np.concatenate((np.concatenate((A, upper), axis=1), np.concatenate((G, C), axis=1)))))
         return scale[: len(A)], scale[len(A) :]
     diagonal = np.asarray(A.diagonal())
     largest = max(float(np.abs(diagonal).max(initial=0.0)), 1e-300)
@@ -240,6 +240,26 @@ def _scales(A: Any, G: Any, C: Array | None, upper: Any) -> tuple[Array, Array]:
     else:
         norms = np.sqrt(((G * D) ** 2).sum(1))
     return D, 1.0 / np.where(norms > 0, norms, 1.0)
+
+
+def _even(rows: Array) -> Array:
+    """Scales of a matrix with the absolute values ``rows``: square roots of the row maxima, again while that leaves rows with
+    small entries only (Ruiz, RAL-TR-2001-034). Large masses make the rows of frames and of frame conditions large, and with
+    these what they share with the rows of joints.
+    """
+    scale = 1.0 / np.sqrt(_tops(rows))
+    for _ in range(MOST_SCALINGS):
+        top = _tops(rows * scale * scale[:, None])
+        if top.min(initial=1.0) > SMALL_ROW:
+            break
+        scale = scale / np.sqrt(top)
+    return scale
+
+
+def _tops(rows: Array) -> Array:
+    """Largest entry of each row and column, 1 for those of zeros."""
+    top = np.maximum(rows.max(axis=1), rows.max(axis=0))
+    return np.where(top > 0, top, 1.0)
 
 
 def dense(A: Any) -> Array:

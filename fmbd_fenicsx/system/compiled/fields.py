@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .tables import Tables
 
 FIELD_LIMIT = 50_000  # unknowns of a field: above, calls cost nothing, and the driver's copies of the matrices memory
-VANISHING = 1e-9  # size of a port's column, against the largest
+VANISHING = 1e-9  # size of the column of a surface's port, against the largest
 LEAST = 1e-10  # compliance of a combination of columns, against the largest
 
 
@@ -149,9 +149,11 @@ class Condensed:
         self.G = self.A @ W[at]
         compliance = W - self.W @ self.G
 
-        # columns at one scale; those of ports that vanish have that of the smallest one
+        # columns at one scale; those of ports that vanish have that of the smallest one. Frame conditions are no measure for
+        # the others: they are large where a body's mass is a large number
         size = np.sqrt(np.maximum(W.diagonal(), 0.0))
         ports = np.arange(len(W)) >= inertial
+        ports[at] = False
         vanishes = ports & (size <= VANISHING * size[ports].max(initial=0.0))
         size[vanishes] = size[ports & ~vanishes].min(initial=np.inf)
         scaled = compliance / np.outer(size, size)

@@ -165,7 +165,8 @@ static void frame_conditions(System *s, const Body *o, const double *lam)
     }
 }
 
-/* The lower half of the block of (2) into the fronts; the frame conditions, solved already, get rows of their own. */
+/* The lower half of the block of (2) into the fronts; the frame conditions, solved already, get rows of their own: without a weight,
+   as they must not tell how soft the rows of joints are where these depend on each other. */
 static void field_block(System *s, const Body *o, const double *R, const double *q)
 {
     const Field *e = o->field;
@@ -204,10 +205,7 @@ static void field_block(System *s, const Body *o, const double *R, const double 
         for (int j = 0; j <= i; j++) s->L[*dest++] += A[n * i + j];
         s->diagonal[o->at_u + i] = A[(n + 1) * i];
     }
-    for (int i = 0; i < e->frames; i++) {
-        s->L[s->row_dest[e->row + i]] -= 1.0;
-        s->weight[e->row + i] = 1.0;
-    }
+    for (int i = 0; i < e->frames; i++) s->L[s->row_dest[e->row + i]] -= 1.0;
 }
 
 /* The right-hand side of (2) into s->b: the field's own forces through its factor. */
