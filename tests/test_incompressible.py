@@ -169,6 +169,37 @@ def test_refused(rod_mesh: Callable[..., Any]) -> None:
 
 
 @pytest.mark.mpi
+def test_contact_moves_the_pressure(rod_mesh: Callable[..., Any]) -> None:
+    """A rod that a spring bends keeps its volume under the scheme with contact, and moves as without a floor far below."""
+    found = []
+    for scheme in (fmbd.GeneralizedAlpha(0.8), fmbd.ContactAlpha(0.8)):
+        body = fmbd.AbsoluteBody(
+            "rod", rod_mesh(dim=2, h=0.25), density=DENSITY, energy=neo_hookean_incompressible(1e6)
+        )
+        scene = fmbd.Scene("sprung", gravity=(0.0, -9.81))
+        scene.add(body, fmbd.revolute("pin", body.surface("pin"), fmbd.ground))
+        anchors = {"point_a": (1.0, 1.0), "point_b": (1.0, 0.0)}
+        scene.add(fmbd.Spring("spring", fmbd.ground, body.surface("tip"), stiffness=2e3, **anchors))
+        if isinstance(scheme, fmbd.ContactAlpha):
+            floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0.0, -2.0), (0.0, 1.0)))
+            scene.add(fmbd.contact("floor", body.surface("tip"), floor, redistribute_mass=False))
+        scene.sensor("tip", fmbd.position(body.surface("tip")))
+        found.append(fmbd.solve(scene, t_end=0.04, dt=2e-3, scheme=scheme, output=QUIET))
+
+    free, contact = found
+    assert volume_gap(contact) < 1e-8
+    way = free["tip"][-1] - free["tip"][0]
+    assert np.linalg.norm(way) > 0.02
+    assert np.linalg.norm(contact["tip"][-1] - free["tip"][-1]) < 0.01 * np.linalg.norm(way)
+
+    pressures = []
+    for run in found:
+        field, _ = the_field(run)
+        pressures.append(float(max(field.comm.allgather(np.abs(field.pressure_values).max(initial=0.0)))))
+    assert abs(pressures[1] / pressures[0] - 1) < 0.03, pressures
+
+
+@pytest.mark.mpi
 def test_first_pressure_is_that_of_the_motion() -> None:
     """A ring set spinning: div grad p = -2 rho w^2 with p = 0 at both edges, and accelerations that keep the volume."""
     ri, ro, w = 0.5, 1.5, 3.0

@@ -28,6 +28,7 @@ from ..system.foreshortened_ports import tangent_ports
 from ..system.mobility import independent, mobility
 from ..system.system import Evaluation, System
 from .blocks.field_blocks import Block, FieldBlocks, Weights
+from .blocks.incompressibility import move_pressures, volume_load
 from .border import AroundSolver, Border
 from .configuration_warnings import CLOSE, mover, warn_near_singular, warn_of_ties
 from .core import ADVICE, TIE_LIMIT, CoreSolver, dense
@@ -356,18 +357,9 @@ class StepSolver:
 
         The system's forces must have been evaluated last at the iterate.
         """
-        s = self.system
-        carried = [(i, k, f) for i, (k, f) in enumerate(s.fields) if f.field.carried]
-        if not carried:
-            return self.solve(b, c)
-        b = b.copy()
-        for i, k, f in carried:
-            load = rotate_nodal(f.field.volume_load(), self.corotations[i])  # type: ignore[attr-defined]
-            b[s.slices[1][k]] -= self.weights.ck * load
-        dq, dlam = self.solve(b, c)
-        for i, k, f in carried:
-            moved = rotate_nodal(s.local_v(dq, k), self.corotations[i], back=True)
-            f.field.move_pressure(moved)  # type: ignore[attr-defined]
+        load = volume_load(self)
+        dq, dlam = self.solve(b if load is None else b - self.weights.ck * load, c)
+        move_pressures(self, dq)
         return dq, dlam
 
     @property

@@ -93,3 +93,23 @@ def volume_push(solver: Any, rates: dict[int, Array]) -> Array:
         if k in rates:
             out[s.slices[1][k]] = solver.weights.ck * rotate_nodal(f.field.volume_push(rates[k]), solver.corotations[i])
     return out
+
+
+def volume_load(solver: Any) -> Array | None:
+    """What open volumes add to the balance, like v, where the forces were evaluated last; None without carried pressures.
+
+    Collective.
+    """
+    s, load = solver.system, None
+    for i, (k, f) in enumerate(s.fields):
+        if f.field.carried:
+            load = np.zeros(s.n_v) if load is None else load
+            load[s.slices[1][k]] = rotate_nodal(f.field.volume_load(), solver.corotations[i])
+    return load
+
+
+def move_pressures(solver: Any, dq: Array) -> None:
+    """Move carried pressures along with Newton's increment ``dq``, like v; after :func:`volume_load`. Collective."""
+    for i, (k, f) in enumerate(solver.system.fields):
+        if f.field.carried:
+            f.field.move_pressure(rotate_nodal(solver.system.local_v(dq, k), solver.corotations[i], back=True))

@@ -18,6 +18,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from ...errors import ConvergenceError, LinearSolveError
+from ...linear.blocks.incompressibility import move_pressures, volume_load
 from ...linear.condensation import StepSolver, Weights
 from ...mechanics.contact.rows import Rows
 from ...rotations import Array
@@ -79,6 +81,15 @@ class Stepper(ContactStepper):
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
         unchanged.
         """
+        pressures = self.solver.pressures
+        try:
+            return self._advance(h)
+        except (ConvergenceError, LinearSolveError):
+            self.solver.pressures = pressures
+            raise
+
+    def _advance(self, h: float) -> State:
+        """The same; pressures that bodies carry are left as they are when Newton fails."""
         system, s = self.system, self.state
         near = candidates(system, self.contacts, s, h)
         for _ in range(4):
@@ -151,13 +162,18 @@ class _Step:
         ev = self.ev = system.at(s.t + h, q, self.v)
         solver.prepare(ev, Weights(1.0, h * self.gamma * (1 - self.af) / (1 - self.am), self.scale), keep=self.prepared)
         self.prepared = True
-        residuals = ev.balance(self.a, self.lam), gaps(ev, h * self.beta / self.gamma)
+        balance = ev.balance(self.a, self.lam)
+        load = volume_load(solver)
+        residuals = balance if load is None else balance + load, gaps(ev, h * self.beta / self.gamma)
+
         if self.near.any():
             rows: Rows = p.contacts.rows(system, s.t + h, q, since=(s.t, h)).take(self.near)
             u = openings(p.contacts, system, rows, rows.gap, self.xi)
             dq, dlam = self.contact.increment(rows, u, residuals, self.scale)
         else:
             dq, dlam = solver.solve(-self.scale * residuals[0], -residuals[1])
+        move_pressures(solver, dq)
+
         d_xi = system.rate(self.xi, dq)
         self.lam = self.lam + dlam / self.scale
         self.xi = self.xi + d_xi
