@@ -67,7 +67,7 @@ class GeneralizedAlpha:
     ``rtol``, ``atol``: error control, see :class:`.Radau`: the scheme chooses its steps (:mod:`.variable_alpha`); with
     rtol = None it takes steps of a given size.
 
-    ``compiled`` = False keeps to NumPy where a compiled step exists (rigid and reduced bodies, see :mod:`.compiled`).
+    ``compiled`` = False keeps to NumPy where a compiled step exists (see :mod:`.alpha_driver`).
     """
 
     rho_inf: float = 0.8
