@@ -66,6 +66,17 @@ def test_series_meets_the_closed_form(function: object) -> None:
     assert np.abs(above - below - 2e-6 * slope).max() < 1e-11
 
 
+def test_series_have_all_digits() -> None:
+    """Just below the angle where they end, where what they leave out is largest; 1 - cos t = 2 sin^2(t / 2) has all digits."""
+    t = 9.99e-3
+    H = rot.hat(t * np.array([1.0, 2.0, -2.0]) / 3.0)
+    theta = np.array([H[2, 1], H[0, 2], H[1, 0]])
+
+    closed = np.eye(3) - 2 * (np.sin(t / 2) / t) ** 2 * H + (t - np.sin(t)) / t**3 * (H @ H)
+    assert np.abs(rot.tangent(theta) - closed).max() < 1e-15
+    assert np.abs(rot.tangent_inverse(theta) @ closed - np.eye(3)).max() < 1e-15
+
+
 def test_ten_thousand_steps_do_not_drift() -> None:
     q = SPACE.identity[None]
     xi = np.array([[0.0, 0.0, 0.0, 0.02, -0.013, 0.007]])
