@@ -13,7 +13,8 @@ NAMES = [
     *(f"{kind} {n}" for kind in ("links", "hinge springs") for n in (10, 100, 1000)),
     *(f"{kind} {n}" for kind in ("space links", "space hinge springs") for n in (10, 40, 200)),
     "body on springs", "body on bushings", "Python force", "PD arm, Python laws", "driven slider crank", "wheel suspension",
-    "truck over a road, Python tyres", "flyball governor", "Bricard", "16 modes, spring and damper", "sphere bouncing on a plane",
+    "truck over a road, Python tyres", "flyball governor", "Bricard", "16 modes, spring and damper", "elastic four-bar",
+    "sphere bouncing on a plane",
 ]  # fmt: skip
 
 

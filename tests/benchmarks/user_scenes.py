@@ -157,6 +157,69 @@ class ModesExudyn:
         return spent, np.array(mbs.GetMarkerOutput(tip, exu.OutputVariableType.Position))
 
 
+CORNERS_OF_LINKAGE = ((0.0, 0.0, 0.0), (0.0, 0.6, -0.8), (0.9, 1.0, -0.7), (1.1, 0.2, 0.0))  # m
+
+
+@cache
+def linkage():
+    """Three bars by ten modes each, between the corners of a four-bar linkage in space."""
+    turned = []
+    for i, (a, b) in enumerate(zip(CORNERS_OF_LINKAGE, CORNERS_OF_LINKAGE[1:], strict=False)):
+        way = np.subtract(b, a)
+        mesh = fmbd.read_gmsh(HERE / "bar_mesh.py", along=10, across=1)
+        across = np.linalg.svd(way[None])[2][1:]
+        x = mesh.dolfinx.geometry.x
+        x[:] = np.array(a) + x @ np.stack((way, *across))  # the bar of 1 m lies along x from the origin
+        elastic = fmbd.materials.linear_elastic(1e8, 0.3)
+        turned.append(fmbd.FloatingBody(f"bar {i}", mesh, density=1000.0, elastic=elastic).reduced(modes=10))
+    return turned
+
+
+def four_bar():
+    """An elastic four-bar linkage with ball joints that falls from rest."""
+    scene, bars = fmbd.Scene("four-bar", gravity=(0, 0, -G)), linkage()
+    ends = [fmbd.ground, *bars, fmbd.ground]
+    scene.add(*bars)
+    for i, place in enumerate(CORNERS_OF_LINKAGE):
+        a = ends[i] if i == 0 else ends[i].surface("tip")
+        b = ends[i + 1] if i == 3 else ends[i + 1].surface("pin")
+        scene.add(fmbd.spherical(f"ball {i}", a, b, center=place))
+    return scene, bars[1].surface("tip"), None
+
+
+class FourBarExudyn:
+    """The same from exported files: :meth:`InterfaceModel.save_exudyn`."""
+
+    def __init__(self):
+        self.models = [fmbd.interface_model(bar, ("pin", "tip")) for bar in linkage()]
+
+    def run(self, steps, body, point, modified, sparse):  # noqa: ARG002, as of other models
+        import tempfile
+
+        from exudyn.FEM import ObjectFFRFreducedOrderInterface
+        from exudyn_side import exudyn_steps
+
+        e, ends = Exudyn(), []
+        for model in self.models:
+            with tempfile.TemporaryDirectory() as folder:
+                made = ObjectFFRFreducedOrderInterface()
+                made.LoadFromFile(str(model.save_exudyn(Path(folder) / "bar.npz")))
+            placed = made.AddObjectFFRFreducedOrder(e.mbs, positionRef=list(model.center), gravity=[0, 0, -G])
+            number = placed["oFFRFreducedOrder"]
+            of = e.items.MarkerSuperElementPosition
+            ends += [
+                e.mbs.AddMarker(of(bodyNumber=number, meshNodeNumbers=[node], weightingFactors=[1.0]))
+                for node in (0, 7)
+            ]
+        places = [e.marker(e.ground, CORNERS_OF_LINKAGE[i]) for i in (0, 3)]
+        for pair in ((places[0], ends[0]), ends[1:3], ends[3:5], (ends[5], places[1])):
+            e.mbs.AddObject(e.items.SphericalJoint(markerNumbers=list(pair)))
+        e.mbs.Assemble()
+        spent = exudyn_steps((e.exu, e.mbs), steps, H, modified=modified, sparse=sparse)
+        return spent, np.array(e.mbs.GetMarkerOutput(ends[3], e.exu.OutputVariableType.Position))
+
+
+HERE = Path(__file__).parent
 ABOVE = (1.0, 0.0, 0.5)  # m, where the spring of the bar hangs
 
 
@@ -199,6 +262,7 @@ SCENES = {  # name: ours, theirs, steps, goal of the ratio, sparse solver there
     "flyball governor": (*model(governor), 1000, 0.5, False),
     "Bricard": (*model(bricard), 1000, 0.5, False),
     "16 modes, spring and damper": (modes, lambda: (ModesExudyn(), None, None), 500, 0.5, False),
+    "elastic four-bar": (four_bar, lambda: (FourBarExudyn(), None, None), 500, 0.5, False),
     "sphere bouncing on a plane": (sphere, sphere_exudyn, 1000, 0.5, False),
 }
 AGREE = {
