@@ -428,7 +428,9 @@ class StepSolver:
         :meth:`prepare`; False when all are constant. Collective.
         """
         s, x, self.increment = self.system, self.increment, None
-        changed = [f.relinearise(None if x is None else s.local_v(x, k)) for k, f in s.fields]
+        known = [None if x is None or b.factor.noisy else x for b in self.blocks]
+        parts = zip(s.fields, known, strict=True)
+        changed = [f.relinearise(None if d is None else s.local_v(d, k)) for (k, f), d in parts]
         if any(changed):
             self.prepare(self._ev, self.weights, self._stiffness)
         return any(changed)
