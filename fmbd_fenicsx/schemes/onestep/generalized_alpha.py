@@ -126,7 +126,7 @@ class GeneralizedAlpha:
         plain = compiled and isinstance(self.form, Index3)
         rolls = speed_rows(system).size > 0
         if system.fields:
-            if plain:
+            if plain and not solver.core.redundant:  # NumPy shares reactions among dependent rows to the last digits
                 from .alpha_driver import drivable
                 from .field_stepper import FieldStepper
 
