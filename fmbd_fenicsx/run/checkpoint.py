@@ -30,6 +30,7 @@ from .progress import Course
 
 STOP = "STOP"  # a file of this name in the folder asks the run to stop
 LOOK = 0.5  # s between looks for it
+PATIENCE = 2.0  # s that other ranks give the first one to write what they are to read
 INTERRUPTED, STOPPED = 130, 75  # exit codes after Ctrl-C, and of a run that was asked to stop and can be taken up again
 GO_ON, WRITE, WRITE_AND_STOP = 0, 1, 2
 
@@ -250,10 +251,20 @@ class Keeper:
         log.info("checkpoint %s written", path)
 
 
+def _awaited(folder: Path) -> list[tuple[int, Path]]:
+    """Checkpoints of a folder, the newest last. Ranks of a run without fields do not wait for each other, so that one may look
+    for what the first rank is about to write.
+    """
+    end = clock.monotonic() + (PATIENCE if world_rank() else 0.0)
+    while not (found := _numbered(folder)) and clock.monotonic() < end:
+        clock.sleep(0.02)
+    return found
+
+
 def _load(path: Path) -> Loaded:
     """Values, what was given, and place of a checkpoint, or of the newest in a folder."""
     if not (path / archive.SUMS).exists():
-        inside = _numbered(path)
+        inside = _awaited(path)
         if not inside:
             raise CheckpointError(f"There is no checkpoint in {path} (looked in {Path.cwd()}).")
         path = inside[-1][1]
