@@ -176,6 +176,19 @@ def test_forces_act_where_the_factor_has_solved_nothing(rod_mesh: Callable[..., 
     agree(fast, slow, rates=1e-8)
 
 
+def test_floating_bodies_beside_a_reduced_one(rod_mesh: Callable[..., Any]) -> None:
+    """Frame conditions are those of the body that they belong to, wherever parts without any stand among the bodies."""
+
+    def make() -> fmbd.Scene:
+        scene = floating(rod_mesh(dim=2, h=0.25), fmbd.MeanAxis())
+        modal = scene.bodies["two"].with_(name="modal").reduced(modes=3)
+        return scene.add(modal, fmbd.revolute("own hinge", fmbd.ground, modal.surface("pin"))) or scene
+
+    fast, slow = pair(make, t_end=0.01, dt=5e-4)
+    assert fast.counters["compiled_steps"] >= 18
+    agree(fast, slow)
+
+
 @pytest.mark.parametrize("unit", [1e-9, 1e9])
 @pytest.mark.parametrize("twice", [False, True], ids=["once", "twice"])
 def test_floating_bodies_in_any_unit_of_mass(rod_mesh: Callable[..., Any], unit: float, twice: bool) -> None:

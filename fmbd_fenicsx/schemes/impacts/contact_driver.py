@@ -173,15 +173,12 @@ class ContactDriver:
             one.carrier = pair.carrier.frame if carried else -1
             one.data[: len(found[1])], one.asked = found[1], np.nan
             if not carried and not pair.moving:
-                at_rest = self.contacts.pose(self.system, pair.carrier, 0.0, self._no_poses())
+                # of the ground: no configuration matters
+                at_rest = self.contacts.pose(self.system, pair.carrier, 0.0, np.zeros(self.nq))
                 one.pose[:] = list(at_rest)
             first += pair.count
             made.append(one)
         self.pairs = (kind * len(made))(*made)
-
-    def _no_poses(self) -> Array:
-        """A configuration to ask for the pose of the ground."""
-        return np.zeros(self.nq)
 
     # -- calls of C ----------------------------------------------------------------------------------------------------------
     def answer(self, what: int, number: int, t: float) -> int:

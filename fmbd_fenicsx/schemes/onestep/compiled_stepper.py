@@ -29,7 +29,7 @@ class CompiledStepper(Stepper):
         self._driver: AlphaDriver | None = None
         self._tail: State | None = None  # the state of the newest block
         self._ahead = False  # blocks are newer than A and the past of the NumPy path
-        self._stuck: tuple[State | None, float] = (None, 0.0)  # where the driver gave a step back, and the step's size
+        self._refused: tuple[State, float] | None = None  # where the driver gave a step of this size back
         super().__init__(*data)
         self.counters["compiled_steps"] = 0.0
         if driver is not None:
@@ -144,7 +144,8 @@ class CompiledStepper(Stepper):
 
     def _march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
         """The same; the memory of elements is left as it was."""
-        if self.fresh or (self._stuck[0] is self.state and self._stuck[1] == h):
+        refused = self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
+        if self.fresh or refused:
             return 0
         if self._tail is not self.state:
             self._load()
@@ -168,7 +169,7 @@ class CompiledStepper(Stepper):
         if made:
             self._take(made)
         if verdict in (slots.NEWTON, slots.SINGULAR):
-            self._stuck = self.state, h
+            self._refused = self.state, h
         return made
 
     def tape(self, judged: Openness) -> Tape | None:

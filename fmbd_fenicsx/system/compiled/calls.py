@@ -17,9 +17,9 @@ from .items import GIVEN, Items
 from .structures import PYTHON
 from .tables import Tables
 
-SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES = range(
-    10
-)
+# what C asks for, and an answer, as in tables.h
+SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES = range(7)
+FIELD, FIELD_FORCES, FIELD_ENERGIES = range(7, 10)
 OUTSIDE = 2
 
 

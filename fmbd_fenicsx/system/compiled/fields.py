@@ -42,8 +42,7 @@ class FieldTable:
         system = tables.system
         self.tables, self.number, self.k, self.block = tables, number, k, block
         self.part: Any = system.parts[k]
-        place = [i for i, _ in system.fields].index(k)
-        self.rows = system.frame_rows[place]
+        self.rows = system.frame_rows[k]
 
         first = system.port_slice(k).start
         seen = [x for x in np.unique(system.markers.port) - first if 0 <= x < self.part.n_port]
@@ -90,7 +89,7 @@ class FieldTable:
         width = int(tables.width[frame])
         i, j = np.tril_indices(width)
         unknown = tables.at_u[frame] + np.arange(width)
-        _, address = tables.store.structure(self._field())
+        address = tables.store.structure(self._field())
         return structure("Body", d)(
             modes=self.count, at_v=system.slices[1][self.k].start, at_q=system.slices[0][self.k].start,
             at_u=int(tables.at_u[frame]), mass=part.mass_total, large=(TOO_LARGE * part.size) ** 2 * part.field.n_global / d,

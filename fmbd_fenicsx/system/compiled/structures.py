@@ -115,10 +115,10 @@ class Store:
         """The address of a contiguous copy."""
         return self.array(values, dtype)[1]
 
-    def structure(self, one: Any) -> tuple[Any, int]:
-        """A structure and its address."""
+    def structure(self, one: Any) -> int:
+        """The address of a structure."""
         self.kept.append(one)
-        return one, ctypes.addressof(one)
+        return ctypes.addressof(one)
 
     def integers(self, values: Any) -> int:
         """The address of a copy as C's int."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ...mechanics.rods.elements import RodElements
 from ...rotations import Array
 from ..system import System
 from .bodies import reduced_body, rigid_bodies, surface
-from .fields import FieldTable, known_field
+from .fields import Block, FieldTable, known_field
 from .items import LAW, READ, ROW, Items, items_of, other_loads
 from .mounts import mount_batch
 from .order import Fronts, RowGroup
@@ -24,9 +24,6 @@ from .recording import Looks
 from .rods import RodTable, rod_pairs
 from .structures import Store, structure
 from .whole import WholeLoads
-
-if TYPE_CHECKING:
-    from .fields import Block
 
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
 TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
@@ -64,6 +61,7 @@ class Tables:
         self.parts: dict[int, tuple[int, Any]] = {p.frame: (k, p) for k, p in enumerate(reduced)}
         numbered = enumerate(zip(system.fields, blocks, strict=True))
         self.fields: list[FieldTable] = [FieldTable(self, number, k, block) for number, ((k, _), block) in numbered]
+        self.floating = {field.part.frame: field for field in self.fields}
         self.looks = Looks(system)
         self.items = items_of(system, self.looks)
         self.loads, self.mounts = other_loads(system), [f for f in system.forces if f.mounts() is not None]
@@ -85,8 +83,8 @@ class Tables:
     def _lay_out(self) -> None:
         """Widths of the bodies' blocks and where they begin; the rows come behind."""
         modes = [self.parts[b][1].n if b in self.parts else 0 for b in range(self.nb)]
-        for field in self.fields:
-            modes[field.part.frame] = field.count
+        for frame, field in self.floating.items():
+            modes[frame] = field.count
         self.modes = np.array(modes, dtype=int)
         self.width = self.twist + self.modes
         self.at_u = np.cumsum(self.width) - self.width
@@ -112,10 +110,7 @@ class Tables:
 
     def port_matrix(self, body: int) -> Array:
         """Rates of the ports of a body from those of its modes, (ports, modes)."""
-        for field in self.fields:
-            if field.part.frame == body:
-                return field.port_matrix
-        matrix: Array = self.parts[body][1].port_matrix
+        matrix: Array = (self.floating[body] if body in self.floating else self.parts[body][1]).port_matrix
         return matrix
 
     def twist_places(self, frame: np.ndarray) -> np.ndarray:
@@ -271,12 +266,8 @@ class Tables:
     def _system(self, redundant: bool) -> None:
         """The structure System."""
         s, store = self.system, self.store
-        rigid = rigid_bodies(self)
-        floating = {field.part.frame: field for field in self.fields}
-        bodies = [
-            rigid[b] if b in rigid else floating[b].body() if b in floating else reduced_body(self, b)
-            for b in range(self.nb)
-        ]
+        others = rigid_bodies(self) | {frame: field.body() for frame, field in self.floating.items()}
+        bodies = [others[b] if b in others else reduced_body(self, b) for b in range(self.nb)]
         surfaces = [surface(self, int(i)) for i in self.surfaces]
         angles = self._angles()
         fronts, (row_dest, sign) = fronts_of(self), pivots_of(self)
@@ -358,8 +349,8 @@ class Tables:
             if isinstance(part, ReducedPart):
                 known = part.warned or part.constants.stiffening is not None
                 self.body_array[b].spin = np.inf if known else part.first_frequency**2
-        for field in self.fields:
-            self.body_array[field.part.frame].spin = np.inf if field.part.warned else field.part.spin_to_check**2
+        for frame, field in self.floating.items():
+            self.body_array[frame].spin = np.inf if field.part.warned else field.part.spin_to_check**2
 
 
 def covers_bodies(system: System) -> bool:

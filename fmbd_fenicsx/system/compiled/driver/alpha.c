@@ -109,7 +109,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
     const double h = p[H], am = p[AM], af = p[AF], gamma = p[GAMMA], hb = h * h * p[BETA], t = *past[0].t + h;
     const double scale = hb * (1 - af) / (1 - am), damp = h * gamma * (1 - af) / (1 - am);
     const Block now = past[0];
-    double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, *closing = begun + n, *none = closing + n; /* sway() has the rest */
+    double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, *closing = begun + n, *none = closing + n;
     double w[3], sizes[MOST], left = 0.0;
     int verdict, far = 1, converged = 0, done = 0;
     s->share = h * p[BETA] / gamma;

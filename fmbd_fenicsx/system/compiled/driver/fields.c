@@ -149,7 +149,8 @@ static int field_force(System *s, const Body *o, const double *R, const Motion *
 {
     const Field *e = o->field;
     if (!e->own) return linear_field(o, R, m, s->gravity, f);
-    if (own_field(s, e, FIELD_FORCES, R, m, s->gravity, t)) return FAILED;
+    int verdict = own_field(s, e, FIELD_FORCES, R, m, s->gravity, t);
+    if (verdict) return verdict;
     memcpy(f, e->sums, D * sizeof(double));
     to_world(R, e->sums + D, f + D);
     return DONE;

@@ -163,7 +163,7 @@ typedef struct {
     Reaction *reaction;
     double *motion_rate, *rest_gravity, *slip;
     double settled;                    /* Newton's tolerance of a step */
-    int again;                         /* where the work of a second solution begins */
+    int again;                         /* where in ``work`` a second solution has its own, see sway() */
     int renewed;                       /* whether forces as a whole get new slopes at any rate */
 } System;
 
@@ -177,8 +177,7 @@ typedef struct {
     double *doubt;                     /* the state of the doubtful record */
 } Tape;
 
-enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES,
-       FIELD_ENERGIES };
-enum { OUTSIDE = 2 };                  /* its answer where a body does not go: NumPy makes, or refuses, the step */
-  /* what Python is asked for */
+/* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
+enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES };
+enum { OUTSIDE = 2 };
 
