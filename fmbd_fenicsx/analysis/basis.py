@@ -2,13 +2,14 @@
 
 Scenes of replicated coordinates (rigid and reduced bodies) take a basis of the null space of G. Those with elastic fields take a
 block Krylov space of the shifted operator (K + s M)^-1 M, solved by GMRES with the factors of the step's matrix; gyroscopic
-and damping terms add (K + s M)^-1 C, static answers to inputs can be put in. Projected on it, (M, C, K) are small and dense.
+and damping terms add (K + s M)^-1 C, static answers to inputs can be put in. Projected on it, (M, C, K) are small and dense. The
+space grows until its modes are those wanted, or to its largest size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,9 +20,11 @@ from ..schemes.exact_tangent import exact_increment
 from ..schemes.newton import ExactTangent
 from ..system.speed_rows import speed_rows
 from .perturbation import Perturbation
+from .small_memory import SmallMemory, small_memory
 
 RANK = 1e-9  # singular values of the scaled G below this share of the largest are zero
 BLOCK, MORE = 3, 24  # start vectors, and vectors beyond those asked for
+ENLARGED = 1e-2  # share of a vector that must be new for its violation of the constraints to stay roundoff
 NEW = 1e-5  # share of a vector that must be new: below it stands the noise of GMRES, which no constraint holds
 DENSE_LIMIT = 600  # replicated coordinates up to which all of them are taken
 EXACT = ExactTangent(rtol=1e-7, max_iterations=60)
@@ -29,30 +32,82 @@ EXACT = ExactTangent(rtol=1e-7, max_iterations=60)
 
 @dataclass(frozen=True, eq=False)
 class Projected:
-    """M, C, K on a basis: ``vectors`` (k, n_v), each satisfying the constraints; ``speeds``: G_s and P of rows on velocities."""
+    """M, C, K on a basis: ``vectors`` (k, n_v), each satisfying the constraints; ``speeds``: G_s and P of rows on velocities;
+    ``memory``: what moves with them in elements that remember.
+    """
 
     vectors: Array
     M: Array
     C: Array
     K: Array
     speeds: tuple[Array, Array]
+    memory: SmallMemory | None = None
+
+    def on(self, Q: Array) -> Projected:
+        """The same on combinations Q (k, n) of the basis."""
+        G, P = self.speeds
+        memory = None if self.memory is None else self.memory.on(Q)
+        return Projected(
+            Q.T @ self.vectors, Q.T @ self.M @ Q, Q.T @ self.C @ Q, Q.T @ self.K @ Q, (G @ Q, P @ Q), memory
+        )
 
 
 def projected(
-    about: Perturbation, solver: StepSolver, count: int, shift: float, inputs: Sequence[Array] = ()
+    about: Perturbation,
+    solver: StepSolver,
+    count: int,
+    *,
+    shift: float,
+    inputs: Sequence[Array] = (),
+    enough: Callable[[Projected], bool] | None = None,
 ) -> Projected:
-    """The small matrices for the first ``count`` modes, and for static answers to ``inputs`` (forces like v); collective."""
+    """The small matrices for the first ``count`` modes, and for static answers to ``inputs`` (forces like v); collective.
+
+    ``enough`` tells from the matrices whether the space of elastic fields need not grow any more.
+    """
     system = about.system
-    dense = not system.fields and system.n_core <= DENSE_LIMIT
-    V = free_motions(about) if dense else _krylov(about, solver, count, shift, inputs)
-    system_dot = system.dot
+    space = _Space(about)
+    if not system.fields and system.n_core <= DENSE_LIMIT:
+        for v in free_motions(about):
+            space.add(v)
+        made = space.projected()
+        made = replace(made, speeds=_speeds(about, made.vectors))
+    else:
+        made = _krylov(space, _Shifted(about, solver, shift), count, inputs, enough)
+    return replace(made, memory=small_memory(about, made.vectors))
 
-    def project(product: object) -> Array:
-        images = [product(v) for v in V]  # type: ignore[operator]
-        return np.array([[system_dot(v, image) for image in images] for v in V]).reshape(len(V), len(V))
 
-    speeds = _speeds(about, V) if dense else (np.zeros((0, len(V))),) * 2
-    return Projected(V, project(about.mass), project(about.damping), project(about.stiffness), speeds)
+@dataclass(eq=False)
+class _Space:
+    """Vectors of a basis with the products of M, C and K, which grow together."""
+
+    about: Perturbation
+    vectors: list[Array] = field(default_factory=list)
+    images: list[tuple[Array, Array, Array]] = field(default_factory=list)
+    small: Array = field(default_factory=lambda: np.zeros((3, 0, 0)))
+
+    def add(self, v: Array) -> None:
+        """One more vector; collective."""
+        about, dot = self.about, self.about.system.dot
+        images = about.mass(v), about.damping(v), about.stiffness(v)
+        n = len(self.vectors)
+        made = np.zeros((3, n + 1, n + 1))
+        made[:, :n, :n] = self.small
+
+        self.vectors.append(v)
+        self.images.append(images)
+        for i, w in enumerate(self.vectors):
+            made[:, i, n] = [dot(w, x) for x in images]
+            made[:, n, i] = [dot(v, x) for x in self.images[i]]
+        self.small = made
+
+    def projected(self) -> Projected:
+        """The matrices so far, without rows on velocities."""
+        n = len(self.vectors)
+        M, C, K = self.small
+        return Projected(
+            np.array(self.vectors).reshape(n, self.about.system.n_v), M, C, K, (np.zeros((0, n)), np.zeros((0, n)))
+        )
 
 
 def _speeds(about: Perturbation, V: Array) -> tuple[Array, Array]:
@@ -77,12 +132,16 @@ def free_motions(about: Perturbation) -> Array:
     return np.asarray(Vt[rank:] / system.units)
 
 
-def _krylov(about: Perturbation, solver: StepSolver, count: int, shift: float, inputs: Sequence[Array]) -> Array:
-    """Orthonormal basis of a block Krylov space."""
-    system = about.system
+def _krylov(
+    space: _Space,
+    inverse: _Shifted,
+    count: int,
+    inputs: Sequence[Array],
+    enough: Callable[[Projected], bool] | None,
+) -> Projected:
+    """The matrices on an orthonormal basis of a block Krylov space."""
+    about, basis = space.about, space.vectors
     limit = min(3 * count + MORE, _freedom(about))
-    inverse = _Shifted(about, solver, shift)
-    basis: list[Array] = []
     waiting = [inverse.solve(b) for b in inputs] + [inverse.solve(about.mass(_random(about, i))) for i in range(BLOCK)]
     turning = _turning(about, waiting[-1])
     done = 0
@@ -90,21 +149,35 @@ def _krylov(about: Perturbation, solver: StepSolver, count: int, shift: float, i
         if not waiting:
             if done == len(basis):
                 break
+            if enough is not None and done % BLOCK == 0 and done >= count and enough(space.projected()):
+                break
             v = basis[done]
             done += 1
             waiting.append(inverse.solve(about.mass(v)))
             if turning:
                 waiting.append(inverse.solve(about.damping(v)))
-        x = waiting.pop(0)
-        size = _norm(about, x)
-        for _ in range(2):
-            for v in basis:
-                x = x - system.dot(system.units**2 * v, x) * v
-        left = _norm(about, x)
-        if left > NEW * size > 0.0:
-            held = inverse.held(x / left)
-            basis.append(held / _norm(about, held))
-    return np.array(basis)
+        made = _new_part(about, basis, waiting.pop(0), inverse)
+        if made is not None:
+            space.add(made)
+    return space.projected()
+
+
+def _new_part(about: Perturbation, basis: list[Array], x: Array, inverse: _Shifted) -> Array | None:
+    """What of x is new beside the basis, of unit length and without violation of the constraints; None where it is noise."""
+    system = about.system
+    size = _norm(about, x)
+    for _ in range(2):
+        for v in basis:
+            x = x - system.dot(system.units**2 * v, x) * v
+
+    left = _norm(about, x)
+    if not left > NEW * size > 0.0:
+        return None
+    x = x / left
+    if left > ENLARGED * size:
+        return x
+    held = inverse.held(x)
+    return held / _norm(about, held)
 
 
 def _norm(about: Perturbation, x: Array) -> float:

@@ -1,10 +1,12 @@
 """Small motions as a system of first order: x = (z, u), coordinates and the velocities that rows on velocities leave free.
 
-    z' = N u + D z,       N^T (M z'' + C z' + K z) = N^T f                                                    (1)
+    z' = N u + D z,       N^T (M z'' + C z' + K z + H w) = N^T f                                              (1)
 
 With rows G_s z' + P z = 0 (rolling) the columns of N span the null space of G_s, and D = -G_s^+ P. Without such rows N = 1, D = 0
-and u = z'. With them, directions of z that nothing depends on (a place on the road, the angle of a wheel) have eigenvalues of
-exactly zero; they are taken out before the others are computed, so that these keep their digits:
+and u = z'. Memories w, where there are any, follow w' = P z + Q z' + R w (:mod:`.small_memory`).
+
+With rows, directions of z that nothing depends on (a place on the road, the angle of a wheel) have eigenvalues of exactly zero;
+they are taken out before the others are computed, so that these keep their digits:
 
     A e = 0, e = (z, 0):     eigenvalues of A are zero and those of A on the rest, again and again               (2)
 """
@@ -20,12 +22,13 @@ from ..rotations import Array
 from .basis import Projected
 
 ALMOST = 1e-7  # share of the fastest eigenvalue below which a slow one is real
+UNCHANGED = 1e-9  # strain of dashpots beside a motion of 1 m that is roundoff
 NOTHING = 1e-10  # share of the largest singular value below which a direction changes nothing
 
 
 @dataclass(frozen=True, eq=False)
 class FirstOrder:
-    """x' = A x + B f of (1): ``n`` coordinates z, then the velocities u; ``N``, ``D`` of (1)."""
+    """x' = A x + B f of (1): ``n`` coordinates z, then the velocities u, then memories w; ``N``, ``D`` of (1)."""
 
     A: Array
     n: int
@@ -35,7 +38,7 @@ class FirstOrder:
 
     def motion(self, x: Array, u_rate: Array) -> tuple[Array, Array, Array]:
         """z, z', z'' for a state and the rate of its velocities u."""
-        z, u = x[: self.n], x[self.n :]
+        z, u = x[: self.n], x[self.n : self.n + self.N.shape[1]]
         rate = self.N @ u + self.D @ z
         return z, rate, self.N @ u_rate + self.D @ rate
 
@@ -52,11 +55,20 @@ def first_order(small: Projected) -> FirstOrder:
     inverse = np.linalg.solve(N.T @ M @ N, N.T) if N.shape[1] else N.T
     by_z, by_u = K + (C + M @ D) @ D, (C + M @ D) @ N
     A = np.block([[D, N], [-inverse @ by_z, -inverse @ by_u]])
+    if small.memory is None:
+        return FirstOrder(A, n, N, D, inverse)
+
+    m = small.memory
+    aside = np.concatenate((np.zeros_like(m.H), -inverse @ m.H))
+    A = np.block([[A, aside], [m.P + m.Q @ D, m.Q @ N, m.R]])
     return FirstOrder(A, n, N, D, inverse)
 
 
-def slowest(system: FirstOrder) -> tuple[Array, Array]:
-    """Eigenvalues, the slowest first and one of each conjugate pair, (m,), and the z of their vectors (k, m)."""
+def slowest(system: FirstOrder, *, relaxing: bool = False) -> tuple[Array, Array]:
+    """Eigenvalues, the slowest first and one of each conjugate pair, (m,), and the z of their vectors (k, m).
+
+    ``relaxing``: motions that decay without vibration come last, of which viscoelastic bodies have one for each dashpot.
+    """
     rolls = system.N.shape[1] < system.n
     rest, zeros = _without_zeros(system) if rolls else (np.eye(len(system.A)), np.zeros((len(system.A), 0)))
     values, vectors = np.linalg.eig(rest.T @ system.A @ rest) if rest.shape[1] else (np.zeros(0), np.zeros((0, 0)))
@@ -64,11 +76,21 @@ def slowest(system: FirstOrder) -> tuple[Array, Array]:
         values = np.where(np.abs(values) <= ALMOST * np.abs(values).max(), values.real, values)
     once = np.flatnonzero(values.imag >= 0)
     order = once[np.argsort(np.abs(values[once]))]
+    if relaxing:
+        order = _decays_last(system, order, values[order], (rest @ vectors)[:, order])
 
     found = [_vector(system.A, values[i], rest @ vectors[:, i]) if rolls else vectors[:, i] for i in order]
     every = np.concatenate((np.zeros(zeros.shape[1]), values[order]))
     shapes = np.column_stack((zeros.astype(complex), *found))[: system.n]
     return every, shapes
+
+
+def _decays_last(system: FirstOrder, order: Array, values: Array, vectors: Array) -> Array:
+    """The numbers ``order`` with those last whose memories decay; rigid motions, of eigenvalue zero, change no memory."""
+    z, w = vectors[: system.n], vectors[system.n + system.N.shape[1] :]
+    moves = np.abs(w).max(axis=0, initial=0.0) > UNCHANGED * np.abs(z).max(axis=0, initial=0.0)
+    decays = (values.imag == 0.0) & (values.real < 0.0) & moves
+    return np.concatenate((order[~decays], order[decays]))
 
 
 def _without_zeros(system: FirstOrder) -> tuple[Array, Array]:

@@ -6,10 +6,9 @@ With y = V z on the basis of :mod:`.basis` and u the inputs,
 
     A = [0 1; -M^-1 K  -M^-1 C],    B = [0; M^-1 V^T F]
 
-and with rows on velocities x = (z, what these leave of z'), see :mod:`.first_order`,
-
-minimal for rigid and reduced bodies: constraints are gone, whatever form a scheme would use. Outputs are the scene's sensors,
-differentiated by positions, velocities, accelerations and reactions.
+with rows on velocities x = (z, what these leave of z'), with memories (integrals of controllers, dashpots) these as well, see
+:mod:`.first_order`; minimal for rigid and reduced bodies: constraints are gone, whatever form a scheme would use. Outputs are
+the scene's sensors, differentiated by positions, velocities, accelerations, reactions and memories.
 """
 
 from __future__ import annotations
@@ -30,6 +29,7 @@ from ..system.system import State
 from .basis import Projected, projected
 from .first_order import first_order
 from .modes import Linearised, eigenpairs, prepared, readable
+from .small_memory import changed, memory_size, pushed_by
 
 STEP = 1e-4
 AXES = ("x", "y", "z")
@@ -90,7 +90,7 @@ def linearise(
     """
     with prepared(scene, at, None) as made:
         forces = _inputs(made, inputs)
-        small = projected(made.about, made.solver, modes or 20, made.shift, [f for _, f in forces])
+        small = projected(made.about, made.solver, modes or 20, shift=made.shift, inputs=[f for _, f in forces])
         if modes is not None:
             small = _first_modes(small, modes)
         return _model(made, small, forces, _outputs(made, outputs))
@@ -108,8 +108,7 @@ def _first_modes(small: Projected, n: int) -> Projected:
     """The model on real and imaginary parts of its first modes."""
     _, Y = eigenpairs(small, n)
     Q = sl.orth(np.concatenate((Y.real, Y.imag), axis=1), rcond=1e-9)
-    G, P = small.speeds
-    return Projected(Q.T @ small.vectors, Q.T @ small.M @ Q, Q.T @ small.C @ Q, Q.T @ small.K @ Q, (G @ Q, P @ Q))
+    return small.on(Q)
 
 
 def _inputs(made: Linearised, names: Sequence[str]) -> list[tuple[str, Array]]:
@@ -170,18 +169,22 @@ def _model(
     system, V, k = made.about.system, small.vectors, len(small.M)
     F = np.array([[system.dot(v, f) for _, f in forces] for v in V]).reshape(k, len(forces))
     form = first_order(small)
-    n_x = len(form.A)
-    B = np.concatenate((np.zeros((k, len(forces))), form.push @ F))
+    n_x, speeds = len(form.A), slice(k, k + len(form.push))
+    B = np.zeros((n_x, len(forces)))
+    B[k : k + len(form.push)] = form.push @ F
 
     rows = []
     for j in range(n_x + len(forces)):
         x = np.zeros(n_x)
         if j < n_x:
             x[j] = 1.0
-        rate = form.A[k:, j] if j < n_x else B[k:, j - n_x]
+        rate = form.A[speeds, j] if j < n_x else B[speeds, j - n_x]
         force = forces[j - n_x][1] if j >= n_x else np.zeros(system.n_v)
         z, z_rate, z_accel = form.motion(x, rate)
-        rows.append(_answer(made, (z @ V, z_rate @ V, z_accel @ V), force, outputs))
+        change = np.zeros(memory_size(system))
+        if small.memory is not None:
+            change[small.memory.which] = x[speeds.stop :]
+        rows.append(_answer(made, (z @ V, z_rate @ V, z_accel @ V), (force, change), outputs))
     CD = np.array(rows).reshape(n_x + len(forces), len(outputs)).T
     return LinearModel(
         form.A, B, CD[:, :n_x], CD[:, n_x:], tuple(name for name, _ in forces), tuple(label for label, _, _ in outputs)
@@ -189,25 +192,29 @@ def _model(
 
 
 def _answer(
-    made: Linearised, motion: tuple[Array, Array, Array], force: Array, outputs: list[tuple[str, str, int]]
+    made: Linearised,
+    motion: tuple[Array, Array, Array],
+    causes: tuple[Array, Array],
+    outputs: list[tuple[str, str, int]],
 ) -> Array:
-    """Derivatives of the outputs for a motion (y, y', y'') under a force."""
-    about, (y, rate, accel) = made.about, motion
+    """Derivatives of the outputs for a motion (y, y', y'') under ``causes``: a force, like v, and a change of the memory."""
+    about, (y, rate, accel), (force, change) = made.about, motion, causes
     system, s = about.system, about.state
     v, a = about.velocity(y, rate), about.acceleration(y, rate, accel)
     reaction = np.zeros(system.n_lam)
     if about.row_count and not system.fields:
-        left = force - about.stiffness(y) - about.damping(rate) - about.mass(accel)
+        left = force - about.stiffness(y) - about.damping(rate) - about.mass(accel) - pushed_by(about, change)
         G = np.array([about.rows(e) for e in np.eye(system.n_v)]).T
         reaction = np.linalg.lstsq(G.T, left, rcond=None)[0][: system.n_lam]
     size = max(system.max_abs(y), system.max_abs(rate), system.max_abs(accel))
-    if size == 0.0 and not reaction.any():
+    if size == 0.0 and not reaction.any() and not change.any():
         return np.zeros(len(outputs))
     h = STEP * system.length / size if size else 1.0
 
     def read(e: float) -> Array:
         state = State(s.t, system.compose(s.q, e * y), s.v + e * v, s.a + e * a, s.lam + e * reaction)
-        values = _values(made, state, [name for _, name, _ in outputs])
+        with changed(system, s.t, e * change):
+            values = _values(made, state, [name for _, name, _ in outputs])
         return np.array([x[c] for x, (_, _, c) in zip(values, outputs, strict=True)], dtype=float)
 
     return np.asarray((8.0 * (read(h) - read(-h)) - read(2 * h) + read(-2 * h)) / (12.0 * h))

@@ -12,25 +12,51 @@ with T long against all periods: for an integral a stiff spring to the target, w
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from ..errors import ConvergenceError, require
 from ..mechanics.forces.dry_friction import DryFrictionLoads
+from ..mechanics.frames import Kinematics
 from ..rotations import Array
 from ..system.controllers import ControlLoads, Kept
+from ..system.element_memory import memories, restore
 from ..system.system import State, System
+from .small_memory import hold
 from .static_newton import Point, StaticNewton, by_load_steps
 
 LENGTHS = 100.0  # T over the preconditioner's time step
 MOST = 60
-STILL = 1e-10  # change of the efforts, over the largest
+STILL = 1e-10  # change of the efforts by that of the memory, over the largest
 MOVED = 1e-3  # of the memory, by which its influence on the efforts is seen
 
 
 def controllers(system: System) -> list[ControlLoads]:
     """The controllers of a system."""
     return [f for f in system.forces if isinstance(f, ControlLoads)]
+
+
+def remember(system: System, state: State, at: Any) -> None:
+    """What elements remember in small motions about a state of ``at``: an equilibrium, a run (its end), or a state; collective.
+
+    Refuses what has no linear model there: sampled controllers, friction at its limit.
+    """
+    begin(system, state)
+    for elements in system.elements:
+        elements.kept = elements.first(system.at(state.t, state.q, state.v), state)
+    if at is not None and not isinstance(at, State):
+        from .equilibrium import Equilibrium
+
+        own, theirs = memories(system), memories(at.system)
+        require(len(own) == len(theirs), "The state belongs to another scene: other elements remember something there.")
+        if isinstance(at, Equilibrium):  # its rods are relaxed whatever they are strained by: as set above
+            few = sum(f.kept is not None for f in system.forces)
+            theirs = [*theirs[:few], *own[few:]]
+        restore(system, theirs)
+    check_sampled(system)
+    stick(system, state)
+    hold(system, state.t)
 
 
 def begin(system: System, state: State) -> None:
@@ -87,7 +113,6 @@ def steady(newton: StaticNewton, start: Point, t: float, keeping: list[ControlLo
     Raises ConvergenceError where a memory keeps changing: an integral whose target cannot be reached.
     """
     system, point = newton.residual.system, start
-    efforts: Array = np.zeros(0)
     span = LENGTHS * newton.tau
     for _ in range(MOST):
         for loads in keeping:
@@ -95,8 +120,8 @@ def steady(newton: StaticNewton, start: Point, t: float, keeping: list[ControlLo
         point = by_load_steps(newton, point, t)
 
         kin = system.at(t, point.q, np.zeros(system.n_v)).kin
-        before, efforts = efforts, np.concatenate([_advanced(loads, kin, t) for loads in keeping])
-        change = np.abs(efforts - before).max() if len(before) else np.inf
+        efforts, changes = np.concatenate([_advanced(loads, kin, t) for loads in keeping], axis=1)
+        change = float(np.abs(changes).max())
         if change <= STILL * max(float(np.abs(efforts).max()), 1e-300):
             for loads in keeping:
                 loads.kept = replace(loads.kept, t=t)
@@ -108,8 +133,10 @@ def steady(newton: StaticNewton, start: Point, t: float, keeping: list[ControlLo
     )
 
 
-def _advanced(loads: ControlLoads, kin: object, t: float) -> Array:
-    """The efforts at the end of the long step; its memory is kept."""
-    u, z, _ = loads._continuous(t, loads._read(kin))  # type: ignore[arg-type]
+def _advanced(loads: ControlLoads, kin: Kinematics, t: float) -> Array:
+    """Efforts at the end of the long step, and what of them its change of the memory has made, (2, acts); it is kept."""
+    readings = loads._read(kin)
+    u, z, _ = loads._continuous(t, readings)
+    before = loads._call(t, readings, loads.kept.z)[0]
     loads.kept = Kept(t, z, np.zeros_like(z), u, 0)
-    return u
+    return np.array([u, u - before])

@@ -23,7 +23,6 @@ from ..linear.condensation import StepSolver
 from ..ranks import OneAnswer
 from ..rotations import Array
 from ..schemes.consistent import consistent
-from ..system.element_memory import memories, restore
 from ..system.scene.scene import Scene
 from ..system.speed_rows import speed_rows
 from ..system.system import State, System
@@ -31,10 +30,13 @@ from .basis import Projected, projected
 from .equilibrium import Equilibrium, static_newton
 from .first_order import first_order, slowest
 from .perturbation import Perturbation
+from .small_memory import refuse_moving_memory, relaxes
 
 SYMMETRIC = 1e-7  # relative size of what a symmetric matrix may lack of symmetry, differences included
 PLANE = 1e-6  # share of circling motion below which a mode is plane
 FAR = 1e-3  # accelerations of a state "in equilibrium", over weights
+STAYS = 1e-10  # relative change of squared eigenvalues that are those wanted
+RIGID = 1e-3  # share of the largest that is added: what rigid motions have is roundoff of it
 NOTHING = 1e-6  # motion in a long time that counts as rest, over the model's length
 
 
@@ -138,11 +140,11 @@ def modes(scene: Scene, n: int, *, at: Any = None, linear: Any = None) -> Modes:
     """
     require(isinstance(n, int) and n >= 1, f"modes: n must be a whole number of at least 1, found {n!r}.")
     with prepared(scene, at, linear) as made:
-        small = projected(made.about, made.solver, n, made.shift)
-        values, vectors = eigenpairs(small, n)
+        small = projected(made.about, made.solver, n, shift=made.shift, enough=Settled(n))
+        values, vectors = eigenpairs(small, n, relaxing=relaxes(made.about.system))
     system = made.about.system
     shapes = vectors.T @ small.vectors
-    sizes = [max(system.max_abs(x.real), system.max_abs(x.imag)) for x in shapes]
+    sizes = [max(system.max_abs(x.real), system.max_abs(x.imag), 1e-300) for x in shapes]
     scaled = np.array([x / s for x, s in zip(shapes, sizes, strict=True)])
     return Modes(scene, system, made.about.state, values, scaled, made.markers)
 
@@ -187,38 +189,26 @@ def _linearised(scene: Scene, at: Any, linear: Any, built: tuple[System, State, 
 def _about(scene: Scene, at: Any, built: tuple[System, State], solver: StepSolver) -> Perturbation:
     """The operators at the state that ``at`` stands for."""
     system, given = built
+    state = at if isinstance(at, State) else getattr(at, "state", None)
+    if at is not None and not isinstance(state, State):
+        raise InputError(f"at must be an equilibrium, a run or a state of the same scene, found {at!r}.")
+    if state is not None:
+        _require_same(scene, system, state)
+
     closed = None
     if scene.unilateral:
         from .closed_contacts import closed_contacts, without_forces
 
         closed = closed_contacts(at, system, solver)
     if system.keepers:
-        _remember(system, given, at)
-    state = at if isinstance(at, State) else getattr(at, "state", None)
-    if at is None:
+        from .memories import remember
+
+        remember(system, given if state is None else state, at)
+    if state is None:
         state, _ = consistent(system, given, solver)
-    if not isinstance(state, State):
-        raise InputError(f"at must be an equilibrium, a run or a state of the same scene, found {at!r}.")
-    _require_same(scene, system, state)
     if closed is not None:
         state = without_forces(state)
     return Perturbation(system, state, at.spin if isinstance(at, Equilibrium) else None, closed)
-
-
-def _remember(system: System, given: State, at: Any) -> None:
-    """Take what elements remember at the state; refuse those that have no linear model there."""
-    from .memories import begin, check_sampled, remembering, stick
-
-    begin(system, given)
-    if isinstance(at, Equilibrium):
-        restore(system, memories(at.system))
-    check_sampled(system)
-    stick(system, at.state if isinstance(at, Equilibrium) else given)
-    for loads in remembering(system, given.q, given.t):
-        raise InputError(
-            f'Controller "{loads.controller.name}" has a memory that moves with the scene; modes and linear models do not '
-            "have it among their unknowns. Take a law without memory (a PID without integral), or a run."
-        )
 
 
 def _require_same(scene: Scene, system: System, state: State) -> None:
@@ -248,6 +238,8 @@ def _refuse_moving(about: Perturbation, shift: float) -> None:
     system, state = about.system, about.state
     speed, accel = system.max_abs(state.v), system.max_abs(state.a)
     pull = float(np.abs(system.gravity(state.t)).max(initial=0.0))
+    if speed == 0.0 and system.keepers:
+        refuse_moving_memory(about, shift)
     if speed == 0.0 and accel > max(FAR * pull, NOTHING * system.length * shift):
         raise InputError(
             f"The scene is not in equilibrium at this state: bodies accelerate with {accel:.3g} m/s^2 at rest. "
@@ -255,22 +247,46 @@ def _refuse_moving(about: Perturbation, shift: float) -> None:
         )
 
 
-def eigenpairs(small: Projected, n: int) -> tuple[Array, Array]:
-    """The n slowest eigenvalues (n,) of (1) on a basis and their vectors (k, n), one of each conjugate pair."""
+def eigenpairs(small: Projected, n: int, *, relaxing: bool = False) -> tuple[Array, Array]:
+    """The n slowest eigenvalues (n,) of (1) on a basis and their vectors (k, n), one of each conjugate pair.
+
+    ``relaxing``: as for :func:`.first_order.slowest`.
+    """
     M, C, K = small.M, small.C, small.K
     k = len(M)
     size_M, size_K = np.abs(M).max(initial=1e-300), np.abs(K).max(initial=1e-300)
     quiet = np.abs(C).max(initial=0.0) <= SYMMETRIC * float(np.sqrt(size_M * size_K))
     symmetric = np.abs(K - K.T).max(initial=0.0) <= SYMMETRIC * size_K
-    if quiet and symmetric and not len(small.speeds[0]):
+    if quiet and symmetric and not len(small.speeds[0]) and small.memory is None:
         _enough(k, n)
         squares, Y = sl.eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
         order = np.argsort(np.abs(squares))[:n]
         values = np.where(squares[order] >= 0, 1j * np.sqrt(np.abs(squares[order])), np.sqrt(np.abs(squares[order])))
         return values, Y[:, order].astype(complex)
-    values, vectors = slowest(first_order(small))
+    values, vectors = slowest(first_order(small), relaxing=relaxing)
     _enough(len(values), n)
     return values[:n], vectors[:, :n]
+
+
+@dataclass(eq=False)
+class Settled:
+    """Whether the first n eigenvalues stay as a space of motions grows: called with each larger one."""
+
+    n: int
+    last: Array | None = None
+    stays: int = 0
+
+    def __call__(self, small: Projected) -> bool:
+        """Twice in a row they do."""
+        if len(small.M) <= 2 * self.n:
+            return False
+        last, self.last = self.last, eigenpairs(small, self.n)[0] ** 2
+        if last is None:
+            return False
+        moved = np.abs(self.last - last)
+        same = moved <= STAYS * (np.abs(self.last) + RIGID * np.abs(self.last).max())
+        self.stays = self.stays + 1 if same.all() else 0
+        return self.stays == 2
 
 
 def _enough(count: int, n: int) -> None:

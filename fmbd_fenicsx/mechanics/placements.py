@@ -221,6 +221,15 @@ class FrameElements(Protocol):
     def jumps(self, kept: Any) -> bool:
         """Whether forces jump when the memory becomes ``kept``."""
 
+    def memory_values(self) -> Array:
+        """The memory as numbers (m,) that small motions change; (0,) where there is none."""
+
+    def set_memory(self, values: Array, t: float) -> None:
+        """Take these numbers as the memory at time t, s."""
+
+    def memory_rates(self, ev: Any, t: float) -> Array:
+        """Rates (m,) of these numbers in a configuration evaluated as ``ev``, 1/s."""
+
     def given(self, t: float, pose: Array, twist: Array) -> dict[str, float]:
         """Power (W) of their loads and of their damping."""
 

@@ -14,7 +14,7 @@ nothing to undo, and Newton sees how u answers to the joint coordinates, positio
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -232,6 +232,19 @@ class ControlLoads(Loads):
     def jumps(self, kept: Kept) -> bool:
         """A new sample has been taken."""
         return kept.next != self.kept.next
+
+    def memory_values(self) -> Array:
+        """z of a continuous law, (m,); sampled ones keep theirs from sample to sample."""
+        return self.kept.z if self.controller.every is None else np.zeros(0)
+
+    def set_memory(self, values: Array, t: float) -> None:
+        """Take z at time t, s."""
+        self.kept = replace(self.kept, t=t, z=values.copy())
+
+    def memory_rates(self, ev: Any, t: float) -> Array:
+        """g of (1), (m,)."""
+        z = self.memory_values()
+        return self._call(t, self._read(ev.kin), z)[1] if len(z) else z
 
     def accepted(self, ev: Any, state: Any) -> Kept:
         """Memory after a step: of (3), or of the sample that is due."""

@@ -109,6 +109,17 @@ class Loads:
         """Whether forces jump when the memory becomes ``kept``."""
         return False
 
+    def memory_values(self) -> Array:
+        """The memory as numbers (m,) that small motions change; (0,) where it stays as it is."""
+        return np.zeros(0)
+
+    def set_memory(self, values: Array, t: float) -> None:
+        """Take these numbers as the memory at time t, s."""
+
+    def memory_rates(self, ev: Any, t: float) -> Array:
+        """Rates (m,) of these numbers in a configuration evaluated as ``ev``, 1/s."""
+        return np.zeros(0)
+
     def _zero(self) -> Array:
         return np.zeros((len(self.forces), self.motions.dim + self.motions.n_rot))
 

@@ -14,7 +14,7 @@ bodies at the nodes: the mass of the rod, lumped by Gauss-Lobatto weights, which
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -221,6 +221,22 @@ class RodElements:
     def jumps(self, kept: Any) -> bool:
         """Never: forces are continuous."""
         return False
+
+    def memory_values(self) -> Array:
+        """Strains of the dashpots, (m,)."""
+        return np.zeros(0) if self.arms is None else self.kept.inner.ravel()
+
+    def set_memory(self, values: Array, t: float) -> None:
+        """Take these strains at time t, s."""
+        if self.arms is not None:
+            self.kept = replace(self.kept, t=t, inner=values.reshape(self.kept.inner.shape), before=None)
+
+    def memory_rates(self, ev: Any, t: float) -> Array:
+        """a' = (e - a) / tau of all arms, (m,), 1/s."""
+        if self.arms is None:
+            return np.zeros(0)
+        rates: Array = (self.strains(ev.pose) - self.kept.inner) / self.arms.tau[:, None, None, None]
+        return rates.ravel()
 
 
 def spins(p: Array) -> Array:
