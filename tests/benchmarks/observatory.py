@@ -2,19 +2,21 @@
 
 Run:  ./with-dolfinx env PYTHONPATH=.:demos:tests:tests/benchmarks python3 tests/benchmarks/observatory.py --write
       (--fast: two values each; --write: docs/observatory.md and its figure; --only NAME ...: these problems;
-      --json FILE, --read FILE: keep the runs, write the page from kept ones)
+      --json FILE: keep the runs there after each problem, and do not make again those that it holds)
 
 Every run that fails is a row. Schemes with equal steps run with h, h / 4, h / 16, those with error control with three tolerances;
-finer ones are left out where the last took longer than BUDGET seconds. Neighbours: IDA needs scikit-sundae; Exudyn an interpreter
-that has it, EXUDYN_PYTHON or this one.
+finer ones are left out where the last took longer than BUDGET seconds of CPU time, and no run takes longer than LONGEST: all of
+them end within an hour. Neighbours: IDA needs scikit-sundae; Exudyn an interpreter that has it, EXUDYN_PYTHON or this one.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +31,8 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError
 
 ROOT = Path(__file__).resolve().parents[2]
-BUDGET, FAST_BUDGET = 20.0, 0.5  # s of CPU time
+BUDGET, FAST_BUDGET = 3.0, 0.5  # s of CPU time of a run, above which no finer one is made
+LONGEST = 30.0  # s of CPU time after which a run is given up
 TOLERANCES = (1e-3, 1e-5, 1e-7)
 FINER = (1, 4, 16)
 QUIET = fmbd.Output(every=10**9, energy=False, progress=False)
@@ -72,6 +75,26 @@ class Point:
     refused: bool = False
 
 
+class TooLongError(Exception):
+    """A run took more than its CPU time."""
+
+
+@contextmanager
+def at_most(seconds: float) -> Iterator[None]:
+    """Raises TooLongError after so much CPU time of this process."""
+
+    def stop(*_: Any) -> None:
+        raise TooLongError(f"given up after {seconds:g} s of CPU time")
+
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+
+
 def one(name: str, scheme: str, value: float) -> Point:
     """A run of this package with a tolerance, or with so many equal steps."""
     problem = PROBLEMS[name]
@@ -79,8 +102,9 @@ def one(name: str, scheme: str, value: float) -> Point:
     dt = None if scheme in CONTROLLED else problem.t_end / value
     begun = time.process_time()
     try:
-        run = fmbd.solve(problem.scene(), t_end=problem.t_end, dt=dt, scheme=made, output=QUIET)
-    except FmbdError as error:
+        with at_most(LONGEST):
+            run = fmbd.solve(problem.scene(), t_end=problem.t_end, dt=dt, scheme=made, output=QUIET)
+    except (FmbdError, TooLongError) as error:
         spent, refused = time.process_time() - begun, isinstance(error, fmbd.errors.InputError)
         return Point(name, scheme, value, np.nan, spent, 0, str(error).splitlines()[0], refused)
     spent = time.process_time() - begun
@@ -92,10 +116,11 @@ def peer(name: str, scheme: str, value: float) -> Point | None:
     problem, run = PROBLEMS[name], {**PEERS_CONTROLLED, **PEERS_EQUAL}[scheme]
     begun = time.process_time()
     try:
-        end, steps, *own = run(name, problem, value)
+        with at_most(LONGEST):
+            end, steps, *own = run(name, problem, value)
     except NotForItError:
         return None
-    except FAILURES as error:
+    except (*FAILURES, TooLongError) as error:
         return Point(name, scheme, value, np.nan, time.process_time() - begun, 0, str(error).splitlines()[0])
     spent = own[0] if own else time.process_time() - begun
     return Point(name, scheme, value, _error(problem, end), spent, steps)
@@ -119,20 +144,35 @@ def _runs(name: str) -> list[tuple[str, tuple[float, ...], Callable[[str, str, f
     return [*ours, *others]
 
 
-def observe(names: list[str], *, fast: bool) -> list[Point]:
-    """All runs of some problems."""
+def observe(name: str, *, fast: bool) -> list[Point]:
+    """All runs of a problem."""
     points: list[Point] = []
-    for name in names:
-        for scheme, values, run in _runs(name):
-            for value in values[:2] if fast else values:
-                found = run(name, scheme, value)
-                if found is None:
-                    break
-                points.append(found)
-                print(found, flush=True)
-                if found.seconds > (FAST_BUDGET if fast else BUDGET) or found.failure:
-                    break
+    limit = FAST_BUDGET if fast else BUDGET
+    for scheme, values, run in _runs(name):
+        for value in values[:2] if fast else values:
+            found = run(name, scheme, value)
+            if found is None:
+                break
+            points.append(found)
+            print(found, flush=True)
+            if found.seconds > limit or found.failure:
+                break
     return points
+
+
+def observed(names: list[str], *, fast: bool, file: Path | None) -> tuple[list[Point], float]:
+    """All runs of some problems, and their CPU seconds; those that a file holds are taken from it, the others go there."""
+    kept: dict[str, Any] = json.loads(file.read_text()) if file is not None and file.exists() else {}
+    for name in names:
+        if name in kept:
+            continue
+        begun = time.process_time()
+        points = observe(name, fast=fast)
+        kept[name] = {"points": [asdict(p) for p in points], "seconds": time.process_time() - begun}
+        if file is not None:
+            file.write_text(json.dumps(kept))
+    found = [kept[name] for name in names]
+    return [Point(**p) for x in found for p in x["points"]], sum(x["seconds"] for x in found)
 
 
 def main() -> None:
@@ -141,21 +181,13 @@ def main() -> None:
     parser.add_argument("--fast", action="store_true")
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--only", nargs="+", choices=list(PROBLEMS))
-    parser.add_argument("--json", type=Path, help="keep the runs in this file")
-    parser.add_argument("--read", type=Path, help="take the runs from such a file")
+    parser.add_argument("--json", type=Path, help="keep the runs in this file, and take from it those that it holds")
     args = parser.parse_args()
-    begun = time.process_time()
-    if args.read:
-        kept = json.loads(args.read.read_text())
-        points, setting, spent = [Point(**p) for p in kept["points"]], kept["setting"], kept["spent"]
-    else:
-        points = observe(args.only or list(PROBLEMS), fast=args.fast)
-        setting = f"with{' `--fast`: two' if args.fast else ' three'} values for each scheme"
-        spent = [FAST_BUDGET if args.fast else BUDGET, time.process_time() - begun]
-    if args.json:
-        args.json.write_text(json.dumps({"points": [asdict(p) for p in points], "setting": setting, "spent": spent}))
 
-    text = page(points, setting, (spent[0], spent[1]))
+    fast = bool(args.fast)
+    points, spent = observed(args.only or list(PROBLEMS), fast=fast, file=args.json)
+    setting = f"with{' `--fast`: two' if fast else ' three'} values for each scheme"
+    text = page(points, setting, (FAST_BUDGET if fast else BUDGET, LONGEST, spent))
     print(text)
     if args.write:
         (ROOT / "docs/observatory.md").write_text(text)

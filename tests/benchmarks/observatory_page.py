@@ -21,7 +21,7 @@ Errors are those of a sensor at the end, relative to the largest component of th
 set-up and the first compilation of kernels included. References are exact or come from other means than this code; "ordinary
 equations" are those of minimal coordinates, by DOP853 of SciPy with a tolerance of 1e-12. In elastic problems the error of the
 mesh stays when steps become finer. Every failure is listed. A finer run is left out where the coarser one took more than
-{limit:g} s.
+{limit:g} s, and no run may take more than {longest:g} s.
 
 Neighbours: **Exudyn 1.13.6** with its own models of the rigid problems (its CPU time is that of assembly and steps, without the
 start of Python), **IDA** of SUNDIALS (scikit-sundae) and **SciPy** on planar problems of rigid bodies. The equations of IDA and
@@ -32,10 +32,13 @@ these.
 """
 
 
-def page(points: list[Point], setting: str, spent: tuple[float, float]) -> str:
-    """The page: what was run, best times for accuracies, all runs, failures. ``spent``: limit of a run, sum (s)."""
+def page(points: list[Point], setting: str, spent: tuple[float, float, float]) -> str:
+    """The page: what was run, best times for accuracies, all runs, failures.
+
+    ``spent``: CPU seconds above which no finer run is made, after which a run is given up, and of all.
+    """
     names = list(dict.fromkeys(p.problem for p in points))
-    head = INTRODUCTION.format(setting=setting, limit=spent[0], spent=spent[1])
+    head = INTRODUCTION.format(setting=setting, limit=spent[0], longest=spent[1], spent=spent[2])
     lines = ["# The observatory: error against CPU time", "", head, f"## {len(names)} problems", ""]
     rows = [["problem", "what", "reference", "s", "sensor"]]
     rows += [[n, _what(n), PROBLEMS[n].provenance, f"{PROBLEMS[n].t_end:g}", PROBLEMS[n].sensor] for n in names]

@@ -76,6 +76,6 @@ def test_failures_are_rows() -> None:
         Point("gears", "RATTLE", 100, 1e-3, 0.1, 100),
         Point("gears", "BDF, GGL", 1e-3, np.nan, 0.1, 0, "no step"),
     ]
-    text = page(points, "with one value for each scheme", (1.0, 0.2))
+    text = page(points, "with one value for each scheme", (1.0, 30.0, 0.2))
     assert "- gears, BDF, GGL, 0.001: no step" in text and "failed" in text
     assert "RATTLE: 0.1 s" in text and "not reached" in text
