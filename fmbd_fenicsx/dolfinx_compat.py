@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -98,6 +100,28 @@ def interpolation_points(space: Any) -> np.ndarray:
     return np.asarray(points() if callable(points) else points)
 
 
+@cache
+def _remember_modules() -> None:
+    """Let FFCx remember the modules that this process has loaded.
+
+    It reads its whole folder of modules for each form, also for one that it has just loaded: nearly all that a small body
+    takes to set up. What a module is called tells its form, the elements and all options, so that a name stands for one module.
+    """
+    from ffcx.codegeneration import jit
+
+    look: Callable[..., Any] = jit.get_cached_module
+    loaded: dict[tuple[Any, ...], Any] = {}
+
+    def remembered(module_name: str, object_names: Any, cache_dir: Any, timeout: Any) -> Any:
+        wanted = (module_name, tuple(object_names), str(cache_dir))
+        found = loaded.get(wanted) or look(module_name, object_names, cache_dir, timeout)
+        if found[1] is not None:
+            loaded[wanted] = found
+        return found
+
+    jit.get_cached_module = remembered
+
+
 def form(ufl_form: Any) -> Any:
     """Compile a UFL form; collective. Waits for other processes that compile the same form.
 
@@ -105,6 +129,7 @@ def form(ufl_form: Any) -> Any:
     """
     from dolfinx import fem
 
+    _remember_modules()
     sort = ("a functional", "a linear form", "a bilinear form")[len(ufl_form.arguments())]
     saying = threading.Timer(SLOW, note, (f"compiling {sort} of an elastic body, once (some seconds)",))
     saying.daemon = True

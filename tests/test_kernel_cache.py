@@ -80,6 +80,31 @@ def test_forms_that_take_long_are_said(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert len(said) == 1
 
 
+def test_a_form_that_was_loaded_is_not_looked_for_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Of the same form on another mesh the module is remembered; another form is looked for."""
+    import ufl
+    from dolfinx import fem
+    from dolfinx.mesh import create_unit_interval
+    from ffcx.codegeneration import jit
+    from mpi4py import MPI
+
+    from fmbd_fenicsx import dolfinx_compat as compat
+
+    monkeypatch.setitem(compat.JIT_OPTIONS, "cache_dir", str(tmp_path))
+
+    def cube(cells: int) -> float:
+        mesh = create_unit_interval(MPI.COMM_SELF, cells)
+        return float(fem.assemble_scalar(compat.form(ufl.SpatialCoordinate(mesh)[0] ** 3 * ufl.dx)))
+
+    assert cube(1) == pytest.approx(0.25) == cube(2)
+
+    def nowhere(*_: object) -> None:
+        raise FileNotFoundError("looked into the folder")
+
+    monkeypatch.setattr(jit.importlib.machinery, "FileFinder", nowhere)
+    assert cube(3) == pytest.approx(0.25)
+
+
 @pytest.mark.parametrize("damage", ["another library", "half", "empty", "writable by others", "link", "hash"])
 def test_what_is_not_as_built_is_built_again(folders: tuple[Path, Path], damage: str, tmp_path: Path) -> None:
     """Another's library under the right name would say 8."""

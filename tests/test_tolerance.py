@@ -31,6 +31,15 @@ def test_a_tolerance_is_kept(name: str, k: int) -> None:
     assert found.attempts <= 3
 
 
+def test_meshes_are_looked_at_with_few_steps() -> None:
+    """A block with singular corners: errors fall more slowly than expected, which is seen before a whole run is spent."""
+    case = CASES["near-incompressible block"]
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: case.tolerances[1]})
+    first, look, last = run.history
+    assert look.step >= 3.9 * first.step and look.then == "finer meshes" and look.worst > 0.6
+    assert (first.meshes, look.meshes, last.meshes) == (0, 1, 2) and last.then == "done"
+
+
 @pytest.mark.parametrize("tol", [1e-4, 1e-5])
 def test_all_attempts_together_take_few_steps(monkeypatch: pytest.MonkeyPatch, tol: float) -> None:
     """An earlier attempt tells the error of the last one: all runs together take at most 1.7 times the steps of the last."""

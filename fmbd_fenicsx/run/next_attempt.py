@@ -16,11 +16,12 @@ from ..errors import InputError
 from ..mechanics.bodies.bodies import ElasticBody
 from ..mechanics.reduction.craig_bampton import ReducedBody
 from ..schemes.control import FINEST
-from ..system.scene.refinement import expected_rate, more_modes, slender
+from ..system.scene.refinement import expected_rate, meshed_bodies, modal_bodies, more_modes, slender
 from ..system.scene.scene import Scene
 from .certificate import KINDS
 from .deviation import Deviation
 from .estimates import SEEN
+from .output import Output
 from .result import Run
 from .schedule import Pace
 from .shared_runs import Orders, SharedRuns
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from .tolerance import Attempt
 
 LEAST = 0.65  # of smaller changes of the step the runs cost more than they save
-NEAR, FAR = 1 / 16, 1 / 128  # most that a step is made smaller at once, without and with the order of the scheme seen
+NEAR, FAR = 1 / 4, 1 / 128  # most that a step is made smaller at once, without and with the order of the scheme seen
 HALF, LATER = 0.45, 0.3  # shares for time beside an error in space that is not known yet: allowed, and brought below
 MANY = 32  # grains above which numbers of steps are rounded to four
 
@@ -72,6 +73,43 @@ class Plan:
     def step(self) -> float:
         """Size of the steps (s), or rtol."""
         return self.pace.t_end / self.steps if self.steps else self.scheme.rtol
+
+
+@dataclass(frozen=True)
+class Looked:
+    """The plan with finer meshes after a look at the error in space: each sensor's, and the largest over its tolerance."""
+
+    plan: Plan
+    errors: dict[str, float]
+    over: float
+
+
+def space_first(plan: Plan, tol: Tolerance, shared: SharedRuns, wanted: Output) -> Looked | None:
+    """A look at meshes that are new, by runs with the fewest steps that follow the motion; None where they are fine enough.
+
+    These runs serve the whole attempt too. Where errors fall more slowly than expected, at corners, it is spared; collective.
+    """
+    few = plan.orders.follow
+    if plan.known is not None or not 0 < few < plan.steps or not meshed_bodies(plan.scene):
+        return None
+
+    output = replace(wanted, every=1, energy=False, estimate_error=False)
+    solved = shared.solve(plan.scene, plan.scheme, Pace(plan.pace.t_end, few), output)
+    errors, unstated = shared.space_error(solved, solved.compared, plan.below)
+    if unstated or not errors:
+        return None
+
+    run = solved.run
+    run.state_error("space", errors)
+    over = max(share(run.certificate, n, x, "space") for n, x in tol.items())
+    limit = AIM * (0.6 if modal_bodies(plan.scene) else 1.0)
+    if over <= limit:
+        return None
+    try:
+        made = _finer_meshes(plan, over, limit, shared)
+    except InputError:
+        return None  # the whole attempt tells why
+    return Looked(made, {n: run.space_error[n] for n in tol if n in run.space_error}, over)
 
 
 def next_plan(

@@ -23,7 +23,7 @@ from ..system.scene.refinement import meshed_bodies, modal_bodies
 from ..system.scene.scene import Scene
 from .estimates import Compared, TimeError, reduction_error, tolerance_error
 from .ledger import Books
-from .next_attempt import Plan, finer_steps, next_plan
+from .next_attempt import Looked, Plan, finer_steps, next_plan, space_first
 from .output import Output
 from .result import Run
 from .schedule import Pace, pace_of
@@ -36,6 +36,7 @@ __all__ = ["Attempt", "Relative", "relative", "solve_within"]
 
 ATTEMPTS = 12
 START = 100  # steps of the first attempt where no dt is given
+SCOUT = 48  # the same where spaces or modes have to be found first, whose errors are seen with few steps, and nothing touches
 LOOSEST = 1e-4  # rtol of the first attempt of schemes with error control
 RECORDS = 200  # that runs make at least, so that they can be compared
 
@@ -44,6 +45,7 @@ RECORDS = 200  # that runs make at least, so that they can be compared
 class Attempt:
     """One run on the way to a tolerance: its steps (s, or rtol), its level of refinement, stated errors, seconds with estimates.
 
+    One that only looked at the error in space, with the fewest steps that follow the motion, states this error alone.
     ``worst`` is the largest stated error over its tolerance; ``errors``: sensor -> sum of errors. ``then``: what was done next.
     """
 
@@ -86,6 +88,11 @@ def solve_within(
     for _ in range(ATTEMPTS):
         begun = clock.perf_counter()
         try:
+            looked = space_first(plan, tol, shared, wanted)
+            if looked is not None:
+                history.append(_of_space(plan, looked, clock.perf_counter() - begun))
+                plan = looked.plan
+                continue
             run, orders = _attempt(plan, tol, shared, wanted)
         except (ConvergenceError, LinearSolveError) as error:
             if best is not None or plan.step < 1e-3 * t_end / START:
@@ -117,6 +124,12 @@ def solve_within(
     return best[1]
 
 
+def _of_space(plan: Plan, looked: Looked, seconds: float) -> Attempt:
+    """The line of an attempt that ended when its meshes were found too coarse."""
+    step = plan.pace.t_end / plan.orders.follow
+    return Attempt(step, plan.meshes, plan.modes, looked.over, looked.errors, seconds, "finer meshes")
+
+
 def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> Plan:
     """The first attempt: the scene as it is, with the steps given or a hundred of them, or with a loose tolerance."""
     from .solve import default_scheme
@@ -126,7 +139,8 @@ def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> Plan:
         scheme = replace(scheme, rtol=max(scheme.rtol, LOOSEST))
         return Plan(scene, scheme, pace_of(scene, scheme, t_end, dt), 1)
     number("End time t_end =", t_end, above=0.0, unit="s")
-    dt = t_end / START if dt is None else dt
+    spaces = bool(meshed_bodies(scene) or modal_bodies(scene)) and not scene.contacts
+    dt = t_end / (SCOUT if spaces else START) if dt is None else dt
     pace = pace_of(scene, scheme, t_end, dt, multiple=4)
     return Plan(scene, scheme, pace, pace.steps // 4)
 
