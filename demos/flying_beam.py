@@ -77,12 +77,13 @@ checks = [
 if args.picture:
     with plot.figure(args.picture, size=(9.0, 5.0), title=args.title) as axes:
         for x, look in ((fine, plot.REFERENCE), (run, {"color": "C0"})):
-            order = np.argsort(x["nodes"][0, 0::3])
             rows = np.linspace(0, len(x.times) - 1, 6 if args.fast else 7).astype(int)
-            places = x["nodes"][rows].reshape(len(rows), -1, 3)[:, order, :2]
-            axes.plot(*places.transpose(2, 1, 0), **look)
-        for row, place in zip(rows, places, strict=True):
-            axes.annotate(f"{run.times[row]:.3g} s", place[0], xytext=(4, 4), textcoords="offset points", size=9)
-        axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="grey: half the step and cell size")
+            places = x.scene.bodies["beam"].curve(x["nodes"][rows])[..., :2]
+            lines = axes.plot(*places.transpose(2, 1, 0), **look)
+            lines[0].set_label(f"h = {x.dt:g} s, {x.scene.bodies['beam'].cells} cells")
+        for k, (row, place) in enumerate(zip(rows, places, strict=True)):
+            shift = {"xytext": (4, 4) if k else (-26, -4), "textcoords": "offset points", "size": 9}
+            axes.annotate(f"{run.times[row]:.3g} s", place[0], **shift)
+        axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
 demo.film(run, args, ["end"])
 demo.finish(checks, run, args)

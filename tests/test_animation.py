@@ -60,6 +60,11 @@ def test_gif_holds_all_frames_and_lasts_as_asked(tmp_path: Path) -> None:
     with Image.open(file) as image:
         assert image.n_frames == 5 and image.size == (320, 200)
         assert 5 * image.info["duration"] == pytest.approx(2000, rel=0.05)
+        assert image.convert("RGB").getpixel((319, 199)) == (
+            255,
+            255,
+            255,
+        )  # one palette for all frames, with white in it
 
 
 @pytest.mark.serial

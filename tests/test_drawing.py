@@ -222,6 +222,12 @@ def test_contact_draws_balls_obstacles_and_forces() -> None:
     assert run["force"][-1, 1] > 0
     assert np.ptp(arrow.at(2)[:, 1]) > 0.05 and np.ptp(arrow.at(0)[:, 1]) == 0.0
 
+    # and the drawing says how large that is
+    (scale,) = drawing.scales
+    largest = max(float(run["force"][int(np.argmin(np.abs(run.times - t))), 1]) for t in drawing.times)
+    assert scale.largest == pytest.approx(largest, rel=1e-12)
+    assert scale.text == f"contact forces, longest arrow {largest:.3g} N"
+
 
 def test_springs_reach_from_end_to_end_and_reactions_hold() -> None:
     bob = fmbd.RigidBody("bob", 2.0, 0.1, (0.0, -1.0))
@@ -235,6 +241,7 @@ def test_springs_reach_from_end_to_end_and_reactions_hold() -> None:
         coil = piece(drawing, "spring").at(k)
         assert coil[0] == pytest.approx((0, 0, 0), abs=1e-12)
         assert coil[-1, :2] == pytest.approx(run["bob"][row], abs=1e-9)
+    assert [s.text for s in drawing.scales] == ["applied forces, longest arrow 3 N"]
     push = piece(drawing, "push").at(1)
     assert np.ptp(push[:, 0]) > 0.1 and push[:, 0].min() == pytest.approx(run["bob"][25, 0], abs=1e-9)
 

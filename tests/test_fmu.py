@@ -160,10 +160,37 @@ def test_unit_of_fmi(tmp_path: Path) -> None:
     remote, near, far = Remote(file), Half(other, dt=2.5e-3), Half(other, dt=2.5e-3)
     local = Half(lambda: _scene(HALF), dt=2.5e-3)
     assert couple(remote, near, 10) == couple(local, far, 10)
-    with pytest.raises(fmpy.fmi1.FMICallException):
-        remote.set("force", 101.0)
+    _refuses_and_lives_on(remote, fmpy.fmi1.FMICallException, about)
     for half in (near, far, local):
         half.close()
+
+
+def _refuses_and_lives_on(remote: Remote, error: type[Exception], about: Any) -> None:
+    """An input out of range, and a step from elsewhere: the call fails, and the unit goes on as if it had not been made."""
+    at, kept = remote.save(), remote.get("force")
+    for bad in (101.0, -200.0, float("nan"), float("inf")):
+        with pytest.raises(error):
+            remote.set("force", bad)
+        assert remote.get("force") == kept
+    with pytest.raises(error, match="discard"):
+        remote.do_step(0.2, 0.1)
+    remote.do_step(1.0, 0.1)
+    after = remote.get("x")
+    remote.restore(at)
+    remote.do_step(1.0, 0.1)
+    assert remote.get("x") == after != 0.0
+
+    # masters that look find the range before
+    ends = [(v.min, v.max) for v in about.typeDefinitions]
+    assert [tuple(map(float, pair)) for pair in ends] == [(-100.0, 100.0)]
+
+
+def test_names_that_a_unit_would_have_twice_are_refused(tmp_path: Path) -> None:
+    pytest.importorskip("pythonfmu3")
+    script = tmp_path / "twice.py"
+    script.write_text(HALF.replace('"x"', '"force"'))
+    with pytest.raises(InputError, match='found twice: "force"'):
+        fmbd.write_fmu(script, tmp_path, dt=1e-2)
 
 
 def test_bad_input_is_named(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_bvp
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
 
 L, EA, GA, EI, RHO_A, RHO_I = 2.0, 1e6, 4e5, 50.0, 1.0, 1e-3
 
@@ -151,3 +152,18 @@ def test_bad_data_are_named() -> None:
         line().surface("tip")
     with pytest.raises(fmbd.errors.InputError, match="attach to a surface"):
         fmbd.fixed("clamp", fmbd.ground, line())
+
+
+def test_the_curve_of_a_line_passes_between_its_nodes() -> None:
+    """Quadratic elements hold a parabola: the curve is on it everywhere, and its ends are those of the line."""
+    start = lambda s: [s, 0.3 * s**2 - s, 0 * s]  # noqa: E731
+    flat = lambda z, w, ds: (z[0] * w[0] + z[1] * w[1] + z[2] * w[2]) * ds  # noqa: E731
+    for degree in (2, 3):
+        line = fmbd.LineBody("line", 2.0, flat, lambda z, ds: z[0] ** 2 * ds, start=start, cells=3, degree=degree)
+        nodes = np.array(start(line._nodes)).T.ravel()
+        x, y, _ = line.curve(np.array([nodes, 2 * nodes]), 5)[0].T
+        assert len(x) == 16 and (x[0], x[-1]) == pytest.approx((0.0, 2.0), abs=1e-14)
+        assert y == pytest.approx(0.3 * x**2 - x, abs=1e-13)
+        assert np.allclose(np.diff(x), 2.0 / 15)
+    with pytest.raises(InputError, match="values of 10 nodes, found 5 numbers"):
+        line.curve(np.zeros(5))

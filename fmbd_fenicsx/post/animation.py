@@ -22,7 +22,7 @@ from .drawing.draw import draw
 from .drawing.render import Renderer
 from .drawing.scene_graph import Drawing
 from .drawing.view import Paint, View
-from .plot import STYLE, _history, _series
+from .plot import STYLE, _history, _series, arrow_legend
 
 FASTEST = 50.0  # frames a second: what a GIF can do
 KINDS = (".gif", ".mp4", ".html")
@@ -107,8 +107,8 @@ def make_story(run: Run, sensors: Sequence[str], view: View, paint: Paint | None
 
 
 # -- frames ------------------------------------------------------------------------------------------------------
-def frames(story: Story) -> Iterator[Array]:
-    """Images (rows, columns, 3), one for each frame; rank 0."""
+def frames(story: Story, chosen: Sequence[int] | None = None) -> Iterator[Array]:
+    """Images (rows, columns, 3), one for each frame, or for the ``chosen`` snapshots; rank 0."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -119,6 +119,7 @@ def frames(story: Story) -> Iterator[Array]:
     scene = Renderer(story.drawing, story.view, size=scene_size)
     scene.add(0)
     scene.look()
+    scene.smooth()
 
     with rc_context(STYLE):
         page = _Page(story, share)
@@ -127,7 +128,7 @@ def frames(story: Story) -> Iterator[Array]:
         page.show(first)
         canvas.draw()
         still = canvas.copy_from_bbox(page.figure.bbox)
-        for k in story.frames:
+        for k in story.frames if chosen is None else chosen:
             scene.turn_to(k)
             canvas.restore_region(still)
             page.turn_to(k, scene.image())
@@ -154,6 +155,7 @@ class _Page:
         self.flat = flat
         if story.drawing.label:
             self._color_bar(right)
+        arrow_legend(self.scene, story.drawing, loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8)
         self.clock = self.figure.text(0.01, 0.97, "", ha="left", va="top", fontsize=10, family="monospace")
         self.clock.set_animated(True)
         self.dots = self._curves(share)
@@ -216,7 +218,13 @@ class _Page:
 def _write_gif(file: Path, story: Story) -> None:
     from PIL import Image
 
-    made = [Image.fromarray(frame).quantize(128, dither=Image.Dither.NONE) for frame in frames(story)]
+    # one palette for all: from a few frames side by side; each frame's own takes as long as drawing it, and flickers
+    few = story.frames[:: max(len(story.frames) // 5, 1)]
+    colors = Image.fromarray(np.concatenate(list(frames(story, few)))).quantize(127).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*colors[: 3 * 127], 255, 255, 255])  # the background is white, not nearly
+    plain = {"palette": palette, "dither": Image.Dither.NONE}
+    made = [Image.fromarray(frame).quantize(**plain) for frame in frames(story)]
     duration = max(int(round(100 * story.seconds / len(made))), 2) * 10  # ms; a GIF counts in hundredths of a second
     made[0].save(file, save_all=True, append_images=made[1:], duration=duration, loop=0, optimize=False)
 

@@ -3,17 +3,20 @@
     fmbd.write_fmu("arm.py", "out", dt=1e-3)        # arm.py holds a function scene() -> fmbd.Scene
 
 The unit holds the user's script and a few lines that call this package, which the machine that runs it must have. States can be
-fetched and set, so masters may repeat and reject steps; steps may be of any size.
+fetched and set, so masters may repeat and reject steps; steps may be of any size. A step that cannot be made is discarded, with its
+reason in the log, and the unit stands where it stood; an input outside of its range makes the call fail and keeps its value.
 """
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
 from collections.abc import Callable
+from math import inf
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError, require
+from ..errors import FmbdError, InputError, require
 from ..run.co_simulation import Unit
 from ..system.scene.scene import Scene
 
@@ -72,20 +75,24 @@ def attach(slave: Any, make: Callable[[], Scene], *, dt: float) -> None:
     from pythonfmu3 import (
         Unit as Measure,
     )
+    from pythonfmu3.variable_types import Float64Type
 
     slave.unit = unit = Unit(make, dt=dt)
+    inputs = {name.replace(" ", "_"): name for name in unit.scene.inputs}
+    _distinct(["time", *(name.replace(" ", "_") for name in unit.scene.inputs), *unit.outputs])
     slave.author, slave.description = "fmbd_fenicsx", f'Scene "{unit.scene.name}"'
     slave.register_units([Measure(name=u) for u in sorted({unit.unit_of(o) for o in unit.outputs})])
     varying = Fmi3Variability.continuous
     time = Float64("time", causality=Fmi3Causality.independent, variability=varying, getter=lambda: unit.stepper.t)
     slave.register_variable(time, nested=False)
-    for name in unit.scene.inputs:
+    for label, name in inputs.items():
         source = unit.scene.inputs[name]
         variable = Float64(
-            name.replace(" ", "_"), causality=Fmi3Causality.input, variability=varying, start=source.start,
-            getter=lambda s=source: s.value, setter=lambda v, n=name: unit.stepper.set(n, v),
+            label, causality=Fmi3Causality.input, variability=varying, start=source.start,
+            getter=lambda s=source: s.value, setter=lambda v, n=name: _set(slave, n, v),
         )  # fmt: skip
-        slave.register_variable(variable, nested=False)
+        ends = {key: f"{end:.17g}" for key, end in (("min", source.lower), ("max", source.upper)) if abs(end) < inf}
+        slave.register_variable(variable, nested=False, var_type=Float64Type(f"range of {label}", **ends))
     for name in unit.outputs:
         variable = Float64(
             name, causality=Fmi3Causality.output, variability=varying, initial=Fmi3Initial.calculated,
@@ -94,10 +101,36 @@ def attach(slave: Any, make: Callable[[], Scene], *, dt: float) -> None:
         slave.register_variable(variable, nested=False)
 
     def walk(t: float, h: float) -> Any:
-        unit.do_step(t, h)
+        try:
+            unit.do_step(t, h)
+        except FmbdError as error:
+            slave.log(str(error), Fmi3Status.discard)
+            return Fmi3StepResult(status=Fmi3Status.discard)
         return Fmi3StepResult(status=Fmi3Status.ok)
 
     slave.walk = walk
+
+
+def _distinct(names: list[str]) -> None:
+    """Inputs and outputs of a unit need names of their own."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    listed = ", ".join(f'"{name}"' for name in twice)
+    require(
+        not twice,
+        f"A unit needs different names for its inputs and outputs, where spaces count as _ and components have their own; "
+        f"found twice: {listed}. Rename a sensor or an input.",
+    )
+
+
+def _set(slave: Any, name: str, value: float) -> None:
+    """Set an input; one out of range makes the call fail, and the unit lives on."""
+    try:
+        slave.unit.stepper.set(name, value)
+    except FmbdError:
+        # pythonfmu3 gives up its references to the unit when a call fails: a master that goes on would use freed memory
+        for kept in (slave, type(slave), slave.log_queue):
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
+        raise
 
 
 def write_fmu(script: str | Path, folder: str | Path, *, dt: float, name: str | None = None) -> Path:

@@ -16,7 +16,7 @@ from ..log import on_root, world_rank
 from ..rotations import Array
 from ..run.solve import Run
 from ..schemes.declared import Declared
-from .drawing.render import strobe
+from .drawing.render import ARROWS, strobe
 from .drawing.scene_graph import Deforming, Drawing, Role
 
 if TYPE_CHECKING:
@@ -312,6 +312,7 @@ def picture(
             left, *right = _panels(figure, len(names))
             _show(left, strobe(drawing, view, None if paint or len(times) == 1 else colors))
             _scale(figure, left, drawing, (norm, colormap))
+            arrow_legend(left, drawing)
             for axes, name in zip(right, names, strict=True):
                 _history(axes, run, name, known.get(name))
                 _dots(axes, run, name, (states, colors))
@@ -351,6 +352,17 @@ def _scale(figure: Any, axes: Any, drawing: Drawing, by_time: tuple[Any, Any]) -
         return
     scale = matplotlib.cm.ScalarMappable(norm, colormap)
     figure.colorbar(scale, ax=axes, label=drawing.label or "time (s)", shrink=0.8)
+
+
+def arrow_legend(axes: Any, drawing: Drawing, **look: Any) -> None:
+    """Above the axes: what the arrows of forces stand for, and the force of the longest; nothing where none are drawn."""
+    if not drawing.scales:
+        return
+    from matplotlib.lines import Line2D
+
+    look = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2} | look
+    lines = [Line2D([], [], color=ARROWS[s.shade], marker=">", label=s.text) for s in drawing.scales]
+    axes.legend(handles=lines, **look)
 
 
 def _show(axes: Any, view: Any) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..rotations import Array
 from .animation import Story
-from .drawing.render import color_of
+from .drawing.render import ARROWS, color_of
 from .drawing.scene_graph import Deforming, Moving, Piece, Role
 from .plot import _series
 
@@ -46,7 +46,9 @@ def _content(story: Story) -> dict[str, Any]:
         "times": [float(drawing.times[k]) for k in chosen],
         "seconds": story.seconds,
         "pace": story.pace,
+        "zoom": float(story.view.zoom),
         "label": drawing.label,
+        "arrows": [{"text": s.text, "color": ARROWS[s.shade]} for s in drawing.scales],
         "span": drawing.span,
         "colors": _viridis(),
         "pieces": [_piece(p, chosen) for p in drawing.pieces],

@@ -82,6 +82,57 @@ class LineBody(Body):
         """The same line with twice the cells."""
         return replace(self, cells=2 * self.cells)
 
+    def curve(self, coordinates: Array, per_cell: int = 8) -> Array:
+        """The fields z along the line, between the nodes by the elements' own polynomials: for pictures and for places on it.
+
+        Args:
+            coordinates: nodal values (..., nodes * fields): ``run["nodes"]`` of the sensor :func:`~fmbd_fenicsx.coordinates`.
+            per_cell: places in each cell, evenly spaced; the end of the line is one more.
+
+        Returns:
+            z at s = 0 ... length, (..., cells * per_cell + 1, fields).
+        """
+        values = np.asarray(coordinates, dtype=float)
+        along = np.argsort(self._nodes)
+        require(
+            values.shape[-1] % len(along) == 0,
+            f'Line "{self.name}": curve takes the values of {len(along)} nodes, found {values.shape[-1]} numbers.',
+        )
+        values = values.reshape(*values.shape[:-1], len(along), -1)[..., along, :]
+
+        # Lagrange's polynomials of the nodes of each cell
+        places = [_cell_values(self._nodes[along], values, self.degree, c, per_cell) for c in range(self.cells)]
+        return np.concatenate([*places, values[..., -1:, :]], axis=-2)
+
+    @cached_property
+    def _nodes(self) -> Array:
+        """Places s of the nodes, in the order of the coordinates, (nodes,)."""
+        return np.asarray(_space(self, 1).tabulate_dof_coordinates()[:, 0])
+
+
+def _space(body: LineBody, fields: int) -> Any:
+    """The elements of a line, on a mesh of its own on every rank."""
+    from dolfinx import fem, mesh
+    from mpi4py import MPI
+
+    line = mesh.create_interval(MPI.COMM_SELF, body.cells, [0.0, body.length])
+
+    return fem.functionspace(line, ("Lagrange", body.degree, (fields,)))
+
+
+def _cell_values(s: Array, values: Array, degree: int, cell: int, count: int) -> Array:
+    """Values (..., count, fields) at even places of a cell without its end; nodes ``s`` and ``values`` in order along the line."""
+    own = slice(degree * cell, degree * (cell + 1) + 1)
+    nodes = s[own]
+    at = nodes[0] + (nodes[-1] - nodes[0]) * np.arange(count) / count
+
+    shape = np.ones((count, degree + 1))
+    for k in range(degree + 1):
+        for m in range(degree + 1):
+            if m != k:
+                shape[:, k] *= (at - nodes[m]) / (nodes[k] - nodes[m])
+    return np.asarray(shape @ values[..., own, :])
+
 
 class LinePart(Part):
     """A line as a replicated part of a system: local coordinates are the nodal values of z, in world axes.
@@ -108,23 +159,21 @@ class LinePart(Part):
     def _forms(self) -> None:
         """Mesh, space and compiled forms; the mass matrix."""
         import ufl
-        from dolfinx import fem, mesh
-        from mpi4py import MPI
+        from dolfinx import fem
 
         from ... import dolfinx_compat as compat
 
         compat.check_versions()
         b = self.body
-        line = mesh.create_interval(MPI.COMM_SELF, b.cells, [0.0, b.length])
         count = len(np.asarray(b.start(np.zeros(1))))
         require(count >= 3, f'Line "{b.name}": start(s) must give x, y and theta at least, found {count} rows.')
         self.fields = count
-        self.space = fem.functionspace(line, ("Lagrange", b.degree, (count,)))
+        self.space = _space(b, count)
         self.s = self.space.tabulate_dof_coordinates()[:, 0]
         self.n = len(self.s) * count
         self._ends = {"start": count * int(np.argmin(self.s)), "end": count * int(np.argmax(self.s))}
         z, w, dz = ufl.TrialFunction(self.space), ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
-        ds = ufl.Measure("dx", domain=line)
+        ds = ufl.Measure("dx", domain=self.space.mesh)
         try:
             M = fem.assemble_matrix(compat.form(b.mass(z, w, ds)))
             self.M = M.to_dense()

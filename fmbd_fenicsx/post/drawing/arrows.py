@@ -11,35 +11,40 @@ from ...system.sensors.contact import forces_of
 from ...system.sensors.sensors import reaction_force
 from .connections import stretch
 from .places import Places
-from .scene_graph import Moving, Piece, Role
+from .scene_graph import ArrowScale, Moving, Piece, Role
 from .solids import arrow
 from .view import View
 
 LONGEST = 0.2  # of the scene's size
 
 
-def arrow_pieces(at: Places, view: View, size: float) -> list[Piece]:
-    """Arrows that a view asks for; ``size`` (m) of the scene. Collective."""
+def arrow_pieces(at: Places, view: View, size: float) -> tuple[list[Piece], tuple[ArrowScale, ...]]:
+    """Arrows that a view asks for, and what their lengths stand for; ``size`` (m) of the scene. Collective."""
+    wanted = (
+        (view.forces, "applied forces", _applied),
+        (view.reactions, "reactions", _reactions),
+        (view.contact, "contact forces", _contacts),
+    )
     pieces: list[Piece] = []
-    if view.forces:
-        pieces += _scaled(_applied(at), size)
-    if view.reactions:
-        pieces += _scaled(_reactions(at), size)
-    if view.contact:
-        pieces += _scaled(_contacts(at), size)
-    return pieces
+    scales: list[ArrowScale] = []
+    for shade, (asked, kind, forces) in enumerate(wanted):
+        found = forces(at) if asked else {}
+        largest = max((float(np.linalg.norm(f, axis=1).max(initial=0.0)) for _, f in found.values()), default=0.0)
+        if largest > 0:
+            scale = ArrowScale(kind, largest, shade)
+            pieces += _scaled(found, scale, size)
+            scales.append(scale)
+    return pieces, tuple(scales)
 
 
-def _scaled(found: dict[str, tuple[Array, Array]], size: float) -> list[Piece]:
+def _scaled(found: dict[str, tuple[Array, Array]], scale: ArrowScale, size: float) -> list[Piece]:
     """Arrows from (points, forces) by name, (instants, 3) each; the largest force is the longest arrow."""
-    largest = max((float(np.linalg.norm(f, axis=1).max(initial=0.0)) for _, f in found.values()), default=0.0)
-    if largest == 0:
-        return []
     solid, radius = arrow(1.0), 0.006 * size
     pieces = []
     for name, (x, force) in found.items():
-        matrix = stretch(x, x + LONGEST * size / largest * force, radius)
-        pieces.append(Piece(name, Role.ARROW, solid.triangles, solid.edges, Moving(solid.points, x, matrix)))
+        matrix = stretch(x, x + LONGEST * size / scale.largest * force, radius)
+        motion = Moving(solid.points, x, matrix)
+        pieces.append(Piece(name, Role.ARROW, solid.triangles, solid.edges, motion, shade=scale.shade))
     return pieces
 
 

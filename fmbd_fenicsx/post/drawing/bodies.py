@@ -93,9 +93,8 @@ def _beam(body: Beam, at: Places, paint: Paint | None, symbol: float) -> list[Pi
 
 @pieces_of.register
 def _line(body: LineBody, at: Places, paint: Paint | None, symbol: float) -> list[Piece]:
-    part: Any = next(p for p in at.run.system.parts if p.name == body.name)
-    along = np.argsort(part.s)
-    z = at.coordinates[body.name].reshape(at.count, len(part.s), -1)[:, along, :2]
+    z = body.curve(at.coordinates[body.name])[:, :, :2]
+
     return [tube(body.name, np.array([in_space(one) for one in z]), 0.3 * symbol)]
 
 

@@ -14,7 +14,7 @@ from . import rods  # noqa: F401, registers what rods look like
 from .bodies import LARGEST, pieces_of
 from .connections import connection_pieces
 from .places import Places, places
-from .scene_graph import Drawing, Piece, Role, Still
+from .scene_graph import ArrowScale, Drawing, Piece, Role, Still
 from .view import Paint, View
 
 SYMBOL = 0.012  # size of joints, of the scene's
@@ -57,14 +57,16 @@ def draw(
         from .obstacles import obstacle_pieces
 
         pieces += obstacle_pieces(at, bounds)
+    scales: tuple[ArrowScale, ...] = ()
     if view.forces or view.reactions or view.contact:
         from .arrows import arrow_pieces
 
-        pieces += arrow_pieces(at, view, size)
+        arrows, scales = arrow_pieces(at, view, size)
+        pieces += arrows
     if view.floor and _floor_fits(run, pieces):
         pieces.append(_floor(bounds, up))
     label = "" if paint is None else paint.label
-    return Drawing(drawing.title, drawing.dim, up, drawing.times, tuple(pieces), label)
+    return Drawing(drawing.title, drawing.dim, up, drawing.times, tuple(pieces), label, scales)
 
 
 def direction_up(run: Run, view: View) -> Array:

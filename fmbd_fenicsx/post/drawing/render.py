@@ -23,8 +23,8 @@ COLORS = {
     Role.SPRING: "#b03a2e",
     Role.JOINT: "#303030",
     Role.DRIVE: "#e67e22",
-    Role.ARROW: "#d62728",
 }
+ARROWS = ("#d62728", "#1f5fd6", "#c218a5")  # applied forces, reactions, contact forces
 BODIES = ("#4c78a8", "#72b7b2", "#eeca3b", "#b279a2", "#9d755d", "#54a24b", "#e08b3e", "#8cb4d9")
 SLACK = "#e45756"
 LIGHT = {"ambient": 0.35, "smooth_shading": False}
@@ -172,6 +172,8 @@ def color_of(piece: Piece, k: int) -> Any:
         return SLACK
     if piece.role is Role.BODY:
         return BODIES[piece.shade % len(BODIES)]
+    if piece.role is Role.ARROW:
+        return ARROWS[piece.shade]
     return COLORS[piece.role]
 
 

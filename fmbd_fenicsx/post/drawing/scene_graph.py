@@ -135,6 +135,22 @@ class Piece:
 
 
 @dataclass(frozen=True)
+class ArrowScale:
+    """What the arrows of one kind stand for: ``kind`` in words, the ``largest`` force (N) of all instants, which has the longest
+    arrow, and the ``shade`` of their colour.
+    """
+
+    kind: str
+    largest: float
+    shade: int
+
+    @property
+    def text(self) -> str:
+        """For legends."""
+        return f"{self.kind}, longest arrow {self.largest:.3g} N"
+
+
+@dataclass(frozen=True)
 class Drawing:
     """All pieces of a run at its snapshots.
 
@@ -143,6 +159,7 @@ class Drawing:
         times: of the snapshots, s.
         pieces: complete on rank 0 only.
         label: what the paint shows, with its unit; "" without paint.
+        scales: what the arrows of forces stand for, one entry for each kind that is drawn.
     """
 
     title: str
@@ -151,6 +168,7 @@ class Drawing:
     times: Array
     pieces: tuple[Piece, ...]
     label: str = ""
+    scales: tuple[ArrowScale, ...] = ()
 
     def bounds(self, instants: Sequence[int] | None = None) -> tuple[Array, Array]:
         """Lowest and highest corner of everything but the ground's patches over all instants, (3,) each."""
