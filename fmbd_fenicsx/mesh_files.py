@@ -45,8 +45,8 @@ def read_cad(
     Args:
         source: path of the file.
         h: largest cell size, m.
-        surfaces: name -> a point (m) on or next to a face, which takes that face; or a function of points x (3, n) that is
-            true on all of the wanted faces.
+        surfaces: name -> a point (m) on or next to a face (within h), which takes that face; or a function of points x (3, n)
+            that is true on all of the wanted faces.
         scale: m for a unit of the file: 1e-3 for mm. (gmsh converts STEP files that state their unit to mm.)
         volume: what messages call the part.
 
@@ -73,14 +73,16 @@ def read_cad(
         gmsh.model.mesh.generate(3)
         gmsh.model.addPhysicalGroup(3, [solids[0][1]], name=volume)
         for name, where in surfaces.items():
-            gmsh.model.addPhysicalGroup(2, _faces(gmsh.model, path, name, where), name=name)
+            gmsh.model.addPhysicalGroup(2, _faces(gmsh.model, name, where, (path, h)), name=name)
         return check_model(gmsh.model, str(path), volume)
 
     return distributed(load, str(path), comm)
 
 
-def _faces(model: Any, path: Path, name: str, where: Any) -> list[int]:
-    """Faces of a CAD part that a point or a function takes."""
+def _faces(model: Any, name: str, where: Any, part: tuple[Path, float]) -> list[int]:
+    """Faces of a CAD part, its file and cell size, that a point or a function takes."""
+    path, h = part
+    off = ""
     faces = [tag for _, tag in model.getEntities(2)]
     middles = {tag: model.occ.getCenterOfMass(2, tag) for tag in faces}
     if callable(where):
@@ -88,15 +90,46 @@ def _faces(model: Any, path: Path, name: str, where: Any) -> list[int]:
         found = [tag for tag, x in nodes.items() if np.all(where(x))]
     else:
         point = np.asarray(where, dtype=float)
-        away = [np.linalg.norm(np.asarray(model.getClosestPoint(2, tag, point)[0]) - point) for tag in faces]
-        found = [faces[int(np.argmin(away))]]
+        away = [_distance(point, _triangles(model, tag)) for tag in faces]
+        nearest = float(np.min(away))
+        found = [faces[int(np.argmin(away))]] if nearest <= h else []
+        off = "" if found else f": its point {tuple(map(float, point))} is {nearest:.4g} m from the nearest one"
 
     if not found:
         size = float(np.abs(list(middles.values())).max()) or 1.0
         shown = [np.where(np.abs(c) < 1e-9 * size, 0.0, c) for c in list(middles.values())[:12]]
         known = "; ".join(f"about ({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in shown)
-        raise MeshError(f'{path}: no face belongs to surface "{name}". It has {len(faces)} faces, in m: {known}.')
+        raise MeshError(f'{path}: no face belongs to surface "{name}"{off}. It has {len(faces)} faces, in m: {known}.')
     return found
+
+
+def _triangles(model: Any, face: int) -> np.ndarray:
+    """Corners of the triangles of a face, (n, 3, 3): gmsh's own closest point is that of the whole plane or cylinder."""
+    numbers, places, _ = model.mesh.getNodes(2, face, True)
+    row = {int(tag): k for k, tag in enumerate(numbers)}
+    corners = [row[int(tag)] for tag in model.mesh.getElementsByType(2, face)[1]]
+
+    return np.asarray(np.asarray(places).reshape(-1, 3)[corners].reshape(-1, 3, 3))
+
+
+def _distance(point: np.ndarray, triangles: np.ndarray) -> float:
+    """Distance (m) from a point to the nearest of some triangles."""
+    a, e, f = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+
+    # where the foot of the perpendicular lies inside
+    ee, ef, ff = ((x * y).sum(1) for x, y in ((e, e), (e, f), (f, f)))
+    pe, pf = ((point - a) * e).sum(1), ((point - a) * f).sum(1)
+    area = ee * ff - ef * ef
+    s, t = (ff * pe - ef * pf) / area, (ee * pf - ef * pe) / area
+    inside = (s >= 0) & (t >= 0) & (s + t <= 1)
+    feet = (a + s[:, None] * e + t[:, None] * f)[inside]
+
+    # else the nearest point of a side
+    starts = triangles.reshape(-1, 3)
+    sides = np.roll(triangles, -1, axis=1).reshape(-1, 3) - starts
+    share = np.clip(((point - starts) * sides).sum(1) / (sides * sides).sum(1), 0.0, 1.0)
+    feet = np.concatenate((feet, starts + share[:, None] * sides))
+    return float(np.linalg.norm(feet - point, axis=1).min())
 
 
 def read_mesh(

@@ -117,3 +117,15 @@ def test_gaps_of_quadratic_surfaces_beside_a_sphere_are_distances(place: tuple[f
     x = np.linspace(-0.03, 0.03, 9)  # nodes on a line, vertices and middles
     aside = np.min((x[:, None] - place[0]) ** 2 + (x[None, :] - place[1]) ** 2)
     assert found == pytest.approx(np.sqrt((radius + above) ** 2 + aside) - radius, rel=1e-9)
+
+
+def test_bodies_at_rest_do_not_gain_energy_by_roundoff() -> None:
+    """A clamped body without any load, of micrometres to a thousand kilometres: what moves is the last digit alone."""
+    for size in (1e-6, 1.0, 1e6):
+        mesh = fmbd.read_gmsh("meshes/rod.py", dim=2, h=0.25 * size, length=size, height=0.5 * size)
+        rod = fmbd.FloatingBody(
+            "rod", mesh, degree=1, density=3.0, elastic=fmbd.materials.plane_stress(1e6 * size**2, 0.3)
+        )
+        scene = fmbd.Scene("rest")
+        scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin"), center=(0.0, 0.3 * size)))
+        assert fmbd.solve(scene, t_end=0.02, dt=0.01).warnings == []

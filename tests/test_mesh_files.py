@@ -60,8 +60,44 @@ def test_step_file_with_a_size_and_named_surfaces(part: Path) -> None:
     assert system.mass == pytest.approx(exact, rel=0.01)
     with pytest.raises(MeshError, match='no face belongs to surface "top".*7 faces'):
         fmbd.read_cad(part, h=4e-3, scale=1e-3, surfaces={"top": lambda x: x[2] > 1.0})
+    with pytest.raises(MeshError, match=r'surface "side": its point \(1.0, 0.0, 0.0\) is 0.96 m from the nearest'):
+        fmbd.read_cad(part, h=4e-3, scale=1e-3, surfaces={"side": (1, 0, 0)})
     with pytest.raises(MeshError, match="does not exist"):
         fmbd.read_cad("missing.step", h=1.0, surfaces={})
+
+
+@pytest.mark.serial
+def test_a_point_takes_the_face_that_it_lies_on_and_not_another_in_its_plane(tmp_path: Path) -> None:
+    """A bridge on two feet: their soles lie in one plane."""
+    import gmsh
+
+    file = tmp_path / "bridge.step"
+    gmsh.initialize()
+    gmsh.option.setNumber("General.Terminal", 0)
+    occ = gmsh.model.occ
+    feet = [(3, occ.addBox(x, 0, 0, 2, 3, 2)) for x in (0, 8)]
+    occ.fuse([(3, occ.addBox(0, 0, 2, 10, 3, 1))], feet)
+    occ.synchronize()
+    gmsh.write(str(file))
+    gmsh.finalize()
+
+    points = {"left": (1.0, 1.5, -0.1), "right": (9.0, 1.5, 0.0), "inner": (8.0, 1.0, 1.0)}
+    for name, place in points.items():
+        mesh = fmbd.read_cad(file, h=1.0, scale=1.0, surfaces={name: place})
+        center, size = middle(mesh, name)
+        assert size == pytest.approx(6.0, rel=1e-9)
+        assert center == pytest.approx(
+            {"left": (1, 1.5, 0), "right": (9, 1.5, 0), "inner": (8, 1.5, 1)}[name], abs=1e-9
+        )
+
+
+def middle(mesh: Any, surface: str) -> tuple[Any, float]:
+    """Centre and area of a surface."""
+    body = fmbd.FloatingBody("b", mesh, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3), degree=1)
+    scene = fmbd.Scene("s")
+    scene.add(body, fmbd.fixed("c", fmbd.ground, body.surface(surface)))
+    scene.sensor("x", fmbd.position(body.surface(surface)))
+    return fmbd.solve(scene, t_end=1e-3, dt=1e-3)["x"][0], area(mesh, surface)
 
 
 def two_tetrahedra(**sets: Any) -> Any:

@@ -92,3 +92,30 @@ def test_demo_of_an_arm_with_an_elastic_link(tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=Path(__file__).parents[1], capture_output=True, text=True, timeout=280)  # noqa: PLW1510
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     assert all(check["ok"] for check in json.loads((tmp_path / "arm.json").read_text())["check"])
+
+
+FINGERS = """<robot name="fingers">
+  <link name="hand"/>
+  <link name="one"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="two"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="a" type="revolute"><parent link="hand"/><child link="one"/><axis xyz="0 0 2"/></joint>
+  <joint name="b" type="revolute"><parent link="hand"/><child link="two"/><origin xyz="0 1 0"/><axis xyz="0 0 1"/>
+    <mimic joint="{leader}" multiplier="-1.5" offset="0.2"/></joint>
+</robot>"""
+
+
+def test_a_joint_that_mimics_begins_where_the_other_puts_it(tmp_path: Path) -> None:
+    file = tmp_path / "fingers.urdf"
+    file.write_text(FINGERS.format(leader="a"))
+    for start, place in (({}, 0.2), ({"a": 0.4}, -0.4), ({"a": 0.4, "b": -0.4}, -0.4)):
+        frame = fmbd.read_urdf(file, start=start).frames["two"]
+        assert np.arctan2(frame[1, 0], frame[0, 0]) == pytest.approx(place, abs=1e-12)
+    with pytest.raises(InputError, match='"b" mimics "a", which puts it at -0.4, not at the start 0.1'):
+        fmbd.read_urdf(file, start={"a": 0.4, "b": 0.1})
+    for leader, said in (("b", "mimic each other in a circle"), ("c", 'mimics "c", which is no joint')):
+        file.write_text(FINGERS.format(leader=leader))
+        with pytest.raises(InputError, match=said):
+            fmbd.read_urdf(file)
+    file.write_text(FINGERS[:300])
+    with pytest.raises(InputError, match="no complete XML file"):
+        fmbd.read_urdf(file)

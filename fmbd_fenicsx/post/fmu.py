@@ -3,8 +3,8 @@
     fmbd.write_fmu("arm.py", "out", dt=1e-3)        # arm.py holds a function scene() -> fmbd.Scene
 
 The unit holds the user's script and a few lines that call this package, which the machine that runs it must have. States can be
-fetched and set, so masters may repeat and reject steps; steps may be of any size. A step that cannot be made is discarded, with its
-reason in the log, and the unit stands where it stood; an input outside of its range makes the call fail and keeps its value.
+fetched and set, so masters may repeat and reject steps; steps may be of any size. A step that cannot be made is discarded, with
+its reason in the log, and the unit stands where it stood; an input outside of its range makes the call fail and keeps its value.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """What a run that ended says against itself: energy that grew, steps that failed, impacts seen in a few steps, open velocities.
 
-    E_max - E_0  >  0.02 (T + V + m g L)                          where nothing puts energy into the scene            (1)
-                                                                  (an overshoot of the first steps is told from growth)
+    E_max - E_0  >  0.02 (T + V + m g L) + R                      where nothing puts energy into the scene            (1)
+                                                                  (an overshoot of the first steps is told from growth;
+                                                                  R: energy of roundoff, as in the energy guard)
     |G v + g_t| u_i  >  0.02 max |v|                              largest velocity in an open joint                  (2)
     halvings  >=  10, or one in twenty steps
 
@@ -19,7 +20,7 @@ from ..log import log
 from ..rotations import Array
 from ..system.scene.scene import Scene
 from ..system.system import System
-from .energy_check import closed
+from .energy_check import closed, strain_energy
 from .output import Recorder
 
 GROWTH = 0.02
@@ -35,20 +36,20 @@ def warn_of_doubts(scene: Scene, solver: StepSolver, recorder: Recorder, counter
     """Say what is doubtful in a run; collective."""
     system = solver.system
     if recorder.energies and closed(scene, system):
-        _growth(scene, system, recorder.energy)
+        _growth(system, recorder.energy, recorder.times)
     _halvings(counters)
     _impacts(counters)
     _open_velocities(recorder)
     _immovable(solver)
 
 
-def _growth(scene: Scene, system: System, energy: dict[str, Array]) -> None:
+def _growth(system: System, energy: dict[str, Array], times: Array) -> None:
     """(1): steps that each gain little are not refused, many of them add up."""
     total = np.sum(list(energy.values()), axis=0)
     turnover = max(float(np.max(energy["kinetic"] + energy["elastic"] + np.abs(energy["springs"]))), 0.0)
     weight = system.mass * float(np.linalg.norm(system.gravity(0.0))) * system.length
     growth, much = float(np.max(total) - total[0]), GROWTH * (turnover + weight)
-    if growth <= much:
+    if growth <= much or growth <= much + _roundoff(system, times):
         return
     if np.argmax(total) <= SETTLING < 0.2 * len(total) and total[-1] - total[0] <= much:
         log.warning(
@@ -63,6 +64,14 @@ def _growth(scene: Scene, system: System, energy: dict[str, Array]) -> None:
             "does not follow the motion. Take a smaller dt, fmbd.Radau() or fmbd.EnergyMomentum()",
             growth, total[0], np.max(total),
         )  # fmt: skip
+
+
+def _roundoff(system: System, times: Array) -> float:
+    """Energy (J) of a body at rest in roundoff: of its places between two records, and of strains; collective."""
+    step = float(np.min(np.diff(times), initial=np.inf))
+    speed = ROUNDOFF * system.length / step
+
+    return float(system.mass * speed**2 + strain_energy(system))
 
 
 def _halvings(counters: Mapping[str, float]) -> None:

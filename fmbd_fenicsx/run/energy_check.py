@@ -60,7 +60,7 @@ class Watch(Remembering):
         self.system, self.rejections = system, 0
         self.weight = system.mass * float(np.linalg.norm(system.gravity(0.0))) * system.length
         self.turnover, self.highest = 0.0, -float("inf")
-        self.strained, self.time = _strain_energy(system), state.t
+        self.strained, self.time = strain_energy(system), state.t
         self.settling = SETTLING + 1 if system.parts else 1
         self.gain(state)
 
@@ -109,7 +109,7 @@ class Watch(Remembering):
             )
 
 
-def _strain_energy(system: System) -> float:
+def strain_energy(system: System) -> float:
     """Elastic energy (J) of all bodies in strains of the size of roundoff; collective."""
     return sum(abs(float(part.field.energy(ROUNDOFF * part.field.X.ravel()))) for _, part in system.fields)
 

@@ -121,7 +121,7 @@ def _space(body: LineBody, fields: int) -> Any:
 
 
 def _cell_values(s: Array, values: Array, degree: int, cell: int, count: int) -> Array:
-    """Values (..., count, fields) at even places of a cell without its end; nodes ``s`` and ``values`` in order along the line."""
+    """Values (..., count, fields) at even places of a cell without its end; nodes ``s`` and ``values`` in order."""
     own = slice(degree * cell, degree * (cell + 1) + 1)
     nodes = s[own]
     at = nodes[0] + (nodes[-1] - nodes[0]) * np.arange(count) / count

@@ -15,9 +15,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
+from ...checks import number
 from ...errors import InputError, near, require
 from ...mechanics.bodies.bodies import FloatingBody, RigidBody
 from ...mechanics.forces.forces import joint_spring
@@ -152,10 +154,12 @@ def _joint(j: RobotJoint, a: Any, b: Any) -> Joint:
 
 
 def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> Robot:
-    """Read a URDF file; ``start``: joint -> angle (rad) or displacement (m) in which the mechanism begins, 0 by default.
+    """Read a URDF file; ``start``: joint -> angle (rad) or displacement (m) in which the mechanism begins, 0 by default; joints
+    that mimic another begin where multiplier and offset put them.
 
     Raises:
-        InputError: no such file, joints of an unknown kind or without a tree, links that move without mass; all named.
+        InputError: no such file, no XML, joints of an unknown kind or without a tree, links that move without mass, a start
+            that a mimic contradicts; all named.
     """
     try:
         from yourdfpy import URDF
@@ -164,8 +168,12 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
     path = Path(file)
     require(path.is_file(), f"read_urdf: there is no file {path} (looked in {Path.cwd()}).")
 
+    try:
+        ElementTree.parse(path)
+    except ElementTree.ParseError as error:
+        raise InputError(f"read_urdf: {path} is no complete XML file: {error}.") from None
     model = URDF.load(str(path), load_meshes=False, build_scene_graph=False).robot
-    start = {} if start is None else dict(start)
+    start = {} if start is None else {joint: number(f'read_urdf: start of "{joint}"', x) for joint, x in start.items()}
     known = [j.name for j in model.joints]
     for j in model.joints:
         if j.type not in KINDS:
@@ -179,9 +187,37 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
     roots = [link.name for link in model.links if link.name not in children]
     require(len(roots) == 1, f"{path}: expected one root link, found {roots}.")
 
-    frames, joints = _placed(model, roots[0], start)
+    frames, joints = _placed(model, roots[0], _with_mimics(path, model, start))
     bodies, carrier = _bodies(path, model, (roots[0], frames, joints))
     return Robot(model.name or path.stem, roots[0], frames, joints, bodies, carrier)
+
+
+def _with_mimics(path: Path, model: Any, start: dict[str, float]) -> dict[str, float]:
+    """Starts of all joints: one that mimics another is at multiplier * leader + offset."""
+    mimics = {j.name: j.mimic for j in model.joints if j.mimic is not None}
+    for joint, mimic in mimics.items():
+        known = [j.name for j in model.joints]
+        require(
+            mimic.joint in known,
+            f'{path}: joint "{joint}" mimics "{mimic.joint}", which is no joint. {near(mimic.joint, known)}',
+        )
+
+    def value(joint: str, behind: tuple[str, ...] = ()) -> float:
+        if joint not in mimics:
+            return start.get(joint, 0.0)
+        require(joint not in behind, f"{path}: joints {sorted({*behind, joint})} mimic each other in a circle.")
+        mimic = mimics[joint]
+        factor = 1.0 if mimic.multiplier is None else float(mimic.multiplier)
+        found = factor * value(mimic.joint, (*behind, joint)) + float(mimic.offset or 0.0)
+        given = start.get(joint, found)
+        require(
+            abs(given - found) <= 1e-9 * max(1.0, abs(found)),
+            f'read_urdf: joint "{joint}" mimics "{mimic.joint}", which puts it at {found:g}, not at the start {given:g}: leave '
+            "that out.",
+        )
+        return found
+
+    return {j.name: value(j.name) for j in model.joints}
 
 
 def _placed(model: Any, root: str, start: dict[str, float]) -> tuple[dict[str, Array], dict[str, RobotJoint]]:
