@@ -220,9 +220,11 @@ def _write_gif(file: Path, story: Story) -> None:
 
     # one palette for all: from a few frames side by side; each frame's own takes as long as drawing it, and flickers
     few = story.frames[:: max(len(story.frames) // 5, 1)]
-    colors = Image.fromarray(np.concatenate(list(frames(story, few)))).quantize(127).getpalette() or []
+    found = Image.fromarray(np.concatenate(list(frames(story, few)))).quantize(128).getpalette() or []
+    colors = np.array(found, dtype=int).reshape(-1, 3)
+    colors[colors.min(axis=1) > 240] = 255  # the background is white, not nearly
     palette = Image.new("P", (1, 1))
-    palette.putpalette([*colors[: 3 * 127], 255, 255, 255])  # the background is white, not nearly
+    palette.putpalette(colors.ravel().tolist())
     plain = {"palette": palette, "dither": Image.Dither.NONE}
     made = [Image.fromarray(frame).quantize(**plain) for frame in frames(story)]
     duration = max(int(round(100 * story.seconds / len(made))), 2) * 10  # ms; a GIF counts in hundredths of a second

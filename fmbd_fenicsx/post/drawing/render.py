@@ -27,6 +27,7 @@ COLORS = {
 ARROWS = ("#d62728", "#1f5fd6", "#c218a5")  # applied forces, reactions, contact forces
 BODIES = ("#4c78a8", "#72b7b2", "#eeca3b", "#b279a2", "#9d755d", "#54a24b", "#e08b3e", "#8cb4d9")
 SLACK = "#e45756"
+SUPERSAMPLING = 2.5  # widths of lines that look the same with and without it
 LIGHT = {"ambient": 0.35, "smooth_shading": False}
 
 
@@ -49,6 +50,7 @@ class Renderer:
         self.plotter = self.pv.Plotter(off_screen=not window, window_size=list(size))
         self.plotter.set_background("white")
         self.shown: list[tuple[Piece, Any, Any, float]] = []
+        self.edges: list[Any] = []
 
     # -- contents ------------------------------------------------------------------------------------------------
     def add(self, k: int, *, color: Any = None, lift: float = 0.0, opacity: float = 1.0, moving: bool = False) -> None:
@@ -108,7 +110,8 @@ class Renderer:
         width = 3.0 if bare else 2.0 if self.flat else 1.0
         if piece.role is Role.GROUND:
             dark, width = "#8c8c8c", 1.0
-        self.plotter.add_mesh(lines, color=dark, line_width=width, lighting=False, opacity=opacity)
+        width *= self.plotter.window_size[0] / 800  # a large image is shown small
+        self.edges.append(self.plotter.add_mesh(lines, color=dark, line_width=width, lighting=False, opacity=opacity))
 
     def turn_to(self, k: int) -> None:
         """Move all pieces to instant k."""
@@ -158,8 +161,10 @@ class Renderer:
         return Picture(image, (x - half_w, x + half_w, y - half_h, y + half_h))
 
     def smooth(self) -> None:
-        """Edges without steps."""
+        """Edges without steps: drawn larger and averaged, which thins lines by as much."""
         self.plotter.enable_anti_aliasing("ssaa")
+        for actor in self.edges:
+            actor.prop.line_width *= SUPERSAMPLING
 
     def close(self) -> None:
         """Free the canvas."""
