@@ -142,7 +142,9 @@ def _krylov(
     """The matrices on an orthonormal basis of a block Krylov space."""
     about, basis = space.about, space.vectors
     limit = min(3 * count + MORE, _freedom(about))
-    waiting = [inverse.solve(b) for b in inputs] + [inverse.solve(about.mass(_random(about, i))) for i in range(BLOCK)]
+    waiting = [inverse.solve(b) for b in inputs] + [
+        inverse.solve(about.mass(random_motion(about, i))) for i in range(BLOCK)
+    ]
     turning = _turning(about, waiting[-1])
     done = 0
     while len(basis) < limit:
@@ -196,7 +198,7 @@ def _freedom(about: Perturbation) -> int:
     return max(int(system.n_core + fields - about.row_count), 1)
 
 
-def _random(about: Perturbation, k: int) -> Array:
+def random_motion(about: Perturbation, k: int) -> Array:
     """A random array like v, the same for any number of ranks: fields get waves of random lengths and phases."""
     system = about.system
     draw = np.random.default_rng(k)

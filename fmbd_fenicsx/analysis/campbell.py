@@ -8,7 +8,7 @@ the scene, W + s w = W: there a motion that stands still in the turning axes, an
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,12 +24,13 @@ from .steady import Spin
 @dataclass(frozen=True, eq=False)
 class Campbell:
     """``speeds`` (m,) rad/s, ``eigenvalues`` (m, n) complex 1/s in turning axes; ``whirl`` (m, n) in these axes: 1 with the
-    speed, -1 against it, 0 for motions in a plane.
+    speed, -1 against it, 0 for motions in a plane. ``at_rest``: the axes rest, as only some bodies spin.
     """
 
     speeds: Array
     eigenvalues: Array
     whirl: Array
+    at_rest: bool = False
 
     @property
     def omega(self) -> Array:
@@ -39,7 +40,8 @@ class Campbell:
     @property
     def fixed(self) -> Array:
         """Rates at rest, (m, n) rad/s: positive for forward, negative for backward whirl; plane motions as if forward."""
-        return np.asarray(self.speeds[:, None] + np.where(self.whirl < 0, -1.0, 1.0) * self.omega)
+        rates = np.where(self.whirl < 0, -1.0, 1.0) * self.omega
+        return rates if self.at_rest else np.asarray(self.speeds[:, None] + rates)
 
     @property
     def critical_speeds(self) -> list[float]:
@@ -63,14 +65,16 @@ class Campbell:
 def campbell(make: Callable[[float], Scene], speeds: Sequence[float], n: int, *, spin: Spin | None = None) -> Campbell:
     """The first n modes about the steady rotation of ``make(speed)`` at each speed (rad/s); collective.
 
-    ``spin`` gives axis and centre (its rate is ignored); the z axis through the origin by default. The ground turns as well.
+    ``spin`` gives axis, centre and bodies (its rate is ignored); the z axis through the origin by default. The ground turns as
+    well, unless ``spin.bodies`` names those that do.
     """
     require(len(speeds) > 0, "campbell: needs at least one speed.")
     values, senses = [], []
     for speed in speeds:
         scene = make(float(speed))
-        turn = Spin(float(speed)) if spin is None else Spin(float(speed), spin.axis, spin.center)
+        turn = Spin(float(speed)) if spin is None else replace(spin, rate=float(speed))
         found = modes(scene, n, at=equilibrium(scene, spin=turn))
         values.append(found.eigenvalues)
         senses.append(found.whirl(turn.axis))
-    return Campbell(np.asarray(speeds, dtype=float), np.array(values), np.array(senses))
+    at_rest = spin is not None and bool(spin.bodies)
+    return Campbell(np.asarray(speeds, dtype=float), np.array(values), np.array(senses), at_rest)

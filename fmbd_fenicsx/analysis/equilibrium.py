@@ -27,6 +27,7 @@ from .arc_length import ArcLength, Path
 from .basis import free_motions
 from .load_steps import LoadSteps
 from .perturbation import Perturbation
+from .rotors import BodySpin, body_spin, check_steady
 from .static_newton import NoEquilibriumError, Point, StaticNewton, by_load_steps, relax
 from .steady import Residual, Spin, steady_rates
 
@@ -48,7 +49,7 @@ class Equilibrium:
     system: System
     state: State
     markers: dict[str, int]
-    spin: Spin | None = None
+    spin: Spin | BodySpin | None = None
     path: Path | None = None
     counters: dict[str, int] = field(default_factory=dict)
 
@@ -78,7 +79,7 @@ def equilibrium(
     """The equilibrium of a scene near its given placement, under the loads of time t (s); collective.
 
     Args:
-        spin: steady rotation of the whole scene instead of rest.
+        spin: steady rotation instead of rest, of the whole scene or of some of its bodies.
         path: follow equilibria along the scene's time as load parameter, from t on.
         linear: how elastic bodies are solved, as for :func:`~fmbd_fenicsx.solve`.
 
@@ -99,10 +100,12 @@ def equilibrium(
     solver = StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
     with OneAnswer(system.comm):
         try:
-            newton = static_newton(system, solver, t, spin)
+            turning = spin if spin is None or not spin.bodies else body_spin(system, given.q, spin)
+            newton = static_newton(system, solver, t, turning)
             _check_drives(newton.residual, given.q, t)
             point = _with_controllers(newton, Point(given.q, np.zeros(system.n_lam)), t, path)
             made = None if path is None else path.trace(newton, point, t)
+            check_steady(newton, point if made is None else made.points[-1], t if made is None else made.parameter[-1])
         finally:
             solver.destroy()
 
@@ -113,7 +116,7 @@ def equilibrium(
             "tangent_iterations": newton.tangent_iterations,
             "factorisations": solver.factorisations,
         }
-        found = Equilibrium(scene, system, state_of(system, point, t, spin), markers, spin, made, counters)
+        found = Equilibrium(scene, system, state_of(system, point, t, turning), markers, turning, made, counters)
         if made is not None:
             _read_along(found, made)
     return found
@@ -122,7 +125,7 @@ def equilibrium(
 def _check_drives(residual: Residual, q: Array, t: float) -> None:
     """Refuse drives that move in another way than the steady rotation does."""
     ev = residual.at(q, t)
-    if residual.spin is None or not residual.system.n_lam:
+    if not isinstance(residual.spin, Spin) or not residual.system.n_lam:
         return
     assert ev.v is not None
     rate = ev.constraint_rate()
@@ -171,7 +174,7 @@ def settled(system: System, given: State, solver: StepSolver) -> State:
     return state_of(system, find(newton, Point(given.q, np.zeros(system.n_lam)), given.t), given.t, None)
 
 
-def static_newton(system: System, solver: StepSolver, t: float, spin: Spin | None) -> StaticNewton:
+def static_newton(system: System, solver: StepSolver, t: float, spin: Spin | BodySpin | None) -> StaticNewton:
     """Newton's method for a system, its preconditioner a step that is long against a pendulum and against elastic periods."""
     pull = float(np.abs(system.gravity(t)).max(initial=0.0))
     taus = [10.0 * float(np.sqrt(system.length / pull))] if pull else []
@@ -191,7 +194,7 @@ def static_newton(system: System, solver: StepSolver, t: float, spin: Spin | Non
     return ContactNewton(Residual(system, spin), solver, 0.1 * tau)
 
 
-def state_of(system: System, point: Point, t: float, spin: Spin | None) -> State:
+def state_of(system: System, point: Point, t: float, spin: Spin | BodySpin | None) -> State:
     """A point as a state with its steady velocities, and contact forces where there are contacts."""
     v, a = steady_rates(system, point.q, spin)
     state = State(t, point.q, v, a, point.lam)
@@ -241,7 +244,8 @@ def _stable(newton: StaticNewton, start: Point, found: Point, t: float) -> Point
     moved = system.max_abs(system.difference(start.q, found.q))
     if system.contacts is not None or system.fields or system.n_core > FEW or moved <= 0.1 * system.length:
         return found
-    about = Perturbation(system, state_of(system, found, t, newton.residual.spin), newton.residual.spin)
+    spin = newton.residual.spin
+    about = Perturbation(system, state_of(system, found, t, spin), spin if isinstance(spin, Spin) else None)
     V = free_motions(about)
     images = [about.stiffness(v) for v in V]
     K = np.array([[v @ image for image in images] for v in V])

@@ -30,7 +30,9 @@ from .basis import Projected, projected
 from .equilibrium import Equilibrium, static_newton
 from .first_order import first_order, slowest
 from .perturbation import Perturbation
+from .rotors import BodySpin, check_round
 from .small_memory import refuse_moving_memory, relaxes
+from .steady import Spin
 
 SYMMETRIC = 1e-7  # relative size of what a symmetric matrix may lack of symmetry, differences included
 PLANE = 1e-6  # share of circling motion below which a mode is plane
@@ -208,7 +210,11 @@ def _about(scene: Scene, at: Any, built: tuple[System, State], solver: StepSolve
         state, _ = consistent(system, given, solver)
     if closed is not None:
         state = without_forces(state)
-    return Perturbation(system, state, at.spin if isinstance(at, Equilibrium) else None, closed)
+    spin = at.spin if isinstance(at, Equilibrium) else None
+    about = Perturbation(system, state, spin if isinstance(spin, Spin) else None, closed)
+    if isinstance(spin, BodySpin):
+        check_round(about, spin)
+    return about
 
 
 def _require_same(scene: Scene, system: System, state: State) -> None:

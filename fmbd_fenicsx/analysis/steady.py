@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,19 +19,30 @@ from ..errors import require
 from ..rotations import Array
 from ..system.system import Evaluation, System
 
+if TYPE_CHECKING:
+    from .rotors import BodySpin
+
 
 @dataclass(frozen=True)
 class Spin:
-    """Rotation of a whole scene, ``rate`` in rad/s, about an ``axis`` (world axes, z in the plane) through ``center`` (m)."""
+    """Rotation of a whole scene, ``rate`` in rad/s, about an ``axis`` (world axes, z in the plane) through ``center`` (m).
+
+    ``bodies``: names of bodies that spin instead, each about this axis through its own frame, while all others rest: round rotors
+    in their bearings, see :mod:`.rotors`.
+    """
 
     rate: float
     axis: Sequence[float] = (0.0, 0.0, 1.0)
     center: Sequence[float] = (0.0, 0.0, 0.0)
+    bodies: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
         size = float(np.linalg.norm(self.axis))
         require(bool(np.isfinite(self.rate)), f"Spin: rate = {self.rate} rad/s must be finite.")
+        require(
+            not isinstance(self.bodies, str), f"Spin: bodies must be names, such as ({self.bodies!r},), found one text."
+        )
         require(
             len(self.axis) == 3 and abs(size - 1.0) < 1e-9, f"Spin: axis {self.axis} must be a unit vector (x, y, z)."
         )
@@ -42,35 +54,39 @@ class Spin:
             return np.array([[0.0, -self.rate], [self.rate, 0.0]])
         return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
+    def rates(self, system: System, q: Array) -> tuple[Array, Array]:
+        """v and a of (1) in the configuration q, like v."""
+        v, a = np.zeros(system.n_v), np.zeros(system.n_v)
+        m, d = system.motions, system.motions.dim
+        W, center = self.matrix(d), np.asarray(self.center, dtype=float)[:d]
+        pose = system.poses(q)
+        arm = (pose[:-1, :d] - center) @ W.T
 
-def steady_rates(system: System, q: Array, spin: Spin | None) -> tuple[Array, Array]:
-    """v and a of (1) in the configuration q, like v; zero at rest."""
-    v, a = np.zeros(system.n_v), np.zeros(system.n_v)
-    if spin is None or spin.rate == 0.0:
+        twist = np.zeros((system.n_frames, m.n_twist))
+        twist[:, :d] = arm
+        if d == 2:
+            twist[:, 2] = self.rate
+        else:
+            axis = self.rate * np.asarray(self.axis, dtype=float)
+            twist[:, d:] = np.swapaxes(m.matrix(pose)[:-1], 1, 2) @ axis
+        accel = np.zeros_like(twist)
+        accel[:, :d] = arm @ W.T
+        v[: twist.size], a[: twist.size] = twist.ravel(), accel.ravel()
+
+        for k, p in system.fields:
+            if p.frame == system.n_frames:
+                at = system.slices[1][k]
+                x = p.field.X_world + system.local_q(q, k).reshape(-1, d)
+                v[at] = ((x - center) @ W.T).ravel()
+                a[at] = ((x - center) @ W.T @ W.T).ravel()
         return v, a
-    m, d = system.motions, system.motions.dim
-    W, center = spin.matrix(d), np.asarray(spin.center, dtype=float)[:d]
-    pose = system.poses(q)
-    arm = (pose[:-1, :d] - center) @ W.T
 
-    twist = np.zeros((system.n_frames, m.n_twist))
-    twist[:, :d] = arm
-    if d == 2:
-        twist[:, 2] = spin.rate
-    else:
-        axis = spin.rate * np.asarray(spin.axis, dtype=float)
-        twist[:, d:] = np.swapaxes(m.matrix(pose)[:-1], 1, 2) @ axis
-    accel = np.zeros_like(twist)
-    accel[:, :d] = arm @ W.T
-    v[: twist.size], a[: twist.size] = twist.ravel(), accel.ravel()
 
-    for k, p in system.fields:
-        if p.frame == system.n_frames:
-            at = system.slices[1][k]
-            x = p.field.X_world + system.local_q(q, k).reshape(-1, d)
-            v[at] = ((x - center) @ W.T).ravel()
-            a[at] = ((x - center) @ W.T @ W.T).ravel()
-    return v, a
+def steady_rates(system: System, q: Array, spin: Spin | BodySpin | None) -> tuple[Array, Array]:
+    """v and a of a steady motion in the configuration q, like v; zero at rest."""
+    if spin is None or spin.rate == 0.0:
+        return np.zeros(system.n_v), np.zeros(system.n_v)
+    return spin.rates(system, q)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +94,7 @@ class Residual:
     """The equations of an equilibrium, balance(q, lambda, t) = 0 and g(q, t) = 0, at rest or under a steady spin."""
 
     system: System
-    spin: Spin | None = None
+    spin: Spin | BodySpin | None = None
 
     def at(self, q: Array, t: float) -> Evaluation:
         """The system in a configuration, with its steady velocities; collective."""

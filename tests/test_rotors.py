@@ -1,0 +1,114 @@
+"""Rotors that spin while their support rests: equilibria, modes, Campbell's diagrams."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import eig
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.rotations import Array
+
+MASS, J, ACROSS = 12.0, 0.4, 0.25  # of a disc: inertia about its axis and across
+KY, KZ, LEVER = 4e4, 9e4, 0.3  # springs of its bearings, at +- LEVER along the axis
+
+
+def disc_in_springs(inertia: tuple[float, float, float] = (J, ACROSS, ACROSS), **more: Any) -> fmbd.Scene:
+    """A disc about x in two bearings that are softer along y than along z, under weight."""
+    disc = fmbd.RigidBody("disc", MASS, inertia)
+    scene = fmbd.Scene("rotor", gravity=(0.0, 0.0, -9.81))
+    scene.add(disc)
+    for side in (-LEVER, LEVER):
+        end = (side, 0.0, 0.0)
+        K = np.diag([1e6 / 2, KY, KZ, 0.0, 0.0, 0.0])
+        scene.add(fmbd.bushing(f"bearing {side:g}", fmbd.ground, disc, center=end, stiffness=K))
+    scene.sensor("disc", fmbd.position(disc))
+    return scene
+
+
+def exact(speed: float) -> Array:
+    """Frequencies (rad/s) of the disc: two plain vibrations and two tilts coupled by the spin."""
+    tilt_y, tilt_z = 2.0 * LEVER**2 * KZ, 2.0 * LEVER**2 * KY
+    none, M, K = np.zeros((2, 2)), np.diag([ACROSS, ACROSS]), np.diag([tilt_y, tilt_z])
+    G = J * speed * np.array([[0.0, 1.0], [-1.0, 0.0]])
+    A = np.block([[none, np.eye(2)], [-np.linalg.solve(M, K), -np.linalg.solve(M, G)]])
+    tilts = eig(A, right=False).imag
+    plain = np.sqrt(np.array([2 * KY, 2 * KZ, 1e6]) / MASS)
+    return np.sort(np.concatenate((plain, tilts[tilts > 0])))
+
+
+@pytest.mark.parametrize("speed", [0.0, 60.0, 400.0])
+def test_disc_in_unequal_bearings(speed: float) -> None:
+    """Forward and backward tilts part as the disc spins faster; the bearings rest, and sag under its weight."""
+    scene = disc_in_springs()
+    found = fmbd.equilibrium(scene, spin=fmbd.Spin(speed, (1.0, 0.0, 0.0), bodies=("disc",)))
+    assert found["disc"][2] == pytest.approx(-MASS * 9.81 / (2.0 * KZ), rel=1e-9)
+    assert found.state.v[3] == pytest.approx(speed)
+    omega = np.sort(fmbd.modes(scene, 6 if speed == 0.0 else 7, at=found).omega)
+    assert omega[-5:] == pytest.approx(exact(speed), rel=1e-7)
+    assert omega[:-5].max() < 1e-6  # the angle of the disc is free
+
+
+def shaft(elements: int, spins: bool, width: float = 0.02) -> fmbd.Scene:
+    """A shaft in two hinges with a disc off the middle; with ``spins`` hinges about the shaft, else none that turn."""
+    section = fmbd.RodSection.circle(youngs_modulus=2e11, poisson_ratio=0.3, density=7800.0, radius=0.01)
+    if width != 0.02:
+        section = fmbd.RodSection.rectangle(
+            youngs_modulus=2e11, poisson_ratio=0.3, density=7800.0, width=width, height=0.02
+        )
+    rod = fmbd.Rod("shaft", [(0, 0, 0), (1, 0, 0)], section, elements=elements, stations={"seat": 0.3})
+    disc = fmbd.RigidBody("disc", 5.0, (0.03, 0.016, 0.016), position=(0.3, 0.0, 0.0))
+    scene = fmbd.Scene("shaft", gravity=(0.0, 0.0, -9.81) if spins else (0.0, 0.0, 0.0))
+    scene.add(rod, disc, fmbd.fixed("press", rod.surface("seat"), disc, center=(0.3, 0, 0)))
+    if spins:
+        front = fmbd.revolute("front", fmbd.ground, rod.surface("start"), axis=(1, 0, 0), center=(0, 0, 0))
+        scene.add(front, fmbd.cylindrical("back", fmbd.ground, rod.surface("end"), axis=(1, 0, 0), center=(1, 0, 0)))
+    else:
+        scene.add(fmbd.fixed("front", fmbd.ground, rod.surface("start")))
+        scene.add(fmbd.prismatic("back", fmbd.ground, rod.surface("end"), axis=(1, 0, 0)))
+    scene.sensor("disc", fmbd.position(disc))
+    return scene
+
+
+def test_axes_at_rest_and_axes_that_turn() -> None:
+    """Both tell the same whirl of a round shaft; with weight as well, which only axes at rest know."""
+    spins = fmbd.campbell(
+        lambda _: shaft(3, True), [0.0, 150.0], 5, spin=fmbd.Spin(0.0, (1, 0, 0), bodies=("shaft", "disc"))
+    )
+    turns = fmbd.campbell(lambda _: shaft(3, False), [0.0, 150.0], 4, spin=fmbd.Spin(0.0, (1, 0, 0)))
+    seen, known = (np.sort(np.abs(x.fixed[1]))[:5] for x in (spins, turns))
+    for frequency in known[:2]:
+        assert np.abs(seen - frequency).min() < 2e-4 * frequency
+    assert known[1] - known[0] > 1.0
+
+
+def test_what_is_not_steady_is_refused() -> None:
+    spin = fmbd.Spin(50.0, (1.0, 0.0, 0.0), bodies=("disc",))
+    oval = disc_in_springs((J, ACROSS, 0.7 * ACROSS))
+    with pytest.raises(InputError, match='mass of "disc" changes as they turn'):
+        fmbd.modes(oval, 1, at=fmbd.equilibrium(oval, spin=spin))
+    with pytest.raises(InputError, match='"dsic", which is no rigid body.*"disc"'):
+        fmbd.equilibrium(disc_in_springs(), spin=fmbd.Spin(1.0, bodies=("dsic",)))
+    with pytest.raises(InputError, match='"press" does not let "disc" spin'):
+        fmbd.equilibrium(shaft(2, True), spin=spin)
+    with pytest.raises(InputError, match='rotation of "shaft", "disc" is not steady'):
+        fmbd.equilibrium(shaft(2, True, 0.01), spin=fmbd.Spin(50.0, (1.0, 0.0, 0.0), bodies=("shaft", "disc")))
+
+
+def test_a_drive_turns_with_the_rotor() -> None:
+    """A motor of its speed is right, any other is refused."""
+    for rate in (50.0, 20.0):
+        body = fmbd.RigidBody("rotor", 1.0, 0.1)
+        hinge = fmbd.revolute("hinge", fmbd.ground, body, center=(0.0, 0.0))
+        scene = fmbd.Scene("motor", gravity=(0.0, -9.81))
+        scene.add(body, hinge, fmbd.drive("motor", fmbd.angle(hinge), lambda t, rate=rate: rate * t))
+        scene.sensor("force", fmbd.sensors.reaction_force("hinge"))
+        spin = fmbd.Spin(50.0, bodies=("rotor",))
+        if rate == 50.0:
+            assert abs(fmbd.equilibrium(scene, spin=spin)["force"][1]) == pytest.approx(9.81, rel=1e-9)
+            continue
+        with pytest.raises(InputError, match='"motor" does not let "rotor" spin'):
+            fmbd.equilibrium(scene, spin=spin)
