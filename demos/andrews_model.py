@@ -79,10 +79,27 @@ def constraint(q, t):
     ])  # fmt: skip
 
 
+def outline(q):
+    """The seven bodies and the spring as lines in the plane, for pictures."""
+    be, th, ga, ph, de, om, ep = q
+    a, b, c = np.array([XA, YA]), np.array([XB, YB]), np.array([XC, YC])
+    ray = lambda angle: np.array([cos(angle), sin(angle)])
+    crank = RR * ray(be)
+    meet = crank - D * ray(be + th)
+    hook = b + SC * ray(ga - np.pi / 2) + SD * ray(ga)
+
+    lines = ((0 * a, crank), (crank, meet), (b, meet, hook, b), (hook, c))
+    lines += ((a, a + ZT * ray(de), meet), (a, a + U * ray(ep - np.pi / 2), meet))
+    return [np.array(line) for line in lines]
+
+
 def scene():
     """The mechanism at rest."""
     made = fmbd.Scene("Andrews' mechanism")
-    made.add(fmbd.CoordinateBody("squeezer", mass, force, START, constraint=constraint, vectorized=True))
+    squeezer = fmbd.CoordinateBody(
+        "squeezer", mass, force, START, constraint=constraint, vectorized=True, outline=outline
+    )
+    made.add(squeezer)
     made.sensor(
         "angles",
         fmbd.coordinates("squeezer", unit="rad", names=("beta", "Theta", "gamma", "Phi", "delta", "Omega", "epsilon")),

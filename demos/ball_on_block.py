@@ -32,7 +32,7 @@ scene.sensor("impulse", fmbd.contact_impulse("hit"))
 scene.sensor("floor", fmbd.contact_impulse("floor"))
 scene.sensor("gap", fmbd.contact_gap(hit))
 scene.sensor("pressure", fmbd.contact_pressure(hit))
-run = fmbd.solve(scene, t_end=t_end, dt=0.05)
+run = fmbd.solve(scene, t_end=t_end, dt=0.05, output=demo.snapshots(args))
 
 energy, c = run.total_energy, run.counters
 mass = next(part.field.mass_total for part in run.system.parts if part.name == "ball")

@@ -30,7 +30,7 @@ scene.sensor("contact force", fmbd.contact_force(wall))
 scene.sensor("gap", fmbd.contact_gap(wall))
 
 dt = 0.5 * L / n / c
-run = fmbd.solve(scene, t_end=3.0 * L / c, dt=dt)
+run = fmbd.solve(scene, t_end=3.0 * L / c, dt=dt, output=demo.snapshots(args))
 
 t = run.times[1:] - dt / 2  # forces act in the middle of a step
 p = run["contact force"][1:, 0] / (rho * c * v0 * height)
@@ -48,4 +48,5 @@ if args.picture:
     force = lambda t: rho * c * v0 * height * (t < 2 * L / c)
     known = {"contact force x": force, "gap": lambda t: max(0.0, v0 * (t - 2 * L / c))}
     run.plot("contact force x", "gap", file=args.picture, reference=known)
+demo.film(run, args, ["contact force x", "gap"], view=fmbd.View(contact=True))
 demo.finish(checks, run, args)

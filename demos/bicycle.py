@@ -11,12 +11,11 @@ Run:  ./with-dolfinx python3 demos/bicycle.py --picture bicycle.png
 Data and reference speeds: Meijaard, Papadopoulos, Ruina and Schwab, doi:10.1098/rspa.2007.1857.
 """
 
-import matplotlib.pyplot as plt
 import numpy as np
 from scipy.optimize import brentq
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx import demo
+from fmbd_fenicsx import demo, plot
 from fmbd_fenicsx.post.demo import Check
 
 WEAVE, CAPSIZE = 4.29238253634111, 6.02426201538837  # m/s
@@ -27,14 +26,17 @@ def build(speed, lean_rate=0.0):
     """The bicycle at a speed (m/s) and a rate of lean (rad/s); x ahead, y to the left, z up."""
     scene = fmbd.Scene("bicycle", gravity=(0.0, 0.0, -9.81))
 
-    def body(name, mass, x, z, inertia, spin=0.0):
+    def body(name, mass, x, z, inertia, spin=0.0, shape=None):
         xx, yy, zz, xz = inertia
         J = np.array([[xx, 0, xz], [0, yy, 0], [xz, 0, zz]])
         motion = {"velocity": (speed, -lean_rate * z, 0), "angular_velocity": (lean_rate, spin, 0)}
-        return fmbd.RigidBody(name, mass, J, position=(x, 0, z), **motion)
+        return fmbd.RigidBody(name, mass, J, position=(x, 0, z), shape=shape, **motion)
 
-    rear = body("rear wheel", 2.0, 0.0, 0.3, (0.0603, 0.12, 0.0603, 0.0), speed / 0.3)
-    front = body("front wheel", 3.0, 1.02, 0.35, (0.1405, 0.28, 0.1405, 0.0), speed / 0.35)
+    def wheel(radius):
+        return {"spin": speed / radius, "shape": fmbd.contacts.Cylinder(radius, ACROSS, length=0.03)}
+
+    rear = body("rear wheel", 2.0, 0.0, 0.3, (0.0603, 0.12, 0.0603, 0.0), **wheel(0.3))
+    front = body("front wheel", 3.0, 1.02, 0.35, (0.1405, 0.28, 0.1405, 0.0), **wheel(0.35))
     frame = body("frame", 85.0, 0.3, 0.9, (9.2, 11.0, 2.8, -2.4))
     fork = body("fork", 4.0, 0.9, 0.7, (0.05892, 0.06, 0.00708, 0.00756))
     steering = fmbd.revolute("steering", frame, fork, center=(1.1, 0, 0), axis=(-np.sin(TILT), 0, np.cos(TILT)))
@@ -54,9 +56,13 @@ def lateral(speed):
     return found[found.imag > 0][0], real[1:][np.argmax(np.abs(real[1:]))], real[0]
 
 
-def ride(speed, t_end):
-    """Times, steering angle (rad) and energy (J) after a small push."""
-    run = fmbd.solve(build(speed, 1e-4), t_end=t_end, dt=2e-3)
+def ride(speed, args):
+    """The run after a small push."""
+    return fmbd.solve(build(speed, 1e-4), t_end=4.0 if args.fast else 8.0, dt=2e-3, output=demo.snapshots(args))
+
+
+def seen(run):
+    """Times, steering angle (rad) and energy (J) of a run."""
     return run.times, run["steer"][:, 0], run.energy["kinetic"] + run.energy["weight"]
 
 
@@ -74,7 +80,8 @@ def main():
     args = demo.arguments(__doc__)
     weave = brentq(lambda v: lateral(v)[0].real, 4.0, 5.0, xtol=1e-10)
     capsize = brentq(lambda v: lateral(v)[1], 5.5, 6.5, xtol=1e-10)
-    rides = {v: ride(v, 4.0 if args.fast else 8.0) for v in (4.0, 5.0, 8.0)}
+    runs = {v: ride(v, args) for v in (4.0, 5.0, 8.0)}
+    rides = {v: seen(run) for v, run in runs.items()}
     late = {v: np.abs(y[-1] / y[np.searchsorted(t, 2.0)]) for v, (t, y, _) in rides.items()}
     checks = [
         Check("weave speed (m/s)", weave, WEAVE, 1e-8),
@@ -90,23 +97,24 @@ def main():
     ]
     if args.picture:
         picture(args, rides)
+    demo.film(runs[5.0], args, ["steer"], view=fmbd.View(camera=(0.2, -1.0, 0.3), symbols=False))
     demo.finish(checks, None, args)
 
 
 def picture(args, rides):
     """Real and imaginary parts over the speed, and the three rides."""
-    _, (left, right) = plt.subplots(1, 2, figsize=(10, 4))
     speeds = np.linspace(1.5, 9.0, 16 if args.fast else 76)
     weave, capsize, _ = np.array([lateral(v) for v in speeds]).T
-    left.plot(speeds, weave.real, label="weave, growth")
-    left.plot(speeds, weave.imag, "--", label="weave, frequency")
-    left.plot(speeds, capsize.real, label="capsize, growth")
-    left.axvspan(WEAVE, CAPSIZE, alpha=0.15, label="stable"), left.axhline(0.0, color="k", lw=0.6)
-    left.set(xlabel="speed (m/s)", ylabel="1/s, rad/s", ylim=(-6, 10)), left.legend()
-    for v, (t, y, _) in rides.items():
-        right.plot(t, y / np.abs(y[t < 2.0]).max(), label=f"{v:g} m/s")
-    right.set(xlabel="time (s)", ylabel="steering angle over its first peak", ylim=(-6, 6)), right.legend()
-    plt.tight_layout(), plt.savefig(args.picture, dpi=120)
+    with plot.figure(args.picture, 1, 2, title=args.title) as (left, right):
+        left.plot(speeds, weave.real, label="weave, growth (1/s)")
+        left.plot(speeds, weave.imag, "--", label="weave, frequency (rad/s)")
+        left.plot(speeds, capsize.real, label="capsize, growth (1/s)")
+        left.axvspan(WEAVE, CAPSIZE, alpha=0.15, label="stable, by the reference")
+        left.axhline(0.0, color="k", lw=0.6)
+        left.set(xlabel="speed (m/s)", ylabel="eigenvalues (1/s, rad/s)", ylim=(-6, 10))
+        for v, (t, y, _) in rides.items():
+            right.plot(t, y / np.abs(y[t < 2.0]).max(), label=f"{v:g} m/s")
+        right.set(xlabel="time (s)", ylabel="steering angle over its first peak")
 
 
 if __name__ == "__main__":

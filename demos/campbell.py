@@ -9,35 +9,33 @@ Run:  ./with-dolfinx python3 demos/campbell.py --picture campbell.png
        \|/         disc, free: breathes and twists as Bessel's functions with Coriolis and centrifugal terms say
 """
 
-import matplotlib.pyplot as plt
 import numpy as np
 from campbell_model import FLAPWISE, MU, UNIT, blade, disc, shaft, symmetric, top
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx import demo
+from fmbd_fenicsx import demo, plot
 from fmbd_fenicsx.post.demo import Check
 
 
-def picture(file, blades, speeds, turned, plates, omega):
+def picture(args, blades, speeds, turned, plates, omega):
     """Frequencies over speeds."""
-    _, (left, middle, right) = plt.subplots(1, 3, figsize=(14, 4))
-    left.loglog(MU, FLAPWISE, "ko", mfc="none", label="reference, flapwise")
-    left.loglog(MU, blades.omega[:, 1] / UNIT, label="rod, flapwise")
-    left.loglog(MU, blades.omega[:, 0] / UNIT, "--", label="rod, chordwise")
-    left.set(title="blade", xlabel="mu", ylabel="frequency / sqrt(EI / rho A L^4)")
+    with plot.figure(args.picture, 1, 3, size=(13.0, 4.4), title=args.title) as (left, middle, right):
+        left.loglog(MU, FLAPWISE, "ko", mfc="none", label="flapwise, reference")
+        left.loglog(MU, blades.omega[:, 1] / UNIT, label="flapwise")
+        left.loglog(MU, blades.omega[:, 0] / UNIT, "--", label="chordwise")
+        left.set(xlabel="blade: spin over the unit of frequency", ylabel=r"frequency / $\sqrt{EI / \rho A L^4}$")
 
-    middle.plot(speeds, turned.fixed.max(axis=1), "o-", label="forward")
-    middle.plot(speeds, np.abs(turned.fixed.min(axis=1)), "s--", label="backward")
-    middle.plot(speeds, speeds, "k:", label="speed"), middle.axvline(56.853, color="r", lw=0.8, label="critical")
-    middle.set(title="shaft", xlabel="speed (rad/s)", ylabel="whirl seen at rest (rad/s)")
+        middle.plot(speeds, turned.fixed.max(axis=1), "o-", label="forward whirl")
+        middle.plot(speeds, np.abs(turned.fixed.min(axis=1)), "s--", label="backward")
+        middle.plot(speeds, speeds, "k:", label="speed")
+        middle.axvline(56.853, color="r", lw=0.8, label="critical, reference")
+        middle.set(xlabel="shaft: speed (rad/s)", ylabel="whirl seen at rest (rad/s)")
 
-    fine = np.linspace(0.02, 0.32, 16)
-    lines = right.plot(fine, [symmetric(w) for w in fine], "k-", lw=0.8)
-    lines[0].set_label("exact"), right.plot(plates, omega, "o", mfc="none")
-    right.set(title="free disc: breathing, twisting", xlabel="spin (rad/s)", ylabel="turning axes (rad/s)")
-    for axes in (left, middle, right):
-        axes.legend()
-    plt.tight_layout(), plt.savefig(file, dpi=120)
+        fine = np.linspace(0.02, 0.32, 16)
+        lines = right.plot(fine, [symmetric(w) for w in fine], **plot.REFERENCE)
+        dots = right.plot(plates, omega, "o", mfc="none", color="C0")
+        lines[0].set_label("Bessel's functions"), dots[0].set_label("elements")
+        right.set(xlabel="free disc: spin (rad/s)", ylabel="breathing, twisting, turning axes (rad/s)")
 
 
 def main():
@@ -73,7 +71,7 @@ def main():
         ),
     ]
     if args.picture:
-        picture(args.picture, blades, speeds, turned, plates, nearest)
+        picture(args, blades, speeds, turned, plates, nearest)
     demo.finish(checks, None, args)
 
 

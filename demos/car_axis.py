@@ -1,6 +1,6 @@
 """Car axis: a light axle on two very stiff wheel springs drives over a bumpy road; an index-3 test problem of the IVP set.
 
-Run:  ./with-dolfinx python3 demos/car_axis.py          (--fast: looser tolerance, --picture FILE: the four coordinates)
+Run:  ./with-dolfinx python3 demos/car_axis.py          (--fast: looser tolerance; --picture FILE, --animate FILE)
 
 Two points (x_l, y_l), (x_r, y_r) at the ends of the axle, springs of stiffness 1 / eps^2 (against the masses) to the wheels,
 the right wheel at (x_b(t), y_b(t)). Constraints: the axle has length L and the left end moves perpendicular to the road chord.
@@ -41,11 +41,18 @@ def constraint(q, t):
     return np.array([xl * xb + yl * yb, (xl - xr) ** 2 + (yl - yr) ** 2 - L**2])
 
 
+def outline(q):
+    """The axle and its springs down to the road's height, for pictures."""
+    left, right = q[:2], q[2:]
+    return [np.array([left, right]), np.array([(0.0, 0.0), left]), np.array([(1.0, 0.0), right])]
+
+
 def scene():
     """The axle at the start, at rest but for a drift to the left."""
     made = fmbd.Scene("car axis")
     start, rate = [0.0, 0.5, 1.0, 0.5], [-0.5, 0.0, -0.5, 0.0]
-    made.add(fmbd.CoordinateBody("axle", K * np.eye(4), force, start, rate, constraint=constraint, vectorized=True))
+    given = {"constraint": constraint, "vectorized": True, "outline": outline}
+    made.add(fmbd.CoordinateBody("axle", K * np.eye(4), force, start, rate, **given))
     made.sensor("ends", fmbd.coordinates("axle", unit="m", names=("x_l", "y_l", "x_r", "y_r")))
     made.sensor("rates", fmbd.coordinates("axle", level=1, unit="m/s"))
     return made
@@ -53,12 +60,12 @@ def scene():
 
 if __name__ == "__main__":
     args = demo.arguments(__doc__)
-    run = fmbd.solve(scene(), t_end=3.0, scheme=fmbd.Radau(rtol=1e-5 if args.fast else 1e-7))
+    scheme = fmbd.Radau(rtol=1e-5 if args.fast else 1e-7)
+    run = fmbd.solve(scene(), t_end=3.0, scheme=scheme, output=demo.snapshots(args))
     share = 1.0 if args.fast else 1e-2
     checks = [
         Check("largest error of positions (m)", np.abs(run["ends"][-1] - REFERENCE).max(), 0.0, 1e-6 * share),
         Check("largest error of rates (m/s)", np.abs(run["rates"][-1] - REFERENCE_RATE).max(), 0.0, 1e-4 * share),
     ]
-    if args.picture:
-        run.plot("ends", file=args.picture, reference={"ends": (3.0, REFERENCE)})
+    demo.show(run, args, ["ends"], reference={"ends": (3.0, REFERENCE)}, view=fmbd.View(instants=4))
     demo.finish(checks, run, args)

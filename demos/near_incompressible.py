@@ -1,5 +1,4 @@
-"""Bushing: a rubber ring, bonded point by point between a fixed tube and a pin that shakes; displacement forms lock,
-displacement and pressure do not.
+"""Bushing: a rubber ring between a fixed tube and a pin that shakes; displacement forms lock, mixed ones do not.
 
 Run:  ./with-dolfinx python3 demos/near_incompressible.py            (--fast; --picture bushing.png)
 

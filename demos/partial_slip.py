@@ -48,7 +48,8 @@ scene.add(upper, lower, pair, fmbd.force("load", upper.surface("top"), load))
 scene.add(fmbd.fixed("base", fmbd.ground, lower.surface("top")))
 scene.add(fmbd.drive_rotation("no turning", fmbd.ground, upper.surface("top"), lambda t: 0.0))
 scene.sensor("force", fmbd.contact_force(pair))
-run = fmbd.solve(scene, t_end=press + shear + 300.0, dt=dt, scheme=fmbd.ContactMidpoint(theta=1.0))
+kept = {"scheme": fmbd.ContactMidpoint(theta=1.0), "output": demo.snapshots(args)}
+run = fmbd.solve(scene, t_end=press + shear + 300.0, dt=dt, **kept)
 
 found = run.state.contact
 on, p = found.normal_force > 0, found.pressure

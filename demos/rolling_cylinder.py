@@ -38,7 +38,8 @@ scene.add(fmbd.force("load", hub, lambda t: (0.0, -F * np.sin(0.5 * np.pi * min(
 scene.sensor("pressure", fmbd.contact_pressure(pair))
 scene.sensor("hub", fmbd.position(hub))
 scene.sensor("angle", fmbd.rotation(hub))
-run = fmbd.solve(scene, t_end=t_end, dt=0.5 * a / n / v0, scheme=fmbd.ContactMidpoint(theta=1.0))  # half a cell a step
+scheme, dt = fmbd.ContactMidpoint(theta=1.0), 0.5 * a / n / v0  # half a cell a step
+run = fmbd.solve(scene, t_end=t_end, dt=dt, scheme=scheme, output=demo.snapshots(args))
 
 X = run.system.contacts.traces[0].X
 s = R * (np.arctan2(X[:, 1], X[:, 0]) - down)  # arc coordinate of the contact nodes

@@ -57,7 +57,8 @@ def main():
     limit, y_limit = load_of(heights).max(), heights[load_of(heights).argmax()]
     turns = LOAD * np.array(followed.path.limit_parameters)
 
-    run = fmbd.solve(build(lambda t: LOAD * t / RAMP, DAMPING), t_end=0.4 * RAMP, dt=4e-3 if args.fast else 1e-3)
+    dt, kept = 4e-3 if args.fast else 1e-3, demo.snapshots(args)
+    run = fmbd.solve(build(lambda t: LOAD * t / RAMP, DAMPING), t_end=0.4 * RAMP, dt=dt, output=kept)
     checks = [
         Check("curve against the exact one (N)", np.abs(load - load_of(y)).max(), 0.0, 1e-3),
         Check("limit points", len(turns), 2),
@@ -73,6 +74,7 @@ def main():
             axes.plot(RISE - y, load, "k.-", ms=3, lw=0.8, label="arc length")
             axes.plot(RISE - run["apex"][:, 1], LOAD * run.times / RAMP, lw=0.8, label="slow load in time")
             axes.set(ylim=(-15, 25), xlabel="deflection of the apex (m)", ylabel="load (N)")
+    demo.film(run, args, ["apex y"])
     demo.finish(checks, None, args)
 
 

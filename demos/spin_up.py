@@ -52,7 +52,7 @@ def spin(arm, root, tip):
     scene.add(arm, hub, fmbd.revolute("axle", fmbd.ground, hub, center=(0, 0)))
     scene.add(fmbd.fixed("weld", hub, arm.surface(root)), fmbd.drive_rotation("motor", fmbd.ground, hub, motion))
     scene.sensor("tip", fmbd.position(arm.surface(tip)))
-    output = fmbd.Output(every=2, estimate_error=False)
+    output = demo.snapshots(args, every=2, estimate_error=False)
     run = fmbd.solve(scene, t_end=20.0, dt=4e-3, scheme=fmbd.GeneralizedAlpha(0.9), output=output)
     theta = np.array([motion(t)[0] for t in run.times])
     turned = np.exp(-1j * theta) * (run["tip"] @ [1, 1j])

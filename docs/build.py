@@ -40,7 +40,7 @@ def animates(demo: Path) -> bool:
     """Whether a demo writes an animation."""
     text = demo.read_text()
 
-    return any(word in text for word in ("show(", "film(", ".animate("))
+    return any(word in text for word in ("show(", "film(", ".animate(", "snapshots"))
 
 
 def make_media(demo: Path) -> None:

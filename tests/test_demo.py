@@ -62,6 +62,25 @@ def test_finish_exits_with_1_when_a_check_fails_and_still_writes(monkeypatch, tm
     assert [c["ok"] for c in json.loads((tmp_path / "r.json").read_text())["check"]] == [True, False]
 
 
+def test_finish_films_a_run_that_moves_and_says_when_there_is_none(monkeypatch, tmp_path, capsys):
+    filmed = []
+    moving = SimpleNamespace(**vars(RUN), snapshots=[1, 2], animate=lambda file, **look: filmed.append(file.name))
+    wanted = ("--animate", str(tmp_path / "a.gif"))
+    demo.finish([], moving, parse(monkeypatch, *wanted))
+    assert filmed == ["a.gif"]
+
+    # not twice where the demo has made it, and not in silence where nothing moves
+    args = parse(monkeypatch, *wanted)
+    demo.film(moving, args)
+    demo.finish([], None, args)
+    assert filmed == ["a.gif"] * 2
+    still = SimpleNamespace(**vars(RUN), snapshots=[])
+    for run in (still, None):
+        with pytest.raises(SystemExit) as stop:
+            demo.finish([], run, parse(monkeypatch, *wanted))
+        assert stop.value.code == 1 and "keeps no motion to show" in capsys.readouterr().out
+
+
 def test_demo_support_loads_neither_mpi_nor_dolfinx():
     code = "import sys, fmbd_fenicsx.post.demo; print(sys.modules.keys() & {'mpi4py', 'dolfinx', 'petsc4py'})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

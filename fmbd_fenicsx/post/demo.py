@@ -99,6 +99,7 @@ def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> 
             parser.add_argument(flag, type=type(default), default=default, help=f"default {default}")
     args = _parsed(parser)
     args.title = (description or "").strip().split("\n")[0].rstrip(".")
+    args.filmed = False
     if args.fast:
         args.title += " (fast version)"
     return args
@@ -138,15 +139,20 @@ def film(run: Any, args: argparse.Namespace, sensors: Sequence[str] = (), **look
     """Write the animation where one was asked for: of demos that draw a picture of their own; collective."""
     if args.animate:
         run.animate(args.animate, sensors=sensors, **look)
+        args.filmed = True
 
 
 def finish(checks: Sequence[Check], run: Any, args: argparse.Namespace) -> None:
     """Print the report of the run and one line for each check, and write the JSON file, on rank 0; exit with
-    code 1 on all ranks when a check fails.
+    code 1 on all ranks when a check fails, or when an animation was asked for of what does not move.
 
-    ``run`` gives the report, ``counters`` and ``seconds``; None for a demo that has no single run. Values must
-    be equal on all ranks.
+    ``run`` gives the report, ``counters`` and ``seconds``, and the animation where the demo has not made one; None for a demo
+    that has no single run. Values must be equal on all ranks.
     """
+    still = args.animate is not None and not args.filmed
+    if still and run is not None and len(run.snapshots) > 1:
+        film(run, args)
+        still = False
     if run is not None:
         say(run.report())
     for check in checks:
@@ -160,5 +166,7 @@ def finish(checks: Sequence[Check], run: Any, args: argparse.Namespace) -> None:
         if getattr(run, "error_estimate", None):
             content["certificate"] = run.certificate.as_dict()
         args.json.write_text(json.dumps(content, indent=1) + "\n")
-    if not all(c.ok for c in checks):
+    if still:
+        say(f"no animation in {args.animate}: this demo compares results, it keeps no motion to show. Try --picture.")
+    if still or not all(c.ok for c in checks):
         sys.exit(1)

@@ -409,7 +409,8 @@ def plot_work_precision(study: Comparison, file: str | Path, work: str, title: s
             unit = f" ({study.units[name]})" if name in study.units else ""
             axes.set_ylabel(f"largest error of {name}{unit}")
             _ticks(axes)
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2 * len(names))
+        columns = max(int(1.4 * len(names)), 1)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=columns)
         if title:
             _title(figure, title)
         _saved(figure, file, 200)

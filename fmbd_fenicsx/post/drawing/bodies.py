@@ -105,7 +105,18 @@ def _own(body: CoordinateBody, at: Places, paint: Paint | None, symbol: float) -
         return []
     drawn = [body.outline(q) for q in at.coordinates[body.name]]
     lines = [np.array([in_space(lines[i]) for lines in drawn]) for i in range(len(drawn[0]))]
-    return [tube(body.name, line, 0.5 * symbol) for line in lines]
+
+    # the scene knows no length of such a body: as thick as symbols where these are small, else by the size of what is drawn
+    points = np.concatenate([line.reshape(-1, 3) for line in lines])
+    radius = min(0.5 * symbol, 0.006 * float(np.linalg.norm(np.ptp(points, axis=0))))
+    return [tube(body.name, bar, radius) for line in lines for bar in _bars(line)]
+
+
+def _bars(line: Array) -> list[Array]:
+    """A line (instants, n, 3) of few points as bars: one tube around a sharp corner would be thin there."""
+    n = line.shape[1]
+
+    return [line[:, k : k + 2] for k in range(n - 1)] if n <= 8 else [line]
 
 
 def tube(name: str, path: Array, radius: float) -> Piece:
