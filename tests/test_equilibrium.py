@@ -189,3 +189,12 @@ def test_load_above_the_limit_says_how_far_it_came() -> None:
     with pytest.raises(ConvergenceError, match=r"load steps ended at 0\.90\d+ of the load.*above its limit") as error:
         fmbd.equilibrium(scene)
     assert "fmbd.ArcLength" in str(error.value)
+
+
+def test_a_lever_without_stiffness_at_the_start_is_no_free_body() -> None:
+    """A torque above the weight of a level lever: the load is too large, no joint is missing."""
+    body = fmbd.RigidBody("body", 1.0, 0.1, position=(0.5, 0.0))
+    scene = fmbd.Scene("lever", gravity=(0.0, -9.81))
+    scene.add(body, fmbd.revolute("hinge", fmbd.ground, body, center=(0.0, 0.0)), fmbd.torque("torque", body, 10.0))
+    with pytest.raises(ConvergenceError, match="load may be above its limit"):
+        fmbd.equilibrium(scene)

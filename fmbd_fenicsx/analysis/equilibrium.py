@@ -9,7 +9,7 @@ fmbd.equilibrium(scene, path=LoadSteps((0.5, 1.0))) under the loads of t = 0.5 s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,10 @@ from .static_newton import NoEquilibriumError, Point, StaticNewton, by_load_step
 from .steady import Residual, Spin, steady_rates
 
 FEW = 120  # coordinates up to which stability is looked at
+ASIDE, SAME = (
+    0.1,
+    1e-3,
+)  # displacement, over the model's length, and relative change of the force along a free motion there
 PERIODS = 300.0  # of the preconditioner's step, over a bound of elastic periods
 
 
@@ -266,8 +270,28 @@ def _slow(system: System, t: float) -> float:
 def _why(newton: StaticNewton, start: Point, t: float, error: NoEquilibriumError) -> str:
     """What a missing equilibrium means: a body that moves freely, or a load above the limit."""
     system = newton.residual.system
+    motion, grown, push = _softest(newton, start, t, np.ones(system.n_v))
+    free = grown > 1.0 - 1e-6
+    if free and system.contacts is None:
+        # beside a body that moves freely the push is the same; beside a lever that its weight cannot hold it is not
+        ways = (replace(start, q=system.compose(start.q, way * system.length * motion)) for way in (ASIDE, -ASIDE))
+        pushes = [push, *(_softest(newton, aside, t, motion)[2] for aside in ways)]
+        free = float(np.ptp(pushes)) <= SAME * float(np.abs(pushes).max())
+    if free:
+        return f"No static equilibrium: {_mover(system, motion)} can move freely ({error}). Hold it by a joint or a spring."
+    return (
+        f"No static equilibrium was found from the given placement: {error}. The load may be above its limit: "
+        "follow the equilibria with path=fmbd.ArcLength(...), or give a start nearer to the solution."
+    )
+
+
+def _softest(newton: StaticNewton, start: Point, t: float, motion: Array) -> tuple[Array, float, float]:
+    """The motion (largest displacement 1 m) that forces move farthest about a point, how far, and the force (N) along it.
+
+    Inertia forces of a motion without any stiffness move it by as much: 1.
+    """
+    system = newton.residual.system
     q, answer = newton.respond(start, t)
-    motion: Array = np.ones(system.n_v)
     grown = 0.0
     for _ in range(6):
         motion = motion / max(system.max_abs(motion), 1e-300)
@@ -275,12 +299,8 @@ def _why(newton: StaticNewton, start: Point, t: float, error: NoEquilibriumError
         inertia = ev.balance(motion) - ev.balance(np.zeros(system.n_v))
         motion = answer(newton.solver.weights.cm * inertia)
         grown = system.max_abs(motion)
-    if grown > 1.0 - 1e-6:
-        return f"No static equilibrium: {_mover(system, motion)} can move freely ({error}). Hold it by a joint or a spring."
-    return (
-        f"No static equilibrium was found from the given placement: {error}. The load may be above its limit: "
-        "follow the equilibria with path=fmbd.ArcLength(...), or give a start nearer to the solution."
-    )
+    motion = motion / max(grown, 1e-300)
+    return motion, grown, system.dot(motion, newton.residual.at(q, t).balance(np.zeros(system.n_v)))
 
 
 def _mover(system: System, motion: Array) -> str:
