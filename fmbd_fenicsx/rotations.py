@@ -157,6 +157,8 @@ class Motions:
         if self.dim == 3:
             return quaternion_matrix(q[..., 3:])
         c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
+        if q.ndim == 1:
+            return np.array([[c, -s], [s, c]])
         return np.stack((np.stack((c, -s), -1), np.stack((s, c), -1)), -2)
 
     def compose(self, q: Array, xi: Array) -> Array:

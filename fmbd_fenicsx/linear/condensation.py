@@ -14,7 +14,6 @@ E_0 serves all attitudes; new tangents are taken only when Newton's rate asks fo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,33 +29,15 @@ from ..system.system import Evaluation, System
 from .blocks.field_blocks import Block, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_load
 from .border import AroundSolver, Border
+from .configuration import Configuration
 from .configuration_warnings import CLOSE, mover, warn_near_singular, warn_of_ties
 from .core import ADVICE, TIE_LIMIT, CoreSolver, dense
+from .driver_solver import DriverSolver
 from .residual import Judge
 
 __all__ = ["StepSolver", "Weights"]
 
 LOOK_LIMIT = 600  # constraint rows up to which the solver itself looks for redundant ones
-
-
-@dataclass(frozen=True, eq=False)
-class _Configuration:
-    """What the matrices depend on; velocities only where they weigh damping or stiffness. ``versions``: of tangents, columns."""
-
-    t: float
-    q: Array
-    v: Any
-    weights: Weights
-    versions: list[tuple[int, int]]
-    stiffness: Any
-
-    def equals(self, other: _Configuration) -> bool:
-        """Whether the matrices are the same to the last bit."""
-        plain = self.t == other.t and self.weights == other.weights and self.versions == other.versions
-        return plain and all(
-            x is y or np.array_equal(x, y)
-            for x, y in ((self.q, other.q), (self.v, other.v), (self.stiffness, other.stiffness))
-        )
 
 
 class StepSolver:
@@ -78,7 +59,8 @@ class StepSolver:
         self._look = redundant is None
         self._near_singular = False
         self.increment: Array | None = None  # Newton's last, like v, where the next :meth:`refresh` is to know of it
-        self._held: _Configuration | None = None  # that of the matrices
+        self._held: Configuration | None = None  # that of the matrices
+        self.driver: DriverSolver | None = None  # where starts are made by it too
         self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
         self.elastic = FieldBlocks(system, linear, prefix)
         self.blocks: list[Block] = []
@@ -144,6 +126,11 @@ class StepSolver:
         """
         self._ev = ev
         s = self.system
+        if self.driver is not None and self.driver.prepare(ev, weights, stiffness):
+            self.weights, self._stiffness = weights, stiffness
+            self._look, self._held = False, None
+            self.core.factorisations += self.driver.new_factors()
+            return
         masses_alone = not s.fields and stiffness is None and not (weights.cd or weights.ck)
         if keep or (masses_alone and self.holds(ev, weights)):
             return
@@ -168,6 +155,10 @@ class StepSolver:
         if s.n_lam and (self.core.ratio < 1e-5 or self._near_singular):
             self._near_singular = warn_near_singular(ev, self.core.rank, self._near_singular)
 
+    def at(self, t: float, q: Array, v: Array | None = None) -> Evaluation:
+        """The system in one state, by the driver where that makes starts; collective."""
+        return self.system.at(t, q, v) if self.driver is None else self.driver.at(t, q, v)
+
     def note_lost_gaps(self, ev: Evaluation) -> None:
         """Gaps of roundoff were all that an iteration could close: say so where the position is close to a singular one."""
         self._near_singular = warn_near_singular(ev, self.core.rank, self._near_singular, limit=CLOSE)
@@ -180,10 +171,10 @@ class StepSolver:
         fields = self.system.fields
         return not fields[0][1].field.total(np.array(float(not same))) if fields else same
 
-    def _configuration(self, ev: Evaluation, weights: Weights, stiffness: Any) -> _Configuration:
+    def _configuration(self, ev: Evaluation, weights: Weights, stiffness: Any) -> Configuration:
         versions = [(f.tangent_version, f.column_version) for _, f in self.system.fields]
         moving = None if ev.v is None or not (weights.cd or weights.ck) else ev.v.copy()
-        return _Configuration(ev.t, ev.q.copy(), moving, weights, versions, stiffness)
+        return Configuration(ev.t, ev.q.copy(), moving, weights, versions, stiffness)
 
     def _assemble(self, ev: Evaluation) -> None:
         """The matrices of (1), and the factor of the core."""
@@ -343,6 +334,8 @@ class StepSolver:
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """Increment like v and multiplier increment (n_lam,) for right-hand sides b (like v) and c (n_lam,)."""
         s = self.system
+        if self.driver is not None and self.driver.ready:
+            return self.driver.solve(b, c)
         if not s.fields:
             return self.core.solve(b, c)
         s.move(self._ev.t)

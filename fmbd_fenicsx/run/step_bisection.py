@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 
 from ..errors import ConstraintError, ConvergenceError, LinearSolveError, StabilityError
 from ..log import log
+from ..rotations import Array
 from ..schemes.stepping import TimeStepper
 from ..system.compiled.recording import Openness, Tape
 from ..system.element_memory import accept
@@ -50,9 +51,11 @@ class ConstantSteps(TimeStepper):
         *,
         closed: Closed | None = None,
         forecast: Forecast | None = None,
+        at: Callable[[float, Array, Array], Evaluation] | None = None,
     ) -> None:
+        """``at``: what evaluates the system where states are looked at."""
         self.stepper, self.system, self.renew, self.watch, self.closed = stepper, system, renew, watch, closed
-        self.forecast = forecast
+        self.forecast, self._at = forecast, system.at if at is None else at
         self._seen: Evaluation | None = None  # the system in the newest state, where it was looked at
         self.local_error = 0.0
         self.halved = 0  # steps and parts of steps that failed
@@ -168,7 +171,7 @@ class ConstantSteps(TimeStepper):
         self._seen = None
         if self.closed is None or (self.watch is None and self.path != "NumPy"):
             return
-        self._seen = self.system.at(state.t, state.q, state.v)
+        self._seen = self._at(state.t, state.q, state.v)
         self.closed.check(self._seen)
 
     def _halves(self, h: float, depth: int) -> None:

@@ -18,7 +18,7 @@ from ..schemes.newton import Newton
 from ..schemes.stepping import TimeStepper, made_stepper
 from ..system.element_memory import accept, reset
 from ..system.scene.scene import Scene
-from ..system.system import State, System
+from ..system.system import Evaluation, State, System
 from .acceptance import Closed, attempt
 from .energy_check import Guarded, Watch, closed
 from .forecast import Forecast
@@ -89,9 +89,11 @@ def _begun(
         from ..analysis.equilibrium import settled
 
         given = settled(system, given, solver)
-    own_start = Declared.by(scheme).start
-    if own_start is not None:
-        return own_start(system, given, solver, h)  # type: ignore[no-any-return]
+    said = Declared.by(scheme)
+    if said.start is not None:
+        return said.start(system, given, solver, h)  # type: ignore[no-any-return]
+    if said.prepare is not None:
+        said.prepare(solver)
     return consistent(system, given, solver, h=h)
 
 
@@ -100,7 +102,7 @@ def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: b
     that makes sense.
     """
     made = made_stepper(problem.scheme, problem.system, solver, problem.newton, problem.start)
-    watch = Watch(problem.system, made.state) if guarded else None
+    watch = Watch(problem.system, made.state, evaluation_of(solver, made.state)) if guarded else None
 
     def renew(state: State) -> TimeStepper:
         problem.newton.theta = 0.5
@@ -121,8 +123,14 @@ def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: b
             watch,
             closed=Closed.under(problem.system, problem.scheme),
             forecast=Forecast(solver, made.state.t, pace.t_end, pace.steps),
+            at=solver.at,
         )
     return made if watch is None else Guarded(made, watch)
+
+
+def evaluation_of(solver: StepSolver, state: State) -> Evaluation:
+    """The system in a state."""
+    return solver.at(state.t, state.q, state.v)
 
 
 CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to stop
@@ -183,7 +191,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
     stepper = make_stepper(problem, solver, pace, guarded=output.energy and closed(problem.scene, problem.system))
     recorder = Recorder(problem.scene, problem.system, problem.markers, output, pace.t_end)
     recorder.closed, recorder.warned = Closed.under(problem.system, problem.scheme), problem.warned
-    recorder.take(0, stepper.state, stepper.evaluation)
+    recorder.take(0, stepper.state, stepper.evaluation or evaluation_of(solver, stepper.state))
     course = Course(problem.system, solver, problem.newton, stepper, recorder)
     if keeper is not None:
         keeper.resume(course)

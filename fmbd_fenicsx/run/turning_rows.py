@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-import scipy.linalg as sl
+from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 
 from ..linear.condensation import StepSolver, Weights
 from ..linear.core import dense
@@ -26,7 +26,7 @@ from ..log import log
 from ..rotations import Array
 from ..schemes.declared import Declared
 from ..system.speed_rows import speed_rows
-from ..system.system import State, System
+from ..system.system import Evaluation, State, System
 
 LARGEST = 150  # replicated coordinates up to which the angle is looked at
 RANK = 1e-9  # singular values of rows below this share of the largest are zero
@@ -37,7 +37,7 @@ def warn_of_turning_rows(solver: StepSolver, scheme: object, states: Iterable[St
     limit, system = Declared.by(scheme).turn_limit, solver.system
     if limit is None or system.fields or not 0 < system.n_core <= LARGEST:
         return
-    angle, state = max(((turned(solver, s, h), s) for s in states), key=lambda found: found[0])
+    angle, state = max(((turned(solver, s, h, least=limit), s) for s in states), key=lambda found: found[0])
     if angle <= limit:
         return
     log.warning(
@@ -47,35 +47,59 @@ def warn_of_turning_rows(solver: StepSolver, scheme: object, states: Iterable[St
     )  # fmt: skip
 
 
-def turned(solver: StepSolver, state: State, h: float) -> float:
-    """phi of the module for a step h (s) with the velocity of a state, rad."""
+def turned(solver: StepSolver, state: State, h: float, *, least: float = 0.0) -> float:
+    """phi of the module for a step h (s) with the velocity of a state, rad; 0 where it is certainly below ``least``."""
     system = solver.system
     if not np.isfinite(state.q).all() or not np.isfinite(state.v).all() or not state.v.any():
         return 0.0
-    before = _row_space(solver, state, state.q)
-    after = _row_space(solver, state, system.compose(state.q, h * state.v))
-    if not before.shape[1] or not after.shape[1]:
+    on_speeds = speed_rows(system)
+    held = np.setdiff1d(np.arange(system.n_lam), on_speeds) if on_speeds.size else slice(None)
+    now = solver.at(state.t, state.q, state.v)
+    then = solver.at(state.t, system.compose(state.q, h * state.v), state.v)
+    factor = _mass_factor(solver, now)
+    before = _rows(now, held, factor)
+    after = _rows(then, held, _mass_factor(solver, then) if system.parts else factor)  # of rigid bodies it is constant
+    if not before.shape[1] or _certainly_below(np.sin(least), before, after):
         return 0.0
 
     # the sine of the largest angle: what the smaller space has outside of the larger
-    small, large = sorted((before, after), key=lambda basis: basis.shape[1])
+    small, large = sorted((_space(before), _space(after)), key=lambda basis: basis.shape[1])
     outside = small - large @ (large.T @ small)
     sine = float(np.linalg.norm(outside, 2))
     return float(np.arcsin(min(sine, 1.0)))
 
 
-def _row_space(solver: StepSolver, state: State, q: Array) -> Array:
-    """Orthonormal basis of L^-1 G^T with M = L L^T, rows on positions only, (n_v, rank)."""
-    system = solver.system
-    held = np.setdiff1d(np.arange(system.n_lam), speed_rows(system))
-    ev = system.at(state.t, q, state.v)
+def _mass_factor(solver: StepSolver, ev: Evaluation) -> Array:
+    """L of M = L L^T."""
     M = dense(solver.core_matrix(ev, Weights(1.0, 0.0, 0.0)))
-    G = dense(ev.jacobian.core)[held].T
 
     # bodies without inertia in some direction: a little of it, which rows that hold them hardly feel
-    M = 0.5 * (M + M.T) + 1e-12 * np.diag(np.maximum(np.diag(M), np.diag(M).max() * 1e-12))
-    rows = sl.solve_triangular(np.linalg.cholesky(M), G, lower=True)
-    rows = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    diagonal = np.diag(M)
+    M = 0.5 * (M + M.T) + 1e-12 * np.diag(np.maximum(diagonal, diagonal.max() * 1e-12))
+    return np.asarray(np.linalg.cholesky(M))
+
+
+def _rows(ev: Evaluation, held: np.ndarray | slice, factor: Array) -> Array:
+    """L^-1 G^T of the rows ``held``, columns of size 1, (n_v, rows)."""
+    rows = dtrtrs(factor, dense(ev.jacobian.core)[held].T, lower=1)[0]
+    return np.asarray(rows / np.maximum(np.sqrt((rows * rows).sum(axis=0)), 1e-300))
+
+
+def _certainly_below(sine: float, before: Array, after: Array) -> bool:
+    """Whether the largest angle between the spaces of two sets of columns B and C has certainly a smaller sine: it is at most
+    |(1 - B (B^T B)^-1 B^T) C L^-T| with L L^T = C^T C. Not told of columns that nearly depend on each other.
+    """
+    first, fault = dpotrf(before.T @ before, lower=1)
+    second, other = dpotrf(after.T @ after, lower=1)
+    if fault or other or min(first.diagonal().min(), second.diagonal().min()) < 1e-5:
+        return False
+    outside = after - before @ dpotrs(first, before.T @ after, lower=1)[0]
+    share = dtrtrs(second, outside.T, lower=1)[0]
+    return bool((share * share).sum() < sine * sine)
+
+
+def _space(rows: Array) -> Array:
+    """Orthonormal basis of the space of columns, (n_v, rank)."""
     Q, s, _ = np.linalg.svd(rows, full_matrices=False)
     return np.asarray(Q[:, s > RANK * max(float(s.max(initial=0.0)), 1e-300)])
 

@@ -52,7 +52,7 @@ def consistent(
     state = keep_volumes(system, state, solver)
     q, moved, n_it = state.q, 0.0, 0
     zero = np.zeros(system.n_v)
-    ev = system.at(state.t, q, state.v)
+    ev = solver.at(state.t, q, state.v)
     g = first = ev.constraint()
     for n_it in range(25):  # noqa: B007, counted
         size = float(np.abs(g).max(initial=0.0))
@@ -74,7 +74,7 @@ def consistent(
                 "Check the positions of the bodies and the center of the joint."
             )
         q = system.compose(q, dq)
-        ev = system.at(state.t, q, state.v)
+        ev = solver.at(state.t, q, state.v)
         g = ev.constraint()
         if step <= 1e-15 * system.length:
             break
@@ -103,7 +103,7 @@ def consistent(
 
 def accelerations(system: System, state: State, solver: StepSolver) -> State:
     """Accelerations and multipliers of a consistent (q, v), the third of (1); collective."""
-    ev = system.at(state.t, state.q, state.v)
+    ev = solver.at(state.t, state.q, state.v)
     h = ev.balance(np.zeros(system.n_v))
     for _, part in system.fields:
         if part.field.keeps_volume:
@@ -253,7 +253,7 @@ def jerk(
 
     def defects(s: float) -> tuple[Array, Array, list[Array]]:
         q, v = system.compose(state.q, s * state.v + 0.5 * s * s * state.a), state.v + s * state.a
-        at = ev if s == 0.0 else system.at(state.t + s, q, v)
+        at = ev if s == 0.0 else solver.at(state.t + s, q, v)
         volume = [
             _second_rate(system, State(state.t + s, at.q, state.v + s * state.a, state.a, state.lam), k) for k in kept
         ]

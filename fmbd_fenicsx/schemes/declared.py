@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, fields
+from functools import cache
 from typing import Any
 
 from ..system.scene.contents import Contents
@@ -18,6 +19,7 @@ class Declared:
     ``carries_pressure``: it moves pressures that are unknowns. ``start``: a start of its own, also for scenes with contact.
     ``refusal``: why it does not take what a scene holds, "" where it does.
     ``turn_limit``: angle (rad) by which rows of joints may turn in a step, None for any (:mod:`~fmbd_fenicsx.run.turning_rows`).
+    ``prepare``: takes the solver before the start, to choose how this is evaluated.
     ``timeless``: no scheme in time at all, as the pictures of a mode.
     """
 
@@ -29,12 +31,13 @@ class Declared:
     start: Callable[..., Any] | None = None
     refusal: Callable[[Contents], str] | None = None
     turn_limit: float | None = None
+    prepare: Callable[..., None] | None = None
     timeless: bool = False
 
     @classmethod
     def by(cls, scheme: Any) -> Declared:
         """What a scheme says."""
-        return cls(**{f.name: getattr(scheme, f.name, f.default) for f in fields(cls) if f.default is not MISSING})
+        return cls(**{name: getattr(scheme, name, default) for name, default in _members()})
 
     def refuse(self, name: str, held: Contents) -> str:
         """Why the scheme ``name`` does not take what a scene holds, "" where it does; known before anything is computed."""
@@ -61,3 +64,9 @@ class Declared:
         if self.form is None:
             return self.holds
         return (0, 1) if self.form.projected else tuple(self.form.levels)
+
+
+@cache
+def _members() -> tuple[tuple[str, Any], ...]:
+    """Names of all members, with what holds where a scheme says nothing."""
+    return tuple((f.name, f.default) for f in fields(Declared))

@@ -14,6 +14,7 @@ import numpy as np
 
 from ...rotations import Array
 from ...system.compiled.calls import Calls
+from ...system.compiled.evaluation import STORAGE_LIMIT, DriverStates
 from ...system.compiled.fields import Block
 from ...system.compiled.items import covers, other_loads
 from ...system.compiled.library import driver_library
@@ -23,8 +24,6 @@ from ...system.system import System
 
 if TYPE_CHECKING:
     from ..newton import Newton
-
-STORAGE_LIMIT = 20_000_000  # numbers in the factor
 
 # fmt: off
 (H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, ITERATIONS, LOCAL,
@@ -36,10 +35,10 @@ DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN = range(6)
 class AlphaDriver:
     """The driver for one system: its tables, its calls into Python, and a ring of four states."""
 
-    def __init__(self, system: System, library: Any, *, redundant: bool, blocks: Sequence[Block] = ()) -> None:
+    def __init__(self, library: Any, tables: Tables, calls: Calls, *, blocks: Sequence[Block] = ()) -> None:
+        system = tables.system
         self.system, self.library, self.field_blocks = system, library, blocks
-        self.tables = Tables(system, redundant=redundant, blocks=blocks)
-        self.calls = Calls(self.tables)
+        self.tables, self.calls = tables, calls
         self.address = ctypes.addressof(self.tables.c)
         self.n, self.nq, self.m = system.n_v, system.n_q, system.n_lam
         self.block_size = 1 + self.nq + 3 * self.n + self.m
@@ -133,10 +132,20 @@ def drivable(system: System) -> Any:
     return driver_library(system.motions.dim) if known else None
 
 
-def alpha_driver(system: System, *, redundant: bool, blocks: Sequence[Block] = ()) -> AlphaDriver | None:
-    """The driver for a system, or None where the NumPy path has to do; ``blocks``: of its fields for the size of a step."""
+def alpha_driver(
+    system: System, *, redundant: bool, blocks: Sequence[Block] = (), states: DriverStates | None = None
+) -> AlphaDriver | None:
+    """The driver for a system, or None where the NumPy path has to do; ``blocks``: of its fields for the size of a step;
+    ``states``: what made its start, whose tables are taken.
+    """
+    if states is not None:
+        tables, calls = states.give()
+        tables.c.redundant = int(redundant)
+        return AlphaDriver(states.library, tables, calls)
+
     library = drivable(system)
     if library is None:
         return None
-    driver = AlphaDriver(system, library, redundant=redundant, blocks=blocks)
-    return driver if driver.tables.fronts.storage <= STORAGE_LIMIT else None
+    tables = Tables(system, redundant=redundant, blocks=blocks)
+    small = tables.fronts.storage <= STORAGE_LIMIT
+    return AlphaDriver(library, tables, Calls(tables), blocks=blocks) if small else None

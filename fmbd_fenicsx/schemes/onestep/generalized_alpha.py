@@ -116,6 +116,19 @@ class GeneralizedAlpha:
         gamma = 0.5 + af - am
         return am, af, gamma, 0.25 * (gamma + 0.5) ** 2
 
+    def prepare(self, solver: StepSolver) -> None:
+        """Let the driver make the start where it makes the steps."""
+        system = solver.system
+        if self.rtol is not None or not self.compiled or system.fields:
+            return
+        from ...linear.driver_solver import DriverSolver
+        from ...system.compiled.evaluation import driver_states
+        from .alpha_driver import drivable
+
+        library = drivable(system)
+        states = None if library is None else driver_states(system, library)
+        solver.driver = None if states is None else DriverSolver(states)
+
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Any:
         """Time stepper from a consistent state."""
         if self.rtol is not None:
@@ -136,7 +149,8 @@ class GeneralizedAlpha:
             from .alpha_driver import alpha_driver
             from .compiled_stepper import CompiledStepper
 
-            driver = alpha_driver(system, redundant=solver.core.redundant)
+            states = None if solver.driver is None else solver.driver.states
+            driver = alpha_driver(system, redundant=solver.core.redundant, states=states)
             if driver is not None:
                 return CompiledStepper((self, system, solver, newton, state), driver)
         return Stepper(self, system, solver, newton, state)
@@ -194,7 +208,7 @@ class Stepper(TimeStepper):
         """v_0 and A_0 without a transient (see the module), and a, lambda predicted for the end of the first step."""
         system, s = self.system, self.state
         am, af, _, beta = self.scheme.parameters
-        ev = system.at(s.t, s.q, s.v)
+        ev = self.solver.at(s.t, s.q, s.v)
         rate, lam_rate, volume = jerk(ev, s, self.solver, weights, h)
         v = s.v
         if (system.n_lam or volume) and not isinstance(self.scheme.form, GGL):

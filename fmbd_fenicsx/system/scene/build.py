@@ -324,10 +324,10 @@ class Builder:
         ground_frame = len(self.poses)
         if side is ground:
             return MarkerPlace(ground_frame, np.zeros(d) if point is None else point, np.eye(d))
-        pose = side.start_pose()
         if side.locked:
-            return MarkerPlace(ground_frame, pose[:d] if point is None else point, np.eye(d))
-        return self._on_frame(self.frame_of[side.name], pose, point)
+            return MarkerPlace(ground_frame, side.start_pose()[:d] if point is None else point, np.eye(d))
+        frame = self.frame_of[side.name]
+        return self._on_frame(frame, self.poses[frame], point)
 
     def _on_frame(self, frame: int, pose: Array, point: Array | None) -> MarkerPlace:
         """A world point on a rigid frame that starts at ``pose``."""

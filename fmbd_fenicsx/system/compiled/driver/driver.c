@@ -28,6 +28,7 @@ static double rod_energy(System *s, Rod *k) { return (void)s, (void)k, 0.0; }
 #include "evaluate.c"
 #include "matrix.c"
 #include "states.c"
+#include "answers.c"
 #include "record.c"
 #include "alpha.c"
 #include "contact.c"

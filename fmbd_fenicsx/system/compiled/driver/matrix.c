@@ -71,7 +71,7 @@ static int tangents(System *s, Batch *k, double cd, double ck, double geometric,
 /* ``reactions``: whether these have a geometric stiffness; verdict of the factorisation. */
 static int assemble(System *s, const double *q, double cd, double ck, double geometric, const double *lam, int reactions, double t)
 {
-    int verdict;
+    int verdict, masses = cd == 0.0 && ck == 0.0; /* of a start: no stiffness */
     clear(s);
     s->cd = cd;
     s->ck = ck;
@@ -86,10 +86,10 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
         if (k->role == READ) continue;
         if (k->role == ROW && k->mapped) mapped_rows(s, k);
         else if (k->role == ROW) plain_rows(s, k);
-        if (k->role == ROW && !reactions) continue;
+        if ((k->role == ROW && !reactions) || masses) continue;
         if ((verdict = tangents(s, k, cd, ck, geometric, lam, t))) return verdict;
     }
-    for (Rod *k = s->rod; k < s->rod + s->rods; k++)
+    for (Rod *k = s->rod; k < s->rod + s->rods && !masses; k++)
         if (rod_tangents(s, k, t, geometric)) return FAILED;
     return factor(s);
 }

@@ -1,0 +1,122 @@
+"""Single states by the driver, from which compiled runs start: the numbers of NumPy's evaluation and of its linear solver."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from test_driver import compiled, driven, joint_springs, loaded, redundant, suspended, tyre
+from test_kernel import flexible
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+from fmbd_fenicsx.linear.driver_solver import DriverSolver
+from fmbd_fenicsx.rotations import Array
+from fmbd_fenicsx.schemes.onestep.alpha_driver import drivable
+from fmbd_fenicsx.system.compiled.evaluation import driver_states
+
+MASSES = Weights(1.0, 0.0, 0.0)
+
+
+def rolling(dim: int) -> fmbd.Scene:
+    """A ball that rolls: rows on velocities."""
+    inertia = 0.02 if dim == 2 else (0.01, 0.01, 0.02)
+    ball = fmbd.RigidBody("ball", 2.0, inertia, (0, 0.1, 0)[:dim])
+    scene = fmbd.Scene("rolling", gravity=(0.1, -9.81, 0)[:dim])
+    scene.add(ball, fmbd.rolling("road", fmbd.ground, ball, shape=fmbd.Ball(0.1), normal=(0, 1, 0)[:dim]))
+    return scene
+
+
+SCENES = [joint_springs, suspended, loaded, driven, redundant, tyre, flexible]
+
+
+def both(scene: fmbd.Scene) -> tuple[Any, Any, Any]:
+    """The driver's states, and one state evaluated by NumPy and by the driver."""
+    system, given, _ = scene.build()
+    rng, states = np.random.default_rng(7), driver_states(system, drivable(system))
+    assert states is not None
+    q = system.compose(given.q, 0.002 * rng.standard_normal(system.n_v))
+    v = rng.standard_normal(system.n_v)
+    return states, system.at(0.3, q, v), states.at(0.3, q, v)
+
+
+def close(x: Any, y: Any, digits: float = 1e-12) -> None:
+    """The same numbers."""
+    x, y = (z.toarray() if hasattr(z, "toarray") else np.asarray(z) for z in (x, y))
+    np.testing.assert_allclose(y, x, rtol=0.0, atol=digits * float(np.abs(x).max(initial=1e-300)))
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("make", SCENES, ids=lambda f: f.__name__)
+def test_same_evaluation(make: Any, dim: int) -> None:
+    """Constraints, their rates and second rates, their Jacobian, and the balance."""
+    states, numpy, driver = both(make(dim))
+    rng, system = np.random.default_rng(8), states.system
+    a, lam = rng.standard_normal(system.n_v), rng.standard_normal(system.n_lam)
+
+    close(numpy.constraint(), driver.constraint())
+    close(numpy.constraint_rate(), driver.constraint_rate())
+    close(numpy.gamma(), driver.gamma())
+    close(numpy.jacobian.core, driver.jacobian.core)
+    close(numpy.jacobian.times(a), driver.jacobian.times(a))
+    close(numpy.jacobian.transposed(lam), driver.jacobian.transposed(lam))
+    close(numpy.balance(a, lam), driver.balance(a, lam))
+    close(numpy.balance(a), driver.balance(a))
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("make", [joint_springs, driven, loaded, flexible], ids=lambda f: f.__name__)
+def test_same_solution(make: Any, dim: int) -> None:
+    """x and y of [M G^T; G 0], also after other states were evaluated."""
+    states, numpy, driver = both(make(dim))
+    system, rng = states.system, np.random.default_rng(9)
+    b, c = rng.standard_normal(system.n_v), rng.standard_normal(system.n_lam)
+
+    def solved(solver: StepSolver, ev: Any, elsewhere: Array) -> Array:
+        solver.prepare(ev, MASSES)
+        solver.at(0.0, elsewhere, ev.v).constraint()
+        return np.concatenate(solver.solve(b, c))
+
+    elsewhere = system.compose(numpy.q, 0.1 * rng.standard_normal(system.n_v))
+    with_driver = StepSolver(system)
+    with_driver.driver = DriverSolver(states)
+    found = solved(with_driver, driver, elsewhere)
+    assert with_driver.driver.ready
+    close(solved(StepSolver(system), numpy, elsewhere), found, 1e-10)
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+def test_dependent_rows_are_left_to_numpy(dim: int) -> None:
+    states, _, driver = both(redundant(dim))
+    solver = StepSolver(states.system)
+    solver.driver = DriverSolver(states)
+    solver.prepare(driver, MASSES)
+    assert not solver.driver.ready and solver.core.redundant
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+def test_rows_on_velocities(dim: int) -> None:
+    """They have no g."""
+    _, numpy, driver = both(rolling(dim))
+    close(numpy.constraint(), driver.constraint())
+    close(numpy.gamma(), driver.gamma())
+    close(numpy.jacobian.times(numpy.v), driver.jacobian.times(numpy.v))
+
+
+@compiled
+def test_what_a_law_raises_comes_through() -> None:
+    """From the start too, with the law's name."""
+    scene = joint_springs(2)
+    joint = scene.joints["hinge 0"]
+
+    def law(s: Any, rate: Any, t: float) -> Any:
+        raise ZeroDivisionError("nothing left")
+
+    scene.add(fmbd.joint_spring("broken", fmbd.angle(joint), law=law))
+    with pytest.raises(fmbd.errors.FmbdError, match="broken"):
+        fmbd.solve(scene, t_end=0.01, dt=1e-3)
