@@ -126,3 +126,26 @@ def test_what_cannot_be_is_said() -> None:
         fmbd.Output(ledger=True, energy=False)
     with pytest.raises(InputError, match='no element "moter"'):
         run.ledger["moter"]
+
+
+@pytest.mark.parametrize("wanted", [{"estimate_error": True}, {"estimate_reduction": True}, {"estimate_space": True}])
+def test_a_ledger_goes_with_stated_errors(wanted: dict[str, bool]) -> None:
+    """The runs that errors are found by keep no energies, and no ledger."""
+    run = fmbd.solve(*_swing(), output=fmbd.Output(ledger=True, **wanted), t_end=0.02, dt=0.01)
+    assert run.error_estimate or run.certificate
+    assert run.ledger.work["bearing"][-1] < 0
+
+
+def test_a_ledger_goes_with_a_tolerance() -> None:
+    run = fmbd.solve(*_swing(), output=fmbd.Output(ledger=True), t_end=0.02, tol={"tip": 1e-2})
+    assert run.ledger.work["bearing"][-1] < 0
+
+
+def _swing() -> tuple[fmbd.Scene]:
+    mesh = fmbd.read_gmsh("meshes/rod.py", h=0.2)
+    rod = fmbd.FloatingBody("rod", mesh, density=1e3, elastic=fmbd.materials.plane_stress(5e6, 0.3)).reduced(modes=3)
+    scene = fmbd.Scene("swing", gravity=(0, -9.81))
+    pin = fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0))
+    scene.add(rod, pin, fmbd.joint_spring("bearing", fmbd.angle(pin), damping=5.0))
+    scene.sensor("tip", fmbd.position(rod.surface("tip")))
+    return (scene,)

@@ -263,7 +263,7 @@ def _scaled(deviation: Deviation, factor: float) -> Deviation:
 
 def _as_recorded(coarse: Recorder, pace: Pace) -> Output:
     """Sensors at the instants of another run with the same steps, and nothing else."""
-    wanted = replace(coarse.output, snapshots=0, energy=False, progress=False, on_step=None, events=())
+    wanted = replace(coarse.output, snapshots=0, energy=False, ledger=False, progress=False, on_step=None, events=())
     return wanted if pace.steps else replace(wanted, times=tuple(coarse.times))
 
 

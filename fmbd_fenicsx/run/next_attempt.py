@@ -93,7 +93,7 @@ def space_first(plan: Plan, tol: Tolerance, shared: SharedRuns, wanted: Output) 
     if plan.known is not None or not 0 < few < plan.steps or not meshed_bodies(plan.scene):
         return None
 
-    output = replace(wanted, every=1, energy=False, estimate_error=False)
+    output = replace(wanted, every=1, energy=False, ledger=False, estimate_error=False)
     solved = shared.solve(plan.scene, plan.scheme, Pace(plan.pace.t_end, few), output)
     errors, unstated = shared.space_error(solved, solved.compared, plan.below)
     if unstated or not errors:
