@@ -139,3 +139,44 @@ def test_a_rod_at_rest_takes_large_steps() -> None:
     run = fmbd.solve(scene, t_end=10.0, scheme=fmbd.GeneralizedAlpha(rtol=1e-5))
     assert run.counters["steps"] <= 10
     assert np.ptp(run["tip"], axis=0).max() < 1e-9
+
+
+def driven_crank() -> fmbd.Scene:
+    """A slider crank of rigid bodies without freedom, its crank brought to an even turn within two turns."""
+    ramp, rate = 0.8, 5 * np.pi
+
+    def run_up(t: float) -> tuple[float, float, float]:
+        x = min(t / ramp, 1.0)
+        angle = rate * (ramp * x**5 * (7 - 14 * x + 10 * x**2 - 2.5 * x**3) + max(t - ramp, 0.0))
+        return angle, rate * x**4 * (35 - 84 * x + 70 * x**2 - 20 * x**3), rate / ramp * 140 * (x - x**2) ** 3
+
+    scene = fmbd.Scene("driven crank")
+    crank, rod = fmbd.RigidBody("crank", 1.0, 0.01, (0.1, 0.0)), fmbd.RigidBody("rod", 1.0, 0.1, (0.5, 0.0))
+    slider = fmbd.RigidBody("slider", 1.0, 0.01, (0.8, 0.0))
+    main = fmbd.revolute("main", fmbd.ground, crank, center=(0, 0))
+    scene.add(crank, rod, slider, main, fmbd.revolute("knee", crank, rod, center=(0.2, 0)))
+    scene.add(fmbd.revolute("wrist", rod, slider, center=(0.8, 0)), fmbd.drive("drive", fmbd.angle(main), run_up))
+    scene.add(fmbd.prismatic("guide", fmbd.ground, slider, axis=(1, 0), center=(0, 0)))
+    scene.sensor("angle", fmbd.angle(main))
+    scene.sensor("slider", fmbd.position(slider))
+    return scene
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-5])
+def test_a_mechanism_without_freedom_is_followed_between_its_steps(rtol: float) -> None:
+    """From rest over three turns, at both ends in the same place: not in one step."""
+    output = fmbd.Output(times=tuple(np.linspace(0.0, 1.2, 61)), energy=False)
+    run = fmbd.solve(driven_crank(), t_end=1.2, scheme=fmbd.GeneralizedAlpha(rtol=rtol), output=output)
+    angle = run["angle"].ravel()
+    exact = 0.2 * np.cos(angle) + np.sqrt(0.36 - (0.2 * np.sin(angle)) ** 2)
+    assert np.abs(run["slider"][:, 0] - exact).max() < rtol
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-5])
+def test_a_push_that_comes_and_goes_within_the_first_step_is_seen(rtol: float) -> None:
+    """A mass of 1 kg that is pushed for one second of ten, from rest and to rest of forces."""
+    scene, body = fmbd.Scene("pushed"), fmbd.RigidBody("mass", 1.0, 1.0, (0.0, 0.0))
+    scene.add(body, fmbd.force("push", body, lambda t: (np.sin(np.pi * (t - 2)) ** 4 if 2 < t < 3 else 0.0, 0.0)))
+    scene.sensor("x", fmbd.position(body))
+    run = fmbd.solve(scene, t_end=10.0, scheme=fmbd.GeneralizedAlpha(rtol=rtol))
+    assert run["x"][-1, 0] == pytest.approx(0.375 * 7.5, rel=10 * rtol)

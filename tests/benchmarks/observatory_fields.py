@@ -245,11 +245,11 @@ FIELDS: dict[str, Problem] = {
         lambda: standing_wave(2), 2.0, "place", lambda: [1.0 + 0.01 * np.cos(np.pi), 0.05], "exact"
     ),
     "suddenly pulled bar": Problem(lambda: pulled(sudden), 1.5, "place", lambda: [1.015, 0.05], WAVES),
-    "smoothly pulled bar": Problem(lambda: pulled(smooth), 3.0, "place", lambda: [1.0 + end_of_bar(3.0), 0.05], WAVES),
+    "smoothly pulled bar": Problem(lambda: pulled(smooth), 2.5, "place", lambda: [1.0 + end_of_bar(2.5), 0.05], WAVES),
     "pulled bar, reduced": Problem(
-        lambda: pulled(smooth, 24), 3.0, "place", lambda: [1.0 + end_of_bar(3.0), 0.05], WAVES
+        lambda: pulled(smooth, 24), 2.5, "place", lambda: [1.0 + end_of_bar(2.5), 0.05], WAVES
     ),
-    "stretched rod": Problem(stretched_rod, 3.0, "place", lambda: [1.0 + end_of_bar(3.0), 0.0, 0.0], WAVES),
+    "stretched rod": Problem(stretched_rod, 2.5, "place", lambda: [1.0 + end_of_bar(2.5), 0.0, 0.0], WAVES),
     "bent beam": Problem(bent_beam, BEAM_END, "tip", lambda: beam_end(BEAM_END), "exact (modes, Duhamel)", 200),
     "bouncing ball": Problem(bouncing_ball, 0.7, "place", lambda: ball_end(0.7), "exact"),
     "sliding block": Problem(
