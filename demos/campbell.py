@@ -10,32 +10,11 @@ Run:  ./with-dolfinx python3 demos/campbell.py --picture campbell.png
 """
 
 import numpy as np
-from campbell_model import FLAPWISE, MU, UNIT, blade, disc, shaft, symmetric, top
+from campbell_model import FLAPWISE, MU, UNIT, blade, disc, picture, shaft, symmetric, top
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx import demo, plot
+from fmbd_fenicsx import demo
 from fmbd_fenicsx.post.demo import Check
-
-
-def picture(args, blades, speeds, turned, plates, omega):
-    """Frequencies over speeds."""
-    with plot.figure(args.picture, 1, 3, size=(13.0, 4.4), title=args.title) as (left, middle, right):
-        left.loglog(MU, FLAPWISE, "ko", mfc="none", label="flapwise, reference")
-        left.loglog(MU, blades.omega[:, 1] / UNIT, label="flapwise")
-        left.loglog(MU, blades.omega[:, 0] / UNIT, "--", label="chordwise")
-        left.set(xlabel="blade: spin over the unit of frequency", ylabel=r"frequency / $\sqrt{EI / \rho A L^4}$")
-
-        middle.plot(speeds, turned.fixed.max(axis=1), "o-", label="forward whirl")
-        middle.plot(speeds, np.abs(turned.fixed.min(axis=1)), "s--", label="backward")
-        middle.plot(speeds, speeds, "k:", label="speed")
-        middle.axvline(56.853, color="r", lw=0.8, label="critical, reference")
-        middle.set(xlabel="shaft: speed (rad/s)", ylabel="whirl seen at rest (rad/s)")
-
-        fine = np.linspace(0.02, 0.32, 16)
-        lines = right.plot(fine, [symmetric(w) for w in fine], **plot.REFERENCE)
-        dots = right.plot(plates, omega, "o", mfc="none", color="C0")
-        lines[0].set_label("Bessel's functions"), dots[0].set_label("elements")
-        right.set(xlabel="free disc: spin (rad/s)", ylabel="breathing, twisting, turning axes (rad/s)")
 
 
 def main():

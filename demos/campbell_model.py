@@ -1,4 +1,4 @@
-"""Rotating scenes with known frequencies: a blade, a shaft with a disc, a top, a free disc; data of the demo campbell.
+"""Rotating scenes with known frequencies: a blade, a shaft with a disc, a top, a free disc; data and figure of the demo campbell.
 
 Sources: Hamza-cherif and Houmat, ICAS 2004, table 2 (blade); doi:10.1007/s11044-016-9514-y (shaft); Bhuta and Jones,
 J. Acoust. Soc. Am. 35 (1963) 982 (symmetric motions of a disc in its plane).
@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 from scipy.special import jv, jvp
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx import plot
 from fmbd_fenicsx.materials import plane_stress
 
 SLENDER = 1000.0
@@ -85,3 +86,24 @@ def symmetric(spin):
     at = [edge(x, spin) for x in grid]
     changes = [i for i in range(len(at) - 1) if at[i] * at[i + 1] < 0]
     return [float(brentq(edge, grid[i], grid[i + 1], args=(spin,))) for i in changes]
+
+
+def picture(args, blades, speeds, turned, plates, omega):
+    """Frequencies over speeds."""
+    with plot.figure(args.picture, 1, 3, size=(13.0, 4.4), title=args.title) as (left, middle, right):
+        left.loglog(MU, FLAPWISE, "ko", mfc="none", label="flapwise, reference")
+        left.loglog(MU, blades.omega[:, 1] / UNIT, label="flapwise")
+        left.loglog(MU, blades.omega[:, 0] / UNIT, "--", label="chordwise")
+        left.set(xlabel="blade: spin over the unit of frequency", ylabel=r"frequency / $\sqrt{EI / \rho A L^4}$")
+
+        middle.plot(speeds, turned.fixed.max(axis=1), "o-", label="forward whirl")
+        middle.plot(speeds, np.abs(turned.fixed.min(axis=1)), "s--", label="backward")
+        middle.plot(speeds, speeds, "k:", label="speed")
+        middle.axvline(56.853, color="r", lw=0.8, label="critical, reference")
+        middle.set(xlabel="shaft: speed (rad/s)", ylabel="whirl seen at rest (rad/s)")
+
+        fine = np.linspace(0.02, 0.32, 16)
+        lines = right.plot(fine, [symmetric(w) for w in fine], **plot.REFERENCE)
+        dots = right.plot(plates, omega, "o", mfc="none", color="C0")
+        lines[0].set_label("Bessel's functions"), dots[0].set_label("elements")
+        right.set(xlabel="free disc: spin (rad/s)", ylabel="breathing, twisting, turning axes (rad/s)")

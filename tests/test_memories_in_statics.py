@@ -142,3 +142,15 @@ def test_two_tied_halves_bend_as_one() -> None:
         omega.append(fmbd.modes(scene, 2, at=found).omega)
     assert np.abs(tips[0] - tips[1]).max() < 1e-6
     assert omega[1] == pytest.approx(omega[0], rel=1e-5)
+
+
+def test_smooth_friction_holds_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    """It creeps: the spring carries the whole torque, and a warning says so."""
+    scene = lever(
+        lambda s: fmbd.joint_friction("friction", s, coulomb=10.0, speed=0.1),
+        lambda s: fmbd.joint_spring("spring", s, stiffness=50.0),
+        torque=5.0,
+    )
+    with caplog.at_level("WARNING"):
+        assert fmbd.equilibrium(scene)["angle"][0] == pytest.approx(0.1, rel=1e-9)
+    assert "holds nothing" in caplog.text

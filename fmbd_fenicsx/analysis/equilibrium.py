@@ -18,6 +18,9 @@ from ..checks import typed
 from ..errors import ConvergenceError, InputError, LinearSolveError, near, require
 from ..fem.fields import Field
 from ..linear.condensation import StepSolver
+from ..log import log
+from ..mechanics.forces.effort_laws import Friction
+from ..mechanics.forces.forces import CoordinateForce
 from ..mechanics.reduction.modes import first_eigenvalue_bound
 from ..ranks import OneAnswer
 from ..rotations import Array
@@ -113,6 +116,7 @@ def equilibrium(
         finally:
             solver.destroy()
 
+        _tell_smooth_friction(system)
         if made is not None:
             t, point = made.parameter[-1], made.points[-1]
         counters = {
@@ -124,6 +128,17 @@ def equilibrium(
         if made is not None:
             _read_along(found, made)
     return found
+
+
+def _tell_smooth_friction(system: System) -> None:
+    """Smooth friction creeps under any load: an equilibrium is what is left when it has crept as far as it can."""
+    every = [f for loads in system.forces for f in loads.forces]
+    names = [f.name for f in every if isinstance(f, CoordinateForce) and isinstance(f.law, Friction)]
+    if names:
+        log.warning(
+            'friction "%s" is smooth through rest and holds nothing in an equilibrium; dry_friction does',
+            '", "'.join(names),
+        )
 
 
 def _check_drives(residual: Residual, q: Array, t: float) -> None:

@@ -32,6 +32,7 @@ from .first_order import first_order, slowest
 from .perturbation import Perturbation
 from .rotors import BodySpin, check_round
 from .small_memory import refuse_moving_memory, relaxes
+from .static_newton import Point, StaticNewton
 from .steady import Spin
 
 SYMMETRIC = 1e-7  # relative size of what a symmetric matrix may lack of symmetry, differences included
@@ -180,12 +181,12 @@ def _linearised(scene: Scene, at: Any, linear: Any, built: tuple[System, State, 
     try:
         about = _about(scene, at, (system, given), solver)
         _refuse_rolling_fields(system, about.state)
-        shift = static_newton(system, solver, about.state.t, about.spin).weights.cm
-        _refuse_moving(about, shift)
+        newton = static_newton(system, solver, about.state.t, about.spin)
+        _refuse_moving(about, newton)
     except BaseException:
         solver.destroy()
         raise
-    return Linearised(scene, about, solver, markers, shift)
+    return Linearised(scene, about, solver, markers, newton.weights.cm)
 
 
 def _about(scene: Scene, at: Any, built: tuple[System, State], solver: StepSolver) -> Perturbation:
@@ -234,22 +235,26 @@ def _refuse_rolling_fields(system: System, state: State) -> None:
         )
 
 
-def _refuse_moving(about: Perturbation, shift: float) -> None:
+def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
     """A state at rest that accelerates is no equilibrium: frequencies about it would mean nothing.
 
-    ``shift`` (1/s^2): of a time that is long against all vibrations; what moves nothing in it is roundoff.
+    The time step of ``newton`` is long against all vibrations; what moves nothing in it, or until it is balanced, is roundoff.
     """
     if about.spin is not None:
         return
-    system, state = about.system, about.state
+    system, state, shift = about.system, about.state, newton.weights.cm
     speed, accel = system.max_abs(state.v), system.max_abs(state.a)
     pull = float(np.abs(system.gravity(state.t)).max(initial=0.0))
     if speed == 0.0 and system.keepers:
         refuse_moving_memory(about, shift)
-    if speed == 0.0 and accel > max(FAR * pull, NOTHING * system.length * shift):
+    if speed != 0.0 or accel <= max(FAR * pull, NOTHING * system.length * shift):
+        return
+    r = newton.take(Point(state.q, state.lam), state.t)
+    away = system.max_abs(newton.solver.solve(-r[0], -r[1])[0])
+    if away > NOTHING * system.length:
         raise InputError(
-            f"The scene is not in equilibrium at this state: bodies accelerate with {accel:.3g} m/s^2 at rest. "
-            "Take the modes about fmbd.equilibrium(scene)."
+            f"The scene is not in equilibrium at this state: bodies accelerate with {accel:.3g} m/s^2 at rest and are some "
+            f"{away:.2g} m away. Take the modes about fmbd.equilibrium(scene)."
         )
 
 
