@@ -40,12 +40,23 @@ def lame(youngs_modulus: float, poisson_ratio: float) -> tuple[float, float]:
 
 
 def linear_elastic(youngs_modulus: float, poisson_ratio: float) -> Hooke:
-    """a(u, v) = int sigma(u) : eps(v), isotropic. In the plane this is plane strain, of a slice of 1 m; reports say so."""
+    """Hooke's law, isotropic, small strains: a(u, v) = int sigma(u) : eps(v), sigma = 2 mu eps + lambda tr(eps) 1.
+
+    In the plane this is plane strain, of a slice of 1 m; reports say so.
+
+    Args:
+        youngs_modulus: Pa. poisson_ratio: below 1/2; from 0.45 on linear displacements bend too stiffly.
+    """
     return Hooke("linear_elastic", *lame(youngs_modulus, poisson_ratio), in_plane="plane strain")
 
 
 def plane_stress(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> Hooke:
-    """The same for a sheet of the given thickness (m): lambda* = 2 mu lambda / (lambda + 2 mu), times the thickness."""
+    """Hooke's law of a plane sheet that may strain across: :func:`linear_elastic` with lambda* = 2 mu lambda / (lambda + 2 mu),
+    times the thickness.
+
+    Args:
+        youngs_modulus: Pa. poisson_ratio: below 1/2. thickness: m; the body's density is then per area, kg/m^2.
+    """
     mu, lmbda = lame(youngs_modulus, poisson_ratio)
     number("Thickness", thickness, above=0.0, unit="m")
     reduced = 2 * mu * lmbda / (lmbda + 2 * mu)
@@ -53,7 +64,11 @@ def plane_stress(youngs_modulus: float, poisson_ratio: float, thickness: float =
 
 
 def plane_strain(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> Hooke:
-    """A sheet of the given thickness (m) that cannot strain across it: the linear form times the thickness."""
+    """Hooke's law of a plane sheet that cannot strain across: :func:`linear_elastic` times the thickness.
+
+    Args:
+        youngs_modulus: Pa. poisson_ratio: below 1/2. thickness: m; the body's density is then per area, kg/m^2.
+    """
     mu, lmbda = lame(youngs_modulus, poisson_ratio)
     number("Thickness", thickness, above=0.0, unit="m")
     return Hooke("plane_strain", thickness * mu, thickness * lmbda, in_plane="plane strain", sheet=True)

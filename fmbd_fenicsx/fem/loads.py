@@ -70,7 +70,14 @@ class Load:
 
 @typed
 def traction(surface: str, value: Sequence[float], *, time: Time = steady, follower: bool = False) -> Load:
-    """Force per area (Pa; in the plane N/m) on a surface, world axes; ``follower``: body axes."""
+    """Force per area on a surface: f . v integrated over it, f = time(t) value.
+
+    Args:
+        surface: its name in the mesh.
+        value: in Pa, in the plane in N/m, (d,), world axes.
+        time: factor over time (s); by default the full load from the start. Jumps need small steps.
+        follower: the force turns with the body's frame, ``value`` in its axes.
+    """
     vector("traction: value", value)
 
     def form(v: Any, dx: Any, ds: Any) -> Any:
@@ -83,7 +90,13 @@ def traction(surface: str, value: Sequence[float], *, time: Time = steady, follo
 
 @typed
 def body_force(value: Sequence[float], *, time: Time = steady, follower: bool = False) -> Load:
-    """Force per volume (N/m^3; in the plane N/m^2), world axes; ``follower``: body axes."""
+    """Force per volume of a body: f . v integrated over it, f = time(t) value.
+
+    Args:
+        value: in N/m^3, in the plane in N/m^2, (d,), world axes.
+        time: factor over time (s); by default the full load from the start.
+        follower: the force turns with the body's frame, ``value`` in its axes.
+    """
     vector("body_force: value", value)
 
     def form(v: Any, dx: Any, ds: Any) -> Any:
@@ -96,7 +109,13 @@ def body_force(value: Sequence[float], *, time: Time = steady, follower: bool = 
 
 @typed
 def pressure(surface: str, value: float, *, time: Time = steady) -> Load:
-    """Pressure (Pa) against the outward normal of a surface, turning with it."""
+    """Pressure against the outward normal of a surface, -p n . v integrated over it, turning with the surface.
+
+    Args:
+        surface: its name in the mesh.
+        value: p in Pa, in the plane in N/m; positive pushes inwards.
+        time: factor over time (s); by default the full pressure from the start.
+    """
 
     def form(v: Any, dx: Any, ds: Any) -> Any:
         import ufl

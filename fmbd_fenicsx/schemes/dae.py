@@ -108,7 +108,10 @@ class Index3(Form):
 
 @dataclass(frozen=True)
 class Index2(Form):
-    """Constraints on velocities."""
+    """Constraints on velocities, G v + g_t = 0, with M a = f - G^T lambda: index 2.
+
+    Positions drift from the joints, slowly; :class:`GGL` holds both.
+    """
 
     levels = (1,)
     index = 2
@@ -116,7 +119,11 @@ class Index2(Form):
 
 @dataclass(frozen=True)
 class Index1(Form):
-    """Constraints on accelerations."""
+    """Constraints on accelerations, G a + gamma = 0, with M a = f - G^T lambda: index 1, an ordinary differential equation.
+
+    Positions and velocities drift from the joints as time goes on: for short runs, or inside of :class:`Projected`;
+    :class:`Baumgarte` pulls them back.
+    """
 
     levels = (2,)
     index = 1
@@ -162,7 +169,9 @@ class GGL(Form):
 
 @dataclass(frozen=True)
 class Overdetermined(Form):
-    """All levels; a least-squares corrector in the mass metric."""
+    """Constraints on positions, velocities and accelerations together, g = 0, G v + g_t = 0, G a + gamma = 0; what the scheme
+    cannot meet exactly is corrected by least squares in the mass metric.
+    """
 
     levels = (0, 1, 2)
     index = 2

@@ -44,9 +44,17 @@ class ExactTangent:
 
 @dataclass
 class Newton:
-    """Settings and counters. ``tolerance`` is relative: on accelerations and reactions, see each scheme.
+    """Newton's iteration in a step: its settings, and counters of a run.
 
-    ``tangent``: None for the frozen tangent, or :class:`ExactTangent`.
+    Args:
+        tolerance: relative, of accelerations and reactions as each scheme weighs them; the residuals of constraints are judged
+            besides.
+        max_iterations: increments after which a step has failed and is made in halves.
+        slow: a rate of convergence above this over two increments counts as divergence.
+        patience: a new tangent is taken when more than this many further increments are to be expected.
+        tangent: None for a tangent kept over steps, or :class:`ExactTangent`.
+
+    The rest is kept by a run: ``iterations`` all increments, ``renewals`` tangents of the last step.
     """
 
     tolerance: float = 1e-6

@@ -185,7 +185,19 @@ def _upright(E: Array) -> list[Row]:
 
 @typed
 def fixed(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
-    """Weld two attachments at ``center``: no relative motion (on elastic surfaces: on average)."""
+    """Weld two attachments: no relative motion, x_b = x_a and R_b = R_a (of elastic surfaces on average); 3 rows in the plane,
+    6 in space.
+
+    Args:
+        name: what messages and ``reaction(name)`` call it.
+        a, b: a rigid body, a surface of an elastic body (``body.surface("pin")``), or :data:`~fmbd_fenicsx.ground`. Reactions are
+            those on a, N and N m, world axes.
+        center: where the joint sits (m, world, in the places where the bodies were defined); by default the centroid of a
+            surface, else the position of the second body, of the first where the second is the ground.
+
+    Raises:
+        InputError: a side that is none of these, a body joined with itself, numbers that are none.
+    """
     dim = dimension(a, b, name)
     e = np.eye(dim)
     turn = [(0, 1)] if dim == 2 else [(0, 1), (1, 2), (2, 0)]
@@ -195,7 +207,12 @@ def fixed(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
 
 @typed
 def revolute(name: str, a: Any, b: Any, *, center: Vector | None = None, axis: Vector = (0.0, 0.0, 1.0)) -> Joint:
-    """Hinge: the markers coincide at ``center`` (m); in space the body axes along ``axis`` stay parallel."""
+    """Hinge: both sides coincide at ``center``, x_a = x_b; in space e_a . c_b = 0 for the two directions c across, so that only
+    the rotation about ``axis`` is free. 2 rows in the plane, 5 in space.
+
+    ``axis``: along the hinge, world, at the start; of no use in the plane. Other arguments as of :func:`fixed`; its angle is
+    :func:`angle`.
+    """
     dim = dimension(a, b, name)
     E = basis(axis, name, dim)
     return _joint((name, "revolute", a, b), center, _meet(dim) + (_upright(E) if dim == 3 else []), E[2])
@@ -203,7 +220,10 @@ def revolute(name: str, a: Any, b: Any, *, center: Vector | None = None, axis: V
 
 @typed
 def spherical(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
-    """Ball and socket: the markers coincide at ``center`` (m), all rotations are free."""
+    """Ball and socket: both sides coincide at ``center``, x_a = x_b, all rotations are free: 2 rows in the plane, 3 in space.
+
+    Arguments as of :func:`fixed`.
+    """
     return _joint((name, "spherical", a, b), center, _meet(dimension(a, b, name)))
 
 
@@ -227,7 +247,10 @@ def universal(
 
 @typed
 def prismatic(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None = None) -> Joint:
-    """Slider: b translates along ``axis`` (fixed in a), without rotation."""
+    """Slider: b translates along ``axis`` (fixed in a), without rotation: 2 rows in the plane, 5 in space.
+
+    ``axis``: of the motion, world, at the start. Other arguments as of :func:`fixed`; its way is :func:`displacement`.
+    """
     dim = dimension(a, b, name)
     if dim == 2:
         n = direction(axis, 2, name)
@@ -241,7 +264,10 @@ def prismatic(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None 
 
 @typed
 def cylindrical(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None = None) -> Joint:
-    """b translates along and turns about ``axis`` (fixed in a)."""
+    """A pin in a bore: b translates along and turns about ``axis`` (fixed in a); 4 rows, in space only.
+
+    ``axis``: world, at the start. Other arguments as of :func:`fixed`; coordinates are :func:`angle` and :func:`displacement`.
+    """
     _in_space(a, b, name)
     E = basis(axis, name)
     rows = [Row(ct.Along, E[0]), Row(ct.Along, E[1]), *_upright(E)]
@@ -250,7 +276,10 @@ def cylindrical(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | Non
 
 @typed
 def planar(name: str, a: Any, b: Any, *, normal: Vector, center: Vector | None = None) -> Joint:
-    """b slides and turns in the plane through ``center`` with the given normal (fixed in a)."""
+    """b slides and turns in the plane through ``center`` with the given normal (fixed in a); 3 rows, in space only.
+
+    ``normal``: world, at the start. Other arguments as of :func:`fixed`.
+    """
     _in_space(a, b, name)
     E = basis(normal, name)
     return _joint((name, "planar", a, b), center, [Row(ct.Along, E[2]), *_upright(E)], E[2])
@@ -258,7 +287,10 @@ def planar(name: str, a: Any, b: Any, *, normal: Vector, center: Vector | None =
 
 @typed
 def point_on_line(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | None = None) -> Joint:
-    """A point of b stays on a line of a along ``axis``; b turns freely."""
+    """A point of b stays on a line of a along ``axis``; b turns freely: 1 row in the plane, 2 in space.
+
+    ``axis``: of the line, fixed in a, world, at the start; ``center``: the point. Other arguments as of :func:`fixed`.
+    """
     dim = dimension(a, b, name)
     if dim == 2:
         n = direction(axis, 2, name)

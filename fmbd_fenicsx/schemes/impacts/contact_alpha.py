@@ -39,7 +39,19 @@ from .contact_stepper import ContactStepper
 
 @dataclass(frozen=True)
 class ContactAlpha(GeneralizedAlpha):
-    """Scheme data: ``rho_inf`` in [0, 1) as in :class:`GeneralizedAlpha`."""
+    """Generalized-alpha with contact: gaps at position level, closed contacts at velocity level (persistency),
+
+        M a + h + G^T lambda - N^T Lambda = 0,   g = 0,   0 <= Lambda _|_ gap >= 0     at t_n+1.
+
+    High frequencies and impacts are damped; contact forces of elastic bodies do not oscillate. Rigid impacts with a coefficient
+    of restitution belong to :class:`Moreau`.
+
+    Args:
+        rho_inf: share of an amplitude of infinite frequency that is left after a step, in [0, 1).
+        compiled, form, rtol, atol: as of :class:`GeneralizedAlpha`.
+
+    Bruels, Acary and Cardona, doi:10.1016/j.cma.2014.07.025.
+    """
 
     @property
     def name(self) -> str:

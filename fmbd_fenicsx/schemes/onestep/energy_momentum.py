@@ -60,7 +60,13 @@ WITH_FIELDS = 40  # iterations at most of scenes with fields: their large steps 
 
 @dataclass(frozen=True)
 class EnergyMomentum:
-    """Scheme data; nothing to choose."""
+    """Second order; keeps energy, momentum and angular momentum for any step, also where the step does not resolve vibrations:
+
+        q_n+1 = q_n o cay(h w),   w = (v_n + v_n+1) / 2,   M (v_n+1 - v_n) / h + f_dg + G_dg^T lambda = 0,   g(q_n+1) = 0
+
+    with difference quotients f_dg of the energies and G_dg of the constraints, which do as much work as energies change. It damps
+    nothing, so that multipliers of stiff systems oscillate. There is nothing to choose. Gonzalez, doi:10.1007/s003329900016.
+    """
 
     order = 2
     name = "energy-momentum"
