@@ -106,3 +106,33 @@ def test_an_open_joint_is_refused_where_it_is_recorded(monkeypatch: pytest.Monke
     monkeypatch.setattr(acceptance.Closed, "under", lambda system, scheme: acceptance.Closed(system, (0,), -1.0))
     with pytest.raises(fmbd.errors.ConvergenceError, match=r'"hinge .*is open by'):
         recorded(2, "spring", one_by_one=False)
+
+
+def test_floating_fields_are_recorded_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the start and the first step, which is NumPy's, are read one by one; all records are those of NumPy."""
+    from motion import elastic_rod
+
+    from fmbd_fenicsx.run.output import Recorder
+
+    mesh, single, read = fmbd.read_gmsh("meshes/rod.py", dim=2, h=0.25), Recorder._record, []
+
+    def counted(self: Any, n: int, *args: Any, **kwargs: Any) -> None:
+        read.append(n)
+        single(self, n, *args, **kwargs)
+
+    def run(compiled: bool) -> fmbd.Run:
+        rod = elastic_rod(mesh)
+        scene = fmbd.Scene("rod", gravity=(0, -9.81))
+        scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
+        scene.sensor("tip", fmbd.position(rod.surface("tip")))
+        scene.sensor("force", fmbd.reaction_force("pin"))
+        return fmbd.solve(scene, t_end=0.05, dt=2e-3, scheme=fmbd.GeneralizedAlpha(0.8, compiled=compiled))
+
+    monkeypatch.setattr(Recorder, "_record", counted)
+    fast = run(compiled=True)
+    assert read == [0, 1]
+    slow = run(compiled=False)
+    for name in ("tip", "force"):
+        np.testing.assert_allclose(fast[name], slow[name], rtol=0, atol=1e-8 * np.abs(slow[name]).max())
+    np.testing.assert_allclose(fast.total_energy, slow.total_energy, rtol=0, atol=1e-8 * slow.energy["kinetic"].max())
+    assert fast.drift[0] < 1e-10

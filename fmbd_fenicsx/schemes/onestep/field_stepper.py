@@ -21,14 +21,18 @@ class FieldStepper(CompiledStepper):
     def _march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
         return super()._march(h, steps, watch, tape) if not self.fresh and self._ready(h) else 0
 
-    def tape(self, judged: Openness) -> None:
-        """Records are made outside of the driver, where they have the same digits whoever makes the steps."""
-        return None
+    def tape(self, judged: Openness) -> Tape | None:
+        """Room for records, as soon as there are factors of a step."""
+        return super().tape(judged) if not self.fresh and self._bound() else None
 
     def _ready(self, h: float) -> bool:
         """Whether the driver has the solver's factors, and these are those of a step of size h (s)."""
+        return bool(self.solver.blocks) and self.solver.weights.ck == self._weights(h).ck and self._bound()
+
+    def _bound(self) -> bool:
+        """Whether there is a driver with the solver's present factors."""
         solver = self.solver
-        if solver.split is not None or not solver.blocks or solver.weights.ck != self._weights(h).ck:
+        if solver.split is not None or not solver.blocks:
             return False
         if self._driver is None or self._driver.field_blocks is not solver.blocks:
             found = alpha_driver(self.system, redundant=solver.core.redundant, blocks=solver.blocks)

@@ -154,6 +154,9 @@ static int increment(System *s, double scale, double *x, double *y, double t)
 static void slips(System *s, int rates)
 {
     for (int i = 0; i < s->rows; i++) s->slip[i] = rates ? -s->motion_rate[i] : 0.0;
+    for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
+        for (int i = 0; o->field && i < o->field->frames; i++)
+            s->slip[o->field->row + i] = s->velocity[o->at_u + TWIST + o->field->frame_slot[i]];
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != ROW) continue;
         if (rates) {

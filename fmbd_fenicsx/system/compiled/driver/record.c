@@ -6,6 +6,8 @@ static void drift(System *s)
 {
     slips(s, 1);
     for (int i = 0; i < s->rows; i++) s->gap[i] = -s->motion[i];
+    for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
+        for (int i = 0; o->field && i < o->field->frames; i++) s->gap[o->field->row + i] = o->field->p[o->field->frame_slot[i]];
     for (Batch *k = s->batch; k < s->batch + s->batches; k++)
         for (long i = 0; k->role == ROW && i < k->n; i++) s->gap[k->row[i]] += k->factor[i] * k->out[i * k->outputs];
 }
