@@ -212,3 +212,18 @@ def test_a_law_of_wrong_shape_is_named(law: Any, memory: tuple[float, ...], what
     with pytest.raises(CallbackError, match=what) as error:
         fmbd.solve(scene, t_end=0.01, dt=0.01)
     assert 'Controller "wrong"' in str(error.value)
+
+
+@pytest.mark.parametrize("every", [None, 0.02])
+def test_a_law_may_return_its_empty_memory(every: float | None) -> None:
+    """With and without (): the same motion."""
+    ends = []
+    for back in (lambda u: u, lambda u: (u, ())):
+        arm = fmbd.RigidBody("arm", 1.0, 0.1, position=(0.5, 0.0))
+        pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
+        scene = fmbd.Scene("arm", gravity=(0, -9.81))
+        given = {"reads": {"phi": fmbd.angle(pin)}, "acts": fmbd.angle(pin), "every": every}
+        scene.add(arm, pin, fmbd.controller("c", law=lambda t, y, z, back=back: back(3.0 - 5 * y["phi"][0]), **given))
+        scene.sensor("phi", fmbd.angle(pin))
+        ends.append(fmbd.solve(scene, t_end=0.2, dt=0.01)["phi"][-1, 0])
+    assert ends[0] == ends[1] != 0.0

@@ -107,6 +107,8 @@ class ControlLoads(Loads):
         """Efforts (acts,) and rate (or next value) of the memory, checked."""
         c = self.controller
         found = self.law(t, y, z.copy())
+        if not len(z) and isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], tuple) and not found[1]:
+            found = found[0]  # an empty memory, returned as it was given
         u, more = found if len(z) and isinstance(found, tuple) and len(found) == 2 else (found, None)
         if (more is None) != (not len(z)):
             wanted = "(efforts, rate of the memory)" if c.every is None else "(efforts, memory)"
