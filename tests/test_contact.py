@@ -307,3 +307,15 @@ def test_plan_lists_contact() -> None:
     bar = strip(4)
     run = impact(bar, n=4, t_end=0.25)
     assert ('contact "wall"', 2) in run.plan.unknowns and "friction" in run.plan.left_out
+
+
+def test_contact_sensors_at_given_times() -> None:
+    """Between the ends of a step the contact force is that of the step: it was refused there."""
+    bar = strip(20)
+    wall = fmbd.contact("wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((0, 0), (1, 0))))
+    scene = fmbd.Scene("bar impact")
+    scene.add(bar, wall)
+    scene.sensor("force", fmbd.contact_force(wall))
+    whole = fmbd.solve(scene, t_end=0.5, dt=0.025)
+    some = fmbd.solve(scene, t_end=0.5, dt=0.025, output=fmbd.Output(times=(0.11, 0.31, 0.5)))
+    np.testing.assert_allclose(some["force"], whole["force"][[5, 13, 20]], rtol=1e-9)

@@ -2,11 +2,13 @@
 
 A scheme whose steps are polynomials gives their values (:meth:`.TimeStepper.between`). Otherwise positions follow the cubic
 through the ends with their velocities, in the local coordinates of the step's start, and velocities, accelerations and
-multipliers the straight lines between their ends, all of at least second order in the step.
+multipliers the straight lines between their ends, all of at least second order in the step. Contact forces are those of the
+step: the mean over it.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from ..schemes.stepping import TimeStepper
@@ -30,4 +32,4 @@ def state_between(system: System, before: State, after: State, t: float, stepper
         return (1 - x) * a + x * b
 
     v, a, lam = line(before.v, after.v), line(before.a, after.a), line(before.lam, after.lam)
-    return State(t, system.compose(before.q, xi), v, a, lam)
+    return replace(after, t=t, q=system.compose(before.q, xi), v=v, a=a, lam=lam)
