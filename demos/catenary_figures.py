@@ -90,7 +90,8 @@ def picture(runs: Mapping[int, fmbd.Run], file: object) -> None:
     """The wires over the pantograph at one instant, contact forces over the place, and the uplift; rank 0 writes."""
     if world_rank() != 0:
         return
-    with plot.figure(file, len(runs) + 2, 1, size=(9.5, 9.5)) as (top, *axes):
+    look = {"size": (9.5, 9.8), "title": "Pantograph and catenary: wires, contact forces, uplift"}
+    with plot.figure(file, len(runs) + 2, 1, **look) as (top, *axes):
         _wires(top, next(iter(runs.values())), next(iter(runs)))
         _forces(axes, runs)
 

@@ -35,7 +35,12 @@ def picture(pairs: dict[float, tuple[fmbd.Run, fmbd.Run]], body: Any, file: obje
     drawing = draw(drawn, paint=fmbd.Paint(bending_stress, "bending stress (Pa)", (body,)))
     if world_rank() != 0:
         return
-    with plot.figure(file, 1, 3, size=(15, 4.2), widths=(2.1, 1.2, 1)) as (left, middle, right):
+    look = {
+        "size": (15, 4.6),
+        "widths": (2.1, 1.2, 1),
+        "title": "Slider crank with a connecting rod of finite elements",
+    }
+    with plot.figure(file, 1, 3, **look) as (left, middle, right):
         rod = next(p for p in drawing.pieces if p.paint is not None)
         places = [rod.at(k)[:, :2] for k in range(len(drawing.times))]
         mechanism(left, drawn, rod.triangles, places, rod.paint)

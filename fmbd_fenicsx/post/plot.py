@@ -409,8 +409,7 @@ def plot_work_precision(study: Comparison, file: str | Path, work: str, title: s
             unit = f" ({study.units[name]})" if name in study.units else ""
             axes.set_ylabel(f"largest error of {name}{unit}")
             _ticks(axes)
-        columns = max(int(1.4 * len(names)), 1)
+        columns = max(int(figure.get_figwidth() / (0.6 + 0.08 * max(map(len, labels)))), 1)
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=columns)
-        if title:
-            _title(figure, title)
+        _title(figure, title or "Error against " + ("time" if work == "seconds" else work.replace("_", " ")))
         _saved(figure, file, 200)
