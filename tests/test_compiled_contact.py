@@ -70,10 +70,20 @@ def cam() -> Any:
     return [follower, pair, fmbd.prismatic("guide", fmbd.ground, follower, axis=(0, 1), center=(0, 0.04))]
 
 
+def with_memory(controlled: bool) -> Any:
+    """A cam whose follower is held back by dry friction in its guide, or by a PID controller."""
+    follower, pair, guide = cam()
+    lift = fmbd.displacement(guide)
+    if controlled:
+        return [follower, pair, guide, fmbd.forces.pid("pid", lift, target=-0.005, gains=(40.0, 30.0, 2.0), limit=8.0)]
+    return [follower, pair, guide, fmbd.dry_friction("dry", lift, limit=1.0, stick=2e3, damping=3.0)]
+
+
 SCENES = {
     "bouncing 2": lambda: bouncing(2), "bouncing 3": lambda: bouncing(3), "rolling": rolling, "hollow": in_a_hollow,
     "cylinder": lambda: over_a_cylinder(np.inf), "rim": lambda: over_a_cylinder(0.5), "box": lambda: on_a_box(False),
-    "carried box": lambda: on_a_box(True), "cam": cam,
+    "carried box": lambda: on_a_box(True), "cam": cam, "dry friction": lambda: with_memory(False),
+    "pid": lambda: with_memory(True),
 }  # fmt: skip
 
 

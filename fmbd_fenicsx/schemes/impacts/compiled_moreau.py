@@ -22,6 +22,8 @@ class CompiledStepper(Stepper):
 
     path = "compiled (bodies, joints, forces and contacts in C; NumPy for the start and for steps it gives back)"
 
+    keeps_memories = True
+
     def __init__(self, data: tuple[System, StepSolver, Newton, State], impacts: int, driver: ContactDriver) -> None:
         self.driver, self.compiled = driver, 0
         self._tail: State | None = None  # the state that the driver's block holds
@@ -40,13 +42,23 @@ class CompiledStepper(Stepper):
 
     def advance(self, h: float) -> State:
         """One step of size h (s), as :meth:`Stepper.advance`."""
-        return self.state if self.march(h, 1) else super().advance(h)
+        return self.state if self._march(h, 1) else super().advance(h)  # who called moves memories on
 
     def march(self, h: float, steps: int, watch: Any = None, tape: Any = None) -> int:
-        """Up to so many steps of size h (s) in one call; how many were made: fewer where one is given back."""
+        """Up to so many steps of size h (s) in one call; how many were made: fewer where one is given back. Elements with a
+        memory have that of the last step.
+        """
+        made = 0 if watch is not None or tape is not None else self._march(h, steps)
+        if made:
+            self.driver.remember()
+        return made
+
+    def _march(self, h: float, steps: int) -> int:
+        """The same; the memory of elements is left as it was."""
         refused = self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
-        if refused or watch is not None or tape is not None:
+        if refused:
             return 0
+        self.driver.recall()
         if self._tail is not self.state:
             self._load()
         made = self.driver.march(h, steps, self.newton)

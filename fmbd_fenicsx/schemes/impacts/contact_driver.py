@@ -238,6 +238,21 @@ class ContactDriver:
         self.calls.error = None  # NumPy's step raises it again, with the name of the law
         return int(made)
 
+    @property
+    def _remembering(self) -> list[Any]:
+        """Items with a memory."""
+        return [items for items in self.tables.sources if items.remembers]
+
+    def recall(self) -> None:
+        """Take the memory of elements that have one."""
+        for items in self._remembering:
+            items.arrays["kept"][:] = items.formula.kept()
+
+    def remember(self) -> None:
+        """Give back the memory of elements after accepted steps."""
+        for items in self._remembering:
+            items.formula.keep(items.arrays["kept"])
+
     def newest(self) -> tuple[float, Array, Array, Array, Array]:
         """t, q, v, a, lambda of the newest state."""
         first = self.blocks.ctypes.data
@@ -259,7 +274,7 @@ class ContactDriver:
 def contact_driver(system: System, *, redundant: bool, impacts: int) -> ContactDriver | None:
     """The driver for a system with contact and so many impacts a step, or None where the NumPy path has to do."""
     contacts, d = system.contacts, system.motions.dim
-    if system.fields or system.keepers or redundant or len(contacts.pair) > MOST:
+    if system.fields or redundant or len(contacts.pair) > MOST:
         return None
     if not all(known(pair, d) for pair in contacts.pairs) or system.elements:
         return None

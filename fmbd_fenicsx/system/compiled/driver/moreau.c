@@ -302,6 +302,10 @@ EXPORT long moreau_march(System *s, Contacts *c, double *p, long steps, double *
         ring[newest] = ring[0];
         ring[0] = last;
         made++;
+        if (!s->remembers) continue;
+        Block now = block_at(s, last);
+        if ((*verdict = place(s, now.q, now.v))) break;
+        keep(s, *now.t);
     }
     return made;
 }
