@@ -4,10 +4,11 @@
     |G v + g_t| u_i  <=  1e-4 (|v| + |v|_max) + 100 eps |x| / h    for those that hold them on velocities            (2)
 
 with L the model's length, u_i = L for rows that are angles, |x| the distance from the origin. With error control L is multiplied
-by 5e-7 or the relative tolerance, whichever is larger. Newton's iteration judges increments; where its matrix is close to
-singular they can be small while a joint is open, and a linear solve can pass with the rows of a light body lost in those of a
-heavy one. A step that fails here is one that failed to converge: it is made in parts, and where these fail too the run ends with
-the name of the joint.
+by 5e-7 or the relative tolerance, whichever is larger. Forces have their own judge, :mod:`.force_balance`.
+
+Newton's iteration judges increments; where its matrix is close to singular they can be small while a joint is open, and a linear
+solve can pass with the rows of a light body lost in those of a heavy one. A step that fails here is one that failed to converge:
+it is made in parts, and where these fail too the run ends with the name of the joint.
 """
 
 from __future__ import annotations
@@ -25,9 +26,11 @@ from ..schemes.declared import Declared
 from ..system.compiled.recording import Openness
 from ..system.lengths import farthest
 from ..system.system import Evaluation, State, System
+from .force_balance import Balanced
 
 OPEN = 5e-7  # of the model's length
 SLIP = 1e-4  # of the velocities
+REPEATS = 4  # of a step with error control that has no balance, each a quarter of the one before
 ROUNDOFF = 100 * float(np.finfo(float).eps)
 
 
@@ -52,25 +55,62 @@ def attempt(system: System, stepper: Any, h: float) -> State:
     return made
 
 
+def attempt_in_balance(system: System, stepper: Any, h: float, *, balanced: Balanced | None) -> Evaluation | None:
+    """One step with error control of at most h (s), repeated in smaller ones where its forces are not in balance; collective.
+
+    Returns the system in the new state, where it is known. Steps of elements with a memory are not judged: it is that of the new
+    state already.
+
+    Raises:
+        ConvergenceError: the step fails, or has no balance in 1/4^4 of its size either.
+    """
+    before = stepper.state
+    for left in range(REPEATS, -1, -1):
+        state = attempt(system, stepper, h)
+        if balanced is None or system.keepers:
+            return stepper.evaluation
+        seen = stepper.evaluation or system.at(state.t, state.q, state.v)
+        try:
+            balanced.check(seen, state, state.t - before.t)
+            return seen
+        except ConvergenceError:
+            if not left:
+                raise
+        balanced.repeated += 1
+        h = 0.25 * (state.t - before.t)
+        stepper.unwrapped.state = before
+        stepper.restart(before.t)
+    return None
+
+
 def _diverged(t: float, h: float) -> str:
     return f"Newton's iteration diverged after t = {t:.6g} s (h = {h:.3g} s)"
 
 
 @dataclass
 class Closed:
-    """Refuses states whose constraints are open. ``levels``: those that the scheme holds; ``share``: the factor of L in (1)."""
+    """Refuses states whose constraints are open. ``levels``: those that the scheme holds; ``share``: the factor of L in (1);
+    ``balanced``: who judges the forces, if anybody.
+    """
 
     system: System
     levels: tuple[int, ...]
     share: float = OPEN
     fastest: float = field(default=0.0)  # m/s, of all states so far
     last: float | None = field(default=None)  # s, time of the state before
+    balanced: Balanced | None = None
 
     @staticmethod
     def under(system: System, scheme: Any) -> Closed:
         """For the states of a scheme; one that says nothing of its levels is not judged."""
         said = Declared.by(scheme)
         return Closed(system, said.levels, OPEN if said.rtol is None else max(OPEN, said.rtol))
+
+    def judge(self, ev: Evaluation, state: State, h: float) -> None:
+        """Raise ConvergenceError when the state at the end of a step of size h (s) has open joints or no balance; collective."""
+        self.check(ev)
+        if self.balanced is not None:
+            self.balanced.check(ev, state, h)
 
     @cached_property
     def units(self) -> Array:

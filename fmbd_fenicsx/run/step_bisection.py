@@ -136,7 +136,7 @@ class ConstantSteps(TimeStepper):
         before, self._size = self.stepper.state, h
         try:
             after = attempt(self.system, self.stepper, h)
-            self._look(after)
+            self._look(after, h)
         except StabilityError:
             raise
         except (ConvergenceError, LinearSolveError) as error:
@@ -166,13 +166,16 @@ class ConstantSteps(TimeStepper):
         self._begin(before)
         return self._halves(h, depth)
 
-    def _look(self, state: State) -> None:
-        """Refuse a state with open joints. Compiled steps without a guard are looked at where they are recorded."""
+    def _look(self, state: State, h: float) -> None:
+        """Refuse a state with open joints, or without balance after a step of size h (s).
+
+        Compiled steps without a guard are looked at where they are recorded, and at the end of each call.
+        """
         self._seen = None
         if self.closed is None or (self.watch is None and self.path != "NumPy"):
             return
         self._seen = self._at(state.t, state.q, state.v)
-        self.closed.check(self._seen)
+        self.closed.judge(self._seen, state, h)
 
     def _halves(self, h: float, depth: int) -> None:
         self._advance(0.5 * h, depth + 1)

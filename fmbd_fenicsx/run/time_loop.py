@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from ..errors import ConvergenceError
@@ -19,8 +19,9 @@ from ..schemes.stepping import TimeStepper, made_stepper
 from ..system.element_memory import accept, reset
 from ..system.scene.scene import Scene
 from ..system.system import Evaluation, State, System
-from .acceptance import Closed, attempt
+from .acceptance import Closed, attempt, attempt_in_balance
 from .energy_check import Guarded, Watch, closed
+from .force_balance import Balanced
 from .forecast import Forecast
 from .moment import Moment
 from .output import Output, Progress, Recorder
@@ -121,7 +122,7 @@ def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: b
             problem.system,
             None if goes_on else renew,
             watch,
-            closed=Closed.under(problem.system, problem.scheme),
+            closed=replace(Closed.under(problem.system, problem.scheme), balanced=_balanced(problem, solver)),
             forecast=Forecast(solver, made.state.t, pace.t_end, pace.steps),
             at=solver.at,
         )
@@ -131,6 +132,18 @@ def make_stepper(problem: Problem, solver: StepSolver, pace: Pace, *, guarded: b
 def evaluation_of(solver: StepSolver, state: State) -> Evaluation:
     """The system in a state."""
     return solver.at(state.t, state.q, state.v)
+
+
+def _balanced(problem: Problem, solver: StepSolver) -> Balanced | None:
+    """Who judges the forces at the ends of steps, if anybody."""
+    return Balanced.under(solver, problem.scheme, problem.newton.tolerance)
+
+
+def _look(balanced: Balanced | None, stepper: TimeStepper, h: float) -> None:
+    """Refuse the newest state, after compiled steps of size h (s), where its forces are not in balance."""
+    if balanced is not None and not balanced.solver.system.keepers:  # their memory is that of the state already
+        state = stepper.state
+        balanced.check(balanced.solver.at(state.t, state.q, state.v), state, h)
 
 
 CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to stop
@@ -197,7 +210,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
         keeper.resume(course)
     state = stepper.state
     forecast = Forecast(solver, state.t, pace.t_end, pace.steps)
-    motions = _motions(problem, pace, state.t)
+    motions, balanced = _motions(problem, pace, state.t), _balanced(problem, solver)
     events, ended = _events(problem, pace, output, state), False
     bar = Progress(problem.scene.name, pace.steps or None, output.progress)
     try:
@@ -206,8 +219,16 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
                 if motions is not None and pace.steps:
                     motions.look(state.t + pace.next(state.t))
                 most = pace.steps if keeper is None else 1  # a checkpoint may be due after every step
+                h = pace.next(state.t)
                 made = quietly(stepper, pace, recorder, course.done, most=most) if pace.steps else 0
-                state = stepper.state if made else attempt(problem.system, stepper, pace.next(state.t))
+                seen = None
+                if made:
+                    _look(balanced, stepper, h)
+                elif pace.steps:  # looked at where they may be made in parts
+                    attempt(problem.system, stepper, h)
+                else:
+                    seen = attempt_in_balance(problem.system, stepper, h, balanced=balanced)
+                state = stepper.state
                 if motions is not None:
                     motions.look(state.t, made)
                 if not pace.steps:  # constant steps note their parts one by one
@@ -220,7 +241,7 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
                     recorder.take_until(course.done, state, met, stepper)
                     state, ended = met, True
                     break
-                recorder.take(course.done, state, stepper.evaluation, stepper)
+                recorder.take(course.done, state, seen or stepper.evaluation, stepper)
                 if output.on_step is not None:
                     output.on_step(Moment(problem.scene, problem.system, problem.markers, state, course.done))
                 bar.update(max(made, 1))
@@ -248,7 +269,9 @@ def march(problem: Problem, solver: StepSolver, pace: Pace, output: Output, keep
         done=course.done,
         first=course.first,
         status="ended by an event" if ended else "finished" if pace.ended(state.t, course.done) else "stopped",
-        counters=stepper.counters,
+        counters=stepper.counters
+        if balanced is None or not balanced.repeated
+        else {**stepper.counters, "unbalanced_steps": balanced.repeated},
         path=stepper.path,
         earlier=course.earlier,
     )

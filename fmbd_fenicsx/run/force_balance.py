@@ -1,0 +1,137 @@
+"""A step counts when its forces are in balance: what is left of them moves no body by more than an error of the step would.
+
+What is left of the balance of forces and moments of a state stands for velocities that the bodies should have got in the step,
+
+    r = M a + h + G^T lambda,     d_i = h r_i / (M + h |C| + h^2 |K|)_ii                                          (1)
+
+and the step passes when these are small against the change of velocities that the motion contains:
+
+    |d| u  <=  h S a_max + 10 rtol v_max + 1e4 eps (L + |x|) / h,      S = 1e-2, or 100 times Newton's tolerance     (2)
+
+with a_max the largest acceleration so far, g and v^2 / L among them, and u that makes lengths. With M alone the roundoff of a
+stiff spring would be a failure: its force is K times the last digit of a place. Forces on a body are known to a share of 1e-8 of
+those that joints and elements exert on it, the share by which linear solves pass; less than that is left out of r.
+
+Rows are those of the core: rigid bodies, frames of elastic ones (all forces on the body as a whole), modes, coordinates of a
+user's own. Nodes of fields are judged by the linear solves and by the first strides of Newton's iteration. Schemes that hold the
+equations of motion at the end of a step are judged, in scenes without contact: contact forces are no part of lambda.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..errors import ConvergenceError
+from ..linear.condensation import StepSolver, Weights
+from ..rotations import Array
+from ..schemes.declared import Declared
+from ..system.force_tangent import force_tangent
+from ..system.lengths import farthest
+from ..system.system import Evaluation, State, System
+
+SHARE = 1e-2  # of accelerations
+KNOWN = 1e-8  # of the forces that joints and elements exert on a body
+CONTROLLED = 10.0  # times the relative tolerance of the error control
+ROUNDOFF = 1e4 * float(np.finfo(float).eps)
+
+
+@dataclass
+class Balanced:
+    """Refuses states whose forces are not in balance by (2). ``rtol``: of the scheme's error control, 0 without."""
+
+    solver: StepSolver
+    share: float = SHARE
+    rtol: float = 0.0
+    hardest: float = field(default=0.0)  # m/s^2, of all states so far
+    fastest: float = field(default=0.0)  # m/s
+    repeated: int = 0  # steps that were made again
+
+    @staticmethod
+    def under(solver: StepSolver, scheme: Any, tolerance: float) -> Balanced | None:
+        """For the states of a scheme, with Newton's ``tolerance``; None where there is nothing to judge."""
+        said, s = Declared.by(scheme), solver.system
+        if said.form is None or said.start is not None or not s.n_core:
+            return None
+        return Balanced(solver, max(SHARE, 100 * tolerance), said.rtol or 0.0)
+
+    def check(self, ev: Evaluation, state: State, h: float) -> None:
+        """Raise ConvergenceError where the state at the end of a step of size h (s) is not in balance; collective."""
+        s, n = self.solver.system, self.solver.system.n_core
+        if h <= 0:
+            return
+        self._scales(state)
+        allowed = h * self.share * self.hardest + CONTROLLED * self.rtol * self.fastest
+        allowed += ROUNDOFF * (s.length + farthest(s, ev.q)) / h
+
+        left = h * ev.balance(state.a, state.lam)[:n]
+        if self._velocities(ev, left, h, stiff=False).max() <= allowed:
+            return
+
+        # the dearer look: without what is known to roundoff of large forces only, and with the stiffness of elements
+        left = np.where(np.abs(left) > KNOWN * h * self._forces(ev, state), left, 0.0)
+        sizes = self._velocities(ev, left, h, stiff=True)
+        if not sizes.max() <= allowed:
+            name = _named(s, int(np.argmax(sizes)))
+            raise ConvergenceError(
+                f"At t = {state.t:.6g} s the forces on {name} are not in balance: what is left of them stands for "
+                f"{sizes.max():.2g} m/s in this step, {allowed:.2g} m/s is allowed. Take a smaller dt or rtol, or a smaller "
+                "Newton(tolerance=...)."
+            )
+
+    def _scales(self, state: State) -> None:
+        """Take notice of the accelerations and velocities of a state; collective."""
+        s = self.solver.system
+        v, a = s.typical(state.v), s.typical(state.a)
+        gravity = float(np.linalg.norm(s.gravity(state.t)))
+        self.fastest = max(self.fastest, v)
+        self.hardest = max(self.hardest, a, gravity, v**2 / s.length if s.length else 0.0)
+
+    def _velocities(self, ev: Evaluation, left: Array, h: float, *, stiff: bool) -> Array:
+        """d of (1) as lengths over time, (n_core,); ``stiff``: with C and K."""
+        n = ev.system.n_core
+        weight = _diagonal(self.solver.core_matrix(ev, Weights(1.0, h, h * h) if stiff else Weights(1.0, 0.0, 0.0)))
+        applied = force_tangent(ev, h, h * h) if stiff and (ev.system.forces or ev.system.elements) else None
+        if applied is not None:
+            weight += 0.0 if applied.core is None else _diagonal(applied.core)
+            weight += np.abs(np.einsum("ij,ij->i", applied.left[:n], applied.right[:n]))
+
+        # no force would change the velocity of a coordinate without inertia and stiffness
+        known = weight > 0
+        return ev.system.units[:n] * np.where(known, np.abs(left) / np.where(known, weight, 1.0), 0.0)
+
+    def _forces(self, ev: Evaluation, state: State) -> Array:
+        """Sizes of what joints and elements exert, (n_core,): of a frame one for its forces and one for its moments."""
+        s, n, d = ev.system, ev.system.n_core, ev.system.motions.dim
+        out = np.zeros(n)
+        if s.n_lam:
+            out += abs(ev.jacobian.core).T @ np.abs(state.lam)
+        frames = out[: s.n_frames * s.motions.n_twist].reshape(s.n_frames, s.motions.n_twist)  # a view
+        if s.forces:
+            size = np.abs(ev.wrenches())
+            push, turn = size[:, :d].sum(axis=1), size[:, d:].sum(axis=1)
+            of = np.zeros((s.n_frames + 1, 2))
+            np.add.at(of, s.markers.frame, np.stack([push, turn + s.length * push], axis=1))
+            frames[:, :d] += of[:-1, :1]
+            frames[:, d:] += of[:-1, 1:]
+        for part in (frames[:, :d], frames[:, d:]):
+            part[:] = part.max(axis=1, keepdims=True)
+        return out
+
+
+def _diagonal(A: Any) -> Array:
+    """Sizes of the entries on the diagonal of a matrix, dense or sparse."""
+    return np.abs(np.asarray(A.diagonal(), dtype=float))
+
+
+def _named(system: System, row: int) -> str:
+    """Whose balance a row of the core is."""
+    n = system.n_frames * system.motions.n_twist
+    if row < n:
+        return f'body "{system.frame_names[row // system.motions.n_twist]}"'
+    for k, span in enumerate(system.slices[1]):
+        if span.start <= row < span.stop:
+            return f'coordinates of body "{system.parts[k].name}"'
+    return "a body"

@@ -1,0 +1,116 @@
+"""Steps whose forces are not in balance are made again, or end the run with the body's name; stiffness is no unbalance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.run.force_balance import Balanced
+from fmbd_fenicsx.schemes.multistep import bdf
+from fmbd_fenicsx.schemes.onestep import generalized_alpha, radau
+
+
+def double_pendulum(size: float = 1.0, mass: float = 1.0) -> fmbd.Scene:
+    a = fmbd.RigidBody("a", mass, mass * size**2 / 12, position=(0.5 * size, 0.0))
+    b = fmbd.RigidBody("b", 2 * mass, mass * size**2 / 6, position=(1.5 * size, 0.0))
+    scene = fmbd.Scene("double pendulum", gravity=(0.0, -9.81 * size))
+    scene.add(a, b, fmbd.revolute("pin", fmbd.ground, a, center=(0.0, 0.0)))
+    scene.add(fmbd.revolute("knee", a, b, center=(size, 0.0)))
+    scene.sensor("tip", fmbd.position(b))
+    return scene
+
+
+SCHEMES = {
+    "alpha": (generalized_alpha.Stepper, fmbd.GeneralizedAlpha(0.8, compiled=False), 2e-3),
+    "Radau": (radau.Stepper, fmbd.Radau(rtol=1e-6), None),
+    "BDF": (bdf.Stepper, fmbd.BDF(rtol=1e-6), None),
+    "BDF, constant": (bdf.Stepper, fmbd.BDF(order=2, rtol=None), 2e-3),
+}
+
+
+@pytest.fixture
+def spoilt(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """Let one step of a stepper, or all from the first on, end with reactions that are off by a share."""
+
+    def spoil(stepper: type, share: float, one: int | None = None) -> None:
+        right, count = stepper.advance, [0]  # type: ignore[attr-defined]
+
+        def wrong(self: Any, h: float) -> Any:
+            made = right(self, h)
+            count[0] += 1
+            if one is None or count[0] == one:
+                self.state = made = replace(made, lam=(1 + share) * made.lam)
+            return made
+
+        monkeypatch.setattr(stepper, "advance", wrong)
+
+    yield spoil
+
+
+@pytest.mark.parametrize("name", SCHEMES)
+def test_a_step_without_balance_is_made_again(name: str, spoilt: Any) -> None:
+    """The record is that of the undisturbed run."""
+    stepper, scheme, dt = SCHEMES[name]
+    given = {"t_end": 0.3, "dt": dt, "scheme": scheme, "output": fmbd.Output(energy=False)}
+    right = fmbd.solve(double_pendulum(), **given)
+    spoilt(stepper, 0.3, 5)
+    run = fmbd.solve(double_pendulum(), **given)
+    again = run.counters.get("unbalanced_steps", 0) + run.counters.get("halved_steps", 0)
+    assert again >= 1
+    np.testing.assert_allclose(run["tip"][-1], right["tip"][-1], atol=1e-5)
+
+
+@pytest.mark.parametrize("size, mass", [(1.0, 1.0), (1e-3, 1e8), (1e4, 1e-8)])
+@pytest.mark.parametrize("name", ["alpha", "BDF, constant"])
+def test_the_body_is_named(name: str, size: float, mass: float, spoilt: Any) -> None:
+    """Where no part of the step has balance either."""
+    stepper, scheme, dt = SCHEMES[name]
+    spoilt(stepper, 0.3)
+    with pytest.raises(ConvergenceError, match='the forces on body "[ab]" are not in balance'):
+        fmbd.solve(double_pendulum(size, mass), t_end=0.1, dt=dt, scheme=scheme)
+
+
+def judged(scene: fmbd.Scene) -> tuple[Balanced, Any, Any]:
+    """A judge, and the system of a scene in its consistent start."""
+    run = fmbd.solve(scene, t_end=2e-3, dt=1e-3, scheme=fmbd.GeneralizedAlpha(0.8, compiled=False))
+    solver = StepSolver(run.system)
+    return Balanced(solver), run.system.at(run.state.t, run.state.q, run.state.v), run.state
+
+
+def test_a_percent_of_the_accelerations_may_be_left() -> None:
+    """From there on a state is refused."""
+    judge, ev, state = judged(double_pendulum())
+    change = np.zeros_like(state.a)
+    change[1] = 9.81
+    judge.check(ev, replace(state, a=state.a + 2e-3 * change), 1e-3)
+    with pytest.raises(ConvergenceError, match='"a"'):
+        judge.check(ev, replace(state, a=state.a + 0.1 * change), 1e-3)
+
+
+@pytest.mark.parametrize("stiffness", [1e3, 1e9, 1e18])
+def test_the_roundoff_of_a_stiff_spring_is_balance(stiffness: float) -> None:
+    """Forces of K times the last digit of a place are more than the weight."""
+    bob = fmbd.RigidBody("bob", 1.0, 0.1, position=(0.7, -0.3))
+    scene = fmbd.Scene("bob", gravity=(0.0, -9.81))
+    length = float(np.hypot(0.7, 0.3))
+    scene.add(bob, fmbd.Spring("rod", fmbd.ground, bob, (0.0, 0.0), (0.7, -0.3), stiffness=stiffness, length=length))
+    judge, ev, state = judged(scene)
+    judge.check(ev, state, 1e-3)
+    shifted = ev.system.at(state.t, state.q * (1 + 4e-16), state.v)
+    judge.check(shifted, state, 1e-3)
+
+
+def test_contact_and_unknown_schemes_are_not_judged() -> None:
+    """Contact forces are no part of lambda, and a scheme of a user's own may balance its forces elsewhere."""
+    system, _, _ = double_pendulum().build()
+    solver = StepSolver(system)
+    assert Balanced.under(solver, fmbd.Moreau(), 1e-6) is None
+    assert Balanced.under(solver, object(), 1e-6) is None
+    assert Balanced.under(solver, fmbd.Radau(rtol=1e-3), 1e-6) is not None
