@@ -29,6 +29,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 SEVERAL = (Sequence[float], tuple[float, ...])  # annotations of vectors
+LARGEST = sys.float_info.max  # whole numbers may be larger
 UNIONS = (typing.Union, types.UnionType)
 
 
@@ -81,7 +82,7 @@ def array(what: str, value: Any, *, shape: str = "finite numbers") -> np.ndarray
     try:
         found = np.asarray(value)
         usable = found.dtype.kind in "iuf" and _finite(found)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         usable = False
     if not usable:
         refuse(what, shape, value)
@@ -224,7 +225,13 @@ def _check(what: str, value: Any, hint: Any, *, default: Any) -> None:
     options, anything, objects = _options(hint)
     if anything or _plainly(value, options):
         return
-    if float in options and isinstance(default, float) and np.isinf(default) and value == default:
+    if (
+        float in options
+        and isinstance(default, float)
+        and np.isinf(default)
+        and isinstance(value, Real)
+        and value == default
+    ):
         return
     if value is None and type(None) in options:
         return
@@ -254,9 +261,9 @@ def _plainly(value: Any, options: tuple[Any, ...]) -> bool:
     """Whether a value is seen at a glance to be of one of the types; most are."""
     kind = type(value)
     if kind is float or kind is int:
-        return float in options and math.isfinite(value)
+        return float in options and -LARGEST <= value <= LARGEST
     if kind is tuple:
-        numbers = all((type(x) is float or type(x) is int) and math.isfinite(x) for x in value)
+        numbers = all((type(x) is float or type(x) is int) and -LARGEST <= x <= LARGEST for x in value)
         return bool(value) and numbers and any(option in SEVERAL for option in options)
     return kind is str and str in options and bool(value.strip())
 

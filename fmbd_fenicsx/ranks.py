@@ -85,7 +85,7 @@ def _differ(one: Any, other: Any) -> bool:
         return len(one) != len(other) or any(_differ(a, b) for a, b in zip(one, other, strict=True))
     try:
         a, b = np.asarray(one, dtype=complex), np.asarray(other, dtype=complex)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return type(one) is not type(other)
     if a.shape != b.shape:
         return True

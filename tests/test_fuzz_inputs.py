@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import FmbdError
+from fmbd_fenicsx.errors import FmbdError, InputError
 
 NAMESPACES = ("forces", "loads", "sensors", "contacts", "schemes", "forms", "solvers", "multipliers", "materials")
 JUNK = (None, "junk", -1, 0.5, float("nan"), float("inf"), True, (), (1.0,), [1, "a"], {"a": 1}, object(), int)
@@ -68,3 +68,90 @@ def test_optional_values_that_mean_nothing(name: str) -> None:
                 function(*positional, **named, **{p.name: junk})
             except FmbdError:
                 pass
+
+
+# -- calls that are right but for one value ---------------------------------------------------------------------------
+
+
+def right_calls(mesh: Any) -> list[tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]]:
+    """Function, values by place and by name: all of them work."""
+    m, c = fmbd.materials, fmbd.contacts
+    flat, space = fmbd.RigidBody("flat", 1.0, 0.1), fmbd.RigidBody("space", 1.0, (0.4, 0.4, 0.4))
+    other = fmbd.RigidBody("other", 1.0, (0.4, 0.4, 0.4))
+    soft = fmbd.FloatingBody("soft", mesh, density=1e3, elastic=m.plane_stress(1e8, 0.3))
+    pin = fmbd.revolute("pin", fmbd.ground, flat, center=(0, 0))
+    hinge = fmbd.revolute("hinge", fmbd.ground, space, center=(0, 0, 0), axis=(0, 0, 1))
+    slide = fmbd.cylindrical("slide", fmbd.ground, space, center=(0, 0, 0), axis=(0, 0, 1))
+    floor = c.Obstacle("floor", c.HalfSpace((0, 0), (0, 1)))
+    at, axis = {"center": (0, 0, 0)}, {"axis": (0, 0, 1)}
+
+    scene = fmbd.Scene("scene", gravity=(0, -9.81))
+    scene.add(flat, pin)
+    scene.sensor("place", fmbd.position(flat))
+    run = fmbd.solve(scene, t_end=0.01, dt=0.01)
+    return [
+        (fmbd.RigidBody, ("x", 1.0, 0.1), {"position": (0, 0), "rotation": 0.1}),
+        (fmbd.FloatingBody, ("x", mesh), {"density": 1e3, "elastic": m.plane_stress(1e8, 0.3), "degree": 1}),
+        (soft.reduced, (), {"modes": 2}),
+        (soft.reduced, (), {"basis": soft.reduced(modes=2).basis}),
+        (soft.surface, ("pin",), {}),
+        (fmbd.spherical, ("x", space, other), at),
+        (fmbd.cylindrical, ("x", space, other), at | axis),
+        (fmbd.gear, ("x", fmbd.angle(pin), fmbd.angle(hinge)), {"ratio": 2.0}),
+        (fmbd.screw, ("x", slide), {"lead": 0.1}),
+        (fmbd.joint_limit, ("x", fmbd.angle(pin)), {"lower": -1.0, "upper": 1.0}),
+        (fmbd.joint_spring, ("x", fmbd.angle(pin)), {"stiffness": 1.0, "damping": 0.1}),
+        (fmbd.force, ("x", space, (1, 0, 0)), {"point": (0, 0, 0)}),
+        (c.HalfSpace, ((0, 0), (0, 1)), {}),
+        (c.Sphere, (1.0,), {}),
+        (c.Box, ((1.0, 1.0, 1.0),), {}),
+        (fmbd.contact, ("x", fmbd.ball(flat, 0.1), floor), {"restitution": 0.5, "friction": 0.3}),
+        (fmbd.schemes.Moreau, (), {"impacts": 3}),
+        (fmbd.solvers.FieldSplit, (), {"method": "fgmres", "rtol": 1e-8, "max_iterations": 9, "elastic": fmbd.Cholesky()}),
+        (fmbd.solvers.FieldSplit, (), {"multiplier": fmbd.solvers.FieldSplit().multiplier}),
+        (fmbd.Schur, (), {"rtol": 1e-8, "limit": 9, "elastic": fmbd.Multigrid()}),
+        (fmbd.Multigrid, (), {"cycles": 1, "smoothing": 2}),
+        (fmbd.Bddc, (), {"adaptive": 2.0}),
+        (fmbd.Newton, (), {"tolerance": 1e-6, "max_iterations": 12, "slow": 0.9, "patience": 4.0}),
+        (run.__getitem__, ("place",), {}),
+        (fmbd.solve, (scene,), {"t_end": 0.01, "dt": 0.01, "linear": None, "checkpoint": None, "scheme": None}),
+    ]  # fmt: skip
+
+
+def test_one_value_that_means_nothing(rod_mesh: Any) -> None:
+    """In calls that are right otherwise; whole numbers beyond the range of the machine, and what has no hash, among them."""
+    raw: set[str] = set()
+    for function, values, names in right_calls(rod_mesh(dim=2, h=0.5, height=0.2)):
+        function(*values, **names)
+        for junk in (*JUNK, 10**400, [], np.zeros(0), b"x", 1j, fmbd.ground):
+            calls = [((*values[:i], junk, *values[i + 1 :]), names) for i in range(len(values))]
+            calls += [(values, names | {name: junk}) for name in names]
+            for given, named in calls:
+                try:
+                    function(*given, **named)
+                except FmbdError:
+                    pass
+                except Exception as error:
+                    raw.add(f"{function.__name__}: {type(error).__name__}: {error}")
+    assert not raw
+
+
+@pytest.mark.parametrize(
+    "make, says",
+    [
+        (lambda: fmbd.solvers.FieldSplit(method="fgmre"), 'Did you mean "fgmres"'),
+        (lambda: fmbd.solvers.FieldSplit(rtol=0.0), "between 0 and 1"),
+        (lambda: fmbd.solvers.FieldSplit(elastic="chol"), "elastic 'chol' must be"),
+        (lambda: fmbd.Schur(multiplier=3), "multiplier 3 must be"),
+        (lambda: fmbd.Multigrid(smoothing=0), "whole number, at least 1"),
+        (lambda: fmbd.schemes.Moreau(impacts=-1), "whole number"),
+        (lambda: fmbd.Newton(slow=1.5), "a rate, between 0 and 1"),
+        (lambda: fmbd.RigidBody("x", 10**400, 0.1), "mass"),
+        (lambda: fmbd.solve(fmbd.Scene("x"), t_end=1.0, linear="direct"), "linear 'direct' must be"),
+        (lambda: fmbd.solve(fmbd.Scene("x"), t_end=1.0, checkpoint="here"), "checkpoint 'here' must be a Checkpoint"),
+    ],
+)
+def test_what_was_silent_or_raw(make: Callable[[], Any], says: str) -> None:
+    """Each named, with what would do."""
+    with pytest.raises(InputError, match=says):
+        make()

@@ -119,7 +119,7 @@ class Output:
         """Times of snapshots are numbers that rise from 0 on."""
         try:
             times = np.asarray(self.snapshots, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             times = np.array(np.nan)
         require(
             times.ndim == 1 and bool(np.isfinite(times).all() and (times >= 0).all() and (np.diff(times) > 0).all()),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..checks import word
 from ..errors import InputError, near
 from ..rotations import Array
 from ..schemes.consistent import Correction
@@ -83,6 +84,7 @@ class Run:
 
     def __getitem__(self, sensor: str) -> Array:
         """Series of a sensor, (n, size)."""
+        word("run[...]: name of a sensor", sensor)
         if sensor not in self.series:
             raise InputError(f'No sensor "{sensor}". {near(sensor, self.series)}')
         return self.series[sensor]

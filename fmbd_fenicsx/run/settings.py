@@ -29,6 +29,18 @@ def check_settings(scene: Any, newton: Any, output: Any, restart: Any) -> None:
     )
 
 
+def check_ways(linear: Any, checkpoint: Any) -> None:
+    """The same for what is loaded only where it is given: the linear solver, and checkpoints."""
+    if linear is not None:
+        from ..linear.saddle.saddle import Preset
+
+        instance("solve: linear", linear, Preset)
+    if checkpoint is not None:
+        from .checkpoint import Checkpoint
+
+        instance("solve: checkpoint", checkpoint, Checkpoint)
+
+
 def checked_scheme(scheme: Any) -> Any:
     """A scheme's object: neither its class nor its name."""
     if isinstance(scheme, type):

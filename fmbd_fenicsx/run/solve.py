@@ -18,7 +18,7 @@ from .estimates import state_errors
 from .output import Output
 from .result import Run
 from .schedule import pace_of
-from .settings import check_contents, check_settings, check_tangent, checked_scheme
+from .settings import check_contents, check_settings, check_tangent, check_ways, checked_scheme
 from .single_run import Task, run_once
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ def solve(
     """
     install_hooks()
     check_settings(scene, newton, output, restart)
+    check_ways(linear, checkpoint)
     if tol is not None:
         instance("solve: tol", tol, Mapping)
         if scheme is not None:

@@ -266,7 +266,7 @@ def _numbers(name: str, what: str, value: Any, wanted: tuple[int, float]) -> Arr
     size, t = wanted
     try:
         found = np.atleast_1d(np.asarray(value, dtype=float))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise CallbackError(f'Controller "{name}" returned {value!r} at t = {t:g} s, expected {size} {what}.') from None
     if found.shape != (size,) or not np.isfinite(found).all():
         raise CallbackError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from ...checks import check_fields, number, whole
 from ...fem.fields import Field
 from ..saddle.saddle import Elastic
 from .iterative import ConjugateGradients
@@ -33,6 +34,10 @@ class Multigrid:
     cycles: int = 1
     smoothing: int = 3
 
+    def __post_init__(self) -> None:
+        whole("Multigrid: cycles", self.cycles, least=1)
+        whole("Multigrid: smoothing", self.smoothing, least=1)
+
     def set_up(self, ksp: Any, block: Elastic | None = None) -> None:
         """Options of one block's KSP; collective."""
         from petsc4py import PETSc
@@ -57,6 +62,10 @@ class Bddc:
     """
 
     adaptive: float = 2.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        number("Bddc: adaptive", self.adaptive, least=0)
 
     def set_up(self, ksp: Any, block: Elastic | None = None) -> None:
         """Operators and options of one block's KSP."""

@@ -18,7 +18,8 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
-from ...errors import ConvergenceError, InputError, LinearSolveError
+from ...checks import check_fields, instance
+from ...errors import ConvergenceError, InputError, LinearSolveError, require
 from ...fem.fields import Field
 from ...rotations import Array
 from ..blocks.elastic_blocks import Bddc, Cholesky, Multigrid, block_solver
@@ -27,6 +28,12 @@ from ..residual import Judge
 from .diagnosis import diagnose
 from .precondition import Fractional, MultiplierPreconditioner
 from .saddle import Preset, SaddlePoint, Solution
+
+
+def check_krylov(what: str, rtol: float, most: int) -> None:
+    """Refuse tolerances of an iteration that are none, and limits below one."""
+    require(0 < rtol < 1, f"{what}: rtol = {rtol} must lie between 0 and 1.")
+    require(most >= 1, f"{what}: max_iterations = {most} must be 1 at least.")
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,11 @@ class Schur(Preset):
     rtol: float = 1e-11
     limit: int = 1500
     multiplier: MultiplierPreconditioner = Fractional()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        instance("Schur: multiplier", self.multiplier, MultiplierPreconditioner)
+        check_krylov("Schur", self.rtol, max(self.limit, 1))
 
     def block(self, field: Field, weights: tuple[float, float, float], prefix: str) -> Any:
         """A Cholesky factor, or conjugate gradients; collective."""

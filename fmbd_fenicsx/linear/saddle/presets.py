@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import LinearSolveError
+from ...checks import check_fields, instance
+from ...errors import LinearSolveError, near, require
 from ...fem.fields import Field
 from ...rotations import Array
 from ...system.system import System
@@ -25,11 +26,13 @@ from ..fieldsplit import SplitBlock, SplitSolver, split_prefix
 from ..options import check_options
 from ..residual import Judge, krylov_reason
 from .diagnosis import diagnose
-from .multiplier_schur import Schur
+from .multiplier_schur import Schur, check_krylov
 from .precondition import Fractional, MultiplierPreconditioner, to_petsc
 from .saddle import Elastic, Preset, SaddlePoint, SaddleSolver, Solution, elastic_matrix
 
 __all__ = ["Bddc", "Cholesky", "Direct", "FieldSplit", "Multigrid", "Preset", "SaddleSolver", "Schur", "set_bddc"]
+
+METHODS = ("minres", "fgmres", "gmres", "cg")  # PETSc's names
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,15 @@ class FieldSplit(Preset):
     method: str = "minres"
     rtol: float = 1e-8
     max_iterations: int = 400
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        instance("FieldSplit: multiplier", self.multiplier, MultiplierPreconditioner)
+        check_krylov("FieldSplit", self.rtol, self.max_iterations)
+        require(
+            self.method in METHODS,
+            f'FieldSplit: method "{self.method}" is none of {", ".join(METHODS)}. {near(self.method, METHODS)}',
+        )
 
     def split(self, system: System, prefix: str) -> SplitSolver:
         """The solver of a scene's steps; collective."""

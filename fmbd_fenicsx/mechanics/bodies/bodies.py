@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ...checks import array, check_fields, instance, number, vector, whole
+from ...checks import array, check_fields, instance, number, vector, whole, word
 from ...energies import Hooke, SheetEnergy, ViscousForm
 from ...errors import InputError, named, near, require
 from ...fem.fields import ElasticForms
@@ -261,6 +261,7 @@ class ElasticBody(Body):
     def surface(self, name: str) -> Surface:
         """The named surface of the mesh."""
         known = self.mesh.surface_names
+        word(f'Body "{self.name}": name of a surface', name)
         if name not in known:
             raise InputError(f'Body "{self.name}": no surface "{name}" in {self.mesh.label}. {near(name, known)}')
         return Surface(self, name)
@@ -359,8 +360,10 @@ class FloatingBody(ElasticBody):
 
         ``modes=0`` gives the rigid body with the same mass, inertia and surfaces.
         """
-        from ..reduction.craig_bampton import FrameModes, ReducedBody
+        from ..reduction.craig_bampton import CraigBampton, Finer, FrameModes, ReducedBody
 
+        if basis is not None:
+            instance(f'Body "{self.name}": basis', basis, (FrameModes, CraigBampton, Finer))
         return ReducedBody(self, FrameModes(modes, frequency) if basis is None else basis)
 
 

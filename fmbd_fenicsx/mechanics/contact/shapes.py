@@ -56,6 +56,7 @@ class HalfSpace(Shape):
     def __post_init__(self) -> None:
         check_fields(self)
         _unit(self.normal, "HalfSpace: normal")
+        vector("HalfSpace: point", self.point)
         require(
             len(self.point) == len(self.normal),
             f"HalfSpace: point {self.point} and normal {self.normal} must have the same number of components.",

@@ -203,7 +203,7 @@ def in_time(what: str, law: Any) -> Law:
         return law
     try:
         value = np.array(law, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         value = np.array(np.nan)
     good = not isinstance(law, bool) and value.ndim <= 1 and value.size > 0 and bool(np.isfinite(value).all())
     require(good, f"{what}: law must be a function of time t (s) or a constant, found {shown(law)}.")

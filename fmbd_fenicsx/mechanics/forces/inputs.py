@@ -23,7 +23,7 @@ class Input:
         """Set the value; refuses what is no number or outside the range."""
         try:
             number = float(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(f'Input "{self.name}" takes a number, found {value!r}.') from None
         if not self.lower <= number <= self.upper or not np.isfinite(number):
             raise InputError(f'Input "{self.name}" = {number:g} is outside its range [{self.lower:g}, {self.upper:g}].')

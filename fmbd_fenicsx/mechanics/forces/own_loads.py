@@ -64,7 +64,7 @@ class OwnLoads(Loads):
         value = self.laws[k][0](t, *motions)
         try:
             found = np.concatenate([np.atleast_1d(x) for x in value])
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise CallbackError(
                 f'Force "{name}": the law returned {value!r:.80} at t = {t:g} s, expected (force ({d},), torque).'
             ) from None
@@ -106,7 +106,7 @@ class OwnLoads(Loads):
         found, made = self.laws[k][1](t, *motions), np.zeros((2, 2 * n, 2 * n))
         try:
             made[0], made[1] = found
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise CallbackError(
                 f'Force "{self.forces[k].name}": its Jacobian returned {found!r:.60} at t = {t:g} s, '
                 f"expected (K, D), each {made[0].shape}."

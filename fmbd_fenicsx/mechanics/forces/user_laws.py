@@ -16,7 +16,7 @@ def checked(name: str, value: Any, size: int, t: float) -> Array:
     """A user's result as an array of the right size, or an error that names the force."""
     try:
         found = np.atleast_1d(np.asarray(value, dtype=float))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise CallbackError(f'Force "{name}": the law returned {value!r} at t = {t:g} s, expected numbers.') from None
     if found.shape != (size,):
         raise CallbackError(f'Force "{name}": the law returned shape {found.shape} at t = {t:g} s, expected ({size},).')
@@ -64,5 +64,5 @@ def _parts(value: Any) -> list[Array]:
     """The numbers of an answer: one array, or force and torque; none where it has none."""
     try:
         return [np.asarray(x, dtype=float) for x in (value if isinstance(value, tuple) else (value,))]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return []

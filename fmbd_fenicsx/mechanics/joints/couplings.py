@@ -70,14 +70,14 @@ class SmoothMotion:
         try:
             value = self.function(t + 1e-30j)
             return float((value.imag if isinstance(value, complex) else np.imag(value)) / 1e-30)
-        except (TypeError, ValueError):  # also LawError: what fails for real times fails again
+        except (TypeError, ValueError, OverflowError):  # also LawError: what fails for real times fails again
             return _sixth(lambda x: float(self.function(x)), t, 1e-2)
 
     def _checked(self, value: Any, t: float) -> Array:
         """The numbers that the function returned, (1,) or (3,)."""
         try:
             found: Array = np.asarray(value, dtype=float).ravel()
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             found = np.array(np.nan)
         self._require(found.shape in ((1,), (3,)) and bool(np.isfinite(found).all()), value, t)
         return found

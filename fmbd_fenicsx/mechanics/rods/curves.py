@@ -38,7 +38,7 @@ class Curve:
 
         try:
             points = np.asarray(given, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             points = np.zeros(0)
         require(
             points.ndim == 2 and points.shape[1] == 3 and len(points) >= 2 and bool(np.isfinite(points).all()),

@@ -194,7 +194,7 @@ def _matrix(given: Any, n: int, what: str, s: float) -> Array:
     """A square matrix from one, or from its diagonal."""
     try:
         found = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise CallbackError(f"Section: {what} at s = {s:g} m is {given!r}, expected numbers.") from None
     found = np.diag(found) if found.shape == (n,) else found
     require(

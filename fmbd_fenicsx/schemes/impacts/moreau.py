@@ -23,6 +23,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ...checks import whole
 from ...errors import FmbdError
 from ...linear.condensation import StepSolver, Weights
 from ...log import log
@@ -56,6 +57,9 @@ class Moreau:
     impacts: int = 20
     order = 1
     name = "Moreau-Jean"
+
+    def __post_init__(self) -> None:
+        whole("Moreau: impacts", self.impacts)
 
     def refusal(self, held: Contents) -> str:
         """Why it does not take what a scene holds."""
