@@ -92,7 +92,8 @@ def array(what: str, value: Any, *, shape: str = "finite numbers") -> np.ndarray
 def _finite(x: np.ndarray) -> bool:
     """Whether all numbers are finite."""
     if x.size < 10:  # NumPy's own is slower for a few
-        return all(math.isfinite(value) for value in x.ravel().tolist())
+        values: Any = x.ravel().tolist()
+        return all(math.isfinite(value) for value in values)
     return bool(np.isfinite(x).all())
 
 
