@@ -82,7 +82,7 @@ from .mechanics.joints.drives import angle as angle
 from .mechanics.joints.drives import displacement as displacement
 from .mechanics.joints.drives import drive as drive
 from .mechanics.joints.drives import gear as gear
-from .mechanics.joints.drives import own_joint as own_joint
+from .mechanics.joints.expressed import own_joint as own_joint
 from .mechanics.joints.drives import screw as screw
 from .mechanics.joints.expressed import constraint as constraint
 from .mechanics.joints.limits import joint_limit as joint_limit

@@ -14,7 +14,8 @@ import numpy as np
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.log import world_rank
 from fmbd_fenicsx.rotations import Array, tangent
-from fmbd_fenicsx.system.system import Evaluation, System
+from fmbd_fenicsx.system.evaluation import Evaluation
+from fmbd_fenicsx.system.system import System
 
 
 def first(function: Callable[[float], Any], h: float = 1e-3) -> Array:

@@ -13,7 +13,6 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.linear.driver_solver import DriverSolver
 from fmbd_fenicsx.rotations import Array
-from fmbd_fenicsx.schemes.onestep.alpha_driver import drivable
 from fmbd_fenicsx.system.compiled.evaluation import driver_states
 
 MASSES = Weights(1.0, 0.0, 0.0)
@@ -34,7 +33,7 @@ SCENES = [joint_springs, suspended, loaded, driven, redundant, tyre, flexible]
 def both(scene: fmbd.Scene) -> tuple[Any, Any, Any]:
     """The driver's states, and one state evaluated by NumPy and by the driver."""
     system, given, _ = scene.build()
-    rng, states = np.random.default_rng(7), driver_states(system, drivable(system))
+    rng, states = np.random.default_rng(7), driver_states(system)
     assert states is not None
     q = system.compose(given.q, 0.002 * rng.standard_normal(system.n_v))
     v = rng.standard_normal(system.n_v)

@@ -129,7 +129,7 @@ def _check_held(system: System, ev: Any, spin: BodySpin) -> None:
     """Refuse joints and drives that the rotation violates."""
     if not system.n_lam:
         return
-    missed = np.abs(ev.jacobian.times(ev.v) + ev.constraint_rate())
+    missed = np.abs(ev.opening())
     row = int(missed.argmax())
     if missed[row] > CHANGED * abs(spin.rate) * max(system.length, 1.0):
         name = next(b.name for b in system.blocks if b.rows.start <= row < b.rows.stop)

@@ -17,7 +17,8 @@ import numpy as np
 from ..checks import check_fields
 from ..errors import require
 from ..rotations import Array
-from ..system.system import Evaluation, System
+from ..system.evaluation import Evaluation
+from ..system.system import System
 
 if TYPE_CHECKING:
     from .rotors import BodySpin

@@ -22,10 +22,11 @@ import scipy.sparse as sp
 from ..errors import InputError, LinearSolveError, require
 from ..mechanics.placements import DistributedPart, FrameMotion
 from ..rotations import Array, rotate_nodal
+from ..system.evaluation import Evaluation
 from ..system.force_tangent import force_tangent
 from ..system.foreshortened_ports import tangent_ports
 from ..system.mobility import independent, mobility
-from ..system.system import Evaluation, System
+from ..system.system import System
 from .blocks.field_blocks import Block, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_load
 from .border import AroundSolver, Border

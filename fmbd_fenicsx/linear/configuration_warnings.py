@@ -6,8 +6,9 @@ import numpy as np
 
 from ..log import log
 from ..rotations import Array
+from ..system.evaluation import Evaluation
 from ..system.mobility import NEAR_SINGULAR, nearly_dependent
-from ..system.system import Evaluation, System
+from ..system.system import System
 
 CLOSE = 1e-3  # sigma_min / sigma_max of a position close to a singular one
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..rotations import Array
 from ..system.compiled.evaluation import DriverStates
-from ..system.system import Evaluation
+from ..system.evaluation import Evaluation
 from .blocks.field_blocks import Weights
 
 

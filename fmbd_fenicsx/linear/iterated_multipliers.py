@@ -26,7 +26,8 @@ import scipy.sparse.linalg as spl
 
 from ..errors import LinearSolveError
 from ..rotations import Array
-from ..system.system import Evaluation, System
+from ..system.evaluation import Evaluation
+from ..system.system import System
 from .residual import Judge
 from .saddle.precondition import Fractional, lumped
 from .saddle.saddle import Elastic, TraceTie, rigid_modes

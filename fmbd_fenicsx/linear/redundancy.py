@@ -16,7 +16,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..rotations import Array
-from ..system.system import Evaluation, State
+from ..system.evaluation import Evaluation
+from ..system.system import State
 from .condensation import StepSolver
 
 DEPENDENT = 1e-8  # singular values of G, scaled, below this share of the largest belong to the null space

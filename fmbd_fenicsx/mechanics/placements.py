@@ -106,10 +106,6 @@ class Part(Protocol):
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of the frame (n_twist,) and of the local coordinates (n,) of M a + h; collective."""
 
-    def force_many(self, t: Array, local: tuple[Array, ...]) -> Array | None:
-        """The local rows of k configurations, (k, n), for u, u', u'' (k, n) and t (k,); None: one by one with ``force``."""
-        return None
-
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic, elastic and weight energy, J; collective."""
 

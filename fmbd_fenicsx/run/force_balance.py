@@ -28,9 +28,10 @@ from ..errors import ConvergenceError
 from ..linear.condensation import StepSolver, Weights
 from ..rotations import Array
 from ..schemes.declared import Declared
+from ..system.evaluation import Evaluation
 from ..system.force_tangent import force_tangent
 from ..system.lengths import farthest
-from ..system.system import Evaluation, State, System
+from ..system.system import State, System
 
 SHARE = 1e-2  # of accelerations
 KNOWN = 1e-8  # of the forces that joints and elements exert on a body

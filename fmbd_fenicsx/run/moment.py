@@ -7,8 +7,9 @@ from functools import cached_property
 
 from ..errors import InputError, near
 from ..rotations import Array
+from ..system.evaluation import Evaluation
 from ..system.scene.scene import Scene
-from ..system.system import Evaluation, State, System
+from ..system.system import State, System
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,10 @@ from ..log import world_rank
 from ..notices import Gathered
 from ..rotations import Array
 from ..system.compiled.recording import Openness, Recorded
+from ..system.evaluation import Evaluation
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory
-from ..system.system import Evaluation, State, System
+from ..system.system import State, System
 from .acceptance import Closed
 from .between import state_between
 from .ledger import Books
@@ -319,7 +320,7 @@ class Recorder:
         if not self.system.n_lam:
             return
         self.gap = max(self.gap, float(np.abs(ev.constraint()).max()))
-        rate = np.abs(ev.jacobian.times(state.v) + ev.constraint_rate())
+        rate = np.abs(ev.opening())
         self.slip = max(self.slip, float(rate.max()))
         if self.closed is not None:
             self.worst_slip = max(self.worst_slip, float((self.closed.units * rate).max()))

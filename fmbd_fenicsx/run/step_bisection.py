@@ -20,8 +20,9 @@ from ..rotations import Array
 from ..schemes.stepping import TimeStepper
 from ..system.compiled.recording import Openness, Tape
 from ..system.element_memory import accept
+from ..system.evaluation import Evaluation
 from ..system.serialisation import plain, worker
-from ..system.system import Evaluation, State, System
+from ..system.system import State, System
 from .acceptance import Closed, attempt
 from .energy_check import HALVINGS, Watch
 from .forecast import Forecast

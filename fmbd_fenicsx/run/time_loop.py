@@ -17,8 +17,9 @@ from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..schemes.stepping import TimeStepper, made_stepper
 from ..system.element_memory import accept, reset
+from ..system.evaluation import Evaluation
 from ..system.scene.scene import Scene
-from ..system.system import Evaluation, State, System
+from ..system.system import State, System
 from .acceptance import Closed, attempt, attempt_in_balance
 from .energy_check import Guarded, Watch, closed
 from .force_balance import Balanced

@@ -17,7 +17,8 @@ from ..linear.blocks.incompressibility import VolumeMass, kept_volumes, volume_p
 from ..linear.condensation import StepSolver, Weights
 from ..linear.redundancy import least
 from ..rotations import Array, cross3
-from ..system.system import Evaluation, State, System
+from ..system.evaluation import Evaluation
+from ..system.system import State, System
 
 REFUSED = 1e-3  # a position correction above this share of the model's length is wrong input, not roundoff
 
@@ -293,5 +294,5 @@ def project(system: System, state: State, solver: StepSolver) -> State:
             break
     ev = system.at(state.t, q, state.v)
     solver.prepare(ev, mass)
-    dv, _ = solver.solve(zero, -(ev.jacobian.times(state.v) + ev.constraint_rate()))
+    dv, _ = solver.solve(zero, -ev.opening())
     return replace(state, q=q, v=state.v + dv)

@@ -40,8 +40,8 @@ from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
 from ..linear.saddle.pencil import Pencil, Tangent
 from ..rotations import Array
-from ..system.batch import Many, copies
-from ..system.linearise import differences, many
+from ..system.linearise import at_once, differences
+from ..system.many import Many, many
 from ..system.scene.contents import Contents
 from ..system.serialisation import Remembering, plain
 from ..system.system import State, System
@@ -74,7 +74,7 @@ class Form:
         return ev.constraint()
 
     def _velocity(self, ev: Any, a: Array) -> Array:
-        return ev.jacobian.times(ev.v) + ev.constraint_rate()
+        return ev.opening()
 
     def _acceleration(self, ev: Any, a: Array) -> Array:
         return ev.jacobian.times(a) + ev.gamma()
@@ -264,7 +264,7 @@ class StepEquations(Remembering):
         """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) of (1), (2) at the times t (k,)."""
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
-        ev = copies(s, len(t)).at(t, s.compose(self.origin, p.xi), p.v)
+        ev = many(s, t, s.compose(self.origin, p.xi), p.v)
         lam = p.mult[:, :m] if self.levels else None
         v, a = p.v, p.vd
         if self.levels > 1:
@@ -325,7 +325,7 @@ class StepEquations(Remembering):
             ev = s.at(state.t, state.q, state.v)
             self.solver.prepare(ev, Weights(1.0, 0.0, 0.0))
             dq = self.solver.solve(zero, -ev.constraint())[0] if 0 in self.form.levels else zero
-            v = state.v + self.solver.solve(zero, -(ev.jacobian.times(state.v) + ev.constraint_rate()))[0]
+            v = state.v + self.solver.solve(zero, -ev.opening())[0]
             ev = s.at(state.t, state.q, v)
             self._start = dq, v, self.solver.solve(-ev.balance(zero), -ev.gamma())[0]
             self._closed = state
@@ -354,7 +354,7 @@ class StepEquations(Remembering):
                 return at.balance(a_k)
             return np.concatenate((at.balance(a_k, np.broadcast_to(lam, (k, m))), form.rows(at, a_k)), axis=1)
 
-        by_q, by_v = differences(s, many(s, state.t, lower), q, v)
+        by_q, by_v = differences(s, at_once(s, state.t, lower), q, v)
         by_a = np.zeros_like(by_v)
         by_a[:n] = M
         for i, level in enumerate(form.levels[: self.levels]):

@@ -20,7 +20,7 @@ class Declared:
     ``refusal``: why it does not take what a scene holds, "" where it does.
     ``turn_limit``: angle (rad) by which rows of joints may turn in a step, None for any (:mod:`~fmbd_fenicsx.run.turning_rows`).
     ``prepare``: takes the solver before the start, to choose how this is evaluated.
-    ``timeless``: no scheme in time at all, as the pictures of a mode.
+    ``timeless``: no scheme in time at all, as the pictures of a mode. ``compiled``: whether compiled code may evaluate.
     """
 
     rtol: float | None = None
@@ -33,6 +33,7 @@ class Declared:
     turn_limit: float | None = None
     prepare: Callable[..., None] | None = None
     timeless: bool = False
+    compiled: bool = True
 
     @classmethod
     def by(cls, scheme: Any) -> Declared:

@@ -37,8 +37,9 @@ from ..fem.fields import rank_sum
 from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
 from ..rotations import Array
+from ..system.evaluation import Evaluation
 from ..system.serialisation import Memory, Remembering, plain
-from ..system.system import Evaluation, State, System
+from ..system.system import State, System
 from .dae import Form, Points
 
 MASS = Weights(1.0, 0.0, 0.0)
@@ -213,7 +214,7 @@ class FieldEquations(Remembering):
             return self.solver.solve(zero, -gap)[0]
 
         dq = closed(ev.constraint()) if 0 in self.form.levels else zero
-        v = state.v + closed(ev.jacobian.times(state.v) + ev.constraint_rate())
+        v = state.v + closed(ev.opening())
         a = state.a + closed(ev.jacobian.times(state.a) + s.at(state.t, state.q, v).gamma())
         self._start, self._closed = (dq, v, a), state
         return self._start

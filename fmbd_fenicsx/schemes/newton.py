@@ -16,8 +16,9 @@ import numpy as np
 from ..checks import check_fields
 from ..errors import ConvergenceError, require
 from ..rotations import Array
+from ..system.evaluation import Evaluation
 from ..system.lengths import farthest
-from ..system.system import Evaluation, System
+from ..system.system import System
 
 FAR = 1e3  # of the tolerance: a first increment above it is worth a tangent of its own in bodies that change theirs every step
 FINEST = 1e-13  # increments are known to about this share

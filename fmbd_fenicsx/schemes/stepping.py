@@ -9,8 +9,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError, require
+from ..system.evaluation import Evaluation
 from ..system.serialisation import Remembering
-from ..system.system import Evaluation, State
+from ..system.system import State
+from .declared import Declared
 
 if TYPE_CHECKING:
     from ..system.compiled.recording import Openness, Tape
@@ -24,6 +26,7 @@ class TimeStepper(Remembering):
         local_error: the scheme's own indicator of the error of its last step (m, rad).
         counters: work so far and statistics, name -> number, for the report.
         path: who makes the steps, for the report.
+        compiled_whole: its steps are compiled from end to end, and ask for no evaluations.
         keeps_memories: it moves the memory of elements on by itself, see :meth:`note`.
         keeps: what a checkpoint holds of it, see :class:`~fmbd_fenicsx.system.serialisation.Remembering`.
     """
@@ -31,6 +34,7 @@ class TimeStepper(Remembering):
     state: State
     local_error: float = 0.0
     path: str = "NumPy"
+    compiled_whole: bool = False
     keeps_memories: bool = False
 
     @property
@@ -78,7 +82,8 @@ class TimeStepper(Remembering):
 
 
 def made_stepper(scheme: Any, *given: Any) -> TimeStepper:
-    """The stepper of a scheme from (system, solver, newton, consistent state).
+    """The stepper of a scheme from (system, solver, newton, consistent state). From now on compiled code evaluates the system,
+    where it knows all of it and the scheme does not say otherwise.
 
     Raises:
         InputError: a user's own scheme made something else.
@@ -89,6 +94,10 @@ def made_stepper(scheme: Any, *given: Any) -> TimeStepper:
         f"{_kind(scheme)}.stepper(...) must give a time stepper: let {_kind(made)} derive from fmbd.schemes.TimeStepper, see "
         "docs/contributing.md.",
     )
+    if Declared.by(scheme).compiled and not made.compiled_whole:
+        from ..system.compiled.evaluation import use_driver
+
+        use_driver(given[0])
     return made  # type: ignore[no-any-return]
 
 

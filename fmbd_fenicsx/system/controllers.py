@@ -98,10 +98,6 @@ class ControlLoads(Loads):
         """None: the law of a controller is called with its readings."""
         return None
 
-    def repeated(self, k: int, markers: int) -> Loads | None:
-        """None: the memory belongs to one motion."""
-        return None
-
     # -- the law ----------------------------------------------------------------------------------------------------
     def _call(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
         """Efforts (acts,) and rate (or next value) of the memory, checked."""

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from ..rotations import Array, hat
 
 if TYPE_CHECKING:
-    from .system import Evaluation
+    from .evaluation import Evaluation
 
 
 def with_elements(ev: Evaluation, applied: Any, cd: float, ck: float) -> Any:

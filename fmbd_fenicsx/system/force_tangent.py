@@ -22,7 +22,7 @@ from ..rotations import Array
 from .element_tangent import with_elements
 
 if TYPE_CHECKING:
-    from .system import Evaluation
+    from .evaluation import Evaluation
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,19 +13,13 @@ from ..mechanics.reduction.foreshortening import Bent
 from ..rotations import Array
 
 if TYPE_CHECKING:
-    from .system import Evaluation
+    from .evaluation import Evaluation
+    from .system import System
 
 
-def bend(ev: Evaluation) -> dict[int, Bent]:
-    """Add the second order to the ports of a configuration and to their rates; its derivatives by part. Collective."""
-    s, found = ev.system, {}
-    for k, p in s.curved:
-        u = s.local_q(ev.q, k)
-        found[k] = p.shortening.at(u)
-        ev.port[s.port_slice(k)] += found[k].values(u)
-        if ev.v is not None:
-            ev.port_rate[s.port_slice(k)] += found[k].along(s.local_v(ev.v, k))
-    return found
+def bend(system: System, q: Array) -> dict[int, Bent]:
+    """The second order of the ports in a configuration by part."""
+    return {k: p.shortening.at(system.local_q(q, k)) for k, p in system.curved}
 
 
 def port_forces(ev: Evaluation, port: Array) -> list[Array]:

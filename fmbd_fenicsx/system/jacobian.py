@@ -10,11 +10,18 @@ import scipy.sparse as sp
 from ..rotations import Array
 
 if TYPE_CHECKING:
-    from .system import Evaluation, System
+    from .evaluation import Evaluation
+    from .system import System
 
 DENSE_LIMIT = 20_000  # entries of G up to which it is kept dense
 CORE_LIMIT = 150  # velocities of the core up to which a system with rods is kept dense
 PORT_LIMIT = 4_000_000  # the same for its part on the ports of elastic fields: ties of many multipliers make it sparse
+
+
+def dense_core(system: System) -> bool:
+    """Whether G of a system is kept dense on the core."""
+    few = not system.elements or bool(system.fields) or system.n_core <= CORE_LIMIT
+    return few and system.n_lam * system.n_core <= DENSE_LIMIT
 
 
 class Pattern:
@@ -28,9 +35,7 @@ class Pattern:
         cols = (frame[self.keep, None] * n + np.arange(n)).ravel()
         at = np.repeat(rows[self.keep], n)
         self.shape = (system.n_lam, system.n_core)
-        self.dense = self.shape[0] * self.shape[1] <= DENSE_LIMIT
-        if system.elements and not system.fields:
-            self.dense &= system.n_core <= CORE_LIMIT
+        self.dense = dense_core(system)
         key = at * self.shape[1] + cols
         if self.dense:
             self.slot = key

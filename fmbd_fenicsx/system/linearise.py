@@ -7,7 +7,7 @@ For a function f(q, v) of the configuration and the velocity, with q o exp(xi) t
 one column for each replicated coordinate. Central differences by xi: a spring of stiffness k on a length l has a second
 derivative k / l, and an error of k / l times the step across the spring would swamp the tangent of the motion that is left.
 Forward differences by v, where the equations are quadratic at most. Small systems only: the result is dense. The 3 n + 1
-evaluations are those of copies of the system side by side, in one call.
+evaluations are made together (:mod:`.many`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from ..rotations import Array
-from .batch import Many, copies
+from .many import Many, many
 from .system import System
 
 LARGEST = 2_000_000  # entries of matrices that are evaluated at once
@@ -78,14 +78,14 @@ def differences(system: System, function: Callable[[Array, Array], Array], q: Ar
     return in_q.T, in_v.T
 
 
-def many(system: System, t: float, function: Callable[[Many], Array]) -> Callable[[Array, Array], Array]:
-    """``function`` of copies evaluated at time t (:mod:`.copies`) as a function of (q, v): (k, n_q), (k, n_v) -> (k, m); as
-    many at a time as fit in some ten megabytes.
+def at_once(system: System, t: float, function: Callable[[Many], Array]) -> Callable[[Array, Array], Array]:
+    """``function`` of configurations at time t (:mod:`.many`) as a function of (q, v): (k, n_q), (k, n_v) -> (k, m); as many at a
+    time as fit in some ten megabytes.
     """
     largest = max(1, LARGEST // max(1, system.n_v * (system.n_lam + system.n_v)))
 
     def made(q: Array, v: Array) -> Array:
         parts = [slice(i, min(i + largest, len(q))) for i in range(0, len(q), largest)]
-        return np.concatenate([function(copies(system, len(q[p])).at(t, q[p], v[p])) for p in parts])
+        return np.concatenate([function(many(system, np.array(t), q[p], v[p])) for p in parts])
 
     return made

@@ -23,7 +23,8 @@ from ..mechanics.bodies.coordinates import CoordinatePart
 from ..mechanics.forces.force_elements import ScalarLoads
 from ..mechanics.joints.joints import ground
 from ..rotations import Array
-from .system import Evaluation, System
+from .evaluation import Evaluation
+from .system import System
 
 RANK_TOLERANCE = 1e-9  # singular values below this share of the largest count as zero
 NEAR_SINGULAR = 1e-6

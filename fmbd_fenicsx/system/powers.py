@@ -13,7 +13,8 @@ import numpy as np
 
 from ..mechanics.placements import FrameMotion
 from ..rotations import Array
-from .system import Evaluation, State
+from .evaluation import Evaluation
+from .system import State
 
 
 def powers(ev: Evaluation, state: State) -> dict[str, float]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..rotations import Array
-from .system import Evaluation, System
+from .evaluation import Evaluation
+from .system import System
 
 
 def speed_rows(system: System) -> np.ndarray:
@@ -23,5 +24,5 @@ def gaps(ev: Evaluation, share: float) -> Array:
     g, rows = ev.constraint(), speed_rows(ev.system)
     if rows.size:
         assert ev.v is not None
-        g[rows] = share * (ev.jacobian.times(ev.v) + ev.constraint_rate())[rows]
+        g[rows] = share * ev.opening()[rows]
     return g

@@ -20,18 +20,17 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BalanceError, InputError, near
+from ..errors import InputError, near
 from ..fem.fields import rank_sum
 from ..mechanics.bodies.coordinates import PortConstraint
 from ..mechanics.forces.force_elements import Loads
-from ..mechanics.frames import Kinematics, Markers
+from ..mechanics.frames import Markers
 from ..mechanics.joints.constraints import Batch
 from ..mechanics.joints.counted import CountedAngles
-from ..mechanics.placements import DistributedPart, FrameElements, FrameMotion, Part, RigidBlock, is_distributed
+from ..mechanics.placements import DistributedPart, FrameElements, Part, RigidBlock, is_distributed
 from ..rotations import Array, Motions
 from . import configurations, lengths
-from .foreshortened_ports import bend, note_forces, port_bias, port_forces
-from .jacobian import Jacobian
+from .evaluation import Evaluation
 
 
 @dataclass(frozen=True)
@@ -261,190 +260,12 @@ class System:
                 sizes.append(float(np.sqrt(square / count)))
         return max(sizes)
 
+    @property
+    def driver(self) -> Any:
+        """What evaluates the system in compiled code (:mod:`.compiled.evaluation`); None where nothing does."""
+        return self.cache.get("driver")
+
     def at(self, t: float, q: Array, v: Array | None = None) -> Evaluation:
         """The system in one configuration (and velocity); collective."""
-        return Evaluation(self, t, q, v)
-
-
-class Evaluation:
-    """Everything that (1) and (2) need at (t, q, v), each computed at most once. Methods are collective."""
-
-    def __init__(self, system: System, t: float, q: Array, v: Array | None) -> None:
-        self.system, self.t, self.q, self.v = system, t, q, v
-        system.move(t)
-        self.pose = system.poses(q)
-        in_q, in_v, _ = system.slices
-        self.port = system.ports(q, in_q, True)
-        if v is not None:
-            self.twist = system.twists(v)
-            self.port_rate = system.ports(v, in_v, False)
-        self.bent = bend(self) if system.curved else {}
-
-    @cached_property
-    def kin(self) -> Kinematics:
-        """The markers: positions, rotations, Jacobians, and velocities where v is given."""
-        s = self.system
-        rates = None if self.v is None else (self.twist, self.port_rate)
-        kin = s.markers.evaluate(self.pose, self.rotation, self.port, rates)
-        if s.counted is not None:
-            kin.turned = s.counted.turned(self.pose, self.port, self.q[s.counted_angles])
-        return kin
-
-    @cached_property
-    def rotation(self) -> Array:
-        """Rotation matrices of the frames, (n_frames + 1, d, d)."""
-        return self.system.motions.matrix(self.pose)
-
-    # -- constraints ------------------------------------------------------------------------------------------------
-    def constraint(self) -> Array:
-        """g(q, t), (n_lam,)."""
-        s = self.system
-        g = np.zeros(s.n_lam)
-        for batch, rows in s.batches:
-            g[rows] = batch.values(self.kin, self.t)
-        for law, span in s.port_constraints:
-            g[span] += law.values(self.port[s.port_slice(law.part)], self.t)
-        for tie, span in s.traces:
-            g[span] = tie.values(self)
-        for k, span in enumerate(s.frame_rows):
-            g[span] = self.port[s.port_slice(k)][: s.parts[k].n_frame_rows]
-        return g
-
-    @cached_property
-    def jacobian(self) -> Jacobian:
-        """G = dg/dv."""
-        return Jacobian(self)
-
-    @cached_property
-    def sides(self) -> list[Any]:
-        """The rows of each batch by marker, as :meth:`.Batch.sides`."""
-        return [batch.sides(self.kin, self.t) for batch, _ in self.system.batches]
-
-    def constraint_rate(self) -> Array:
-        """g_t, the part of dg/dt that does not come from v, (n_lam,)."""
-        g = np.zeros(self.system.n_lam)
-        for batch, rows in self.system.batches:
-            g[rows] = batch.rate(self.kin, self.t)
-        for law, span in self.system.port_constraints:
-            g[span] += law.rate(self.port[self.system.port_slice(law.part)], self.t)
-        for tie, span in self.system.traces:
-            g[span] = tie.rate(self)
-        return g
-
-    def gamma(self) -> Array:
-        """g'' - G a, (n_lam,)."""
-        assert self.v is not None and self.kin.bias is not None
-        g = np.zeros(self.system.n_lam)
-        for k, (batch, rows) in enumerate(self.system.batches):
-            value = batch.gamma(self.kin, self.t)
-            for number, marker, side in self.sides[k]:
-                value += np.bincount(number, (side * self.kin.bias[marker]).sum(1), len(rows))
-            g[rows] = value
-        for law, span in self.system.port_constraints:
-            ports = self.system.port_slice(law.part)
-            g[span] += law.gamma(self.port[ports], self.port_rate[ports], self.t)
-        for tie, span in self.system.traces:
-            g[span] = tie.gamma(self)
-        return g + self.jacobian.port @ port_bias(self) if self.bent else g
-
-    # -- balance ----------------------------------------------------------------------------------------------------
-    def wrenches(self) -> Array:
-        """Applied wrenches on all markers in world axes, (n_markers, d + n_rot)."""
-        s = self.system
-        out = np.zeros(self.kin.jac_frame.shape[:2])
-        for loads in s.forces:
-            for marker, wrench in zip((loads.a, loads.b), loads.wrenches(self.kin, self.t), strict=True):
-                np.add.at(out, marker, wrench)
-        return out
-
-    def spread(self, wrench: Array) -> Array:
-        """Generalised forces of wrenches on the markers: the transpose of the marker Jacobians, like v."""
-        return self.gather(*self.on_ports(wrench))
-
-    def on_ports(self, wrench: Array) -> tuple[Array, Array]:
-        """Forces of wrenches on the frames, and on the ports (n_port,)."""
-        s, m = self.system, self.system.markers
-        core = np.zeros((s.n_frames + 1, s.motions.n_twist))
-        np.add.at(core, m.frame, (self.kin.jac_frame.swapaxes(1, 2) @ wrench[..., None])[..., 0])
-        port = np.zeros(s.n_port)
-        if m.surface.size:
-            np.add.at(port, m.port, (self.kin.jac_port.swapaxes(1, 2) @ wrench[m.surface][..., None])[..., 0])
-        return core[:-1].ravel(), port
-
-    def gather(self, core: Array, port: Array) -> Array:
-        """An array like v from forces on the frames and on the ports."""
-        s = self.system
-        if not s.parts:
-            return core
-        s.move(self.t)
-        return np.concatenate((core, *port_forces(self, port)))
-
-    def balance(self, a: Array, lam: Array | None = None) -> Array:
-        """M a + h + G^T lambda (lambda left out when None), like v."""
-        s, n = self.system, self.system.motions.n_twist
-        assert self.v is not None
-        accel, g = s.twists(a), s.gravity(self.t)
-        core = np.zeros((s.n_frames + 1, n))
-        if s.rigid is not None:
-            core[s.rigid.frame] += s.rigid.force(self.twist, accel, g)
-        for elements in s.elements:
-            for frames, rows in elements.forces(self.t, self.pose, self.twist):
-                np.add.at(core, frames, rows)
-        local_rows = []
-        for k, p in enumerate(s.parts):
-            local = (s.local_q(self.q, k), s.local_v(self.v, k), s.local_v(a, k))
-            motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], accel[p.frame], g)
-            sums, rows = p.force(motion, local)
-            core[p.frame] += sums
-            local_rows.append(rows)
-        out = np.concatenate((core[:-1].ravel(), *local_rows)) if s.parts else core[:-1].ravel()
-        wrench = self.wrenches() if s.forces else None
-        if wrench is not None:
-            out -= self.spread(wrench)
-        if s.curved:
-            note_forces(self, wrench, lam)
-        if lam is not None and s.n_lam:
-            out += self.jacobian.transposed(lam)
-        if not np.isfinite(out[: s.n_core]).all():
-            raise BalanceError(
-                f"The balance of forces is not finite at t = {self.t:g} s; check loads and initial values."
-            )
-        return out
-
-    # -- invariants -------------------------------------------------------------------------------------------------
-    def energies(self) -> dict[str, float]:
-        """Energies in J: kinetic, elastic, weight, springs."""
-        return self._energies
-
-    @cached_property
-    def _energies(self) -> dict[str, float]:
-        s = self.system
-        assert self.v is not None
-        g = s.gravity(np.inf)
-        kinetic, elastic, weight = 0.0, 0.0, 0.0
-        if s.rigid is not None:
-            kinetic, weight = s.rigid.energies(self.pose, self.twist, g)
-        for k, p in enumerate(s.parts):
-            motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], None, g)
-            T, E, W = p.energies(motion, self.pose[p.frame], (s.local_q(self.q, k), s.local_v(self.v, k)))
-            kinetic, elastic, weight = kinetic + T, elastic + E, weight + W
-        elastic += sum(elements.energy(self.t, self.pose) for elements in s.elements)
-        springs = sum(f.energy(self.kin, self.t) for f in s.forces)
-        return {"kinetic": kinetic, "elastic": elastic, "weight": weight, "springs": springs}
-
-    def momenta(self) -> tuple[Array, Array]:
-        """Linear and angular momentum about the origin, world axes."""
-        s = self.system
-        assert self.v is not None
-        p: Array = np.zeros(s.motions.dim)
-        L: Array = np.zeros(s.motions.n_rot)
-        if s.rigid is not None:
-            dp, dL = s.rigid.momenta(self.pose, self.twist)
-            p, L = p + dp, L + dL
-        for k, part in enumerate(s.parts):
-            motion = FrameMotion(
-                self.t, self.rotation[part.frame], self.twist[part.frame], None, np.zeros(s.motions.dim)
-            )
-            dp, dL = part.momenta(motion, self.pose[part.frame], (s.local_q(self.q, k), s.local_v(self.v, k)))
-            p, L = p + dp, L + dL
-        return p, L
+        made: Evaluation = Evaluation(self, t, q, v) if self.driver is None else self.driver.at(t, q, v)
+        return made

@@ -80,10 +80,6 @@ class BushingLoads(Loads):
         """None: a matrix."""
         return None
 
-    def repeated(self, k: int, markers: int) -> Loads | None:
-        """None: copies are evaluated one at a time."""
-        return None
-
     def mounts(self) -> tuple[Array, Array]:
         """K and C in the axes of markers a."""
         return self.K, self.C

@@ -31,10 +31,6 @@ class DryFrictionLoads(ScalarLoads):
         self.limit = np.array([f.limit for f in forces])
         self.kept: Array = np.zeros(len(forces))
 
-    def repeated(self, k: int, markers: int) -> Loads | None:
-        """None: the memory belongs to one motion."""
-        return None
-
     def formulas(self) -> list[Formula]:
         """Dry friction, with the points where it sticks."""
 

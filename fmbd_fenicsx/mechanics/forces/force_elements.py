@@ -10,7 +10,6 @@ serve as Newton tangents only. User functions are checked on every call; an erro
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +18,6 @@ import numpy as np
 from ...errors import InputError, named
 from ...rotations import Array, Motions
 from ..frames import Kinematics
-from ..joints.constraints import time_of
 from ..joints.relative import Relative, Separation
 from .effort_laws import EffortLaw
 from .formulas import Formula, formulas_of
@@ -64,12 +62,6 @@ class Loads:
     def law_of(f: Any) -> Any:
         """The user's function of a force, its exceptions named; None without one."""
         return None if f.law is None else Repeatable(f"The law of {f.kind}", f.name, f.law)
-
-    def repeated(self, k: int, markers: int) -> Loads | None:
-        """These forces k times, copy c on the markers numbered ``c markers`` higher; None where only one copy at a time can be
-        evaluated.
-        """
-        return None
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Wrenches (force, torque) in world axes on markers a and b, each (m, d + n_rot)."""
@@ -156,15 +148,6 @@ class ScalarLoads(Loads):
         self.free = np.array([f.length for f in forces], dtype=float)
         self.own = [(i, f.name, self.laws[i]) for i, f in enumerate(forces) if f.law is not None]
 
-    def repeated(self, k: int, markers: int) -> Loads | None:
-        """All copies as arrays; laws of the user's own one by one."""
-        relative = self.relative.repeated(k, markers)
-        out, m = copy(self), len(self.forces)
-        out.relative, out.forces, out.a, out.b = relative, self.forces * k, relative.a, relative.b
-        out.k, out.c, out.free = (np.tile(x, k) for x in (self.k, self.c, self.free))
-        out.own = [(i + c * m, name, law) for c in range(k) for i, name, law in self.own]
-        return out
-
     def _state(self, kin: Kinematics) -> tuple[Array, Array, Array, Array]:
         assert kin.twist is not None
         s = self.relative.values(kin)
@@ -207,8 +190,7 @@ class ScalarLoads(Loads):
         """N of elongations s and rates, (m,)."""
         N = self.k * s + self.c * rate
         for i, name, law in self.own:
-            now = time_of(t, i, len(N))
-            N[i] = checked(name, law(s[i], rate[i], now), 1, now)[0]
+            N[i] = checked(name, law(s[i], rate[i], t), 1, t)[0]
         return N
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:

@@ -22,7 +22,6 @@ marker: a row of ``Coincident`` has force +lambda n on a, -lambda n on b.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -39,11 +38,6 @@ Motion = Callable[[float], tuple[float, float, float]]
 
 
 Sides = Sequence[tuple[np.ndarray, np.ndarray, Array]]
-
-
-def time_of(t: Any, i: int, n: int) -> float:
-    """Time of item i of n: t itself, or that of its copy where t holds the times of equally large copies."""
-    return t if np.ndim(t) == 0 else float(t[i * len(t) // n])
 
 
 def standstill(t: float) -> tuple[float, float, float]:
@@ -92,22 +86,11 @@ class Batch:
         """What turns the values of the rows into lengths (m), for a model of a size (m): it, for rows that are angles."""
         return np.ones(len(self.a))
 
-    def repeated(self, k: int, markers: int) -> Batch | None:
-        """These constraints k times, copy c on the markers numbered ``c markers`` higher; None where only one copy at a time
-        can be evaluated. Times of the result are then one for all copies, or (k,).
-        """
-        out, m = copy(self), len(self.a)
-        shift = markers * np.repeat(np.arange(k), m)
-        out.a, out.b = np.tile(self.a, k) + shift, np.tile(self.b, k) + shift
-        out.items = self.items.repeated(k, markers)
-        out.driven = [(i + c * m, motion) for c in range(k) for i, motion in self.driven]
-        return out
-
-    def offsets(self, t: Any) -> Array:
+    def offsets(self, t: float) -> Array:
         """(3, m) array of s, s', s''."""
         s = np.zeros((3, len(self.a)))
         for i, motion in self.driven:
-            s[:, i] = motion(time_of(t, i, len(self.a)))
+            s[:, i] = motion(t)
         return s
 
     def values(self, kin: Kinematics, t: float) -> Array:
@@ -183,7 +166,7 @@ class Perpendicular(Batch):
 class InTime(Batch):
     """Constraints whose kind itself depends on a motion of time, as one of its constants."""
 
-    def _drive(self, t: Any) -> None:
+    def _drive(self, t: float) -> None:
         """The motions and their rates at time t into the constants of the items."""
         for name, s in zip(("drive", "drive1", "drive2"), self.offsets(t), strict=True):
             self.items.constant(name)[:, 0] = s

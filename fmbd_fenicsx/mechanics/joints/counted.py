@@ -18,7 +18,7 @@ as a whole; for these theta is counted in the plane too, and one increment may t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -45,12 +45,6 @@ class CountedAngles:
     def count(self) -> int:
         """Numbers theta in a configuration."""
         return len(self.turn.a)
-
-    def repeated(self, k: int, markers: Markers) -> CountedAngles:
-        """The angles of k copies of the system side by side; ``markers``: those of all copies."""
-        turn = self.turn.repeated(k, len(self.start))
-        assert isinstance(turn, Turn)
-        return replace(self, markers=markers, turn=turn, start=np.tile(self.start, k))
 
     def turned(self, pose: Array, port: Array, theta: Array) -> Array:
         """An angle (rad) of each marker, (n,): the difference of the two markers of a joint is the angle that it has turned.

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -23,7 +22,7 @@ from ...log import log
 from ...rotations import Array, Motions, hat
 from ..bodies.coordinates import derivative, differences
 from ..frames import Kinematics
-from .constraints import Batch, Motion, Sides, time_of
+from .constraints import Batch, Motion, Sides
 from .relative import Relative, Turn
 
 
@@ -121,23 +120,11 @@ class CouplingBatch(Batch):
             linear[rows] |= not isinstance(relative, Turn)
         return np.where(linear, 1.0, length)
 
-    def repeated(self, k: int, markers: int) -> Batch | None:
-        """All copies as arrays."""
-        m, copies = self.size, np.arange(k)[:, None]
-        out = copy(self)
-        out.size = k * m
-        out.terms = [
-            (relative.repeated(k, markers), (rows + m * copies).ravel(), np.tile(c, k))
-            for relative, rows, c in self.terms
-        ]
-        out.driven = [(i + c * m, motion) for c in range(k) for i, motion in self.driven]
-        return out
-
-    def offsets(self, t: Any) -> Array:
+    def offsets(self, t: float) -> Array:
         """(3, m) array of s, s', s''."""
         s = np.zeros((3, self.size))
         for i, motion in self.driven:
-            s[:, i] = motion(time_of(t, i, self.size))
+            s[:, i] = motion(t)
         return s
 
     def _sum(self, parts: list[Array]) -> Array:
@@ -180,10 +167,6 @@ class OwnBatch(Batch):
     def lengths(self, length: float) -> Array:
         """In units of the user's own: taken as they are."""
         return np.ones(1)
-
-    def repeated(self, k: int, markers: int) -> Batch | None:
-        """None: a function of the user's own."""
-        return None
 
     def _checked(self, value: Any, t: float) -> Any:
         found = np.atleast_1d(np.asarray(value))

@@ -9,14 +9,14 @@ A coordinate is also a sensor (``scene.sensor("phi", phi)``) and what :func:`fmb
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from ...checks import number, typed
 from ...errors import InputError, require
 from .constraints import Motion
 from .couplings import lead_ratio, smooth_motion
-from .joints import Joint, Vector, center_point, dimension, direction
+from .joints import Joint
 from .relative import Relative, Separation, Slide, Turn
 
 
@@ -124,40 +124,3 @@ def screw(name: str, joint: Joint, *, lead: float) -> Coupling:
 
 def _not_zero(what: str, value: float) -> None:
     require(number(what, value) != 0.0, f"{what} {value} must be finite and not zero.")
-
-
-@dataclass(frozen=True)
-class OwnJoint(Joint):
-    """Rows g(x_a, R_a, x_b, R_b, t) = 0 given by the user."""
-
-    function: Callable[..., Any] = field(default=None)  # type: ignore[assignment]
-
-
-@typed
-def own_joint(
-    name: str,
-    a: Any,
-    b: Any,
-    function: Callable[..., Any],
-    *,
-    center: Vector | None = None,
-    axis: Vector | None = None,
-) -> OwnJoint:
-    """A joint of your own: function(x_a, R_a, x_b, R_b, t) -> (m,) numbers that are zero when the joint is closed.
-
-    x are the world positions (m) of the two markers at ``center`` and R their rotations since the start, (d, d). Lengths in
-    m, angles in rad, so that the checks can judge residuals. Write it with NumPy operations (no ``abs``, no ``float``) and
-    its derivatives are exact. See docs/own_joint.md.
-    """
-    c = center_point(center, dimension(a, b, name), name)
-    return OwnJoint(
-        name,
-        a,
-        b,
-        (),
-        c,
-        c,
-        kind="own",
-        axis=None if axis is None else direction(axis, dimension(a, b, name), name),
-        function=function,
-    )

@@ -1,4 +1,4 @@
-"""A constraint of a user's own, by one formula of two markers and of time.
+"""A constraint of a user's own, by one formula of two markers and of time, or by a function of numbers.
 
     def bowl(a, b, t):
         x, y, z = b.x - a.x
@@ -9,23 +9,26 @@
 The formula g(A, B, t) = 0 is written down once, when the constraint is made. Its rows, g', g'' and the stiffness of its reaction
 are derived from it, and evaluated by compiled kernels as those of the package's own joints (:mod:`~..kinds.own`). A formula of
 velocities, linear in them, is a nonholonomic constraint.
+
+A function of numbers (:func:`own_joint`) that takes symbols as well is a formula, too; another one is called at every evaluation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ...checks import typed, vector
+from ...errors import InputError
 from ...rotations import Array
 from ..bodies.bodies import RigidBody
 from ..kinds.own import OwnTerm, finite_at, own_term, traced
 from . import constraints as ct
 from .couplings import smooth_motion
-from .joints import Joint, Row, Vector, dimension, ground
+from .joints import Joint, Row, Vector, center_point, dimension, direction, ground
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,53 @@ def constraint(
         finite_at(what, terms, places, dim)
     rows = tuple(_row(name, term, dim) for term in terms)
     return ExpressedJoint(name, a, b, rows, places[0], places[1], kind="own")
+
+
+@dataclass(frozen=True)
+class OwnJoint(ExpressedJoint):
+    """Rows g(x_a, R_a, x_b, R_b, t) = 0 given by the user; ``rows`` where they are formulas, else ``function`` tells them."""
+
+    function: Callable[..., Any] = field(default=None)  # type: ignore[assignment]
+
+    @property
+    def joined(self) -> bool:
+        """Both sides meet at one point where none is given."""
+        return True
+
+
+@typed
+def own_joint(
+    name: str,
+    a: Any,
+    b: Any,
+    function: Callable[..., Any],
+    *,
+    center: Vector | None = None,
+    axis: Vector | None = None,
+) -> OwnJoint:
+    """A joint of your own: function(x_a, R_a, x_b, R_b, t) -> (m,) numbers that are zero when the joint is closed.
+
+    x are the world positions (m) of the two markers at ``center`` and R their rotations since the start, (d, d). Lengths in
+    m, angles in rad, so that the checks can judge residuals. Written as one formula with NumPy operations (no ``abs``, no
+    ``float``, no cases) it is compiled as that of :func:`constraint`; else called at every evaluation. See docs/own_joint.md.
+    """
+    dim = dimension(a, b, name)
+    c = center_point(center, dim, name)
+    way = None if axis is None else direction(axis, dim, name)
+    rows = _formula_rows(name, function, dim, c)
+    return OwnJoint(name, a, b, rows, c, c, kind="own", axis=way, function=function)
+
+
+def _formula_rows(name: str, function: Callable[..., Any], dim: int, center: Array | None) -> tuple[Row, ...]:
+    """The rows of a function that symbols pass; none where they do not, or where its formulas have no numbers at the start."""
+    what = f'Joint "{name}"'
+    point = np.zeros(dim) if center is None else center
+    try:
+        terms = [own_term(what, y, dim) for y in traced(what, lambda a, b, t: function(a.x, a.R, b.x, b.R, t), dim)]
+        finite_at(what, terms, [point, point], dim)
+    except InputError:
+        return ()
+    return tuple(_row(name, term, dim) for term in terms)
 
 
 def _row(name: str, term: OwnTerm, dim: int) -> Row:

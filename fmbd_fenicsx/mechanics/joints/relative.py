@@ -22,8 +22,7 @@ goes beyond a turn: of the values of atan2 it takes the one nearest to the count
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -58,13 +57,6 @@ class Relative:
     def constants(self) -> dict[str, Array]:
         """Constants of the kind, in the axes of the markers."""
         return {"e": self.e}
-
-    def repeated(self, k: int, markers: int) -> Any:
-        """These coordinates k times, copy c on the markers numbered ``c markers`` higher."""
-        out, shift = copy(self), markers * np.repeat(np.arange(k), len(self.a))
-        out.a, out.b, out.e = np.tile(self.a, k) + shift, np.tile(self.b, k) + shift, np.tile(self.e, (k, 1))
-        out.items = self.items.repeated(k, markers)
-        return out
 
     def values(self, kin: Kinematics) -> Array:
         """s, (m,): m or rad."""
@@ -163,12 +155,6 @@ class Turn(Relative):
         Ra, Rb = R[..., self.a, :, :], R[..., self.b, :, :]
         a1, a2, b1, b2 = ((turn @ e)[..., 0] for turn in (Ra, Rb) for e in (e1, e2))
         return np.asarray(np.arctan2(dot(a2, b1) - dot(a1, b2), dot(a1, b1) + dot(a2, b2)))
-
-    def repeated(self, k: int, markers: int) -> Any:
-        """The same k times, with their axes."""
-        out = super().repeated(k, markers)
-        out.e1, out.e2 = np.tile(self.e1, (k, 1)), np.tile(self.e2, (k, 1))
-        return out
 
     def values(self, kin: Kinematics) -> Array:
         """Angle from a to b about the axis, rad, followed beyond a full turn."""

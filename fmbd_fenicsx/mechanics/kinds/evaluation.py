@@ -7,7 +7,6 @@ driver.
 
 from __future__ import annotations
 
-from copy import copy
 from typing import Any
 
 import numpy as np
@@ -46,14 +45,6 @@ class Items:
     def turns_only(self) -> bool:
         """Whether the kind depends on rotations alone."""
         return all(i % self.width >= self.motions.dim for i in self.kind.entries)
-
-    def repeated(self, k: int, markers: int) -> Items:
-        """These items k times, copy c on the markers numbered ``c markers`` higher."""
-        out, shift = copy(self), markers * np.repeat(np.arange(k, dtype=np.int32), len(self))
-        out.pair = np.ascontiguousarray(np.tile(self.pair, (k, 1)) + shift[:, None], dtype=np.int32)
-        out.table = np.tile(self.table, (k, 1))
-        out.addresses = out.pair.ctypes.data, out.table.ctypes.data
-        return out
 
     def constant(self, name: str) -> Array:
         """The columns of a constant, a view."""

@@ -20,6 +20,7 @@ from .moreau import Stepper
 class CompiledStepper(Stepper):
     """Steps by the driver, one or many in a call."""
 
+    compiled_whole = True
     path = "compiled (bodies, joints, forces and contacts in C; NumPy for the start and for steps it gives back)"
 
     keeps_memories = True

@@ -23,10 +23,11 @@ from ...linear.blocks.incompressibility import move_pressures, volume_load
 from ...linear.condensation import StepSolver, Weights
 from ...mechanics.contact.rows import Rows
 from ...rotations import Array
+from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory
 from ...system.speed_rows import gaps
-from ...system.system import Evaluation, State, System
+from ...system.system import State, System
 from ..consistent import Correction
 from ..newton import Newton, not_converged
 from ..onestep.generalized_alpha import GeneralizedAlpha

@@ -12,9 +12,10 @@ import numpy as np
 from ...linear.complementarity.normal import ContactCounts
 from ...mechanics.contact.rows import Rows, Touch
 from ...rotations import Array
+from ...system.evaluation import Evaluation
 from ...system.sensors.contact import WORKS, ContactForces, ContactState, forces_of
 from ...system.serialisation import Memory, Remembering, plain
-from ...system.system import Evaluation, State, System
+from ...system.system import State, System
 from .contact_detection import in_world
 
 SHORT = 3  # steps in contact that do not resolve an impact

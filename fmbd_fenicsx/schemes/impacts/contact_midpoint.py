@@ -29,9 +29,10 @@ from ...errors import require
 from ...linear.condensation import StepSolver, Weights
 from ...log import log
 from ...rotations import Array
+from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.speed_rows import gaps, speed_rows
-from ...system.system import Evaluation, State, System
+from ...system.system import State, System
 from ..consistent import Correction, consistent, worst_block
 from ..newton import Newton, not_converged
 from .contact_detection import candidates, refuse_penetration
@@ -147,7 +148,7 @@ class Stepper(ContactStepper):
     def _project(self, step: _Step, v: Array) -> Array:
         """Velocity that satisfies the joints at the end of the step."""
         ev = self.system.at(self.state.t + step.h, step.q, v)
-        slip = ev.jacobian.times(v) + ev.constraint_rate()
+        slip = ev.opening()
         dv, _ = self.solver.solve(np.zeros(self.system.n_v), -slip)
         return v + dv
 

@@ -28,10 +28,11 @@ from ...errors import FmbdError
 from ...linear.condensation import StepSolver, Weights
 from ...log import log
 from ...rotations import Array
+from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.sensors.contact import forces_of
 from ...system.serialisation import Memory, plain
-from ...system.system import Evaluation, State, System
+from ...system.system import State, System
 from ..consistent import Correction, consistent
 from ..newton import Newton, not_converged
 from .contact_detection import candidates, refuse_penetration

@@ -20,9 +20,10 @@ import numpy as np
 from ...linear.condensation import StepSolver, Weights
 from ...linear.core import dense
 from ...rotations import Array
+from ...system.evaluation import Evaluation
 from ...system.force_tangent import force_tangent
 from ...system.serialisation import Remembering, plain
-from ...system.system import Evaluation, State
+from ...system.system import State
 
 GROWTH = 5e-3  # in a step, that an order may have
 RENEWAL = 50  # steps after which the vibrations are looked at again

@@ -30,9 +30,10 @@ from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import Tangent
 from ...rotations import Array
+from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
-from ...system.system import Evaluation, State, System
+from ...system.system import State, System
 from ..consistent import accelerations, project
 from ..control import (
     ROUNDOFF,

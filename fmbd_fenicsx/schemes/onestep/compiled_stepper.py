@@ -23,6 +23,7 @@ class CompiledStepper(Stepper):
     """Steps by the driver, one or many in a call. Those that fail are NumPy's."""
 
     path = "compiled (all bodies, joints and forces in C; NumPy for the start and for steps it gives back)"
+    compiled_whole = True
     keeps_memories = True
 
     def __init__(self, data: tuple[GeneralizedAlpha, Any, Any, Any, State], driver: AlphaDriver | None) -> None:

@@ -26,7 +26,8 @@ from ...mechanics.forces.force_elements import ScalarLoads
 from ...mechanics.frames import Kinematics, Markers
 from ...mechanics.placements import FrameMotion
 from ...rotations import Array
-from ...system.system import Evaluation, System
+from ...system.evaluation import Evaluation
+from ...system.system import System
 
 GAUSS = ((0.5 - 0.15**0.5, 5 / 18), (0.5, 4 / 9), (0.5 + 0.15**0.5, 5 / 18))  # of laws of the user's own over a step
 

@@ -37,16 +37,17 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...energies import MixedEnergy, StoredEnergy
-from ...errors import ConvergenceError
-from ...linear.condensation import StepSolver
+from ...errors import ConvergenceError, LinearSolveError
+from ...linear.condensation import StepSolver, Weights
 from ...linear.redundancy import least
 from ...mechanics.bodies.bodies import AbsoluteBody
 from ...rotations import Array
 from ...system.configurations import count
+from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
 from ...system.speed_rows import speed_rows
-from ...system.system import Evaluation, State, System
+from ...system.system import State, System
 from ..consistent import accelerations
 from ..newton import Newton
 from ..stepping import TimeStepper
@@ -55,6 +56,7 @@ from .discrete_gradient import End, Mean
 SLOW = 0.1  # rate of Newton's iteration above which a new tangent is taken
 SINGULAR = 1e-14  # singular values of the scaled tangent below this share belong to rows that depend on each other
 DIFFERENCE = 1e-7
+NEAR = 12  # further iterations where the tangent is not exact
 WITH_FIELDS = 40  # iterations at most of scenes with fields: their large steps turn bodies far
 
 
@@ -131,19 +133,23 @@ class Stepper(TimeStepper):
         units, size = system.units[:n], self._size(h)
         history: list[float] = []
         J = self._kept[1] if self._kept is not None and self._kept[0] == h else None
-        worst, limit = 0.0, self.newton.max_iterations if self.fields is None else WITH_FIELDS
+        exact = J is None and not self._prepare(h, y)  # whether differences have to give the tangent
+        worst, limit = 0.0, self.newton.max_iterations + NEAR if self.fields is None else WITH_FIELDS
         for _ in range(limit):
             r = self._residual(h, y, old)
-            if J is None:
+            if J is None and exact:
                 J = self._differences(h, (y, r, self._reach(h, size)), old)
                 if self.fields is not None:
                     self.fields.linearise()
-            y, history = self._increment(y, r, J, units / size), [*history, self._change]
+            y = self._near_increment(y, r, units / size) if J is None else self._increment(y, r, J, units / size)
+            history.append(self._change)
             self.newton.iterations += 1
             rate = history[-1] / max(history[-2], 1e-300) if len(history) > 1 else 0.0
             if history[-1] > 1e-11:
                 worst = max(worst, rate)
-            if rate > SLOW or (len(history) == 1 and self._kept is None):
+            if rate > SLOW and (J is not None or history[-1] > 1e-11):
+                J, exact = None, True
+            elif len(history) == 1 and self._kept is None:
                 J = None
             if history[-1] <= 1e-13 or (len(history) > 2 and history[-1] <= 1e-10 and history[-1] > 0.2 * history[-2]):
                 break
@@ -203,6 +209,29 @@ class Stepper(TimeStepper):
             self._change = max(self._change, 10.0 * self.fields.move(J[n : n + p] @ dy))
             y[n : n + p] = self._port_values()
         return y
+
+    def _prepare(self, h: float, y: Array) -> bool:
+        """The matrix of a configuration in the middle of the step, right up to the turn of the bodies over a step; False where
+        it cannot be had, as with elastic fields.
+        """
+        if self.fields is not None:
+            return False
+        _, _, w, middle = self._motion(h, y[: self.n])
+        try:
+            self.solver.prepare(self.system.at(self.state.t + 0.5 * h, middle, w), Weights(1.0, 0.5 * h, 0.25 * h * h))
+        except LinearSolveError:
+            return False
+        return True
+
+    def _near_increment(self, y: Array, r: tuple[Array, Array, Array], weights: Array) -> Array:
+        """y after one increment with the matrix of the middle; sets its size as :meth:`_increment` does."""
+        core, _, g = r
+        try:
+            da, dlam = self.solver.solve(-core, -g)
+        except LinearSolveError:
+            da, dlam = np.full_like(core, np.inf), np.zeros_like(g)
+        self._change = float(np.abs(weights * da).max(initial=0.0))
+        return np.concatenate((y[: self.n] + da, y[self.n :] + dlam))
 
     def _take(self, h: float, y: Array) -> State:
         """The state at the end of the step, its accelerations and multipliers solved for."""

@@ -123,10 +123,8 @@ class GeneralizedAlpha:
             return
         from ...linear.driver_solver import DriverSolver
         from ...system.compiled.evaluation import driver_states
-        from .alpha_driver import drivable
 
-        library = drivable(system)
-        states = None if library is None else driver_states(system, library)
+        states = driver_states(system)
         solver.driver = None if states is None else DriverSolver(states)
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Any:
@@ -286,7 +284,7 @@ class Stepper(TimeStepper):
             self.solver.prepare(ev, weights, keep=not new)
             done += 1
             if stabilised:
-                slip = ev.jacobian.times(v) + ev.constraint_rate()
+                slip = ev.opening()
                 dq, dlam = self.solver.solve(-scale * r, -scale / weights.cd * slip)
                 open_after = -g - ev.jacobian.times(dq)
                 open_after[speed_rows(system)] = 0.0  # these have no g: the correction rolls

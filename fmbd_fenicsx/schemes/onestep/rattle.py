@@ -24,9 +24,10 @@ from ...errors import BalanceError, ConvergenceError
 from ...linear.condensation import StepSolver, Weights
 from ...linear.redundancy import least
 from ...rotations import Array
+from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
-from ...system.system import Evaluation, State, System
+from ...system.system import State, System
 from ..dae import positions_refused
 from ..newton import Newton
 from ..stepping import TimeStepper
@@ -128,7 +129,7 @@ class Stepper(TimeStepper):
 
     def _solve_second(self, ev: Evaluation, v: Array, h: float) -> tuple[Array, Array]:
         """a = 2 (v_n+1 - v_1/2) / h and mu of (2)."""
-        slip = ev.jacobian.times(v) + ev.constraint_rate() if self.system.n_lam else np.zeros(0)
+        slip = ev.opening() if self.system.n_lam else np.zeros(0)
         self._prepare(ev)
         return self._refine(ev, self.state.a, self.half, lambda a: ev.jacobian.times(a) + 2.0 / h * slip)
 

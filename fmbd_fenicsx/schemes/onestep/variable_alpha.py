@@ -241,12 +241,8 @@ class VariableAlpha(TimeStepper):
         if self.system.n_lam and not isinstance(self.scheme.form, GGL):
             ev = self.system.at(s.t, s.q, s.v)
             self.solver.prepare(ev, self._weights_of(h))
-            v = v + self.solver.solve(np.zeros_like(v), (r * r - 1.0) * self._miss(ev))[0]
+            v = v + self.solver.solve(np.zeros_like(v), (r * r - 1.0) * ev.opening())[0]
         self._move(replace(s, v=v), s.a + r * (inner.A - s.a))
-
-    def _miss(self, ev: Any) -> Array:
-        """G v + g_t: what velocities miss their constraints by; of a step of index 3 a multiple of h^2."""
-        return ev.jacobian.times(self.state.v) + ev.constraint_rate()  # type: ignore[no-any-return]
 
     def _weights_of(self, h: float) -> Weights:
         """Those of the scheme's matrix."""
@@ -260,6 +256,6 @@ class VariableAlpha(TimeStepper):
         ev = self.system.at(s.t, s.q, s.v)
         push = ev.balance(s.a + jump, s.lam) - ev.balance(s.a, s.lam)
         self.solver.prepare(ev, self._weights)
-        e, _ = self.solver.solve(push, 0.5 * h * self._miss(ev))
+        e, _ = self.solver.solve(push, 0.5 * h * ev.opening())
         self.norm.update(s, h)  # the way of this step counts
         return self.norm(h, e, np.zeros_like(e))

@@ -1,29 +1,37 @@
-"""One state of a system evaluated and solved by the driver: what makes a start consistent before compiled steps begin.
+"""A system evaluated and solved by the driver: one configuration, or many in a call.
 
-:class:`DriverEvaluation` has the names of :class:`~fmbd_fenicsx.system.system.Evaluation` and gives the same numbers to
-roundoff. What the driver does not tell, as markers for sensors and energies, is that of NumPy.
+What schemes in Python ask for at every stage, the balance and the constraints with their derivatives, comes from the driver's
+tables, to roundoff the numbers of :class:`~..evaluation.Evaluation`. Markers, energies and momenta are NumPy's, made when someone
+asks for them. Systems without elastic fields.
 """
 
 from __future__ import annotations
 
 import ctypes
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
 from ...rotations import Array
-from ..jacobian import DENSE_LIMIT, Jacobian
+from ..evaluation import Evaluation
+from ..jacobian import Jacobian, dense_core
+from ..many import Jacobians, Many
 from ..mobility import CERTAIN, INVERSE_ITERATIONS
-from ..system import Evaluation, System
+from ..system import System
 from .calls import Calls
-from .tables import Tables
+from .items import covers
+from .library import driver_library
+from .tables import Tables, covers_bodies
 
 STORAGE_LIMIT = 20_000_000  # numbers in the factor
+LOOK = 3  # a verdict, as in driver/tables.h
+
+Configurations = tuple[Array, Array, Array]  # t (k,), q (k, n_q), v (k, n_v)
 
 
 class DriverStates:
-    """The driver of a system without elastic fields, for single states."""
+    """The driver of a system, for states that Python asks for; arrays have the configurations in front, (k, ..)."""
 
     def __init__(self, system: System, library: Any) -> None:
         self.system, self.library, self.factors = system, library, 0
@@ -36,8 +44,8 @@ class DriverStates:
         self.address = ctypes.addressof(self.tables.c)
         self.taken = False
         n, m = self.system.n_v, self.system.n_lam
-        self._given = _Exchange((self.system.n_q, n, n, m))  # what C reads
-        self._found = _Exchange((n, m, m, m))  # and writes
+        self._given = _Exchange((self.system.n_q, n, m))  # what C reads
+        self._found = _Exchange((n, m))  # and writes
         self._remembering: list[Any] = [items for items in self.tables.sources if items.remembers]
         self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
 
@@ -54,46 +62,44 @@ class DriverStates:
         """The system in one state; without a velocity that of NumPy."""
         return Evaluation(self.system, t, q, v) if v is None else DriverEvaluation(self, t, q, v)
 
-    def evaluated(self, ev: Evaluation) -> bool:
+    def evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
         """Whether a state is one of :meth:`at`."""
         return isinstance(ev, DriverEvaluation) and ev.states is self
 
-    def sample(self, t: float) -> None:
-        """Everything that depends on time only, for the calls to come."""
-        if self.tables.c.samples:
-            self.calls.sample(t)
+    def many(self, t: Array, q: Array, v: Array) -> DriverMany:
+        """Configurations at the times t (k,): q (k, n_q), v (k, n_v)."""
+        return DriverMany(self, t, q, v)
 
-    def balance(self, ev: DriverEvaluation, a: Array, lam: Array) -> Array | None:
-        """M a + h + G^T lambda, like v; None where NumPy has something to say about the state."""
-        self.sample(ev.t)
+    def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
+        """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""
+        out = np.empty((len(at[0]), self.system.n_v))
+        return out if self._ask(self.library.driver_balances, (*at, a, lam), (out,)) else None
+
+    def constraints(self, at: Configurations) -> tuple[Array, Array, Array, Array] | None:
+        """g, G v + g_t, g_t and gamma, (k, n_lam) each; gamma without the bias of surfaces. None as above."""
+        gap, opening, rate, gamma = np.empty((4, len(at[0]), self.system.n_lam))
+        if not self._ask(self.library.driver_constraints, at, (gap, opening, rate, gamma)):
+            return None
+        for rows, motions in self.calls.moving:
+            gamma[:, rows] -= [[motion(float(t))[2] for motion in motions] for t in at[0]]
+        return gap, opening, rate, gamma
+
+    def rows(self, at: Configurations) -> Array | None:
+        """G, (k, n_lam, n_v); None as above."""
+        out = np.empty((len(at[0]), self.system.n_lam, self.system.n_v))
+        return out if self._ask(self.library.driver_rows, at, (out,)) else None
+
+    def _ask(self, function: Any, given: tuple[Array | None, ...], wanted: tuple[Array, ...]) -> bool:
+        """One call for all configurations; whether they have been evaluated."""
         for items in self._remembering:
             items.arrays["kept"][:] = items.formula.kept()
-        given = self._given.put(ev.q, ev.v, a, lam)
-        verdict = self.library.driver_balance(self.address, *given, ev.t, self._found.at[0])
+        arrays = [None if x is None else np.ascontiguousarray(x, dtype=float) for x in given]
+        places = [None if x is None else x.ctypes.data for x in (*arrays, *wanted)]
+        verdict = function(self.address, len(wanted[0]), *places)
         self.calls.raise_error()
-        return None if verdict else self._found.arrays[0].copy()
-
-    def constraints(self, ev: DriverEvaluation) -> tuple[Array, Array, Array] | None:
-        """g, g_t and gamma, (n_lam,) each; gamma without the bias of surfaces. None as above."""
-        self.sample(ev.t)
-        given = self._given.put(ev.q, ev.v)
-        if self.library.driver_constraints(self.address, *given, *self._found.at[1:]):
-            return None
-        gap, rate, gamma = (x.copy() for x in self._found.arrays[1:])
-        for rows, motions in self.calls.moving:
-            gamma[rows] -= [motion(ev.t)[2] for motion in motions]
-        return gap, rate, gamma
-
-    def rows(self, ev: DriverEvaluation) -> Array | None:
-        """G, (n_lam, n_v); None as above."""
-        G = np.zeros((self.system.n_lam, self.system.n_v))
-        verdict = self.library.driver_rows(self.address, *self._given.put(ev.q, ev.v), G.ctypes.data)
-        return None if verdict else G
-
-    def speeds(self, ev: DriverEvaluation, x: Array) -> Array | None:
-        """G x, (n_lam,); None as above."""
-        verdict = self.library.driver_speeds(self.address, *self._given.put(ev.q, x), self._found.at[1])
-        return None if verdict else self._found.arrays[1].copy()
+        if verdict == LOOK:
+            self.tables.look()
+        return not verdict
 
     # -- solution ---------------------------------------------------------------------------------------------------------
     def prepare(self, ev: DriverEvaluation, cd: float, ck: float) -> bool:
@@ -103,10 +109,10 @@ class DriverStates:
             return True
         self._held = None
         a, lam = ev.forces
-        if self.balance(ev, a, lam) is None:
+        if self.balances(ev.alone, a[None], lam[None]) is None:
             return False
-        q, _, _, lam = self._given.at
-        if self.library.driver_prepare(self.address, q, cd, ck, lam, 0, ev.t):
+        q, _, below = self._given.put(ev.q, None, lam)
+        if self.library.driver_prepare(self.address, q, cd, ck, below, 0, ev.t):
             return False
         self.calls.raise_error()
         self._held, self.factors = (ev.t, ev.q, ev.v, (cd, ck)), self.factors + 1
@@ -117,12 +123,12 @@ class DriverStates:
         if self._held is None or self._held[0] != ev.t or self._held[3] != weights:
             return False
         _, q, v, _ = self._held
-        return np.array_equal(q, ev.q) and (not any(weights) or np.array_equal(v, ev.v))
+        return np.array_equal(q, ev.q) and (not any(weights) or np.array_equal(v, ev.alone[2][0]))
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """x like v and y (n_lam,) for the right-hand sides b and c."""
         assert self._held is not None
-        q, right, _, below = self._given.put(self._held[1], b, None, c)
+        q, right, below = self._given.put(self._held[1], b, c)
         self.library.driver_solve(self.address, q, right, below, *self._found.at[:2])
         return self._found.arrays[0].copy(), self._found.arrays[1].copy()
 
@@ -161,50 +167,55 @@ class DriverEvaluation(Evaluation):
     """An evaluation whose constraints and balance come from the driver."""
 
     def __init__(self, states: DriverStates, t: float, q: Array, v: Array) -> None:
-        self.states = states
-        self.forces = (
-            np.zeros(states.system.n_v),
-            np.zeros(states.system.n_lam),
-        )  # accelerations and multipliers given last
         super().__init__(states.system, t, q, v)
+        self.states, self.alone = states, (np.array([t]), q[None], v[None])
+        nothing: tuple[Array, Array] = np.zeros(states.system.n_v), np.zeros(states.system.n_lam)
+        self.forces = nothing  # a and lambda given last
 
     @cached_property
-    def _constraints(self) -> tuple[Array, Array, Array] | None:
-        return self.states.constraints(self)
+    def _constraints(self) -> tuple[Array, ...] | None:
+        found = self.states.constraints(self.alone)
+        return None if found is None else tuple(x[0] for x in found)
 
     def constraint(self) -> Array:
         """g(q, t), (n_lam,)."""
         found = self._constraints
         return super().constraint() if found is None else found[0].copy()
 
+    def opening(self) -> Array:
+        """G v + g_t, (n_lam,)."""
+        found = self._constraints
+        return super().opening() if found is None else found[1].copy()
+
     def constraint_rate(self) -> Array:
         """g_t, (n_lam,)."""
         found = self._constraints
-        return super().constraint_rate() if found is None else found[1].copy()
+        return super().constraint_rate() if found is None else found[2].copy()
 
     def gamma(self) -> Array:
         """g'' - G a, (n_lam,)."""
         found = self._constraints
-        return super().gamma() if found is None or self.system.markers.surface.size else found[2].copy()
+        return super().gamma() if found is None or self.system.markers.surface.size else found[3].copy()
 
     @cached_property
-    def jacobian(self) -> Any:
+    def jacobian(self) -> Jacobian:
         """G = dg/dv."""
         return DriverJacobian(self)
 
     def balance(self, a: Array, lam: Array | None = None) -> Array:
         """M a + h + G^T lambda (lambda left out when None), like v."""
         lam = np.zeros(self.system.n_lam) if lam is None else lam
-        out, self.forces = self.states.balance(self, a, lam), (a, lam)
-        usable = out is not None and np.isfinite(out).all()
-        return out if usable else super().balance(a, lam)  # which says what is wrong
+        found, self.forces = self.states.balances(self.alone, a[None], lam[None]), (a, lam)
+        if found is None or not np.isfinite(found).all():
+            return super().balance(a, lam)  # which says what is wrong
+        return found[0]
 
 
-class DriverJacobian:
-    """G of a state, products by the driver."""
+class DriverJacobian(Jacobian):
+    """G of a state by the driver; its parts are made when someone looks at them."""
 
     def __init__(self, ev: DriverEvaluation) -> None:
-        self.ev = ev
+        self.ev, self.system, self.t, self.bent = ev, ev.system, ev.t, ev.bent
 
     @cached_property
     def numpy(self) -> Jacobian:
@@ -212,30 +223,66 @@ class DriverJacobian:
         return Jacobian(self.ev)
 
     @cached_property
-    def core(self) -> Any:
+    def core(self) -> Any:  # type: ignore[override]
         """G, (n_lam, n_v), dense or sparse."""
-        s = self.ev.system
-        G = None if s.n_lam * s.n_v > DENSE_LIMIT or s.elements else self.ev.states.rows(self.ev)
-        return self.numpy.core if G is None else G
+        G = self.ev.states.rows(self.ev.alone) if dense_core(self.system) else None
+        return self.numpy.core if G is None else G[0]
 
-    @property
-    def port(self) -> Any:
+    @cached_property
+    def port(self) -> Any:  # type: ignore[override]
         """The part on the ports of parts."""
         return self.numpy.port
 
-    def times(self, v: Array) -> Array:
-        """G v, (n_lam,)."""
-        out = self.ev.states.speeds(self.ev, v)
-        return self.numpy.times(v) if out is None else out
 
-    def transposed(self, lam: Array) -> Array:
-        """G^T lambda, like v."""
-        return np.asarray(self.core.T @ lam)
+class DriverMany(Many):
+    """Many configurations by the driver."""
+
+    def __init__(self, states: DriverStates, t: Array, q: Array, v: Array) -> None:
+        super().__init__(states.system, t, q, v)
+        self.states, self.all = states, (t, q, v)
+
+    @cached_property
+    def _constraints(self) -> tuple[Array, ...] | None:
+        return self.states.constraints(self.all)
+
+    def constraint(self) -> Array:
+        """g, (k, n_lam)."""
+        found = self._constraints
+        return super().constraint() if found is None else found[0].copy()
+
+    def opening(self) -> Array:
+        """G v + g_t, (k, n_lam)."""
+        found = self._constraints
+        return super().opening() if found is None else found[1].copy()
+
+    def gamma(self) -> Array:
+        """g'' - G a, (k, n_lam)."""
+        found = self._constraints
+        return super().gamma() if found is None or self.system.markers.surface.size else found[3].copy()
+
+    @cached_property
+    def jacobian(self) -> Jacobians:
+        """G of all configurations."""
+        G = self.states.rows(self.all)
+        return super().jacobian if G is None else Jacobians(G)
+
+    def balance(self, a: Array, lam: Array | None = None) -> Array:
+        """M a + h + G^T lambda, (k, n_v)."""
+        found = self.states.balances(self.all, a, lam)
+        return super().balance(a, lam) if found is None or not np.isfinite(found).all() else found
 
 
-def driver_states(system: System, library: Any) -> DriverStates | None:
-    """The driver ``library`` for single states of a system that it knows; None where this has elastic fields, or is too large."""
-    if system.fields:
+def driver_states(system: System) -> DriverStates | None:
+    """The driver for states of a system that it knows; None where it does not know all of it, or where it is too large."""
+    if system.fields or not covers_bodies(system) or not covers(system):
         return None
-    states = DriverStates(system, library)
-    return states if states.tables.fronts.storage <= STORAGE_LIMIT else None
+    library = driver_library(system.motions.dim)
+    states = None if library is None else DriverStates(system, library)
+    return states if states is None or states.tables.fronts.storage <= STORAGE_LIMIT else None
+
+
+def use_driver(system: System) -> None:
+    """Let the driver evaluate a system from now on, where it knows all of it. It keeps no forces of stiffened bodies."""
+    states = None if system.driver is not None or system.curved else driver_states(system)
+    if states is not None:
+        system.cache["driver"] = states

@@ -53,10 +53,9 @@ def _typed(library: Any) -> Any:
     library.driver_evaluate.argtypes = [p] * 5 + [r]
     library.driver_prepare.argtypes = [p, p, r, r, p, i, r]
     library.driver_increment.argtypes = [p, r, p, p, r]
+    library.driver_balances.argtypes = [p, ctypes.c_long] + [p] * 6
+    library.driver_constraints.argtypes = [p, ctypes.c_long] + [p] * 7
+    library.driver_rows.argtypes = [p, ctypes.c_long] + [p] * 4
     library.driver_energies.argtypes = [p, r] + [p] * 4
-    library.driver_balance.argtypes = [p] * 5 + [r, p]
-    library.driver_constraints.argtypes = [p] * 6
-    library.driver_speeds.argtypes = [p] * 4
-    library.driver_rows.argtypes = [p] * 4
     library.driver_solve.argtypes = [p] * 6
     return library

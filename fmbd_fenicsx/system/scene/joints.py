@@ -12,7 +12,8 @@ from ...mechanics.frames import Markers
 from ...mechanics.joints.constraints import Batch, Pair
 from ...mechanics.joints.counted import CountedAngles, turning_freely
 from ...mechanics.joints.couplings import CouplingBatch, OwnBatch
-from ...mechanics.joints.drives import Coupling, JointCoordinate, OwnJoint
+from ...mechanics.joints.drives import Coupling, JointCoordinate
+from ...mechanics.joints.expressed import OwnJoint
 from ...mechanics.joints.joints import Joint
 from ...mechanics.joints.relative import Relative, Separation, Turn
 from ...mechanics.kinds.derivation import Kind
@@ -46,7 +47,7 @@ class JointRows:
         if isinstance(joint, Coupling):
             self._couplings.append((joint, self.row))
             self.row += 1
-        if isinstance(joint, OwnJoint):
+        if isinstance(joint, OwnJoint) and not joint.rows:
             size = self._size(joint)
             self._own.append((joint, self.row, size))
             self.row += size

@@ -11,7 +11,8 @@ from ...checks import typed
 from ...errors import InputError, near
 from ...mechanics.joints.limits import JointLimit
 from ...rotations import Array
-from ..system import Evaluation, State
+from ..evaluation import Evaluation
+from ..system import State
 from .sensors import Sensor, named_part
 
 WORKS = ("contact", "friction", "loads", "joints", "numerical")

@@ -16,7 +16,8 @@ from ...mechanics.forces.force_elements import Loads
 from ...mechanics.forces.forces import Force
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
-from ..system import Evaluation, State, System
+from ..evaluation import Evaluation
+from ..system import State, System
 from .sensors import Sensor
 
 

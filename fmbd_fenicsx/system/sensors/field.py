@@ -12,7 +12,8 @@ from ...errors import require
 from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...rotations import Array
-from ..system import Evaluation, State
+from ..evaluation import Evaluation
+from ..system import State
 from .sensors import Sensor
 
 

@@ -22,7 +22,8 @@ from ...fem.material_points import MaterialPoint, check_point, material_point
 from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...rotations import Array
-from ..system import Evaluation, State, System
+from ..evaluation import Evaluation
+from ..system import State, System
 from .sensors import Sensor
 
 PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # of symmetric tensors

@@ -14,7 +14,8 @@ from ...mechanics.rods.elements import RodElements
 from ...mechanics.rods.rods import Rod
 from ...mechanics.rods.strains import values_at
 from ...rotations import Array
-from ..system import Evaluation, State
+from ..evaluation import Evaluation
+from ..system import State
 from .sensors import Sensor
 
 

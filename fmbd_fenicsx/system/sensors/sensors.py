@@ -16,9 +16,10 @@ from ...mechanics.joints.joints import Ground, ground, refuse_no_attachment
 from ...mechanics.joints.relative import Relative
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
+from ..evaluation import Evaluation
 from ..foreshortened_ports import port_acceleration
 from ..scene.joints import relative_of
-from ..system import Evaluation, State, System
+from ..system import State, System
 
 
 @dataclass(frozen=True, eq=False)

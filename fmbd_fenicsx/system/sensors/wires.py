@@ -11,7 +11,8 @@ from ...checks import array, instance, whole
 from ...errors import require
 from ...mechanics.catenary.wires import Wires
 from ...rotations import Array
-from ..system import Evaluation, State
+from ..evaluation import Evaluation
+from ..system import State
 from .sensors import Sensor
 
 

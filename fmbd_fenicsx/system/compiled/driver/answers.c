@@ -1,5 +1,15 @@
-/* The parts of an evaluation that Python asks for one by one, where it makes a start consistent. Vectors are like v: rotations in
-   body axes. The motions of time are those sampled last. */
+/* The parts of an evaluation that Python asks for, of one configuration or of many: a row of numbers for each. Vectors are like v:
+   rotations in body axes. */
+
+/* What depends on time only, at t; ``last``: when it was asked for before. */
+static int sample(System *s, double t, double *last)
+{
+    if (!s->samples || t == *last) return DONE;
+    s->calls++;
+    if (s->python(SAMPLE, 0, t)) return FAILED;
+    *last = t;
+    return DONE;
+}
 
 /* An array in the order of the unknowns, world axes, as one like v. */
 static void like_v(const System *s, const double *u, double *x)
@@ -12,75 +22,100 @@ static void like_v(const System *s, const double *u, double *x)
     }
 }
 
-/* The sum of M a + h + G^T lambda, like v. */
-EXPORT int driver_balance(System *s, const double *q, const double *v, const double *a, const double *lam, double t, double *out)
+/* The sums of M a + h + G^T lambda; ``lam`` may be NULL. */
+EXPORT int driver_balances(System *s, long count, const double *t, const double *q, const double *v, const double *a,
+                           const double *lam, double *out)
 {
-    int verdict = evaluate(s, q, v, a, lam, t);
-    like_v(s, s->residual, out);
-    return verdict;
+    double *none = s->work, last = NAN;
+    int verdict;
+    if (!lam) memset(none, 0, s->rows * sizeof(double));
+
+    for (long i = 0; i < count; i++, q += s->nq, v += s->nv, a += s->nv, out += s->nv) {
+        if ((verdict = sample(s, t[i], &last))) return verdict;
+        if ((verdict = evaluate(s, q, v, a, lam ? lam + i * s->rows : none, t[i]))) return verdict;
+        like_v(s, s->residual, out);
+    }
+    return DONE;
 }
 
-/* Of every constraint: g, what of dg/dt does not come from v, and g'' less G a. */
-EXPORT int driver_constraints(System *s, const double *q, const double *v, double *gap, double *rate, double *gamma)
+/* What of the rates of the constraints depends on time only, and their second derivatives at constant twists; what a prescribed
+   motion adds to these is left to Python. */
+static void derivatives_in_time(System *s, double *partial, double *second)
 {
-    int verdict = place(s, q, v);
-    for (int i = 0; i < s->rows; i++) {
-        gap[i] = -s->motion[i];
-        rate[i] = -s->motion_rate[i];
-        gamma[i] = 0.0;
-    }
+    for (int i = 0; i < s->rows; i++) partial[i] = -s->motion_rate[i];
+    memset(second, 0, s->rows * sizeof(double));
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != ROW) continue;
         k->rates(k->n, k->pair, s->frames, k->P, 0, k->out);
         for (long i = 0; i < k->n; i++) {
-            rate[k->row[i]] += k->factor[i] * k->out[2 * i];
-            gamma[k->row[i]] += k->factor[i] * k->out[2 * i + 1];
-        }
-        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
-        for (long i = 0; i < k->n; i++) gap[k->row[i]] += k->factor[i] * k->out[i * k->outputs];
-    }
-    return verdict;
-}
-
-/* G x at a configuration. */
-EXPORT int driver_speeds(System *s, const double *q, const double *x, double *out)
-{
-    int verdict = place(s, q, x);
-    memset(out, 0, s->rows * sizeof(double));
-    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
-        if (k->role != ROW) continue;
-        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
-        const double *row = k->out;
-        const int *at = k->at;
-        for (long i = 0; i < k->n; i++, row += k->outputs, at += k->live)
-            for (int e = 0; e < k->live; e++) out[k->row[i]] += k->factor[i] * row[k->entry[e]] * s->velocity[at[e]];
-    }
-    return verdict;
-}
-
-/* G itself, rows x nv, into zeros. */
-EXPORT int driver_rows(System *s, const double *q, const double *v, double *G)
-{
-    int verdict = place(s, q, v), size = s->nu + TWIST * s->surfaces;
-    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
-        if (k->role != ROW) continue;
-        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
-        const double *row = k->out;
-        const int *at = k->at;
-        for (long i = 0; i < k->n; i++, row += k->outputs, at += k->live) {
-            memset(s->residual, 0, size * sizeof(double));
-            for (int e = 0; e < k->live; e++) s->residual[at[e]] += row[k->entry[e]];
-            for (int j = 0; j < s->surfaces; j++) {
-                const Surface *o = s->surface + j;
-                const Body *b = s->body + o->body;
-                for (int c = 0; c < TWIST; c++)
-                    add(s->residual + b->at_u, s->residual[s->nu + TWIST * j + c], o->map + c * (TWIST + b->modes), TWIST + b->modes);
-            }
-            like_v(s, s->residual, s->work);
-            add(G + (long)s->nv * k->row[i], k->factor[i], s->work, s->nv);
+            partial[k->row[i]] += k->factor[i] * k->out[2 * i];
+            second[k->row[i]] += k->factor[i] * k->out[2 * i + 1];
         }
     }
-    return verdict;
+}
+
+/* Of every constraint: g, its rate G v + g_t, g_t, and g'' less G a. */
+EXPORT int driver_constraints(System *s, long count, const double *t, const double *q, const double *v, double *gap, double *slip,
+                              double *partial, double *second)
+{
+    double last = NAN;
+    int verdict;
+    for (long i = 0; i < count; i++, q += s->nq, v += s->nv) {
+        long at = i * s->rows;
+        if ((verdict = sample(s, t[i], &last)) || (verdict = place(s, q, v))) return verdict;
+        derivatives_in_time(s, partial + at, second + at);
+        drift(s);
+        memcpy(gap + at, s->gap, s->rows * sizeof(double));
+        memcpy(slip + at, s->slip, s->rows * sizeof(double));
+    }
+    return DONE;
+}
+
+/* ``factor`` times a row on the rates of a body, its twist in world axes first, into one like v. */
+static void add_row(const System *s, int body, const double *rates, int modes, double factor, double *row)
+{
+    double turning[ROT];
+    to_body(s->frames + FRAME * body + TURN, rates + D, turning);
+    add(row + TWIST * body, factor, rates, D);
+    add(row + TWIST * body + D, factor, turning, ROT);
+    add(row + s->body[body].at_v, factor, rates + TWIST, modes);
+}
+
+/* Rows of the constraints of one batch, as its kernel left them, into G, rows x nv. */
+static void add_rows(System *s, const Batch *k, double *G)
+{
+    const double *out = k->out + 1;
+    for (long i = 0; i < k->n; i++, out += k->outputs) {
+        double both[2 * TWIST] = {0.0}, *row = G + (long)k->row[i] * s->nv;
+        for (int e = 0; e < k->outputs - 1; e++) both[k->component[e]] = out[e];
+
+        for (int side = 0; side < 2; side++) {
+            const double *map;
+            int frame = k->pair[2 * i + side], width = side_map(s, frame, &map);
+            if (!width) continue;
+            through(map, width, both + TWIST * side, s->big);
+            int body = map ? s->surface[frame - s->bodies - 1].body : frame;
+            add_row(s, body, s->big, width - TWIST, k->factor[i], row);
+        }
+    }
+}
+
+/* G of every configuration, rows x nv. */
+EXPORT int driver_rows(System *s, long count, const double *t, const double *q, const double *v, double *G)
+{
+    double last = NAN;
+    long size = (long)s->rows * s->nv;
+    int verdict;
+    for (long i = 0; i < count; i++, q += s->nq, v += s->nv, G += size) {
+        if ((verdict = sample(s, t[i], &last)) || (verdict = place(s, q, v))) return verdict;
+        memset(G, 0, size * sizeof(double));
+        for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+            if (k->role != ROW) continue;
+            k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+            add_rows(s, k, G);
+        }
+    }
+    return DONE;
 }
 
 /* x and y for right-hand sides b and c, with the factor of this configuration. */

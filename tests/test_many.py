@@ -12,7 +12,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.dae import Baumgarte, Overdetermined, StepEquations
-from fmbd_fenicsx.system.batch import copies
+from fmbd_fenicsx.system.many import many as together_at
 from fmbd_fenicsx.system.system import State
 
 
@@ -85,11 +85,11 @@ def states(
 @pytest.mark.parametrize("scene", SCENES, ids=lambda s: s.__name__)
 def test_copies_are_what_single_evaluations_are(scene: Callable[[], fmbd.Scene]) -> None:
     system, t, q, v, a, lam = states(scene())
-    many = copies(system, len(t)).at(t, q, v)
+    many = together_at(system, t, q, v)
     ones = [system.at(float(t[i]), q[i], v[i]) for i in range(len(t))]
     pairs = [
         (many.constraint(), [e.constraint() for e in ones]),
-        (many.constraint_rate(), [e.constraint_rate() for e in ones]),
+        (many.opening(), [e.opening() for e in ones]),
         (many.gamma(), [e.gamma() for e in ones]),
         (many.jacobian.core, [e.jacobian.core for e in ones]),
         (many.jacobian.times(v), [e.jacobian.times(x) for e, x in zip(ones, v, strict=True)]),
@@ -128,10 +128,8 @@ def test_a_vectorized_body_is_called_once() -> None:
     for vectorized in (True, False):
         system, t, q, v, a, lam = states(body(vectorized), 3)
         calls.clear()
-        many = copies(system, 3).at(t, q, v)
-        found.append(
-            [many.balance(a, lam), many.constraint(), many.constraint_rate(), many.gamma(), many.jacobian.core]
-        )
+        many = together_at(system, t, q, v)
+        found.append([many.balance(a, lam), many.constraint(), many.opening(), many.gamma(), many.jacobian.core])
         assert calls == ([(2, 3)] if vectorized else [(2,)] * 3)
     for together, single in zip(*found, strict=True):
         assert together == pytest.approx(single, rel=1e-13)
@@ -142,7 +140,7 @@ def test_a_force_that_is_not_finite_is_reported_with_its_time() -> None:
     scene.add(fmbd.CoordinateBody("mass", np.eye(1), lambda q, v, t: np.array([np.nan if t > 0.5 else 1.0]), [0.0]))
     system, _, _ = scene.build()
     with pytest.raises(CallbackError, match='"mass".*t = 0.6'):
-        copies(system, 2).at(np.array([0.4, 0.6]), np.zeros((2, 1)), np.zeros((2, 1))).balance(np.zeros((2, 1)))
+        together_at(system, np.array([0.4, 0.6]), np.zeros((2, 1)), np.zeros((2, 1))).balance(np.zeros((2, 1)))
 
 
 @pytest.mark.parametrize("form", [fmbd.GGL(), Overdetermined(), Baumgarte(3.0, 4.0)], ids=lambda f: f.name)
@@ -154,7 +152,7 @@ def test_the_tangent_is_the_derivative_of_the_residual(scene: Callable[[], fmbd.
     made = equations.refresh(State(float(t[0]), q[0], v[0], a[0], lam[0]))
 
     def rows(xi: np.ndarray, dv: np.ndarray) -> np.ndarray:
-        at = copies(system, 1).at(t, system.compose(q, xi[None]), v + dv)
+        at = together_at(system, t, system.compose(q, xi[None]), v + dv)
         return np.concatenate((at.balance(a, lam), form.rows(at, a)), axis=1)[0]
 
     zero, eye, h = np.zeros(system.n_v), np.eye(system.n_v), 1e-3

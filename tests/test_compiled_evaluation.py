@@ -1,0 +1,117 @@
+"""The compiled evaluation: what NumPy says of every kind of joint, drive, force and body, for one configuration and for many."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from test_driver import SCENES as OF_THE_DRIVER
+from test_driver import compiled
+from test_kernel import PLANE, SPACE
+from test_many import plane
+from test_rods import UNIT
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.system.compiled.evaluation import use_driver
+from fmbd_fenicsx.system.many import many
+from fmbd_fenicsx.system.system import System
+
+
+def reduced(dim: int) -> fmbd.Scene:
+    """A reduced beam between a rigid body and the ground, a spring on its end."""
+    section = PLANE if dim == 2 else SPACE
+    points = [np.array(x[:dim]) for x in ((0.0, 0.0, 0.0), (0.6, 0.3, 0.2), (0.9, 0.3, 0.2))]
+    beam = fmbd.Beam("beam", points[0], points[1], section, elements=4, modes=7, stiffness_damping=1e-3)
+    bob = fmbd.RigidBody("bob", 0.3, 0.01 if dim == 2 else (0.01, 0.02, 0.015), points[2])
+    scene = fmbd.Scene("reduced", gravity=(0.0, -9.81, 0.0)[:dim])
+    scene.add(beam, bob, fmbd.revolute("hinge", fmbd.ground, beam.surface("start"), center=points[0] + 0.05))
+    scene.add(fmbd.spherical("knee", beam.surface("end"), bob, center=points[1] + 0.02))
+    scene.add(fmbd.Spring("spring", fmbd.ground, beam.surface("end"), 2 * points[1], points[1], stiffness=50.0))
+    return scene
+
+
+def rolling() -> fmbd.Scene:
+    """A ball that rolls, a skate behind it, and a bevel gear of the user's own."""
+    scene = fmbd.Scene("rolling", gravity=(0, 0, -9.81))
+    ball = fmbd.RigidBody("ball", 2.0, (0.02, 0.04, 0.02), (0, 0, 0.2))
+    bob = fmbd.RigidBody("bob", 0.5, (1e-3,) * 3, (0, 0.1, 0.0))
+    scene.add(ball, bob, fmbd.rolling("road", fmbd.ground, ball, shape=fmbd.Ball(0.2), normal=(0, 0, 1)))
+    scene.add(fmbd.spherical("hang", ball, bob, center=(0, 0.1, 0.2)))
+    return scene
+
+
+def rod() -> fmbd.Scene:
+    """A bent rod that a rigid body hangs on."""
+    scene = fmbd.Scene("rod", gravity=(0, 0, -9.81))
+    cable = fmbd.Rod("cable", [(0, 0, 0), (1, 0.1, 0.2), (2, 0, 0.3)], UNIT, elements=3)
+    bob = fmbd.RigidBody("bob", 0.5, (1e-3,) * 3, (2, 0, 0.3))
+    scene.add(cable, bob, fmbd.fixed("start", fmbd.ground, cable.surface("start"), center=(0, 0, 0)))
+    scene.add(fmbd.universal("end", cable.surface("end"), bob, center=(2, 0, 0.3), axis_a=(0, 1, 0), axis_b=(0, 0, 1)))
+    return scene
+
+
+MAKERS: dict[str, Any] = {f"{f.__name__} {dim}D": partial(f, dim) for f in OF_THE_DRIVER for dim in (2, 3)}
+MAKERS |= {
+    "plane": plane,
+    "rolling": rolling,
+    "rod": rod,
+    "reduced 2D": partial(reduced, 2),
+    "reduced 3D": partial(reduced, 3),
+}
+
+
+def pair_of(make: Any) -> tuple[System, System, tuple[Any, ...]]:
+    """A system evaluated in NumPy, the same one by the driver, and some configurations about its start: t, q, v, a, lambda."""
+    plain, start, _ = make().build()
+    driven, _, _ = make().build()
+    use_driver(driven)
+    assert driven.driver is not None
+
+    k, rng = 3, np.random.default_rng(2)
+    q = plain.compose(start.q, 0.03 * plain.length * rng.normal(size=(k, plain.n_v)))
+    v, a = rng.normal(size=(2, k, plain.n_v))
+    return plain, driven, (np.linspace(0.1, 0.7, k), q, v, a, rng.normal(size=(k, plain.n_lam)))
+
+
+def answers(ev: Any, a: np.ndarray, lam: np.ndarray) -> dict[str, np.ndarray]:
+    """All that schemes ask for."""
+    core = ev.jacobian.core
+    return {
+        "g": ev.constraint(),
+        "opening": ev.opening(),
+        "G": core if isinstance(core, np.ndarray) else core.toarray(),
+        "G^T lambda": ev.jacobian.transposed(lam),
+        "gamma": ev.gamma(),
+        "balance": ev.balance(a, lam),
+        "balance without lambda": ev.balance(a),
+    }
+
+
+@compiled
+@pytest.mark.parametrize("name", MAKERS)
+def test_equal_to_numpy(name: str) -> None:
+    plain, driven, (t, q, v, a, lam) = pair_of(MAKERS[name])
+    expected = [answers(plain.at(float(t[i]), q[i], v[i]), a[i], lam[i]) for i in range(len(t))]
+    single = [answers(driven.at(float(t[i]), q[i], v[i]), a[i], lam[i]) for i in range(len(t))]
+    together = answers(many(driven, t, q, v), a, lam)
+    for key in expected[0]:
+        wanted = np.array([x[key] for x in expected])
+        scale = max(1.0, float(np.abs(wanted).max(initial=0.0)))
+        assert np.array([x[key] for x in single]) == pytest.approx(wanted, rel=1e-11, abs=1e-12 * scale), key
+        assert together[key] == pytest.approx(wanted, rel=1e-11, abs=1e-12 * scale), key
+
+    rate = [plain.at(float(t[0]), q[0], v[0]).constraint_rate(), driven.at(float(t[0]), q[0], v[0]).constraint_rate()]
+    assert rate[1] == pytest.approx(rate[0], rel=1e-11, abs=1e-12)
+
+
+@compiled
+def test_answers_are_the_callers_own() -> None:
+    """Who changes an answer changes no later one."""
+    _, driven, (t, q, v, _, _) = pair_of(plane)
+    for ev in (driven.at(float(t[0]), q[0], v[0]), many(driven, t, q, v)):
+        for ask in (ev.constraint, ev.opening, ev.gamma):
+            first = ask()
+            first[:] = np.nan
+            assert np.isfinite(ask()).all()
