@@ -75,7 +75,7 @@ def slowest(system: FirstOrder, *, relaxing: bool = False) -> tuple[Array, Array
     if rolls and len(values):  # a double zero may come out as a pair with an imaginary part of roundoff
         values = np.where(np.abs(values) <= ALMOST * np.abs(values).max(), values.real, values)
     once = np.flatnonzero(values.imag >= 0)
-    order = once[np.argsort(np.abs(values[once]))]
+    order: np.ndarray = once[np.argsort(np.abs(values[once]))]
     if relaxing:
         order = _decays_last(system, order, values[order], (rest @ vectors)[:, order])
 
@@ -85,7 +85,7 @@ def slowest(system: FirstOrder, *, relaxing: bool = False) -> tuple[Array, Array
     return every, shapes
 
 
-def _decays_last(system: FirstOrder, order: Array, values: Array, vectors: Array) -> Array:
+def _decays_last(system: FirstOrder, order: np.ndarray, values: Array, vectors: Array) -> np.ndarray:
     """The numbers ``order`` with those last whose memories decay; rigid motions, of eigenvalue zero, change no memory."""
     z, w = vectors[: system.n], vectors[system.n + system.N.shape[1] :]
     moves = np.abs(w).max(axis=0, initial=0.0) > UNCHANGED * np.abs(z).max(axis=0, initial=0.0)
