@@ -156,7 +156,8 @@ class StopRequests:
     """Context in which the first Ctrl-C only sets ``asked``, so that the step under way is completed; the
     second interrupts. ``more``: signals that do the same; ``by``: the signal that came.
 
-    Only in the main thread; Ctrl-C only in serial runs and where Python's own handler is in place.
+    Only in the main thread; Ctrl-C only in serial runs, and where Python's own handler is in place or that of the operating system,
+    which ``gmsh.initialize()`` puts back.
     """
 
     def __init__(self, more: tuple[signal.Signals, ...] = ()) -> None:
@@ -166,7 +167,8 @@ class StopRequests:
 
     def __enter__(self) -> StopRequests:
         if threading.current_thread() is threading.main_thread():
-            plain = world_size() == 1 and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+            usual = signal.getsignal(signal.SIGINT) in (signal.default_int_handler, signal.SIG_DFL)
+            plain = world_size() == 1 and usual
             for number in (*((signal.SIGINT,) if plain else ()), *self._more):
                 self._before[number] = signal.signal(number, self._ask)
         return self

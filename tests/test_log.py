@@ -62,6 +62,18 @@ def test_first_ctrl_c_asks_and_the_second_interrupts():
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_ctrl_c_asks_where_a_library_has_put_the_system_s_own_handler_back():
+    """As gmsh.initialize() does."""
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        with StopRequests() as stop:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.01)
+            assert stop.asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 HOOK = """
 from mpi4py import MPI
 from fmbd_fenicsx.errors import ConstraintError

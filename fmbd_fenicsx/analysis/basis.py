@@ -101,6 +101,19 @@ class _Space:
             made[:, n, i] = [dot(v, x) for x in self.images[i]]
         self.small = made
 
+    def without(self, b: Array, count: int) -> Array:
+        """A force less that by which inertia answers in the first ``count`` vectors; collective.
+
+        Of its answer what is slow would leave nothing else to be seen: beside a pendulum the waves of its rod are small, by the
+        square of the ratio of the frequencies.
+        """
+        n = min(count, len(self.vectors))
+        if not n:
+            return b
+        along = np.array([self.about.system.dot(v, b) for v in self.vectors[:n]])
+        share = np.linalg.lstsq(self.small[0][:n, :n], along, rcond=None)[0]
+        return b - np.sum([c * image[0] for c, image in zip(share, self.images, strict=False)], axis=0)
+
     def projected(self) -> Projected:
         """The matrices so far, without rows on velocities."""
         n = len(self.vectors)
@@ -139,25 +152,31 @@ def _krylov(
     inputs: Sequence[Array],
     enough: Callable[[Projected], bool] | None,
 ) -> Projected:
-    """The matrices on an orthonormal basis of a block Krylov space."""
+    """The matrices on an orthonormal basis of a block Krylov space; where it ends early others go on beside it."""
     about, basis = space.about, space.vectors
     limit = min(3 * count + MORE, _freedom(about))
-    waiting = [inverse.solve(b) for b in inputs] + [
-        inverse.solve(about.mass(random_motion(about, i))) for i in range(BLOCK)
-    ]
+    started = known = done = 0  # random starts; vectors whose own answers are left out; those that were answered
+
+    def starts() -> list[Array]:
+        numbers = range(started, started + BLOCK)
+        return [inverse.solve(space.without(about.mass(random_motion(about, i)), known)) for i in numbers]
+
+    waiting = [inverse.solve(b) for b in inputs] + starts()
     turning = _turning(about, waiting[-1])
-    done = 0
     while len(basis) < limit:
-        if not waiting:
-            if done == len(basis):
+        if not waiting and done == len(basis):
+            if known == done:
                 break
+            known, started = done, started + BLOCK
+            waiting = starts()
+        elif not waiting:
             if enough is not None and done % BLOCK == 0 and done >= count and enough(space.projected()):
                 break
             v = basis[done]
             done += 1
-            waiting.append(inverse.solve(about.mass(v)))
+            waiting.append(inverse.solve(space.without(about.mass(v), known)))
             if turning:
-                waiting.append(inverse.solve(about.damping(v)))
+                waiting.append(inverse.solve(space.without(about.damping(v), known)))
         made = _new_part(about, basis, waiting.pop(0), inverse)
         if made is not None:
             space.add(made)

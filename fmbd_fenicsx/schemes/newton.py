@@ -77,7 +77,7 @@ class Newton:
             f"Newton's tolerance {self.tolerance} is not usable; double precision allows {FINEST:.0e} <= tolerance < 1.",
         )
         require(0 < self.slow < 1, f"Newton: slow = {self.slow} is a rate, between 0 and 1.")
-        require(self.patience > 0, f"Newton: patience = {self.patience} must be a positive number of iterations.")
+        require(self.patience >= 0, f"Newton: patience = {self.patience} must be a number of iterations, 0 or more.")
         require(self.max_iterations >= 1, f"Newton needs max_iterations of 1 at least, found {self.max_iterations}.")
 
     def solve(
