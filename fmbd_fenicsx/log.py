@@ -156,8 +156,8 @@ class StopRequests:
     """Context in which the first Ctrl-C only sets ``asked``, so that the step under way is completed; the
     second interrupts. ``more``: signals that do the same; ``by``: the signal that came.
 
-    Only in the main thread; Ctrl-C only in serial runs, and where Python's own handler is in place or that of the operating system,
-    which ``gmsh.initialize()`` puts back.
+    Only in the main thread; Ctrl-C only in serial runs, and where Python's own handler is in place or that of the operating
+    system, which ``gmsh.initialize()`` puts back.
     """
 
     def __init__(self, more: tuple[signal.Signals, ...] = ()) -> None:
