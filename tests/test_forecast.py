@@ -10,7 +10,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver
-from fmbd_fenicsx.run.forecast import Forecast, fastest
+from fmbd_fenicsx.run.forecast import Forecast, fastest, reason
 
 
 def light_and_heavy(stiffness: float) -> fmbd.Scene:
@@ -58,4 +58,27 @@ def test_small_steps_that_were_asked_for_are_no_news(caplog: Any) -> None:
         for k in range(1, 301):
             asked.note(replace(state, t=1e-6 * k))
     assert not caplog.records
+    solver.destroy()
+
+
+@pytest.mark.parametrize("sprung", [False, True])
+@pytest.mark.parametrize(("lift", "near"), [(1.0, False), (1e-5, True)])
+def test_a_singular_position_is_named(lift: float, near: bool, sprung: bool) -> None:
+    """A parallelogram with its legs up, and with all bars on one line but for 1e-5 rad: no spring is to blame there."""
+    turn = np.cos(lift), np.sin(lift)
+    legs = [fmbd.RigidBody(f"leg {i}", 1.0, 1 / 12, (i + 0.5 * turn[0], 0.5 * turn[1]), lift) for i in range(2)]
+    bar = fmbd.RigidBody("bar", 1.0, 1 / 12, (turn[0] + 0.5, turn[1]))
+    scene = fmbd.Scene("four-bar", gravity=(0.0, -9.81))
+    scene.add(*legs, bar)
+    for i, leg in enumerate(legs):
+        scene.add(fmbd.revolute(f"A{i}", fmbd.ground, leg, center=(i, 0.0)))
+        scene.add(fmbd.revolute(f"B{i}", leg, bar, center=(i + turn[0], turn[1])))
+    if sprung:
+        scene.add(fmbd.Spring("spring", fmbd.ground, bar, (0.0, -1.0), (turn[0] + 0.5, turn[1]), stiffness=1e4))
+
+    system, state, _ = scene.build()
+    solver = StepSolver(system)
+    said = reason(solver, state)
+    assert ("singular position: constraints almost depend" in said) == near
+    assert not near or "sigma_min/sigma_max" in said and "pring" not in said
     solver.destroy()

@@ -5,7 +5,9 @@ coordinates, all others held,
 
     T = 2 pi sqrt(M_ii / K_ii)                                                                                   (1)
 
-with K the stiffness of springs, joint springs and other force elements. Elastic bodies have faster ones of their own.
+with K the stiffness of springs, joint springs and other force elements. Elastic bodies have faster ones of their own. Close to
+a singular position, which the smallest singular value of G over the largest tells, no period is to blame: constraints almost
+depend on each other there, and its inverse amplifies what they are open by.
 """
 
 from __future__ import annotations
@@ -13,13 +15,16 @@ from __future__ import annotations
 import numpy as np
 
 from ..linear.condensation import StepSolver, Weights
+from ..linear.configuration_warnings import CLOSE
 from ..log import log
 from ..system.force_tangent import force_tangent
+from ..system.mobility import nearly_dependent
 from ..system.system import State
 
 EVERY = 100  # steps
 MANY = 1e5  # steps that a user wants to be told of
 TIMES = 10  # the planned ones, where steps are constant
+LOOKED_AT = 2000  # constraints up to which their singular values are found
 
 
 class Forecast:
@@ -43,8 +48,22 @@ class Forecast:
         self.said = True
         log.warning(
             "t = %g s: the last %d steps or parts of steps took %.2g s; at this pace the run needs about %.1e. %s",
-            state.t, EVERY, advanced, needed, fastest(self.solver, state),
+            state.t, EVERY, advanced, needed, reason(self.solver, state),
         )  # fmt: skip
+
+
+def reason(solver: StepSolver, state: State) -> str:
+    """Why steps are small in a state, as far as it tells, as a sentence; collective."""
+    s = solver.system
+    if 0 < s.n_lam <= LOOKED_AT:
+        ratio, joint = nearly_dependent(s.at(state.t, state.q, state.v), solver.core.rank or s.n_lam)
+        if ratio < CLOSE:
+            return (
+                f"This is close to a singular position: constraints almost depend on each other (sigma_min/sigma_max = {ratio:.1e}, "
+                f'joint "{joint}"), and small steps feel their roundoff. Take a larger rtol, or larger constant steps of '
+                "fmbd.GeneralizedAlpha(0.9)."
+            )
+    return fastest(solver, state)
 
 
 def fastest(solver: StepSolver, state: State) -> str:
