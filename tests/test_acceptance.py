@@ -9,6 +9,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, FmbdError, InputError
+from fmbd_fenicsx.mechanics.reduction.modes import rigid_fields
 from fmbd_fenicsx.run.acceptance import Closed
 
 
@@ -52,6 +53,35 @@ def test_an_open_joint_is_named() -> None:
     v[3] = 1.0
     with pytest.raises(ConvergenceError, match=r'joint "knee" \(revolute\) opens at 1 m/s'):
         Closed(system, (0, 1)).check(system.at(0.0, state.q, v))
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("frame", [fmbd.MeanAxis(), fmbd.Attached("pin"), fmbd.Chord("pin", "tip")], ids=type)
+def test_frames_are_judged_in_metres(rod_mesh: Any, frame: Any, unit: float) -> None:
+    """A field that is displaced by 2e-6 m in its frame, or turned by so much over the model's length, in any unit of mass.
+
+    A turn moves the ends of a chord by half of it.
+    """
+    elastic = fmbd.materials.plane_stress(1e8 * unit, 0.3)
+    mesh = rod_mesh(dim=2, h=0.5)
+    body = fmbd.FloatingBody("rod", mesh, density=1000.0 * unit, elastic=elastic, frame=frame)
+    scene = fmbd.Scene("frame")
+    scene.add(body)
+    system, state, _ = scene.build()
+    field, at = system.fields[0][1].field, system.slices[0][0]
+
+    def moved(rigid: Any, by: float) -> Any:
+        q = state.q.copy()
+        q[at] += by * rigid
+        return system.at(0.0, q, state.v)
+
+    closed = Closed(system, (0,))
+    for column, turns in zip(rigid_fields(field).T, (0, 0, 1), strict=True):
+        rigid = column / system.length**turns
+        closed.check(moved(rigid, 1e-7))
+        gap = "9.95e-07" if turns and isinstance(frame, fmbd.Chord) else "2e-06"
+        with pytest.raises(ConvergenceError, match=rf"frame of rod is open by {gap} m"):
+            closed.check(moved(rigid, 2e-6))
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -91,6 +91,10 @@ class Part(Protocol):
         """
         return None
 
+    def frame_lengths(self, length: float) -> Array:
+        """What turns the values of the frame conditions into lengths (m), for a model of a size (m): (n_frame_rows,)."""
+        return np.ones(self.n_frame_rows)
+
     def ports_of(self, w: Array) -> Array:
         """Ports of local coordinates, without the reference part; collective."""
         return np.asarray(self.port_matrix @ w)

@@ -23,11 +23,15 @@ def of_increments(system: System) -> Array:
 def of_rows(system: System) -> Array:
     """For values of constraints, (n_lam,): angles times the model's length; multipliers over them are forces.
 
-    Rows of a user's own count as they are.
+    Frame conditions are moments of a body's mass: what they are per displacement or turn makes them lengths. Rows of a user's
+    own count as they are.
     """
     out = np.ones(system.n_lam)
     for batch, rows in system.batches:
         out[rows] = batch.lengths(system.length)
+
+    for part, rows in zip(system.parts, system.frame_rows, strict=True):
+        out[rows] = part.frame_lengths(system.length)
     return out
 
 

@@ -21,7 +21,7 @@ from ...fem.fields import Field
 from ...rotations import Array, axial, motions, spin_matrix
 from ..placements import Attached, Chord, FrameMotion, MeanAxis
 from ..reduction.foreshortening import Bent, Shortening
-from ..reduction.modes import first_eigenvalue_bound, first_frequency
+from ..reduction.modes import first_eigenvalue_bound, first_frequency, rigid_fields
 from ..reduction.stiffening import Stiffening
 from ..validity import TOO_LARGE, too_large, warn_of_spin
 from .field_part import FieldPart, TangentPoint
@@ -43,6 +43,7 @@ class FloatingField(FieldPart):
         held_at: str | None = None,
     ) -> None:
         super().__init__(field, frame, surfaces, frame_conditions(field, kind))
+        self._rigid = np.abs(field.total(self.conditions.T @ rigid_fields(field)))
         self.stiffening: Stiffening | None = None
         self.shortening: Shortening | None = None
         if held_at is not None:
@@ -61,6 +62,16 @@ class FloatingField(FieldPart):
         self.inertia_columns = self.field.Q
         self.moment, self.inertia = np.zeros(self.field.dim), self.field.inertia
         self.shown: Bent | None = None
+
+    def frame_lengths(self, length: float) -> Array:
+        """What turns the values of the frame conditions into lengths (m): their values where the body is displaced by 1 m, or its
+        far points are by a turn; they go with its mass, or with its inertia over the model's length.
+        """
+        d = self.field.dim
+        turned = self._rigid[:, d:] / length
+
+        size = np.maximum(self._rigid[:, :d].max(axis=1), turned.max(axis=1))
+        return 1.0 / np.where(size > 0, size, 1.0)
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
