@@ -8,16 +8,18 @@ the mesh is distributed.
 from __future__ import annotations
 
 import importlib.util
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from . import dolfinx_compat as compat
-from .checks import instance, vector, word
+from .checks import instance, number, vector, word
 from .errors import InputError, MeshError, near
 from .log import install_hooks, together
 from .rotations import motions
@@ -217,6 +219,7 @@ def _load(
         spec.loader.exec_module(module)
         if not hasattr(module, "build"):
             raise MeshError(f"Mesh script {path} has no function build(gmsh, **parameters).")
+        _check_parameters(str(path), module.build, parameters)
         module.build(gmsh, **parameters)
     else:
         if parameters:
@@ -224,6 +227,18 @@ def _load(
         gmsh.open(str(path))
 
     return check_model(gmsh.model, str(path), volume)
+
+
+def _check_parameters(label: str, build: Callable[..., Any], parameters: dict[str, Any]) -> None:
+    """Refuse numbers of a mesh script that are not finite, and bools for its numbers: gmsh takes both, for a size of its own."""
+    known = inspect.signature(build).parameters
+    for name, value in parameters.items():
+        wanted = known[name] if name in known else None
+        of_number = wanted is not None and (
+            type(wanted.default) in (int, float) or wanted.annotation in (int, float, "int", "float")
+        )
+        if of_number or (isinstance(value, Real) and not isinstance(value, bool | np.bool_)):
+            number(f"{label}: {name}", value)
 
 
 def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, dict[str, int], str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError, InputError
 
 NAMESPACES = ("forces", "loads", "sensors", "contacts", "schemes", "forms", "solvers", "multipliers", "materials")
+ROD = Path(__file__).parents[1] / "meshes" / "rod.py"
 JUNK = (None, "junk", -1, 0.5, float("nan"), float("inf"), True, (), (1.0,), [1, "a"], {"a": 1}, object(), int)
 JUNK = (*JUNK, np.full((2, 3), np.nan))
 APART = {"Ends", "number", "require"}  # an enumeration, and checks that stand beside
@@ -147,6 +149,9 @@ def test_one_value_that_means_nothing(rod_mesh: Any) -> None:
         (lambda: fmbd.schemes.Moreau(impacts=-1), "whole number"),
         (lambda: fmbd.Newton(slow=1.5), "a rate, between 0 and 1"),
         (lambda: fmbd.RigidBody("x", 10**400, 0.1), "mass"),
+        (lambda: fmbd.read_gmsh(ROD, h=float("nan")), r"rod.py: h nan must be a finite number"),
+        (lambda: fmbd.read_gmsh(ROD, h=np.float32("inf")), r"rod.py: h .*inf.* must be a finite number"),
+        (lambda: fmbd.read_gmsh(ROD, h=True), r"rod.py: h True must be a finite number"),
         (lambda: fmbd.solve(fmbd.Scene("x"), t_end=1.0, linear="direct"), "linear 'direct' must be"),
         (lambda: fmbd.solve(fmbd.Scene("x"), t_end=1.0, checkpoint="here"), "checkpoint 'here' must be a Checkpoint"),
     ],
@@ -155,3 +160,15 @@ def test_what_was_silent_or_raw(make: Callable[[], Any], says: str) -> None:
     """Each named, with what would do."""
     with pytest.raises(InputError, match=says):
         make()
+
+
+@pytest.mark.parametrize("name", ["bodies", "joints", "forces", "sensors", "contacts", "limits", "sliders", "ties", "inputs"])
+def test_parts_are_added_by_the_methods_that_check_them(name: str) -> None:
+    with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
+        fmbd.Scene("x", **{name: {}})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["renewals", "iterations", "theta", "left", "solved"])
+def test_counters_of_newton_are_its_own(name: str) -> None:
+    with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
+        fmbd.Newton(**{name: -1})  # type: ignore[arg-type]

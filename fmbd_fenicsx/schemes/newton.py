@@ -64,11 +64,11 @@ class Newton:
     patience: float = 4.0  # a new tangent is taken when more than this many further iterations are to be expected
     tangent: ExactTangent | None = None
     refresh: Callable[[], bool] | None = field(default=None, repr=False)  # takes a new tangent where one can change
-    renewals: int = 0  # tangents that the last step took: where there were several, the next one begins with one
-    iterations: int = 0
-    theta: float = field(default=0.5)
-    left: float = 0.0  # errors that solved steps left, over the tolerance, summed
-    solved: int = 0  # steps whose errors are known
+    renewals: int = field(default=0, init=False)  # tangents that the last step took: where there were several, the next one begins with one
+    iterations: int = field(default=0, init=False)
+    theta: float = field(default=0.5, init=False)
+    left: float = field(default=0.0, init=False)  # errors that solved steps left, over the tolerance, summed
+    solved: int = field(default=0, init=False)  # steps whose errors are known
 
     def __post_init__(self) -> None:
         check_fields(self, "Newton")
@@ -131,7 +131,7 @@ class Newton:
 
     def afresh(self, refresh: Callable[[], bool] | None = None) -> Newton:
         """The same settings, nothing counted yet."""
-        made = replace(self, renewals=0, iterations=0, theta=0.5, left=0.0, solved=0)
+        made = replace(self)
         made.refresh = self.refresh if refresh is None else refresh
         return made
 
