@@ -59,9 +59,9 @@ def reason(solver: StepSolver, state: State) -> str:
         ratio, joint = nearly_dependent(s.at(state.t, state.q, state.v), solver.core.rank or s.n_lam)
         if ratio < CLOSE:
             return (
-                f"This is close to a singular position: constraints almost depend on each other (sigma_min/sigma_max = {ratio:.1e}, "
-                f'joint "{joint}"), and small steps feel their roundoff. Take a larger rtol, or larger constant steps of '
-                "fmbd.GeneralizedAlpha(0.9)."
+                f"This is close to a singular position: constraints almost depend on each other (sigma_min/sigma_max = "
+                f'{ratio:.1e}, joint "{joint}"), and small steps feel their roundoff. '
+                "Take a larger rtol, or larger constant steps of fmbd.GeneralizedAlpha(0.9)."
             )
     return fastest(solver, state)
 
