@@ -58,9 +58,9 @@ class DriverStates:
             loads.astray[0] = 1
         return self.tables, self.calls
 
-    def at(self, t: float, q: Array, v: Array | None = None) -> Evaluation:
-        """The system in one state; without a velocity that of NumPy."""
-        return Evaluation(self.system, t, q, v) if v is None else DriverEvaluation(self, t, q, v)
+    def at(self, t: float, q: Array, v: Array | None = None) -> DriverEvaluation:
+        """The system in one configuration (and velocity)."""
+        return DriverEvaluation(self, t, q, v)
 
     def evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
         """Whether a state is one of :meth:`at`."""
@@ -104,7 +104,6 @@ class DriverStates:
     # -- solution ---------------------------------------------------------------------------------------------------------
     def prepare(self, ev: DriverEvaluation, cd: float, ck: float) -> bool:
         """Factor [M + cd C + ck K, G^T; G, 0] at a state; False where rows depend on each other, or nearly do."""
-        assert ev.v is not None
         if self._holds(ev, (cd, ck)):
             return True
         self._held = None
@@ -115,7 +114,7 @@ class DriverStates:
         if self.library.driver_prepare(self.address, q, cd, ck, below, 0, ev.t):
             return False
         self.calls.raise_error()
-        self._held, self.factors = (ev.t, ev.q, ev.v, (cd, ck)), self.factors + 1
+        self._held, self.factors = (ev.t, ev.q, ev.alone[2][0], (cd, ck)), self.factors + 1
         return True
 
     def _holds(self, ev: DriverEvaluation, weights: tuple[float, float]) -> bool:
@@ -166,9 +165,10 @@ class _Exchange:
 class DriverEvaluation(Evaluation):
     """An evaluation whose constraints and balance come from the driver."""
 
-    def __init__(self, states: DriverStates, t: float, q: Array, v: Array) -> None:
+    def __init__(self, states: DriverStates, t: float, q: Array, v: Array | None) -> None:
         super().__init__(states.system, t, q, v)
-        self.states, self.alone = states, (np.array([t]), q[None], v[None])
+        rest = np.zeros(states.system.n_v) if v is None else v
+        self.states, self.alone = states, (np.array([t]), q[None], rest[None])
         nothing: tuple[Array, Array] = np.zeros(states.system.n_v), np.zeros(states.system.n_lam)
         self.forces = nothing  # a and lambda given last
 
