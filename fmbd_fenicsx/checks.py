@@ -54,6 +54,8 @@ def refuse(what: str, wanted: str, found: Any) -> typing.NoReturn:
 
 def number(what: str, value: Any, *, above: float = -np.inf, least: float = -np.inf, unit: str = "") -> float:
     """A finite number, larger than ``above`` and not smaller than ``least``; strings, bools and lists are none."""
+    if type(value) is float and above < value <= LARGEST and value >= least:  # as most are
+        return value
     single: Any = value.item() if isinstance(value, np.ndarray) and value.ndim == 0 else value
     wanted = "a positive number" if above == 0 else "a number that is not negative" if least == 0 else "a finite number"
     wanted += f" above {above:g}" if above > 0 or -np.inf < above < 0 else ""
@@ -171,13 +173,14 @@ def _annotated(kind: Any) -> tuple[tuple[str, Any, Any], ...]:
 def typed(make: Callable[P, T]) -> Callable[P, T]:
     """A function whose arguments are checked by their annotations before it is called."""
     signature = inspect.signature(make)
+    bound = _binder(signature)
     module = make.__module__
     hints: dict[str, tuple[Any, Any]] = {}
 
     @wraps(make)
     def checked(*args: P.args, **kwargs: P.kwargs) -> T:
         try:
-            values = signature.bind(*args, **kwargs).arguments
+            values = bound(args, kwargs)
         except TypeError as error:  # without the function's name
             known = ", ".join(signature.parameters)
             raise TypeError(f"{make.__name__}(): {error}. It takes {known}.") from None
@@ -193,6 +196,26 @@ def typed(make: Callable[P, T]) -> Callable[P, T]:
         return make(*args, **kwargs)
 
     return checked
+
+
+def _binder(signature: inspect.Signature) -> Callable[[tuple[Any, ...], dict[str, Any]], Mapping[str, Any]]:
+    """The arguments of a call by their names. Usual calls are told at a glance, others are left to the signature."""
+    parameters = signature.parameters.values()
+    places = [p.name for p in parameters if p.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD]
+    needed = {p.name for p in parameters if p.default is inspect.Parameter.empty}
+    known = set(places) | {p.name for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
+    plain = len(known) == len(parameters)
+
+    def bound(args: tuple[Any, ...], kwargs: dict[str, Any]) -> Mapping[str, Any]:
+        if plain and len(args) <= len(places):
+            values = dict(zip(places, args, strict=False))
+            once = values.keys().isdisjoint(kwargs)
+            values |= kwargs
+            if once and needed <= values.keys() <= known:
+                return values
+        return signature.bind(*args, **kwargs).arguments
+
+    return bound
 
 
 def _label(kind: str, values: Mapping[str, Any]) -> str:

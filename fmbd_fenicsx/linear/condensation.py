@@ -25,6 +25,7 @@ from ..rotations import Array, rotate_nodal
 from ..system.evaluation import Evaluation
 from ..system.force_tangent import force_tangent
 from ..system.foreshortened_ports import tangent_ports
+from ..system.jacobian import dense_core
 from ..system.mobility import independent, mobility
 from ..system.system import System
 from .blocks.field_blocks import Block, FieldBlocks, Weights
@@ -58,7 +59,7 @@ class StepSolver:
         """
         self.system, self.linear, self.prefix = system, linear, prefix
         self._look = redundant is None
-        self._near_singular = False
+        self._near_singular, self._masses = False, None
         self.increment: Array | None = None  # Newton's last, like v, where the next :meth:`refresh` is to know of it
         self._held: Configuration | None = None  # that of the matrices
         self.driver: DriverSolver | None = None  # where starts are made by it too
@@ -250,6 +251,14 @@ class StepSolver:
             "Take one of them away, or use linear=fmbd.Direct().",
         )
 
+    def masses(self, ev: Evaluation) -> Any:
+        """M of the core, not to be written into: of rigid bodies it is made once."""
+        if self.system.parts:
+            return self.core_matrix(ev, Weights(1.0, 0.0, 0.0))
+        if self._masses is None:
+            self._masses = self.core_matrix(ev, Weights(1.0, 0.0, 0.0))
+        return self._masses
+
     def core_matrix(self, ev: Evaluation, w: Weights) -> Any:
         """cm M + cd C + ck K of the core: rigid bodies, frames of elastic ones (at U = 0), replicated parts."""
         s, n = self.system, self.system.motions.n_twist
@@ -274,7 +283,7 @@ class StepSolver:
             blocks.append((k, p, w.cm * coupling, w.cm * local + w.cd * C + w.ck * K))
         M *= w.cm
 
-        if not blocks and not isinstance(ev.jacobian.core, np.ndarray):
+        if not blocks and not dense_core(s):
             frames = sp.bsr_matrix((M[:-1], np.arange(s.n_frames), np.arange(s.n_frames + 1)))
             return frames.tocsr()
 

@@ -16,11 +16,12 @@ stable at any angle.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 
-from ..linear.condensation import StepSolver, Weights
+from ..linear.condensation import StepSolver
 from ..linear.core import dense
 from ..log import log
 from ..rotations import Array
@@ -57,9 +58,8 @@ def turned(solver: StepSolver, state: State, h: float, *, least: float = 0.0) ->
     held = np.setdiff1d(np.arange(system.n_lam), on_speeds) if on_speeds.size else slice(None)
     now = solver.at(state.t, state.q, state.v)
     then = solver.at(state.t, system.compose(state.q, h * state.v), state.v)
-    factor = _mass_factor(solver, now)
-    before = _rows(now, held, factor)
-    after = _rows(then, held, _mass_factor(solver, then) if system.parts else factor)  # of rigid bodies it is constant
+    before = _rows(now, held, _mass_factor(solver, now))
+    after = _rows(then, held, _mass_factor(solver, then))
     if not before.shape[1] or _certainly_below(np.sin(least), before, after):
         return 0.0
 
@@ -71,8 +71,18 @@ def turned(solver: StepSolver, state: State, h: float, *, least: float = 0.0) ->
 
 
 def _mass_factor(solver: StepSolver, ev: Evaluation) -> Array:
+    """L of M = L L^T; of rigid bodies it is made once."""
+    kept = solver.system.cache
+    if solver.system.parts:
+        return _factored(solver.masses(ev))
+    if "mass factor" not in kept:
+        kept["mass factor"] = _factored(solver.masses(ev))
+    return np.asarray(kept["mass factor"])
+
+
+def _factored(matrix: Any) -> Array:
     """L of M = L L^T."""
-    M = dense(solver.core_matrix(ev, Weights(1.0, 0.0, 0.0)))
+    M = dense(matrix)
 
     # bodies without inertia in some direction: a little of it, which rows that hold them hardly feel
     diagonal = np.diag(M)

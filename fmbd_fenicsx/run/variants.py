@@ -7,6 +7,7 @@ comes back as arrays.
 
 from __future__ import annotations
 
+import gc
 import os
 import pickle
 from collections.abc import Callable, Iterator, Sequence
@@ -138,6 +139,7 @@ def _start(make: Callable[[Any], Scene], parameters: list[Any], settings: dict[s
     try:
         answer: Any
         try:
+            gc.freeze()  # what there is will stay: collections need not look at it
             answer = [_one(make, parameter, settings) for parameter in parameters]
             text = pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL)
         except BaseException as error:

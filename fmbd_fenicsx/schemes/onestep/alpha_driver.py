@@ -19,6 +19,7 @@ from ...system.compiled.fields import Block
 from ...system.compiled.items import covers, other_loads
 from ...system.compiled.library import driver_library
 from ...system.compiled.recording import Openness, Tape
+from ...system.compiled.structures import address_of
 from ...system.compiled.tables import Tables, covers_bodies
 from ...system.system import System
 
@@ -45,7 +46,8 @@ class AlphaDriver:
 
         self.parameters = np.zeros(25)
         self.blocks = np.zeros((4, self.block_size))
-        self.ring = np.array([x.ctypes.data for x in self.blocks], dtype=np.uintp)
+        self._places = np.array([address_of(x) for x in self.blocks], dtype=np.uintp)
+        self.ring = self._places.copy()
         self._verdict = ctypes.c_int(0)
         self._tape: Tape | None = None
         self._remembering: list[Any] = [items for items in self.tables.sources if items.remembers]
@@ -54,7 +56,7 @@ class AlphaDriver:
         """Take t, q, v, a, A, lambda of the last states, the newest first, at most three."""
         for block, (t, *arrays) in zip(self.blocks, states, strict=False):
             np.concatenate(([t], *arrays), out=block)
-        self.ring[:] = [x.ctypes.data for x in self.blocks]
+        self.ring[:] = self._places
         self.parameters[HISTORY] = len(states) - 1
 
     def recall(self) -> None:
@@ -100,9 +102,9 @@ class AlphaDriver:
             self.parameters[slot] = 0.0
         made = self.library.march(
             self.address,
-            self.parameters.ctypes.data,
+            address_of(self.parameters),
             steps,
-            self.ring.ctypes.data,
+            address_of(self.ring),
             ctypes.byref(self._verdict),
             None if tape is None else tape.address,
         )
@@ -111,8 +113,7 @@ class AlphaDriver:
 
     def block(self, i: int) -> Array:
         """The i-th newest state, a view: t, q, v, a, A, lambda."""
-        first = self.blocks.ctypes.data
-        return self.blocks[(int(self.ring[i]) - first) // (8 * self.block_size)]
+        return self.blocks[(int(self.ring[i]) - int(self._places[0])) // (8 * self.block_size)]
 
 
 def settings(p: Array, parameters: tuple[float, float, float, float], system: System, newton: Newton) -> None:

@@ -22,6 +22,7 @@ from ..system import System
 from .calls import Calls
 from .items import covers
 from .library import driver_library
+from .structures import address_of
 from .tables import Tables, covers_bodies
 
 STORAGE_LIMIT = 20_000_000  # numbers in the factor
@@ -94,7 +95,7 @@ class DriverStates:
         for items in self._remembering:
             items.arrays["kept"][:] = items.formula.kept()
         arrays = [None if x is None else np.ascontiguousarray(x, dtype=float) for x in given]
-        places = [None if x is None else x.ctypes.data for x in (*arrays, *wanted)]
+        places = [None if x is None else address_of(x) for x in (*arrays, *wanted)]
         verdict = function(self.address, len(wanted[0]), *places)
         self.calls.raise_error()
         if verdict == LOOK:
@@ -152,7 +153,7 @@ class _Exchange:
 
     def __init__(self, lengths: tuple[int, ...]) -> None:
         self.arrays = [np.zeros(length) for length in lengths]
-        self.at = [x.ctypes.data for x in self.arrays]
+        self.at = [address_of(x) for x in self.arrays]
 
     def put(self, *values: Array | None) -> list[int]:
         """Copy in the first arrays, as far as there are values; their addresses."""

@@ -21,6 +21,7 @@ from ...mechanics.joints.relative import Relative, Turn
 from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
 from ..system import State, System
+from .structures import address_of
 
 if TYPE_CHECKING:
     from .tables import Tables
@@ -158,11 +159,11 @@ class Tape:
         self.arrays = {name: np.zeros((self.capacity, *shape)) for name, shape in shapes.items()}
         self.doubt = np.zeros(size)
         self.c = _Tape(
-            capacity=self.capacity, whole=looks.whole, rows=looks.rows, units=self.units.ctypes.data,
-            allowed=judged.allowed, roundoff=judged.roundoff, length=s.length, doubt=self.doubt.ctypes.data,
+            capacity=self.capacity, whole=looks.whole, rows=looks.rows, units=address_of(self.units),
+            allowed=judged.allowed, roundoff=judged.roundoff, length=s.length, doubt=address_of(self.doubt),
         )  # fmt: skip
         for name, array in self.arrays.items():
-            setattr(self.c, name, array.ctypes.data)
+            setattr(self.c, name, address_of(array))
 
     @property
     def address(self) -> int:

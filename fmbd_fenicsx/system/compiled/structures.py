@@ -99,6 +99,17 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
     return type(name, (ctypes.Structure,), {"_fields_": fields[name]})
 
 
+_BYTE = ctypes.c_char.from_buffer
+
+
+def address_of(x: Array) -> int:
+    """Where the numbers of an array are, for C."""
+    try:
+        return ctypes.addressof(_BYTE(x))  # costs half of x.ctypes, of which a scene would make hundreds
+    except (TypeError, ValueError):  # nothing in it, or only to be read
+        return int(x.ctypes.data)
+
+
 class Store:
     """Arrays that C reads and writes: kept here as long as the tables live."""
 
@@ -109,7 +120,7 @@ class Store:
         """A contiguous copy and its address."""
         copy = np.array(values, dtype=dtype, order="C")
         self.kept.append(copy)
-        return copy, int(copy.ctypes.data)
+        return copy, address_of(copy)
 
     def address(self, values: Any, dtype: Any = np.float64) -> int:
         """The address of a contiguous copy."""
