@@ -95,7 +95,7 @@ def _finite(x: np.ndarray) -> bool:
     """Whether all numbers are finite."""
     if x.size < 10:  # NumPy's own is slower for a few
         values: Any = x.ravel().tolist()
-        return all(math.isfinite(value) for value in values)
+        return all(map(math.isfinite, values))
     return bool(np.isfinite(x).all())
 
 

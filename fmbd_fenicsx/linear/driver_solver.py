@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..rotations import Array
-from ..system.compiled.evaluation import DriverStates
+from ..system.compiled.evaluation import DriverEvaluation, DriverStates
 from ..system.evaluation import Evaluation
 from .blocks.field_blocks import Weights
 
@@ -21,10 +21,16 @@ class DriverSolver:
         self.ready = False
         self.usable: bool | None = None  # None: nothing was looked at so far
         self._counted = 0
+        self._last: DriverEvaluation | None = None  # made by :meth:`at`
 
     def at(self, t: float, q: Array, v: Array | None) -> Evaluation:
-        """The system in one state."""
-        return self.states.at(t, q, v)
+        """The system in one state; what was found of the one before is taken where it is the same."""
+        last = self._last
+        if last is not None and last.t == t and last.q is q and last.v is v:
+            return last.again()
+        made = self.states.at(t, q, v)
+        self._last = made if self.states.evaluated(made) and not self.states.remembers else None
+        return made
 
     def prepare(self, ev: Evaluation, weights: Weights, stiffness: Any) -> bool:
         """Factor the matrix of a state; False where NumPy has to."""

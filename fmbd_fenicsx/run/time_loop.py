@@ -174,7 +174,7 @@ def quietly(stepper: TimeStepper, pace: Pace, recorder: Recorder, done: int, *, 
         made += now
         if not now:
             break
-        chunk *= 2
+        chunk *= 4
     return made
 
 

@@ -7,6 +7,7 @@ asks for them. Systems without elastic fields.
 
 from __future__ import annotations
 
+import copy
 import ctypes
 from functools import cached_property
 from typing import Any, TypeGuard
@@ -49,6 +50,11 @@ class DriverStates:
         self._found = _Exchange((n, m))  # and writes
         self._remembering: list[Any] = [items for items in self.tables.sources if items.remembers]
         self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
+
+    @property
+    def remembers(self) -> bool:
+        """Whether forces depend on more than a state: elements have a memory."""
+        return bool(self._remembering)
 
     def give(self) -> tuple[Tables, Calls]:
         """The tables, for steps; they begin with new slopes of forces in Python."""
@@ -172,6 +178,13 @@ class DriverEvaluation(Evaluation):
         self.states, self.alone = states, (np.array([t]), q[None], rest[None])
         nothing: tuple[Array, Array] = np.zeros(states.system.n_v), np.zeros(states.system.n_lam)
         self.forces = nothing  # a and lambda given last
+
+    def again(self) -> DriverEvaluation:
+        """The same state for someone else, with all that is known of it but the forces."""
+        self.system.move(self.t)
+        other = copy.copy(self)
+        other.forces = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
+        return other
 
     @cached_property
     def _constraints(self) -> tuple[Array, ...] | None:
