@@ -84,6 +84,17 @@ def test_frames_are_judged_in_metres(rod_mesh: Any, frame: Any, unit: float) -> 
             closed.check(moved(rigid, 2e-6))
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_drift_of_frames_is_one_in_metres(rod_mesh: Any, compiled: bool) -> None:
+    """A rod of 1e11 kg whose frame conditions hold to roundoff: 1e-16 of a length, not of its mass."""
+    elastic = fmbd.materials.plane_stress(1e17, 0.3)
+    body = fmbd.FloatingBody("rod", rod_mesh(dim=2, h=0.5), density=1e12, elastic=elastic)
+    scene = fmbd.Scene("frame", gravity=(0.0, -9.81))
+    scene.add(body, fmbd.revolute("pin", fmbd.ground, body.surface("pin")))
+    run = fmbd.solve(scene, t_end=0.02, dt=2e-3, scheme=fmbd.GeneralizedAlpha(0.8, compiled=compiled))
+    assert run.drift[0] < 1e-13
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
 def test_a_body_at_rest_rests(dim: int, size: float) -> None:

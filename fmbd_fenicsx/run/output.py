@@ -319,9 +319,9 @@ class Recorder:
             self.closed.check(ev)
         if not self.system.n_lam:
             return
-        self.gap = max(self.gap, float(np.abs(ev.constraint()).max()))
-        rate = np.abs(ev.opening())
-        self.slip = max(self.slip, float(rate.max()))
+        units, rate = self.system.row_units, np.abs(ev.opening())
+        self.gap = max(self.gap, float((units * np.abs(ev.constraint())).max()))
+        self.slip = max(self.slip, float((units * rate).max()))
         if self.closed is not None:
             self.worst_slip = max(self.worst_slip, float((self.closed.units * rate).max()))
             self.fastest = max(self.fastest, self.system.max_abs(state.v))

@@ -81,8 +81,8 @@ static void judge_drift(System *s, Tape *tape, const Block *now, double *open)
     open[3] = largest_of(s->units, now->v, s->nv);
     for (int i = 0; i < s->rows; i++) {
         double gap = fabs(s->gap[i]), slip = fabs(s->slip[i]), length = gap * tape->units[i];
-        if (!(gap <= open[0])) open[0] = gap; /* nan is kept */
-        if (!(slip <= open[1])) open[1] = slip;
+        if (!(gap * s->row_units[i] <= open[0])) open[0] = gap * s->row_units[i]; /* nan is kept */
+        if (!(slip * s->row_units[i] <= open[1])) open[1] = slip * s->row_units[i];
         if (!(slip * tape->units[i] <= open[2])) open[2] = slip * tape->units[i];
         if (!(length <= widest)) widest = length;
     }
