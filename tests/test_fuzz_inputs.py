@@ -162,14 +162,6 @@ def test_what_was_silent_or_raw(make: Callable[[], Any], says: str) -> None:
         make()
 
 
-@pytest.mark.parametrize(
-    "name", ["bodies", "joints", "forces", "sensors", "contacts", "limits", "sliders", "ties", "inputs"]
-)
-def test_parts_are_added_by_the_methods_that_check_them(name: str) -> None:
-    with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
-        fmbd.Scene("x", **{name: {}})  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("name", ["renewals", "iterations", "theta", "left", "solved"])
 def test_counters_of_newton_are_its_own(name: str) -> None:
     with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):

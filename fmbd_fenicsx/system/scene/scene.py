@@ -49,15 +49,15 @@ class Scene:
     gravity_ramp: float = 0.0
     breakpoints: Sequence[float] = ()
     settle: bool = False
-    bodies: dict[str, Any] = field(default_factory=dict, init=False)
-    joints: dict[str, Joint] = field(default_factory=dict, init=False)
-    forces: dict[str, Force] = field(default_factory=dict, init=False)
-    sensors: dict[str, Sensor] = field(default_factory=dict, init=False)
-    contacts: dict[str, Any] = field(default_factory=dict, init=False)
-    limits: dict[str, JointLimit] = field(default_factory=dict, init=False)
-    sliders: dict[str, SlidingContact] = field(default_factory=dict, init=False)
-    ties: dict[str, Any] = field(default_factory=dict, init=False)
-    inputs: dict[str, Input] = field(default_factory=dict, init=False)
+    bodies: dict[str, Any] = field(default_factory=dict)
+    joints: dict[str, Joint] = field(default_factory=dict)
+    forces: dict[str, Force] = field(default_factory=dict)
+    sensors: dict[str, Sensor] = field(default_factory=dict)
+    contacts: dict[str, Any] = field(default_factory=dict)
+    limits: dict[str, JointLimit] = field(default_factory=dict)
+    sliders: dict[str, SlidingContact] = field(default_factory=dict)
+    ties: dict[str, Any] = field(default_factory=dict)
+    inputs: dict[str, Input] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         parts = {"bodies": self.bodies, "joints": self.joints, "forces": self.forces, "contacts": self.contacts}
