@@ -99,7 +99,7 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
     return type(name, (ctypes.Structure,), {"_fields_": fields[name]})
 
 
-_BYTE = ctypes.c_char.from_buffer
+_BYTE: Any = ctypes.c_char.from_buffer
 
 
 def address_of(x: Array) -> int:
