@@ -32,8 +32,11 @@ def corner(elements):
     return scene, (inner, outer)
 
 
-def strip(elements):
-    """Cantilever, link and crank; axes 2 and 3 of the strip along y and z, its stiff bending about y."""
+def strip(elements, solid=None):
+    """Cantilever, link and crank; axes 2 and 3 of the strip along y and z, its stiff bending about y.
+
+    ``solid``: a body with surfaces "left" and "right" in the place of the strip.
+    """
     sections = {
         "strip": ((7.3e7, 5.025e6, 2.34e7, 877.2, 60830, 608.3), 2.68, (2.25533e-3, 2.233e-3, 2.233e-5)),
         "link": ((3.302e7, 1.081e7, 1.081e7, 914.5, 1189, 1189), 1.212, (8.73e-5, 4.365e-5, 4.365e-5)),
@@ -53,16 +56,24 @@ def strip(elements):
         )
         for (name, given), size in zip(sections.items(), (1.0, 0.25, 0.05), strict=True)
     )
+    if solid is None:
+        start, end, middle = (beam.surface(place) for place in ("start", "end", "middle"))
+        where = fmbd.sensors.position(middle)
+    else:
+        beam, start, end = solid, solid.surface("left"), solid.surface("right")
+        where = fmbd.sensors.position(solid, point=(0.5, 0, 0))
+
     scene = fmbd.Scene("lateral buckling", breakpoints=(0.4,))
     motor = fmbd.revolute("motor", fmbd.ground, crank.surface("end"), axis=(0, 1, 0))
-    scene.add(beam, link, crank, motor, fmbd.fixed("clamp", fmbd.ground, beam.surface("start")))
-    scene.add(fmbd.spherical("ball", beam.surface("end"), link.surface("start"), center=(1, d, 0)))
+    scene.add(beam, link, crank, motor, fmbd.fixed("clamp", fmbd.ground, start))
+    scene.add(fmbd.spherical("ball", end, link.surface("start"), center=(1, d, 0)))
     scene.add(fmbd.revolute("pin", link.surface("end"), crank.surface("start"), axis=(0, 1, 0)))
     scene.add(
         fmbd.drive("turn", fmbd.angle(motor), lambda t: 0.5 * np.pi * (1 - np.cos(np.pi * np.minimum(t, 0.4) / 0.4)))
     )
-    scene.sensor("middle", fmbd.sensors.position(beam.surface("middle")))
-    scene.sensor("root", fmbd.sensors.section_forces(beam.surface("start")))
+    scene.sensor("middle", where)
+    scene.sensor("tip", fmbd.sensors.position(end))
+    scene.sensor("torque", fmbd.sensors.reaction("turn"))
     return scene, (beam, link, crank)
 
 
