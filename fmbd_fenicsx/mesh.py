@@ -237,7 +237,7 @@ def _check_parameters(label: str, build: Callable[..., Any], parameters: dict[st
         of_number = wanted is not None and (
             type(wanted.default) in (int, float) or wanted.annotation in (int, float, "int", "float")
         )
-        if of_number or (isinstance(value, Real) and not isinstance(value, bool | np.bool_)):
+        if of_number if isinstance(value, bool | np.bool_) else isinstance(value, Real):
             number(f"{label}: {name}", value)
 
 
