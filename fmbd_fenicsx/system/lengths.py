@@ -30,8 +30,8 @@ def of_rows(system: System) -> Array:
     for batch, rows in system.batches:
         out[rows] = batch.lengths(system.length)
 
-    for part, rows in zip(system.parts, system.frame_rows, strict=True):
-        out[rows] = part.frame_lengths(system.length)
+    for part, own in zip(system.parts, system.frame_rows, strict=True):
+        out[own] = part.frame_lengths(system.length)
     return out
 
 
