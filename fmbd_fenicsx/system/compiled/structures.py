@@ -102,7 +102,7 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
 _BYTE: Any = ctypes.c_char.from_buffer
 
 
-def address_of(x: Array) -> int:
+def address_of(x: np.ndarray) -> int:
     """Where the numbers of an array are, for C."""
     try:
         return ctypes.addressof(_BYTE(x))  # costs half of x.ctypes, of which a scene would make hundreds
