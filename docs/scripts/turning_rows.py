@@ -16,7 +16,7 @@ from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.newton import Newton
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "demos"))
-import bicycle  # noqa: E402
+import bicycle_model as bicycle  # noqa: E402
 
 H = 4e-3
 
