@@ -74,3 +74,24 @@ def test_elastic_fields_are_refused(rod_mesh: object) -> None:
     )
     with pytest.raises(InputError, match='absolute coordinates only, and "rod" is not one'):
         fmbd.solve(scene, t_end=0.1, dt=0.1, scheme=fmbd.EnergyMomentum())
+
+
+def test_usual_steps_need_no_differences(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tangent of the middle of the step solves them; differences cost an evaluation for each unknown."""
+    from fmbd_fenicsx.schemes.onestep import energy_momentum
+
+    scene, before = fmbd.Scene("links", gravity=(0, -9.81)), fmbd.ground
+    for i in range(4):
+        link = fmbd.RigidBody(f"{i}", 0.1, 1e-3 / 12, ((i + 0.5) * 0.1, 0.0))
+        hinge = fmbd.revolute(f"hinge {i}", before, link, center=(i * 0.1, 0))
+        scene.add(link, hinge, fmbd.joint_spring(f"spring {i}", fmbd.angle(hinge), stiffness=1.0, damping=0.01))
+        before = link
+    scene.sensor("tip", fmbd.position(before))
+    exact = fmbd.solve(scene, t_end=0.1, scheme=fmbd.Radau(rtol=1e-9), output=fmbd.Output(times=[0.1]))
+
+    def refused(*_: object) -> None:
+        raise AssertionError("differences")
+
+    monkeypatch.setattr(energy_momentum.Stepper, "_differences", refused)
+    run = fmbd.solve(scene, t_end=0.1, dt=1e-3, scheme=fmbd.EnergyMomentum())
+    assert run["tip"][-1] == pytest.approx(exact["tip"][-1], abs=1e-5)
