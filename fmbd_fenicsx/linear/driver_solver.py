@@ -29,7 +29,7 @@ class DriverSolver:
         if last is not None and last.t == t and last.q is q and last.v is v:
             return last.again()
         made = self.states.at(t, q, v)
-        self._last = made if self.states.evaluated(made) and not self.states.remembers else None
+        self._last = None if self.states.remembers else made
         return made
 
     def prepare(self, ev: Evaluation, weights: Weights, stiffness: Any) -> bool:

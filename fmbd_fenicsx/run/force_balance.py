@@ -19,7 +19,7 @@ equations of motion at the end of a step are judged, in scenes without contact: 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -46,8 +46,8 @@ class Balanced:
     solver: StepSolver
     share: float = SHARE
     rtol: float = 0.0
-    hardest: float = field(default=0.0)  # m/s^2, of all states so far
-    fastest: float = field(default=0.0)  # m/s
+    hardest: float = 0.0  # m/s^2, of all states so far
+    fastest: float = 0.0  # m/s
     repeated: int = 0  # steps that were made again
 
     @staticmethod

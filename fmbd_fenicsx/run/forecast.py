@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..linear.condensation import StepSolver, Weights
+from ..linear.condensation import StepSolver
 from ..linear.configuration_warnings import CLOSE
 from ..log import log
 from ..system.force_tangent import force_tangent
@@ -75,7 +75,7 @@ def fastest(solver: StepSolver, state: State) -> str:
         return "No spring is there to blame: look for a stiff law, an elastic body with a fine mesh, or a singular position."
 
     # diagonals: one coordinate of a frame at a time
-    mass = np.asarray(solver.core_matrix(ev, Weights(1.0, 0.0, 0.0)).diagonal())
+    mass = np.asarray(solver.masses(ev).diagonal())
     ratio = np.asarray(applied.core.diagonal()) / np.where(mass > 0, mass, np.inf)
     ratio = ratio[: s.n_frames * s.motions.n_twist]
     k = int(np.argmax(ratio))

@@ -309,7 +309,7 @@ class StepEquations(Remembering):
     def weigh(self, state: State) -> None:
         """Take the mass matrix of a state for the normal directions."""
         ev = self.system.at(state.t, state.q, state.v)
-        self._inverse_mass = np.linalg.inv(_dense(self.solver.core_matrix(ev, Weights(1.0, 0.0, 0.0))))
+        self._inverse_mass = np.linalg.inv(_dense(self.solver.masses(ev)))
 
     def consistent_start(self, state: State) -> tuple[Array, Array, Array]:
         """What closes the constraints of a step's start: increments of q, the velocity on G v + g_t = 0, its acceleration.
@@ -341,7 +341,7 @@ class StepEquations(Remembering):
         self.jacobians += 1
         q, v, a, lam = state.q, state.v, state.a, state.lam
         ev = s.at(state.t, q, v)
-        M = _dense(self.solver.core_matrix(ev, Weights(1.0, 0.0, 0.0)))
+        M = _dense(self.solver.masses(ev))
         self._inverse_mass = np.linalg.inv(M)
         G = _dense(ev.jacobian.core)
         if not form.frozen:

@@ -9,6 +9,7 @@ With U_0 the left null vectors of G_s,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -133,11 +134,18 @@ def independent(ev: Evaluation) -> bool:
             return False
 
     largest = float(abs(gram).sum(axis=0).max())
-    x = 1.0 + 0.5 * np.cos(np.arange(s.n_lam))  # no special direction
+    return certainly_regular(solve, s.n_lam, largest)
+
+
+def certainly_regular(solve: Callable[[Array], Array], count: int, largest: float) -> bool:
+    """Whether inverse iterations show that a Gram matrix of ``count`` rows has no eigenvalue near zero; ``solve``: by its factor,
+    ``largest``: bound of its largest eigenvalue.
+    """
+    x = 1.0 + 0.5 * np.cos(np.arange(count))  # no special direction
     inverse = 0.0
     for _ in range(INVERSE_ITERATIONS):
-        y = solve(x / np.linalg.norm(x))
-        inverse, x = float(np.linalg.norm(y)), y
+        x = solve(x / np.linalg.norm(x))
+        inverse = float(np.linalg.norm(x))
         if not np.isfinite(inverse):
             return False
     return bool(inverse * largest < 1.0 / CERTAIN**2)

@@ -51,7 +51,7 @@ class CompiledStepper(Stepper):
         """
         made = 0 if watch is not None or tape is not None else self._march(h, steps)
         if made:
-            self.driver.remember()
+            self.driver.tables.remember()
         return made
 
     def _march(self, h: float, steps: int) -> int:
@@ -59,7 +59,7 @@ class CompiledStepper(Stepper):
         refused = self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
         if refused:
             return 0
-        self.driver.recall()
+        self.driver.tables.recall()
         if self._tail is not self.state:
             self._load()
         made = self.driver.march(h, steps, self.newton)

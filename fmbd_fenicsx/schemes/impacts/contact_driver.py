@@ -238,21 +238,6 @@ class ContactDriver:
         self.calls.error = None  # NumPy's step raises it again, with the name of the law
         return int(made)
 
-    @property
-    def _remembering(self) -> list[Any]:
-        """Items with a memory."""
-        return [items for items in self.tables.sources if items.remembers]
-
-    def recall(self) -> None:
-        """Take the memory of elements that have one."""
-        for items in self._remembering:
-            items.arrays["kept"][:] = items.formula.kept()
-
-    def remember(self) -> None:
-        """Give back the memory of elements after accepted steps."""
-        for items in self._remembering:
-            items.formula.keep(items.arrays["kept"])
-
     def newest(self) -> tuple[float, Array, Array, Array, Array]:
         """t, q, v, a, lambda of the newest state."""
         first = self.blocks.ctypes.data

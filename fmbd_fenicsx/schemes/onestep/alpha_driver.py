@@ -50,7 +50,6 @@ class AlphaDriver:
         self.ring = self._places.copy()
         self._verdict = ctypes.c_int(0)
         self._tape: Tape | None = None
-        self._remembering: list[Any] = [items for items in self.tables.sources if items.remembers]
 
     def load(self, states: list[tuple[float, Array, Array, Array, Array, Array]]) -> None:
         """Take t, q, v, a, A, lambda of the last states, the newest first, at most three."""
@@ -58,16 +57,6 @@ class AlphaDriver:
             np.concatenate(([t], *arrays), out=block)
         self.ring[:] = self._places
         self.parameters[HISTORY] = len(states) - 1
-
-    def recall(self) -> None:
-        """Take the memory of elements that have one."""
-        for items in self._remembering:
-            items.arrays["kept"][:] = items.formula.kept()
-
-    def remember(self) -> None:
-        """Give back the memory of elements after accepted steps."""
-        for items in self._remembering:
-            items.formula.keep(items.arrays["kept"])
 
     @property
     def slopes(self) -> Array | None:

@@ -133,14 +133,14 @@ class CompiledStepper(Stepper):
         """
         made = self._march(h, steps, watch, tape)
         if made:
-            self.driver.remember()
+            self.driver.tables.remember()
         return made
 
     def note(self) -> bool:
         """Elements with a memory keep that of the newest state, which is accepted; whether it is known."""
         known = self._ahead and self._tail is self.state
         if known:
-            self.driver.remember()
+            self.driver.tables.remember()
         return known
 
     def _march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
@@ -161,7 +161,7 @@ class CompiledStepper(Stepper):
         if watch is not None:
             p[slots.HIGHEST : slots.SETTLING + 1] = watch.limits
 
-        driver.recall()
+        driver.tables.recall()
         made, verdict = driver.march(steps, tape)
         if verdict == slots.LOOK:
             driver.tables.look()

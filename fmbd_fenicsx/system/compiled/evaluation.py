@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import copy
 import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeGuard
 
@@ -18,7 +20,7 @@ from ...rotations import Array
 from ..evaluation import Evaluation
 from ..jacobian import Jacobian, dense_core
 from ..many import Jacobians, Many
-from ..mobility import CERTAIN, INVERSE_ITERATIONS
+from ..mobility import certainly_regular
 from ..system import System
 from .calls import Calls
 from .items import covers
@@ -48,13 +50,12 @@ class DriverStates:
         n, m = self.system.n_v, self.system.n_lam
         self._given = _Exchange((self.system.n_q, n, m))  # what C reads
         self._found = _Exchange((n, m))  # and writes
-        self._remembering: list[Any] = [items for items in self.tables.sources if items.remembers]
         self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
 
     @property
     def remembers(self) -> bool:
         """Whether forces depend on more than a state: elements have a memory."""
-        return bool(self._remembering)
+        return bool(self.tables.remembering)
 
     def give(self) -> tuple[Tables, Calls]:
         """The tables, for steps; they begin with new slopes of forces in Python."""
@@ -98,8 +99,7 @@ class DriverStates:
 
     def _ask(self, function: Any, given: tuple[Array | None, ...], wanted: tuple[Array, ...]) -> bool:
         """One call for all configurations; whether they have been evaluated."""
-        for items in self._remembering:
-            items.arrays["kept"][:] = items.formula.kept()
+        self.tables.recall()
         arrays = [None if x is None else np.ascontiguousarray(x, dtype=float) for x in given]
         places = [None if x is None else address_of(x) for x in (*arrays, *wanted)]
         verdict = function(self.address, len(wanted[0]), *places)
@@ -118,9 +118,10 @@ class DriverStates:
         if self.balances(ev.alone, a[None], lam[None]) is None:
             return False
         q, _, below = self._given.put(ev.q, None, lam)
-        if self.library.driver_prepare(self.address, q, cd, ck, below, 0, ev.t):
-            return False
+        verdict = self.library.driver_prepare(self.address, q, cd, ck, below, 0, ev.t)
         self.calls.raise_error()
+        if verdict:
+            return False
         self._held, self.factors = (ev.t, ev.q, ev.alone[2][0], (cd, ck)), self.factors + 1
         return True
 
@@ -142,16 +143,12 @@ class DriverStates:
         """Whether the rows certainly do not depend on each other, by the factor with masses only: as
         :func:`~fmbd_fenicsx.system.mobility.independent`, with the true inertia.
         """
-        count = self.system.n_lam
-        size = np.sqrt(self.tables.arrays["weight"][:count])
-        zero, inverse = np.zeros(self.system.n_v), 0.0
-        x = 1.0 + 0.5 * np.cos(np.arange(count))
-        for _ in range(INVERSE_ITERATIONS):
-            x = size * self.solve(zero, size * (x / np.linalg.norm(x)))[1]
-            inverse = float(np.linalg.norm(x))
-            if not np.isfinite(inverse):
-                return False
-        return inverse * count < 1.0 / CERTAIN**2
+        size, nothing = np.sqrt(self.tables.arrays["weight"][: self.system.n_lam]), np.zeros(self.system.n_v)
+
+        def solve(x: Array) -> Array:
+            return np.asarray(size * self.solve(nothing, size * x)[1])
+
+        return certainly_regular(solve, len(size), float(len(size)))
 
 
 class _Exchange:
@@ -167,6 +164,17 @@ class _Exchange:
             if value is not None:
                 x[:] = value
         return self.at[: len(values)]
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the driver told of constraints, in the order of :meth:`DriverStates.constraints`; None where it did not."""
+
+    found: tuple[Array, ...] | None
+
+    def get(self, which: int, numpy: Callable[[], Array]) -> Array:
+        """One of the answers, the caller's own; that of ``numpy`` where there is none."""
+        return numpy() if self.found is None else self.found[which].copy()
 
 
 class DriverEvaluation(Evaluation):
@@ -187,29 +195,25 @@ class DriverEvaluation(Evaluation):
         return other
 
     @cached_property
-    def _constraints(self) -> tuple[Array, ...] | None:
+    def _told(self) -> Told:
         found = self.states.constraints(self.alone)
-        return None if found is None else tuple(x[0] for x in found)
+        return Told(None if found is None else tuple(x[0] for x in found))
 
     def constraint(self) -> Array:
         """g(q, t), (n_lam,)."""
-        found = self._constraints
-        return super().constraint() if found is None else found[0].copy()
+        return self._told.get(0, super().constraint)
 
     def opening(self) -> Array:
         """G v + g_t, (n_lam,)."""
-        found = self._constraints
-        return super().opening() if found is None else found[1].copy()
+        return self._told.get(1, super().opening)
 
     def constraint_rate(self) -> Array:
         """g_t, (n_lam,)."""
-        found = self._constraints
-        return super().constraint_rate() if found is None else found[2].copy()
+        return self._told.get(2, super().constraint_rate)
 
     def gamma(self) -> Array:
         """g'' - G a, (n_lam,)."""
-        found = self._constraints
-        return super().gamma() if found is None or self.system.markers.surface.size else found[3].copy()
+        return super().gamma() if self.system.markers.surface.size else self._told.get(3, super().gamma)
 
     @cached_property
     def jacobian(self) -> Jacobian:
@@ -256,23 +260,20 @@ class DriverMany(Many):
         self.states, self.all = states, (t, q, v)
 
     @cached_property
-    def _constraints(self) -> tuple[Array, ...] | None:
-        return self.states.constraints(self.all)
+    def _told(self) -> Told:
+        return Told(self.states.constraints(self.all))
 
     def constraint(self) -> Array:
         """g, (k, n_lam)."""
-        found = self._constraints
-        return super().constraint() if found is None else found[0].copy()
+        return self._told.get(0, super().constraint)
 
     def opening(self) -> Array:
         """G v + g_t, (k, n_lam)."""
-        found = self._constraints
-        return super().opening() if found is None else found[1].copy()
+        return self._told.get(1, super().opening)
 
     def gamma(self) -> Array:
         """g'' - G a, (k, n_lam)."""
-        found = self._constraints
-        return super().gamma() if found is None or self.system.markers.surface.size else found[3].copy()
+        return super().gamma() if self.system.markers.surface.size else self._told.get(3, super().gamma)
 
     @cached_property
     def jacobian(self) -> Jacobians:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -342,6 +343,21 @@ class Tables:
             items=len(found), frame=frame, p=(ctypes.c_double * self.dim)(*place),
             batch=integers(batch), item=integers(item), side=integers(side),
         )  # fmt: skip
+
+    @cached_property
+    def remembering(self) -> list[Any]:
+        """Items with a memory."""
+        return [items for items in self.sources if items.remembers]
+
+    def recall(self) -> None:
+        """Take the memory of elements that have one."""
+        for items in self.remembering:
+            items.arrays["kept"][:] = items.formula.kept()
+
+    def remember(self) -> None:
+        """Give back the memory of elements after accepted steps."""
+        for items in self.remembering:
+            items.formula.keep(items.arrays["kept"])
 
     def look(self) -> None:
         """Take the angular velocities above which a body is to be warned of; those warned of have none."""
