@@ -42,13 +42,13 @@ def beam(height: float, dt: float) -> fmbd.Run:
     return fmbd.solve(scene, t_end=END, dt=dt, output=fmbd.Output(energy=False))
 
 
-def rod(height: float, h: float, dim: int = 2) -> fmbd.FloatingBody:
+def rod(height: float, h: float, dim: int = 2, E: float = model.E) -> fmbd.FloatingBody:
     """The connecting rod with cells of size h; its frame follows the chord from bore to bore, as the beam's."""
     mesh = fmbd.read_gmsh(ROD, dim=dim, first=(model.L1, 0.0), length=model.L2, height=height, thickness=model.B, h=h)
     if dim == 2:
-        density, elastic = model.RHO * model.B, fmbd.materials.plane_stress(model.E * model.B, model.NU)
+        density, elastic = model.RHO * model.B, fmbd.materials.plane_stress(E * model.B, model.NU)
     else:
-        density, elastic = model.RHO, fmbd.materials.linear_elastic(model.E, model.NU)
+        density, elastic = model.RHO, fmbd.materials.linear_elastic(E, model.NU)
     return fmbd.FloatingBody("rod", mesh, density=density, elastic=elastic, frame=fmbd.Chord(*BORES))
 
 
@@ -57,8 +57,10 @@ def reduced(body: fmbd.FloatingBody, modes: int) -> Any:
     return body.reduced(basis=fmbd.CraigBampton(BORES, modes))
 
 
-def scene(body: Any) -> fmbd.Scene:
-    """Crank, rod (full or reduced) and slider; sensors: bores, the straight edges' mean position, slider, bearing force."""
+def scene(body: Any, motion: Any = run_up) -> fmbd.Scene:
+    """Crank with its motion, rod (full or reduced) and slider; sensors: bores, the straight edges' mean position, slider, bearing
+    force.
+    """
 
     def at(x: float) -> tuple[float, ...]:
         return (x, 0.0, 0.0)[: body.dim]
@@ -73,7 +75,7 @@ def scene(body: Any) -> fmbd.Scene:
     knee = fmbd.revolute("knee", crank, body.surface("bore a"), center=at(model.L1))
     wrist = fmbd.revolute("wrist", body.surface("bore b"), slider, center=at(model.L1 + model.L2))
     guide = fmbd.prismatic("guide", fmbd.ground, slider, axis=(1, 0, 0)[: body.dim], center=slider.position)
-    made.add(crank, body, slider, main, knee, wrist, guide, fmbd.drive("drive", fmbd.angle(main), run_up))
+    made.add(crank, body, slider, main, knee, wrist, guide, fmbd.drive("drive", fmbd.angle(main), motion))
     for name in (*BORES, "side"):
         made.sensor(name, fmbd.position(body.surface(name)))
     made.sensor("slider", fmbd.position(slider))

@@ -49,7 +49,7 @@ from .mechanics.bodies.beams import Section as Section
 from .mechanics.bodies.bodies import AbsoluteBody as AbsoluteBody
 from .mechanics.bodies.bodies import Attached as Attached
 from .mechanics.bodies.bodies import Chord as Chord
-from .mechanics.bodies.bodies import CoordinateBody as CoordinateBody
+from .mechanics.bodies.coordinates import CoordinateBody as CoordinateBody
 from .mechanics.bodies.bodies import FloatingBody as FloatingBody
 from .mechanics.bodies.bodies import MeanAxis as MeanAxis
 from .mechanics.bodies.bodies import RigidBody as RigidBody
@@ -150,6 +150,7 @@ from .schemes.multistep.bdf import BDF as BDF
 from .schemes.newton import ExactTangent as ExactTangent
 from .schemes.newton import Newton as Newton
 from .schemes.onestep.energy_momentum import EnergyMomentum as EnergyMomentum
+from .schemes.onestep.explicit_runge_kutta import ExplicitRungeKutta as ExplicitRungeKutta
 from .schemes.onestep.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
 from .schemes.onestep.half_explicit import HalfExplicit as HalfExplicit
 from .schemes.onestep.radau import Radau as Radau

@@ -81,6 +81,9 @@ def whole(what: str, value: Any, *, least: int = 0) -> int:
 
 def array(what: str, value: Any, *, shape: str = "finite numbers") -> np.ndarray:
     """Finite numbers in an array of any shape; ``shape``: what is wanted, in words."""
+    plain = value if type(value) is tuple else (value,)
+    if plain and all(type(x) is float and math.isfinite(x) for x in plain):
+        return np.array(value)  # as most are given
     try:
         found = np.asarray(value)
         usable = found.dtype.kind in "iuf" and _finite(found)
@@ -160,7 +163,8 @@ def check_fields(data: Any, what: str | None = None) -> None:
     values = {name: getattr(data, name) for name, _, _ in _annotated(kind)}
     label = _label(kind.__name__, values) if what is None else what
     for name, hint, default in _annotated(kind):
-        _check(f"{label}: {name}", values[name], hint, default=default)
+        if not _usual(values[name], hint, default):
+            _check(f"{label}: {name}", values[name], hint, default=default)
 
 
 @cache
@@ -184,15 +188,21 @@ def typed(make: Callable[P, T]) -> Callable[P, T]:
         except TypeError as error:  # without the function's name
             known = ", ".join(signature.parameters)
             raise TypeError(f"{make.__name__}(): {error}. It takes {known}.") from None
+
         label = _label(make.__name__, values)
-        if not hints:  # at the first call: names of annotations may come from modules that import this one
+
+        # names of annotations may come from modules that import this one: they are looked up at the first call
+        if not hints:
             single = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
             every = {n: p for n, p in signature.parameters.items() if p.kind not in single}
             hints.update({n: (_hint(module, p.annotation), p.default) for n, p in every.items()})
+
         for name, value in values.items():
             if name in hints:
                 hint, default = hints[name]
-                _check(f"{label}: {name}", value, hint, default=default)
+                if not _usual(value, hint, default):
+                    _check(f"{label}: {name}", value, hint, default=default)
+
         return make(*args, **kwargs)
 
     return checked
@@ -244,11 +254,9 @@ def _named_type(module: str, annotation: str) -> Any:
 
 def _check(what: str, value: Any, hint: Any, *, default: Any) -> None:
     """Check one value; the default itself is always allowed, an infinite number where the default is one."""
-    if value is default and default is not MISSING:
+    if _usual(value, hint, default):
         return
-    options, anything, objects = _options(hint)
-    if anything or _plainly(value, options):
-        return
+    options, _, objects = _options(hint)
     if (
         float in options
         and isinstance(default, float)
@@ -270,6 +278,14 @@ def _check(what: str, value: Any, hint: Any, *, default: Any) -> None:
         except InputError:
             continue
     _one(what, value, options[-1])
+
+
+def _usual(value: Any, hint: Any, default: Any) -> bool:
+    """Whether a value is seen at a glance to be allowed: the default itself, or of one of the types."""
+    if value is default and default is not MISSING:
+        return True
+    options, anything, _ = _options(hint)
+    return anything or _plainly(value, options)
 
 
 @cache
@@ -299,7 +315,8 @@ def _unknown(option: Any) -> bool:
 
 def _one(what: str, value: Any, option: Any) -> None:
     """Check a value against one type."""
-    origin, inner = typing.get_origin(option) or option, typing.get_args(option)
+    origin = typing.get_origin(option) or option
+    inner = typing.get_args(option)
     simple: dict[Any, Callable[[str, Any], Any]] = {float: number, str: word, Callable: function}  # type: ignore[dict-item]
 
     if origin in simple:

@@ -41,7 +41,8 @@ class Hooke:
         if self.sheet:
             _refuse_space(self.name, u)
         domain = dx.ufl_domain()
-        m, k = fem.Constant(domain, self.mu), fem.Constant(domain, self.lmbda)
+        m = fem.Constant(domain, self.mu)
+        k = fem.Constant(domain, self.lmbda)
 
         def eps(w: Any) -> Any:
             return sym(grad(w))

@@ -16,7 +16,8 @@ import shutil
 import stat
 import subprocess
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
@@ -45,6 +46,44 @@ def compiler() -> list[str] | None:
     return command if shutil.which(command[0]) else None
 
 
+@dataclass(frozen=True)
+class Unit:
+    """One C file of a library.
+
+    Attributes:
+        name: for people.
+        source: its text; a function that generates it is called only when the unit has to be compiled.
+        flags: of the compiler.
+        made_from: what a generated source follows from; stands for the text in the unit's key.
+        shared: whether it is kept by itself, since other libraries have it too.
+    """
+
+    name: str
+    source: str | bytes | Callable[[], str]
+    flags: tuple[str, ...] = FLAGS
+    made_from: bytes = b""
+    shared: bool = False
+
+    def key(self, command: list[str]) -> str:
+        """The same for the same code and the same compiler."""
+        known = self.made_from if callable(self.source) else _bytes(self.source)
+        return hashlib.sha256(known + repr((command, self.flags)).encode()).hexdigest()[:20]
+
+
+@dataclass(frozen=True)
+class Library:
+    """A shared library of some units, linked with the mathematical library."""
+
+    name: str
+    units: Sequence[Unit]
+
+    def file(self, folder: Path, command: list[str]) -> Path:
+        """Where it is kept."""
+        keys = [unit.key(command) for unit in self.units]
+        key = keys[0] if len(keys) == 1 else hashlib.sha256(repr(keys).encode()).hexdigest()[:20]
+        return folder / f"{self.name}_{key}.so"
+
+
 def load(
     name: str,
     source: str | bytes | Callable[[], str],
@@ -52,35 +91,32 @@ def load(
     flags: tuple[str, ...] = FLAGS,
     made_from: bytes = b"",
 ) -> ctypes.CDLL | None:
-    """The library of a C source, built when it is not kept yet; None, with a line in the log, where it cannot be had.
+    """The library of one unit, see :class:`Unit` and :func:`load_library`; ``name``: the first part of the file's name."""
+    return load_library(Library(name, [Unit(name, source, flags, made_from)]))
+
+
+def load_library(library: Library, *, beside: Sequence[Library] = ()) -> ctypes.CDLL | None:
+    """A library, built when it is not kept yet; None, with a line in the log, where it cannot be had.
 
     Not collective: each process asks for itself, and several may build the same one at a time.
 
     Args:
-        name: the first part of the file's name, for people.
-        source: the text of one translation unit; it is linked with the mathematical library. A function that generates it is
-            called only when the library has to be built.
-        flags: of the compiler.
-        made_from: what a generated source follows from; stands for the text in the library's key.
+        library: what is loaded.
+        beside: what will be needed next: built at the same time, on other cores, where this one has to be built.
     """
     command = compiler()
     if command is None:
-        log.info("no C compiler: kernel %s runs in NumPy", name)
+        log.info("no C compiler: kernel %s runs in NumPy", library.name)
         return None
-
-    known = made_from if callable(source) else _bytes(source)
-    key = hashlib.sha256(known + repr((command, flags)).encode()).hexdigest()[:20]
 
     try:
         folder, notes = _folders()
-        file = folder / f"{name}_{key}.so"
+        file = library.file(folder, command)
         if not _as_noted(file, notes):
-            note(f"compiling {name}, once (some seconds); it is kept in {folder}")
-            text = source() if callable(source) else source
-            _build(file, notes, _bytes(text), [*command, *flags])
+            _Building(folder, notes, command).make([library, *beside])
         return ctypes.CDLL(str(file))
     except (OSError, subprocess.SubprocessError) as error:
-        log.info("the compiled kernel %s is not available (%s): it runs in NumPy", name, error)
+        log.info("the compiled kernel %s is not available (%s): it runs in NumPy", library.name, error)
         return None
 
 
@@ -118,6 +154,7 @@ def _made_private(path: Path) -> bool:
         path = path.resolve()
         if path.stat().st_uid == os.geteuid():
             path.chmod(PRIVATE)
+        # also the folders above: who may rename them can put another in its place
         return trusted(path) and path.is_dir() and not any(_open_to_all(above) for above in path.parents)
     except OSError:
         return False
@@ -141,24 +178,90 @@ def _of_this_process() -> Path:
 
 def _as_noted(file: Path, notes: Path) -> bool:
     """Whether a kept library is whole and this user's own."""
-    note = notes / f"{file.stem}.sha256"
-    if not (trusted(file) and trusted(note)):
+    noted = _hash_of(file, notes)
+    if not (trusted(file) and trusted(noted)):
         return False
-    return note.read_text() == hashlib.sha256(file.read_bytes()).hexdigest()
+    return noted.read_text() == hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def _build(file: Path, notes: Path, source: bytes, command: list[str]) -> None:
-    """Compile into a folder of its own, note the hash, move into place: a reader finds all of it, or builds for itself."""
-    with tempfile.TemporaryDirectory(dir=file.parent) as work:
-        text, built = Path(work) / "kernel.c", Path(work) / file.name
-        text.write_bytes(source)
+@dataclass
+class _Building:
+    """Libraries that are made: units are compiled side by side, one for each core, and linked."""
 
-        compiling = [*command, "-o", str(built), str(text), "-lm"]
-        subprocess.run(compiling, check=True, capture_output=True, timeout=PATIENCE)
+    folder: Path
+    notes: Path
+    command: list[str]
+    objects: dict[str, Path] = field(default_factory=dict)  # by keys of units
+
+    def make(self, wanted: Sequence[Library]) -> None:
+        """All libraries that are not kept, in a folder of their own at first."""
+        from concurrent.futures import ThreadPoolExecutor
+
+        libraries = [x for x in wanted if not _as_noted(x.file(self.folder, self.command), self.notes)]
+        with tempfile.TemporaryDirectory(dir=self.folder) as work:
+            missing = self._missing(libraries, Path(work))
+
+            if missing:
+                names = ", ".join(unit.name for unit in missing)
+                note(f"compiling {names}, once (some seconds); it is kept in {self.folder}")
+            # the compiler is a process of its own: threads suffice
+            with ThreadPoolExecutor(max(cores(), 1)) as pool:
+                list(pool.map(self._compile, missing))
+            for library in libraries:
+                self._link(library, Path(work))
+
+    def _missing(self, libraries: Sequence[Library], work: Path) -> list[Unit]:
+        """Units to be compiled."""
+        missing = []
+        for unit in (unit for library in libraries for unit in library.units):
+            key = unit.key(self.command)
+            file = (self.folder if unit.shared else work) / f"{unit.name}_{key}.o"
+            self.objects[key] = file
+            if not (unit.shared and _as_noted(file, self.notes)):
+                missing.append(unit)
+        return missing
+
+    def _compile(self, unit: Unit) -> None:
+        """One unit into its object."""
+        file = self.objects[unit.key(self.command)]
+        text = unit.source() if callable(unit.source) else unit.source
+        with tempfile.TemporaryDirectory(dir=self.folder) as work:
+            source, built = Path(work) / "kernel.c", Path(work) / file.name
+            source.write_bytes(_bytes(text))
+            flags = [flag for flag in unit.flags if flag != "-shared"]
+            self._run([*self.command, *flags, "-c", "-o", str(built), str(source)])
+            # moved to its place at once, so that nobody reads half a file
+            self._keep(built, file, noted=unit.shared)
+
+    def _link(self, library: Library, work: Path) -> None:
+        """A library from the objects of its units."""
+        file = library.file(self.folder, self.command)
+        objects = [str(self.objects[unit.key(self.command)]) for unit in library.units]
+        built = work / file.name
+        self._run([*self.command, "-shared", "-o", str(built), *objects, "-lm"])
+        self._keep(built, file, noted=True)
+
+    def _run(self, command: list[str]) -> None:
+        subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE)
+
+    def _keep(self, built: Path, file: Path, *, noted: bool) -> None:
+        """Note the hash, move into place: a reader finds all of it, or builds for itself."""
         built.chmod(PRIVATE)
-
-        note = notes / f".{file.stem}.{os.getpid()}"
-        note.write_text(hashlib.sha256(built.read_bytes()).hexdigest())
-        note.chmod(0o600)
+        if not noted:
+            os.replace(built, file)
+            return
+        name = self.notes / f".{file.name}.{os.getpid()}"
+        name.write_text(hashlib.sha256(built.read_bytes()).hexdigest())
+        name.chmod(0o600)
         os.replace(built, file)
-        os.replace(note, notes / f"{file.stem}.sha256")
+        os.replace(name, _hash_of(file, self.notes))
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _hash_of(file: Path, notes: Path) -> Path:
+    """Where the hash of a library or an object is noted."""
+    return notes / f"{file.name}.sha256"

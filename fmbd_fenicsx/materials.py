@@ -131,7 +131,8 @@ def kelvin_voigt(viscosity: float, volume_viscosity: float = 0.0) -> ViscousForm
         from dolfinx import fem
         from ufl import Identity, grad, inner, sym, tr
 
-        eta, zeta = fem.Constant(dx.ufl_domain(), viscosity), fem.Constant(dx.ufl_domain(), volume_viscosity)
+        eta = fem.Constant(dx.ufl_domain(), viscosity)
+        zeta = fem.Constant(dx.ufl_domain(), volume_viscosity)
         one = Identity(u.ufl_shape[0])
         F = one + grad(u)
         strain_rate = sym(F.T * grad(rate))
@@ -165,7 +166,8 @@ def nearly_incompressible(youngs_modulus: float, poisson_ratio: float) -> MixedE
         from dolfinx import fem
         from ufl import div, grad, inner, sym
 
-        m, k = fem.Constant(dx.ufl_domain(), mu), fem.Constant(dx.ufl_domain(), 0.5 / lmbda)
+        m = fem.Constant(dx.ufl_domain(), mu)
+        k = fem.Constant(dx.ufl_domain(), 0.5 / lmbda)
         e = sym(grad(u))
         return (m * inner(e, e) + p * div(u) - k * p * p) * dx
 
@@ -202,7 +204,8 @@ def _neo_hookean_of_pressure(mu: float, lmbda: float) -> Form:
         from dolfinx import fem
         from ufl import Identity, det, grad, inner, ln
 
-        m, k = fem.Constant(dx.ufl_domain(), mu), fem.Constant(dx.ufl_domain(), 0.5 / lmbda)
+        m = fem.Constant(dx.ufl_domain(), mu)
+        k = fem.Constant(dx.ufl_domain(), 0.5 / lmbda)
         F = Identity(u.ufl_shape[0]) + grad(u)
         J = det(F)
         return (0.5 * m * (inner(F, F) - F.ufl_shape[0] - 2 * ln(J)) + p * (J - 1) - k * p * p) * dx

@@ -14,7 +14,8 @@ import numpy as np
 
 from .checks import instance, number
 from .errors import InputError, MeshError, near
-from .mesh import Mesh, check_model, distributed, require_file
+from .mesh import Mesh, distributed, require_file
+from .mesh_checks import check_model
 from .rotations import Array
 
 Where = Callable[[Array], Any]
@@ -69,6 +70,7 @@ def read_cad(
         solids = gmsh.model.getEntities(3)
         if len(solids) != 1:
             raise MeshError(f"{path} holds {len(solids)} solids; a body is one. Fuse them, or export the part alone.")
+
         gmsh.option.setNumber("Mesh.MeshSizeMax", h)
         gmsh.model.mesh.generate(3)
         gmsh.model.addPhysicalGroup(3, [solids[0][1]], name=volume)
@@ -85,6 +87,7 @@ def _faces(model: Any, name: str, where: Any, part: tuple[Path, float]) -> list[
     off = ""
     faces = [tag for _, tag in model.getEntities(2)]
     middles = {tag: model.occ.getCenterOfMass(2, tag) for tag in faces}
+    # a function takes faces whose nodes it all takes, a point the nearest one
     if callable(where):
         nodes = {tag: np.asarray(model.mesh.getNodes(2, tag, True)[1]).reshape(-1, 3).T for tag in faces}
         found = [tag for tag, x in nodes.items() if np.all(where(x))]
@@ -98,6 +101,7 @@ def _faces(model: Any, name: str, where: Any, part: tuple[Path, float]) -> list[
     if not found:
         size = float(np.abs(list(middles.values())).max()) or 1.0
         shown = [np.where(np.abs(c) < 1e-9 * size, 0.0, c) for c in list(middles.values())[:12]]
+
         known = "; ".join(f"about ({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in shown)
         raise MeshError(f'{path}: no face belongs to surface "{name}"{off}. It has {len(faces)} faces, in m: {known}.')
     return found
@@ -114,13 +118,17 @@ def _triangles(model: Any, face: int) -> np.ndarray:
 
 def _distance(point: np.ndarray, triangles: np.ndarray) -> float:
     """Distance (m) from a point to the nearest of some triangles."""
-    a, e, f = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    a = triangles[:, 0]
+    e = triangles[:, 1] - triangles[:, 0]
+    f = triangles[:, 2] - triangles[:, 0]
 
     # where the foot of the perpendicular lies inside
     ee, ef, ff = ((x * y).sum(1) for x, y in ((e, e), (e, f), (f, f)))
-    pe, pf = ((point - a) * e).sum(1), ((point - a) * f).sum(1)
+    pe = ((point - a) * e).sum(1)
+    pf = ((point - a) * f).sum(1)
     area = ee * ff - ef * ef
-    s, t = (ff * pe - ef * pf) / area, (ee * pf - ef * pe) / area
+    s = (ff * pe - ef * pf) / area
+    t = (ee * pf - ef * pe) / area
     inside = (s >= 0) & (t >= 0) & (s + t <= 1)
     feet = (a + s[:, None] * e + t[:, None] * f)[inside]
 
@@ -191,6 +199,7 @@ def _sets(found: Any) -> dict[str, dict[int, np.ndarray]]:
     out: dict[str, dict[int, np.ndarray]] = {}
     for name, blocks in found.cell_sets.items():
         out[name] = {k: np.asarray(b, dtype=int) for k, b in enumerate(blocks) if b is not None and len(b)}
+    # Nastran's cells know the number of their property
     for k, refs in enumerate(found.cell_data.get("nastran:ref", [])):
         for ref in np.unique(refs):
             out.setdefault(f"property {ref}", {})[k] = np.flatnonzero(np.asarray(refs) == ref)
@@ -211,8 +220,10 @@ def _body(path: Path, found: Any, volume: str | None, scale: float) -> tuple[Arr
     solid = [k for k, block in enumerate(found.cells) if block.type in CELLS]
     if not solid:
         raise MeshError(f"{path}: no triangles or tetrahedra. There is: {_content(found)}.")
+
     dim = max(CELLS[found.cells[k].type] for k in solid)
     chosen: dict[int, Any] = {k: slice(None) for k in solid if CELLS[found.cells[k].type] == dim}
+
     if volume is not None:
         sets = _sets(found)
         if volume not in sets:
@@ -223,6 +234,7 @@ def _body(path: Path, found: Any, volume: str | None, scale: float) -> tuple[Arr
     if kinds not in ({3}, {4}) or (dim == 2 and kinds != {3}):
         raise MeshError(f"{path}: the body must be of triangles or tetrahedra alone. There is: {_content(found)}.")
     count = kinds.pop()
+    # corners come first, nodes inside edges after them
     cells = np.concatenate([np.asarray(found.cells[k].data)[rows, :count] for k, rows in chosen.items()])
     points = np.zeros((len(found.points), 3))
     points[:, : found.points.shape[1]] = scale * np.asarray(found.points, dtype=float)
@@ -240,9 +252,12 @@ def _boundary(cells: np.ndarray) -> np.ndarray:
 def _named(found: Any, points: Array, facets: np.ndarray, more: Mapping[str, Where]) -> dict[str, np.ndarray]:
     """Surfaces: name -> their facets, of sets of nodes, of sets of facets, and of functions; those without facets left out."""
     count = facets.shape[1]
+
     surfaces = {}
     for name, nodes in found.point_sets.items():
         surfaces[name] = facets[np.isin(facets, nodes).all(axis=1)]
+
+    # sets of cells: only those of facets count, as corners without the nodes inside edges
     for name, blocks in _sets(found).items():
         rows = [
             np.asarray(found.cells[k].data)[numbers, :count]
@@ -252,16 +267,19 @@ def _named(found: Any, points: Array, facets: np.ndarray, more: Mapping[str, Whe
         if rows:
             wanted = {tuple(row) for row in np.sort(np.concatenate(rows), axis=1)}
             surfaces[name] = facets[[tuple(row) in wanted for row in facets]]
+
     for name, where in more.items():
         inside = np.asarray(where(points.T), dtype=bool)
         surfaces[name] = facets[inside[facets].all(axis=1)]
         if not len(surfaces[name]):
             raise MeshError(f'Surface "{name}": its function is true at no facet of the boundary.')
+
     return {name: rows for name, rows in surfaces.items() if len(rows)}
 
 
 def _model(gmsh: Any, body: tuple[Array, int, np.ndarray], named: Mapping[str, np.ndarray], volume: str) -> None:
     """A gmsh model of discrete entities with named groups."""
+    # gmsh counts from one
     points, dim, cells = body
     used = np.unique(cells)
     gmsh.model.add("mesh")

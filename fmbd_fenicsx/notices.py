@@ -28,7 +28,8 @@ class OnStandardError(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a warning, unless the program has handlers of its own."""
-        text, kind = record.getMessage(), str(record.msg)
+        text = record.getMessage()
+        kind = str(record.msg)
         if _set_up_by_program() or text in self._said or self._rank() > 0:
             return
         self._said.add(text)

@@ -84,14 +84,18 @@ def _differ(one: Any, other: Any) -> bool:
     if isinstance(one, tuple | list) and isinstance(other, tuple | list):
         return len(one) != len(other) or any(_differ(a, b) for a, b in zip(one, other, strict=True))
     try:
-        a, b = np.asarray(one, dtype=complex), np.asarray(other, dtype=complex)
+        a = np.asarray(one, dtype=complex)
+        b = np.asarray(other, dtype=complex)
     except (TypeError, ValueError, OverflowError):
         return type(one) is not type(other)
+
+    # numbers that are not finite must agree as they are
     if a.shape != b.shape:
         return True
     finite = np.isfinite(a) & np.isfinite(b)
     if not np.array_equal(a[~finite], b[~finite], equal_nan=True):
         return True
     a, b = a[finite], b[finite]
+
     size = max(float(np.abs(a).max(initial=0.0)), float(np.abs(b).max(initial=0.0)))
     return not bool((np.abs(a - b) <= SAME * size).all())

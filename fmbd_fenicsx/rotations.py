@@ -66,7 +66,10 @@ def cross3(a: Array, b: Array) -> Array:
 
 def quaternion_product(p: Array, q: Array) -> Array:
     """Hamilton product of scalar-last quaternions: the rotation q followed, in space axes, by p."""
-    pv, ps, qv, qs = p[..., :3], p[..., 3:], q[..., :3], q[..., 3:]
+    pv = p[..., :3]
+    ps = p[..., 3:]
+    qv = q[..., :3]
+    qs = q[..., 3:]
     return np.concatenate((ps * qv + qs * pv + cross3(pv, qv), ps * qs - (pv * qv).sum(-1, keepdims=True)), axis=-1)
 
 
@@ -78,9 +81,11 @@ def quaternion_exp(theta: Array) -> Array:
 
 def quaternion_log(p: Array) -> Array:
     """Rotation vector (norm at most pi) of unit quaternions, (..., 4) -> (..., 3)."""
+    # q and -q are one rotation: the smaller angle
     p = np.where(p[..., 3:] < 0, -p, p)
     s = np.sqrt((p[..., :3] ** 2).sum(-1, keepdims=True))
     angle = 2.0 * np.arctan2(s, p[..., 3:])
+    # of small angles by the series
     return np.where(s > 1e-8, angle / np.maximum(s, 1e-300), 2.0 + s * s / 3.0) * p[..., :3]
 
 
@@ -88,6 +93,7 @@ def nearest_rotation(theta: Array, near: Array) -> Array:
     """The rotation vectors (..., 3) that turn as theta does, by whole turns more or less, and lie nearest to ``near``."""
     angle = np.sqrt((theta * theta).sum(-1, keepdims=True))
     guess = np.sqrt((near * near).sum(-1, keepdims=True))
+    # where nothing turns the axis is that of ``near``
     axis = np.where(angle > 1e-8, theta / np.maximum(angle, 1e-300), near / np.maximum(guess, 1e-300))
     turns = np.round(((near * axis).sum(-1, keepdims=True) - angle) / (2 * np.pi))
     return np.asarray(theta + 2 * np.pi * turns * axis)
@@ -118,8 +124,10 @@ def tangent(theta: Array) -> Array:
     t = np.sqrt(t2)
     small = t < _SMALL
     safe = np.where(small, 1.0, t)
+    # (1 - cos t) / t^2 and (t - sin t) / t^3, by their series near zero
     a = np.where(small, 0.5 - t2 / 24 + t2 * t2 / 720, (1 - np.cos(safe)) / safe**2)
     b = np.where(small, 1 / 6 - t2 / 120 + t2 * t2 / 5040, (safe - np.sin(safe)) / safe**3)
+
     H = hat(theta)
     return np.eye(3) - a * H + b * (H @ H)
 
@@ -130,7 +138,9 @@ def tangent_inverse(theta: Array) -> Array:
     t = np.sqrt(t2)
     small = t < _SMALL
     safe = np.where(small, 1.0, t)
+    # (1 - t / 2 cot(t / 2)) / t^2, by its series near zero
     c = np.where(small, 1 / 12 + t2 / 720 + t2 * t2 / 30240, (1 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2)
+
     H = hat(theta)
     return np.eye(3) + 0.5 * H + c * (H @ H)
 
@@ -166,6 +176,7 @@ class Motions:
         if self.dim == 2:
             return q + xi
         p = quaternion_product(q[..., 3:], quaternion_exp(xi[..., 3:]))
+        # products of unit quaternions drift by roundoff
         p = p / np.sqrt((p * p).sum(-1, keepdims=True))
         return np.concatenate((q[..., :3] + xi[..., :3], p), axis=-1)
 

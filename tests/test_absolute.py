@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ufl import as_matrix
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import Newton
@@ -16,6 +17,8 @@ from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.materials import linear_elastic, neo_hookean, saint_venant_kirchhoff
 from fmbd_fenicsx.rotations import motions
+from fmbd_fenicsx.system.powers import powers
+from fmbd_fenicsx.system.system import State
 
 MODULUS, DENSITY = 5e6, 1000.0
 ENERGIES = [saint_venant_kirchhoff(MODULUS, 0.3), neo_hookean(MODULUS, 0.3)]
@@ -167,3 +170,33 @@ def test_bad_input(rod_mesh: Callable[..., Any]) -> None:
         Field("rod", mesh, body(mesh, energy=lambda u, dx: 1.0).forms())
     with pytest.raises(InputError, match="density"):
         body(mesh, density=-1.0)
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        fmbd.loads.pressure("tip", 30.0),
+        fmbd.loads.traction("tip", (3.0, -7.0)),
+        fmbd.loads.thermal_stress(lambda x: x[0] * as_matrix([[3.0, 1.0], [1.0, 2.0]])),
+    ],
+    ids=["pressure", "traction", "heat"],
+)
+def test_power_of_loads_is_that_of_their_forces(load: Any, rod_mesh: Any) -> None:
+    """A body with a load, less the same one without: minus their forces times the velocities."""
+    made = []
+    for loads in ((load,), ()):
+        body = fmbd.AbsoluteBody(
+            "body", rod_mesh(h=0.5, height=0.4), degree=1, density=1.0,
+            elastic=fmbd.materials.linear_elastic(10.0, 0.3), loads=loads,
+        )  # fmt: skip
+        scene = fmbd.Scene("loaded")
+        scene.add(body)
+        system, _, _ = scene.build()
+        made.append(system)
+    rng = np.random.default_rng(4)
+    u, v = (scale * rng.standard_normal(made[0].n_v) for scale in (1e-2, 1.0))
+    balances = [s.at(0.0, u, v).balance(np.zeros(s.n_v)) for s in made]
+
+    state = State(0.0, u, v, np.zeros(made[0].n_v), np.zeros(0))
+    power = powers(made[0].at(0.0, u, v), state)["body, loads"]
+    assert power == pytest.approx(-(balances[0] - balances[1]) @ v, rel=1e-9) and abs(power) > 0.1

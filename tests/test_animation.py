@@ -17,8 +17,10 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.post import animation
+from fmbd_fenicsx.post.drawing.draw import draw
 from fmbd_fenicsx.post.drawing.view import View
 
+SOFT = fmbd.materials.linear_elastic(5e6, 0.3)
 SMALL = View(size=(320, 200))
 
 
@@ -145,3 +147,22 @@ def test_web_page_keeps_colours_beside_the_scene_and_ticks_at_multiples() -> Non
     drawn_on = re.search(r"function colors\(\).*?getElementById\(\"(\w+)\"\)", text, re.DOTALL)
     assert drawn_on is not None and drawn_on[1] == "bar"
     assert not re.search(r"for \(let \w = Math.ceil[^)]*\)[^)]*\+= ", text)
+
+
+def test_web_page_holds_deformed_bodies_to_a_part_of_their_size(tmp_path: Path, rod_mesh: Any) -> None:
+    """Points of deforming bodies are sent as shares of the box that they move in, in 16 bits."""
+    rod = fmbd.FloatingBody(
+        "rod", rod_mesh(h=0.5, height=0.4), degree=1, density=1e3, elastic=SOFT, velocity=(1.0, 2.0)
+    )
+    scene = fmbd.Scene("flight", gravity=(0, -9.81))
+    scene.add(rod)
+    run = fmbd.solve(scene, t_end=0.2, dt=0.05, output=fmbd.Output(snapshots=3))
+    text = run.animate(tmp_path / "flight.html").read_text()
+    data = json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', text, re.DOTALL)[1])  # type: ignore[index]
+
+    sent = next(p for p in data["pieces"] if p["name"] == "rod")
+    shares = np.frombuffer(base64.b64decode(sent["deforming"]), "<u2").reshape(len(run.snapshots), -1, 3) / 65535
+    x = np.asarray(sent["low"]) + shares * np.asarray(sent["size"])
+    shown = next(p for p in draw(run).pieces if p.name == "rod")
+    for k in range(len(run.snapshots)):
+        assert x[k] == pytest.approx(shown.at(k), abs=1e-4)

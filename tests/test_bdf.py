@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, state_errors
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.multistep.bdf import _derivative, _weights
 
 
@@ -77,3 +81,35 @@ def test_interpolation_weights() -> None:
 def test_orders_that_do_not_exist() -> None:
     with pytest.raises(InputError, match="order = 6"):
         fmbd.BDF(order=6)
+
+
+def test_a_restart_begins_as_a_run_does() -> None:
+    """The same steps and orders follow a start and a restart at the same state."""
+    system, given, _ = pendulum().build()
+    taken = []
+    for again in (False, True):
+        solver = StepSolver(system)
+        start, _ = consistent(system, given, solver)
+        stepper = fmbd.BDF(rtol=1e-6).stepper(system, solver, fmbd.Newton(), start)
+        if again:
+            stepper.restart(start.t)
+        taken.append([(stepper.advance(1.0).t, stepper.k) for _ in range(40)])
+    assert taken[0] == pytest.approx(taken[1], rel=1e-9) and max(k for _, k in taken[0]) > 2
+
+
+@pytest.mark.parametrize(
+    ("errors", "order"), [((9.0, 1e-4, 0.5, 0.9), 2), ((9.0, 0.5, 0.5, 1e-6), 4), ((1e-4, 9.0, 0.5, 0.9), 3)]
+)
+def test_the_order_is_that_of_the_longest_step(errors: tuple[float, ...], order: int, monkeypatch: Any) -> None:
+    """Of order 3 and its neighbours, by their errors; order 1 is not looked at."""
+    system, given, _ = pendulum().build()
+    solver = StepSolver(system)
+    start, _ = consistent(system, given, solver)
+    stepper = fmbd.BDF(rtol=1e-6).stepper(system, solver, fmbd.Newton(), start)
+    for _ in range(12):
+        stepper.advance(1.0)
+    stepper.k, stepper.held, stepper.control.rejections = 3, 9, 0
+    monkeypatch.setattr(stepper, "_error", lambda h, p, of: errors[of - 1])
+    monkeypatch.setattr(stepper.amplification, "permits", lambda *given: True)
+    stepper._choose(1e-3, None, errors[2])
+    assert stepper.k == order

@@ -114,3 +114,12 @@ def test_report_of_bad_input() -> None:
         fmbd.Beam("b", (0.0, 0.0), (1.0, 0.0), SLENDER).surface("tip")
     with pytest.raises(InputError, match="modes asked for"):
         _ = fmbd.Beam("b", (0.0, 0.0), (1.0, 0.0), SLENDER, elements=1, modes=9).constants
+
+
+@pytest.mark.parametrize("per_element", [1, 3])
+def test_the_centre_line_is_drawn_at_even_places(per_element: int) -> None:
+    beam = fmbd.Beam("b", (0.0, 0.0), (0.6, 0.8), SLENDER, elements=5)
+    x = beam.centre_line(per_element)[:, :, 0]
+    assert len(x) == 5 * per_element + 1
+    steps = np.diff(x, axis=0)
+    assert steps == pytest.approx(np.tile([0.6, 0.8], (len(steps), 1)) / len(steps), abs=1e-12)

@@ -14,6 +14,7 @@ from test_field_stages import pendulum
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, MeshError
 from fmbd_fenicsx.run.certificate import KINDS
+from fmbd_fenicsx.run.estimates import order_seen, scattered_order
 from fmbd_fenicsx.system.scene.refinement import finer_space, more_modes, refined, with_bodies
 
 ALL = fmbd.Output(estimate_error=True, estimate_space=True, estimate_reduction=True)
@@ -75,12 +76,12 @@ def test_statements_in_files(rod_mesh: Callable[..., Any], tmp_path: Any) -> Non
 
     from matplotlib.figure import Figure
 
-    from fmbd_fenicsx.post.plot import _history
+    from fmbd_fenicsx.post.plot import draw_history
 
     bands = []
     for errors in (run.error_estimate, {}):
         axes = Figure().add_subplot()
-        _history(axes, replace(run, error_estimate=errors), "tip")
+        draw_history(axes, replace(run, error_estimate=errors), "tip")
         bands.append(len(axes.collections))
     assert bands == [2, 0]
 
@@ -182,5 +183,60 @@ def test_a_scene_with_finer_bodies_shares_nothing_with_the_old_one_but_what_is_e
     assert finer_space(reduced)[0].bodies["rod"].source.degree == 3
     with pytest.raises(InputError, match="no reduced body"):
         more_modes(scene, scene.build()[0])
-    with pytest.raises(MeshError, match="finished mesh"):
-        replace(scene.bodies["rod"].mesh, recipe=None).refined()
+    unsized = replace(scene.bodies["rod"].mesh.recipe, parameters={"dim": 2})
+    with pytest.raises(MeshError, match=r"give its script the cell size, read_gmsh\(\.\.\., h=0\.1\)"):
+        replace(scene.bodies["rod"].mesh, recipe=unsized).refined()
+
+
+def test_orders_of_nothing_that_falls_are_found() -> None:
+    """Steps in any ratio: (1) of ``order_seen`` has no order where differences do not fall, and no division where they vanish."""
+    for steps in ((10, 20, 40), (10, 30, 50), (3, 1000, 1_000_000)):
+        a, b, c = (float(n) ** -2.0 for n in steps)
+        assert order_seen(*steps, (a - b) / (b - c)) == pytest.approx(2.0, rel=1e-6)
+    assert order_seen(3, 1000, 1_000_000, 1e300) > 50.0
+    assert order_seen(10, 30, 50, 1e-9) < 1e-6
+
+
+def test_orders_that_scatter_are_counted_with_lower_ones_before() -> None:
+    """A regular one stands alone, and so does one after runs that did not converge."""
+    assert scattered_order(1.6, 2, 1.2) == pytest.approx(1.4)
+    assert scattered_order(1.9, 2, 1.2) == 1.9
+    assert scattered_order(1.6, 2, 0.1) == scattered_order(1.6, 2, 1.8) == scattered_order(1.6, 2, None) == 1.6
+
+
+def test_jumps_on_the_way_get_steps_that_end_there() -> None:
+    """A mass on a spring, pulled from 0.5 s on: with equal steps the error depends on where the jump falls in a step."""
+    scene = fmbd.Scene("step", breakpoints=(0.5,))
+    body = fmbd.RigidBody("mass", 1.0, 0.1, (1.0, 0.0))
+    scene.add(body, fmbd.prismatic("guide", fmbd.ground, body, axis=(1, 0), center=(0, 0)))
+    scene.add(fmbd.Spring("spring", fmbd.ground, body, stiffness=100.0, length=1.0))
+    scene.add(fmbd.force("pull", body, lambda t: (10.0 * (t >= 0.5), 0.0)))
+    scene.sensor("mass", fmbd.position(body))
+    run = fmbd.solve(scene, t_end=0.8, tol={"mass": 2e-3})
+    exact = 1 + np.where(run.times > 0.5, 0.1 * (1 - np.cos(10 * (run.times - 0.5))), 0.0)
+    true = np.abs(run["mass"][:, 0] - exact).max()
+    assert run.scheme.rtol is not None and run.history[-1].then == "done"
+    assert true < 2e-3 and 0.5 < run.certificate["mass"].total / true < 3.0
+
+
+def test_forces_without_a_value_in_larger_steps_leave_no_estimate(caplog: pytest.LogCaptureFixture) -> None:
+    """A law that has no value as soon as the run has come to its end and another one begins: the run itself stands."""
+    scene = fmbd.Scene("once only")
+    body = fmbd.RigidBody("body", 1.0, 1.0, (1.0, 0.0))
+    scene.add(body, fmbd.prismatic("guide", fmbd.ground, body, axis=(1, 0), center=(0, 0)))
+    latest = 0.0
+
+    def push(t: float) -> tuple[float, float]:
+        nonlocal latest
+        if latest > 0.099 and t < 0.05:
+            raise fmbd.errors.InputError("two points coincide")
+        latest = max(t, latest)
+        return 1.0, 0.0
+
+    scene.add(fmbd.force("push", body, push))
+    scene.sensor("x", fmbd.position(body))
+    run = fmbd.solve(scene, t_end=0.1, dt=0.01, output=fmbd.Output(estimate_error=True))
+    assert run.status == "finished"
+    assert not run.error_estimate
+    assert "the run with twice the step did not end: " in caplog.text
+    assert "two points coincide" in caplog.text

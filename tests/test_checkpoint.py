@@ -29,6 +29,7 @@ SCHEMES: dict[str, Any] = {
     "BDF": fmbd.BDF(rtol=1e-6),
     "BDF, constant": fmbd.BDF(order=3, rtol=None),
     "RATTLE": fmbd.Rattle(),
+    "explicit": fmbd.ExplicitRungeKutta(rtol=1e-6),
     "half-explicit": fmbd.HalfExplicit(rtol=1e-6),
     "half-explicit, constant": fmbd.HalfExplicit(rtol=None),
     "energy-momentum": fmbd.EnergyMomentum(),

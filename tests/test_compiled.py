@@ -179,3 +179,21 @@ def test_pendulum_over_many_steps(compiled_step: bool, steps: int) -> None:
     assert worst["slip"] < 1e-4
     assert worst["energy"] < 5e-4
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory < 10 * 1024  # KiB
+
+
+def test_angles_between_bodies_that_are_turned_at_the_start() -> None:
+    """A torsion spring between two bodies, both given at an angle: it is relaxed there, on both paths."""
+
+    def scene() -> fmbd.Scene:
+        made = fmbd.Scene("turned", gravity=(0.0, -9.81))
+        one = fmbd.RigidBody("one", 1.0, 0.1, (0.5, 0.0), 0.4)
+        two = fmbd.RigidBody("two", 1.0, 0.1, (1.5, 0.0), 1.1)
+        joint = fmbd.revolute("joint", one, two, center=(1.0, 0.0))
+        made.add(one, two, joint, fmbd.revolute("pin", fmbd.ground, one, center=(0.0, 0.0)))
+        made.add(fmbd.joint_spring("spring", fmbd.angle(joint), stiffness=20.0, damping=0.1))
+        made.sensor("turn", fmbd.angle(joint))
+        return made
+
+    fast, slow = pair(scene, t_end=0.05, dt=1e-3)
+    assert fast.counters["compiled_steps"] > 0 == slow.counters.get("compiled_steps", 0)
+    assert fast["turn"] == pytest.approx(slow["turn"], abs=1e-11) and np.abs(fast["turn"]).max() > 1e-4

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from test_driver import SCENES as OF_THE_DRIVER
 from test_driver import compiled
+from test_evaluation_batch import plane
 from test_kernel import PLANE, SPACE
-from test_many import plane
 from test_rods import UNIT
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.system.compiled.evaluation import use_driver
-from fmbd_fenicsx.system.many import many
+from fmbd_fenicsx.system.evaluation_batch import evaluate_batch
 from fmbd_fenicsx.system.system import System
 
 
@@ -95,7 +95,7 @@ def test_equal_to_numpy(name: str) -> None:
     plain, driven, (t, q, v, a, lam) = pair_of(MAKERS[name])
     expected = [answers(plain.at(float(t[i]), q[i], v[i]), a[i], lam[i]) for i in range(len(t))]
     single = [answers(driven.at(float(t[i]), q[i], v[i]), a[i], lam[i]) for i in range(len(t))]
-    together = answers(many(driven, t, q, v), a, lam)
+    together = answers(evaluate_batch(driven, t, q, v), a, lam)
     for key in expected[0]:
         wanted = np.array([x[key] for x in expected])
         scale = max(1.0, float(np.abs(wanted).max(initial=0.0)))
@@ -105,12 +105,47 @@ def test_equal_to_numpy(name: str) -> None:
     rate = [plain.at(float(t[0]), q[0], v[0]).constraint_rate(), driven.at(float(t[0]), q[0], v[0]).constraint_rate()]
     assert rate[1] == pytest.approx(rate[0], rel=1e-11, abs=1e-12)
 
+    moved = [system.compose(q, 0.1 * v) for system in (plain, driven)]
+    assert moved[1] == pytest.approx(moved[0], rel=1e-14, abs=1e-14)
+    assert np.array_equal(driven.compose(q[0], 0.1 * v), driven.compose(np.broadcast_to(q[0], q.shape), 0.1 * v))
+
+
+@compiled
+def test_laws_of_time_are_asked_once_a_state() -> None:
+    """What an input says is asked again with every state, at the same time too: it can be set in between."""
+    asked: list[float] = []
+    said = [1.0]
+
+    def torque(t: float) -> float:
+        asked.append(t)
+        return said[0]
+
+    scene = fmbd.Scene("arm", gravity=(0.0, -9.81))
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0))
+    hinge = fmbd.revolute("hinge", fmbd.ground, arm, center=(0, 0))
+    scene.add(arm, hinge, fmbd.effort("motor", fmbd.angle(hinge), torque))
+    system, start, _ = scene.build()
+    use_driver(system)
+
+    def balances(ev: Any) -> np.ndarray:
+        assert ev.constraint() is not None and ev.jacobian.core is not None
+        return np.array([ev.balance(x)[2] for x in (start.a, start.a, start.a)])
+
+    balances(system.at(0.3, start.q, start.v))  # a law's first answer is compared with a second one
+    asked.clear()
+    given = system.at(0.3, start.q, start.v)
+    first = balances(given)
+    assert asked == [0.3] and np.ptp(first) == 0.0
+    said[0] = 3.0
+    assert first - balances(system.at(0.3, start.q, start.v)) == pytest.approx(2.0, rel=1e-12)
+    assert asked == [0.3, 0.3] and first - balances(given) == pytest.approx(2.0, rel=1e-12)
+
 
 @compiled
 def test_answers_are_the_callers_own() -> None:
     """Who changes an answer changes no later one."""
     _, driven, (t, q, v, _, _) = pair_of(plane)
-    for ev in (driven.at(float(t[0]), q[0], v[0]), many(driven, t, q, v)):
+    for ev in (driven.at(float(t[0]), q[0], v[0]), evaluate_batch(driven, t, q, v)):
         for ask in (ev.constraint, ev.opening, ev.gamma):
             first = ask()
             first[:] = np.nan

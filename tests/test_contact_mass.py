@@ -9,8 +9,10 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.fem.fields import Field
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.mechanics.contact.mass import redistribute_mass
 from fmbd_fenicsx.mechanics.contact.trace import surface_nodes
+from fmbd_fenicsx.schemes.impacts.contact_midpoint import elastic_start
 
 BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
 
@@ -34,3 +36,26 @@ def test_moments_are_kept_and_contact_nodes_are_massless(size: tuple[float, ...]
     free = rng.standard_normal((field.n, field.dim))
     assert field.total(np.array((free * field.mass(free)).sum())) > 0
     field.destroy()
+
+
+def test_start_of_an_elastic_contact_changes_the_motion_least() -> None:
+    """A block on a hinge, given a velocity that opens it: no motion that the hinge allows does work on M dv + tau^2 K dv."""
+    mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.5), cells=3, origin=(0.0, 0.1))
+    elastic = fmbd.materials.linear_elastic(100.0, 0.3)
+    body = fmbd.AbsoluteBody("block", mesh, degree=1, density=1.0, elastic=elastic, velocity=(1.0, -0.5))
+    floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0.0, 0.0), (0.0, 1.0)))
+    scene = fmbd.Scene("hinged")
+    scene.add(body, fmbd.revolute("hinge", fmbd.ground, body.surface("left"), center=(0.0, 0.35)))
+    scene.add(fmbd.contact("floor", body.surface("bottom"), floor))
+    system, given, _ = scene.build()
+    tau = 0.1
+    start, _ = elastic_start(system, given, StepSolver(system), tau)
+
+    ev, rest = system.at(0.0, given.q, given.v), np.zeros(system.n_v)
+    ((_, part),) = system.fields
+    G = np.stack([ev.jacobian.times(e) for e in np.eye(system.n_v)], axis=1)
+    change = start.v - given.v
+    pushed = ev.balance(change) - ev.balance(rest) + tau**2 * part.field.stiffness(change)
+    allowed = np.eye(system.n_v) - np.linalg.pinv(G) @ G
+    assert np.abs(G @ start.v).max() < 1e-9 and np.abs(change).max() > 0.1
+    assert np.abs(allowed @ pushed).max() < 1e-8 * np.abs(pushed).max()

@@ -167,3 +167,15 @@ def test_several_pairs_and_the_note_on_those_far_apart(caplog: pytest.LogCapture
     assert p == pytest.approx(np.zeros(2), abs=1e-12)
     upper, lower, far = (run[name][-1, 1] for name, *_ in names)
     assert far == 0.0 and abs(upper) > 1e-3 and abs(lower) > 1e-3 and upper * lower < 0
+
+
+def test_own_distance_is_warned_of_where_it_is_none(caplog: pytest.LogCaptureFixture) -> None:
+    x = np.array([[0.3, 0.4], [0.0, 2.0]])
+    for factor, count in ((1.0, 0), (3.0, 1)):
+        shape = fmbd.SignedDistance(lambda x, a=factor: a * (np.hypot(*x) - 1.0))
+        caplog.clear()
+        for _ in range(2):
+            distance, normal = shape.evaluate(x)
+        assert distance == pytest.approx([-0.5, 1.0], abs=1e-9)
+        assert normal == pytest.approx(np.array([[0.6, 0.8], [0.0, 1.0]]), abs=1e-9)
+        assert sum("instead of 1" in r.getMessage() for r in caplog.records) == count

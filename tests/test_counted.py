@@ -15,7 +15,12 @@ from fmbd_fenicsx.materials import saint_venant_kirchhoff
 from fmbd_fenicsx.rotations import SPACE, nearest_rotation
 from fmbd_fenicsx.system.system import System
 
-SCHEMES = {"radau": fmbd.Radau(), "half-explicit": fmbd.HalfExplicit(), "bdf": fmbd.BDF()}
+SCHEMES = {
+    "radau": fmbd.Radau(),
+    "half-explicit": fmbd.HalfExplicit(),
+    "bdf": fmbd.BDF(),
+    "explicit": fmbd.ExplicitRungeKutta(),
+}
 
 
 def wheels(dim: int, rate: float, ratio: float, inertia: float = 0.1) -> tuple[fmbd.Scene, Any]:

@@ -183,3 +183,11 @@ def test_random_problems_against_the_matrix() -> None:
         found = active_set(_Iterated(Stored(W), q + W @ guess, guess), guess > 0, counts)
         assert found == pytest.approx(exact, abs=1e-9 * np.abs(exact).max())
         assert counts.residual < 1e-10
+
+
+def test_the_scale_of_forces_has_their_unit() -> None:
+    """Gaps a millionth as large make forces, and what counts as small among them, a millionth as large."""
+    W = Stored(np.diag([2.0, 4.0]))
+    for unit in (1.0, 1e-6):
+        problem = _Iterated(W, unit * np.array([-3.0, 1.0]), np.zeros(2))  # type: ignore[arg-type]
+        assert problem.size == pytest.approx(1.5 * unit, rel=1e-14)

@@ -65,6 +65,20 @@ def test_open_velocities_are_warned_of() -> None:
     assert any('"motor" has a kink at t = 0.05 s' in text for text in run.warnings)
 
 
+@pytest.mark.parametrize("form", [fmbd.Index1(), fmbd.Index2()], ids=lambda form: form.name)
+def test_joints_that_drift_apart_are_warned_of(form: Any) -> None:
+    """Where the form holds no positions: with large steps, and not with small ones."""
+    said = []
+    for dt in (0.02, 0.005):
+        scene = fmbd.Scene("pendulum", gravity=(0.0, -9.81))
+        arm = fmbd.RigidBody("arm", 1.0, 0.1, position=(0.5, 0.0))
+        scene.add(arm, fmbd.revolute("pin", fmbd.ground, arm, center=(0.0, 0.0)))
+        run = fmbd.solve(scene, t_end=1.0, dt=dt, scheme=fmbd.BDF(2, form=form, rtol=None))
+        said.append("joints are open" in run.report().replace("\n", " "))
+        assert said[-1] == (run.drift[0] > 1e-3 * run.system.length)
+    assert said == [True, False]
+
+
 def test_impacts_of_three_steps_are_counted() -> None:
     mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.1), counts=(20, 1), origin=(0.01, 0.0))
     bar = fmbd.AbsoluteBody(
@@ -88,6 +102,12 @@ def test_laws_of_sheets_are_refused_in_space(kind: Any) -> None:
             kind("rod", mesh, density=1e3, elastic=law(5e6, 0.45))
     with pytest.raises(InputError, match="law of sheets in the plane"):
         kind("rod", mesh, density=1e3, energy=fmbd.materials.sheet_saint_venant_kirchhoff(5e6, 0.45))
+
+    # a law under the other one's name
+    with pytest.raises(InputError, match="elastic is a stored energy; give it as energy="):
+        kind("rod", mesh, density=1e3, elastic=fmbd.materials.neo_hookean(5e6, 0.45))
+    with pytest.raises(InputError, match="energy is a bilinear form; give it as elastic="):
+        kind("rod", mesh, density=1e3, energy=fmbd.materials.linear_elastic(5e6, 0.45))
 
 
 def test_of_many_warnings_of_one_kind_three_are_kept() -> None:

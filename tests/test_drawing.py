@@ -16,7 +16,7 @@ from fmbd_fenicsx.post.drawing.draw import draw
 from fmbd_fenicsx.post.drawing.level_sets import region
 from fmbd_fenicsx.post.drawing.scene_graph import Drawing, Piece, Role
 from fmbd_fenicsx.post.drawing.skins import skin
-from fmbd_fenicsx.post.drawing.solids import box, cylinder, hull, read_stl, sphere
+from fmbd_fenicsx.post.drawing.solids import arrow, box, cylinder, hull, read_stl, sphere
 
 ELASTIC = fmbd.materials.linear_elastic(5e6, 0.3)
 
@@ -328,3 +328,11 @@ def test_rods_are_drawn_with_their_section() -> None:
     assert np.allclose(last[-corners:].mean(0), run["tip"][-1], atol=1e-12)
     sides = np.sort(drawn.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     assert (np.unique(sides, axis=0, return_counts=True)[1] == 2).all(), "the skin is closed"
+
+
+def test_an_arrow_is_as_long_and_as_thick_as_it_should_be() -> None:
+    x = arrow(0.05).points
+    across = np.hypot(x[:, 1], x[:, 2])
+    assert (x[:, 0].min(), x[:, 0].max()) == (0.0, 1.0)
+    assert across[x[:, 0] == 0.0].max() == pytest.approx(0.05) and across[x[:, 0] == 1.0].max() == 0.0
+    assert across.max() == pytest.approx(2.6 * 0.05)

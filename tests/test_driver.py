@@ -232,6 +232,43 @@ def test_stabilised_form(make: Any) -> None:
     assert np.abs(slip).max(initial=0.0) < 1e-7 * max(np.abs(fast.state.v).max(), 1.0)
 
 
+def hinged_twice(dim: int) -> fmbd.Scene:
+    """Two links, the first in two equal hinges."""
+    scene = links(2, dim)
+    twin = fmbd.revolute("again", fmbd.ground, scene.bodies["0"], center=(0.0,) * dim)
+    scene.add(twin)
+    return scene
+
+
+def rolling_wheel(dim: int) -> fmbd.Scene:
+    """A wheel on a slope, and a weight that hangs on its axle by a rod in two hinges where one is enough."""
+    scene = fmbd.Scene("wheel", gravity=(0.5, 1.0, -9.81))
+    wheel = fmbd.RigidBody(
+        "wheel", 1.0, (0.02, 0.04, 0.02), (0, 0, 0.3), velocity=(1.5, 0, 0), angular_velocity=(0.3, 5, 0.5)
+    )
+    weight = fmbd.RigidBody("weight", 0.5, (0.01, 0.01, 0.01), (0, 0, 0.2), velocity=(1.5, 0, 0))
+    scene.add(wheel, weight)
+    scene.add(fmbd.rolling("road", fmbd.ground, wheel, shape=fmbd.Wheel(0.3, axis=(0, 1, 0)), normal=(0, 0, 1)))
+    for k in range(2):
+        scene.add(fmbd.revolute(f"axle {k}", wheel, weight, center=(0, 0.1 * k, 0.3), axis=(0, 1, 0)))
+    return scene
+
+
+@compiled
+@pytest.mark.parametrize(("make", "dim"), [(hinged_twice, 2), (hinged_twice, 3), (rolling_wheel, 3)])
+def test_stabilised_form_of_dependent_rows_and_of_rows_on_velocities(make: Any, dim: int) -> None:
+    """The same motion and reactions as in NumPy; both levels are closed."""
+    fast, slow = (
+        fmbd.solve(make(dim), t_end=0.2, dt=1e-3, scheme=fmbd.GeneralizedAlpha(0.8, c, fmbd.GGL()))
+        for c in (True, False)
+    )
+    assert fast.counters["compiled_steps"] == 200
+    for name, bar in (("q", 1e-9), ("v", 1e-8), ("lam", 1e-4)):
+        x, y = getattr(fast.state, name), getattr(slow.state, name)
+        assert np.abs(x - y).max() <= bar * np.abs(y).max(), name
+    assert max(fast.drift) < 1e-9
+
+
 @compiled
 def test_counted_angles_over_many_turns_between_records() -> None:
     """Twenty turns a record, with a gear and a sensor."""
@@ -336,3 +373,40 @@ def test_fronts_solve_and_fill_nothing_where_bodies_form_a_tree(shape: str) -> N
         storage.append(fronts.storage)
     assert storage[1] < 2.3 * storage[0]
     assert len(Elimination([3] * n, groups, set()).run()) == len(fronts.fronts)
+
+
+def sampled(dim: int) -> fmbd.Scene:
+    """Links under two sampled controllers, one of the user's own with a memory, and with dry friction in a hinge."""
+    scene = links(3, dim)
+    tip, hinges = scene.bodies["2"], [fmbd.angle(h) for h in scene.joints.values()]
+
+    def law(t: float, y: Any, z: Any) -> Any:
+        return (-0.05 * y["angle"] - 0.01 * y["speed"][:1] + z, z + 1e-3 * y["angle"])
+
+    reads = {"angle": hinges[2], "speed": fmbd.velocity(tip)}
+    scene.add(fmbd.pid("pid", hinges[0], target=lambda t: 0.3, gains=(0.5, 0.1, 0.02), every=0.01))
+    scene.add(fmbd.controller("own", reads=reads, acts=hinges[1], law=law, memory=(0.0,), every=0.007))
+    scene.add(fmbd.dry_friction("dry", hinges[2], limit=1e-4, stick=0.1))
+    scene.sensor("tip", fmbd.position(tip))
+    scene.sensor("push", fmbd.acceleration(tip))
+    return scene
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+def test_sampled_controllers_hold_their_efforts_in_compiled_steps(dim: int) -> None:
+    """The same motion and jumps as in NumPy; samples are taken when they are due, and Python is not asked between them."""
+    fast, slow = (
+        fmbd.solve(sampled(dim), t_end=0.1, dt=1e-3, scheme=fmbd.GeneralizedAlpha(compiled=c)) for c in (True, False)
+    )
+    assert fast.counters["compiled_steps"] == 100
+    for name, bar in (("tip", 1e-9), ("push", 1e-4)):
+        assert np.abs(fast[name] - slow[name]).max() <= bar * np.abs(slow[name]).max()
+
+    asked = []
+    scene = sampled(dim)
+    controller = scene.forces["own"]
+    scene.forces["own"] = replace(controller, law=lambda t, y, z: (asked.append(t), controller.law(t, y, z))[1])
+    fmbd.solve(scene, t_end=0.1, dt=1e-3)
+    assert np.allclose(sorted(set(asked)), 0.007 * np.arange(15))
+    assert len(asked) <= 16  # once more at the start

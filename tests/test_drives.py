@@ -68,6 +68,26 @@ def test_derivatives_of_an_own_joint(dim: int) -> None:
     check_derivatives(Motion(scene))
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_derivatives_of_an_own_joint_that_takes_numbers_only(dim: int) -> None:
+    """A function that symbols cannot enter is differentiated by complex steps, its rows along the motion by differences."""
+    scene, one, two = plane_scene() if dim == 2 else space_scene()
+
+    def stretching(xa: Any, Ra: Any, xb: Any, Rb: Any, t: Any) -> Any:
+        return np.array([np.sqrt((xb - xa) @ (xb - xa)) - 0.3 * np.cos(t), np.linalg.inv(Ra)[0] @ Rb[:, 1]])
+
+    scene.add(fmbd.own_joint("own", one, two, stretching, center=CENTER[:dim]))
+    check_derivatives(Motion(scene))
+
+
+@pytest.mark.parametrize("first, later", [(0.5, (0.5, 0.0, 0.0)), ((0.5, 0.0, 0.0), 0.5)])
+def test_a_motion_that_changes_what_it_returns_is_refused(first: Any, later: Any) -> None:
+    motion = smooth_motion("turn", lambda t: first if t == 0.0 else later)
+    for asked in (motion, motion.moving, motion.place):
+        with pytest.raises(CallbackError, match='Joint "turn": the motion returned .* the same at all times'):
+            asked(1.0)
+
+
 def test_own_joint_without_complex_numbers() -> None:
     """A function that only takes real numbers is differentiated by central differences."""
     scene, one, two = plane_scene()

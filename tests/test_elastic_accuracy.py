@@ -190,6 +190,26 @@ def test_doubling_the_quadrature_degree_changes_nothing(rod_mesh: Callable[..., 
     assert found[0][1].max() > 1.0  # J: the rod is strained
 
 
+def test_an_energy_has_one_rule_of_no_more_than_serves(rod_mesh: Callable[..., Any]) -> None:
+    """UFL's estimates of neo-Hookean energy, forces and tangent are 16, 22 and 44: what is left is one rule of degree 6."""
+    from fmbd_fenicsx.energies import StoredEnergy
+
+    degrees: list[Any] = []
+
+    class Seen(StoredEnergy):
+        def __call__(self, u: Any, dx: Any) -> Any:
+            degrees.append(dx.metadata().get("quadrature_degree"))
+            return super().__call__(u, dx)
+
+    mesh = rod_mesh(dim=2, h=0.5, height=0.4)
+    for law, last in ((neo_hookean(1e6, 0.3), 6), (saint_venant_kirchhoff(1e6, 0.3), None)):
+        body = fmbd.AbsoluteBody("rod", mesh, density=1e3, energy=Seen(law.density))
+        scene = fmbd.Scene("rule")
+        scene.add(body)
+        fmbd.solve(scene, t_end=0.01, dt=0.01)
+        assert degrees[-1] == last
+
+
 # -- bad input -----------------------------------------------------------------------------------------------
 @pytest.mark.mpi
 def test_energy_that_is_not_finite_at_the_start(rod_mesh: Callable[..., Any]) -> None:

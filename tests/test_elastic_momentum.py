@@ -143,6 +143,20 @@ def test_angular_momentum_about_a_pin(rod_mesh: Callable[..., Any]) -> None:
     np.testing.assert_allclose(fine["tip"][-1], other["tip"][-1], atol=1e-5)
 
 
+def test_slow_motion_in_small_steps(rod_mesh: Callable[..., Any]) -> None:
+    """A stiff bar with a heavy end begins to fall: in lengths, a billionth of its accelerations is below roundoff."""
+    energy = neo_hookean(5e7, 0.3)
+    body = fmbd.AbsoluteBody("bar", rod_mesh(h=0.15, height=0.1), density=1000.0, energy=energy)
+    load = fmbd.RigidBody("load", mass=3.0, inertia=0.01, position=(1.0, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, body.surface("pin"), center=(0.0, 0.0))
+    scene = fmbd.Scene("begins to fall", gravity=(0.0, -9.81))
+    scene.add(body, load, pin, fmbd.fixed("weld", body.surface("tip"), load, center=(1.0, 0.0)))
+    run = fmbd.solve(scene, t_end=6e-3, dt=1e-3, scheme=fmbd.EnergyMomentum())
+    total = sum(run.energy.values())
+    assert run.counters["halved_steps"] == 0 and run.counters["newton_iterations"] <= 12 * 6
+    assert np.abs(total - total[0]).max() < 1e-8 * np.ptp(run.energy["weight"])
+
+
 def test_refusals(ring: Any) -> None:
     """Energies that are not W(C); damping that would change the angular momentum."""
     scene = spinning(ring, lambda u, dx: u[0] ** 2 * dx)

@@ -104,3 +104,36 @@ def test_events_that_are_none_are_refused() -> None:
     for name, message in [("tipp", 'no sensor or component "tipp"'), ("x", "has 2 components")]:
         with pytest.raises(InputError, match=message):
             fmbd.solve(point_pendulum(), t_end=0.1, dt=0.01, output=fmbd.Output(events=[fmbd.Event(name)]))
+
+
+def test_a_value_that_is_passed_twice_within_a_step() -> None:
+    """The ball passes a height on its way up and down within one long step: both crossings are seen, at their times."""
+
+    def height(t: Any) -> Any:
+        return 5.0 * t - 0.5 * 9.81 * t * t
+
+    times = fmbd.solve(ball(), t_end=0.8, scheme=fmbd.Radau(3)).times
+    k = int(np.searchsorted(times, 5.0 / 9.81)) - 1
+    ends, inside = times[k : k + 2], times[k] + np.array((0.25, 0.5, 0.75)) * (times[k + 1] - times[k])
+    level = float(0.5 * (height(ends).max() + height(inside).max()))
+    assert level > height(ends).max(), "the step has its highest point inside"
+
+    seen: list[float] = []
+    event = fmbd.Event("ball z", level, then=lambda now: seen.append(now.t))
+    fmbd.solve(ball(), t_end=0.8, scheme=fmbd.Radau(3), output=fmbd.Output(events=[event]))
+    assert seen == pytest.approx(np.sort(np.roots((-0.5 * 9.81, 5.0, -level))), rel=1e-6)
+
+
+def test_components_without_names_are_counted_from_one() -> None:
+    body = fmbd.RigidBody("link", 1.0, 0.1, position=(0.5, 0.0))
+    scene = fmbd.Scene("link", gravity=(0.0, -9.81))
+    scene.add(body, fmbd.revolute("pin", fmbd.ground, body, center=(0.0, 0.0)))
+    scene.sensor("held", fmbd.reaction("pin"))
+    with pytest.raises(InputError, match='Take one of them: "held 1", "held 2"'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01, output=fmbd.Output(events=[fmbd.Event("held")]))
+
+
+def test_given_times_before_an_event_in_a_long_step_are_recorded() -> None:
+    output = fmbd.Output(times=np.linspace(0.0, 3.0, 31), events=[fmbd.Event("ball z", 0.0, direction=-1)])
+    run = fmbd.solve(ball(), t_end=3.0, dt=0.4, output=output)
+    assert run.times[:-1] == pytest.approx(np.arange(0.0, 1.01, 0.1)) and run.status == "ended by an event"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from test_ranks import launch
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.mechanics.bodies.floating import FloatingField
-from fmbd_fenicsx.schemes.newton import Newton
+from fmbd_fenicsx.schemes.exact_tangent import exact_increment
+from fmbd_fenicsx.schemes.newton import ExactTangent, Newton
 
 
 def pendulum(mesh: Any, modulus: float = 1e8, **changes: Any) -> fmbd.Scene:
@@ -135,3 +137,22 @@ def test_a_bent_rod_takes_two_iterations(
     if not compiled:
         monkeypatch.setattr(FloatingField, "missing_momentum", lambda self, u: None)
         assert iterations() > 2.4
+
+
+def test_the_increment_of_a_linear_system_solves_it() -> None:
+    """From a preconditioner with another stiffness: increments and multipliers of [K, G^T; G, 0]."""
+    rng = np.random.default_rng(2)
+    n, m = 6, 2
+    K = rng.standard_normal((n, n)) + 8.0 * np.eye(n)
+    G, b, c = rng.standard_normal((m, n)), rng.standard_normal(n), rng.standard_normal(m)
+    rough = np.block([[np.diag(np.diag(K)), G.T], [G, np.zeros((m, m))]])
+
+    def solve(r: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found = np.linalg.solve(rough, np.concatenate((r, g)))
+        return found[:n], found[n:]
+
+    system: Any = SimpleNamespace(units=np.ones(n), length=1.0, dot=np.dot, max_abs=lambda x: float(np.abs(x).max()))
+    tangent = ExactTangent(rtol=1e-7, max_iterations=12)
+    dq, dlam, count = exact_increment(tangent, system, solve, lambda d: (K @ d - b, G @ d - c), (b, c))
+    assert K @ dq + G.T @ dlam == pytest.approx(b, abs=1e-6) and G @ dq == pytest.approx(c, abs=1e-6)
+    assert 1 < count <= n

@@ -11,11 +11,12 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import StabilityError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.consistent import consistent
-from fmbd_fenicsx.schemes.onestep import half_explicit, rattle
+from fmbd_fenicsx.schemes.onestep import explicit_runge_kutta, half_explicit, rattle
 from fmbd_fenicsx.schemes.onestep.explicit_limit import Vibration, fastest_vibration, largest_step
 
 QUIET = fmbd.Output(progress=False)
-SCHEMES = [fmbd.Rattle(), fmbd.HalfExplicit(rtol=None)]
+SCHEMES = [fmbd.Rattle(), fmbd.HalfExplicit(rtol=None), fmbd.ExplicitRungeKutta(rtol=None)]
+MODULES = [rattle, half_explicit, explicit_runge_kutta]
 
 
 def sprung(**spring: Any) -> fmbd.Scene:
@@ -64,7 +65,7 @@ def test_limits_of_the_schemes() -> None:
     free = Vibration(10.0, 0.0, "")
     assert largest_step(free, rattle.amplification) == pytest.approx(0.2, rel=1e-3)
     assert 0.28 < largest_step(free, half_explicit.amplification) < 0.34
-    for scheme, module in zip(SCHEMES, (rattle, half_explicit), strict=True):
+    for scheme, module in zip(SCHEMES, MODULES, strict=True):
         h, scene = 0.05, sprung(damping=3.0)
         scene.sensor("x", fmbd.displacement(scene.joints["slide"]))
         run = fmbd.solve(scene, t_end=h, dt=h, scheme=scheme, output=QUIET)
@@ -75,7 +76,7 @@ def test_limits_of_the_schemes() -> None:
 
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
 def test_the_limit_is_where_motion_grows(scheme: Any) -> None:
-    module = rattle if isinstance(scheme, fmbd.Rattle) else half_explicit
+    module = MODULES[SCHEMES.index(scheme)]
     limit = largest_step(vibration(sprung()), module.amplification)
     unguarded = fmbd.Output(progress=False, energy=False)
     run = fmbd.solve(sprung(), t_end=100 * 0.97 * limit, dt=0.97 * limit, scheme=scheme, output=unguarded)

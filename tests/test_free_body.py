@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.special import ellipk
@@ -96,3 +99,19 @@ def test_order_of_the_momentum(h: float) -> None:
         L = momenta(run)
         errors.append(np.abs(L - L[0]).max())
     assert 1.8 < np.log2(errors[0] / errors[1]) < 2.2
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_step_begins_at_the_surfaces_as_they_stand(dim: int, rod_mesh: Callable[..., Any]) -> None:
+    """Energy-momentum steps look at surfaces of floating bodies at the old state: those of its evaluation."""
+    mesh = rod_mesh(dim=dim, h=0.5, height=0.4)
+    elastic = fmbd.materials.linear_elastic(1e4, 0.3)
+    rod = fmbd.FloatingBody("rod", mesh, degree=1, density=1.0, elastic=elastic, displacement=lambda x: 0.01 * x * x)
+    scene = fmbd.Scene("rod")
+    scene.add(rod, fmbd.RigidBody("other", 1.0, 0.1 if dim == 2 else (0.1, 0.1, 0.1)))
+    scene.sensor("tip", fmbd.position(rod.surface("tip")))
+    system, state, _ = scene.build()
+    stepper = fmbd.EnergyMomentum().stepper(system, StepSolver(system), fmbd.Newton(), state)
+    seen = system.at(state.t, state.q).port
+    assert stepper._old().port == pytest.approx(seen, abs=1e-14)  # type: ignore[attr-defined]
+    assert np.abs(seen).max() > 0.0

@@ -10,6 +10,7 @@ from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, s
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.schemes.onestep.half_explicit import coefficients
+from fmbd_fenicsx.system.compiled.explicit import ExplicitStates
 
 
 def test_order_conditions() -> None:
@@ -87,3 +88,48 @@ def test_values_between_the_ends_of_steps_have_the_order_of_the_scheme(make: Any
     for name in scene.sensors:
         errors = [np.abs(run[name] - exact[name]).max() for run in runs]
         assert np.log2(errors[0] / errors[1]) > 2 * 3.7, (name, errors)
+
+
+@pytest.mark.parametrize("rtol", [None, 1e-6])
+def test_a_stage_is_one_compiled_call(rtol: float | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a drive of time and bodies in space; states agree to roundoff with stages that are made in parts."""
+    scene, before = fmbd.Scene("arm", gravity=(0.0, 0.0, -9.81)), fmbd.ground
+    for i, axis in enumerate(((0, 0, 1), (0, 1, 0), (0, 1, 0.3))):
+        link = fmbd.RigidBody(f"link {i}", 1.0, (0.02, 0.1, 0.1), (0.5 + i, 0.0, 0.0))
+        hinge = fmbd.revolute(f"hinge {i}", before, link, center=(float(i), 0.0, 0.0), axis=axis)
+        scene.add(link, hinge, fmbd.joint_spring(f"spring {i}", fmbd.angle(hinge), stiffness=5.0, damping=0.2))
+        before = link
+    turn = lambda t: (1 - np.cos(3 * t), 3 * np.sin(3 * t), 9 * np.cos(3 * t))
+    scene.add(fmbd.drive("base", fmbd.angle(scene.joints["hinge 0"]), turn))
+    steps = {"t_end": 0.1, "dt": 5e-3 if rtol is None else None, "scheme": fmbd.HalfExplicit(rtol)}
+    calls = []
+
+    def counted(self: Any, *given: Any) -> Any:
+        found = half_stage(self, *given)
+        calls.append(found is not None)
+        return found
+
+    half_stage = ExplicitStates.half_stage
+    monkeypatch.setattr(ExplicitStates, "half_stage", counted)
+    run = fmbd.solve(scene, **steps)
+    assert all(calls) and len(calls) == 5 * (run.counters["steps"] + run.counters["rejections"])
+
+    monkeypatch.setattr(ExplicitStates, "half_stage", lambda *given: None)
+    slow = fmbd.solve(scene, **steps)
+    assert slow.counters["steps"] == run.counters["steps"]
+    assert run.state.q == pytest.approx(slow.state.q, rel=1e-11, abs=1e-11)
+    assert run.state.v == pytest.approx(slow.state.v, rel=1e-10, abs=1e-10)
+
+
+@pytest.mark.parametrize("rtol", [None, 1e-6])
+def test_a_body_that_is_held_has_roundoff_for_accelerations(rtol: float | None) -> None:
+    """Its springs and its weight are carried, with steps of any length."""
+    scene = fmbd.Scene("held", gravity=(0.0, -9.81, 0.0))
+    body = fmbd.RigidBody("body", 1.0, (0.1, 0.2, 0.15), position=(0.3, 0.2, 0.1))
+    scene.add(body, fmbd.fixed("weld", fmbd.ground, body, center=(0.1, 0.0, 0.3)))
+    ends = {"point_a": (1.0, 1.0, 0.0), "point_b": (0.4, 0.2, 0.1)}
+    scene.add(fmbd.Spring("spring", fmbd.ground, body, stiffness=1e4, length=0.1, **ends))
+    scene.sensor("force", fmbd.reaction_force("weld"))
+    run = fmbd.solve(scene, t_end=20.0, dt=2.0 if rtol is None else None, scheme=fmbd.HalfExplicit(rtol))
+    pull = 1e4 * (1.0 - 0.1 / np.sqrt(1.01)) * np.array([0.6, 0.8, -0.1])
+    assert run["force"][-1] == pytest.approx(pull + (0.0, -9.81, 0.0), rel=1e-9)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from dae_problems import pendulum as point_pendulum
 from honesty_scenes import HONEST, judge
 from tolerance_scenes import spun_up
 
@@ -19,6 +22,39 @@ def test_statements_are_honest(name: str) -> None:
     print(found.row())
     assert found.ok, (found.ratios, found)
     assert {"space", "together"} & set(found.ratios)
+
+
+def resonant(stiffness: float) -> fmbd.Scene:
+    """A mass of 1 kg on a spring, at rest, driven by a force of 1 N at its own frequency."""
+    scene, w = fmbd.Scene("resonance"), stiffness**0.5
+    body = fmbd.RigidBody("body", 1.0, 1.0, (1.0, 0.0))
+    scene.add(body, fmbd.prismatic("guide", fmbd.ground, body, axis=(1, 0), center=(0, 0)))
+    scene.add(fmbd.Spring("spring", fmbd.ground, body, (0, 0), (1, 0), stiffness=stiffness, length=1.0))
+    scene.add(fmbd.force("drive", body, lambda t: (np.sin(w * t), 0.0)))
+    scene.sensor("x", fmbd.position(body))
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "settings"),
+    [
+        (100.0, {"dt": 0.01}),
+        (100.0, {"dt": 0.01, "scheme": fmbd.BDF(2, rtol=None)}),
+        (100.0, {"dt": 0.01, "scheme": fmbd.EnergyMomentum()}),
+        (1e4, {"scheme": fmbd.Radau(3, rtol=1e-4)}),
+        (1e4, {"scheme": fmbd.BDF(rtol=1e-4)}),
+        (1e4, {"scheme": fmbd.GeneralizedAlpha(rtol=1e-4)}),
+    ],
+    ids=str,
+)
+def test_resonance(stiffness: float, settings: dict[str, Any]) -> None:
+    """x = 1 + (sin(w t) - w t cos(w t)) / (2 w^2): an error that grows with the motion."""
+    output = fmbd.Output(estimate_error=True, progress=False)
+    run = fmbd.solve(resonant(stiffness), t_end=1.0, output=output, **settings)
+    turned = stiffness**0.5 * run.times
+    exact = 1.0 + (np.sin(turned) - turned * np.cos(turned)) / (2.0 * stiffness)
+    true = float(np.abs(run["x"][:, 0] - exact).max())
+    assert 0.5 * true < run.certificate["x"].total < 3.0 * true
 
 
 def test_errors_add_up_with_their_signs() -> None:
@@ -44,6 +80,17 @@ def test_the_error_of_algebra_is_measured() -> None:
         loose["tip"] - fmbd.solve(spun_up(), t_end=1.0, dt=0.01, newton=fmbd.Newton(tolerance=1e-11))["tip"]
     ).max()
     assert off <= 3.0 * loose.certificate["tip"].algebra
+
+
+@pytest.mark.parametrize("scheme", [fmbd.BDF(2, rtol=None), fmbd.EnergyMomentum(), fmbd.Rattle()], ids=lambda s: s.name)
+def test_every_scheme_states_its_error_of_algebra(scheme: Any) -> None:
+    """What an iteration left is known of each scheme that iterates, and no smaller than against a tighter one."""
+    made = point_pendulum()
+    run = fmbd.solve(made, t_end=0.5, dt=0.01, scheme=scheme, newton=fmbd.Newton(tolerance=1e-4))
+    tight = fmbd.solve(made, t_end=0.5, dt=0.01, scheme=scheme, newton=fmbd.Newton(tolerance=1e-12))
+    off = float(np.abs(run["x"] - tight["x"]).max())
+    assert run.certificate["x"].algebra > 0.0
+    assert off <= 3.0 * run.certificate["x"].algebra + 1e-12
 
 
 def test_records_between_large_steps_are_no_open_joints() -> None:

@@ -282,3 +282,11 @@ def test_reduced_body_needs_no_mesh_library_in_the_time_loop(fast: bool) -> None
         [sys.executable, "-c", TIME_LOOP % fast], cwd=ROOT, capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_plan_lists_the_unknowns_of_every_part() -> None:
+    fast, _ = pair(rigid, t_end=0.002, dt=1e-3)
+    lines = str(fast.plan).split("\n")
+    for name, count in fast.plan.unknowns:
+        assert any(line.split()[:-1] == name.split() and line.split()[-1] == str(count) for line in lines)
+    assert fast.plan.unknowns

@@ -59,6 +59,32 @@ def test_a_first_compile_is_said_once(folders: tuple[Path, Path]) -> None:
     assert again == ""
 
 
+def test_units_are_compiled_once_for_several_libraries(folders: tuple[Path, Path]) -> None:
+    """A library of two units, then one that has the first of them and another; an object that was changed is made again."""
+    code = (
+        "from fmbd_fenicsx import kernel_cache as k\n"
+        "one = k.Unit('one', 'int one(void) { return 1; }', shared=True)\n"
+        "def more(n):\n"
+        "    text = f'int one(void); int value(void) {{ return {n} + one(); }}'\n"
+        "    return k.load_library(k.Library('test', (one, k.Unit(f'more{n}', text, shared=True)))).value()\n"
+        "print(more(NUMBER))\n"
+    )
+
+    def said(number: int) -> tuple[int, str]:
+        text = code.replace("NUMBER", str(number))
+        done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+        return int(done.stdout), done.stderr.replace("\n    ", " ")
+
+    value, text = said(10)
+    assert value == 11 and "compiling one, more10, once" in text
+    value, text = said(20)
+    assert value == 21 and "compiling more20, once" in text
+    (kept_one,) = folders[0].glob("one_*.o")
+    kept_one.write_bytes(b"another's")
+    value, text = said(30)
+    assert value == 31 and "compiling one, more30, once" in text
+
+
 def test_forms_that_take_long_are_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     from fmbd_fenicsx import dolfinx_compat as compat
 

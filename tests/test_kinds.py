@@ -10,7 +10,18 @@ from scipy.spatial.transform import Rotation
 
 from fmbd_fenicsx import kernel_cache
 from fmbd_fenicsx.mechanics.kinds.derivation import KERNELS, Kind, c_source, derive, kinds, numpy_kernel
-from fmbd_fenicsx.mechanics.kinds.expressions import atan2, exp, gradient, log, nearest_turn, sin, sqrt, symbol, tanh
+from fmbd_fenicsx.mechanics.kinds.expressions import (
+    Program,
+    atan2,
+    exp,
+    gradient,
+    log,
+    nearest_turn,
+    sin,
+    sqrt,
+    symbol,
+    tanh,
+)
 from fmbd_fenicsx.mechanics.kinds.frames import FRAME
 from fmbd_fenicsx.mechanics.kinds.library import kernel
 
@@ -142,13 +153,19 @@ def test_c_and_numpy_agree(dim: int) -> None:
 def test_gradient_of_every_operation() -> None:
     x, y = symbol("x"), symbol("y")
     made = sin(x * y) / sqrt(x + 2) - exp(-y) * log(x) + tanh(x - y) * atan2(y, x) ** 2 + 3 - nearest_turn(x, y)
-    from fmbd_fenicsx.mechanics.kinds.expressions import Program
-
     value, slope = Program([made]), Program(gradient(made, [x, y]))
     at, h = {"x": 1.3, "y": 0.4}, 1e-6
     for name, found in zip("xy", slope(at), strict=True):
         ends = [value(at | {name: at[name] + s * h})[0] for s in (1, -1)]
         assert found == pytest.approx((ends[0] - ends[1]) / (2 * h), rel=1e-8)
+
+
+@pytest.mark.parametrize("power", [-2, -1.5, 0, 0.3, 0.5, 1, 2.5, 3])
+def test_any_power_of_a_positive_number(power: float) -> None:
+    x = symbol("x")
+    value, slope = Program([x**power, *gradient(x**power, [x])])({"x": np.array(1.7)})
+    assert value == pytest.approx(1.7**power, rel=1e-14)
+    assert slope == pytest.approx(power * 1.7 ** (power - 1), rel=1e-14, abs=1e-14)
 
 
 def test_equal_subexpressions_are_one_node() -> None:

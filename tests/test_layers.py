@@ -17,6 +17,7 @@ FLOORS = [
         "rotations",
         "dolfinx_compat",
         "mesh",
+        "mesh_checks",
         "line_mesh",
         "materials",
         "energies",

@@ -418,3 +418,17 @@ def test_independent_rows_are_told_without_singular_values(links: int, closed: b
     assert independent(ev) == (mobility(ev).redundant == 0) == (not closed)
     four, start, _ = four_bar().build()
     assert not independent(four.at(start.t, start.q))
+
+
+def test_conditioning_of_two_distances_at_a_small_angle() -> None:
+    """A point on two links that make the angle a: the singular values of both directions have the ratio tan(a / 2)."""
+    from fmbd_fenicsx.system.mobility import mobility
+
+    a, scene = 0.1, fmbd.Scene("links")
+    point = fmbd.RigidBody("point", 1.0, 1.0)
+    scene.add(point)
+    for k, angle in enumerate((0.5 * a, -0.5 * a)):
+        place = (float(np.cos(angle)), float(np.sin(angle)))
+        scene.add(fmbd.distance(f"link {k}", fmbd.ground, point, point_a=place, point_b=(0.0, 0.0), length=1.0))
+    system, state, _ = scene.build()
+    assert mobility(system.at(state.t, state.q)).conditioning == pytest.approx(np.tan(0.5 * a), rel=1e-9)

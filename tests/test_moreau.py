@@ -121,6 +121,23 @@ def test_plate_rattles_to_rest_on_redundant_corners(dim: int, friction: float, r
     assert run.counters["complementarity_residual"] <= 1e-12
 
 
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_corners_that_hit_at_nearly_one_time_stay_above_the_floor(size: float) -> None:
+    """A plate that falls nearly flat, one corner right after the other: the second is not closed at its speed, for the rest of
+    a step, far below the floor.
+    """
+    for angle in np.logspace(-7, -2, 11):
+        body = fmbd.RigidBody("plate", 1.0, 0.02 * size**2, (0.0, 0.3 * size), float(angle), (0.3 * size, -8.0 * size))
+        corners = fmbd.corners(body, [(x * size, -0.05 * size) for x in (-0.5, 0.5)])
+        floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1)))
+        pair = fmbd.contact("floor", corners, floor, friction=0.3, restitution=0.7)
+        scene = fmbd.Scene("plate", gravity=(0.0, -9.81 * size))
+        scene.add(body, pair)
+        scene.sensor("gap", fmbd.contact_gap(pair))
+        run = fmbd.solve(scene, t_end=0.5, dt=5e-3, scheme=fmbd.Moreau())
+        assert run["gap"].min() > -1e-4 * size
+
+
 @pytest.mark.parametrize("dt", [1e-3, 1e-4])
 def test_rod_in_the_range_of_painleve_takes_the_impact(dt: float) -> None:
     """mu > 4/3: a rod that slides tip first admits no finite force; an impulse stops the tip, whatever the step."""

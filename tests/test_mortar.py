@@ -72,3 +72,14 @@ def test_small_gap_is_bridged_along_the_normal() -> None:
     m = mortar(a, b, Continuous())
     assert m.gap == pytest.approx(1e-3, rel=1e-9)
     assert m.covered == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("size, shift", [(2.0, 0.0), (2.0, 1.5), (0.01, 0.005)])
+def test_the_covered_part_is_a_ratio(size: float, shift: float) -> None:
+    from dolfinx import fem
+
+    up = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(size, size), cells=8, origin=(shift, size))
+    low = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(size, size), cells=6)
+    upper, lower = (fem.functionspace(m.dolfinx, ("Lagrange", 1)) for m in (up, low))
+    found = mortar(trace_of(upper, up, "bottom"), trace_of(lower, low, "top"), Continuous(1))
+    assert found.covered == pytest.approx(1.0 - shift / size, abs=1e-12)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.run.output import Progress
 
 
 def pendulum():
@@ -92,3 +93,15 @@ def test_a_second_run_that_fails_leaves_the_run_without_estimate():
     run = fmbd.solve(pendulum(), t_end=2.4, dt=0.2, output=fmbd.Output(estimate_error=True))
     assert run.status == "finished" and run.error_estimate == {}
     assert "the run with 2 h failed" in run.report()
+
+
+@pytest.mark.parametrize("every", [1, 7])
+def test_the_bar_of_progress_comes_to_its_end(every, monkeypatch):
+    """Steps that are taken many at a time count each."""
+    shown = []
+    monkeypatch.setattr(Progress, "update", lambda self, steps=1: shown.append(steps))
+    body = fmbd.RigidBody("body", 1.0, 0.1, position=(1.0, 0.0))
+    scene = fmbd.Scene("pendulum", gravity=(0.0, -9.81))
+    scene.add(body, fmbd.revolute("pin", fmbd.ground, body, center=(0.0, 0.0)))
+    fmbd.solve(scene, t_end=0.1, dt=1e-3, output=fmbd.Output(every=every))
+    assert sum(shown) == 100

@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import plot
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.post.drawing.draw import draw
-from fmbd_fenicsx.post.drawing.render import strobe
-from fmbd_fenicsx.post.plot import _history, components
+from fmbd_fenicsx.post.drawing.render import Renderer, strobe
+from fmbd_fenicsx.post.drawing.scene_graph import Drawing
+from fmbd_fenicsx.post.plot import components, draw_history
 
 STEEL = fmbd.materials.linear_elastic(5e6, 0.3)
 
@@ -110,17 +112,17 @@ def test_mistakes_are_told_on_all_ranks(rod_mesh, shared_tmp):
 def test_series_are_named_by_sensor_or_component_and_drawn_over_what_is_known(rod_mesh):
     run = swing(rod_mesh)
     axes = Figure().subplots()
-    _history(axes, run, "tip", lambda t: (t, 2 * t))
+    draw_history(axes, run, "tip", lambda t: (t, 2 * t))
     exact, x, y = (next(c for c in axes.lines if c.get_label() == n) for n in ("reference", "tip x", "tip y"))
     assert (x.get_ydata() == run["tip"][:, 0]).all() and (y.get_ydata() == run["tip"][:, 1]).all()
     assert (exact.get_ydata() == run.times).all() and exact.get_zorder() < x.get_zorder()
     axes = Figure().subplots()
-    _history(axes, run, "tip y", (0.1, -0.5))
+    draw_history(axes, run, "tip y", (0.1, -0.5))
     marks, y = axes.lines
     assert (marks.get_xdata(), marks.get_ydata()) == ([0.1], [-0.5]) and marks.get_marker() == "x"
     assert (y.get_ydata() == run["tip"][:, 1]).all() and axes.get_ylabel() == "tip y (m)"
     with pytest.raises(InputError, match='No sensor "tip z"'):
-        _history(axes, run, "tip z")
+        draw_history(axes, run, "tip z")
 
 
 @pytest.mark.serial
@@ -164,3 +166,30 @@ def test_energy_and_momenta_of_a_run(rod_mesh):
     assert run.total_energy == pytest.approx(sum(run.energy.values()), rel=1e-14)
     start, end = (run.momenta(s)[0] for s in (run.snapshots[0], run.state))
     assert np.abs(start).max() == 0.0 and (run.momenta()[0] == end).all() and end[1] < 0.0
+
+
+@pytest.mark.serial
+def test_a_figure_has_its_title_above_all_axes(tmp_path):
+    with plot.figure(tmp_path / "titled.png", 1, 2, title="two ways") as (left, _):
+        left.plot([0, 1], [0, 1])
+    drawn = [text for text in left.figure.findobj(Text) if text.get_text() == "two ways"]
+    assert len(drawn) == 1 and drawn[0].get_window_extent().y0 >= left.get_window_extent().y1
+
+
+@pytest.mark.serial
+def test_of_several_instants_in_space_the_last_is_opaque(monkeypatch):
+    pytest.importorskip("pyvista")
+    shown = []
+    monkeypatch.setattr(Renderer, "add", lambda self, k, **how: shown.append((how["opacity"], how["moving"])))
+    body = fmbd.RigidBody("body", 1.0, (0.1, 0.1, 0.1), velocity=(1.0, 0.0, 0.0))
+    scene = fmbd.Scene("flight")
+    scene.add(body)
+    run = fmbd.solve(scene, t_end=0.2, dt=0.1, output=fmbd.Output(snapshots=3))
+    strobe(draw(run), fmbd.View(), None, width=200)
+    assert [moving for _, moving in shown] == [True, True, False]
+    assert [opacity == 1.0 for opacity, _ in shown] == [False, False, True]
+
+
+def test_a_drawing_of_nothing_has_a_box():
+    low, high = Drawing("empty", 3, np.array([0.0, 0.0, 1.0]), np.zeros(1), ()).bounds()
+    assert low.shape == high.shape == (3,) and (low < high).all()

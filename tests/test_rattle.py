@@ -84,6 +84,36 @@ def long_run(steps: int) -> tuple[np.ndarray, float, float]:
     return energy, gap, slip
 
 
+@pytest.mark.parametrize("damping", [0.0, 50.0])
+def test_iterations_do_not_grow_with_damping(damping: float) -> None:
+    """The matrix knows of it as soon as it slows Newton's iteration: ten increments a step with the masses alone."""
+    scene, before = fmbd.Scene("arm", gravity=(0.0, 0.0, -9.81)), fmbd.ground
+    for i, axis in enumerate(((0, 0, 1), (0, 1, 0), (0, 1, 0.3))):
+        link = fmbd.RigidBody(f"link {i}", 1.0, (0.02, 0.1, 0.1), (0.5 + i, 0.0, 0.0))
+        hinge = fmbd.revolute(f"hinge {i}", before, link, center=(float(i), 0.0, 0.0), axis=axis)
+        motor = fmbd.joint_spring(f"pd {i}", fmbd.angle(hinge), stiffness=200.0, damping=damping, free=0.3 * i)
+        scene.add(link, hinge, motor)
+        before = link
+    run = fmbd.solve(scene, t_end=0.1, dt=1e-3, scheme=fmbd.Rattle())
+    assert run.counters["newton_iterations"] <= 2.5 * run.counters["steps"]
+
+    fine = fmbd.solve(scene, t_end=0.1, dt=2.5e-4, scheme=fmbd.Rattle())
+    exact = fmbd.solve(scene, t_end=0.1, scheme=fmbd.Radau(rtol=1e-9))
+    off = [np.abs(x.state.q - exact.state.q).max() for x in (run, fine)]
+    assert off[0] < 3e-4 and off[1] < 0.08 * off[0]
+
+
+def test_a_search_for_a_tolerance_whose_matrices_are_all_compiled() -> None:
+    """What is known of the rows comes from the run before: NumPy factors nothing."""
+    scene = fmbd.Scene("pendulum", gravity=(0.0, -9.81))
+    body = fmbd.RigidBody("body", 1.0, 0.1, (0.5, 0.0))
+    scene.add(body, fmbd.revolute("hinge", fmbd.ground, body, center=(0, 0)))
+    scene.sensor("x", fmbd.position(body))
+    run = fmbd.solve(scene, t_end=0.3, tol={"x": 1e-4}, scheme=fmbd.Rattle())
+    exact = fmbd.solve(scene, t_end=0.3, scheme=fmbd.Radau(rtol=1e-10))
+    assert np.abs(run["x"][-1] - exact["x"][-1]).max() < 1e-4
+
+
 def test_energy_error_is_bounded() -> None:
     """No growth between 1000 and 10000 steps."""
     energy, gap, slip = long_run(10_000)

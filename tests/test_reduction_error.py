@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -132,8 +133,20 @@ def test_report_states_it_and_nothing_is_paid_unasked(rod_mesh: Callable[..., An
     assert f'"tip" {asked.reduction_error["tip"]:.2g} m' in " ".join(asked.report().split())
     assert asked.counters == unasked.counters
     np.testing.assert_array_equal(asked["tip"], unasked["tip"])
-    first = few.finer(("pin", "tip")).constants
-    assert few.finer(("pin", "tip")).constants is first  # made once
+    first = few.with_refined_basis(("pin", "tip")).constants
+    assert few.with_refined_basis(("pin", "tip")).constants is first  # made once
+
+
+@pytest.mark.mpi
+def test_a_finer_basis_takes_what_the_coarser_one_has_found(rod_mesh: Callable[..., Any]) -> None:
+    """The modes and moments of the basis that it contains: the same reduction as without them."""
+    few = rod(rod_mesh(h=0.2)).reduced(modes=4)
+    shared = few.with_refined_basis(("pin", "tip"))
+    alone = replace(shared)
+    assert shared.coarser is few and alone.coarser is None
+    assert shared.reduction.moments["pin"] is few.reduction.moments["pin"] is not alone.reduction.moments["pin"]
+    assert len(shared.reduction.omega) == len(alone.reduction.omega) > len(few.reduction.omega)
+    np.testing.assert_allclose(shared.reduction.omega, alone.reduction.omega, rtol=1e-7)
 
 
 def test_stated_with_error_control_at_the_recorded_times(rod_mesh: Callable[..., Any]) -> None:
@@ -149,7 +162,7 @@ def test_stopped_runs_of_the_estimates_give_none(rod_mesh: Callable[..., Any], c
     """Ctrl-C in a run behind the first ends the estimate, not the program: the run itself is complete."""
     few, done = rod(rod_mesh(h=0.2)).reduced(modes=4), []
 
-    class Once(fmbd.GeneralizedAlpha):
+    class Once(fmbd.GeneralizedAlpha):  # not compiled: many compiled steps are one call
         def stepper(self, system: Any, *others: Any) -> Any:
             made = super().stepper(system, *others)
             done.append(system)
@@ -158,7 +171,7 @@ def test_stopped_runs_of_the_estimates_give_none(rod_mesh: Callable[..., Any], c
             return made
 
     both = fmbd.Output(energy=False, estimate_error=True, estimate_reduction=True)
-    run = fmbd.solve(pendulum(few), t_end=0.02, dt=1e-3, scheme=Once(), output=both)
+    run = fmbd.solve(pendulum(few), t_end=0.02, dt=1e-3, scheme=Once(compiled=False), output=both)
     assert run.status == "finished" and len(done) == 3
     assert run.error_estimate == {} == run.reduction_error
     assert "stopped at t = 0.002 s" in caplog.text and "more modes did not end: stopped at t = 0.001 s" in caplog.text

@@ -21,6 +21,7 @@ SCHEMES = [
     (fmbd.BDF(rtol=1e-5), None),
     (fmbd.Rattle(), 0.02),
     (fmbd.HalfExplicit(), None),
+    (fmbd.ExplicitRungeKutta(), None),
     (fmbd.EnergyMomentum(), 0.02),
 ]
 
@@ -84,3 +85,19 @@ def test_unique_reactions_are_left_alone() -> None:
     scene.add(body, fmbd.revolute("pin", fmbd.ground, body, center=(0.0, 0.0)))
     run = fmbd.solve(scene, t_end=0.1, dt=0.01)
     assert run.not_unique == [] and "not unique" not in run.report()
+
+
+@pytest.mark.parametrize(
+    "scheme", [fmbd.Radau(3, form=fmbd.Index1()), fmbd.BDF(form=fmbd.Index2())], ids=["Radau", "BDF"]
+)
+def test_runs_that_tell_the_error_know_of_dependent_rows(scheme: Any) -> None:
+    """They begin at the start that was found for the first run, and look for dependent rows themselves."""
+    scene = fmbd.Scene("twice held", gravity=(0.0, -9.81))
+    body = fmbd.RigidBody("body", 1.0, 0.1, position=(0.5, 0.0))
+    pins = [fmbd.revolute(name, fmbd.ground, body, center=(0.0, 0.0)) for name in ("pin", "again")]
+    scene.add(body, *pins)
+    scene.sensor("place", fmbd.position(body))
+    run = fmbd.solve(scene, t_end=0.3, scheme=scheme, tol={"place": 1e-5})
+    assert run.certificate is not None
+    stated = run.certificate["place"]
+    assert 0.0 < stated.total < 1e-5

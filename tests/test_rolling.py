@@ -26,6 +26,7 @@ SCHEMES = {
     "GGL": fmbd.GeneralizedAlpha(rho_inf=0.99, form=fmbd.GGL()),
     "BDF": fmbd.BDF(form=fmbd.Projected(fmbd.Index1()), rtol=1e-8),
     "half-explicit": fmbd.HalfExplicit(rtol=1e-8),
+    "explicit": fmbd.ExplicitRungeKutta(rtol=1e-9),
 }
 
 
@@ -197,3 +198,21 @@ def test_bad_input() -> None:
         fmbd.Wheel(0.3, axis=UP, tread=0.4)
     with pytest.raises(InputError, match="parallel"):
         fmbd.skate("ice", fmbd.ground, body, along=UP, normal=UP)
+
+
+def test_rows_on_a_body_do_not_know_the_origin() -> None:
+    """A ball on a plate that moves: the rows of slip are the same wherever both are."""
+    rows = []
+    for place in ((0.0, 0.0, 0.0), (5.0, -3.0, 2.0)):
+        plate = fmbd.RigidBody("plate", 1.0, (1.0, 1.0, 1.0), tuple(np.add(place, (0.3, 0.2, -0.1))))
+        ball = fmbd.RigidBody("ball", 1.0, (0.004,) * 3, tuple(np.add(place, (0.5, 0.0, 0.1))))
+        scene = fmbd.Scene("pair")
+        scene.add(plate, ball, fmbd.rolling("contact", plate, ball, shape=fmbd.Ball(0.1), normal=UP))
+        system, state, _ = scene.build()
+        rows.append(system.at(state.t, state.q).jacobian.core)
+    assert rows[0] == pytest.approx(rows[1], abs=1e-12)
+
+    # a plate that turns about the z axis moves the point of contact, at (0.2, -0.2) from its centre, by (0.2, 0.2) rad/s
+    turn = np.zeros(12)
+    turn[5] = 1.0
+    assert np.sort(np.abs(rows[0] @ turn)) == pytest.approx([0.0, 0.2, 0.2], abs=1e-12)

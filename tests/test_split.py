@@ -11,6 +11,7 @@ pytest.importorskip("dolfinx")
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, LinearSolveError
+from fmbd_fenicsx.linear.fieldsplit import SplitSolver
 from fmbd_fenicsx.linear.saddle.presets import Bddc, FieldSplit, Multigrid
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -72,6 +73,37 @@ def test_motion_of_direct(make, kinds: str, linear, most: float) -> None:
     assert plain.counters["saddle_iterations"] == 0
     assert 1 <= per_solve(split) <= most
     assert split.counters["worst_linear_residual"] <= 100 * linear.rtol
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("method", ["fgmres", "gmres"])
+def test_stiff_tie_to_a_hub(method: str) -> None:
+    """Forces of a stiff tie are large beside what drives them: every step is made whole, in few iterations."""
+
+    def scene() -> fmbd.Scene:
+        out = fmbd.Scene("wheel", gravity=(0, -9.81))
+        mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0, 0.5), cells=4)
+        bar = fmbd.FloatingBody("bar", mesh, density=1000.0, elastic=fmbd.materials.linear_elastic(1e11, 0.3))
+        hub = fmbd.RigidBody("hub", mass=50.0, inertia=5.0, position=(-0.2, 0.25))
+        out.add(bar, hub, fmbd.revolute("pin", hub, fmbd.ground, center=(-0.4, 0.25)))
+        out.add(fmbd.tie_surface("glue", bar.surface("left"), hub))
+        out.sensor("force", fmbd.reaction("pin"))
+        return out
+
+    plain, split = run(scene(), steps=2), run(scene(), FieldSplit(method=method, max_iterations=100), steps=2)
+    assert np.abs(split["force"] - plain["force"]).max() < 1e-6 * np.abs(plain["force"]).max()
+    assert split.counters.get("halved_steps", 0) == 0
+    assert per_solve(split) < 40
+
+
+@pytest.mark.mpi
+def test_right_sides_without_a_residual() -> None:
+    """A first residual of zero, which PETSc asks nobody about, is a solution: clamped, without loads."""
+    scene = fmbd.Scene("clamped")
+    bar = block("a", "bar", cells=2)
+    scene.add(bar, fmbd.tie_surface("glue", bar.surface("left"), fmbd.ground))
+    for method in ("gmres", "fgmres", "minres"):
+        assert np.abs(run(scene, FieldSplit(method=method), steps=1).state.lam).max() == 0.0
 
 
 def landing(kind: str, friction: float) -> fmbd.Scene:
@@ -183,3 +215,8 @@ def test_what_has_no_splits() -> None:
     rigid.add(fmbd.RigidBody("stone", mass=1.0, inertia=1.0))
     with pytest.raises(InputError, match="splits elastic bodies; this scene has none"):
         fmbd.solve(rigid, t_end=0.1, dt=0.1, linear=FieldSplit())
+
+
+def test_work_is_counted_from_nothing():
+    system, _, _ = swinging("f").build()
+    assert SplitSolver(system, FieldSplit(), "fresh_").iterations == 0

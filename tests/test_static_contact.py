@@ -17,10 +17,10 @@ GRAVITY = (0.0, 0.0, -9.81)
 
 
 # -- rigid bodies --------------------------------------------------------------------------------------------------
-def fallen(normal: tuple[float, float, float], **more: Any) -> fmbd.Scene:
+def fallen(normal: tuple[float, float, float], height: float = 0.5, **more: Any) -> fmbd.Scene:
     """A ball of 2 kg above a floor."""
     scene = fmbd.Scene("fallen", gravity=GRAVITY)
-    ball = fmbd.RigidBody("ball", 2.0, (0.1, 0.1, 0.1), position=(0.0, 0.0, 0.5))
+    ball = fmbd.RigidBody("ball", 2.0, (0.1, 0.1, 0.1), position=(0.0, 0.0, height))
     floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0, 0), normal=normal))
     scene.add(ball, fmbd.contact("land", fmbd.contacts.ball(ball, 0.1), floor, **more))
     scene.sensor("force", fmbd.contact_force("land"))
@@ -39,6 +39,16 @@ def test_what_slides_is_refused_by_name() -> None:
     """A ball on a slope is held by contact alone."""
     with pytest.raises(ConvergenceError, match='body "ball" can move freely'):
         fmbd.equilibrium(fallen((0.1, 0, 1)))
+
+
+def test_what_rests_on_a_floor_is_not_free() -> None:
+    """Of a ball that only its floor holds up and a body that slides down along a rail, the latter is named."""
+    scene = fallen((0, 0, 1), height=0.1)
+    scene.add(fmbd.prismatic("guide", fmbd.ground, scene.bodies["ball"], axis=(0, 0, 1)))
+    sledge = fmbd.RigidBody("sledge", 2.0, (0.1, 0.1, 0.1), position=(2.0, 0.0, 0.0))
+    scene.add(sledge, fmbd.prismatic("rail", fmbd.ground, sledge, axis=(1, 0, -0.1)))
+    with pytest.raises(ConvergenceError, match='body "sledge" can move freely'):
+        fmbd.equilibrium(scene)
 
 
 def test_friction_is_refused_with_the_reason() -> None:

@@ -84,3 +84,18 @@ def test_damped_schemes_return_to_the_slow_motion(name: str, eps: float) -> None
     expected = (np.linalg.norm(calm["x"], axis=1) - 1) / eps**2
     assert stretch[0] > 10
     assert np.abs(stretch - expected)[-10:].max() < 0.1
+
+
+@pytest.mark.parametrize("stiffness", [1e8, 1e10, 1e12])
+def test_light_masses_on_a_stiff_spring_keep_turning(stiffness: float) -> None:
+    """Grams on a spring of 0.1 m turn on at 5 rad/s from the first step: at the start their accelerations change at rates that
+    differences along a parabola, on which the spring is longer, do not know."""
+    scene = fmbd.Scene("thrown")
+    bodies = [
+        fmbd.RigidBody(name, mass=1e-3, inertia=1e-7, position=(x, 0.0), velocity=(0.0, 5.0 * x))
+        for name, x in (("left", -0.05), ("right", 0.05))
+    ]
+    scene.add(*bodies, fmbd.Spring("spring", *bodies, stiffness=stiffness, length=0.1))
+    scene.sensor("left", fmbd.velocity(bodies[0]))
+    run = fmbd.solve(scene, t_end=2e-3, dt=1e-3)
+    assert np.abs(np.linalg.norm(run["left"], axis=1) / 0.25 - 1.0).max() < 1e-4

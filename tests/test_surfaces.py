@@ -10,6 +10,7 @@ import pytest
 from motion import elastic_rod, elastic_scene
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx import dolfinx_compat
 from fmbd_fenicsx.errors import InputError, MeshError
 from fmbd_fenicsx.fem.fields import Field
 
@@ -109,3 +110,14 @@ def test_tiny_surfaces(width: float, refused: bool) -> None:
                 scene.build()
         else:
             assert scene.build()[0].n_lam == rows
+
+
+def test_one_form_serves_all_weights(rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Making forms is most of what a small body takes to set up."""
+    made = []
+    form = dolfinx_compat.form
+    mesh = rod_mesh(dim=2, h=0.5, height=0.4)
+    f = Field("rod", mesh, elastic_rod(mesh).forms())
+    monkeypatch.setattr(dolfinx_compat, "form", lambda x: (made.append(x), form(x))[1])
+    f.moments("tip")
+    assert len(made) == 1

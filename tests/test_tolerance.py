@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,7 @@ from dae_problems import pendulum
 from tolerance_scenes import CASES, TIMES, check
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.run import estimates, single_run
+from fmbd_fenicsx.run import estimates, shared_runs, single_run, tolerance
 
 QUICK = ("pendulum", "mass on spring", "clamped beam", "spin-up")
 CALLS = [
@@ -40,15 +42,47 @@ def test_meshes_are_looked_at_with_few_steps() -> None:
     assert (first.meshes, look.meshes, last.meshes) == (0, 1, 2) and last.then == "done"
 
 
+@pytest.mark.parametrize("name", ["mass on spring", "clamped beam", "geared chain"])
+def test_the_last_attempt_is_a_plain_run(name: str) -> None:
+    """What attempts share, starts and tables of compiled steps, changes no number of a run."""
+    case = CASES[name]
+    begun = time.perf_counter()
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: case.tolerances[1]})
+    assert len(run.history) == 2
+    assert 0.0 < sum(attempt.seconds for attempt in run.history) <= time.perf_counter() - begun
+    plain = fmbd.solve(run.scene, t_end=case.t_end, dt=run.dt, scheme=run.scheme)
+    np.testing.assert_array_equal(plain[case.sensor], run[case.sensor])
+    np.testing.assert_array_equal(plain.total_energy, run.total_energy)
+
+
+def test_far_larger_steps_tell_the_error_where_the_order_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """1200 steps are judged by 100 and 50, which show order 2; where they did not, by a run of its own."""
+    case = CASES["mass on spring"]
+    times = np.linspace(0.0, case.t_end, TIMES)
+    output = fmbd.Output(times=tuple(times))
+
+    def solved() -> tuple[float, float]:
+        run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: 1e-4}, output=output)
+        return run.certificate[case.sensor].time or 0.0, float(
+            np.abs(run[case.sensor] - case.reference(case, times)).max()
+        )
+
+    far, true = solved()
+    monkeypatch.setattr(shared_runs, "REGULAR", 1.5)
+    near, same = solved()
+    assert far != near and true == same
+    assert 0.8 < far / true < 1.25 and 0.8 < near / true < 1.25
+
+
 @pytest.mark.parametrize("tol", [1e-4, 1e-5])
 def test_all_attempts_together_take_few_steps(monkeypatch: pytest.MonkeyPatch, tol: float) -> None:
     """An earlier attempt tells the error of the last one: all runs together take at most 1.7 times the steps of the last."""
     taken = []
     march = single_run.march
 
-    def counted(problem: Any, solver: Any, pace: Any, *rest: Any, **more: Any) -> Any:
-        taken.append(pace.steps)
-        return march(problem, solver, pace, *rest, **more)
+    def counted(problem: Any, solver: Any, schedule: Any, *rest: Any, **more: Any) -> Any:
+        taken.append(schedule.steps)
+        return march(problem, solver, schedule, *rest, **more)
 
     for module in (estimates, single_run):
         monkeypatch.setattr(module, "march", counted)
@@ -61,3 +95,22 @@ def test_all_attempts_together_take_few_steps(monkeypatch: pytest.MonkeyPatch, t
     wanted = np.append(np.arange(0, steps, 7), steps) * 2.0 / steps
     np.testing.assert_allclose(run.times, np.unique(wanted.round(12)), atol=1e-9)
     assert len(run["x"]) == len(run.times) == len(run.total_energy)
+
+
+@pytest.mark.slow
+def test_errors_that_do_not_fall_end_the_search() -> None:
+    """The force of a contact jumps with every node that comes to rest: two attempts tell that no mesh makes it smooth."""
+    scene = CASES["bar on the wall and back"].scene()
+    scene.sensor("force", fmbd.sensors.contact_force("wall"))
+    run = fmbd.solve(scene, t_end=1.5, dt=0.05, tol={"force": 1e-3})
+    assert len(run.history) <= 4
+    assert "do not fall" in run.history[-1].then and run.certificate["force"].sum > 1e-3
+
+
+def test_steps_that_help_nothing_end_the_search() -> None:
+    """A search over steps ends where those of before, far larger, stated no larger errors; not where they fell."""
+    search, plan = tolerance.Search(), tolerance._first(CASES["mass on spring"].scene(), None, 3.0, 1e-4)
+    search.history = [tolerance.Attempt(3e-2, 0, 0, 5.0, {}, 0.0, ""), tolerance.Attempt(1e-3, 0, 0, 7.0, {}, 0.0, "")]
+    assert "do not fall with the steps" in search.stalled(plan, 6.0)
+    assert not search.stalled(plan, 4.0) and not search.stalled(plan, 0.9)
+    assert not search.stalled(replace(plan, meshes=1), 6.0)

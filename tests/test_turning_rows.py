@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.run.time_loop import make_solver
-from fmbd_fenicsx.run.turning_rows import turned
+from fmbd_fenicsx.run.problem import make_solver
+from fmbd_fenicsx.run.turning_rows import _certainly_below, turned
 
 H = 4e-3
 
@@ -67,3 +67,9 @@ def test_angles() -> None:
     system, state, _ = pinned.build()
     share = 0.5**2 / (0.5**2 + 0.001)  # of the rows' weight that is on the turning arm
     assert turned(make_solver(pinned, system, None), state, H) == pytest.approx(0.1 * share, rel=0.05)
+
+
+def test_a_quick_look_does_not_judge_columns_that_nearly_depend_on_each_other() -> None:
+    good, poor = np.eye(4)[:, :2], np.array([[1.0, 1.0], [0.0, 1e-7], [0.0, 0.0], [0.0, 0.0]])
+    assert _certainly_below(0.1, good, good)
+    assert not _certainly_below(0.1, good, poor) and not _certainly_below(0.1, poor, good)

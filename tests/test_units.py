@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from unit_scenes import Units
 
 import fmbd_fenicsx as fmbd
 
@@ -27,19 +28,8 @@ SCHEMES = {
     "Radau": fmbd.Radau(3, rtol=1e-5),
     "BDF": fmbd.BDF(rtol=1e-4),
     "half-explicit": fmbd.HalfExplicit(1e-5),
+    "explicit": fmbd.ExplicitRungeKutta(1e-7),
 }
-
-
-class Units:
-    """Numbers for quantities given in metres, kilograms and seconds: a force is ``of(12.0, 1, 1, -2)``."""
-
-    def __init__(self, metre: float, kilogram: float, second: float) -> None:
-        self.sizes = np.array([metre, kilogram, second])
-
-    def of(self, value: Any, *powers: int) -> Any:
-        """A value of a quantity of length, mass and time to these powers."""
-        factor = float(np.prod(self.sizes.astype(float) ** np.array(powers)))
-        return factor * np.asarray(value, dtype=float) if np.ndim(value) else factor * float(value)
 
 
 def chain(u: Units) -> fmbd.Scene:

@@ -12,10 +12,11 @@ from dae_problems import pendulum_at, spinning_top, state_errors
 from test_field_stages import pendulum
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import LinearSolveError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.newton import Newton
-from fmbd_fenicsx.schemes.onestep.variable_alpha import parts
+from fmbd_fenicsx.schemes.onestep.variable_alpha import VariableAlpha, parts
 
 PATTERN = (1.0, 0.5, 0.5, 1.5, 0.75, 0.25, 1.5, 2.0)  # sizes of steps over their mean
 
@@ -106,6 +107,16 @@ def test_three_factors_for_a_decade_of_sizes(rod_mesh: Callable[..., Any]) -> No
     assert run.counters["factorisations"] <= 3 * np.log10(sizes.max() / sizes.min()) + 1
 
 
+def test_a_step_and_its_error_share_a_factor(rod_mesh: Callable[..., Any]) -> None:
+    """One for each size, whatever its last digits are."""
+    stepper = stepper_of(knocked(rod_mesh(dim=2, h=0.5, height=0.1)), fmbd.Index3())
+    before, solver = stepper.solver.factorisations, stepper.solver
+    for h in (1e-3, 0.3 / 7, 0.02):
+        stepper._attempt(h)
+        before += 1
+        assert solver.factorisations == before, h
+
+
 def loaded_rod(load: float) -> fmbd.Scene:
     """A clamped rod, bent by a force that grows within 0.3 s."""
     section = fmbd.RodSection((1e5, 4e4, 4e4, 20.0, 30.0, 30.0), 1.0, (2e-3, 1e-3, 1e-3))
@@ -180,3 +191,33 @@ def test_a_push_that_comes_and_goes_within_the_first_step_is_seen(rtol: float) -
     scene.sensor("x", fmbd.position(body))
     run = fmbd.solve(scene, t_end=10.0, scheme=fmbd.GeneralizedAlpha(rtol=rtol))
     assert run["x"][-1, 0] == pytest.approx(0.375 * 7.5, rel=10 * rtol)
+
+
+def test_a_look_ahead_that_cannot_be_solved_is_a_step_too_large(
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The mass of a stiff free body is lost beside its stiffness in a step of seconds: smaller ones are taken."""
+    look, refused = VariableAlpha._ahead, []
+
+    def ahead(self: VariableAlpha, h: float) -> float:
+        if h > 0.05:
+            refused.append(h)
+            raise LinearSolveError("the matrix is singular or nearly so")
+        return look(self, h)
+
+    monkeypatch.setattr(VariableAlpha, "_ahead", ahead)
+    run = fmbd.solve(knocked(rod_mesh(dim=2, h=0.5, height=0.1)), t_end=0.4, scheme=fmbd.GeneralizedAlpha(rtol=1e-3))
+    assert refused and run.status == "finished"
+    assert run.counters["rejected: linear solve failed"] == len(refused)
+
+
+def test_a_few_sizes_of_steps_have_a_driver_each(rod_mesh: Callable[..., Any]) -> None:
+    """Tables of compiled steps are made once for each size that is kept, and steps go back and forth between them."""
+    stepper = stepper_of(knocked(rod_mesh(dim=2, h=0.5, height=0.1)), fmbd.Index3())
+    for h in (1e-3, 2e-3) * 4:
+        stepper.step(h)
+    made = stepper.inner._drivers
+    assert len(made) == 2 and stepper.inner.counters["compiled_steps"] >= 5
+    for h in (1e-3, 2e-3) * 2:
+        stepper.step(h)
+    assert {id(d) for d in stepper.inner._drivers} == {id(d) for d in made}

@@ -57,7 +57,7 @@ def test_other_exceptions_of_a_variant_come_back() -> None:
 
 
 def test_scenes_of_one_structure_share_their_places() -> None:
-    from fmbd_fenicsx.system.compiled.places import structure_of
+    from fmbd_fenicsx.system.compiled.places import structures_kept
     from fmbd_fenicsx.system.compiled.tables import Tables
 
     tables = [Tables(pendulum(length).build()[0], redundant=False) for length in (1.0, 0.5, 2.0)]
@@ -74,5 +74,5 @@ def test_scenes_of_one_structure_share_their_places() -> None:
 
     # a run that finds its places itself is the same to the last bit
     shared = fmbd.solve(pendulum(1.3), t_end=0.05, dt=1e-3)
-    structure_of.cache_clear()
+    structures_kept.clear()
     assert np.array_equal(fmbd.solve(pendulum(1.3), t_end=0.05, dt=1e-3)["tip"], shared["tip"])

@@ -117,6 +117,31 @@ def test_contact_is_lost_and_found() -> None:
     assert abs(gap[~open_]).max() < 1e-9
 
 
+def test_each_of_two_heads_on_a_wire_is_lost_and_found() -> None:
+    """Only the second is pulled down: it leaves the wire and returns, the first stays."""
+    wires = fmbd.Wires("w", 20.0, 20, (fmbd.Wire(1.0, 1e4),))
+    scene = fmbd.Scene("pair", settle=True)
+    scene.add(wires)
+    for name, place, pull in (("first", 6.0, 0.0), ("second", 14.0, 400.0)):
+        pan = fmbd.CoordinateBody(
+            name,
+            np.diag([2.0, 1.0]),
+            lambda q, v, t, f=pull: np.array([50.0 - f * (0.02 < t < 0.05), 0.0]),
+            np.zeros(2),
+        )
+        scene.add(pan, fmbd.SlidingContact(f"on {name}", wires, pan, start=place, idle=1))
+        scene.sensor(f"force {name}", fmbd.reaction(f"on {name}"))
+        scene.sensor(f"y {name}", fmbd.coordinates(pan))
+        scene.sensor(f"w {name}", fmbd.wire_height(wires, 0, place))
+    run = fmbd.solve(scene, t_end=0.5, dt=1e-3, scheme=fmbd.Unilateral(fmbd.GeneralizedAlpha(0.6)))
+    flying = run["force second"][:, 0] == 0
+    assert run["force first"].min() > 0.0 and flying.any() and not flying[-1]
+    assert run.counters["contact lost"] >= 1 and run.counters["contact found"] >= 1
+    gaps = {name: (run[f"w {name}"] - run[f"y {name}"][:, :1])[:, 0] for name in ("first", "second")}
+    assert np.abs(gaps["first"]).max() < 1e-9 and np.abs(gaps["second"][~flying]).max() < 1e-9
+    assert gaps["second"].min() > -1e-9 and gaps["second"][flying].max() > 1e-4
+
+
 def test_solves_with_slack_droppers_are_judged() -> None:
     """Against a dense solve; a damaged correction does not pass."""
     from fmbd_fenicsx.linear.blocks.low_rank import SlackFactor

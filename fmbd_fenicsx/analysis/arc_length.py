@@ -49,7 +49,8 @@ class Path:
         """Load parameters of the limit points, by the parabola through the three points about each."""
         found = []
         for i in self.limits:
-            s, p = np.array(self.distance[i - 1 : i + 2]), np.array(self.parameter[i - 1 : i + 2])
+            s = np.array(self.distance[i - 1 : i + 2])
+            p = np.array(self.parameter[i - 1 : i + 2])
             a, b, c = np.polyfit(s - s[1], p, 2)
             found.append(float(c - b * b / (4.0 * a)))
         return found
@@ -78,9 +79,11 @@ class ArcLength:
         path = Path([t], [start])
         tangent: tuple[Array, float] | None = None
         length = self.step
+
         while len(path.points) < self.most and (path.parameter[-1] - self.t_end) * np.sign(span) < 0:
             point, now = path.points[-1], path.parameter[-1]
             tangent = _tangent(newton, point, now, span, tangent)
+            # halve the step until its corrector converges
             while True:
                 try:
                     made, then, count = _step(newton, (point, now), tangent, span, length)
@@ -89,8 +92,11 @@ class ArcLength:
                     length *= 0.5
                     if length < 1e-5 * self.step:
                         raise ConvergenceError(f"The path of equilibria ends at t = {now:g} s: {error}") from error
+
             path.add(then, made, length)
+            # few iterations: the path is nearly straight here
             length = min(self.step, length * (1.5 if count <= 4 else 0.7 if count > 7 else 1.0))
+
         if (path.parameter[-1] - self.t_end) * np.sign(span) > 0:
             _finish(newton, path, self.t_end)
         return path
@@ -123,19 +129,30 @@ def _step(
 ) -> tuple[Point, float, int]:
     """One step of (1): point, parameter and number of iterations."""
     system, (first, t0), (d, e) = newton.residual.system, start, tangent
+
+    # predictor: along the tangent
     xi, lam, s = length * d, first.lam, length * e
     for count in range(12):
-        point, t = Point(system.compose(first.q, xi), lam), t0 + span * s
+        point = Point(system.compose(first.q, xi), lam)
+        t = t0 + span * s
         r = newton.take(point, t)
         newton.iterations += 1
+
+        # u: Newton's increment at this t; w: what one span of t more adds; of both, what keeps the length (1)
         by_t = newton.residual.by_time(point.q, lam, t, 1e-6 * abs(span))
         u, du = newton.inverse(point, t, r, (np.zeros_like(r[0]), np.zeros_like(r[1])))
         w, dw = newton.inverse(point, t, r, (r[0] - by_t[0] * span, r[1] - by_t[1] * span))
+
         gap = length - _product(newton, d, xi) - e * s
         slope = _product(newton, d, w) + e
+
         ds = (gap - _product(newton, d, u)) / slope
-        xi, lam, s = xi + system.rate(xi, u + ds * w), lam + du + ds * dw, s + ds
+        xi = xi + system.rate(xi, u + ds * w)
+        lam = lam + du + ds * dw
+        s = s + ds
+
         size = system.max_abs(u + ds * w)
+        # far from the predictor another branch would be met
         if not size < 0.5 * system.length:
             break
         if size <= 1e-9 * system.length and abs(ds) < 1e-9:

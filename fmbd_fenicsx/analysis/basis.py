@@ -88,7 +88,8 @@ class _Space:
 
     def add(self, v: Array) -> None:
         """One more vector; collective."""
-        about, dot = self.about, self.about.system.dot
+        about = self.about
+        dot = about.system.dot
         images = about.mass(v), about.damping(v), about.stiffness(v)
         n = len(self.vectors)
         made = np.zeros((3, n + 1, n + 1))
@@ -141,6 +142,7 @@ def free_motions(about: Perturbation) -> Array:
     G = np.array([about.rows(e)[held] for e in np.diag(1.0 / system.units)]).T
     sizes = np.linalg.norm(G, axis=1)
     _, s, Vt = np.linalg.svd(G / np.where(sizes > 0, sizes, 1.0)[:, None])
+
     rank = int((s > RANK * s[0]).sum())
     return np.asarray(Vt[rank:] / system.units)
 
@@ -164,6 +166,7 @@ def _krylov(
     waiting = [inverse.solve(b) for b in inputs] + starts()
     turning = _turning(about, waiting[-1])
     while len(basis) < limit:
+        # the space has ended: other motions, which it cannot hold, begin beside it
         if not waiting and done == len(basis):
             if known == done:
                 break
@@ -172,11 +175,13 @@ def _krylov(
         elif not waiting:
             if enough is not None and done % BLOCK == 0 and done >= count and enough(space.projected()):
                 break
+            # the next answers: (K + s M)^-1 M v, and C v where velocities make forces
             v = basis[done]
             done += 1
             waiting.append(inverse.solve(space.without(about.mass(v), known)))
             if turning:
                 waiting.append(inverse.solve(space.without(about.damping(v), known)))
+
         made = _new_part(about, basis, waiting.pop(0), inverse)
         if made is not None:
             space.add(made)
@@ -187,6 +192,7 @@ def _new_part(about: Perturbation, basis: list[Array], x: Array, inverse: _Shift
     """What of x is new beside the basis, of unit length and without violation of the constraints; None where it is noise."""
     system = about.system
     size = _norm(about, x)
+    # twice: the second pass takes the roundoff of the first
     for _ in range(2):
         for v in basis:
             x = x - system.dot(system.units**2 * v, x) * v
@@ -197,6 +203,7 @@ def _new_part(about: Perturbation, basis: list[Array], x: Array, inverse: _Shift
     x = x / left
     if left > ENLARGED * size:
         return x
+    # little was left: what violates the constraints was enlarged with it
     held = inverse.held(x)
     return held / _norm(about, held)
 
@@ -239,6 +246,7 @@ class _Shifted:
         s = about.state
         ev = about.system.at(s.t, s.q, s.v)
         ev.balance(s.a, s.lam)
+        # tangents are those of this state
         for _, part in about.system.fields:
             part.relinearise()
         solver.prepare(ev, Weights(shift, 0.0, 1.0))

@@ -61,7 +61,8 @@ class ClosedContacts:
     def held(self, solver: StepSolver) -> Callable[[Array, Array], tuple[Array, Array]]:
         """The prepared solver's inverse with the points held: (b, (g, gaps)) -> increment, (lambda, forces); collective."""
         system, n = self.system, self.system.n_lam
-        none, units = np.zeros(n), np.eye(self.count)
+        none = np.zeros(n)
+        units = np.eye(self.count)
         push = [self.contacts.transposed(system, self.rows.N, e) for e in units]
         answers = np.array([solver.solve(p, none)[0] for p in push]).reshape(self.count, system.n_v)
         W = np.array([self.times(x) for x in answers]).reshape(self.count, self.count)

@@ -105,8 +105,10 @@ def equilibrium(
     )
     system, given, markers = scene.build()
     solver = StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
+
     with OneAnswer(system.comm):
         try:
+            # a spin of some bodies turns them in their own frames
             turning = spin if spin is None or not spin.bodies else body_spin(system, given.q, spin)
             newton = static_newton(system, solver, t, turning)
             _check_drives(newton.residual, given.q, t)
@@ -119,11 +121,13 @@ def equilibrium(
         _tell_smooth_friction(system)
         if made is not None:
             t, point = made.parameter[-1], made.points[-1]
+
         counters = {
             "newton_iterations": newton.iterations,
             "tangent_iterations": newton.tangent_iterations,
             "factorisations": solver.factorisations,
         }
+
         found = Equilibrium(scene, system, state_of(system, point, t, turning), markers, turning, made, counters)
         if made is not None:
             _read_along(found, made)
@@ -147,6 +151,7 @@ def _check_drives(residual: Residual, q: Array, t: float) -> None:
     if not isinstance(residual.spin, Spin) or not residual.system.n_lam:
         return
     assert ev.v is not None
+    # where a drive moves, the steady rotation must move the joint likewise
     rate = ev.constraint_rate()
     missed = np.where(rate != 0.0, ev.jacobian.times(ev.v) + rate, 0.0)
     row = int(np.abs(missed).argmax())
@@ -170,6 +175,7 @@ def _with_controllers(newton: StaticNewton, start: Point, t: float, path: ArcLen
     check_sampled(system)
     begin(system, State(t, start.q, np.zeros(system.n_v), np.zeros(system.n_v), start.lam))
     point = find(newton, start, t)
+    # only memories that change efforts have to come to rest
     keeping = remembering(system, point.q, t)
     if not keeping:
         return point
@@ -196,6 +202,7 @@ def settled(system: System, given: State, solver: StepSolver) -> State:
 def static_newton(system: System, solver: StepSolver, t: float, spin: Spin | BodySpin | None) -> StaticNewton:
     """Newton's method for a system, its preconditioner a step that is long against a pendulum and against elastic periods."""
     pull = float(np.abs(system.gravity(t)).max(initial=0.0))
+    # long against a pendulum's period, and against the first vibrations of elastic bodies
     taus = [10.0 * float(np.sqrt(system.length / pull))] if pull else []
     taus += [
         PERIODS / float(np.sqrt(first_eigenvalue_bound(p.field)))
@@ -232,6 +239,7 @@ def find(newton: StaticNewton, start: Point, t: float) -> Point:
         try:
             found = by_load_steps(newton, start, t)
             return _stable(newton, start, found, t)
+        # too far away: from the rest of a motion with much damping it may be near
         except NoEquilibriumError as error:
             try:
                 return by_load_steps(newton, _nearer(newton, start, t), t)
@@ -240,6 +248,7 @@ def find(newton: StaticNewton, start: Point, t: float) -> Point:
         except LinearSolveError:
             if newton.tau < 1e-4 * float(np.sqrt(system.length)):
                 raise
+            # more inertia in the preconditioner holds what no joint holds
             newton.tau /= 3.0
             newton.__post_init__()
 
@@ -263,13 +272,17 @@ def _stable(newton: StaticNewton, start: Point, found: Point, t: float) -> Point
     moved = system.max_abs(system.difference(start.q, found.q))
     if system.contacts is not None or system.fields or system.n_core > FEW or moved <= 0.1 * system.length:
         return found
+
+    # of few unknowns: the stiffness on all free motions tells
     spin = newton.residual.spin
     about = Perturbation(system, state_of(system, found, t, spin), spin if isinstance(spin, Spin) else None)
     V = free_motions(about)
     images = [about.stiffness(v) for v in V]
     K = np.array([[v @ image for image in images] for v in V])
+
     if not K.size or np.linalg.eigvalsh(0.5 * (K + K.T)).min() >= -1e-9 * np.abs(K).max():
         return found
+
     try:
         return by_load_steps(newton, relax(newton, start, t, _slow(system, t)), t)
     except (ConvergenceError, LinearSolveError):

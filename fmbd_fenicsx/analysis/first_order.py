@@ -38,22 +38,29 @@ class FirstOrder:
 
     def motion(self, x: Array, u_rate: Array) -> tuple[Array, Array, Array]:
         """z, z', z'' for a state and the rate of its velocities u."""
-        z, u = x[: self.n], x[self.n : self.n + self.N.shape[1]]
+        z = x[: self.n]
+        u = x[self.n : self.n + self.N.shape[1]]
         rate = self.N @ u + self.D @ z
         return z, rate, self.N @ u_rate + self.D @ rate
 
 
 def first_order(small: Projected) -> FirstOrder:
     """(1) from the projected matrices."""
-    M, C, K, n = small.M, small.C, small.K, len(small.M)
+    M = small.M
+    C = small.C
+    K = small.K
+    n = len(small.M)
+    # without rows on velocities every z' is free
     N: Array = np.eye(n)
     D: Array = np.zeros((n, n))
     if len(small.speeds[0]):
         G, P = small.speeds
-        N, D = sl.null_space(G), -np.linalg.pinv(G) @ P
+        N = sl.null_space(G)
+        D = -np.linalg.pinv(G) @ P
 
     inverse = np.linalg.solve(N.T @ M @ N, N.T) if N.shape[1] else N.T
-    by_z, by_u = K + (C + M @ D) @ D, (C + M @ D) @ N
+    by_z = K + (C + M @ D) @ D
+    by_u = (C + M @ D) @ N
     A = np.block([[D, N], [-inverse @ by_z, -inverse @ by_u]])
     if small.memory is None:
         return FirstOrder(A, n, N, D, inverse)
@@ -71,9 +78,11 @@ def slowest(system: FirstOrder, *, relaxing: bool = False) -> tuple[Array, Array
     """
     rolls = system.N.shape[1] < system.n
     rest, zeros = _without_zeros(system) if rolls else (np.eye(len(system.A)), np.zeros((len(system.A), 0)))
+
     values, vectors = np.linalg.eig(rest.T @ system.A @ rest) if rest.shape[1] else (np.zeros(0), np.zeros((0, 0)))
     if rolls and len(values):  # a double zero may come out as a pair with an imaginary part of roundoff
         values = np.where(np.abs(values) <= ALMOST * np.abs(values).max(), values.real, values)
+
     once = np.flatnonzero(values.imag >= 0)
     order: np.ndarray = once[np.argsort(np.abs(values[once]))]
     if relaxing:
@@ -87,7 +96,8 @@ def slowest(system: FirstOrder, *, relaxing: bool = False) -> tuple[Array, Array
 
 def _decays_last(system: FirstOrder, order: np.ndarray, values: Array, vectors: Array) -> np.ndarray:
     """The numbers ``order`` with those last whose memories decay; rigid motions, of eigenvalue zero, change no memory."""
-    z, w = vectors[: system.n], vectors[system.n + system.N.shape[1] :]
+    z = vectors[: system.n]
+    w = vectors[system.n + system.N.shape[1] :]
     moves = np.abs(w).max(axis=0, initial=0.0) > UNCHANGED * np.abs(z).max(axis=0, initial=0.0)
     decays = (values.imag == 0.0) & (values.real < 0.0) & moves
     return np.concatenate((order[~decays], order[decays]))
@@ -96,19 +106,23 @@ def _decays_last(system: FirstOrder, order: np.ndarray, values: Array, vectors: 
 def _without_zeros(system: FirstOrder) -> tuple[Array, Array]:
     """Orthonormal bases (of x) of what is left after (2), and of what was taken out."""
     size = len(system.A)
-    kept, out = np.eye(system.n), np.zeros((size, 0))
+    kept = np.eye(system.n)
+    out = np.zeros((size, 0))
     # rates and accelerations, each against the largest there is: z are lengths, all of them
     scales = [max(float(np.abs(x).max(initial=0.0)), 1e-300) for x in (system.D, system.A[system.n :, : system.n])]
     while kept.shape[1]:
+        # directions of z that change neither rates nor accelerations, taken out again and again
         rest = sl.block_diag(kept, np.eye(size - system.n))
         image = rest.T @ system.A[:, : system.n] @ kept
         for rows, size_of_rows in zip((image[: kept.shape[1]], image[kept.shape[1] :]), scales, strict=True):
             rows /= size_of_rows
+
         _, s, Vt = np.linalg.svd(image)
         sizes = np.concatenate((s, np.zeros(len(Vt) - len(s))))
         free = Vt[sizes <= NOTHING]
         if not len(free):
             break
+
         gone = np.concatenate((kept @ free.T, np.zeros((size - system.n, len(free)))))
         out = np.concatenate((out, gone), axis=1)
         kept = kept @ sl.null_space(free)
@@ -119,6 +133,7 @@ def _vector(A: Array, value: complex, guess: Array) -> Array:
     """The eigenvector of A for an eigenvalue of its rest, by inverse iteration."""
     near = value * (1.0 + 1e-9) + 1e-12 * max(float(np.abs(A).max()), 1e-300)
     x = guess.astype(complex)
+    # two iterations from so near leave roundoff
     for _ in range(2):
         x = np.linalg.solve(A - near * np.eye(len(A)), x)
         x = x / np.abs(x).max()

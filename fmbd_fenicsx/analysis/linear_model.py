@@ -63,6 +63,7 @@ class LinearModel:
         values = np.linalg.eigvals(self.A) if len(self.A) else np.zeros(0)
         out = np.empty((len(omega), len(self.C), self.B.shape[1]), dtype=complex)
         for k, w in enumerate(omega):
+            # at an eigenvalue the matrix is singular, and its solution roundoff
             gap = np.abs(1j * w - values)
             if len(gap) and gap.min() <= NEAREST * max(abs(float(w)), float(np.abs(values).max()) * 1e-6):
                 raise InputError(
@@ -115,8 +116,12 @@ def _inputs(made: Linearised, names: Sequence[str]) -> list[tuple[str, Array]]:
     """Labels and generalised forces of unit inputs, like v."""
     system, state = made.about.system, made.about.state
     ev = system.at(state.t, state.q, state.v)
-    d, count = system.motions.dim, system.motions.dim + system.motions.n_rot
+    d = system.motions.dim
+    count = system.motions.dim + system.motions.n_rot
+
+    # inputs by label
     known: dict[str, Array] = {}
+
     for loads in system.forces:
         for i, f in enumerate(loads.forces):
             wrench = np.zeros((len(ev.kin.x), count))
@@ -125,6 +130,7 @@ def _inputs(made: Linearised, names: Sequence[str]) -> list[tuple[str, Array]]:
                 wrench[loads.a[i]] += ra[i]
                 wrench[loads.b[i]] += rb[i]
                 known[f.name] = ev.spread(wrench)
+            # one input for each component, in the axes that the force has
             elif isinstance(loads, TimeLoads):
                 first, n = (d, system.motions.n_rot) if f.turns else (0, d)
                 for c in range(n):
@@ -166,25 +172,33 @@ def _model(
     made: Linearised, small: Projected, forces: list[tuple[str, Array]], outputs: list[tuple[str, str, int]]
 ) -> LinearModel:
     """(1) from the projected matrices and the derivatives of the sensors."""
-    system, V, k = made.about.system, small.vectors, len(small.M)
+    system = made.about.system
+    V = small.vectors
+    k = len(small.M)
     F = np.array([[system.dot(v, f) for _, f in forces] for v in V]).reshape(k, len(forces))
+
     form = first_order(small)
-    n_x, speeds = len(form.A), slice(k, k + len(form.push))
+    n_x = len(form.A)
+    speeds = slice(k, k + len(form.push))
+
     B = np.zeros((n_x, len(forces)))
     B[k : k + len(form.push)] = form.push @ F
 
     rows = []
     for j in range(n_x + len(forces)):
+        # the outputs of each unit state, then of each unit force
         x = np.zeros(n_x)
         if j < n_x:
             x[j] = 1.0
         rate = form.A[speeds, j] if j < n_x else B[speeds, j - n_x]
         force = forces[j - n_x][1] if j >= n_x else np.zeros(system.n_v)
+
         z, z_rate, z_accel = form.motion(x, rate)
         change = np.zeros(memory_size(system))
         if small.memory is not None:
             change[small.memory.which] = x[speeds.stop :]
         rows.append(_answer(made, (z @ V, z_rate @ V, z_accel @ V), (force, change), outputs))
+
     CD = np.array(rows).reshape(n_x + len(forces), len(outputs)).T
     return LinearModel(
         form.A, B, CD[:, :n_x], CD[:, n_x:], tuple(name for name, _ in forces), tuple(label for label, _, _ in outputs)
@@ -200,15 +214,20 @@ def _answer(
     """Derivatives of the outputs for a motion (y, y', y'') under ``causes``: a force, like v, and a change of the memory."""
     about, (y, rate, accel), (force, change) = made.about, motion, causes
     system, s = about.system, about.state
-    v, a = about.velocity(y, rate), about.acceleration(y, rate, accel)
+    v = about.velocity(y, rate)
+    a = about.acceleration(y, rate, accel)
+
+    # reactions that hold the motion, from what it leaves of the balance
     reaction = np.zeros(system.n_lam)
     if about.row_count and not system.fields:
         left = force - about.stiffness(y) - about.damping(rate) - about.mass(accel) - pushed_by(about, change)
         G = np.array([about.rows(e) for e in np.eye(system.n_v)]).T
         reaction = np.linalg.lstsq(G.T, left, rcond=None)[0][: system.n_lam]
+
     size = max(system.max_abs(y), system.max_abs(rate), system.max_abs(accel))
     if size == 0.0 and not reaction.any() and not change.any():
         return np.zeros(len(outputs))
+    # differences of fourth order, in steps that move the scene by a share of its length
     h = STEP * system.length / size if size else 1.0
 
     def read(e: float) -> Array:

@@ -99,10 +99,11 @@ def remembering(system: System, point: Array, t: float) -> list[ControlLoads]:
         z = loads.kept.z
         if not len(z) or loads.controller.every is not None:
             continue
-        readings = loads._read(system.at(t, point, np.zeros(system.n_v)).kin)
+        readings = loads.read(system.at(t, point, np.zeros(system.n_v)).kin)
+        # a memory that moves no effort need not come to rest
         steps = np.diag(MOVED * np.maximum(1.0, np.abs(z)))
-        u = loads._call(t, readings, z)[0]
-        if any(np.abs(loads._call(t, readings, z + step)[0] - u).max() > 0.0 for step in steps):
+        u = loads.ask_law(t, readings, z)[0]
+        if any(np.abs(loads.ask_law(t, readings, z + step)[0] - u).max() > 0.0 for step in steps):
             found.append(loads)
     return found
 
@@ -135,8 +136,8 @@ def steady(newton: StaticNewton, start: Point, t: float, keeping: list[ControlLo
 
 def _advanced(loads: ControlLoads, kin: Kinematics, t: float) -> Array:
     """Efforts at the end of the long step, and what of them its change of the memory has made, (2, acts); it is kept."""
-    readings = loads._read(kin)
-    u, z, _ = loads._continuous(t, readings)
-    before = loads._call(t, readings, loads.kept.z)[0]
+    readings = loads.read(kin)
+    u, z, _ = loads.with_memory(t, readings)
+    before = loads.ask_law(t, readings, loads.kept.z)[0]
     loads.kept = Kept(t, z, np.zeros_like(z), u, 0)
     return np.array([u, u - before])

@@ -81,7 +81,9 @@ class Modes:
 
         A point moves by a cos(w t) - b sin(w t), with a + i b its part of the shape, and goes round with -a x b.
         """
-        s, d, n = self.system, self.system.motions.dim, self.system.motions.n_twist
+        s = self.system
+        d = s.motions.dim
+        n = s.motions.n_twist
         held = s.n_frames * n
         out = np.zeros(len(self.shapes))
         for k in range(len(out)):
@@ -242,13 +244,20 @@ def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
     """
     if about.spin is not None:
         return
-    system, state, shift = about.system, about.state, newton.weights.cm
+
+    system = about.system
+    state = about.state
+    shift = newton.weights.cm
     speed, accel = system.max_abs(state.v), system.max_abs(state.a)
+    # what gravity would do is the scale of accelerations
     pull = float(np.abs(system.gravity(state.t)).max(initial=0.0))
+
     if speed == 0.0 and system.keepers:
         refuse_moving_memory(about, shift)
     if speed != 0.0 or accel <= max(FAR * pull, NOTHING * system.length * shift):
         return
+
+    # where would a long step bring it?
     r = newton.take(Point(state.q, state.lam), state.t)
     away = system.max_abs(newton.solver.solve(-r[0], -r[1])[0])
     if away > NOTHING * system.length:
@@ -264,16 +273,22 @@ def eigenpairs(small: Projected, n: int, *, relaxing: bool = False) -> tuple[Arr
     ``relaxing``: as for :func:`.first_order.slowest`.
     """
     M, C, K = small.M, small.C, small.K
+
     k = len(M)
-    size_M, size_K = np.abs(M).max(initial=1e-300), np.abs(K).max(initial=1e-300)
+    size_M = np.abs(M).max(initial=1e-300)
+    size_K = np.abs(K).max(initial=1e-300)
     quiet = np.abs(C).max(initial=0.0) <= SYMMETRIC * float(np.sqrt(size_M * size_K))
     symmetric = np.abs(K - K.T).max(initial=0.0) <= SYMMETRIC * size_K
+
+    # without damping: real squares omega^2 of a symmetric pencil
     if quiet and symmetric and not len(small.speeds[0]) and small.memory is None:
         _enough(k, n)
         squares, Y = sl.eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
         order = np.argsort(np.abs(squares))[:n]
-        values = np.where(squares[order] >= 0, 1j * np.sqrt(np.abs(squares[order])), np.sqrt(np.abs(squares[order])))
+        rates = np.sqrt(np.abs(squares[order]))
+        values = np.where(squares[order] >= 0, 1j * rates, rates)
         return values, Y[:, order].astype(complex)
+
     values, vectors = slowest(first_order(small), relaxing=relaxing)
     _enough(len(values), n)
     return values[:n], vectors[:, :n]

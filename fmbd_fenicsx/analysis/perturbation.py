@@ -98,6 +98,7 @@ class Perturbation:
         h, s, (y, v, a) = SHIFT * self.system.length / size, self.state, moved
         total: Array = np.zeros_like(along)
         for side, weight in SIDES:
+            # closed contacts push as before, turned with their surfaces
             e = side * h
             q = s.q if y is None else self.system.compose(s.q, e * y)
             ev = self.system.at(s.t, q, s.v + e * v)
@@ -133,11 +134,16 @@ class Perturbation:
 
     def _along(self, y: Array, rotations: Callable[..., Array], translations: Callable[[Array], Array]) -> Array:
         """An array like v from translations and rotations of another; ``rotations`` gets the products W x, w x (body axes)."""
-        s, d, n = self.system, self.system.motions.dim, self.system.motions.n_twist
-        out, k = np.zeros_like(y), s.n_frames * n
-        twists, made = y[:k].reshape(-1, n), np.zeros((s.n_frames, n))
+        s = self.system
+        d = s.motions.dim
+        n = s.motions.n_twist
+        out = np.zeros_like(y)
+        k = s.n_frames * n
+        twists = y[:k].reshape(-1, n)
+        made = np.zeros((s.n_frames, n))
         made[:, :d] = translations(twists[:, :d])
 
+        # rotations stand in body axes: W and w too
         if d == 3:
             own = self.state.v[:k].reshape(-1, n)[:, 3:]
             carried = self._carried

@@ -62,7 +62,8 @@ class BodySpin:
 
     def _turns(self, system: System, amount: float) -> Array:
         """An array like v with rotations by ``amount`` about the axes."""
-        m, out = system.motions, np.zeros(system.n_v)
+        m = system.motions
+        out = np.zeros(system.n_v)
         twists = out[: system.n_frames * m.n_twist].reshape(-1, m.n_twist)
         twists[self.frames, m.dim :] = amount * self.axes
         return out
@@ -109,13 +110,19 @@ def check_steady(newton: StaticNewton, point: Point, t: float) -> None:
     system, spin = newton.residual.system, newton.residual.spin
     if not isinstance(spin, BodySpin) or spin.rate == 0.0:
         return
+
     _check_held(system, newton.residual.at(point.q, t), spin)
+
+    # what turns must leave forces and gaps as they are
     lam = point.lam
     for angle in ANGLES:
         q = spin.turned(system, point.q, angle)
         newton.take(replace(point, q=q), t)
+
         there, later = (newton.residual.at(q, x) for x in (t, t + angle / spin.rate))
-        balance, gaps = newton.residual.values(there, lam)[0], later.constraint()
+        balance = newton.residual.values(there, lam)[0]
+        gaps = later.constraint()
+
         moved = system.max_abs(newton.solver.solve(-balance, -gaps)[0])
         if moved > CHANGED * system.length:
             raise InputError(

@@ -84,6 +84,7 @@ def small_memory(about: Perturbation, V: Array) -> SmallMemory | None:
     which = np.array([j for j, x in enumerate(forces) if system.max_abs(x) > 0.0], dtype=int)
     if not len(which):
         return None
+
     H = np.array([[system.dot(v, forces[j]) / steps[j] for j in which] for v in V]).reshape(len(V), len(which))
 
     ev = system.at(s.t, s.q, s.v)
@@ -93,6 +94,7 @@ def small_memory(about: Perturbation, V: Array) -> SmallMemory | None:
         step[j] = steps[j]
         R[:, k] = (_rates(system, ev, s.t, step) - _rates(system, ev, s.t, -step))[which] / (2.0 * steps[j])
 
+    # by displacements at rest, and by velocities
     zero = np.zeros(system.n_v)
     P = [_along(about, v, about.velocity(v, zero), which) for v in V]
     Q = [_along(about, None, v, which) for v in V]
@@ -107,6 +109,7 @@ def refuse_moving_memory(about: Perturbation, shift: float) -> None:
         if not len(values):
             continue
         rates = elements.memory_rates(system.at(s.t, s.q, s.v), s.t)
+        # what changes much within a period, and moves something
         fast = np.abs(rates) > STILL * np.maximum(1.0, np.abs(values)) * np.sqrt(shift)
         if fast.any() and any(system.max_abs(_pushed(about, x)) > 0.0 for x in _steps(system, elements)):
             raise InputError(
@@ -164,7 +167,8 @@ def _along(about: Perturbation, y: Array | None, rate: Array, which: Sequence[in
     size = system.max_abs(rate if y is None else y)
     if size == 0.0:
         return np.zeros(len(which))
-    h, total = SHIFT * system.length / size, np.zeros(len(which))
+    h = SHIFT * system.length / size
+    total = np.zeros(len(which))
     for side, weight in SIDES:
         q = s.q if y is None else system.compose(s.q, side * h * y)
         total += weight * _rates(system, system.at(s.t, q, s.v + side * h * rate), s.t)[which]

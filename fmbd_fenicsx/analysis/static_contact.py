@@ -74,36 +74,52 @@ class ContactNewton(StaticNewton):
     # -- the increment of a long step -------------------------------------------------------------------------------
     def look(self, point: Point, t: float, rest: Pair) -> Touching:
         """The increment (2) at a point; with a shorter time step where it would go too far for rows of this place."""
-        system, weights, longest = self.residual.system, self.weights, LONGEST * self.residual.system.length
+        system = self.residual.system
+        weights = self.weights
+        longest = LONGEST * system.length
+
         r = self.take(point, t)
         r = r[0] - rest[0], r[1] - rest[1]
         ev = self.residual.at(point.q, t)
+
         for _ in range(SHORTER):
             found = self._increment(point, t, r)
             if found.size <= longest:
                 break
+            # more inertia: increments fall with the square of the time step
             self.weights = Weights(self.weights.cm * max(1.5 * found.size / longest, 2.0), 0.0, 1.0)
             ev.balance(np.zeros(system.n_v), point.lam)
             self.solver.prepare(ev, self.weights)
+
         self.weights = weights
         return found
 
     def _increment(self, point: Point, t: float, r: Pair) -> Touching:
         """The increment (2) with the matrix that the solver has; candidates are points that are near or come near by it."""
-        system, contacts, length = self.residual.system, self.contacts, self.residual.system.length
+        system = self.residual.system
+        contacts = self.contacts
+        length = system.length
+
+        # where the points would go without contact
         free = self.solver.solve(-r[0], -r[1])
         contacts.update(system, point.q, min(2.0 * system.max_abs(free[0]), LONG * length))
+
         everything = contacts.rows(system, t, point.q)
         near = np.isfinite(everything.gap) & (everything.gap < CLOSE * length)
+
         while True:
             rows = everything.take(near)
             W, force, step = self._complementary(rows, r, free)
             size = system.max_abs(step[0])
+
+            # points that this increment brings through a surface join in
             after = everything.gap + contacts.times(system, everything.N, step[0])
             reach = np.isfinite(after) & (everything.gap < FAR * size)
+            # gaps below the roundoff of the model's length are none
             missed = reach & (after < -FLOOR * length) & ~near
             if not missed.any() or size > LONGEST * length:
                 return Touching(point, r, near, rows, W, step, force, size)
+
             near = near | missed
 
     def _complementary(self, rows: Rows, r: Pair, free: Pair) -> tuple[Any, Array, Pair]:
@@ -124,7 +140,8 @@ class ContactNewton(StaticNewton):
     # -- the increment of the exact tangent -------------------------------------------------------------------------
     def exact(self, here: Touching, t: float) -> tuple[Pair, Array] | None:
         """Newton's increment and the forces on the candidates after it; None where no set of closed points fits."""
-        system, closed = self.residual.system, here.force > 0.0
+        system = self.residual.system
+        closed = here.force > 0.0
         tiny = FLOOR * max(float(here.force.max(initial=0.0)), 1e-300)
         for _ in range(CHANGES):
             step, force = self._held_increment(here, closed, t)
@@ -140,7 +157,9 @@ class ContactNewton(StaticNewton):
 
     def _held_increment(self, here: Touching, closed: np.ndarray, t: float) -> tuple[Pair, Array]:
         """(J + M / tau^2)^-1 of the residual of (1) with some candidates held closed; forces on all candidates."""
-        system, contacts, point = self.residual.system, self.contacts, here.point
+        system = self.residual.system
+        contacts = self.contacts
+        point = here.point
         force = np.where(closed, here.force, 0.0)[closed]
         which = np.flatnonzero(here.near)[closed]
         rows = here.rows.take(closed)
@@ -168,7 +187,9 @@ class ContactNewton(StaticNewton):
 
     def holding(self, here: Touching, closed: np.ndarray) -> Any:
         """P^-1 with the candidates ``closed`` held beside the joints: b, (g, gaps) -> increment, (lambda, forces)."""
-        system, contacts, n = self.residual.system, self.contacts, self.residual.system.n_lam
+        system = self.residual.system
+        contacts = self.contacts
+        n = system.n_lam
         N = here.rows.N.take(closed)
         count = int(closed.sum())
         if not count:
@@ -200,24 +221,33 @@ class ContactNewton(StaticNewton):
     def solve(self, start: Point, t: float, rest: Pair) -> Point:
         """The point where the residuals of (1) equal ``rest``; ConvergenceError where the iteration ends elsewhere."""
         system = self.residual.system
-        here, before, left = self.look(start, t, rest), np.inf, np.inf
+        here = self.look(start, t, rest)
+        before = np.inf
+        left = np.inf
         for _ in range(MOST):
             self.last = here
             self.iterations += 1
+
             last, left = left, self._left_over(here)
             roundoff = left <= BALANCED and left > 0.5 * last  # slender bodies roll far by it
             if here.size <= self.tolerance * system.length or roundoff:
                 return self._with_forces(here)
+
+            # by the forces' own tangent first, where that is at hand
             there, size = self._by_exact(here, t, rest)
             if there is not None:
+                # increments that no longer shrink are roundoff
                 stalled = size > 0.5 * before and size <= FLOOR * system.length
                 ended = size <= self.tolerance * system.length or stalled
                 if ended and there.size <= 1e-6 * system.length:
                     return self._with_forces(there)
                 here, before = there, size
                 continue
+
+            # else an increment that is not too long for the contacts found
             share = min(1.0, LONGEST * system.length / max(here.size, 1e-300))
-            here, before = self.look(self._moved(here.point, here.step, share), t, rest), np.inf
+            here = self.look(self._moved(here.point, here.step, share), t, rest)
+            before = np.inf
         raise ConvergenceError(f"increments of {here.size:.1e} m with contact")
 
     def _left_over(self, here: Touching) -> float:
@@ -260,7 +290,8 @@ class ContactNewton(StaticNewton):
         none = np.zeros(self.residual.system.n_v), np.zeros(self.residual.system.n_lam)
         here = self.look(start if self.last is None else self.last.point, t, none)
         closed = here.force > 0.0
-        solve, more = self.holding(here, closed), np.zeros(int(closed.sum()))
+        solve = self.holding(here, closed)
+        more = np.zeros(int(closed.sum()))
         return here.point.q, lambda b: solve(b, np.append(none[1], more))[0]
 
 

@@ -81,7 +81,8 @@ class StaticNewton:
 
     def inverse(self, point: Point, t: float, r: Pair, goal: Pair, share: float = 0.0) -> Pair:
         """(J + s M / tau^2)^-1 (goal - r) at a point with residuals r, J exact, s = ``share``; increments of q and lambda."""
-        system, inertia = self.residual.system, share * self.weights.cm
+        system = self.residual.system
+        inertia = share * self.weights.cm
 
         rolling = speed_rows(system)
         G = self.residual.at(point.q, t).jacobian if rolling.size else None
@@ -119,7 +120,9 @@ class StaticNewton:
 
     def _iterate(self, start: Point, t: float, rest: Pair, most: int, increment: Increment) -> Point:
         """Newton's iteration of at most ``most`` increments from ``increment``, which gives None where there is none to take."""
-        system, point, sizes = self.residual.system, start, [np.inf]
+        system = self.residual.system
+        point = start
+        sizes = [np.inf]
         for _ in range(most):
             r = self.take(point, t)
             self.iterations += 1
@@ -189,7 +192,8 @@ class StaticNewton:
         system, share = self.residual.system, 1.0
         before = system.max_abs(self.solver.solve(*b)[0])
         while share >= SHORTEST:
-            q, lam = system.compose(point.q, share * step[0]), point.lam + share * step[1]
+            q = system.compose(point.q, share * step[0])
+            lam = point.lam + share * step[1]
             try:
                 r = self.residual.values(self.residual.at(q, t), lam)
                 left = system.max_abs(self.solver.solve(rest[0] - r[0], rest[1] - r[1])[0])
@@ -208,9 +212,12 @@ def by_load_steps(newton: StaticNewton, start: Point, t: float) -> Point:
     """
     first = newton.residual.values(newton.residual.at(start.q, t), start.lam)
     point, reached, step = start, 0.0, 1.0
+
     while reached < 1.0:
+        # what is out of balance at the start is let go share by share
         goal = min(reached + step, 1.0)
         rest = (1.0 - goal) * first[0], (1.0 - goal) * first[1]
+
         pressures = newton.solver.pressures
         try:
             point = newton.solve(point, t, rest)
@@ -220,6 +227,7 @@ def by_load_steps(newton: StaticNewton, start: Point, t: float) -> Point:
             if step < SHORTEST:
                 raise NoEquilibriumError(reached, str(error)) from error
             continue
+
         reached, step = goal, 2.0 * step
     return point
 
@@ -234,13 +242,18 @@ def relax(newton: StaticNewton, start: Point, t: float, tau: float) -> Point:
         ev = newton.residual.at(point.q, t)
         r = newton.residual.values(ev, np.zeros(system.n_lam))
         newton.solver.prepare(ev, Weights(1.0 / tau**2, 0.0, 1.0))
+
         d, lam = newton.direct((-r[0], -r[1]))
         size = system.max_abs(d)
+
         if not size < np.inf:
             break
+        # growing increments: the metric has too little inertia
         if size > 1.2 * last:
             tau *= 0.6
-        share, last = min(1.0, 0.2 * system.length / max(size, 1e-300)), size
+
+        share = min(1.0, 0.2 * system.length / max(size, 1e-300))
+        last = size
         point = Point(system.compose(point.q, share * d), lam)
         if size <= 1e-4 * system.length:
             return point

@@ -59,8 +59,11 @@ class Spin:
         """v and a of (1) in the configuration q, like v."""
         v, a = np.zeros(system.n_v), np.zeros(system.n_v)
         m, d = system.motions, system.motions.dim
-        W, center = self.matrix(d), np.asarray(self.center, dtype=float)[:d]
+        W = self.matrix(d)
+
+        center = np.asarray(self.center, dtype=float)[:d]
         pose = system.poses(q)
+        # v = W x (r - c), a = W x v; angular velocity in body axes
         arm = (pose[:-1, :d] - center) @ W.T
 
         twist = np.zeros((system.n_frames, m.n_twist))
@@ -74,6 +77,7 @@ class Spin:
         accel[:, :d] = arm @ W.T
         v[: twist.size], a[: twist.size] = twist.ravel(), accel.ravel()
 
+        # bodies without a frame turn node by node
         for k, p in system.fields:
             if p.frame == system.n_frames:
                 at = system.slices[1][k]
@@ -109,4 +113,5 @@ class Residual:
     def by_time(self, q: Array, lam: Array, t: float, step: float) -> tuple[Array, Array]:
         """Derivative of both by t, central differences over ``step``; collective."""
         after, before = (self.values(self.at(q, x), lam) for x in (t + step, t - step))
+
         return (after[0] - before[0]) / (2 * step), (after[1] - before[1]) / (2 * step)

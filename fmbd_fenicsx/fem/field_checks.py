@@ -121,7 +121,8 @@ def _largest_aspect(msh: Any) -> float:
     edge = np.max([np.linalg.norm(x[:, i] - x[:, j], axis=1) for i, j in pairs], axis=0)
     if d == 1:
         return 1.0
-    a, b = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
+    a = x[:, 1] - x[:, 0]
+    b = x[:, 2] - x[:, 0]
     if d == 2:
         twice = np.linalg.norm(np.cross(a, b), axis=1)
         return float(np.max(edge**2 / twice))

@@ -22,6 +22,7 @@ from ..energies import StoredEnergy, ViscousForm
 from ..errors import InputError
 from ..log import together
 from ..rotations import Array, motions
+from .energy_quadrature import integrated
 from .field_checks import check_field
 from .loads import AppliedLoads, Load
 from .surfaces import Moments
@@ -101,7 +102,8 @@ class Field:
         self._with_extra: Any = None
         self._unstressed: Any = None  # K of the body without stress, where stiffness_damping has to know it
         self.linearise(None)
-        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        u = ufl.TrialFunction(self.space)
+        v = ufl.TestFunction(self.space)
         self.mass_form = compat.form(rho * ufl.inner(u, v) * dx)
         self.n_global = self.space.dofmap.index_map.size_global * d
         self._work = [self.M.createVecRight(), self.M.createVecLeft()]
@@ -129,7 +131,8 @@ class Field:
 
         from .. import dolfinx_compat as compat
 
-        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        u = ufl.TrialFunction(self.space)
+        v = ufl.TestFunction(self.space)
         what = "elastic(u, v, dx) did not give a bilinear UFL form"
         try:
             if self.forms.energy is None:
@@ -139,11 +142,11 @@ class Field:
                     raise TypeError(f"found {a!r:.80}; integrate over dx, once linear in u and once in v")
                 self.stiffness_form = compat.form(a)
                 return
+            # an energy: its forces and its tangent are derivatives, by one rule
             what = "energy(u, dx) did not give a UFL form of rank 0"
             self._w = fem.Function(self.space)
-            energy = self.forms.energy(self._w, dx)
-            if not isinstance(energy, ufl.Form) or len(energy.arguments()) != 0:
-                raise TypeError(f"found {energy!r:.80}; integrate an energy density over dx")
+            density = self.forms.energy
+            energy, self.elastic_measure = integrated(lambda dx: density(self._w, dx), dx, self.forms)
             residual = ufl.derivative(energy, self._w, v)
             self._energy_form, self._residual_form = compat.form(energy), compat.form(residual)
             self.stiffness_form = compat.form(ufl.derivative(residual, self._w, u))
@@ -165,12 +168,16 @@ class Field:
 
         if self.nonlinear:
             self._place(np.zeros(self.n * self.dim) if U is None else U)
+
         if self.tangents < 0 or self.nonlinear:
             self.K.zeroEntries()
             fp.assemble_matrix(self.K, self.stiffness_form)
             self.K.assemble()
+        # damping by stiffness is that of the body without stress
         if self.tangents < 0 and self.nonlinear and not self.mixed and self.forms.stiffness_damping > 0:
             self._unstressed = self.K.copy()
+
+        # what the tangent of moving loads adds stands in a matrix of its own: K stays that of the energy
         if extra:
             if self._with_extra is None:
                 self._with_extra = fp.create_matrix(self.stiffness_form, "baij")
@@ -319,21 +326,28 @@ class Field:
         E.zeroEntries()
         if self.redistributed:
             return self._with_own_mass(E, cm, ck)
+
         fp.assemble_matrix(E, self.mass_form)
         E.assemble()
         E.scale(cm / ck)
-        fp.assemble_matrix(E, self.stiffness_form)
-        E.assemble()
-        for form in self._extra:
-            fp.assemble_matrix(E, form)
-            E.assemble()
-        E.scale(ck)
+        self._add_tangent(E, ck)
+
+        # scaled before and after, so that the form itself needs no factor
         if cd and self.D is not None:
             E.scale(1.0 / cd)
             fp.assemble_matrix(E, self.viscous.form)
             E.assemble()
             E.scale(cd)
         return E
+
+    def _add_tangent(self, E: Any, ck: float) -> None:
+        """E := ck (E + K), with the forms that the last tangent took beside the energy's; collective."""
+        import dolfinx.fem.petsc as fp
+
+        for form in (self.stiffness_form, *self._extra):
+            fp.assemble_matrix(E, form)
+            E.assemble()
+        E.scale(ck)
 
     def replace_mass(self, M: Any) -> None:
         """Use another scalar mass matrix with the same layout from now on (see ``mechanics.contact.mass``); collective."""
@@ -343,15 +357,11 @@ class Field:
 
     def _with_own_mass(self, E: Any, cm: float, ck: float) -> Any:
         """cm M + ck K for a mass matrix that is not the form's: each scalar entry acts on all components."""
-        import dolfinx.fem.petsc as fp
         from petsc4py import PETSc
 
-        fp.assemble_matrix(E, self.stiffness_form)
-        E.assemble()
-        for form in self._extra:
-            fp.assemble_matrix(E, form)
-            E.assemble()
-        E.scale(ck)
+        self._add_tangent(E, ck)
+
+        # the scalar mass for each component, in a pattern of its own
         d, (low, high) = self.dim, self.M.getOwnershipRange()
         start, cols, values = self.M.getValuesCSR()
         big = PETSc.Mat().createAIJ(E.getSizes(), nnz=int(np.diff(start).max(initial=1)), comm=self.comm)
@@ -398,14 +408,19 @@ class Field:
     @cached_property
     def moments(self) -> Callable[[str], Moments]:
         """Moments of a named surface, assembled at first use: ``field.moments("pin")``; collective."""
-        cache: dict[str, Moments] = {}
 
         def of(surface: str) -> Moments:
-            if surface not in cache:
-                cache[surface] = Moments(self.space, self.mesh, surface, self.center, self.n)
-            return cache[surface]
+            known = self.known_moments
+            if surface not in known:
+                known[surface] = Moments(self.space, self.mesh, surface, self.center, self.n)
+            return known[surface]
 
         return of
+
+    @cached_property
+    def known_moments(self) -> dict[str, Moments]:
+        """Those assembled so far, by surface; another field of the same body may take them."""
+        return {}
 
     @cached_property
     def numbering(self) -> Numbering | None:

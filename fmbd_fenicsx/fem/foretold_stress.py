@@ -33,6 +33,7 @@ def geometric_change(field: Any, increment: Any) -> Any:
         C = ufl.variable(C)
         return 2.0 * ufl.diff(density(C), C)
 
-    du, dv = ufl.TrialFunction(field.space), ufl.TestFunction(field.space)
+    du = ufl.TrialFunction(field.space)
+    dv = ufl.TestFunction(field.space)
     change = stress(F.T * F - D.T * D) - stress(F.T * F)
     return compat.form(ufl.inner(change, ufl.sym(ufl.grad(du).T * ufl.grad(dv))) * dx)

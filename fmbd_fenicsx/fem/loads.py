@@ -170,11 +170,13 @@ class AppliedLoads:
             return measure(field.mesh.surface_tag(surface))
 
         self._measures = ufl.Measure("dx", domain=msh), ds
+
         v = ufl.TestFunction(field.space)
         self.vectors: list[Array | None] = []
         self._forms: list[Any] = []
         self.moving: list[tuple[Load, Any]] = []  # loads on the deformed body, with their present factors
         for load in self.loads:
+            # a load that follows a nonlinear body is a form on it; others are vectors once and for all
             moving = load.deformed is not None and field.nonlinear
             try:
                 form = load.deformed(field.argument, v, *self._measures) if moving else load.form(v, *self._measures)  # type: ignore[misc]
@@ -189,6 +191,7 @@ class AppliedLoads:
                 ) from error
             if moving:
                 self.moving.append((load, fem.Constant(msh, 0.0)))
+
             self._forms.append(compiled if moving else None)
             self.vectors.append(None if moving else self._assemble(compiled))
 
@@ -220,6 +223,7 @@ class AppliedLoads:
             if load.internal:
                 inner += factor * b
             else:
+                # dead loads stand in the world: into the axes R
                 outer += factor * (b if load.follower else b @ R)
         return outer, inner
 

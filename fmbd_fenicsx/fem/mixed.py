@@ -30,6 +30,7 @@ import numpy as np
 from ..energies import MixedEnergy
 from ..errors import InputError
 from ..rotations import Array
+from .energy_quadrature import integrated
 from .fields import ElasticForms, Field
 
 if TYPE_CHECKING:
@@ -61,14 +62,12 @@ class MixedField(Field):
         Q = fem.functionspace(self.mesh.dolfinx, ("Lagrange", degree - 1))
         self.pressure = Q
         self._w, self._p = fem.Function(self.space), fem.Function(Q)
-        u, v, p, q = (
-            ufl.TrialFunction(self.space),
-            ufl.TestFunction(self.space),
-            ufl.TrialFunction(Q),
-            ufl.TestFunction(Q),
-        )
+        u = ufl.TrialFunction(self.space)
+        v = ufl.TestFunction(self.space)
+        p = ufl.TrialFunction(Q)
+        q = ufl.TestFunction(Q)
         try:
-            energy = self._energy(self._w, self._p, dx)
+            energy, self.elastic_measure = integrated(lambda dx: self._energy(self._w, self._p, dx), dx, self.forms)
             force = ufl.derivative(energy, self._w, v)
             balance = ufl.derivative(energy, self._p, q)
             self._energy_form, self._residual_form, self._balance_form = (
@@ -128,6 +127,7 @@ class MixedField(Field):
         super()._place(U)
         if self.carried:
             return
+        # the pressure that follows: C p = b, the balance at p = 0
         self._p.x.array[:] = 0.0
         b = fem.assemble_vector(self._balance_form)
         b.scatter_reverse(la.InsertMode.add)
@@ -220,6 +220,7 @@ class MixedField(Field):
 
     def move_pressure(self, dU: Array) -> None:
         """p + dp of (2) for the increment dU (n d,) in the axes of the tangent; collective."""
+        # p moves by C^-1 (gap + B du), as the eliminated row says
         self._bu.array[:] = dU
         self._B.mult(self._bu, self._pb)
         self._pb.array[:] += self._gap
@@ -240,6 +241,7 @@ class MixedField(Field):
         """A U + B^T C^-1 B U, (n d,); with a pressure of its own A U of the stress-free body: what stiffness_damping acts by."""
         if self.carried:
             return self._times(self._rest, U)
+        # K u + B^T C^-1 B u: the pressure follows the volume
         self._bu.array[:] = U
         self._B.mult(self._bu, self._pb)
         self._solve_p.solve(self._pb, self._px)
@@ -270,10 +272,12 @@ class MixedField(Field):
             E = super().combination(cm, ck + cd * self.forms.stiffness_damping, cd if self.D is not None else 0.0)
         else:
             E = super().combination(cm, ck, cd)
+        # bordered by displacement and pressure: [E, ck B^T; ck B, -ck C]
         B, C = self._B.copy(), self._C.copy()
         B.scale(ck)
         C.scale(-ck)
         BT = B.transpose(PETSc.Mat())
+
         nest = PETSc.Mat().createNest([[E, BT], [B, C]], comm=self.comm)
         out = nest.convert("aij", PETSc.Mat())
         for x in (nest, E, B, BT, C):

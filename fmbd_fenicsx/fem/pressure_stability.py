@@ -51,24 +51,35 @@ def infsup_pressure(mesh: Any, degree: int, pressure: int | None = None, *, clam
     msh = mesh.dolfinx
     V = fem.functionspace(msh, ("Lagrange", degree, (mesh.dim,)))
     Q = fem.functionspace(msh, ("Lagrange", degree - 1 if pressure is None else pressure))
-    u, v, p, q = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.TrialFunction(Q), ufl.TestFunction(Q)
+    u = ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
+    p = ufl.TrialFunction(Q)
+    q = ufl.TestFunction(Q)
+
     tags = [mesh.facet_tags.find(mesh.surface_tag(s)) for s in clamped]
     facets = np.sort(np.concatenate(tags)) if tags else np.zeros(0, dtype=np.int32)
     dofs = fem.locate_dofs_topological(V, mesh.dim - 1, facets)
     held = [fem.dirichletbc(np.zeros(mesh.dim), dofs, V)]
+    # the H1 norm, with a length that makes its terms comparable
     length = fem.Constant(msh, float(mesh.extent))
     a = (ufl.inner(ufl.grad(u), ufl.grad(v)) + ufl.inner(u, v) / length**2) * ufl.dx
-    A, M = fp.assemble_matrix(compat.form(a), held), fp.assemble_matrix(compat.form(p * q * ufl.dx))
+    A = fp.assemble_matrix(compat.form(a), held)
+    M = fp.assemble_matrix(compat.form(p * q * ufl.dx))
     B = fp.assemble_matrix(compat.form(q * ufl.div(u) * ufl.dx), held)
+
     for matrix in (A, M, B):
         matrix.assemble()
-    ksp, eps = PETSc.KSP().create(msh.comm), SLEPc.EPS().create(msh.comm)
+
+    # (1): B A^-1 B^T q = beta^2 M q, its smallest eigenvalues
+    ksp = PETSc.KSP().create(msh.comm)
+    eps = SLEPc.EPS().create(msh.comm)
     for solver, matrix in ((ksp, A), (eps.getST().getKSP(), None)):
         if matrix is not None:
             solver.setOperators(matrix)
         solver.setType("preonly")
         solver.getPC().setType("lu")
         solver.getPC().setFactorSolverType("mumps")
+
     shell = PETSc.Mat().createPython(M.getSizes(), _SchurComplement(B, ksp), comm=msh.comm)
     shell.setUp()
     eps.setOperators(shell, M)
@@ -77,6 +88,7 @@ def infsup_pressure(mesh: Any, degree: int, pressure: int | None = None, *, clam
     eps.setDimensions(3, 40)
     eps.setTolerances(1e-6, 500)
     eps.solve()
+
     found = np.sqrt(np.maximum([eps.getEigenvalue(i).real for i in range(min(3, eps.getConverged()))], 0.0))
     for thing in (eps, shell, ksp, A, B, M):
         thing.destroy()

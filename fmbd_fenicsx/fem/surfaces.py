@@ -24,40 +24,54 @@ class Moments:
     """
 
     def __init__(self, space: Any, mesh: Any, surface: str, origin: Array, n_owned: int) -> None:
+        d, comm = mesh.dim, mesh.dolfinx.comm
+        weights = Weighted(space, mesh, surface, n_owned)
+        axes: list[Array] = list(np.eye(d))
+
+        # the functions phi_i add up to one
+        of_one = weights(1.0, np.zeros(d))
+        self.area = _total(comm, of_one)
+        mesh.check_area(surface, self.area)
+        self.center = np.array([_total(comm, weights(0.0, axis)) for axis in axes]) / self.area
+
+        levers = [weights(-float(c), axis) for c, axis in zip(self.center, axes, strict=True)]
+        X = space.tabulate_dof_coordinates()[:n_owned, :d]
+        second = sum(_total(comm, (X[:, k] - self.center[k]) * levers[k]) for k in range(d))
+        self.length = float(np.sqrt(max(second, 0.0) / self.area)) or 1.0
+
+        T = np.stack([of_one, *(x / self.length for x in levers)], axis=1) / self.area
+        self.nodes = np.flatnonzero(np.abs(T).max(axis=1) > 0)
+        self.weights = T[self.nodes]
+        self.reference = np.sum(comm.allgather(self.weights.T @ (X[self.nodes] - origin)), axis=0)
+
+
+class Weighted:
+    """int phi_i (a + b . X) over one surface, of the owned nodes: one form for all linear functions. Collective."""
+
+    def __init__(self, space: Any, mesh: Any, surface: str, n_owned: int) -> None:
         import ufl
-        from dolfinx import fem, la
+        from dolfinx import fem
 
         from .. import dolfinx_compat as compat
 
-        msh, d, comm = mesh.dolfinx, mesh.dim, mesh.dolfinx.comm
-        tag = mesh.surface_tag(surface)
-        ds = ufl.Measure("ds", domain=msh, subdomain_data=mesh.facet_tags)(tag)
-        x = ufl.SpatialCoordinate(msh)
+        msh, self.n_owned = mesh.dolfinx, n_owned
+        ds = ufl.Measure("ds", domain=msh, subdomain_data=mesh.facet_tags)(mesh.surface_tag(surface))
         scalar = fem.functionspace(msh, ("Lagrange", space.ufl_element().degree))
-        v = ufl.TestFunction(scalar)
-        one = fem.Constant(msh, 1.0)
 
-        def integral(f: Any) -> float:
-            parts = comm.allgather(fem.assemble_scalar(compat.form(f * ds)))
-            return float(sum(parts))
+        self.a, self.b = fem.Constant(msh, 0.0), fem.Constant(msh, np.zeros(mesh.dim))
+        f = self.a + ufl.dot(self.b, ufl.SpatialCoordinate(msh))
+        self.form = compat.form(f * ufl.TestFunction(scalar) * ds)
 
-        self.area = integral(one)
-        mesh.check_area(surface, self.area)
-        self.center = np.array([integral(x[k]) for k in range(d)]) / self.area
-        second = sum(integral((x[k] - float(self.center[k])) ** 2) for k in range(d))
-        self.length = float(np.sqrt(max(second, 0.0) / self.area)) or 1.0
-        center = fem.Constant(msh, self.center)
+    def __call__(self, a: float, b: Array) -> Array:
+        """The integrals, (n_owned,)."""
+        from dolfinx import fem, la
 
-        def weights(f: Any) -> Array:
-            b = fem.assemble_vector(compat.form(f * v * ds))
-            b.scatter_reverse(la.InsertMode.add)
-            return b.array[:n_owned].copy()
+        self.a.value, self.b.value[:] = a, b
+        vector = fem.assemble_vector(self.form)
+        vector.scatter_reverse(la.InsertMode.add)
+        return np.array(vector.array[: self.n_owned])
 
-        columns = [weights(one / self.area)]
-        for k in range(d):
-            columns.append(weights((x[k] - center[k]) / (self.length * self.area)))
-        T = np.stack(columns, axis=1)
-        self.nodes = np.flatnonzero(np.abs(T).max(axis=1) > 0)
-        self.weights = T[self.nodes]
-        X = space.tabulate_dof_coordinates()[:n_owned, :d][self.nodes] - origin
-        self.reference = np.sum(comm.allgather(self.weights.T @ X), axis=0)
+
+def _total(comm: Any, x: Array) -> float:
+    """Sum of the entries of all ranks, the same bits everywhere."""
+    return float(sum(comm.allgather(float(x.sum()))))

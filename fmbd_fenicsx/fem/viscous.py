@@ -39,12 +39,15 @@ class Viscous:
         self.matrix: Any = None
         if viscous is None:
             return
-        u, v, dx = ufl.TrialFunction(field.space), ufl.TestFunction(field.space), field.elastic_measure
+        u = ufl.TrialFunction(field.space)
+        v = ufl.TestFunction(field.space)
+        dx = field.elastic_measure
         try:
             if isinstance(viscous, ViscousForm):
                 self.rate = fem.Function(field.space)
                 self._linearised: Array = np.zeros(field.n * field.dim)
                 self.law = viscous(field.argument, self.rate, v, dx)
+                # the force is the law's own; Newton's matrix its symmetric part
                 self._residual = compat.form(self.law)
                 self.form = compat.form(symmetric(ufl.derivative(self.law, self.rate, u)))
             else:
@@ -68,6 +71,7 @@ class Viscous:
         """Take D of a law at the field's argument and a rate (n d,); collective."""
         if self.law is not None:
             self._linearised = rate
+            # forces evaluated since have put other rates in place
             self.restore()
             self._assemble()
 

@@ -78,6 +78,7 @@ class AroundSolver:
         self.border, self.inner = border, solve
         none = np.zeros(border.system.n_lam)
         self.answers = [solve(border.forces(j), none) for j in range(border.count)]
+        # 1 + R^T K^-1 L of Woodbury's formula
         small = np.array([border.seen(x) for x, _ in self.answers]).reshape(border.count, border.count).T
         self.small = np.eye(border.count) + small
 

@@ -26,20 +26,17 @@ from ..system.evaluation import Evaluation
 from ..system.force_tangent import force_tangent
 from ..system.foreshortened_ports import tangent_ports
 from ..system.jacobian import dense_core
-from ..system.mobility import independent, mobility
 from ..system.system import System
 from .blocks.field_blocks import Block, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_load
 from .border import AroundSolver, Border
 from .configuration import Configuration
-from .configuration_warnings import CLOSE, mover, warn_near_singular, warn_of_ties
+from .configuration_warnings import CLOSE, mover, rows_depend, warn_near_singular
 from .core import ADVICE, TIE_LIMIT, CoreSolver, dense
 from .driver_solver import DriverSolver
 from .residual import Judge
 
 __all__ = ["StepSolver", "Weights"]
-
-LOOK_LIMIT = 600  # constraint rows up to which the solver itself looks for redundant ones
 
 
 class StepSolver:
@@ -120,31 +117,25 @@ class StepSolver:
         return max(self.core.judge.worst, whole, self.elastic.worst_residual)
 
     # -- set-up -------------------------------------------------------------------------------------------------
-    def prepare(self, ev: Evaluation, weights: Weights, stiffness: Any = None, *, keep: bool = False) -> None:
+    def prepare(self, ev: Evaluation, weights: Weights, *, keep: bool = False) -> None:
         """Set up (1) for a configuration; elastic factors are kept from earlier calls with the same weights.
 
-        ``stiffness``: extra core matrix (n_core, n_core), already weighted (springs, geometric terms), or None. ``keep``: the
-        matrix stays as it is, until :meth:`refresh` takes it at this configuration.
+        ``keep``: the matrix stays as it is, until :meth:`refresh` takes it at this configuration.
         """
         self._ev = ev
         s = self.system
-        if self.driver is not None and self.driver.prepare(ev, weights, stiffness):
-            self.weights, self._stiffness = weights, stiffness
+        if self.driver is not None and self.driver.prepare(ev, weights):
+            self.weights = weights
             self._look, self._held = False, None
             self.core.factorisations += self.driver.new_factors()
             return
-        masses_alone = not s.fields and stiffness is None and not (weights.cd or weights.ck)
+        masses_alone = not s.fields and not (weights.cd or weights.ck)
         if keep or (masses_alone and self.holds(ev, weights)):
             return
         s.move(ev.t)
-        self.weights, self._stiffness, self._held = weights, stiffness, None
+        self.weights, self._held = weights, None
 
-        if self._look and 0 < s.n_lam <= LOOK_LIMIT and not independent(ev):
-            found = mobility(ev)
-            self.core.redundant = found.redundant > 0
-            warn_of_ties(s, found.shares)
-        self._look = False
-
+        self.look_for_dependent_rows(ev)
         try:
             self._assemble(ev)
         except LinearSolveError as error:
@@ -153,9 +144,18 @@ class StepSolver:
             raise LinearSolveError(
                 f"{mover(s, error.motion)} has a motion without mass that no joint holds (t = {ev.t:g} s). {ADVICE}"
             ) from error
-        self._held = self._configuration(ev, weights, stiffness)
+        self._held = self._configuration(ev, weights)
         if s.n_lam and (self.core.ratio < 1e-5 or self._near_singular):
             self._near_singular = warn_near_singular(ev, self.core.rank, self._near_singular)
+
+    def look_for_dependent_rows(self, ev: Evaluation) -> None:
+        """Whether constraint rows depend on each other, unless that is known; collective.
+
+        A solver whose start was found by another one has prepared nothing when schemes ask it.
+        """
+        if self._look:
+            self.core.redundant = rows_depend(ev)
+        self._look = False
 
     def at(self, t: float, q: Array, v: Array | None = None) -> Evaluation:
         """The system in one state, by the driver where that makes starts; collective."""
@@ -167,16 +167,16 @@ class StepSolver:
 
     def holds(self, ev: Evaluation, weights: Weights) -> bool:
         """Whether :meth:`prepare` would make the matrices again that are there; collective."""
-        same = self._held is not None and self._held.equals(self._configuration(ev, weights, None))
+        same = self._held is not None and self._held.equals(self._configuration(ev, weights))
 
         # each rank sees its own nodes only
         fields = self.system.fields
         return not fields[0][1].field.total(np.array(float(not same))) if fields else same
 
-    def _configuration(self, ev: Evaluation, weights: Weights, stiffness: Any) -> Configuration:
+    def _configuration(self, ev: Evaluation, weights: Weights) -> Configuration:
         versions = [(f.tangent_version, f.column_version) for _, f in self.system.fields]
         moving = None if ev.v is None or not (weights.cd or weights.ck) else ev.v.copy()
-        return Configuration(ev.t, ev.q.copy(), moving, weights, versions, stiffness)
+        return Configuration(ev.t, ev.q.copy(), moving, weights, versions)
 
     def _assemble(self, ev: Evaluation) -> None:
         """The matrices of (1), and the factor of the core."""
@@ -217,7 +217,7 @@ class StepSolver:
 
         if applied is not None and applied.core is not None:
             A = A + applied.core
-        return A if self._stiffness is None else A + self._stiffness
+        return A
 
     def _condense(self, ev: Evaluation, A: Array) -> None:
         """Factor A - S^T W S of (1), with the constraint rows held by the core and the rows of the border."""
@@ -355,6 +355,11 @@ class StepSolver:
             return self.iterated.solve(self._solve_direct, b, c)
         return self._solve_direct(b, c)
 
+    def closing(self, c: Array) -> Array:
+        """The motion like v that opens the constraints by c, (n_lam,), and is least in the metric of the matrix."""
+        alone = self.whole or self.iterated is not None or not self.system.fields
+        return self.solve(np.zeros(self.system.n_v), c)[0] if alone else self._solve_direct(None, c)[0]
+
     def step(self, b: Array, c: Array) -> tuple[Array, Array]:
         """As :meth:`solve`, for an increment of Newton's iteration: the pressures that bodies carry move along; collective.
 
@@ -376,19 +381,18 @@ class StepSolver:
         for field, p in zip(fields, values, strict=True):
             field.pressure_values = p  # type: ignore[attr-defined]
 
-    def _solve_direct(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """The same with the rows that the core holds: all, or those of no surface tie where these are iterated."""
+    def _solve_direct(self, b: Array | None, c: Array) -> tuple[Array, Array]:
+        """The same with the rows that the core holds: all, or those of no surface tie where these are iterated. No b: zero."""
         s = self.system
         n = s.n_core
 
         # z = E^-1 b of each field, and what is left for the core
-        rhs = np.concatenate((b[:n], c, np.zeros(self.border.count)))
-        zs = []
+        rhs = np.concatenate((np.zeros(n) if b is None else b[:n], c, np.zeros(self.border.count)))
+        zs: list[Any] = [0.0] * len(self.blocks)
         for i, ((k, f), block) in enumerate(zip(s.fields, self.blocks, strict=True)):
-            load = rotate_nodal(s.local_v(b, k), self.corotations[i], back=True)
-            z = block.factor.solve(load)
-            rhs -= self.back_couplings[i].T @ self._project(f, block, z)
-            zs.append(z)
+            if b is not None:
+                zs[i] = block.factor.solve(rotate_nodal(s.local_v(b, k), self.corotations[i], back=True))
+                rhs -= self.back_couplings[i].T @ self._project(f, block, zs[i])
         x = np.concatenate(self.core.solve(rhs[:n], rhs[n:]))
         parts = [z - block.Y @ (S @ x) for S, block, z in zip(self.couplings, self.blocks, zs, strict=True)]
 
@@ -435,7 +439,7 @@ class StepSolver:
         parts = zip(s.fields, known, strict=True)
         changed = [f.relinearise(None if d is None else s.local_v(d, k)) for (k, f), d in parts]
         if any(changed):
-            self.prepare(self._ev, self.weights, self._stiffness)
+            self.prepare(self._ev, self.weights)
         return any(changed)
 
     def destroy(self) -> None:

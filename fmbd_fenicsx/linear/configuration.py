@@ -20,12 +20,8 @@ class Configuration:
     v: Any
     weights: Weights
     versions: list[tuple[int, int]]
-    stiffness: Any
 
     def equals(self, other: Configuration) -> bool:
         """Whether the matrices are the same to the last bit."""
         plain = self.t == other.t and self.weights == other.weights and self.versions == other.versions
-        return plain and all(
-            x is y or np.array_equal(x, y)
-            for x, y in ((self.q, other.q), (self.v, other.v), (self.stiffness, other.stiffness))
-        )
+        return plain and all(x is y or np.array_equal(x, y) for x, y in ((self.q, other.q), (self.v, other.v)))

@@ -7,10 +7,40 @@ import numpy as np
 from ..log import log
 from ..rotations import Array
 from ..system.evaluation import Evaluation
-from ..system.mobility import NEAR_SINGULAR, nearly_dependent
+from ..system.mobility import NEAR_SINGULAR, independent, mobility, nearly_dependent
 from ..system.system import System
 
 CLOSE = 1e-3  # sigma_min / sigma_max of a position close to a singular one
+LOOK_LIMIT = 600  # constraint rows up to which dependent ones are looked for
+
+
+def rows_depend(ev: Evaluation) -> bool:
+    """Whether constraint rows depend on each other in a configuration, with a word on ties that do; collective.
+
+    The configuration looked at last is kept with the system: runs with other steps begin in the same one.
+    """
+    known = ev.system.cache.get("rows depend")
+    if known is not None and _same_everywhere(ev, *known[:2]):
+        return bool(known[2])
+    found = _look(ev)
+    ev.system.cache["rows depend"] = ev.t, ev.q.copy(), found
+    return found
+
+
+def _look(ev: Evaluation) -> bool:
+    """See :func:`rows_depend`."""
+    if not 0 < ev.system.n_lam <= LOOK_LIMIT or independent(ev):
+        return False
+    found = mobility(ev)
+    warn_of_ties(ev.system, found.shares)
+    return found.redundant > 0
+
+
+def _same_everywhere(ev: Evaluation, t: float, q: Array) -> bool:
+    """Whether a configuration is one known before, on all ranks; collective."""
+    other = ev.t != t or not np.array_equal(ev.q, q)
+    fields = ev.system.fields
+    return not (fields[0][1].field.total(np.array(float(other))) if fields else other)
 
 
 def warn_of_ties(system: System, shares: dict[str, float]) -> None:
@@ -25,7 +55,8 @@ def warn_of_ties(system: System, shares: dict[str, float]) -> None:
 
 def mover(system: System, motion: Array) -> str:
     """The body with the largest part in a motion of the core."""
-    s, k = system, int(np.argmax(np.abs(motion)))
+    s = system
+    k = int(np.argmax(np.abs(motion)))
     n = s.n_frames * s.motions.n_twist
     if k < n:
         return f'Body "{s.frame_names[k // s.motions.n_twist]}"'

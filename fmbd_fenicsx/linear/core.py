@@ -52,9 +52,11 @@ class Saddle:
     def reorder(self, columns: np.ndarray) -> None:
         """Put column ``columns[k]`` at place k."""
         self.columns = np.asarray(columns)
+
         place = np.empty(self.size, dtype=np.int64)
         place[self.columns] = np.arange(self.size)
         at = place[self.cols]
+        # entries by column, within it by row: compressed columns
         self.order = np.lexsort((self.rows, at))
         self.indices = self.rows[self.order].astype(np.int32)
         self.indptr = np.concatenate(([0], np.cumsum(np.bincount(at, minlength=self.size)))).astype(np.int32)
@@ -75,7 +77,7 @@ class CoreSolver:
     def __init__(self, judge: Judge, redundant: bool = False) -> None:
         self.judge, self.redundant = judge, redundant
         self.factorisations = 0
-        self.ratio = 1.0
+        self.ratio, self.exact = 1.0, not redundant
         self.rank: int | None = None  # of the constraints, where they are redundant
         self._saddle: Saddle | None = None
 
@@ -133,6 +135,7 @@ class CoreSolver:
             return
         A, G = self.A.tocsr(), self.G.tocsr()
         if self._saddle is None or not self._saddle.fits(A, G):
+            # the fill-reducing order is found once; later factors take their columns in it
             self._saddle = Saddle(A, G)
             first = self._lu(self._saddle.matrix(A, G, self.scale), "COLAMD")
             self._saddle.reorder(first.perm_c)
@@ -161,6 +164,7 @@ class CoreSolver:
         lu = sl.lu_factor(K[:n, :n])
         B = K[n:, :n]
         AB = sl.lu_solve(lu, K[:n, n:])
+        # singular values of the compliance of the rows: zero for those that depend on others
         U, s, Vt = np.linalg.svd(B @ AB)
         keep = s > RANK_TOLERANCE * s[0]
         if self.rank is None:
@@ -179,11 +183,13 @@ class CoreSolver:
         """Solution of smallest norm by singular values of the whole matrix; null motions must not be among them."""
         U, s, Vt = np.linalg.svd(K)
         keep = s > RANK_TOLERANCE * s[0]
+        # a null vector with a part in x is a motion that nothing holds
         rows = (Vt[~keep, : self.n] ** 2).sum(1)
         if rows.max(initial=0.0) > 1e-6:
             error = LinearSolveError(f"{self.judge.what}: a motion has neither mass nor stiffness. {ADVICE}")
             error.motion = self.scale[: self.n] * Vt[~keep][int(np.argmax(rows)), : self.n]
             raise error
+
         inverse = (Vt[keep].T / s[keep]) @ U[:, keep].T
 
         def solve(b: Array) -> Array:
@@ -199,6 +205,7 @@ class CoreSolver:
         rhs = self.scale * np.concatenate((b, c))
         z = self._solve(rhs)
         x, y, left = self._residual(z, b, c)
+
         residual, given, found = _norm(left), _norm(rhs), _norm(z)
         for _ in range(REFINEMENTS):  # where stiff and soft parts meet, the factor alone leaves too few digits
             if not residual > self.judge.tolerance * (given + found):
@@ -217,7 +224,8 @@ class CoreSolver:
     def _residual(self, z: Array, b: Array, c: Array) -> tuple[Array, Array, Array]:
         """x, y of scaled unknowns z, and their scaled residual."""
         unscaled = self.scale * z
-        x, y = unscaled[: self.n], unscaled[self.n :]
+        x = unscaled[: self.n]
+        y = unscaled[self.n :]
         upper = self.A @ x + self.upper @ y - b
         lower = self.G @ x - c if self.C is None else self.G @ x + self.C @ y - c
         return x, y, self.scale * np.concatenate((upper, lower if self.exact else np.zeros_like(lower)))
@@ -235,6 +243,7 @@ def _scales(A: Any, G: Any, C: Array | None, upper: Any) -> tuple[Array, Array]:
     diagonal = np.asarray(A.diagonal())
     largest = max(float(np.abs(diagonal).max(initial=0.0)), 1e-300)
     D = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, largest))
+
     if sp.issparse(G):
         norms = np.sqrt(np.asarray(G.multiply(D).power(2).sum(1)).ravel())
     else:

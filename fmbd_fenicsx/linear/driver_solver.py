@@ -1,16 +1,22 @@
-"""Starts by the driver: the matrix of a state that it evaluated is factored and solved there, and not in NumPy.
+"""Solutions by the driver: the matrix of a state that it evaluated is factored and solved there, and not in NumPy.
 
 Only where the rows certainly do not depend on each other, which the first factor tells; else all is NumPy's.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 from ..rotations import Array
-from ..system.compiled.evaluation import DriverEvaluation, DriverStates
+from ..system.compiled.evaluation import DriverEvaluation, DriverStates, use_driver
+from ..system.compiled.explicit import ExplicitStates, Stages, Tableau
 from ..system.evaluation import Evaluation
+from ..system.system import State
 from .blocks.field_blocks import Weights
+
+if TYPE_CHECKING:
+    from .condensation import StepSolver
 
 
 class DriverSolver:
@@ -32,15 +38,50 @@ class DriverSolver:
         self._last = None if self.states.remembers else made
         return made
 
-    def prepare(self, ev: Evaluation, weights: Weights, stiffness: Any) -> bool:
+    def prepare(self, ev: Evaluation, weights: Weights) -> bool:
         """Factor the matrix of a state; False where NumPy has to."""
         states, self.ready = self.states, False
-        if self.usable is False or stiffness is not None or weights.cm != 1.0 or not states.evaluated(ev):
+        if self.usable is False or weights.cm != 1.0 or not states.evaluated(ev):
             return False
-        if self.usable is None:
-            self.usable = states.prepare(ev, 0.0, 0.0) and states.independent()
-        self.ready = self.usable and states.prepare(ev, weights.cd, weights.ck)
+        self.ready = self._looked(ev) and states.prepare(ev, weights.cd, weights.ck)
         return self.ready
+
+    def _looked(self, ev: DriverEvaluation) -> bool:
+        """Whether rows do not depend on each other, which the first state tells."""
+        if self.usable is None:
+            self.usable = self.states.prepare(ev, 0.0, 0.0) and self.states.independent()
+        return self.usable
+
+    def _usable_at(self, t: float, q: Array, v: Array) -> bool:
+        """The same; the state is evaluated where nothing is known so far."""
+        return self._looked(self.states.at(t, q, v)) if self.usable is None else self.usable
+
+    def accelerations(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
+        """a and lambda of a consistent state in one call; None where they have to be found in parts."""
+        usable = self._usable_at(t, q, v)
+        found = self._explicit.accelerations(t, q, v) if usable else None
+        self.ready = found is not None
+        return found
+
+    def closed(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
+        """q and v on the constraints in one call; None as above. Nothing is prepared then."""
+        usable, self.ready = self._usable_at(t, q, v), False
+        return self._explicit.closed(t, q, v) if usable else None
+
+    def stages(self, state: State, h: float, tableau: Tableau) -> Stages | None:
+        """All stages of an explicit Runge-Kutta method from a state in one call; None as above. Nothing is prepared then."""
+        usable, self.ready = self._usable_at(state.t, state.q, state.v), False
+        return self._explicit.stages((state.t, h), (state.q, state.v, state.a), tableau) if usable else None
+
+    def half_stage(self, state: State, *given: Any) -> tuple[Array, Array, int] | None:
+        """A stage of a half-explicit method in one call, see ExplicitStates; ``state``: the start of the step."""
+        usable, self.ready = self._usable_at(state.t, state.q, state.v), False
+        return self._explicit.half_stage(*given) if usable else None
+
+    @cached_property
+    def _explicit(self) -> ExplicitStates:
+        """What the driver does in one call."""
+        return ExplicitStates(self.states)
 
     def new_factors(self) -> int:
         """Factorisations since the last call."""
@@ -50,3 +91,11 @@ class DriverSolver:
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """Increment like v and multipliers (n_lam,) for right-hand sides b and c."""
         return self.states.solve(b, c)
+
+
+def use_driver_in(solver: StepSolver) -> None:
+    """Let the driver evaluate the system of a solver from now on, and factor its matrices, where it knows all of it."""
+    use_driver(solver.system, None if solver.driver is None else solver.driver.states)
+    states = solver.system.driver
+    if states is not None and solver.driver is None:
+        solver.driver = DriverSolver(states)

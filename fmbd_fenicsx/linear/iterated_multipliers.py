@@ -66,19 +66,25 @@ class IteratedMultipliers:
 
     def solve(self, few: Callable[[Array, Array], tuple[Array, Array]], b: Array, c: Array) -> tuple[Array, Array]:
         """x and all multipliers; ``few(b, c)`` solves K with the few rows alone."""
+        # the gaps that ties would have without their multipliers
         x, lam = few(b, c[self.direct])
         r, terms = self._gap(x, c)
+
+        # these are what the multipliers close
         mu = self._iterate(few, r, 1e-15 * terms)
         x, lam = few(b - self._force(mu), c[self.direct])
+
         gap, after = self._gap(x, c)
         self.judge.check(float(np.linalg.norm(gap)), max(terms, after))
+
         out = np.zeros(self.system.n_lam)
         out[self.rows], out[self.direct] = mu, lam
         return x, out
 
     def _iterate(self, few: Callable[[Array, Array], tuple[Array, Array]], r: Array, floor: float) -> Array:
         """mu with G K^-1 G^T mu = r, to the relative residual ``rtol`` or the residual ``floor``."""
-        zero, n = np.zeros(len(self.direct)), len(r)
+        zero = np.zeros(len(self.direct))
+        n = len(r)
 
         def apply(mu: Array) -> Array:
             return self.G.times(few(self._force(mu), zero)[0])[self.rows]
@@ -117,13 +123,16 @@ class IteratedMultipliers:
         blocks: list[Callable[[Array], Array]] = []
         for i in range(len(seen.ties)):
             S = lumped(seen, i) if weights.ck == 0 or self.multiplier is None else self.multiplier.block(seen, i)
+            # blocks that are nearly full are factored as such
             dense = S.nnz > 0.2 * S.shape[0] ** 2
             blocks.append(partial(sl.cho_solve, sl.cho_factor(S.toarray())) if dense else spl.splu(S.tocsc()).solve)
+
         ends = np.cumsum([t.rows for t in seen.ties])[:-1]
 
         def local(r: Array) -> Array:
             return np.concatenate([solve(part) for solve, part in zip(blocks, np.split(r, ends), strict=True)])
 
+        # Woodbury: blocks plus the rigid motions of rank a few
         W = self._rigid(seen, core)
         Y = np.stack([local(w) for w in W.T], axis=1) if W.shape[1] else W
         small = sl.cho_factor(np.eye(W.shape[1]) + W.T @ Y) if W.shape[1] else None
@@ -137,23 +146,34 @@ class IteratedMultipliers:
     def _rigid(self, seen: SceneTies, core: Array) -> Array:
         """W of (2): bodies that can only move as rigid ones, held by the few rows."""
         s = self.system
-        masses, columns = [np.asarray(core)], [self.G.core.toarray() if sp.issparse(self.G.core) else self.G.core]
+        masses = [np.asarray(core)]
+        columns = [self.G.core.toarray() if sp.issparse(self.G.core) else self.G.core]
+
         for (k, p), e in zip(s.fields, seen.elastic, strict=True):
             if p.frame < s.n_frames:
                 continue  # its frame carries the rigid motion
             R = rigid_modes(e.body)
             MR = np.stack([e.body.mass(r.reshape(-1, e.body.dim)).ravel() for r in R.T], axis=1)
             masses.append(e.cm * e.body.total(R.T @ MR))
+
             ports = np.stack([p.ports_of(r) for r in R.T], axis=1)
             columns.append(np.asarray(self.G.port[:, s.port_slice(k)] @ ports))
-        A, B = sl.block_diag(*masses), np.concatenate(columns, axis=1)
+
+        # masses and rows are made of one size, so that one threshold tells what is singular
+        A = sl.block_diag(*masses)
+        B = np.concatenate(columns, axis=1)
         m, few = len(A), B[self.direct]
         size = np.sqrt(np.maximum(np.abs(np.diag(A)), 1e-300))
-        A, few = A / np.outer(size, size), few / size
+        A = A / np.outer(size, size)
+        few = few / size
+
         norms = np.linalg.norm(few, axis=1)
         few = few[norms > 0] / norms[norms > 0, None]
+
+        # motions that the few rows leave: M^-1 restricted to their null space
         whole = np.block([[0.5 * (A + A.T), few.T], [few, np.zeros((len(few), len(few)))]])
         motion = np.linalg.pinv(whole, rcond=1e-10, hermitian=True)[:m, :m]
+
         values, vectors = np.linalg.eigh(0.5 * (motion + motion.T))
         keep = values > 1e-10 * max(float(values.max(initial=0.0)), 1e-300)
         return (B[self.rows] / size) @ (vectors[:, keep] * np.sqrt(values[keep]))
@@ -176,7 +196,8 @@ class SceneTies:
     def diagonal(self, k: int) -> Array:
         """diag(cm M + ck K) on this rank; collective."""
         e = self.elastic[k]
-        M, K = e.body.M.getDiagonal(), e.body.K.getDiagonal()
+        M = e.body.M.getDiagonal()
+        K = e.body.K.getDiagonal()
         out = e.cm * np.repeat(M.array, e.body.dim) + e.ck * K.array[: e.rows]
         M.destroy(), K.destroy()
         return np.asarray(out)

@@ -8,6 +8,27 @@ from typing import Any
 from ..errors import InputError, near
 from ..log import together
 
+ORTHOGONAL = "ksp_gmres_cgs_refinement_type"
+
+
+def set_from_options(ksp: Any) -> None:
+    """``ksp.setFromOptions()``; (F)GMRES makes its basis orthogonal twice, unless the user's options say otherwise.
+
+    Once is PETSc's default: where the first residual is 1e10 times the last, as beside the large forces of a stiff tie, the
+    basis then is not orthogonal, and the residual stands still. Collective.
+    """
+    from petsc4py import PETSc
+
+    options, name = PETSc.Options(), f"{ksp.getOptionsPrefix() or ''}{ORTHOGONAL}"
+    # the list of all options, for a look at one would count as its use
+    given = name in options.getAll()
+    if not given:
+        options[name] = "refine_always"
+
+    ksp.setFromOptions()
+    if not given:
+        options.delValue(name)
+
 
 def check_options(prefix: str, comm: Any) -> None:
     """Raise on all ranks when an option under ``prefix`` was set and no PETSc object asked for it;

@@ -35,8 +35,10 @@ def null_space(ev: Evaluation) -> Array:
     size = np.sqrt((rows * rows).sum(axis=1))
     scale = 1.0 / np.where(size > 0, size, 1.0)
 
+    # rows of one size: singular values tell dependence, not units
     U, stretch, _ = np.linalg.svd(scale[:, None] * rows)
     rank = int((stretch > DEPENDENT * stretch[0]).sum())
+    # orthonormal in lengths, so that angles and distances share alike
     null = scale[:, None] * U[:, rank:]
     return np.asarray(np.linalg.qr(null / s.row_units[:, None])[0])
 
@@ -46,6 +48,7 @@ def least(solver: StepSolver, ev: Evaluation, lam: Array) -> Array:
     if not solver.core.redundant or not len(lam):
         return lam
     N, u = null_space(ev), ev.system.row_units
+    # what changes no force is taken out
     return lam - u * (N @ (N.T @ (lam / u)))
 
 
@@ -56,6 +59,7 @@ def not_unique(solver: StepSolver, state: State) -> list[str]:
         return []
     N = null_space(system.at(state.t, state.q))
     open_rows = np.abs(N).max(axis=1, initial=0.0) > 1e-6
+
     return [block.name for block in system.blocks if open_rows[block.rows].any()]
 
 

@@ -45,6 +45,7 @@ class Judge:
         """
         self.solves += 1
         relative = residual / scale if scale > 0 else residual
+        # also where the residual is no number
         if not relative <= self.tolerance:
             if not self._is_roundoff(residual, scale, grown):
                 raise LinearSolveError(
@@ -70,6 +71,7 @@ def krylov_reason(ksp: Any, iteration: int, norm: float, first: float, accurate:
     if not isfinite(norm):
         return reasons.DIVERGED_NANORINF
     rtol, _, _, limit = ksp.getTolerances()
+    # the preconditioned norm is cheap and may deceive; the true residual has the last word
     if norm == 0.0 or (norm <= rtol * first and accurate()):
         return reasons.CONVERGED_RTOL
     return reasons.DIVERGED_MAX_IT if iteration >= limit else reasons.ITERATING

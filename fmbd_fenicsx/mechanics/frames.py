@@ -91,23 +91,30 @@ class Moving:
 
     def bias(self) -> Array:
         """d/dt of the twists at zero accelerations, (n, d + n_rot)."""
-        m, d, s = self.markers.motions, self.markers.motions.dim, self.markers.surface
+        m = self.markers.motions
+        d = m.dim
+        s = self.markers.surface
         w = self.frame_twist[:, d:]
+
         out: Array = np.zeros((len(w), d + m.n_rot))
         out[:, :d] = (self.Rf @ m.spin(w, m.spin(w, self.local))[..., None])[..., 0]
         if self.surfaces is None:
             return out
+
+        # markers on surfaces move in their frames: 2 w x v of the relative velocity
         extra = self._surface_bias(self.surfaces)
         local_rate = (self.surfaces.jac @ self.rate[..., None])[..., 0]
         extra[:, :d] += 2.0 * m.spin(w[s], local_rate[:, :d])
         if d == 3:
             extra[:, d:] += m.spin(w[s], local_rate[:, d:])
+
         out[s] += (self.markers.lift(self.Rf[s]) @ extra[..., None])[..., 0]
         return out
 
     def _surface_bias(self, f: _Surfaces) -> Array:
         """d/dt of (2) and of the velocity of the lever at zero port accelerations, (n_s, d + n_rot)."""
-        m, d = self.markers.motions, self.markers.motions.dim
+        m = self.markers.motions
+        d = m.dim
         bd = self.rate.reshape(-1, 1 + d, d)
         w = (f.jac[:, d:] @ self.rate[..., None])[..., 0]
         arms_rate = m.spin(w[:, None], f.arms)
@@ -127,7 +134,8 @@ def _nothing(d: int, n_rot: int, n_twist: int, n_port: int) -> Kinematics:
     """Kinematics of no markers."""
     n = d + n_rot
     empty = np.zeros((0, n))
-    place, turn = np.zeros((0, d)), np.zeros((0, d, d))
+    place = np.zeros((0, d))
+    turn = np.zeros((0, d, d))
     kin = Kinematics(place, turn, np.zeros((0, n, n_twist)), np.zeros((0, n, n_port)))
     kin.twist = kin.bias = empty
     return kin
@@ -159,18 +167,25 @@ class Markers:
         m, d = self.motions, self.motions.dim
         if not len(self.frame):  # a scene of coordinates only
             return _nothing(d, m.n_rot, m.n_twist, self.n_port)
+
         Rf = rotation[self.frame]
+        # markers on surfaces move in their frames, by ports
         local, turn, found = self.position, self.rotation, None
+
         J = np.zeros((len(self.frame), d + m.n_rot, m.n_twist))
         jac_port: Array = np.zeros((0, d + m.n_rot, self.n_port))
+
         if self.surface.size:
             local, turn, found = self._surfaces(port)
             jac_port = self.lift(Rf[self.surface]) @ found.jac
+
+        # velocities of a marker by the twist of its frame: v + w x lever in world axes, w in body axes in space
         lever = (Rf @ local[..., None])[..., 0]
         arm = m.lever(lever)
         J[:, range(d), range(d)] = 1.0
         J[:, :d, d:] = arm @ Rf if d == 3 else arm
         J[:, d:, d:] = Rf if d == 3 else 1.0
+
         moving = None
         if rates is not None:
             moving = Moving(self, rates[0][self.frame], rates[1][self.port], Rf, local, found)
@@ -178,7 +193,8 @@ class Markers:
 
     def lift(self, R: Array) -> Array:
         """blockdiag(R, R) (space) or blockdiag(R, 1) (plane) acting on (displacement, rotation)."""
-        d, n = self.motions.dim, self.motions.dim + self.motions.n_rot
+        d = self.motions.dim
+        n = self.motions.dim + self.motions.n_rot
         big = np.zeros((len(R), n, n))
         big[:, :d, :d] = R
         big[:, d:, d:] = R if d == 3 else 1.0
@@ -221,7 +237,8 @@ def polar_rotation(F: Array) -> Array:
 def polar(F: Array) -> tuple[Array, Array]:
     """R as in :func:`polar_rotation` and (tr S 1 - S)^-1 of F = S R, (n, n_rot, n_rot); in the plane 1 / tr S."""
     if F.shape[-1] == 2:
-        s, c = F[:, 1, 0] - F[:, 0, 1], F[:, 0, 0] + F[:, 1, 1]
+        s = F[:, 1, 0] - F[:, 0, 1]
+        c = F[:, 0, 0] + F[:, 1, 1]
         trace = np.hypot(s, c)
         s, c = s / trace, c / trace
         return np.stack((np.stack((c, -s), -1), np.stack((s, c), -1)), -2), 1.0 / trace[:, None, None]

@@ -81,7 +81,7 @@ class Part(Protocol):
     body: Any = None  # of the scene
     mass_total: float = 0.0  # kg
     size: float = 0.0  # m
-    unit: float = 1.0  # of the local coordinates, m
+    rms: Array | None = None  # (n,) root mean square displacement by amplitudes of one, m; None: no amplitudes
     plain: bool = False  # whether the ports are the coordinates
     shortening: Shortening | None = None  # of ports that are of second order in u
 
@@ -90,6 +90,10 @@ class Part(Protocol):
         frozen tangent; collective.
         """
         return None
+
+    def lengths(self, length: float) -> Array:
+        """What turns increments of the local coordinates into lengths (m), for a model of a size (m): (n,)."""
+        return np.ones(self.n) if self.rms is None else self.rms
 
     def frame_lengths(self, length: float) -> Array:
         """What turns the values of the frame conditions into lengths (m), for a model of a size (m): (n_frame_rows,)."""

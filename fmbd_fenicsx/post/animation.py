@@ -22,7 +22,7 @@ from .drawing.draw import draw
 from .drawing.render import Renderer
 from .drawing.scene_graph import Drawing
 from .drawing.view import Paint, View
-from .plot import STYLE, _history, _series, arrow_legend
+from .plot import STYLE, arrow_legend, draw_history, series_of
 
 FASTEST = 50.0  # frames a second: what a GIF can do
 KINDS = (".gif", ".mp4", ".html")
@@ -92,7 +92,7 @@ def animate(
 def make_story(run: Run, sensors: Sequence[str], view: View, paint: Paint | None, seconds: float | None) -> Story:
     """The drawing of all snapshots and how long it lasts; collective."""
     for name in sensors:
-        _series(run, name)
+        series_of(run, name)
     require(
         len(run.snapshots) >= 2,
         f"An animation shows snapshots, and this run has {len(run.snapshots)}: "
@@ -100,6 +100,7 @@ def make_story(run: Run, sensors: Sequence[str], view: View, paint: Paint | None
     )
     drawing = draw(run, view=view, paint=paint)
     span = float(drawing.times[-1] - drawing.times[0])
+    # runs of some seconds in real time, others in five
     usual = span if 2.0 <= span <= 12.0 else 5.0
     lasts = usual if seconds is None else float(seconds)
     require(np.isfinite(lasts) and lasts > 0, f"Animation: seconds = {seconds} must be positive.")
@@ -127,6 +128,7 @@ def frames(story: Story, chosen: Sequence[int] | None = None) -> Iterator[Array]
         first = scene.image()
         page.show(first)
         canvas.draw()
+        # what stays is drawn once; each frame restores it
         still = canvas.copy_from_bbox(page.figure.bbox)
         for k in story.frames if chosen is None else chosen:
             scene.turn_to(k)
@@ -169,20 +171,26 @@ class _Page:
 
     def _curves(self, share: float) -> list[tuple[Any, Array, Array]]:
         """Histories with a dot for each component: (artist, times, values)."""
-        run, count = self.story.run, len(self.story.sensors)
+        run = self.story.run
+        count = len(self.story.sensors)
         found = []
         for k, name in enumerate(self.story.sensors):
             height = 0.86 / count
             box = (share + 0.095, 0.93 - height * (k + 1) + 0.11, 1 - share - 0.12, height - 0.19 / max(1, 0.6 * count))
+
             axes = self.figure.add_axes(box)
-            _history(axes, run, name)
-            pixels = box[3] * self.story.view.size[1]  # a letter of size 9 is about 7 wide
+            draw_history(axes, run, name)
+
+            # the name of the axis in letters that fit its height: one of size 9 is about 7 pixels wide
+            pixels = box[3] * self.story.view.size[1]
             axes.yaxis.label.set_fontsize(min(9.0, max(6.0, 9.0 * 1.15 * pixels / (7.0 * len(axes.get_ylabel()) + 1))))
+
             if axes.get_legend() is not None:
                 room = {"ncols": 6, "fontsize": 7, "columnspacing": 1.0, "handlelength": 1.2, "borderaxespad": 0.0}
                 axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), **room)
             if k == count - 1:
                 axes.set_xlabel("time (s)")
+
             for line in list(axes.lines):
                 look = {"color": line.get_color(), "markersize": 7, "markeredgecolor": "k", "clip_on": False}
                 (dot,) = axes.plot([], [], "o", animated=True, **look)

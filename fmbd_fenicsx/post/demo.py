@@ -89,6 +89,8 @@ def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> 
     parser.add_argument("--json", metavar="FILE", type=Path, help="write checks, counters and seconds to FILE")
     parser.add_argument("--picture", metavar="FILE", type=Path, help="write a picture to FILE")
     parser.add_argument("--animate", metavar="FILE", type=Path, help="write an animation to FILE: .gif, .mp4 or .html")
+
+    # the default tells what kind of flag it is
     for flag, default in (own or {}).items():
         if default is False:
             parser.add_argument(flag, action="store_true")
@@ -97,6 +99,7 @@ def arguments(description: str | None, own: Mapping[str, Any] | None = None) -> 
             parser.add_argument(flag, type=kind, choices=default, default=default[0], help=f"default {default[0]}")
         else:
             parser.add_argument(flag, type=type(default), default=default, help=f"default {default}")
+
     args = _parsed(parser)
     args.title = (description or "").strip().split("\n")[0].rstrip(".")
     args.filmed = False
@@ -129,7 +132,8 @@ def show(run: Any, args: argparse.Namespace, sensors: Sequence[str] = (), **look
 
     ``look``: view, paint and seconds as for ``run.animate``, reference as for ``run.picture``.
     """
-    reference, seconds = look.pop("reference", None), look.pop("seconds", None)
+    reference = look.pop("reference", None)
+    seconds = look.pop("seconds", None)
     if args.picture:
         run.picture(args.picture, sensors=sensors, reference=reference, **look)
     film(run, args, sensors, seconds=seconds, **look)
@@ -153,10 +157,12 @@ def finish(checks: Sequence[Check], run: Any, args: argparse.Namespace) -> None:
     if still and run is not None and len(run.snapshots) > 1:
         film(run, args)
         still = False
+
     if run is not None:
         say(run.report())
     for check in checks:
         say(check)
+
     if args.json is not None and world_rank() == 0:
         content = {
             "check": [c.as_dict() for c in checks],
@@ -166,6 +172,7 @@ def finish(checks: Sequence[Check], run: Any, args: argparse.Namespace) -> None:
         if getattr(run, "error_estimate", None):
             content["certificate"] = run.certificate.as_dict()
         args.json.write_text(json.dumps(content, indent=1) + "\n")
+
     if still:
         say(f"no animation in {args.animate}: this demo compares results, it keeps no motion to show. Try --picture.")
     if still or not all(c.ok for c in checks):

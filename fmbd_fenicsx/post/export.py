@@ -38,7 +38,9 @@ def save_series(run: Run, file: str | Path) -> None:
             f"{label} ({run.scene.sensors[sensor].unit_of(k)})" for k, label in enumerate(components(run, sensor))
         ]
     names += [f"{kind} energy (J)" for kind in run.energy]
+
     columns = np.column_stack((run.times, *run.series.values(), *run.energy.values()))
+    # names may hold commas
     heads = ",".join('"' + name.replace('"', '""') + '"' for name in names)
 
     def write() -> None:
@@ -85,8 +87,10 @@ def _save_body(run: Run, body: Any, folder: Path, quantities: dict[str, Quantity
     mesh = u.function_space.mesh
     moved = fem.Function(u.function_space, name="displacement")
     cells = [within_cells(u, quantity, degree=0, name=name) for name, quantity in quantities.items()]
+
     with io.VTKFile(mesh.comm, file, "w") as out:
         for state in run.snapshots:
+            # quantities are those of u in the body's axes; what is shown is the motion in the world
             u.x.array[:] = displacement_field(run, body, state).x.array
             moved.x.array[:] = _motion(run, body, state, u)
             for function, expression in cells:
@@ -101,8 +105,10 @@ def _motion(run: Run, body: Any, state: State, u: Any) -> np.ndarray:
     part: Any = next(p for p in s.parts if p.name == body.name)
     if part.frame == s.n_frames:
         return np.asarray(u.x.array)
-    ev, d = s.at(state.t, state.q), s.motions.dim
+    ev = s.at(state.t, state.q)
+    d = s.motions.dim
     X = u.function_space.tabulate_dof_coordinates()[:, :d]
+
     origin = part.constants.center if body.modal else part.origin
     P = X - origin + u.x.array.reshape(-1, d)
     return np.asarray((ev.pose[part.frame, :d] + P @ ev.rotation[part.frame].T - X).ravel())

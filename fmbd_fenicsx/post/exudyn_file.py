@@ -70,16 +70,21 @@ def _tell_damping(c: Constants, file: Path) -> None:
     """
     if not c.D.any():
         return
+
+    # a and b by least squares, mass and stiffness each of unit size
     parts = np.trace(c.T[1:, 1:], axis1=2, axis2=3), c.K
     columns = np.stack([A.ravel() for A in parts], axis=1)
     scale = np.linalg.norm(columns, axis=0)
     factors = np.linalg.lstsq(columns / scale, c.D.ravel(), rcond=None)[0] / scale
+
     miss = np.abs(columns @ factors - c.D.ravel()).max()
     require(
         bool(miss <= 1e-8 * np.abs(c.D).max()),
         "Exudyn's reduced bodies know damping a M + b K only, this one has another. Build it with mass_damping= and "
         "stiffness_damping= alone.",
     )
+
+    # factors of roundoff are zero
     a, b = np.where(np.abs(factors) * scale > 1e-9 * np.linalg.norm(c.D), factors, 0.0)
     log.warning(
         "%s does not hold the damping: give massProportionalDamping=%.12g, stiffnessProportionalDamping=%.12g to "

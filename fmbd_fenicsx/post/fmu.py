@@ -149,16 +149,19 @@ def write_fmu(script: str | Path, folder: str | Path, *, dt: float, name: str | 
         from pythonfmu3 import FmuBuilder
     except ImportError:
         raise InputError("write_fmu needs pythonfmu3: ./with-dolfinx pip install pythonfmu3.") from None
+
     script = Path(script)
     require(script.is_file(), f"write_fmu: there is no script {script} (looked in {Path.cwd()}).")
     name = script.stem.capitalize() if name is None else name
     require(name.isidentifier() and name != script.stem, f'write_fmu: name "{name}" must be a Python name of its own.')
     load(script)
+
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     root = str(Path(__file__).resolve().parents[2])
     wrapper = folder / f"{name}.py"
     wrapper.write_text(_TEXT.format(script=script.name, paths=[root], name=name, dt=float(dt)))
+
     options = {"needsExecutionTool": "true", "canGetAndSetFMUState": "true"}
     try:
         return Path(FmuBuilder.build_FMU(wrapper, dest=folder, project_files=[script], **options))

@@ -130,11 +130,13 @@ def load_interface_model(file: str | Path) -> InterfaceModel:
     try:
         found = _content(Path(file))
         k = len(names := tuple(str(n) for n in _strings(found["interfaces"])))
+
         return InterfaceModel(
             M=found["M"],
             K=found["K"],
             D=found["D"],
             interfaces=names,
+            # MATLAB knows no vectors: shapes are given back
             origins=np.reshape(found["origins"], (k, -1)),
             omega=np.ravel(found["omega"]),
             mass=float(np.ravel(found["mass"])[0]),
@@ -196,7 +198,8 @@ def interface_model(body: ReducedBody, interfaces: Sequence[str]) -> InterfaceMo
     names = tuple(interfaces)
     require(len(names) > 0, f'Body "{body.name}": name at least one surface as interface.')
     part, B, M = _coordinates(body, names)
-    n, frame = len(M), len(M) - part.n
+    n = len(M)
+    frame = len(M) - part.n
     K, D = np.zeros((2, n, n))
     K[frame:, frame:], D[frame:, frame:] = part.constants.K, part.constants.D
 
@@ -246,9 +249,12 @@ def _basis(name: str, interfaces: tuple[str, ...], matrices: tuple[Array, Array,
             f'Body "{name}": its modes cannot move the interfaces {", ".join(interfaces)} independently. '
             f"Reduce it with basis=fmbd.CraigBampton({interfaces}, modes)."
         )
+    # what leaves the interfaces where they are, and the least that moves each of them
     N = Vt[count:].T
     X = np.linalg.pinv(B)
+
     soft = N.T @ K @ N
     static = X - N @ np.linalg.solve(soft, N.T @ K @ X) if N.size else X
+    # vibrations with the interfaces held
     square, Z = sl.eigh(soft, N.T @ M @ N) if N.size else (np.zeros(0), np.zeros((0, 0)))
     return np.concatenate((static, N @ Z), axis=1), np.sqrt(square)

@@ -53,7 +53,8 @@ def save_scene(drawing: Drawing, folder: Path, meshed: Sequence[Path]) -> Path:
 
 def _write_piece(file: Path, piece: Piece, k: int) -> None:
     """One piece at one instant as an unstructured grid, in ASCII."""
-    start, now = piece.at(0), piece.at(k)
+    start = piece.at(0)
+    now = piece.at(k)
     cells = [*piece.triangles, *piece.edges]
     kinds = [TRIANGLE] * len(piece.triangles) + [LINE] * len(piece.edges)
 

@@ -92,7 +92,7 @@ def components(run: Run, sensor: str) -> list[str]:
     return [f"{sensor} {given[k] if k < len(given) else k + 1}" for k in range(size)]
 
 
-def _series(run: Run, name: str) -> tuple[list[str], Array, str]:
+def series_of(run: Run, name: str) -> tuple[list[str], Array, str]:
     """Labels, values (n, size) and unit of a sensor ("tip"), or of one of its components ("tip y")."""
     for sensor in run.series:
         labels = components(run, sensor)
@@ -101,20 +101,23 @@ def _series(run: Run, name: str) -> tuple[list[str], Array, str]:
     return components(run, name), run[name], run.scene.sensors[name].unit
 
 
-def _history(axes: Any, run: Run, name: str, known: Known | None = None) -> None:
+def draw_history(axes: Any, run: Run, name: str, known: Known | None = None) -> None:
     """Curves of a sensor's components over time, with units, and what is known of them."""
-    labels, values, unit = _series(run, name)
+    labels, values, unit = series_of(run, name)
     if known is not None:
+        # known values behind the curves, or crosses on them
         points = isinstance(known, tuple)
         t, x = known if isinstance(known, tuple) else (run.times, [known(float(t)) for t in run.times])
         look = {"color": "k", "linestyle": "", "marker": "x", "zorder": 3} if points else REFERENCE
         lines = axes.plot(t, np.reshape(x, (np.size(t), -1)), **look)
         lines[0].set_label("reference")
+
     stated = run.certificate[name].total if name in run.series and _certified(run) else 0.0
     for label, x in zip(labels, values.T, strict=True):
         (curve,) = axes.plot(run.times, x, label=label, linewidth=1.4)
         if stated > 0:  # a band of the stated error
             axes.fill_between(run.times, x - stated, x + stated, color=curve.get_color(), alpha=0.2, linewidth=0)
+
     axes.set_ylabel(f"{name} ({unit})")
     axes.set_xlim(run.times[0], max(run.times[-1], run.times[0] + 1e-300))
     if len(labels) > 1 or known is not None:
@@ -133,6 +136,8 @@ def _legend(axes: Any) -> None:
     if len(labels) > 9:
         axes.legend(named.values(), labels, loc="center left", bbox_to_anchor=(1.0, 0.5))
         return
+
+    # as many columns as the labels leave room for; above the title where there is one
     room = axes.get_position().width * axes.figure.get_figwidth()  # inches
     columns = int(room / (0.5 + 0.07 * max(len(label) for label in labels)))
     above = 1.0 if not axes.get_title() else 1.0 + 0.3 / (axes.get_position().height * axes.figure.get_figheight())
@@ -244,16 +249,17 @@ def plot_series(
     """Write sensor series over time, one axes for each sensor or component ("tip y"), all sensors when none is named, with
     what is known of them; collective.
     """
-    names, known = list(sensors) or list(run.series), dict(reference or {})
+    names = list(sensors) or list(run.series)
+    known = dict(reference or {})
     for name in [*names, *known]:
-        _series(run, name)
+        series_of(run, name)
 
     def draw() -> None:
         matplotlib, figure = _figure(6.4, 1.0 + 2.0 * len(names))
         with matplotlib.rc_context(STYLE):
             rows = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
             for axes, name in zip(rows, names, strict=True):
-                _history(axes, run, name, known.get(name))
+                draw_history(axes, run, name, known.get(name))
             rows[-1].set_xlabel("time (s)")
             _title(figure, _of(run))
             _saved(figure, file, 200)
@@ -267,12 +273,15 @@ def plot_history(run: Run, file: str | Path) -> None:
         raise InputError("This run has no history: it was made without tol=.")
     if world_rank() != 0:
         return
+
     mpl, fig = _figure(6.0, 4.0)
     with mpl.rc_context(STYLE):
         axes = fig.add_subplot()
-        seconds, worst = [a.seconds for a in run.history], [a.worst for a in run.history]
+        seconds = [a.seconds for a in run.history]
+        worst = [a.worst for a in run.history]
         axes.loglog(seconds, worst, "o-", color="C0")
         axes.axhline(1.0, color="0.6", linestyle="--")
+        # each attempt by its step
         for a in run.history:
             axes.annotate(f"  {a.step:.1g}", (a.seconds, a.worst), fontsize=8)
         axes.set(xlabel="seconds, estimates included (s)", ylabel="stated error over tolerance", title=run.scene.name)
@@ -297,24 +306,27 @@ def picture(
     known = dict(reference or {})
     names = list(dict.fromkeys((*sensors, *known)))
     for name in names:
-        _series(run, name)
+        series_of(run, name)
     view = View() if view is None else view
     states = chosen(run.snapshots, view.instants)
     drawing = draw(run, view=view, paint=paint, states=states)
 
     def write() -> None:
         matplotlib, figure = _figure(10.5 if names else 6.4, max(4.2, 2.1 * len(names)))
+
+        # colours tell the time
         times = drawing.times
         norm = matplotlib.colors.Normalize(times.min(), max(times.max(), times.min() + 1e-300))
         colormap = matplotlib.colormaps["viridis"]
         colors = [colormap(norm(t))[:3] for t in times]
+
         with matplotlib.rc_context(STYLE):
             left, *right = _panels(figure, len(names))
             _show(left, strobe(drawing, view, None if paint or len(times) == 1 else colors))
             _scale(figure, left, drawing, (norm, colormap))
             arrow_legend(left, drawing)
             for axes, name in zip(right, names, strict=True):
-                _history(axes, run, name, known.get(name))
+                draw_history(axes, run, name, known.get(name))
                 _dots(axes, run, name, (states, colors))
                 axes.set_xlabel("time (s)")
             _title(figure, _of(run))
@@ -383,7 +395,7 @@ def _dots(axes: Any, run: Run, sensor: str, at: tuple[Sequence[Any], Sequence[An
     """Mark instants on a history in their colours; ``at``: (states, colours)."""
     states, colors = at
     rows = [int(np.argmin(np.abs(run.times - s.t))) for s in states]
-    for x in _series(run, sensor)[1].T:
+    for x in series_of(run, sensor)[1].T:
         axes.scatter(run.times[rows], x[rows], c=colors, s=30, zorder=3, edgecolors="#303030", linewidths=0.6)
 
 
@@ -396,6 +408,7 @@ def plot_work_precision(study: Comparison, file: str | Path, work: str, title: s
     names = study.quantities
     if not names:
         raise InputError("No run of this study finished: there is nothing to draw.")
+
     matplotlib, figure = _figure(1.2 + 3.6 * len(names), 4.0)
     labels = list(dict.fromkeys(p.label for p in study.points))
     with matplotlib.rc_context(STYLE):
@@ -405,10 +418,13 @@ def plot_work_precision(study: Comparison, file: str | Path, work: str, title: s
                 x = [p.seconds if work == "seconds" else p.counters[work] for p in points]
                 mark = MARKS[k % len(MARKS)]
                 axes.loglog(x, [p.errors[name] for p in points], marker=mark, markersize=4, label=label)
+
             axes.set_xlabel("time in steps (s)" if work == "seconds" else work.replace("_", " "))
             unit = f" ({study.units[name]})" if name in study.units else ""
             axes.set_ylabel(f"largest error of {name}{unit}")
             _ticks(axes)
+
+        # one legend for all axes, below them
         columns = max(int(figure.get_figwidth() / (0.6 + 0.08 * max(map(len, labels)))), 1)
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=columns)
         _title(figure, title or "Error against " + ("time" if work == "seconds" else work.replace("_", " ")))

@@ -30,12 +30,14 @@ def run_report(run: Run) -> str:
     """
     if Declared.by(run.scheme).timeless:
         return "\n".join([f"{run.scene.name}: {run.scheme.name}, {len(run.times)} instants", *_plan(run)])
+
     c, (gap, slip), start = run.counters, run.drift, run.correction
     steps = max(int(c["steps"]), 1)
     lines = [f"{run.scene.name}: {run.status} at t = {run.state.t:.6g} s"]
     for warning in run.warnings:
         lines += _entry("look at this", warning)
     lines += _entry("scheme", f"{run.scheme.name}, {_steps(run, steps)}")
+
     newton = c["newton_iterations"]
     lines += _entry("Newton", f"{newton:.0f} iterations, {newton / steps:.2f} a step")
     lines += _entry("linear solves", _linear(run))
@@ -45,10 +47,13 @@ def run_report(run: Run) -> str:
         + _n(start.iterations, "iteration"),
     )
     lines += _entry("constraint drift", f"position {gap:.2g} m, velocity {slip:.2g} m/s")
+
     if run.not_unique:
         lines += _entry("not unique", "reactions of " + ", ".join(run.not_unique) + "; the smallest are given")
     if c.get("contact_steps"):
         lines += _entry("contact", _contact(c))
+
+    # errors that the run states of itself
     lines += _entry("time error", _time_error(run))
     lines += _reduction_error(run)
     if run.space_error or "space estimate" in run.seconds:
@@ -60,6 +65,7 @@ def run_report(run: Run) -> str:
             "sum of stated errors: " + _listed(run, {s.sensor: s.total for s in run.certificate.statements}),
         )
     lines += [line for k, a in enumerate(run.history) for line in _entry(f"attempt {k + 1}", str(a))]
+
     if run.energy:
         lines += _ledger(run)
     lines += _entry("seconds", _seconds(run.seconds, steps))
@@ -123,6 +129,7 @@ def _time_error(run: Run) -> str:
     if not run.error_estimate:
         return f"not estimated (Output(estimate_error=True) repeats the run with 2 h and 4 h); {local}"
     text = f"estimated from runs with 2 h and 4 h: {_listed(run, run.error_estimate)}; {local}"
+    # an order far below the scheme's own: the estimate rests on it
     slow = [p for p in run.observed_order.values() if not p > run.scheme.order - 0.5]
     return text + (f". Some orders are below {run.scheme.order}: the step does not resolve all motion" if slow else "")
 
@@ -144,6 +151,7 @@ def _listed(run: Run, errors: Mapping[str, float]) -> str:
     """The sensors with the largest errors, each in its unit and as a share of its range, with an observed order."""
     shares = []
     for name, error in errors.items():
+        # against the range of the sensor: the worst come first
         spread = float(np.ptp(run.series[name], axis=0).max(initial=0.0))
         shares.append((error / spread if spread > 0 else 0.0, name, error))
     shares.sort(reverse=True)
@@ -166,8 +174,10 @@ def conservative(scene: Scene) -> bool:
         return False
     if not all(body.keeps_energy for body in scene.bodies.values()):
         return False
+    # drives do work
     if any(row.motion is not standstill for joint in scene.joints.values() for row in joint.rows):
         return False
+    # of force elements only linear springs without dampers are recorded as potentials
     return all(isinstance(f, Spring) and f.law is None and f.damping == 0 for f in scene.forces.values())
 
 
@@ -176,11 +186,14 @@ def _ledger(run: Run) -> list[str]:
     kinds = {k: x for k, x in run.energy.items() if np.any(x)}
     total = sum(run.energy.values())
     assert isinstance(total, np.ndarray)
+    # energies are compared with what is exchanged, not with their level
     scale = max((float(np.ptp(x)) for x in kinds.values()), default=0.0)
+
     lines = [f"  {'energy (J)':<{LABEL}}{'start':>14}{'end':>14}{'change':>14}"]
     for name, x in {**kinds, "total": total}.items():
         x = np.where(np.abs(x) < 1e-12 * scale, 0.0, x)  # roundoff of the weight at its zero level
         lines.append(f"    {name:<{LABEL - 2}}{x[0]:>14.6g}{x[-1]:>14.6g}{x[-1] - x[0]:>14.3g}")
+
     if conservative(run.scene):
         loss = total[0] - total[-1]
         share = f", {loss / scale:.1e} of the largest exchange" if scale > 0 else ""
@@ -224,6 +237,7 @@ def _in_plane(scene: Scene) -> str:
 
 
 def _shortened(unknowns: Sequence[tuple[str, int]], most: int = 8) -> str:
+    # the largest blocks, in the order of the scene
     ordered = sorted(unknowns, key=lambda x: -x[1])
     kept = [u for u in unknowns if u in ordered[:most]]
     rest = sum(n for _, n in unknowns) - sum(n for _, n in kept)

@@ -127,7 +127,9 @@ class OrderTable:
 
     def order(self, name: str) -> float:
         """Slope of log(error) over log(parameter), least squares over the finest three."""
-        e, h = self._of(name)[-3:], self.values[-3:]
+        e = self._of(name)[-3:]
+        h = self.values[-3:]
+        # an error of zero, or none, has no slope
         if not (np.isfinite(e).all() and (e > 0).all()):
             return float("nan")
         return float(np.polyfit(np.log(h), np.log(e), 1)[0])
@@ -190,9 +192,11 @@ def orders(
     falling = all(a > b > 0 for a, b in pairwise(values))
     require(falling, f"orders: the values must be positive and fall, found {list(values)}.")
     traces = [_Trace.of(run(h)) for h in values]
+
     against = _reference(run(values[-1] / 8) if reference is None else reference)
     times = _common_times([*traces, against] if isinstance(against, _Trace) else traces)
     kept = _names(traces, against, names)
+
     found = [_errors(t, against, times, kept) for t in traces]
     return OrderTable(parameter, np.asarray(values, dtype=float), {n: np.array([e[n] for e in found]) for n in kept})
 
@@ -249,12 +253,15 @@ class WorkPrecision:
 
     def rows(self, counters: Sequence[str] = ("steps", "newton_iterations", "back_solves")) -> list[list[str]]:
         """Cells of the table, the header first: errors, with those that runs state themselves, and work."""
-        names, saying = self.quantities, {n for p in self.points for n in p.stated}
+        names = self.quantities
+        saying = {n for p in self.points for n in p.stated}
         shown = [c for n in names for c in ([n, f"{n}, stated"] if n in saying else [n])]
+
         table = [[*self.heads, *shown, "seconds", "ms/step", "set-up, s", *counters]]
         for p in self.points:
             known = {**p.errors, **{f"{n}, stated": x for n, x in p.stated.items()}}
             errors = [_cell(known.get(c), ".2e", "failed" if p.failure else "") for c in shown]
+
             steps = p.counters.get("steps")
             work = [_cell(x, ".3g") for x in (p.seconds, 1e3 * p.seconds / steps if steps else None, p.setup)]
             work += [_cell(p.counters.get(c), ".0f") for c in counters]
@@ -310,25 +317,32 @@ def work_precision(
         repeats >= 1 and bool(configurations),
         "work_precision: at least one configuration and one repeat are needed.",
     )
+
     against = _reference(reference)
     warm = _attempt(configurations[0].run, configurations[0].values[0])
     done = [(c, value, *_trials(c.run, value, repeats)) for c in configurations for value in c.values]
     traces = [trace for _, _, trace, _ in done if isinstance(trace, _Trace)]
+
+    # errors are taken at instants, and of sensors, that all runs have
     times: Array = np.zeros(0)
     kept: list[str] = []
     if traces:
         times = _common_times([*traces, against] if isinstance(against, _Trace) else traces)
         kept = _names(traces, against, names)
+
     points = []
     for c, value, trace, seconds in done:
         if isinstance(trace, str):
             points.append(Point(c.label, value, failure=trace))
             continue
+        # the first run warmed the caches: its set-up is that of a stranger's first call
         first = warm if not points and isinstance(warm, Run) else trace.run
         counters = {k: float(x) for k, x in trace.run.counters.items()}
         stated = {n: x for n, x in trace.run.reduction_error.items() if n in kept}
-        errors, setup = _errors(trace, against, times, kept), first.seconds["set-up"] + first.seconds["start"]
+        errors = _errors(trace, against, times, kept)
+        setup = first.seconds["set-up"] + first.seconds["start"]
         points.append(Point(c.label, value, errors, stated, seconds, setup, counters))
+
     sensors = traces[0].run.scene.sensors if traces else {}
     return WorkPrecision(tuple(points), {n: sensors[n].unit for n in kept if n in sensors})
 
@@ -368,6 +382,7 @@ def _trials(run: Callable[[float], Run], value: float, repeats: int) -> tuple[_T
     first = _attempt(run, value)
     if isinstance(first, str):
         return first, float("nan")
+
     seconds = [first.seconds["steps"], *(run(value).seconds["steps"] for _ in range(repeats - 1))]
     return _Trace.of(first), statistics.median(seconds)
 
@@ -377,6 +392,7 @@ def _attempt(run: Callable[[float], Run], value: float) -> Run | str:
     try:
         return run(value)
     except InputError as error:
+        # wrong input is the caller's; what fails on the way is a result
         if isinstance(error.__cause__, ArithmeticError):  # in a function of the user's
             return f"{type(error).__name__}: {error}"
         raise

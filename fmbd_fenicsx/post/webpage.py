@@ -17,7 +17,7 @@ from ..rotations import Array
 from .animation import Story
 from .drawing.render import ARROWS, color_of
 from .drawing.scene_graph import Deforming, Moving, Piece, Role
-from .plot import _series
+from .plot import series_of
 
 MOST = 600  # points of a curve
 VIEWER = Path(__file__).with_name("viewer.html")
@@ -36,6 +36,7 @@ def _content(story: Story) -> dict[str, Any]:
     low, high = drawing.bounds()
     chosen = story.frames
     camera = story.view.camera
+
     return {
         "title": drawing.title,
         "dim": drawing.dim,
@@ -43,6 +44,7 @@ def _content(story: Story) -> dict[str, Any]:
         "camera": None if camera is None else [float(x) for x in camera],
         "low": _numbers(low),
         "high": _numbers(high),
+        # the frames of the animation
         "times": [float(drawing.times[k]) for k in chosen],
         "seconds": story.seconds,
         "pace": story.pace,
@@ -51,6 +53,7 @@ def _content(story: Story) -> dict[str, Any]:
         "arrows": [{"text": s.text, "color": ARROWS[s.shade]} for s in drawing.scales],
         "span": drawing.span,
         "colors": _viridis(),
+        # what is drawn
         "pieces": [_piece(p, chosen) for p in drawing.pieces],
         "curves": [_curve(story, name) for name in story.sensors],
     }
@@ -66,10 +69,13 @@ def _piece(piece: Piece, chosen: list[int]) -> dict[str, Any]:
         "triangles": _packed(piece.triangles, "<u4"),
         "edges": _packed(piece.edges, "<u4"),
     }
+
     motion = piece.motion
     if isinstance(motion, Deforming):
         x = motion.points[chosen]
-        low, size = x.min((0, 1)), np.maximum(np.ptp(x, axis=(0, 1)), 1e-300)
+        # 16 bits for each number, over the box that it moves in
+        low = x.min((0, 1))
+        size = np.maximum(np.ptp(x, axis=(0, 1)), 1e-300)
         made |= {"low": _numbers(low), "size": _numbers(size)}
         made["deforming"] = _packed(np.round((x - low) / size * 65535), "<u2")
     elif isinstance(motion, Moving):
@@ -78,6 +84,7 @@ def _piece(piece: Piece, chosen: list[int]) -> dict[str, Any]:
         made["places"] = _packed(places, "<f4")
     else:
         made["points"] = _packed(motion.at(0), "<f4")
+
     if piece.paint is not None:
         made["paint"] = _packed(piece.paint[chosen], "<f4")
     if piece.flag is not None:
@@ -86,7 +93,7 @@ def _piece(piece: Piece, chosen: list[int]) -> dict[str, Any]:
 
 
 def _curve(story: Story, name: str) -> dict[str, Any]:
-    labels, values, unit = _series(story.run, name)
+    labels, values, unit = series_of(story.run, name)
     every = max(len(values) // MOST, 1)
     return {
         "name": f"{name} ({unit})",

@@ -1,10 +1,11 @@
 """A step counts when its residuals are small: joints that are closed, and stay so.
 
     |g_i| u_i  <=  5e-7 L + 100 eps |x|        for schemes that hold the constraints on positions                    (1)
-    |G v + g_t| u_i  <=  1e-4 (|v| + |v|_max) + 100 eps |x| / h    for those that hold them on velocities            (2)
+    |G v + g_t| u_i  <=  1e-4 |v|_max + 5e-9 L / h + 100 eps |x| / h    for those that hold them on velocities       (2)
 
 with L the model's length, u_i = L for rows that are angles, |x| the distance from the origin. With error control L is multiplied
-by 5e-7 or the relative tolerance, whichever is larger. Forces have their own judge, :mod:`.force_balance`.
+by 5e-7 or the relative tolerance, whichever is larger; in (2), where it says what velocities may move in one step, by a hundredth
+of that, as error control measures the rates of deformations. Forces have their own judge, :mod:`.force_balance`.
 
 Newton's iteration judges increments; where its matrix is close to singular they can be small while a joint is open, and a linear
 solve can pass with the rows of a light body lost in those of a heavy one. A step that fails here is one that failed to converge:
@@ -31,6 +32,7 @@ from .force_balance import Balanced
 
 OPEN = 5e-7  # of the model's length
 SLIP = 1e-4  # of the velocities
+IN_A_STEP = 1e-2  # of the gap that is allowed: how far velocities may open a joint in one step
 REPEATS = 4  # of a step with error control that has no balance, each a quarter of the one before
 ROUNDOFF = 100 * float(np.finfo(float).eps)
 
@@ -70,6 +72,7 @@ def attempt_in_balance(system: System, stepper: Any, h: float, *, balanced: Bala
         state = attempt(system, stepper, h)
         if balanced is None or system.keepers:
             return stepper.evaluation
+
         seen = stepper.evaluation or system.at(state.t, state.q, state.v)
         try:
             balanced.check(seen, state, state.t - before.t)
@@ -77,6 +80,8 @@ def attempt_in_balance(system: System, stepper: Any, h: float, *, balanced: Bala
         except ConvergenceError:
             if not left:
                 raise
+
+        # back to the state before: a quarter of the step that the scheme chose
         balanced.repeated += 1
         h = 0.25 * (state.t - before.t)
         stepper.unwrapped.state = before
@@ -90,28 +95,19 @@ def _diverged(t: float, h: float) -> str:
 
 @dataclass
 class Closed:
-    """Refuses states whose constraints are open. ``levels``: those that the scheme holds; ``share``: the factor of L in (1);
-    ``balanced``: who judges the forces, if anybody.
-    """
+    """Refuses states whose constraints are open. ``levels``: those that the scheme holds; ``share``: the factor of L in (1)."""
 
     system: System
     levels: tuple[int, ...]
     share: float = OPEN
     fastest: float = field(default=0.0)  # m/s, of all states so far
     last: float | None = field(default=None)  # s, time of the state before
-    balanced: Balanced | None = None
 
     @staticmethod
     def under(system: System, scheme: Any) -> Closed:
         """For the states of a scheme; one that says nothing of its levels is not judged."""
         said = Declared.by(scheme)
         return Closed(system, said.levels, OPEN if said.rtol is None else max(OPEN, said.rtol))
-
-    def judge(self, ev: Evaluation, state: State, h: float) -> None:
-        """Raise ConvergenceError when the state at the end of a step of size h (s) has open joints or no balance; collective."""
-        self.check(ev)
-        if self.balanced is not None:
-            self.balanced.check(ev, state, h)
 
     @cached_property
     def units(self) -> Array:
@@ -140,6 +136,7 @@ class Closed:
         s = self.system
         if not s.n_lam or 0 not in self.levels:
             return
+        # (1), positions
         gap = self.units * np.abs(ev.constraint())
         allowed = self.share * s.length + ROUNDOFF * farthest(s, ev.q)
         if not gap.max() <= allowed:
@@ -147,6 +144,7 @@ class Closed:
                 f"At t = {ev.t:.6g} s {worst_block(s, gap)} is open by {gap.max():.3g} m, {allowed:.2g} m is allowed. Look for "
                 "bodies that are much lighter or stiffer than what they are attached to, or take a smaller dt."
             )
+        # (2), velocities: over the step since the state before
         h = ev.t - self.last if self.last is not None and ev.t > self.last else 1.0
         if 1 in self.levels and ev.v is not None:
             self._check_velocities(ev, ev.v, h)
@@ -158,6 +156,7 @@ class Closed:
         rate = ev.constraint_rate()
         slip = self.units * np.abs(ev.jacobian.times(v) + rate)
         allowed = (SLIP + self.share) * (self.fastest + float((self.units * np.abs(rate)).max()))
+        allowed += IN_A_STEP * self.share * s.length / h
         allowed += ROUNDOFF * (s.length + farthest(s, ev.q)) / h  # of a body at rest
         if not slip.max() <= allowed:
             raise ConvergenceError(

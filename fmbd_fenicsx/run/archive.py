@@ -36,6 +36,7 @@ def write(folder: Path, tree: Any, header: dict[str, Any]) -> None:
     temporary = folder.with_name(f".{folder.name}.writing")
     arrays: dict[str, Array] = {}
     content = json.dumps({"format": FORMAT, **header, "tree": pack(tree, arrays)}, indent=1)
+
     try:
         discard(temporary)
         temporary.mkdir(parents=True)
@@ -43,12 +44,16 @@ def write(folder: Path, tree: Any, header: dict[str, Any]) -> None:
             np.savez(file, **arrays)  # type: ignore[arg-type]
         with _flushed(temporary / CONTENT) as file:
             file.write(content.encode())
+
         sums = "".join(f"{sha256(temporary / name)}  {name}\n" for name in (ARRAYS, CONTENT))
         with _flushed(temporary / SUMS) as file:
             file.write(sums.encode())
+
+        # one rename: there is a whole checkpoint under this name, or none
         _sync(temporary)
         os.rename(temporary, folder)
         _sync(folder.parent)
+
     except OSError as error:
         discard(temporary)
         raise CheckpointError(
@@ -67,25 +72,27 @@ def read(folder: Path) -> tuple[Any, dict[str, Any]]:
         listed = dict(line.split("  ", 1)[::-1] for line in (folder / SUMS).read_text().splitlines())
         if sorted(listed) != [ARRAYS, CONTENT]:
             raise _damaged(folder / SUMS, f"hashes of {ARRAYS} and {CONTENT}", f"{sorted(listed)}")
+
         for name, expected in listed.items():
             if not (folder / name).is_file():
                 raise _damaged(folder / name, "a file", "none")
             if (actual := sha256(folder / name)) != expected:
                 raise _damaged(folder / name, f"SHA-256 {expected}", actual)
+
         header = json.loads((folder / CONTENT).read_bytes())
         if header["format"] != FORMAT:
             raise _damaged(folder / CONTENT, f"format {FORMAT}", f"{header['format']}")
-        with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
+
+        # opened here: what np.load opens stays open where it is no archive
+        with open(folder / ARRAYS, "rb") as file, np.load(file, allow_pickle=False) as arrays:
             if any(entry.compress_type != zipfile.ZIP_STORED for entry in arrays.zip.infolist()):
-                raise _damaged(
-                    folder / ARRAYS, "arrays as they are", "compressed ones"
-                )  # small files that fill the memory
+                # small files that fill the memory
+                raise _damaged(folder / ARRAYS, "arrays as they are", "compressed ones")
             return unpack(header.pop("tree"), arrays), header
     except CheckpointError:
         raise
-    except (
-        Exception
-    ) as error:  # whatever a file that was not written here can cause, MemoryError and RecursionError too
+    except Exception as error:
+        # whatever a file that was not written here can cause, MemoryError and RecursionError too
         raise _damaged(Path(getattr(error, "filename", None) or folder), "a complete checkpoint", f"{error}") from error
 
 
@@ -145,18 +152,22 @@ def pack(x: Any, arrays: dict[str, Array]) -> Any:
     """JSON for a tree; arrays go to ``arrays`` under numbers. Floats are exact: JSON holds their shortest digits."""
     if x is None or isinstance(x, bool | str) or type(x) in (int, float):
         return x
+
     if isinstance(x, np.ndarray | np.generic):
         if x.dtype.hasobject:
             raise TypeError(f"an array of objects cannot be kept: {x!r:.80}")
         name = f"a{len(arrays)}"
         arrays[name] = np.asarray(x)
         return {"array" if isinstance(x, np.ndarray) else "number": name}
+
+    # containers say what they were: JSON knows lists and names only
     if isinstance(x, Counter):
         return {"counter": [[k, n] for k, n in x.items()]}
     if isinstance(x, list | tuple):
         return {type(x).__name__: [pack(y, arrays) for y in x]}
     if isinstance(x, dict):
         return {"dict": [[k, pack(y, arrays)] for k, y in x.items()]}
+
     raise TypeError(f"cannot be kept in a checkpoint: {x!r:.80}")
 
 

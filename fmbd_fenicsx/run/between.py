@@ -31,5 +31,7 @@ def state_between(system: System, before: State, after: State, t: float, stepper
     def line(a: Any, b: Any) -> Any:
         return (1 - x) * a + x * b
 
-    v, a, lam = line(before.v, after.v), line(before.a, after.a), line(before.lam, after.lam)
+    v = line(before.v, after.v)
+    a = line(before.a, after.a)
+    lam = line(before.lam, after.lam)
     return replace(after, t=t, q=system.compose(before.q, xi), v=v, a=a, lam=lam)

@@ -26,7 +26,7 @@ from ..system.system import System
 from . import archive
 from .fingerprint import compare
 from .folder_lock import FolderLock
-from .progress import Course
+from .progress import RunProgress
 
 STOP = "STOP"  # a file of this name in the folder asks the run to stop
 LOOK = 0.5  # s between looks for it
@@ -106,15 +106,20 @@ class Keeper:
             raise CheckpointError(
                 f"The folder {self.folder} of the checkpoints cannot be written: {error.strerror}. Choose another one."
             ) from error
+
+        # two runs must not write into one folder
         self.lock = FolderLock(self.folder)
+
         found = _numbered(self.folder)
         self.number = found[-1][0] if found else 0
+
         if self.restart is None and found:
             self.lock.release()
             raise InputError(
                 f"The folder {self.folder} holds checkpoints of an earlier run, the newest is {found[-1][1].name}. Take them up "
                 "with restart=..., remove them, or choose another folder."
             )
+
         for rest in self.folder.iterdir():  # what a killed run left, and nothing else that begins with a dot
             if re.fullmatch(r"\.\d{6,}_step\d+\.(writing|removed)", rest.name):
                 archive.discard(rest)
@@ -146,14 +151,14 @@ class Keeper:
         together(self.comm, error)
         return out
 
-    def resume(self, course: Course) -> None:
+    def resume(self, progress: RunProgress) -> None:
         """Take up the checkpoint that was asked for, or write one of the start: what cannot be kept shows at once.
 
         Raises:
             CheckpointError: there is none, it is damaged or belongs to another run; or none can be written.
         """
         if self.restart is None:
-            self.write(course)
+            self.write(progress)
             return
         try:
             values, known, self.newest = self._load(Path(self.restart))
@@ -162,15 +167,15 @@ class Keeper:
                 raise
             return  # rank 0 goes on meanwhile and has removed it, or has reported the damage: the same run from its start
         compare(known, self.given, self.newest)
-        self._take_up(course, values)
-        self.written = course.done
+        self._take_up(progress, values)
+        self.written = progress.done
         log.info("restarted from %s", self.newest)
 
-    def _take_up(self, course: Course, values: dict[str, Any]) -> None:
+    def _take_up(self, progress: RunProgress, values: dict[str, Any]) -> None:
         """Put the values of a checkpoint back; what does not fit is one error on all ranks."""
         error: CheckpointError | None = None
         try:
-            course.remember(Memory(self.system, values), self.newest)
+            progress.remember(Memory(self.system, values), self.newest)
         except CheckpointError as found:
             error = found
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as found:
@@ -198,24 +203,29 @@ class Keeper:
         """Context in which requests to stop are noticed."""
         return StopRequests(() if self.plan is None else (signal.SIGUSR1, signal.SIGTERM))
 
-    def after_step(self, course: Course, stop: StopRequests) -> bool:
+    def after_step(self, progress: RunProgress, stop: StopRequests) -> bool:
         """Write when it is time; True when the run is to stop."""
         verdict = WRITE_AND_STOP if stop.asked else GO_ON
         if self.plan is None:
             return stop.asked
+
+        # the ranks that write look at clock and folder; others pass a request on by a file
         if self.writes:
-            verdict = max(verdict, self._due(course.done, self.plan))
+            verdict = max(verdict, self._due(progress.done, self.plan))
         elif stop.asked and not self.shared:
             stop.asked = False
             with suppress(OSError):
                 (self.folder / STOP).touch()
             return False
+
+        # all ranks write, or none
         if self.shared:
             assert self.comm is not None
             verdict = max(self.comm.allgather(verdict))
         if verdict == GO_ON:
             return False
-        self.write(course)
+
+        self.write(progress)
         if verdict == WRITE_AND_STOP:
             self.exit_code = INTERRUPTED if stop.by == signal.SIGINT else STOPPED
             if self.writes:
@@ -230,13 +240,13 @@ class Keeper:
                 return WRITE_AND_STOP
         return WRITE if (plan.every and done % plan.every == 0) or now - self.last > plan.seconds else GO_ON
 
-    def write(self, course: Course) -> None:
+    def write(self, progress: RunProgress) -> None:
         """Write a checkpoint, unless there is one already, and remove the oldest."""
-        done = course.done
+        done = progress.done
         if self.plan is None or done == self.written:
             return
         m = Memory(self.system)
-        course.remember(m)
+        progress.remember(m)
         keep = self.plan.keep
         self._together(lambda: self._store(done, m.values, keep))
         self.written, self.last = done, clock.monotonic()

@@ -24,7 +24,8 @@ class Unit:
         self.stepper: SceneStepper = stepper(self.scene, dt=dt, scheme=scheme)
         self.outputs: dict[str, tuple[str, int]] = {}
         for sensor, quantity in self.scene.sensors.items():
-            size, labels = len(self.stepper[sensor]), list(quantity.labels)
+            size = len(self.stepper[sensor])
+            labels = list(quantity.labels)
             for k in range(size):
                 tail = "" if size == 1 else f"_{labels[k]}" if k < len(labels) else f"_{k + 1}"
                 self.outputs[(sensor + tail).replace(" ", "_")] = sensor, k

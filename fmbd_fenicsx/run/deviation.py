@@ -24,6 +24,11 @@ class Deviation:
         """The largest over the run."""
         return float(np.abs(self.values).max(initial=0.0))
 
+    @property
+    def mean(self) -> float:
+        """Root mean square over the run and the components."""
+        return float(np.sqrt(np.mean(np.square(self.values)))) if self.values.size else 0.0
+
     def at(self, times: Array) -> Array:
         """Values at other times, straight lines between."""
         if not len(self.times):

@@ -4,6 +4,7 @@
                                                                   (an overshoot of the first steps is told from growth;
                                                                   R: energy of roundoff, as in the energy guard)
     |G v + g_t| u_i  >  0.02 max |v|                              largest velocity in an open joint                  (2)
+    |g|  >  1e-3 L                                                under forms that hold no positions                 (3)
     halvings  >=  10, or one in twenty steps
 
 Each is a warning: on standard error, and in the report under "look at this".
@@ -25,6 +26,7 @@ from .output import Recorder
 
 GROWTH = 0.02
 SLIP = 0.02
+APART = 1e-3  # of the model's length
 ROUNDOFF = 1e-12  # of the model's length
 HALVINGS = 10
 SHARE = 0.05  # of the steps
@@ -40,6 +42,7 @@ def warn_of_doubts(scene: Scene, solver: StepSolver, recorder: Recorder, counter
     _halvings(counters)
     _impacts(counters)
     _open_velocities(recorder)
+    _open_joints(recorder)
     _immovable(solver)
 
 
@@ -47,10 +50,15 @@ def _growth(system: System, energy: dict[str, Array], times: Array) -> None:
     """(1): steps that each gain little are not refused, many of them add up."""
     total = np.sum(list(energy.values()), axis=0)
     turnover = max(float(np.max(energy["kinetic"] + energy["elastic"] + np.abs(energy["springs"]))), 0.0)
+
     weight = system.mass * float(np.linalg.norm(system.gravity(0.0))) * system.length
-    growth, much = float(np.max(total) - total[0]), GROWTH * (turnover + weight)
+
+    growth = float(np.max(total) - total[0])
+    much = GROWTH * (turnover + weight)
     if growth <= much or growth <= much + _roundoff(system, times):
         return
+
+    # only at first: the start, not the step, is to blame
     if np.argmax(total) <= SETTLING < 0.2 * len(total) and total[-1] - total[0] <= much:
         log.warning(
             "the energy rises by %.3g J (from %.6g J to %.6g J) in the first steps and falls again: the start contains "
@@ -75,7 +83,8 @@ def _roundoff(system: System, times: Array) -> float:
 
 
 def _halvings(counters: Mapping[str, float]) -> None:
-    count, steps = counters.get("halved_steps", 0.0), max(counters["steps"], 1.0)
+    count = counters.get("halved_steps", 0.0)
+    steps = max(counters["steps"], 1.0)
     back = counters.get("energy_rejections", 0.0)
     if count >= HALVINGS or count > SHARE * steps:
         log.warning(
@@ -91,7 +100,8 @@ def _halvings(counters: Mapping[str, float]) -> None:
 
 def _impacts(counters: Mapping[str, float]) -> None:
     """Impacts of elastic bodies that only a few steps have seen."""
-    short, all_of_them = counters.get("short_impacts", 0.0), counters.get("impacts", 0.0)
+    short = counters.get("short_impacts", 0.0)
+    all_of_them = counters.get("impacts", 0.0)
     if short > CHATTER * all_of_them:
         log.warning(
             "%d of %d impacts lasted three steps or less: what they give back depends on the step. Take a dt of at most a tenth "
@@ -101,7 +111,8 @@ def _impacts(counters: Mapping[str, float]) -> None:
 
 def _open_velocities(recorder: Recorder) -> None:
     """(2), above what roundoff of places is in one run: a scene at rest moves by nothing else."""
-    check, span = recorder.closed, float(np.ptp(recorder.times))
+    check = recorder.closed
+    span = float(np.ptp(recorder.times))
     if check is None or recorder.worst_slip <= SLIP * recorder.fastest:
         return
     if recorder.worst_slip * span <= ROUNDOFF * recorder.system.length:
@@ -111,6 +122,18 @@ def _open_velocities(recorder: Recorder) -> None:
         "accelerations are less accurate than positions. Take a smaller dt, or a scheme that holds velocities too, such as "
         "fmbd.Radau()",
         recorder.worst_slip, recorder.fastest,
+    )  # fmt: skip
+
+
+def _open_joints(recorder: Recorder) -> None:
+    """(3): forms of lower index let joints drift apart, and large steps let them fly apart."""
+    check, length = recorder.closed, recorder.system.length
+    if check is None or 0 in check.levels or recorder.gap <= APART * length:
+        return
+    log.warning(
+        "joints are open by up to %.2g m, the model's length is %.3g m: this form of the constraints does not hold positions. "
+        "Take a smaller dt, or a form that holds them, such as fmbd.GGL()",
+        recorder.gap, length,
     )  # fmt: skip
 
 

@@ -57,6 +57,7 @@ def component(scene: Scene, now: Moment, name: str) -> tuple[str, int | None]:
     """Sensor and number of the component behind a name; None where the sensor must have only one; collective."""
     if name in scene.sensors:
         return name, None
+    # else a component: the sensor's name, a blank, its label
     known: dict[str, tuple[str, int]] = {}
     for sensor, made in scene.sensors.items():
         size = len(now[sensor]) if name.startswith(f"{sensor} ") else 0
@@ -83,12 +84,15 @@ class EventWatch:
 
     def look(self, n: int, after: State, stepper: Any) -> State | None:
         """Call what belongs to the crossings of step n in their order; the state at which the run ends, or None. Collective."""
-        before, span = self.before, after.t - self.before.t
+        before = self.before
+        span = after.t - before.t
 
         def at(t: float) -> State:
             return after if t >= after.t else state_between(self.system, before, after, t, stepper)
 
+        # with error control steps are long: a value may cross and come back within one
         inner = [at(before.t + x * span) for x in self.places]
+
         found: list[tuple[float, int]] = []
         for k, event in enumerate(self.events):
             points = [(before.t, self.values[k]), *((s.t, self._value(k, s)) for s in (*inner, after))]
@@ -96,6 +100,7 @@ class EventWatch:
             self.values[k] = points[-1][1]
         self.before = after
 
+        # in the order of time, up to the first that ends the run
         for t, k in sorted(found):
             event, state = self.events[k], at(t)
             if event.then is None:
@@ -107,6 +112,7 @@ class EventWatch:
         """The instant of a crossing between two points (time, value)."""
         if b[1] == 0.0:
             return b[0]
+
         return float(
             brentq(lambda t: self._value(k, at(t)), a[0], b[0], xtol=ROUNDOFF * max(b[0], 1e-300), rtol=ROUNDOFF)
         )

@@ -58,17 +58,21 @@ def _describe(name: str, x: Any, out: dict[str, str], depth: int = 0) -> None:
     if isinstance(x, np.ndarray | list | tuple) and _numbers(x):
         a = np.asarray(x, dtype=float)
         out[name] = np.array2string(a, precision=12) if a.size <= SMALL else f"array {a.shape}"
+    # numbers and words
     elif x is None or isinstance(x, bool | int | float | str | np.generic):
         out[name] = repr(x.item() if isinstance(x, np.generic) else x)
+    # containers, item by item
     elif isinstance(x, list | tuple):
         for k, y in enumerate(x):
             _describe(f"{name}[{k}]", y, out, depth + 1)
     elif isinstance(x, dict):
         for k, y in x.items():
             _describe(f"{name}[{k!r}]", y, out, depth + 1)
+    # what has a name is told by it: bodies and joints are described where they stand
     elif depth and isinstance(getattr(x, "name", None), str):
         body = getattr(getattr(x, "body", None), "name", "")
         out[name] = f'{type(x).__name__} "{x.name}"' + (f' of "{body}"' if body else "")
+    # objects field by field, but for meshes
     elif dataclasses.is_dataclass(x) and not isinstance(x, type) and depth < 4 and not hasattr(x, "dolfinx"):
         out[name] = type(x).__name__
         for f in dataclasses.fields(x):
@@ -95,6 +99,7 @@ def check_effect(system: System, state: State, m: Memory, where: Any) -> None:
         numbering = part.field.numbering
         if numbering is None:
             continue
+
         x = part.field.X_world
         apart = np.abs(m.nodal(f"nodes {k}", x.ravel(), numbering) - x.ravel()).max(initial=0.0)
         if max(part.comm.allgather(float(apart))) > 1e-9 * part.field.size:
@@ -102,6 +107,8 @@ def check_effect(system: System, state: State, m: Memory, where: Any) -> None:
                 f'The checkpoint {where} cannot be used for body "{part.name}": its mesh is another one, or is numbered '
                 "otherwise (a mesh that was refined on other ranks)."
             )
+
+    # what the system does must be the same but for roundoff
     for name, (value, scale) in _effect(system, state).items():
         known = m(name, value)
         if not np.abs(known - value).max(initial=0.0) <= SAME * scale:
@@ -118,13 +125,18 @@ def _effect(system: System, state: State) -> dict[str, tuple[Array, float]]:
     forces = ev.balance(np.zeros_like(state.a))
     inertia = ev.balance(state.a) - forces
     d, n = system.motions.dim, system.motions.n_twist
+
+    # what acts on each frame and in each part: forces, then inertia forces
     rows: dict[str, list[Array]] = {}
     for i, name in enumerate(system.frame_names):
         rows[f'on "{name}"'] = [r[i * n : (i + 1) * n] for r in (forces, inertia)]
     for k, part in enumerate(system.parts):
         own = [np.array([float(r @ r)]) for r in (system.local_v(forces, k), system.local_v(inertia, k))]
         rows[f'in "{part.name}"'] = [np.sqrt(part.field.total(x) if part.distributed else x) for x in own]  # type: ignore[attr-defined]
+
     largest = max([float(np.abs(x[:d]).max()) for pair in rows.values() for x in pair], default=0.0)
+
+    # each by the largest of its kind, moments by it times the model's length
     out: dict[str, tuple[Array, float]] = {}
     for where, pair in rows.items():
         size = max(1e-9 * largest, *(float(np.abs(x[:d]).max()) for x in pair))
@@ -132,6 +144,7 @@ def _effect(system: System, state: State) -> dict[str, tuple[Array, float]]:
         for what, x in zip(("forces", "inertia forces"), pair, strict=True):
             out[f"{what} {where}"] = x[:d], size
             out[f"moments of {what} {where}"] = x[d:], turning
+
     energies = np.array(list(ev.energies().values()))
     out["energies"] = energies, max(float(np.abs(energies).max(initial=0.0)), 1e-9 * largest * system.length)
     out["constraints"] = ev.constraint(), system.length

@@ -110,6 +110,7 @@ class Balanced:
         if s.n_lam:
             out += abs(ev.jacobian.core).T @ np.abs(state.lam)
         frames = out[: s.n_frames * s.motions.n_twist].reshape(s.n_frames, s.motions.n_twist)  # a view
+
         if s.forces:
             size = np.abs(ev.wrenches())
             push, turn = size[:, :d].sum(axis=1), size[:, d:].sum(axis=1)
@@ -117,6 +118,7 @@ class Balanced:
             np.add.at(of, s.markers.frame, np.stack([push, turn + s.length * push], axis=1))
             frames[:, :d] += of[:-1, :1]
             frames[:, d:] += of[:-1, 1:]
+        # one size for all components: axes do not matter
         for part in (frames[:, :d], frames[:, d:]):
             part[:] = part.max(axis=1, keepdims=True)
         return out

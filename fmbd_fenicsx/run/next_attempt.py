@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InputError
-from ..mechanics.bodies.bodies import ElasticBody
-from ..mechanics.reduction.craig_bampton import ReducedBody
 from ..schemes.control import FINEST
 from ..system.scene.refinement import expected_rate, meshed_bodies, modal_bodies, more_modes, slender
 from ..system.scene.scene import Scene
@@ -23,7 +21,7 @@ from .deviation import Deviation
 from .estimates import SEEN
 from .output import Output
 from .result import Run
-from .schedule import Pace
+from .schedule import StepSchedule
 from .shared_runs import Orders, SharedRuns
 from .shares import AIM, WHOLE, Tolerance, share
 
@@ -31,8 +29,11 @@ if TYPE_CHECKING:
     from .tolerance import Attempt
 
 LEAST = 0.65  # of smaller changes of the step the runs cost more than they save
+LEAST_UNSEEN = 0.5  # the same where the order of the scheme was not seen
 NEAR, FAR = 1 / 4, 1 / 128  # most that a step is made smaller at once, without and with the order of the scheme seen
+STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, as long as nothing was seen
 HALF, LATER = 0.45, 0.3  # shares for time beside an error in space that is not known yet: allowed, and brought below
+FALLS = 1.1  # ratio by which errors in space have to fall when meshes are refined
 MANY = 32  # grains above which numbers of steps are rounded to four
 
 
@@ -55,7 +56,7 @@ class Plan:
 
     scene: Scene
     scheme: Any
-    pace: Pace
+    schedule: StepSchedule
     grain: int
     meshes: int = 0
     modes: int = 0
@@ -67,12 +68,12 @@ class Plan:
     @property
     def steps(self) -> int:
         """Number of equal steps; 0 with error control."""
-        return self.pace.steps
+        return self.schedule.steps
 
     @property
     def step(self) -> float:
         """Size of the steps (s), or rtol."""
-        return self.pace.t_end / self.steps if self.steps else self.scheme.rtol
+        return self.schedule.t_end / self.steps if self.steps else self.scheme.rtol
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ def space_first(plan: Plan, tol: Tolerance, shared: SharedRuns, wanted: Output) 
         return None
 
     output = replace(wanted, every=1, energy=False, ledger=False, estimate_error=False)
-    solved = shared.solve(plan.scene, plan.scheme, Pace(plan.pace.t_end, few), output)
+    solved = shared.solve(plan.scene, plan.scheme, StepSchedule(plan.schedule.t_end, few), output)
     errors, unstated = shared.space_error(solved, solved.compared, plan.below)
     if unstated or not errors:
         return None
@@ -118,10 +119,21 @@ def next_plan(
     """The next plan and what it changes, or None and why there is none; collective where meshes are refined."""
     over = {kind: max(share(run.certificate, n, x, kind) for n, x in tol.items()) for kind in KINDS}
     if over["algebra"] > AIM:
-        return None, "Newton's tolerance is too large: give newton=Newton(tolerance=...)"
+        smaller = shared.newton.tolerance * AIM / over["algebra"]
+        return (
+            None,
+            f"Newton's tolerance is too large: give newton=fmbd.Newton(tolerance={smaller:.0e}) or a smaller one",
+        )
 
     made, done = plan, []
     limits = _limits(over)
+    before = np.inf if plan.before is None else plan.before[1]
+    if over["space"] > limits["space"] and over["space"] > max(before / FALLS, 1.0):
+        return None, (
+            f"errors in space do not fall with the cells: {before:.2g} times the tolerance, {over['space']:.2g} times "
+            "after the meshes were refined. The sensor sees a singular corner, or jumps: take one that is a mean over a "
+            "surface or over time"
+        )
     try:
         if over["space"] > limits["space"]:
             made = _finer_meshes(made, over["space"], limits["space"], shared)
@@ -164,15 +176,21 @@ def _finer_meshes(plan: Plan, over: float, limit: float, shared: SharedRuns) -> 
     rate = expected_rate(plan.scene)
     if plan.before is not None and np.isfinite(plan.before[1]):
         rate = float(np.clip((plan.before[1] / over) ** (1.0 / (plan.meshes - plan.before[0])), 2.0, 16.0))
-    solid = any(isinstance(b, ElasticBody | ReducedBody) and b.dim == 3 for b in plan.scene.bodies.values())
+    solid = any(b.meshed and b.dim == 3 for b in plan.scene.bodies.values())
     exact = np.log(over / limit) / np.log(rate) if np.isfinite(over) else 1.0
     wanted = int(np.ceil(exact - 0.1) if _foreseen(plan) and np.isfinite(over) else exact + 0.5)
-    levels = min(max(wanted, 1), 1 if solid else 5 if slender(plan.scene) else 3)
+    one_by_one = solid or bool(plan.scene.contacts)  # dear, or of a rate that nobody knows
+    levels = min(max(wanted, 1), 1 if one_by_one else 5 if slender(plan.scene) else 3)
 
     scenes = [*plan.below, plan.scene]
-    for _ in range(levels):
-        scenes.append(shared.refined(scenes[-1]))
-    made = replace(plan, scene=scenes[-1], meshes=plan.meshes + levels, below=tuple(scenes[:-1]))
+    for level in range(levels):
+        try:
+            scenes.append(shared.refined(scenes[-1]))
+        except InputError:
+            if not level:
+                raise
+            break  # as fine as they get
+    made = replace(plan, scene=scenes[-1], meshes=len(scenes) - 1, below=tuple(scenes[:-1]))
     return replace(made, known=None, before=(plan.meshes, over))
 
 
@@ -186,12 +204,14 @@ def _factor(plan: Plan, run: Run, tol: Tolerance, *, shares: tuple[float, float]
     now, wanted = shares
     if plan.steps:
         order = _order(run, tol)
-        most = FAR if order > SEEN * run.scheme.order else NEAR
-        return float(np.clip((wanted / now) ** (1.0 / order), most, LEAST))
+        regular = order > SEEN * run.scheme.order
+        most, least = (FAR, LEAST) if regular else (NEAR, LEAST_UNSEEN)
+        return float(np.clip((wanted / now) ** (1.0 / order), most, least))
 
-    # errors of controlled runs follow the tolerance with a slope of their own
+    # errors of controlled runs follow the tolerance with a slope of their own: steps go with its root of the order plus one
     same = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]
-    slope = 0.9
+    order = run.scheme.order
+    slope = min(order / (order + 1.0), STEEPEST)
     if same and same[-1].worst > now:
         slope = float(np.clip(np.log(same[-1].worst / now) / np.log(same[-1].step / plan.step), 0.5, 1.2))
     return float(np.clip(0.7 * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))
@@ -211,4 +231,4 @@ def finer_steps(plan: Plan, factor: float) -> Plan:
     wanted = plan.steps / factor
     grain = plan.grain if wanted < MANY * plan.grain else 4 * plan.grain
     steps = int(np.ceil(wanted / grain - 1e-9)) * grain
-    return replace(plan, pace=Pace(plan.pace.t_end, steps))
+    return replace(plan, schedule=StepSchedule(plan.schedule.t_end, steps))

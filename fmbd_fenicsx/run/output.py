@@ -87,6 +87,7 @@ class Output:
             self.energy or not self.ledger, "Output: a ledger needs the energies, so energy=False does not go with it."
         )
         whole("Output: every =", self.every, least=1)
+
         if self.times is not None:
             t = vector("Output: times", self.times)
             require(
@@ -96,8 +97,10 @@ class Output:
         require(
             isinstance(self.events, tuple | list), f"Output: events must be a list of events, found {self.events!r}."
         )
+
         if self.events:
             self._check_events()
+
         if isinstance(self.snapshots, int):
             require(self.snapshots >= 0, f"Output: snapshots = {self.snapshots} must not be negative.")
         elif not isinstance(self.snapshots, PerSecond):
@@ -150,6 +153,7 @@ def refuse_too_many(output: Output, system: System, t_end: float, steps: int) ->
     """Refuse snapshots that would fill the memory; ``steps`` of the run, 0 where they are not known."""
     wanted = output.count(t_end)
     number = min(wanted, steps + 1) if steps else wanted
+    # t, q, v, a, lambda of one state; this machine's memory
     size = 8.0 * (system.n_q + 2 * system.n_v + system.n_lam)
     memory = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
     if wanted > MOST or number * size > SHARE * memory:
@@ -219,11 +223,13 @@ class Recorder:
         self.pieces.append(seen.t)
         if self.closed is not None:
             self.closed.check_tape(seen)
+
         gap, slip, worst, fastest = seen.drift.max(axis=0).tolist()
         self.gap, self.slip = max(self.gap, gap), max(self.slip, slip)
         if self.closed is not None:
             self.worst_slip, self.fastest = max(self.worst_slip, worst), max(self.fastest, fastest)
 
+        # sensors that compiled code knows are read for all records at once
         alone = []
         for name, sensor in self.scene.sensors.items():
             if id(sensor) in seen.looks.of:
@@ -236,6 +242,7 @@ class Recorder:
         if self.output.energy and not unknown:
             for name, values in seen.energies().items():
                 self.energies.setdefault(name, []).append(values)
+
         self.seconds += clock.perf_counter() - begin
 
     def _one_by_one(self, seen: Recorded, sensors: list[tuple[str, Any]], energy: bool) -> None:
@@ -252,6 +259,7 @@ class Recorder:
         """Steps of size h (s) after step n, at time t, up to the next that is recorded, it included."""
         if self._wanted is not None:  # values between the ends of every step may be asked for
             return 1
+
         steps = self.output.every - n % self.output.every
         if self._due:
             steps = min(steps, int(np.ceil((self._due[0] - t) / h - 1e-6)))
@@ -263,9 +271,11 @@ class Recorder:
         if self._due and state.t >= self._due[0] - rounding:
             self.snapshots.append(state)
             self._due = [t for t in self._due if t > state.t + rounding]
+
         if self._wanted is not None:
             self._take_between(n, state, stepper, rounding)
             return
+
         if n % self.output.every and state.t < self.t_end - rounding:
             return
         if self.indices and self.indices[-1] == n:  # on tape
@@ -290,6 +300,7 @@ class Recorder:
             if abs(t - state.t) > rounding and self._before is not None:
                 at = state_between(self.system, self._before, state, t, stepper)
             self._record(n, at, None, between=True)
+
         if passed:
             self._judge(n, state, self.system.at(state.t, state.q, state.v))
         self._before = state
@@ -304,6 +315,7 @@ class Recorder:
         self.pieces.append(np.array([state.t]))
         for name, sensor in self.scene.sensors.items():
             self.values[name].append(np.asarray(sensor.read(ev, state, self.markers[name]))[None])
+
         if not between:
             self._judge(n, state, ev)
         if self.output.energy:
@@ -311,15 +323,20 @@ class Recorder:
                 self.energies.setdefault(name, []).append(np.array([value]))
         if self.output.ledger:
             self._book(ev, state)
+
         self.seconds += clock.perf_counter() - begin
 
     def _judge(self, n: int, state: State, ev: Evaluation) -> None:
         """How far joints are open at the end of step n; raises ConvergenceError where it is too far; collective."""
         if self.closed is not None and n:
             self.closed.check(ev)
+        elif self.closed is not None:
+            self.closed.last = state.t
         if not self.system.n_lam:
             return
-        units, rate = self.system.row_units, np.abs(ev.opening())
+
+        units = self.system.row_units
+        rate = np.abs(ev.opening())
         self.gap = max(self.gap, float((units * np.abs(ev.constraint())).max()))
         self.slip = max(self.slip, float((units * rate).max()))
         if self.closed is not None:
@@ -347,19 +364,26 @@ class Recorder:
     def remember(self, m: Memory) -> None:
         """All that was recorded so far."""
         steps, times = m("steps", (np.array(self.indices), self.times))
-        self.indices, self.pieces = [int(n) for n in steps], [np.asarray(times, dtype=float)]
+        self.indices = [int(n) for n in steps]
+        self.pieces = [np.asarray(times, dtype=float)]
+
         sensors = self.scene.sensors
         self.values = {n: [sensors[n].remember(m, f"sensor {n}", x)] for n, x in self.series.items()}
+
         kinds = m("kinds", list(self.energies))
         now = self.energy
         self.energies = {k: [np.asarray(m(f"energy {k}", now.get(k, np.zeros(0))))] for k in kinds}
+
         self.gap, self.slip, self.seconds, self._due = m("drift", (self.gap, self.slip, self.seconds, self._due))
+
         if self.output.ledger:
             power, work, self.unlisted = m("ledger", (self.books.power, self.books.work, self.unlisted))
             self.powers, self.works = _entries(power, len(self.times)), _entries(work, len(self.times))
         self.worst_slip, self.fastest = m("velocities", (self.worst_slip, self.fastest))
+
         if self.warned is not None:
             self.warned.found = [(a, b) for a, b in m("warned", [list(x) for x in self.warned.found])]
+
         self._wanted = m("wanted", self._wanted)
         if self._wanted is not None:
             self._before = m.state("before", self._before)

@@ -29,7 +29,7 @@ from ..log import log
 from ..mechanics.joints.constraints import Perpendicular
 from ..mechanics.joints.couplings import CouplingBatch, SmoothMotion
 from ..mechanics.joints.drives import Coupling
-from ..mechanics.joints.relative import Turn
+from ..mechanics.joints.relative import RelativeAngle
 from ..system.scene.scene import Scene
 from ..system.system import System
 
@@ -77,6 +77,7 @@ class Follower:
         self.times, self.places = [*self.times[-3:], t], [*self.places[-3:], s]
         if len(self.times) == 1:
             return
+
         h, moved = t - self.times[-2], s - self.places[-2]
         self.fastest = max(self.fastest, abs(moved / h))
 
@@ -90,7 +91,9 @@ class Follower:
         """B of (1) over the motion in three steps."""
         t, s = self.times, self.places
         rise = [(s[k + 1] - s[k]) / (t[k + 1] - t[k]) for k in range(2)]
+        # Newton's form through the first three places
         parabola = s[1] + (t[3] - t[1]) * (rise[1] + (t[3] - t[2]) * (rise[1] - rise[0]) / (t[2] - t[0]))
+
         size = max(s) - min(s) + 1e-3 * (t[3] - t[0]) * self.fastest
         roundoff = 1e3 * EPS * max(map(abs, s))
         return max(abs(s[3] - parabola) - roundoff, 0.0) / size if size > max(roundoff, SEEN * self.length) else 0.0
@@ -114,7 +117,8 @@ class Follower:
             return False
         before, step, after = (values[k + 1] - values[k] for k in range(3))
         noise = 100 * EPS * max(*map(abs, values), abs(a) * self.fastest)
-        bend, around = abs(after - before), max(abs(before), abs(after))
+        bend = abs(after - before)
+        around = max(abs(before), abs(after))
 
         if abs(step - 0.5 * (before + after)) > 10 * bend + around + noise:
             self._jump(0.5 * (a + b), step)
@@ -183,9 +187,11 @@ class Follower:
 
     def _apart(self, level: int, t: float, h: float) -> tuple[float, float, float] | None:
         """Time, rate as given and slope, where these two differ whatever the width of the difference."""
-        given, slope = self.motion(t)[level], 0.0
+        given = self.motion(t)[level]
+        slope = 0.0
         for width in (h / 16, h / 256):
             v = [self.motion(t + k * width)[level - 1] for k in (-2, -1, 1, 2)]
+            # differences of fourth order, and what they may miss by roundoff
             slope = (v[0] - 8 * v[1] + 8 * v[2] - v[3]) / (12 * width)
             noise = 20 * EPS * (max(map(abs, v)) + abs(t) * self.fastest) / width
             least = 1e-6 * self.fastest * (1.0 if level == 1 else 1.0 / h)
@@ -197,8 +203,10 @@ class Follower:
 def _defect(before: tuple[float, ...], now: tuple[float, ...], h: float, fastest: float) -> float:
     """D of (2) over the motion in the step."""
     (s0, r0, a0), (s1, r1, a1) = before, now
+    # Hermite's rule for s, the trapezoid rule for s'
     place = abs(s1 - s0 - 0.5 * h * (r0 + r1) + h * h / 12 * (a1 - a0))
     rate = h * abs(r1 - r0 - 0.5 * h * (a0 + a1))
+
     size = abs(s1 - s0) + h * (abs(r0) + abs(r1) + 1e-3 * fastest)
     roundoff = 1e3 * EPS * (abs(s0) + abs(s1))
     return (place + rate - roundoff) / size if size > roundoff else 0.0
@@ -214,8 +222,10 @@ class PrescribedMotions:
         for motion, length in _motions(system):
             if isinstance(motion, SmoothMotion):
                 found.setdefault(id(motion), Follower(motion, length, stated))
+
         self.followers = list(found.values())
         self.rivals = [(found[i], found[j], name) for i, j, name in _rivals(scene) if i in found and j in found]
+
         for follower in self.followers:
             follower.look(t)
 
@@ -269,6 +279,6 @@ def _motions(system: System) -> list[tuple[Any, float]]:
             angles = {i for i, _ in batch.driven}
         elif isinstance(batch, CouplingBatch):
             for relative, numbers, _ in batch.terms:
-                angles |= {int(i) for i in numbers} if isinstance(relative, Turn) else set()
+                angles |= {int(i) for i in numbers} if isinstance(relative, RelativeAngle) else set()
         out += [(motion, 1.0 if i in angles else system.length) for i, motion in batch.driven]
     return out + [(tie.motion, system.length) for tie, _ in system.traces]

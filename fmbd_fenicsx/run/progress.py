@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Course:
+class RunProgress:
     """The workers of a march, steps ``done``, largest ``local_error``, back-solves of the ``first`` step, and the seconds
     that processes before a restart took.
     """

@@ -16,7 +16,7 @@ from ..system.scene.scene import Scene
 
 
 @dataclass(frozen=True)
-class Pace:
+class StepSchedule:
     """Where the steps of a march end: ``steps`` equal ones, or (0) as the scheme likes, hitting each of ``stops`` and the end."""
 
     t_end: float
@@ -28,6 +28,7 @@ class Pace:
         """Size of the next step, or the most it may be (s). Steps end a few roundings before a break point: on its near side."""
         if self.steps:
             return self.t_end / self.steps
+        # steps that the scheme chooses: up to the next break point, on its near side
         for stop in self.stops:
             if stop - 64 * np.spacing(stop) > t:
                 return min(stop - 16 * np.spacing(stop) - t, self.largest)
@@ -42,28 +43,33 @@ class Pace:
         return done >= self.steps if self.steps else t >= self.t_end * (1 - 1e-12)
 
 
-def pace_of(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, multiple: int = 1) -> Pace:
+def step_schedule(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, multiple: int = 1) -> StepSchedule:
     """Steps of equal size, none above dt (but for roundoff), a ``multiple`` of them; or none for error control."""
     number("End time t_end =", t_end, above=0.0, unit="s")
     if dt is not None:
         number("Step dt =", dt, above=0.0, unit="s")
-    adaptive = Declared.by(scheme).adaptive
-    if dt is None and not adaptive:
-        raise InputError(f"{scheme.name} takes constant steps: give dt (s). Schemes with rtol choose their own.")
-    if dt is not None:
         require(dt <= t_end * (1 + 1e-12), f"Step dt = {dt} s is larger than the whole run, t_end = {t_end} s.")
         require(t_end + dt > t_end, f"Step dt = {dt} s is below the roundoff of t_end = {t_end} s: t + h == t.")
-    if adaptive:
+
+    if Declared.by(scheme).adaptive:
         require(
             multiple == 1,
             "estimate_error needs constant steps; with error control compare two values of rtol (study.py).",
         )
-        periods = {f.period for f in scene.forces.values() if f.period is not None}
-        samples = [k * period for period in periods for k in range(1, int(np.ceil(t_end / period)))]
-        stops = sorted({float(t) for t in (*scene.breakpoints, *samples) if 0 < t < t_end})
-        return Pace(t_end, 0, tuple(stops), np.inf if dt is None else dt)
-    assert dt is not None
+        return StepSchedule(t_end, 0, _stops(scene, t_end), np.inf if dt is None else dt)
+    if dt is None:
+        raise InputError(f"{scheme.name} takes constant steps: give dt (s). Schemes with rtol choose their own.")
+
+    # t_end / dt is a whole number but for roundoff, or the next one above
     steps = max(1, round(t_end / dt))
     if abs(steps * dt - t_end) > 1e-9 * t_end:
         steps = int(np.ceil(t_end / dt))
-    return Pace(t_end, -(-steps // multiple) * multiple)
+    groups = -(-steps // multiple)
+    return StepSchedule(t_end, groups * multiple)
+
+
+def _stops(scene: Scene, t_end: float) -> tuple[float, ...]:
+    """Times inside a run at which the solution may have a kink: break points, and samples of controllers."""
+    periods = {force.period for force in scene.forces.values() if force.period is not None}
+    samples = [k * period for period in periods for k in range(1, int(np.ceil(t_end / period)))]
+    return tuple(sorted({float(t) for t in (*scene.breakpoints, *samples) if 0 < t < t_end}))

@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from ..errors import ConvergenceError
+import numpy as np
+
 from ..log import log
 from ..notices import Gathered
 from ..schemes.newton import Newton
@@ -20,7 +21,10 @@ from ..system.scene.scene import Scene
 from .built import Built, build
 from .deviation import Deviation
 from .estimates import (
+    REGULAR,
+    SEEN,
     UNENDED,
+    UNFIT,
     Compared,
     TimeError,
     again,
@@ -31,10 +35,12 @@ from .estimates import (
     space_deviations,
 )
 from .output import Output
-from .schedule import Pace
+from .schedule import StepSchedule
 from .single_run import Solved, Task, run_once
 
 NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
+BEYOND = 20.0  # the same where they show the order of the scheme
+TWICE = 2.0  # least ratio where they do not
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,7 @@ class SharedRuns:
         self._built: dict[int, Built] = {}
         self._finer: dict[int, tuple[Scene, str, Built | None]] = {}
         self._runs: dict[int, dict[int, Compared]] = {}
+        self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
 
     def built(self, scene: Scene) -> Built:
@@ -71,9 +78,9 @@ class SharedRuns:
         warned.found = list(made.warned.found)
         return replace(made, warned=warned)
 
-    def solve(self, scene: Scene, scheme: Any, pace: Pace, output: Output) -> Solved:
+    def solve(self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output) -> Solved:
         """One run, kept for later ones with smaller steps to be compared with; collective."""
-        task = Task(scene, scheme, pace, self.newton.afresh(), self.linear, output)
+        task = Task(scene, scheme, schedule, self.newton.afresh(), self.linear, output)
         solved = run_once(task, self.built(scene))
         if not solved.run.counters.get("halved_steps"):
             self._note(scene, solved.compared)
@@ -82,8 +89,8 @@ class SharedRuns:
     def _note(self, scene: Scene, made: Compared) -> None:
         """Keep a run whose steps have one size, recorded at all their ends or at given times."""
         output = made.recorder.output
-        if made.pace.steps and (output.every == 1 or output.times is not None):
-            self._runs.setdefault(id(scene), {})[made.pace.steps] = made
+        if made.schedule.steps and (output.every == 1 or output.times is not None):
+            self._runs.setdefault(id(scene), {})[made.schedule.steps] = made
 
     # -- errors of time -----------------------------------------------------------------------------------------------
     def time_error(self, solved: Solved, known: Orders, *, rough: bool) -> TimeError:
@@ -91,26 +98,55 @@ class SharedRuns:
 
         With ``rough`` the order is taken for granted as long as it was not seen.
         """
+        found = self._compared(solved, known, rough=rough)
+        self._seen.update(known_orders(found))
+        return found
+
+    def _compared(self, solved: Solved, known: Orders, *, rough: bool) -> TimeError:
+        """See :meth:`time_error`."""
         given, scene = solved.compared, solved.problem.scene
-        steps = given.pace.steps
+        steps = given.schedule.steps
         have = self._runs.setdefault(id(scene), {})
         earlier = [n for n in have if n <= steps / NEAREST]
         near = [n for n in earlier if n >= steps / FARTHEST]
 
+        if not near and (found := self._from_afar(solved, earlier)) is not None:
+            return found
+
         coarser = []
         try:
             coarser.append(self._with(solved, max(near) if near else self._wanted(steps, known, bool(earlier))))
-            first = coarser[0].pace.steps
+            first = coarser[0].schedule.steps
             before = [n for n in have if n <= first / NEAREST]
             if before:
                 coarser.append(have[max(before)])
             elif not known.seen and not rough:
                 coarser.append(self._with(solved, max(first // 2, 1)))
-        except ConvergenceError as error:
+        except UNFIT as error:
             if not coarser:
                 log.warning("no error estimate: the run with larger steps did not end: %s", error)
                 return TimeError({}, {}, given)
-        return compare_steps(solved.problem.scheme.order, given, coarser, known.seen or None)
+        order, seen = solved.problem.scheme.order, dict(self._seen)
+        found = compare_steps(order, given, coarser, known.seen or None, before=seen)
+        if (
+            steps < TWICE * coarser[0].schedule.steps
+            and min(known_orders(found).values(), default=order) < SEEN * order
+        ):
+            # irregular motion is not judged by steps of nearly the same size
+            half = self._with(solved, steps // 2)
+            found = compare_steps(order, given, [half, coarser[0]], before=seen)
+        return found
+
+    def _from_afar(self, solved: Solved, earlier: Sequence[int]) -> TimeError | None:
+        """The error by the steps from two earlier runs with far larger ones, if all three show the order of the scheme."""
+        given, order = solved.compared, solved.problem.scheme.order
+        have = self._runs[id(solved.problem.scene)]
+        known = sorted(n for n in earlier if n >= given.schedule.steps / BEYOND)[::-1]
+        below = [n for n in earlier if known and n <= known[0] / NEAREST]
+        if not below:
+            return None
+        found = compare_steps(order, given, [have[known[0]], have[max(below)]])
+        return found if min(known_orders(found).values(), default=0.0) >= REGULAR * order else None
 
     def _wanted(self, steps: int, known: Orders, earlier: bool) -> int:
         """How many steps a run to compare with is made of: as few as tell the error, half as many where no order was seen."""
@@ -122,10 +158,10 @@ class SharedRuns:
 
     def _with(self, solved: Solved, steps: int) -> Compared:
         """The run with so many steps."""
-        scene, pace = solved.problem.scene, solved.compared.pace
+        scene, schedule = solved.problem.scene, solved.compared.schedule
         have = self._runs.setdefault(id(scene), {})
         if steps not in have:
-            have[steps] = again(solved.problem, pace, steps, solved.compared.recorder.output.times)
+            have[steps] = again(solved.problem, schedule, steps, solved.compared.recorder.output.times)
         return have[steps]
 
     # -- errors in space ----------------------------------------------------------------------------------------------
@@ -155,13 +191,13 @@ class SharedRuns:
 
     def _like(self, solved: Solved, made: Compared, scene: Scene) -> Compared | None:
         """A run of the scene with other meshes and the steps of a run ``made``; None where it does not end."""
-        kept = self._runs.get(id(scene), {}).get(made.pace.steps)
+        kept = self._runs.get(id(scene), {}).get(made.schedule.steps)
         if kept is not None:
             return kept
         marched = run_like(solved.problem, made, scene, self.built(scene))
         if marched is None:
             return None
-        found = Compared(marched.recorder, made.pace)
+        found = Compared(marched.recorder, made.schedule)
         if not marched.counters.get("halved_steps"):
             self._note(scene, found)
         return found
@@ -174,3 +210,8 @@ class SharedRuns:
         if finer is not None and finer[2] is not None and not finer[1] and refined_by_finer_space(scene):
             return finer[0]
         return refined(scene)
+
+
+def known_orders(found: TimeError) -> dict[str, float]:
+    """Orders that were seen, by sensor."""
+    return {name: p for name, p in found.orders.items() if np.isfinite(p)}

@@ -32,6 +32,10 @@ class Relative:
 def relative(share: float) -> Relative:
     """A tolerance as a share of the range of the sensor: ``tol={"tip": relative(1e-3)}``."""
     require(bool(np.isfinite(share)) and share > 0, f"relative({share}): the share must be positive.")
+    require(
+        share < 1.0,
+        f"relative({share:g}): such an error is as large as all that the sensor does. Give a share below 1.",
+    )
     require(share >= FLOOR, f"relative({share:g}) is below what roundoff allows, about {FLOOR:g}.")
     return Relative(float(share))
 
@@ -40,16 +44,20 @@ def check_tolerances(scene: Scene, tol: Tolerance) -> None:
     """Tolerances of known sensors, positive."""
     require(bool(tol), "tol must name a sensor: tol={'tip': 1e-4}.")
     for name, value in tol.items():
+        require(isinstance(name, str), f"tol: {name!r} is no name of a sensor: tol={{'tip': 1e-4}}.")
         if name not in scene.sensors:
             raise InputError(f'tol: no sensor "{name}". {near(name, scene.sensors)}')
         if isinstance(value, Relative):
             continue
+
+        # a length is measured in m, an angle in rad: of a number without a unit nobody knows what it allows
         unit = scene.sensors[name].unit
         require(
             unit.strip() not in UNKNOWN,
             f'tol of "{name}" is {value!r}, but this sensor has no unit. Give the sensor its unit '
             '(unit="rad" where it is made), or a share of its range: relative(1e-3).',
         )
+
         number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
         require(
             number and bool(np.isfinite(value)) and value > 0,

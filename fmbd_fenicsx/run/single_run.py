@@ -14,14 +14,15 @@ from ..log import peak_memory
 from ..schemes.newton import Newton
 from ..system.scene.plan import make_plan
 from ..system.scene.scene import Scene
-from .built import Built
+from .built import Built, Start
 from .doubts import warn_of_doubts
 from .estimates import Compared
 from .output import Output, refuse_too_many
+from .problem import Problem, make_solver
 from .rank_advice import advise_on_ranks
 from .result import Run
-from .schedule import Pace
-from .time_loop import March, Problem, begin, make_solver, march
+from .schedule import StepSchedule
+from .time_loop import March, march
 from .turning_rows import warn_of_turning_rows
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ class Task:
 
     scene: Scene
     scheme: Any
-    pace: Pace
+    schedule: StepSchedule
     newton: Newton
     linear: Any
     output: Output
@@ -49,86 +50,150 @@ class Solved:
     compared: Compared
 
 
+@dataclass(frozen=True)
+class Finished:
+    """A march that is over: what it solved from which start, its counts, the joints whose reactions are not unique.
+
+    ``times``: of the clock when the run began, when its start was found, and at its end, s. ``exit_code``: where it stops.
+    """
+
+    march: March
+    problem: Problem
+    start: Start
+    counters: dict[str, float]
+    undetermined: list[str]
+    times: tuple[float, float, float]
+    exit_code: int | None
+
+
 def run_once(
     task: Task, built: Built, *, checkpoint: Checkpoint | None = None, restart: str | Path | None = None
 ) -> Solved:
     """Consistent start and march of a system that may have made other runs before; collective."""
-    scene, scheme, pace, newton, output = task.scene, task.scheme, task.pace, task.newton, task.output
-    system, warned = built.system, built.warned
-    refuse_too_many(output, system, pace.t_end, pace.steps)
-    advise_on_ranks(system)
+    refuse_too_many(task.output, built.system, task.schedule.t_end, task.schedule.steps)
+    advise_on_ranks(built.system)
+
     begun = clock.perf_counter()
-    solver = make_solver(scene, system, task.linear)
-    newton.refresh = solver.refresh
-    keeper: Keeper | None = None
+    # the solver is freed whatever happens: its factors are large
+    solver = make_solver(task.scene, built.system, task.linear)
+    task.newton.refresh = solver.refresh
     try:
-        with warned:
-            start, correction = begin(scene, scheme, system, built.given, solver=solver, h=pace.next(0.0))
+        with built.warned:
+            found = built.start(task.scene, task.scheme, solver=solver, h=task.schedule.next(0.0))
             started = clock.perf_counter()
-            pressures = solver.pressures
-            problem = Problem(
-                scene, system, built.markers, built.given, start, scheme, newton, task.linear, pressures, warned
-            )
-            if checkpoint is not None or restart is not None:
-                keeper = _keeper(problem, pace, output, checkpoint, restart)
-            marched = march(problem, solver, pace, output, keeper)
-            ended = clock.perf_counter()
-            counters = _counters(marched, newton, solver)
-            undetermined = not_unique(solver, marched.state)
-            warn_of_doubts(scene, solver, marched.recorder, counters)
-            warn_of_turning_rows(solver, scheme, (start, marched.state), pace.next(0.0))
+            problem = _problem(task, built, solver, found)
+            keeps = checkpoint is not None or restart is not None
+            keeper = _keeper(problem, task.schedule, task.output, checkpoint, restart) if keeps else None
+            finished = _finished(task, problem, found, solver, (begun, started), keeper)
     finally:
         solver.destroy()
+
+    run = _run(task, built, finished)
+    if run.status == "stopped":
+        raise Stopped(run) if finished.exit_code is None else Stopped(run, finished.exit_code)
+    return Solved(run, problem, Compared(finished.march.recorder, task.schedule))
+
+
+def _problem(task: Task, built: Built, solver: StepSolver, start: Start) -> Problem:
+    """What the march starts from."""
+    return Problem(
+        scene=task.scene,
+        system=built.system,
+        markers=built.markers,
+        given=built.given,
+        start=start.state,
+        scheme=task.scheme,
+        newton=task.newton,
+        linear=task.linear,
+        pressures=solver.pressures,
+        warned=built.warned,
+        driver=start.driver,
+    )
+
+
+def _finished(
+    task: Task,
+    problem: Problem,
+    start: Start,
+    solver: StepSolver,
+    clocks: tuple[float, float],
+    keeper: Keeper | None,
+) -> Finished:
+    """March, and look at what it left while its solver is there."""
+    try:
+        marched = march(problem, solver, task.schedule, task.output, keeper)
+    finally:
         if keeper is not None:
             keeper.close()
-    run = Run(
-        scene=scene,
-        scheme=scheme,
-        plan=make_plan(scene, system, marched.path),
+    ended = clock.perf_counter()
+
+    counters = _counters(marched, task.newton, solver)
+    undetermined = not_unique(solver, marched.state)
+    warn_of_doubts(task.scene, solver, marched.recorder, counters)
+    warn_of_turning_rows(solver, task.scheme, (start.state, marched.state), task.schedule.next(0.0))
+    code = None if keeper is None else keeper.exit_code
+    return Finished(marched, problem, start, counters, undetermined, (*clocks, ended), code)
+
+
+def _run(task: Task, built: Built, finished: Finished) -> Run:
+    """The run as users see it."""
+    marched, system = finished.march, built.system
+    recorder = marched.recorder
+
+    return Run(
+        scene=task.scene,
+        scheme=task.scheme,
+        plan=make_plan(task.scene, system, marched.path),
         system=system,
         state=marched.state,
         dt=marched.state.t / max(marched.done, 1),
-        times=marched.recorder.times,
-        series=marched.recorder.series,
-        energy=marched.recorder.energy,
-        books=marched.recorder.books if output.ledger else None,
-        snapshots=marched.recorder.snapshots,
-        counters=counters,
-        seconds={
-            "set-up": built.seconds,
-            "start": started - begun,
-            "steps": ended - started + marched.earlier - marched.recorder.seconds,
-            "recording": marched.recorder.seconds,
-            "total": built.seconds + ended - begun + marched.earlier,
-        },
-        drift=(marched.recorder.gap, marched.recorder.slip),
-        correction=correction,
+        times=recorder.times,
+        series=recorder.series,
+        energy=recorder.energy,
+        books=recorder.books if task.output.ledger else None,
+        snapshots=recorder.snapshots,
+        counters=finished.counters,
+        seconds=_seconds(built, finished),
+        # how well it went
+        drift=(recorder.gap, recorder.slip),
+        correction=finished.start.correction,
         local_error=marched.local_error,
         memory=peak_memory(system.comm),
-        newton_accuracy=newton.accuracy,
+        newton_accuracy=task.newton.accuracy,
+        # what users should know
         status=marched.status,
-        not_unique=undetermined,
-        warnings=warned.lines(),
+        not_unique=finished.undetermined,
+        warnings=built.warned.lines(),
     )
-    if run.status == "stopped":
-        raise Stopped(run) if keeper is None else Stopped(run, keeper.exit_code)
-    return Solved(run, problem, Compared(marched.recorder, pace))
+
+
+def _seconds(built: Built, finished: Finished) -> dict[str, float]:
+    """Wall time of the phases of a run, with those before a restart, s."""
+    begun, started, ended = finished.times
+    earlier = finished.march.earlier
+    recording = finished.march.recorder.seconds
+    return {
+        "set-up": built.seconds,
+        "start": started - begun,
+        "steps": ended - started + earlier - recording,
+        "recording": recording,
+        "total": built.seconds + ended - begun + earlier,
+    }
 
 
 def _keeper(
-    problem: Problem, pace: Pace, output: Output, plan: Checkpoint | None, restart: str | Path | None
+    problem: Problem, schedule: StepSchedule, output: Output, plan: Checkpoint | None, restart: str | Path | None
 ) -> Keeper:
     """Who writes the checkpoints of a run, and takes one up; loaded only when asked for."""
     from .checkpoint import Keeper
     from .fingerprint import given
 
-    newton = problem.newton
     settings = {
         "scheme": problem.scheme,
-        "Newton": {n: getattr(newton, n) for n in ("tolerance", "max_iterations", "slow", "patience", "tangent")},
+        "Newton": problem.newton.settings,
         "linear": problem.linear,
-        "step": float(f"{pace.t_end / pace.steps:.12g}") if pace.steps else None,
-        "recorded": {n: getattr(output, n) for n in ("every", "energy", "ledger")},
+        "step": float(f"{schedule.t_end / schedule.steps:.12g}") if schedule.steps else None,
+        "recorded": {"every": output.every, "energy": output.energy, "ledger": output.ledger},
     }
     return Keeper(plan, restart, problem.system, given(problem.scene, problem.system, settings))
 
@@ -137,6 +202,7 @@ def _counters(march: March, newton: Newton, solver: StepSolver) -> dict[str, flo
     """Counts of a run; back-solves per step without those of the first step, which also solves the constant
     columns.
     """
+    # the first step also solves the constant columns: it is left out of the mean
     later = solver.back_solves - march.first
     return {
         **march.counters,

@@ -17,7 +17,7 @@ from .built import build
 from .estimates import state_errors
 from .output import Output
 from .result import Run
-from .schedule import pace_of
+from .schedule import step_schedule
 from .settings import check_contents, check_settings, check_tangent, check_ways, checked_scheme
 from .single_run import Task, run_once
 
@@ -85,8 +85,8 @@ def solve(
     check_tangent(scheme, newton)
     check_contents(scene, scheme)
     halvings = output.estimate_error and not Declared.by(scheme).adaptive
-    pace = pace_of(scene, scheme, t_end, dt, multiple=4 if halvings else 1)
-    task = Task(scene, scheme, pace, newton, linear, output)
+    schedule = step_schedule(scene, scheme, t_end, dt, multiple=4 if halvings else 1)
+    task = Task(scene, scheme, schedule, newton, linear, output)
     solved = run_once(task, build(scene), checkpoint=checkpoint, restart=restart)
     state_errors(solved.run, solved.problem, solved.compared, output)
     return solved.run

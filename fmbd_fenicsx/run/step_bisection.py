@@ -11,30 +11,42 @@ energy-momentum (which conserves).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from ..errors import ConstraintError, ConvergenceError, LinearSolveError, StabilityError
+from ..errors import ConstraintError, ConvergenceError, FmbdError, LinearSolveError, StabilityError
 from ..log import log
 from ..rotations import Array
 from ..schemes.stepping import TimeStepper
 from ..system.compiled.recording import Openness, Tape
-from ..system.element_memory import accept
+from ..system.element_memory import accept, whole_steps
 from ..system.evaluation import Evaluation
 from ..system.serialisation import plain, worker
 from ..system.system import State, System
 from .acceptance import Closed, attempt
 from .energy_check import HALVINGS, Watch
+from .force_balance import Balanced
 from .forecast import Forecast
 
 DEPTH = 6  # times that a step that fails may be halved
+
+
+@dataclass(frozen=True)
+class Judges:
+    """Who looks at the ends of steps and parts: ``closed`` refuses open joints, ``balanced`` forces out of balance; ``forecast``
+    counts. ``at`` evaluates the system.
+    """
+
+    closed: Closed
+    balanced: Balanced | None
+    forecast: Forecast
+    at: Callable[[float, Array, Array], Evaluation]
 
 
 class ConstantSteps(TimeStepper):
     """A stepper with constant steps, whole or in parts.
 
     ``renew`` makes a stepper from a state, None: the stepper goes on with another size. ``watch``: the energy guard, if any.
-    ``closed`` refuses states with open joints, ``forecast`` counts the parts.
     """
 
     keeps: ClassVar = {
@@ -49,14 +61,10 @@ class ConstantSteps(TimeStepper):
         system: System,
         renew: Callable[[State], TimeStepper] | None,
         watch: Watch | None,
-        *,
-        closed: Closed | None = None,
-        forecast: Forecast | None = None,
-        at: Callable[[float, Array, Array], Evaluation] | None = None,
+        judges: Judges | None = None,
     ) -> None:
-        """``at``: what evaluates the system where states are looked at."""
-        self.stepper, self.system, self.renew, self.watch, self.closed = stepper, system, renew, watch, closed
-        self.forecast, self._at = forecast, system.at if at is None else at
+        self.stepper, self.system, self.renew, self.watch = stepper, system, renew, watch
+        self.judges = judges
         self._seen: Evaluation | None = None  # the system in the newest state, where it was looked at
         self.local_error = 0.0
         self.halved = 0  # steps and parts of steps that failed
@@ -104,7 +112,10 @@ class ConstantSteps(TimeStepper):
         remembering = bool(self.system.keepers) and not self.stepper.keeps_memories
         if self.whole or self._size not in (None, h) or remembering:
             return 0
-        made = self.stepper.march(h, steps, self.watch, tape)
+        steps = int(
+            min(steps, whole_steps(self.system, self.stepper.state.t, h))
+        )  # samples are taken by :meth:`advance`
+        made = self.stepper.march(h, steps, self.watch, tape) if steps > 0 else 0
         if made:
             self._size, self.local_error = h, max(self.local_error, self.stepper.local_error)
         return made
@@ -135,37 +146,48 @@ class ConstantSteps(TimeStepper):
         if self._size not in (None, h):
             self._begin(self.stepper.state)
         before, self._size = self.stepper.state, h
+
         try:
             after = attempt(self.system, self.stepper, h)
             self._look(after, h)
         except StabilityError:
             raise
         except (ConvergenceError, LinearSolveError) as error:
-            if depth - self.whole == DEPTH:
-                raise
-            if not self.halved:
-                log.warning("t = %g s: a step of h = %g s failed and is made in parts. %s", before.t, h, error)
-            self.halved += 1
-            try:
-                self._begin(before)
-                return self._halves(h, depth)
-            except StabilityError:
-                raise
-            except (ConvergenceError, LinearSolveError):
-                raise error from None
-        if self.watch is None or (gain := self.watch.gain(after, self._seen)) is None:
-            self.local_error = max(self.local_error, self.stepper.local_error)
-            if self.forecast is not None:
-                self.forecast.note(after)
-            if not self.stepper.note() and accept(
-                self.system, after
-            ):  # the past of the stepper is that of other forces
-                self._begin(after)
-            return None
+            return self._halves_of_failed(before, h, depth, error)
+
+        # one that gains energy from nothing is made in halves, and so are all later ones
+        gain = None if self.watch is None else self.watch.gain(after, self._seen)
+        if self.watch is None or gain is None:
+            return self._accept(after)
         self.whole = depth + 1
         self.watch.count(before, gain, self.whole > HALVINGS)
         self._begin(before)
         return self._halves(h, depth)
+
+    def _halves_of_failed(self, before: State, h: float, depth: int, error: FmbdError) -> None:
+        """A part that failed with an error, again in halves; where these fail too the error is raised."""
+        if depth - self.whole == DEPTH:
+            raise error
+        if not self.halved:
+            log.warning("t = %g s: a step of h = %g s failed and is made in parts. %s", before.t, h, error)
+        self.halved += 1
+        try:
+            self._begin(before)
+            self._halves(h, depth)
+        except StabilityError:
+            raise
+        except (ConvergenceError, LinearSolveError):
+            raise error from None
+
+    def _accept(self, after: State) -> None:
+        """A part is done: it counts, and elements with a memory move on."""
+        self.local_error = max(self.local_error, self.stepper.local_error)
+        if self.judges is not None:
+            self.judges.forecast.note(after)
+        # where forces jump the past of the stepper is that of others
+        remembered = self.stepper.note()
+        if not remembered and accept(self.system, after):
+            self._begin(after)  # the past of the stepper is that of other forces
 
     def _look(self, state: State, h: float) -> None:
         """Refuse a state with open joints, or without balance after a step of size h (s).
@@ -173,10 +195,13 @@ class ConstantSteps(TimeStepper):
         Compiled steps without a guard are looked at where they are recorded, and at the end of each call.
         """
         self._seen = None
-        if self.closed is None or (self.watch is None and self.path != "NumPy"):
+        judges = self.judges
+        if judges is None or (self.watch is None and self.path != "NumPy"):
             return
-        self._seen = self._at(state.t, state.q, state.v)
-        self.closed.judge(self._seen, state, h)
+        self._seen = judges.at(state.t, state.q, state.v)
+        judges.closed.check(self._seen)
+        if judges.balanced is not None:
+            judges.balanced.check(self._seen, state, h)
 
     def _halves(self, h: float, depth: int) -> None:
         self._advance(0.5 * h, depth + 1)

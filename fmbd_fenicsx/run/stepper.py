@@ -35,11 +35,11 @@ from .energy_check import closed
 from .moment import Moment
 from .output import Output, Recorder
 from .prescribed_motions import PrescribedMotions
-from .progress import Course
-from .schedule import Pace
+from .problem import Problem, begin, judges_of, make_solver, make_stepper
+from .progress import RunProgress
+from .schedule import StepSchedule
 from .settings import check_contents
 from .solve import default_scheme
-from .time_loop import Problem, begin, make_solver, make_stepper
 
 
 @dataclass(frozen=True)
@@ -60,25 +60,31 @@ class SceneStepper:
         scheme = default_scheme(scene) if scheme is None else scheme
         newton = Newton() if newton is None else newton.afresh()
         check_contents(scene, scheme)
+
         self.scene, self.dt = scene, dt
         self._adaptive = Declared.by(scheme).adaptive
-        self._pace = Pace(dt, 0 if self._adaptive else 1)
+        self._pace = StepSchedule(dt, 0 if self._adaptive else 1)
         self._inputs = {name: source.value for name, source in scene.inputs.items()}
+
         system, given, markers = scene.build()
         self._solver = make_solver(scene, system, linear)
         newton.refresh = self._solver.refresh
+
         try:
             start, _ = begin(scene, scheme, system, given, solver=self._solver, h=dt)
             self._problem = Problem(
                 scene, system, markers, given, start, scheme, newton, linear, self._solver.pressures
             )
-            made = make_stepper(self._problem, self._solver, self._pace, guarded=closed(scene, system))
+            judges = judges_of(self._problem, self._solver, self._pace)
+            made = make_stepper(self._problem, self._solver, self._pace, judges, guarded=closed(scene, system))
         except BaseException:
             self._solver.destroy()
             raise
+
         recorder = Recorder(scene, system, markers, Output(progress=False), np.inf)
-        self._course = Course(system, self._solver, newton, made, recorder)
+        self._progress = RunProgress(system, self._solver, newton, made, recorder)
         self._motions = PrescribedMotions(scene, system, start.t)
+
         self._saved: Saved | None = None
         self._jumped = False  # an input has changed since the last step
         self._open = True
@@ -93,7 +99,7 @@ class SceneStepper:
     @property
     def state(self) -> State:
         """The present state."""
-        return self._course.stepper.state  # type: ignore[no-any-return]
+        return self._progress.stepper.state  # type: ignore[no-any-return]
 
     def __getitem__(self, sensor: str) -> Array:
         """Present value of a sensor, (size,)."""
@@ -108,7 +114,7 @@ class SceneStepper:
     def _look(self) -> None:
         """Read all sensors: angles count their revolutions from step to step."""
         p = self._problem
-        self._moment = Moment(self.scene, p.system, p.markers, self.state, self._course.done)
+        self._moment = Moment(self.scene, p.system, p.markers, self.state, self._progress.done)
         self._values = {name: np.asarray(self._moment[name]) for name in self.scene.sensors}
 
     # -- what is done ---------------------------------------------------------------------------------------------
@@ -124,24 +130,29 @@ class SceneStepper:
         dt = self.dt if dt is None else dt
         require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
         require(self.t + dt > self.t, f"Step dt = {dt} s is below the roundoff of t = {self.t} s.")
+
         self._motions.look(self.t + dt)
+
         if self._jumped:  # the past of the stepper is that of other forces
-            self._course.stepper.restart(self.t)
+            self._progress.stepper.restart(self.t)
             self._jumped = False
+
         with OneAnswer(self._problem.system.comm):
             if self._adaptive:
                 self._advance_to(self.t + dt)
             else:
-                attempt(self._problem.system, self._course.stepper, dt)
-        self._course.done += 1
+                attempt(self._problem.system, self._progress.stepper, dt)
+
+        self._progress.done += 1
         self._look()
         return self.t
 
     def _advance_to(self, end: float) -> None:
         """Steps of the scheme's own size to a time."""
-        course = self._course
+        progress = self._progress
+        # times are summed: what is left may be a few roundings
         while end - self.t > 64 * np.spacing(end):
-            accept(course.system, attempt(course.system, course.stepper, end - self.t))
+            accept(progress.system, attempt(progress.system, progress.stepper, end - self.t))
 
     def set(self, name: str, value: float) -> None:
         """Give an input of the scene (:meth:`Scene.input`) a new value, held until the next change.
@@ -159,8 +170,8 @@ class SceneStepper:
     def save(self) -> Saved:
         """All that the next step depends on, inputs included, to come back to with :meth:`restore` as often as needed."""
         self._ready()
-        m = Memory(self._course.system)
-        self._course.remember(m)
+        m = Memory(self._progress.system)
+        self._progress.remember(m)
         inputs = {name: source.value for name, source in self.scene.inputs.items()}
         self._saved = Saved(id(self), deepcopy(m.values), inputs, self._jumped)
         return self._saved
@@ -176,7 +187,7 @@ class SceneStepper:
         )
         for name, value in saved.inputs.items():
             self.scene.inputs[name].set(value)
-        self._course.remember(Memory(self._course.system, deepcopy(saved.values)), "saved state")
+        self._progress.remember(Memory(self._progress.system, deepcopy(saved.values)), "saved state")
         self._jumped = saved.jumped
         self._look()
 

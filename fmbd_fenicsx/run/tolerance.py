@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from ..checks import number
 from ..errors import ConvergenceError, LinearSolveError
 from ..log import log
 from ..schemes.declared import Declared
+from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.refinement import meshed_bodies, modal_bodies
 from ..system.scene.scene import Scene
 from .estimates import Compared, TimeError, reduction_error, tolerance_error
@@ -26,7 +27,7 @@ from .ledger import Books
 from .next_attempt import Looked, Plan, finer_steps, next_plan, space_first
 from .output import Output
 from .result import Run
-from .schedule import Pace, pace_of
+from .schedule import StepSchedule, step_schedule
 from .settings import check_tangent, checked_scheme
 from .shared_runs import Orders, SharedRuns
 from .shares import Relative, Tolerance, check_tolerances, relative, safe, worst
@@ -38,6 +39,7 @@ ATTEMPTS = 12
 START = 100  # steps of the first attempt where no dt is given
 SCOUT = 48  # the same where spaces or modes have to be found first, whose errors are seen with few steps, and nothing touches
 LOOSEST = 1e-4  # rtol of the first attempt of schemes with error control
+STALLED, STALLED_IN_CONTACT = 256.0, 60.0  # ratios of steps over which errors have to fall
 RECORDS = 200  # that runs make at least, so that they can be compared
 
 
@@ -82,74 +84,134 @@ def solve_within(
     wanted = replace(Output() if wanted is None else wanted, estimate_error=True)
     shared = SharedRuns(newton, linear, plan.grain)
 
-    history: list[Attempt] = []
-    best: tuple[float, Run] | None = None
-    why = f"{ATTEMPTS} attempts were not enough"
+    found = Search()
     for _ in range(ATTEMPTS):
-        begun = clock.perf_counter()
         try:
-            looked = space_first(plan, tol, shared, wanted)
-            if looked is not None:
-                history.append(_of_space(plan, looked, clock.perf_counter() - begun))
-                plan = looked.plan
-                continue
-            run, orders = _attempt(plan, tol, shared, wanted)
+            plan_next = _one_more(plan, tol, shared, wanted=wanted, found=found)
         except (ConvergenceError, LinearSolveError) as error:
-            if best is not None or plan.step < 1e-3 * t_end / START:
-                why = f"a run failed: {error}"
+            if found.best is not None or plan.step < 1e-3 * t_end / START:
+                found.why = f"a run failed: {error}"
                 break
-            plan = finer_steps(plan, 0.25)
-            continue
-        ratio = worst(run.certificate, tol)
-        if best is None or ratio < best[0]:
-            best = ratio, run
-        tried = replace(plan, orders=orders)
-        plan_next, then = (
-            (None, "done") if safe(run.certificate, tol) else next_plan(tried, run, tol, shared=shared, history=history)
-        )
-        if plan_next is None and ratio <= 1.0:  # nothing can be made better, and nothing has to
-            then = "done"
-        errors = {n: run.certificate[n].sum for n in tol}
-        seconds = clock.perf_counter() - begun
-        history.append(Attempt(plan.step, plan.meshes, plan.modes, ratio, errors, seconds, then))
+            plan_next = finer_steps(plan, 0.25)
         if plan_next is None:
-            why = then
             break
         plan = plan_next
-    if best is None:
-        raise ConvergenceError(f'Scene "{scene.name}": no run with tol came to its end: {why}')
-    if best[0] > 1.0:
-        log.warning('scene "%s": the tolerance was not reached, %.2g times it is stated: %s.', scene.name, best[0], why)
-    best[1].history = tuple(history)
-    return best[1]
+    return found.result(scene)
+
+
+@dataclass
+class Search:
+    """What was tried so far, the best run with its largest error over the tolerance, and why there is no better one."""
+
+    history: list[Attempt] = field(default_factory=list)
+    best: tuple[float, Run] | None = None
+    why: str = f"{ATTEMPTS} attempts were not enough"
+
+    def take(self, run: Run, ratio: float) -> None:
+        """A run of an attempt."""
+        if self.best is None or ratio < self.best[0]:
+            self.best = ratio, run
+
+    def stalled(self, plan: Plan, ratio: float) -> str:
+        """Why smaller steps are of no use: errors have not fallen while steps of the same spaces became far smaller; "" else."""
+        same = [a for a in self.history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]
+        far = STALLED_IN_CONTACT if plan.scene.contacts else STALLED
+        coarser = [a for a in same if a.step >= far * plan.step * (1 - 1e-9)]
+        if not plan.steps or ratio <= 1.0 or not coarser or min(a.worst for a in coarser) > ratio:
+            return ""
+        last = coarser[-1]
+        return (
+            f"errors do not fall with the steps: {last.worst:.2g} times the tolerance with {last.step:.2g} s, {ratio:.2g} times "
+            f"with {plan.step:.2g} s. The sensor jumps, or follows vibrations that no step so far resolves. Give a smaller dt to "
+            "begin with, smooth the load, or take a sensor that is a mean over time or space"
+        )
+
+    def result(self, scene: Scene) -> Run:
+        """The best run, with a warning where it does not keep the tolerance.
+
+        Raises ConvergenceError where no run came to its end.
+        """
+        if self.best is None:
+            raise ConvergenceError(f'Scene "{scene.name}": no run with tol came to its end: {self.why}')
+        over, run = self.best
+        if over > 1.0:
+            log.warning(
+                'scene "%s": the tolerance was not reached, %.2g times it is stated: %s.', scene.name, over, self.why
+            )
+        run.history = tuple(self.history)
+        return run
+
+
+def _one_more(plan: Plan, tol: Tolerance, shared: SharedRuns, *, wanted: Output, found: Search) -> Plan | None:
+    """One attempt, noted among what was found; the plan of the next one, or None; collective."""
+    begun = clock.perf_counter()
+    looked = space_first(plan, tol, shared, wanted)
+    if looked is not None:
+        found.history.append(_of_space(plan, looked, clock.perf_counter() - begun))
+        return looked.plan
+
+    run, orders = _attempt(plan, tol, shared, wanted)
+    ratio = worst(run.certificate, tol)
+    found.take(run, ratio)
+    made, then = _after(replace(plan, orders=orders), run, ratio, tol=tol, shared=shared, found=found)
+
+    errors = {n: run.certificate[n].sum for n in tol}
+    seconds = clock.perf_counter() - begun
+    found.history.append(Attempt(plan.step, plan.meshes, plan.modes, ratio, errors, seconds, then))
+    if made is None:
+        found.why = then
+    return made
+
+
+def _after(
+    tried: Plan, run: Run, ratio: float, *, tol: Tolerance, shared: SharedRuns, found: Search
+) -> tuple[Plan | None, str]:
+    """The plan after an attempt and what it changes, or None and why there is none; collective."""
+    if safe(run.certificate, tol):
+        return None, "done"
+    if why := found.stalled(tried, ratio):
+        return None, why
+
+    made, then = next_plan(tried, run, tol, shared=shared, history=found.history)
+    nothing_has_to = made is None and ratio <= 1.0
+    return made, "done" if nothing_has_to else then
 
 
 def _of_space(plan: Plan, looked: Looked, seconds: float) -> Attempt:
     """The line of an attempt that ended when its meshes were found too coarse."""
-    step = plan.pace.t_end / plan.orders.follow
+    step = plan.schedule.t_end / plan.orders.follow
     return Attempt(step, plan.meshes, plan.modes, looked.over, looked.errors, seconds, "finer meshes")
 
 
 def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> Plan:
     """The first attempt: the scene as it is, with the steps given or a hundred of them, or with a loose tolerance."""
-    from .solve import default_scheme
-
-    scheme = default_scheme(scene) if scheme is None else checked_scheme(scheme)
+    scheme = _default(scene, t_end) if scheme is None else checked_scheme(scheme)
     if Declared.by(scheme).adaptive:
         scheme = replace(scheme, rtol=max(scheme.rtol, LOOSEST))
-        return Plan(scene, scheme, pace_of(scene, scheme, t_end, dt), 1)
+        return Plan(scene, scheme, step_schedule(scene, scheme, t_end, dt), 1)
     number("End time t_end =", t_end, above=0.0, unit="s")
     spaces = bool(meshed_bodies(scene) or modal_bodies(scene)) and not scene.contacts
     dt = t_end / (SCOUT if spaces else START) if dt is None else dt
-    pace = pace_of(scene, scheme, t_end, dt, multiple=4)
-    return Plan(scene, scheme, pace, pace.steps // 4)
+    schedule = step_schedule(scene, scheme, t_end, dt, multiple=4)
+    return Plan(scene, scheme, schedule, schedule.steps // 4)
+
+
+def _default(scene: Scene, t_end: float) -> Any:
+    """The usual scheme of a scene; where loads jump at break points on the way, it chooses its steps: a jump within a step leaves
+    an error that depends on where it falls, and that other steps of equal size do not tell.
+    """
+    from .solve import default_scheme
+
+    scheme = default_scheme(scene)
+    jumps = any(0.0 < t < t_end for t in scene.breakpoints)
+    return replace(scheme, rtol=LOOSEST) if jumps and isinstance(scheme, GeneralizedAlpha) else scheme
 
 
 def _attempt(plan: Plan, tol: Tolerance, shared: SharedRuns, wanted: Output) -> tuple[Run, Orders]:
     """A run with the estimates that are not known yet, and the orders that were seen; collective."""
-    every = _often(wanted, plan.pace)
+    every = _often(wanted, plan.schedule)
     output = replace(wanted, every=every, estimate_error=False)
-    solved = shared.solve(plan.scene, plan.scheme, plan.pace, output)
+    solved = shared.solve(plan.scene, plan.scheme, plan.schedule, output)
     run, ended = solved.run, clock.perf_counter()
     found = _time_error(plan, tol, shared, solved)
     run.seconds["error estimate"] = clock.perf_counter() - ended
@@ -157,7 +219,7 @@ def _attempt(plan: Plan, tol: Tolerance, shared: SharedRuns, wanted: Output) -> 
     _other_errors(plan, shared, solved, found.with_others)
     if every != wanted.every:
         _thin_out(run, solved.compared.recorder.indices, wanted.every)
-    fewest = found.with_others.pace.steps
+    fewest = found.with_others.schedule.steps
     return run, Orders(found.orders, fewest) if fewest < plan.steps else Orders()
 
 
@@ -165,7 +227,7 @@ def _time_error(plan: Plan, tol: Tolerance, shared: SharedRuns, solved: Solved) 
     """The error by the steps, or by the scheme's tolerance; collective."""
     run, made = solved.run, solved.compared
     if not plan.steps:
-        errors = tolerance_error(solved.problem, made.recorder, made.pace)
+        errors = tolerance_error(solved.problem, made.recorder, made.schedule)
         run.state_error("time", errors)
         return TimeError(errors, {}, made)
 
@@ -200,11 +262,11 @@ def _other_errors(plan: Plan, shared: SharedRuns, solved: Solved, made: Compared
         run.seconds["space estimate"] = clock.perf_counter() - begun
 
 
-def _often(wanted: Output, pace: Pace) -> int:
+def _often(wanted: Output, schedule: StepSchedule) -> int:
     """Every how many steps an attempt is recorded: as wanted, or a divisor of it where that would leave few records."""
-    if not pace.steps or wanted.times is not None:
+    if not schedule.steps or wanted.times is not None:
         return wanted.every
-    fits = [n for n in range(1, wanted.every + 1) if wanted.every % n == 0 and pace.steps / n >= RECORDS]
+    fits = [n for n in range(1, wanted.every + 1) if wanted.every % n == 0 and schedule.steps / n >= RECORDS]
     return max(fits, default=1)
 
 

@@ -26,7 +26,7 @@ from ..linear.core import dense
 from ..log import log
 from ..rotations import Array
 from ..schemes.declared import Declared
-from ..system.evaluation import Evaluation
+from ..system.jacobian import dense_core
 from ..system.speed_rows import speed_rows
 from ..system.system import State, System
 
@@ -36,7 +36,8 @@ RANK = 1e-9  # singular values of rows below this share of the largest are zero
 
 def warn_of_turning_rows(solver: StepSolver, scheme: object, states: Iterable[State], h: float) -> None:
     """Warn where rows turn beyond the scheme's limit in one of the states; no fields, not collective."""
-    limit, system = Declared.by(scheme).turn_limit, solver.system
+    limit = Declared.by(scheme).turn_limit
+    system = solver.system
     if limit is None or system.fields or not 0 < system.n_core <= LARGEST:
         return
     angle, state = max(((turned(solver, s, h, least=limit), s) for s in states), key=lambda found: found[0])
@@ -56,10 +57,8 @@ def turned(solver: StepSolver, state: State, h: float, *, least: float = 0.0) ->
         return 0.0
     on_speeds = speed_rows(system)
     held = np.setdiff1d(np.arange(system.n_lam), on_speeds) if on_speeds.size else slice(None)
-    now = solver.at(state.t, state.q, state.v)
-    then = solver.at(state.t, system.compose(state.q, h * state.v), state.v)
-    before = _rows(now, held, _mass_factor(solver, now))
-    after = _rows(then, held, _mass_factor(solver, then))
+
+    before, after = _rows(solver, state, h, held)
     if not before.shape[1] or _certainly_below(np.sin(least), before, after):
         return 0.0
 
@@ -70,14 +69,23 @@ def turned(solver: StepSolver, state: State, h: float, *, least: float = 0.0) ->
     return float(np.arcsin(min(sine, 1.0)))
 
 
-def _mass_factor(solver: StepSolver, ev: Evaluation) -> Array:
-    """L of M = L L^T; of rigid bodies it is made once."""
-    kept = solver.system.cache
-    if solver.system.parts:
-        return _factored(solver.masses(ev))
-    if "mass factor" not in kept:
-        kept["mass factor"] = _factored(solver.masses(ev))
-    return np.asarray(kept["mass factor"])
+def _rows(solver: StepSolver, state: State, h: float, held: np.ndarray | slice) -> tuple[Array, Array]:
+    """L^-1 G^T of the rows ``held`` with M = L L^T, columns of size 1, (n_v, rows): of a state, and a step h (s) later."""
+    system = solver.system
+    t = np.full(2, state.t)
+    places = np.array((state.q, system.compose(state.q, h * state.v)))
+    known = None if solver.driver is None or not dense_core(system) else solver.driver.states
+    # of small systems both configurations come from the driver in one call
+    told = None if known is None else known.rows((t, places, np.array((state.v, state.v))))
+
+    if told is None or system.parts:
+        both = [solver.at(state.t, q, state.v) for q in places]
+        scaled = [_scaled(_factored(solver.masses(ev)), dense(ev.jacobian.core)[held]) for ev in both]
+        return scaled[0], scaled[1]
+    if "mass factor" not in system.cache:  # of rigid bodies, made once
+        system.cache["mass factor"] = _factored(solver.masses(solver.at(state.t, state.q, state.v)))
+    rows = told[:, held]
+    return tuple(np.split(_scaled(system.cache["mass factor"], np.concatenate(rows)), 2, axis=1))  # type: ignore[return-value]
 
 
 def _factored(matrix: Any) -> Array:
@@ -85,15 +93,15 @@ def _factored(matrix: Any) -> Array:
     M = dense(matrix)
 
     # bodies without inertia in some direction: a little of it, which rows that hold them hardly feel
-    diagonal = np.diag(M)
+    diagonal = M.diagonal()
     M = 0.5 * (M + M.T) + 1e-12 * np.diag(np.maximum(diagonal, diagonal.max() * 1e-12))
     return np.asarray(np.linalg.cholesky(M))
 
 
-def _rows(ev: Evaluation, held: np.ndarray | slice, factor: Array) -> Array:
-    """L^-1 G^T of the rows ``held``, columns of size 1, (n_v, rows)."""
-    rows = dtrtrs(factor, dense(ev.jacobian.core)[held].T, lower=1)[0]
-    return np.asarray(rows / np.maximum(np.sqrt((rows * rows).sum(axis=0)), 1e-300))
+def _scaled(factor: Array, rows: Array) -> Array:
+    """L^-1 G^T, its columns of size 1."""
+    columns = dtrtrs(factor, rows.T, lower=1)[0]
+    return np.asarray(columns / np.maximum(np.sqrt((columns * columns).sum(axis=0)), 1e-300))
 
 
 def _certainly_below(sine: float, before: Array, after: Array) -> bool:
@@ -112,6 +120,7 @@ def _certainly_below(sine: float, before: Array, after: Array) -> bool:
 def _space(rows: Array) -> Array:
     """Orthonormal basis of the space of columns, (n_v, rank)."""
     Q, s, _ = np.linalg.svd(rows, full_matrices=False)
+    # left singular vectors, those of roundoff aside
     return np.asarray(Q[:, s > RANK * max(float(s.max(initial=0.0)), 1e-300)])
 
 

@@ -23,6 +23,8 @@ from ..system.scene.scene import Scene
 from .output import Output
 from .solve import solve
 
+FEW = 50_000  # objects between two collections in a copy
+
 
 @dataclass(frozen=True, repr=False)
 class Variant:
@@ -140,6 +142,7 @@ def _start(make: Callable[[Any], Scene], parameters: list[Any], settings: dict[s
         answer: Any
         try:
             gc.freeze()  # what there is will stay: collections need not look at it
+            gc.set_threshold(FEW)
             answer = [_one(make, parameter, settings) for parameter in parameters]
             text = pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL)
         except BaseException as error:

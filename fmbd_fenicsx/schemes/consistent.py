@@ -20,6 +20,7 @@ from ..rotations import Array, cross3
 from ..system.evaluation import Evaluation
 from ..system.system import State, System
 
+MASS = Weights(1.0, 0.0, 0.0)
 REFUSED = 1e-3  # a position correction above this share of the model's length is wrong input, not roundoff
 
 
@@ -49,105 +50,157 @@ def consistent(
     Raises:
         ConstraintError: the bodies do not fit together (correction above 1e-3 of the model's length), naming the joint.
     """
-    mass = Weights(1.0, 0.0, 0.0) if metric is None else metric
+    metric = MASS if metric is None else metric
     state = keep_volumes(system, state, solver)
-    q, moved, n_it = state.q, 0.0, 0
+    ev, moved, iterations = _closed(state, solver, metric)
+    solver.prepare(ev, metric)
+    v, slip = _velocities(ev, solver, h)
+    made = replace(state, q=ev.q, v=v)
+    correction = Correction(moved, slip, iterations)
+    return (accelerations(system, made, solver) if accelerated else made), correction
+
+
+def _closed(state: State, solver: StepSolver, metric: Weights) -> tuple[Evaluation, float, int]:
+    """The system with positions on the constraints, by how much they moved (m), and the iterations; the first of (1)."""
+    system, q, moved = solver.system, state.q, 0.0
     zero = np.zeros(system.n_v)
     ev = solver.at(state.t, q, state.v)
     g = first = ev.constraint()
-    for n_it in range(25):  # noqa: B007, counted
-        size = float(np.abs(g).max(initial=0.0))
-        if not np.isfinite(size):
-            names = ", ".join(f'"{b.name}"' for b in system.blocks if not np.isfinite(g[b.rows]).all())
-            raise ConstraintError(f"The constraints of {names} are not finite at the start: check positions and axes.")
-        if size <= 1e-14 * system.length:
+    for iterations in range(25):  # noqa: B007, counted
+        if _largest(system, g) <= 1e-14 * system.length:
             break
-        solver.prepare(ev, mass)
+
+        solver.prepare(ev, metric)
         dq, _ = solver.solve(zero, -g)
+
         step = system.max_abs(dq)
         moved += step
+        # joints that far apart are a mistake, not a tolerance
         if moved > REFUSED * system.length:
-            block = worst_block(system, first)
-            raise ConstraintError(
-                f"The bodies do not fit together at t = {state.t:g} s: {block} is open by "
-                f"{np.abs(first).max():.3g} m, and closing "
-                f"it would move bodies by more than {REFUSED:g} of the model's length ({system.length:.3g} m). "
-                "Check the positions of the bodies and the center of the joint."
-            )
+            raise _does_not_fit(system, state.t, first)
+
         q = system.compose(q, dq)
         ev = solver.at(state.t, q, state.v)
         g = ev.constraint()
         if step <= 1e-15 * system.length:
             break
+
     _refuse_open(system, state.t, g, solver)
-    solver.prepare(ev, mass)
-    v = state.v
-    slip = 0.0
-    if system.n_lam:
-        rate = ev.constraint_rate()
-        dv, _ = solver.solve(zero, -(ev.jacobian.times(v) + rate))
-        slip = system.max_abs(dv)
-        v = v + dv
-        left = ev.jacobian.times(v) + rate
-        fastest = system.max_abs(v) + float(np.abs(rate).max())
-        nothing = 1e-12 * system.length / h if h > 0 else 0.0
-        if np.abs(left).max() > 1e-8 * fastest + nothing:
-            raise ConstraintError(
-                f"Velocities contradict each other at t = {state.t:g} s: {worst_block(system, left)} and a joint that it depends "
-                f"on ask for rates that differ by {np.abs(left).max():.3g} m/s. Check the drives; see scene.check()."
-            )
-    made = replace(state, q=q, v=v)
-    if not accelerated:
-        return made, Correction(moved, slip, n_it)
-    return accelerations(system, made, solver), Correction(moved, slip, n_it)
+    return ev, moved, iterations
+
+
+def _velocities(ev: Evaluation, solver: StepSolver, h: float) -> tuple[Array, float]:
+    """Velocities on the constraints, and by how much they changed (m/s), with the matrix of the metric; the second of (1)."""
+    system, v = ev.system, ev.v
+    assert v is not None
+    if not system.n_lam:
+        return v, 0.0
+    rate = ev.constraint_rate()
+    dv, _ = solver.solve(np.zeros(system.n_v), -(ev.jacobian.times(v) + rate))
+    v = v + dv
+
+    left = ev.jacobian.times(v) + rate
+    fastest = system.max_abs(v) + float(np.abs(rate).max())
+    nothing = 1e-12 * system.length / h if h > 0 else 0.0
+    if np.abs(left).max() > 1e-8 * fastest + nothing:
+        raise ConstraintError(
+            f"Velocities contradict each other at t = {ev.t:g} s: {worst_block(system, left)} and a joint that it depends "
+            f"on ask for rates that differ by {np.abs(left).max():.3g} m/s. Check the drives; see scene.check()."
+        )
+    return v, system.max_abs(dv)
+
+
+def _largest(system: System, g: Array) -> float:
+    """The largest gap; raises where it is no number."""
+    size = float(np.abs(g).max(initial=0.0))
+    if not np.isfinite(size):
+        names = ", ".join(f'"{b.name}"' for b in system.blocks if not np.isfinite(g[b.rows]).all())
+        raise ConstraintError(f"The constraints of {names} are not finite at the start: check positions and axes.")
+    return size
+
+
+def _does_not_fit(system: System, t: float, g: Array) -> ConstraintError:
+    """The error of bodies too far from where their joints want them, with the constraints g as given."""
+    return ConstraintError(
+        f"The bodies do not fit together at t = {t:g} s: {worst_block(system, g)} is open by "
+        f"{np.abs(g).max():.3g} m, and closing "
+        f"it would move bodies by more than {REFUSED:g} of the model's length ({system.length:.3g} m). "
+        "Check the positions of the bodies and the center of the joint."
+    )
 
 
 def accelerations(system: System, state: State, solver: StepSolver) -> State:
     """Accelerations and multipliers of a consistent (q, v), the third of (1); collective."""
+    found = None if solver.driver is None else solver.driver.accelerations(state.t, state.q, state.v)
+    if found is not None:
+        return replace(state, a=found[0], lam=found[1])
+
     ev = solver.at(state.t, state.q, state.v)
     h = ev.balance(np.zeros(system.n_v))
     for _, part in system.fields:
         if part.field.keeps_volume:
             part.relinearise()
-    solver.prepare(ev, Weights(1.0, 0.0, 0.0))
-    volume_a = _volume_accelerations(system, state, solver)
-    if volume_a is None:
-        a, lam = solver.solve(-h, -ev.gamma())
+    solver.prepare(ev, MASS)
+    held = kept_volumes(solver)
+
+    start = _volume_accelerations(system, state, solver)
+    gamma = ev.gamma()
+    if start is None:
+        a, lam = solver.solve(-h, -gamma)
     else:
-        a, lam = solver.solve(-ev.balance(volume_a), -ev.gamma() - ev.jacobian.times(volume_a))
-        a = a + volume_a
-    # refinement: inertia at the deformed configuration is not exactly the solver's matrix
-    typical = max(system.max_abs(a), system.max_abs(state.v) ** 2 / system.length)  # of zero in equilibrium
-    # forces that cancel in an equilibrium leave their roundoff in the balance
-    forces = max(system.max_abs(h), float(np.abs(ev.wrenches()).max(initial=0.0)) if system.forces else 0.0)
-    forces = max([forces, *(part.field.pressure_force() for _, part, _ in kept_volumes(solver))])
+        a, lam = solver.solve(-ev.balance(start), -gamma - ev.jacobian.times(start))
+        a = a + start
+
+    # inertia at the deformed configuration is not exactly the solver's matrix
+    a, lam = _refined(ev, (a, lam), gamma, solver, forces=_size_of_forces(ev, h, held))
+    for _, part, _ in held:
+        part.relinearise()  # with the pressure found
+    return replace(state, a=a, lam=least(solver, ev, lam))
+
+
+def _size_of_forces(ev: Evaluation, h: Array, held: list[Any]) -> float:
+    """The largest force: those that cancel in an equilibrium leave their roundoff in the balance; collective."""
+    system = ev.system
+    wrench = float(np.abs(ev.wrenches()).max(initial=0.0)) if system.forces else 0.0
+    return max([system.max_abs(h), wrench, *(part.field.pressure_force() for _, part, _ in held)])
+
+
+def _refined(
+    ev: Evaluation, found: tuple[Array, Array], gamma: Array, solver: StepSolver, *, forces: float
+) -> tuple[Array, Array]:
+    """Accelerations and multipliers by iterations with the solver's matrix, down to roundoff; ``forces``: their size."""
+    system, v, (a, lam) = ev.system, ev.v, found
+    assert v is not None
+    typical = max(system.max_abs(a), system.max_abs(v) ** 2 / system.length)  # of zero in equilibrium
     last, noise = np.inf, -1.0
     for k in range(40):
         if k == 8:  # slow: take the inertia of the deformed bodies
             solver.refresh()
+        if k < 2:  # the rest is roundoff of the pressure
+            _renew_pressures(ev, a, lam, solver)
         r = ev.balance(a, lam)
-        if volume_a is not None and k < 2:  # the rest is roundoff of the pressure
-            for at, part, volume in kept_volumes(solver):
-                field: Any = part.field
-                field.pressure_values = field.pressure_values - volume.both(r[at], np.zeros(field.n_pressure))[1]
-            r = ev.balance(a, lam)
-        c = ev.jacobian.times(a) + ev.gamma()
-        da, dl = solver.solve(-r, -c)
+        da, dl = solver.solve(-r, -(ev.jacobian.times(a) + gamma))
         a, lam = a + da, lam + dl
+
         size = system.max_abs(da)
-        at_rest = system.max_abs(r) <= 1e-13 * forces
         slow = size > 0.5 * last
         if slow and noise < 0.0:
             noise = _roundoff(system, ev, (a, lam), solver)
+        at_rest = system.max_abs(r) <= 1e-13 * forces
         stalled = slow and last <= max(1e-8 * typical, noise)  # roundoff is reached
         if at_rest or stalled or size <= 1e-11 * system.max_abs(a):
-            break
+            return a, lam
         last = size
-    else:
-        raise ConvergenceError("The accelerations at the start did not converge: the initial deformation is too large.")
-    for _, part, _ in kept_volumes(solver):
-        part.relinearise()  # with the pressure found
-    return replace(state, a=a, lam=least(solver, ev, lam))
+    raise ConvergenceError("The accelerations at the start did not converge: the initial deformation is too large.")
+
+
+def _renew_pressures(ev: Evaluation, a: Array, lam: Array, solver: StepSolver) -> None:
+    """Pressures of bodies that keep their volume, from what the balance lacks; collective."""
+    held = kept_volumes(solver)
+    r = ev.balance(a, lam) if held else np.zeros(0)
+    for at, part, volume in held:
+        field: Any = part.field
+        field.pressure_values = field.pressure_values - volume.both(r[at], np.zeros(field.n_pressure))[1]
 
 
 def _roundoff(system: System, ev: Any, solved: tuple[Array, Array], solver: StepSolver) -> float:
@@ -171,31 +224,42 @@ def keep_volumes(system: System, state: State, solver: StepSolver) -> State:
     q, v = state.q.copy(), state.v.copy()
     for k, part in system.fields:
         field: Any = part.field
-        in_q, in_v = system.slices[0][k], system.slices[1][k]
-        if field.carried and not field.keeps_volume:
-            field.pressure_values = field.constitutive_pressure(q[in_q])
-        if not field.keeps_volume:
-            continue
-        for _ in range(8):
-            system.at(state.t, q, v).balance(np.zeros(system.n_v))
-            part.relinearise()
-            mass = VolumeMass(field, 1.0)
-            dU = mass.both(np.zeros(part.n), -field.volume_gap())[0]
-            dV = mass.both(np.zeros(part.n), -field.volume_rate(v[in_v]))[0]
-            mass.destroy()
-            size, total = (
-                float(np.sqrt(field.total(np.array(x @ x / field.n)))) for x in (dU, q[in_q] - state.q[in_q] + dU)
-            )
-            if total > REFUSED * field.size:
-                raise ConstraintError(
-                    f'Body "{part.name}" keeps its volume, but its initial displacements change it: points would have to move by '
-                    f"{total:.3g} m. Give displacements with det(1 + grad u) = 1, or none."
-                )
-            if size <= 1e-14 * field.size:
-                v[in_v] += dV
-                break
-            q[in_q] += dU
+        if field.keeps_volume:
+            _keep_volume(system, k, State(state.t, q, v, state.a, state.lam), state)
+        elif field.carried:
+            field.pressure_values = field.constitutive_pressure(system.local_q(q, k))
     return replace(state, q=q, v=v)
+
+
+def _keep_volume(system: System, k: int, made: State, given: State) -> None:
+    """Change displacements and velocities of part k in ``made``, which began as ``given``, until its volume stays; collective."""
+    part: Any = system.parts[k]
+    field = part.field
+    U, V = system.local_q(made.q, k), system.local_v(made.v, k)  # views
+    zero = np.zeros(part.n)
+
+    def mean(x: Array) -> float:
+        return float(np.sqrt(field.total(np.array(x @ x / field.n))))
+
+    for _ in range(8):
+        system.at(made.t, made.q, made.v).balance(np.zeros(system.n_v))
+        part.relinearise()
+        mass = VolumeMass(field, 1.0)
+        dU = mass.both(zero, -field.volume_gap())[0]
+        dV = mass.both(zero, -field.volume_rate(V))[0]
+        mass.destroy()
+
+        size = mean(dU)
+        total = mean(U - system.local_q(given.q, k) + dU)
+        if total > REFUSED * field.size:
+            raise ConstraintError(
+                f'Body "{part.name}" keeps its volume, but its initial displacements change it: points would have to move by '
+                f"{total:.3g} m. Give displacements with det(1 + grad u) = 1, or none."
+            )
+        if size <= 1e-14 * field.size:
+            V += dV
+            return
+        U += dU
 
 
 def _second_rate(system: System, state: State, k: int) -> Array:
@@ -208,7 +272,8 @@ def _second_rate(system: System, state: State, k: int) -> Array:
 
 def _volume_accelerations(system: System, state: State, solver: StepSolver) -> Array | None:
     """Accelerations that fulfil the hidden constraint of the volumes, like v; None without such bodies."""
-    held, out = kept_volumes(solver), np.zeros(system.n_v)
+    held = kept_volumes(solver)
+    out = np.zeros(system.n_v)
     for at, part, mass in held:
         field: Any = part.field
         k = system.slices[1].index(at)
@@ -246,27 +311,43 @@ def jerk(
     M a' + G^T lambda' = -d/dt (M a + h + G^T lambda) at fixed a, lambda;   G a' = -d/dt (G a + gamma) at fixed a      (2)
 
     The right-hand sides are one-sided differences of second order over h/50. With the matrix of a time step as ``weights``
-    vibrations that the step h does not resolve are left out of a'.
+    vibrations that the step h does not resolve are left out of a'. All rates are zero where those over h/100 are others: along
+    the parabola of the differences a stiff spring that turns by w s is longer by l (w s)^2 / 2, and pulls across itself.
     """
     system, d = ev.system, 0.02 * h
-
     kept = [k for k, part in system.fields if part.field.keeps_volume]
 
     def defects(s: float) -> tuple[Array, Array, list[Array]]:
-        q, v = system.compose(state.q, s * state.v + 0.5 * s * s * state.a), state.v + s * state.a
+        q = system.compose(state.q, s * state.v + 0.5 * s * s * state.a)
+        v = state.v + s * state.a
         at = ev if s == 0.0 else solver.at(state.t + s, q, v)
-        volume = [
-            _second_rate(system, State(state.t + s, at.q, state.v + s * state.a, state.a, state.lam), k) for k in kept
-        ]
-        return at.balance(state.a, state.lam), at.jacobian.times(state.a) + at.gamma(), volume
+        there = State(at.t, at.q, v, state.a, state.lam)
+        volumes = [_second_rate(system, there, k) for k in kept]
+        return at.balance(state.a, state.lam), at.jacobian.times(state.a) + at.gamma(), volumes
 
-    (r0, c0, w0), (r1, c1, w1), (r2, c2, w2) = defects(0.0), defects(d), defects(2 * d)
+    def rates(points: list[tuple[Array, Array, list[Array]]], d: float) -> tuple[Array, Array, dict[int, Array]]:
+        def slope(x: Array, y: Array, z: Array) -> Array:
+            return (3 * x - 4 * y + z) / (2 * d)  # less the derivative
+
+        forces, constraints, volumes = zip(*points, strict=True)
+        third = {k: slope(*values) for k, *values in zip(kept, *volumes, strict=True)}
+        a, lam = solver.solve(slope(*forces) + volume_push(solver, third), slope(*constraints))
+        return a, lam, third
+
+    begin, middle, end = (defects(s) for s in (0.0, d, 2 * d))
+    turning = any(loads.stiff for loads in system.forces)
+    early = defects(0.5 * d) if turning else begin
     solver.prepare(ev, weights)
-    rates = {k: (3 * x - 4 * y + z) / (2 * d) for k, x, y, z in zip(kept, w0, w1, w2, strict=True)}
-    a, lam = solver.solve(
-        (3 * r0 - 4 * r1 + r2) / (2 * d) + volume_push(solver, rates), (3 * c0 - 4 * c1 + c2) / (2 * d)
-    )
-    return a, lam, rates
+    found = rates([begin, middle, end], d)
+    if not turning:
+        return found
+
+    # smooth motions differ by a thousandth here
+    nearer = rates([begin, early, middle], 0.5 * d)
+    apart, size = (system.max_abs(x) for x in (nearer[0] - found[0], found[0]))
+    if apart <= max(0.1 * size, 1e-6 * system.max_abs(state.a) / h):
+        return found
+    return np.zeros_like(found[0]), np.zeros_like(found[1]), {k: np.zeros_like(x) for k, x in found[2].items()}
 
 
 def spin_of_acceleration(system: System, v: Array, a: Array) -> Array:
@@ -284,15 +365,21 @@ def project(system: System, state: State, solver: StepSolver) -> State:
     """
     if not system.n_lam:
         return state
-    mass, zero, q = Weights(1.0, 0.0, 0.0), np.zeros(system.n_v), state.q
+    found = None if solver.driver is None else solver.driver.closed(state.t, state.q, state.v)
+    if found is not None:
+        return replace(state, q=found[0], v=found[1])
+
+    zero = np.zeros(system.n_v)
+    q = state.q
     for _ in range(10):
         ev = system.at(state.t, q)
-        solver.prepare(ev, mass)
+        solver.prepare(ev, MASS)
         dq, _ = solver.solve(zero, -ev.constraint())
         q = system.compose(q, dq)
         if system.max_abs(dq) <= 1e-13 * system.length:
             break
+
     ev = system.at(state.t, q, state.v)
-    solver.prepare(ev, mass)
+    solver.prepare(ev, MASS)
     dv, _ = solver.solve(zero, -ev.opening())
     return replace(state, q=q, v=state.v + dv)

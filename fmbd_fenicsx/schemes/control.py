@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -57,13 +58,13 @@ def check_tolerance(rtol: float | None, atol: float | None, scheme: str) -> None
 class ErrorNorm(Remembering):
     """(1), with sizes that grow along the run. ``atol``: added to the tolerance of every coordinate (m, rad or its own unit).
 
-    A field counts by its root mean square: displacements against the largest one seen, at least a hundredth of the model's
-    length, rates as h e_v / w_q in all forms, so that a stiff body with vibrations too small to matter does not hold the steps
-    down.
+    Deformations, of fields and of amplitudes of modes, count by their displacements against the largest one of their body that
+    was seen, at least a hundredth of the model's length, their rates as h e_v / w_q in all forms: a stiff body with vibrations
+    too small to matter does not hold the steps down. A field counts by its root mean square.
     """
 
     keeps: ClassVar = {
-        **dict.fromkeys(("q_size", "v_size", "field_size"), plain()),
+        **dict.fromkeys(("q_size", "v_size", "deflections"), plain()),
         **dict.fromkeys(("scale", "wq", "wv"), Memory.like_v),
     }
 
@@ -72,42 +73,66 @@ class ErrorNorm(Remembering):
         self.sizes = Sizes(system)
         self.v_size: Array = np.zeros(system.n_core)
         self.q_size: Array = np.zeros(system.n_core)
-        self.field_size: Array = np.zeros(len(system.fields))  # m
+        self.deforming = [(k, p) for k, p in enumerate(system.parts) if p.distributed or p.rms is not None]
+        self.deflections: Array = np.zeros(len(self.deforming))  # m, the largest so far
         self.scale: Array = np.ones(system.n_v)  # of positions, in the model
         self.wq: Array = np.ones(system.n_v)
         self.wv: Array = np.ones(system.n_v)
 
     def update(self, state: State, h: float) -> None:
         """Take notice of a state; ``h`` is the step about to be taken. Collective where there are elastic fields."""
-        s, v = self.system, np.abs(state.v[: self.system.n_core])
+        s = self.system
+        v = np.abs(state.v[: s.n_core])
         self.q_size = np.maximum(self.q_size, self.sizes.positions(state.q))
+        # the velocities that the accelerations reach within the step count too
         fast = np.maximum(v, h * np.abs(state.a[: s.n_core]))
         for block in self.sizes.blocks:
             fast[block] = fast[block].max(initial=0.0)
         self.v_size = np.maximum(self.v_size, fast)
 
-        self.scale = self._with_fields(state) if s.fields else self.q_size
+        self.scale = self._sizes(state)
         self.wq = self.rtol * self.judged(state) + (0.0 if self.atol is None else self.atol)
+
+        # rates of deformations go with their positions over the step
         n = s.n_core
+        rates = self.rtol * self.v_size + 1e-4 * self.wq[:n] / h
         self.wv = self.wq / h
-        self.wv[:n] = self.rtol * self.v_size + 1e-4 * self.wv[:n]
+        self.wv[:n] = np.where(self.deformations[:n], self.wv[:n], rates)
 
     def judged(self, state: State) -> Array:
         """Sizes like v that the tolerance of positions is relative to: those of the model."""
+        # schemes that judge ways instead override this
         return self.scale
 
-    def _with_fields(self, state: State) -> Array:
-        """Sizes like v: those of the core, and the largest displacement of each field; collective."""
+    @cached_property
+    def deformations(self) -> Array:
+        """Which velocities are those of deformations, (n_v,)."""
+        out = np.zeros(self.system.n_v, dtype=bool)
+        for k, _ in self.deforming:
+            out[self.system.slices[1][k]] = True
+        return out
+
+    def _sizes(self, state: State) -> Array:
+        """Sizes of positions, like v, those of deformations the largest of each body so far; collective with fields."""
         s = self.system
-        local = [float(np.abs(s.local_q(state.q, k)).max(initial=0.0)) for k, _ in s.fields]
-        seen = np.max(s.comm.allgather(np.array(local)), axis=0)
-        self.field_size = np.maximum(self.field_size, np.maximum(seen, 1e-2 * s.length))
-        own = (np.full(p.n, x) for (_, p), x in zip(s.fields, self.field_size, strict=True))
-        return np.concatenate((self.q_size, *own))
+        out = np.concatenate((self.q_size, np.ones(s.n_v - s.n_core)))
+        if not self.deforming:
+            return out
+
+        seen = np.array([_largest(s.local_q(state.q, k), part.rms) for k, part in self.deforming])
+        if s.fields:
+            seen = np.max(s.comm.allgather(seen), axis=0)
+        # the largest so far, a hundredth of the model's length at least
+        self.deflections = np.maximum(self.deflections, np.maximum(seen, 1e-2 * s.length))
+
+        for (k, part), size in zip(self.deforming, self.deflections, strict=True):
+            out[s.slices[1][k]] = size if part.rms is None else size / part.rms
+        return out
 
     def __call__(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
         """The norm (1) of errors like v, (n,), or the largest over several, (s, n); collective."""
         wq, wv = self.wq, self.wv
+        # velocities and accelerations of index 3 are of orders one and two less in h
         if self.index == 3:
             kinds = [e_q / wq, e_v * (h / wq)] + ([] if e_a is None else [e_a * (h * h / wq)])
         else:
@@ -117,6 +142,7 @@ class ErrorNorm(Remembering):
     def mean(self, x: Array) -> float:
         """Root mean square of the core, or that of the worst field, of arrays like v, (..., n_v); collective."""
         s, n = self.system, self.system.n_core
+        # every field by itself: its many nodes would hide the core, or the core them
         core = x[..., :n]
         means = [float(np.einsum("...i,...i->...", core, core).max()) / n] if n else []
         if s.fields:
@@ -133,8 +159,14 @@ class ErrorNorm(Remembering):
         """
         s = self.system
         typical = max(s.max_abs(state.a), 1e-3 * s.max_abs(state.v) / h)
+
         moved = max(s.max_abs(e_q), h * s.max_abs(e_v), 0.0 if e_a is None else h * h * s.max_abs(e_a))
         return moved / max(self.rtol * h * h * typical, 64 * float(np.finfo(float).eps) * s.length)
+
+
+def _largest(u: Array, rms: Array | None) -> float:
+    """Largest displacement of nodes, or that of amplitudes of shapes, m."""
+    return float(np.abs(u if rms is None else u * rms).max(initial=0.0))
 
 
 def _configuration(m: Memory, name: str, q: Array | None) -> Array | None:
@@ -222,10 +254,12 @@ class StepControl:
         k = 1.0 / self.order
         error = max(error, 1e-10)
         factor = self.safety * effort * error**-k
+        # Gustafsson's predictive control: errors that grow from step to step go on growing
         if self.h_old > 0:
             predictive = self.safety * (h / self.h_old) * (self.error_old / error**2) ** k
             factor = min(factor, predictive)
         self.h_old, self.error_old = h, max(error, 1e-2)
+        # after a rejection the step does not grow at once
         after_rejection = bool(self.rejections)
         self.rejections.clear()
         factor = min(max(factor, self.shrink), 1.0 if after_rejection else self.grow)
@@ -252,17 +286,15 @@ class StepControl:
 def first_step(norm: ErrorNorm, state: State, order: float, h_max: float) -> float:
     """An initial step from the sizes of velocity and acceleration (Hairer, Norsett, Wanner, Solving ODEs I, II.4, adapted).
 
-    Collective where there are elastic fields; their own accelerations do not count: those of stiff vibrations fall to the
-    error test.
+    Collective where there are elastic fields. Beside frames the accelerations of deformations do not count: those of stiff
+    vibrations fall to the error test.
     """
-    sizes = norm.scale
-    n, fields = norm.system.n_core, norm.system.fields
+    sizes, deformations = norm.scale, norm.deformations
+    if deformations.all():
+        deformations = np.logical_not(deformations)
 
     def mean(x: Array) -> float:
-        shares = x / sizes
-        if n and fields:
-            shares[n:] = 0.0
-        return norm.mean(shares)
+        return norm.mean(np.where(deformations, 0.0, x / sizes))
 
     speed, push = mean(state.v), mean(state.a)
     share = norm.rtol ** (1.0 / order)

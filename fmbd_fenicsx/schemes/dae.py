@@ -40,8 +40,8 @@ from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
 from ..linear.saddle.pencil import Pencil, Tangent
 from ..rotations import Array
+from ..system.evaluation_batch import EvaluationBatch, evaluate_batch
 from ..system.linearise import at_once, differences
-from ..system.many import Many, many
 from ..system.scene.contents import Contents
 from ..system.serialisation import Remembering, plain
 from ..system.system import State, System
@@ -152,6 +152,7 @@ class Baumgarte(Form):
 
     def rows_scale(self, s: Any) -> Any:
         """s^2 + 2 alpha s + beta^2."""
+        # of g'' + 2 alpha g' + beta^2 g for g ~ e^(s t)
         return s**2 + 2 * self.alpha * s + self.beta**2
 
     def _acceleration(self, ev: Any, a: Array) -> Array:
@@ -264,14 +265,17 @@ class StepEquations(Remembering):
         """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) of (1), (2) at the times t (k,)."""
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
-        ev = many(s, t, s.compose(self.origin, p.xi), p.v)
+
+        ev = evaluate_batch(s, t, s.compose(self.origin, p.xi), p.v)
         lam = p.mult[:, :m] if self.levels else None
         v, a = p.v, p.vd
+        # more levels than one: positions or accelerations are corrected along M^-1 G^T
         if self.levels > 1:
             self.normal = self.U if self.form.frozen else self._inverse_mass @ ev.jacobian.core.swapaxes(1, 2)
             v = v - self._normally(p.mult[:, m : 2 * m])
             if self.levels > 2:
                 a = a + self._normally(p.mult[:, 2 * m :])
+
         low = ev.balance(a, lam)
         if self.levels:
             low = np.concatenate((low, self.form.rows(ev, a)), axis=1)
@@ -321,9 +325,11 @@ class StepEquations(Remembering):
         if self.form.index == 1 or not self.levels:
             return np.zeros(self.system.n_v), state.v, state.a
         if self._closed is not state:
-            s, zero = self.system, np.zeros(self.system.n_v)
+            s = self.system
+            zero = np.zeros(s.n_v)
             ev = s.at(state.t, state.q, state.v)
             self.solver.prepare(ev, Weights(1.0, 0.0, 0.0))
+            # positions, then velocities, then accelerations on their own levels
             dq = self.solver.solve(zero, -ev.constraint())[0] if 0 in self.form.levels else zero
             v = state.v + self.solver.solve(zero, -ev.opening())[0]
             ev = s.at(state.t, state.q, v)
@@ -337,7 +343,10 @@ class StepEquations(Remembering):
         M and G are assembled. Stiffness and damping of the balance, with the geometric stiffness (G^T lambda)_q, and the
         derivatives of the velocity and acceleration rows are directional derivatives, all directions in one evaluation.
         """
-        s, form, n, m = self.system, self.form, self.system.n_v, self.system.n_lam
+        s = self.system
+        form = self.form
+        n = s.n_v
+        m = s.n_lam
         self.jacobians += 1
         q, v, a, lam = state.q, state.v, state.a, state.lam
         ev = s.at(state.t, q, v)
@@ -347,14 +356,15 @@ class StepEquations(Remembering):
         if not form.frozen:
             self.U = self._inverse_mass @ G.T
 
-        def lower(at: Many) -> Array:
+        def lower(at: EvaluationBatch) -> Array:
             k = len(at.q)
             a_k = np.broadcast_to(a, (k, n))
             if not self.levels:
                 return at.balance(a_k)
             return np.concatenate((at.balance(a_k, np.broadcast_to(lam, (k, m))), form.rows(at, a_k)), axis=1)
 
-        by_q, by_v = differences(s, at_once(s, state.t, lower), q, v)
+        by_q, by_v = differences(s, at_once(s, state.t, lower), (q, v, a))
+        # known exactly: M, and G on the level of each row
         by_a = np.zeros_like(by_v)
         by_a[:n] = M
         for i, level in enumerate(form.levels[: self.levels]):
@@ -369,9 +379,11 @@ class StepEquations(Remembering):
 
     def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
         """d rate(xi, v) / d xi by differences, and the matrix T with v = T rate(xi, v)."""
-        s, eye = self.system, np.eye(self.system.n_v)
+        s = self.system
+        eye = np.eye(s.n_v)
         if s.motions.dim == 2 or not s.n_frames:
             return np.zeros_like(eye), eye
+        # rotations in space: xi' depends on xi
         J = (s.rate(xi + 1e-6 * eye, v) - s.rate(xi - 1e-6 * eye, v)).T / 2e-6
         return J, np.asarray(np.linalg.inv(s.rate(xi, eye).T))
 

@@ -43,23 +43,30 @@ def exact_increment(
     norm = float(np.sqrt(system.dot(units * dq, units * dq)))
     if not 0.0 < norm < np.inf:
         return dq, dlam, 0
+
+    # GMRES: an orthonormal basis of increments, in lengths; each goes with its change of the multipliers
     basis, reactions = [dq / norm], []
     H = np.zeros((tangent.max_iterations + 1, tangent.max_iterations))
     y: Array = np.zeros(0)
     for j in range(tangent.max_iterations):
+        # P^-1 J of the newest one by a difference of residuals
         eps = SHIFT * system.length / system.max_abs(basis[j])
         r, g = moved(eps * basis[j])
         w, reaction = solve((r + b[0]) / eps, (g + b[1]) / eps)
         reactions.append(reaction)
+
         for i, e in enumerate(basis):
             H[i, j] = system.dot(units * w, units * e)
             w = w - H[i, j] * e
         H[j + 1, j] = np.sqrt(system.dot(units * w, units * w))
+
+        # the combination with the smallest residual (least squares)
         goal = np.zeros(j + 2)
         goal[0] = norm
         y = np.linalg.lstsq(H[: j + 2, : j + 1], goal, rcond=None)[0]
         if np.linalg.norm(goal - H[: j + 2, : j + 1] @ y) <= tangent.rtol * norm or H[j + 1, j] == 0.0:
             break
         basis.append(w / H[j + 1, j])
+
     dq = np.sum([c * e for c, e in zip(y, basis, strict=False)], axis=0)
     return dq, dlam - np.sum([c * x for c, x in zip(y, reactions, strict=True)], axis=0), len(y)

@@ -7,21 +7,12 @@ A stage system of frequency s (real, or one of a complex pair of the scheme's co
 
 The brackets are directional derivatives at one motion in the middle of the step: one more evaluation of the forces, inertia of
 the deformed body, gyroscopic terms and turned reactions included. N c is the motion with G N c = c that is least in the metric
-of P below, at the start of the step: a floating body has no mass matrix that could be inverted, but this motion is always
+of P below, where derivatives are taken: a floating body has no mass matrix that could be inverted, but this motion is always
 determined, so the multipliers of corrections are replaced by the slips c, e that they close; and it is smooth, where the
 least motion by the mass alone would dent a stiff body at its joint. As G N = 1, c and e follow after dxi.
 
-GMRES solves (2) divided by s^2. Its preconditioner is the matrix of a real step,
-
-    P = [ M + C / |s| + K / |s|^2    G^T ]          eigenvalues of P^-1 J: on the segment from 1 to |s|^2 / s^2    (3)
-        [ G                            0 ]
-
-whatever the stiffness, so the residual falls by tan(arg(s^2) / 4) an iteration: 0.32 with two stages, 0.45 with three. All
-stages and the filter of the error estimate share one elastic factor. |s| is taken from a geometric grid of three values
-for a decade, whose factors are kept: the step itself may have any size.
-
-Sources: Saad and Schultz, doi:10.1137/0907058; real preconditioners of complex symmetric systems: Axelsson and Kucherov,
-doi:10.1002/1099-1506(200005)7:4<197::AID-NLA194>3.0.CO;2-S; Newton-Krylov: Knoll and Keyes, doi:10.1016/j.jcp.2003.08.010.
+How (2) is solved: :mod:`.stage_krylov`. States are evaluated in compiled code where that knows the fields.
+Source of the forms: :mod:`.dae`. Newton-Krylov methods: Knoll and Keyes, doi:10.1016/j.jcp.2003.08.010.
 """
 
 from __future__ import annotations
@@ -32,22 +23,22 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..errors import LinearSolveError
-from ..fem.fields import rank_sum
 from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
 from ..rotations import Array
+from ..system.compiled.field_states import field_states
 from ..system.evaluation import Evaluation
 from ..system.serialisation import Memory, Remembering, plain
 from ..system.system import State, System
 from .dae import Form, Points
+from .stage_krylov import FieldStages
+
+StateEvaluator = Callable[[float, Array, Array], Evaluation]
 
 MASS = Weights(1.0, 0.0, 0.0)
 SHIFT = float(np.sqrt(np.finfo(float).eps))  # of a difference quotient, over the model's length
 DECADE = 3  # factors kept for a decade of step sizes
 KEPT = 6  # sets of elastic factors, that of the mass included
-ACCURATE = 1e-2  # share of the residual that an inner iteration leaves
-LIMIT = 40  # inner iterations
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +50,7 @@ class FieldTangent:
     state: State
     ev: Evaluation
     low: Array
+    at: StateEvaluator
 
     def along(self, dq: Array, dv: Array, da: Array) -> Array:
         """Derivative of balance and rows along (dq, dv, da), complex directions by their two parts; collective."""
@@ -67,13 +59,13 @@ class FieldTangent:
             return real + 1j * self.along(dq.imag, dv.imag, da.imag)  # type: ignore[no-any-return]
 
         system, s = self.ev.system, self.state
-        # lengths: positions, and what velocities move within the time in which they change
-        size = max(system.max_abs(dq), system.max_abs(dv) ** 2 / max(system.max_abs(da), 1e-300))
-        if size == 0.0:
-            size = system.max_abs(da) or 1.0
-        eps = SHIFT * system.length / size
+        place, speed, push = system.max_abs(dq), system.max_abs(dv), system.max_abs(da)
+        if place == speed == 0.0:  # linear: as large as the accelerations that they are added to
+            eps = (system.max_abs(s.a) or 1.0) / (push or 1.0)
+        else:  # lengths: positions, and what velocities move within the time in which they change
+            eps = SHIFT * system.length / max(place, speed**2 / max(push, 1e-300))
 
-        ev = system.at(s.t, system.compose(s.q, eps * dq), s.v + eps * dv)
+        ev = self.at(s.t, system.compose(s.q, eps * dq), s.v + eps * dv)
         moved = lower(self.form, self.levels, ev, s.a + eps * da, s.lam)
         return (moved - self.low) / eps
 
@@ -116,10 +108,12 @@ class FieldEquations(Remembering):
         self.origin: Array = np.zeros(0)
         self.anchor: float | None = None  # |s| of the grid's first factor, 1/s
         solver.elastic.kept = KEPT
+        states = field_states(system)
+        self.at: StateEvaluator = system.at if states is None else states.at
         self.metric = MASS  # of the corrections N c: the matrix P of the step
         self._last_metric = MASS  # of the step before: its errors across the constraints are of least size in it
         self._begun: State | None = None
-        self._start_ev: Evaluation | None = None
+        self._basis: Evaluation | None = None  # where N is taken
         self._closed: State | None = None
         self._start: tuple[Array, Array, Array] = (self.origin,) * 3
 
@@ -147,7 +141,7 @@ class FieldEquations(Remembering):
     def begin(self, state: State) -> None:
         """Local coordinates about the state."""
         if self._begun is not state:
-            self._begun, self._start_ev = state, None
+            self._begun, self._basis = state, None
             self._last_metric = self.metric
         self.origin = state.q
 
@@ -161,7 +155,7 @@ class FieldEquations(Remembering):
         kin, low = [], []
         for i, time in enumerate(t):
             v, a = p.v[i] - slips[i], p.vd[i] + pulls[i]
-            ev = s.at(float(time), s.compose(self.origin, p.xi[i]), p.v[i])
+            ev = self.at(float(time), s.compose(self.origin, p.xi[i]), p.v[i])
             low.append(lower(self.form, self.levels, ev, a, p.mult[i, :m]))
             kin.append(p.rate[i] - s.rate(p.xi[i], v))
         return np.array(kin), np.array(low)
@@ -182,11 +176,16 @@ class FieldEquations(Remembering):
         """N c, like v; complex slips by their parts."""
         if np.iscomplexobj(slip):
             return self.closing(slip.real) + 1j * self.closing(slip.imag)  # type: ignore[no-any-return]
-        if self._start_ev is None:
+        if self._basis is None:
             assert self._begun is not None
-            self._start_ev = self.system.at(self._begun.t, self._begun.q)
-        self.solver.prepare(self._start_ev, self.metric)
-        return self.solver.solve(np.zeros(self.system.n_v), slip)[0]
+            self._basis = self.system.at(self._begun.t, self._begun.q)
+        self.prepare(self._basis, self.metric)
+        return self.solver.closing(slip)
+
+    def prepare(self, ev: Evaluation, weights: Weights) -> None:
+        """The matrix of a step, unless it is there."""
+        if not self.solver.holds(ev, weights):
+            self.solver.prepare(ev, weights)
 
     def accelerations(self, p: Points) -> Array:
         """a = v' + N e, (k, n_v)."""
@@ -208,7 +207,7 @@ class FieldEquations(Remembering):
 
         s, zero = self.system, np.zeros(self.system.n_v)
         ev = s.at(state.t, state.q, state.v)
-        self.solver.prepare(ev, self._last_metric)
+        self.prepare(ev, self._last_metric)
 
         def closed(gap: Array) -> Array:
             return self.solver.solve(zero, -gap)[0]
@@ -223,9 +222,9 @@ class FieldEquations(Remembering):
     def refresh(self, state: State) -> FieldTangent:
         """Derivatives at a state from now on."""
         self.jacobians += 1
-        ev = self.system.at(state.t, state.q, state.v)
+        ev = self._basis = self.at(state.t, state.q, state.v)
         low = lower(self.form, self.levels, ev, state.a, state.lam)
-        return FieldTangent(self.form, self.levels, state, ev, low)
+        return FieldTangent(self.form, self.levels, state, ev, low, self.at)
 
     def inertia(self, tangent: FieldTangent, a: Array) -> Array:
         """M a at the tangent's motion."""
@@ -243,145 +242,3 @@ class FieldEquations(Remembering):
         places = round(DECADE * float(np.log10(frequency / self.anchor)))
         grid = self.anchor * 10.0 ** (places / DECADE)
         return Weights(1.0, 1.0 / grid, 1.0 / grid**2)
-
-
-class FieldStages:
-    """(2) solved for frequencies s, (p,) real or complex, by preconditioned GMRES; what :class:`.Pencil` is for small systems."""
-
-    def __init__(self, equations: FieldEquations, tangent: FieldTangent, s: Array, judge: Judge) -> None:
-        self.eq, self.t, self.s, self.judge = equations, tangent, s, judge
-        self.weights = equations.metric = equations.weights(float(np.abs(s).max()))
-        self.share = _shares(equations.system)
-
-    def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
-        """Increments dxi, dv side by side (p, 2 n_v) and multipliers (p, levels n_lam), for residuals r_kin (p, n_v) and r_low
-        (p, n_v + levels n_lam).
-        """
-        made = [self._one(s, np.asarray(kin[i]), np.asarray(low[i])) for i, s in enumerate(self.s)]
-        return np.array([x for x, _ in made]), np.array([y for _, y in made])
-
-    def _one(self, s: Any, kin: Array, low: Array) -> tuple[Array, Array]:
-        """dxi, dv side by side, and the multipliers, of one frequency."""
-        if s.imag == 0:
-            s, kin, low = s.real, kin.real, low.real
-        eq, n, m, L = self.eq, self.eq.system.n_v, self.eq.system.n_lam, self.eq.levels
-
-        # slips that follow from the rows alone: their motion acts on the balance
-        rate = kin
-        if L > 1:
-            slip = s * low[n : n + m] - low[n + m : n + 2 * m] - self._rows(kin)
-            rate = kin + eq.closing(slip)
-        push = s * rate
-        if L > 2:
-            pull = s * low[n + m : n + 2 * m] - low[n + 2 * m :]
-            push = push + eq.closing(pull)
-
-        eq.solver.prepare(self.t.ev, self.weights)
-        dxi, dv, dlam, left = self._motion(s, (rate, push), low)
-        mult = [dlam]
-        if L > 1:  # what the motion itself adds
-            mult.append(slip + left[:m])
-            dv = dv + eq.closing(left[:m])
-        if L > 2:
-            mult.append(pull + left[m:] - s * left[:m])
-        return np.concatenate((dxi, dv)), np.concatenate(mult) if L else np.zeros(0)
-
-    def _rows(self, x: Array) -> Array:
-        """G x at the tangent's motion."""
-        times = self.t.ev.jacobian.times
-        return times(x.real) + 1j * times(x.imag) if np.iscomplexobj(x) else times(x)
-
-    def _motion(self, s: Any, known: tuple[Array, Array], low: Array) -> tuple[Array, Array, Array, Array]:
-        """dxi, dv and dlambda of one frequency for known parts of dv and da, and what the further rows leave open."""
-        eq, t, (rate, push) = self.eq, self.t, known
-        n, m = eq.system.n_v, eq.system.n_lam
-        scale = eq.form.rows_scale(s)
-
-        def parts(r: Array) -> tuple[Array, Array]:
-            return r[:n] / s**2, r[n : n + m] / scale if eq.levels else np.zeros(0)
-
-        def lift(d: Array) -> Array:
-            return s * d - t.turning(d)
-
-        rows: list[Array] = []
-
-        def action(d: Array) -> tuple[Array, Array]:
-            dv = lift(d)
-            r = t.along(d, dv, s * dv)
-            rows.append(r[n + m :])
-            return self._precondition(*parts(r))
-
-        low = low + t.along(np.zeros_like(rate), rate, push)  # on all ranks, also where this one's share is zero
-        dxi, dlam, combination = self._gmres(action, self._precondition(*parts(-low)))
-
-        left = -low[n + m :]
-        for c, r in zip(combination, rows, strict=True):
-            left = left - c * r
-        return dxi, lift(dxi) + rate, s**2 * dlam, left
-
-    def _precondition(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """P^-1 of (3), real and imaginary parts one after the other."""
-        solve = self.eq.solver.solve
-        self.judge.solves += 1
-        if not np.iscomplexobj(b):
-            return solve(b, c)
-        c = c.astype(complex)
-        (x, y), (u, w) = solve(b.real, c.real), solve(b.imag, c.imag)
-        return x + 1j * u, y + 1j * w
-
-    def _gmres(
-        self, action: Callable[[Array], tuple[Array, Array]], first: tuple[Array, Array]
-    ) -> tuple[Array, Array, Array]:
-        """dxi and multiplier of P^-1 J x = ``first``, and the coefficients of the basis that make dxi."""
-        x, y = first
-        norm = np.sqrt(self._dot(x[None], x)[0].real)
-        if not 0.0 < norm < np.inf:
-            if norm == 0.0:
-                return x, y, np.zeros(0)
-            raise LinearSolveError(f"{self.judge.what}: the first increment is not finite.")
-
-        basis, reactions = [x / norm], []
-        H = np.zeros((LIMIT + 1, LIMIT), dtype=x.dtype)
-        goal = np.zeros(LIMIT + 1)
-        goal[0] = norm
-        for j in range(LIMIT):
-            w, reaction = action(basis[j])
-            reactions.append(reaction)
-            V = np.array(basis)
-            for _ in range(2):  # twice is enough
-                h = self._dot(V, w)
-                H[: j + 1, j] += h
-                w = w - h @ V
-            H[j + 1, j] = np.sqrt(self._dot(w[None], w)[0].real)
-            self.eq.krylov += 1
-
-            c = np.linalg.lstsq(H[: j + 2, : j + 1], goal[: j + 2], rcond=None)[0]
-            left = float(np.linalg.norm(goal[: j + 2] - H[: j + 2, : j + 1] @ c))
-            if left <= ACCURATE * norm or abs(H[j + 1, j]) <= 1e-14 * norm:
-                break
-            if j == LIMIT - 1:
-                raise LinearSolveError(
-                    f"{self.judge.what}: {LIMIT} iterations of the stages left {left / norm:.1e} of the residual."
-                )
-            basis.append(w / H[j + 1, j])
-
-        return c @ np.array(basis[: len(c)]), y - c @ np.array(reactions), c
-
-    def _dot(self, V: Array, w: Array) -> Array:
-        """Inner products of vectors (k, n_v) with one: mean squares of each field, sums of the core; collective."""
-        system, n = self.eq.system, self.eq.system.n_core
-        V, w = V.conj() * self.share, w * self.share
-        core = V[:, :n] @ w[:n]
-        return core + np.asarray(rank_sum(system.comm, V[:, n:] @ w[n:]))
-
-
-def _shares(system: System) -> Array:
-    """Weights like v that turn increments into lengths, those of a field into its root mean square."""
-    if "shares" not in system.cache:
-        share = system.units.copy()
-        for k, part in system.fields:
-            count = rank_sum(system.comm, np.array(float(part.n)))
-            share[system.slices[1][k]] /= np.sqrt(max(float(count), 1.0))
-        system.cache["shares"] = share
-    found: Array = system.cache["shares"]
-    return found

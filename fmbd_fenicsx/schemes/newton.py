@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -92,31 +93,37 @@ class Newton:
         Returns whether it converged, and the history of norms.
         """
         history: list[float] = []
-        at_once, refreshed = look is not None and self.renewals > 1, 0
+        at_once = look is not None and self.renewals > 1
+        refreshed = 0
         for _ in range(self.max_iterations):
             size = increment()
             self.iterations += 1
             history.append(size)
             if not size < float("inf"):
                 return False, history
+
             if len(history) > 1:
+                # rate of convergence, and by it the error that is left
                 theta = size / history[-2] if history[-2] > 0 else 0.0
                 self.theta = max(min(theta, 0.999), 1e-4)
                 left = self.theta / (1 - self.theta) * size
+                # too slow to end within the patience: a new tangent
                 if left > 1.0 and refreshed < 10 and -math.log(left) / math.log(self.theta) > self.patience:
                     refreshed += 1
                     if self._renewed(look):
                         self.theta = 0.1
                         continue
-                if (
-                    size > 1.0 and len(history) > 3 and size > self.slow * history[-3]
-                ):  # one bad increment is no divergence
+                # one bad increment is no divergence
+                stalled = len(history) > 3 and size > self.slow * history[-3]
+                if size > 1.0 and stalled:
                     return False, history
             else:
+                # the first: the rate of the step before, no better than 0.02
                 left = max(self.theta, 0.02) / (1 - min(max(self.theta, 0.02), 0.9)) * size
                 if at_once and size > FAR and self._renewed(look):
                     refreshed, self.theta = 1, 0.1
                     continue
+
             if left <= 1.0 or size <= 1e-3:
                 self.note(left)
                 self.renewals = refreshed
@@ -137,6 +144,17 @@ class Newton:
         made.refresh = self.refresh if refresh is None else refresh
         return made
 
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the user has chosen."""
+        return {
+            "tolerance": self.tolerance,
+            "max_iterations": self.max_iterations,
+            "slow": self.slow,
+            "patience": self.patience,
+            "tangent": self.tangent,
+        }
+
     def note(self, left: float, steps: int = 1) -> None:
         """Solved steps and the sum of their errors, over the tolerance."""
         self.left += left
@@ -156,7 +174,8 @@ def above_roundoff(ev: Evaluation, lam: Array, r: Array, g: Array) -> Array:
     Forces are compared frame by frame, since the lever of a force may cancel in one direction. All count while
     constraints ``g`` are open. Replicated coordinates.
     """
-    system, few = ev.system, 32 * np.finfo(float).eps
+    system = ev.system
+    few = 32 * np.finfo(float).eps
     if system.fields or np.abs(g).max(initial=0.0) > few * system.length:
         return np.ones(len(r))
 

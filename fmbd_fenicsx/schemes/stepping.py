@@ -95,9 +95,10 @@ def made_stepper(scheme: Any, *given: Any) -> TimeStepper:
         "docs/contributing.md.",
     )
     if Declared.by(scheme).compiled and not made.compiled_whole:
-        from ..system.compiled.evaluation import use_driver
+        # schemes in Python ask for evaluations: compiled code gives them
+        from ..linear.driver_solver import use_driver_in
 
-        use_driver(given[0])
+        use_driver_in(given[1])
     return made  # type: ignore[no-any-return]
 
 

@@ -40,14 +40,20 @@ def _twists(system: System, v: Array) -> Array:
 
 
 def compose(system: System, q: Array, xi: Array) -> Array:
-    """q o exp(xi). Collective where surfaces without a frame count their angles; a configuration of the core alone leaves these
-    to :func:`count`.
+    """q o exp(xi), compiled where a driver evaluates the system.
+
+    Collective where surfaces without a frame count their angles; a configuration of the core alone leaves these to :func:`count`.
     """
     if _flat(system):
         return q + xi
 
-    at, k = system.counted_angles, system.n_frames * system.motions.n_twist
+    at = system.counted_angles
+    k = system.n_frames * system.motions.n_twist
     lead, q, xi = _together(q, xi)
+    if system.driver is not None:
+        made: Array = system.driver.compose(q, xi)
+        return made
+
     frames = system.motions.compose(_poses(system, q), _twists(system, xi))
     out = np.concatenate((frames.reshape(*lead, at.start), q[..., at], q[..., at.stop :] + xi[..., k:]), axis=-1)
 
@@ -61,16 +67,19 @@ def difference(system: System, q0: Array, q1: Array, near: Array | None = None) 
     if _flat(system):
         return q1 - q0
 
-    at, k = system.counted_angles, system.n_frames * system.motions.n_twist
+    at = system.counted_angles
+    k = system.n_frames * system.motions.n_twist
     lead, q0, q1 = _together(q0, q1)
     guess = None if near is None else _twists(system, near)
+
     frames = system.motions.difference(_poses(system, q0), _poses(system, q1), guess)
     return np.concatenate((frames.reshape(*lead, k), q1[..., at.stop :] - q0[..., at.stop :]), axis=-1)
 
 
 def rate(system: System, xi: Array, v: Array) -> Array:
     """d(xi)/dt of the local coordinates q o exp(xi) for the velocity v."""
-    m, k = system.motions, system.n_frames * system.motions.n_twist
+    m = system.motions
+    k = system.n_frames * m.n_twist
     if m.dim == 2 or not k:
         return v
 
@@ -90,6 +99,7 @@ def count(system: System, q: Array, xi: Array | None = None) -> None:
         return
 
     at = system.counted_angles
+
     if xi is not None:
         twists = _twists(system, xi)
         ground = np.zeros((*twists.shape[:-2], 1, twists.shape[-1]))
@@ -100,6 +110,7 @@ def count(system: System, q: Array, xi: Array | None = None) -> None:
     if system.counted.free.any() and q.shape[-1] == system.n_q:
         each = [_marker_rotations(system, x) for x in q.reshape(-1, system.n_q)]
         surfaces = np.reshape(each, (*q.shape[:-1], *each[0].shape))
+
     ground = np.broadcast_to(system.ground, (*q.shape[:-1], *system.ground.shape))
     rotation = system.motions.matrix(np.concatenate((_poses(system, q), ground), axis=-2))
     q[..., at] = system.counted.followed(q[..., at], rotation, surfaces)

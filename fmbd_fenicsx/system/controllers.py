@@ -24,7 +24,7 @@ from ..errors import CallbackError, InputError, named, require
 from ..mechanics.forces.effort_laws import PID
 from ..mechanics.forces.force_elements import Loads, Tangent
 from ..mechanics.forces.forces import Force
-from ..mechanics.forces.formulas import Formula, table
+from ..mechanics.forces.formulas import Formula, SampledEffort, table
 from ..mechanics.forces.joint_elements import motion_of
 from ..mechanics.frames import Kinematics
 from ..mechanics.joints.drives import JointCoordinate
@@ -99,34 +99,38 @@ class ControlLoads(Loads):
         return None
 
     # -- the law ----------------------------------------------------------------------------------------------------
-    def _call(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
+    def ask_law(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
         """Efforts (acts,) and rate (or next value) of the memory, checked."""
         c = self.controller
         found = self.law(t, y, z.copy())
         if not len(z) and isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], tuple) and not found[1]:
             found = found[0]  # an empty memory, returned as it was given
+        # with a memory a law returns two things
         u, more = found if len(z) and isinstance(found, tuple) and len(found) == 2 else (found, None)
         if (more is None) != (not len(z)):
             wanted = "(efforts, rate of the memory)" if c.every is None else "(efforts, memory)"
             raise CallbackError(f'Controller "{c.name}" keeps {len(z)} numbers: its law must return {wanted}.')
+
         size = len(self.acts)
         efforts = _numbers(c.name, "efforts", u, (size, t))
         return efforts, z if more is None else _numbers(c.name, "numbers of the memory", more, (len(z), t))
 
-    def _continuous(self, t: float, y: Mapping[str, Array]) -> tuple[Array, Array, Array]:
-        """u, z and g of (3) at time t."""
-        kept, half = self.kept, 0.5 * (t - self.kept.t)
+    def with_memory(self, t: float, y: Mapping[str, Array]) -> tuple[Array, Array, Array]:
+        """u of a continuous law at time t, with z and g of (3)."""
+        kept = self.kept
+        half = 0.5 * (t - kept.t)
         z = kept.z + 2 * half * kept.rate
-        u, rate = self._call(t, y, z)
+        u, rate = self.ask_law(t, y, z)
         if not len(z) or half == 0.0:
             return u, z, rate
 
         for _ in range(20):
+            # the trapezoid rule (3), solved for z by Newton's method
             miss = z - kept.z - half * (kept.rate + rate)
             if np.abs(miss).max() <= 1e-14 * (np.abs(z).max() + np.abs(half * rate).max()):
                 return u, z, rate
             z = z - np.linalg.solve(np.eye(len(z)) - half * self._memory_slopes(t, y, z, rate), miss)
-            u, rate = self._call(t, y, z)
+            u, rate = self.ask_law(t, y, z)
         raise CallbackError(
             f'Controller "{self.controller.name}": its memory has no value at t = {t:g} s. Is the law smooth in it?'
         )
@@ -137,15 +141,17 @@ class ControlLoads(Loads):
         for k in range(len(z)):
             step = np.zeros(len(z))
             step[k] = 1e-7 * max(1.0, abs(float(z[k])))
-            out[:, k] = (self._call(t, y, z + step)[1] - rate) / step[k]
+            out[:, k] = (self.ask_law(t, y, z + step)[1] - rate) / step[k]
+
         return out
 
-    def _read(self, kin: Kinematics) -> dict[str, Array]:
+    def read(self, kin: Kinematics) -> dict[str, Array]:
+        """Values of what the law reads in a configuration, by name."""
         return {r.name: r.at(kin) for r in self.readings}
 
     def efforts(self, kin: Kinematics, t: float) -> Array:
         """u, (acts,): N or N m, positive where the coordinate grows."""
-        return self.kept.u if self.controller.every is not None else self._continuous(t, self._read(kin))[0]
+        return self.kept.u if self.controller.every is not None else self.with_memory(t, self.read(kin))[0]
 
     # -- forces -----------------------------------------------------------------------------------------------------
     def _rows(self, kin: Kinematics) -> tuple[Array, Array]:
@@ -168,7 +174,7 @@ class ControlLoads(Loads):
         """How u answers to what is read, for each pair of an acting and a read marker; None when sampled."""
         if self.controller.every is not None:
             return None
-        y = self._read(kin)
+        y = self.read(kin)
         ra, rb = self._rows(kin)
         entries: list[tuple[int, int, Array, bool]] = []
         for reading in self.readings:
@@ -184,6 +190,7 @@ class ControlLoads(Loads):
         if not entries:
             return None
 
+        # by displacements of what is read, or by its velocities
         n = self.motions.n_twist
         K, D = np.zeros((2, len(entries), 2 * n, 2 * n))
         for i, (_, _, block, fast) in enumerate(entries):
@@ -199,7 +206,7 @@ class ControlLoads(Loads):
             for sign in (1, -1):
                 moved = y[name].copy()
                 moved[k] += sign * h
-                ends.append(self._continuous(t, {**y, name: moved})[0])
+                ends.append(self.with_memory(t, {**y, name: moved})[0])
             out[:, k] = (ends[0] - ends[1]) / (2 * h)
         return out
 
@@ -227,6 +234,17 @@ class ControlLoads(Loads):
         self.kept = Kept(state.t, z, np.zeros_like(z), np.zeros(len(self.acts)), 0)
         return self.accepted(ev, state)
 
+    @property
+    def due(self) -> float:
+        """When the next sample is taken, s."""
+        every = self.controller.every
+        return np.inf if every is None else every * (self.kept.next - _AT)
+
+    def sampled(self) -> list[SampledEffort]:
+        """The efforts between samples; none of continuous laws."""
+        acting = self.acts if self.controller.every is not None else ()
+        return [SampledEffort(relative, lambda i=i: -float(self.kept.u[i])) for i, relative in enumerate(acting)]  # type: ignore[misc]
+
     def jumps(self, kept: Kept) -> bool:
         """A new sample has been taken."""
         return kept.next != self.kept.next
@@ -242,18 +260,18 @@ class ControlLoads(Loads):
     def memory_rates(self, ev: Any, t: float) -> Array:
         """g of (1), (m,)."""
         z = self.memory_values()
-        return self._call(t, self._read(ev.kin), z)[1] if len(z) else z
+        return self.ask_law(t, self.read(ev.kin), z)[1] if len(z) else z
 
     def accepted(self, ev: Any, state: Any) -> Kept:
         """Memory after a step: of (3), or of the sample that is due."""
         every, kept = self.controller.every, self.kept
         if every is None:
-            u, z, rate = self._continuous(state.t, self._read(ev.kin))
+            u, z, rate = self.with_memory(state.t, self.read(ev.kin))
             return Kept(state.t, z, rate, u, 0)
-        if state.t < every * (kept.next - _AT):
+        if state.t < self.due:
             return kept
         y = {r.name: r.at(ev.kin) if r.relative else r.sensor.read(ev, state, r.marker) for r in self.readings}
-        u, z = self._call(state.t, y, kept.z)
+        u, z = self.ask_law(state.t, y, kept.z)
         return Kept(state.t, z, kept.rate, u, int(np.floor(state.t / every + _AT)) + 1)
 
 
@@ -346,8 +364,11 @@ def controller(
     require(len(acts) > 0, f'Controller "{name}": acts must hold a joint coordinate at least.')
     for coordinate in acts:
         instance(f'Controller "{name}": on', coordinate, JointCoordinate)
+
+    # continuous laws are asked inside Newton's iteration, where only the motion is known
     require(callable(law), f'Controller "{name}": law must be a function (t, y, z), found {law!r}.')
     require(every is None or (np.isfinite(every) and every > 0), f'Controller "{name}": every = {every} s must be > 0.')
+
     sensors: dict[str, Sensor] = {}
     for label, given in reads.items():
         sensor = JointReading(None, given.unit, coordinate=given) if isinstance(given, JointCoordinate) else given
@@ -358,6 +379,7 @@ def controller(
                 "more than the motion. Sample it: every=..."
             )
         sensors[label] = sensor
+
     z = tuple(float(x) for x in memory)
     joint = acts[0].joint
     return Controller(name, joint.a, joint.b, None, None, acts, sensors, law, z, every)

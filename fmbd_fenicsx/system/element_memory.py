@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import is_dataclass
 from typing import Any
 
+import numpy as np
+
 from .system import State, System
 
 
@@ -34,6 +36,12 @@ def reset(system: System, state: State) -> None:
     if keepers:
         ev = system.at(state.t, state.q, state.v)
         restore(system, [loads.first(ev, state) for loads in keepers])
+
+
+def whole_steps(system: System, t: float, h: float) -> float:
+    """How many steps of size h (s) from t end before the next sample of a controller; infinite without one."""
+    due = min((loads.due for loads in system.forces), default=np.inf)
+    return float(np.floor((due - t) / h - 1e-6)) if np.isfinite(due) else np.inf
 
 
 def accept(system: System, state: State) -> bool:

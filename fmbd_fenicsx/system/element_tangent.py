@@ -29,7 +29,8 @@ def with_elements(ev: Evaluation, applied: Any, cd: float, ck: float) -> Any:
 
 def element_tangent(ev: Evaluation, cd: float, ck: float) -> Any:
     """cd D + ck K of all elements, and (1) of the applied forces, sparse (n_core, n_core); rows of core parts stay empty."""
-    s, n = ev.system, ev.system.motions.n_twist
+    s = ev.system
+    n = s.motions.n_twist
     twist = None if ev.v is None else ev.twist
     blocks = [pair for elements in s.elements for pair in elements.tangents(ev.t, ev.pose, twist, (cd, ck))]
     if s.forces and twist is not None:
@@ -47,7 +48,8 @@ def element_tangent(ev: Evaluation, cd: float, ck: float) -> Any:
 
 def _turning_wrenches(ev: Evaluation, ck: float) -> tuple[np.ndarray, Array]:
     """Frames (m, 1) and blocks (m, n_twist, n_twist) of (1), as they stand in the tangent of the balance."""
-    m, wrench = ev.system.markers, ev.wrenches()
+    m = ev.system.markers
+    wrench = ev.wrenches()
     used = (m.frame < ev.system.n_frames) & np.any(wrench != 0.0, axis=1)
     used[m.surface] = False  # elastic surfaces have ports of their own
 

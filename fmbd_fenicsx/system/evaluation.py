@@ -86,10 +86,12 @@ class Evaluation:
         g = np.zeros(s.n_lam)
         for batch, rows in s.batches:
             g[rows] = batch.values(self.kin, self.t)
+        # equations of the user's own, on their ports
         for law, span in s.port_constraints:
             g[span] += law.values(self.port[s.port_slice(law.part)], self.t)
         for tie, span in s.traces:
             g[span] = tie.values(self)
+        # conditions of frames: the first ports of a part are zero
         for k, span in enumerate(s.frame_rows):
             g[span] = self.port[s.port_slice(k)][: s.parts[k].n_frame_rows]
         return g
@@ -125,6 +127,7 @@ class Evaluation:
         assert self.v is not None and self.kin.bias is not None
         g = np.zeros(self.system.n_lam)
         for k, (batch, rows) in enumerate(self.system.batches):
+            # what the markers' own second rates at zero acceleration add
             value = batch.gamma(self.kin, self.t)
             for number, marker, side in self.sides[k]:
                 value += np.bincount(number, (side * self.kin.bias[marker]).sum(1), len(rows))
@@ -170,35 +173,49 @@ class Evaluation:
 
     def balance(self, a: Array, lam: Array | None = None) -> Array:
         """M a + h + G^T lambda (lambda left out when None), like v."""
-        s, n = self.system, self.system.motions.n_twist
-        assert self.v is not None
-        accel, g = s.twists(a), s.gravity(self.t)
-        core = np.zeros((s.n_frames + 1, n))
-        if s.rigid is not None:
-            core[s.rigid.frame] += s.rigid.force(self.twist, accel, g)
-        for elements in s.elements:
-            for frames, rows in elements.forces(self.t, self.pose, self.twist):
-                np.add.at(core, frames, rows)
-        local_rows = []
-        for k, p in enumerate(s.parts):
-            local = (s.local_q(self.q, k), s.local_v(self.v, k), s.local_v(a, k))
-            motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], accel[p.frame], g)
-            sums, rows = p.force(motion, local)
-            core[p.frame] += sums
-            local_rows.append(rows)
-        out = np.concatenate((core[:-1].ravel(), *local_rows)) if s.parts else core[:-1].ravel()
+        s = self.system
+        out = self._inertia_and_parts(a)
         wrench = self.wrenches() if s.forces else None
         if wrench is not None:
             out -= self.spread(wrench)
+        # stiffening takes the forces on surfaces from here
         if s.curved:
             note_forces(self, wrench, lam)
         if lam is not None and s.n_lam:
             out += self.jacobian.transposed(lam)
+
         if not np.isfinite(out[: s.n_core]).all():
             raise BalanceError(
                 f"The balance of forces is not finite at t = {self.t:g} s; check loads and initial values."
             )
         return out
+
+    def _inertia_and_parts(self, a: Array) -> Array:
+        """M a + h without force elements, like v: rigid bodies, rods, and what moves on frames."""
+        s = self.system
+        accel = s.twists(a)
+        g = s.gravity(self.t)
+        core = np.zeros_like(accel)  # on frames, the ground last
+        if s.rigid is not None:
+            core[s.rigid.frame] += s.rigid.force(self.twist, accel, g)
+        for elements in s.elements:
+            for frames, rows in elements.forces(self.t, self.pose, self.twist):
+                np.add.at(core, frames, rows)
+
+        local_rows = []
+        for k, p in enumerate(s.parts):
+            local = self._local(k, a)
+            motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], accel[p.frame], g)
+            on_frame, rows = p.force(motion, local)
+            core[p.frame] += on_frame
+            local_rows.append(rows)
+        return np.concatenate((core[:-1].ravel(), *local_rows)) if s.parts else core[:-1].ravel()
+
+    def _local(self, k: int, a: Array) -> tuple[Array, Array, Array]:
+        """Local coordinates of part k, their rates and second rates."""
+        s = self.system
+        assert self.v is not None
+        return s.local_q(self.q, k), s.local_v(self.v, k), s.local_v(a, k)
 
     # -- invariants -------------------------------------------------------------------------------------------------
     def energies(self) -> dict[str, float]:
@@ -209,6 +226,7 @@ class Evaluation:
     def _energies(self) -> dict[str, float]:
         s = self.system
         assert self.v is not None
+        # a ramp of gravity is over: potential energy is that of the full weight
         g = s.gravity(np.inf)
         kinetic, elastic, weight = 0.0, 0.0, 0.0
         if s.rigid is not None:
@@ -216,7 +234,10 @@ class Evaluation:
         for k, p in enumerate(s.parts):
             motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], None, g)
             T, E, W = p.energies(motion, self.pose[p.frame], (s.local_q(self.q, k), s.local_v(self.v, k)))
-            kinetic, elastic, weight = kinetic + T, elastic + E, weight + W
+            kinetic += T
+            elastic += E
+            weight += W
+
         elastic += sum(elements.energy(self.t, self.pose) for elements in s.elements)
         springs = sum(f.energy(self.kin, self.t) for f in s.forces)
         return {"kinetic": kinetic, "elastic": elastic, "weight": weight, "springs": springs}
@@ -230,6 +251,7 @@ class Evaluation:
         if s.rigid is not None:
             dp, dL = s.rigid.momenta(self.pose, self.twist)
             p, L = p + dp, L + dL
+
         for k, part in enumerate(s.parts):
             motion = FrameMotion(
                 self.t, self.rotation[part.frame], self.twist[part.frame], None, np.zeros(s.motions.dim)

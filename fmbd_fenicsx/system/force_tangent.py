@@ -56,15 +56,18 @@ def force_tangent(ev: Evaluation, cd: float, ck: float) -> ForceTangent | None:
         entries.add_frames(T, tangent.a, tangent.b, ~on_surface)
 
         for i in np.flatnonzero(on_surface):
+            # both markers of an element on a surface, by core and ports
             J = np.concatenate((entries.seen.rows(tangent.a[i]), entries.seen.rows(tangent.b[i])))
             if not J[:, s.n_core :].any():
                 entries.add_block(J[:, : s.n_core].T @ T[i] @ J[:, : s.n_core])
                 continue
+            # on ports of fields: as a product of low rank, the border of the solver
             U, sizes, Vt = np.linalg.svd(T[i])
             keep = sizes > RANK * sizes[0]
             root = np.sqrt(sizes[keep])
             left.append(J.T @ (U[:, keep] * root))
             right.append(J.T @ (Vt[keep].T * root))
+
     core = entries.matrix()
     if s.elements:
         core = with_elements(ev, core, cd, ck)
@@ -89,7 +92,9 @@ class SurfaceMarkers:
 
     def rows(self, marker: int) -> Array:
         """Displacement and rotation of a marker, (d + n_rot, n_core + n_port), by core and ports of distributed fields."""
-        s, kin, n = self.system, self.ev.kin, self.system.motions.n_twist
+        s = self.system
+        kin = self.ev.kin
+        n = s.motions.n_twist
         out = np.zeros((kin.jac_frame.shape[1], s.n_core + s.n_port))
         frame = s.markers.frame[marker]
         if frame < s.n_frames:
@@ -98,7 +103,9 @@ class SurfaceMarkers:
         if slot < 0:
             return out
 
-        ports, jac = s.markers.port[slot], kin.jac_port[slot]
+        # which part the surface belongs to is told by its ports
+        ports = s.markers.port[slot]
+        jac = kin.jac_port[slot]
         k = next(k for k in range(len(s.parts)) if s.port_slice(k).start <= ports[0] < s.port_slice(k).stop)
         part = s.parts[k]
         if part.distributed:
@@ -125,7 +132,9 @@ class _Entries:
 
     def add_frames(self, T: Array, marker_a: np.ndarray, marker_b: np.ndarray, which: np.ndarray) -> None:
         """Elements between markers on frames, of those that ``which`` selects."""
-        s, kin, n = self.ev.system, self.ev.kin, self.ev.system.motions.n_twist
+        s = self.ev.system
+        kin = self.ev.kin
+        n = s.motions.n_twist
         T, sides = T[which], (marker_a[which], marker_b[which])
         jac = [kin.jac_frame[i] for i in sides]
         size = kin.jac_frame.shape[1]
@@ -133,6 +142,7 @@ class _Entries:
             for j, b in enumerate(sides):
                 part = T[:, i * size : (i + 1) * size, j * size : (j + 1) * size]
                 fa, fb = s.markers.frame[a], s.markers.frame[b]
+                # the ground does not move
                 keep = (fa < s.n_frames) & (fb < s.n_frames)
                 self.data.append((jac[i].swapaxes(1, 2) @ part @ jac[j])[keep].ravel())
 
@@ -148,6 +158,7 @@ class _Entries:
             return None
         if not self.data:
             return self.block if dense else sp.csr_matrix(self.block)
+
         entries = (np.concatenate(self.data), (np.concatenate(self.rows), np.concatenate(self.cols)))
         matrix = sp.csr_matrix(entries, shape=(s.n_core, s.n_core))
         if self.block is not None:

@@ -29,25 +29,32 @@ class Pattern:
 
     def __init__(self, system: System, rows: np.ndarray, markers: np.ndarray) -> None:
         m, n = system.markers, system.motions.n_twist
-        frame = m.frame[markers]
         self.rows, self.markers = rows, markers
-        self.keep = np.flatnonzero(frame < system.n_frames)
-        cols = (frame[self.keep, None] * n + np.arange(n)).ravel()
-        at = np.repeat(rows[self.keep], n)
         self.shape = (system.n_lam, system.n_core)
         self.dense = dense_core(system)
-        key = at * self.shape[1] + cols
+
+        # entries on moving frames, and their places in G
+        frame = m.frame[markers]
+        self.keep = np.flatnonzero(frame < system.n_frames)
+        columns = (frame[self.keep, None] * n + np.arange(n)).ravel()
+        place = np.repeat(rows[self.keep], n) * self.shape[1] + columns
         if self.dense:
-            self.slot = key
+            self.slot = place
         else:
-            unique, self.slot = np.unique(key, return_inverse=True)
-            self.indices = (unique % self.shape[1]).astype(np.int32)
-            counts = np.bincount(unique // self.shape[1], minlength=self.shape[0])
-            self.indptr = np.concatenate(([0], np.cumsum(counts))).astype(np.int32)
-        slot = np.full(len(m.frame), -1)
-        slot[m.surface] = np.arange(len(m.surface))
-        self.on = np.flatnonzero(slot[markers] >= 0)
-        self.surface = slot[markers[self.on]]
+            self._compress(place)
+
+        # sides on surfaces of elastic bodies
+        surface = np.full(len(m.frame), -1)
+        surface[m.surface] = np.arange(len(m.surface))
+        self.on = np.flatnonzero(surface[markers] >= 0)
+        self.surface = surface[markers[self.on]]
+
+    def _compress(self, place: np.ndarray) -> None:
+        """The pattern of a sparse matrix from the places of all entries."""
+        unique, self.slot = np.unique(place, return_inverse=True)
+        self.indices = (unique % self.shape[1]).astype(np.int32)
+        counts = np.bincount(unique // self.shape[1], minlength=self.shape[0])
+        self.indptr = np.concatenate(([0], np.cumsum(counts))).astype(np.int32)
 
     def core(self, entries: Array) -> Any:
         """G's core part from the entries of all sides, (count, n_twist)."""
@@ -71,41 +78,57 @@ class Jacobian:
     def __init__(self, ev: Evaluation) -> None:
         s = self.system = ev.system
         self.t, self.bent = ev.t, ev.bent
-        kin, m = ev.kin, s.markers
-        numbers, markers = [np.zeros(0, int)], [np.zeros(0, int)]
-        sides: list[Array] = [np.zeros((0, kin.jac_frame.shape[1]))]
-        for (_, rows), of_batch in zip(s.batches, ev.sides, strict=True):
-            for number, marker, side in of_batch:
-                numbers.append(rows[number])
-                markers.append(marker)
-                sides.append(side)
-        if "pattern" not in s.cache:
-            s.cache["pattern"] = Pattern(s, np.concatenate(numbers), np.concatenate(markers))
-        pattern: Pattern = s.cache["pattern"]
-        side = np.concatenate(sides)
-        self.core: Any = pattern.core((side[:, None, :] @ kin.jac_frame[pattern.markers])[:, 0])
+        pattern, side = self._sides(ev)
+        self.core: Any = pattern.core((side[:, None, :] @ ev.kin.jac_frame[pattern.markers])[:, 0])
+
         large = s.n_lam * s.n_port > PORT_LIMIT
         self.port: Any = (sp.lil_matrix if large else np.zeros)((s.n_lam, s.n_port))
         if not s.parts:
             return
+
         if pattern.on.size:
-            at, k = pattern.rows[pattern.on], pattern.surface
-            entries = (side[pattern.on, None, :] @ kin.jac_port[k])[:, 0]
-            if large:
-                index = (np.repeat(at, entries.shape[1]), m.port[k].ravel())
-                self.port += sp.coo_matrix((entries.ravel(), index), shape=self.port.shape).tolil()
-            else:
-                np.add.at(self.port, (at[:, None], m.port[k]), entries)
+            self._add_surfaces(ev, pattern, side)
         for laws, span in s.port_constraints:
             self.port[span, s.port_slice(laws.part)] += laws.jacobian(ev.port[s.port_slice(laws.part)], ev.t)
-        for k, r in enumerate(s.frame_rows):
+        # conditions of frames are ports by themselves
+        for k, rows in enumerate(s.frame_rows):
             start = s.port_slice(k).start
-            self.port[r, start : start + s.parts[k].n_frame_rows] = np.eye(s.parts[k].n_frame_rows)
+            count = s.parts[k].n_frame_rows
+            self.port[rows, start : start + count] = np.eye(count)
+
         if large:
             self.port = self.port.tocsr()
         for tie, span in s.traces:
             self._add_tie(tie, span, ev)
         self._fold()
+
+    @staticmethod
+    def _sides(ev: Evaluation) -> tuple[Pattern, Array]:
+        """The rows of all batches by marker, (count, d + n_rot), and where they go."""
+        s = ev.system
+        numbers, markers = [np.zeros(0, int)], [np.zeros(0, int)]
+        sides: list[Array] = [np.zeros((0, ev.kin.jac_frame.shape[1]))]
+        for (_, rows), of_batch in zip(s.batches, ev.sides, strict=True):
+            for number, marker, side in of_batch:
+                numbers.append(rows[number])
+                markers.append(marker)
+                sides.append(side)
+        # where entries go is the same in all configurations
+        if "pattern" not in s.cache:
+            s.cache["pattern"] = Pattern(s, np.concatenate(numbers), np.concatenate(markers))
+        return s.cache["pattern"], np.concatenate(sides)
+
+    def _add_surfaces(self, ev: Evaluation, pattern: Pattern, side: Array) -> None:
+        """Rows of markers on surfaces, on the ports of these."""
+        at = pattern.rows[pattern.on]
+        k = pattern.surface
+        ports = self.system.markers.port[k]
+        entries = (side[pattern.on, None, :] @ ev.kin.jac_port[k])[:, 0]
+        if isinstance(self.port, np.ndarray):
+            np.add.at(self.port, (at[:, None], ports), entries)
+        else:
+            index = (np.repeat(at, entries.shape[1]), ports.ravel())
+            self.port += sp.coo_matrix((entries.ravel(), index), shape=self.port.shape).tolil()
 
     def active(self, span: slice) -> np.ndarray:
         """Which of some ports a row acts on, (ports,)."""
@@ -113,21 +136,26 @@ class Jacobian:
 
     def _add_tie(self, tie: Any, rows: slice, ev: Evaluation) -> None:
         """Blocks of a tie by field multipliers."""
-        s, n = self.system, self.system.motions.n_twist
+        s = self.system
+        n = s.motions.n_twist
         for kind, number, block in tie.jacobian(ev):
             if kind == "port":
+                # an elastic side: columns of its ports
                 side = tie.sides[number]
                 first = s.port_slice(side.part).start
                 columns = slice(first + side.ports.start, first + side.ports.stop)
+
                 if isinstance(self.port, np.ndarray):
                     self.port[rows, columns] += block.toarray()
                 else:
                     self.port = self.port + _placed(block, rows.start, columns.start, self.port.shape)
+            # a rigid side: columns of its frame
             elif isinstance(self.core, np.ndarray):
                 self.core[rows, number * n : (number + 1) * n] += block
             else:
                 at = np.arange(rows.start, rows.stop)
-                i, j = np.repeat(at, n), np.tile(number * n + np.arange(n), len(at))
+                i = np.repeat(at, n)
+                j = np.tile(number * n + np.arange(n), len(at))
                 self.core = (self.core + sp.csr_matrix((block.ravel(), (i, j)), shape=self.core.shape)).tocsr()
 
     def _fold(self) -> None:
@@ -140,10 +168,12 @@ class Jacobian:
                     self.core = self.core.astype(float)
                 self.core[:, s.slices[1][k]] += self.port[:, s.port_slice(k)] @ matrix
             elif p.n_port:
+                # columns of this part's coordinates alone
                 wide = sp.csr_matrix(self.port[:, s.port_slice(k)] @ matrix)
                 before = s.slices[1][k].start
                 after = s.n_core - s.slices[1][k].stop
-                left, right = sp.csr_matrix((s.n_lam, before)), sp.csr_matrix((s.n_lam, after))
+                left = sp.csr_matrix((s.n_lam, before))
+                right = sp.csr_matrix((s.n_lam, after))
                 self.core = (self.core + sp.hstack([left, wide, right])).tocsr()
 
     def times(self, v: Array) -> Array:
@@ -167,6 +197,7 @@ class Jacobian:
         core = np.asarray(self.core.T @ lam)
         if not s.fields:
             return core
+        # nodal forces of each field; foreshortening adds its own
         forces = [p.port_force(self.port[:, s.port_slice(k)].T @ lam) for k, p in s.fields]
         for i, (k, _) in enumerate(s.fields):
             if k in self.bent:

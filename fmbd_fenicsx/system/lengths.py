@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 
 def of_increments(system: System) -> Array:
-    """For arrays like v, (n_v,): rotations times the model's length, modal amplitudes over the square root of the mass."""
+    """For arrays like v, (n_v,): rotations times the model's length, amplitudes of modes times what they displace."""
     m = system.motions
     frame = np.concatenate((np.ones(m.dim), np.full(m.n_rot, system.length)))
-    local = [np.full(p.n, p.unit) for p in system.parts]
+    local = [p.lengths(system.length) for p in system.parts]
     return np.concatenate((np.tile(frame, system.n_frames), *local))
 
 

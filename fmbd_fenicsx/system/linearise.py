@@ -7,7 +7,7 @@ For a function f(q, v) of the configuration and the velocity, with q o exp(xi) t
 one column for each replicated coordinate. Central differences by xi: a spring of stiffness k on a length l has a second
 derivative k / l, and an error of k / l times the step across the spring would swamp the tangent of the motion that is left.
 Forward differences by v, where the equations are quadratic at most. Small systems only: the result is dense. The 3 n + 1
-evaluations are made together (:mod:`.many`).
+evaluations are made together (:mod:`.evaluation_batch`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from ..rotations import Array
-from .many import Many, many
+from .evaluation_batch import EvaluationBatch, evaluate_batch
 from .system import System
 
 LARGEST = 2_000_000  # entries of matrices that are evaluated at once
@@ -41,31 +41,48 @@ class Sizes:
         return numbers[:, : m.dim].ravel(), numbers[:, m.dim :].ravel()
 
     def positions(self, q: Array) -> Array:
-        """Size of each replicated coordinate, (n_core,): the model's length, one radian, or a coordinate's own size."""
+        """Size of each replicated coordinate, (n_core,): the model's length, one radian, or a coordinate's own size, which is a
+        thousandth of the largest of its body at least, and what moves it by a millionth of the model's length.
+        """
         s = self.system
         out = np.ones(s.n_core)
         out[self.blocks[0]] = s.length
         for k, _ in s.core_parts:
-            own = np.abs(s.local_q(q, k))
-            out[s.slices[1][k]] = np.maximum(own, 1e-3 * max(float(own.max(initial=0.0)), 1e-3))
+            unit = s.units[s.slices[1][k]]
+            own = unit * np.abs(s.local_q(q, k))
+            least = 1e-3 * max(float(own.max(initial=0.0)), 1e-3 * s.length)
+            out[s.slices[1][k]] = np.maximum(own, least) / np.where(unit > 0.0, unit, 1.0)
         return out
 
-    def velocities(self, v: Array) -> Array:
-        """Size of each replicated velocity, (n_core,): the largest of its kind, or a hundredth of its coordinate's size."""
+    def velocities(self, v: Array, a: Array) -> Array:
+        """Size of each replicated velocity, (n_core,): the largest of its kind, or what accelerations like ``a`` lead to on a
+        hundredth of the model's length.
+        """
         s = self.system
+        fastest = float(np.abs(s.units[: s.n_core] * a[: s.n_core]).max(initial=0.0))
+        least = 0.1 * np.sqrt(fastest * s.length) or 1e-2  # m/s
         out = np.ones(s.n_core)
-        for block in self.blocks:
-            out[block] = max(float(np.abs(v[block]).max(initial=0.0)), 1e-2)
+        for block, arm in zip(self.blocks, (1.0, s.length), strict=True):
+            out[block] = max(float(np.abs(v[block]).max(initial=0.0)), least / arm)
         for k, _ in s.core_parts:
-            own = np.abs(s.local_v(v, k))
-            out[s.slices[1][k]] = np.maximum(own, 1e-2 * max(float(own.max(initial=0.0)), 1e-2))
+            unit = s.units[s.slices[1][k]]
+            own = unit * np.abs(s.local_v(v, k))
+            least_of_all = 1e-2 * max(float(own.max(initial=0.0)), least)
+            out[s.slices[1][k]] = np.maximum(own, least_of_all) / np.where(unit > 0.0, unit, 1.0)
         return out
 
 
-def differences(system: System, function: Callable[[Array, Array], Array], q: Array, v: Array) -> tuple[Array, Array]:
-    """(1) for ``function(q, v)``, (k, n_q), (k, n_v) -> (k, m), of many configurations at once: two arrays (m, n_core)."""
+def differences(
+    system: System, function: Callable[[Array, Array], Array], at: tuple[Array, Array, Array]
+) -> tuple[Array, Array]:
+    """(1) for ``function(q, v)``, (k, n_q), (k, n_v) -> (k, m), of many configurations at once: two arrays (m, n_core).
+
+    ``at``: q, v, and accelerations that tell which velocities matter.
+    """
+    q, v, a = at
     sizes, n = Sizes(system), system.n_core
-    hq, hv = _CENTRAL * sizes.positions(q), _STEP * sizes.velocities(v)
+    hq = _CENTRAL * sizes.positions(q)
+    hv = _STEP * sizes.velocities(v, a)
     step = np.zeros((n, system.n_v))
     step[range(n), range(n)] = hq
     moved = np.repeat(v[None], n, axis=0)
@@ -78,14 +95,15 @@ def differences(system: System, function: Callable[[Array, Array], Array], q: Ar
     return in_q.T, in_v.T
 
 
-def at_once(system: System, t: float, function: Callable[[Many], Array]) -> Callable[[Array, Array], Array]:
-    """``function`` of configurations at time t (:mod:`.many`) as a function of (q, v): (k, n_q), (k, n_v) -> (k, m); as many at a
-    time as fit in some ten megabytes.
+def at_once(system: System, t: float, function: Callable[[EvaluationBatch], Array]) -> Callable[[Array, Array], Array]:
+    """``function`` of configurations at time t as a function of (q, v): (k, n_q), (k, n_v) -> (k, m).
+
+    As many at a time (:mod:`.evaluation_batch`) as fit in some ten megabytes.
     """
     largest = max(1, LARGEST // max(1, system.n_v * (system.n_lam + system.n_v)))
 
     def made(q: Array, v: Array) -> Array:
         parts = [slice(i, min(i + largest, len(q))) for i in range(0, len(q), largest)]
-        return np.concatenate([function(many(system, np.array(t), q[p], v[p])) for p in parts])
+        return np.concatenate([function(evaluate_batch(system, np.array(t), q[p], v[p])) for p in parts])
 
     return made

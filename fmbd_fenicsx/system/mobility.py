@@ -9,6 +9,7 @@ With U_0 the left null vectors of G_s,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -79,19 +80,23 @@ class Mobility:
 
 def _masses(ev: Evaluation) -> Array:
     """The diagonal of M over the core, (n_core,); 1 for the modes of reduced bodies."""
-    s, n = ev.system, ev.system.motions.n_twist
+    s = ev.system
+    n = s.motions.n_twist
     mass = np.ones(s.n_core)
     if s.rigid is not None:
         diagonal = np.diagonal(s.rigid.matrices(), axis1=1, axis2=2)
         mass[(s.rigid.frame[:, None] * n + np.arange(n)).ravel()] = diagonal.ravel()
+    # elastic bodies: the inertia of their frames at rest
     for _, p in s.fields:
         if p.frame < s.n_frames:
             block = p.mass_blocks(_at_rest(ev, p.frame), np.zeros(p.n))[0]
             mass[p.frame * n : (p.frame + 1) * n] = np.diag(block)
+
     for k, part in s.core_parts:
         local: Any = part
         if isinstance(local, CoordinatePart):
             mass[s.slices[1][k]] = np.diag(local.mass(s.local_q(ev.q, k)))
+
     return np.where(mass > 0, mass, mass.max(initial=1e-300))
 
 
@@ -100,9 +105,11 @@ def scaled_jacobian(ev: Evaluation) -> Array:
     s, core = ev.system, ev.jacobian.core
     G = (core.toarray() if sp.issparse(core) else core) / np.sqrt(_masses(ev))
     if s.fields:
+        # ports of fields beside the core, of its size
         typical = float(np.abs(G).max(initial=1.0))
         ports = [ev.jacobian.port[:, s.port_slice(k)] @ _port_factor(p) for k, p in s.fields]
         G = np.concatenate((G, *(typical * p / max(float(np.abs(p).max(initial=0.0)), 1.0) for p in ports)), axis=1)
+
     norms = np.sqrt((G * G).sum(1))
     return np.asarray(G / np.where(norms > 0, norms, 1.0)[:, None])
 
@@ -143,10 +150,11 @@ def certainly_regular(solve: Callable[[Array], Array], count: int, largest: floa
     """
     x = 1.0 + 0.5 * np.cos(np.arange(count))  # no special direction
     inverse = 0.0
+    # each solve brings out the smallest eigenvalue more
     for _ in range(INVERSE_ITERATIONS):
-        x = solve(x / np.linalg.norm(x))
-        inverse = float(np.linalg.norm(x))
-        if not np.isfinite(inverse):
+        x = solve(x / np.sqrt(x @ x))
+        inverse = math.sqrt(x @ x)
+        if not math.isfinite(inverse):
             return False
     return bool(inverse * largest < 1.0 / CERTAIN**2)
 
@@ -156,6 +164,7 @@ def _port_factor(part: Any) -> Array:
     gram = part.port_gram()
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+    # eigenvalues of roundoff stand for ports that depend on others
     values[values < 1e-13 * len(size)] = 0.0
     return np.asarray(size[:, None] * vectors * np.sqrt(values))
 
@@ -173,9 +182,11 @@ def mobility(ev: Evaluation) -> Mobility:
     velocities = system.n_core + sum(p.field.n_global for _, p in system.fields)
     if not system.n_lam:
         return Mobility(velocities, 0, 0, {}, 1.0, 0.0)
+
     U, s, _ = np.linalg.svd(scaled_jacobian(ev))
     rank = int((s > RANK_TOLERANCE * s[0]).sum())
-    loose = (U[:, rank:] ** 2).sum(1)
+    loose = (U[:, rank:] ** 2).sum(1)  # the share of each row in what depends on others
+    # dependence has no culprit: every row that takes part bears its share
     shares = {b.name: float(loose[b.rows].sum()) for b in system.blocks}
     return Mobility(
         velocities,
@@ -204,6 +215,7 @@ def loose_bodies(scene: Any) -> list[str]:
     attached |= _touching(scene) if attached else set()
     if not attached:
         return []
+
     free = [n for n, b in bodies.items() if n not in attached and not b.locked]
     return [n for n in free if not bodies[n].alone]
 
@@ -226,22 +238,27 @@ def check(scene: Any, deep: bool = False) -> Mobility:
     """
     system, state, _ = scene.build()
     found = mobility(system.at(state.t, state.q))
+
     notes = [f'body "{n}" is attached to nothing' for n in loose_bodies(scene)]
     notes += _units(scene, system)
     notes += [
         f'tie "{tie.name}" leaves free: {", ".join(free)}' for tie, _ in system.traces if (free := tie.left_free())
     ]
     notes += _weak_ties(scene) + _pressures(scene) if deep else []
+
     if found.conditioning < NEAR_SINGULAR:
         notes.append(
             "the configuration is near-singular: constraints almost depend on each other, or a motion branches here"
         )
     if found.open > 1e-6 * system.length:
         notes.append(f"the constraints are open by {found.open:.2g} m; the start will close them")
+
+    # springs on bodies of the mean mass: a time step far longer sees nothing of them
     rates = [_fastest(loads) for loads in system.forces if isinstance(loads, ScalarLoads)]
     fastest = max(rates, default=0.0) / np.sqrt(system.mass / max(len(system.frame_names), 1)) if rates else 0.0
     if fastest > 0:
         notes.append(f"springs: shortest period about {2 * np.pi / fastest:.2g} s (mean mass of a body)")
+
     return Mobility(
         found.velocities, found.rows, found.rank, found.shares, found.conditioning, found.open, tuple(notes)
     )

@@ -74,7 +74,8 @@ class Memory:
         fields = self.system.fields
         if not fields:
             return self(name, x)
-        inner, first = self.inside(name), slices[fields[0][0]].start
+        inner = self.inside(name)
+        first = slices[fields[0][0]].start
         core = inner("core", None if self.reading else x[:first])
         own = []
         for k, part in fields:
@@ -104,7 +105,8 @@ class Memory:
         none = s is None
         t = m("t", None if none else s.t)
         q = m.like_q("q", None if none else s.q)
-        v, a = m.like_v("v", None if none else s.v), m.like_v("a", None if none else s.a)
+        v = m.like_v("v", None if none else s.v)
+        a = m.like_v("a", None if none else s.a)
         lam = m("lam", None if none else s.lam)
         touched = m("touched", getattr(s, "contact", None) is not None)
         if not touched:

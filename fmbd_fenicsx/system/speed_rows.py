@@ -21,7 +21,8 @@ def gaps(ev: Evaluation, share: float) -> Array:
     """What an iteration on increments of q has to close, (n_lam,): g, and for rows on velocities their speed times ``share`` (s),
     the change of q over that of v.
     """
-    g, rows = ev.constraint(), speed_rows(ev.system)
+    g = ev.constraint()
+    rows = speed_rows(ev.system)
     if rows.size:
         assert ev.v is not None
         g[rows] = share * ev.opening()[rows]

@@ -125,7 +125,9 @@ class System:
     @cached_property
     def slices(self) -> tuple[list[slice], list[slice], list[slice]]:
         """Slices of each part in q, in v, and in the ports."""
-        q, v, p = self.counted_angles.stop, self.n_frames * self.motions.n_twist, 0
+        q = self.counted_angles.stop
+        v = self.n_frames * self.motions.n_twist
+        p = 0
         in_q, in_v, in_p = [], [], []
         for part in self.parts:
             in_q.append(slice(q, q + part.n))
@@ -247,7 +249,7 @@ class System:
     def max_abs(self, x: Array) -> float:
         """Largest entry of an array like v, all entries as lengths (see :attr:`units`); collective."""
         local = float(np.abs(self.units * x).max(initial=0.0))
-        return local if not self.fields else float(np.max(self.comm.allgather(local)))
+        return local if not self.fields or self.comm.size == 1 else float(np.max(self.comm.allgather(local)))
 
     def typical(self, x: Array) -> float:
         """The largest entry of the core, or root mean square of a field that no frame carries, as lengths; collective."""

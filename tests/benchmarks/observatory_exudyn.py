@@ -1,6 +1,8 @@
 """Models of the observatory in Exudyn 1.13.6; run by observatory_peers.py with an interpreter that has exudyn.
 
-python observatory_exudyn.py MODEL STEPS T_END  ->  one line of JSON: position at the end, CPU seconds of assembly and steps
+python observatory_exudyn.py MODEL STEPS T_END  ->  one line of JSON: position at the end, CPU seconds of assembly and steps.
+Mechanisms that are made of a list of bodies (see mechanisms_of_bodies.py) end with the coordinates of all of their bodies; the
+list comes by standard input.
 """
 
 import json
@@ -122,6 +124,42 @@ def top(spin, inertia, mass, held=True):
     return model
 
 
+def mechanism(mbs):
+    """Bodies, hinges, springs, guides and a torque as lists of numbers, all bodies' coordinates at the end."""
+    told, p = json.load(sys.stdin), Plane(mbs, gravity=0.0)
+    bodies = []
+    for mass, inertia, x, y, turn, vx, vy, omega in told["bodies"]:
+        node = mbs.AddNode(ii.NodeRigidBody2D(referenceCoordinates=[x, y, turn], initialVelocities=[vx, vy, omega]))
+        bodies.append(mbs.AddObject(ii.ObjectRigidBody2D(physicsMass=mass, physicsInertia=inertia, nodeNumber=node)))
+
+    def marker(number, x, y):
+        """Of a point of the world at the start on a body, or on the ground."""
+        if number < 0:
+            return mbs.AddMarker(ii.MarkerBodyPosition(bodyNumber=p.ground, localPosition=[x, y, 0]))
+        place = told["bodies"][number]
+        c, s, dx, dy = np.cos(place[4]), np.sin(place[4]), x - place[2], y - place[3]
+        local = [c * dx + s * dy, -s * dx + c * dy, 0]
+        return mbs.AddMarker(ii.MarkerBodyPosition(bodyNumber=bodies[number], localPosition=local))
+
+    for a, b, x, y in told["hinges"]:
+        mbs.AddObject(ii.RevoluteJoint2D(markerNumbers=[marker(int(a), x, y), marker(int(b), x, y)]))
+    for a, xa, ya, b, xb, yb, stiffness, length in told["springs"]:
+        ends = [marker(int(a), xa, ya), marker(int(b), xb, yb)]
+        mbs.AddObject(ii.SpringDamper(markerNumbers=ends, stiffness=stiffness, referenceLength=length))
+    for number in told["guided"]:
+        p.guide((bodies[number], None), (1, 0))
+    for number, moment in told["torques"]:
+        turning = mbs.AddMarker(ii.MarkerBodyRigid(bodyNumber=bodies[number], localPosition=[0, 0, 0]))
+        mbs.AddLoad(ii.Torque(markerNumber=turning, loadVector=[0, 0, moment]))
+
+    def read():
+        found = [mbs.GetNodeOutput(k, exu.OutputVariableType.Coordinates) for k in range(len(bodies))]
+        start = np.array([place[2:5] for place in told["bodies"]])
+        return (np.array(found) + start).ravel()
+
+    return read, None
+
+
 HEAVY, FAST = ((0.0, 150.0, -4.61538), (0.234375, 0.46875, 0.234375), 15.0), ((0.5, 1.0, 6.0), (0.1, 0.2, 0.25), 2.0)
 MODELS = {
     "mass on spring": mass_on_spring,
@@ -134,6 +172,7 @@ MODELS = {
     "fast top": top(*FAST),
     "free body": top(*FAST, held=False),
     "steady precession": top((0.0, G / 0.2, 1.0), (0.1, 0.2, 0.1), 1.0),
+    "mechanism": mechanism,
     "spherical pendulum": top((-1.0, 0.0, 2.0), (0.02, 0.01, 0.02), 1.0),
 }
 
@@ -158,7 +197,8 @@ def main():
     solver.SolveSteps(mbs, s)
     seconds = time.process_time() - begun
     solver.FinalizeSolver(mbs, s)
-    end = mbs.GetObjectOutputBody(body, exu.OutputVariableType.Position, localPosition=point)
+    position = exu.OutputVariableType.Position
+    end = body() if callable(body) else mbs.GetObjectOutputBody(body, position, localPosition=point)
     print(json.dumps({"end": list(np.array(end)), "seconds": seconds}))
 
 

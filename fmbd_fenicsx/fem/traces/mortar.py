@@ -66,29 +66,28 @@ def mortar(
             "(fmbd.finer_first(a, b) gives the two in that order).",
             slave.label, slave.h, master.label, master.h,
         )  # fmt: skip
+
     multipliers = space.on(slave)
-    comm = slave.comm
-    sight = tolerance * diameters(slave)
-    pairs = _candidates(slave, master, sight)
-    blocks = _integrate(
-        slave, master, pairs[comm.rank :: comm.size], multipliers.degree, (sight, -1.0 if facing else 1.0)
-    )
-    parts = comm.allgather(blocks)
-    pair, own, other, overlap, gap = (np.concatenate([p[i] for p in parts]) for i in range(5))
+    sight = tolerance * diameters(slave), -1.0 if facing else 1.0
+    pair, own, other, overlap, gap = _shared(slave, master, multipliers.degree, sight)
     if overlap.sum() <= 1e-9 * slave.sizes.sum():
         raise InputError(
             f"{slave.label} and {master.label} do not overlap: their distance is {_distance(slave, master):.3g} m. "
             "Check the placement of the bodies, or the names of the surfaces."
         )
-    order = np.lexsort(pair.T[::-1])
-    pair, own, other = pair[order], own[order], other[order]
-    f, k = len(slave.nodes), own.shape[1]
+
+    # D and M of (1): facet-wise functions, gathered to those of the space
+    f = len(slave.nodes)
+    k = own.shape[1]
     rows = pair[:, :1] * k + np.arange(k)
     D = multipliers.basis @ scatter(own, rows, slave.nodes[pair[:, 0]], (f * k, slave.n))
     M = multipliers.basis @ scatter(other, rows, master.nodes[pair[:, 1]], (f * k, master.n))
+
+    # multipliers outside the overlap would see nothing: their rows were zero
     full = np.abs(multipliers.coupling()).sum(axis=1)
     empty = np.flatnonzero(np.asarray(np.abs(D).sum(axis=1) <= 1e-9 * full).ravel())
     keep = np.setdiff1d(np.arange(multipliers.n), empty)
+
     return Mortar(
         multipliers.without(empty) if len(empty) else multipliers,
         master,
@@ -110,12 +109,21 @@ def overlap(slave: Trace, master: Trace, degree: int, sight: Array) -> tuple[np.
     psi are the Lagrange functions of ``degree`` on the slave's facets; ``sight`` (m, for each of these) is the largest
     distance of facets that see each other. Collective; sorted.
     """
+    pair, own, other, _, _ = _shared(slave, master, degree, (sight, -1.0))
+    return pair, own, other
+
+
+def _shared(
+    slave: Trace, master: Trace, degree: int, sight: tuple[Array, float]
+) -> tuple[np.ndarray, Array, Array, Array, Array]:
+    """All that :func:`_integrate` finds, the pairs shared among the ranks; sorted, so that no sum depends on their number."""
     comm = slave.comm
-    pairs = _candidates(slave, master, sight)
-    parts = comm.allgather(_integrate(slave, master, pairs[comm.rank :: comm.size], degree, (sight, -1.0))[:3])
-    pair, own, other = (np.concatenate([p[i] for p in parts]) for i in range(3))
+    pairs = _candidates(slave, master, sight[0])
+    parts = comm.allgather(_integrate(slave, master, pairs[comm.rank :: comm.size], degree, sight))
+
+    pair, own, other, overlap, gap = (np.concatenate([part[i] for part in parts]) for i in range(5))
     order = np.lexsort(pair.T[::-1])
-    return pair[order], own[order], other[order]
+    return pair[order], own[order], other[order], overlap[order], gap[order]
 
 
 def _candidates(slave: Trace, master: Trace, sight: Array) -> np.ndarray:
@@ -150,19 +158,23 @@ def _integrate(
     """
     m = slave.dim - 1
     cells, pair = _segments(slave, master, pairs) if m == 1 else _polygons(slave, master, pairs)
+
+    # points on the overlaps, in the slave facet's reference coordinates, and the overlaps' sizes there
     q, w = quadrature(m, degree + max(slave.degree, master.degree))
-    x = np.einsum("qa,nak->nqk", shape_functions(m, 1, q), cells)  # in the slave facet's reference coordinates
-    size = (
-        np.abs(cells[:, 1, 0] - cells[:, 0, 0])
-        if m == 1
-        else np.abs(_cross(cells[:, 1] - cells[:, 0], cells[:, 2] - cells[:, 0]))
-    )
+    x = np.einsum("qa,nak->nqk", shape_functions(m, 1, q), cells)
+    size = np.abs(cells[:, 1, 0] - cells[:, 0, 0]) if m == 1 else _doubled_area(cells)
+
+    # the same points on the master, along the slave's normal; facets see each other that are near and face each other
     f, g = pair[:, 0], pair[:, 1]
     X = np.einsum("nqa,nad->nqd", shape_functions(m, 1, x), slave.corners[f])
     y, distance = _onto(X, slave.normals[f], master.corners[g])
     near = (np.abs(distance).max(axis=1, initial=0.0) <= sight[0][f]) & (size > TINY)
-    near &= (slave.normals[f] * master.normals[g]).sum(1) * sight[1] > 0.5
-    f, g, x, y, weight = f[near], g[near], x[near], y[near], (size * slave.sizes[f])[near]
+    facing = (slave.normals[f] * master.normals[g]).sum(1) * sight[1]
+    near &= facing > 0.5
+    weight = (size * slave.sizes[f])[near]
+    f, g, x, y = f[near], g[near], x[near], y[near]
+
+    # the blocks of (1), facet by facet
     test = shape_functions(m, degree, x)
     own = np.einsum("n,q,nqa,nqb->nab", weight, w, test, shape_functions(m, slave.degree, x), optimize=True)
     other = np.einsum("n,q,nqa,nqb->nab", weight, w, test, shape_functions(m, master.degree, y), optimize=True)
@@ -183,48 +195,60 @@ def _onto(X: Array, normal: Array, corners: Array) -> tuple[Array, Array]:
 def _segments(slave: Trace, master: Trace, pairs: np.ndarray) -> tuple[Array, np.ndarray]:
     """Overlaps (n, 2, 1) in the slave facet's coordinate, and their pairs."""
     f, g = pairs[:, 0], pairs[:, 1]
-    a, b = slave.corners[f, 0], slave.corners[f, 1]
+    a = slave.corners[f, 0]
+    b = slave.corners[f, 1]
     along = (b - a) / (slave.sizes[f, None] ** 2)
     s = np.einsum("nd,nkd->nk", along, master.corners[g] - a[:, None])
-    low, high = np.maximum(s.min(axis=1), 0.0), np.minimum(s.max(axis=1), 1.0)
+    low = np.maximum(s.min(axis=1), 0.0)
+    high = np.minimum(s.max(axis=1), 1.0)
     found = high - low > TINY
     return np.stack((low, high), axis=1)[found][..., None], pairs[found]
 
 
-def _cross(a: Array, b: Array) -> Array:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+def _doubled_area(triangles: Array) -> Array:
+    """Twice the areas of plane triangles (n, 3, 2)."""
+    a = triangles[:, 1] - triangles[:, 0]
+    b = triangles[:, 2] - triangles[:, 0]
+    return np.asarray(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
 
 
 def _polygons(slave: Trace, master: Trace, pairs: np.ndarray) -> tuple[Array, np.ndarray]:
     """Overlaps as triangles (n, 3, 2) in the slave facet's reference coordinates, and their pairs."""
     f, g = pairs[:, 0], pairs[:, 1]
+
+    # the master's triangles in the reference coordinates of the slave's, by its metric
     a = slave.corners[f, 0]
     e = slave.corners[f, 1:] - a[:, None]  # (n, 2, 3)
     gram = np.linalg.inv(e @ np.swapaxes(e, 1, 2))
     d = master.corners[g] - a[:, None]
     polygon = np.einsum("nij,njd,nkd->nki", gram, e, d, optimize=True)  # master triangle in slave coordinates
+
+    # clipped by the three sides x >= 0, y >= 0, x + y <= 1; each may add a corner
     count = np.full(len(pairs), 3)
     vertices: Array = np.zeros((len(pairs), 8, 2))
     vertices[:, :3] = polygon
     for value in (lambda p: p[..., 0], lambda p: p[..., 1], lambda p: 1.0 - p[..., 0] - p[..., 1]):
         vertices, count = _clip(vertices, count, value)
+
+    # fans of triangles from the first corner
     triangles, owner = [], []
     for k in range(1, 7):
         some = np.flatnonzero(count > k + 1)
         triangles.append(vertices[some][:, [0, k, k + 1]])
         owner.append(some)
     cells, who = np.concatenate(triangles), np.concatenate(owner)
-    large = np.abs(_cross(cells[:, 1] - cells[:, 0], cells[:, 2] - cells[:, 0])) > TINY
+
+    large = _doubled_area(cells) > TINY
     return cells[large], pairs[who[large]]
 
 
 def _clip(vertices: Array, count: np.ndarray, value: object) -> tuple[Array, np.ndarray]:
     """Cut convex polygons (n, 8, 2) by the half plane value >= 0."""
     assert callable(value)
-    n = len(count)
-    out, made = np.zeros_like(vertices), np.zeros(n, dtype=int)
+    rows = np.arange(len(count))
+    out = np.zeros_like(vertices)
+    made = np.zeros(len(count), dtype=int)
     v = value(vertices)
-    rows = np.arange(n)
 
     def push(which: np.ndarray, points: Array) -> None:
         out[which, made[which]] = points
@@ -234,6 +258,8 @@ def _clip(vertices: Array, count: np.ndarray, value: object) -> tuple[Array, np.
         following = np.where(k + 1 < count, k + 1, 0)
         live = k < count
         here, there = v[:, k], v[rows, following]
+
+        # corners inside stay; an edge that crosses the line leaves the point where it does
         inside = np.flatnonzero(live & (here >= 0))
         push(inside, vertices[inside, k])
         crossing = np.flatnonzero(live & (here * there < 0))
@@ -247,7 +273,8 @@ def refined_coupling(multipliers: Multipliers, fine: Trace, parent: np.ndarray, 
     m, p = fine.dim - 1, multipliers.degree
     q, w = quadrature(m, p + fine.degree)
     x = np.einsum("qa,nak->nqk", shape_functions(m, 1, q), corners)
-    test, shape = shape_functions(m, p, x), shape_functions(m, fine.degree, q)
+    test = shape_functions(m, p, x)
+    shape = shape_functions(m, fine.degree, q)
     blocks = np.einsum("n,q,nqa,qb->nab", fine.sizes, w, test, shape, optimize=True)
     k = reference_mass(m, p, p).shape[0]
     rows = parent[:, None] * k + np.arange(k)

@@ -118,6 +118,7 @@ class Continuous:
         degree = trace.degree if self.degree is None else self.degree
         nodes, n, border, points = _nodes(trace, degree)
         f, k = nodes.shape
+        # nodal functions by facet-wise ones, then those that the border keeps
         N = scatter(np.broadcast_to(np.eye(k), (f, k, k)), nodes, np.arange(f * k).reshape(f, k), (n, f * k))
         N.eliminate_zeros()
         C = _border_rule(self.ends, nodes, border, points, degree) @ N
@@ -194,12 +195,14 @@ class Linear:
 
 def _linear_functions(trace: Trace) -> Array:
     """1 and (X - c) . e_k / l at the corners of the facets, (1 + p, n_f d), for the p directions in which the surface extends."""
-    x, share = trace.corners, trace.sizes / trace.sizes.sum()
+    x = trace.corners
+    share = trace.sizes / trace.sizes.sum()
     center = (share[:, None] * x.mean(1)).sum(0)
     apart = x - center
 
     spread = np.einsum("f,fac,fad->cd", share, apart, apart, optimize=True)
     size, axes = np.linalg.eigh(spread)
+    # a flat surface extends in two directions, a straight edge in one
     extended = settled(axes[:, size > 1e-12 * size.max()].T).T
     rows = [
         np.ones(x.shape[0] * x.shape[1]),
@@ -222,6 +225,7 @@ class Completed:
         """The space on a surface."""
         found = self.space.on(trace)
         linear = Multipliers(trace, 1, sp.csr_matrix(_linear_functions(trace)), "linear")
+        # linear functions that do no work against any of the space
         unseen = null_vectors(seen(found, linear))
         if found.degree != 1 or not unseen.size:
             return found
@@ -233,7 +237,8 @@ class Completed:
 
 def seen(functions: Multipliers, fields: Multipliers) -> Array:
     """int mu_j f_k of functions and of fields on one trace, (n, k)."""
-    t, m = functions.trace, functions.trace.dim - 1
+    t = functions.trace
+    m = t.dim - 1
     q, w = quadrature(m, functions.degree + fields.degree)
     one, other = (shape_functions(m, x.degree, q) for x in (functions, fields))
     blocks = np.einsum("f,q,qa,qb->fab", t.sizes, w, one, other, optimize=True)
@@ -261,6 +266,7 @@ def settled(vectors: Array) -> Array:
     projector = vectors.T @ vectors
     rows = []
     for _ in vectors:
+        # the first of the columns that are nearly the longest: roundoff does not choose
         length = np.sqrt(np.abs(np.diag(projector)))
         first = int(np.argmax(length > 0.999 * length.max()))
         rows.append(projector[first] / length[first])
@@ -291,32 +297,42 @@ def _border_rule(ends: Ends, nodes: np.ndarray, border: np.ndarray, points: Arra
     n = len(points)
     if ends is Ends.KEPT or len(border) == 0:
         return sp.identity(n, format="csr")
+
     inner = np.setdiff1d(np.arange(n), border)
     if len(inner) == 0:  # one facet, or a strip without inner nodes: one constant remains
         return sp.csr_matrix(np.ones((1, n)))
+
+    # functions of inner nodes stay as they are
     number = np.full(n, -1)
     number[inner] = np.arange(len(inner))
     R = sp.csr_matrix((np.ones(len(inner)), (number[inner], inner)), shape=(len(inner), n)).tolil()
+
     if ends is Ends.DROPPED:
         return R.tocsr()
+
     if points.shape[1] == 2 and degree >= 2:
         _extrapolate(R, nodes, border, number, points)
         return R.tocsr()
+
+    # degree 1: a border value is the mean of its neighbours', ring by ring from the inside
     k = nodes.shape[1]
     graph = scatter(np.ones((len(nodes), k, k)), nodes, nodes, (n, n))
     known = np.isin(np.arange(n), inner)
     values = {int(i): {int(number[i]): 1.0} for i in inner}
+
     while not known.all():
         ring = [b for b in np.flatnonzero(~known) if known[graph.indices[graph.indptr[b] : graph.indptr[b + 1]]].any()]
         for b in ring:
             around = graph.indices[graph.indptr[b] : graph.indptr[b + 1]]
             around = around[known[around]]
             values[int(b)] = _mean([values[int(a)] for a in around])
+
         if not ring:
             raise InputError(
                 "A surface falls into separate parts, one of them without inner nodes; use coarser multipliers."
             )
         known[ring] = True
+
     for b in border:
         for j, w in values[int(b)].items():
             R[j, b] = w
@@ -335,6 +351,7 @@ def _extrapolate(R: sp.lil_matrix, nodes: np.ndarray, border: np.ndarray, number
     """In the plane: the end value is the extrapolation of degree p - 1 from the other nodes of its facet."""
     for b in border:
         facet = nodes[(nodes == b).any(axis=1)][0]
+        # at the end of a strip the other end may be dropped too
         others = facet[(facet != b) & (number[facet] >= 0)]
         s = np.linalg.norm(points[others] - points[b], axis=1)
         for i, a in enumerate(others):
@@ -344,11 +361,15 @@ def _extrapolate(R: sp.lil_matrix, nodes: np.ndarray, border: np.ndarray, number
 def _pairs(trace: Trace) -> np.ndarray:
     """Patches of two consecutive facets along each curve (three at an odd end)."""
     ends = trace.nodes[:, :2]
+    # facets at each end
     at: dict[int, list[int]] = {}
     for f, (a, b) in enumerate(ends):
         at.setdefault(int(a), []).append(f)
         at.setdefault(int(b), []).append(f)
-    patch, count = np.full(len(ends), -1), 0
+
+    # along open curves from their ends, then around closed ones
+    patch = np.full(len(ends), -1)
+    count = 0
     starts = [at[int(b)][0] for b in trace.border] + list(range(len(ends)))
     for start in starts:
         chain, f = [], start
@@ -356,8 +377,10 @@ def _pairs(trace: Trace) -> np.ndarray:
             chain.append(f)
             following = [g for e in ends[f] for g in at[int(e)] if g not in chain and patch[g] < 0]
             f = following[0] if following else f
+
         if not chain:
             continue
+
         groups = max(len(chain) // 2, 1)
         for i, g in enumerate(chain):
             patch[g] = count + min(i // 2, groups - 1)
@@ -370,16 +393,22 @@ def _stars(trace: Trace) -> np.ndarray:
     corners = trace.nodes[:, :3]
     vertices = np.unique(corners)
     around = {int(v): np.flatnonzero((corners == v).any(axis=1)) for v in vertices}
+
     border = set(trace.border.tolist())
     inner = [int(v) for v in vertices if v not in border]
     order = sorted(inner or vertices.tolist(), key=lambda v: (-len(around[v]), v))
-    patch, count = np.full(len(corners), -1), 0
+
+    patch = np.full(len(corners), -1)
+    count = 0
     for v in order:
         if (patch[around[v]] < 0).all():
             patch[around[v]] = count
             count += 1
+
     if count == 0:
         return np.zeros(len(corners), dtype=int)
+
+    # facets that no star has taken go to the nearest one
     center = np.array([trace.corners[patch == c].mean(axis=(0, 1)) for c in range(count)])
     for f in np.flatnonzero(patch < 0):
         patch[f] = int(np.linalg.norm(center - trace.corners[f].mean(0), axis=1).argmin())

@@ -91,6 +91,7 @@ class DualNorm:
     def __init__(self, multipliers: Multipliers, *, times: int = 1, length: float = 1.0) -> None:
         self._fine, parent, corners = refined(multipliers.trace, times, 2)
         C = refined_coupling(multipliers, self._fine, parent, corners)
+        # dual to the norm by L^1/2 on these modes
         _, L, self._modes = pencil(self._fine, length)
         self._c = C @ self._modes  # <mu_j, x_k>
         self._weight = L**-0.5
@@ -106,7 +107,8 @@ class DualNorm:
 
     def error(self, values: Array, exact: Callable[[Array], Array]) -> float:
         """Norm of the multiplier minus a function of points (n, d) -> (n,) or (n, c)."""
-        t, m = self._fine, self._fine.dim - 1
+        t = self._fine
+        m = t.dim - 1
         q, w = quadrature(m, 8)
         f = np.asarray(exact(t.place(q).reshape(-1, t.dim))).reshape(len(t.nodes), len(q), -1)
         blocks = np.einsum("f,q,qa,fqc->fac", t.sizes, w, shape_functions(m, t.degree, q), f, optimize=True)
@@ -134,14 +136,17 @@ class BodyNorm:
         self.space = V = fem.functionspace(msh, ("Lagrange", degree))
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
         a = (ufl.inner(ufl.grad(u), ufl.grad(v)) + u * v / fem.Constant(msh, float(length) ** 2)) * ufl.dx
+
         tags = [mesh.facet_tags.find(mesh.surface_tag(s)) for s in clamped]
         facets = np.concatenate(tags) if tags else np.zeros(0, dtype=np.int32)
         dofs = fem.locate_dofs_topological(V, mesh.dim - 1, np.sort(facets))
         self.fixed = np.zeros(V.dofmap.index_map.size_local, dtype=bool)
         self.fixed[dofs[dofs < len(self.fixed)]] = True
+
         self.A = fp.assemble_matrix(compat.form(a), [fem.dirichletbc(0.0, dofs, V)])
         self.A.assemble()
         self.A.setOption(PETSc.Mat.Option.SPD, True)
+
         self.ksp = PETSc.KSP().create(self.comm)
         self.ksp.setOperators(self.A)
         self.ksp.setType("preonly")
@@ -155,12 +160,14 @@ class BodyNorm:
         B = B.tocsc(copy=True) if sp.issparse(B) else sp.csc_matrix(B)
         B = B @ sp.diags((~self.fixed).astype(float))
         n, (rows, total) = B.shape[0], (len(self.fixed), self.space.dofmap.index_map.size_global)
+
         rhs = PETSc.Mat().createDense(((rows, total), (None, n)), comm=self.comm)
         out = PETSc.Mat().createDense(((rows, total), (None, n)), comm=self.comm)
         rhs.setUp(), out.setUp()
         rhs.getDenseArray()[:] = B.T.toarray()
         rhs.assemble(), out.assemble()
         self.ksp.matSolve(rhs, out)
+
         S = np.sum(self.comm.allgather(B @ np.array(out.getDenseArray())), axis=0)
         rhs.destroy(), out.destroy()
         return np.asarray(0.5 * (S + S.T))
@@ -196,7 +203,8 @@ def infsup(
     """
     side = getattr(joint, "a", joint)
     if hasattr(side, "body"):
-        surface, degree = (side.body.mesh, side.name), degree or side.body.degree
+        surface = (side.body.mesh, side.name)
+        degree = degree or side.body.degree
         space = space or getattr(joint, "space", None)
     else:
         pair = isinstance(joint, tuple) and len(joint) == 2 and isinstance(joint[0], Mesh) and isinstance(joint[1], str)
@@ -208,6 +216,7 @@ def infsup(
     space = space or default_space(degree)
     from dolfinx import fem
 
+    # the multipliers on the surface, or on another mesh of the same place
     mesh, name = surface
     length = mesh.extent
     body = BodyNorm(mesh, degree, clamped=clamped, length=length)
@@ -219,8 +228,11 @@ def infsup(
         scalar = fem.functionspace(carrier[0].dolfinx, ("Lagrange", degree))
         coupling = mortar(trace_of(scalar, *carrier), trace, space, facing=False)
         mu, B = coupling.multipliers, coupling.master
+
+    # eigenvalues beta^2 of S = B A^-1 B^T against the norm of the multipliers
     S = body.product(trace.columns(B))
     body.destroy()
+
     if reference is None:
         N = DualNorm(mu, length=length).matrix
     else:
@@ -228,6 +240,7 @@ def infsup(
         fine = BodyNorm(fine_mesh, fine_degree, clamped=clamped, length=length)
         N = fine.product(_nested(mu, trace_of(fine.space, fine_mesh, name)))
         fine.destroy()
+
     beta, zero = smallest(sl.eigh(S, N, eigvals_only=True))
     return InfSup(f"P{degree} / {mu.name}", beta, zero, mu.n, trace.h)
 
@@ -240,18 +253,22 @@ def smallest(values: Array) -> tuple[float, int]:
 
 def _nested(mu: Multipliers, fine: Trace) -> sp.csr_matrix:
     """int mu_j w_i with a finer, nested mesh of the same surface; this rank's columns."""
-    t, m = mu.trace, mu.trace.dim - 1
+    t = mu.trace
+    m = t.dim - 1
     from scipy.spatial import cKDTree
 
     center = fine.corners.mean(1)
     _, near = cKDTree(t.corners.mean(1)).query(center, k=min(6, len(t.nodes)))
+
     parent = np.full(len(center), -1)
     corners = np.zeros((len(center), m + 1, m))
     for candidate in np.atleast_2d(near.T if near.ndim == 2 else near):
+        # coordinates of the fine facets' corners in the candidate's
         e = np.swapaxes(t.corners[candidate][:, 1:] - t.corners[candidate][:, :1], 1, 2)
         z = np.einsum("nmd,nkd->nkm", np.linalg.pinv(e), fine.corners - t.corners[candidate][:, :1])
         inside = (z.min(axis=(1, 2)) > -1e-9) & (z.sum(2).max(1) < 1 + 1e-9) & (parent < 0)
         parent[inside], corners[inside] = candidate[inside], z[inside]
+
     if (parent < 0).any():
         raise InputError(
             f"{fine.label} is not a refinement of {t.label}: {int((parent < 0).sum())} facets lie in no facet."

@@ -83,7 +83,8 @@ class Together(Stability):
 def infsup_refined(tie: Any) -> Refined:
     """The inf-sup constant of a tie on its body's mesh and on the halved mesh; collective."""
     coarse = infsup(tie)
-    mesh, name = tie.a.body.mesh, tie.a.name
+    mesh = tie.a.body.mesh
+    name = tie.a.name
     cells = mesh.dolfinx.topology.index_map(mesh.dim).size_global
     if cells * 2**mesh.dim > LIMIT:
         return Refined(coarse, None)
@@ -103,13 +104,16 @@ def halved(mesh: Any, surface: str) -> Any:
 
     d = mesh.dim
     coarse = surface_trace(mesh, surface)
+
     fine = compat.refine(mesh.dolfinx)
     fine.topology.create_connectivity(d - 1, d)
     facets = np.sort(dmesh.exterior_facet_indices(fine.topology)).astype(np.int32)
     middle = dmesh.compute_midpoints(fine, d - 1, facets)[:, :d]
     mine = facets[_inside(coarse, middle)]
     tags = dmesh.meshtags(fine, d - 1, mine, np.full(len(mine), 1, dtype=np.int32))
+
     made = Mesh(fine, tags, {surface: 1}, mesh.volume, mesh.label)
+    # refinement keeps a flat surface: another area tells that facets were lost
     area = surface_trace(made, surface).sizes.sum()
     if abs(area - coarse.sizes.sum()) > 1e-6 * area:
         raise InputError(f"{coarse.label}: its area {coarse.sizes.sum():.6g} became {area:.6g} by refinement.")
@@ -125,11 +129,13 @@ def _inside(coarse: Trace, points: Array) -> np.ndarray:
         return hit
     _, near = cKDTree(coarse.corners.mean(1)).query(points, k=min(12, len(coarse.nodes)))
     for candidate in near.reshape(len(points), -1).T:
+        # foot of the perpendicular on the candidate, and how far away the point is
         e = np.swapaxes(coarse.corners[candidate][:, 1:] - coarse.corners[candidate][:, :1], 1, 2)
         away = points - coarse.corners[candidate][:, 0]
         z = np.einsum("nmd,nd->nm", np.linalg.pinv(e), away)
         off = np.linalg.norm(away - np.einsum("ndm,nm->nd", e, z), axis=1)
         size = np.linalg.norm(e, axis=(1, 2))
+
         hit |= (z.min(1) > -1e-9) & (z.sum(1) < 1 + 1e-9) & (off < 1e-9 * size)
     return hit
 

@@ -102,6 +102,8 @@ class Trace:
         if self.dim == 2:
             ends, count = np.unique(self.nodes[:, :2], return_counts=True)
             return np.asarray(ends[count == 1])
+
+        # edges that one facet has: of two neighbours both have it
         sides = lagrange(2, self.degree).entity_closure_dofs[1]
         edges = np.concatenate([self.nodes[:, s] for s in sides])
         _, first, count = np.unique(np.sort(edges[:, :2], axis=1), axis=0, return_index=True, return_counts=True)
@@ -136,9 +138,13 @@ class Trace:
         """int grad_Gamma phi_i . grad_Gamma phi_j, (n, n)."""
         m, k = self.dim - 1, self.degree
         q, w = quadrature(m, 2 * k)
+
         grad = lagrange(m, k).tabulate(1, q)[1:, :, :, 0]  # (m, q, k)
+
+        # surface gradients by the metric of the facet
         J = np.swapaxes(self.corners[:, 1:] - self.corners[:, :1], 1, 2)  # (f, d, m)
         inverse = np.linalg.inv(np.swapaxes(J, 1, 2) @ J)
+
         K = np.einsum("f,q,aqi,fab,bqj->fij", self.sizes, w, grad, inverse, grad, optimize=True)
         return scatter(K, self.nodes, self.nodes, (self.n, self.n))
 
@@ -222,18 +228,28 @@ def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarra
         raise MeshError(
             f"field multipliers need straight triangles or tetrahedra; this mesh has {kind} cells of its own degree."
         )
+
+    # own facets of the surface that lie on the boundary
     facets = np.intersect1d(mesh.facet_tags.find(tag), exterior_facet_indices(topology))
     facets = facets[facets < topology.index_map(d - 1).size_local]
+
     k = lagrange(d - 1, degree).dim
     if len(facets) == 0:
         return np.zeros((0, k), dtype=np.int64), np.zeros((0, k, d)), np.zeros((0, d))
-    to_cell, to_facet = topology.connectivity(d - 1, d), topology.connectivity(d, d - 1)
+
+    # the cell of each, and which of its sides it is
+    to_cell = topology.connectivity(d - 1, d)
+    to_facet = topology.connectivity(d, d - 1)
     cells = np.array([to_cell.links(f)[0] for f in facets])
     sides = np.array([int(np.flatnonzero(to_facet.links(c) == f)[0]) for c, f in zip(cells, facets, strict=True)])
+
+    # its nodes, those of the cell's side
     closure = np.array(space.element.basix_element.entity_closure_dofs[d - 1])
     dofs = np.take_along_axis(space.dofmap.list[cells], closure[sides], axis=1)
     coordinates = space.tabulate_dof_coordinates()[:, :d]
     x = coordinates[dofs]
+
+    # outward normals: away from the middle of the cell
     edge = x[:, 1:d] - x[:, :1]
     if d == 2:
         normals = np.stack((edge[:, 0, 1], -edge[:, 0, 0]), axis=1)
@@ -242,11 +258,11 @@ def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarra
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     inside = coordinates[space.dofmap.list[cells]].mean(axis=1)
     normals *= np.where(((x[:, 0] - inside) * normals).sum(1) < 0, -1.0, 1.0)[:, None]
+
+    # nodes in the order of a reference facet, whatever the cell's
     rank_order = _reference_order(x, degree)
-    dofs, x = (
-        np.take_along_axis(dofs, rank_order, axis=1),
-        np.take_along_axis(x, rank_order[:, :, None], axis=1),
-    )
+    dofs = np.take_along_axis(dofs, rank_order, axis=1)
+    x = np.take_along_axis(x, rank_order[:, :, None], axis=1)
     ids = space.dofmap.index_map.local_to_global(dofs.ravel().astype(np.int32)).reshape(dofs.shape)
     return ids.astype(np.int64), x, normals
 
@@ -256,8 +272,10 @@ def _reference_order(x: Array, degree: int) -> np.ndarray:
     n, k, d = x.shape
     wanted = np.asarray(lagrange(d - 1, degree).points)
     at = np.einsum("ma,fad->fmd", shape_functions(d - 1, 1, wanted), x[:, :d])
+
     distance = np.linalg.norm(at[:, :, None] - x[:, None, :], axis=3)
     order = distance.argmin(axis=2)
+
     if (np.sort(order, axis=1) != np.arange(k)).any():
         raise MeshError("nodes of a facet do not lie at the points of a straight Lagrange facet.")
     return np.asarray(order)

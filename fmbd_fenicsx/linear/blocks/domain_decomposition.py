@@ -46,6 +46,7 @@ def unassembled(body: Field, cm: float, ck: float) -> Any:
     import dolfinx.fem.petsc as fp
 
     d, space = body.dim, body.space
+
     whole = fp.create_matrix(body.stiffness_form, "is")
     whole.zeroEntries()
     fp.assemble_matrix(whole, body.mass_form)
@@ -54,11 +55,14 @@ def unassembled(body: Field, cm: float, ck: float) -> Any:
     fp.assemble_matrix(whole, body.stiffness_form)
     whole.assemble()
     whole.scale(ck)
+
+    # rows of the nodes of this rank's own cells
     topology = body.mesh.dolfinx.topology
     nodes = np.unique(space.dofmap.list[: topology.index_map(topology.dim).size_local]).astype(np.int32)
     local = (d * nodes[:, None] + np.arange(d)).ravel().astype(PETSc.IntType)
     rows = space.dofmap.index_map.local_to_global(nodes)
     rows = (d * rows[:, None] + np.arange(d)).ravel().astype(PETSc.IntType)
+
     sets = PETSc.IS().createGeneral(local, comm=PETSc.COMM_SELF)
     own = whole.getISLocalMat().createSubMatrix(sets, sets)
     lgmap = PETSc.LGMap().create(rows, comm=body.comm)
@@ -68,6 +72,8 @@ def unassembled(body: Field, cm: float, ck: float) -> Any:
     A.assemble()
     A.setOption(PETSc.Mat.Option.SPD, True)
     A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+
+    # rigid motions, which the coarse problem has to hold
     modes = []
     for column in _orthonormal(body).T:
         v = A.createVecRight()
@@ -75,6 +81,7 @@ def unassembled(body: Field, cm: float, ck: float) -> Any:
         modes.append(v)
     near = PETSc.NullSpace().create(vectors=modes, comm=body.comm)
     A.setNearNullSpace(near)
+
     for obj in (*modes, near, own, sets, lgmap, whole):
         obj.destroy()
     return A
@@ -107,6 +114,7 @@ def shared_traces(world: Any, own: dict[Any, Trace]) -> dict[Any, Trace]:
     out: dict[Any, Trace] = {}
     for rank, part in enumerate(world.allgather(packed)):
         for key, t in part:
+            # others' nodes are none of this rank's unknowns
             mine = rank == world.rank
             owned = t.owned if mine else np.full(t.n, -1)
             out[key] = replace(t, comm=world, owned=owned, n_owned=t.n_owned if mine else 0)
@@ -186,9 +194,12 @@ class DualInterface:
         """Displacements of this rank's subdomains, multipliers, and the number of iterations; collective."""
         z = {k: self.factors[k].solve(f[k]) for k in self.own}
         d = self._total(sum((self.B[k] @ z[k] for k in self.own), np.zeros(self.n))) - g
+
         precondition = (lambda r: sl.cho_solve(self._factor, r)) if self._factor is not None else (lambda r: r)
         lam, iterations = conjugate_gradients(self.operator, precondition, d, rtol=rtol, limit=limit)
         u: dict[int, Array] = {k: z[k] - self.factors[k].solve(self.B[k].T @ lam) for k in self.own}
+
+        # judged by the gaps that are left
         gap = self._total(sum((self.B[k] @ u[k] for k in self.own), np.zeros(self.n))) - g
         self.judge.check(float(np.linalg.norm(gap)), float(np.linalg.norm(d)) + float(np.linalg.norm(g)))
         return u, lam, iterations

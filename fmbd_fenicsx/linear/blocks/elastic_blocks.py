@@ -86,7 +86,8 @@ def set_bddc(ksp: Any, adaptive: float = 2.0) -> None:
     from petsc4py import PETSc
 
     ksp.getPC().setType("bddc")
-    options, prefix = PETSc.Options(), ksp.getOptionsPrefix() or ""
+    options = PETSc.Options()
+    prefix = ksp.getOptionsPrefix() or ""
     for name, value in (("use_deluxe_scaling", True), ("adaptive_threshold", adaptive)):
         if value and not options.hasName(f"{prefix}pc_bddc_{name}"):
             options[f"{prefix}pc_bddc_{name}"] = value

@@ -42,7 +42,8 @@ class FieldMatrix:
     def of(cls, part: DistributedPart, w: Weights) -> FieldMatrix:
         """The matrix of a part in a step; Rayleigh damping is part of cm and ck."""
         field, forms = part.field, part.field.forms
-        cm, ck = w.cm + w.cd * forms.mass_damping, w.ck
+        cm = w.cm + w.cd * forms.mass_damping
+        ck = w.ck
         damped = field.D is not None
 
         if field.carried:  # its stiffness_damping leaves the volume alone, see MixedField.combination

@@ -29,21 +29,26 @@ class VolumeMass(FieldFactor):
         self.judge = Judge(f'the mass matrix of body "{field.name}" at constant volume')
         M, B = field.mass_matrix(), field.coupling_matrix()
         M.scale(cm)
+        # rows of volumes as large as those of masses: pivots of one size
         self.scale = float(M.norm(PETSc.NormType.INFINITY) / B.norm(PETSc.NormType.INFINITY))
         B.scale(self.scale)
-        BT, none = B.transpose(PETSc.Mat()), field.compliance_matrix()
+        BT = B.transpose(PETSc.Mat())
+        # PETSc factors no missing diagonal: zeros stand there
+        none = field.compliance_matrix()
         none.scale(0.0)
         nest = PETSc.Mat().createNest([[M, BT], [B, none]], comm=field.comm)
         self.E = nest.convert("aij", PETSc.Mat())
         for x in (nest, M, B, BT, none):
             x.destroy()
         self.E.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+
         self.ksp = PETSc.KSP().create(field.comm)
         self.ksp.setOperators(self.E)
         self.ksp.setType("preonly")
         self.ksp.getPC().setType("cholesky")
         self.ksp.getPC().setFactorSolverType("mumps")
         self.ksp.setUp()
+
         self.x, self.b = self.E.createVecs()
         self.r = self.b.duplicate()
         self.n = field.n * field.dim
@@ -63,6 +68,7 @@ class VolumeMass(FieldFactor):
             found = found + self.x.array
         self.x.array[:] = found
         self.E.mult(self.x, self.r)
+        # judged by the true residual
         left = self.r.array - right
         sums = self.field.total(np.array([left @ left, right @ right]))
         self.judge.check(float(np.sqrt(sums[0])), float(np.sqrt(sums[1])))
@@ -92,6 +98,7 @@ def volume_push(solver: Any, rates: dict[int, Array]) -> Array:
     for i, (k, f) in enumerate(s.fields):
         if k in rates:
             out[s.slices[1][k]] = solver.weights.ck * rotate_nodal(f.field.volume_push(rates[k]), solver.corotations[i])
+
     return out
 
 

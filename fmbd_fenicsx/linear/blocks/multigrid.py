@@ -32,24 +32,30 @@ def set_multigrid(pc: Any, body: Field, smoothing: int) -> None:
         return
     from petsc4py import PETSc
 
+    # quadratic elements: linear ones on the same mesh are the coarse level, by Galerkin's product
     P, modes = _linear(body)
     E1 = E.ptap(P)
     E1.setBlockSize(body.dim)
     E1.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     attach_modes(E1, modes)
+
     pc.setType("mg")
     pc.setMGLevels(2)
     pc.setMGInterpolation(1, P)
+
+    # Chebyshev with Jacobi needs no factor; the coarse level is aggregated on
     fine = pc.getMGSmoother(1)
     fine.setOperators(E, E)
     fine.setType("chebyshev")
     fine.setTolerances(max_it=smoothing)
     fine.getPC().setType("jacobi")
+
     coarse = pc.getMGCoarseSolve()
     coarse.setOperators(E1, E1)
     coarse.setType("preonly")
     _aggregation(coarse.getPC(), smoothing)
     coarse.setFromOptions()
+
     P.destroy(), E1.destroy()
 
 
@@ -59,7 +65,9 @@ def _aggregation(pc: Any, smoothing: int) -> None:
 
     pc.setType("gamg")
     pc.setGAMGSmooths(1)
-    options, prefix = PETSc.Options(), pc.getOptionsPrefix() or ""
+    # options that the user has set stay
+    options = PETSc.Options()
+    prefix = pc.getOptionsPrefix() or ""
     for name, value in (*AGGREGATION, ("mg_levels_ksp_max_it", smoothing)):
         if not options.hasName(prefix + name):
             options[prefix + name] = value
@@ -76,6 +84,7 @@ def _linear(body: Field) -> tuple[Any, Array]:
     P.assemble()
     n = space.dofmap.index_map.size_local
     X = space.tabulate_dof_coordinates()[:n, :d] - body.center
+    # rigid motions at the linear nodes, of one size
     modes = np.zeros((n, d, m.n_twist))
     modes[:, range(d), range(d)] = 1.0
     modes[:, :, d:] = m.lever(X) / body.size
@@ -90,10 +99,12 @@ def attach_modes(A: Any, modes: Array) -> None:
     for column in modes.T:
         v = A.createVecRight()
         v.array[:] = column
+        # PETSc asks for orthonormal vectors (Gram-Schmidt)
         for w in vectors:
             v.axpy(-w.dot(v), w)
         v.normalize()
         vectors.append(v)
+
     near = PETSc.NullSpace().create(vectors=vectors, comm=A.getComm())
     A.setNearNullSpace(near)
     for obj in (near, *vectors):

@@ -90,7 +90,8 @@ def _pivoted(problem: Coulomb, facets: int) -> Array:
     n = m * (1 + k)
 
     # complementarity: openings, facet speeds, and what is left of the cone
-    M, rhs = np.zeros((n + m, n + m)), np.zeros(n + m)
+    M = np.zeros((n + m, n + m))
+    rhs = np.zeros(n + m)
     M[:n, :n] = T.T @ problem.W @ T / scale
     rhs[:n] = T.T @ problem.q.ravel() / scale
     for i in range(m):
@@ -110,16 +111,20 @@ def _lemke(M: Array, q: Array) -> Array:
     # columns: w (n), z (n), artificial, right-hand side; rows w - M z - z0 = q
     A = np.concatenate((np.eye(n), -M, -np.ones((n, 1)), q[:, None]), axis=1)
     basis = np.arange(n)
-    enter, row = 2 * n, int(np.argmin(q))
+    enter = 2 * n
+    row = int(np.argmin(q))
     for _ in range(50 * n):
+        # pivot: what enters takes the place of what leaves
         A[row] /= A[row, enter]
         others = np.arange(n) != row
         A[others] -= np.outer(A[others, enter], A[row])
+
         leave, basis[row] = basis[row], enter
         if leave == 2 * n:
             z = np.zeros(2 * n)
             z[basis] = A[:, -1]
             return np.maximum(z[n:], 0.0)
+        # the complement of what has left enters next
         enter = leave + n if leave < n else leave - n
         column = A[:, enter]
         rows = np.flatnonzero(column > 1e-11 * np.abs(column).max(initial=1e-300))
@@ -181,6 +186,7 @@ class Coulomb:
         """Largest residual over the largest force."""
         free = np.abs(self.c[:, :1] * self.q).max(initial=0.0)
         scale = free + min(np.abs(x).max(initial=0.0), 1e3 * free)  # large forces that cancel each other do not count
+
         return float(np.abs(F).max(initial=0.0) / max(scale, 1e-300))
 
     def step(self, it: Iterate) -> Array:
@@ -206,6 +212,7 @@ def _proximal_points(
         best = min(best, (size, x), key=lambda pair: pair[0])
         if size <= FOUND or not np.isfinite(size):
             break
+        # made harder after success, easier after failure
         rho = 0.1 * rho if found else 10.0 * rho
         rho = restart if rho > 1.0 else rho
 
@@ -215,13 +222,17 @@ def _proximal_points(
 
 def _newton(problem: Coulomb, x: Array, counts: ContactCounts) -> tuple[Array, bool]:
     """Semismooth Newton from x, until the residual is small or does not fall; forces, and whether it is small."""
-    best, it = np.inf, problem.at(x, problem.gap(x))
+    best = np.inf
+    it = problem.at(x, problem.gap(x))
     for k in range(40):
         size = problem.size(it.F, it.x)
+        # after eight steps each has to halve the residual
         if size <= problem.enough or not np.isfinite(size) or (k > 8 and size > 0.5 * best):
             break
+
         best = min(best, size)
         new = _searched(problem, it)
+
         counts.iterations += 1
         counts.changes += int((new.state != it.state).sum())
         it = new
@@ -230,7 +241,10 @@ def _newton(problem: Coulomb, x: Array, counts: ContactCounts) -> tuple[Array, b
 
 def _searched(problem: Coulomb, it: Iterate) -> Iterate:
     """The iterate after a Newton step, halved while the function does not fall."""
-    s, norm, share = problem.step(it), np.linalg.norm(it.F), 1.0
+    s = problem.step(it)
+    norm = np.linalg.norm(it.F)
+    share = 1.0
+    # gaps are linear in the forces: one product serves all shares of the step
     full = problem.gap(it.x + s)
     while True:
         new = problem.at(it.x + share * s, it.u + share * (full - it.u))
@@ -242,9 +256,12 @@ def _searched(problem: Coulomb, it: Iterate) -> Iterate:
 def _alart_curnier(x: Array, u: Array, c: Array, mu: Array) -> tuple[Array, Array, Array, np.ndarray]:
     """F(x, u) of (1), (2), its derivatives (m, d, d) with respect to x and u, and the states of :class:`Iterate`."""
     m, d = x.shape
-    F, dx, du = np.zeros((m, d)), np.zeros((m, d, d)), np.zeros((m, d, d))
+    F = np.zeros((m, d))
+    dx = np.zeros((m, d, d))
+    du = np.zeros((m, d, d))
     trial = x[:, 0] - c[:, 0] * u[:, 0]
     on = trial > 0
+    # a point that presses is closed, one that does not has no force
     F[:, 0] = np.where(on, c[:, 0] * u[:, 0], x[:, 0])
     dx[:, 0, 0] = np.where(on, 0.0, 1.0)
     du[:, 0, 0] = np.where(on, c[:, 0], 0.0)

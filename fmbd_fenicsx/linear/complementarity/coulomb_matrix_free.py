@@ -45,6 +45,7 @@ def solve_many(W: Applied, q: Array, mu: Array, start: Array, counts: ContactCou
         ConvergenceError: no solution found; there is no pivoting by products.
     """
     c = np.maximum(W.inverse.diagonal(), 1e-300).reshape(q.shape).copy()
+    # one factor for both tangents: the cone is round
     c[:, 1:] = c[:, 1:].min(axis=1)[:, None]
     return solved(Products(W, q, mu, c), start, counts)
 
@@ -67,7 +68,9 @@ class Products(Coulomb):
             r = r - cone.tested(self._response(s))
         if not r.any():
             return s
-        n, inverse = r.size, cone.inverse(self.W.inverse)
+
+        n = r.size
+        inverse = cone.inverse(self.W.inverse)
 
         def product(y: Array) -> Array:
             forces = cone.forces(y.reshape(s.shape))
@@ -104,12 +107,15 @@ class _Cone:
         slip = it.state == 2
         y = x[:, 1:] - problem.c[:, 1:] * it.u[:, 1:]
         size = np.where(slip, np.linalg.norm(y, axis=1), 1.0)
+        # directions of slip; r: share of the cone's radius in the trial force
         e = np.where(slip[:, None], y / size[:, None], np.eye(d - 1)[0])
         r = np.where(slip, problem.mu * np.maximum(x[:, 0], 0.0) / size, 1.0)
+
         turn = e[:, :, None] if d == 2 else np.stack((e, np.stack((-e[:, 1], e[:, 0]), axis=1)), axis=2)
         weight = np.where(it.state[:, None] > 0, 1.0, np.zeros((m, d)))
         weight[slip, 1] = 0.0
         weight[:, 2:] *= np.where(r > SHARE, np.sqrt(r), 0.0)[:, None]
+
         share, stiffness = np.ones((m, d)), np.zeros((m, d))
         share[:, 2:] = np.maximum(r, SHARE)[:, None]
         stiffness[:, 2:] = (np.where(slip & (r > SHARE), np.maximum(1.0 - r, SHARE), 0.0) / problem.c[:, 1])[:, None]
@@ -142,7 +148,8 @@ class _Cone:
         along = np.arange(m) * d
         back = sp.csr_matrix((self.slope, (along + 1, along)), shape=P.shape)
         P = (P - back @ P).tocsr()  # P w - V y has no share in the known forces
-        weight, soft = self.weight.ravel(), self.stiffness.ravel() > 0
+        weight = self.weight.ravel()
+        soft = self.stiffness.ravel() > 0
         free = (weight > 0) & ~soft
         rest = ~free
         give = np.zeros(m * d)

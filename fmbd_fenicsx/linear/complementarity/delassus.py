@@ -60,43 +60,53 @@ class Compliance(Remembering):
 
     def matrix(self, rows: Linear) -> Array:
         """W, (m, m), for the configuration the solver was last prepared for."""
-        s, n = self.solver.system, self.solver.system.n_core
+        s = self.solver.system
+        n = s.n_core
         m = rows.core.shape[0]
         rhs = np.zeros((n + s.n_lam + self.solver.border.count, m))
         rhs[:n] = rows.core.T
+
+        # fields first: their own compliance C, and how their frames and ports answer
         local = []
         for i, tr in self.contacts.on_fields.items():
             position = next(j for j, (k, _) in enumerate(s.fields) if k == tr.part)
             block = self.solver.blocks[position]
             N = sp.csr_matrix(rows.field[i])
-            turn, used = self.solver.corotations[position], np.unique(N.indices)
+            # the factor knows the body in the axes of its mean rotation
+            turn = self.solver.corotations[position]
+            used = np.unique(N.indices)
             if turn is not None:  # all components of a node
                 used = (np.unique(used // tr.dim)[:, None] * tr.dim + np.arange(tr.dim)).ravel()
+
             C = self._columns(i, block.factor, used)
             dense = N[:, used].toarray()
             if turn is not None:
                 dense = (dense.reshape(m, -1, tr.dim) @ turn).reshape(m, -1)
-            Y, S, R = (
-                self._rows_of_Y(i, block)[used],
-                self.solver.couplings[position],
-                self.solver.back_couplings[position],
-            )
+
+            Y = self._rows_of_Y(i, block)[used]
+            S = self.solver.couplings[position]
+            R = self.solver.back_couplings[position]
             if Y.shape[1]:
                 rhs -= R.T @ (Y.T @ dense.T)
             local.append((dense, C[np.ix_(used, used)], Y, S))
+
+        # then the core, with all that fields pass on to it
         X = self._core(rhs)
         W = rows.core @ X[:n]
+
         for dense, C, Y, S in local:
             answer = C @ dense.T
             if Y.shape[1]:
                 answer -= Y @ (S @ X)
             W = W + dense @ answer
+        # symmetric but for roundoff
         return 0.5 * (W + W.T)
 
     def _by_solves(self, rows: Linear) -> Array:
         """W of (1), (m, m), by one solve of the step for each row: where the matrix is not eliminated block by block."""
         system = self.solver.system
-        m, none = rows.core.shape[0], np.zeros(system.n_lam)
+        m = rows.core.shape[0]
+        none = np.zeros(system.n_lam)
         W = np.zeros((m, m))
 
         for i in range(m):

@@ -43,7 +43,8 @@ class SlaveBlocks(Remembering):
 
     def of(self, i: int) -> Any:
         """cm M + ck K on the nodes of trace i, (n d, n d) sparse, the same on all ranks."""
-        tr, w = self.contacts.on_fields[i], self.solver.weights
+        tr = self.contacts.on_fields[i]
+        w = self.solver.weights
         field = tr.field
         key = (w, field.tangents)
         if i not in self._kept or self._kept[i][0] != key:
@@ -134,7 +135,9 @@ class _Iterated:
         P = self.W.inverse[active][:, active]
         r = -self.g[active]
         z = P @ r
-        p, rz, step = z.copy(), float(r @ z), np.zeros(self.m)
+        p = z.copy()
+        rz = float(r @ z)
+        step = np.zeros(self.m)
         largest = float(np.abs(z).max(initial=0.0))
 
         # preconditioned conjugate gradients on the active points

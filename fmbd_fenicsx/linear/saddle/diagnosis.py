@@ -100,11 +100,9 @@ def _motion(e: Any, u: Array) -> str:
     """The rigid motion nearest to u, in words."""
     body = e.body
     modes = rigid_modes(body)
-    gram, right, norm = (
-        body.total(modes.T @ modes),
-        body.total(modes.T @ u),
-        float(body.total(np.array(u @ u))),
-    )
+    gram = body.total(modes.T @ modes)
+    right = body.total(modes.T @ u)
+    norm = float(body.total(np.array(u @ u)))
 
     # its share of rigid motions
     c = np.linalg.solve(gram, right)
@@ -116,7 +114,8 @@ def _motion(e: Any, u: Array) -> str:
         )
 
     # translation, or rotation about the point that stands still
-    t, w = c[:d], c[d:] / body.size
+    t = c[:d]
+    w = c[d:] / body.size
     if np.linalg.norm(w) * body.size < 1e-3 * np.linalg.norm(t):
         return f'Zero-energy motion: body "{body.name}" translates along {np.round(t / np.linalg.norm(t), 3).tolist()}.'
     if d == 2:

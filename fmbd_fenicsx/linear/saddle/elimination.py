@@ -50,14 +50,20 @@ def _pivots(t: TraceTie) -> Pivots:
     """An inner node for each multiplier, whose column of D has no other entry."""
     if t.multipliers is None or t.components != t.multipliers.trace.dim:
         raise InputError(f'Tie "{t.name}": only ties of all components by a multiplier space can be eliminated.')
+
+    # entries of roundoff would hide columns with one entry
     D = sp.csc_matrix(t.sides[0][2])
     D.data[np.abs(D.data) < 1e-12 * np.abs(D.data).max()] = 0.0
     D.eliminate_zeros()
+
+    # columns of inner nodes that one multiplier alone sees
     alone = np.flatnonzero(np.diff(D.indptr) == 1)
     alone = np.setdiff1d(alone, t.multipliers.trace.border)
-    rows, values = D.indices[D.indptr[alone]], D.data[D.indptr[alone]]
+    rows = D.indices[D.indptr[alone]]
+    values = D.data[D.indptr[alone]]
 
-    nodes, diagonal = np.full(D.shape[0], -1), np.ones(D.shape[0])
+    nodes = np.full(D.shape[0], -1)
+    diagonal = np.ones(D.shape[0])
     nodes[rows], diagonal[rows] = alone, values
     if (nodes < 0).any():
         raise InputError(
@@ -75,8 +81,10 @@ class EliminatedSolver:
 
         self.saddle, self.pivots = saddle, pivots
         self.judge = Judge("the eliminated system", 1e-9)
-        bodies, d = saddle.elastic, saddle.elastic[0].body.dim
+        bodies = saddle.elastic
+        d = bodies[0].body.dim
         self.d, self.comm = d, saddle.comm
+
         self._refuse_shared()
         self.first = np.concatenate(([0], np.cumsum([e.rows for e in bodies])))  # of each body among this rank's rows
 
@@ -115,6 +123,7 @@ class EliminatedSolver:
                 world = trace.values(low + np.arange(trace.n_owned, dtype=float)).astype(int)  # numbers over all ranks
                 for i in np.unique(sp.coo_matrix(B).col):
                     key = (k, int(world[i]))
+                    # it leaves with this tie, or one of its sides holds it
                     leaves = number == 0 and int(i) in pivots
                     other = seen.get(key, t.name) if leaves else gone.get(key, t.name)
                     if other != t.name:
@@ -136,15 +145,20 @@ class EliminatedSolver:
         """T of (1): this rank's displacements by the kept ones."""
         from petsc4py import PETSc
 
-        d, n = self.d, int(self.first[-1])
+        d = self.d
+        n = int(self.first[-1])
+
         pivots = [self._pivot_rows(i) for i in range(len(self.pivots))]
         stays = np.setdiff1d(np.arange(0, n, d), np.concatenate(pivots or [np.zeros(0, dtype=int)]))
+
         kept = d * len(stays)
         new = np.full(n, -1.0)  # column of the first component of each node
         new[stays] = int(self.comm.exscan(kept) or 0) + d * np.arange(len(stays))
 
         # kept displacements are themselves; an eliminated one follows from those of both sides
-        rows, columns, values = [stays], [new[stays]], [np.ones(len(stays))]
+        rows = [stays]
+        columns = [new[stays]]
+        values = [np.ones(len(stays))]
         for t, p, place in zip(self.saddle.ties, self.pivots, pivots, strict=True):
             least = 1e-14 * np.abs(t.sides[0][2]).max()
             for number, (k, trace, B) in enumerate(t.sides):
@@ -155,18 +169,22 @@ class EliminatedSolver:
                 columns.append(to[C.col[use]])
                 values.append((-1.0 if number == 0 else 1.0) * C.data[use] / p.diagonal[C.row[use]])
 
+        # all components of a node alike
         r, c = ((np.concatenate(x).astype(PETSc.IntType)[:, None] + np.arange(d)).ravel() for x in (rows, columns))
         shape = (n, self.comm.allreduce(kept))
 
         local = sp.coo_matrix((np.repeat(np.concatenate(values), d), (r, c)), shape).tocsr()
         csr = (local.indptr.astype(PETSc.IntType), local.indices.astype(PETSc.IntType), local.data)
+
         T = PETSc.Mat().createAIJ(((n, None), (kept, shape[1])), csr=csr, comm=self.comm)
         T.assemble()
         return T
 
     def solve(self, f: Sequence[Array], g: Sequence[Array]) -> Solution:
         """Displacements and multipliers; f this rank's loads, one per body, g replicated data, one per tie."""
-        b, u, z = self.E.createVecLeft(), self.E.createVecRight(), self.T.createVecRight()
+        b = self.E.createVecLeft()
+        u = self.E.createVecRight()
+        z = self.T.createVecRight()
         r, y = b.duplicate(), z.duplicate()
 
         # reduced system: T^T E T z = T^T (b - E u_g)
@@ -192,7 +210,8 @@ class EliminatedSolver:
         for v in (b, u, z, r, y):
             v.destroy()
 
-        full, given = self.saddle.vector(parts, lam), self.saddle.vector(f, g)
+        full = self.saddle.vector(parts, lam)
+        given = self.saddle.vector(f, g)
         residual = self.saddle.relative_residual(full, given)
         full.destroy(), given.destroy()
         self.judge.check(residual, 1.0)

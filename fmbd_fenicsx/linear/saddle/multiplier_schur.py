@@ -78,9 +78,11 @@ class SchurSolver:
             block_solver(preset.elastic, e.body, (e.cm, 0.0, e.ck), preset.rtol, f"{prefix}{e.name}_")
             for e in saddle.elastic
         ]
+
         self._B = self._columns()
         self.complement: Array | None = None
         self._inverse: Callable[[Array], Array] | None = None
+        # few multipliers: S itself; many: its preconditioner
         if saddle.n_multipliers <= preset.limit:
             self._factor_complement()
         else:
@@ -93,8 +95,10 @@ class SchurSolver:
         S: Array = np.zeros((n, n))
         for block, B in zip(self.blocks, self._B, strict=True):
             S += block.field.total(B @ block.solve_columns(B.T.toarray()))
+        # symmetric but for roundoff; rows of one size, so that ties of soft and stiff bodies do not hide each other
         self.complement = S = 0.5 * (S + S.T)
         self._scale = 1.0 / np.sqrt(np.maximum(np.diag(S), 1e-300))
+
         try:
             self._factor = sl.cho_factor(self._scale[:, None] * S * self._scale)
         except sl.LinAlgError as error:
@@ -107,6 +111,7 @@ class SchurSolver:
         s = self.saddle
         stacks: list[list[Any]] = [[] for _ in s.elastic]
         for t in s.ties:
+            # a body that a tie does not touch has zeros there
             found = dict(t.columns)
             for k, e in enumerate(s.elastic):
                 stacks[k].append(found.get(k, sp.csr_matrix((t.rows, e.rows))))
@@ -127,13 +132,17 @@ class SchurSolver:
         # (1): right-hand side, multipliers, displacements
         z = [block.solve(fk) for block, fk in zip(self.blocks, f, strict=True)]
         r = self._total(sum(B @ zk for B, zk in zip(self._B, z, strict=True))) - np.concatenate([*g, np.zeros(0)])
+
         if self._inverse is None:
-            lam, count = self._scale * sl.cho_solve(self._factor, self._scale * r), 0
+            lam = self._scale * sl.cho_solve(self._factor, self._scale * r)
+            count = 0
         else:
             lam, count = conjugate_gradients(self._apply, self._inverse, r, rtol=self.rtol)
+
         u: list[Array] = [zk - block.solve(B.T @ lam) for block, B, zk in zip(self.blocks, self._B, z, strict=True)]
         parts: list[Array] = np.split(lam, np.cumsum([t.rows for t in s.ties])[:-1])
 
+        # judged by the whole system, not by its Schur complement
         x, b = s.vector(u, parts), s.vector(f, g)
         residual = s.relative_residual(x, b)
         x.destroy(), b.destroy()
@@ -154,6 +163,7 @@ def factored(groups: Sequence[tuple[str, list[int], sp.csr_matrix]], saddle: Sad
     parts: list[tuple[np.ndarray, Callable[[Array], Array]]] = []
     for _, ties, S in groups:
         rows = np.concatenate([np.arange(first[i], first[i + 1]) for i in ties])
+        # blocks that are nearly full are factored as such
         if S.nnz > 0.2 * S.shape[0] ** 2:
             parts.append((rows, partial(sl.cho_solve, sl.cho_factor(S.toarray()))))
         else:
@@ -177,18 +187,23 @@ def conjugate_gradients(
     limit: int = 500,
 ) -> tuple[Array, int]:
     """Preconditioned conjugate gradients on replicated vectors: the same numbers on all ranks; solution and iterations."""
-    lam, r = np.zeros_like(d), d.copy()
+    lam = np.zeros_like(d)
+    r = d.copy()
     y = precondition(r)
-    p, size = y.copy(), float(r @ y)
+    p = y.copy()
+    size = float(r @ y)
     start = size
 
     for k in range(limit):
         if size <= rtol**2 * start or start == 0:
             return lam, k
+
         q = operator(p)
         alpha = size / float(p @ q)
-        lam, r = lam + alpha * p, r - alpha * q
+        lam = lam + alpha * p
+        r = r - alpha * q
         y = precondition(r)
+
         size, old = float(r @ y), size
         p = y + (size / old) * p
 

@@ -44,7 +44,8 @@ def stacked(tangents: list[Tangent]) -> Tangent:
     """The tangent of several stages together: variables and balances stage by stage, then each constraint level stage by
     stage.
     """
-    n, m = tangents[0].M.shape[0], tangents[0].G.shape[0]
+    n = tangents[0].M.shape[0]
+    m = tangents[0].G.shape[0]
 
     def lower(name: str) -> Array:
         blocks = [getattr(t, name) for t in tangents]
@@ -66,8 +67,12 @@ class Pencil:
 
     def __init__(self, tangent: Tangent, s: Array, judge: Judge, redundant: bool = False) -> None:
         self.s, self.judge, self.t, self.redundant = s, judge, tangent, redundant
-        T, n, m = tangent, tangent.M.shape[0], tangent.G.shape[0]
-        self.n, self.m, self.levels = n, m, (T.by_q.shape[0] - n) // m if m else 0
+        T = tangent
+        n = tangent.M.shape[0]
+        m = tangent.G.shape[0]
+        self.n = n
+        self.m = m
+        self.levels = (T.by_q.shape[0] - n) // m if m else 0
         L = self.levels
 
         # one rate for all, or one for each row of a batch
@@ -147,7 +152,8 @@ def _times(A: Array, x: Array) -> Array:
 def _balance(K: Array) -> tuple[Array, Array]:
     """Row and column scales, (p, n) each, that bring all largest entries near one (two sweeps), as powers of two: no rounding."""
     A = np.abs(K)
-    rows, columns = np.ones(A.shape[:2]), np.ones(A.shape[:2])
+    rows = np.ones(A.shape[:2])
+    columns = np.ones(A.shape[:2])
     for _ in range(2):
         r = _power(np.sqrt(A.max(axis=2, initial=0.0)))
         A /= r[:, :, None]

@@ -98,6 +98,7 @@ class Fractional:
         """
         if saddle.n_multipliers > self.limit:
             return _each(saddle, lambda i: self.block(saddle, i))
+        # bodies without supports add their rigid motions to all ties at once, (3)
         S = sp.block_diag([self.block(saddle, i) for i in range(len(saddle.ties))]).toarray()
         S += self.rigid(saddle)
         name = saddle.ties[0].name if len(saddle.ties) == 1 else "multipliers"
@@ -115,6 +116,7 @@ class Fractional:
             along, across = along + a, across + b
         if t.components == 1:
             return sp.csr_matrix(across)
+        # tangential and normal answers, in the mean normal of the first side
         side = t.sides[0][1]
         n = (side.sizes[:, None] * side.normals).sum(0) / side.sizes.sum()
         N = np.outer(n, n)
@@ -123,12 +125,17 @@ class Fractional:
     def _answers(self, e: Any, surface: Trace, B: sp.csr_matrix) -> tuple[Array, Array]:
         """Terms of (2) for tangential and normal forces on one body, (n, n) each."""
         shear, axial = e.moduli
-        h, depth = surface.h / surface.degree, e.depth
+        h = surface.h / surface.degree
+        depth = e.depth
         _, K, X = pencil(surface, np.inf)
         C = B @ X
+        # waves of the surface reach no farther into the body than its size, or than a step lets them
         L = K + 1.0 / min(depth, e.size) ** 2
+
         symbol = self.stiffness * (np.sqrt(L + self.grid * (h * L) ** 2) + self.layer * h / depth**2)
+        # under pressure a layer as thick as the body's reach is compressed too
         pressed = symbol + 1.0 / (depth**2 * np.sqrt(K + 1.0 / min(depth**2 * axial / shear, e.size**2)))
+
         out = [(C / (e.ck * shear * s)) @ C.T for s in (symbol, pressed)]
         return 0.5 * (out[0] + out[0].T), 0.5 * (out[1] + out[1].T)
 
@@ -147,12 +154,14 @@ def rigid_term(e: Elastic, k: int, ties: Sequence[TraceTie]) -> tuple[Array, Arr
     """
     R = rigid_modes(e.body)
     MR = np.stack([e.body.mass(r.reshape(-1, e.body.dim)).ravel() for r in R.T], axis=1)
+
     first = np.cumsum([0, *(t.rows for t in ties)])
     BR = np.zeros((first[-1], R.shape[1]))
     for i, t in enumerate(ties):
         for body, B in t.columns:
             if body == k:
                 BR[first[i] : first[i + 1]] += B @ R
+
     return e.inertia * e.body.total(R.T @ MR), e.body.total(BR)
 
 
@@ -160,6 +169,7 @@ def lumped(saddle: Any, i: int) -> sp.csr_matrix:
     """B diag(E)^-1 B^T, replicated."""
     out: Any = 0
     for k, B in saddle.ties[i].columns:
+        # each rank knows its own displacements; the sum is the same on all
         part = (B @ sp.diags(1.0 / saddle.diagonal(k)) @ B.T).tocsr()
         out = out + sum(saddle.comm.allgather(part))
     return out.tocsr()
@@ -173,11 +183,13 @@ def to_petsc(S: sp.csr_matrix, saddle: Any, parts: list[int] | None = None) -> A
 
     comm = saddle.comm
     order, mine = rank_order([S.shape[0]] if parts is None else parts, comm)
+
     S = S[order][:, order].tocsr()
     S.sort_indices()
     S = S[mine]
     n, m = S.shape
     csr = (S.indptr.astype(PETSc.IntType), S.indices.astype(PETSc.IntType), S.data)
+
     A = PETSc.Mat().createAIJ(((n, m), (n, m)), csr=csr, comm=comm)
     A.assemble()
     A.setOption(PETSc.Mat.Option.SPD, True)
@@ -191,6 +203,7 @@ def rank_order(parts: list[int], comm: Any) -> tuple[np.ndarray, slice]:
     starts = np.cumsum([0, *parts])
     chunks, before = [], 0
     for rank in range(comm.size):
+        # each part is split evenly among the ranks
         for first, n in zip(starts, parts, strict=False):
             low = sum(share_of(n, comm, r) for r in range(rank))
             chunks.append(np.arange(first + low, first + low + share_of(n, comm, rank)))

@@ -23,7 +23,7 @@ from ...rotations import Array
 from ...system.system import System
 from ..blocks.elastic_blocks import Bddc, Cholesky, Multigrid, block_solver, set_bddc
 from ..fieldsplit import SplitBlock, SplitSolver, split_prefix
-from ..options import check_options
+from ..options import check_options, set_from_options
 from ..residual import Judge, krylov_reason
 from .diagnosis import diagnose
 from .multiplier_schur import Schur, check_krylov
@@ -104,27 +104,33 @@ class FieldSplit(Preset):
             (name, ties, to_petsc(S, saddle, [saddle.ties[i].rows for i in ties]))
             for name, ties, S in self.multiplier.groups(saddle)
         ]
+
         n = len(saddle.elastic)
         own = [S for _, _, S in groups]
+        # statics: free bodies get a little inertia, else their blocks are singular
         diagonal = []
         for E, e in zip(saddle.E, saddle.elastic, strict=True):
             diagonal.append(E if e.cm > 0 else elastic_matrix(e.body, e.inertia, e.ck))
             if e.cm == 0:
                 own.append(diagonal[-1])
         diagonal += [S for _, _, S in groups]
+
         sets = [*saddle.sets[:n], *(_union(saddle, ties) for _, ties, _ in groups)]
         names = [*saddle.names[:n], *(name for name, _, _ in groups)]
         P = block_diagonal(diagonal, sets, saddle)
+
         ksp = PETSc.KSP().create(saddle.comm)
         ksp.setOptionsPrefix(prefix)
         ksp.setOperators(saddle.matrix, P)
         ksp.setType(self.method)
         ksp.setTolerances(rtol=self.rtol, atol=0.0, max_it=self.max_iterations)
+
         pc = ksp.getPC()
         pc.setType("fieldsplit")
         pc.setFieldSplitType(PETSc.PC.CompositeType.ADDITIVE)
         pc.setFieldSplitIS(*zip(names, sets, strict=True))
         pc.setUp()
+
         for k, sub in enumerate(pc.getFieldSplitSubKSP()):
             if k < n:
                 self.elastic.set_up(sub, saddle.elastic[k])
@@ -162,7 +168,7 @@ class _Krylov:
 
     def __init__(self, saddle: SaddlePoint, ksp: Any, prefix: str, own: list[Any], judge: Judge) -> None:
         self.saddle, self.ksp, self.prefix, self._own, self.judge = saddle, ksp, prefix, own, judge
-        ksp.setFromOptions()
+        set_from_options(ksp)
         self.direct = ksp.getType() == "preonly"
         self._checked, self._b, self._first = False, None, 0.0
         if not self.direct:
@@ -185,12 +191,14 @@ class _Krylov:
         x = b.duplicate()
         x.set(0.0)
         self.ksp.solve(b, x)
-        iterations, reason = self.ksp.getIterationNumber(), self.ksp.getConvergedReason()
+        iterations = self.ksp.getIterationNumber()
+        reason = self.ksp.getConvergedReason()
 
         residual = s.relative_residual(x, b)
         if self.direct:
             residual = self._refine(x, b, residual)
 
+        # options that nobody took are told once
         if not self._checked:
             check_options(self.prefix, s.comm)
             self._checked = True
@@ -212,6 +220,7 @@ class _Krylov:
         for _ in range(3):
             if not np.isfinite(residual) or residual <= 1e-13:
                 break
+            # corrections by the same factor, while roundoff leaves anything to gain
             r, dx = b.duplicate(), b.duplicate()
             self.saddle.matrix.mult(x, r)
             r.aypx(-1.0, b)

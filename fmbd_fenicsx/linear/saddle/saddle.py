@@ -64,6 +64,7 @@ class Elastic:
         axial: list[float] = []
         for i in range(d):
             for j in range(d):
+                # unit strains e_i x_j; two stretches against each other are a shear, too
                 u = np.zeros((b.n, d))
                 u[:, i] = b.X[:, j]
                 (axial if i == j else shear).append(float(u.ravel() @ b.stiffness(u.ravel())))
@@ -71,6 +72,7 @@ class Elastic:
                     k = (i + 1) % d
                     u[:, k] = -b.X[:, k]
                     shear.append(float(u.ravel() @ b.stiffness(u.ravel())) / 4.0)
+
         volume = b.mass_total / b.forms.density
         return tuple(float(x) for x in b.total(np.array([np.mean(shear), np.mean(axial)])) / volume)  # type: ignore[return-value]
 
@@ -135,9 +137,11 @@ def stiffen(name: str, body: int, multipliers: Multipliers) -> TraceTie:
     B = multipliers.coupling()
     m = motions(d)
     x = t.points - t.points.mean(0)
+    # rigid motions of the surface, and the multipliers that do no work on them
     R = np.zeros((t.n, d, m.n_twist))
     R[:, range(d), range(d)] = 1.0
     R[:, :, d:] = m.lever(x)
+
     resultants = (B @ R.reshape(t.n, -1)).reshape(multipliers.n * d, m.n_twist)
     Q = np.linalg.qr(resultants, mode="complete")[0][:, m.n_twist :]
     return TraceTie(name, ((body, sp.csr_matrix(Q.T) @ _vector(t.columns(B), d)),))
@@ -147,9 +151,11 @@ def data(multipliers: Multipliers, function: Callable[[Array], Array], degree: i
     """g = int mu . f for a function of points (n, d) -> (n, d) or scalar (n,); (rows,)."""
     from ...fem.traces.traces import quadrature, scatter, shape_functions
 
-    t, m = multipliers.trace, multipliers.trace.dim - 1
+    t = multipliers.trace
+    m = t.dim - 1
     q, w = quadrature(m, degree + multipliers.degree)
     values = np.asarray(function(t.place(q).reshape(-1, t.dim))).reshape(len(t.nodes), len(q), -1)
+
     psi = shape_functions(m, multipliers.degree, q)
     blocks = np.einsum("f,q,qa,fqc->fac", t.sizes, w, psi, values, optimize=True)
     k, c = blocks.shape[1:]
@@ -221,10 +227,12 @@ class SaddlePoint:
         self.elastic = tuple(
             replace(e, stand_in=e.static_inertia * softest / (e.ck * e.modulus)) if e.cm == 0 else e for e in elastic
         )
+
         self.ties = tuple(ties)
         self.comm = elastic[0].body.comm
         together(self.comm, self._check())
         self.names = [e.name for e in elastic] + [t.name for t in ties]
+
         self.E = [elastic_matrix(e.body, e.cm, e.ck) for e in elastic]
         n, m = len(self.E), len(self.ties)
         table: list[list[Any]] = [[None] * (n + m) for _ in range(n + m)]
@@ -232,6 +240,7 @@ class SaddlePoint:
         for k, E in enumerate(self.E):
             table[k][k] = E
         for i, t in enumerate(self.ties):
+            # rows of a tie are split evenly among the ranks
             share = share_of(t.rows, self.comm)
             for k, B in t.columns:
                 up = _transposed(B, share, t.rows, self.elastic[k], self.comm)
@@ -239,10 +248,12 @@ class SaddlePoint:
                 down.transpose()
                 table[k][n + i], table[n + i][k] = up, down
                 self._own += [up, down]
+
         self.table = table
         self.matrix = PETSc.Mat().createNest(table, comm=self.comm)
         self.matrix.assemble()
         self.sets = self.matrix.getNestISs()[0]
+        # mean sizes of the columns of each block, for the residual
         self.norms = [
             [0.0 if M is None else M.norm(PETSc.NormType.FROBENIUS) / M.getSize()[0] ** 0.5 for M in row]
             for row in table
@@ -296,6 +307,7 @@ class SaddlePoint:
         """
         xs = [x.getSubVector(s) for s in self.sets]
         bs = [b.getSubVector(s) for s in self.sets]
+
         values, sizes, floors = np.zeros((3, len(bs)))
         given = np.array([v.norm() for v in bs])
 

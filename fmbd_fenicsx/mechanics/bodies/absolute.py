@@ -10,13 +10,27 @@ deformed surface and a viscous law F S_v(E') : grad v are in the tangent by thei
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...fem.fields import Field
+from ...fem.initial import initial_fields
 from ...rotations import Array
 from ..frames import polar_rotation
 from ..placements import FrameMotion
+from .body import Placed, Site
 from .field_part import FieldPart, TangentPoint
+
+
+def placed_field(body: Any, site: Site) -> Placed:
+    """The field of a body in absolute coordinates, with the displacements and velocities of its start; collective."""
+    field = site.field(body)
+    U, rate = initial_fields(body, field)
+    d, twist = field.dim, body.start_twist()
+    arm = field.X + U.reshape(-1, d)
+    carried = twist[:d] + field.motions.spin(twist[None, d:], arm)
+    return Placed(AbsoluteField(field, site.ground, site.surfaces), U, rate + carried.ravel())
 
 
 class AbsoluteField(FieldPart):
@@ -43,6 +57,7 @@ class AbsoluteField(FieldPart):
 
     def _mean_rotation(self, u: Array) -> Array:
         d = self.field.dim
+        # mean deformation gradient over the mass; the rotation in it
         F = self.field.total((self.field.X + u.reshape(-1, d)).T @ self._moment_columns)
         return polar_rotation(F[None])[0]
 
@@ -94,6 +109,7 @@ class AbsoluteField(FieldPart):
         self._last = motion.t, U, Ud
         rows = self.field.mass(A).ravel() + self.field.internal(U)
 
+        # damping, then loads
         if forms.stiffness_damping:
             rows += forms.stiffness_damping * self._turned_stiffness(U, Ud)
         if self.field.D is not None:
@@ -110,7 +126,9 @@ class AbsoluteField(FieldPart):
         """
         if not self.field.nonlinear:
             return self.field.stiffness(Ud)
-        d, R = self.field.dim, self._damping_turn(U)
+        d = self.field.dim
+        # into the axes of the body, and back
+        R = self._damping_turn(U)
         return (self.field.stiffness_at_rest((Ud.reshape(-1, d) @ R).ravel()).reshape(-1, d) @ R.T).ravel()
 
     def _damping_turn(self, U: Array) -> Array:
@@ -140,7 +158,8 @@ class AbsoluteField(FieldPart):
         d, (U, Ud) = self.field.dim, local
         W = Ud.reshape(-1, d)
         moved = self.field.mass(self.field.X_world + U.reshape(-1, d)).sum(0)
-        sums = self.field.total(np.concatenate(([0.5 * float((W * self.field.mass(W)).sum())], moved)))
+        kinetic = 0.5 * float((W * self.field.mass(W)).sum())
+        sums = self.field.total(np.concatenate(([kinetic], moved)))
         return float(sums[0]), self.field.energy(U), -float(motion.gravity @ sums[1:])
 
     def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:

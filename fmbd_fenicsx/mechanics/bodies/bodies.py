@@ -8,18 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
 
 from ...checks import array, check_fields, instance, number, vector, whole, word
-from ...energies import Hooke, SheetEnergy, ViscousForm
-from ...errors import InputError, named, near, require
+from ...energies import Hooke, SheetEnergy, StoredEnergy, ViscousForm
+from ...errors import InputError, near, require
 from ...fem.fields import ElasticForms
 from ...fem.loads import Load
 from ...rotations import Array, motions
 from ..placements import Attached, Chord, MeanAxis, Part
-from .body import Body
+from .body import FIELDS, Body, Placed, Site, start_velocity
 
 Vector = Sequence[float] | Array
 Same = TypeVar("Same", bound="ElasticBody")
@@ -27,16 +28,6 @@ Same = TypeVar("Same", bound="ElasticBody")
 
 ORIGIN = (0.0, 0.0, 0.0)  # where nothing is given; the only three numbers that a plane body takes
 HIGHEST_DEGREE = 3  # of displacements
-FASTEST = 1e100  # m/s, rad/s: squares of more are no numbers
-
-
-def _velocity(what: str, value: Any, size: int) -> Array:
-    """A velocity (size,), zero where none is given."""
-    if value is None:
-        return np.zeros(size)
-    found = vector(what, np.atleast_1d(array(what, value)), size=size)
-    require(float(np.abs(found).max()) < FASTEST, f"{what} {value} must be below {FASTEST:g}.")
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,25 +80,27 @@ class RigidBody(Body):
         if not np.allclose(J, J.T, rtol=1e-12, atol=1e-12 * np.abs(J).max()):
             raise InputError(f'Body "{self.name}": inertia is not symmetric: {J.tolist()}.')
         p = np.linalg.eigvalsh(J)
-        require(p[0] > 0, f'Body "{self.name}": principal inertias {p} must be positive.')
-        require(
-            p[0] + p[1] >= p[2] * (1 - 1e-9),
-            f'Body "{self.name}": principal inertias {p} violate J1 + J2 >= J3; no mass distribution has them.',
-        )
+        if not p[0] > 0:
+            raise InputError(f'Body "{self.name}": principal inertias {p} must be positive.')
+        if not p[0] + p[1] >= p[2] * (1 - 1e-9):
+            raise InputError(
+                f'Body "{self.name}": principal inertias {p} violate J1 + J2 >= J3; no mass distribution has them.'
+            )
 
     def _check_start(self, what: str) -> None:
         """Pose and twist of the start. Its inertia makes a body plane or not; a position of the other kind shows a slip."""
         size = np.size(np.asarray(self.position, dtype=object))
-        require(
-            self.dim == 2 or size == 3,
-            f"{what}: position {self.position} has {size} numbers, but its inertia {self.inertia} is one of space. In the plane "
-            "inertia is one number.",
-        )
-        require(
-            self.dim == 3 or size != 3 or self.position is ORIGIN,
-            f"{what}: inertia {self.inertia} is one number, so the body is plane, and z of its position {self.position} would be "
-            "lost. In space inertia is (3,) or (3, 3).",
-        )
+        # texts of arrays cost more than all else that a body needs: they are made for an error only
+        if self.dim == 3 and size != 3:
+            raise InputError(
+                f"{what}: position {self.position} has {size} numbers, but its inertia {self.inertia} is one of space. In the "
+                "plane inertia is one number."
+            )
+        if self.dim == 2 and size == 3 and self.position is not ORIGIN:
+            raise InputError(
+                f"{what}: inertia {self.inertia} is one number, so the body is plane, and z of its position {self.position} "
+                "would be lost. In space inertia is (3,) or (3, 3)."
+            )
 
         try:
             self.start_pose()
@@ -132,16 +125,33 @@ class RigidBody(Body):
         """Local coordinates of that part and their rates at the start, (n,) each."""
         return np.zeros(0), np.zeros(0)
 
+    def placed(self, site: Site) -> Placed | None:
+        """What moves in the body, where there is anything."""
+        inner = self.part(site.frame)
+        if inner is None:
+            return None
+        inner.body = self
+        return Placed(inner, *self.start_local())
+
     def start_pose(self) -> Array:
         """Pose at the start, (n_pose,)."""
-        position = vector(f'Body "{self.name}": position', self.position, size=self.dim)
-        return motions(self.dim).pose(position, self.rotation)
+        return self._pose.copy()
 
     def start_twist(self) -> Array:
         """Twist at the start, (n_twist,)."""
+        return self._twist.copy()
+
+    # A scene asks for both several times.
+    @cached_property
+    def _pose(self) -> Array:
+        position = vector(f'Body "{self.name}": position', self.position, size=self.dim)
+        return motions(self.dim).pose(position, self.rotation)
+
+    @cached_property
+    def _twist(self) -> Array:
         m, what = motions(self.dim), f'Body "{self.name}"'
-        v = _velocity(f"{what}: velocity", self.velocity, m.dim)
-        w = _velocity(f"{what}: angular_velocity", self.angular_velocity, m.n_rot)
+        v = start_velocity(f"{what}: velocity", self.velocity, m.dim)
+        w = start_velocity(f"{what}: angular_velocity", self.angular_velocity, m.n_rot)
         return np.concatenate((v, w))
 
 
@@ -177,14 +187,16 @@ class ElasticBody(Body):
             ``displacement_rate``; world axes = body axes, m/s, rad/s.
         displacement, displacement_rate: initial u(x), u'(x): functions of the coordinates (d, n) -> (d, n) in m, m/s.
         mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
-        quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks for.
+        quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks
+            for, at most 4 (degree - 1) + 2 of an energy, whose forces and tangent then have the same.
         loads: of :mod:`fmbd_fenicsx.fem.loads`: tractions, pressure, body forces, thermal stress, own forms.
         viscous: Kelvin-Voigt damping: a bilinear form (u, v, dx) of the rate u of the local displacements; or, of absolute
             bodies with an energy, a :class:`~fmbd_fenicsx.ViscousForm` (u, rate, v, dx), for instance
             :func:`~fmbd_fenicsx.materials.kelvin_voigt`, which damps strain and never rigid motion.
     """
 
-    nodal = meshed = True
+    nodal = meshed = interpolated = True
+    stage = FIELDS
 
     name: str
     mesh: Any
@@ -218,6 +230,10 @@ class ElasticBody(Body):
         require(
             callable(given), f'Body "{n}": elastic must be a function (u, v, dx) -> UFL form, energy one of (u, dx).'
         )
+        require(
+            not isinstance(self.elastic, StoredEnergy), f"{what}: elastic is a stored energy; give it as energy=..."
+        )
+        require(not isinstance(self.energy, Hooke), f"{what}: energy is a bilinear form; give it as elastic=...")
         if self.dim == 3 and (isinstance(given, SheetEnergy) or (isinstance(given, Hooke) and given.sheet)):
             raise InputError(
                 f"{what}: materials.{given.name} is a law of sheets in the plane, and {self.mesh.label} is in space. Take "
@@ -241,6 +257,11 @@ class ElasticBody(Body):
     def dim(self) -> int:  # type: ignore[override]
         """Space dimension, from the mesh."""
         return int(self.mesh.dim)
+
+    @property
+    def displacement_degree(self) -> int | None:
+        """That of its Lagrange elements."""
+        return self.degree
 
     @property
     def elastic_law(self) -> Any:
@@ -347,6 +368,12 @@ class FloatingBody(ElasticBody):
             self.surface(self.frame.start)
             self.surface(self.frame.end)
 
+    def placed(self, site: Site) -> Placed:
+        """Its field in its frame, with the frame of the start."""
+        from .floating_start import placed_field
+
+        return placed_field(self, site)
+
     @property
     def held_at(self) -> str | None:
         """Name of the surface that holds the inertia forces which stiffen the body; None without stiffening."""
@@ -360,10 +387,10 @@ class FloatingBody(ElasticBody):
 
         ``modes=0`` gives the rigid body with the same mass, inertia and surfaces.
         """
-        from ..reduction.craig_bampton import CraigBampton, Finer, FrameModes, ReducedBody
+        from ..reduction.craig_bampton import CraigBampton, FrameModes, ReducedBody, RefinedBasis
 
         if basis is not None:
-            instance(f'Body "{self.name}": basis', basis, (FrameModes, CraigBampton, Finer))
+            instance(f'Body "{self.name}": basis', basis, (FrameModes, CraigBampton, RefinedBasis))
         return ReducedBody(self, FrameModes(modes, frequency) if basis is None else basis)
 
 
@@ -377,70 +404,8 @@ class AbsoluteBody(ElasticBody):
 
     framed = False
 
+    def placed(self, site: Site) -> Placed:
+        """Its field, with the rigid motion of the start in its rates."""
+        from .absolute import placed_field
 
-@dataclass(frozen=True, eq=False)
-class CoordinateBody(Body):
-    """A body or mechanism given by its own equations: M(q) q'' = f(q, q', t) - G^T lambda, 0 = g(q, t).
-
-    Args:
-        name: what messages and sensors call it.
-        mass: M, (n, n), or a function q -> M(q).
-        force: f(q, v, t) -> (n,).
-        start, start_rate: q and q' at the start, (n,).
-        constraint: g(q, t) -> (m,), or None.
-        jacobian, gamma: dg/dq (q, t) -> (m, n), and the part of g'' without q'' (q, v, t) -> (m,); by complex-step
-            differences where missing.
-        rate: dg/dt at fixed q, (q, t) -> (m,); by a complex step where missing.
-        force_jacobian: (df/dq, df/dq') (q, v, t) -> two (n, n); by complex-step differences where missing.
-        potential: q -> J, for the energy balance; None counts as zero.
-        outline: q -> lines (n, 2) or (n, 3) in the world (m), a list of arrays: what pictures show of it.
-        vectorized: mass, force, constraint, jacobian, gamma and rate also take many configurations in one call, with arrays
-            that have one more, last axis: q (n, k), t (k,) -> f (n, k), M (n, n, k), dg/dq (m, n, k). Several times faster.
-    """
-
-    framed = by_surface = False
-    alone = True
-
-    name: str
-    mass: Any
-    force: Callable[[Array, Array, float], Any]
-    start: Vector
-    start_rate: Vector | None = None
-    constraint: Callable[[Any, float], Any] | None = None
-    jacobian: Callable[[Array, float], Array] | None = None
-    gamma: Callable[[Array, Array, float], Array] | None = None
-    potential: Callable[[Array], float] | None = None
-    rate: Callable[[Array, float], Array] | None = None
-    force_jacobian: Callable[[Array, Array, float], tuple[Any, Any]] | None = None
-    vectorized: bool = False
-    dim: int | None = None  # fits scenes of any dimension
-    outline: Callable[[Array], Sequence[Array]] | None = None
-
-    @property
-    def may_do_work(self) -> bool:
-        """Nobody knows what equations of a user's own do."""
-        return True
-
-    @property
-    def keeps_energy(self) -> bool:
-        """With a potential it is taken to hold all of the forces."""
-        return self.potential is not None
-
-    def __post_init__(self) -> None:
-        what = f'Body "{self.name}"'
-        check_fields(self, what)
-        start = vector(f"{what}: start", self.start)
-        n = len(start)
-        rate = np.zeros(n) if self.start_rate is None else vector(f"{what}: start_rate", self.start_rate, size=n)
-        object.__setattr__(self, "start", start)
-        object.__setattr__(self, "start_rate", rate)
-
-        mass = named("The mass of body", self.name, self.mass, time=None)(start) if callable(self.mass) else self.mass
-        M = array(f"{what}: mass", mass)
-        require(M.shape == (n, n), f'Body "{self.name}": mass has shape {M.shape}, expected ({n}, {n}).')
-        if np.abs(M - M.T).max(initial=0.0) > 1e-10 * np.abs(M).max(initial=0.0):
-            raise InputError(f'Body "{self.name}": the mass matrix is not symmetric.')
-
-        p = np.linalg.eigvalsh(M) if n else np.ones(1)
-        if p[0] < -1e-10 * p[-1]:
-            raise InputError(f'Body "{self.name}": the mass matrix has the negative eigenvalue {p[0]:g}.')
+        return placed_field(self, site)

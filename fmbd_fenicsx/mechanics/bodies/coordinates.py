@@ -10,17 +10,20 @@ one call, as in SciPy: arrays get a last axis, q (n, k), t (k,), and so do the r
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ...errors import CallbackError, named
+from ...checks import array, check_fields, vector
+from ...errors import CallbackError, InputError, named, require
 from ...rotations import Array
 from ..placements import FrameMotion, Part
+from .body import EQUATIONS, Body, Placed, Site
 
 _STEP = 1e-30
+Vector = Sequence[float] | Array
 
 
 def derivative(function: Callable[[Any], Any], x: Array) -> Array:
@@ -47,7 +50,9 @@ def derivative_many(function: Callable[[Any, Any], Any], x: Array, t: Array) -> 
     """
     k, n = x.shape
     z = np.repeat(x.T.astype(complex)[:, None], n, axis=1)  # (n, directions, k)
+    # direction j moves coordinate j
     z[range(n), range(n)] += 1j * _STEP
+    # a function that drops the imaginary part would give zeros: an error instead
     with warnings.catch_warnings():
         warnings.simplefilter("error", np.exceptions.ComplexWarning)
         found = np.asarray(function(z.reshape(n, n * k), np.tile(t, (n, *(1,) * (t.ndim - 1)))), dtype=complex)
@@ -117,14 +122,43 @@ class PortConstraint:
 
     def _gamma_many(self, t: Array, p: Array, pd: Array) -> Array:
         """As :meth:`gamma`, of k configurations."""
+        if self.jacobian_ is None:
+            try:
+                return self._second_rate(t, p, pd)
+            except (TypeError, ValueError, np.exceptions.ComplexWarning):
+                pass
 
         def velocity_level(s: float) -> Array:
             at, now = p + s * pd, t + s
             return (self.many("jacobian", now, at) @ pd[..., None])[..., 0] + self.many("rate", now, at)
 
+        # d/ds of G p' + g_t along the motion at constant p', by differences of fourth order
         h = 1e-4 / max(1.0, float(np.abs(pd).max(initial=0.0)))
-        first, second = velocity_level(h) - velocity_level(-h), velocity_level(2 * h) - velocity_level(-2 * h)
+        first = velocity_level(h) - velocity_level(-h)
+        second = velocity_level(2 * h) - velocity_level(-2 * h)
         return np.asarray((8 * first - second) / (12 * h))
+
+    def _second_rate(self, t: Array, p: Array, pd: Array) -> Array:
+        """d^2/ds^2 g(p + s p', t + s) at s = 0, (k, m): differences of rates at four s, these by complex steps; one call of a
+        vectorized function.
+
+        Raises TypeError or ValueError where complex numbers do not pass.
+        """
+        k, steps = len(t), np.array([1.0, -1.0, 2.0, -2.0])
+        h = 1e-4 / max(1.0, float(np.abs(pd).max(initial=0.0)))
+        s = np.repeat(h * steps, k) + 1j * _STEP
+        at = np.tile(p, (4, 1)) + s[:, None] * np.tile(pd, (4, 1))
+        now = np.tile(t, 4) + s
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", np.exceptions.ComplexWarning)
+            g: Any = self.function
+            found = g(at.T, now) if self.vectorized else np.stack([g(*x) for x in zip(at, now, strict=True)], axis=-1)
+            rates = np.imag(np.asarray(found, dtype=complex)) / _STEP
+        if rates.shape[1:] != s.shape:
+            raise ValueError("not one result for each configuration")
+        plus, minus, plus2, minus2 = rates.reshape(-1, 4, k).transpose(1, 2, 0)
+        return np.asarray((8 * (plus - minus) - (plus2 - minus2)) / (12 * h))
 
     def values(self, p: Array, t: float) -> Array:
         """g, (m,)."""
@@ -134,6 +168,8 @@ class PortConstraint:
         """dg/dp, (m, n)."""
         if self.jacobian_ is not None:
             return np.asarray(self.jacobian_(p, t), dtype=float)
+        if self.vectorized:
+            return np.asarray(self.many("jacobian", np.array([t]), p[None])[0])
         return derivative(lambda z: self.function(z, t), p)
 
     def rate(self, p: Array, t: float) -> Array:
@@ -146,15 +182,7 @@ class PortConstraint:
         """g'' - G p'', (m,)."""
         if self.gamma_ is not None:
             return np.asarray(self.gamma_(p, pd, t), dtype=float)
-
-        def velocity_level(s: Array) -> Array:
-            at = p + s[0] * pd
-            return self.jacobian(at, t + s[0]) @ pd + self.rate(at, t + s[0])
-
-        h = 1e-4 / max(1.0, float(np.abs(pd).max(initial=0.0)))
-        plus, minus = velocity_level(np.array([h])), velocity_level(np.array([-h]))
-        plus2, minus2 = velocity_level(np.array([2 * h])), velocity_level(np.array([-2 * h]))
-        return np.asarray((8 * (plus - minus) - (plus2 - minus2)) / (12 * h))
+        return np.asarray(self._gamma_many(np.array([t]), p[None], pd[None])[0])
 
 
 def own_constraint(body: Any, part: int) -> PortConstraint:
@@ -172,6 +200,80 @@ def own_constraint(body: Any, part: int) -> PortConstraint:
         safe("'s rate", body.rate),
         body.vectorized,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class CoordinateBody(Body):
+    """A body or mechanism given by its own equations: M(q) q'' = f(q, q', t) - G^T lambda, 0 = g(q, t).
+
+    Args:
+        name: what messages and sensors call it.
+        mass: M, (n, n), or a function q -> M(q).
+        force: f(q, v, t) -> (n,).
+        start, start_rate: q and q' at the start, (n,).
+        constraint: g(q, t) -> (m,), or None.
+        jacobian, gamma: dg/dq (q, t) -> (m, n), and the part of g'' without q'' (q, v, t) -> (m,); by complex-step
+            differences where missing.
+        rate: dg/dt at fixed q, (q, t) -> (m,); by a complex step where missing.
+        force_jacobian: (df/dq, df/dq') (q, v, t) -> two (n, n); by complex-step differences where missing.
+        potential: q -> J, for the energy balance; None counts as zero.
+        outline: q -> lines (n, 2) or (n, 3) in the world (m), a list of arrays: what pictures show of it.
+        vectorized: mass, force, constraint, jacobian, gamma and rate also take many configurations in one call, with arrays
+            that have one more, last axis: q (n, k), t (k,) -> f (n, k), M (n, n, k), dg/dq (m, n, k). Several times faster.
+    """
+
+    framed = by_surface = False
+    alone = True
+    stage = EQUATIONS
+
+    name: str
+    mass: Any
+    force: Callable[[Array, Array, float], Any]
+    start: Vector
+    start_rate: Vector | None = None
+    constraint: Callable[[Any, float], Any] | None = None
+    jacobian: Callable[[Array, float], Array] | None = None
+    gamma: Callable[[Array, Array, float], Array] | None = None
+    potential: Callable[[Array], float] | None = None
+    rate: Callable[[Array, float], Array] | None = None
+    force_jacobian: Callable[[Array, Array, float], tuple[Any, Any]] | None = None
+    vectorized: bool = False
+    dim: int | None = None  # fits scenes of any dimension
+    outline: Callable[[Array], Sequence[Array]] | None = None
+
+    @property
+    def may_do_work(self) -> bool:
+        """Nobody knows what equations of a user's own do."""
+        return True
+
+    @property
+    def keeps_energy(self) -> bool:
+        """With a potential it is taken to hold all of the forces."""
+        return self.potential is not None
+
+    def __post_init__(self) -> None:
+        what = f'Body "{self.name}"'
+        check_fields(self, what)
+        start = vector(f"{what}: start", self.start)
+        n = len(start)
+        rate = np.zeros(n) if self.start_rate is None else vector(f"{what}: start_rate", self.start_rate, size=n)
+        object.__setattr__(self, "start", start)
+        object.__setattr__(self, "start_rate", rate)
+
+        mass = named("The mass of body", self.name, self.mass, time=None)(start) if callable(self.mass) else self.mass
+        M = array(f"{what}: mass", mass)
+        require(M.shape == (n, n), f'Body "{self.name}": mass has shape {M.shape}, expected ({n}, {n}).')
+        if np.abs(M - M.T).max(initial=0.0) > 1e-10 * np.abs(M).max(initial=0.0):
+            raise InputError(f'Body "{self.name}": the mass matrix is not symmetric.')
+
+        # coordinates without mass are allowed, negative ones are not
+        p = np.linalg.eigvalsh(M) if n else np.ones(1)
+        if p[0] < -1e-10 * p[-1]:
+            raise InputError(f'Body "{self.name}": the mass matrix has the negative eigenvalue {p[0]:g}.')
+
+    def placed(self, site: Site) -> Placed:
+        """The equations as a part on the ground."""
+        return Placed(CoordinatePart(self, site.ground), np.array(self.start), np.array(self.start_rate))
 
 
 class CoordinatePart(Part):
@@ -222,6 +324,7 @@ class CoordinatePart(Part):
             else:
                 inertia = a @ self.mass(q[0]).T
         else:
+            # a vectorized function takes configurations in its last axis
             f = np.asarray(self._force(q.T, v.T, t), dtype=float).T
             M = np.asarray(self._mass(q.T) if callable(self._mass) else self._mass, dtype=float)
             inertia = a @ M.T if M.ndim == 2 else np.einsum("ijk,kj->ki", M, a)
@@ -249,6 +352,7 @@ class CoordinatePart(Part):
         if self._tangent is not None:
             K, C = self._tangent(q, v, motion.t)
             return -np.asarray(K, dtype=float), -np.asarray(C, dtype=float)
+        # by complex steps where the force takes complex numbers
         K = -derivative(lambda z: self._force(z, v, motion.t), q)
         return K, -derivative(lambda z: self._force(q, z, motion.t), v)
 

@@ -127,7 +127,8 @@ class FieldPart(DistributedPart):
 
         t, load = m("time", at and at.t), m("load", at and at.load)
         order = self.field.numbering
-        U, Ud = m.nodal("displacement", at and at.U, order), m.nodal("rate", at and at.Ud, order)
+        U = m.nodal("displacement", at and at.U, order)
+        Ud = m.nodal("rate", at and at.Ud, order)
         pressure = None
         if self.field.carried:
             numbering = self.field.pressure_numbering  # type: ignore[attr-defined]

@@ -44,14 +44,17 @@ class FloatingField(FieldPart):
     ) -> None:
         super().__init__(field, frame, surfaces, frame_conditions(field, kind))
         self._rigid = np.abs(field.total(self.conditions.T @ rigid_fields(field)))
+
         self.stiffening: Stiffening | None = None
         self.shortening: Shortening | None = None
         if held_at is not None:
             moved = [s for s in surfaces if s != held_at]
             self.stiffening = Stiffening(field, attachment(field, held_at), moved)
             self.shortening = self.stiffening.shortening(surfaces, self.n_frame_rows, self.n_port)
+
         self.kind = kind
-        self._last, self.warned = np.zeros(self.n), False
+        self._last = np.zeros(self.n)
+        self.warned = False
         self._load: Array = np.zeros(0 if self.stiffening is None else self.stiffening.count)
         self._columns_taken = 0  # a number for each set of columns, never used twice
         self._undeformed_columns()
@@ -76,12 +79,15 @@ class FloatingField(FieldPart):
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of (2): the frame's (n_twist,), world translation and body rotation, and the field's (n d,); collective."""
-        d, R, accel = self.field.dim, motion.R, motion.accel
+        d = self.field.dim
+        R = motion.R
+        accel = motion.accel
         assert accel is not None
         U, Ud, Udd = (x.reshape(-1, d) for x in local)
         P = self.field.X + U
         w = motion.twist[d:]
-        a, spin = R.T @ (accel[:d] - motion.gravity), spin_matrix(w)
+        a = R.T @ (accel[:d] - motion.gravity)
+        spin = spin_matrix(w)
 
         # (1), nodal accelerations in body axes
         A = P @ (spin_matrix(accel[d:]) + spin @ spin).T
@@ -102,6 +108,7 @@ class FloatingField(FieldPart):
 
         # (2), rows of the field
         rows = F.ravel() + self.internal(local[0], local[1])
+        # loads that act inside, damping, stress of the inertia forces
         if inner is not None:
             rows -= inner.ravel()
         if self.field.D is not None:
@@ -118,9 +125,11 @@ class FloatingField(FieldPart):
         f = self.field
         if f.nonlinear:
             return
+        # root mean square of the displacements
         mean = np.sqrt(square * f.dim / f.n_global)
         if not mean <= TOO_LARGE * f.size:
             raise ConvergenceError(too_large(self.name, mean, f.size))
+
         if self.stiffening is None and not self.warned and spin > self.spin_to_check:
             self.warned = True
             warn_of_spin(self.name, spin, first_frequency(f, self.conditions))
@@ -160,7 +169,9 @@ class FloatingField(FieldPart):
         The columns of the frame's inertia M (e x P), frozen at P = X before, follow the deformed body: an attached frame
         with large displacements needs them. They cost a few back-solves, no factor.
         """
-        f, m, d = self.field, self.motions, self.field.dim
+        f = self.field
+        m = self.motions
+        d = f.dim
         if self.stiffening is not None:
             self.stiffening.set_load(self._load, self.shortening)
             f.linearise(None, self.stiffening.matrix_form)
@@ -205,6 +216,7 @@ class FloatingField(FieldPart):
         M[range(d), range(d)] = self.field.mass_total
         M[d:, d:] = self.inertia
         if self._tangent_at is not None:
+            # the static moment of the body as it is bent now
             c = self.moment[None]
             turn = np.eye(n - d)
             for k in range(n - d):
@@ -220,15 +232,20 @@ class FloatingField(FieldPart):
         """Points P, nodal velocities W in body axes and M W."""
         d = self.field.dim
         P = self.field.points(local[0])
-        W = motion.R.T @ motion.twist[:d] + self.motions.spin(motion.twist[None, d:], P) + local[1].reshape(-1, d)
+        carried = motion.R.T @ motion.twist[:d] + self.motions.spin(motion.twist[None, d:], P)
+        W = carried + local[1].reshape(-1, d)
         return P, W, self.field.mass(W)
 
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic, elastic and weight energy, J; collective."""
         d, U = self.field.dim, local[0]
         P, W, MW = self._velocity(motion, local)
-        sums = self.field.total(np.concatenate(([0.5 * float((W * MW).sum())], self.field.mass(P).sum(0))))
-        weight = -float(motion.gravity @ (self.field.mass_total * pose[:d] + motion.R @ sums[1:]))
+        kinetic = 0.5 * float((W * MW).sum())
+        sums = self.field.total(np.concatenate(([kinetic], self.field.mass(P).sum(0))))
+
+        # mass times the place of the mass centre
+        center = self.field.mass_total * pose[:d] + motion.R @ sums[1:]
+        weight = -float(motion.gravity @ center)
         return float(sums[0]), self.field.energy(U), weight
 
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
@@ -244,7 +261,9 @@ class FloatingField(FieldPart):
 
         if self.stiffening is not None:
             assert motion.accel is not None
-            a, w, turn = motion.R.T @ (motion.accel[:d] - motion.gravity), motion.twist[d:], motion.accel[d:]
+            a = motion.R.T @ (motion.accel[:d] - motion.gravity)
+            w = motion.twist[d:]
+            turn = motion.accel[d:]
             load = self.stiffening.coefficients(inertia_load(a, w, turn), motion.t, motion.R)
             found["stiffening"] = -float(self.stiffening.force(load, U) @ Ud)
         return self.summed(found)
@@ -275,6 +294,7 @@ def inertia_load(a: Array, w: Array, alpha: Array) -> Array:
 def moment_columns(field: Field, surface: str) -> Array:
     """Columns (n d, (1 + d) d) of the moments b_0, b_k of a surface as functions of the nodal displacements."""
     moments, d = field.moments(surface), field.dim
+
     C = np.zeros((field.n, d, 1 + d, d))
     C[moments.nodes[:, None], range(d), :, range(d)] = moments.weights[:, None, :]
     return C.reshape(field.n * d, -1)
@@ -291,10 +311,14 @@ def frame_conditions(field: Field, frame: MeanAxis | Attached | Chord) -> Array:
 
 def attachment(field: Field, surface: str) -> Array:
     """Columns of the linear conditions "the surface does not move in the frame, on average"."""
-    m, d, moments = motions(field.dim), field.dim, field.moments(surface)
+    m = motions(field.dim)
+    d = field.dim
+    moments = field.moments(surface)
     b = moments.reference[1:]  # (k, d)
     C = np.zeros((field.n, d, m.n_twist))
     C[moments.nodes[:, None], range(d), range(d)] = moments.weights[:, :1]
+
+    # rotation: sum of b_k x u_k over the moments of the surface
     for c in range(d):
         turn = m.moment(b, np.eye(d)[c])  # (k, n_rot): b_k x e_c
         C[moments.nodes, c, d:] = moments.weights[:, 1:] @ turn

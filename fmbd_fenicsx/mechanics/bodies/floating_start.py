@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from ...errors import require
 from ...fem.initial import initial_fields
 from ...rotations import Array
 from ..reduction.modes import rigid_fields
+from .body import Placed, Site
 
 
 @dataclass(frozen=True)
@@ -28,10 +30,26 @@ class FramedStart:
     Ud: Array
 
 
+def placed_field(body: Any, site: Site) -> Placed:
+    """The field of a body in its floating frame, with the start of both; collective."""
+    from .floating import FloatingField
+
+    field = site.field(body)
+    require(
+        not field.carried,
+        f'Body "{body.name}": an energy whose pressure is an unknown needs an AbsoluteBody. In a floating frame use '
+        "neo_hookean_mixed, or nearly_incompressible as elastic.",
+    )
+    part = FloatingField(field, site.frame, site.surfaces, body.frame, body.held_at)
+    start = framed_start(body, field, part.conditions)
+    return Placed(part, start.U, start.Ud, start.pose, start.twist)
+
+
 def framed_start(body: Any, field: Any, conditions: Array) -> FramedStart:
     """Solve (1) for a floating body; collective. Bodies that start undeformed keep their twist to the last bit."""
     m, d = field.motions, field.dim
-    pose, twist = m.pose(field.center), body.start_twist()
+    pose = m.pose(field.center)
+    twist = body.start_twist()
     U, Ud = initial_fields(body, field)
     if body.displacement is None and body.displacement_rate is None:
         return FramedStart(pose, twist, U, Ud)

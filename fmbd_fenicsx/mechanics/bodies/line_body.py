@@ -26,7 +26,7 @@ from ...errors import CallbackError, InputError, near, require
 from ...rotations import Array
 from ..placements import FrameMotion, Part
 from .bodies import Surface
-from .body import Body
+from .body import LINES, Body, Placed, Site
 
 ENDS = ("start", "end")
 
@@ -47,6 +47,8 @@ class LineBody(Body):
     """
 
     framed = False
+    by_section = interpolated = True
+    stage = LINES
 
     name: str
     length: float
@@ -63,6 +65,11 @@ class LineBody(Body):
     def keeps_energy(self) -> bool:
         """Without damping."""
         return not self.mass_damping
+
+    def placed(self, site: Site) -> Placed:
+        """The line as a part on the ground."""
+        line = LinePart(self, site.ground, site.surfaces)
+        return Placed(line, line.start, line.start_rate)
 
     def __post_init__(self) -> None:
         what = f'Line "{self.name}"'
@@ -145,16 +152,21 @@ class LinePart(Part):
         self._forms()
         self.start, self.start_rate = self._nodal(body.start), self._nodal(body.start_rate)
         self._place(self.start)
+
         value = self._scalar(self._energy)
         if not np.isfinite(value):
             raise InputError(f'Line "{self.name}": its energy is {value} J at the start.')
+
+        # ports of an end: x, y, and its turn since the start
         self.n_port = 6 * len(surfaces)
         self.port_matrix, self.reference = np.zeros((self.n_port, self.n)), np.zeros(self.n_port)
         for k, name in enumerate(surfaces):
             node = self._ends[name]
             self.port_matrix[6 * k + np.arange(3), node + np.arange(3)] = 1.0
             self.reference[6 * k + 2] = -self.start[node + 2]
-        self.mass_total, self.size = float(self._weight[0].sum()), body.length
+
+        self.mass_total = float(self._weight[0].sum())
+        self.size = body.length
 
     def _forms(self) -> None:
         """Mesh, space and compiled forms; the mass matrix."""
@@ -172,12 +184,16 @@ class LinePart(Part):
         self.s = self.space.tabulate_dof_coordinates()[:, 0]
         self.n = len(self.s) * count
         self._ends = {"start": count * int(np.argmin(self.s)), "end": count * int(np.argmax(self.s))}
-        z, w, dz = ufl.TrialFunction(self.space), ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
+
+        z = ufl.TrialFunction(self.space)
+        w = ufl.TestFunction(self.space)
+        dz = ufl.TrialFunction(self.space)
         ds = ufl.Measure("dx", domain=self.space.mesh)
         try:
             M = fem.assemble_matrix(compat.form(b.mass(z, w, ds)))
             self.M = M.to_dense()
             self._z = fem.Function(self.space)
+            # reduced integration: full would lock thin lines
             energy = b.energy(self._z, ds(metadata={"quadrature_degree": 2 * b.degree - 1}))
             force = ufl.derivative(energy, self._z, w)
             self._energy, self._force, self._stiffness = (
@@ -188,9 +204,11 @@ class LinePart(Part):
                 f'Line "{b.name}": mass(z, w, ds) must be a bilinear form and energy(z, ds) a form of rank 0: '
                 f"{type(error).__name__}: {error}"
             ) from error
+
         self._K = fem.create_matrix(self._stiffness)
         if np.abs(self.M - self.M.T).max() > 1e-10 * np.abs(self.M).max():
             raise InputError(f'Line "{b.name}": its mass form is not symmetric.')
+
         unit = np.zeros((2, self.n))
         unit[0, 0::count], unit[1, 1::count] = 1.0, 1.0
         self._weight = unit @ self.M  # rows: what gravity along x and y does
@@ -224,6 +242,12 @@ class LinePart(Part):
     def surface_center(self, surface: str) -> Array:
         """Place of an end section at the start, world axes."""
         return self._at[surface]
+
+    def lengths(self, length: float) -> Array:
+        """The angles of sections count at the model's length."""
+        out = np.ones(self.n)
+        out[2 :: self.fields] = length
+        return out
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
@@ -266,6 +290,8 @@ class LinePart(Part):
 
     def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
         """Linear momentum, and angular momentum about the world origin with the spin of the sections."""
-        z, p = local[0].reshape(-1, self.fields), (self.M @ local[1]).reshape(-1, self.fields)
+        z = local[0].reshape(-1, self.fields)
+        p = (self.M @ local[1]).reshape(-1, self.fields)
+        # of places, and of the sections themselves
         spin = z[:, 0] @ p[:, 1] - z[:, 1] @ p[:, 0] + p[:, 2].sum()
         return p[:, :2].sum(0), np.array([float(spin)])

@@ -49,7 +49,9 @@ class LineField:
         hermite = basix.ufl.wrap_element(cell)
         count = len(body.wires)
         self.space = fem.functionspace(line, basix.ufl.blocked_element(hermite, shape=(count,)))
-        u, v, dx = ufl.TrialFunction(self.space), ufl.TestFunction(self.space), ufl.dx(domain=line)
+        u = ufl.TrialFunction(self.space)
+        v = ufl.TestFunction(self.space)
+        dx = ufl.dx(domain=line)
         mu, T, EI = (
             fem.Constant(line, np.array([getattr(w, a) for w in body.wires], dtype=float))
             for a in ("mass", "tension", "bending")
@@ -75,7 +77,8 @@ class LineField:
         ones = np.zeros(self.n)
         ones[self.dofs[:, 0::2].ravel()] = 1.0
         self.weight: Array = self.mass(ones[:, None])[:, 0]
-        self.mass_total, self.size = float(self.weight.sum()), body.length
+        self.mass_total = float(self.weight.sum())
+        self.size = body.length
 
     def _cells(self, cell: Any, line: Any, count: int) -> None:
         """Unknowns (value, slope, value, slope) of each wire on each cell from left to right, (cells, 4 count)."""
@@ -111,13 +114,17 @@ class LineField:
         b = self.body
         springs = [(s.wire, s.x, s.stiffness) for s in b.supports]
         springs += [(i, x, b.anchor) for i in range(len(b.wires)) for x in (0.0, b.length)]
+
         rows = [self.row(wire, x) for wire, x, _ in springs]
         weights = [stiffness for _, _, stiffness in springs]
+
+        # droppers join two wires, taut in K; what they must not push is taken back by the solver
         drop = [self.row(d.upper, d.x) - self.row(d.lower, d.x) for d in b.droppers]
         self.B = sp.vstack(drop).tocsr() if drop else sp.csr_matrix((0, self.n))
         self.offset = np.array([d.offset for d in b.droppers])
         self.stiff = np.array([d.stiffness for d in b.droppers])
         self.one_sided = np.array([d.one_sided for d in b.droppers], dtype=bool)
+
         self.K = self._with(self.K, sp.vstack([*rows, self.B]).tocsr(), np.concatenate((weights, self.stiff)))
 
     def _with(self, K: Any, rows: Any, weights: Array) -> Any:

@@ -41,7 +41,7 @@ class SlidingContact:
     idle: int | None = None
 
     def __post_init__(self) -> None:
-        from ..bodies.bodies import CoordinateBody
+        from ..bodies.coordinates import CoordinateBody
         from .wires import Wires
 
         what = f'Contact "{self.name}"'
@@ -60,9 +60,12 @@ class SlidingContact:
         """x, x', x'' of the contact, m and s."""
         if t >= self.ramp:
             return self.start + self.speed * (t - 0.5 * self.ramp), self.speed, 0.0
-        s, v, T = max(t / self.ramp, 0.0), self.speed, self.ramp
+        s = max(t / self.ramp, 0.0)
+        v = self.speed
+        T = self.ramp
         x = s**5 * (7 - 14 * s + 10 * s**2 - 2.5 * s**3)
-        rate, second = s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3), s**3 * (140 - 420 * s + 420 * s**2 - 140 * s**3)
+        rate = s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
+        second = s**3 * (140 - 420 * s + 420 * s**2 - 140 * s**3)
         return self.start + v * T * x, v * rate, v / T * second
 
     def path(self, t: float) -> float:

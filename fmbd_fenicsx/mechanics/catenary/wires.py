@@ -20,7 +20,7 @@ import numpy as np
 from ...checks import check_fields, number, whole
 from ...errors import InputError, require
 from ...rotations import Array, motions
-from ..bodies.body import Body
+from ..bodies.body import WIRES, Body, Placed, Site
 from ..bodies.field_part import FieldPart
 from ..placements import FrameMotion
 from .line_field import LineField
@@ -85,8 +85,9 @@ class Wires(Body):
         anchor: stiffness (N/m) with which both ends of every wire are held.
     """
 
-    nodal = True
+    nodal = interpolated = True
     framed = by_surface = False
+    stage = WIRES
 
     name: str
     length: float
@@ -103,6 +104,11 @@ class Wires(Body):
     def may_do_work(self) -> bool:
         """A contact that slides along them is moved by who drives it."""
         return True
+
+    def placed(self, site: Site) -> Placed:
+        """The wires at rest, with a moving port for every contact that slides along them."""
+        part = WiresPart(self, site.ground, site.slides)
+        return Placed(part, np.zeros(part.n), np.zeros(part.n))
 
     def __post_init__(self) -> None:
         what = f'Wires "{self.name}"'
@@ -145,11 +151,14 @@ class Wires(Body):
 
         free = replace(self, droppers=())
         field = LineField(free)
-        K, f = field.csr(), -gravity * field.weight
+        K = field.csr()
+        f = -gravity * field.weight
         x = np.array([d.x for d in self.droppers])
         low = sp.vstack([field.row(d.lower, d.x) for d in self.droppers]).tocsr()
         high = sp.vstack([field.row(d.upper, d.x) for d in self.droppers]).tocsr()
         target = -np.array([sag(xi) if callable(sag) else sag for xi in x], dtype=float)
+
+        # the lower wire held at the droppers: what holds it are their tensions
         held = sp.bmat([[K, low.T], [low, None]]).tocsc()
         solution = sl.spsolve(held, np.concatenate((f, target)))
         N = -solution[field.n :]
@@ -157,6 +166,7 @@ class Wires(Body):
             raise InputError(
                 f'Wires "{self.name}": the dropper at x = {x[N.argmin()]:g} m would have to push for this sag.'
             )
+        # the shape of both wires under these tensions
         w = sl.spsolve(K.tocsc(), f - (high - low).T @ N)
         gap = (high - low) @ w
         field.destroy()
@@ -180,8 +190,10 @@ class WiresPart(FieldPart):
         self.sliders = tuple(sliders)
         self.n, self.n_port = self.field.n, self.PORTS * len(self.sliders)
         self.n_frame_rows, self.surfaces = 0, []
+
         self.inertia_columns = np.zeros((self.n, 0))
         self.reference = np.zeros(self.n_port)
+
         self.mass_total, self.size = self.field.mass_total, self.field.size
 
         # what the tangent and the ports were taken at
@@ -218,6 +230,7 @@ class WiresPart(FieldPart):
 
     def _see(self, u: Array) -> bool:
         N, full = self.field.tension(u)
+        # a dropper is slack where it would have to push
         slack = np.flatnonzero(full != N)
         if np.array_equal(slack, self.slack):
             return False
@@ -262,6 +275,7 @@ class WiresPart(FieldPart):
         self._last = u
         f, forms = self.field, self.field.forms
         inertia = a + forms.mass_damping * v if forms.mass_damping else a
+
         rows = f.mass(inertia[:, None])[:, 0] - motion.gravity[1] * f.weight + f.internal(u)
         if forms.stiffness_damping:
             rows += forms.stiffness_damping * (f.tangent(v) - f.B.T @ (f.stiff * (f.B @ v)))

@@ -8,7 +8,6 @@ forces are newtons. The effort on the coordinate is l times the force, upwards a
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,8 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...rotations import Array
-from ..joints.relative import Relative, Separation, Turn
-from .rows import ContactSet, Linear, Pair, Rows, Touch
+from ..joints.relative import Relative, RelativeAngle, Separation
+from .rows import ContactSet, Here, Linear, Pair, Rows, Touch
 from .trace import FieldTrace
 
 
@@ -46,7 +45,7 @@ class LimitPair(Pair):
 
     def lever(self, system: Any) -> float:
         """l of (1)."""
-        return float(system.length) if isinstance(self.relative, Turn) else 1.0
+        return float(system.length) if isinstance(self.relative, RelativeAngle) else 1.0
 
     def _gaps(self, system: Any, kin: Any) -> Array:
         s = self.relative.values(kin)[0]
@@ -54,27 +53,27 @@ class LimitPair(Pair):
 
     def _place(self, system: Any, ev: Any) -> Touch:
         """Gaps, the joint's point on b, and the directions along which the forces act: none for moments."""
-        kin, a, b = ev.kin, int(self.relative.a[0]), int(self.relative.b[0])
+        kin = ev.kin
+        a = int(self.relative.a[0])
+        b = int(self.relative.b[0])
         along = np.zeros(system.motions.dim)
         if isinstance(self.relative, Separation):
             along = (kin.x[b] - kin.x[a]) / np.linalg.norm(kin.x[b] - kin.x[a])
-        elif not isinstance(self.relative, Turn):
+        elif not isinstance(self.relative, RelativeAngle):
             along = kin.R[a] @ self.relative.e[0]
 
         x = np.tile(kin.x[b], (self.count, 1))
         return Touch(self._gaps(system, kin), x, self.signs[:, None] * along, np.zeros_like(x))
 
-    def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Callable[[int], Any]) -> Touch:
+    def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], here: Here) -> Touch:
         """Gaps of the stops; collective."""
-        return self._place(system, system.at(*at))
+        return self._place(system, here.evaluation)
 
-    def rows(
-        self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], nodes: Callable[[int], Any]
-    ) -> Rows:
+    def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], here: Here) -> Rows:
         """The rows (1) of all stops; collective."""
-        t, q, _ = at
-        ev = system.at(t, q)
-        touch, one = self._place(system, ev), np.ones(self.count)
+        ev = here.evaluation
+        touch = self._place(system, ev)
+        one = np.ones(self.count)
         core, fields = self._row(contacts, ev)
         factor = self.lever(system) * self.signs
         N = Linear(factor[:, None] * core, tuple(sp.csr_matrix(factor[:, None] * f) for f in fields))
@@ -94,9 +93,11 @@ class LimitPair(Pair):
 
     def _row(self, contacts: ContactSet, ev: Any) -> tuple[Array, list[Array]]:
         """s' as rows on the velocities of the core, (n_core,), and of the contact nodes of each trace, (n d,)."""
-        s, n = ev.system, ev.system.motions.n_twist
+        s = ev.system
+        n = s.motions.n_twist
         core, port = np.zeros(contacts.n_core), np.zeros(s.n_port)
         for marker, side in zip((self.relative.a[0], self.relative.b[0]), self.relative.rows(ev.kin), strict=True):
+            # by the marker's frame, and by the ports of the surface that it may sit on
             frame = int(s.markers.frame[marker])
             if frame < s.n_frames:
                 core[frame * n : (frame + 1) * n] += side[0] @ ev.kin.jac_frame[marker]

@@ -21,6 +21,7 @@ leaves a quarter of the oscillation behind the first shock (docs/contact.md).
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -53,12 +54,29 @@ def redistribute_mass(field: Any, massless: np.ndarray) -> None:
 def _substitution(field: Any, massless: np.ndarray) -> Any:
     """The matrix P of (1)."""
     from petsc4py import PETSc
-    from scipy.spatial import cKDTree
 
     comm = field.comm
     low = field.M.getOwnershipRange()[0]
     free = np.ones(field.n, dtype=bool)
     free[massless] = False
+    P = PETSc.Mat().createAIJ(field.M.getSizes(), nnz=(field.dim + 2, field.dim + 2), comm=comm)
+    P.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+
+    for i in np.flatnonzero(free):
+        P.setValue(low + i, low + i, 1.0)
+    for i, numbers, weights in _means(field, free, massless):
+        P.setValues([low + i], numbers, weights)
+    P.assemble()
+    return P
+
+
+def _means(field: Any, free: np.ndarray, massless: np.ndarray) -> Iterator[tuple[int, list[int], Array]]:
+    """For each massless node of this rank, the global numbers of the nodes that its velocity is a mean of, and their weights."""
+    from scipy.spatial import cKDTree
+
+    comm = field.comm
+    low = field.M.getOwnershipRange()[0]
+    # nodes of all ranks that keep their mass
     donors = np.concatenate(comm.allgather(field.X_world[free])).reshape(-1, field.dim)
     numbers = np.concatenate(comm.allgather(np.flatnonzero(free) + low))
     if len(donors) <= field.dim:
@@ -67,72 +85,25 @@ def _substitution(field: Any, massless: np.ndarray) -> Any:
             "carry the mass. Refine the mesh, "
             "raise the degree, or use redistribute_mass=False."
         )
-    tree = cKDTree(donors)
-    P = PETSc.Mat().createAIJ(field.M.getSizes(), nnz=(field.dim + 2, field.dim + 2), comm=comm)
-    P.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-    for i in np.flatnonzero(free):
-        P.setValue(low + i, low + i, 1.0)
-    if len(massless):
-        reach = tree.query(field.X_world[massless], k=field.dim + 1)[0][:, -1] * (1 + 1e-6)  # with all that are as near
-        for i, js in zip(massless, tree.query_ball_point(field.X_world[massless], reach), strict=True):
-            P.setValues([low + i], [int(g) for g in numbers[js]], nearest_mean(donors[js], field.X_world[i]))
-    P.assemble()
-    return P
+    if not len(massless):
+        return
+
+    tree, places = cKDTree(donors), field.X_world[massless]
+    reach = tree.query(places, k=field.dim + 1)[0][:, -1] * (1 + 1e-6)  # with all that are as near
+    for i, near in zip(massless, tree.query_ball_point(places, reach), strict=True):
+        yield i, [int(g) for g in numbers[near]], nearest_mean(donors[near], field.X_world[i])
 
 
 def _moments_kept(field: Any, P: Any) -> Any:
     """The scalar mass matrix with the density rho' that satisfies (2)."""
-    import dolfinx.fem.petsc as fp
-    import ufl
-    from dolfinx import fem
+    density = Density(field)
+    affine = [np.ones(field.n), *((field.X_world - field.center) / field.size).T]
+    moved = [_applied(P, values) for values in affine]
 
-    from ... import dolfinx_compat as compat
-
-    msh, d = field.mesh.dolfinx, field.dim
-    scalar = fem.functionspace(msh, ("Lagrange", field.forms.degree))
-    x = ufl.SpatialCoordinate(msh)
-    y = [(x[k] - float(field.center[k])) / field.size for k in range(d)]
-    pairs = [
-        (0, 0),
-        *((0, k) for k in range(1, d + 1)),
-        *itertools.combinations_with_replacement(range(1, d + 1), 2),
-    ]
-    affine = [1.0, *y]
-    coefficients = fem.Constant(msh, np.zeros(len(pairs)))
-    weight = sum(coefficients[i] * affine[a] * affine[b] for i, (a, b) in enumerate(pairs))
-    rho = fem.Constant(msh, float(field.forms.density))
-    f, g = fem.Function(scalar), fem.Function(scalar)
-    moment = compat.form(rho * weight * f * g * ufl.dx(domain=msh))
-    nodal = [np.ones(field.n), *((field.X_world - field.center) / field.size).T]
-    changed = []
-    for values in nodal:
-        z, s = P.createVecs()
-        z.array[:] = values
-        P.mult(z, s)
-        changed.append(s.array.copy())
-        z.destroy()
-        s.destroy()
-
-    def moments(c: Array, fields: list[Array]) -> Array:
-        coefficients.value[:] = c
-        out = np.zeros(len(pairs))
-        for i, (a, b) in enumerate(pairs):
-            for function, values in ((f, fields[a]), (g, fields[b])):
-                function.x.array[: field.n] = values
-                function.x.scatter_forward()
-            out[i] = fem.assemble_scalar(moment)
-        return np.asarray(field.total(out))
-
-    unit = np.eye(len(pairs))
-    wanted = moments(unit[0], nodal)
-    T = np.stack([moments(e, changed) for e in unit], axis=1)
-    corner = np.array(list(itertools.product((-0.5, 0.5), repeat=d)))
-    highest = np.array([np.abs(np.c_[np.ones(len(corner)), corner])[:, [a, b]].prod(1).max() for a, b in pairs])
-    for kept, lost in ((len(pairs), ""), (1 + d, "inertia"), (1, "centre of mass and inertia")):  # noqa: B007, used below
-        c = np.zeros(len(pairs))
-        c[:kept] = np.linalg.lstsq(T[:kept, :kept], wanted[:kept], rcond=1e-12)[0]
-        if np.abs(c - unit[0])[1:] @ highest[1:] < 0.95:  # the density stays positive
-            break
+    unit = np.eye(density.terms)
+    wanted = density.moments(unit[0], affine)
+    T = np.stack([density.moments(e, moved) for e in unit], axis=1)
+    c, lost = _polynomial(T, wanted, density)
     if lost and field.comm.rank == 0:
         log.warning(
             'body "%s": too few nodes besides its contact surfaces; without inertia on these the '
@@ -141,8 +112,93 @@ def _moments_kept(field: Any, P: Any) -> Any:
             field.name,
             lost,
         )
-    coefficients.value[:] = c
-    u, v = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
-    M = fp.assemble_matrix(compat.form(rho * weight * u * v * ufl.dx(domain=msh)))
-    M.assemble()
-    return M
+    return density.mass(c)
+
+
+def _applied(P: Any, values: Array) -> Array:
+    """P times values of this rank's nodes."""
+    z, s = P.createVecs()
+    z.array[:] = values
+    P.mult(z, s)
+    out: Array = s.array.copy()
+    z.destroy()
+    s.destroy()
+    return out
+
+
+def _polynomial(T: Array, wanted: Array, density: Density) -> tuple[Array, str]:
+    """Coefficients c with T c = wanted and a positive density; as many moments as that allows, and the name of those lost."""
+    unit = np.eye(len(wanted))[0]
+    all_of_them, linear = len(wanted), 1 + density.dim
+    for kept, lost in ((all_of_them, ""), (linear, "inertia"), (1, "centre of mass and inertia")):  # noqa: B007, used below
+        c = np.zeros(len(wanted))
+        c[:kept] = np.linalg.lstsq(T[:kept, :kept], wanted[:kept], rcond=1e-12)[0]
+        change = np.abs(c - unit)[1:] @ density.highest[1:]
+        if change < 0.95:  # the density stays positive
+            break
+    return c, lost
+
+
+class Density:
+    """rho' = rho times a quadratic polynomial in y = (X - center) / size: a sum of products of the affine functions 1, y."""
+
+    def __init__(self, field: Any) -> None:
+        import ufl
+        from dolfinx import fem
+
+        from ... import dolfinx_compat as compat
+
+        mesh = field.mesh.dolfinx
+        self.field, self.dim = field, field.dim
+        coordinates = range(1, self.dim + 1)
+        self.pairs = [
+            (0, 0),
+            *((0, k) for k in coordinates),
+            *itertools.combinations_with_replacement(coordinates, 2),
+        ]
+        self.terms = len(self.pairs)
+
+        x = ufl.SpatialCoordinate(mesh)
+        affine = [1.0, *((x[k] - float(field.center[k])) / field.size for k in range(self.dim))]
+        self._c = fem.Constant(mesh, np.zeros(self.terms))
+        weight = sum(self._c[i] * affine[a] * affine[b] for i, (a, b) in enumerate(self.pairs))
+        self._density = fem.Constant(mesh, float(field.forms.density)) * weight
+        self._dx = ufl.dx(domain=mesh)
+
+        self._space = fem.functionspace(mesh, ("Lagrange", field.forms.degree))
+        self._f, self._g = fem.Function(self._space), fem.Function(self._space)
+        self._moment = compat.form(self._density * self._f * self._g * self._dx)
+
+    @property
+    def highest(self) -> Array:
+        """Largest value of each term in a box of the body's size, (terms,)."""
+        corner = np.array(list(itertools.product((-0.5, 0.5), repeat=self.dim)))
+        affine = np.abs(np.c_[np.ones(len(corner)), corner])
+        return np.array([affine[:, [a, b]].prod(1).max() for a, b in self.pairs])
+
+    def moments(self, c: Array, affine: list[Array]) -> Array:
+        """Integrals of rho' f_a f_b for all terms, with coefficients c and nodal values f of the affine functions; collective."""
+        from dolfinx import fem
+
+        self._c.value[:] = c
+        out = np.zeros(self.terms)
+        for i, (a, b) in enumerate(self.pairs):
+            for function, values in ((self._f, affine[a]), (self._g, affine[b])):
+                function.x.array[: self.field.n] = values
+                function.x.scatter_forward()
+            out[i] = fem.assemble_scalar(self._moment)
+        return np.asarray(self.field.total(out))
+
+    def mass(self, c: Array) -> Any:
+        """The scalar mass matrix; collective."""
+        import dolfinx.fem.petsc as fp
+        import ufl
+
+        from ... import dolfinx_compat as compat
+
+        self._c.value[:] = c
+        u = ufl.TrialFunction(self._space)
+        v = ufl.TestFunction(self._space)
+        M = fp.assemble_matrix(compat.form(self._density * u * v * self._dx))
+        M.assemble()
+        return M

@@ -28,7 +28,7 @@ from ...fem.traces.multipliers import Continuous, Dual, Ends
 from ...fem.traces.traces import Trace as Facets
 from ...fem.traces.traces import scatter
 from ...rotations import Array
-from .rows import ContactSet, Linear, Rows, Side, Touch, tangents_of
+from .rows import ContactSet, Here, Linear, Rows, Side, Touch, tangents_of
 from .trace import Trace
 
 COVERED = 0.05  # a multiplier with less than this share of its weight in the overlap is left out
@@ -108,7 +108,8 @@ class MortarPair:
         apart = float(np.linalg.norm(np.maximum(0.0, np.maximum(xs.min(0) - xm.max(0), xm.min(0) - xs.max(0)))))
 
         # the deformed facets, and how far they look
-        slave, master = _moved(self.facets[0], xs), _moved(self.facets[1], xm)
+        slave = _moved(self.facets[0], xs)
+        master = _moved(self.facets[1], xm)
         size = diameters(slave)
         sight = np.maximum(reach, 0.5 * size) if self.search is None else np.full(len(size), self.search)
 
@@ -117,6 +118,7 @@ class MortarPair:
         normal = _nodal_normals(slave)[self.candidates]
         S, Q = sp.csr_matrix((m, len(xs))), sp.csr_matrix((m, len(xm)))
         if apart <= sight.max():
+            # overlaps of the facets as they lie now, gathered to the multipliers' functions
             pair, own, other = overlap(slave, master, self.basis.degree, sight)
             k = own.shape[1]
             if len(pair):
@@ -124,6 +126,7 @@ class MortarPair:
                 basis = self.functions  # facet-wise coefficients do not depend on the shape
                 D = basis @ scatter(own, rows, slave.nodes[pair[:, 0]], (len(slave.nodes) * k, len(xs)))
                 M = basis @ scatter(other, rows, master.nodes[pair[:, 1]], (len(slave.nodes) * k, len(xm)))
+
                 w = np.asarray(M.sum(axis=1)).ravel()
                 on = w > COVERED * self.weight
                 inverse = sp.diags(np.where(on, 1.0 / np.where(on, w, 1.0), 0.0))
@@ -139,25 +142,26 @@ class MortarPair:
         return self.pairing
 
     # -- rows ------------------------------------------------------------------------------------------------
-    def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Any) -> Touch:
+    def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], here: Here) -> Touch:
         """Gaps of this pair; collective."""
         p = self._ready(contacts, system, at[1])
-        xs, xm = nodes(self.slave.trace)[0][self.order[0]], nodes(self.master.trace)[0][self.order[1]]
+        xs = here.nodes(self.slave.trace)[0][self.order[0]]
+        xm = here.nodes(self.master.trace)[0][self.order[1]]
         between = p.slave @ xs - p.master @ xm
         gap = np.where(p.on, (p.normal * between).sum(1), np.inf)  # inf: nothing opposite
         return Touch(gap - p.offset, xs[self.candidates], p.normal, between, gap)
 
-    def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], nodes: Any) -> Rows:
+    def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], here: Here) -> Rows:
         """Candidates of this pair; collective."""
         p = self._ready(contacts, system, at[1])
-        touch = self.touch(contacts, system, at[:2], nodes)
+        touch = self.touch(contacts, system, at[:2], here)
         S = _widen(p.slave, self.order[0], contacts.traces[self.slave.trace].n)
         Q = _widen(p.master, self.order[1], contacts.traces[self.master.trace].n)
 
         def linear(direction: Array) -> Linear:
             made = contacts.blank(self.count)
             for side, W in ((self.slave, S), (self.master, -Q)):
-                contacts.add_nodes(made, side.trace, (W, direction), nodes(side.trace)[1:], by_row=True)
+                contacts.add_nodes(made, side.trace, (W, direction), here.nodes(side.trace)[1:], by_row=True)
             return Linear(made[0], tuple(made[1]))
 
         directions = tangents_of(touch.normal) if contacts.frictional else []
@@ -189,6 +193,7 @@ def _moved(facets: Facets, x: Array) -> Facets:
     e = moved.corners[:, 1:] - moved.corners[:, :1]
     n = np.stack((e[:, 0, 1], -e[:, 0, 0]), axis=1) if x.shape[1] == 2 else np.cross(e[:, 0], e[:, 1])
     n = n / np.linalg.norm(n, axis=1)[:, None]
+
     before = facets.corners[:, 1:] - facets.corners[:, :1]
     m = (
         np.stack((before[:, 0, 1], -before[:, 0, 0]), axis=1)

@@ -132,6 +132,25 @@ class Pair:
         return len(self.slave.points) if self.slave.surface is None else len(self.slave.surface.nodes)
 
 
+class Here:
+    """One configuration, looked at once for all pairs."""
+
+    def __init__(self, contacts: ContactSet, system: Any, t: float, q: Array) -> None:
+        self.contacts, self.system, self.t, self.q = contacts, system, t, q
+        self._nodes: dict[int, tuple[Array, Array, Array]] = {}
+
+    def nodes(self, trace: int) -> tuple[Array, Array, Array]:
+        """Where the nodes of a trace are, see :meth:`ContactSet.nodes`; collective."""
+        if trace not in self._nodes:
+            self._nodes[trace] = self.contacts.nodes(self.system, self.q, trace)
+        return self._nodes[trace]
+
+    @cached_property
+    def evaluation(self) -> Any:
+        """The system there; collective."""
+        return self.system.at(self.t, self.q)
+
+
 class ContactSet:
     """All contacts of a system; evaluates :class:`Rows`. Attributes: ``pairs``, ``traces``, ``frictional``,
     ``names``, ``amplitudes``: where the modes of each reduced part stand in the core.
@@ -160,6 +179,7 @@ class ContactSet:
         pose = system.poses(q)[tr.frame]
         R = self.m.matrix(pose)
         P = tr.X + tr.gather(system.local_q(q, tr.part))
+
         return pose[: self.m.dim] + P @ R.T, P, R
 
     def pose(self, system: Any, carrier: Carrier, t: float, q: Array) -> Array:
@@ -172,29 +192,19 @@ class ContactSet:
         """All candidates at (t, q); ``since`` = (start, h) of the step over which the tangential drift of
         obstacles counts. Collective.
         """
-        nodes = self._cached_nodes(system, q)
-        parts = [p.rows(self, system, (t, q, since), nodes) for p in self.pairs]
+        here = Here(self, system, t, q)
+        parts = [p.rows(self, system, (t, q, since), here) for p in self.pairs]
         return _stack(parts)
 
     def touch(self, system: Any, t: float, q: Array) -> Touch:
         """Gaps, points and normals of all candidates at (t, q), without derivatives; collective."""
-        nodes = self._cached_nodes(system, q)
-        parts = [p.touch(self, system, (t, q), nodes) for p in self.pairs]
+        here = Here(self, system, t, q)
+        parts = [p.touch(self, system, (t, q), here) for p in self.pairs]
         if len(parts) == 1:
             return parts[0]
         return Touch(
             *(np.concatenate([getattr(p, n) for p in parts]) for n in ("gap", "x", "normal", "relative", "geometric"))
         )
-
-    def _cached_nodes(self, system: Any, q: Array) -> Callable[[int], tuple[Array, Array, Array]]:
-        cache: dict[int, tuple[Array, Array, Array]] = {}
-
-        def nodes(trace: int) -> tuple[Array, Array, Array]:
-            if trace not in cache:
-                cache[trace] = self.nodes(system, q, trace)
-            return cache[trace]
-
-        return nodes
 
     @cached_property
     def thickness(self) -> Array:
@@ -221,6 +231,7 @@ class ContactSet:
             rows = slice(first, first + p.count)
             first += p.count
             both = np.isfinite(now[rows]) & np.isfinite(then[rows])
+            # gaps of points with nothing opposite are infinite
             approach = np.abs(then[rows][both] - now[rows][both]).max(initial=0.0)
             reach[rows] = max(2.0 * approach, 1e-6 * length) if p.search is None else p.search
         return reach
@@ -230,6 +241,7 @@ class ContactSet:
         speed = 0.0
         twist = system.twists(v)
         for tr in self.traces:
+            # a bound: translation, rotation over the body's size, deformation
             body = np.abs(twist[tr.frame, : self.m.dim]).sum() + np.abs(twist[tr.frame, self.m.dim :]).sum() * tr.size
             speed = max(
                 speed,
@@ -248,6 +260,7 @@ class ContactSet:
         """
         if not any(p.moving for p in self.pairs):
             return np.zeros(len(self.pair))
+        # of prescribed motions nobody knows the rate: differences within the step
         e = 1e-3 * h
         return (self.touch(system, t + e, q).gap - self.touch(system, t - e, q).gap) / (2 * e)
 
@@ -321,6 +334,7 @@ def tangents_of(normal: Array) -> list[Array]:
     """d - 1 unit vectors orthogonal to each normal (m, d)."""
     if normal.shape[1] == 2:
         return [np.stack((-normal[:, 1], normal[:, 0]), axis=1)]
+    # the axis most across the normal
     pick = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
     a = np.cross(normal, pick)
     a /= np.linalg.norm(a, axis=1)[:, None]
@@ -366,85 +380,3 @@ class Touch:
     def geometric(self) -> Array:
         """Geometric gap, m."""
         return self.gap if self.true_gap is None else self.true_gap
-
-
-class ObstaclePair(Pair):
-    """Rows (1) of a slave against an obstacle."""
-
-    @property
-    def thickness(self) -> float:
-        """Shortest way through the obstacle, m."""
-        return float(self.shape.thickness)
-
-    def _place(
-        self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Any
-    ) -> tuple[Touch, tuple[Any, ...]]:
-        t, q = at
-        m, side = contacts.m, self.slave
-        pose = contacts.pose(system, self.carrier, t, q)
-        r, R = pose[: m.dim], m.matrix(pose)
-
-        # points of the slave
-        P, origin = np.zeros((0, m.dim)), np.zeros(m.dim)
-        if side.surface is not None:
-            x_all, P, Rb = nodes(side.trace)
-            x = x_all[side.surface.nodes]
-        else:
-            own = system.poses(q)[side.frames]
-            origin, Rb = own[:, : m.dim], m.matrix(own)
-            x = origin + (Rb @ side.points[:, :, None])[..., 0]
-        # distances in the axes of the obstacle
-        y = (x - r) @ R
-        dist, grad = self.shape.evaluate(y)
-        normal = grad @ R.T
-        return Touch(dist - side.radius, x - side.radius * normal, normal, y), (r, R, P, origin, Rb)
-
-    def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], nodes: Any) -> Touch:
-        """Gaps of this pair; collective."""
-        return self._place(contacts, system, at, nodes)[0]
-
-    def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], nodes: Any) -> Rows:
-        """Candidates of this pair; collective."""
-        t, q, since = at
-        side, d = self.slave, contacts.m.dim
-        touch, (r, R, P, origin, Rb) = self._place(contacts, system, (t, q), nodes)
-        count = len(touch.gap)
-
-        def linear(direction: Array) -> Linear:
-            core, field = contacts.blank(count)
-            if side.surface is not None:
-                full = np.zeros((contacts.traces[side.trace].n, d))
-                full[side.surface.nodes] = direction
-                W = _selection(side.surface.nodes, len(full))
-                contacts.add_nodes((core, field), side.trace, (W, full), (P, Rb))
-            else:
-                contacts.add_frames(core, side.frames, (direction, touch.x, origin, Rb))
-            if 0 <= self.carrier.frame < system.n_frames and self.carrier.motion is None:
-                contacts.add_frames(core, np.full(count, self.carrier.frame), (-direction, touch.x, r, R))
-            return Linear(core, tuple(field))
-
-        directions = tangents_of(touch.normal) if contacts.frictional else []
-        drift = np.zeros((count, len(directions)))
-        if since is not None and self.carrier.motion is not None and directions:
-            before, after = self.carrier.motion(since[0]), self.carrier.motion(since[0] + since[1])
-            y = (touch.x - r) @ R
-            turned = y @ (contacts.m.matrix(after) - contacts.m.matrix(before)).T
-            moved = after[:d] - before[:d] + turned
-            drift = np.stack([(e * moved).sum(1) for e in directions], axis=1)
-        one = np.ones(count)
-        return Rows(
-            gap=touch.gap,
-            N=linear(touch.normal),
-            tangents=tuple(linear(e) for e in directions),
-            friction=self.friction * one,
-            restitution=self.restitution * one,
-            normal=touch.normal,
-            drift=drift,
-            trace=np.full(count, contacts.carrier_of(side)),
-        )
-
-
-def _selection(nodes: np.ndarray, n: int) -> Any:
-    """Matrix that picks ``nodes`` out of n."""
-    k = len(nodes)
-    return sp.csr_matrix((np.ones(k), (np.arange(k), nodes)), shape=(k, n))

@@ -95,6 +95,7 @@ class Sphere(Shape):
         """Distance from the circle or sphere and its radial normal; see :class:`Shape`."""
         r = y - np.asarray(self.center, dtype=float)[: y.shape[1]]
         length = np.linalg.norm(r, axis=1)
+        # at the centre any normal serves
         n = np.where(length[:, None] > 0, r / np.where(length > 0, length, 1.0)[:, None], np.eye(y.shape[1])[0])
         sign = -1.0 if self.inside else 1.0
         return sign * (length - self.radius), sign * n
@@ -133,13 +134,16 @@ class Cylinder(Shape):
         require(y.shape[1] == 3, "Cylinder is a shape of space; use Sphere for a disk in the plane.")
         e = self.direction
         r = y - np.asarray(self.center, dtype=float)
+        # along the axis, and across it
         z = r @ e
         across = r - z[:, None] * e
         rho = np.linalg.norm(across, axis=1)
         n_side = across / np.where(rho > 0, rho, 1.0)[:, None]
         if not np.isfinite(self.length):
             return rho - self.radius, n_side
-        side, cap = rho - self.radius, np.abs(z) - self.length / 2
+
+        side = rho - self.radius
+        cap = np.abs(z) - self.length / 2
         n_cap = np.sign(z)[:, None] * e
         return _rounded(side, cap, n_side, n_cap)
 
@@ -148,6 +152,7 @@ def _rounded(a: Array, b: Array, na: Array, nb: Array) -> tuple[Array, Array]:
     """Distance to the intersection of two orthogonal convex sets at distances a, b."""
     both = (a > 0) & (b > 0)
     d = np.where(both, np.hypot(a, b), np.maximum(a, b))
+    # weights of the two normals: outside an edge the direction to it, else that of the nearer set
     w = np.where(both, a / np.where(both, d, 1.0), (a >= b).astype(float))
     u = np.where(both, b / np.where(both, d, 1.0), (a < b).astype(float))
     return d, w[:, None] * na + u[:, None] * nb
@@ -183,6 +188,7 @@ class Box(Shape):
         )
 
         r = y - np.asarray(self.center, dtype=float)[:dim]
+        # outside: distance to the nearest point of the box; inside: to the nearest side
         over = np.abs(r) - half
         outside = np.maximum(over, 0.0)
         far = np.linalg.norm(outside, axis=1)
@@ -232,7 +238,9 @@ class SignedDistance(Shape):
 
     def evaluate(self, y: Array) -> tuple[Array, Array]:
         """The function over the length of its gradient, by central differences, and the normal; see :class:`Shape`."""
-        phi, h = self.values(y), 1e-4 * self.scale
+        phi = self.values(y)
+        h = 1e-4 * self.scale
+
         grad = np.empty_like(y)
         for k in range(y.shape[1]):
             e = np.eye(y.shape[1])[k] * h

@@ -68,14 +68,23 @@ class Trace:
     """
 
     def __init__(self, number: int, part: Any, nodes: BodyNodes, surfaces: list[str], *, moving: bool) -> None:
-        self.part, self.body_nodes, self.comm = number, nodes, nodes.mesh.dolfinx.comm
-        self.dim, self.frame, self.moving, self.size = nodes.mesh.dim, part.frame, moving, part.size
+        self.part = number
+        self.body_nodes = nodes
+        self.comm = nodes.mesh.dolfinx.comm
+        self.dim = nodes.mesh.dim
+        self.frame = part.frame
+        self.moving = moving
+        self.size = part.size
+
         lists = {s: _facet_dofs(nodes, s) for s in surfaces}
         used = np.unique(np.concatenate([f.ravel() for f, _ in lists.values()]))
+
+        # node numbers are those over all ranks; owned ones follow each other
         low, high = nodes.space.dofmap.index_map.local_range
         self.own = (used[(used >= low) & (used < high)] - low).astype(int)
         self.first = int(np.searchsorted(used, low))
         self.n = len(used)
+
         self.at_rest = self._everywhere(nodes.X_world)
         self.X = self._everywhere(nodes.X) if moving else self.at_rest
         self.surfaces = {s: self._surface(s, np.searchsorted(used, f), w) for s, (f, w) in lists.items()}
@@ -103,6 +112,7 @@ class Trace:
         D = np.array([weights[int(g)] for g in self.global_numbers[nodes]])
         n = len(nodes)
         gather: Any = sp.identity(n, format="csr")
+        # quadratic faces: functions of corners have integral zero, a share of the edges' is given to them
         if self.dim == 3 and facets.shape[1] == 6:
             vertices = _edge_vertices(self.X[nodes], local)
             rows, cols, values = [], [], []
@@ -147,7 +157,9 @@ class FieldTrace(Trace):
     def unit_columns(self, dofs: np.ndarray) -> Array:
         """Unit nodal vectors (n_own d, len(dofs)) of trace unknowns (node d + component)."""
         out = np.zeros((self.field.n * self.dim, len(dofs)))
-        node, c = dofs // self.dim - self.first, dofs % self.dim
+        node = dofs // self.dim - self.first
+        c = dofs % self.dim
+        # columns of other ranks' nodes are zero here
         mine = np.flatnonzero((node >= 0) & (node < len(self.own)))
         out[self.own[node[mine]] * self.dim + c[mine], mine] = 1.0
         return out
@@ -187,30 +199,41 @@ def _facet_dofs(nodes: BodyNodes, surface: str) -> tuple[np.ndarray, dict[int, f
     from ... import dolfinx_compat as compat
 
     mesh, space = nodes.mesh, nodes.space
-    msh, comm, d = mesh.dolfinx, mesh.dolfinx.comm, mesh.dim
+    msh = mesh.dolfinx
+    comm = msh.comm
+    d = mesh.dim
+
     tag, tags = mesh.surface_tag(surface), mesh.facet_tags
     top = msh.topology
     top.create_connectivity(d - 1, d)
     top.create_connectivity(d, d - 1)
+
     closure = space.element.basix_element.entity_closure_dofs[d - 1]
-    to_cell, to_facet = top.connectivity(d - 1, d), top.connectivity(d, d - 1)
-    owned_cells, rows = top.index_map(d).size_local, []
+    to_cell = top.connectivity(d - 1, d)
+    to_facet = top.connectivity(d, d - 1)
+    owned_cells = top.index_map(d).size_local
+    rows = []
     index_map = space.dofmap.index_map
     for f in tags.indices[tags.values == tag]:
+        # each facet once: on the rank that owns its cell
         cell = int(to_cell.links(int(f))[0])
         if cell >= owned_cells:
             continue
         k = int(np.flatnonzero(to_facet.links(cell) == f)[0])
         dofs = space.dofmap.cell_dofs(cell)[closure[k]]
         rows.append(index_map.local_to_global(dofs.astype(np.int32)))
+
     n_loc = len(closure[0])
     facets = np.concatenate(comm.allgather(np.array(rows, dtype=np.int64).reshape(-1, n_loc)))
     if len(facets) == 0:
         raise MeshError(f'Surface "{surface}" of {mesh.label} has no facets on the boundary.')
+
+    # int phi_i over the surface
     scalar = fem.functionspace(msh, ("Lagrange", nodes.degree))
     ds = ufl.Measure("ds", domain=msh, subdomain_data=tags)(tag)
     b = fem.assemble_vector(compat.form(ufl.TestFunction(scalar) * ds))
     b.scatter_reverse(la.InsertMode.add)
+
     low, high = index_map.local_range
     mine = np.unique(facets)
     mine = mine[(mine >= low) & (mine < high)]
@@ -225,6 +248,7 @@ def _edge_vertices(X: Array, facets: np.ndarray) -> dict[int, tuple[int, int]]:
     out = {}
     for f in facets:
         for e in f[3:]:
+            # the pair whose middle it is
             pairs = [(f[0], f[1]), (f[0], f[2]), (f[1], f[2])]
             away = [float(np.linalg.norm(0.5 * (X[a] + X[b]) - X[e])) for a, b in pairs]
             a, b = pairs[int(np.argmin(away))]

@@ -91,20 +91,27 @@ class BushingLoads(Loads):
         """s (..., m, n) in the axes of a, and B (..., m, n, 2 n)."""
         m, d = self.motions, self.motions.dim
         n = d + m.n_rot
+
         back = np.swapaxes(p.Ra, -1, -2)
         arm = p.xb - p.xa
         R = back @ p.Rb
+
+        # the rotation from a to b, and how it answers to the difference of angular velocities
         if d == 3:
             theta = rotation_vector(R)
             turn = rotation_rate(theta) @ back
         else:
             theta = 2 * np.arctan(R[..., 1, 0] / (1 + R[..., 0, 0]))[..., None]
             turn = np.ones((*theta.shape, 1))
+
         s = np.concatenate(((back @ arm[..., None])[..., 0], theta), axis=-1)
+
+        # displacements: those of b less those of a, and less what the rotation of a makes of the arm
         B = np.zeros((*s.shape, 2 * n), dtype=s.dtype)
         B[..., :d, :d], B[..., :d, n : n + d] = -back, back
         lever = -hat(arm) if d == 3 else np.stack((-arm[..., 1], arm[..., 0]), -1)[..., None]
         B[..., :d, d:n] = -back @ lever
+
         B[..., d:, d:n], B[..., d:, n + d :] = -turn, turn
         return s, B
 
@@ -141,9 +148,13 @@ class BushingLoads(Loads):
 
     def tangent(self, kin: Kinematics, t: float) -> Tangent:
         """B^T C B, and the derivative of (1) by displacements and rotations of both markers."""
-        m, d, n = self.motions, self.motions.dim, self.motions.n_twist
+        m = self.motions
+        d = m.dim
+        n = m.n_twist
         p, twist = self._pose(kin), self._twist(kin)
         B = self._relative(p)[1]
+
+        # derivatives by complex steps: both markers moved and turned about each axis
         h = 1j * _STEP
         xa, xb, Ra, Rb = (np.repeat(x[None].astype(complex), 2 * n, axis=0) for x in (p.xa, p.xb, p.Ra, p.Rb))
         for k in range(n):
@@ -153,6 +164,7 @@ class BushingLoads(Loads):
                 else:
                     spin = hat(np.eye(3)[k - d]) if m.dim == 3 else np.array([[0.0, -1.0], [1.0, 0.0]])
                     R[at] += h * spin @ R[at].real
+
         K = -self._forces(_Pose(xa, Ra, xb, Rb), twist).imag / _STEP
         return Tangent(self.a, self.b, np.moveaxis(K, 0, -1), np.swapaxes(B, 1, 2) @ self.C @ B)
 

@@ -23,7 +23,9 @@ from .effort_laws import POTENTIAL, EffortLaw
 from .force_elements import Loads, ScalarLoads
 from .forces import Force, Law, Point
 
-ELONGATION, RATE, TIME = symbol("s"), symbol("rate"), symbol("t")
+ELONGATION = symbol("s")
+RATE = symbol("rate")
+TIME = symbol("t")
 
 
 class OfPotential(EffortLaw):

@@ -10,7 +10,9 @@ serve as Newton tangents only. User functions are checked on every call; an erro
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,9 +21,10 @@ from ...errors import InputError, named
 from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..joints.relative import Relative, Separation
+from ..joints.time_derivatives import rates
 from .effort_laws import EffortLaw
-from .formulas import Formula, formulas_of
-from .user_laws import Repeatable, checked, checked_number
+from .formulas import Formula, SampledEffort, formulas_of
+from .user_laws import Repeatable, checked, checked_number, checked_numbers
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,10 @@ class Loads:
         """Formulas of those elements on one coordinate that compiled steps know; none where Python has to be asked."""
         return []
 
+    def sampled(self) -> list[SampledEffort]:
+        """Efforts that stay the same between samples."""
+        return []
+
     def mounts(self) -> tuple[Array, Array] | None:
         """Of bushings: K and C (m, n, n) in the axes of markers a; None for others."""
         return None
@@ -96,6 +103,11 @@ class Loads:
     def accepted(self, ev: Any, state: Any) -> Any:
         """The memory after a step that ended in a state, evaluated as ``ev``."""
         return self.kept
+
+    @property
+    def due(self) -> float:
+        """When the memory jumps next, s."""
+        return np.inf
 
     def jumps(self, kept: Any) -> bool:
         """Whether forces jump when the memory becomes ``kept``."""
@@ -123,15 +135,21 @@ class TimeLoads(Loads):
 
     def value(self, i: int, t: float) -> Array:
         """The force (N) or torque (N m) of load i at time t, in its own axes."""
+        return np.asarray(self.numbers(i, t))
+
+    def numbers(self, i: int, t: float) -> Sequence[float] | Array:
+        """The same as numbers."""
         f = self.forces[i]
-        return checked(f.name, self.laws[i](t), self.motions.n_rot if f.turns else self.motions.dim, t)
+        return checked_numbers(f.name, self.laws[i](t), self.motions.n_rot if f.turns else self.motions.dim, t)
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Forces and torques prescribed in time."""
-        d, out = self.motions.dim, self._zero()
+        d = self.motions.dim
+        out = self._zero()
         for i, f in enumerate(self.forces):
             part = slice(d, None) if f.turns else slice(0, d)
             value = self.value(i, t)
+            # followers turn with their marker; a torque in the plane is one number
             follow = f.follower and len(value) == d
             out[i, part] = kin.R[self.a[i]] @ value if follow else value
         return out, self._zero()
@@ -155,8 +173,10 @@ class ScalarLoads(Loads):
             raise InputError(
                 f'Spring "{self.forces[int(np.argmin(s))].name}": its two points coincide, so it has no direction.'
             )
+
         ra, rb = self.relative.rows(kin)
-        return s - self.free, (ra * kin.twist[self.a] + rb * kin.twist[self.b]).sum(1), ra, rb
+        rate = (ra * kin.twist[self.a] + rb * kin.twist[self.b]).sum(1)
+        return s - self.free, rate, ra, rb
 
     def law(self, which: np.ndarray, s: np.ndarray, rate: np.ndarray, t: float) -> Array:
         """N of the laws of the user's own of some forces, at their elongations s and rates: arrays like ``which``."""
@@ -172,10 +192,20 @@ class ScalarLoads(Loads):
             if isinstance(formula, EffortLaw):
                 k[n], c[n] = formula.slopes(s[n], rate[n], t)
                 continue
-            x, v, name, law = float(s[n]), float(rate[n]), self.forces[i].name, self.laws[i]
+            # central differences, in steps of the size of s and s'
+            x = float(s[n])
+            v = float(rate[n])
+            name = self.forces[i].name
+            law = self.laws[i]
             hs, hv = 1e-6 * max(abs(x), 1e-3), 1e-6 * max(abs(v), 1e-3)
-            k[n] = (checked_number(name, law(x + hs, v, t), t) - checked_number(name, law(x - hs, v, t), t)) / (2 * hs)
-            c[n] = (checked_number(name, law(x, v + hv, t), t) - checked_number(name, law(x, v - hv, t), t)) / (2 * hv)
+
+            # checked one by one: a law may fail beside the state where it was asked before
+            longer = checked_number(name, law(x + hs, v, t), t)
+            shorter = checked_number(name, law(x - hs, v, t), t)
+            faster = checked_number(name, law(x, v + hv, t), t)
+            slower = checked_number(name, law(x, v - hv, t), t)
+            k[n] = (longer - shorter) / (2 * hs)
+            c[n] = (faster - slower) / (2 * hv)
         return k, c
 
     def given(self, which: np.ndarray, t: float) -> Array:
@@ -208,6 +238,7 @@ class ScalarLoads(Loads):
         """k s^2 / 2 of the linear springs, and what laws of the package store, J."""
         s = self.relative.values(kin) - self.free
         linear = np.array([f.law is None for f in self.forces])
+        # laws of a user's own have no potential that anybody knows
         stored = sum(f.law.stored(x) for f, x in zip(self.forces, s, strict=True) if isinstance(f.law, EffortLaw))
         return 0.5 * float((self.k * s**2)[linear].sum()) + float(stored)
 
@@ -227,6 +258,7 @@ class ScalarLoads(Loads):
         r = np.concatenate((ra, rb), axis=1)
         rr = r[:, :, None] * r[:, None, :]
         K, D = k[:, None, None] * rr, c[:, None, None] * rr
+        # the direction turns: an effort along it is stiff across
         K += self.relative.geometric(kin, N)
         return Tangent(self.a, self.b, K, D)
 
@@ -244,13 +276,18 @@ class TyreLoads(Loads):
         assert kin.twist is not None
         d = self.motions.dim
         up = np.array([f.up[:d] for f in self.forces], dtype=float)
-        c, rate, row = np.zeros(len(self.forces)), np.zeros(len(self.forces)), up.copy()
+
+        c = np.zeros(len(self.forces))
+        rate = np.zeros(len(self.forces))
+        row = up.copy()
         for i, (f, road) in enumerate(zip(self.forces, self.laws, strict=True)):
             x = kin.x[self.a[i]]
             c[i] = float(checked(f.name, road(x, t), 1, t)[0]) + f.radius - float(up[i] @ x)
-            rate[i] = (float(road(x, t + 1e-6)) - float(road(x, t - 1e-6))) / 2e-6
+            # the road may rise in time, and along the way of the wheel: differences of its height
+            rate[i] = rates(partial(road, x), t)[0]
             for k, e in enumerate(1e-5 * f.radius * np.eye(d)):
                 row[i, k] -= (float(road(x + e, t)) - float(road(x - e, t))) / (2e-5 * f.radius)
+
         return c, rate - (row * kin.twist[self.a, :d]).sum(1), up, row
 
     def _constants(self) -> tuple[Array, Array]:
@@ -261,7 +298,9 @@ class TyreLoads(Loads):
         c, rate, up, _ = self._compression(kin, t)
         k, damping = self._constants()
         out = self._zero()
-        out[:, : self.motions.dim] = np.where(c > 0, np.maximum(k * c + damping * rate, 0.0), 0.0)[:, None] * up
+        # a tyre pushes only, also where its damper would pull
+        push = np.where(c > 0, np.maximum(k * c + damping * rate, 0.0), 0.0)
+        out[:, : self.motions.dim] = push[:, None] * up
         return out, self._zero()
 
     def energy(self, kin: Kinematics, t: float) -> float:
@@ -273,8 +312,10 @@ class TyreLoads(Loads):
         """k and c along the direction of compression, of those in contact."""
         c, rate, up, row = self._compression(kin, t)
         k, damping = self._constants()
+        # those that push
         on = (c > 0) & (k * c + damping * rate > 0)
-        d, n = self.motions.dim, self.motions.dim + self.motions.n_rot
+        d = self.motions.dim
+        n = self.motions.dim + self.motions.n_rot
         outer = np.zeros((len(c), 2 * n, 2 * n))
         outer[:, :d, :d] = up[:, :, None] * row[:, None, :]
         return Tangent(self.a, self.b, (on * k)[:, None, None] * outer, (on * damping)[:, None, None] * outer)

@@ -1,8 +1,8 @@
 """Applied forces as a user describes them; ``mechanics.forces.force_elements`` evaluates all of one kind at a time.
 
 ====================  ====================================================================================
-:func:`force`         a force law(t) at a point, space axes or body axes (``follower``)
-:func:`torque`        a torque law(t), space axes or body axes
+:func:`force`         a force law(t) at a point, in space axes or turning with the body (``follower``)
+:func:`torque`        a torque law(t), in space axes or turning with the body (``follower``)
 :class:`Spring`       spring and damper between two points, linear or law(s, s', t)
 :func:`joint_spring`  spring and damper on a joint coordinate (angle or displacement), linear or law(s, s', t)
 :func:`effort`        prescribed drive torque or force law(t) on a joint coordinate
@@ -87,7 +87,7 @@ class Force:
 
 @dataclass(frozen=True, eq=False)
 class PointForce(Force):
-    """A force law(t) in N, (d,), on a point of a body or on a surface (its mean displacement); ``follower``: body axes."""
+    """A force law(t) in N, (d,), on a point of a body or on a surface (its mean displacement); ``follower``: turning with it."""
 
     law: Law = None  # type: ignore[assignment]
     follower: bool = False
@@ -98,7 +98,7 @@ class PointForce(Force):
 
 @dataclass(frozen=True, eq=False)
 class Torque(Force):
-    """A torque law(t) in N m on a body: a number (plane) or (3,) in world axes (space); ``follower``: body axes."""
+    """A torque law(t) in N m on a body: a number (plane) or (3,) in world axes (space); ``follower``: turning with it."""
 
     law: Law = None  # type: ignore[assignment]
     follower: bool = False
@@ -218,14 +218,17 @@ def in_time(what: str, law: Any) -> Law:
 def force(name: str, on: Any, law: Any, *, point: Point = None, follower: bool = False) -> PointForce:
     """A force law(t) -> (d,) N, or a constant (d,), on a rigid body's point (world, initial configuration) or elastic surface.
 
-    World axes, or the body's axes as they were turned since the start (``follower``).
+    World axes; with ``follower`` the world axes of the start, turned with the body since, whatever its attitude there.
     """
     return PointForce(name, on, None, point, None, in_time(f'Force "{name}"', law), follower)
 
 
 @typed
 def torque(name: str, on: Any, law: Any, *, follower: bool = False) -> Torque:
-    """A torque law(t), or a constant, in N m on a body or an elastic surface; world axes, or the body's with ``follower``."""
+    """A torque law(t), or a constant, in N m on a body or an elastic surface.
+
+    World axes; with ``follower`` the world axes of the start, turned with the body since, whatever its attitude there.
+    """
     return Torque(name, on, None, None, None, in_time(f'Torque "{name}"', law), follower)
 
 

@@ -39,7 +39,9 @@ class Formula:
         """That of some of the elements, memory included."""
         if len(some) == len(self.which):
             return self
-        kept, keep, targets = self.kept, self.keep, [self.targets[i] for i in some] if self.targets else []
+        kept = self.kept
+        keep = self.keep
+        targets = [self.targets[i] for i in some] if self.targets else []
         if kept is None or keep is None:
             return replace(self, which=self.which[some], constants=self.constants[some], targets=targets)
 
@@ -57,6 +59,16 @@ class Formula:
     def moves(self) -> bool:
         """Whether a target depends on time."""
         return not all(isinstance(x, Held) for x in self.targets)
+
+
+@dataclass(frozen=True)
+class SampledEffort:
+    """An effort on one coordinate ``on`` that stays the same between samples; ``effort``: what it is now, N or N m, positive
+    where it pulls the coordinate back.
+    """
+
+    on: Any
+    effort: Callable[[], float]
 
 
 def table(rows: list[Any]) -> Array:

@@ -12,7 +12,10 @@ class Input:
 
     def __init__(self, name: str, start: float = 0.0, *, lower: float = -np.inf, upper: float = np.inf) -> None:
         require(lower <= upper, f'Input "{name}": lower = {lower} is above upper = {upper}.')
-        self.name, self.start, self.lower, self.upper = name, float(start), float(lower), float(upper)
+        self.name = name
+        self.start = float(start)
+        self.lower = float(lower)
+        self.upper = float(upper)
         self.set(start)
 
     def __call__(self, t: float) -> float:

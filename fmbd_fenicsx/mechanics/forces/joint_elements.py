@@ -55,7 +55,8 @@ def joint_friction(
 
     For true rest under load use :func:`dry_friction`.
     """
-    static, stribeck = coulomb if static is None else static, 10 * speed if stribeck is None else stribeck
+    static = coulomb if static is None else static
+    stribeck = 10 * speed if stribeck is None else stribeck
     not_negative("Friction", name, coulomb=coulomb, static=static, viscous=viscous)
     positive("Friction", name, speed=speed, stribeck=stribeck)
     require(static >= coulomb, f'Friction "{name}": static = {static} is less than coulomb = {coulomb}.')

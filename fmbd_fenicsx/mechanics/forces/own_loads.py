@@ -60,7 +60,9 @@ class OwnLoads(Loads):
 
     def _answer(self, k: int, t: float, motions: list[MarkerMotion]) -> Array:
         """Force and torque that the law of force k returns, (n,)."""
-        d, n, name = self.motions.dim, self.motions.dim + self.motions.n_rot, self.forces[k].name
+        d = self.motions.dim
+        n = self.motions.dim + self.motions.n_rot
+        name = self.forces[k].name
         value = self.laws[k][0](t, *motions)
         try:
             found = np.concatenate([np.atleast_1d(x) for x in value])
@@ -68,6 +70,7 @@ class OwnLoads(Loads):
             raise CallbackError(
                 f'Force "{name}": the law returned {value!r:.80} at t = {t:g} s, expected (force ({d},), torque).'
             ) from None
+        # the usual answer passes at once: this is called at every iterate
         if found.dtype == np.float64 and found.shape == (n,) and isfinite(found.dot(found)):
             return found
         return checked(name, found, n, t)
@@ -82,6 +85,7 @@ class OwnLoads(Loads):
         d, single = self.motions.dim, self.single
         if single.all():
             return found, np.zeros_like(found)
+        # force and moment on a, about its own place
         reaction = -found
         reaction[:, d:] -= self.motions.moment(kin.x[self.b] - kin.x[self.a], found[:, :d])
         return np.where(single, found, reaction), np.where(single, 0.0, found)
@@ -100,10 +104,15 @@ class OwnLoads(Loads):
 
     def _given(self, k: int, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """K and D of a Jacobian of the user's own."""
-        d, n, twist = self.motions.dim, self.motions.dim + self.motions.n_rot, kin.twist
+        d = self.motions.dim
+        n = self.motions.dim + self.motions.n_rot
+        twist = kin.twist
         assert twist is not None
+
         motions = (MarkerMotion(kin.x[j], kin.R[j], twist[j, :d], twist[j, d:]) for j in (self.a[k], self.b[k]))
-        found, made = self.laws[k][1](t, *motions), np.zeros((2, 2 * n, 2 * n))
+        found = self.laws[k][1](t, *motions)
+        made = np.zeros((2, 2 * n, 2 * n))
+
         try:
             made[0], made[1] = found
         except (TypeError, ValueError, OverflowError):
@@ -118,10 +127,13 @@ class OwnLoads(Loads):
 
         The reaction on a, -f and -tau - (x_b - x_a) x f, is differentiated by the rule of products.
         """
-        m, d, n = self.motions, self.motions.dim, self.motions.dim + self.motions.n_rot
+        m = self.motions
+        d = m.dim
+        n = m.dim + m.n_rot
         watched = self._motions(k, kin, _Watched)
         base = self._answer(k, t, watched)
         read = [_what_was_read(x) for x in watched]
+        # only what the law has read can change its answer
         plain = self._motions(k, kin)
         steps = self._steps(plain)
 
@@ -143,6 +155,7 @@ class OwnLoads(Loads):
         arm = plain[1].x - plain[0].x
         for which in range(2):
             out[which, d:n] += m.moment(arm, slopes[which, :d].T).T
+
         lever = m.moment(np.eye(d), base[:d]).T  # of unit displacements of b
         out[0, d:n, n : n + d] += lever
         out[0, d:n, :d] -= lever
@@ -152,6 +165,7 @@ class OwnLoads(Loads):
         """Steps of differences, from the model's length and the speeds of the markers."""
         length = self.length
         speeds = [max(np.abs(x.v).max(), length * np.abs(x.w).max()) for x in motions]
+        # at rest too velocities have a scale
         speed = max(*speeds, SLOWEST * length)
         return {"x": SMALL * length, "R": SMALL, "v": SMALL * speed, "w": SMALL * speed / length}
 

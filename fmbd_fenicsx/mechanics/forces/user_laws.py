@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import Any
 
@@ -30,6 +30,20 @@ def checked_number(name: str, value: Any, t: float) -> float:
     if isinstance(value, float) and isfinite(value):
         return value
     return float(checked(name, value, 1, t)[0])
+
+
+def checked_numbers(name: str, value: Any, size: int, t: float) -> Sequence[float] | Array:
+    """The same for a few numbers, which are seen at a glance where they are a tuple or a list of floats."""
+    if size == 1 and isinstance(value, float):
+        return (checked_number(name, value, t),)
+    if isinstance(value, tuple | list) and len(value) == size:
+        try:
+            total = sum(value)
+        except TypeError:
+            return checked(name, value, size, t)
+        if isinstance(total, float) and isfinite(total):
+            return value
+    return checked(name, value, size, t)
 
 
 class Repeatable:

@@ -25,7 +25,7 @@ import numpy as np
 
 from ...rotations import Array
 from ..frames import Markers
-from .relative import Turn, dot, nearest
+from .relative import RelativeAngle, dot, nearest
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class CountedAngles:
     """
 
     markers: Markers
-    turn: Turn
+    turn: RelativeAngle
     start: Array
     free: np.ndarray
 
@@ -65,7 +65,8 @@ class CountedAngles:
     @cached_property
     def _axes(self) -> tuple[Array, Array]:
         """The axis of each joint in the axes of the two frames, (m, 3) each."""
-        R, e = self.markers.rotation, self.turn.e[..., None]
+        R = self.markers.rotation
+        e = self.turn.e[..., None]
         return (R[self.turn.a] @ e)[..., 0], (R[self.turn.b] @ e)[..., 0]
 
     def ahead(self, xi: Array) -> Array:

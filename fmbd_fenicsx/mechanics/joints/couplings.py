@@ -23,16 +23,16 @@ from ...rotations import Array, Motions, hat
 from ..bodies.coordinates import derivative, differences
 from ..frames import Kinematics
 from .constraints import Batch, Motion, Sides
-from .relative import Relative, Turn
+from .relative import Relative, RelativeAngle
+from .time_derivatives import rates
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothMotion:
     """A prescribed motion t -> (s, s', s'') by a function of the user's own. ``of``: what is moved, in messages.
 
-    ``function`` gives these three where ``complete``, else s alone; the derivatives are then computed, s' by a complex step
-    where the function accepts complex numbers (NumPy functions do), else by differences of sixth order, s'' by differences of
-    sixth order of s'.
+    ``function`` gives these three where ``complete``, else s alone; the derivatives are then computed
+    (:mod:`.time_derivatives`), to roundoff where the function is made of NumPy's functions.
     """
 
     name: str
@@ -46,15 +46,14 @@ class SmoothMotion:
             s = self._checked(self.function(t), t)
             self._require(len(s) == 3, s, t)
             return float(s[0]), float(s[1]), float(s[2])
-        found = self.place(t), self._rate(t), _sixth(self._rate, t, 1e-3)
-        s = self._checked(found, t)
+        s = self._checked((self.place(t), *rates(self.function, t)), t)
         return float(s[0]), float(s[1]), float(s[2])
 
     def moving(self, t: float) -> tuple[float, float]:
         """s and s' at a time."""
         if self.complete:
             return self(t)[:2]
-        return self.place(t), self._rate(t)
+        return self.place(t), rates(self.function, t)[0]
 
     def place(self, t: float) -> float:
         """s alone."""
@@ -64,13 +63,6 @@ class SmoothMotion:
         s = self._checked(value, t)
         self._require(len(s) == (3 if self.complete else 1), s, t)
         return float(s[0])
-
-    def _rate(self, t: float) -> float:
-        try:
-            value = self.function(t + 1e-30j)
-            return float((value.imag if isinstance(value, complex) else np.imag(value)) / 1e-30)
-        except (TypeError, ValueError, OverflowError):  # also LawError: what fails for real times fails again
-            return _sixth(lambda x: float(self.function(x)), t, 1e-2)
 
     def _checked(self, value: Any, t: float) -> Array:
         """The numbers that the function returned, (1,) or (3,)."""
@@ -100,12 +92,6 @@ def smooth_motion(name: str, function: Callable[[float], Any], *, of: str = "dri
     return SmoothMotion(name, function, of, complete=len(first) == 3)
 
 
-def _sixth(f: Callable[[float], float], t: float, h: float) -> float:
-    """f'(t) by central differences of sixth order."""
-    d = [f(t + k * h) - f(t - k * h) for k in (1, 2, 3)]
-    return (45 * d[0] - 9 * d[1] + d[2]) / (60 * h)
-
-
 class CouplingBatch(Batch):
     """Rows (1). ``terms``: (relative coordinates of one kind, constraint numbers, coefficients)."""
 
@@ -117,12 +103,14 @@ class CouplingBatch(Batch):
         """Sums of angles alone are angles; a coefficient turns those beside a distance into one."""
         linear = np.zeros(self.size, dtype=bool)
         for relative, rows, _ in self.terms:
-            linear[rows] |= not isinstance(relative, Turn)
+            linear[rows] |= not isinstance(relative, RelativeAngle)
+
         return np.where(linear, 1.0, length)
 
     def offsets(self, t: float) -> Array:
         """(3, m) array of s, s', s''."""
         s = np.zeros((3, self.size))
+        # couplings without a motion stand still
         for i, motion in self.driven:
             s[:, i] = motion(t)
         return s
@@ -203,7 +191,8 @@ class OwnBatch(Batch):
             return self._at(*self._moved(x, R, z.reshape(2, n)), t)
 
         if self.by_differences is None:  # abs() and the like drop the imaginary part without a word
-            exact, rough = derivative(g, np.zeros(2 * n)), differences(g, np.zeros(2 * n))
+            exact = derivative(g, np.zeros(2 * n))
+            rough = differences(g, np.zeros(2 * n))
             self.by_differences = bool(np.abs(exact - rough).max() > 1e-5 * max(1.0, np.abs(rough).max()))
             if self.by_differences:
                 log.warning(

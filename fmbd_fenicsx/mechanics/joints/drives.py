@@ -17,7 +17,7 @@ from ...errors import InputError, require
 from .constraints import Motion
 from .couplings import lead_ratio, smooth_motion
 from .joints import Joint
-from .relative import Relative, Separation, Slide, Turn
+from .relative import Relative, RelativeAngle, Separation, Slide
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class JointCoordinate:
     @property
     def unit(self) -> str:
         """Unit for labels."""
-        return "rad" if self.kind is Turn else "m"
+        return "rad" if self.kind is RelativeAngle else "m"
 
 
 @typed
@@ -45,7 +45,7 @@ def angle(joint: Joint) -> JointCoordinate:
         raise InputError(
             f'Joint "{joint.name}" ({joint.kind}) has no angle about an axis; revolute, cylindrical and planar do.'
         )
-    return JointCoordinate(joint, Turn)
+    return JointCoordinate(joint, RelativeAngle)
 
 
 @typed
@@ -70,7 +70,7 @@ class Coupling(Joint):
     @property
     def reaction_units(self) -> tuple[str, ...]:
         """The multiplier acts on the first coordinate: a moment where that is an angle."""
-        return ("N m" if self.terms[0][0].kind is Turn else "N",)
+        return ("N m" if self.terms[0][0].kind is RelativeAngle else "N",)
 
 
 def _coupling(

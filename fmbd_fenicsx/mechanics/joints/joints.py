@@ -38,6 +38,9 @@ from ..kinds.derivation import Kind
 from . import constraints as ct
 from .couplings import smooth_motion
 
+UPRIGHT = (0.0, 0.0, 1.0)  # the axis where none is given
+_BASIS = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # and its basis
+
 Vector = Sequence[float]
 
 
@@ -129,6 +132,8 @@ def basis(axis: Vector | Array, name: str = "", dim: int = 3) -> Array:
 
     Plane bodies (``dim`` 2) turn about z, and nothing else.
     """
+    if axis is UPRIGHT:
+        return _BASIS.copy()
     n = vector(f'Joint "{name}": axis', axis, size=3, zero=False)
     n = n / np.abs(n).max()
     n = n / float(np.linalg.norm(n))
@@ -206,7 +211,7 @@ def fixed(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
 
 
 @typed
-def revolute(name: str, a: Any, b: Any, *, center: Vector | None = None, axis: Vector = (0.0, 0.0, 1.0)) -> Joint:
+def revolute(name: str, a: Any, b: Any, *, center: Vector | None = None, axis: Vector = UPRIGHT) -> Joint:
     """Hinge: both sides coincide at ``center``, x_a = x_b; in space e_a . c_b = 0 for the two directions c across, so that only
     the rotation about ``axis`` is free. 2 rows in the plane, 5 in space.
 

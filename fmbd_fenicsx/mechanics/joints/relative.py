@@ -3,20 +3,19 @@
 With markers a, b, d = x_b - x_a, unit vectors n (fixed in space) and e, e_1, e_2 (right-handed, fixed in a), f_1, f_2 (fixed
 in b):
 
-==============  ==========================================================================
-kind            s
-==============  ==========================================================================
-``Separation``  the distance, sqrt(d . d)
-``Reach``       n . d
-``Slide``       e . d
-``Turn``        atan2(e_2 . f_1 - e_1 . f_2, e_1 . f_1 + e_2 . f_2), the angle about e
-``Expressed``   an expression of the user's own
-==============  ==========================================================================
+=================  ==========================================================================
+kind               s
+=================  ==========================================================================
+``Separation``     the distance, sqrt(d . d)
+``Reach``          n . d
+``Slide``          e . d
+``RelativeAngle``  atan2(e_2 . f_1 - e_1 . f_2, e_1 . f_1 + e_2 . f_2), the angle about e
+``Expressed``      an expression of the user's own
+=================  ==========================================================================
 
 Each is defined once, in :mod:`~..kinds.definitions`; s, its rows, s' and s'' are evaluated by
-:mod:`~..kinds.evaluation`. ``Turn``
-goes beyond a turn: of the values of atan2 it takes the one nearest to the counted angle of the configuration
-(:mod:`.counted`).
+:mod:`~..kinds.evaluation`. ``RelativeAngle`` goes beyond a turn: of
+the values of atan2 it takes the one nearest to the counted angle of the configuration (:mod:`.counted`).
 """
 
 from __future__ import annotations
@@ -50,7 +49,9 @@ class Relative:
     kind: ClassVar[str]
 
     def __init__(self, motions: Motions, a: np.ndarray, b: np.ndarray, e: Array, kind: Kind | None = None) -> None:
-        self.motions, self.a, self.b = motions, np.asarray(a), np.asarray(b)
+        self.motions = motions
+        self.a = np.asarray(a)
+        self.b = np.asarray(b)
         self.e: Array = np.asarray(e, dtype=float).reshape(len(self.a), motions.dim)
         self.items = Items(motions, kind or kinds(motions.dim)[self.kind], self.a, self.b, self.constants())
 
@@ -89,6 +90,7 @@ class Relative:
 
 def _quotient(ends: tuple[Array, Array], linear: Array) -> Array:
     """(s_1 - s_0) / linear, 1 where nothing moves."""
+    # a quotient of two roundoffs says nothing
     far = np.abs(linear) > 1e-6
     return np.where(far, np.clip((ends[1] - ends[0]) / np.where(far, linear, 1.0), -10.0, 10.0), 1.0)
 
@@ -133,7 +135,7 @@ class Expressed(Relative):
         return _quotient(ends, linear)
 
 
-class Turn(Relative):
+class RelativeAngle(Relative):
     """Rotation of b against a about directions fixed in a, beyond a turn; 0 where the marker axes agree."""
 
     kind = "angle"
@@ -151,8 +153,10 @@ class Turn(Relative):
 
     def attitude(self, R: Array) -> Array:
         """Angles in (-pi, pi], rad, (..., m), for the rotations (..., markers, d, d) of all markers."""
-        e1, e2 = self.e1[: len(self.a), :, None], self.e2[: len(self.a), :, None]
+        e1 = self.e1[: len(self.a), :, None]
+        e2 = self.e2[: len(self.a), :, None]
         Ra, Rb = R[..., self.a, :, :], R[..., self.b, :, :]
+        # axes of both markers in the world
         a1, a2, b1, b2 = ((turn @ e)[..., 0] for turn in (Ra, Rb) for e in (e1, e2))
         return np.asarray(np.arctan2(dot(a2, b1) - dot(a1, b2), dot(a1, b1) + dot(a2, b2)))
 

@@ -118,6 +118,7 @@ def _wheel(name: str, sides: tuple[Any, Any], shape: Wheel, n: Array, place: Arr
         abs(lean) < 1.0 - 1e-6,
         f'Joint "{name}": the wheel lies flat, its axis {tuple(shape.axis)} is normal to the plane.',
     )
+    # up in the plane of the wheel; the tread touches below the lowest point of the ring
     upward = (n - lean * axis) / np.sqrt(1.0 - lean * lean)
     ring = shape.radius - shape.tread
     touched = place - ring * upward - shape.tread * n
@@ -146,6 +147,7 @@ def skate(
         size = float(np.linalg.norm(across))
         require(size > 1e-6, f'Joint "{name}": along {tuple(along)} and normal {tuple(normal)} are parallel.')
         across = across / size
+
     place = _center(name, b, center, dim)
     return Joint(name, a, b, (Row(Skate, across, constants={"e": across}),), place, place, kind="skate")
 
@@ -163,6 +165,7 @@ def _across(n: Array) -> list[Array]:
     """Directions of the plane with normal n: two in space, one in the plane."""
     if len(n) == 2:
         return [np.array([n[1], -n[0]])]
+    # any axis that is not along the normal
     helper = np.array([1.0, 0.0, 0.0]) if abs(n[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     first = helper - (helper @ n) * n
     first /= np.linalg.norm(first)

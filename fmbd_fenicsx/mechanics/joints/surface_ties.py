@@ -54,6 +54,7 @@ class SurfaceTie(ScenePart):
     def __post_init__(self) -> None:
         word("A tie's name", self.name)
         check_fields(self, f'Tie "{self.name}"')
+
         for side, first in ((self.a, True), (self.b, False)):
             elastic = isinstance(side, Surface) and isinstance(side.body, AbsoluteBody | FloatingBody)
             rigid = side is ground or isinstance(side, RigidBody) or _is_section(side)
@@ -62,6 +63,7 @@ class SurfaceTie(ScenePart):
                     f'Tie "{self.name}": {shown(side)} cannot be tied. a must be a surface of an AbsoluteBody or '
                     "FloatingBody; b such a surface, a section of a rod, a rigid body, or fmbd.ground."
                 )
+
         if isinstance(self.b, Surface) and self.b.body is self.a.body and self.b.name == self.a.name:
             raise InputError(f'Tie "{self.name}" ties {self.a!r} with itself.')
 
@@ -159,23 +161,28 @@ class TraceRows:
 
     def left_free(self) -> list[str]:
         """Rigid motions of the first surface against the other side that no multiplier sees, at the start, in words."""
-        A, t = self.multipliers.coupling(), self.multipliers.trace
+        A = self.multipliers.coupling()
+        t = self.multipliers.trace
+        # what the functions see of constants, and of places about the middle, over its size
         total = np.asarray(A.sum(axis=1)).ravel()
         center = t.points.mean(axis=0)
         size = float(np.abs(t.points - center).max())
         arms = (np.asarray(A @ t.points) - total[:, None] * center) / size
 
-        d, along = t.dim, np.eye(t.dim)
+        d = t.dim
+        along = np.eye(t.dim)
         shifts = [total[:, None] * along[k] for k in range(d)]
         if d == 2:
             turns = [np.stack((-arms[:, 1], arms[:, 0]), axis=1)]
         else:
             turns = [np.cross(along[k], arms) for k in range(3)]
+
         if self.normal is not None:
             mean = (t.sizes[:, None] * t.normals).sum(axis=0) / t.sizes.sum()
             rows = np.stack([x @ mean for x in (*shifts, *turns)], axis=1)
         else:
             rows = np.stack([x.ravel() for x in (*shifts, *turns)], axis=1)
+
         return [_motion_in_words(z, d) for z in null_vectors(rows)]
 
     def tractions(self, lam: Array) -> Array:
@@ -195,9 +202,12 @@ class TraceRows:
         return out
 
     def _difference(self, ev: Any) -> Array:
-        d, (a, b) = self.data.shape[1], self._arms(ev)
-        A, B = self.sides
-        y = [s.m[:, None] * ev.pose[s.frame, :d] + z @ ev.rotation[s.frame].T for s, z in ((A, a), (B, b))]
+        """y_b - y_a of (2) with what is imposed, (n, d), world axes."""
+        d = self.data.shape[1]
+        y = [
+            side.m[:, None] * ev.pose[side.frame, :d] + arm @ ev.rotation[side.frame].T
+            for side, arm in zip(self.sides, self._arms(ev), strict=True)
+        ]
         return np.asarray(y[1] - y[0] + self.motion(ev.t)[0] * self.data)
 
     def values(self, ev: Any) -> Array:
@@ -215,6 +225,8 @@ class TraceRows:
         m, (n, d) = ev.system.motions, self.data.shape
         blocks: list[tuple[str, int, Any]] = []
         nu = None if self.normal is None else ev.rotation[self.sides[1].frame] @ self.normal
+
+        # both sides, along the normal alone where they slide
         for number, (side, z, sign) in enumerate(zip(self.sides, self._arms(ev), (-1.0, 1.0), strict=True)):
             R = ev.rotation[side.frame]
             if side.frame < ev.system.n_frames:
@@ -227,6 +239,8 @@ class TraceRows:
             if side.part is not None:
                 row = R if nu is None else (nu @ R)[None]
                 blocks.append(("port", number, sp.kron(sp.identity(n), sign * row, format="csr")))
+
+        # the normal turns with its frame
         if nu is not None and self.normal is not None and self.sides[1].frame < ev.system.n_frames:
             R = ev.rotation[self.sides[1].frame]
             turned = np.zeros((n, m.n_twist))
@@ -236,19 +250,26 @@ class TraceRows:
 
     def gamma(self, ev: Any) -> Array:
         """g'' without the accelerations, (rows,)."""
-        m, d = ev.system.motions, self.data.shape[1]
+        m = ev.system.motions
+        d = self.data.shape[1]
+
         total = np.zeros_like(self.data)
         speed = self.motion(ev.t)[1] * self.data
         for side, z, zd, sign in zip(self.sides, self._arms(ev), self._arms(ev, rate=True), (-1.0, 1.0), strict=True):
             R, twist = ev.rotation[side.frame], ev.twist[side.frame]
+            # w x (w x z) + 2 w x z' of the arm z
             w = np.broadcast_to(twist[None, d:], (len(z), m.n_rot))
             total += sign * (m.spin(w, m.spin(w, z) + 2.0 * zd) @ R.T)
             speed += sign * (side.m[:, None] * twist[:d] + (m.spin(w, z) + zd) @ R.T)
+
         total += self.motion(ev.t)[2] * self.data
         if self.normal is None:
             return total.ravel()
+
+        # the normal n0 in its frame, its rate n1 and second rate n2
         frame = self.sides[1].frame
-        R, w = ev.rotation[frame], ev.twist[frame][None, d:]
+        R = ev.rotation[frame]
+        w = ev.twist[frame][None, d:]
         n0 = self.normal[None]
         n1 = m.spin(w, n0)
         n2 = m.spin(w, n1)
@@ -277,12 +298,14 @@ def build_surface_ties(
     def place(body: Any) -> tuple[int, Array, Array]:
         """Frame, position and rotation at the start of a rigid body, a section of a rod, or the ground."""
         if _is_section(body):
-            rod, node = body.body, body.body.node_of(body.name)
+            rod = body.body
+            node = rod.node_of(body.name)
             return frame_of[node_name(rod.name, node)], rod.poses[node, :3], rod.poses_matrix[node]
         if body is ground or body.locked:
             d = next(iter(ties.values())).a.dim
             return len(frame_of), np.zeros(d), np.eye(d)
-        pose, m = body.start_pose(), motions(body.dim)
+        pose = body.start_pose()
+        m = motions(body.dim)
         return frame_of[body.name], pose[: body.dim], m.matrix(pose)
 
     return [build_trace_rows(t, parts, part_of, place) for t in ties.values()]
@@ -297,6 +320,8 @@ def build_trace_rows(
     part = parts[part_of[tie.a.body.name]]
     trace = _trace(part, tie.a)
     space = tie.space or default_space(trace.degree)
+
+    # two elastic sides meet on a mortar; ground and rigid sides follow as a whole
     other: Any = None
     if isinstance(tie.b, Surface) and not _is_section(tie.b):
         other = parts[part_of[tie.b.body.name]]
@@ -306,7 +331,9 @@ def build_trace_rows(
     else:
         mu = space.on(trace)
         A = mu.coupling()
+
     _refuse_unseen(tie.name, mu, A)
+
     a, start = _elastic_side(part, part_of[tie.a.body.name], trace, A)
     if other is not None:
         b, end = _elastic_side(other, part_of[tie.b.body.name], other_trace, B)
@@ -314,12 +341,15 @@ def build_trace_rows(
     else:
         frame, r, R = place(tie.b)
         b = Side(frame, None, slice(0, 0), a.m, (start - a.m[:, None] * r) @ R)
+
+    # a sliding tie holds the normal direction alone, that of the side whose frame is rigid
     normal = None
     if tie.sliding:
         mean = (trace.sizes[:, None] * trace.normals).sum(0) / trace.sizes.sum()
         if np.linalg.norm(mean) < 1 - 1e-6:
             raise InputError(f'Tie "{tie.name}": {trace.label} is curved; a sliding tie needs a flat surface.')
         normal = mean if other is not None or tie.b is ground else place(tie.b)[2].T @ mean
+
     rows = TraceRows(tie.name, mu, (a, b), _imposed(tie, mu), tie.motion or standstill, normal)
     free = [] if tie.sliding else rows.left_free()
     if free:
@@ -334,9 +364,12 @@ def _refuse_unseen(name: str, mu: Multipliers, A: sp.csr_matrix) -> None:
     """Raise when combinations of multipliers see no displacement of the surface: the inf-sup constant is zero."""
     if mu.n > LOOK_LIMIT:
         return
+
+    # combinations that see nothing: null vectors of the Gram matrix of the rows, each of size one
     gram = (A @ A.T).toarray()
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     unseen = int((np.linalg.eigvalsh(gram / np.outer(size, size)) < 1e-12 * mu.n).sum())
+
     if unseen:
         raise InputError(
             f'Tie "{name}": {unseen} of {mu.n} multiplier functions ({mu.name}, each for every component) see no displacement of '
@@ -362,15 +395,20 @@ def _imposed(tie: SurfaceTie, mu: Multipliers) -> Array:
     from ...errors import CallbackError
     from ...fem.traces.traces import quadrature, scatter, shape_functions
 
-    t, m = mu.trace, mu.trace.dim - 1
+    t = mu.trace
+    m = t.dim - 1
     if tie.shape is None:
         return np.zeros((mu.n, t.dim))
+
+    # values of the shape at quadrature points, checked
     q, w = quadrature(m, 6 + mu.degree)
     x = t.place(q).reshape(-1, t.dim)
     found = np.asarray(tie.shape(x.T), dtype=float)
     if found.shape != x.T.shape or not np.isfinite(found).all():
         raise CallbackError(f'Tie "{tie.name}": shape(X) returned {found.shape}, expected {x.T.shape} finite numbers.')
     values = found.T.reshape(len(t.nodes), len(q), t.dim)
+
+    # facet by facet, then gathered to the functions of the space
     blocks = np.einsum("f,q,qa,fqc->fac", t.sizes, w, shape_functions(m, mu.degree, q), values, optimize=True)
     k = blocks.shape[1]
     rows = np.arange(len(t.nodes) * k).reshape(len(t.nodes), k)

@@ -104,14 +104,16 @@ def follower_couple(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Express
 
 def wheel_height(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
     """Height of a wheel's lowest point over the plane through the point p of A."""
-    normal, axis = a.axis(c.vector("e")), b.axis(c.vector("f"))
+    normal = a.axis(c.vector("e"))
+    axis = b.axis(c.vector("f"))
     along = cross(normal, axis)
     return normal @ _between(a, b, c) - c.scalar("radius") * sqrt(along @ along) - c.scalar("tread")
 
 
 def wheel_slip(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
     """Speed at which a wheel's lowest point slips over A, along one direction of A."""
-    normal, axis = a.axis(c.vector("e")), b.axis(c.vector("f"))
+    normal = a.axis(c.vector("e"))
+    axis = b.axis(c.vector("f"))
     along = cross(normal, axis)
     upward = cross(axis, along) / sqrt(along @ along)
     return _slip(a, b, c, upward * c.scalar("radius") + normal * c.scalar("tread"))

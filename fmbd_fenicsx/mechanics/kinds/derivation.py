@@ -26,7 +26,9 @@ from .frames import FRAME, TWIST, Constants, SymbolicFrame, twist_gradient, twis
 
 KERNELS = ("value", "rates", "tangent")
 WEIGHT = symbol("weight")
-DRIVE, DRIVE_RATE, DRIVE_RATE_2 = symbol("P_drive_0"), symbol("P_drive1_0"), symbol("P_drive2_0")
+DRIVE = symbol("P_drive_0")
+DRIVE_RATE = symbol("P_drive1_0")
+DRIVE_RATE_2 = symbol("P_drive2_0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,7 @@ def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -
     """Rows, rates and tangent of a definition; ``flow``: it gives a speed, linear in the twists, and no coordinate."""
     frames = SymbolicFrame("A", dim), SymbolicFrame("B", dim)
     constants = Constants(dim)
+    # flows are linear in the twist already; others get their row by (1)
     y = definition(*frames, constants)
     sizes = dict(constants.sizes)
     if "drive" in sizes:
@@ -92,6 +95,7 @@ def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -
         second = second + slope * u
 
     lower = _lower_half([twist_gradient(r, frames) for r in row])
+    # what is zero in the formula is not computed
     entries = tuple(i for i, r in enumerate(row) if r is not ZERO)
     outputs = {
         "value": [ZERO if flow else y, *(row[i] for i in entries)],
@@ -107,6 +111,7 @@ def _lower_half(H: list[list[Expression]]) -> dict[tuple[int, int], Expression]:
     out = {}
     for i in range(len(H)):
         for j in range(i + 1):
+            # symmetric but for how it was derived: one node where both agree
             mean = H[i][i] if i == j else (H[i][j] + H[j][i]) * 0.5
             if H[i][j] is H[j][i]:
                 mean = H[i][j]
@@ -144,6 +149,7 @@ def c_kernel(kind: Kind, which: str) -> str:
     lines += [f"        const double {name} = P[{i}];" for i, name in enumerate(kind.symbols()) if name in used]
     if "weight" in used:
         lines.append("        const double weight = W[i_];")
+
     arms = c_lines([y for _, y in needed], [f"const double {u.arguments[0]}" for u, _ in needed])
     lines += ["        " + line for line in _renamed(arms, "a")]
     lines += ["        " + line for line in c_lines(results, [f"out[{i}]" for i in range(len(results))])]
@@ -189,7 +195,8 @@ def numpy_kernel(kind: Kind, which: str) -> Any:
     """The same kernel for NumPy: f(A, B, P, W) with one item a row of each array (W: one number an item), results likewise."""
     results = kind.outputs[which]
     needed = _needed(kind, results)
-    first, second = Program([y for _, y in needed]), Program(results)
+    first = Program([y for _, y in needed])
+    second = Program(results)
     size = FRAME[kind.dim]
 
     def function(A: Array, B: Array, P: Array, W: Any = 1.0) -> Array:
@@ -197,6 +204,7 @@ def numpy_kernel(kind: Kind, which: str) -> Any:
         values |= {f"B[{i}]": B[..., i] for i in range(size)}
         values |= {name: P[..., i] for i, name in enumerate(kind.symbols())} | {"weight": W}
         values |= {u.arguments[0]: x for (u, _), x in zip(needed, first(values), strict=True)}
+
         columns = second(values)
         shape = np.broadcast_shapes(A.shape[:-1], B.shape[:-1], P.shape[:-1])
         return np.stack([np.broadcast_to(y, shape) for y in columns], axis=-1) if columns else np.zeros((*shape, 0))

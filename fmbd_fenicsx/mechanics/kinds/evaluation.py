@@ -54,7 +54,8 @@ class Items:
         """One kernel, (n, outputs)."""
         compiled, n = kernel(self.kind, which), len(self)
         if compiled is None or not n:
-            A, B = frames[self.pair[:, 0]], frames[self.pair[:, 1]]
+            A = frames[self.pair[:, 0]]
+            B = frames[self.pair[:, 1]]
             made: Array = numpy_kernel(self.kind, which)(A, B, self.table, 1.0 if weight is None else weight)
             return made
 

@@ -54,6 +54,7 @@ class Expression:
             return sqrt(self)
         if exponent != int(exponent):
             return exp(log(self) * exponent)
+        # whole powers as products: no logarithm of negative numbers
         exponent = int(exponent)
         out = ONE
         for _ in range(abs(exponent)):
@@ -164,6 +165,7 @@ def _product(a: Expression, b: Expression) -> Expression:
         return b if a is ONE else a
     if a.operation == b.operation == "constant":
         return constant(a.arguments[0] * b.arguments[0])
+    # constants stand first, and are gathered
     if b.operation == "constant":
         a, b = b, a
     if a.operation == "constant" and a.arguments[0] < 0:
@@ -187,6 +189,7 @@ def _quotient(a: Expression, b: Expression) -> Expression:
         return constant(a.arguments[0] / b.arguments[0])
     if a.operation == "minus":
         return _negative(_quotient(a.arguments[0], b))
+    # 1 / b is a node of its own: several quotients share it
     return a * _node("/", ONE, b) if a is not ONE else _node("/", ONE, b)
 
 
@@ -255,6 +258,7 @@ def _ordered(results: Iterable[Expression]) -> list[Expression]:
     done: dict[Expression, None] = {}
     stack: list[tuple[Expression, bool]] = [(y, False) for y in reversed(list(results))]
 
+    # depth first without recursion: formulas may be thousands of nodes deep
     while stack:
         node, ready = stack.pop()
         if node in done:
@@ -272,6 +276,7 @@ def gradient(y: Expression, by: Sequence[Expression]) -> list[Expression]:
     """Derivatives of y by some symbols, by adjoints."""
     adjoint: dict[Expression, Expression] = {y: ONE}
 
+    # backwards from the result: one pass, however many variables there are
     for node in reversed(_ordered([y])):
         factor = adjoint.get(node, ZERO)
         if factor is ZERO or node.operation in ("symbol", "constant"):
@@ -369,6 +374,7 @@ def c_lines(results: Sequence[Expression], targets: Sequence[str]) -> list[str]:
     for y in results:
         uses[y] = uses.get(y, 0) + 1
 
+    # what is used more than once gets a variable
     text: dict[Expression, str] = {}
     lines: list[str] = []
     for node in nodes:

@@ -12,23 +12,25 @@ from pathlib import Path
 from typing import Any
 
 from ... import kernel_cache
-from ...log import log
 from .derivation import Kind, c_source, kinds
 
-FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-ffp-contract=off", "-shared", "-fPIC", "-std=gnu11")
+# straight lines of sums and products: what costs the compiler more finds nothing to gain in them
+FLAGS = ("-O1", "-march=native", "-fno-math-errno", "-ffp-contract=off", "-shared", "-fPIC", "-std=gnu11")
+
+
+@cache
+def package_kernels(dim: int) -> kernel_cache.Library:
+    """Kernels of the package's own kinds, as they are built."""
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    text = b"".join(path.read_bytes() for path in files) + processor().encode()
+    unit = kernel_cache.Unit(f"kernels_{dim}d", lambda: c_source(kinds(dim)), FLAGS, text)
+    return kernel_cache.Library(unit.name, (unit,))
 
 
 @cache
 def _package_library(dim: int) -> Any:
     """Kernels of the package's own kinds; None where they cannot be had."""
-    files = sorted(Path(__file__).parent.glob("*.py"))
-    text = b"".join(path.read_bytes() for path in files) + processor().encode()
-
-    def source() -> str:
-        log.info("compiling kernels for %s, once", "space" if dim == 3 else "the plane")
-        return c_source(kinds(dim))
-
-    return kernel_cache.load(f"kernels_{dim}d", source, flags=FLAGS, made_from=text)
+    return kernel_cache.load_library(package_kernels(dim))
 
 
 @cache

@@ -76,7 +76,8 @@ def markers_of(frames: Sequence[SymbolicFrame], constants: Constants) -> list[Ma
     out = []
     for frame, place, turn in zip(frames, "pq", ("turn_a", "turn_b"), strict=True):
         d = frame.dim
-        point, entries = constants.vector(place), constants.vector(turn, d * d)
+        point = constants.vector(place)
+        entries = constants.vector(turn, d * d)
         arm = frame.axis(point)
         axes = [frame.axis(entries[j::d]) for j in range(d)]
         velocity = frame.v + spin(frame.w, arm)

@@ -11,7 +11,7 @@ A body with geometric stiffening keeps the static displacements under its inerti
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -23,10 +23,10 @@ from ...fem.fields import Field
 from ...fem.mixed import make_field
 from ...log import log
 from ...rotations import Array
-from ..bodies.body import Body
+from ..bodies.body import MODES, Body, Placed, Site
 from ..bodies.floating import attachment, frame_conditions, moment_columns
 from ..bodies.floating_start import framed_start
-from .reduced import Constants, SurfaceData, constants_of
+from .reduced import Constants, SurfaceData, constants_of, placed_modes
 from .stiffening import Stiffening
 
 LEFT_OUT = 1e-4  # share of the mean square of an initial displacement above which modes that miss it are warned of
@@ -78,17 +78,19 @@ class CraigBampton:
         from .modes import ConditionedBody
 
         C = independent(field, np.concatenate([moment_columns(field, s) for s in self.interfaces], axis=1))
-        fixed = _select(field, C, self)
         body = ConditionedBody(field, C)
-        static = [body.static_modes()]
-        if self.inertia:
-            static.append(np.stack([body.solve_static(f) for f in field.Q.T], axis=1))
-        body.destroy()
+        try:
+            fixed = _vibrations(body, self)
+            static = [body.static_modes()]
+            if self.inertia:
+                static.append(np.stack([body.solve_static(f) for f in field.Q.T], axis=1))
+        finally:
+            body.destroy()
         return np.concatenate((*static, fixed), axis=1)
 
 
 @dataclass(frozen=True)
-class Finer:
+class RefinedBasis:
     """A ``basis`` and much of what it leaves out: what the error of reduction of a run is measured against.
 
     It adds the static modes of the ``surfaces`` in use and, with these surfaces at rest, the static displacements under the
@@ -99,11 +101,11 @@ class Finer:
     basis: Any
     surfaces: tuple[str, ...]
 
-    def columns(self, field: Field, frame: Array) -> Array:
-        """Nodal fields that span the basis, (n d, m)."""
+    def columns(self, field: Field, frame: Array, given: Array | None = None) -> Array:
+        """Nodal fields that span the basis, (n d, m); ``given``: those of the basis that it contains, where they are known."""
         from .modes import ConditionedBody
 
-        given = self.basis.columns(field, frame)
+        given = self.basis.columns(field, frame) if given is None else given
         C = frame
         if self.surfaces:
             C = independent(field, np.concatenate([moment_columns(field, s) for s in self.surfaces], axis=1))
@@ -148,17 +150,23 @@ def _select(field: Field, conditions: Array, wanted: Any) -> Array:
         return np.zeros((field.n * field.dim, 0))
     body = ConditionedBody(field, conditions)
     try:
-        if wanted.count is not None:
-            return body.vibration_modes(wanted.count)[1]
-        limit, n = 2 * np.pi * wanted.frequency, 8
-        room = field.n_global - conditions.shape[1]
-        while True:
-            omega, phi = body.vibration_modes(min(n, room))
-            if omega[-1] > limit or n >= room:
-                return phi[:, omega <= limit]
-            n *= 2
+        return _vibrations(body, wanted)
     finally:
         body.destroy()
+
+
+def _vibrations(body: Any, wanted: Any) -> Array:
+    """The same, of a body whose conditions are factored."""
+    if wanted.count is not None:
+        return np.asarray(body.vibration_modes(wanted.count)[1])
+    limit = 2 * np.pi * wanted.frequency
+    n = 8
+    room = body.field.n_global - body.C.shape[1]
+    while True:
+        omega, phi = body.vibration_modes(min(n, room))
+        if omega[-1] > limit or n >= room:
+            return np.asarray(phi[:, omega <= limit])
+        n *= 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,12 +174,15 @@ class ReducedBody(Body):
     """An elastic body by a few modes in its floating frame; made by ``FloatingBody.reduced``.
 
     The reduction is computed at first use and kept: later runs of the body start at once. ``source`` is the full body.
+    ``coarser``: the same body with the basis that this one contains, where it was made of it.
     """
 
-    meshed = modal = True
+    meshed = modal = interpolated = True
+    stage = MODES
 
     source: Any
-    basis: FrameModes | CraigBampton | Finer
+    basis: FrameModes | CraigBampton | RefinedBasis
+    coarser: ReducedBody | None = field(default=None, init=False, repr=False)
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -182,6 +193,16 @@ class ReducedBody(Body):
     def dim(self) -> int:  # type: ignore[override]
         """Space dimension."""
         return int(self.source.dim)
+
+    @property
+    def has_refined_basis(self) -> bool:
+        """With more modes."""
+        return True
+
+    @property
+    def displacement_degree(self) -> int | None:
+        """That of the full body."""
+        return self.source.displacement_degree  # type: ignore[no-any-return]
 
     @property
     def elastic_law(self) -> Any:
@@ -202,6 +223,10 @@ class ReducedBody(Body):
         """The named surface of the mesh."""
         return replace(self.source.surface(name), body=self)
 
+    def placed(self, site: Site) -> Placed:
+        """Its modes as a part on its frame."""
+        return placed_modes(self, site, self.start_frame())
+
     def start_twist(self) -> Array:
         """Rigid velocity at the start."""
         return np.asarray(self.source.start_twist())
@@ -209,7 +234,7 @@ class ReducedBody(Body):
     @cached_property
     def reduction(self) -> Reduction:
         """Modes and constants; collective at first use."""
-        return reduce_body(self.source, self.basis)
+        return reduce_body(self.source, self.basis, None if self.coarser is None else self.coarser.reduction)
 
     @property
     def constants(self) -> Constants:
@@ -220,9 +245,13 @@ class ReducedBody(Body):
     def _finer(self) -> dict[tuple[str, ...], ReducedBody]:
         return {}
 
-    def finer(self, surfaces: tuple[str, ...]) -> ReducedBody:
-        """The same body with the basis :class:`Finer`, made once for the surfaces in use."""
-        return self._finer.setdefault(surfaces, ReducedBody(self.source, Finer(self.basis, surfaces)))
+    def with_refined_basis(self, surfaces: tuple[str, ...]) -> ReducedBody:
+        """The same body with the basis :class:`RefinedBasis`, made once for the surfaces in use."""
+        if surfaces not in self._finer:
+            made = ReducedBody(self.source, RefinedBasis(self.basis, surfaces))
+            object.__setattr__(made, "coarser", self)
+            self._finer[surfaces] = made
+        return self._finer[surfaces]
 
     def with_finer_space(self, *, higher: bool) -> ReducedBody:
         """As many modes of the full body in a finer space; collective."""
@@ -241,7 +270,8 @@ class ReducedBody(Body):
 class Reduction:
     """Constants, frequencies omega (rad/s) of the modes, and the modes phi (n d, m) on this rank's nodes of ``space``.
 
-    ``start``: amplitudes (m,) of the initial displacement and of its rate; ``frame``: pose and twist of the frame with them.
+    ``start``: amplitudes (m,) of the initial displacement and of its rate; ``frame``: pose and twist of the frame with them;
+    ``moments``: those of the surfaces.
     """
 
     constants: Constants
@@ -250,6 +280,7 @@ class Reduction:
     space: Any
     start: tuple[Array, Array]
     frame: tuple[Array, Array]
+    moments: dict[str, Any]
 
 
 def _loads(f: Field, Z: Array) -> tuple[tuple[tuple[Any, Array], ...], dict[Any, Array]]:
@@ -262,8 +293,10 @@ def _loads(f: Field, Z: Array) -> tuple[tuple[tuple[Any, Array], ...], dict[Any,
     return tuple(tensors), sums
 
 
-def reduce_body(body: Any, basis: FrameModes | CraigBampton | Finer) -> Reduction:
-    """Modes and constants of an elastic body; collective.
+def reduce_body(
+    body: Any, basis: FrameModes | CraigBampton | RefinedBasis, known: Reduction | None = None
+) -> Reduction:
+    """Modes and constants of an elastic body; collective. ``known``: the reduction by the basis that a refined one contains.
 
     Raises:
         InputError: an energy instead of a linear form, or more modes than unknowns.
@@ -273,45 +306,63 @@ def reduce_body(body: Any, basis: FrameModes | CraigBampton | Finer) -> Reductio
     if body.elastic is None:
         raise InputError(f'Body "{body.name}": modes need the linear form elastic(u, v, dx), not an energy.')
     f = make_field(body.name, body.mesh, body.forms())
+    if known is not None:
+        f.known_moments.update(known.moments)
+
     frame = frame_conditions(f, body.frame)
-    omega: Array = np.zeros(0)
-    phi: Array = np.zeros((f.n * f.dim, 0))
-    V = basis.columns(f, frame)
+    if isinstance(basis, RefinedBasis) and known is not None and not body.held_at:  # which adds columns of stress
+        V = basis.columns(f, frame, known.phi)
+    else:
+        V = basis.columns(f, frame)
+
     stress = None
     if body.held_at and V.shape[1]:
         stress = Stiffening(f, attachment(f, body.held_at), [s for s in f.mesh.surface_names if s != body.held_at])
-    if stress is not None:
         V = np.concatenate((V, stress.columns), axis=1)  # the stretch of steady rotation is then exact
-    if V.shape[1]:
-        omega, phi = orthonormal_modes(f, V, frame)
+
+    omega, phi = orthonormal_modes(f, V, frame) if V.shape[1] else (np.zeros(0), np.zeros((f.n * f.dim, 0)))
+
+    constants = _constants(body, f, omega, phi, stress)
+
+    start = framed_start(body, f, frame)
+    local = _amplitudes(f, start.U, phi), _amplitudes(f, start.Ud, phi)
+    # modes live on nodes of the space: it outlives the field's matrices
+    space = f.space
+    f.destroy()
+    return Reduction(constants, omega, phi, space, local, (start.pose, start.twist), f.known_moments)
+
+
+def _constants(body: Any, f: Field, omega: Array, phi: Array, stress: Stiffening | None) -> Constants:
+    """What the time loop needs of the modes phi with frequencies omega; ``stress``: that stiffens the body. Collective."""
     d, m = f.dim, phi.shape[1]
     Z = np.concatenate((f.X[:, :, None], phi.reshape(f.n, d, m)), axis=2)
+    # the undeformed body and its modes are columns of one array
     MZ = np.stack([f.mass(np.ascontiguousarray(Z[:, :, a])) for a in range(m + 1)], axis=2)
     S, T = (f.total(x) for x in constants_of(Z, MZ))
-    surfaces = {}
-    for name in f.mesh.surface_names:
-        mom = f.moments(name)
-        ports = f.total(
-            np.einsum("na,ndk->adk", mom.weights, phi.reshape(f.n, d, m)[mom.nodes]).reshape((1 + d) * d, m)
-        )
-        bend = stress.modal(phi, stress.section_columns[name]) if stress and name != body.held_at else None
-        surfaces[name] = SurfaceData(mom.reference, ports, mom.center, bend)
+    surfaces = {name: _surface(f, name, phi, stress, body.held_at) for name in f.mesh.surface_names}
+
     K = np.diag(omega**2)
     D = body.mass_damping * np.eye(m) + body.stiffness_damping * K
     if f.D is not None and m:
         D = D + f.total(phi.T @ np.stack([f.damping(a) for a in phi.T], axis=1))
+
     stiffening = None
     load_stress: dict[Any, Array] = {}
     if stress is not None:
         stiffening = stress.modal(phi, stress.columns)
         for (load, _), columns in zip(stress.loads, stress.load_columns, strict=True):
             load_stress[load] = stress.modal(phi, columns).reshape(d, d, m, m)
-    made = Constants(f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z), load_stress)
-    start = framed_start(body, f, frame)
-    local = _amplitudes(f, start.U, phi), _amplitudes(f, start.Ud, phi)
-    space = f.space
-    f.destroy()
-    return Reduction(made, omega, phi, space, local, (start.pose, start.twist))
+    return Constants(f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z), load_stress)
+
+
+def _surface(f: Field, name: str, phi: Array, stress: Stiffening | None, held_at: str | None) -> SurfaceData:
+    """Ports of a surface by the modes, and how they bend under its forces; collective."""
+    d, m = f.dim, phi.shape[1]
+    mom = f.moments(name)
+    by_mode = np.einsum("na,ndk->adk", mom.weights, phi.reshape(f.n, d, m)[mom.nodes])
+    ports = f.total(by_mode.reshape((1 + d) * d, m))
+    bend = stress.modal(phi, stress.section_columns[name]) if stress and name != held_at else None
+    return SurfaceData(mom.reference, ports, mom.center, bend)
 
 
 def _amplitudes(f: Field, U: Array, phi: Array) -> Array:

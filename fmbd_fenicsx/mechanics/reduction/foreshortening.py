@@ -84,6 +84,7 @@ def rigid_ports(motions: Motions, reference: Array) -> Array:
     """
     d, n = motions.dim, motions.n_rot
     N = np.zeros((1 + d, d, d + n))
+    # moments of a surface: the first is its place, the others turn with it
     N[0, range(d), range(d)] = 1.0
     for k in range(n):
         N[1:, :, d + k] = motions.spin(np.eye(n)[k : k + 1], reference[1:])
@@ -98,10 +99,12 @@ def of_constants(motions: Motions, surfaces: list[Any], n_port: int) -> Shorteni
     for i, s in enumerate(surfaces):
         if s.bend is None:
             continue
+        # ports of this surface among those of all in use
         own = rigid_ports(motions, s.reference)[:, : len(s.bend)]
         block = np.zeros((n_port, len(s.bend)))
         block[i * len(own) : (i + 1) * len(own)] = own
         G.append(s.bend)
         blocks.append(block)
+
     stacked = np.concatenate(G)
     return Shortening(lambda u: np.asarray((stacked @ u).T), np.concatenate(blocks, axis=1), np.asarray, stacked)

@@ -54,9 +54,12 @@ def first_eigenvalue_bound(field: Field) -> float:
                 u[:, k] = X[:, i] * X[:, j]
                 if i == j != k:
                     u[:, i] = -2.0 * X[:, i] * X[:, k]
+                # less its rigid part
                 u = u.ravel() - Z @ np.linalg.solve(G, f.total(f.Q.T @ u.ravel()))
+                # Rayleigh's quotient
                 kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, d)).ravel()]))
-                best = min(best, float(kk / mm))
+                if mm > 0:  # contact nodes may carry no inertia
+                    best = min(best, float(kk / mm))
     return best
 
 
@@ -64,15 +67,20 @@ def first_frequency(field: Field, conditions: Array) -> float:
     """Lowest frequency omega (rad/s) under the conditions, by inverse iteration, to about a percent; collective."""
     body = ConditionedBody(field, conditions)
     rng = np.random.default_rng(5 + field.comm.rank)
-    u, value, before = rng.standard_normal(field.n * field.dim), np.inf, 0.0
+    u = rng.standard_normal(field.n * field.dim)
+
+    value = np.inf
+    before = 0.0
     for _ in range(50):
         Mu = field.mass(u.reshape(-1, field.dim)).ravel()
         u = body.solve_shifted(Mu)
+        # Rayleigh's quotient
         kk, mm = field.total(np.array([u @ field.stiffness(u), u @ field.mass(u.reshape(-1, field.dim)).ravel()]))
         value, before = float(kk / mm), value
         u = u / np.sqrt(mm)
         if abs(value - before) < 1e-3 * value:
             break
+
     body.destroy()
     return float(np.sqrt(value))
 
@@ -102,10 +110,12 @@ class ConditionedBody:
         f = self.field
         c = np.zeros(self.C.shape[1]) if c is None else c
         u, mu = self._bordered(b, c)
+        # the factor is that of K + s M: corrections of the residual of K
         before = np.inf
         for _ in range(100):
             du, dmu = self._bordered(b - f.stiffness(u) - self.C @ mu, c - f.total(self.C.T @ u))
             u, mu = u + du, mu + dmu
+
             size, change = f.total(np.array([u @ u, du @ du]))
             if change <= 1e-24 * size or (change >= 0.25 * before and change <= 1e-12 * size):
                 return u  # to roundoff: corrections do not fall any more
@@ -121,7 +131,6 @@ class ConditionedBody:
     def vibration_modes(self, count: int) -> tuple[Array, Array]:
         """The first ``count`` modes (1): omega (rad/s) ascending, and phi (n d, count)."""
         from petsc4py import PETSc
-        from slepc4py import SLEPc
 
         f = self.field
         if count == 0:
@@ -131,29 +140,19 @@ class ConditionedBody:
                 f'Body "{f.name}": {count} modes asked for, but its field has only {f.n_global} unknowns and '
                 f"{self.C.shape[1]} conditions."
             )
+
         M = f.mass_matrix()
         K = PETSc.Mat().createPython(M.getSizes(), _Stiffness(f), comm=f.comm)
         K.setUp()
-        eps = SLEPc.EPS().create(f.comm)
-        eps.setOperators(K, M)
-        eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
-        eps.setDimensions(count, min(max(2 * count, count + 15), f.n_global))
-        eps.setTarget(-self.shift)
-        eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_REAL)
-        eps.setTolerances(1e-12, 500)
-        st = eps.getST()
-        st.setType("sinvert")
-        st.setShift(-self.shift)
-        st.setMatMode(SLEPc.ST.MatMode.SHELL)
-        ksp = st.getKSP()
-        ksp.setType("preonly")
-        ksp.getPC().setType("python")
-        ksp.getPC().setPythonContext(_Inverse(self))
+        eps = self._eigensolver(K, M, count)
+
+        # a start without the parts that the conditions exclude
         start = M.createVecRight()
         rng = np.random.default_rng(3 + f.comm.rank)
         start.array[:] = self.solve_shifted(f.mass(rng.standard_normal((f.n, f.dim))).ravel())
         eps.setInitialSpace(start)
         eps.solve()
+
         found = eps.getConverged()
         values, modes = [], []
         for k in range(min(found, count)):
@@ -163,8 +162,32 @@ class ConditionedBody:
             obj.destroy()
         if found < count:
             raise FmbdError(f'Body "{f.name}": SLEPc found {found} of {count} modes.')
+
         order = np.argsort(values)
         return np.sqrt(np.maximum(np.array(values)[order], 0.0)), np.stack(modes, axis=1)[:, order]
+
+    def _eigensolver(self, K: Any, M: Any, count: int) -> Any:
+        """SLEPc's solver for the smallest eigenvalues of (K, M), by shift and invert with the factor that is there."""
+        from slepc4py import SLEPc
+
+        eps = SLEPc.EPS().create(self.field.comm)
+        eps.setOperators(K, M)
+        eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
+        eps.setDimensions(count, min(max(2 * count, count + 15), self.field.n_global))
+        # the shift is negative: K + s M is positive definite
+        eps.setTarget(-self.shift)
+        eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_REAL)
+        eps.setTolerances(1e-12, 500)
+
+        st = eps.getST()
+        st.setType("sinvert")
+        st.setShift(-self.shift)
+        st.setMatMode(SLEPc.ST.MatMode.SHELL)
+        ksp = st.getKSP()
+        ksp.setType("preonly")
+        ksp.getPC().setType("python")
+        ksp.getPC().setPythonContext(_Inverse(self))
+        return eps
 
     def destroy(self) -> None:
         """Free the factor; collective."""
@@ -202,6 +225,7 @@ def orthonormal_modes(field: Field, V: Array, conditions: Array) -> tuple[Array,
     import scipy.linalg as sl
 
     Z = rigid_fields(field)
+    # sizes before rigid parts are taken out, so that what vanishes with them is seen
     before = np.array([field.total(np.array(v @ field.mass(v.reshape(-1, field.dim)).ravel())) for v in V.T])
     V = V - Z @ np.linalg.solve(field.total(conditions.T @ Z), field.total(conditions.T @ V))
 
@@ -217,6 +241,8 @@ def orthonormal_modes(field: Field, V: Array, conditions: Array) -> tuple[Array,
         s, U = np.linalg.eigh(0.5 * (G + G.T))
         keep = s > 1e-12 * s.max()
         V = V @ (U[:, keep] / np.sqrt(s[keep]))
+
+    # in their span: K diagonal
     KV = np.stack([field.stiffness(a) for a in V.T], axis=1)
     K, M = product(V, KV), product(V, mass(V))
     values, U = sl.eigh(0.5 * (K + K.T), 0.5 * (M + M.T))

@@ -20,7 +20,8 @@ def displacement_field(run: Any, body: Any, state: Any = None) -> Any:
     from dolfinx import fem
 
     try:
-        system, state = run.system, run.state if state is None else state
+        system = run.system
+        state = run.state if state is None else state
         name = body.name
     except AttributeError as error:
         raise InputError(
@@ -33,7 +34,8 @@ def displacement_field(run: Any, body: Any, state: Any = None) -> Any:
         raise InputError(f'Body "{name}" is no elastic body of the run.')
     local = system.local_q(state.q, k)
     if isinstance(body, ReducedBody):
-        space, values = body.reduction.space, body.reduction.phi @ local
+        space = body.reduction.space
+        values = body.reduction.phi @ local
     elif is_distributed(part):
         space, values = part.field.space, local
     else:

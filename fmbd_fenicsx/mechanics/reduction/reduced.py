@@ -25,6 +25,7 @@ import numpy as np
 
 from ...errors import ConvergenceError
 from ...rotations import Array, axial, hat, motions, spin_matrix
+from ..bodies.body import Placed, Site
 from ..placements import FrameMotion, Part
 from ..validity import TOO_LARGE, too_large, warn_of_spin
 from .foreshortening import of_constants
@@ -80,6 +81,21 @@ def constants_of(Z: Array, MZ: Array) -> tuple[Array, Array]:
     return S, T
 
 
+def reduced_part(body: Any, frame: int, surfaces: Sequence[str]) -> ReducedPart:
+    """A reduced body or beam as a part of a system, with the ports of the named surfaces."""
+    part = ReducedPart(body.name, body.constants, frame, surfaces)
+    part.body = body
+    return part
+
+
+def placed_modes(body: Any, site: Site, frame: tuple[Array, Array] | None = None) -> Placed:
+    """A reduced body or beam as a part; its frame begins at the centre of mass, or with a pose and twist of its own."""
+    part = reduced_part(body, site.frame, site.surfaces)
+    pose, twist = (motions(body.dim).pose(body.constants.center), None) if frame is None else frame
+    q, v = body.start_local()
+    return Placed(part, q, v, pose, twist)
+
+
 class ReducedPart(Part):
     """A reduced body as a replicated part of a system: local coordinates are the modal amplitudes eta, (m,)."""
 
@@ -87,20 +103,27 @@ class ReducedPart(Part):
         import scipy.linalg as sl
 
         self.name, self.constants, self.frame, self.surfaces = name, constants, frame, tuple(surfaces)
+
         self.dim = d = constants.S.shape[0]
         self.motions = motions(d)
         self.n = constants.n_modes
         self.mass_total, self.size = constants.mass, constants.size
-        self.unit = constants.mass**-0.5  # of amplitudes of M-orthonormal modes: m
+
+        # ports of the surfaces in use, one after the other
         used = [constants.surfaces[s] for s in surfaces]
         self.n_port = d * (1 + d) * len(used)
         self.reference = np.concatenate([np.zeros(0), *(s.reference.ravel() for s in used)])
         self.port_matrix = np.concatenate([np.zeros((0, self.n)), *(s.modes for s in used)])
+
         self.shortening = of_constants(self.motions, used, self.n_port)
         self._stress: Array = np.zeros((self.n, self.n))
+
+        # T with its second index last: T(e_a, p) of all a is one product
         k = self.n + 1
         self._T = np.ascontiguousarray(constants.T.transpose(0, 2, 3, 1)).reshape(k * d * d, k)
         self._modal_mass = np.trace(constants.T[1:, 1:], axis1=2, axis2=3).copy()
+
+        self.rms = np.sqrt(np.diag(self._modal_mass) / constants.mass)
         self.first_frequency = (
             float(np.sqrt(sl.eigh(constants.K, self._modal_mass, eigvals_only=True)[0])) if self.n else np.inf
         )
@@ -140,9 +163,11 @@ class ReducedPart(Part):
     def _watch(self, motion: FrameMotion, eta: Array) -> None:
         """Warn of a spin above the first frequency; refuse displacements of the size of the body."""
         c = self.constants
+        # root mean square of the displacements over the mass
         mean = float(np.sqrt(max(eta @ self._modal_mass @ eta, 0.0) / c.mass))
         if not mean <= TOO_LARGE * c.size:
             raise ConvergenceError(too_large(self.name, mean, c.size))
+
         if c.stiffening is None and not self.warned:
             spin = float(np.linalg.norm(motion.twist[self.dim :]))
             if spin > self.first_frequency:
@@ -167,6 +192,7 @@ class ReducedPart(Part):
         force = c.mass * a + L @ Sp[:, 0] + 2.0 * (w @ Sp[:, 1]) + Sp[:, 2]
         frame = np.concatenate((motion.R @ force, axial(N)))
         rows: Array = a @ c.S[:, 1:] + np.trace(B[1:], axis1=1, axis2=2) + c.K @ eta + c.D @ rate
+
         if c.stiffening is not None:
             self._stress = self._stress_of(motion)
             rows = rows + self._stress @ eta
@@ -176,7 +202,8 @@ class ReducedPart(Part):
 
     def _apply(self, load: Any, B: Array, motion: FrameMotion, p: Array, out: tuple[Array, Array]) -> None:
         """Subtract a load from the rows of the frame and of the modes."""
-        d, factor = self.dim, load.factor(motion.t, self.name)
+        d = self.dim
+        factor = load.factor(motion.t, self.name)
         if not load.follower:
             B = motion.R.T @ B  # nodal forces in body axes
         out[1][:] -= factor * np.trace(B[1:], axis1=1, axis2=2)
@@ -194,8 +221,10 @@ class ReducedPart(Part):
             for load, b in c.loads:
                 self._apply(load, b, motion, p, rows)
             found["loads"] = -float(rows[0] @ motion.twist + rows[1] @ rate)
+
         if c.D.any():
             found["damping"] = -float(rate @ c.D @ rate)
+
         if c.stiffening is not None:
             found["stiffening"] = -float(rate @ self._stress_of(motion) @ eta)
         return found
@@ -257,13 +286,16 @@ class ReducedPart(Part):
         """sum M W and sum P x M W in body axes, and the kinetic energy."""
         c, d = self.constants, self.dim
         p = self._with_shape(*local)
-        w, v = spin_matrix(motion.twist[d:]), motion.R.T @ motion.twist[:d]
+        w = spin_matrix(motion.twist[d:])
+        v = motion.R.T @ motion.twist[:d]
         Sp = c.S @ p
         Tp = (self._T @ p).reshape(-1, d, d, 2)
         pp, pq, qq = (np.tensordot(p[:, i], Tp[..., j], 1) for i, j in ((0, 0), (0, 1), (1, 1)))
         flow = w @ Sp[:, 0] + Sp[:, 1]
-        twice = c.mass * v @ v + 2 * v @ flow + np.trace(w @ pp @ w.T) + 2 * np.trace(w @ pq) + np.trace(qq)
-        return c.mass * v + flow, axial(np.outer(Sp[:, 0], v) + pp @ w.T + pq), 0.5 * float(twice)
+        turning = np.trace(w @ pp @ w.T) + 2 * np.trace(w @ pq) + np.trace(qq)
+        twice = c.mass * v @ v + 2 * v @ flow + turning
+        spin = axial(np.outer(Sp[:, 0], v) + pp @ w.T + pq)
+        return c.mass * v + flow, spin, 0.5 * float(twice)
 
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic, elastic and weight energy, J."""

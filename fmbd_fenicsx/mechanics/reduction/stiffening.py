@@ -52,9 +52,13 @@ def geometric_form(form: Any, v: Any, w: Any) -> Any:
 
 def resultant_columns(field: Field, surface: str) -> Array:
     """Nodal forces (n d, d + n_rot) of a unit force and a unit moment on a surface, as its marker puts them there."""
-    moments, m, d = field.moments(surface), field.motions, field.dim
+    moments = field.moments(surface)
+    m = field.motions
+    d = field.dim
     F = moments.reference[1:].T[None]
+    # how the surface's rotation answers to its moments, at rest
     Z = polar(F)[1][0]
+
     out = np.zeros((field.n, d, d + m.n_rot))
     out[moments.nodes[:, None], range(d), range(d)] = moments.weights[:, :1]
     for k in range(m.n_rot):
@@ -87,20 +91,26 @@ class Stiffening:
                 [body.solve_static(f) if s > 0 else np.zeros(len(f)) for f, s in zip(found, size, strict=True)], axis=1
             )
 
+        # inertia forces of a rigid motion: unit accelerations e_c, and e_i x_j for each entry of L
         pairs = [(i, j) for i in range(d) for j in range(d)]
         inertia = [np.tile(e, (field.n, 1)) for e in np.eye(d)] + [
             np.outer(field.X[:, j], np.eye(d)[i]) for i, j in pairs
         ]
         self.columns = static([-field.mass(X) for X in inertia])  # (n d, d + d^2): u_0 for unit a_c and unit L_ij
+
         self.loads: list[tuple[Load, Any]] = [
             (f, b) for f, b in zip(field.loads.loads, field.loads.vectors, strict=True) if not f.internal
         ]
         self.load_columns = [static([np.outer(b[:, i], np.eye(d)[j]) for i, j in pairs]) for _, b in self.loads]
         self.section_columns = {s: static(resultant_columns(field, s).T) for s in surfaces}
         body.destroy()
+
         self._all = np.concatenate([self.columns, *self.load_columns], axis=1)
-        self._u0, self._w = fem.Function(field.space), fem.Function(field.space)
-        u, v = ufl.TrialFunction(field.space), ufl.TestFunction(field.space)
+        self._u0 = fem.Function(field.space)
+        self._w = fem.Function(field.space)
+
+        u = ufl.TrialFunction(field.space)
+        v = ufl.TestFunction(field.space)
         stress, self._p0 = field.stress_form(self._u0, v)
         self._force_form = compat.form(geometric_form(stress, v, self._w))
         self.matrix_form = compat.form(geometric_form(stress, v, u))
@@ -120,18 +130,23 @@ class Stiffening:
         """(1) of ``mechanics.reduction.foreshortening`` for the ports of surfaces in this order, the first at number
         ``first``.
         """
-        m, d, f = self.field.motions, self.field.dim, self.field
+        m = self.field.motions
+        d = self.field.dim
+        f = self.field
         G: list[Any] = []
         blocks: list[Array] = []
         for i, s in enumerate(surfaces):
             if s in self.section_columns:
+                # ports of this surface alone, among those of all
                 own = rigid_ports(m, f.moments(s).reference)
                 block = np.zeros((n_port, own.shape[1]))
                 block[first + i * len(own) : first + (i + 1) * len(own)] = own
                 blocks.append(block)
                 G += [self._scalar(u) for u in self.section_columns[s].T]
+
         if not G:
             return None
+
         x, y = G[0].createVecs()
 
         def products(U: Array) -> Array:
@@ -154,6 +169,7 @@ class Stiffening:
         A = fp.assemble_matrix(self.matrix_form)
         A.assemble()
         low, _ = A.getOwnershipRange()
+        # every d-th row and column
         rows = PETSc.IS().createStride(self.field.n, low, self.field.dim, A.comm)
         out = A.createSubMatrix(rows, rows)
         A.destroy()
@@ -198,6 +214,7 @@ class Stiffening:
         for k in range(len(out)):
             if not f.total(np.array(np.abs(columns[:, k]).sum())):
                 continue
+            # loads that are zero strain nothing
             self._hold(columns[:, k])
             A.zeroEntries()
             fp.assemble_matrix(A, self.matrix_form)

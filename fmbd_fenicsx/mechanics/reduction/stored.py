@@ -10,8 +10,8 @@ import numpy as np
 from ...errors import InputError, near
 from ...rotations import Array, motions
 from ..bodies.bodies import Surface
-from ..bodies.body import Body
-from .reduced import Constants, SurfaceData
+from ..bodies.body import MODES, Body, Placed, Site
+from .reduced import Constants, SurfaceData, placed_modes
 
 PLAIN = ("mass", "S", "T", "K", "D", "center", "size")
 
@@ -21,6 +21,7 @@ class StoredBody(Body):
     """A reduced body by its constants; made by :func:`fmbd_fenicsx.read_reduced`. It starts at rest, where it was saved."""
 
     modal = True
+    stage = MODES
 
     name: str
     constants: Constants
@@ -46,6 +47,10 @@ class StoredBody(Body):
         if name not in known:
             raise InputError(f'Body "{self.name}" has no surface "{name}". {near(name, known)}')
         return Surface(self, name)
+
+    def placed(self, site: Site) -> Placed:
+        """Its modes as a part on its frame."""
+        return placed_modes(self, site)
 
     def start_twist(self) -> Array:
         """At rest."""

@@ -44,6 +44,7 @@ class Curve:
             points.ndim == 2 and points.shape[1] == 3 and len(points) >= 2 and bool(np.isfinite(points).all()),
             f'Rod "{self.name}": the curve must be two or more points in space, or a function of u in [0, 1]; found {given!r}.',
         )
+
         chords = np.diff(points, axis=0)
         lengths = np.linalg.norm(chords, axis=1)
         if not lengths.min() > 1e-12 * lengths.max():
@@ -51,6 +52,8 @@ class Curve:
                 f'Rod "{self.name}": points {int(lengths.argmin()) + 1} and {int(lengths.argmin()) + 2} of its curve coincide: '
                 "there is no tangent."
             )
+
+        # a sharp angle between chords is a kink: a spline would swing about it
         directions = chords / lengths[:, None]
         turns = np.arccos(np.clip((directions[1:] * directions[:-1]).sum(1), -1.0, 1.0))
         if turns.size and turns.max() >= SHARPEST:
@@ -60,6 +63,7 @@ class Curve:
                 f"{np.round(points[worst], 6).tolist()}: a kink. Make two rods and "
                 "join them by fmbd.fixed(...), or give more points."
             )
+
         u = np.concatenate(([0.0], np.cumsum(lengths))) / lengths.sum()
         return make_interp_spline(u, points, k=min(3, len(points) - 1))
 
@@ -85,23 +89,28 @@ class Curve:
         n = 32
         u = np.linspace(0.0, 1.0, n + 1)
         points = np.array([self._value(x) for x in u])
+
         while True:
             spline = make_interp_spline(u, points, k=5)
+            # half-way between its points a spline is worst
             between = 0.5 * (u[1:] + u[:-1])
             found = np.array([self._value(x) for x in between])
             error = np.linalg.norm(found - spline(between), axis=1)
             size = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
             if not size > 0:
                 raise InputError(f'Rod "{self.name}": its curve is a single point: there is no tangent.')
+
             if error.max() <= SMOOTH * 1e-3 * size:
                 return spline
             if n >= FINEST:
                 break
+            # what was found half-way are the new points
             n *= 2
             u = np.linspace(0.0, 1.0, n + 1)
             fine = np.empty((n + 1, 3))
             fine[::2], fine[1::2] = points, found
             points = fine
+
         if error.max() > SMOOTH * size:
             self._refuse_kink(points, between[error.argmax()])
         return spline
@@ -126,14 +135,18 @@ class Curve:
         """Arc length of the spline over its parameter."""
         n = max(512, 4 * len(self._spline.c))
         self._u = np.linspace(0.0, 1.0, n + 1)
-        middle, half = 0.5 * (self._u[1:] + self._u[:-1]), 0.5 / n
+        middle = 0.5 * (self._u[1:] + self._u[:-1])
+        half = 0.5 / n
+        # Gauss points of each interval
         speed = np.linalg.norm(self._slope(middle[:, None] + half * GAUSS_U), axis=-1)
+
         slowest = int(speed.min(axis=1).argmin())
         if not speed.min() > 1e-6 * speed.max():
             raise InputError(
                 f'Rod "{self.name}": the tangent of its curve is zero near u = {middle[slowest]:.4f}: '
                 "give a parameter that moves on."
             )
+
         self._s = np.concatenate(([0.0], np.cumsum(half * (speed @ GAUSS_W))))
         self.length = float(self._s[-1])
 
@@ -141,10 +154,12 @@ class Curve:
         """u of arc lengths s, by Newton's method."""
         u = np.interp(s, self._s, self._u)
         for _ in range(8):
+            # arc length up to u: that of whole intervals, and of the rest by Gauss points
             k = np.clip(np.searchsorted(self._u, u, side="right") - 1, 0, len(self._u) - 2)
             half = 0.5 * (u - self._u[k])
             inside = self._u[k][:, None] + half[:, None] * (1 + GAUSS_U)
             found = self._s[k] + half * (np.linalg.norm(self._slope(inside), axis=-1) @ GAUSS_W)
+
             u = np.clip(u - (found - s) / np.linalg.norm(self._slope(u), axis=-1), 0.0, 1.0)
         return u
 
@@ -159,6 +174,7 @@ class Curve:
         """Arc length of the place on the curve nearest to a point, and the distance, both m."""
         from scipy.optimize import minimize_scalar
 
+        # between the neighbours of the nearest point known
         k = int(np.linalg.norm(self._spline(self._u) - point, axis=1).argmin())
         around = self._s[max(k - 1, 0)], self._s[min(k + 1, len(self._s) - 1)]
 
@@ -174,12 +190,14 @@ class Curve:
         """Rotation matrices (n, 3, 3) of the sections at ascending arc lengths s, columns axis 1, 2, 3."""
         _, t = self.at(s)
         across = self._carried(s) if normal is None else self._directed(s, t, normal)
+
         if twist is not None:
             angle = np.array([float(twist(float(x))) for x in s])
             require(
                 bool(np.isfinite(angle).all()),
                 f'Rod "{self.name}": its twist is not finite; it must be an angle (rad) of s (m).',
             )
+            # turned about the tangent
             c, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
             across = c * across + sin * np.cross(t, across)
         return np.stack((t, across, np.cross(t, across)), axis=-1)
@@ -193,7 +211,8 @@ class Curve:
         )
 
         part = n - (n * t).sum(1, keepdims=True) * t
-        size, whole = np.linalg.norm(part, axis=1), np.linalg.norm(n, axis=1)
+        size = np.linalg.norm(part, axis=1)
+        whole = np.linalg.norm(n, axis=1)
         bad = np.flatnonzero(~(size > 1e-6 * np.maximum(whole, 1e-300)))
         if bad.size:
             x = self.at(s[bad[:1]])[0][0]
@@ -208,16 +227,24 @@ class Curve:
         """Axis 2 carried along without twist, from the world axis most across the curve's start (y before z before x)."""
         fine = np.unique(np.concatenate((np.linspace(0.0, self.length, 1024), s)))
         x, t = self.at(fine)
+        # rounded, so that ties are broken by the order and not by roundoff
         order = np.array([1, 2, 0])
         first = np.eye(3)[order[int(np.argmin(np.round(np.abs(t[0][order]), 9)))]]
         n = first - (first @ t[0]) * t[0]
-        carried = np.empty_like(x)
-        carried[0] = n / np.linalg.norm(n)
-        for i, step in enumerate(_reflections(x, t)):
-            r = step @ carried[i]
-            carried[i + 1] = r / np.sqrt(r @ r)
-        found: Array = carried[np.searchsorted(fine, s)]
-        return found
+
+        turned = _products(_reflections(x, t))[np.searchsorted(fine, s)]
+        carried: Array = turned @ (n / np.linalg.norm(n))
+        return carried / np.linalg.norm(carried, axis=1, keepdims=True)
+
+
+def _products(steps: Array) -> Array:
+    """Products 1, S_0, S_1 S_0, S_2 S_1 S_0, ... of matrices S (n, 3, 3): all of them, (n + 1, 3, 3)."""
+    found = np.concatenate((np.eye(3)[None], steps))
+    reach = 1
+    while reach < len(found):  # each knows the product of the last ``reach`` factors
+        found[reach:] = found[reach:] @ found[:-reach]
+        reach *= 2
+    return found
 
 
 def _reflections(x: Array, t: Array) -> Array:

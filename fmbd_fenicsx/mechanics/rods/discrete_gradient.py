@@ -36,7 +36,8 @@ def mean_forces(rod: RodElements, poses: tuple[Array, Array], twist: Array, h: f
     nodal[..., 3:] = np.linalg.solve(np.swapaxes(A, -1, -2), nodal[..., 3:, None])[..., 0]
     change = h * (B @ nodal.reshape(len(nodal), 1, -1, 1))[..., 0]
 
-    e0, e1 = strains(*z0) - rod.natural, strains(*z1) - rod.natural
+    e0 = strains(*z0) - rod.natural
+    e1 = strains(*z1) - rod.natural
     S = 0.5 * (rod.law.stress(e0) + rod.law.stress(e1))
     C = rod.law.tangent(0.5 * (e0 + e1))
     along = (C @ change[..., None])[..., 0]

@@ -58,11 +58,13 @@ class RodElements:
         self.weights = half[:, None] * shape.weights
         self.slopes = shape.dN[None] / half[:, None, None]  # dN/ds, (m, q, k)
         self.natural = natural
+
         self.law: Any = None
         self.beta = 0.0
         self.arms: Arms | None = None
         self.kept: Any = None  # ArmMemory where there are arms
         self.loads: tuple[LineLoad, ...] = ()
+
         self.nodes = np.unique(frames)[:, None]
         self.points: Array = np.zeros((0, 0))  # arc lengths of the Gauss points, (m, q)
         self.breaks: Array = np.zeros(0)  # and of the ends of the elements
@@ -71,7 +73,9 @@ class RodElements:
     def interpolated(self, pose: Array) -> tuple[tuple[Array, Array, Array], Array]:
         """z at the Gauss points, and the quaternions of the nodes (m, k, 4), of one sign within each element."""
         nodal = pose[self.frames]
-        x, p = nodal[..., :3], nodal[..., 3:].copy()
+        x = nodal[..., :3]
+        p = nodal[..., 3:].copy()
+        # q and -q are one rotation: neighbours on one side, or their mean would be none
         for i in range(1, p.shape[1]):
             p[:, i] *= np.where((p[:, i] * p[:, i - 1]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
         N = self.shape.N
@@ -84,11 +88,15 @@ class RodElements:
     def directions(self, columns: Array) -> Array:
         """Z, (m, q, 11, 6 k), with dp/d(turn) of the nodes, (m, k, 4, 3)."""
         m, k = columns.shape[:2]
-        q, turn = len(self.shape.points), columns[:, None]
+        q = len(self.shape.points)
+
+        turn = columns[:, None]
         Z = np.zeros((m, q, 11, k, 6))
+        # dx/ds by places, then p and dp/ds by rotations
         Z[:, :, range(3), :, range(3)] = self.slopes
         Z[:, :, 3:7, :, 3:] = np.moveaxis(self.shape.N[None, :, :, None, None] * turn, 2, 3)
         Z[:, :, 7:11, :, 3:] = np.moveaxis(self.slopes[..., None, None] * turn, 2, 3)
+
         return Z.reshape(m, q, 11, 6 * k)
 
     def _stress(self, t: float, e: Array, rate: Callable[[], Array] | None) -> Array:
@@ -131,6 +139,7 @@ class RodElements:
         e, E = strain_jacobian(*z)
         Z = self.directions(spins(p))
         S = self._stress(t, e - self.natural, self._rate(E, Z, twist))
+
         C = (ck + self.beta * cd) * self.law.tangent(e - self.natural)
         if self.arms is not None:
             C = C + ck * self.arms.tangent(self.kept, t)
@@ -145,8 +154,10 @@ class RodElements:
 
     def _add_turns(self, K: Array, on_z: Array, p: Array, ck: float) -> None:
         """The part of (2) from the second derivative of p exp(theta): moment~ / 2 - (slope along p) / 4 for each node."""
+        # derivatives of the energy by the quaternions of the nodes
         slope = np.einsum("qi,mqc->mic", self.shape.N, on_z[..., 3:7])
         slope += np.einsum("mqi,mqc->mic", self.slopes, on_z[..., 7:11])
+
         moment = (slope[:, :, None, :] @ spins(p))[:, :, 0]
         extra = 0.5 * hat(moment) - 0.25 * (slope * p).sum(-1)[..., None, None] * np.eye(3)
         for i in range(p.shape[1]):
@@ -157,7 +168,9 @@ class RodElements:
         """Forces and moments of a load on the nodes, (nodes, 1, 6), and their derivatives by increments, (nodes, 6, 6)."""
         value = load.on_nodes(t)
         R = quaternion_matrix(pose[self.nodes[:, 0], 3:])
-        out, slope = np.zeros((len(value), 1, 6)), np.zeros((len(value), 6, 6))
+        out = np.zeros((len(value), 1, 6))
+        slope = np.zeros((len(value), 6, 6))
+        # moments stand in body axes, forces in world axes
         if load.turns:
             own = value if load.follower else (np.swapaxes(R, 1, 2) @ value[..., None])[..., 0]
             out[:, 0, 3:] = own
@@ -172,9 +185,11 @@ class RodElements:
         from .discrete_gradient import mean_forces
 
         middle = poses[0].copy()
+        # the mean rotation: of two quaternions on one side
         p1 = poses[1][:, 3:] * np.where((poses[0][:, 3:] * poses[1][:, 3:]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
         middle[:, 3:] += p1
         middle[:, 3:] /= np.linalg.norm(middle[:, 3:], axis=-1, keepdims=True)
+
         loads = [(self.nodes, -self._load(x, t, middle)[0]) for x in self.loads]
         return [(self.frames, mean_forces(self, poses, twist, h)), *loads]
 
@@ -187,6 +202,7 @@ class RodElements:
 
         with_rates, *loads = self.forces(t, pose, twist)
         found = {"loads": sum(power(x) for x in loads)} if loads else {}
+        # what the rates add to the forces is the damping
         if self.beta:
             found["damping"] = power(with_rates) - power(self.forces(t, pose, None)[0])
         if self.arms is not None:

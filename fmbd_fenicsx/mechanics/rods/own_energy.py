@@ -25,12 +25,14 @@ class OwnLaw:
         self.shape, n = s.shape, s.size
         line = mesh.create_interval(MPI.COMM_SELF, n, [0.0, 1.0])
         # one constant value a cell: the cells need no geometry
-        vector, scalar = fem.functionspace(line, ("DG", 0, (6,))), fem.functionspace(line, ("DG", 0))
+        vector = fem.functionspace(line, ("DG", 0, (6,)))
+        scalar = fem.functionspace(line, ("DG", 0))
         self._e, place = fem.Function(vector), fem.Function(scalar)
         place.x.array[:] = s.ravel()
 
         e = ufl.variable(self._e)
-        gamma, kappa = ufl.as_vector([e[0], e[1], e[2]]), ufl.as_vector([e[3], e[4], e[5]])
+        gamma = ufl.as_vector([e[0], e[1], e[2]])
+        kappa = ufl.as_vector([e[3], e[4], e[5]])
         try:
             W = energy(gamma, kappa, place)
             stress = ufl.diff(W, e)
@@ -42,7 +44,8 @@ class OwnLaw:
                 "Section: energy(gamma, kappa, s) must return a scalar UFL expression of two vectors and the arc length: "
                 f"{type(error).__name__}: {error}"
             ) from error
-        self._mesh, self._cells = line, np.arange(n, dtype=np.int32)
+        self._mesh = line
+        self._cells = np.arange(n, dtype=np.int32)
         rest = self.stress(np.zeros((*self.shape, 6)))
         if not np.isfinite(rest).all():
             raise InputError("Section: the stress of energy(gamma, kappa, s) is not finite without strain.")

@@ -15,6 +15,7 @@ import numpy as np
 from ...checks import number
 from ...errors import CallbackError, InputError, require
 from ...rotations import Array
+from ..torsion import torsion_of_rectangle
 from .relaxation import Arms
 
 
@@ -60,11 +61,11 @@ class RodSection:
 
         Shear factors 5/6; torsion constant by the series of Saint-Venant, to 1e-4.
         """
-        A, I2, I3 = width * height, width * height**3 / 12, height * width**3 / 12
-        long, short = max(width, height), min(width, height)
-        n = np.arange(1, 40, 2)
-        series = float((np.tanh(n * np.pi * long / (2 * short)) / n**5).sum())
-        J = long * short**3 / 3 * (1 - 192 * short / (np.pi**5 * long) * series)
+        A = width * height
+        I2 = width * height**3 / 12
+        I3 = height * width**3 / 12
+        J = torsion_of_rectangle(width, height)
+        # what pictures show
         corners = 0.5 * np.array([[-width, -height], [width, -height], [width, height], [-width, height]])
         return cls._of((A, I2, I3, J, 5 / 6), (youngs_modulus, poisson_ratio, density), corners)
 
@@ -79,9 +80,12 @@ class RodSection:
         """
         require(0 <= inner < radius, f"A ring needs 0 <= inner < radius, found inner {inner} m, radius {radius} m.")
         nu, m = poisson_ratio, inner / radius
-        A, moment = np.pi * (radius**2 - inner**2), np.pi * (radius**4 - inner**4) / 4
+        A = np.pi * (radius**2 - inner**2)
+        moment = np.pi * (radius**4 - inner**4) / 4
+        # Cowper's factor
         full = (1 + m * m) ** 2
         factor = 6 * (1 + nu) * full / ((7 + 6 * nu) * full + (20 + 12 * nu) * m * m)
+        # what pictures show
         angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
         ring = radius * np.stack((np.cos(angle), np.sin(angle)), axis=1)
         return cls._of((A, moment, moment, 2 * moment, factor), (youngs_modulus, nu, density), ring)
@@ -94,6 +98,7 @@ class RodSection:
         for what, value in (("Young's modulus", E), ("density", rho), ("area", A), ("torsion constant", J)):
             require(bool(np.isfinite(value)) and value > 0, f"Section: {what} {value} must be positive.")
         require(-1 < nu <= 0.5, f"Section: Poisson's ratio {nu} must lie in (-1, 0.5].")
+        # axial, shear in both directions, torsion, bending about both
         G = E / (2 * (1 + nu))
         stiffness = (E * A, factor * G * A, factor * G * A, G * J, E * I2, E * I3)
         return cls(stiffness, rho * A, (rho * (I2 + I3), rho * I2, rho * I3), outline=outline)
@@ -141,14 +146,19 @@ class RodSection:
             isinstance(pair, tuple | list) and len(pair) == 2,
             f"Section: relaxation must be pairs (stiffness, time in s), found {pair!r}.",
         )
+
         given, tau = pair
         number(f"Section: time of the relaxation ({given!r}, {tau!r})", tau, above=0.0, unit="s")
+
+        # one number is a share of the whole stiffness
         if np.ndim(given) == 0:
             share = number("Section: share of the stiffness that relaxes", given, above=0.0)
             require(self.stiffness is not None, "Section: beside an own energy, give arms as six numbers or (6, 6).")
             return share * self.matrices(s), float(tau)
+
         C = _matrix(given, 6, "relaxing stiffness", float(s[0]))
         check_symmetric(C, "relaxing stiffness", float(s[0]))
+
         least = float(np.linalg.eigvalsh(C)[0])
         require(
             least >= -1e-12 * np.abs(C).max(), f"Section: relaxing stiffness has the negative eigenvalue {least:g}."
@@ -207,6 +217,7 @@ def _matrix(given: Any, n: int, what: str, s: float) -> Array:
 def check_matrix(C: Array, what: str, s: float) -> None:
     """Refuse a matrix that is not symmetric and positive."""
     check_symmetric(C, what, s)
+    # each entry in units of its own: N and N m^2 are not compared
     size = np.sqrt(np.abs(np.diag(C)))
     if not (size > 0).all() or np.linalg.eigvalsh(C / np.outer(size, size))[0] <= 1e-12:
         raise InputError(

@@ -56,11 +56,13 @@ def shape_of(degree: int) -> Shape:
     bending (no locking), and the error of the energy falls as fast as that of the interpolation.
     """
     legendre = np.polynomial.legendre.Legendre.basis(degree)
+    # Gauss-Lobatto: both ends, and the extrema of Legendre's polynomial
     nodes = np.concatenate(([-1.0], np.sort(np.real(legendre.deriv().roots())), [1.0]))
     node_weights = 2.0 / (degree * (degree + 1) * legendre(nodes) ** 2)
     points, weights = np.polynomial.legendre.leggauss(degree)
 
-    N, dN = np.empty((degree, degree + 1)), np.empty((degree, degree + 1))
+    N = np.empty((degree, degree + 1))
+    dN = np.empty((degree, degree + 1))
     for i in range(degree + 1):
         others = np.polynomial.Polynomial.fromroots(np.delete(nodes, i))
         basis = others / others(nodes[i])
@@ -84,7 +86,10 @@ FORCES = Vector(symbol(f"S[{i}]") for i in range(6))
 
 def definition(y: Vector, P: Vector, dP: Vector) -> Vector:
     """e of (1)."""
-    v, w, dv, dw = Vector(P[:3]), P[3], Vector(dP[:3]), dP[3]
+    v = Vector(P[:3])
+    w = P[3]
+    dv = Vector(dP[:3])
+    dw = dP[3]
     stretch = y * (w * w - v @ v) + v * (2.0 * (v @ y)) - cross(v, y) * (2.0 * w)
     bend = (dv * w - v * dw - cross(v, dv)) * 2.0
     return Vector((*stretch, *bend)) / (P @ P)
@@ -116,6 +121,7 @@ def strain_jacobian(y: Array, P: Array, dP: Array) -> tuple[Array, Array]:
 
 def strain_hessian(z: tuple[Array, Array, Array], S: Array) -> Array:
     """d^2 (S . e) / dz^2 for constant section forces S (..., 6); (..., 11, 11)."""
+    # the lower triangle is computed: the second derivative is symmetric
     lower = _evaluated("rod_curvature", np.concatenate(z, axis=-1), S, 66)
     i, j = np.tril_indices(11)
     H = np.zeros((*lower.shape[:-1], 11, 11))
@@ -170,9 +176,11 @@ def _evaluated(name: str, z: Array, S: Array, size: int) -> Array:
         values = {f"z[{i}]": z[..., i] for i in range(11)} | {f"S[{i}]": S[..., i] for i in range(6)}
         return np.stack([np.broadcast_to(x, z.shape[:-1]) for x in _program(name)(values)], axis=-1)
 
-    z, S = np.ascontiguousarray(z, dtype=float), np.ascontiguousarray(S, dtype=float)
+    z = np.ascontiguousarray(z, dtype=float)
+    S = np.ascontiguousarray(S, dtype=float)
     out = np.empty((*z.shape[:-1], size))
     pointers = [ctypes.c_void_p(x.ctypes.data) for x in (z, S, out)]
+
     count = ctypes.c_long(z.size // 11)
     getattr(library, f"{name}s")(count, pointers[0], pointers[1], ctypes.c_long(S.shape[-1]), pointers[2])
     return out

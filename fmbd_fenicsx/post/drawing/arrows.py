@@ -25,15 +25,19 @@ def arrow_pieces(at: Places, view: View, size: float) -> tuple[list[Piece], tupl
         (view.reactions, "reactions", _reactions),
         (view.contact, "contact forces", _contacts),
     )
+
     pieces: list[Piece] = []
     scales: list[ArrowScale] = []
     for shade, (asked, kind, forces) in enumerate(wanted):
         found = forces(at) if asked else {}
+
+        # arrows of a kind are measured by its largest force of all instants
         largest = max((float(np.linalg.norm(f, axis=1).max(initial=0.0)) for _, f in found.values()), default=0.0)
         if largest > 0:
             scale = ArrowScale(kind, largest, shade)
             pieces += _scaled(found, scale, size)
             scales.append(scale)
+
     return pieces, tuple(scales)
 
 
@@ -65,12 +69,14 @@ def _applied(at: Places) -> dict[str, tuple[Array, Array]]:
 
 def _reactions(at: Places) -> dict[str, tuple[Array, Array]]:
     """Forces of the joints on their second bodies."""
-    s, d = at.run.system, at.run.system.motions.dim
+    s = at.run.system
+    d = s.motions.dim
     found: dict[str, tuple[Array, Array]] = {}
     for joint in at.run.scene.joints.values():
         if isinstance(joint, Coupling):
             continue
-        sensor, values = reaction_force(joint), np.zeros((at.count, 3))
+        sensor = reaction_force(joint)
+        values = np.zeros((at.count, 3))
         for k, state in enumerate(at.states):
             values[k, :d] = -sensor.read(s.at(state.t, state.q, state.v), state, -1)
         found[f"reaction of {joint.name}"] = at.markers[:, at.joint(joint.name)[1]], values

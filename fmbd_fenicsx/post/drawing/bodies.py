@@ -14,7 +14,8 @@ import numpy as np
 
 from ...mechanics.bodies.appearance import is_mesh
 from ...mechanics.bodies.beams import Beam
-from ...mechanics.bodies.bodies import AbsoluteBody, CoordinateBody, FloatingBody, RigidBody
+from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody, RigidBody
+from ...mechanics.bodies.coordinates import CoordinateBody
 from ...mechanics.bodies.line_body import LineBody
 from ...mechanics.catenary.wires import Wires
 from ...mechanics.contact.shapes import Obstacle
@@ -47,6 +48,7 @@ def _field(body: FloatingBody | AbsoluteBody, at: Places, paint: Paint | None, s
     part: Any = s.parts[k]
     absolute = part.frame == s.n_frames  # displacements from the place where the mesh lies
     origins = np.tile(part.field.center, (at.count, 1)) if absolute else at.frames[:, part.frame, : s.motions.dim]
+
     local = [part.field.points(u) for u in at.coordinates[body.name]]
     return [_skinned(body, at, paint, (part.field.space, part.frame, origins, local))]
 
@@ -65,7 +67,8 @@ def _reduced(body: ReducedBody, at: Places, paint: Paint | None, symbol: float) 
 def _skinned(body: Any, at: Places, paint: Paint | None, where: tuple[Any, int, Array, list[Array]]) -> Piece:
     """The skin of a space at o + R P, P the nodes' places in the frame's axes: ``where`` = (space, frame, o, P)."""
     space, frame, origins, local = where
-    comm, d = space.mesh.comm, at.run.system.motions.dim
+    comm = space.mesh.comm
+    d = at.run.system.motions.dim
     surface = skin(space)
     axes = at.axes[:, frame, :d, :d]
     nodes = [o + P @ R.T for o, R, P in zip(origins, axes, local, strict=True)]
@@ -85,8 +88,10 @@ def _beam(body: Beam, at: Places, paint: Paint | None, symbol: float) -> list[Pi
     d = body.dim
     line = body.centre_line()
     amplitudes = at.coordinates[body.name]
+    # centre line in the frame: at rest, and by the modes
     local = line[:, :, 0] + np.einsum("ndm,tm->tnd", line[:, :, 1:], amplitudes)
     x = origin[:, None, :d] + np.einsum("tij,tnj->tni", axes[:, :d, :d], local)
+
     radius = max(body.section.thickness / 2, THINNEST * symbol)
     return [tube(body.name, np.array([in_space(one) for one in x]), radius)]
 
@@ -130,7 +135,8 @@ def tube(name: str, path: Array, radius: float) -> Piece:
 def _wires(body: Wires, at: Places, paint: Paint | None, symbol: float) -> list[Piece]:
     """Wires one above the other, a twentieth of the span apart; droppers between them, flagged where they are slack."""
     part: Any = next(p for p in at.run.system.parts if p.name == body.name)
-    field, u = part.field, at.coordinates[body.name]
+    field = part.field
+    u = at.coordinates[body.name]
     apart = body.length / 20
     x = np.linspace(0, body.length, 4 * body.cells + 1)
 
@@ -147,6 +153,7 @@ def _wires(body: Wires, at: Places, paint: Paint | None, symbol: float) -> list[
 
     slack = np.array([field.tension(one)[0] <= 0 for one in u]) if body.droppers else np.zeros((at.count, 0))
     for k, dropper in enumerate(body.droppers):
+        # a dropper hangs between its wires
         ends = [places_at(wire, np.array([dropper.x])) for wire in (dropper.upper, dropper.lower)]
         motion = Deforming(np.concatenate(ends, axis=1))
         name = f"{body.name}, dropper {k + 1}"
@@ -159,6 +166,7 @@ def _wires(body: Wires, at: Places, paint: Paint | None, symbol: float) -> list[
 def _rigid(body: RigidBody, at: Places, paint: Paint | None, symbol: float) -> list[Piece]:
     origin, axes = at.frame(body)
     solid = _given_shape(body) or _contact_shape(body, at) or _ball(BALL * symbol, body.dim)
+
     if body.shape is None or not _is_cad(body.shape):  # bars show where it is held, inside the shape or outside of it
         solid = _with_bars(solid, body, at, symbol)
     return [Piece(body.name, Role.BODY, solid.triangles, solid.edges, Moving(solid.points, origin, axes))]
@@ -200,8 +208,10 @@ def _contact_shape(body: RigidBody, at: Places) -> Solid | None:
                 found += [_ball(points.radius, body.dim).moved(in_space(c[None])[0]) for c in points.points]
             else:
                 corners.append(points.points)
+
         if isinstance(contact.master, Obstacle) and contact.master.on is body:
             found.append(shape_solid(contact.master.shape, body.dim))
+
     if corners:
         found.append(hull(np.concatenate(corners)))
     return joined(found) if found else None

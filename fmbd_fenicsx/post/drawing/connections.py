@@ -9,7 +9,7 @@ import numpy as np
 from ...mechanics.forces.forces import CoordinateForce, Spring, Tyre
 from ...mechanics.joints.drives import Coupling
 from ...mechanics.joints.joints import Joint, ground
-from ...mechanics.joints.relative import Turn
+from ...mechanics.joints.relative import RelativeAngle
 from ...rotations import Array
 from .places import Places
 from .scene_graph import Deforming, Moving, Piece, Role, Solid
@@ -24,11 +24,13 @@ def connection_pieces(at: Places, symbol: float, up: Array) -> list[Piece]:
     """Pieces of all joints and force elements; ``symbol`` (m) is their size."""
     scene = at.run.scene
     pieces: list[Piece] = []
+
     for joint in scene.joints.values():
         if isinstance(joint, Coupling):
             pieces += _drive(joint, at, symbol)
         else:
             pieces += _joint(joint, at, symbol, up)
+
     for force in scene.forces.values():
         if isinstance(force, Spring):
             pieces += _spring(force, at, symbol, up)
@@ -62,10 +64,13 @@ def _symbol(joint: Joint, dim: int, r: float) -> Solid:
     axis = np.zeros(3)
     if joint.axis is not None:
         axis[: len(joint.axis)] = joint.axis
+
     if dim == 2:
         if joint.kind in ("prismatic", "point on line"):
             return rectangle((4.5 * r, 1.6 * r)).moved(np.zeros(3), _plane_axes(axis))
         return rectangle((1.6 * r, 1.6 * r)) if joint.kind == "fixed" else disk(0.8 * r, 24)
+
+    # in space, along the axis
     if joint.kind == "revolute":
         return cylinder(0.8 * r, 4.0 * r, axis)
     if joint.kind == "cylindrical":
@@ -110,7 +115,7 @@ def _drive(joint: Coupling, at: Places, symbol: float) -> list[Piece]:
 
 
 def _effort_mark(name: str, coordinate: Any, at: Places, symbol: float) -> list[Piece]:
-    if coordinate.joint.name not in at.run.scene.joints or coordinate.kind is not Turn:
+    if coordinate.joint.name not in at.run.scene.joints or coordinate.kind is not RelativeAngle:
         return []
     a, b = at.joint(coordinate.joint.name)
     solid = turn_arrow(2.4 * symbol)
@@ -144,7 +149,7 @@ def _on_coordinate(force: CoordinateForce, at: Places, symbol: float) -> list[Pi
     if force.law is not None and not force.stiffness and not force.damping:
         return _effort_mark(force.name, force.on, at, symbol)
     a, b = at.joint(joint.name)
-    if force.on.kind is not Turn:
+    if force.on.kind is not RelativeAngle:
         return [_coiled(force.name, at.markers[:, a], at.markers[:, b], (symbol, at.run.system.motions.dim))]
 
     angle = np.linspace(0, 5 * np.pi, 90)

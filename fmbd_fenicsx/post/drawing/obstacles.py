@@ -60,7 +60,8 @@ def _half_space(shape: HalfSpace, dim: int, bounds: Bounds) -> Solid:
     n = np.zeros(3)
     n[: len(shape.normal)] = np.asarray(shape.normal, dtype=float)
     n /= np.linalg.norm(n)
-    middle, reach = 0.5 * (bounds[0] + bounds[1]), float(np.linalg.norm(bounds[1] - bounds[0]))
+    middle = 0.5 * (bounds[0] + bounds[1])
+    reach = float(np.linalg.norm(bounds[1] - bounds[0]))
     middle = middle - ((middle - _point(shape.point)) @ n) * n  # its foot in the plane
     depth = 0.04 * reach
 
@@ -73,7 +74,9 @@ def _half_space(shape: HalfSpace, dim: int, bounds: Bounds) -> Solid:
 
 def _level_set(shape: Shape, dim: int, bounds: Bounds) -> Solid:
     grown = 0.15 * (bounds[1] - bounds[0])[:dim]
-    low, high = bounds[0][:dim] - grown, bounds[1][:dim] + grown
+    low = bounds[0][:dim] - grown
+    high = bounds[1][:dim] + grown
+    # a flat box would hold no grid
     thin = 0.05 * float((high - low).max())
     low, high = np.where(high - low < thin, low - thin, low), np.where(high - low < thin, high + thin, high)
 
@@ -102,7 +105,8 @@ def obstacle_pieces(at: Places, bounds: Bounds) -> list[Piece]:
 
 def _motion(obstacle: Obstacle, at: Places, d: int) -> tuple[Array, Array]:
     """Origin (instants, 3) and axes (instants, 3, 3) of an obstacle."""
-    origin, matrix = np.zeros((at.count, 3)), np.tile(np.eye(3), (at.count, 1, 1))
+    origin = np.zeros((at.count, 3))
+    matrix = np.tile(np.eye(3), (at.count, 1, 1))
     if obstacle.motion is None:
         return origin, matrix
     for k, state in enumerate(at.states):

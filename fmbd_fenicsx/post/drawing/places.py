@@ -44,6 +44,7 @@ class Places:
             k = names.index(body.name)
             return self.frames[:, k], self.axes[:, k]
 
+        # a body locked to the ground has no frame: it stays where it began
         m = self.run.system.motions
         pose = body.start_pose()
         origin, R = np.zeros(3), np.eye(3)
@@ -70,16 +71,20 @@ def places(run: Run, states: list[State]) -> Places:
         bool(states),
         "Pictures and animations show snapshots, and this run has none: solve(..., output=fmbd.Output(snapshots=50)).",
     )
-    s, d = run.system, run.system.motions.dim
+    s = run.system
+    d = s.motions.dim
     n, count = s.n_frames + 1, len(states)
-    frames, axes = np.zeros((count, n, 3)), np.tile(np.eye(3), (count, n, 1, 1))
+    frames = np.zeros((count, n, 3))
+    axes = np.tile(np.eye(3), (count, n, 1, 1))
     markers, turns = [], []
 
     for k, state in enumerate(states):
         ev = s.at(state.t, state.q)
         frames[k, :, :d] = ev.pose[:, :d]
         axes[k, :, :d, :d] = ev.rotation
-        x, R = np.zeros((len(ev.kin.x), 3)), np.tile(np.eye(3), (len(ev.kin.x), 1, 1))
+        # everything is drawn in space: the plane is z = 0
+        x = np.zeros((len(ev.kin.x), 3))
+        R = np.tile(np.eye(3), (len(ev.kin.x), 1, 1))
         x[:, :d], R[:, :d, :d] = ev.kin.x, ev.kin.R
         markers.append(x)
         turns.append(R)

@@ -60,7 +60,9 @@ class Renderer:
         for piece in self.drawing.pieces:
             if moving and (piece.role is Role.GROUND or isinstance(piece.motion, Still)):
                 continue
+            # in the plane layers lie one above the other, or they would flicker
             depth = lift + (self.reach * (0.004 * piece.role.layer + 0.0004 * (piece.shade % 9)) if self.flat else 0.0)
+
             surface, lines = self._meshes(piece, k, depth)
             own = color if color is not None and piece.role is Role.BODY else color_of(piece, k)
             if surface is not None:
@@ -74,6 +76,7 @@ class Renderer:
         points = self._points(piece, k, depth)
         surface = lines = None
         if len(piece.triangles):
+            # VTK wants the number of corners before each cell
             faces = np.hstack((np.full((len(piece.triangles), 1), 3), piece.triangles)).ravel()
             surface = self.pv.PolyData(points, faces)
             if piece.paint is not None:
@@ -101,6 +104,7 @@ class Renderer:
         if piece.paint is None:
             self.plotter.add_mesh(surface, color=color, **look)
             return
+
         look |= {"scalars": "paint", "clim": self.drawing.span, "cmap": "viridis", "show_scalar_bar": False}
         self.plotter.add_mesh(surface, **look)
 
@@ -129,6 +133,8 @@ class Renderer:
         """Place the camera so that all instants are seen."""
         camera = self.plotter.camera
         middle = 0.5 * (self.low + self.high)
+
+        # a plane scene is seen from the front, to scale
         if self.flat and self.view.camera is None:
             width, height = self.plotter.window_size
             w, h = (self.high - self.low)[:2] + 0.1 * self.reach
@@ -139,11 +145,14 @@ class Renderer:
             camera.parallel_scale = 0.5 * max(h, w * height / width) / self.view.zoom
             camera.clipping_range = (self.reach, 100 * self.reach)
             return
+
+        # in space from obliquely above, unless a camera is given
         up = self.drawing.up
         side = np.eye(3)[int(np.argmin(np.abs(up)))]
         default = 0.3 * side + 0.35 * up + np.cross(side, up)
         eye = default if self.view.camera is None else np.asarray(self.view.camera, dtype=float)
         self.plotter.camera_position = [middle + eye, middle, up]
+
         box = np.column_stack((self.low, self.high)).ravel()
         self.plotter.reset_camera(bounds=tuple(box))
         camera.zoom(1.25 * self.view.zoom)
@@ -155,6 +164,7 @@ class Renderer:
         image = np.asarray(self.plotter.screenshot(return_img=True))
         if not self.flat or self.view.camera is not None:
             return Picture(image, None)
+        # what the axes beside the image have to say: half of the height is the camera's scale
         half_h = self.plotter.camera.parallel_scale
         half_w = half_h * image.shape[1] / image.shape[0]
         x, y = 0.5 * (self.low + self.high)[:2]
@@ -187,6 +197,7 @@ def strobe(drawing: Drawing, view: View, colors: Sequence[Any] | None, width: in
     low, high = drawing.bounds()
     reach = float(np.linalg.norm(high - low)) or 1.0
     w, h = (high - low)[:2] + 0.1 * reach
+    # in the plane as high as the scene asks for, within limits
     height = round(width * h / w) if drawing.dim == 2 else round(0.8 * width)
     canvas = Renderer(drawing, view, size=(width, min(max(height, width // 4), 2 * width)))
 
@@ -194,7 +205,9 @@ def strobe(drawing: Drawing, view: View, colors: Sequence[Any] | None, width: in
     for k in range(count):
         flat = drawing.dim == 2
         last = k == count - 1
-        color, lift = None if colors is None else colors[k], 0.05 * reach * k if flat else 0.0
+        color = None if colors is None else colors[k]
+        # later instants lie above earlier ones; in space earlier ones are faint
+        lift = 0.05 * reach * k if flat else 0.0
         canvas.add(k, color=color, lift=lift, opacity=1.0 if flat or last else 0.45, moving=not last)
     canvas.look()
     canvas.smooth()

@@ -38,7 +38,8 @@ def _poses(body: Rod, at: Places, k: int) -> Array:
 def _tube(n: int, corners: int) -> tuple[np.ndarray, np.ndarray]:
     """Triangles between n rings and over both ends, and the edges of the end rings."""
     i, j = (x.ravel() for x in np.meshgrid(np.arange(n - 1), np.arange(corners), indexing="ij"))
-    a, b = i * corners + j, i * corners + (j + 1) % corners
+    a = i * corners + j
+    b = i * corners + (j + 1) % corners
     sides = np.concatenate((np.column_stack((a, b, b + corners)), np.column_stack((a, b + corners, a + corners))))
 
     # fans over the ends

@@ -186,5 +186,6 @@ class Drawing:
         values = [p.paint for p in self.pieces if p.paint is not None and p.paint.size]
         if not values:
             return 0.0, 1.0
-        low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+        low = min(float(v.min()) for v in values)
+        high = max(float(v.max()) for v in values)
         return low, high if high > low else low + 1.0

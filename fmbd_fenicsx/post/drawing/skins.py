@@ -34,7 +34,8 @@ def skin(space: Any) -> Skin:
     msh, dofs = space.mesh, space.dofmap
     tdim = msh.topology.dim
     facets = _outer_facets(msh)
-    layout, numbers = dofs.dof_layout, dofs.index_map.local_to_global
+    layout = dofs.dof_layout
+    numbers = dofs.index_map.local_to_global
     ends = [layout.entity_closure_dofs(tdim - 1, f) for f in range(_facets_of_a_cell(msh))]
     borders = [dofs.cell_dofs(cell)[ends[f]] for cell, f in facets]
 

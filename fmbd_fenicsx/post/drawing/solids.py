@@ -87,11 +87,14 @@ def swept(path: Array, radius: Array | float, sides: int = 12) -> Solid:
         other = np.cross(e, across)
         rings.append(x + r * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * other))
 
+    # quads between neighbouring rings, each as two triangles
     i, j = np.meshgrid(np.arange(n - 1), np.arange(sides), indexing="ij")
-    a, b = i * sides + j, i * sides + (j + 1) % sides
+    a = i * sides + j
+    b = i * sides + (j + 1) % sides
     sides_of = np.concatenate((np.stack((a, b, b + sides), -1), np.stack((a, b + sides, a + sides), -1)))
     first, last = n * sides, n * sides + 1
     around = np.arange(sides)
+    # fans about the middles of both ends
     caps = [np.column_stack((np.full(sides, first), np.roll(around, -1), around))]
     caps.append(np.column_stack((np.full(sides, last), around, np.roll(around, -1))) + [0, *[(n - 1) * sides] * 2])
 
@@ -124,6 +127,7 @@ def hull(points: Array) -> Solid:
     except (QhullError, ValueError):  # fewer points than a triangle or tetrahedron, or all on one line
         chain = np.column_stack((np.arange(len(points) - 1), np.arange(1, len(points))))
         return Solid(in_space(points), np.zeros((0, 3), dtype=int), chain)
+
     if points.shape[1] == 2:
         return polygon(points[found.vertices])
 
@@ -136,6 +140,7 @@ def _creases(points: Array, triangles: np.ndarray, sides: np.ndarray) -> np.ndar
     a, b, c = (points[triangles[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+
     owners: dict[tuple[int, int], list[int]] = {}
     for number, (p, q) in enumerate(sides):
         owners.setdefault((int(min(p, q)), int(max(p, q))), []).append(number // 3)
@@ -143,6 +148,7 @@ def _creases(points: Array, triangles: np.ndarray, sides: np.ndarray) -> np.ndar
     def sharp(pair: list[int]) -> bool:
         return len(pair) != 2 or abs(float(normal[pair[0]] @ normal[pair[1]])) < np.cos(np.pi / 9)
 
+    # also sides of one triangle alone: borders
     return np.array([side for side, pair in owners.items() if sharp(pair)], dtype=int).reshape(-1, 2)
 
 
@@ -162,6 +168,7 @@ def coil(slenderness: float, turns: int = 7, wire: float = 0.14) -> Solid:
     body = np.column_stack((0.12 + 0.76 * s, np.cos(phase), np.sin(phase)))
     path = np.concatenate(([(0.0, 0, 0), (0.12, 0, 0)], body, [(0.88, 0, 0), (1.0, 0, 0)]))
     longer = np.array([slenderness, 1.0, 1.0])
+    # swept where it is stretched, so that the wire is round there
     true = swept(path * longer, wire, 6)
 
     return Solid(np.asarray(true.points / longer, dtype=float), true.triangles)
@@ -188,6 +195,7 @@ def turn_arrow(radius: float) -> Solid:
     """Three quarters of a circle about z with an arrow head: something turns."""
     angle = np.linspace(-0.25 * np.pi, 1.25 * np.pi, 40)
     path = radius * np.column_stack((np.cos(angle), np.sin(angle), np.zeros(40)))
+    # the head points along the tangent
     tip = path[-1] + 0.55 * radius * np.array([-np.sin(angle[-1]), np.cos(angle[-1]), 0.0])
     head = swept(np.array([path[-1], tip]), np.array([0.22, 0.0]) * radius, 10)
 
@@ -197,6 +205,7 @@ def turn_arrow(radius: float) -> Solid:
 def read_stl(file: str | Path) -> Solid:
     """The surface of an STL file, ASCII or binary, lengths as they are in the file (m)."""
     raw = Path(file).read_bytes()
+    # binary files tell their number of facets behind 80 bytes, and have 50 bytes for each
     count = int.from_bytes(raw[80:84], "little") if len(raw) >= 84 else -1
 
     if count >= 0 and len(raw) == 84 + 50 * count:
@@ -211,6 +220,7 @@ def read_stl(file: str | Path) -> Solid:
 
     if len(corners) == 0 or len(corners) % 3 or not np.isfinite(corners).all():
         raise InputError(f"{file} is no readable STL file: found {len(corners)} corners of triangles.")
+
     points, numbers = np.unique(corners, axis=0, return_inverse=True)
     triangles = numbers.reshape(-1, 3)
     sides = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)

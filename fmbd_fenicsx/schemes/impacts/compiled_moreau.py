@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from ..newton import Newton
 from ..onestep import alpha_driver as slots
 from .contact_driver import ContactDriver, Tally
 from .moreau import Stepper
+
+if TYPE_CHECKING:
+    from ...system.compiled.recording import Openness, Tape
 
 
 class CompiledStepper(Stepper):
@@ -45,16 +48,16 @@ class CompiledStepper(Stepper):
         """One step of size h (s), as :meth:`Stepper.advance`."""
         return self.state if self._march(h, 1) else super().advance(h)  # who called moves memories on
 
-    def march(self, h: float, steps: int, watch: Any = None, tape: Any = None) -> int:
-        """Up to so many steps of size h (s) in one call; how many were made: fewer where one is given back. Elements with a
-        memory have that of the last step.
+    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None) -> int:
+        """Up to so many steps of size h (s) in one call, recorded on the ``tape``; how many were made: fewer where one is given
+        back. Elements with a memory have that of the last step.
         """
-        made = 0 if watch is not None or tape is not None else self._march(h, steps)
+        made = 0 if watch is not None else self._march(h, steps, tape)
         if made:
             self.driver.tables.remember()
         return made
 
-    def _march(self, h: float, steps: int) -> int:
+    def _march(self, h: float, steps: int, tape: Tape | None = None) -> int:
         """The same; the memory of elements is left as it was."""
         refused = self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
         if refused:
@@ -62,18 +65,26 @@ class CompiledStepper(Stepper):
         self.driver.tables.recall()
         if self._tail is not self.state:
             self._load()
-        made = self.driver.march(h, steps, self.newton)
+        made = self.driver.march(h, steps, self.newton, tape)
         if made:
             self._take_newest(made)
         self._refused = (self.state, h) if made < steps else None
         return made
 
-    def tape(self, judged: Any) -> None:
-        """Records are made from states."""
+    def tape(self, judged: Openness) -> Tape | None:
+        """Room for records of :meth:`march`; None where states would be read one by one that depend on a memory, which later
+        steps change.
+        """
+        tables = self.driver.tables
+        if (tables.c.remembers or tables.sampled) and not tables.looks.complete:
+            return None
+        return self.driver.tape(judged)
 
     def _load(self) -> None:
         """State, impulses and books into the driver."""
-        s, x, books = self.state, self.driver.arrays, self.ledger
+        s = self.state
+        x = self.driver.arrays
+        books = self.ledger
         self.driver.load(s.t, (s.q, s.v, s.a, s.lam))
         x["held"][:], x["carrying"][:] = self.impulse.ravel(), self.carrying
         x["impulse"][:], x["works"][:] = books.impulse.ravel(), books.work
@@ -84,7 +95,8 @@ class CompiledStepper(Stepper):
         """The newest state, impulses, books and counts from the driver."""
         driver, books, newton = self.driver, self.ledger, self.newton
         x, c, p = driver.arrays, driver.c, driver.parameters
-        self.impulse, self.carrying = x["held"].reshape(self.impulse.shape).copy(), x["carrying"].astype(bool)
+        self.impulse = x["held"].reshape(self.impulse.shape).copy()
+        self.carrying = x["carrying"].astype(bool)
         books.impulse, books.work = x["impulse"].reshape(books.impulse.shape).copy(), x["works"].copy()
         books.energy, books.springs = float(c.energy), float(c.springs)
         normal = x["normal"].copy()
@@ -99,12 +111,14 @@ class CompiledStepper(Stepper):
         self.local_error = float(p[slots.LOCAL])
         self._count()
 
-        t, q, v, a, lam = driver.newest()
-        self.state = self._tail = ContactState(t, q, v, a, lam, self._forces(normal))
+        s = driver.ring.state()
+        self.state = self._tail = ContactState(s.t, s.q, s.v, s.a, s.lam, self._forces(normal))
 
     def _count(self) -> None:
         """Statistics of contact since the last call."""
-        tally, books, counts = self.driver.c.tally, self.ledger, self.ledger.counts
+        tally = self.driver.c.tally
+        books = self.ledger
+        counts = books.counts
         books.in_contact += tally.steps
         books.newton_in_contact += tally.newton
         counts.iterations += tally.iterations

@@ -105,20 +105,24 @@ class Stepper(ContactStepper):
         """The same; pressures that bodies carry are left as they are when Newton fails."""
         system, s = self.system, self.state
         near = candidates(system, self.contacts, s, h)
+
         for _ in range(4):
             step = _Step(self, h, near)
             converged, history = self.newton.solve(step.increment)
             if not converged:
                 raise not_converged(s.t + h, h, history)
             q = system.compose(s.q, step.xi)
+            # points that the step brings through a surface join in, and the step is made again
             missed = (self.contacts.touch(system, s.t + h, q).gap < -1e-9 * system.length) & ~near
             if not missed.any():
                 break
             near = near | missed
+
         v = self._persist(step, step.v)
         beta = self.scheme.parameters[3]
         self.local_error = h * h * abs(beta - 1 / 6) * system.max_abs(step.A - self.A)
         self.A = step.A
+
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + h)
         lam = self._reactions(s.t + h, q, step.lam)
         self.state = self.ledger.write(State(s.t + h, q, v, step.a, lam), forces, (step.ev, step.xi, step.lam), h)
@@ -169,7 +173,9 @@ class _Step:
 
     def increment(self) -> float:
         """One Newton step; returns its size over the tolerance."""
-        p, h, s = self.p, self.h, self.p.state
+        p = self.p
+        h = self.h
+        s = p.state
         system, solver = p.system, p.solver
         q = system.compose(s.q, self.xi)
         ev = self.ev = system.at(s.t + h, q, self.v)

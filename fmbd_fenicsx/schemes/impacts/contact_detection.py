@@ -77,9 +77,12 @@ def _refuse_tunnelling(system: System, contacts: ContactSet, state: State, step:
     if not np.isfinite(thick).any():
         return
     way = np.linalg.norm(then.relative - now.relative, axis=1)
+    # far enough to be through, and not behind the surface already
     fast = np.flatnonzero((way > (0.5 + 1e-9) * thick) & (now.gap > -0.1 * thick))
     if not len(fast):
         return
+
+    # only who meets the obstacle on the way counts: places in between, a quarter of the thickness apart
     pieces = min(4 * int(np.ceil(np.max(way[fast] / thick[fast]))) + 1, 1000)
     for k in range(1, pieces + 1):
         part = h * k / pieces

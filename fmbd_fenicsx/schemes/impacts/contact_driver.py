@@ -1,4 +1,4 @@
-"""Contact of rigid points with obstacles in the compiled driver: its tables, and the march through flights, contacts and impacts.
+"""Contact of points with obstacles, and stops, in the compiled driver: tables, and the march through flights, contacts, impacts.
 
 Frames, joints and forces are those of the driver's tables; Python is entered for the poses of obstacles that move as prescribed,
 and for contacts whose forces are hard to find (dependent ones with friction).
@@ -13,26 +13,36 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...linear.complementarity.normal import ContactCounts
-from ...mechanics.contact.rows import ObstaclePair
+from ...mechanics.contact.limits import LimitPair
+from ...mechanics.contact.obstacle_pair import ObstaclePair
+from ...mechanics.contact.rows import ContactSet
 from ...mechanics.contact.shapes import Box, Cylinder, HalfSpace, Shape, Sphere
-from ...rotations import Array
+from ...mechanics.joints.relative import Expressed, RelativeAngle
+from ...rotations import Array, Motions
+from ...system.compiled.blocks import Ring
 from ...system.compiled.calls import Calls
 from ...system.compiled.items import covers
-from ...system.compiled.library import driver_library
+from ...system.compiled.library import CONTACT, driver_library, units_of
 from ...system.compiled.structures import PYTHON
 from ...system.compiled.tables import Tables, covers_bodies
 from ...system.speed_rows import speed_rows
 from ...system.system import System
 from ..onestep import alpha_driver as slots
 from .contact_newton import frictional_forces, normal_forces
+from .contact_tape import ContactTape
 
 if TYPE_CHECKING:
+    from ...system.compiled.recording import Openness, Tape
     from ..newton import Newton
 
 POSE_OF, COMPLEMENTARITY = range(2)
+LIMIT = 4  # behind the shapes of obstacles
 BOUNDED = slots.AM
-MOST = 64  # points; with more, the dense problem is not small
-POINTER, INT, REAL, LONG = ctypes.c_void_p, ctypes.c_int, ctypes.c_double, ctypes.c_long
+MOST = 64  # closed at once: a step with more is NumPy's, whose problem is not dense then
+POINTER = ctypes.c_void_p
+INT = ctypes.c_int
+REAL = ctypes.c_double
+LONG = ctypes.c_long
 
 
 def _fields(text: str, kind: Any) -> list[tuple[str, Any]]:
@@ -55,8 +65,10 @@ class Contacts(ctypes.Structure):
     """The structure Contacts."""
 
     _fields_ = [
-        *_fields("pairs points components known", INT),
-        *_fields("pair frame of place", POINTER),
+        *_fields("pairs points components known room", INT),
+        ("pair", POINTER),
+        *_fields("stops wide", INT),
+        *_fields("on of place still", POINTER),
         *_fields("now end aside", Touching),
         *_fields("carrying closed bouncing hits held force normal impulse works", POINTER),
         *_fields("energy springs time last", REAL),
@@ -69,15 +81,25 @@ class Contacts(ctypes.Structure):
     ]
 
 
-def pair_structure(poses: int) -> type[ctypes.Structure]:
-    """The structure Pair, for poses of so many numbers."""
+def pair_structure(motions: Motions) -> type[ctypes.Structure]:
+    """The structure Pair, in the plane or in space."""
+    poses, dim = motions.n_pose, motions.dim
+
+    # in the order of C
     fields = [
         *_fields("shape first count carrier moving", INT),
         *_fields("radius friction restitution thickness", REAL),
         ("data", REAL * 8),
         ("pose", REAL * poses),
         ("asked", REAL),
+        *_fields("modes batch", POINTER),
+        ("item", LONG),
+        *_fields("pushes marked", INT),
+        ("mark", REAL * dim),
+        ("lever", REAL),
+        *_fields("bound side", REAL * 2),
     ]
+
     return type("Pair", (ctypes.Structure,), {"_fields_": fields})
 
 
@@ -96,22 +118,26 @@ def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]] | None:
     return None
 
 
-def known(pair: Any, dim: int) -> bool:
-    """Whether the driver knows a pair: points of moving frames, a shape by numbers."""
-    return type(pair) is ObstaclePair and pair.slave.surface is None and shape_data(pair.shape, dim) is not None
+def known(contacts: ContactSet, pair: Any) -> bool:
+    """Whether the driver knows a pair: stops of a coordinate; points of bodies without a field, and a shape by numbers."""
+    if type(pair) is LimitPair:
+        return not isinstance(pair.relative, Expressed)
+    if type(pair) is not ObstaclePair or pair.slave.trace in contacts.on_fields:
+        return False
+    return shape_data(pair.shape, contacts.m.dim) is not None
 
 
 class ContactDriver:
     """The driver for one system with contact: tables, calls into Python, and three states in turn."""
 
-    def __init__(self, system: System, plain: System, library: Any, impacts: int) -> None:
+    def __init__(self, system: System, plain: System, library: Any, impacts: int, *, redundant: bool) -> None:
         self.impacts = impacts
         self.system, self.library, self.contacts = system, library, system.contacts
-        self.tables = Tables(plain, redundant=False)
+        self.stops = [pair for pair in self.contacts.pairs if isinstance(pair, LimitPair)]
+        self.tables = Tables(plain, redundant=redundant, coordinates=[pair.relative for pair in self.stops])
         self.calls = Calls(self.tables)
         self.n, self.nq, self.m = system.n_v, system.n_q, system.n_lam
-        self.blocks = np.zeros((3, 1 + self.nq + 3 * self.n + self.m))
-        self.ring = np.array([x.ctypes.data for x in self.blocks], dtype=np.uintp)
+        self.ring = Ring(system, 3)
         self.parameters = np.zeros(25)
         self.parameters[BOUNDED] = float(np.isfinite(self.contacts.thickness).any())
 
@@ -120,6 +146,7 @@ class ContactDriver:
         self.failed = PYTHON(self.answer)
         self.c.python = self.failed
         self._verdict = ctypes.c_int(0)
+        self._tape: ContactTape | None = None
 
     def _array(self, name: str, values: Any, dtype: Any = np.float64) -> int:
         """The address of an array that is kept under its name."""
@@ -129,25 +156,28 @@ class ContactDriver:
     def _contacts(self) -> Contacts:
         """The structure, with all of its arrays."""
         s, contacts = self.system, self.contacts
-        m, d = len(contacts.pair), s.motions.dim
+        m = len(contacts.pair)
+        d = s.motions.dim
         k = d if contacts.frictional else 1
-        rows = m * k
-        sides = [p.slave for p in contacts.pairs]
+        room = min(m, MOST)
+        rows = room * k
+        wide = s.motions.n_twist + int(self.tables.modes.max(initial=0))
         self._pairs()
+        on, place = self._points()
 
         sizes = {
-            "held": rows, "force": m * d, "normal": m, "impulse": len(contacts.pairs) * d, "works": 5, "drift": rows, "rate": m,
-            "rows": 2 * rows * s.motions.n_twist, "W": rows**2, "q": rows, "f": rows, "mu": m,
-            "Y": rows * (self.n + self.m), "work": 6 * rows + rows**2, "ahead": self.nq, "xi": self.n, "kept": self.m + 1,
-            "saved": rows + len(contacts.pairs) * d + 7,
+            "held": m * k, "force": m * d, "normal": m, "impulse": len(contacts.pairs) * d, "works": 5, "drift": rows, "rate": m,
+            "rows": 2 * rows * wide, "W": rows**2, "q": rows, "f": rows, "mu": room,
+            "Y": rows * (self.n + self.m), "work": 6 * rows + rows**2, "ahead": self.nq, "xi": self.n, "still": self.n,
+            "kept": self.m + 1,
+            "saved": m * k + len(contacts.pairs) * d + 7,
         }  # fmt: skip
         counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m}
         places = {name: self._array(name, np.zeros(size)) for name, size in sizes.items()}
         return Contacts(
-            pairs=len(contacts.pairs), points=m, components=k, known=0, pair=ctypes.addressof(self.pairs),
-            frame=self._array("frame", np.concatenate([x.frames for x in sides]), np.int32),
-            of=self._array("of", contacts.pair, np.int32),
-            place=self._array("place", np.concatenate([x.points for x in sides])),
+            pairs=len(contacts.pairs), points=m, components=k, known=0, room=room, pair=ctypes.addressof(self.pairs),
+            stops=len(self.stops), wide=wide, on=self._array("on", on, np.int32),
+            of=self._array("of", contacts.pair, np.int32), place=self._array("place", place),
             **{name: self._array(name, np.zeros(size), np.int32) for name, size in counts.items()},
             now=self._touch("now", m, d), end=self._touch("end", m, d), aside=self._touch("aside", m, d),
             loaded=int(bool(s.forces)), size=self.n, most=2 * self.impacts, system=ctypes.addressof(self.tables.c), **places,
@@ -158,27 +188,73 @@ class ContactDriver:
         sizes = {"gap": m, "x": m * d, "normal": m * d, "relative": m * d}
         return Touching(**{k: self._array(f"{name} {k}", np.zeros(size)) for k, size in sizes.items()})
 
+    def _points(self) -> tuple[np.ndarray, Array]:
+        """Bodies that the candidates act on, (m, 2), -1 for none, and places of points in the axes of the first, (m, d)."""
+        on, places = [], []
+        for one, pair in zip(self.pairs, self.contacts.pairs, strict=True):
+            if isinstance(pair, LimitPair):
+                # stops act on the two bodies of their joint
+                frames = self.tables.frame[[pair.relative.a[0], pair.relative.b[0]]]
+                on.append(np.tile(self.tables.body_of(frames), (pair.count, 1)))
+                places.append(np.zeros((pair.count, self.tables.dim)))
+                continue
+
+            frames, points = pair.slave.frames, pair.slave.points
+            if pair.slave.surface is not None:
+                trace = self.contacts.traces[pair.slave.trace]
+                nodes = pair.slave.surface.nodes
+                frames = np.full(pair.count, trace.frame)
+                points = trace.X[nodes]
+
+            on.append(np.stack((frames, np.full(pair.count, one.carrier)), axis=1))
+            places.append(points)
+        return np.concatenate(on), np.concatenate(places)
+
     def _pairs(self) -> None:
         """The pairs' structures."""
-        m, first, made = self.system.motions, 0, []
-        kind = pair_structure(m.n_pose)
+        first = 0
+        kind = pair_structure(self.system.motions)
+        made = []
+
         for pair in self.contacts.pairs:
-            found = shape_data(pair.shape, m.dim)
-            assert found is not None
             one = kind(
-                shape=found[0], first=first, count=pair.count, moving=int(pair.moving), radius=pair.slave.radius,
-                friction=pair.friction, restitution=pair.restitution, thickness=pair.thickness,
+                first=first, count=pair.count, moving=int(pair.moving), radius=pair.slave.radius, carrier=-1,
+                friction=pair.friction, restitution=pair.restitution, thickness=pair.thickness, asked=np.nan,
             )  # fmt: skip
-            carried = 0 <= pair.carrier.frame < self.system.n_frames and not pair.moving
-            one.carrier = pair.carrier.frame if carried else -1
-            one.data[: len(found[1])], one.asked = found[1], np.nan
-            if not carried and not pair.moving:
-                # of the ground: no configuration matters
-                at_rest = self.contacts.pose(self.system, pair.carrier, 0.0, np.zeros(self.nq))
-                one.pose[:] = list(at_rest)
+            if isinstance(pair, LimitPair):
+                self._stop(one, pair)
+            else:
+                self._obstacle(one, pair)
             first += pair.count
             made.append(one)
+
         self.pairs = (kind * len(made))(*made)
+
+    def _obstacle(self, one: Any, pair: ObstaclePair) -> None:
+        """Shape and carrier of an obstacle, and the modes of the nodes that may touch it."""
+        found = shape_data(pair.shape, self.tables.dim)
+        assert found is not None
+        one.shape, one.data[: len(found[1])] = found[0], found[1]
+        if not pair.moving and 0 <= pair.carrier.frame < self.system.n_frames:
+            one.carrier = pair.carrier.frame
+        elif not pair.moving:
+            # of the ground: no configuration matters
+            at_rest = self.contacts.pose(self.system, pair.carrier, 0.0, np.zeros(self.nq))
+            one.pose[:] = list(at_rest)
+        if pair.slave.surface is not None:
+            trace: Any = self.contacts.traces[pair.slave.trace]
+            modes = trace.modes.reshape(trace.n, self.tables.dim, -1)
+            one.modes = self._array(f"modes {one.first}", modes[pair.slave.surface.nodes])
+
+    def _stop(self, one: Any, pair: LimitPair) -> None:
+        """The coordinate of stops, and where they are."""
+        marker = int(pair.relative.b[0])
+        tables = self.tables
+        place = np.zeros(tables.dim) if marker in tables.surfaces else self.system.markers.position[marker]
+        one.shape, one.batch = LIMIT, tables.coordinate(self.stops.index(pair))
+        one.pushes, one.lever = int(not isinstance(pair.relative, RelativeAngle)), pair.lever(self.system)
+        one.marked, one.mark[:] = int(tables.frame[marker]), list(place)
+        one.bound[: pair.count], one.side[: pair.count] = list(pair.bounds), list(pair.signs)
 
     # -- calls of C ----------------------------------------------------------------------------------------------------------
     def answer(self, what: int, number: int, t: float) -> int:
@@ -196,7 +272,9 @@ class ContactDriver:
         """Forces of m contacts with the matrix W and the openings q without force."""
         x, d = self.arrays, self.c.components
         n = m * d
-        W, q, f = x["W"][: n * n].reshape(n, n), x["q"][:n], x["f"][:n].copy()
+        W = x["W"][: n * n].reshape(n, n)
+        q = x["q"][:n]
+        f = x["f"][:n].copy()
         opening, counts = q + W @ f, ContactCounts()
         if d > 1:
             found = frictional_forces(W, opening, x["mu"][:m], f.reshape(m, d), counts)
@@ -215,39 +293,31 @@ class ContactDriver:
     def load(self, t: float, state: tuple[Array, Array, Array, Array]) -> None:
         """Begin from t, q, v, a, lambda."""
         q, v, a, lam = state
-        np.concatenate(([t], q, v, a, np.zeros(self.n), lam), out=self.blocks[0])
-        self.ring[:] = [x.ctypes.data for x in self.blocks]
+        self.ring.load([(t, q, v, a, np.zeros(self.n), lam)])
         self.c.known = 0
 
-    def march(self, h: float, steps: int, newton: Newton) -> int:
-        """Make up to so many steps; the number made."""
+    def tape(self, judged: Openness) -> ContactTape:
+        """Room for records, the same for all marches."""
+        if self._tape is None:
+            self._tape = ContactTape(self.tables, judged, self.contacts, self.system)
+        return self._tape
+
+    def march(self, h: float, steps: int, newton: Newton, tape: Tape | None = None) -> int:
+        """Make up to so many steps, recorded on the ``tape``; the number made."""
         p = self.parameters
-        p[slots.H], p[slots.THETA], p[slots.TOL], p[slots.LENGTH] = (
-            h,
-            newton.theta,
-            newton.tolerance,
-            self.system.length,
-        )
-        p[slots.SLOW], p[slots.MAXIT] = newton.slow, newton.max_iterations
-        for slot in (slots.LOCAL, slots.ITERATIONS, slots.LEFT):
-            p[slot] = 0.0
+        slots.settings(p, self.system, newton)
+        p[slots.H], p[slots.THETA], p[slots.COUNTED] = h, newton.theta, 0.0
         made = self.library.moreau_march(
-            ctypes.addressof(self.tables.c), ctypes.addressof(self.c), p.ctypes.data, steps, self.ring.ctypes.data,
-            ctypes.byref(self._verdict),
+            ctypes.addressof(self.tables.c), ctypes.addressof(self.c), p.ctypes.data, steps, self.ring.address,
+            ctypes.byref(self._verdict), None if tape is None else tape.address,
         )  # fmt: skip
         self.calls.error = None  # NumPy's step raises it again, with the name of the law
         return int(made)
 
-    def newest(self) -> tuple[float, Array, Array, Array, Array]:
-        """t, q, v, a, lambda of the newest state."""
-        first = self.blocks.ctypes.data
-        x = self.blocks[(int(self.ring[0]) - first) // (8 * self.blocks.shape[1])].copy()
-        at, n = 1 + self.nq, self.n
-        return float(x[0]), x[1:at], x[at : at + n], x[at + n : at + 2 * n], x[at + 3 * n :]
-
     def touching(self) -> tuple[Array, Array, Array]:
         """Gaps (m,), places and normals (m, d) of all points at the newest state."""
-        m, d = self.c.points, self.system.motions.dim
+        m = self.c.points
+        d = self.system.motions.dim
 
         def read(address: int, size: int) -> Array:
             return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(REAL)), (size,)).copy()
@@ -258,13 +328,13 @@ class ContactDriver:
 
 def contact_driver(system: System, *, redundant: bool, impacts: int) -> ContactDriver | None:
     """The driver for a system with contact and so many impacts a step, or None where the NumPy path has to do."""
-    contacts, d = system.contacts, system.motions.dim
-    if system.fields or redundant or len(contacts.pair) > MOST:
+    contacts = system.contacts
+    if system.fields:
         return None
-    if not all(known(pair, d) for pair in contacts.pairs) or system.elements:
+    if not all(known(contacts, pair) for pair in contacts.pairs) or system.elements:
         return None
     plain = replace(system, contacts=None, cache={})
     if not (covers_bodies(plain) and covers(plain)) or speed_rows(plain).size:
         return None
-    library = driver_library(d)
-    return None if library is None else ContactDriver(system, plain, library, impacts)
+    library = driver_library(system.motions.dim, (*units_of(plain), CONTACT))
+    return None if library is None else ContactDriver(system, plain, library, impacts, redundant=redundant)

@@ -76,11 +76,14 @@ class Ledger(Remembering):
         """
         system, c = self.system, self.contacts
         ev, xi, lam = step
+
         works = np.zeros(len(WORKS))
         if forces.rows is not None:
             works[0] = forces.force[:, 0] @ c.times(system, forces.rows.N, xi)
             for k, tangent in enumerate(forces.rows.tangents):
                 works[1] += forces.force[:, 1 + k] @ c.times(system, tangent, xi)
+
+        # what is left of the change of energy is numerical
         energy, springs = self._energy(state)
         if system.forces:
             works[2] = system.dot(ev.spread(ev.wrenches()), xi) + springs - self.springs
@@ -88,6 +91,7 @@ class Ledger(Remembering):
             works[3] = -float(lam @ ev.jacobian.times(xi))
         works[4] = energy - self.energy - works[:4].sum()
         self.energy, self.springs, self.work = energy, springs, self.work + works
+
         self.force = np.zeros_like(self.force)
         self.force[forces.near] = forces.force
         found = self._carry(state, forces, c.touch(system, state.t, state.q), h)

@@ -124,21 +124,26 @@ class Stepper(ContactStepper):
         """
         system, s = self.system, self.state
         near = candidates(system, self.contacts, s, h, keep=self.theta == 0.5)
+
         for _ in range(4):
             step = _Step(self, h, near)
             converged, history = self.newton.solve(step.increment)
             if not converged:
                 where = f"; the largest open constraint is {worst_block(system, step.g)}" if step.g.size else ""
                 raise not_converged(s.t + h, h, history, f"{where}. Try a smaller dt.")
+            # points that the step brings through a surface join in, and the step is made again
             missed = (self.contacts.touch(system, s.t + h, step.q).gap < -1e-9 * system.length) & ~near
             if not missed.any():
                 break
             near = near | missed
+
+        # (1): v_n+1 from the mean velocity xi / h
         v = s.v + (step.xi / h - s.v) / self.theta
         if self._projects:
             v = self._project(step, v)
         a = (v - s.v) / h
         self.local_error = h * h / 12 * system.max_abs(a - s.a)
+
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + self.theta * h)
         lam = self._reactions(s.t + h, step.q, step.lam)
         self.state = self.ledger.write(State(s.t + h, step.q, v, a, lam), forces, (step.ev, step.xi, step.lam), h)
@@ -174,18 +179,24 @@ class _Step:
         """One Newton step: predictor, complementarity problem, correction; returns its size over the
         tolerance.
         """
-        p, h, s = self.p, self.h, self.p.state
+        p = self.p
+        h = self.h
+        s = p.state
         system, solver = p.system, p.solver
+
+        # balance in the middle, constraints at the end
         self.q = system.compose(s.q, self.xi)
         middle = system.compose(s.q, self.theta * self.xi)
         vm = self.xi / h
         ev = self.ev = system.at(s.t + self.theta * h, middle, vm)
         solver.prepare(ev, Weights(1.0, self.theta * h, (self.theta * h) ** 2), keep=self.prepared)
         self.prepared = True
+
         r = ev.balance((vm - s.v) / (self.theta * h), self.lam)
         self.g = system.at(s.t + h, self.q).constraint() if system.n_lam else np.zeros(0)
         if speed_rows(system).size:  # no slip at the middle of the step
             self.g[speed_rows(system)] = gaps(ev, h)[speed_rows(system)]
+
         if self.near.any():
             rows = p.contacts.rows(system, s.t + self.theta * h, middle, since=(s.t, h)).take(self.near)
             gap = p.contacts.touch(system, s.t + h, self.q).gap[self.near]
@@ -193,6 +204,7 @@ class _Step:
             dxi, dlam = self.contact.increment(rows, u, (r, self.g), self.scale)
         else:
             dxi, dlam = solver.solve(-self.scale * r, -self.g)
+
         self.lam = self.lam + dlam / self.scale
         self.xi = self.xi + system.rate(self.xi, dxi)
         self.q = system.compose(s.q, self.xi)

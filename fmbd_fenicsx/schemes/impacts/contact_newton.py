@@ -39,20 +39,28 @@ class Unilateral:
         joints. Collective.
         """
         contacts: ContactSet = self.contacts
-        system, solver, d = self.solver.system, self.solver, self.force.shape[1]
+        system = self.solver.system
+        solver = self.solver
+        d = self.force.shape[1]
         self.rows = rows
+
+        # the increment without a change of the contact forces
         L = components(rows) if d > 1 else rows.N
         r = residuals[0] - contacts.transposed(system, L, self.force.ravel())
         z, dl = solver.solve(-scale * r, -residuals[1])
+
         blocks = solver.blocks
         if self._W is None or blocks is not self._blocks:  # also after Newton asked for a new tangent
             self._W = self.compliance.of(L, rows.trace, scale)
             self._blocks = blocks
-        W, gap = self._W, u.ravel() + contacts.times(system, L, z)
+        W = self._W
+        gap = u.ravel() + contacts.times(system, L, z)
         if d > 1:
             force = frictional_forces(W, gap, rows.friction, self.force, self.counts)
         else:
             force = normal_forces(W, gap, self.force[:, 0], self.counts)[:, None]
+
+        # what the change of the forces adds
         change, self.force = force - self.force, force
         if not change.any():
             return z, dl

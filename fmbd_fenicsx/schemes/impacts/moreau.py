@@ -9,7 +9,8 @@ is cut where a gap closes (a root of the gap along the step's parabola), and the
 between impacts the rule is of second order. Contacts that touch without approach are closed: they carry a force.
 When one contact hits more than three times in a step, its impacts accumulate (Zeno): it comes to rest there. When a step
 has more than ``impacts`` of them, the rest of it is taken as classical time stepping: contacts whose gap, extrapolated to
-the middle, is not positive are closed, and P is the impulse of all that happens. Energy: P (U_0 + U_1) / 2 =
+the middle, is not positive are closed, with those that would else end below zero, and P is the impulse of all that
+happens. Energy: P (U_0 + U_1) / 2 =
 -(1 - e) / 2 P |U_0| <= 0. Joints are kept on velocity level by (2) and projected on position level after the step.
 
 Source: Moreau (1988), doi:10.1007/978-3-7091-2624-0_1; Jean, doi:10.1016/S0045-7825(98)00383-1.
@@ -43,6 +44,7 @@ from .contact_stepper import ContactStepper
 IMPACT = 1e-9  # length of an impact, as a share of the step
 TOUCH = 1e-9  # gap of a closed contact, as a share of the model's length
 DRIFT = 1e-5  # the same of a contact that carries a force: positions of closed contacts drift by O(h^3) a step
+DEEP = 1e-4  # approach in a step from which on a touch is an impact also where a closed contact would only drift
 SLOW = 1e-8  # approach of a resting contact: this share of the model's length in a step
 LOCATING = 6  # attempts to end a step where a contact closes
 REPEATS = 3  # impacts of one contact in a step before it comes to rest
@@ -119,19 +121,28 @@ class Stepper(ContactStepper):
         unchanged.
         """
         before = self.state, self.impulse, self.carrying, copy(self.ledger)
-        end, hits, parts, iterations = self.state.t + h, np.zeros(len(self.impulse), dtype=int), 0, 0
+        end = self.state.t + h
+        hits = np.zeros(len(self.impulse), dtype=int)
+        parts = 0
+        iterations = 0
         force: Array = np.zeros_like(forces_of(self.state).force)
         normal: Array = np.zeros(len(force))
+
         try:
             while end - self.state.t > 2 * IMPACT * h:
                 part = self._part(end - self.state.t, h, hits, classical=parts >= 2 * self.impacts)
                 self._take(part)
-                found, share, parts = forces_of(self.state), part.h / h, parts + 1
-                force, normal = force + share * found.force, normal + share * found.normal_force
+                # forces of the parts, weighted by their shares of the step
+                found = forces_of(self.state)
+                share = part.h / h
+                parts = parts + 1
+                force = force + share * found.force
+                normal = normal + share * found.normal_force
                 iterations += part.iterations
         except FmbdError:
             self.state, self.impulse, self.carrying, self.ledger = before
             raise
+
         self.state = self.ledger.averaged(self.state, end, (force, normal))
         self.ledger.count(iterations)
         return self.state
@@ -140,26 +151,48 @@ class Stepper(ContactStepper):
         """The step to the next impact, through it, or to the end; solved. ``hits`` (m,) counts impacts of contacts."""
         system, contacts, s = self.system, self.contacts, self.state
         candidates(system, contacts, s, left)  # pairs surfaces anew, and refuses to pass through
+        # too many impacts in one step: those that come are taken together at its middle
         if classical:
-            middle = contacts.touch(system, s.t + left / 2, system.compose(s.q, 0.5 * left * s.v))
-            return _Step(self, left, middle.gap <= 0.0, bounce=True)
+            return self._classical(left)
+
         reach = np.where(self.carrying, DRIFT, TOUCH) * system.length
         touching = contacts.touch(system, s.t, s.q).gap <= reach
-        slow, rate = SLOW * system.length / h, self._rates(touching & ~self.carrying, h)
+        slow = SLOW * system.length / h
+        rate = self._rates(touching & ~self.carrying, h)
+
         hit = rate < -slow
         if hit.any():
             return self._impact(h, hits, hit, touching)
         closed = touching & (rate <= slow)
+
+        # a flight up to the next touch, or to the end
         while True:
             step = _Step(self, left, closed)
             share, which, held = self._next_touch(step, ~closed)
             if not held.any():
                 break
-            hit = self._rates(held, h) < -slow  # of bodies in joints flights end at the touch: this is an impact
-            if self._joints and hit.any():
+            # an impact: of bodies in joints flights end at the touch, and closed at its speed a contact would end far below zero
+            hit = self._rates(held, h) < -(slow if self._joints else DEEP * system.length / h)
+            if hit.any():
                 return self._impact(h, hits, hit, closed | hit)
             closed = closed | held
         return step if share == 1.0 else self._located(step, share, which)
+
+    def _classical(self, left: float) -> _Step:
+        """The rest of a step by classical time stepping.
+
+        After many impacts a contact that is still open in the middle would pass into its obstacle by what a step moves, and stay
+        there: it is closed too.
+        """
+        system, s = self.system, self.state
+        middle = self.contacts.touch(system, s.t + left / 2, system.compose(s.q, 0.5 * left * s.v))
+        closed = middle.gap <= 0.0
+        while True:
+            step = _Step(self, left, closed, bounce=True)
+            through = ~closed & (self._gap_along(step, 1.0) < -DRIFT * system.length)
+            if not self.impacts or not through.any():
+                return step
+            closed = closed | through
 
     def _impact(self, h: float, hits: np.ndarray, hit: np.ndarray, touching: np.ndarray) -> _Step:
         """A step of almost no length through the impacts of the contacts ``hit``; ``hits`` counts them."""
@@ -180,7 +213,9 @@ class Stepper(ContactStepper):
         length. A contact that is left open would not be known as an impact; free bodies may end as deep as closed contacts
         drift, while joints would bend there.
         """
-        whole, s, length = step.h, self.state, self.system.length
+        whole = step.h
+        s = self.state
+        length = self.system.length
         deepest = (0.5 * TOUCH if self._joints else DRIFT) * length
         near = self._gap_along(step, (1 - 1e-3) * share)[which]
         slope = (self._gap_along(step, share)[which] - near) / (1e-3 * share)
@@ -197,7 +232,8 @@ class Stepper(ContactStepper):
         """Rates of the gaps of the chosen contacts (m,) bool, zero elsewhere, m/s, (m,)."""
         rates = np.zeros(len(chosen))
         if chosen.any():
-            contacts, at = self.contacts, (self.system, self.state.t, self.state.q)
+            contacts = self.contacts
+            at = (self.system, self.state.t, self.state.q)
             rows = contacts.rows(*at, since=(self.state.t, h)).take(chosen)
             moving = contacts.gap_rate(*at, h)[chosen]
             rates[chosen] = contacts.times(self.system, rows.N, self.state.v) + moving
@@ -230,14 +266,18 @@ class Stepper(ContactStepper):
         last = open_.argmax(axis=0)  # the largest share at which each is still open
         first = int(np.argmax(last))
         which = int(np.flatnonzero(closing)[first])
-        lower, upper = shares[last[first]], shares[last[first] - 1]
+        lower = shares[last[first]]
+        upper = shares[last[first] - 1]
         from scipy.optimize import brentq
 
         return float(brentq(lambda x: gaps(x)[which], lower, upper, xtol=1e-14)), which, none
 
     def _take(self, step: _Step) -> None:
         """Make a solved step the present state."""
-        system, s, h, closed = self.system, self.state, step.h, step.closed
+        system = self.system
+        s = self.state
+        h = step.h
+        closed = step.closed
         xi = 0.5 * h * (s.v + step.v)
         q = self._closed_joints(system.compose(s.q, xi), s.t + h)
         a = (step.v - s.v) / h
@@ -275,11 +315,15 @@ class _Step:
     ) -> None:
         self.p, self.h, self.span, self.closed = stepper, h, span or h, closed
         s, contacts = stepper.state, stepper.contacts
+
         self.v, self.lam = s.v.copy(), s.lam.copy()
         self.contact = Unilateral(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed])
         self.bouncing = np.broadcast_to(bounce, closed.shape)
+
         self.prepared, self.rows = False, None
         self.ev: Evaluation = None  # type: ignore[assignment]
+
+        # rows at the middle; what comes in before an impact rebounds by its share
         if closed.any():
             middle = stepper.system.compose(s.q, 0.5 * h * s.v)
             at = (stepper.system, s.t + h / 2, middle)
@@ -287,6 +331,7 @@ class _Step:
             self.rate = contacts.gap_rate(*at, self.span)[closed]
             before = contacts.times(stepper.system, self.rows.N, s.v) + self.rate
             self.rebound = np.where(self.bouncing[closed], self.rows.restitution * np.minimum(before, 0.0), 0.0)
+
         converged, history = stepper.newton.solve(self.increment)
         if not converged:
             raise not_converged(s.t + h, h, history)
@@ -294,14 +339,18 @@ class _Step:
 
     def increment(self) -> float:
         """One Newton step; returns its size over the tolerance."""
-        p, h, s = self.p, self.h, self.p.state
+        p = self.p
+        h = self.h
+        s = p.state
         system, solver = p.system, p.solver
         vm = 0.5 * (s.v + self.v)
         ev = self.ev = system.at(s.t + h / 2, system.compose(s.q, 0.5 * h * vm), vm)
         solver.prepare(ev, Weights(1.0, h / 2, h * h / 4), keep=self.prepared)
         self.prepared = True
+
         r = h * ev.balance((self.v - s.v) / h, self.lam)
         slip = ev.jacobian.times(self.v) + ev.constraint_rate() if system.n_lam else np.zeros(0)
+
         if self.rows is not None:
             rate = p.contacts.times(system, self.rows.N, self.v) + self.rate + self.rebound
             u = openings(p.contacts, system, self.rows, rate, self.span * self.v)
@@ -309,6 +358,7 @@ class _Step:
             dv, dlam = self.contact.increment(self.rows, u, (r, slip), 1.0)
         else:
             dv, dlam = solver.solve(-r, -slip)
+
         self.lam = self.lam + dlam / h
         self.v = self.v + dv
         size = max(system.max_abs(self.v), system.max_abs(s.v), 1e-6 * system.length / self.span)

@@ -64,7 +64,8 @@ def vibrations(solver: StepSolver, state: State) -> Array:
     s = solver.system
     ev = s.at(state.t, state.q, state.v)
     mass = solver.masses(ev)
-    stiffness, damping = _applied(solver, ev, Weights(0.0, 0.0, 1.0)), _applied(solver, ev, Weights(0.0, 1.0, 0.0))
+    stiffness = _applied(solver, ev, Weights(0.0, 0.0, 1.0))
+    damping = _applied(solver, ev, Weights(0.0, 1.0, 0.0))
     if stiffness is None or not s.n_core:
         return np.zeros(0)
 

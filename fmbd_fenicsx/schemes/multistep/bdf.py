@@ -24,7 +24,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...checks import check_fields
-from ...errors import CallbackError, ConvergenceError, LinearSolveError, require
+from ...errors import require
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...linear.residual import Judge
@@ -38,8 +38,6 @@ from ..consistent import accelerations, project
 from ..control import (
     ROUNDOFF,
     STAGNATION,
-    ErrorNorm,
-    Statistics,
     StepControl,
     check_tolerance,
     first_step,
@@ -48,10 +46,10 @@ from ..control import (
     turn_limit,
     turns_too_far,
 )
-from ..dae import GGL, Form, OfForm, Points, step_equations
+from ..dae import GGL, Form, OfForm, Points
+from ..implicit_stepper import ImplicitStepper
 from ..newton import Newton, strayed
 from ..onestep.radau import Radau
-from ..stepping import TimeStepper
 from .amplification import Amplification
 
 STABLE = 2  # the highest order that damps undamped vibrations at any step
@@ -109,36 +107,26 @@ class _Past:
     mult: Array
 
 
-class Stepper(TimeStepper):
+class Stepper(ImplicitStepper):
     """Advances a consistent state; holds the past values, tangent, factor and the choice of step and order."""
 
+    what = "a BDF step"
     keeps: ClassVar = {
-        "state": Memory.state,
+        **ImplicitStepper.keeps,
         "past": plain(_Past),
-        **dict.fromkeys(("k", "held", "_fresh", "_full", "proposed", "local_error", "_theta"), plain()),
-        "control": plain(StepControl),
-        "stats": plain(Statistics),
-        "norm": worker,
+        **dict.fromkeys(("k", "held"), plain()),
         "amplification": worker,
-        "eq": worker,
         "_starter": worker,
     }
 
     def __init__(self, scheme: BDF, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
-        self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
-        self.eq = step_equations(system, scheme.form, solver)
-        self.adaptive = scheme.rtol is not None
-        self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
-        self.control, self.stats = StepControl(2.0), Statistics()
-        self.judge = Judge("a BDF step")
+        super().__init__(scheme, system, solver, newton, state)
+        self.control = StepControl(2.0)
         self.amplification = Amplification(solver)
-        self.proposed: float | None = None
+
+        # the order, and for how many steps it was held with one size
         self.highest = min(scheme.order, STABLE) if system.fields else scheme.order
         self.k, self.held = (1, 0) if self.adaptive else (scheme.order, 0)
-        self._tangent: Any = None  # of the equations' own kind
-        self._pencil: Any = None
-        self._fresh = False
-        self._theta, self._full = 1e-3, False
         self._starter: Any = None
         self._begin()
 
@@ -153,13 +141,6 @@ class Stepper(TimeStepper):
         if not self.adaptive and self.scheme.order > 1:
             scheme = Radau(stages=3, form=self.scheme.form, rtol=None)
             self._starter = scheme.stepper(self.system, self.solver, self.newton, s)
-
-    @property
-    def counters(self) -> dict[str, float]:
-        """Work so far, for the counters of a run."""
-        eq, judge = self.eq, self.judge
-        self.stats.residuals, self.stats.jacobians, self.stats.solves = eq.residuals, eq.jacobians, judge.solves
-        return {**self.stats.as_dict(), **self.eq.counters}
 
     def restart(self, t: float) -> None:
         """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
@@ -193,13 +174,18 @@ class Stepper(TimeStepper):
         """One accepted step. Constant steps: of size h. Error control: of at most h (s), hit exactly at the end."""
         if not self.adaptive:
             return self._constant(h)
-        s, limit = self.state, h
+        return self._controlled(h)
+
+    def _controlled(self, limit: float) -> State:
+        """A step of at most ``limit`` (s) that passes the error test."""
+        s = self.state
         farthest = turn_limit(self.system, s, steps=self.k + 1)
         self.control.span = max(self.control.span, limit)
         if self.proposed is None:
             self.norm.update(s, limit)
             self.proposed = 0.1 * first_step(self.norm, s, 2.0, limit)
             self._back(min(self.proposed, limit))
+
         while True:
             h = lands(min(self.proposed, farthest), limit)
             moves(s.t, h)
@@ -220,27 +206,36 @@ class Stepper(TimeStepper):
                 error, cause = self._error(h, found, self.k), "error estimate"
                 if error <= 1.0:
                     break
-            self._full = False
-            self.stats.rejected[cause] += 1
-            self.control.order = self.k + 1.0
-            self.proposed = self.control.rejected(s.t, h, error, cause)
-            if len(self.control.rejections) > 2:
-                self.k = max(1, self.k - 1)
-            if len(self.control.rejections) > 5 and self.k > 1:
-                self.k = 1
-            self.held = 0
+            self._reject(h, error, cause)
+
         self.local_error = error
         new = self._choose(h, found, error)
         self.control.rejections.clear()
         self.proposed = new if h >= min(self.proposed, limit) * (1 - 1e-9) or new < h else self.proposed
         return self._accept(h, found)
 
+    def _reject(self, h: float, error: float, cause: str) -> None:
+        """A smaller step next; after several rejections a lower order, whose past is shorter."""
+        self._full = False
+        self.stats.rejected[cause] += 1
+        self.control.order = self.k + 1.0
+        self.proposed = self.control.rejected(self.state.t, h, error, cause)
+        self.held = 0
+
+        rejections = len(self.control.rejections)
+        if rejections > 5:
+            self.k = 1
+        elif rejections > 2:
+            self.k = max(1, self.k - 1)
+
     def _constant(self, h: float) -> State:
+        """A step of size h; the first ones by a Radau method, until the past is long enough."""
         if len(self.past) < self.scheme.order and self._starter is not None:
             self.state = self._starter.advance(h)
             self._remember(self.state, self._starter.mult)
             self.eq.weigh(self.state)
             return self.state
+
         self.norm.update(self.state, h)
         found = self._newton(h, self.scheme.order)
         if isinstance(found, str):
@@ -248,10 +243,7 @@ class Stepper(TimeStepper):
             self._full = True  # Newton's own tangent in each iteration: stiff springs that turn
             found = self._newton(h, self.scheme.order)
         if isinstance(found, str):
-            t = self.state.t + h
-            raise ConvergenceError(
-                f"Newton's iteration failed at t = {t:.6g} s (h = {h:.3g} s): {found}. Take a smaller dt."
-            )
+            raise self._failure(h, found)
         return self._accept(h, found)
 
     def _back(self, h: float) -> None:
@@ -268,6 +260,7 @@ class Stepper(TimeStepper):
         self.state = State(s.t + h, q, p.v[0], a, lam)
         if self.scheme.form.projected:
             self.state = project(self.system, self.state, self.solver)
+
         self._remember(self.state, mult)
         self.stats.steps += 1
         self._fresh = False
@@ -297,35 +290,39 @@ class Stepper(TimeStepper):
         return t, xi, v
 
     def _newton(self, h: float, k: int) -> Points | str:
-        try:
-            return self._iterate(h, k)
-        except (LinearSolveError, np.linalg.LinAlgError):
-            return "linear solve failed"
-        except CallbackError as error:
-            if not self.adaptive:
-                raise
-            self.control.fault = str(error)
-            return "forces not finite"
+        """The new values of a step of size h, or the cause of failure."""
+        return self._found(lambda: self._iterate(h, k))
 
-    def _iterate(self, h: float, k: int) -> Points | str:
+    def _predicted(self, h: float, k: int) -> tuple[Points, Array]:
+        """The new values as the past foretells them, and the coefficients c of (1)."""
         s, t = self.state, self.state.t + h
         times, xis, vs = self._local(max(k + 1, 2))
         c = _derivative(np.concatenate(([t], times[:k])), t)
+
+        # on the polynomial through k + 1 past values
         n_pred = min(k + 1, len(times))
         w = _weights(times[:n_pred], t)
         xi, v = w @ xis[:n_pred], w @ vs[:n_pred]
         if len(times) == 1:
             xi, v = h * s.v + 0.5 * h * h * s.a, s.v + h * s.a
+
+        # multipliers by three past values at most
         m = min(k, len(self.past), 3)
         mult = _weights(times[:m], t) @ np.array([p.mult for p in self.past[:m]])
-        fixed_xi, fixed_v = c[1:] @ xis[:k], c[1:] @ vs[:k]
-        self.eq.begin(s)
-        p = Points(*(x[None] for x in (xi, c[0] * xi + fixed_xi, v, c[0] * v + fixed_v, mult)))
+        rate = c[0] * xi + c[1:] @ xis[:k]
+        accel = c[0] * v + c[1:] @ vs[:k]
+        return Points(*(x[None] for x in (xi, rate, v, accel, mult))), c
+
+    def _iterate(self, h: float, k: int) -> Points | str:
+        """The new values by Newton's iteration, or why it failed."""
+        t = self.state.t + h
+        p, c = self._predicted(h, k)
+        foretold = p.xi[0]
+        self.eq.begin(self.state)
         relax = self._prepare(t, p, c[0])
+
         n, now = self.system.n_v, np.array([t])
-        tolerance = (
-            1.0 if not self.adaptive else max(10 * np.finfo(float).eps / self.norm.rtol, min(0.03, self.norm.rtol**0.5))
-        )
+        tolerance = self._newton_tolerance()
         last = 0.0
         for i in range(self.newton.max_iterations):
             kin, low = self.eq.residual(now, p)
@@ -337,11 +334,14 @@ class Stepper(TimeStepper):
             change, dmult = (relax * x for x in self._pencil.solve(kin, low))
             dxi, dv = change[:, :n], change[:, n:]
             p = Points(p.xi + dxi, p.rate + c[0] * dxi, p.v + dv, p.vd + c[0] * dv, p.mult + dmult)
+
             self.newton.iterations += 1
             self.stats.newton_iterations += 1
             size = self._size(h, dxi, dv, dmult)
             if not np.isfinite(size):
                 return "Newton diverged"
+
+            # the rate of convergence; increments that no longer fall are roundoff, or divergence
             theta = 0.5 if i == 0 else min(size / last if last > 0 else 0.0, 2.0)
             if i > 0:
                 self._theta = theta
@@ -351,9 +351,11 @@ class Stepper(TimeStepper):
                     size = 0.0
                 elif theta >= 0.95 and size > tolerance and (self.adaptive or i > 3):
                     return "Newton diverged"
-            last = size
-            if theta / (1 - min(theta, 0.95)) * size <= tolerance or size <= 1e-2 * tolerance:
-                if self._full and strayed(self.system, p.xi[0], xi):
+
+            last, left = size, theta / (1 - min(theta, 0.95)) * size
+            if left <= tolerance or size <= 1e-2 * tolerance:
+                self.newton.note(left)
+                if self._full and strayed(self.system, p.xi[0], foretold):
                     return "Newton found another solution, far from the predicted one"
                 return p
         return "Newton too slow"
@@ -370,13 +372,6 @@ class Stepper(TimeStepper):
             self.stats.factorisations += 1
             return 1.0
         return 2.0 / (1.0 + s / old)
-
-    def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
-        pushes = self.eq.pushes(dmult) if self.scheme.form.index > 1 else None
-        push = None if pushes is None else pushes[0]
-        if self.adaptive:
-            return self.norm(h, dxi[0], dv[0], push)
-        return self.norm.constant(h, self.state, dxi[0], dv[0], push)
 
     # -- error and order ----------------------------------------------------------------------------------------
     def _error(self, h: float, p: Points, k: int) -> float:

@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...rotations import Array
+from ...system.compiled.blocks import Block as StateBlock
+from ...system.compiled.blocks import Ring
 from ...system.compiled.calls import Calls
 from ...system.compiled.evaluation import STORAGE_LIMIT, DriverStates
 from ...system.compiled.fields import Block
 from ...system.compiled.items import covers, other_loads
-from ...system.compiled.library import driver_library
+from ...system.compiled.library import driver_library, units_of
 from ...system.compiled.recording import Openness, Tape
-from ...system.compiled.structures import address_of
+from ...system.compiled.structures import address_of, enumeration
 from ...system.compiled.tables import Tables, covers_bodies
 from ...system.system import System
 
@@ -30,7 +32,8 @@ if TYPE_CHECKING:
 (H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, ITERATIONS, LOCAL,
  GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT, STABILISED) = range(25)
 # fmt: on
-DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN = range(6)
+COUNTED = [ITERATIONS, LOCAL, LEFT]  # by a march, from zero
+DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN = enumeration("DONE").values()
 
 
 class AlphaDriver:
@@ -41,21 +44,14 @@ class AlphaDriver:
         self.system, self.library, self.field_blocks = system, library, blocks
         self.tables, self.calls = tables, calls
         self.address = ctypes.addressof(self.tables.c)
-        self.n, self.nq, self.m = system.n_v, system.n_q, system.n_lam
-        self.block_size = 1 + self.nq + 3 * self.n + self.m
-
+        self.ring = Ring(system, 4)
         self.parameters = np.zeros(25)
-        self.blocks = np.zeros((4, self.block_size))
-        self._places = np.array([address_of(x) for x in self.blocks], dtype=np.uintp)
-        self.ring = self._places.copy()
         self._verdict = ctypes.c_int(0)
         self._tape: Tape | None = None
 
-    def load(self, states: list[tuple[float, Array, Array, Array, Array, Array]]) -> None:
-        """Take t, q, v, a, A, lambda of the last states, the newest first, at most three."""
-        for block, (t, *arrays) in zip(self.blocks, states, strict=False):
-            np.concatenate(([t], *arrays), out=block)
-        self.ring[:] = self._places
+    def load(self, states: Sequence[StateBlock]) -> None:
+        """Take the last states, the newest first, at most three."""
+        self.ring.load(states)
         self.parameters[HISTORY] = len(states) - 1
 
     @property
@@ -73,7 +69,8 @@ class AlphaDriver:
             for x in tables.whole:
                 x.astray[0] = 1
             return
-        diagonal, at = tables.arrays["diagonal"], 1 + len(tables.arrays["diagonal"])
+        diagonal = tables.arrays["diagonal"]
+        at = 1 + len(tables.arrays["diagonal"])
         tables.c.ck, diagonal[:] = kept[0], kept[1:at]
         for x in tables.whole:
             x.recall(kept[at : at + len(x.memory)])
@@ -87,27 +84,21 @@ class AlphaDriver:
 
     def march(self, steps: int, tape: Tape | None = None) -> tuple[int, int]:
         """Make up to so many steps; the number made, and the verdict of the one that stopped them."""
-        for slot in (LOCAL, ITERATIONS, LEFT):
-            self.parameters[slot] = 0.0
+        self.parameters[COUNTED] = 0.0
         made = self.library.march(
             self.address,
             address_of(self.parameters),
             steps,
-            address_of(self.ring),
+            self.ring.address,
             ctypes.byref(self._verdict),
             None if tape is None else tape.address,
         )
         self.calls.raise_error()
         return int(made), int(self._verdict.value)
 
-    def block(self, i: int) -> Array:
-        """The i-th newest state, a view: t, q, v, a, A, lambda."""
-        return self.blocks[(int(self.ring[i]) - int(self._places[0])) // (8 * self.block_size)]
 
-
-def settings(p: Array, parameters: tuple[float, float, float, float], system: System, newton: Newton) -> None:
-    """Fill the driver's parameters from a scheme's, a system and Newton's settings."""
-    p[1:5] = parameters
+def settings(p: Array, system: System, newton: Newton) -> None:
+    """Fill the driver's parameters from a system and Newton's settings."""
     p[TOL], p[LENGTH], p[FLOOR] = newton.tolerance, system.length, 64 * np.finfo(float).eps * system.length
     p[SLOW], p[MAXIT], p[NEW_TANGENT] = newton.slow, newton.max_iterations, newton.patience
 
@@ -119,7 +110,7 @@ def drivable(system: System) -> Any:
     those with the factor of a field do not.
     """
     known = covers_bodies(system) and covers(system) and not (system.fields and other_loads(system))
-    return driver_library(system.motions.dim) if known else None
+    return driver_library(system.motions.dim, units_of(system)) if known else None
 
 
 def alpha_driver(

@@ -11,7 +11,8 @@ from ...system.system import State
 from ..dae import GGL
 from . import alpha_driver as slots
 from .alpha_driver import AlphaDriver, settings
-from .generalized_alpha import FAR, PATIENCE, Stepper
+from .alpha_step import FAR, PATIENCE
+from .generalized_alpha import Stepper
 
 if TYPE_CHECKING:
     from ...run.energy_check import Watch
@@ -39,7 +40,8 @@ class CompiledStepper(Stepper):
     def _use(self, driver: AlphaDriver) -> None:
         """Take a driver."""
         self._driver, self._tail = driver, None
-        settings(driver.parameters, self.scheme.parameters, self.system, self.newton)
+        driver.parameters[slots.AM : slots.BETA + 1] = self.scheme.parameters
+        settings(driver.parameters, self.system, self.newton)
         driver.parameters[slots.FAR] = FAR * self.system.length
         driver.parameters[slots.PATIENCE] = PATIENCE
         driver.parameters[slots.STABILISED] = isinstance(self.scheme.form, GGL)
@@ -79,21 +81,12 @@ class CompiledStepper(Stepper):
         if self._driver is not None:
             self._driver.slopes = kept
 
-    def _split(self, block: Array) -> tuple[float, Array, Array, Array, Array, Array]:
-        """t, q, v, a, A, lambda of a block."""
-        n, at = self.driver.n, 1 + self.driver.nq
-        return (
-            float(block[0]),
-            block[1:at],
-            *(block[at + i * n : at + (i + 1) * n] for i in range(3)),
-            block[at + 3 * n :],
-        )  # type: ignore[return-value]
-
     def _settle(self) -> None:
         """Give A and the past of the newest blocks to the NumPy path; they hold for the state with its time rounded too."""
         if self._ahead:
+            # the newest block first, then as many earlier ones as steps were made
             known = int(self.driver.parameters[slots.HISTORY])
-            blocks = [self._split(self.driver.block(i).copy()) for i in range(known + 1)]
+            blocks = [self.driver.ring.block(i) for i in range(known + 1)]
             self._A = blocks[0][4]
             self._earlier = [(t, a, lam) for t, _, _, a, _, lam in blocks[1:]]
         self._ahead = False
@@ -101,7 +94,8 @@ class CompiledStepper(Stepper):
     def _load(self) -> None:
         """Blocks from the state, A and the past of the NumPy path."""
         s = self.state
-        zero, place = np.zeros(self.driver.n), np.zeros(self.driver.nq)
+        zero = np.zeros(self.system.n_v)
+        place = np.zeros(self.system.n_q)
         past = [(t, place, zero, a, zero, lam) for t, a, lam in self._past]
         self.driver.load([(s.t, s.q, s.v, s.a, self.A, s.lam), *past])
         self._tail = s
@@ -112,16 +106,17 @@ class CompiledStepper(Stepper):
             return super().advance(h)
         return self.state  # who called notes the memory of elements when the step is accepted
 
-    def _first_march(self, h: float) -> int:
+    def _first_march(self, h: float, watch: Watch | None = None, tape: Tape | None = None) -> int:
         """The first step after a consistent start, as :meth:`Stepper._first` prepares it; 1, or 0 where it fails."""
         s = self.state
-        _, (v, A, a, lam) = self._predicted(h)
+        start = self._predicted(self.scheme.rule(h))
 
         # the predictor of the driver is a line through two states: one before the start that leads to what was predicted
-        place, zero = np.zeros(self.driver.nq), np.zeros(self.driver.n)
-        before = (s.t - h, place, zero, 2 * s.a - a, zero, 2 * s.lam - lam)
-        self.driver.load([(s.t, s.q, v, s.a, A, s.lam), before])
-        self.fresh = not self._steps(h, 1)
+        place = np.zeros(self.system.n_q)
+        zero = np.zeros(self.system.n_v)
+        before = (s.t - h, place, zero, 2 * s.a - start.a, zero, 2 * s.lam - start.lam)
+        self.driver.load([(s.t, s.q, start.v, s.a, start.A, s.lam), before])
+        self.fresh = not self._steps(h, 1, watch, tape)
         self.driver.parameters[slots.HISTORY] = 1
         return 0 if self.fresh else 1
 
@@ -139,15 +134,29 @@ class CompiledStepper(Stepper):
     def note(self) -> bool:
         """Elements with a memory keep that of the newest state, which is accepted; whether it is known."""
         known = self._ahead and self._tail is self.state
-        if known:
-            self.driver.tables.remember()
-        return known
+        if not known or self.driver.tables.sampled:  # a new sample is a jump, which who called has to know
+            return False
+        self.driver.tables.remember()
+        return True
 
     def _march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
-        """The same; the memory of elements is left as it was."""
+        """The same; the memory of elements may be that of a step before."""
         refused = self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
-        if self.fresh or refused:
+        if refused:
             return 0
+
+        # the first step after a consistent start begins with values of its own
+        if self.fresh:
+            made = self._first_march(h, watch, tape)
+            largest = self.local_error
+            if not made or steps == 1:
+                return made
+            self.driver.tables.remember()  # what later steps begin with
+            made += self._steps(h, steps - 1, watch, tape)
+            self.local_error = max(self.local_error, largest)
+            return made
+
+        # steps that NumPy made since are given to the driver
         if self._tail is not self.state:
             self._load()
         return self._steps(h, steps, watch, tape)
@@ -169,6 +178,7 @@ class CompiledStepper(Stepper):
             watch.limits = tuple(p[slots.HIGHEST : slots.SETTLING + 1])
         if made:
             self._take(made)
+        # not again from the same state with the same step: NumPy has it
         if verdict in (slots.NEWTON, slots.SINGULAR):
             self._refused = self.state, h
         return made
@@ -178,7 +188,7 @@ class CompiledStepper(Stepper):
         that depend on a memory, which later steps change.
         """
         tables = self.driver.tables
-        if tables.c.remembers and not tables.looks.complete:
+        if (tables.c.remembers or tables.sampled) and not tables.looks.complete:
             return None
         return self.driver.tape(judged)
 
@@ -190,6 +200,6 @@ class CompiledStepper(Stepper):
         newton.note(float(p[slots.LEFT]), made)
         newton.theta = float(p[slots.THETA])
         self.solver.core.factorisations += made
-        self.local_error, self._ahead = float(p[slots.LOCAL]), True
-        t, q, v, a, _, lam = self._split(self.driver.block(0).copy())
-        self.state = self._tail = State(t, q, v, a, lam)
+        self.local_error = float(p[slots.LOCAL])
+        self._ahead = True
+        self.state = self._tail = self.driver.ring.state()

@@ -61,9 +61,16 @@ class Mean(Evaluation):
     def kin(self) -> Kinematics:
         """Means of the markers at both ends with the Jacobians of (1), and their mean velocities."""
         old, new = (ev.kin for ev in self.ends)
-        kin = Kinematics(*(0.5 * (getattr(old, n) + getattr(new, n)) for n in ("x", "R", "jac_frame", "jac_port")))
+        kin = Kinematics(
+            0.5 * (old.x + new.x),
+            0.5 * (old.R + new.R),
+            0.5 * (old.jac_frame + new.jac_frame),
+            0.5 * (old.jac_port + new.jac_port),
+        )
         if old.turned is not None and new.turned is not None:
             kin.turned = 0.5 * (old.turned + new.turned)
+
+        # exact Jacobians of the means
         markers = self.system.markers
         if self.system.motions.dim == 3:
             self._turn(kin)
@@ -72,6 +79,7 @@ class Mean(Evaluation):
             if markers.section is not None:
                 still &= ~markers.section
             kin.jac_port[still] = surface_quotients(markers, kin, self.port, still)
+
         twist = (kin.jac_frame @ self.twist[markers.frame][..., None])[..., 0]
         if markers.surface.size:
             twist[markers.surface] += (kin.jac_port @ self.port_rate[markers.port][..., None])[..., 0]
@@ -104,7 +112,8 @@ class Mean(Evaluation):
         s0, s1 = (loads.relative.values(ev.kin) for ev in self.ends)
         ra, rb = loads.relative.rows(self.kin)
         linear = self.h * (ra * twist[loads.a] + rb * twist[loads.b]).sum(1)
-        share, rate = loads.relative.share(self.kin, (s0, s1), linear), (s1 - s0) / self.h
+        share = loads.relative.share(self.kin, (s0, s1), linear)
+        rate = (s1 - s0) / self.h
         N = sum(w * loads.effort(s0 + x * (s1 - s0) - loads.free, rate, self.t) for x, w in GAUSS)
         N = (share * N)[:, None]
         return -N * ra, -N * rb
@@ -115,25 +124,32 @@ class Mean(Evaluation):
         as they stand in the balance of the fields: M a + f + H ports = 0.
         """
         s = self.system
-        accel, g = s.twists(a), s.gravity(self.t)
+        accel = s.twists(a)
+        g = s.gravity(self.t)
         core = np.zeros((s.n_frames + 1, s.motions.n_twist))
+
         if s.rigid is not None:
             core[s.rigid.frame] += s.rigid.force(self.twist, accel, g)
+
         poses = (self.ends[0].pose, self.ends[1].pose)
         for elements in s.elements:
             for frames, values in elements.mean_forces(self.t, poses, self.twist, self.h):
                 np.add.at(core, frames, values)
+
         rows = []
         for k, p in s.core_parts:
             motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], accel[p.frame], g)
             sums, own = p.force(motion, (s.local_q(self.q, k), s.local_v(self.v, k), s.local_v(a, k)))  # type: ignore[arg-type]
             core[p.frame] += sums
             rows.append(own)
-        out, port = np.concatenate((core[:-1].ravel(), *rows)), np.zeros(s.n_port)
+
+        out = np.concatenate((core[:-1].ravel(), *rows))
+        port = np.zeros(s.n_port)
         if s.forces:
             push, pull = self.on_ports(self.wrenches())
             port -= pull
             out -= np.concatenate((push, *(p.port_force(pull[s.port_slice(k)]) for k, p in s.core_parts)))
+
         if s.n_lam:
             out += np.asarray(self.jacobian.core.T @ lam)
             port += np.asarray(self.jacobian.port.T @ lam)
@@ -154,10 +170,15 @@ def surface_quotients(markers: Markers, kin: Kinematics, port: Array, which: Arr
     m, d = markers.motions, markers.motions.dim
     s = markers.surface[which]
     b = port[markers.port[which]].reshape(-1, 1 + d, d)
+
+    # A and F^ of (3)
     A = kin.R[s] @ markers.rotation[s].swapaxes(1, 2)
     F = b[:, 1:].swapaxes(1, 2)
+
     lever = (A @ markers.position[s][..., None])[..., 0]
     jac: Array = np.zeros((len(s), d + m.n_rot, 1 + d, d))
+
+    # w of (3), for unit rates of the ports
     if d == 2:
         arms = A.swapaxes(1, 2)
         jac[:, 2, 1:] = m.lever(arms)[..., 0] / (arms * b[:, 1:]).sum((1, 2))[:, None, None]
@@ -167,6 +188,8 @@ def surface_quotients(markers: Markers, kin: Kinematics, port: Array, which: Arr
         Z /= np.linalg.det(A)[:, None, None]
         cross = -m.lever(np.eye(3))  # e_k x
         jac[:, 3:, 1:] = (Z[:, None] @ cross[None] @ A.swapaxes(1, 2)[:, None]).swapaxes(1, 2)
+
+    # translations: of the centre, and what the lever makes of the rotation
     jac[:, range(d), 0, range(d)] = 1.0
     jac = jac.reshape(len(s), d + m.n_rot, d * (1 + d))
     jac[:, :d] += m.lever(lever) @ jac[:, d:]

@@ -27,7 +27,7 @@ from ...mechanics.bodies.absolute import AbsoluteField
 from ...rotations import Array
 from ...system.system import State, System
 
-TINY = 1e-11  # dC : dC below which the correction in (2), of the third order in dC, is lost in roundoff
+TINY = 1e-9  # dC : dC below which the correction in (2), of the third order in dC, is lost in roundoff
 POINTS = (0.5 - 1 / 12**0.5, 0.5 + 1 / 12**0.5)  # of Gauss's rule from u_0 to u_1
 
 
@@ -44,21 +44,28 @@ class _Body:
 
         self.part, self.field = part, part.field
         field = part.field
-        v, du = ufl.TestFunction(field.space), ufl.TrialFunction(field.space)
-        self.u0, self.u1 = fem.Function(field.space), fem.Function(field.space)
+
+        v = ufl.TestFunction(field.space)
+        du = ufl.TrialFunction(field.space)
+        self.u0 = fem.Function(field.space)
+        self.u1 = fem.Function(field.space)
         self.h = fem.Constant(field.mesh.dolfinx, 1.0)
         force = self._forces(v)
+
+        # tangent of (1): J_f = 2 M / h^2 + d f_dg / d u_1
         dx = ufl.Measure("dx", domain=field.mesh.dolfinx)
         inertia = 2 * float(field.forms.density) / self.h**2 * ufl.inner(du, v) * dx
         self._force = compat.form(force)
         self._tangent = compat.form(inertia + ufl.derivative(force, self.u1, du))
         self.J = fp.create_matrix(self._tangent)
         self._assemble = fp.assemble_matrix
+
         self.ksp = PETSc.KSP().create(field.comm)
         self.ksp.setOperators(self.J)
         self.ksp.setType("preonly")
         self.ksp.getPC().setType("lu")
         self.ksp.getPC().setFactorSolverType("mumps")
+
         self.x, self.b = self.J.createVecs()
 
     def _forces(self, v: Any) -> Any:
@@ -67,17 +74,21 @@ class _Body:
 
         field, forms = self.field, self.field.forms
         dx, density = field.elastic_measure, float(forms.density)
-        mean, rate = 0.5 * (self.u0 + self.u1), (self.u1 - self.u0) / self.h
+        mean = 0.5 * (self.u0 + self.u1)
+        rate = (self.u1 - self.u0) / self.h
+
         force = self._elastic(mean, v)
         if isinstance(forms.viscous, ViscousForm):
             force += forms.viscous(mean, rate, v, dx)
         elif forms.viscous is not None:
             force += forms.viscous(rate, v, dx)
+
         if forms.mass_damping:
             force += forms.mass_damping * density * ufl.inner(rate, v) * ufl.Measure("dx", domain=field.mesh.dolfinx)
         if forms.stiffness_damping:
             assert forms.elastic is not None  # an energy is refused by the scheme
             force += forms.stiffness_damping * forms.elastic(rate, v, dx)
+        # loads that follow the body: their mean over the way from u_0 to u_1
         if field.loads.moving:
             for x in POINTS:
                 force -= 0.5 * field.loads.moving_form((1 - x) * self.u0 + x * self.u1, v)
@@ -87,20 +98,29 @@ class _Body:
         """(2), or the linear form at the mean."""
         import ufl
 
-        field, stored = self.field, self.field.forms.energy
+        field = self.field
+        stored = field.forms.energy
         if stored is None and not field.mixed:
             return field.stress_form(mean, v)[0]
         assert isinstance(stored, StoredEnergy)  # others are refused by the scheme
+
         eye = ufl.Identity(field.dim)
-        F0, F1 = eye + ufl.grad(self.u0), eye + ufl.grad(self.u1)
+        F0 = eye + ufl.grad(self.u0)
+        F1 = eye + ufl.grad(self.u1)
         C0, C1 = F0.T * F0, F1.T * F1
-        Cm, dC = ufl.variable(0.5 * (C0 + C1)), C1 - C0
+        Cm = ufl.variable(0.5 * (C0 + C1))
+        dC = C1 - C0
+
         W = stored.density(field.mesh.dolfinx)
+        # 2 W' is symmetric only with the symmetric part of the derivative
         slope = ufl.diff(W(Cm), Cm)
         slope = 0.5 * (slope + slope.T)
+
+        # the correction of (2), where dC is no roundoff
         square = ufl.inner(dC, dC)
         rest = (W(C1) - W(C0) - ufl.inner(slope, dC)) / ufl.max_value(square, TINY)
         rest = ufl.conditional(ufl.gt(square, TINY), rest, 0.0)
+
         S = 2 * (slope + rest * dC)
         return ufl.inner(0.5 * (F0 + F1) * S, ufl.grad(v)) * field.elastic_measure
 
@@ -110,9 +130,12 @@ class _Body:
         f = self.field
         self.h.value = h
         f.loads.at(t + 0.5 * h)
+
         outer, inner = f.loads.constant(t + 0.5 * h, np.eye(f.dim)) if f.loads.loads else (0.0, 0.0)
+        # what of (1) does not depend on u_1
         drift = 2.0 / h * (U / h + V).reshape(-1, f.dim) + gravity
         self._known = (f.mass(drift) + outer + inner).ravel()
+
         self._place(self.u0, U)
         self.U, self.U0, self.V0 = self._predict(U, V, h), U, V
 
@@ -154,14 +177,23 @@ class _Body:
         f = self.field
         d, m = f.dim, f.motions
         x = f.points(U0)
-        mass_x, V = f.mass(x), V0.reshape(-1, d)
-        first, speed, spin = f.total(mass_x.sum(0)), f.total(f.mass(V).sum(0)), f.total(m.moment(x, f.mass(V)).sum(0))
-        center, mean = first / f.mass_total, speed / f.mass_total
+        mass_x = f.mass(x)
+        V = V0.reshape(-1, d)
+
+        # mass centre, momentum and angular momentum about the origin
+        center = f.total(mass_x.sum(0)) / f.mass_total
+        speed = f.total(f.mass(V).sum(0))
+        spin = f.total(m.moment(x, f.mass(V)).sum(0))
+        mean = speed / f.mass_total
+
+        # inertia of the deformed body about its mass centre, and the angular velocity of its angular momentum
         arm = x - center
         inertia = np.empty((m.n_rot, m.n_rot))
         for k in range(m.n_rot):
-            inertia[:, k] = m.moment(arm, f.mass(m.spin(np.eye(m.n_rot)[k : k + 1], arm))).sum(0)
+            unit = np.eye(m.n_rot)[k : k + 1]
+            inertia[:, k] = m.moment(arm, f.mass(m.spin(unit, arm))).sum(0)
         w = np.linalg.solve(f.total(inertia), spin - m.moment(center, speed))
+
         turn = m.matrix(m.compose(m.identity[None], np.concatenate((np.zeros(d), h * w))[None]))[0]
         return np.asarray(U0 + (arm @ turn.T - arm + h * mean).ravel())
 
@@ -179,10 +211,13 @@ class Fields:
     def __init__(self, system: System, used: np.ndarray) -> None:
         parts: list[tuple[int, Any]] = list(system.fields)
         self.system, self.used = system, used
+
         self.bodies: list[_Body] = []
         self._at: list[tuple[np.ndarray, np.ndarray]] = []
         self._H: list[Array] = []
         self._reference: Array = np.zeros(len(used))
+
+        # of each body: which of its ports are in use, and their columns
         for k, part in parts:
             ports = system.port_slice(k)
             at = np.flatnonzero((used >= ports.start) & (used < ports.stop))
@@ -191,6 +226,7 @@ class Fields:
             self._at.append((at, own))
             self._reference[at] = part.reference[own]
             self._H.append(part.port_columns(own))
+
         self.W: Array = np.zeros((len(used), len(used)))
 
     def begin(self, s: State, h: float) -> None:
@@ -218,7 +254,8 @@ class Fields:
 
     def back(self, port: Array) -> Array:
         """H^T z, z = J_f^-1 r_f with the forces ``port`` on the ports; collective."""
-        out, self._z = np.zeros(len(self.used)), []
+        out = np.zeros(len(self.used))
+        self._z = []
         for body, (at, _), H in zip(self.bodies, self._at, self._H, strict=True):
             self._z.append(body.solve(body.residual() + H @ port[at]))
             out[at] = body.field.total(H.T @ self._z[-1])
@@ -230,6 +267,7 @@ class Fields:
         for body, (at, _), Y, z in zip(self.bodies, self._at, self._Y, self._z, strict=True):
             dU = -z - Y @ dP[at]
             body.U = body.U + dU
+
             f = body.field
             moved, count = f.total(np.array([dU @ dU, float(f.n)]))
             found.append(float(np.sqrt(moved / count)) / f.size)

@@ -57,6 +57,8 @@ SLOW = 0.1  # rate of Newton's iteration above which a new tangent is taken
 SINGULAR = 1e-14  # singular values of the scaled tangent below this share belong to rows that depend on each other
 DIFFERENCE = 1e-7
 NEAR = 12  # further iterations where the tangent is not exact
+ENOUGH = 1e-9  # last increment of accelerations, over their size
+ROUNDOFF = 1e-12  # an increment that moves positions by this share of the model's length is none that further ones could improve
 WITH_FIELDS = 40  # iterations at most of scenes with fields: their large steps turn bodies far
 
 
@@ -103,6 +105,18 @@ def _refused(body: Any) -> str:
     return ""
 
 
+def _rate(history: list[float]) -> float:
+    """Rate of convergence of the last two increments, 0 after the first."""
+    return history[-1] / max(history[-2], 1e-300) if len(history) > 1 else 0.0
+
+
+def _over(history: list[float]) -> bool:
+    """Whether increments are at roundoff, fall no more close to it, or have diverged."""
+    last = history[-1]
+    stalled = len(history) > 2 and last <= 1e-10 and last > 0.2 * history[-2]
+    return last <= 1e-13 or stalled or not np.isfinite(last)
+
+
 class Stepper(TimeStepper):
     """Advances a consistent state. The unknowns of a step: mean accelerations of the core, ports of fields in use, lambda."""
 
@@ -117,52 +131,65 @@ class Stepper(TimeStepper):
 
             self.fields = Fields(system, _ports_in_use(system.at(state.t, state.q, state.v)))
         self.ports = np.zeros(0, int) if self.fields is None else self.fields.used
-        self.n, self.n_q = system.n_core, system.n_q - (system.n_v - system.n_core)
+        self.n = system.n_core
+        self.n_q = system.n_q - (system.n_v - system.n_core)
         self._last = state.a[: self.n], state.lam  # means over the last step
         self.counters = {}
         self._kept: tuple[float, Array] | None = None  # step and tangent, where Newton converges well with an old one
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton's iteration fails."""
-        s, system, n = self.state, self.system, self.n
         old = self._old()
         self._g_old = old.constraint()
         if self.fields is not None:
-            self.fields.begin(s, h)
+            self.fields.begin(self.state, h)
         y = np.concatenate((self._last[0], self._port_values(), self._last[1]))
-        units, size = system.units[:n], self._size(h)
-        history: list[float] = []
+        size = self._size(h)
+        weights = self.system.units[: self.n] / size
+        roundoff = ROUNDOFF * self.system.length / (size * h**2)  # much, of slow motion in small steps
+
         J = self._kept[1] if self._kept is not None and self._kept[0] == h else None
         exact = J is None and not self._prepare(h, y)  # whether differences have to give the tangent
-        worst, limit = 0.0, self.newton.max_iterations + NEAR if self.fields is None else WITH_FIELDS
-        for _ in range(limit):
+        history: list[float] = []
+        worst = 0.0  # rate of convergence
+
+        for _ in range(self.newton.max_iterations + NEAR if self.fields is None else WITH_FIELDS):
             r = self._residual(h, y, old)
             if J is None and exact:
                 J = self._differences(h, (y, r, self._reach(h, size)), old)
                 if self.fields is not None:
                     self.fields.linearise()
-            y = self._near_increment(y, r, units / size) if J is None else self._increment(y, r, J, units / size)
+            y = self._near_increment(y, r, weights) if J is None else self._increment(y, r, J, weights)
             history.append(self._change)
             self.newton.iterations += 1
-            rate = history[-1] / max(history[-2], 1e-300) if len(history) > 1 else 0.0
-            if history[-1] > 1e-11:
+
+            rate, above_roundoff = _rate(history), history[-1] > 1e-11
+            if above_roundoff:
                 worst = max(worst, rate)
-            if rate > SLOW and (J is not None or history[-1] > 1e-11):
+            if rate > SLOW and history[-1] <= roundoff:
+                break
+            # a tangent that does not serve any more is taken anew; a near one that serves at once is kept
+            if rate > SLOW and (J is not None or above_roundoff):
                 J, exact = None, True
             elif len(history) == 1 and self._kept is None:
                 J = None
-            if history[-1] <= 1e-13 or (len(history) > 2 and history[-1] <= 1e-10 and history[-1] > 0.2 * history[-2]):
+            if _over(history):
                 break
-            if not np.isfinite(history[-1]):
-                break
-        if not history[-1] <= 1e-9:
-            raise ConvergenceError(
-                f"Newton's iteration failed at t = {s.t + h:.6g} s (h = {h:.3g} s): relative increments "
-                + " -> ".join(f"{x:.1e}" for x in history[-8:])
-                + ". Take a smaller dt."
-            )
+
+        if not history[-1] <= max(ENOUGH, roundoff):
+            raise self._failure(h, history)
+        settled = min(rate, 0.9)  # what further increments would add
+        self.newton.note(settled / (1 - settled) * history[-1] / self.newton.tolerance)
         self._kept = (h, J) if J is not None and worst < 0.5 * SLOW and self.fields is None else None
         return self._take(h, y)
+
+    def _failure(self, h: float, history: list[float]) -> ConvergenceError:
+        """The error of a step whose iteration failed."""
+        sizes = " -> ".join(f"{x:.1e}" for x in history[-8:])
+        return ConvergenceError(
+            f"Newton's iteration failed at t = {self.state.t + h:.6g} s (h = {h:.3g} s): relative increments {sizes}. Take a "
+            "smaller dt."
+        )
 
     # -- one step -----------------------------------------------------------------------------------------------
     def _old(self) -> End:
@@ -172,7 +199,8 @@ class Stepper(TimeStepper):
 
     def _size(self, h: float) -> float:
         """What accelerations are judged by, as lengths over s^2: increments of 1e-10 of it move nothing beyond roundoff."""
-        s, units = self.state, self.system.units[: self.n]
+        s = self.state
+        units = self.system.units[: self.n]
         a, v = (float(np.abs(units * x[: self.n]).max(initial=0.0)) for x in (s.a, s.v))
         return max(a, v / h, 1e-6 * self.system.length / h**2)
 
@@ -182,6 +210,7 @@ class Stepper(TimeStepper):
         """
         system = self.system
         far = max(size, 0.1 * system.length / h**2)
+
         return np.concatenate((far / system.units[: self.n], np.full(len(self.ports), system.length)))
 
     def _port_values(self) -> Array:
@@ -191,11 +220,13 @@ class Stepper(TimeStepper):
         """y after one increment; (5). Sets the size of the increment, by the weights (n,) of accelerations."""
         n, p, core, port, g = self.n, len(self.ports), *r
         A, back = J, np.zeros(0)
+        # ports of fields follow from the forces on them: rows p + W P = z of (5)
         if self.fields is not None:
             back = self.fields.back(port)
             A = J.copy()
             A[n : n + p] = self.fields.W @ J[n : n + p]
             A[n : n + p, n : n + p] += np.eye(p)
+
         b = np.concatenate((core, back, g))
         try:
             dy = -_solve(A, b, redundant=self.solver.core.redundant)
@@ -203,6 +234,7 @@ class Stepper(TimeStepper):
             raise ConvergenceError(
                 f"Newton's iteration diverged from t = {self.state.t:.6g} s. Take a smaller dt."
             ) from None
+
         self._change = float(np.abs(weights * dy[:n]).max(initial=0.0))
         y = y + dy
         if self.fields is not None:
@@ -229,7 +261,8 @@ class Stepper(TimeStepper):
         try:
             da, dlam = self.solver.solve(-core, -g)
         except LinearSolveError:
-            da, dlam = np.full_like(core, np.inf), np.zeros_like(g)
+            da = np.full_like(core, np.inf)
+            dlam = np.zeros_like(g)
         self._change = float(np.abs(weights * da).max(initial=0.0))
         return np.concatenate((y[: self.n] + da, y[self.n :] + dlam))
 
@@ -243,8 +276,10 @@ class Stepper(TimeStepper):
         if self.fields is not None:
             self.fields.end(q, v)
             count(self.system, q)
+
         made = State(s.t + h, q, v, s.a, means)
         self.state = accelerations(self.system, made, self.solver)
+        # of multipliers with the same forces the smallest
         if self.solver.core.redundant:
             means = least(self.solver, self.system.at(made.t, q), means)
         self._last = y[:n], means
@@ -252,7 +287,8 @@ class Stepper(TimeStepper):
 
     def _motion(self, h: float, a: Array) -> tuple[Array, Array, Array, Array]:
         """v_n+1, q_n+1, w and the middle configuration of the core for a = (v_n+1 - v_n) / h."""
-        q, v = self.state.q[: self.n_q], self.state.v[: self.n]
+        q = self.state.q[: self.n_q]
+        v = self.state.v[: self.n]
         w = v + 0.5 * h * a
         turn = self._cayley(h * w)
         return v + h * a, self.system.compose(q, turn), w, self.system.compose(q, 0.5 * turn)
@@ -263,14 +299,20 @@ class Stepper(TimeStepper):
         out = xi.copy()
         turn = out[: n * m.n_twist].reshape(n, m.n_twist)[:, m.dim :]
         angle = np.sqrt((turn * turn).sum(1, keepdims=True))
+        # of small angles by the series: 0 / 0 else
         turn *= np.where(angle > 1e-8, 2 * np.arctan(0.5 * angle) / np.maximum(angle, 1e-300), 1 - angle**2 / 12)
         return out
 
     def _residual(self, h: float, y: Array, old: End) -> tuple[Array, Array, Array]:
         """(1) for y: rows of the core, forces on the ports in use, constraints divided by h^2 / 2."""
-        system, n, p = self.system, self.n, len(self.ports)
-        a, lam, port = y[:n], y[n + p :], old.port.copy()
+        system = self.system
+        n = self.n
+        p = len(self.ports)
+        a = y[:n]
+        lam = y[n + p :]
+        port = old.port.copy()
         port[self.ports] = y[n : n + p]
+
         v, q, w, middle = self._motion(h, a)
         t = self.state.t
         new = End(system, t + h, q, port)
@@ -278,15 +320,20 @@ class Stepper(TimeStepper):
         core, push = mean.small(a, lam)
         if not system.n_lam:
             return core, push[self.ports], np.zeros(0)
+
         g, way = new.constraint(), mean.moved()
         g[speed_rows(system)] = way[speed_rows(system)]  # these have no g: the mean motion does not slip
+        # what (1) leaves of the energy: constraints that are not quadratic do work
         missing = g - self._g_old - way  # zero for constraints of second order in x and R
         if np.abs(missing).max() <= 1e-13 * system.length:
             return core, push[self.ports], 2.0 / h**2 * g
+
+        # that work is given back by a force along the motion
         left = float(lam @ missing)
         Mw = mean.small(a + w, lam)[0] - core
         moved = (port - old.port)[self.ports] * (system.mass / h**2)
         left /= max(h * float(w @ Mw) + float((port - old.port)[self.ports] @ moved), 1e-300)
+
         return core + left * Mw, push[self.ports] + left * moved, 2.0 / h**2 * g
 
     def _differences(self, h: float, at: tuple[Array, tuple[Array, Array, Array], Array], old: End) -> Array:
@@ -305,7 +352,7 @@ class Stepper(TimeStepper):
 
         # multipliers by the forces that these accelerations take
         forces = (np.abs(J[:n, :n]) @ size[:n]) / self.system.units[:n]
-        force = float(forces.max(initial=0.0)) or 1.0
+        force = float(forces.max(initial=0.0)) or self.system.mass * self.system.length / h**2
         for j, unit in enumerate(self.system.row_units, len(size)):
             J[:, j] = by(j, DIFFERENCE * force * float(unit))
         return J
@@ -320,8 +367,10 @@ def _ports_in_use(ev: Evaluation) -> np.ndarray:
     for batch, _ in system.batches:
         for _, marker, _ in batch.sides(ev.kin, ev.t):
             on[marker] = True
+
     used, inside = np.zeros((2, system.n_port), dtype=bool)
     used[m.port[on[m.surface]].ravel()] = True
+    # ties take their own ports, at the end of those of a part
     for k, part in system.fields:
         ports, ties = system.port_slice(k), sum(B.shape[0] for B in part.traces)  # type: ignore[attr-defined]
         inside[ports] = True

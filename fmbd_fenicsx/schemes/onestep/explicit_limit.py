@@ -58,6 +58,7 @@ class _Operator:
         """K x by displacements of at most ``size`` times the model's length."""
         s = self.state
         step = size * self.system.length / max(self.system.max_abs(x), 1e-300)
+        # central differences of the balance
         there, back = (self._push(self.system.compose(s.q, sign * step * x), s.v) for sign in (1.0, -1.0))
         return (there - back) / (2.0 * step)
 
@@ -102,10 +103,12 @@ def _lanczos(operator: _Operator) -> Vibration | None:
     for _ in range(ITERATIONS):
         rest = operator.stiffness(xs[-1])
         alphas.append(system.dot(xs[-1], rest))
+
         values, vectors = np.linalg.eigh(np.diag(alphas) + np.diag(betas, 1) + np.diag(betas, -1))
         if abs(values[-1] - last) <= SETTLED * abs(values[-1]):
             break
         last = values[-1]
+        # all earlier ones, not two: roundoff would bring them back
         for y, m in zip(xs, forces, strict=True):
             rest = rest - system.dot(y, rest) * m
         x = operator.moved(rest)
@@ -116,12 +119,14 @@ def _lanczos(operator: _Operator) -> Vibration | None:
         xs.append(x / size)
         forces.append(rest / size)
 
+    # the fastest shape; its Rayleigh quotient over a longer way must agree, or laws are not smooth here
     shape = np.asarray(vectors[:, -1])
     x = np.sum([s * y for s, y in zip(shape, xs, strict=False)], axis=0)
     m = np.sum([s * y for s, y in zip(shape, forces, strict=False)], axis=0)
     square = system.dot(x, operator.stiffness(x, 100 * SMALL))
     if not square > 0.5 * values[-1] > 0:
         return None
+
     omega = float(np.sqrt(square))
     damping = max(system.dot(x, operator.damping(x, omega)), 0.0)
     return Vibration(omega, float(damping), _moving_most(system, x * m))
@@ -141,6 +146,7 @@ def _moving_most(system: System, energy: Array) -> str:
     n, shares = system.motions.n_twist, {}
     for k, name in enumerate(system.frame_names):
         shares[name] = float(energy[k * n : (k + 1) * n].sum())
+    # with the frames' own shares of the energy
     for k, part in enumerate(system.parts):
         own = np.zeros_like(energy)
         own[system.slices[1][k]] = energy[system.slices[1][k]]
@@ -148,15 +154,21 @@ def _moving_most(system: System, energy: Array) -> str:
     return max(shares, key=lambda name: shares[name])
 
 
-def largest_step(vibration: Vibration, matrix: Callable[[float, float], Array]) -> float:
-    """The largest stable step (s), with ``matrix(h omega, h c)`` of one step of the scheme for (x, h x'), (2, 2)."""
+def largest_step(vibration: Vibration, matrix: Callable[[float, float], Array], *, enough: float = np.inf) -> float:
+    """The largest stable step (s), with ``matrix(h omega, h c)`` of one step of the scheme for (x, h x'), (2, 2).
+
+    ``enough``: a size (s) beyond which nobody looks; the step found may be smaller than the largest then, but not than this.
+    """
 
     def grows(z: float) -> bool:
         return bool(np.abs(np.linalg.eigvals(matrix(z, z * ratio))).max() > GROWTH)
 
     ratio = vibration.damping / vibration.omega
     z = 0.02
+    # up to the first growth, then halving
     while not grows(z) and z < 100.0:
+        if z >= enough * vibration.omega:
+            return z / vibration.omega
         z *= 1.05
     low, high = z / 1.05, z
     for _ in range(40):
@@ -181,6 +193,7 @@ class StepLimit:
             StabilityError: it is longer than the scheme can take, with the largest that it can.
         """
         speed = self.system.max_abs(state.v)
+        # looked at every so many steps, and where bodies have become faster or steps longer
         if self.left > 0 and abs(h) <= self.looked and speed <= FASTER * self.speed:
             self.left -= 1
             return
@@ -191,7 +204,7 @@ class StepLimit:
     def refuse(self, state: State, h: float) -> None:
         """Raise StabilityError where a step of size h (s) is not stable; collective."""
         found = fastest_vibration(self.system, state, self.solver)
-        if found is None or abs(h) <= (limit := largest_step(found, self.matrix)):
+        if found is None or abs(h) <= (limit := largest_step(found, self.matrix, enough=1.1 * abs(h))):
             return
         raise StabilityError(
             f"{self.scheme} is explicit and cannot take steps of {abs(h):.3g} s at t = {state.t:.6g} s: the fastest vibration, "

@@ -1,10 +1,13 @@
-"""Compiled steps of systems with floating elastic fields: the driver needs the fields' factors of a step's size first."""
+"""Compiled steps of systems with floating elastic fields: the driver needs the fields' factors of a step's size first.
+
+There is one driver for each set of factors that the solver keeps, so that steps may change between a few sizes.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from .alpha_driver import alpha_driver
+from .alpha_driver import AlphaDriver, alpha_driver
 from .compiled_stepper import CompiledStepper
 
 if TYPE_CHECKING:
@@ -15,7 +18,11 @@ if TYPE_CHECKING:
 class FieldStepper(CompiledStepper):
     """The same; the first step of a size, and steps with new tangents, are NumPy's."""
 
-    def _first_march(self, h: float) -> int:
+    def __init__(self, data: Any, driver: AlphaDriver | None) -> None:
+        self._drivers: list[AlphaDriver] = []  # the one used last is the last
+        super().__init__(data, driver)
+
+    def _first_march(self, h: float, watch: Watch | None = None, tape: Tape | None = None) -> int:
         return 0
 
     def _march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
@@ -27,7 +34,7 @@ class FieldStepper(CompiledStepper):
 
     def _ready(self, h: float) -> bool:
         """Whether the driver has the solver's factors, and these are those of a step of size h (s)."""
-        return bool(self.solver.blocks) and self.solver.weights.ck == self._weights(h).ck and self._bound()
+        return bool(self.solver.blocks) and self.solver.weights.ck == self.scheme.rule(h).weights.ck and self._bound()
 
     def _bound(self) -> bool:
         """Whether there is a driver with the solver's present factors."""
@@ -35,9 +42,20 @@ class FieldStepper(CompiledStepper):
         if solver.split is not None or not solver.blocks:
             return False
         if self._driver is None or self._driver.field_blocks is not solver.blocks:
-            found = alpha_driver(self.system, redundant=solver.core.redundant, blocks=solver.blocks)
+            found = self._driver_of_factors()
             if found is None:
                 return False
             self._settle()
             self._use(found)
         return True
+
+    def _driver_of_factors(self) -> AlphaDriver | None:
+        """The driver with the solver's present factors, an earlier one where there is one."""
+        solver = self.solver
+        found = next((d for d in self._drivers if d.field_blocks is solver.blocks), None)
+        if found is None:
+            found = alpha_driver(self.system, redundant=solver.core.redundant, blocks=solver.blocks)
+        if found is not None:
+            others = [d for d in self._drivers if d is not found]
+            self._drivers = [*others, found][-solver.elastic.kept :]
+        return found

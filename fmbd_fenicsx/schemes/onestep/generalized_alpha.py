@@ -28,33 +28,25 @@ Arnold and Bruels, doi:10.1007/s11044-007-9084-0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ...errors import ConvergenceError, LinearSolveError, require
 from ...linear.blocks.incompressibility import volume_push
-from ...linear.condensation import StepSolver, Weights
+from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...rotations import Array
 from ...system.serialisation import Memory, plain
-from ...system.speed_rows import gaps, speed_rows
+from ...system.speed_rows import speed_rows
 from ...system.system import State, System
 from ..consistent import jerk, spin_of_acceleration, worst_block
 from ..control import check_controlled
 from ..dae import GGL, Form, Index3
-from ..exact_tangent import exact_increment
-from ..newton import Newton, above_roundoff, known_gaps, not_converged, strayed
+from ..newton import Newton, not_converged, strayed
 from ..stepping import TimeStepper
-
-# of the model's length: after a larger increment, rows and the core's matrix are taken where it led
-FAR = 1e-4
-# rate above which force elements get a new tangent: a stiff spring has its true tension, and with it its
-# stiffness across, only after the first increment
-SLOW_TURN = 0.01
-SLOW = 0.1  # rate above which gaps of roundoff may be what keeps increments from falling
-PATIENCE = 4  # iterations with the tangent of the first one, where a new tangent is cheap
+from .alpha_step import PATIENCE, AlphaStep, Rule, Start
 
 
 @dataclass(frozen=True)
@@ -112,9 +104,14 @@ class GeneralizedAlpha:
     def parameters(self) -> tuple[float, float, float, float]:
         """alpha_m, alpha_f, gamma, beta."""
         rho = self.rho_inf
-        am, af = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
+        am = (2 * rho - 1) / (rho + 1)
+        af = rho / (rho + 1)
         gamma = 0.5 + af - am
         return am, af, gamma, 0.25 * (gamma + 0.5) ** 2
+
+    def rule(self, h: float) -> Rule:
+        """The scheme for steps of size h (s)."""
+        return Rule(h, *self.parameters)
 
     def prepare(self, solver: StepSolver) -> None:
         """Let the driver make the start where it makes the steps."""
@@ -133,25 +130,34 @@ class GeneralizedAlpha:
             from .variable_alpha import VariableAlpha
 
             return VariableAlpha(self, system, solver, newton, state)
-        compiled = self.compiled and newton.tangent is None
-        plain = compiled and isinstance(self.form, Index3)
-        rolls = speed_rows(system).size > 0
+
+        given = self, system, solver, newton, state
+        made = self._compiled_stepper(given) if self.compiled and newton.tangent is None else None
+        return Stepper(*given) if made is None else made
+
+    def _compiled_stepper(self, given: Given) -> Stepper | None:
+        """Steps in compiled code; None where NumPy has to make them."""
+        _, system, solver, _, _ = given
+        redundant = solver.core.redundant
+
         if system.fields:
-            if plain and not solver.core.redundant:  # NumPy shares reactions among dependent rows to the last digits
-                from .alpha_driver import drivable
-                from .field_stepper import FieldStepper
+            # NumPy shares reactions among dependent rows to the last digits
+            if redundant or isinstance(self.form, GGL):
+                return None
+            from .alpha_driver import drivable
+            from .field_stepper import FieldStepper
 
-                if drivable(system) is not None:
-                    return FieldStepper((self, system, solver, newton, state), None)
-        elif plain or (compiled and not solver.core.redundant and not rolls):
-            from .alpha_driver import alpha_driver
-            from .compiled_stepper import CompiledStepper
+            return None if drivable(system) is None else FieldStepper(given, None)
 
-            states = None if solver.driver is None else solver.driver.states
-            driver = alpha_driver(system, redundant=solver.core.redundant, states=states)
-            if driver is not None:
-                return CompiledStepper((self, system, solver, newton, state), driver)
-        return Stepper(self, system, solver, newton, state)
+        from .alpha_driver import alpha_driver
+        from .compiled_stepper import CompiledStepper
+
+        states = None if solver.driver is None else solver.driver.states
+        driver = alpha_driver(system, redundant=redundant, states=states)
+        return None if driver is None else CompiledStepper(given, driver)
+
+
+Given = tuple[GeneralizedAlpha, System, StepSolver, Newton, State]
 
 
 def _keep_past(m: Memory, name: str, past: Any) -> list[tuple[float, Array, Array]]:
@@ -197,140 +203,89 @@ class Stepper(TimeStepper):
         points = [(s.t, s.a, s.lam), *self._past]
         a, lam = np.zeros_like(s.a), np.zeros_like(s.lam)
         for i, (ti, ai, li) in enumerate(points):
+            # Lagrange's weights of the newest three states
             w = float(np.prod([(t - tj) / (ti - tj) for j, (tj, _, _) in enumerate(points) if j != i]))
             a += w * ai
             lam += w * li
         return a, lam
 
-    def _first(self, h: float, weights: Weights) -> tuple[Array, Array, Array, Array]:
+    def _first(self, rule: Rule) -> Start:
         """v_0 and A_0 without a transient (see the module), and a, lambda predicted for the end of the first step."""
-        system, s = self.system, self.state
-        am, af, _, beta = self.scheme.parameters
+        system, s, h = self.system, self.state, rule.h
+        ahead = rule.alpha_m - rule.alpha_f
         ev = self.solver.at(s.t, s.q, s.v)
-        rate, lam_rate, volume = jerk(ev, s, self.solver, weights, h)
+        rate, lam_rate, volume = jerk(ev, s, self.solver, rule.weights, h)
+
         v = s.v
         if (system.n_lam or volume) and not isinstance(self.scheme.form, GGL):
-            c = 1 / 6 - beta - 0.5 * (am - af)
+            c = 1 / 6 - rule.beta - 0.5 * ahead
             miss = h * h * (c * rate + spin_of_acceleration(system, s.v, s.a) / 12)
             push = volume_push(self.solver, {k: h * h * c * x for k, x in volume.items()})
             across = ev.jacobian.times(miss)
             across[speed_rows(system)] = 0.0  # rows on velocities are held there, not missed
             v = v + self.solver.solve(push, across)[0]
-        return v, s.a + (am - af) * h * rate, s.a + h * rate, s.lam + h * lam_rate
+        return Start(s, v, s.a + ahead * h * rate, s.a + h * rate, s.lam + h * lam_rate)
+
+    def _predicted(self, rule: Rule) -> Start:
+        """What the next step begins with, and the prediction of its end."""
+        if self.fresh:
+            return self._first(rule)
+        return Start(self.state, self.state.v, self.A, *self._predict(rule.h))
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
-        weights, motion = self._predicted(h)
+        rule = self.scheme.rule(h)
+        start = self._predicted(rule)
         pressures = self.solver.pressures
         try:
-            return self._newton(h, weights, motion, PATIENCE)
+            return self._step(rule, start, PATIENCE)
         except (ConvergenceError, LinearSolveError):
             self.solver.pressures = pressures
             if self.system.fields:
                 raise
+        # once more with a tangent for each iteration, before the step is made in parts
         self.newton.theta = 0.5
-        return self._newton(h, weights, motion, 0)  # stiff springs that turn need Newton's own tangent
+        return self._step(rule, start, 0)  # stiff springs that turn need Newton's own tangent
 
-    def _predicted(self, h: float) -> tuple[Weights, tuple[Array, Array, Array, Array]]:
-        """Weights of the step's matrix; v and A at its start, a and lambda predicted for its end."""
-        weights = self._weights(h)
-        if self.fresh:
-            return weights, self._first(h, weights)
-        return weights, (self.state.v, self.A, *self._predict(h))
-
-    def _weights(self, h: float) -> Weights:
-        """Weights of the matrix of a step of size h (s)."""
-        am, af, gamma, beta = self.scheme.parameters
-        share = (1 - af) / (1 - am)
-        return Weights(1.0, h * gamma * share, beta * h * h * share)
-
-    def _newton(self, h: float, weights: Weights, motion: tuple[Array, Array, Array, Array], patience: int) -> State:
+    def _step(self, rule: Rule, start: Start, patience: int) -> State:
         """The step by Newton's iteration, its first ``patience`` iterations with one tangent."""
-        system, s = self.system, self.state
-        am, af, gamma, beta = self.scheme.parameters
-        v0, A0, a, lam = motion
-        t, scale = s.t + h, weights.ck  # dq = scale da
-        share = h * beta / gamma  # dq = share dv
-        fixed_a, fixed_v = h * v0 + h * h * (0.5 - beta) * A0, v0 + h * (1 - gamma) * A0
+        stabilised = isinstance(self.scheme.form, GGL)
+        step = AlphaStep(rule, start, self.solver, self.newton, patience=patience, stabilised=stabilised)
+        try:
+            converged, history = step.solve()
+        finally:
+            self._count(step)
+        if not converged or (patience == 0 and strayed(self.system, step.end.xi, step.begun.xi)):
+            raise self._failure(step, history)
+        return self._accept(step)
 
-        A = ((1 - af) * a + af * s.a - am * A0) / (1 - am)
-        xi = fixed_a + h * h * beta * A
-        tolerance = self._tolerance(scale, a)
-        done, far, lost = 0, True, False
-        stiff = any(loads.stiff for loads in system.forces)
-        last: Array = np.zeros(0)
-        newest: Array | None = None
-        stabilised = bool(system.n_lam) and isinstance(self.scheme.form, GGL)
+    def _count(self, step: AlphaStep) -> None:
+        """Iterations on the exact tangent, where one is taken."""
+        if step.tangent is not None:
+            self.counters["tangent_iterations"] = self.counters.get("tangent_iterations", 0.0) + step.tangent_iterations
 
-        tangent = None if stabilised else self.newton.tangent
+    def _failure(self, step: AlphaStep, history: list[float]) -> ConvergenceError:
+        """The error of a step whose iteration failed: where, and what to try."""
+        where = f"; the largest open constraint is {worst_block(self.system, step.gaps)}" if step.gaps.size else ""
+        tolerance = self.newton.tolerance
+        damping = ", or a smaller rho_inf" if self.scheme.rho_inf > 0.8 else ""
+        looser = f", or a larger Newton tolerance than {tolerance:g}" if tolerance < 1e-6 else ""
+        return not_converged(step.t, step.rule.h, history, f"{where}. Try a smaller dt{damping}{looser}.")
 
-        def moved(d: Array) -> tuple[Array, Array]:
-            d = system.rate(xi, d)
-            ev = system.at(t, system.compose(s.q, xi + d), fixed_v + h * gamma * (A + d / (h * h * beta)))
-            return scale * ev.balance(a + d / scale, lam), gaps(ev, share)
-
-        def increment() -> float:
-            nonlocal a, lam, A, xi, done, last, far, lost, newest
-            q = system.compose(s.q, xi)
-            v = fixed_v + h * gamma * A
-            ev = system.at(t, q, v)
-            g = gaps(ev, share)
-            if done > 2 and self.newton.theta > SLOW:
-                g, all_of_them = known_gaps(ev, g), g
-                lost = lost or bool((g != all_of_them).any())
-            r = ev.balance(a, lam)
-            turning = stiff and done > 0 and (done == 1 or self.newton.theta > SLOW_TURN)
-            new = far or tangent is not None or turning or (done > patience and not system.fields)
-            self.solver.prepare(ev, weights, keep=not new)
-            done += 1
-            if stabilised:
-                slip = ev.opening()
-                dq, dlam = self.solver.solve(-scale * r, -scale / weights.cd * slip)
-                open_after = -g - ev.jacobian.times(dq)
-                open_after[speed_rows(system)] = 0.0  # these have no g: the correction rolls
-                closing, _ = self.solver.solve(np.zeros_like(dq), open_after)
-                xi = xi + system.rate(xi, closing)
-            elif tangent is not None:
-                dq, dlam, count = exact_increment(tangent, system, self.solver.solve, moved, (-scale * r, -g))
-                closing = np.zeros_like(dq)
-                self.counters["tangent_iterations"] = self.counters.get("tangent_iterations", 0.0) + count
-            else:
-                dq, dlam = self.solver.step(-scale * r, -g)
-                closing = np.zeros_like(dq)
-            lam = lam + dlam / scale
-            d_xi = system.rate(xi, dq)
-            xi = xi + d_xi
-            A = A + d_xi / (h * h * beta)
-            a = a + d_xi / scale
-            last, newest = g, dq
-            size = max(system.max_abs(dq), system.max_abs(closing))
-            far = size > FAR * system.length
-            if done > 2 and size > tolerance and not stabilised:
-                size = system.max_abs(dq * above_roundoff(ev, lam - dlam / scale, r, g))
-            return size / tolerance
-
-        def look() -> None:
-            ev = system.at(t, system.compose(s.q, xi), fixed_v + h * gamma * A)
-            ev.balance(a, lam)
-            self.solver.prepare(ev, weights, keep=True)
-            self.solver.increment = newest
-
-        begun, foretells = xi, any(part.foretells for _, part in system.fields)
-        converged, history = self.newton.solve(increment, look if foretells else None)
-        if not converged or (patience == 0 and strayed(system, xi, begun)):
-            where = f"; the largest open constraint is {worst_block(system, last)}" if last.size else ""
-            damping = ", or a smaller rho_inf" if self.scheme.rho_inf > 0.8 else ""
-            looser = (
-                f", or a larger Newton tolerance than {self.newton.tolerance:g}" if self.newton.tolerance < 1e-6 else ""
-            )
-            raise not_converged(t, h, history, f"{where}. Try a smaller dt{damping}{looser}.")
-        self.local_error = h * h * abs(beta - 1.0 / 6.0) * system.max_abs(A - A0)
+    def _accept(self, step: AlphaStep) -> State:
+        """The end of a step becomes the state."""
+        s = self.state
+        h = step.rule.h
+        A = step.end.A
+        self.local_error = h * h * abs(step.rule.beta - 1.0 / 6.0) * self.system.max_abs(A - step.start.A)
+        # two earlier states and the newest one make the parabola of the predictor
         self._past = [(s.t, s.a, s.lam), *self._past][:2]
         self.A, self.fresh = A, False
-        q, v = system.compose(s.q, xi), fixed_v + h * gamma * A
-        if lost:
-            self.solver.note_lost_gaps(system.at(t, q))
-        self.state = State(t, q, v, a, self._reactions(t, q, lam))
+
+        found = step.found
+        if step.lost:
+            self.solver.note_lost_gaps(self.system.at(found.t, found.q))
+        self.state = replace(found, lam=self._reactions(found.t, found.q, found.lam))
         return self.state
 
     def _reactions(self, t: float, q: Array, lam: Array) -> Array:
@@ -338,9 +293,3 @@ class Stepper(TimeStepper):
         if not self.solver.core.redundant:
             return lam
         return least(self.solver, self.system.at(t, q), lam)
-
-    def _tolerance(self, scale: float, a: Array) -> float:
-        """Size of a position increment that changes accelerations by Newton's relative tolerance, above roundoff."""
-        s = self.system
-        floor = 64 * np.finfo(float).eps * s.length
-        return max(self.newton.tolerance * scale * s.typical(a), floor)

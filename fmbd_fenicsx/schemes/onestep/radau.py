@@ -30,14 +30,12 @@ from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import Pencil, Tangent, stacked
 from ...rotations import Array
-from ...system.serialisation import Memory, plain, worker
+from ...system.serialisation import Memory, plain
 from ...system.system import State, System
 from ..consistent import accelerations, project
 from ..control import (
     ROUNDOFF,
     STAGNATION,
-    ErrorNorm,
-    Statistics,
     StepControl,
     check_controlled,
     first_step,
@@ -46,9 +44,9 @@ from ..control import (
     turn_limit,
     turns_too_far,
 )
-from ..dae import GGL, Form, OfForm, Points, step_equations
+from ..dae import GGL, Form, OfForm, Points
+from ..implicit_stepper import ImplicitStepper
 from ..newton import Newton
-from ..stepping import TimeStepper
 from .collocation import lagrange, tableau
 
 CAUTIOUS = 0.05  # with constant steps no rate below this is believed
@@ -89,47 +87,25 @@ class Radau(OfForm):
         return Stepper(self, system, solver, newton, state)
 
 
-class Stepper(TimeStepper):
+class Stepper(ImplicitStepper):
     """Advances a consistent state; holds tangent, factors, the last collocation polynomial and the step control."""
 
-    keeps: ClassVar = {
-        "state": Memory.state,
-        **dict.fromkeys(("mult", "_fresh", "_full", "_trouble", "proposed", "local_error", "_theta", "_eta"), plain()),
-        "control": plain(StepControl),
-        "stats": plain(Statistics),
-        "norm": worker,
-        "eq": worker,
-    }
+    what = "a Radau step"
+    keeps: ClassVar = {**ImplicitStepper.keeps, **dict.fromkeys(("mult", "_trouble", "_eta"), plain())}
 
     def __init__(self, scheme: Radau, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
-        self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
-        self.eq = step_equations(system, scheme.form, solver)
+        super().__init__(scheme, system, solver, newton, state)
         self.tab = tableau(scheme.stages)
+        self.control = StepControl(scheme.stages + 1.0)
         self.mult: Array = np.zeros(self.eq.levels * system.n_lam)
         self._reset_multipliers()
-        self.adaptive = scheme.rtol is not None
-        self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
-        self.control = StepControl(scheme.stages + 1.0)
-        self.stats = Statistics()
-        self.judge = Judge("a Radau step")
-        self.proposed: float | None = None
-        self._tangent: Any = None  # of the equations' own kind
-        self._fresh = self._full = False
-        self._pencil: Any = None
+
         self._filter: Any = None  # of the error estimate
-        self._h_factor = 0.0
+        self._h_factor = 0.0  # size of the step that the factor is for, s
         self._trouble = 0  # two for each failure of Newton's iteration, less one for each step
-        self._theta = 1e-3
         self._eta = 1.0
         self._last: tuple[float, Array, Array, Points] | None = None
         self.eq.weigh(state)
-
-    @property
-    def counters(self) -> dict[str, float]:
-        """Work so far, for the counters of a run."""
-        eq, judge = self.eq, self.judge
-        self.stats.residuals, self.stats.jacobians, self.stats.solves = eq.residuals, eq.jacobians, judge.solves
-        return {**self.stats.as_dict(), **self.eq.counters}
 
     def remember(self, m: Memory) -> None:
         """With the last collocation polynomial and the tangent, whose factors are made again."""
@@ -152,25 +128,29 @@ class Stepper(TimeStepper):
 
         Raises ConvergenceError when steps would have to be too small.
         """
+        return self._controlled(h) if self.adaptive else self._constant(h)
+
+    def _constant(self, h: float) -> State:
+        """A step of size h; where the tangent of the step fails, and ever after, with one for each stage."""
+        self.norm.update(self.state, h)
+        self.eq.begin(self.state)
+        point = "full" if self._full else self._newton(h)
+        if isinstance(point, str):
+            self._tangent, self._full = None, True
+            point = self._full_newton(h)
+        if isinstance(point, str):
+            raise self._failure(h, point)
+        return self._accept(h, point)
+
+    def _controlled(self, limit: float) -> State:
+        """A step of at most ``limit`` (s) that passes the error test."""
         s = self.state
-        if not self.adaptive:
-            self.norm.update(s, h)
-            self.eq.begin(s)
-            point = "full" if self._full else self._newton(h)
-            if isinstance(point, str):
-                self._tangent, self._full = None, True
-                point = self._full_newton(h)
-            if isinstance(point, str):
-                raise ConvergenceError(
-                    f"Newton's iteration failed at t = {s.t + h:.6g} s (h = {h:.3g} s): {point}. Take a smaller dt."
-                )
-            return self._accept(h, point)
-        limit = h
         self.control.span = max(self.control.span, limit)
         farthest = turn_limit(self.system, s)
         if self.proposed is None:
             self.norm.update(s, limit)
             self.proposed = first_step(self.norm, s, self.control.order, limit)
+
         while True:
             h = lands(min(self.proposed, farthest), limit)
             moves(s.t, h)
@@ -186,6 +166,7 @@ class Stepper(TimeStepper):
                 if stale:
                     continue  # once more with a new tangent
                 self._trouble += 2
+                # on the way through a singular configuration smaller steps fail alike
                 if self._trouble > 4:
                     point = self._own_tangents(h)
             if not isinstance(point, str):
@@ -195,9 +176,11 @@ class Stepper(TimeStepper):
                 self._theta = max(self._theta, 1e-3)
             self.stats.rejected[cause] += 1
             self.proposed = self.control.rejected(s.t, h, error, cause)
+
+        # the next step: smaller where Newton's iteration had to work hard
         self.local_error = error
-        limit_newton = self.newton.max_iterations
-        effort = (2 * limit_newton + 1) / (2 * limit_newton + self._iterations)
+        most = 2 * self.newton.max_iterations
+        effort = (most + 1) / (most + self._iterations)
         new = self.control.accepted(h, error, effort)
         if self._theta < 1e-2 and 1.0 <= new / h <= 1.2:
             new = h  # keep the factors
@@ -209,10 +192,17 @@ class Stepper(TimeStepper):
         if self._last is None:
             return None
         h, q0, v0, points = self._last
-        x, k, m = 1.0 - (self.state.t - t) / h, len(self.tab.c), self.system.n_lam
+        # where in the step, 0 to 1
+        x = 1.0 - (self.state.t - t) / h
+        k = len(self.tab.c)
+        m = self.system.n_lam
+
+        # values and slopes of the polynomial through the start and the stages
         powers = x ** np.arange(k + 1)
         slopes = np.arange(k + 1) * np.concatenate(([0.0], powers[:-1])) / h
-        values, rates = (powers @ self.tab.basis)[1:], (slopes @ self.tab.basis)[1:]
+        values = (powers @ self.tab.basis)[1:]
+        rates = (slopes @ self.tab.basis)[1:]
+
         change = points.v - v0
         lam = self.state.lam
         if self.eq.levels:
@@ -235,12 +225,15 @@ class Stepper(TimeStepper):
         t = s.t + h
         if m and self.eq.levels and self.solver.core.redundant:
             points = self._least(h, points)
+
+        # stiffly accurate: the last stage is the new state
         self._last = (h, s.q, s.v, points)
         self.mult = points.mult[-1]
         lam = self.mult[:m] if self.eq.levels else s.lam
         self.state = State(t, self.system.compose(s.q, points.xi[-1]), points.v[-1], self._acceleration, lam)
         if self.scheme.form.projected:
             self.state = project(self.system, self.state, self.solver)
+
         self.stats.steps += 1
         self._trouble = max(self._trouble - 1, 0)
         self._fresh = False
@@ -250,7 +243,9 @@ class Stepper(TimeStepper):
 
     def _least(self, h: float, points: Points) -> Points:
         """The stages with multipliers that are the smallest with their forces, so that predictions of them stay small."""
-        s, m, mult = self.state, self.system.n_lam, points.mult.copy()
+        s = self.state
+        m = self.system.n_lam
+        mult = points.mult.copy()
         for i, share in enumerate(self.tab.c):
             ev = self.system.at(float(s.t + share * h), self.system.compose(s.q, points.xi[i]))
             for level in range(self.eq.levels):
@@ -284,21 +279,20 @@ class Stepper(TimeStepper):
 
     def _newton(self, h: float) -> Points | str:
         """The stages of a step of size h, or the cause of failure."""
-        try:
+
+        def iterate() -> Points | str:
             self._prepare(h)
             return self._iterate(h)
-        except (LinearSolveError, np.linalg.LinAlgError):
-            return "linear solve failed"
-        except CallbackError as error:
-            if not self.adaptive:
-                raise
-            self.control.fault = str(error)
-            return "forces not finite"
+
+        return self._found(iterate)
 
     def _iterate(self, h: float) -> Points | str:
         xi, v, mult = self._predict(h)
-        tolerance, theta, last = self._newton_tolerance(), max(self._eta, 1e-16) ** 0.8, 0.0
+        tolerance = self._newton_tolerance()
+        theta = max(self._eta, 1e-16) ** 0.8  # of the step before, a little worse
+        last = 0.0
         times = self.state.t + h * self.tab.c
+
         for k in range(self.newton.max_iterations):
             kin, low = self.eq.residual(times, self._stages(h, xi, v, mult))
             dxi, dv, dmult = self._solve(kin, low)
@@ -308,6 +302,8 @@ class Stepper(TimeStepper):
             size = self._size(h, dxi, dv, dmult)
             if not np.isfinite(size):
                 return "Newton diverged"
+
+            # the rate of convergence; increments that no longer fall are roundoff, or divergence
             if k > 0:
                 ratio = size / last if last > 0 else 0.0
                 self._theta = ratio if k == 1 else np.sqrt(ratio * max(self._theta, 1e-10))
@@ -323,6 +319,7 @@ class Stepper(TimeStepper):
                 left = self.newton.max_iterations - 1 - k
                 if self.adaptive and k > 1 and theta * size * self._theta**left > tolerance and size > tolerance:
                     return "Newton too slow"
+
             last = size
             if theta * size <= tolerance or size <= 1e-2 * tolerance:
                 self._eta, self._iterations = theta, k + 1
@@ -342,7 +339,7 @@ class Stepper(TimeStepper):
         try:
             self._prepare(h)  # the error estimate needs a tangent in the middle
             return self._full_newton(h)
-        except (LinearSolveError, CallbackError, np.linalg.LinAlgError):
+        except (LinearSolveError, CallbackError, ConvergenceError, np.linalg.LinAlgError):
             return "linear solve failed"
 
     def _full_newton(self, h: float) -> Points | str:
@@ -353,25 +350,35 @@ class Stepper(TimeStepper):
         """
         if not self.eq.dense:
             return "Newton too slow"
-        n, m, stages = self.system.n_v, self.system.n_lam, len(self.tab.c)
+        n = self.system.n_v
+        m = self.system.n_lam
+        stages = len(self.tab.c)
         xi, v, mult = self._predict(h)
         coupling = np.kron(self.tab.W / h, np.eye(n))
         last = np.inf
+
+        # what is small enough, and what is as small as roundoff permits, after so many iterations
         enough, floor, calm = 1.0, STAGNATION, 1
         if self.adaptive:  # roundoff eps of a constraint leaves sqrt(eps) of the motion at a singular position
-            enough, floor, calm = ROUNDOFF, 1.0 + np.finfo(float).eps ** 0.5 / self.norm.rtol, 3
+            enough = ROUNDOFF
+            floor = 1.0 + np.finfo(float).eps ** 0.5 / self.norm.rtol
+            calm = 3
         times = self.state.t + h * self.tab.c
         cuts = [0, *range(n, n + self.eq.levels * m + 1, m)] if m else [0, n]
+
         for k in range(2 * self.newton.max_iterations):  # at a singular position each halves the error
             points = self._stages(h, xi, v, mult)
             kin, low = self.eq.residual(times, points)
             tangents = [self.eq.tangent_at(float(times[i]), xi[i], v[i], points.vd[i], mult[i]) for i in range(stages)]
+
+            # rows of all stages: balance, then the constraints level by level
             pencil = Pencil(stacked(tangents), coupling, self.judge, self.solver.core.redundant)
             below = np.concatenate([low[:, i:j].ravel() for i, j in pairwise(cuts)])
             change, by_level = pencil.solve(kin.reshape(1, -1), below[None])
             dxi, dv = change.reshape(2, stages, n)
             dmult = by_level.reshape(self.eq.levels, stages, m).swapaxes(0, 1).reshape(stages, -1)
             xi, v, mult = xi + dxi, v + dv, mult + dmult
+
             self.newton.iterations += 1
             self.stats.newton_iterations += 1
             self.stats.factorisations += 1
@@ -383,21 +390,6 @@ class Stepper(TimeStepper):
                 return self._finished(h, xi, v, mult)
             last = size
         return "Newton too slow"
-
-    def _newton_tolerance(self) -> float:
-        """Bound of the norm of the error left, in units of the error norm."""
-        if not self.adaptive:
-            return 1.0
-        return max(10 * np.finfo(float).eps / self.norm.rtol, min(0.03, self.norm.rtol**0.5))
-
-    def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
-        """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
-        push = self.eq.pushes(dmult) if self.scheme.form.index > 1 else None
-        if self.adaptive:
-            return self.norm(h, dxi, dv, push)
-        return max(
-            self.norm.constant(h, self.state, dxi[i], dv[i], None if push is None else push[i]) for i in range(len(dxi))
-        )
 
     def _stages(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
         W = self.tab.W / h
@@ -416,7 +408,8 @@ class Stepper(TimeStepper):
         s, c = self.state, self.tab.c
         if self._last is None:
             x = (c * h)[:, None]
-            xi, v = x * s.v + 0.5 * x * x * s.a, s.v + x * s.a
+            xi = x * s.v + 0.5 * x * x * s.a
+            v = s.v + x * s.a
             return xi, v, np.repeat(self.mult[None], len(c), axis=0)
         h0, q0, v0, points = self._last
         powers = (1.0 + c * h / h0)[:, None] ** np.arange(len(c) + 1)
@@ -431,19 +424,25 @@ class Stepper(TimeStepper):
         return self.eq.pencil(self._tangent, np.array([self.tab.gamma / h]), self.judge)
 
     def _estimate(self, h: float, points: Points) -> float:
-        s, tab, m = self.state, self.tab, self.system.n_lam
+        s = self.state
+        tab = self.tab
+        m = self.system.n_lam
         assert self._tangent is not None
         if self._filter is None:
             self._filter = self._error_filter(h)
             self.stats.factorisations += 1
+
+        # what the start of the step leaves of the constraints is no error of the step
         dq, v, a = self.eq.consistent_start(s)
         moved, change = points.xi - dq, points.v - v
         if self.scheme.form.index == 3:  # its velocities follow all increments of the stages
             change = change - np.outer(tab.W.sum(axis=1) / h, dq)
         kin = v + tab.error @ moved / h - self.eq.corrections(self.mult[None], 1)[0]
         push = a + tab.error @ change / h
-        zero = np.zeros(self.eq.levels * m)
-        low = np.concatenate((-self.eq.inertia(self._tangent, push), zero))
+
+        # filtered: components that the step does not resolve would be overestimated
+        no_rows = np.zeros(self.eq.levels * m)
+        low = np.concatenate((-self.eq.inertia(self._tangent, push), no_rows))
         errors, e_m = self._filter.solve(-kin[None], low[None])
         e_q, e_v = errors.reshape(2, -1)
         pushed = self.eq.pushes(e_m)

@@ -34,6 +34,7 @@ from ..stepping import TimeStepper
 from .explicit_limit import StepLimit
 
 MASS = Weights(1.0, 0.0, 0.0)
+PATIENCE = 4  # iterations with the masses alone, before the matrix knows of damping
 
 
 @dataclass(frozen=True)
@@ -64,19 +65,25 @@ def amplification(z: float, damping: float) -> Array:
 
 
 class Stepper(TimeStepper):
-    """Advances a consistent state; ``half`` holds the multipliers of the last second half step."""
+    """Advances a consistent state; ``half`` holds the multipliers of the last second half step.
 
-    keeps: ClassVar = {"state": Memory.state, "half": plain()}
+    ``ahead``: by how much accelerations and multipliers of the last first half step differed from those at its beginning, a
+    second of step: where the next one starts. ``damped``: forces depend on velocities so much that the matrix has to know them.
+    """
+
+    keeps: ClassVar = {"state": Memory.state, "half": plain(), "ahead": plain(), "damped": plain()}
 
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.system, self.solver, self.newton, self.state = system, solver, newton, state
         self.half = state.lam
+        self.ahead: tuple[Array, Array] = np.zeros_like(state.a), np.zeros_like(state.lam)
+        self.damped = False
         self.limit = StepLimit("RATTLE", system, solver, amplification)
 
-    def _prepare(self, ev: Evaluation) -> None:
-        """The matrix at ev.q: it serves the end of a step, its accelerations, and the beginning of the next."""
-        if not self.solver.holds(ev, MASS):
-            self.solver.prepare(ev, MASS)
+    def _prepare(self, ev: Evaluation, weights: Weights = MASS) -> None:
+        """The matrix at ev.q: that of the masses serves the end of a step, its accelerations, and the beginning of the next."""
+        if not self.solver.holds(ev, weights):
+            self.solver.prepare(ev, weights)
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when the iteration for (1) fails, or h is too long."""
@@ -87,12 +94,22 @@ class Stepper(TimeStepper):
             raise self.limit.blame(self.state, h, error) from error
 
     def _step(self, h: float) -> State:
-        system, s, t = self.system, self.state, self.state.t + h
+        system = self.system
+        s = self.state
+        t = s.t + h
+        # first half, which closes the positions at the end
         a, _ = self._to_half(h)
         v = s.v + 0.5 * h * a
         q = system.compose(s.q, h * v)
+        # second half, which closes the velocities
         a, self.half = self._solve_second(system.at(t, q, v), v, h)
         v = v + 0.5 * h * a
+        # accelerations and multipliers of the end, for records
+        driver = self.solver.driver
+        found = None if driver is None else driver.accelerations(t, q, v)
+        if found is not None:
+            self.state = State(t, q, v, *found)
+            return self.state
         ev = system.at(t, q, v)
         self._prepare(ev)
         self.half = least(self.solver, ev, self.half)
@@ -103,18 +120,30 @@ class Stepper(TimeStepper):
     def _to_half(self, h: float) -> tuple[Array, Array]:
         """a = 2 (v_1/2 - v_n) / h and lambda of (1), by Newton's iteration with the matrix at q_n."""
         system, s = self.system, self.state
-        a, lam = s.a.copy(), s.lam.copy()
+        a, lam = s.a + h * self.ahead[0], s.lam.copy()
+        if (
+            not self.solver.core.redundant
+        ):  # the smallest multipliers of dependent rows have none that grow from step to step
+            lam += h * self.ahead[1]
+        weights = Weights(1.0, 0.5 * h, 0.0) if self.damped else MASS
+        prepared = False
+
+        # increments move positions by h^2 a / 2: no less than roundoff
         floor = 64 * np.finfo(float).eps * system.length
         tolerance = max(self.newton.tolerance * 0.5 * h * h * max(system.max_abs(s.a), 1e-300), floor)
 
         def increment() -> float:
-            nonlocal a, lam
+            nonlocal a, lam, prepared
             v = s.v + 0.5 * h * a
             ev = system.at(s.t, s.q, v)
-            self._prepare(ev)
+            if not prepared:
+                self._prepare(ev, weights)
+            prepared = True
+
             r = ev.balance(a, lam)
             g = system.at(s.t + h, system.compose(s.q, h * v)).constraint() if system.n_lam else np.zeros(0)
             da, dlam = self.solver.solve(-r, -2.0 / (h * h) * g)
+
             a, lam = a + da, lam + dlam
             return 0.5 * h * h * system.max_abs(da) / tolerance
 
@@ -125,6 +154,8 @@ class Stepper(TimeStepper):
                 + " -> ".join(f"{x:.1e}" for x in history)
                 + ". Take a smaller dt."
             )
+        self.ahead = (a - s.a) / h, (lam - s.lam) / h
+        self.damped |= len(history) > PATIENCE and not system.fields
         return a, lam
 
     def _solve_second(self, ev: Evaluation, v: Array, h: float) -> tuple[Array, Array]:

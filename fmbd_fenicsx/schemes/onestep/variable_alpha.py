@@ -33,8 +33,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from ...errors import ConvergenceError, LinearSolveError
-from ...linear.condensation import StepSolver, Weights
+from ...linear.condensation import StepSolver
 from ...rotations import Array
+from ...system.compiled.field_states import field_states
+from ...system.evaluation import Evaluation
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..consistent import consistent
@@ -50,6 +52,9 @@ KEPT = 8  # sets of elastic factors
 DEEPEST = 48  # levels of parts; the finest are below roundoff
 LOOKS = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882)  # where in a step of a new size loads are looked at
 CALM = 0.01  # error of the last step over what is allowed, below which nothing happens
+KEEPS = (
+    0.93  # share of the present size that a proposal must have for this size to stay: an error of 0.9 is expected then
+)
 SAME = 1e-9  # lengths of a stretch that differ by this share are equal
 
 
@@ -83,15 +88,22 @@ class VariableAlpha(TimeStepper):
         self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
         self.constant = replace(scheme, rtol=None, atol=None)
         self.inner: Any = self.constant.stepper(system, solver, newton, state)
+
         self.norm = NormOfWays(system, scheme.rtol, scheme.atol, 3)
         self.control = StepControl(3.0)
         self.stats = Statistics()
         self.local_error = 0.0
+
         self.proposed: float | None = None
         self.size: float | None = None  # of the last step, s
+        self._judged: tuple[State, Evaluation] | None = None
         self.largest = 0.0  # step in which loads were looked at, s
+
         self.stretch, self.place, self.end = 0.0, Fraction(0), 0.0  # length, share of it that is done, its end
+        # sizes come back: factors of the last few are kept
         solver.elastic.kept = max(solver.elastic.kept, KEPT)
+        states = field_states(system) if system.fields else None
+        self.at = system.at if states is None else states.at
 
     @property
     def state(self) -> State:
@@ -101,6 +113,12 @@ class VariableAlpha(TimeStepper):
     @state.setter
     def state(self, state: State) -> None:
         self.inner.state = state
+
+    @property
+    def evaluation(self) -> Evaluation | None:
+        """The system in the newest state, as its error was told with; elements with a memory move it on later."""
+        known = self._judged is not None and self._judged[0] is self.state and not self.system.keepers
+        return self._judged[1] if self._judged is not None and known else None
 
     @property
     def counters(self) -> dict[str, float]:
@@ -135,17 +153,25 @@ class VariableAlpha(TimeStepper):
             level = self._level(min(self.proposed, farthest))
             h = self.stretch / parts(level)
             moves(s.t, h)
-            error, cause = self._ahead(h), "a load within the step"
+            try:
+                error, cause = self._ahead(h), "a load within the step"
+            except LinearSolveError as failure:  # M is lost beside s K, and with it the motion of a free body
+                error, cause = np.inf, "linear solve failed"
+                self.control.fault = str(failure)
             if error <= 1.0:
-                error, cause = self._attempt(h)
+                error, cause = self._attempt(h, level)
             if error <= 1.0:
                 break
             self.stats.rejected[cause] += 1
             self.proposed = min(self.control.rejected(s.t, h, error, cause), 0.9 * h)
+
         self.local_error = error
         self.stats.steps += 1
         self.proposed = self.control.accepted(h, error)
-        return self._arrive(level)
+        if KEEPS * h <= self.proposed < h:  # the next smaller size is a half or a third
+            self.proposed = h
+        self.place += Fraction(1, parts(level))
+        return self.state
 
     def _follow(self, t: float, left: float) -> None:
         """Begin a new stretch where the last one has ended, or where another end is asked for."""
@@ -162,17 +188,17 @@ class VariableAlpha(TimeStepper):
                 return level
         return DEEPEST
 
-    def _arrive(self, level: int) -> State:
-        """The state at the end of the step, at the time that the parts give."""
-        self.place += Fraction(1, parts(level))
-        t = self.end if self.place == 1 else self.end - self.stretch * float(1 - self.place)
+    def _arrive(self, level: int) -> None:
+        """Give the state at the end of a step the time that the parts tell."""
+        place = self.place + Fraction(1, parts(level))
+        t = self.end if place == 1 else self.end - self.stretch * float(1 - place)
         if self.state.t != t:
             self._move(replace(self.state, t=t))
-        return self.state
 
     def _move(self, state: State, A: Array | None = None) -> None:
         """Give the stepper a state and an algorithmic acceleration in the place of its own."""
-        kept, past = self.inner.A if A is None else A, self.inner._past
+        kept = self.inner.A if A is None else A
+        past = self.inner._past
         self.inner.state, self.inner.A, self.inner._past = state, kept, past
 
     def _ahead(self, h: float) -> float:
@@ -186,18 +212,22 @@ class VariableAlpha(TimeStepper):
         """
         if h <= self.largest and self.local_error > CALM:
             return 0.0
-        s, no_rows = self.state, np.zeros(self.system.n_lam)
+        s = self.state
+        no_rows = np.zeros(self.system.n_lam)
 
         def forces(share: float) -> Array:
-            return self.system.at(s.t + share * h, s.q, s.v).balance(s.a, s.lam)
+            return self.at(s.t + share * h, s.q, s.v).balance(s.a, s.lam)
 
         first, last = forces(0.0), forces(1.0)
         between = [forces(k) - (1.0 - k) * first - k * last for k in LOOKS]
+        # what the ends of the step differ by is seen by the error (3)
         unseen = [np.sign(f) * np.maximum(np.abs(f) - np.abs(last - first), 0.0) for f in between]
         worst = max(unseen, key=lambda f: float(np.abs(f).max(initial=0.0)))
-        ev = self.system.at(s.t, s.q, s.v)
-        self.solver.prepare(ev, self._weights_of(h))
+
+        ev = self.at(s.t, s.q, s.v)
+        self.solver.prepare(ev, self.scheme.rule(h).weights)
         e, _ = self.solver.solve(h * h / 6.0 * worst, no_rows)
+
         self.norm.update(s, h)
         error = self.norm(h, e, np.zeros_like(e))
         if error <= 1.0:
@@ -205,19 +235,24 @@ class VariableAlpha(TimeStepper):
         return error
 
     # -- attempts -----------------------------------------------------------------------------------------------------
-    def _attempt(self, h: float) -> tuple[float, str]:
-        """A step of size h and its error; where this is above one, the stepper is as before."""
+    def _attempt(self, h: float, level: int | None = None) -> tuple[float, str]:
+        """A step of size h, one of the parts of a level, and its error; where this is above one, the stepper is as before."""
         inner, size = self.inner, self.size
         kept = inner.state, inner.A.copy(), list(inner._past), inner.fresh, self.solver.pressures
         self.norm.update(inner.state, h)
+
         try:
             self.step(h)
+            if level is not None:
+                self._arrive(level)
             error, cause = self._error(h), "error estimate"
         except (ConvergenceError, LinearSolveError) as failure:
             error, cause = np.inf, "Newton's iteration"
             self.control.fault = str(failure)
         except np.linalg.LinAlgError:
             error, cause = np.inf, "an iteration that diverged"
+
+        # also where the error is no number
         if not error <= 1.0:
             inner.state, inner.A, inner._past, inner.fresh, self.solver.pressures = kept
             self.size, self.newton.theta = size, 0.5
@@ -226,7 +261,7 @@ class VariableAlpha(TimeStepper):
     def step(self, h: float) -> State:
         """One step of size h (s) without a look at its error; collective."""
         self._resize(h)
-        self._A, self._weights = self.inner.A.copy(), self._weights_of(h)
+        self._A, self._weights = self.inner.A.copy(), self.scheme.rule(h).weights
         self.inner.advance(h)
         self.size = h
         return self.state
@@ -237,24 +272,25 @@ class VariableAlpha(TimeStepper):
         if inner.fresh or self.size is None or self.size == h:
             return
         r = h / self.size
+        # velocities miss their constraints by h^2: what they miss changes with the square of the size
         v = s.v
         if self.system.n_lam and not isinstance(self.scheme.form, GGL):
-            ev = self.system.at(s.t, s.q, s.v)
-            self.solver.prepare(ev, self._weights_of(h))
+            ev = self.at(s.t, s.q, s.v)
+            self.solver.prepare(ev, self.scheme.rule(h).weights)
             v = v + self.solver.solve(np.zeros_like(v), (r * r - 1.0) * ev.opening())[0]
         self._move(replace(s, v=v), s.a + r * (inner.A - s.a))
 
-    def _weights_of(self, h: float) -> Weights:
-        """Those of the scheme's matrix."""
-        am, af, gamma, beta = self.scheme.parameters
-        return Weights(1.0, h * gamma * (1 - af) / (1 - am), beta * h * h * (1 - af) / (1 - am))
-
     def _error(self, h: float) -> float:
         """The norm of (3)."""
-        s, beta = self.state, self.scheme.parameters[3]
-        jump = h * h * (beta - 1.0 / 6.0) * (self.inner.A - self._A)
-        ev = self.system.at(s.t, s.q, s.v)
-        push = ev.balance(s.a + jump, s.lam) - ev.balance(s.a, s.lam)
+        s = self.state
+        beta = self.scheme.parameters[3]
+        jump = self.inner.A - self._A
+        ev = self.at(s.t, s.q, s.v)
+        self._judged = s, ev
+
+        # M times the jump of accelerations: times h^2, it would be lost beside those of short steps
+        change = ev.balance(s.a + jump, s.lam) - ev.balance(s.a, s.lam)
+        push = h * h * (beta - 1.0 / 6.0) * change
         self.solver.prepare(ev, self._weights)
         e, _ = self.solver.solve(push, 0.5 * h * ev.opening())
         self.norm.update(s, h)  # the way of this step counts

@@ -21,10 +21,14 @@ def rigid_bodies(tables: Tables) -> dict[int, Any]:
     block, d = tables.system.rigid, tables.dim
     if block is None:
         return {}
+
     first = tables.at_u[block.frame]
     dest, ahead = rigid_places(tables, first)
+    # all inertias stand in one array; a body's own is found by its address
     inertia, address = tables.store.array(block.inertia)
-    size, kind = inertia[0].nbytes if len(inertia) else 0, structure("Body", d)
+    size = inertia[0].nbytes if len(inertia) else 0
+
+    kind = structure("Body", d)
     out = {}
     for i, frame in enumerate(block.frame):
         out[int(frame)] = kind(
@@ -38,7 +42,9 @@ def reduced_body(tables: Tables, b: int) -> Any:
     """The structure Body of the frame b, a reduced body."""
     system, store, d = tables.system, tables.store, tables.dim
     k, part = tables.parts[b]
-    c, m, width = part.constants, part.n, int(tables.width[b])
+    c = part.constants
+    m = part.n
+    width = int(tables.width[b])
 
     arrays = modal_arrays(c, m, d) | {"block": np.zeros((width, width))}
     unknown = tables.at_u[b] + np.arange(width)
@@ -55,6 +61,7 @@ def modal_arrays(constants: Any, m: int, d: int) -> dict[str, Array]:
     c = constants
     T = c.T.transpose(1, 0, 2, 3)  # [b, a] = T_ab
     pairs = ((2, 1), (0, 2), (1, 0)) if d == 3 else ((1, 0),)
+
     arrays = {
         "S": c.S,
         "T": T,
@@ -64,6 +71,7 @@ def modal_arrays(constants: Any, m: int, d: int) -> dict[str, Array]:
         "C": c.D,
         "U": np.zeros((m + 1) * (d * d + 2 * d - 3) + 2 * m),
     }
+
     if c.stiffening is not None:
         arrays |= {"stress": c.stiffening.transpose(0, 2, 1), "now": np.zeros((m, m))}
     return arrays

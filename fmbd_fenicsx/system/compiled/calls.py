@@ -14,13 +14,11 @@ from ...errors import ConvergenceError
 from ...mechanics.forces.formulas import TARGET
 from ...mechanics.joints.couplings import SmoothMotion
 from .items import GIVEN, Items
-from .structures import PYTHON
+from .structures import PYTHON, enumeration
 from .tables import Tables
 
-# what C asks for, and an answer, as in tables.h
-SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES = range(7)
-FIELD, FIELD_FORCES, FIELD_ENERGIES = range(7, 10)
-OUTSIDE = 2
+ASKED = enumeration("SAMPLE")  # what C asks for
+OUTSIDE = enumeration("OUTSIDE")["OUTSIDE"]  # an answer
 
 
 class Calls:
@@ -29,11 +27,12 @@ class Calls:
     def __init__(self, tables: Tables) -> None:
         self.tables, self.system = tables, tables.system
         self.error: Exception | None = None
+        self.sampled, self.trusted = np.nan, False  # s, the time of what depends on time only; whether it is so still
         self.moving = _motions(self.system)
         self.drives = [x for x in tables.sources if x.drive]
-        self.loaded = [x for x in tables.sources if x.load is not None]
+        self.loaded = [_load_of(tables, x) for x in tables.sources if x.load is not None]
         self.given = [x for x in tables.sources if x.role == GIVEN and x.given is not None]
-        ramp = not np.array_equal(self.system.gravity(0.0), self.system.gravity(np.inf))
+        ramp = bool((self.system.gravity(0.0) != self.system.gravity(np.inf)).any())
         self.ramp = ramp
         formulas = ((x.arrays, x.formula) for x in tables.sources if x.formula is not None)
         self.targets = [
@@ -45,38 +44,37 @@ class Calls:
         self.loaded_rods = [rod for rod in tables.rods if rod.of_time]
         timed = (self.moving, self.drives, self.loaded, self.given, self.loaded_rods, self.targets)
         tables.c.samples = int(ramp or any(timed))
+        self.answers = self._answers()
         self.function = PYTHON(self.answer)
         tables.c.python = self.function
 
     def answer(self, what: int, number: int, t: float) -> int:
         """0, 1 after an exception, OUTSIDE where a field's forces have no value."""
         try:
-            if what == SAMPLE:
-                self.sample(t)
-            elif what == EFFORT:
-                self._effort(self.tables.sources[number], t)
-            elif what == WRENCHES:
-                self.tables.whole[number].wrenches(t)
-            elif what == WHOLE_SLOPES:
-                self.tables.whole[number].slopes(t)
-            elif what == FIELD:
-                self.tables.fields[number].solve()
-            elif what == FIELD_FORCES:
-                self.tables.fields[number].forces(t)
-            elif what == FIELD_ENERGIES:
-                self.tables.fields[number].energies(t)
-            elif what == SECTIONS:
-                self.tables.rods[number].sections()
-            elif what == SECTION_SLOPES:
-                self.tables.rods[number].section_slopes()
-            else:
-                self._slopes(self.tables.sources[number], t)
+            self.answers[what](number, t)
         except Exception as error:
-            if what == FIELD_FORCES and isinstance(error, ConvergenceError):
+            if what == ASKED["FIELD_FORCES"] and isinstance(error, ConvergenceError):
                 return OUTSIDE
             self.error = error
             return 1
         return 0
+
+    def _answers(self) -> dict[int, Callable[[int, float], None]]:
+        """What is done for each of the numbers that C asks with: (number of a batch, body or rod; time)."""
+        tables = self.tables
+        said: dict[str, Callable[[int, float], None]] = {
+            "SAMPLE": lambda number, t: self.sample(t),
+            "EFFORT": lambda number, t: self._effort(tables.sources[number], t),
+            "SLOPES": lambda number, t: self._slopes(tables.sources[number], t),
+            "WRENCHES": lambda number, t: tables.whole[number].wrenches(t),
+            "WHOLE_SLOPES": lambda number, t: tables.whole[number].slopes(t),
+            "SECTIONS": lambda number, t: tables.rods[number].sections(),
+            "SECTION_SLOPES": lambda number, t: tables.rods[number].section_slopes(),
+            "FIELD": lambda number, t: tables.fields[number].solve(),
+            "FIELD_FORCES": lambda number, t: tables.fields[number].forces(t),
+            "FIELD_ENERGIES": lambda number, t: tables.fields[number].energies(t),
+        }
+        return {value: said[name] for name, value in ASKED.items()}
 
     def raise_error(self) -> None:
         """Raise what a call left behind."""
@@ -86,19 +84,27 @@ class Calls:
 
     def sample(self, t: float) -> None:
         """Everything that depends on time only."""
+        if self.trusted and t == self.sampled:
+            return
+        self.sampled = np.nan  # where a law fails
+        self._ask_laws_of_time(t)
+        self.sampled = t
+
+    def _ask_laws_of_time(self, t: float) -> None:
+        """Motions, loads, given efforts, targets and gravity at a time, into the tables."""
         tables = self.tables
         for rows, motions in self.moving:
             prescribed = [motion(t) for motion in motions]
             tables.arrays["motion"][rows] = [x[0] for x in prescribed]
             tables.arrays["motion_rate"][rows] = [x[1] for x in prescribed]
+
         for items in self.drives:
             place = items.kind.place("drive").start
             items.table[:, place : place + 3] = [motion(t) for motion in items.drive]
-        for items in self.loaded:
-            kind = items.kind
-            assert items.load is not None
-            for name, values in items.load(t).items():
-                items.table[:, kind.place(name)] = tables.turned(items, name, values)
+
+        for write in self.loaded:
+            write(t)
+
         for items in self.given:
             assert items.given is not None
             items.arrays["effort"][:] = items.given(t)
@@ -119,6 +125,20 @@ class Calls:
         x = items.arrays
         assert items.slopes is not None
         x["stiffness"][:], x["damping"][:] = items.slopes(x["s"] - x["free"], x["rate"], t)
+
+
+def _load_of(tables: Tables, items: Items) -> Callable[[float], None]:
+    """What writes the constants of items that depend on time."""
+    load = items.load
+    columns = {name: items.kind.place(name) for name in items.constants}
+    plain = all(tables.turning(items, name) is None for name in columns)
+    assert load is not None
+
+    def write(t: float) -> None:
+        for name, values in load(t).items():
+            items.table[:, columns[name]] = values if plain else tables.turned(items, name, values)
+
+    return write
 
 
 def _moving(target: Any) -> Callable[[float], tuple[float, float]]:

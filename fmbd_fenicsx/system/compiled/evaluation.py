@@ -7,9 +7,8 @@ asks for them. Systems without elastic fields.
 
 from __future__ import annotations
 
-import copy
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeGuard
@@ -18,18 +17,19 @@ import numpy as np
 
 from ...rotations import Array
 from ..evaluation import Evaluation
+from ..evaluation_batch import EvaluationBatch, Jacobians
 from ..jacobian import Jacobian, dense_core
-from ..many import Jacobians, Many
 from ..mobility import certainly_regular
 from ..system import System
 from .calls import Calls
 from .items import covers
-from .library import driver_library
-from .structures import address_of
+from .library import driver_library, units_of
+from .structures import address_of, enumeration
 from .tables import Tables, covers_bodies
 
 STORAGE_LIMIT = 20_000_000  # numbers in the factor
-LOOK = 3  # a verdict, as in driver/tables.h
+ROOMS = 16  # configurations up to which arrays for so many are kept
+LOOK = enumeration("DONE")["LOOK"]  # a verdict
 
 Configurations = tuple[Array, Array, Array]  # t (k,), q (k, n_q), v (k, n_v)
 
@@ -39,23 +39,31 @@ class DriverStates:
 
     def __init__(self, system: System, library: Any) -> None:
         self.system, self.library, self.factors = system, library, 0
+        self.anew = True  # whether laws are asked again, since a state was taken
+        self.taken: bool = False
+        self.address: int = 0
         self.renew()
 
     def renew(self) -> None:
         """Tables of its own, after steps have taken the former ones."""
-        self.tables = Tables(self.system, redundant=False)
+        self.tables = self.tables_of()
         self.calls = Calls(self.tables)
         self.address = ctypes.addressof(self.tables.c)
         self.taken = False
         n, m = self.system.n_v, self.system.n_lam
         self._given = _Exchange((self.system.n_q, n, m))  # what C reads
         self._found = _Exchange((n, m))  # and writes
+        self._rooms: dict[int, _Room] = {}  # by the number of configurations
         self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
+
+    def tables_of(self) -> Tables:
+        """New tables of the system."""
+        return Tables(self.system, redundant=False)
 
     @property
     def remembers(self) -> bool:
         """Whether forces depend on more than a state: elements have a memory."""
-        return bool(self.tables.remembering)
+        return bool(self.tables.remembering or self.tables.sampled)
 
     def give(self) -> tuple[Tables, Calls]:
         """The tables, for steps; they begin with new slopes of forces in Python."""
@@ -66,28 +74,49 @@ class DriverStates:
             loads.astray[0] = 1
         return self.tables, self.calls
 
+    def begin_anew(self) -> None:
+        """Serve another run, the one before is over: tables that remember nothing of it serve again."""
+        if not self.remembers and not self.tables.whole:
+            self.taken, self._held = False, None
+
     def at(self, t: float, q: Array, v: Array | None = None) -> DriverEvaluation:
         """The system in one configuration (and velocity)."""
+        self.anew = True
         return DriverEvaluation(self, t, q, v)
 
     def evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
         """Whether a state is one of :meth:`at`."""
         return isinstance(ev, DriverEvaluation) and ev.states is self
 
-    def many(self, t: Array, q: Array, v: Array) -> DriverMany:
+    def batch(self, t: Array, q: Array, v: Array) -> DriverBatch:
         """Configurations at the times t (k,): q (k, n_q), v (k, n_v)."""
-        return DriverMany(self, t, q, v)
+        self.anew = True
+        return DriverBatch(self, t, q, v)
+
+    def compose(self, q: Array, xi: Array) -> Array:
+        """q o exp(xi), arrays with the same leading axes: :func:`~..configurations.compose`."""
+        q, xi, made = np.ascontiguousarray(q), np.ascontiguousarray(xi), np.empty(q.shape)
+        count = q.size // q.shape[-1]
+        self.library.driver_compose(self.address, count, address_of(q), address_of(xi), address_of(made))
+        return made
 
     def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
         """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""
-        out = np.empty((len(at[0]), self.system.n_v))
-        return out if self._ask(self.library.driver_balances, (*at, a, lam), (out,)) else None
+        room = self._room(at)
+        room.a.put(a)
+        if lam is not None:
+            room.lam.put(lam)
+        below = None if lam is None else room.lam.at[0]
+        if not self._ask(self.library.driver_balances, room, (room.a.at[0], below, room.sums.at[0])):
+            return None
+        return room.sums.arrays[0].copy()
 
     def constraints(self, at: Configurations) -> tuple[Array, Array, Array, Array] | None:
         """g, G v + g_t, g_t and gamma, (k, n_lam) each; gamma without the bias of surfaces. None as above."""
-        gap, opening, rate, gamma = np.empty((4, len(at[0]), self.system.n_lam))
-        if not self._ask(self.library.driver_constraints, at, (gap, opening, rate, gamma)):
+        room = self._room(at)
+        if not self._ask(self.library.driver_constraints, room, room.constraints.at):
             return None
+        gap, opening, rate, gamma = (x.copy() for x in room.constraints.arrays)
         for rows, motions in self.calls.moving:
             gamma[:, rows] -= [[motion(float(t))[2] for motion in motions] for t in at[0]]
         return gap, opening, rate, gamma
@@ -95,14 +124,25 @@ class DriverStates:
     def rows(self, at: Configurations) -> Array | None:
         """G, (k, n_lam, n_v); None as above."""
         out = np.empty((len(at[0]), self.system.n_lam, self.system.n_v))
-        return out if self._ask(self.library.driver_rows, at, (out,)) else None
+        return out if self._ask(self.library.driver_rows, self._room(at), [address_of(out)]) else None
 
-    def _ask(self, function: Any, given: tuple[Array | None, ...], wanted: tuple[Array, ...]) -> bool:
+    def _room(self, at: Configurations) -> _Room:
+        """Arrays for so many configurations, with these in them."""
+        count = len(at[0])
+        room = self._rooms.get(count)
+        if room is None:
+            room = _Room(self.system, count)
+            if count <= ROOMS:
+                self._rooms[count] = room
+        room.at.put(*at)
+        return room
+
+    def _ask(self, function: Any, room: _Room, places: Sequence[int | None]) -> bool:
         """One call for all configurations; whether they have been evaluated."""
         self.tables.recall()
-        arrays = [None if x is None else np.ascontiguousarray(x, dtype=float) for x in given]
-        places = [None if x is None else address_of(x) for x in (*arrays, *wanted)]
-        verdict = function(self.address, len(wanted[0]), *places)
+        self.calls.trusted = not self.anew
+        verdict = function(self.address, room.count, *room.at.at, *places)
+        self.calls.trusted = self.anew = False
         self.calls.raise_error()
         if verdict == LOOK:
             self.tables.look()
@@ -130,7 +170,16 @@ class DriverStates:
         if self._held is None or self._held[0] != ev.t or self._held[3] != weights:
             return False
         _, q, v, _ = self._held
-        return np.array_equal(q, ev.q) and (not any(weights) or np.array_equal(v, ev.alone[2][0]))
+        return bool((q == ev.q).all()) and (not any(weights) or bool((v == ev.alone[2][0]).all()))
+
+    def holds_masses(self, t: float, q: Array) -> bool:
+        """Whether the factor is that of the masses in a configuration."""
+        return self._held is not None and self._held[::3] == (t, (0.0, 0.0)) and bool((self._held[1] == q).all())
+
+    def hold(self, t: float | None, q: Array | None = None, v: Array | None = None, *, new: bool = True) -> None:
+        """Take note that the factor is that of the masses in a state, or, without one, of nothing that is known."""
+        self._held = None if t is None or q is None or v is None else (t, q, v, (0.0, 0.0))
+        self.factors += self._held is not None and new
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """x like v and y (n_lam,) for the right-hand sides b and c."""
@@ -143,7 +192,8 @@ class DriverStates:
         """Whether the rows certainly do not depend on each other, by the factor with masses only: as
         :func:`~fmbd_fenicsx.system.mobility.independent`, with the true inertia.
         """
-        size, nothing = np.sqrt(self.tables.arrays["weight"][: self.system.n_lam]), np.zeros(self.system.n_v)
+        size = np.sqrt(self.tables.arrays["weight"][: self.system.n_lam])
+        nothing = np.zeros(self.system.n_v)
 
         def solve(x: Array) -> Array:
             return np.asarray(size * self.solve(nothing, size * x)[1])
@@ -152,10 +202,10 @@ class DriverStates:
 
 
 class _Exchange:
-    """Arrays of the given lengths that C knows by their addresses ``at``."""
+    """Arrays of the given shapes that C knows by their addresses ``at``."""
 
-    def __init__(self, lengths: tuple[int, ...]) -> None:
-        self.arrays = [np.zeros(length) for length in lengths]
+    def __init__(self, shapes: Iterable[int | tuple[int, ...]]) -> None:
+        self.arrays = [np.zeros(shape) for shape in shapes]
         self.at = [address_of(x) for x in self.arrays]
 
     def put(self, *values: Array | None) -> list[int]:
@@ -164,6 +214,19 @@ class _Exchange:
             if value is not None:
                 x[:] = value
         return self.at[: len(values)]
+
+
+class _Room:
+    """What C reads and writes of ``count`` configurations: t, q and v; a; lambda; the sums of the balance; four of the rows."""
+
+    def __init__(self, system: System, count: int) -> None:
+        n, m = (count, system.n_v), (count, system.n_lam)
+        self.count = count
+        self.at = _Exchange([count, (count, system.n_q), n])
+        self.a = _Exchange([n])
+        self.lam = _Exchange([m])
+        self.sums = _Exchange([n])
+        self.constraints = _Exchange([m] * 4)
 
 
 @dataclass(frozen=True)
@@ -177,43 +240,53 @@ class Told:
         return numpy() if self.found is None else self.found[which].copy()
 
 
-class DriverEvaluation(Evaluation):
+class _Constraints:
+    """Constraints by the driver, of one configuration or of many; those of NumPy, the next base, where it did not tell."""
+
+    system: System
+    _told: Told
+
+    def constraint(self) -> Array:
+        """g(q, t), (n_lam,) or (k, n_lam)."""
+        return self._told.get(0, super().constraint)  # type: ignore[misc]
+
+    def opening(self) -> Array:
+        """G v + g_t, likewise."""
+        return self._told.get(1, super().opening)  # type: ignore[misc]
+
+    def gamma(self) -> Array:
+        """g'' - G a, likewise."""
+        numpy: Callable[[], Array] = super().gamma  # type: ignore[misc]
+        return numpy() if self.system.markers.surface.size else self._told.get(3, numpy)
+
+
+class DriverEvaluation(_Constraints, Evaluation):
     """An evaluation whose constraints and balance come from the driver."""
 
     def __init__(self, states: DriverStates, t: float, q: Array, v: Array | None) -> None:
         super().__init__(states.system, t, q, v)
         rest = np.zeros(states.system.n_v) if v is None else v
-        self.states, self.alone = states, (np.array([t]), q[None], rest[None])
+        self.states = states
+        self.alone = (np.array([t]), q[None], rest[None])
         nothing: tuple[Array, Array] = np.zeros(states.system.n_v), np.zeros(states.system.n_lam)
         self.forces = nothing  # a and lambda given last
 
     def again(self) -> DriverEvaluation:
         """The same state for someone else, with all that is known of it but the forces."""
         self.system.move(self.t)
-        other = copy.copy(self)
+        other = DriverEvaluation.__new__(DriverEvaluation)
+        other.__dict__.update(self.__dict__)
         other.forces = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
         return other
 
     @cached_property
-    def _told(self) -> Told:
+    def _told(self) -> Told:  # type: ignore[override]
         found = self.states.constraints(self.alone)
         return Told(None if found is None else tuple(x[0] for x in found))
-
-    def constraint(self) -> Array:
-        """g(q, t), (n_lam,)."""
-        return self._told.get(0, super().constraint)
-
-    def opening(self) -> Array:
-        """G v + g_t, (n_lam,)."""
-        return self._told.get(1, super().opening)
 
     def constraint_rate(self) -> Array:
         """g_t, (n_lam,)."""
         return self._told.get(2, super().constraint_rate)
-
-    def gamma(self) -> Array:
-        """g'' - G a, (n_lam,)."""
-        return super().gamma() if self.system.markers.surface.size else self._told.get(3, super().gamma)
 
     @cached_property
     def jacobian(self) -> Jacobian:
@@ -223,7 +296,8 @@ class DriverEvaluation(Evaluation):
     def balance(self, a: Array, lam: Array | None = None) -> Array:
         """M a + h + G^T lambda (lambda left out when None), like v."""
         lam = np.zeros(self.system.n_lam) if lam is None else lam
-        found, self.forces = self.states.balances(self.alone, a[None], lam[None]), (a, lam)
+        found = self.states.balances(self.alone, a[None], lam[None])
+        self.forces = (a, lam)
         if found is None or not np.isfinite(found).all():
             return super().balance(a, lam)  # which says what is wrong
         return found[0]
@@ -233,7 +307,10 @@ class DriverJacobian(Jacobian):
     """G of a state by the driver; its parts are made when someone looks at them."""
 
     def __init__(self, ev: DriverEvaluation) -> None:
-        self.ev, self.system, self.t, self.bent = ev, ev.system, ev.t, ev.bent
+        self.ev = ev
+        self.system = ev.system
+        self.t = ev.t
+        self.bent = ev.bent
 
     @cached_property
     def numpy(self) -> Jacobian:
@@ -252,7 +329,7 @@ class DriverJacobian(Jacobian):
         return self.numpy.port
 
 
-class DriverMany(Many):
+class DriverBatch(_Constraints, EvaluationBatch):
     """Many configurations by the driver."""
 
     def __init__(self, states: DriverStates, t: Array, q: Array, v: Array) -> None:
@@ -260,20 +337,8 @@ class DriverMany(Many):
         self.states, self.all = states, (t, q, v)
 
     @cached_property
-    def _told(self) -> Told:
+    def _told(self) -> Told:  # type: ignore[override]
         return Told(self.states.constraints(self.all))
-
-    def constraint(self) -> Array:
-        """g, (k, n_lam)."""
-        return self._told.get(0, super().constraint)
-
-    def opening(self) -> Array:
-        """G v + g_t, (k, n_lam)."""
-        return self._told.get(1, super().opening)
-
-    def gamma(self) -> Array:
-        """g'' - G a, (k, n_lam)."""
-        return super().gamma() if self.system.markers.surface.size else self._told.get(3, super().gamma)
 
     @cached_property
     def jacobian(self) -> Jacobians:
@@ -291,13 +356,18 @@ def driver_states(system: System) -> DriverStates | None:
     """The driver for states of a system that it knows; None where it does not know all of it, or where it is too large."""
     if system.fields or not covers_bodies(system) or not covers(system):
         return None
-    library = driver_library(system.motions.dim)
+    library = driver_library(system.motions.dim, units_of(system))
     states = None if library is None else DriverStates(system, library)
     return states if states is None or states.tables.fronts.storage <= STORAGE_LIMIT else None
 
 
-def use_driver(system: System) -> None:
-    """Let the driver evaluate a system from now on, where it knows all of it. It keeps no forces of stiffened bodies."""
-    states = None if system.driver is not None or system.curved else driver_states(system)
+def use_driver(system: System, known: DriverStates | None = None) -> None:
+    """Let the driver evaluate a system from now on, where it knows all of it. It keeps no forces of stiffened bodies.
+
+    ``known``: the driver that made the start, if any: its tables serve again.
+    """
+    if system.driver is not None or system.curved:
+        return
+    states = driver_states(system) if known is None else known
     if states is not None:
         system.cache["driver"] = states

@@ -84,7 +84,9 @@ class FieldTable:
     # -- structures ----------------------------------------------------------------------------------------------------------
     def body(self) -> Any:
         """The structure Body."""
-        tables, part, system = self.tables, self.part, self.tables.system
+        tables = self.tables
+        part = self.part
+        system = tables.system
         frame, d = part.frame, tables.dim
         width = int(tables.width[frame])
         i, j = np.tril_indices(width)
@@ -99,8 +101,13 @@ class FieldTable:
 
     def _field(self) -> Any:
         """The structure Field."""
-        part, field, tables, d = self.part, self.part.field, self.tables, self.tables.dim
-        store, n, inverse = tables.store, self.part.n, self.inverse
+        part = self.part
+        field = part.field
+        tables = self.tables
+        d = tables.dim
+        store = tables.store
+        n = self.part.n
+        inverse = self.inverse
         arrays = {
             **self._matrices(), "Y": self.block.Y.T,
             "A": inverse.A, "W": inverse.W, "G": inverse.G, "S": inverse.S,
@@ -109,11 +116,13 @@ class FieldTable:
             **{name: np.zeros(self.count) for name in ("p", "rates", "pz", "rest", "f", "h")},
             **{name: np.zeros(n) for name in ("accel", "MU")},
         }  # fmt: skip
+
         self.b, b = store.array(np.zeros(n))
         self.z, z = store.array(np.zeros(n))
         self.force, force = store.array(np.zeros(n))
         self.sums, sums = store.array(np.zeros(max(tables.twist, 3)))
         self.state, state = store.array(np.zeros(d * d + 2 * tables.twist + tables.system.motions.n_pose + d + 3 * n))
+
         return structure("Field", d)(
             n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,
             sways=int(part.shared_columns), number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
@@ -124,7 +133,9 @@ class FieldTable:
 
     def _matrices(self) -> dict[str, np.ndarray]:
         """M and K by rows of nodes, and the columns of ports."""
-        part, field, d = self.part, self.part.field, self.tables.dim
+        part = self.part
+        field = part.field
+        d = self.tables.dim
         start, columns, values = field.M.getValuesCSR()
         K = sp.csr_matrix(field.K.getValuesCSR()[::-1], shape=(part.n, part.n)).tobsr((d, d))
         ports = sp.csc_matrix(part.port_columns(self.ports))

@@ -10,7 +10,7 @@ role FORMULA  an effort by a formula that the driver knows, maybe with a memory
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,6 +20,7 @@ from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
 from ...mechanics.forces.formulas import Formula
 from ...mechanics.joints import constraints as ct
 from ...mechanics.joints.couplings import CouplingBatch, OwnBatch
+from ...mechanics.joints.relative import Relative
 from ...mechanics.kinds.derivation import Kind, kinds
 from ...rotations import Array
 from ..system import System
@@ -55,6 +56,8 @@ class Items:
     formula: Formula | None = None
     slot: np.ndarray | None = None  # numbers among the readings of a record, -1 for none
     table: Array = field(default_factory=lambda: np.zeros((0, 0)))  # of constants, as C reads them
+    sampled: Callable[[], float] | None = None  # an effort that stays the same between samples
+    frames: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))  # of both sides
     arrays: dict[str, Array] = field(default_factory=dict)  # coordinates, rates, efforts .. as C reads and writes them
 
     def __len__(self) -> int:
@@ -77,12 +80,16 @@ class Items:
             *self._laws(which),
         )  # fmt: skip
         made.slot = some(self.slot)
+        made.frames = self.frames[which] if len(self.frames) else self.frames
         made.formula = None if self.formula is None else self.formula.part(which)
         return made
 
     def _laws(self, which: np.ndarray) -> tuple[Any, ...]:
         """What changes in time, of some items."""
-        law, slopes, load, given = self.law, self.slopes, self.load, self.given
+        law = self.law
+        slopes = self.slopes
+        load = self.load
+        given = self.given
         if len(which) == len(self):
             return law, slopes, self.drive, load, given
 
@@ -133,7 +140,7 @@ def _loads(loads: TimeLoads, dim: int) -> list[Items]:
             size = dim if not turns else 2 * dim - 3
 
             def load(t: float, which: np.ndarray = which, size: int = size) -> dict[str, Array]:
-                return {"load": np.array([loads.value(i, t) for i in which]).reshape(-1, size)}
+                return {"load": np.array([loads.numbers(i, t) for i in which], dtype=float).reshape(-1, size)}
 
             markers = np.stack((loads.a, loads.a), axis=1)[which]
             made = Items(kinds(dim)[kind], GIVEN, markers, {"load": np.zeros((len(which), size))}, load=load)
@@ -157,7 +164,8 @@ def _formulas(loads: Loads, looks: Looks) -> list[Items]:
 
 def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     """Items of springs, dampers, drives and laws on coordinates."""
-    n, whole = len(loads.forces), _of(loads.relative, LINEAR)
+    n = len(loads.forces)
+    whole = _of(loads.relative, LINEAR)
     whole.stiffness, whole.damping, whole.free = loads.k, loads.c, loads.free
     whole.slot = looks.slots_of(loads)
     stated = {int(i) for formula in loads.formulas() for i in formula.which}
@@ -181,8 +189,8 @@ def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     return out
 
 
-def items_of(system: System, looks: Looks) -> list[Items]:
-    """All items of a system; constraints in the order of its batches, then efforts, then what sensors read."""
+def items_of(system: System, looks: Looks, coordinates: Sequence[Relative]) -> list[Items]:
+    """All items of a system; constraints in the order of its batches, then efforts, what sensors read, and ``coordinates``."""
     dim = system.motions.dim
     out: list[Items] = []
     for batch, rows in system.batches:
@@ -193,15 +201,27 @@ def items_of(system: System, looks: Looks) -> list[Items]:
                 out.append(term)
         else:
             out.append(_constraint(batch, rows))
+
     for loads in system.forces:
         if type(loads) is TimeLoads:
             out += _loads(loads, dim)
         elif type(loads) is ScalarLoads:
             out += _efforts(loads, looks)
-        out += _formulas(loads, looks)
+        out += _formulas(loads, looks) + _sampled(loads)
+
     for key, relative in looks.relatives:
         made = _of(relative, READ)
         made.slot = looks.take_slots(key, len(made))
+        out.append(made)
+    return out + [_of(relative, READ) for relative in coordinates]
+
+
+def _sampled(loads: Loads) -> list[Items]:
+    """Items of efforts that stay the same between samples."""
+    out = []
+    for one in loads.sampled():
+        made = _of(one.on, GIVEN)
+        made.effort, made.sampled = np.zeros(len(made)), one.effort
         out.append(made)
     return out
 
@@ -209,11 +229,13 @@ def items_of(system: System, looks: Looks) -> list[Items]:
 def other_loads(system: System) -> list[Loads]:
     """Forces that Python evaluates as a whole."""
     known = TimeLoads, ScalarLoads
-    return [f for f in system.forces if type(f) not in known and not f.formulas() and f.mounts() is None]
+    return [
+        f for f in system.forces if type(f) not in known and not f.formulas() and not f.sampled() and f.mounts() is None
+    ]
 
 
 def covers(system: System) -> bool:
-    """Whether all constraints and forces are items, or loads that Python can evaluate; memories are known of formulas only."""
-    if any(not isinstance(x, Loads) or not x.formulas() for x in system.keepers):
+    """Whether all constraints and forces are items, or loads that Python can evaluate; memories: of formulas, samples."""
+    if any(not isinstance(x, Loads) or not (x.formulas() or x.sampled()) for x in system.keepers):
         return False
     return not any(isinstance(batch, OwnBatch) for batch, _ in system.batches)

@@ -29,10 +29,15 @@ def squares(tables: Tables, frames: np.ndarray) -> tuple[int, int]:
 
 def mount_batch(tables: Tables, loads: Loads) -> Any:
     """One structure Batch of role MOUNT for bushings; its constants are places, turns, K and C, as mounts.c reads them."""
-    mk, store, matrices = tables.system.markers, tables.store, loads.mounts()
+    mk = tables.system.markers
+    store = tables.store
+    matrices = loads.mounts()
     assert matrices is not None
     markers = np.stack((loads.a, loads.b), axis=1)
-    frames, n, size = tables.frame[markers], len(markers), tables.twist
+    frames = tables.frame[markers]
+    n = len(markers)
+    size = tables.twist
+    d, rot = tables.dim, size - tables.dim
     places = np.where((frames > tables.nb)[..., None], 0.0, mk.position[markers])
     turns = mk.rotation[markers].reshape(n, 2, -1)
     sides = [x[:, side] for side in (0, 1) for x in (places, turns)]
@@ -42,6 +47,6 @@ def mount_batch(tables: Tables, loads: Loads) -> Any:
     return structure("Batch", tables.dim)(
         role=MOUNT, n=n, width=constants.shape[1], mapped=1, P=store.address(constants), pair=store.integers(frames),
         at=store.integers(tables.twist_places(frames).reshape(n, -1)),
-        known=store.address(np.zeros(n * (2 * size * size + 3 * size + tables.dim**2 + 2 * tables.dim))),
+        known=store.address(np.zeros(n * (2 * size + d * d + rot * rot + 3 * d + rot))),
         square_start=square_start, square_to=square_to,
     )  # fmt: skip

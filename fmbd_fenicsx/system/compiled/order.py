@@ -165,8 +165,10 @@ class Fronts:
     def _index(self, size: int) -> None:
         """Front and position of each unknown's pivot; sorted keys of (front, unknown) with their rows."""
         self.size = size
-        self.front_of, self.position = np.zeros(size, np.int64), np.zeros(size, np.int64)
+        self.front_of = np.zeros(size, np.int64)
+        self.position = np.zeros(size, np.int64)
         keys, rows, count = [], [], 0
+
         for k, f in enumerate(self.fronts):
             mine = f.unknowns[: f.pivots]
             self.front_of[mine] = k
@@ -174,9 +176,12 @@ class Fronts:
             count += f.pivots
             keys.append(k * size + f.unknowns)
             rows.append(np.arange(len(f.unknowns)))
+
         key = np.concatenate(keys) if keys else np.zeros(0, np.int64)
+        # keys in order: a row is found by bisection
         order = np.argsort(key)
-        self._keys, self._rows = key[order], (np.concatenate(rows) if rows else key)[order]
+        self._keys = key[order]
+        self._rows = (np.concatenate(rows) if rows else key)[order]
 
     def row_in(self, front: np.ndarray, unknown: np.ndarray) -> np.ndarray:
         """Rows of unknowns in fronts."""

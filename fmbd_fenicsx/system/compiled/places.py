@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,13 +27,9 @@ STRUCTURES = 16  # that are kept
 
 @dataclass(frozen=True)
 class Shape:
-    """The structure of a scene's matrix: ``dim``, widths of the bodies' blocks, bodies of the ``surfaces``, groups of rows,
-    ``pairs`` of bodies that forces couple.
-    """
+    """The structure of a scene's matrix: widths of the bodies' blocks, groups of rows, ``pairs`` of bodies that forces couple."""
 
-    dim: int
     widths: tuple[int, ...]
-    surfaces: tuple[int, ...]
     groups: tuple[RowGroup, ...]
     pairs: frozenset[tuple[int, int]]
 
@@ -58,22 +53,30 @@ class Structure:
         return self._found[key]
 
 
-@lru_cache(maxsize=STRUCTURES)
-def structure_of(shape: Shape) -> Structure:
-    """The structure of a shape, made once."""
-    return Structure(shape)
+structures_kept: dict[tuple[Any, ...], Structure] = {}  # the newest, by what acts between which frames
 
 
-def batch_of(tables: Tables, items: Items, frames: np.ndarray) -> Any:
-    """A structure Batch of items between ``frames`` (n, 2), its places filled in, its data to follow."""
-    rows = b"" if items.row is None else np.asarray(items.row).tobytes()
-    key = items.kind, items.role, frames.tobytes(), rows
-    shared = tables.structure.once(key, lambda: _batch(tables, items, frames))
+def structure_of(connections: tuple[Any, ...], shape: Callable[[], Shape]) -> Structure:
+    """The structure of scenes with these connections, made once, from their ``shape``."""
+    found = structures_kept.pop(connections, None) or Structure(shape())
+    structures_kept[connections] = found
+    if len(structures_kept) > STRUCTURES:
+        del structures_kept[next(iter(structures_kept))]
+    return found
+
+
+def batch_of(tables: Tables, items: Items) -> Any:
+    """A structure Batch of items, its places filled in, its data to follow."""
+    rows = b"" if items.row is None else items.row.tobytes()
+    key = items.kind, items.role, items.frames.tobytes(), rows
+    shared = tables.structure.once(key, lambda: _batch(tables, items, items.frames))
     return type(shared).from_buffer_copy(shared)
 
 
 def _batch(tables: Tables, items: Items, frames: np.ndarray) -> Any:
-    kind, n, store = items.kind, len(items), tables.structure.store
+    kind = items.kind
+    n = len(items)
+    store = tables.structure.store
     mapped = bool((frames > tables.nb).any())
     components = np.array(kind.entries, dtype=int)
     ground = np.repeat((frames[0] == tables.nb), tables.twist) & (not mapped)
@@ -81,10 +84,14 @@ def _batch(tables: Tables, items: Items, frames: np.ndarray) -> Any:
     places = tables.twist_places(frames).reshape(n, -1)
 
     one = structure("Batch", tables.dim)(
-        **{which: kernel_address(kind, which) for which in KERNELS}, role=items.role, flow=int(kind.flow), n=n,
-        width=kind.width, outputs=1 + len(components), live=len(live), mapped=int(mapped), pair=store.integers(frames),
-        entry=store.integers(1 + live), at=store.integers(places[:, components[live]]), component=store.integers(components),
+        **{which: kernel_address(kind, which) for which in KERNELS}, role=items.role, flow=int(kind.flow),
+        driven=int(kind.driven), n=n, width=kind.width, outputs=1 + len(components), live=len(live), mapped=int(mapped),
+        pair=store.integers(frames), entry=store.integers(1 + live), at=store.integers(places[:, components[live]]),
+        component=store.integers(components),
     )  # fmt: skip
+    where = np.zeros(2 * tables.twist, int)
+    where[list(kind.entries)] = 1 + np.arange(len(kind.entries))
+    one.where = store.integers(np.tile(where, (n, 1)))
     if items.role == READ:  # nothing acts
         return one
     one.hessians = len(kind.pattern)
@@ -127,10 +134,7 @@ def _plain_places(
 def _mapped_places(tables: Tables, one: Any, batch: tuple[Items, np.ndarray]) -> None:
     """The same for items with frames on surfaces, whose rows act on all rates of the bodies."""
     (items, frames), store, fronts = batch, tables.structure.store, tables.fronts
-    kind, pattern = items.kind, _pattern(items.kind)
-    where = np.zeros(2 * tables.twist, int)
-    where[list(kind.entries)] = 1 + np.arange(len(kind.entries))
-    one.where = store.integers(np.tile(where, (len(items), 1)))
+    pattern = _pattern(items.kind)
     one.curved, one.curve, one.lower = len(pattern), store.integers(np.arange(len(pattern))), store.integers(pattern)
 
     rates = [np.concatenate([tables.rates(int(f)) for f in pair]) for pair in frames]

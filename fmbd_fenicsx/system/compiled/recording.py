@@ -9,6 +9,7 @@ from the states one by one.
 from __future__ import annotations
 
 import ctypes
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -17,10 +18,11 @@ import numpy as np
 
 from ...mechanics.forces.effort_laws import EffortLaw
 from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
-from ...mechanics.joints.relative import Relative, Turn
+from ...mechanics.joints.relative import Relative, RelativeAngle
 from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
 from ..system import State, System
+from .blocks import block_size, state_of
 from .structures import address_of
 
 if TYPE_CHECKING:
@@ -34,7 +36,7 @@ BYTES = 1_000_000  # that they may take, so that they stay in the cache
 class Look:
     """What a sensor needs of each record beside the state: the motion of a ``marker``, a ``relative`` coordinate with its rate,
     the ``element`` with this name, the wrench of the ``joint`` with this name on its first body; ``rows``: all multipliers,
-    ``whole``: the state itself.
+    ``whole``: the state itself. What is told of contacts is recorded at any rate.
     """
 
     marker: int = -1
@@ -52,8 +54,8 @@ def readable(system: System, look: Look) -> bool:
         return any(look.element == x.name for f in scalar for x in f.forces)
     if look.relative is None:
         return True
-    if not isinstance(look.relative, Turn) or system.motions.dim == 2:
-        return not isinstance(look.relative, Turn) or system.counted is not None
+    if not isinstance(look.relative, RelativeAngle) or system.motions.dim == 2:
+        return not isinstance(look.relative, RelativeAngle) or system.counted is not None
     if system.counted is None:
         return False
     known = set(zip(system.counted.turn.a, system.counted.turn.b, strict=True))
@@ -123,7 +125,10 @@ class _Tape(ctypes.Structure):
     _fields_ = [
         *((name, ctypes.c_long) for name in "every left capacity count whole rows doubtful".split()),
         *((name, ctypes.c_double) for name in "allowed roundoff length".split()),
-        *((name, ctypes.c_void_p) for name in "units block lam frames energy reading reaction drift doubt".split()),
+        *(
+            (name, ctypes.c_void_p)
+            for name in "units block lam frames energy reading reaction drift doubt contact".split()
+        ),
     ]
 
 
@@ -139,12 +144,14 @@ class Openness:
 
 
 class Tape:
-    """Room for the records of one march."""
+    """Room for the records of one march; ``contact``: numbers that contacts take of each."""
 
-    def __init__(self, tables: Tables, judged: Openness) -> None:
+    def __init__(self, tables: Tables, judged: Openness, *, contact: int = 0) -> None:
         s, looks = tables.system, tables.looks
-        self.tables, self.units = tables, np.ascontiguousarray(judged.units, dtype=float)
-        size = 1 + s.n_q + 3 * s.n_v + s.n_lam
+        self.tables = tables
+        self.units = np.ascontiguousarray(judged.units, dtype=float)
+        size = block_size(s)
+
         shapes: dict[str, tuple[int, ...]] = {
             "block": (size if looks.whole else 1,),
             "lam": (s.n_lam if looks.rows else 0,),
@@ -153,11 +160,14 @@ class Tape:
             "reading": (looks.count, 3),
             "reaction": (len(looks.joints), tables.twist),
             "drift": (4,),
+            "contact": (contact,),
         }
-        each = sum(int(np.prod(x)) for x in shapes.values())
-        self.capacity = int(np.clip(BYTES // (8 * each), 16, CAPACITY))
+        # as many records as fit in a few megabytes
+        each = sum(math.prod(x) for x in shapes.values())
+        self.capacity = min(max(BYTES // (8 * each), 16), CAPACITY)
         self.arrays = {name: np.zeros((self.capacity, *shape)) for name, shape in shapes.items()}
         self.doubt = np.zeros(size)
+
         self.c = _Tape(
             capacity=self.capacity, whole=looks.whole, rows=looks.rows, units=address_of(self.units),
             allowed=judged.allowed, roundoff=judged.roundoff, length=s.length, doubt=address_of(self.doubt),
@@ -181,13 +191,6 @@ class Tape:
         return Recorded(self.tables, {name: x[:n].copy() for name, x in self.arrays.items()}, doubt)
 
 
-def state_of(system: System, block: Array) -> State:
-    """The state in a block of the driver: t, q, v, a, the algorithmic acceleration, lambda."""
-    ends = np.cumsum([system.n_q, system.n_v, system.n_v, system.n_v])
-    q, v, a, _, lam = np.split(block[1:].copy(), ends)
-    return State(float(block[0]), q, v, a, lam)
-
-
 class Recorded:
     """Records of one march, k of them: arrays with the record as their first axis. ``doubt``: the first state whose joints are
     open by more than is allowed, None where there is none.
@@ -196,6 +199,8 @@ class Recorded:
     def __init__(self, tables: Tables, arrays: dict[str, Array], doubt: State | None = None) -> None:
         self.tables, self.system, self.looks = tables, tables.system, tables.looks
         self.arrays, self.doubt = arrays, doubt
+        self.contact: Any = None  # of contacts in all records, as a state has it of one
+        self._frames: dict[int, tuple[Array, Array, Array]] = {}  # by the marker, for all of its sensors
         self.t, self.lam = arrays["block"][:, 0], arrays["lam"]
 
     def __len__(self) -> int:
@@ -208,10 +213,13 @@ class Recorded:
     # -- markers ------------------------------------------------------------------------------------------------------------
     def _frame(self, marker: int) -> tuple[Array, Array, Array]:
         """Numbers of the marker's frame, its rotation, and the arm from the frame's origin to the marker (world axes)."""
-        d = self.tables.dim
-        frame = self.arrays["frames"][:, self.looks.markers.index(marker)]
-        R = frame[:, d : d + d * d].reshape(-1, d, d)
-        return frame, R, R @ self.tables.seen_place[marker]
+        if marker not in self._frames:
+            d = self.tables.dim
+            place = self.tables.seen_place[marker]
+            frame = self.arrays["frames"][:, self.looks.markers.index(marker)]
+            R = frame[:, d : d + d * d].reshape(-1, d, d)
+            self._frames[marker] = frame, R, sum(R[:, :, j] * place[j] for j in range(d))
+        return self._frames[marker]
 
     def place(self, marker: int) -> Array:
         """x, (k, d) m."""
@@ -232,14 +240,17 @@ class Recorded:
 
     def acceleration(self, marker: int) -> Array:
         """x'' of a marker on a rigid body, (k, d) m/s^2."""
-        m, d, n = self.system.motions, self.tables.dim, self.tables.twist
+        m = self.system.motions
+        d = self.tables.dim
+        n = self.tables.twist
         body = int(self.system.markers.frame[marker])
         frame, R, arm = self._frame(marker)
         if body == self.tables.nb:
             return np.zeros((len(self), d))
         at = d + d * d + d
         first = 1 + self.system.n_q + self.system.n_v + n * body
-        w, a = frame[:, at : at + m.n_rot], self.arrays["block"][:, first : first + n]
+        w = frame[:, at : at + m.n_rot]
+        a = self.arrays["block"][:, first : first + n]
         turning = a[:, d:] if d == 2 else (R @ a[:, d:, None])[..., 0]
         return np.asarray(a[:, :d] + m.spin(turning, arm) + m.spin(w, m.spin(w, arm)))
 

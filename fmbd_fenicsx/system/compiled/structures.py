@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import ctypes
-from functools import lru_cache
+import re
+from collections.abc import Mapping, Sequence
+from functools import cache, lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...rotations import Array
 
-_INT, _REAL, _LONG, _POINTER = ctypes.c_int, ctypes.c_double, ctypes.c_long, ctypes.c_void_p
+_INT = ctypes.c_int
+_REAL = ctypes.c_double
+_LONG = ctypes.c_long
+_POINTER = ctypes.c_void_p
 
 PYTHON = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_double)
 
@@ -19,28 +25,75 @@ def _fields(text: str, kind: Any) -> list[tuple[str, Any]]:
     return [(name, kind) for name in text.split()]
 
 
-@lru_cache
-def structure(name: str, dim: int) -> type[ctypes.Structure]:
-    """``Batch``, ``Surface``, ``Body``, ``Front``, ``Rod`` .. or ``System`` of the driver in ``dim`` dimensions."""
+Fields = Sequence[tuple[str, Any]]
+
+ALIKE: dict[str, Fields] = {  # in the plane and in space
+    "Batch": [
+        *_fields("value rates tangent", _POINTER),
+        *_fields("role outputs live products curved number flow driven", _INT),
+        *_fields("n width", _LONG),
+        *_fields("pair P out entry at row factor dest stiffness damping free s rate effort weight slope", _POINTER),
+        ("formula", _INT),
+        *_fields("constants kept known", _POINTER),
+        *_fields("first second product_to curve curve_to", _POINTER),
+        ("hessians", _INT),
+        ("hessian", _POINTER),
+        ("near", _INT),
+        ("theta", _POINTER),
+        ("mapped", _INT),
+        *_fields("component slot", _POINTER),
+        *_fields("where lower row_start square_start row_to row_on square_to", _POINTER),
+        *_fields("marker astray sight push K B", _POINTER),
+    ],
+    "Body": [
+        *_fields("modes at_v at_q at_u", _INT),
+        *_fields("mass large spin", _REAL),
+        *_fields("inertia S T V modal K C stress U now block dest field", _POINTER),
+    ],
+    "Field": [
+        *_fields("n nodes", _LONG),
+        *_fields("solved frames row sways number", _INT),
+        *_fields("X Q port port_start port_on M_start M_column K_start K_column M K", _POINTER),
+        ("beta", _REAL),
+        ("own", _INT),
+        *_fields("state sums inertia moment Y S A W G frame_slot p rates accel force MU b z pz rest f h", _POINTER),
+    ],
+    "Front": [
+        *_fields("pivots rows ld next", _INT),
+        ("start", _LONG),
+        *_fields("unknown to", _POINTER),
+    ],
+    "Rod": [
+        *_fields("k points nodes number", _INT),
+        ("n", _LONG),
+        *_fields("node loaded", _POINTER),
+        ("beta", _REAL),
+        *_fields("N slope weight natural C z E strain rate S density load to", _POINTER),
+    ],
+    "System": [
+        *_fields("bodies surfaces batches fronts angles rods rows nu nv nq redundant fields core", _INT),
+        *_fields("body surface batch front angle rod frames velocity residual", _POINTER),
+        *_fields("gap motion gravity weight diagonal row_dest", _POINTER),
+        ("storage", _LONG),
+        *_fields("L inverse b local sign units row_units", _POINTER),
+        ("python", PYTHON),
+        *_fields("samples stiff", _INT),
+        *_fields("cd ck epsilon share", _REAL),
+        *_fields("q work big", _POINTER),
+        *_fields("evaluations factors calls", _LONG),
+        *_fields("remembers seen readings reactions", _INT),
+        *_fields("seen_frame reaction motion_rate rest_gravity slip", _POINTER),
+        ("settled", _REAL),
+        *_fields("again renewed", _INT),
+    ],
+}
+
+
+def _by_dimension(dim: int) -> dict[str, Fields]:
+    """Fields of the structures that hold vectors."""
     rotations = 2 * dim - 3
-    fields = {
-        "Batch": [
-            *_fields("value rates tangent", _POINTER),
-            *_fields("role outputs live products curved number flow", _INT),
-            *_fields("n width", _LONG),
-            *_fields("pair P out entry at row factor dest stiffness damping free s rate effort weight slope", _POINTER),
-            ("formula", _INT),
-            *_fields("constants kept known", _POINTER),
-            *_fields("first second product_to curve curve_to", _POINTER),
-            ("hessians", _INT),
-            ("hessian", _POINTER),
-            ("near", _INT),
-            ("theta", _POINTER),
-            ("mapped", _INT),
-            *_fields("component slot", _POINTER),
-            *_fields("where lower row_start square_start row_to row_on square_to", _POINTER),
-            *_fields("marker astray sight push K B", _POINTER),
-        ],
+
+    return {
         "Surface": [
             ("body", _INT),
             *_fields("reference ports now", _POINTER),
@@ -52,53 +105,33 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
             *_fields("lever arm", _REAL * dim),
             *_fields("map bend_map", _POINTER),
         ],
-        "Body": [
-            *_fields("modes at_v at_q at_u", _INT),
-            *_fields("mass large spin", _REAL),
-            *_fields("inertia S T V modal K C stress U now block dest field", _POINTER),
-        ],
-        "Field": [
-            *_fields("n nodes", _LONG),
-            *_fields("solved frames row sways number", _INT),
-            *_fields("X Q port port_start port_on M_start M_column K_start K_column M K", _POINTER),
-            ("beta", _REAL),
-            ("own", _INT),
-            *_fields("state sums inertia moment Y S A W G frame_slot p rates accel force MU b z pz rest f h", _POINTER),
-        ],
         "Angle": [*_fields("a b", _INT), *_fields("ea fa ga eb fb gb", _REAL * dim)],
-        "Front": [
-            *_fields("pivots rows ld next", _INT),
-            ("start", _LONG),
-            *_fields("unknown to", _POINTER),
-        ],
-        "Rod": [
-            *_fields("k points nodes number", _INT),
-            ("n", _LONG),
-            *_fields("node loaded", _POINTER),
-            ("beta", _REAL),
-            *_fields("N slope weight natural C z E strain rate S density load to", _POINTER),
-        ],
-        "System": [
-            *_fields("bodies surfaces batches fronts angles rods rows nu nv nq redundant fields core", _INT),
-            *_fields("body surface batch front angle rod frames velocity residual", _POINTER),
-            *_fields("gap motion gravity weight diagonal row_dest", _POINTER),
-            ("storage", _LONG),
-            *_fields("L inverse b local sign units row_units", _POINTER),
-            ("python", PYTHON),
-            *_fields("samples stiff", _INT),
-            *_fields("cd ck epsilon share", _REAL),
-            *_fields("q work big", _POINTER),
-            *_fields("evaluations factors calls", _LONG),
-            *_fields("remembers seen readings reactions", _INT),
-            *_fields("seen_frame reaction motion_rate rest_gravity slip", _POINTER),
-            ("settled", _REAL),
-            *_fields("again renewed", _INT),
-        ],
         "Reaction": [*_fields("items frame", _INT), *_fields("batch item side", _POINTER), ("p", _REAL * dim)],
     }
-    return type(name, (ctypes.Structure,), {"_fields_": fields[name]})
 
 
+@lru_cache
+def structure(name: str, dim: int) -> type[ctypes.Structure]:
+    """``Batch``, ``Surface``, ``Body``, ``Front``, ``Rod`` .. or ``System`` of the driver in ``dim`` dimensions."""
+    fields = ALIKE[name] if name in ALIKE else _by_dimension(dim)[name]
+    return type(name, (ctypes.Structure,), {"_fields_": list(fields)})
+
+
+@cache
+def enumeration(first: str) -> dict[str, int]:
+    """Names and values of the enum of ``driver/tables.h`` that begins with a name."""
+    text = Path(__file__).with_name("driver").joinpath("tables.h").read_text()
+    found = re.search(rf"enum \{{ ({first}\b[^}}]*)\}}", text)
+    assert found is not None, first
+    values, last = {}, -1
+    for one in found[1].split(","):
+        name, _, given = (part.strip() for part in one.partition("="))
+        last = int(given) if given else last + 1
+        values[name] = last
+    return values
+
+
+LANES = 8  # numbers in a line of the cache
 _BYTE: Any = ctypes.c_char.from_buffer
 
 
@@ -121,6 +154,17 @@ class Store:
         copy = np.array(values, dtype=dtype, order="C")
         self.kept.append(copy)
         return copy, address_of(copy)
+
+    def zeros(self, sizes: Mapping[str, int]) -> dict[str, tuple[Array, int]]:
+        """Arrays of zeros by name, one behind the other, and their addresses; none is empty."""
+        starts, count = {}, 0
+        for name, size in sizes.items():
+            starts[name] = count, max(size, 1)
+            count += -(-max(size, 1) // LANES) * LANES
+        whole = np.zeros(count)
+        self.kept.append(whole)
+        first = address_of(whole)
+        return {name: (whole[at : at + size], first + 8 * at) for name, (at, size) in starts.items()}
 
     def address(self, values: Any, dtype: Any = np.float64) -> int:
         """The address of a contiguous copy."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...mechanics.forces.formulas import MEMORY
+from ...mechanics.joints.relative import Relative
 from ...mechanics.kinds.frames import FRAME
 from ...mechanics.reduction.reduced import ReducedPart
 from ...mechanics.rods.elements import RodElements
@@ -44,6 +45,11 @@ OF_ITEMS = ("s", "rate", "effort", "weight", "slope", "stiffness", "damping", "f
 ONE_SIDED = ("dead", "couple", "follower", "follower_couple")
 
 
+def _bytes(x: np.ndarray | None) -> bytes:
+    """Numbers as a part of a key."""
+    return b"" if x is None else x.tobytes()
+
+
 class Tables:
     """All tables of one system; ``c`` is the driver's System, ``batches`` the items behind its batches."""
 
@@ -54,25 +60,35 @@ class Tables:
     structure: Structure
     fronts: Fronts
 
-    def __init__(self, system: System, *, redundant: bool, blocks: Sequence[Block] = ()) -> None:
-        """``blocks``: factors and columns of the floating fields for the size of a step."""
-        self.system, self.store, self.dim = system, Store(), system.motions.dim
-        self.nb, self.twist = system.n_frames, system.motions.n_twist
+    def __init__(
+        self, system: System, *, redundant: bool, blocks: Sequence[Block] = (), coordinates: Sequence[Relative] = ()
+    ) -> None:
+        """``blocks``: factors and columns of the floating fields for the size of a step; ``coordinates``: one item each that
+        nothing acts on, for :meth:`coordinate`.
+        """
+        self.system = system
+        self.store = Store()
+        self.dim = system.motions.dim
+        self.nb = system.n_frames
+        self.twist = system.motions.n_twist
         reduced: tuple[Any, ...] = system.parts
         self.parts: dict[int, tuple[int, Any]] = {p.frame: (k, p) for k, p in enumerate(reduced)}
         numbered = enumerate(zip(system.fields, blocks, strict=True))
         self.fields: list[FieldTable] = [FieldTable(self, number, k, block) for number, ((k, _), block) in numbered]
         self.floating = {field.part.frame: field for field in self.fields}
         self.looks = Looks(system)
-        self.items = items_of(system, self.looks)
-        self.loads, self.mounts = other_loads(system), [f for f in system.forces if f.mounts() is not None]
+        self.items = items_of(system, self.looks, coordinates)
+        self.loads = other_loads(system)
+        self.mounts = [f for f in system.forces if f.mounts() is not None]
         self.maps: list[Array] = []  # of surfaces: twist from the rates of the body
         self._lay_out()
         self._place_surfaces()
-        self._order()
+        self.structure = structure_of(self._connections(), self._shape)
+        self.fronts = self.structure.fronts
 
         self.sources = [one for items in self.items for one in self._split(items)]
         self.batches = [self._batch(items, number) for number, items in enumerate(self.sources)]
+        self._first_coordinate = len(self.sources) - len(coordinates)
         self.batches += [mount_batch(self, loads) for loads in self.mounts]
         self.whole = [WholeLoads(self, loads, number) for number, loads in enumerate(self.loads)]
         self.batches += [loads.batch for loads in self.whole]
@@ -97,10 +113,13 @@ class Tables:
         used: list[np.ndarray] = [items.markers.ravel() for items in self.items]
         used += [x for f in (*self.loads, *self.mounts) for x in (f.a, f.b)]
         used.append(np.array(self.looks.markers, dtype=int))
-        numbers = np.unique(np.concatenate(used)).astype(int) if used else np.zeros(0, int)
-        self.surfaces = np.array([i for i in numbers if i in set(mk.surface.tolist())], dtype=int)
+        self.surfaces = (
+            np.intersect1d(np.concatenate(used), mk.surface).astype(int) if mk.surface.size else np.zeros(0, int)
+        )
         self.frame = mk.frame.copy()
         self.frame[self.surfaces] = self.nb + 1 + np.arange(len(self.surfaces))
+        for items in self.items:
+            items.frames = self._frames_of(items)
         self.nothing = self.nu + self.twist * len(self.surfaces)  # place of what the ground would have
 
     def body_of(self, frame: np.ndarray) -> np.ndarray:
@@ -128,7 +147,7 @@ class Tables:
         width = self.twist if frame < self.nb else self.width[body]
         return np.asarray(self.at_u[body] + np.arange(width))
 
-    def frames_of(self, items: Items) -> np.ndarray:
+    def _frames_of(self, items: Items) -> np.ndarray:
         """Frames of both sides, (n, 2); loads have the ground for their first."""
         frames = self.frame[items.markers]
         if items.kind.name in ONE_SIDED:
@@ -136,13 +155,21 @@ class Tables:
         return frames
 
     # -- order ---------------------------------------------------------------------------------------------------------------
-    def _order(self) -> None:
-        """Groups of rows, the order of elimination, and the fronts."""
+    def _connections(self) -> tuple[Any, ...]:
+        """What acts between which frames, and on which rows: all that the structure depends on."""
+        acting = ((x.role == ROW, _bytes(x.frames), _bytes(x.row)) for x in self.items if x.role != READ)
+        whole = ((_bytes(self.frame[f.a]), _bytes(self.frame[f.b])) for f in (*self.loads, *self.mounts))
+        rods = frozenset(rod_pairs(self.system.elements)) if self.system.elements else frozenset()
+        on = _bytes(self.system.markers.frame[self.surfaces])
+        return self.dim, self.rows, _bytes(self.width), on, tuple(acting), tuple(whole), rods
+
+    def _shape(self) -> Shape:
+        """Groups of rows, and the bodies that are coupled."""
         touched: list[set[int]] = [set() for _ in range(self.rows)]
         terms = np.zeros(self.rows, int)
         pairs = rod_pairs(self.system.elements)
         for items in (x for x in self.items if x.role != READ):
-            bodies: Any = self.body_of(self.frames_of(items))
+            bodies: Any = self.body_of(items.frames)
             if items.role == ROW:
                 assert items.row is not None
                 for number, pair in zip(items.row, bodies.tolist(), strict=True):
@@ -157,36 +184,42 @@ class Tables:
         for row in range(self.rows):
             found.setdefault((tuple(sorted(touched[row])), bool(terms[row] > 1)), []).append(row)
         groups = [RowGroup(near, tuple(rows), coupling) for (near, coupling), rows in found.items()]
-        surfaces = tuple(int(b) for b in self.system.markers.frame[self.surfaces])
-        shape = Shape(self.dim, tuple(int(n) for n in self.width), surfaces, tuple(groups), frozenset(pairs))
-        self.structure = structure_of(shape)
-        self.fronts = self.structure.fronts
+        return Shape(tuple(int(n) for n in self.width), tuple(groups), frozenset(pairs))
 
     # -- batches -------------------------------------------------------------------------------------------------------------
     def _split(self, items: Items) -> list[Items]:
         """Items whose frames are of one sort: bodies, the ground on one side, or some on surfaces."""
-        frames = self.frames_of(items)
+        sorts = self.structure.once(("sorts", _bytes(items.frames)), lambda: self._sorts(items.frames))
+        return [items] if len(sorts) == 1 else [items.part(which) for which in sorts]
+
+    def _sorts(self, frames: np.ndarray) -> list[np.ndarray]:
+        """Numbers of the items of each sort."""
         sort = np.where((frames > self.nb).any(axis=1), 9, (frames == self.nb) @ np.array([1, 2]))
-        sorts = {int(k) for k in sort}
-        return [items] if len(sorts) == 1 else [items.part(np.flatnonzero(sort == k)) for k in sorted(sorts)]
+        return [np.flatnonzero(sort == k) for k in np.unique(sort)]
 
     def constants(self, items: Items) -> Array:
         """The table of constants, (n, width), in the axes of the frames."""
-        mk, n, kind = self.system.markers, len(items), items.kind
+        mk = self.system.markers
+        n = len(items)
+        kind = items.kind
         P = np.zeros((n, kind.width))
-        on_surface = self.frame[items.markers] > self.nb
+
         for name, side in PLACES.items():
             if name in kind.constants:
-                place = mk.position[items.markers[:, side]].copy()
-                place[on_surface[:, side]] = 0.0
+                place = mk.position[items.markers[:, side]]
+                # a marker on a surface lies where the surface is
+                place[self.frame[items.markers[:, side]] > self.nb] = 0.0
                 P[:, kind.place(name)] = place
+
         for name, side in TURNS.items():
             if name in kind.constants:
                 P[:, kind.place(name)] = mk.rotation[items.markers[:, side]].reshape(n, -1)
+        # in the plane angles count from those at the start
         if kind.name == "angle" and self.dim == 2:
             assert self.system.counted is not None
             start = self.system.counted.start[items.markers]
             P[:, kind.place("zero").start] = start[:, 1] - start[:, 0]
+
         for name, values in items.constants.items():
             if name in kind.constants:
                 P[:, kind.place(name)] = self.turned(items, name, values)
@@ -196,7 +229,8 @@ class Tables:
         """Places in q of the counted angles of items, in space."""
         counted = self.system.counted
         assert counted is not None
-        a, b = np.asarray(counted.turn.a), np.asarray(counted.turn.b)
+        a = np.asarray(counted.turn.a)
+        b = np.asarray(counted.turn.b)
         number = {(int(i), int(j)): k for k, (i, j) in enumerate(zip(a, b, strict=True))}
         first = self.system.counted_angles.start
         return np.array([first + number[int(i), int(j)] for i, j in items.markers])
@@ -206,7 +240,8 @@ class Tables:
         s, mk = self.system, self.system.markers
         if s.counted is None or not s.counted.count:
             return []
-        turn, vector = s.counted.turn, ctypes.c_double * self.dim
+        turn = s.counted.turn
+        vector = ctypes.c_double * self.dim
         sides = {"a": turn.a, "b": turn.b}
         axes = {"e": turn.e, "f": turn.e1, "g": turn.e2}
         out = []
@@ -217,17 +252,21 @@ class Tables:
 
     def turned(self, items: Items, name: str, values: Array) -> Array:
         """Constants of items, directions turned from the axes of their markers into those of the frames; (n, size)."""
-        side = DIRECTIONS.get(items.kind.name, {}).get(name)
         values = np.asarray(values, dtype=float).reshape(len(items), -1)
-        if side is None or values.shape[1] != self.dim:
+        R = self.turning(items, name)
+        if R is None or values.shape[1] != self.dim:
             return values
-        R = self.system.markers.rotation[items.markers[:, side]]
         return np.asarray((R @ values[..., None])[..., 0])
+
+    def turning(self, items: Items, name: str) -> Array | None:
+        """Rotations (n, dim, dim) from the axes of the markers in which a constant is a direction; None for other constants."""
+        side = DIRECTIONS.get(items.kind.name, {}).get(name)
+        return None if side is None else np.asarray(self.system.markers.rotation[items.markers[:, side]])
 
     def _batch(self, items: Items, number: int) -> Any:
         """One structure Batch."""
         kind, n, store = items.kind, len(items), self.store
-        one = batch_of(self, items, self.frames_of(items))
+        one = batch_of(self, items)
         one.number = number
         items.table, one.P = store.array(self.constants(items))
         one.out = store.address(np.zeros((n, one.outputs)))
@@ -266,57 +305,64 @@ class Tables:
     # -- all of it -------------------------------------------------------------------------------------------------------------
     def _system(self, redundant: bool) -> None:
         """The structure System."""
-        s, store = self.system, self.store
-        others = rigid_bodies(self) | {frame: field.body() for frame, field in self.floating.items()}
-        bodies = [others[b] if b in others else reduced_body(self, b) for b in range(self.nb)]
-        surfaces = [surface(self, int(i)) for i in self.surfaces]
-        angles = self._angles()
-        fronts, (row_dest, sign) = fronts_of(self), pivots_of(self)
-
-        size = self.nu + self.rows
-        frames = np.zeros((self.nb + 1 + len(surfaces), FRAME[self.dim]))
-        frames[self.nb, self.dim : self.dim + self.dim**2] = np.eye(self.dim).ravel()
-        widest = int(self.width.max(initial=0))
+        s, looks = self.system, self.looks
         once = 4 * s.n_v + 3 * self.rows  # work of a step, and of a second solution where there are fields
-        sizes = {
-            "velocity": self.nothing + 1, "residual": self.nothing + 1,
-            "gap": self.rows, "motion": self.rows, "weight": self.rows, "diagonal": size,
-            "L": self.fronts.storage + 8, "inverse": size, "b": size, "local": size,
-            "work": once + s.n_v + self.rows, "big": (2 * self.twist + 1) * 2 * widest + size,
-        }  # fmt: skip
-        arrays = {name: store.array(np.zeros(max(count, 1))) for name, count in sizes.items()}
-        arrays |= {name: store.array(np.zeros(max(self.rows, 1))) for name in ("motion_rate", "slip")}
-        arrays |= {"rest_gravity": store.array(s.gravity(np.inf)), "row_units": store.array(s.row_units)}
-        arrays |= {"frames": store.array(frames), "gravity": store.array(s.gravity(0.0)), "units": store.array(s.units)}
-        self.arrays = {name: x for name, (x, _) in arrays.items()}
-        lists = {
-            "body": ("Body", bodies),
-            "surface": ("Surface", surfaces),
-            "angle": ("Angle", angles),
-            "rod": ("Rod", [rod.c for rod in self.rods]),
-            "batch": ("Batch", self.batches),
-            "reaction": ("Reaction", [self._reaction(name) for name in self.looks.joints]),
-        }
-        pointers = {"front": ctypes.addressof(fronts)}
-        for name, (kind, made) in lists.items():
-            array = (structure(kind, self.dim) * max(len(made), 1))(*made)
-            store.kept.append(array)
-            pointers[name] = ctypes.addressof(array)
-            if name == "body":
-                self.body_array = array
+        counts, lists = self._lists()
+        row_dest, sign = pivots_of(self)
 
         self.c = structure("System", self.dim)(
-            bodies=self.nb, surfaces=len(surfaces), batches=len(self.batches), fronts=len(self.fronts.fronts), angles=len(angles),
-            rods=len(self.rods), rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant),
-            fields=len(self.fields), core=s.n_core, again=once,
-            stiff=int(bool(self.rods) or any(f.stiff for f in s.forces)),
+            **counts, **lists, **self._numbers(once), fronts=len(self.fronts.fronts), front=ctypes.addressof(fronts_of(self)),
+            rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), fields=len(self.fields), core=s.n_core,
+            again=once, stiff=int(bool(self.rods) or any(f.stiff for f in s.forces)),
             remembers=int(any(items.remembers for items in self.items)), storage=self.fronts.storage,
-            seen=len(self.looks.markers), readings=self.looks.count, reactions=len(self.looks.joints),
-            seen_frame=store.integers(self.frame[self.looks.markers]),
+            seen=len(looks.markers), readings=looks.count, seen_frame=self.store.integers(self.frame[looks.markers]),
             row_dest=row_dest, sign=sign,
-            **pointers, **{name: address for name, (_, address) in arrays.items()},
         )  # fmt: skip
         self.look()
+
+    def _lists(self) -> tuple[dict[str, int], dict[str, int]]:
+        """How many bodies, surfaces .. there are, and the addresses of their structures."""
+        others = rigid_bodies(self) | {frame: field.body() for frame, field in self.floating.items()}
+        lists = {
+            "body": ("bodies", [others[b] if b in others else reduced_body(self, b) for b in range(self.nb)]),
+            "surface": ("surfaces", [surface(self, int(i)) for i in self.surfaces]),
+            "angle": ("angles", self._angles()),
+            "rod": ("rods", [rod.c for rod in self.rods]),
+            "batch": ("batches", self.batches),
+            "reaction": ("reactions", [self._reaction(name) for name in self.looks.joints]),
+        }
+
+        counts, addresses = {}, {}
+        for name, (plural, made) in lists.items():
+            array = (structure(name.capitalize(), self.dim) * max(len(made), 1))(*made)
+            self.store.kept.append(array)
+            counts[plural], addresses[name] = len(made), ctypes.addressof(array)
+            if name == "body":
+                self.body_array = array
+        return counts, addresses
+
+    def _numbers(self, once: int) -> dict[str, int]:
+        """The arrays of numbers, kept by their names, and their addresses; ``once``: size of the work of a step."""
+        s = self.system
+        store = self.store
+        size = self.nu + self.rows
+        frames = np.zeros((self.nb + 1 + len(self.surfaces), FRAME[self.dim]))
+        frames[self.nb, self.dim : self.dim + self.dim**2] = np.eye(self.dim).ravel()
+        widest = int(self.width.max(initial=0))
+
+        arrays = store.zeros({
+            "velocity": self.nothing + 1, "residual": self.nothing + 1,
+            "L": self.fronts.storage + 8, "diagonal": size, "inverse": size, "b": size, "local": size + 8,
+            "work": once + s.n_v + self.rows, "big": (2 * self.twist + 1) * 2 * widest + size,
+            **dict.fromkeys(("gap", "slip", "weight", "motion", "motion_rate"), self.rows),
+        })  # fmt: skip
+        given = {
+            "frames": frames, "gravity": s.gravity(0.0), "rest_gravity": s.gravity(np.inf), "units": s.units,
+            "row_units": s.row_units,
+        }  # fmt: skip
+        arrays |= {name: store.array(x) for name, x in given.items()}
+        self.arrays = {name: x for name, (x, _) in arrays.items()}
+        return {name: address for name, (_, address) in arrays.items()}
 
     @property
     def seen_place(self) -> dict[int, Array]:
@@ -329,6 +375,7 @@ class Tables:
         """One structure Reaction: the items of a joint's rows on the side of its first body."""
         block = self.system.block(joint)
         found = []
+        # items of the joint's rows on its first body
         for number, items in enumerate(self.sources):
             if items.row is None:
                 continue
@@ -336,6 +383,7 @@ class Tables:
             mine = np.argwhere(inside[:, None] & (items.markers == block.a))
             found += [(number, int(i), int(side)) for i, side in mine]
         batch, item, side = np.array(found, dtype=int).reshape(-1, 3).T
+
         frame = int(self.frame[block.a])
         place = np.zeros(self.dim) if frame > self.nb else self.system.markers.position[block.a]
         integers = self.store.integers
@@ -344,13 +392,25 @@ class Tables:
             batch=integers(batch), item=integers(item), side=integers(side),
         )  # fmt: skip
 
+    def coordinate(self, number: int) -> int:
+        """The address of the batch of one of the ``coordinates``."""
+        size = ctypes.sizeof(structure("Batch", self.dim))
+        return int(self.c.batch) + size * (self._first_coordinate + number)
+
     @cached_property
     def remembering(self) -> list[Any]:
         """Items with a memory."""
         return [items for items in self.sources if items.remembers]
 
+    @cached_property
+    def sampled(self) -> list[Any]:
+        """Items whose efforts stay the same between samples."""
+        return [items for items in self.sources if items.sampled is not None]
+
     def recall(self) -> None:
         """Take the memory of elements that have one."""
+        for items in self.sampled:
+            items.arrays["effort"][:] = items.sampled()
         for items in self.remembering:
             items.arrays["kept"][:] = items.formula.kept()
 

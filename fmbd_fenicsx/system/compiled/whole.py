@@ -27,7 +27,8 @@ class WholeLoads:
 
     def __init__(self, tables: Tables, loads: Loads, number: int) -> None:
         store, d, n = tables.store, tables.dim, tables.twist
-        pairs, count = np.stack((loads.a, loads.b), axis=1).astype(int), len(loads.a)
+        pairs = np.stack((loads.a, loads.b), axis=1).astype(int)
+        count = len(loads.a)
         used, local = np.unique(pairs, return_inverse=True)
         local = local.reshape(count, 2)
 
@@ -62,7 +63,8 @@ class WholeLoads:
 
     def _kinematics(self) -> Kinematics:
         """The markers as C placed them, a copy: laws may change what they are given."""
-        d, sight = self.dim, self.sight.copy()
+        d = self.dim
+        sight = self.sight.copy()
         none = np.zeros((len(sight), 0, 0))
         kin = Kinematics(sight[:, :d], sight[:, d : d + d * d].reshape(-1, d, d), none, none)
         kin.twist = sight[:, d + d * d :]

@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...checks import vector
-from ...errors import InputError, near, require
-from ...fem.initial import initial_fields
-from ...mechanics.bodies.beams import Beam
-from ...mechanics.bodies.bodies import AbsoluteBody, CoordinateBody, FloatingBody, RigidBody, Surface
-from ...mechanics.bodies.coordinates import CoordinatePart, PortConstraint, own_constraint
-from ...mechanics.bodies.line_body import LineBody, LinePart
-from ...mechanics.catenary.wires import Wires
+from ...errors import InputError, near
+from ...mechanics.bodies.bodies import ElasticBody, FloatingBody, RigidBody, Surface
+from ...mechanics.bodies.body import Placed, Site
+from ...mechanics.bodies.coordinates import CoordinateBody, PortConstraint, own_constraint
 from ...mechanics.forces.forces import Force
 from ...mechanics.frames import Markers
 from ...mechanics.joints.constraints import Batch
 from ...mechanics.joints.drives import Coupling
 from ...mechanics.joints.joints import Joint, ground
-from ...mechanics.joints.relative import Turn
-from ...mechanics.reduction.craig_bampton import ReducedBody
-from ...mechanics.reduction.reduced import ReducedPart
-from ...mechanics.reduction.stored import StoredBody
+from ...mechanics.joints.relative import RelativeAngle
 from ...mechanics.rods.rods import Rod
 from ...rotations import Array, Motions, motions
 from ..configurations import count
@@ -33,7 +27,7 @@ from ..system import RowBlock, State, System
 from .force_batches import build_loads
 from .joints import JointRows, counted_angles
 from .rods import RodNodes
-from .wires import slider_rows, wires_part
+from .wires import slider_rows
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -45,13 +39,6 @@ def smooth_step(t: float, duration: float) -> float:
         return 1.0
     s = max(t / duration, 0.0)
     return s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
-
-
-def reduced_part(body: ReducedBody | StoredBody | Beam, frame: int, surfaces: Sequence[str]) -> ReducedPart:
-    """A reduced body or beam as a part of a system, with the ports of the named surfaces."""
-    part = ReducedPart(body.name, body.constants, frame, surfaces)
-    part.body = body
-    return part
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +114,11 @@ class Builder:
             if not body.framed:
                 continue
             self.frame_of[body.name] = len(self.poses)
-            self.poses.append(body.start_pose() if isinstance(body, RigidBody) else np.zeros(0))
+            self.poses.append(body.start_pose())
             self.twists.append(body.start_twist())
 
         for body in moving:
+            # a rod has a frame for every node, behind those of the bodies
             if isinstance(body, Rod):
                 self.frame_of |= self.nodes.add(body, len(self.poses))
                 self.poses.extend(body.poses)
@@ -139,28 +127,35 @@ class Builder:
     def _add_parts(self, moving: list[Any], used: dict[str, list[str]]) -> None:
         """The parts of all bodies with local coordinates: those in the core first, then those distributed over ranks."""
         ground_frame = len(self.poses)
-        for body in moving:
-            if isinstance(body, CoordinateBody):
-                self._put_part(CoordinatePart(body, ground_frame), np.array(body.start), np.array(body.start_rate))
-        for body in moving:
-            if isinstance(body, RigidBody) and (inner := body.part(self.frame_of[body.name])) is not None:
-                inner.body = body
-                self._put_part(inner, *body.start_local())
-        for body in moving:
-            if isinstance(body, LineBody):
-                line = LinePart(body, ground_frame, used[body.name])
-                self._put_part(line, line.start, line.start_rate)
-        for body in moving:
-            if isinstance(body, ReducedBody | StoredBody | Beam):
-                self._add_reduced(body, used[body.name])
+        for body in sorted(moving, key=lambda b: b.stage):
+            frame = self.frame_of[body.name] if body.framed else ground_frame
+            # parts stand in the order of their stages: replicated ones before fields
+            slides = [(s.wire, s.path) for s in self.scene.sliders.values() if s.wires is body]
+            placed = body.placed(Site(frame, ground_frame, used[body.name], slides, self._field))
+            if placed is not None:
+                self._put_part(placed)
 
-        for body in moving:
-            if isinstance(body, FloatingBody | AbsoluteBody):
-                self._add_field(body, used[body.name], ground_frame)
-        for body in moving:
-            if isinstance(body, Wires):
-                wires = wires_part(body, ground_frame, self.scene.sliders)
-                self._put_part(wires, np.zeros(wires.n), np.zeros(wires.n))
+    def _put_part(self, placed: Placed) -> None:
+        """Add a part with its local coordinates and rates at the start, and the start of its frame."""
+        part = placed.part
+        self.part_of[part.name] = len(self.fields)
+        self.fields.append(part)
+        self.starts.append((placed.q, placed.v))
+        if placed.pose is not None:
+            self.poses[part.frame] = placed.pose
+        if placed.twist is not None:
+            self.twists[part.frame] = placed.twist
+
+    def _field(self, body: ElasticBody) -> Any:
+        """The elastic field of a body, without inertia at the nodes that may touch; collective."""
+        from ...fem.mixed import make_field
+
+        made = make_field(body.name, body.mesh, body.forms())
+        if self.scene.contacts:
+            from .contact import make_massless
+
+            make_massless(self.scene, body, made)
+        return made
 
     def _contacts(self) -> Any:
         """The contact set, None for a scene without contact."""
@@ -209,6 +204,7 @@ class Builder:
         if self.scene.bodies.get(body.name) is not body:
             known = near(body.name, self.scene.bodies)
             raise InputError(f'{what} refers to body "{body.name}", which is not in the scene. {known}')
+
         if side is body and body.by_surface:
             raise InputError(
                 f'{what}: attach to a surface of the elastic body "{body.name}", say {body.name}.surface("...").'
@@ -238,12 +234,6 @@ class Builder:
         return used
 
     # -- bodies -------------------------------------------------------------------------------------------------
-    def _put_part(self, part: Any, q: Array, v: Array) -> None:
-        """Add a part with its local coordinates and rates at the start; parts in the core come first."""
-        self.part_of[part.name] = len(self.fields)
-        self.fields.append(part)
-        self.starts.append((q, v))
-
     def _center(self, side: Surface) -> Array:
         """Where a surface lies at the start."""
         if isinstance(side.body, Rod):
@@ -251,51 +241,29 @@ class Builder:
         center: Array = self.fields[self.part_of[side.body.name]].surface_center(side.name)
         return center
 
-    def _add_reduced(self, body: ReducedBody | StoredBody | Beam, surfaces: list[str]) -> None:
-        frame = self.frame_of[body.name]
-        self._put_part(reduced_part(body, frame, surfaces), *body.start_local())
-        self.poses[frame] = self.m.pose(body.constants.center)
-        if isinstance(body, ReducedBody):
-            self.poses[frame], self.twists[frame] = body.start_frame()
-
-    def _add_field(self, body: FloatingBody | AbsoluteBody, surfaces: list[str], ground_frame: int) -> None:
-        from ...fem.mixed import make_field
-        from ...mechanics.bodies.absolute import AbsoluteField
-        from ...mechanics.bodies.floating import FloatingField
-        from ...mechanics.bodies.floating_start import framed_start
-
-        field_ = make_field(body.name, body.mesh, body.forms())
-        if self.scene.contacts:
-            from .contact import make_massless
-
-            make_massless(self.scene, body, field_)
-        if isinstance(body, AbsoluteBody):
-            U, Ud = initial_fields(body, field_)
-            d, twist = self.m.dim, body.start_twist()
-            arm = field_.X + U.reshape(-1, d)
-            Ud = Ud + (twist[:d] + self.m.spin(twist[None, d:], arm)).ravel()
-            self._put_part(AbsoluteField(field_, ground_frame, surfaces), U, Ud)
-            return
-        require(
-            not field_.carried,
-            f'Body "{body.name}": an energy whose pressure is an unknown needs an AbsoluteBody. In a floating frame use '
-            "neo_hookean_mixed, or nearly_incompressible as elastic.",
-        )
-        frame = self.frame_of[body.name]
-        part = FloatingField(field_, frame, surfaces, body.frame, body.held_at)
-        start = framed_start(body, field_, part.conditions)
-        self._put_part(part, start.U, start.Ud)
-        self.poses[frame], self.twists[frame] = start.pose, start.twist
-
     def _mass(self, rigid: list[RigidBody]) -> float:
         return self.nodes.mass + sum(b.mass for b in rigid) + sum(p.mass_total for p in self.fields)
 
     def length(self) -> float:
-        """The characteristic length of the model, m."""
+        """The characteristic length of the model, m: how far it spreads, or that of bodies in one place."""
         points = [q[: self.m.dim] for q in self.poses]
         points += [x for j in self.scene.joints.values() for x in (j.center_a, j.center_b) if x is not None]
         spread = np.ptp(np.array(points), axis=0) if points else np.zeros(1)
-        return max([float(np.linalg.norm(spread)), *(p.size for p in self.fields)]) or 1.0
+        found = max([float(np.linalg.norm(spread)), *(p.size for p in self.fields)])
+        return found or self._length_about(points[0] if points else np.zeros(self.m.dim))
+
+    def _length_about(self, place: Array) -> float:
+        """That of bodies in one place: how far away forces act or contact points spread, or else a radius of gyration."""
+        from ...mechanics.contact.contact import RigidPoints
+
+        ends = [x for f in self.scene.forces.values() for x in (f.point_a, f.point_b) if x is not None]
+        sizes = [float(np.linalg.norm(np.asarray(x, dtype=float)[: self.m.dim] - place)) for x in ends]
+        touching = [c.slave for c in self.scene.contacts.values() if isinstance(c.slave, RigidPoints)]
+        sizes += [float(np.linalg.norm(np.ptp(p.points, axis=0))) + 2 * p.radius for p in touching]
+
+        heavy = [b for b in self.scene.bodies.values() if isinstance(b, RigidBody) and b.mass > 0.0]
+        radii = [float(np.sqrt(np.abs(b.inertia).max() / b.mass)) for b in heavy]
+        return max(sizes, default=0.0) or max(radii, default=0.0) or 1.0  # 1 m where nothing has a size
 
     def _gravity(self) -> Callable[[float], Array]:
         d, ramp = self.m.dim, self.scene.gravity_ramp
@@ -316,6 +284,7 @@ class Builder:
         if isinstance(side, Surface) and isinstance(side.body, Rod):
             return self._on_frame(*self.nodes.section(side), point)
         if isinstance(side, Surface):
+            # on a surface: by its centroid, and the lever of the point in the surface's own axes
             part = self.fields[self.part_of[side.body.name]]
             lever = np.zeros(d) if point is None else point - part.surface_center(side.name)
             return MarkerPlace(part.frame, lever, np.eye(d), side)
@@ -326,12 +295,14 @@ class Builder:
             return MarkerPlace(ground_frame, np.zeros(d) if point is None else point, np.eye(d))
         if side.locked:
             return MarkerPlace(ground_frame, side.start_pose()[:d] if point is None else point, np.eye(d))
+
         frame = self.frame_of[side.name]
         return self._on_frame(frame, self.poses[frame], point)
 
     def _on_frame(self, frame: int, pose: Array, point: Array | None) -> MarkerPlace:
         """A world point on a rigid frame that starts at ``pose``."""
-        origin, R = pose[: self.m.dim], self.m.matrix(pose)
+        origin = pose[: self.m.dim]
+        R = self.m.matrix(pose)
         where = origin if point is None else point
         return MarkerPlace(frame, R.T @ (where - origin), R.T)
 
@@ -353,12 +324,14 @@ class Builder:
         for i, side in enumerate(place.surface for place in self.places):
             if side is None:
                 continue
+            # ports of all parts stand in one array: those of the part's frame come first, then its surfaces
             k = self.part_of[side.body.name]
             first = sum(f.n_port for f in self.fields[:k]) + self.fields[k].n_frame_rows
             first += used[side.body.name].index(side.name) * per
+
             on_surfaces.append(i)
             ports.append(np.arange(first, first + per))
-            is_section.append(isinstance(side.body, LineBody))
+            is_section.append(side.body.by_section)
 
         return Markers(
             self.m,
@@ -418,6 +391,7 @@ class Builder:
             traces[i] = (tie, slice(row, row + tie.rows))
             blocks.append(RowBlock(tie.name, traces[i][1], "surface tie"))
             row += tie.rows
+
         for part in self.fields:
             if part.n_frame_rows:
                 blocks.append(RowBlock(f"frame of {part.name}", slice(row, row + part.n_frame_rows), "frame"))
@@ -433,7 +407,8 @@ class Builder:
         used += [limit.coordinate for limit in self.scene.limits.values()]
         used += [s.coordinate for s in self.scene.sensors.values() if isinstance(s, JointReading)]
         known = self.joint_markers  # a sensor of another joint is refused where it is read
-        angles = {known[s.joint.name]: s for s in used if s.kind is Turn and s.joint.name in known}
+        # one angle for each pair of markers, however many ask for it
+        angles = {known[s.joint.name]: s for s in used if s.kind is RelativeAngle and s.joint.name in known}
         if not angles:
             return None
         return counted_angles(self.m, markers, angles, np.array([*self.poses, self.m.identity]))
@@ -441,6 +416,7 @@ class Builder:
     def _state(self, system: System) -> State:
         theta = np.zeros(0 if system.counted is None else system.counted.count)
         v = [*self.twists, *(ud for _, ud in self.starts)]
+        # q in the order of the system: poses, counted angles, local coordinates
         start = np.concatenate([*self.poses, theta, *(u for u, _ in self.starts)])
         count(system, start)
         return State(0.0, start, np.concatenate(v), np.zeros(system.n_v), np.zeros(system.n_lam))

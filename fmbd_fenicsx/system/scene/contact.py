@@ -15,7 +15,8 @@ from ...mechanics.bodies.bodies import ElasticBody, RigidBody, Surface
 from ...mechanics.contact.contact import Contact
 from ...mechanics.contact.limits import LimitPair
 from ...mechanics.contact.mass import redistribute_mass
-from ...mechanics.contact.rows import Carrier, ContactSet, ObstaclePair, Side
+from ...mechanics.contact.obstacle_pair import ObstaclePair
+from ...mechanics.contact.rows import Carrier, ContactSet, Side
 from ...mechanics.contact.shapes import Obstacle
 from ...mechanics.contact.trace import BodyNodes, FieldTrace, ModalTrace, Trace, surface_nodes
 from ...mechanics.reduction.craig_bampton import ReducedBody
@@ -80,6 +81,7 @@ def build_contacts(
             amplitudes[k] = slice(start, start + part.n)
             start += part.n
 
+    # one trace for each body, whatever its surfaces
     traces: list[Trace] = []
     number: dict[str, int] = {}
     for k, part in enumerate(parts):
@@ -88,6 +90,7 @@ def build_contacts(
         if names:
             number[body.name] = len(traces)
             traces.append(_trace(k, part, body, names, len(frame_of)))
+
     pairs = tuple(_pair(c, motions, frame_of, (traces, number)) for c in map(oriented, scene.contacts.values()))
     return ContactSet(motions, (*pairs, *stops), tuple(traces), amplitudes, start)
 
@@ -98,6 +101,7 @@ def limit_pairs(scene: Any, motions: Motions, markers: dict[str, tuple[int, int]
     for limit in scene.limits.values():
         s = limit.coordinate
         relative = relative_of(motions, s.kind, [(s, *markers[s.joint.name])])
+        # a bound at infinity is none
         stops = [(bound, sign) for bound, sign in ((limit.lower, 1.0), (limit.upper, -1.0)) if np.isfinite(bound)]
         bounds, signs = np.array(stops).T
         nobody = Side(-1, None, np.zeros(0, dtype=int), np.zeros((0, motions.dim)), 0.0)
@@ -176,6 +180,7 @@ def _facet_size(surface: Surface) -> float:
     tags, msh = mesh.facet_tags, mesh.dolfinx
     facets = tags.find(mesh.surface_tag(surface.name))
     own = facets[facets < msh.topology.index_map(mesh.dim - 1).size_local]
+
     found = msh.comm.allgather((float(msh.h(mesh.dim - 1, own).sum()) if len(own) else 0.0, len(own)))
     return sum(s for s, _ in found) / max(sum(n for _, n in found), 1)
 

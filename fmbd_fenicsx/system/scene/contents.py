@@ -41,7 +41,8 @@ class Contents:
 
 def contents_of(scene: Scene) -> Contents:
     """What a scene holds; nothing is computed."""
-    pairs, limits = scene.contacts.values(), tuple(scene.limits)
+    pairs = scene.contacts.values()
+    limits = tuple(scene.limits)
     return Contents(
         bodies=tuple(b for b in scene.bodies.values() if not b.locked),
         contacts=(*scene.contacts, *limits),

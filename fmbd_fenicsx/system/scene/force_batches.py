@@ -41,20 +41,24 @@ def build_loads(builder: Builder) -> tuple[Loads, ...]:
     groups: dict[Any, list[tuple[Force, tuple[int, int]]]] = {}
     out: list[Loads] = []
     for f in builder.scene.forces.values():
+        # coordinates belong to joints that stand before
         for used in f.coordinates:
             if used.joint.name not in builder.joint_markers:
                 raise InputError(
                     f'{f.kind.capitalize()} "{f.name}" uses joint "{used.joint.name}", which is not in the scene. '
                     f"{near(used.joint.name, builder.joint_markers)}"
                 )
+
         if (alone := f.own_loads(Place(builder))) is not None:
             out.append(alone)
             continue
 
         s = f.coordinate
+        # springs between points are loads on their distance
         kind: Any = Separation if s is None else s.kind
         if isinstance(f, ExpressedForce):
             kind = f.term.kind
+
         markers = builder.force_markers(f) if s is None else builder.joint_markers[s.joint.name]
         groups.setdefault((f.batch, kind), []).append((f, markers))
 
@@ -64,6 +68,7 @@ def build_loads(builder: Builder) -> tuple[Loads, ...]:
             out.append(batch(builder.m, fs, ms, _relative(builder.m, kind, fs, ms)))
         else:
             out.append(batch(builder.m, fs, ms))
+
     for loads in out:
         loads.length = builder.length()
     return tuple(out)
@@ -72,6 +77,7 @@ def build_loads(builder: Builder) -> tuple[Loads, ...]:
 def _relative(m: Motions, kind: Any, fs: list[Force], ms: list[tuple[int, int]]) -> Relative:
     if fs[0].coordinate is not None:
         return relative_of(m, kind, [(f.coordinate, a, b) for f, (a, b) in zip(fs, ms, strict=True) if f.coordinate])
+
     markers = np.array(ms)
     terms = [f.term for f in fs if isinstance(f, ExpressedForce)]
     if terms:

@@ -15,7 +15,7 @@ from ...mechanics.joints.couplings import CouplingBatch, OwnBatch
 from ...mechanics.joints.drives import Coupling, JointCoordinate
 from ...mechanics.joints.expressed import OwnJoint
 from ...mechanics.joints.joints import Joint
-from ...mechanics.joints.relative import Relative, Separation, Turn
+from ...mechanics.joints.relative import Relative, RelativeAngle, Separation
 from ...mechanics.kinds.derivation import Kind
 from ...rotations import Array, Motions
 from ..system import RowBlock
@@ -38,7 +38,10 @@ class JointRows:
         if isinstance(joint, Coupling):
             markers = self.markers.get(joint.terms[0][0].joint.name, markers)
         self.markers[joint.name] = markers
+
         first, (a, b) = self.row, markers
+
+        # rows of one kind are evaluated together, wherever they stand
         for r in joint.rows:
             pairs, rows = self._kinds.setdefault((r.kind, r.own), ([], []))
             pairs.append(Pair(r.kind, a, b, r.direction, r.other, joint.length, r.motion, r.axis, r.own, r.constants))
@@ -47,10 +50,12 @@ class JointRows:
         if isinstance(joint, Coupling):
             self._couplings.append((joint, self.row))
             self.row += 1
+
         if isinstance(joint, OwnJoint) and not joint.rows:
             size = self._size(joint)
             self._own.append((joint, self.row, size))
             self.row += size
+
         self.blocks.append(RowBlock(joint.name, slice(first, self.row), joint.kind, a, b))
 
     def _size(self, joint: OwnJoint) -> int:
@@ -79,6 +84,8 @@ class JointRows:
 
     def _coupling_batch(self) -> CouplingBatch:
         found: dict[type[Relative], list[tuple[JointCoordinate, int, float]]] = {}
+
+        # coordinates of one kind are evaluated together
         for i, (joint, _) in enumerate(self._couplings):
             for s, c in joint.terms:
                 if s.joint.name not in self.markers:
@@ -86,7 +93,9 @@ class JointRows:
                         f'Joint "{joint.name}" uses a coordinate of joint "{s.joint.name}", which is not in the scene before it. '
                         + near(s.joint.name, self.markers)
                     )
+
                 found.setdefault(s.kind, []).append((s, i, c))
+
         terms = []
         for kind, entries in found.items():
             relative = relative_of(self.motions, kind, [(s, *self.markers[s.joint.name]) for s, _, _ in entries])
@@ -104,7 +113,8 @@ def relative_of(m: Motions, kind: type[Relative], entries: Iterable[tuple[JointC
     """The batch of joint coordinates of one kind from (coordinate, marker a, marker b)."""
     found = list(entries)
     e = [
-        np.zeros(m.dim) if s.joint.axis is None or (kind is Turn and m.dim == 2) else s.joint.axis for s, _, _ in found
+        np.zeros(m.dim) if s.joint.axis is None or (kind is RelativeAngle and m.dim == 2) else s.joint.axis
+        for s, _, _ in found
     ]
     if kind is Separation:
         e = [np.zeros(m.dim)] * len(found)
@@ -119,7 +129,7 @@ def counted_angles(
     ground = len(poses) - 1
     free = turning_freely(markers, ground)
     kept = [(s, a, b) for (a, b), s in angles.items() if m.dim == 3 or free[a] or free[b]]
-    turn = relative_of(m, Turn, kept)
-    assert isinstance(turn, Turn)
+    turn = relative_of(m, RelativeAngle, kept)
+    assert isinstance(turn, RelativeAngle)
     start = poses[markers.frame, 2] if m.dim == 2 else np.zeros(len(markers.frame))
     return CountedAngles(markers, turn, start, free[turn.a] | free[turn.b])

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ...mechanics.reduction.reduced import ReducedPart
+from ...mechanics.reduction.reduced import ReducedPart, reduced_part
 from ..system import State, System
-from .build import reduced_part
 
 
 def finer_system(system: System, state: State) -> tuple[System, State] | None:
@@ -19,14 +18,16 @@ def finer_system(system: System, state: State) -> tuple[System, State] | None:
     """
     m = system.motions
     parts: list[Any] = []
-    q, v = [state.q[: system.counted_angles.stop]], [state.v[: system.n_frames * m.n_twist]]
+    q = [state.q[: system.counted_angles.stop]]
+    v = [state.v[: system.n_frames * m.n_twist]]
 
     # frames stay; local coordinates begin anew in the finer basis
     for k, part in enumerate(system.parts):
         local = system.local_q(state.q, k), system.local_v(state.v, k)
         if isinstance(part, ReducedPart):
-            body = part.body.finer(part.surfaces)
-            part, local = reduced_part(body, part.frame, part.surfaces), body.start_local()
+            body = part.body.with_refined_basis(part.surfaces)
+            part = reduced_part(body, part.frame, part.surfaces)
+            local = body.start_local()
         parts.append(part)
         q.append(local[0])
         v.append(local[1])

@@ -10,26 +10,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from ...errors import InputError, MeshError
-from ...mechanics.bodies.beams import Beam
-from ...mechanics.bodies.bodies import ElasticBody
-from ...mechanics.reduction.craig_bampton import ReducedBody
+from ...mechanics.bodies.body import Body
 from ...mechanics.reduction.reduced import ReducedPart
-from ...mechanics.rods.rods import Rod
 from ..system import System
 from .scene import Scene
 
-RATE = 4.0  # of solids: squares of the size of the elements, less at corners
-
-
-@runtime_checkable
-class Meshed(Protocol):
-    """A body whose motion is interpolated in space."""
-
-    def with_finer_space(self, *, higher: bool) -> Any:
-        """The body with elements of higher degree where it may choose, or with smaller ones; collective."""
+SOLID_RATE = 4.0  # squares of the size of the elements, less at corners
 
 
 def with_bodies(scene: Scene, bodies: Mapping[str, Any]) -> Scene:
@@ -54,7 +43,7 @@ class _Swap:
         return self.made[id(x)][1]
 
     def _copy(self, x: Any) -> Any:
-        if isinstance(x, ElasticBody | ReducedBody) or isinstance(x, type):
+        if isinstance(x, type) or (isinstance(x, Body) and x.meshed):  # these refer to no other body
             return x
         if type(x) in (list, tuple):
             items = [self.of(y) for y in x]
@@ -77,13 +66,12 @@ class _Swap:
 
 def meshed_bodies(scene: Scene) -> list[str]:
     """Names of the bodies that have an error in space."""
-    return [name for name, body in scene.bodies.items() if isinstance(body, Meshed)]
+    return [name for name, body in scene.bodies.items() if body.interpolated]
 
 
 def modal_bodies(scene: Scene) -> list[str]:
     """Names of the bodies that have an error by their modes."""
-    bodies = scene.bodies.items()
-    return [n for n, b in bodies if isinstance(b, ReducedBody) or (isinstance(b, Beam) and b.modes is not None)]
+    return [name for name, body in scene.bodies.items() if body.has_refined_basis]
 
 
 def finer_space(scene: Scene, *, higher: bool = True) -> tuple[Scene, list[str]]:
@@ -112,16 +100,18 @@ def refined(scene: Scene) -> Scene:
     found = {}
     for name in meshed_bodies(scene):
         body = scene.bodies[name]
-        for higher in (_degree(body) == 1, True):
+        # linear displacements become quadratic; else finer meshes, else a higher degree
+        for higher in (body.displacement_degree == 1, True):
             try:
                 found[name] = body.with_finer_space(higher=higher)
             except (InputError, MeshError):
                 continue
             break
+
     if not found:
         raise InputError(
             f'Scene "{scene.name}": no mesh can be refined. Meshes made by a script with a cell size h (or cells, counts) can, '
-            "and degrees below 3."
+            "finished meshes, and degrees below 3"
         )
     return with_bodies(scene, found)
 
@@ -129,28 +119,26 @@ def refined(scene: Scene) -> Scene:
 def refined_by_finer_space(scene: Scene) -> bool:
     """Whether the finer spaces of :func:`finer_space` are those of :func:`refined`: slender bodies, and linear displacements."""
     bodies = [scene.bodies[name] for name in meshed_bodies(scene)]
-    return all(_degree(b) == 1 or not isinstance(b, ElasticBody | ReducedBody) for b in bodies)
+    return all(body.displacement_degree == 1 or not body.meshed for body in bodies)
 
 
 def slender(scene: Scene) -> bool:
     """Whether all that has an error in space are beams, rods, lines or wires: no corners, and cheap to refine."""
-    return not any(isinstance(scene.bodies[n], ElasticBody | ReducedBody) for n in meshed_bodies(scene))
+    return not any(scene.bodies[name].meshed for name in meshed_bodies(scene))
 
 
 def expected_rate(scene: Scene) -> float:
     """By what the error in space falls from one level of :func:`refined` to the next, as long as it was not seen."""
     if not slender(scene):
-        return RATE
-    bodies = [scene.bodies[n] for n in meshed_bodies(scene)]
-    return min(
-        [8.0 if isinstance(b, Beam) else 4.0**b.degree if isinstance(b, Rod) else RATE for b in bodies], default=RATE
-    )
+        return SOLID_RATE
+    rates = [scene.bodies[name].space_rate for name in meshed_bodies(scene)]
+    return min(rates, default=SOLID_RATE)
 
 
 def one_kind(scene: Scene) -> bool:
     """Whether levels from this one on halve elements: linear displacements become quadratic ones first."""
     bodies = [scene.bodies[name] for name in meshed_bodies(scene)]
-    return all(_degree(b) != 1 for b in bodies)
+    return all(body.displacement_degree != 1 for body in bodies)
 
 
 def more_modes(scene: Scene, system: System) -> Scene:
@@ -164,10 +152,4 @@ def more_modes(scene: Scene, system: System) -> Scene:
     if not modal:
         raise InputError(f'Scene "{scene.name}" has no reduced body.')
     used = {part.name: part.surfaces for part in system.parts if isinstance(part, ReducedPart)}
-    return with_bodies(scene, {name: scene.bodies[name].finer(used[name]) for name in modal})
-
-
-def _degree(body: Any) -> int | None:
-    """Degree of an elastic body's displacements; None where there is no choice."""
-    source = body.source if isinstance(body, ReducedBody) else body
-    return source.degree if isinstance(source, ElasticBody) else None
+    return with_bodies(scene, {name: scene.bodies[name].with_refined_basis(used[name]) for name in modal})

@@ -11,7 +11,8 @@ from ...checks import check_fields, instance, number, shown, vector, word
 from ...errors import InputError, near, require
 from ...log import log
 from ...mechanics.bodies.beams import Beam
-from ...mechanics.bodies.bodies import AbsoluteBody, CoordinateBody, FloatingBody, RigidBody
+from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody, RigidBody
+from ...mechanics.bodies.coordinates import CoordinateBody
 from ...mechanics.bodies.line_body import LineBody
 from ...mechanics.catenary.sliding import SlidingContact
 from ...mechanics.catenary.wires import Wires
@@ -30,6 +31,19 @@ from ..system import State, System
 from .build import Builder
 
 BODIES = (RigidBody, FloatingBody, AbsoluteBody, ReducedBody, StoredBody, Beam, LineBody, Rod, CoordinateBody, Wires)
+
+# where parts stand: what they are, in types and in a word
+PLACES: dict[str, tuple[tuple[type, ...], str]] = {
+    "bodies": (BODIES, "body"),
+    "joints": ((Joint,), "joint"),
+    "forces": ((Force,), "force"),
+    "sensors": ((Sensor,), "sensor"),
+    "contacts": ((ScenePart,), "contact"),
+    "limits": ((JointLimit,), "joint limit"),
+    "sliders": ((SlidingContact,), "sliding contact"),
+    "ties": ((ScenePart,), "tie"),
+    "inputs": ((Input,), "input"),
+}
 
 
 @dataclass(repr=False)
@@ -83,11 +97,28 @@ class Scene:
         known = self.__dataclass_fields__
         if name not in known:
             raise InputError(f'A scene has no "{name}" to set. {near(name, known)}')
+        if name in PLACES:
+            value = self._parts(name, value)
         if name == "gravity" and value is not None:
             vector(f'Scene "{self.__dict__.get("name", "")}": gravity', value)
         if name == "gravity_ramp":
             number(f'Scene "{self.__dict__.get("name", "")}": gravity_ramp', value, least=0.0, unit="s")
         object.__setattr__(self, name, value)
+
+    def _parts(self, place: str, given: Any) -> dict[str, Any]:
+        """A dict of parts by their names, as :meth:`add` makes it; a copy, so that two scenes never share one."""
+        what = f'Scene "{self.__dict__.get("name", "")}": {place}'
+        advice = "Make the scene first, and add parts with scene.add(...) and scene.sensor(...)."
+        require(isinstance(given, dict), f"{what} {shown(given)} must be a dict of parts by their names. {advice}")
+        types, word = PLACES[place]
+        for name, part in given.items():
+            fits = isinstance(part, types) and not (isinstance(part, ScenePart) and part.what != word)
+            require(fits, f'{what}: "{name}" is no {word}, found {shown(part)}. {advice}')
+            own = name if isinstance(part, Sensor) else part.name
+            require(
+                own == name and name != "ground", f'{what}: {word} "{own}" stands under the name "{name}". {advice}'
+            )
+        return dict(given)
 
     def add(self, *parts: Any) -> None:
         """Add bodies, joints, forces and contacts; names must be unique among each."""
@@ -102,6 +133,7 @@ class Scene:
                 self._put(self.limits, part, "joint limit")
             elif isinstance(part, Force):
                 self._put(self.forces, part, "force")
+            # ties and contacts say themselves what they are
             elif isinstance(part, ScenePart):
                 self._put({"tie": self.ties, "contact": self.contacts}[part.what], part, part.what)
             else:

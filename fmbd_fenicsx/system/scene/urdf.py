@@ -118,9 +118,11 @@ class Robot:
         scene = Scene(name or self.name, **settings)
         scene.add(*self.bodies.values())
         for j in self.joints.values():
+            # links without mass are part of the body that carries them
             if self.carrier[j.parent] == self.carrier[j.child] or j.kind == "floating":
                 continue
-            a, b = self.side(j.parent, j.name), self.side(j.child, j.name)
+            a = self.side(j.parent, j.name)
+            b = self.side(j.child, j.name)
             self._made[j.name] = _joint(j, a, b)
             scene.add(self._made[j.name])
         for j in self.joints.values():
@@ -143,7 +145,8 @@ class Robot:
 
 def _joint(j: RobotJoint, a: Any, b: Any) -> Joint:
     """The joint between two attachments at its place in the world."""
-    center, axis = [float(x) for x in j.frame[:3, 3]], [float(x) for x in j.axis]
+    center = [float(x) for x in j.frame[:3, 3]]
+    axis = [float(x) for x in j.axis]
     if j.kind in ("revolute", "continuous"):
         return revolute(j.name, a, b, center=center, axis=axis)
     if j.kind == "prismatic":
@@ -172,6 +175,7 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
         ElementTree.parse(path)
     except ElementTree.ParseError as error:
         raise InputError(f"read_urdf: {path} is no complete XML file: {error}.") from None
+    # pictures are not read: only what moves
     model = URDF.load(str(path), load_meshes=False, build_scene_graph=False).robot
     start = {} if start is None else {joint: number(f'read_urdf: start of "{joint}"', x) for joint, x in start.items()}
     known = [j.name for j in model.joints]
@@ -207,6 +211,7 @@ def _with_mimics(path: Path, model: Any, start: dict[str, float]) -> dict[str, f
             return start.get(joint, 0.0)
         require(joint not in behind, f"{path}: joints {sorted({*behind, joint})} mimic each other in a circle.")
         mimic = mimics[joint]
+        # URDF leaves out what is 1 or 0
         factor = 1.0 if mimic.multiplier is None else float(mimic.multiplier)
         found = factor * value(mimic.joint, (*behind, joint)) + float(mimic.offset or 0.0)
         given = start.get(joint, found)

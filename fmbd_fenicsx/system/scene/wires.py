@@ -5,13 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ...errors import require
-from ...mechanics.catenary.sliding import SlidingContact, place
-from ...mechanics.catenary.wires import Wires, WiresPart
-
-
-def wires_part(body: Wires, ground_frame: int, sliders: dict[str, SlidingContact]) -> Any:
-    """The part of wires, with a moving port for every contact that slides along them."""
-    return WiresPart(body, ground_frame, [(s.wire, s.path) for s in sliders.values() if s.wires is body])
+from ...mechanics.catenary.sliding import place
 
 
 def slider_rows(scene: Any, parts: list[Any], part_of: dict[str, int], row: int) -> list[tuple[Any, slice]]:

@@ -11,8 +11,9 @@ from ...checks import typed
 from ...errors import InputError, near
 from ...mechanics.joints.limits import JointLimit
 from ...rotations import Array
+from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
-from ..system import State
+from ..system import State, System
 from .sensors import Sensor, named_part
 
 WORKS = ("contact", "friction", "loads", "joints", "numerical")
@@ -20,7 +21,7 @@ WORKS = ("contact", "friction", "loads", "joints", "numerical")
 
 @dataclass(frozen=True)
 class ContactForces:
-    """Forces on the slaves' candidates during the last step, all ranks alike.
+    """Forces on the slaves' candidates during the last step, all ranks alike; of many steps with these as the first axis.
 
     Attributes: ``names`` of the pairs; ``pair`` (m,) their numbers; ``x``, ``normal`` (m, d); ``gap`` (m,) m
     at the end of the step; ``normal_force`` (m,) N; ``force`` (m, d) N in world axes; ``pressure`` (m,) N/m^(d-1) (N
@@ -78,22 +79,35 @@ class ContactSensor(Sensor):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The quantity of the last step."""
-        c = forces_of(state)
+        return self._told(forces_of(state))
+
+    def looks_at(self, system: System, marker: int) -> Look:
+        """Nothing beside what is told of contacts."""
+        return Look()
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """The quantity of all records."""
+        return self._told(seen.contact)
+
+    def _told(self, c: ContactForces) -> Array:
+        """The quantity of a step, (size,), or of many, (k, size)."""
         if self.quantity == "work":
             return c.work.copy()
+        # arrays may hold many records in front
         on = c.of(self.contact)
         if self.quantity == "force":
-            return c.force[on].sum(0)
+            return np.asarray(c.force[..., on, :].sum(-2))
         if self.quantity == "impulse":
-            return c.impulse[c.names.index(self.contact)].copy()
+            return c.impulse[..., c.names.index(self.contact), :].copy()
         if self.quantity == "pressure":
-            return c.pressure[on].copy()
-        return np.array([c.gap[on].min(initial=np.inf)])
+            return c.pressure[..., on].copy()
+        return np.asarray(c.gap[..., on].min(-1, initial=np.inf, keepdims=True))
 
     def remember(self, m: Any, name: str, x: Array) -> Array:
         """Pressures are in the order of the candidates."""
         if self.quantity != "pressure":
             return super().remember(m, name, x)
+        # candidates are numbered by rank: kept in an order that does not depend on it
         return np.asarray(m.candidates(name, x.T, m.system.contacts.names.index(self.contact)).T)
 
     @property
@@ -148,10 +162,21 @@ class LimitEffort(Sensor):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Forces on the stops times their levers."""
-        found, system = forces_of(state), ev.system
+        return self._told(forces_of(state), ev.system)
+
+    def looks_at(self, system: System, marker: int) -> Look:
+        """Nothing beside what is told of contacts."""
+        return Look()
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """The same in all records."""
+        return self._told(seen.contact, seen.system)
+
+    def _told(self, found: ContactForces, system: System) -> Array:
+        """The effort of a step, (1,), or of many, (k, 1)."""
         pair = system.contacts.pairs[found.names.index(self.limit)]
-        efforts = pair.lever(system) * pair.signs * found.normal_force[found.of(self.limit)]
-        return np.array([efforts.sum()])
+        efforts = pair.lever(system) * pair.signs * found.normal_force[..., found.of(self.limit)]
+        return np.asarray(efforts.sum(-1, keepdims=True))
 
 
 @typed

@@ -59,11 +59,14 @@ def find(system: System, body: Any, X: Array) -> PointOfBody:
     reduced = isinstance(body, ReducedBody)
     space = part.body.reduction.space if reduced else part.field.space
     origin = part.constants.center if reduced else part.origin
+
     found = material_point(space, X)
 
     modes = None
     if reduced:
-        phi, d = part.body.reduction.phi, len(X)
+        # modes at the nodes of the point's cell: (nodes, components, modes)
+        phi = part.body.reduction.phi
+        d = len(X)
         modes = found.nodal(phi.reshape(len(phi) // d, -1)).reshape(len(found.shape), d, -1)
     return PointOfBody(number, space, found, modes, X - origin)
 
@@ -106,9 +109,11 @@ class PointMotion(PointSensor):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """x, x' or x''."""
-        s, p = ev.system, self.found(ev.system)
+        s = ev.system
+        p = self.found(ev.system)
         k = s.parts[p.number].frame
-        d, R = len(self.at), ev.rotation[k]
+        d = len(self.at)
+        R = ev.rotation[k]
         P = p.lever + p.point.shape @ self.displacements(ev)
         if self.level == 0:
             return np.asarray(ev.pose[k, :d] + R @ P)
@@ -172,7 +177,8 @@ class PointQuantity(PointSensor):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The components, row by row; collective."""
-        s, p = ev.system, self.found(ev.system)
+        s = ev.system
+        p = self.found(ev.system)
         key = f"point value {id(self)}"
         if key not in s.cache:
             s.cache[key] = self._prepare(p)

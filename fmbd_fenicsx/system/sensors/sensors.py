@@ -126,9 +126,12 @@ class Acceleration(_Vector):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """x'', m/s^2, from the recorded accelerations."""
-        s, m, kin = ev.system, ev.system.markers, ev.kin
+        s = ev.system
+        m = s.markers
+        kin = ev.kin
         assert kin.bias is not None
         out = kin.bias[marker] + kin.jac_frame[marker] @ s.twists(state.a)[m.frame[marker]]
+        # on a surface: with the second rates of its ports
         on = np.flatnonzero(m.surface == marker)
         if on.size:
             out = out + kin.jac_port[on[0]] @ port_acceleration(ev, state.a)[m.port[on[0]]]
@@ -214,13 +217,16 @@ class ReactionWrench(_Vector):
         """Force and moment of the joint on its first body."""
         block = ev.system.block(self.joint)
         d = ev.system.motions.dim
-        wrench, known = np.zeros(d + ev.system.motions.n_rot), block.rows.start == block.rows.stop
+        wrench = np.zeros(d + ev.system.motions.n_rot)
+        known = block.rows.start == block.rows.stop
+
         for batch, rows in ev.system.batches:
             inside = (rows >= block.rows.start) & (rows < block.rows.stop)
             if not inside.any():
                 continue
             known = True
             for number, markers, side in batch.sides(ev.kin, ev.t):
+                # what the joint's rows exert on its first body
                 at = inside[number] & (markers == block.a)
                 wrench -= state.lam[rows[number[at]]] @ side[at]
         # zeros would be taken for an answer
@@ -237,7 +243,8 @@ class ReactionWrench(_Vector):
 
     def series(self, seen: Recorded, marker: int) -> Array:
         """Force or moment of the joint on its first body."""
-        wrench, d = seen.wrench(self.joint), seen.system.motions.dim
+        wrench = seen.wrench(self.joint)
+        d = seen.system.motions.dim
         return wrench[:, d:] if self.torque else wrench[:, :d]
 
 
@@ -262,6 +269,7 @@ class JointReading(Sensor):
         """The coordinate in a system."""
         key = f"reading {id(self)}"
         if key not in s.cache:
+            # made once a system: sensors read it at every record
             block = s.block(self.coordinate.joint.name)
             s.cache[key] = relative_of(s.motions, self.coordinate.kind, [(self.coordinate, block.a, block.b)])
         found: Relative = s.cache[key]

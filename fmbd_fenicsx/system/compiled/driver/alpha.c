@@ -2,47 +2,7 @@
 
    A block of a state holds t, q (nq), v (nv), a (nv), A (nv), lambda (rows). */
 
-enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,           /* in */
-       ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT,                                   /* in and out */
-       STABILISED };                                                                                                   /* in: the GGL form */
-enum { MOST = 64 };
 static const double SLOW_TURN = 0.01; /* rate of Newton above which efforts get a new tangent */
-
-#if DIM == 3
-/* Counted angles: on with the increments of both frames, by any number of turns, then to the nearest angle of the attitude. */
-static void count_angles(const System *s, const double *q0, const double *xi, double *q)
-{
-    for (int i = 0; i < s->angles; i++) {
-        const Angle *o = s->angle + i;
-        double Ra[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, Rb[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, fa[3], ga[3], fb[3], gb[3];
-        double ahead = q0[POSE * s->bodies + i];
-        if (o->a < s->bodies) {
-            rotation(q + POSE * o->a, Ra);
-            ahead -= dot(o->ea, xi + TWIST * o->a + D, 3);
-        }
-        if (o->b < s->bodies) {
-            rotation(q + POSE * o->b, Rb);
-            ahead += dot(o->eb, xi + TWIST * o->b + D, 3);
-        }
-        times(Ra, o->fa, fa);
-        times(Ra, o->ga, ga);
-        times(Rb, o->fb, fb);
-        times(Rb, o->gb, gb);
-        double attitude = atan2(dot(ga, fb, 3) - dot(fa, gb, 3), dot(fa, fb, 3) + dot(ga, gb, 3));
-        q[POSE * s->bodies + i] = nearest_turn(attitude, ahead);
-    }
-}
-#endif
-
-static void configuration(const System *s, const double *q0, const double *xi, double *q)
-{
-    int poses = POSE * s->bodies + s->angles;
-    for (int b = 0; b < s->bodies; b++) compose(q0 + POSE * b, xi + TWIST * b, q + POSE * b);
-#if DIM == 3
-    count_angles(s, q0, xi, q);
-#endif
-    for (int i = TWIST * s->bodies, j = poses; i < s->nv; i++, j++) q[j] = q0[j] + xi[i];
-}
 
 /* Weights of the parabola through the last steps (less at the start) at the time t. */
 static void predictor(const Block *past, int known, double t, double *w)
@@ -55,7 +15,7 @@ static void predictor(const Block *past, int known, double t, double *w)
 }
 
 /* Newton's judgement of an increment of this size (over the tolerance): 1 converged, -1 given up, 0 go on; as schemes/newton.py. */
-static int judge(double *p, const double *sizes, int done, double *error)
+int judge(double *p, const double *sizes, int done, double *error)
 {
     double size = sizes[done - 1], left;
     if (!(size < INFINITY)) return -1;
@@ -111,7 +71,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
     const Block now = past[0];
     double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, *closing = begun + n, *none = closing + n;
     double w[3], sizes[MOST], left = 0.0;
-    int verdict, far = 1, converged = 0, done = 0;
+    int verdict, far = 1, converged = 0, done = 0, afresh = s->redundant, begun_at = 0; /* of the multipliers */
     s->share = h * p[BETA] / gamma;
 
     if (s->samples) {
@@ -140,7 +100,11 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
 
         /* dependent rows: the first solution gives the multipliers themselves, of minimum norm, and not their increments */
         memcpy(lam, out.lam, m * sizeof(double));
-        if (s->redundant && !done) memset(out.lam, 0, m * sizeof(double));
+        if (afresh) {
+            memset(out.lam, 0, m * sizeof(double));
+            begun_at = done;
+            afresh = 0;
+        }
         if ((verdict = evaluate(s, out.q, out.v, out.a, out.lam, t))) return verdict;
         /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment; a law may
            have other slopes there */
@@ -170,7 +134,11 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         }
         converged = judge(p, sizes, done, &left);
         if (s->fields && lingers(p, done, left)) return NEWTON; /* NumPy takes new tangents of fields */
-        if (s->redundant && done == 1 && converged > 0) converged = 0; /* the first solution leaves epsilon y open */
+        if (s->redundant && done == begun_at + 1 && converged > 0) converged = 0; /* the first solution leaves epsilon y open */
+        if (s->redundant && converged > 0 && p[STABILISED] != 0.0 && !begun_at) { /* speeds of open rows contradict each other */
+            afresh = 1;
+            converged = 0;
+        }
         if (converged < 0) return NEWTON;
     }
     if (!converged || (done > (int)p[PATIENCE] + 1 && strayed(s, p, xi, begun))) return NEWTON;

@@ -11,14 +11,23 @@ static int sample(System *s, double t, double *last)
     return DONE;
 }
 
-/* An array in the order of the unknowns, world axes, as one like v. */
+/* The forces on a field's nodes: those evaluated last, and what acts on the columns of H. */
+static void on_nodes(const Field *e, int modes, const double *f, double *x)
+{
+    memcpy(x, e->force, e->n * sizeof(double));
+    for (int k = 0; k < modes; k++)
+        if (f[k] != 0.0) add_column(e, k, f[k], x);
+}
+
+/* The residual evaluated last, in the order of the unknowns and in world axes, as an array like v. */
 static void like_v(const System *s, const double *u, double *x)
 {
     for (int k = 0; k < s->bodies; k++) {
         const Body *o = s->body + k;
         memcpy(x + TWIST * k, u + o->at_u, D * sizeof(double));
         to_body(s->frames + FRAME * k + TURN, u + o->at_u + D, x + TWIST * k + D);
-        memcpy(x + o->at_v, u + o->at_u + TWIST, o->modes * sizeof(double));
+        if (o->field) on_nodes(o->field, o->modes, u + o->at_u + TWIST, x + o->at_v);
+        else memcpy(x + o->at_v, u + o->at_u + TWIST, o->modes * sizeof(double));
     }
 }
 
@@ -126,4 +135,10 @@ EXPORT int driver_solve(System *s, const double *q, const double *b, const doubl
     memcpy(s->b + s->nu, c, s->rows * sizeof(double));
     solution(s, x, y);
     return verdict;
+}
+
+/* q0 o exp(xi). */
+EXPORT void driver_compose(const System *s, long count, const double *q0, const double *xi, double *q)
+{
+    for (long i = 0; i < count; i++, q0 += s->nq, xi += s->nv, q += s->nq) configuration(s, q0, xi, q);
 }

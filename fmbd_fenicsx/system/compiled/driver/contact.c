@@ -1,16 +1,22 @@
-/* Contact of rigid points with obstacles: gaps, normals and rows, as mechanics/contact/rows.py and shapes.py define them.
+/* Contact of points with obstacles, and stops of joint coordinates: gaps, normals and rows, as mechanics/contact/rows.py, shapes.py
+   and limits.py define them.
 
-   Frames are given by the configuration. An obstacle is at rest, moves as prescribed (Python gives its pose), or is carried by a
-   body. */
+   Points are fixed in a body, or nodes of a reduced one. An obstacle is at rest, moves as prescribed (Python gives its pose), or is
+   carried by a body. A stop is a pair of its own, whose one or two candidates are the lower and the upper one. */
 
-enum { HALF_SPACE, SPHERE, CYLINDER, BOX };
+enum { HALF_SPACE, SPHERE, CYLINDER, BOX, LIMIT };
 enum { POSE_OF, COMPLEMENTARITY }; /* what Python is asked for by contact */
 
 typedef struct {
     int shape, first, count, carrier, moving; /* points; carrier: body, -1 for none */
     double radius, friction, restitution, thickness;
-    double data[8];                           /* of the shape: see contact_tables.py */
+    double data[8];                           /* of the shape: see contact_driver.py */
     double pose[POSE], asked;                 /* of an obstacle that no body carries; the time it was last asked for */
+    double *modes;                            /* count x D x modes: of nodes of a reduced body, NULL for points fixed in a body */
+    Batch *batch;                             /* LIMIT: of the coordinate, which is its item; */
+    long item;
+    int pushes, marked;                       /* whether it acts along a direction; the frame of its point, */
+    double mark[D], lever, bound[2], side[2]; /* where that is; m or 1; stops; +1 below, -1 above */
 } Pair;
 
 /* Where all points stand: gaps, places and normals in world axes, places in the axes of the obstacle. */
@@ -26,9 +32,11 @@ typedef struct {
 
 typedef struct {
     int pairs, points, components, known;     /* known: whether ``now`` is that of the newest state */
+    int room;                                 /* contacts that may be closed at once */
     Pair *pair;
-    int *frame, *of;                          /* points: body, and pair */
-    double *place;                            /* points x D: in the body */
+    int stops, wide;                          /* whether there are stops; TWIST and the most modes of a body */
+    int *on, *of;                             /* points x 2: bodies, -1 for none; points: pair */
+    double *place, *still;                    /* points x D: in the body; velocities of a system at rest */
     Touch now, end, aside;
     int *carrying, *closed, *bouncing, *hits; /* points; hits: impacts in a step */
     double *held, *force, *normal;            /* points x components: impulses; points x D: mean forces of a step, world axes; */
@@ -36,7 +44,7 @@ typedef struct {
     double *impulse, *works;                  /* pairs x D; 5: see sensors/contact.py */
     double energy, springs, time, last;       /* time: when forces act; last: error of the last part */
     int loaded;                               /* whether there are force elements */
-    double *rows, *drift, *rate;              /* of closed contacts: components x 2 TWIST, body axes; tangential; of gaps */
+    double *rows, *drift, *rate;              /* of closed contacts: components x 2 wide, body axes; tangential; of gaps */
     double *W, *q, *f, *mu, *Y, *work;        /* the small problem; A^-1 L^T; see moreau.c */
     double *ahead, *xi, *kept;                /* like q, like v, like lambda */
     double *saved;                            /* held, impulse and works at the start of a step */
@@ -124,17 +132,54 @@ static int obstacle(const Contacts *c, Pair *o, const double *q, double t, doubl
     return 0;
 }
 
+/* Frames at a configuration, for stops; 1 where it is refused. */
+static int placed(const Contacts *c, const double *q) { return c->stops && place(c->system, q, c->still) != DONE; }
+
+/* The stops of a joint coordinate at the frames placed last. */
+static void stand(const Contacts *c, const Pair *o, Touch *out)
+{
+    Batch *k = o->batch;
+    const double *frames = c->system->frames, *frame = frames + FRAME * o->marked;
+    double *s = k->out + k->outputs * o->item, y[2 * TWIST];
+    k->value(1, k->pair + 2 * o->item, frames, k->P + k->width * o->item, 0, s);
+    twist_row(k, o->item, y);
+    for (int side = 0; side < o->count; side++) {
+        int i = o->first + side;
+        double *x = out->x + D * i, *n = out->normal + D * i;
+        out->gap[i] = o->lever * o->side[side] * (s[0] - o->bound[side]);
+        times(frame + TURN, o->mark, x);
+        add(x, 1.0, frame, D);
+        for (int j = 0; j < D; j++) n[j] = o->pushes ? o->side[side] * y[TWIST + j] : 0.0;
+    }
+}
+
+/* A point in the axes of its body: fixed, or a node that modes move. */
+static void local_place(const Contacts *c, const Pair *o, int i, const double *q, double *P)
+{
+    const Body *body = c->system->body + c->on[2 * i];
+    memcpy(P, c->place + D * i, D * sizeof(double));
+    if (!o->modes) return;
+    const double *modes = o->modes + (long)D * body->modes * (i - o->first);
+    for (int j = 0; j < D; j++) P[j] += dot(modes + j * body->modes, q + body->at_q, body->modes);
+}
+
 /* All points at a configuration. */
 static int touch(const Contacts *c, const double *q, double t, Touch *out)
 {
+    if (placed(c, q)) return 1;
     for (Pair *o = c->pair; o < c->pair + c->pairs; o++) {
         double r[D], R[D * D];
+        if (o->shape == LIMIT) {
+            stand(c, o, out);
+            continue;
+        }
         if (obstacle(c, o, q, t, r, R)) return 1;
         for (int i = o->first; i < o->first + o->count; i++) {
-            const double *pose = q + POSE * c->frame[i];
-            double *x = out->x + D * i, *y = out->relative + D * i, Rb[D * D], way[D], n[D];
+            const double *pose = q + POSE * c->on[2 * i];
+            double *x = out->x + D * i, *y = out->relative + D * i, P[D], Rb[D * D], way[D], n[D];
             rotation(pose, Rb);
-            times(Rb, c->place + D * i, x);
+            local_place(c, o, i, q, P);
+            times(Rb, P, x);
             for (int j = 0; j < D; j++) x[j] += pose[j], way[j] = x[j] - r[j];
             transposed(R, way, y);
             out->gap[i] = distance(o, y, n) - o->radius;
@@ -175,27 +220,68 @@ static void frame_row(const double *pose, const double *x, const double *e, doub
     for (int j = 0; j < ROT; j++) row[D + j] *= sign;
 }
 
-/* Rows of contact i on both bodies: normal, then across where there is friction. */
+/* The row of a stop on both bodies, at the frames that its gap was found at. */
+static void stop_row(const Contacts *c, int i, const Pair *o, double *row)
+{
+    System *s = c->system;
+    const Batch *k = o->batch;
+    double y[2 * TWIST], factor = o->lever * o->side[i - o->first], *rates = s->big;
+    twist_row(k, o->item, y);
+    memset(row, 0, 2 * c->wide * sizeof(double));
+    for (int side = 0; side < 2; side++, row += c->wide) {
+        const double *map;
+        int body = c->on[2 * i + side], width = side_map(s, k->pair[2 * o->item + side], &map);
+        if (!width) continue;
+        through(map, width, y + TWIST * side, rates);
+        to_body(s->frames + FRAME * body + TURN, rates + D, row + D);
+        memcpy(row, rates, D * sizeof(double));
+        memcpy(row + TWIST, rates + TWIST, (width - TWIST) * sizeof(double));
+        for (int j = 0; j < width; j++) row[j] *= factor;
+    }
+}
+
+/* What the modes of a reduced body do to the velocity of its node i along e. */
+static void modal_row(const Contacts *c, int i, const Pair *o, const double *q, const double *e, double *row)
+{
+    const Body *body = c->system->body + c->on[2 * i];
+    const double *modes = o->modes + (long)D * body->modes * (i - o->first);
+    double R[D * D], local[D];
+    rotation(q + POSE * c->on[2 * i], R);
+    transposed(R, e, local);
+    for (int j = 0; j < D; j++) add(row + TWIST, local[j], modes + j * body->modes, body->modes);
+}
+
+/* Rows of contact i on both bodies: normal, then across where there is friction; those of a stop, which has none, are alike. */
 static void contact_rows(const Contacts *c, int i, const double *q, const Touch *at, double *rows)
 {
     const Pair *o = c->pair + c->of[i];
-    double e[D * D];
+    double e[D * D], *row = rows;
     memcpy(e, at->normal + D * i, D * sizeof(double));
-    if (c->components > 1) across(e, e + D);
-    for (int k = 0; k < c->components; k++) {
-        double *row = rows + 2 * TWIST * k;
-        memset(row, 0, 2 * TWIST * sizeof(double));
-        frame_row(q + POSE * c->frame[i], at->x + D * i, e + D * k, 1.0, row);
-        if (o->carrier >= 0) frame_row(q + POSE * o->carrier, at->x + D * i, e + D * k, -1.0, row + TWIST);
+    if (c->components > 1 && o->shape != LIMIT) across(e, e + D);
+    for (int k = 0; k < c->components; k++, row += 2 * c->wide) {
+        if (o->shape == LIMIT) {
+            stop_row(c, i, o, row);
+            continue;
+        }
+        memset(row, 0, 2 * c->wide * sizeof(double));
+        frame_row(q + POSE * c->on[2 * i], at->x + D * i, e + D * k, 1.0, row);
+        if (o->modes) modal_row(c, i, o, q, e + D * k, row);
+        if (o->carrier >= 0) frame_row(q + POSE * o->carrier, at->x + D * i, e + D * k, -1.0, row + c->wide);
     }
 }
 
 /* A row of contact i times an array like v. */
 static double along(const Contacts *c, int i, const double *row, const double *v)
 {
-    const Pair *o = c->pair + c->of[i];
-    double sum = dot(row, v + TWIST * c->frame[i], TWIST);
-    return o->carrier >= 0 ? sum + dot(row + TWIST, v + TWIST * o->carrier, TWIST) : sum;
+    double sum = 0.0;
+    for (int side = 0; side < 2; side++, row += c->wide) {
+        int b = c->on[2 * i + side];
+        if (b < 0) continue;
+        const Body *body = c->system->body + b;
+        sum += dot(row, v + TWIST * b, TWIST);
+        if (body->modes) sum += dot(row + TWIST, v + body->at_v, body->modes);
+    }
+    return sum;
 }
 
 /* Rates of all gaps that come from prescribed motion, by central differences over the span. */

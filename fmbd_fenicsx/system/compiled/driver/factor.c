@@ -74,7 +74,16 @@ static int factor(System *s)
     return DONE;
 }
 
-/* b <- solution for the right-hand side b, in the order of the unknowns */
+/* The unknowns of a front from b, zero for the first ``skipped`` and behind the last row. */
+static inline void gather(const Front *f, const double *b, int skipped, double *x)
+{
+    memset(x, 0, skipped * sizeof(double));
+    for (int i = skipped; i < f->rows; i++) x[i] = b[f->unknown[i]];
+    memset(x + f->rows, 0, (f->ld - f->rows) * sizeof(double));
+}
+
+/* b <- solution for the right-hand side b, in the order of the unknowns. Forward, whole lanes of a column are used: those above the
+   diagonal change only what has been stored. Backward, what is known last comes last into a sum, so that sums overlap. */
 static void back_solve(System *s, double *b)
 {
     double *x = s->local;
@@ -83,22 +92,25 @@ static void back_solve(System *s, double *b)
         const double *F = s->L + f->start;
         for (int i = 0; i < f->rows; i++) x[i] = b[f->unknown[i]];
         for (int k = 0; k < f->pivots; k++) {
-            const double *column = F + (long)f->ld * k;
-            double c = x[k] * s->inverse[f->unknown[k]];
-            for (int i = k + 1; i < f->rows; i++) x[i] -= column[i] * c;
+            const lanes *column = (const lanes *)(F + (long)f->ld * k);
+            lanes *to = (lanes *)x;
+            int u = f->unknown[k];
+            double c = x[k] * s->inverse[u];
+            b[u] = x[k];
+            for (int i = k / LANES; i < f->ld / LANES; i++) to[i] -= column[i] * c;
         }
-        for (int i = 0; i < f->rows; i++) b[f->unknown[i]] = x[i];
+        for (int i = f->pivots; i < f->rows; i++) b[f->unknown[i]] = x[i];
     }
 
     for (Front *f = s->front + s->fronts - 1; f >= s->front; f--) {
         const double *F = s->L + f->start;
-        for (int i = 0; i < f->rows; i++) x[i] = b[f->unknown[i]];
+        for (int i = f->pivots; i < f->rows; i++) x[i] = b[f->unknown[i]];
         for (int k = f->pivots - 1; k >= 0; k--) {
             const double *column = F + (long)f->ld * k;
-            double sum = x[k];
-            for (int i = k + 1; i < f->rows; i++) sum -= column[i] * x[i];
-            x[k] = sum * s->inverse[f->unknown[k]];
-            b[f->unknown[k]] = x[k];
+            int u = f->unknown[k];
+            double sum = 0.0;
+            for (int i = f->rows - 1; i > k; i--) sum += column[i] * x[i];
+            b[u] = x[k] = (b[u] - sum) * s->inverse[u];
         }
     }
 }

@@ -14,13 +14,11 @@
    follows from it, and what other rows see of it is closed by the next increment. Columns for which nothing was solved have no
    place in (2): sensors read them, and forces without a tangent act on them, see field_load(). */
 
-static const double HELD = 1e100; /* stiffness of such a column, so that the others see none of it */
+#include "tables.h"
+#include "rotations.c"
+#include "parts.h"
 
-/* The coordinates of a body's modes. */
-static const double *modes_of(const Body *o, const double *q)
-{
-    return o->field ? o->field->p : q + o->at_q;
-}
+static const double HELD = 1e100; /* stiffness of such a column, so that the others see none of it */
 
 /* Four sums, so that the processor adds them at once. */
 static double long_dot(const double *x, const double *y, long n)
@@ -43,7 +41,7 @@ static double column(const Field *e, int k, const double *U)
 }
 
 /* U += c H e_k */
-static void add_column(const Field *e, int k, double c, double *U)
+void add_column(const Field *e, int k, double c, double *U)
 {
     if (k < TWIST)
         for (long i = 0; i < e->n; i++) U[i] += c * e->Q[e->n * k + i];
@@ -51,7 +49,7 @@ static void add_column(const Field *e, int k, double c, double *U)
         for (int i = e->port_start[k - TWIST]; i < e->port_start[k - TWIST + 1]; i++) U[e->port_on[i]] += c * e->port[i];
 }
 
-static void field_columns(const Body *o, const double *q, const double *v)
+void field_columns(const Body *o, const double *q, const double *v)
 {
     for (int k = 0; k < o->modes; k++) {
         o->field->p[k] = column(o->field, k, q + o->at_q);
@@ -145,11 +143,14 @@ static int linear_field(const Body *o, const double *R, const Motion *m, const d
 }
 
 /* Forces on the nodes, and their resultant (world axes) into f. */
-static int field_force(System *s, const Body *o, const double *R, const Motion *m, double *f, double t)
+int field_force(System *s, int b, const double *q, const double *v, const double *a, double *f, double t)
 {
+    const Body *o = s->body + b;
     const Field *e = o->field;
-    if (!e->own) return linear_field(o, R, m, s->gravity, f);
-    int verdict = own_field(s, e, FIELD_FORCES, R, m, s->gravity, t);
+    const double *R = s->frames + FRAME * b + TURN;
+    Motion m = motion_of(o, b, q, v, a);
+    if (!e->own) return linear_field(o, R, &m, s->gravity, f);
+    int verdict = own_field(s, e, FIELD_FORCES, R, &m, s->gravity, t);
     if (verdict) return verdict;
     memcpy(f, e->sums, D * sizeof(double));
     to_world(R, e->sums + D, f + D);
@@ -157,7 +158,7 @@ static int field_force(System *s, const Body *o, const double *R, const Motion *
 }
 
 /* The open frame conditions, and their reactions C lambda on the nodes. */
-static void frame_conditions(System *s, const Body *o, const double *lam)
+void frame_conditions(System *s, const Body *o, const double *lam)
 {
     const Field *e = o->field;
     for (int i = 0; i < e->frames; i++) {
@@ -168,7 +169,7 @@ static void frame_conditions(System *s, const Body *o, const double *lam)
 
 /* The lower half of the block of (2) into the fronts; the frame conditions, solved already, get rows of their own: without a weight,
    as they must not tell how soft the rows of joints are where these depend on each other. */
-static void field_block(System *s, const Body *o, const double *R, const double *q)
+void field_block(System *s, const Body *o, const double *R, const double *q)
 {
     const Field *e = o->field;
     int n = TWIST + o->modes;
@@ -210,7 +211,7 @@ static void field_block(System *s, const Body *o, const double *R, const double 
 }
 
 /* The right-hand side of (2) into s->b: the field's own forces through its factor. */
-static int field_load(System *s, const Body *o, double scale, double t)
+int field_load(System *s, const Body *o, double scale, double t)
 {
     const Field *e = o->field;
     double *b = s->b + o->at_u + TWIST;
@@ -237,7 +238,7 @@ static int field_load(System *s, const Body *o, double scale, double t)
 }
 
 /* dU and the multipliers of the frame conditions from the numbers p. */
-static void field_increment(const Body *o, const double *p, double *dU, double *lam)
+void field_increment(const Body *o, const double *p, double *dU, double *lam)
 {
     const Field *e = o->field;
     double *y = lam + e->row;
@@ -254,7 +255,7 @@ static void field_increment(const Body *o, const double *p, double *dU, double *
 }
 
 /* The moments -sum M U x dU on the frame into f (world axes), for a solution with no other right-hand side. */
-static void field_sway(const Body *o, const double *R, const double *dU, double *f)
+void field_sway(const Body *o, const double *R, const double *dU, double *f)
 {
     const Field *e = o->field;
     double local[ROT] = {0.0}, one[ROT], turned[ROT];
@@ -305,7 +306,7 @@ static void linear_energies(const Body *o, const double *R, const Motion *m, con
 }
 
 /* The same for every field; frames are placed. */
-static void field_energies(System *s, int b, double t, const double *q, const double *v, const double *gravity, double *out)
+void field_energies(System *s, int b, double t, const double *q, const double *v, const double *gravity, double *out)
 {
     const Body *o = s->body + b;
     const Field *e = o->field;

@@ -5,22 +5,22 @@ static void compliance(System *s, Contacts *c, const int *closed, int m)
 {
     const int d = c->components, n = m * d, size = s->nv + s->rows;
     for (int r = 0; r < n; r++) {
-        int i = closed[r / d];
-        const Pair *o = c->pair + c->of[i];
-        const double *row = c->rows + 2 * TWIST * r;
+        const int *on = c->on + 2 * closed[r / d];
+        const double *row = c->rows + 2 * c->wide * r;
         memset(s->b, 0, (s->nu + s->rows) * sizeof(double));
-        for (int side = 0; side < 2; side++, row += TWIST) {
-            int body = side ? o->carrier : c->frame[i];
-            if (body < 0) continue;
-            double turning[ROT], *to = s->b + s->body[body].at_u;
-            to_world(s->frames + FRAME * body + TURN, row + D, turning);
+        for (int side = 0; side < 2; side++, row += c->wide) {
+            if (on[side] < 0) continue;
+            const Body *body = s->body + on[side];
+            double turning[ROT], *to = s->b + body->at_u;
+            to_world(s->frames + FRAME * on[side] + TURN, row + D, turning);
             add(to, 1.0, row, D);
             add(to + D, 1.0, turning, ROT);
+            add(to + TWIST, 1.0, row + TWIST, body->modes);
         }
         solution(s, c->Y + (long)size * r, c->Y + (long)size * r + s->nv);
     }
     for (int r = 0; r < n; r++)
-        for (int k = 0; k < n; k++) c->W[r * n + k] = along(c, closed[r / d], c->rows + 2 * TWIST * r, c->Y + (long)size * k);
+        for (int k = 0; k < n; k++) c->W[r * n + k] = along(c, closed[r / d], c->rows + 2 * c->wide * r, c->Y + (long)size * k);
     for (int r = 0; r < n; r++)
         for (int k = 0; k < r; k++) c->W[r * n + k] = c->W[k * n + r] = 0.5 * (c->W[r * n + k] + c->W[k * n + r]);
 }
@@ -53,7 +53,9 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
     int done = 0, verdict, converged = 0;
 
     memcpy(out.v, now.v, s->nv * sizeof(double));
-    memcpy(out.lam, now.lam, s->rows * sizeof(double));
+    /* of dependent rows the smallest multipliers are found from none */
+    if (s->redundant) memset(out.lam, 0, s->rows * sizeof(double));
+    else memcpy(out.lam, now.lam, s->rows * sizeof(double));
     while (done < (int)p[MAXIT] && done < MOST && !converged) {
         for (int i = 0; i < s->nv; i++) {
             vm[i] = 0.5 * (now.v[i] + out.v[i]);
@@ -62,7 +64,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         }
         configuration(s, now.q, xi, out.q);
         if ((verdict = evaluate(s, out.q, vm, out.a, out.lam, middle))) return verdict;
-        if (!done && (verdict = prepare(s, out.q, 0.5 * h, 0.25 * h * h, out.lam, 0, middle))) return verdict;
+        if (!done && (verdict = prepare(s, out.q, 0.5 * h, 0.25 * h * h, now.lam, 0, middle))) return verdict;
         if (!done && m) compliance(s, c, closed, m);
         memcpy(kept, out.lam, s->rows * sizeof(double));
 
@@ -78,7 +80,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
             for (int i = 0; i < s->rows; i++) y[i] += c->f[k] * c->Y[(long)size * k + s->nv + i];
         for (int k = 0; k < n; k++) {
             int i = closed[k / d];
-            const double *row = c->rows + 2 * TWIST * k;
+            const double *row = c->rows + 2 * c->wide * k;
             c->q[k] = along(c, i, row, out.v) + along(c, i, row, x) - c->drift[k] / span + (k % d ? 0.0 : c->rate[i]);
         }
         for (int k = 0; k < n; k++) c->q[k] -= dot(c->W + k * n, c->f, n);
@@ -99,6 +101,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         double size_v = fmax(fmax(largest_of(s->units, out.v, s->nv), largest_of(s->units, now.v, s->nv)), 1e-6 * p[LENGTH] / span);
         sizes[done++] = largest_of(s->units, x, s->nv) / (1e-4 * p[TOL] * size_v);
         converged = judge(p, sizes, done, &left);
+        if (s->redundant && done == 1 && converged > 0) converged = 0; /* the first solution leaves epsilon y open */
         if (converged < 0) return NEWTON;
     }
     p[ITERATIONS] += done;
@@ -139,7 +142,7 @@ static void add_works(System *s, Contacts *c, Block now, Block out, const double
 {
     const int d = c->components;
     double work[4] = {0.0, 0.0, 0.0, 0.0}, total, own;
-    for (int k = 0; k < m * d; k++) work[k % d > 0] += c->f[k] / h * along(c, closed[k / d], c->rows + 2 * TWIST * k, xi);
+    for (int k = 0; k < m * d; k++) work[k % d > 0] += c->f[k] / h * along(c, closed[k / d], c->rows + 2 * c->wide * k, xi);
 
     /* of loads: what is left of the balance without inertia and reactions */
     turn_velocity(s, xi);

@@ -1,7 +1,7 @@
 /* Frames on surfaces and bodies alike: rows and blocks pass through a frame's map to the rates of its body. */
 
 /* Number of rates that move a frame, and the map from them to its twist (NULL: these are the twist). */
-static int side_map(const System *s, int frame, const double **map)
+int side_map(const System *s, int frame, const double **map)
 {
     *map = 0;
     if (frame < s->bodies) return TWIST;
@@ -12,7 +12,7 @@ static int side_map(const System *s, int frame, const double **map)
 }
 
 /* y on a twist as a row on the rates */
-static void through(const double *map, int width, const double *y, double *row)
+void through(const double *map, int width, const double *y, double *row)
 {
     if (!map) {
         memcpy(row, y, TWIST * sizeof(double));
@@ -24,7 +24,7 @@ static void through(const double *map, int width, const double *y, double *row)
 }
 
 /* The row of an item on the twists of both frames, 2 TWIST */
-static void twist_row(const Batch *k, long i, double *y)
+void twist_row(const Batch *k, long i, double *y)
 {
     const double *out = k->out + i * k->outputs;
     const int *where = k->where + 2 * TWIST * i;
@@ -61,7 +61,7 @@ static void plain_square(System *s, const Batch *k, long i, int first, int end, 
         for (int r = first; r <= c; r++, to++) s->L[*to] += C[2 * TWIST * c + r];
 }
 
-static void mapped_square(System *s, const Batch *k, long i, const double *C)
+void mapped_square(System *s, const Batch *k, long i, const double *C)
 {
     const double *map[2];
     int width[2], total = 0;

@@ -96,14 +96,14 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
 
 /* The factor at the state evaluated last; without geometric stiffness where that makes the bodies' part indefinite (a large pull
    on a small inertia). */
-static int prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t)
+int prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t)
 {
     int verdict = assemble(s, q, cd, ck, ck, lam, reactions, t);
     return verdict == SINGULAR ? assemble(s, q, cd, ck, 0.0, lam, 0, t) : verdict;
 }
 
 /* The solution x (like v, body axes) and y for the right-hand side in b, which holds it in world axes then. */
-static void solution(System *s, double *x, double *y)
+void solution(System *s, double *x, double *y)
 {
     double *b = s->b;
     back_solve(s, b);
@@ -151,7 +151,7 @@ static int increment(System *s, double scale, double *x, double *y, double t)
 }
 
 /* Rows of the constraints on the velocities as they stand, and the rates of what is prescribed where ``rates``, into slip. */
-static void slips(System *s, int rates)
+void slips(System *s, int rates)
 {
     for (int i = 0; i < s->rows; i++) s->slip[i] = rates ? -s->motion_rate[i] : 0.0;
     for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
@@ -159,11 +159,11 @@ static void slips(System *s, int rates)
             s->slip[o->field->row + i] = s->velocity[o->at_u + TWIST + o->field->frame_slot[i]];
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != ROW) continue;
-        if (rates) {
+        if (rates && k->driven) {
             k->rates(k->n, k->pair, s->frames, k->P, 0, k->out);
             for (long i = 0; i < k->n; i++) s->slip[k->row[i]] += k->factor[i] * k->out[2 * i];
-            k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
         }
+        if (rates) k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
         const double *out = k->out;
         const int *at = k->at;
         for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live)
@@ -189,5 +189,15 @@ static void stabilised(System *s, double scale, double damp, double *x, double *
     slips(s, 0);
     memset(s->b, 0, s->nu * sizeof(double));
     for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->gap[i] - s->slip[i];
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++) /* rows on velocities have no g: the correction rolls */
+        for (long i = 0; k->role == ROW && k->flow && i < k->n; i++) s->b[s->nu + k->row[i]] = 0.0;
     solution(s, closing, none);
+}
+
+/* Whether slopes in the matrix misled at the last evaluation. */
+static int misled(const System *s)
+{
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
+        if (k->role == WHOLE && *k->astray) return 1;
+    return 0;
 }

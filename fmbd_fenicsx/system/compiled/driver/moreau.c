@@ -1,10 +1,25 @@
 /* Steps of the Moreau-Jean scheme: the algorithm of schemes/impacts/moreau.py for free flight, closed contacts, and impacts at
-   their own times, many steps in one call. Steps in which impacts accumulate, contacts open and close at once, or points could
-   pass through an obstacle are given back with the verdict LOOK. */
+   their own times, many steps in one call. Steps in which impacts accumulate, or points could pass through an obstacle, are given
+   back with the verdict LOOK. */
+
+#include "tables.h"
+#include "rotations.c"
+#include "parts.h"
+#include "contact.c"
+#include "complementarity.c"
+#include "impulses.c"
 
 enum { BOUNDED = AM }; /* of the parameters: whether obstacles are thin, so that points could pass through */
-static const double TOUCHING = 1e-9, DRIFTING = 1e-5, APPROACH = 1e-8, INSTANT = 1e-9; /* as in moreau.py */
+static const double TOUCHING = 1e-9, DRIFTING = 1e-5, APPROACH = 1e-8, DEEP = 1e-4, INSTANT = 1e-9; /* as in moreau.py */
 enum { LOCATING = 6, REPEATS = 3, SHARES = 13 };
+
+/* What rates of gaps at a configuration need: the rows of stops, which are those of the last touch, and the motion of obstacles over
+   the span h. 1 where Python failed. */
+static int rates_known(Contacts *c, Block now, double h)
+{
+    return (c->stops && touch(c, now.q, *now.t, &c->now)) || gap_rates(c, now.q, *now.t, h, c->rate);
+}
+
 /* Contacts that take part in a step, into c->closed: how many, or -1 where Python failed. ``hit``: whether some take an impact;
    then all that touch take part, and those that approach bounce. */
 static int taking_part(Contacts *c, const double *p, Block now, double h, int *hit)
@@ -13,7 +28,7 @@ static int taking_part(Contacts *c, const double *p, Block now, double h, int *h
     const double slow = APPROACH * p[LENGTH] / h;
     for (int i = 0; i < c->points; i++)
         fresh |= !c->carrying[i] && c->now.gap[i] <= TOUCHING * p[LENGTH];
-    if (fresh && gap_rates(c, now.q, *now.t, h, c->rate)) return -1;
+    if (fresh && rates_known(c, now, h)) return -1;
 
     *hit = 0;
     for (int i = 0; i < c->points; i++) {
@@ -65,10 +80,11 @@ static void take_forces(Contacts *c, int m, double h)
         memcpy(c->held + d * i, f, d * sizeof(double));
         c->carrying[i] = f[0] > 0 && !c->bouncing[i];
         c->normal[i] += f[0] / h;
-        across(n, e);
+        const int slides = c->pair[c->of[i]].shape != LIMIT;
+        if (slides) across(n, e);
         for (int j = 0; j < D; j++) {
             double world = f[0] * n[j];
-            for (int a = 1; a < d; a++) world += f[a] * e[D * (a - 1) + j];
+            for (int a = 1; slides && a < d; a++) world += f[a] * e[D * (a - 1) + j];
             c->force[D * i + j] += world / h;
             c->impulse[D * c->of[i] + j] += world;
         }
@@ -80,6 +96,7 @@ static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m
 {
     const double t = *now.t;
     const int d = c->components;
+    if (m > c->room) return LOOK;
     if (m) {
         for (int i = 0; i < s->nv; i++) c->xi[i] = 0.5 * length * now.v[i];
         configuration(s, now.q, c->xi, c->ahead);
@@ -89,7 +106,7 @@ static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m
     for (int k = 0; k < m; k++) {
         int i = c->closed[k];
         const Pair *o = c->pair + c->of[i];
-        double *rows = c->rows + 2 * TWIST * d * k;
+        double *rows = c->rows + 2 * c->wide * d * k;
         contact_rows(c, i, c->ahead, &c->end, rows);
         if (drifts(c, i, c->ahead, t, length, span, &c->end, c->drift + d * k)) return LOOK;
         memcpy(c->f + d * k, c->held + d * i, d * sizeof(double));
@@ -108,9 +125,10 @@ static int along_parabola(System *s, Contacts *c, Block now, Block out, double l
     return touch(c, c->ahead, *now.t + share * length, &c->aside);
 }
 
-/* Share of a solved step at which the first free contact closes, into ``share`` (1: none), and which one that is; LOOK where one
-   leaves for a moment only. */
-static int next_touch(System *s, Contacts *c, Block now, Block out, int m, double length, double *share, int *which)
+/* Share of a solved step at which the first free contact closes, into ``share`` (1: none), and which one that is. ``held``: how many
+   would leave for a moment only; these have 0 behind the counts of impacts. */
+static int next_touch(
+    System *s, Contacts *c, Block now, Block out, int m, double length, double *share, int *which, int *held)
 {
     int any = 0, left = 0, *open = c->hits + c->points; /* -1: not closing; 0: not yet seen open; else which share it is open at */
     if (along_parabola(s, c, now, out, length, 1.0)) return LOOK;
@@ -118,6 +136,7 @@ static int next_touch(System *s, Contacts *c, Block now, Block out, int m, doubl
     for (int k = 0; k < m; k++) open[c->closed[k]] = -1;
     for (int i = 0; i < c->points; i++) any |= open[i] == 0;
     *share = 1.0;
+    *held = 0;
     if (!any) return DONE;
 
     double upper = 1.0;
@@ -126,11 +145,11 @@ static int next_touch(System *s, Contacts *c, Block now, Block out, int m, doubl
         left = 0;
         for (int i = 0; i < c->points; i++) {
             if (open[i] == 0 && c->aside.gap[i] > 0.0) open[i] = k;
-            left |= open[i] == 0;
+            left += open[i] == 0;
         }
         if (!left) break;
     }
-    if (left) return LOOK;
+    if ((*held = left)) return DONE;
     *which = -1;
     for (int i = 0; i < c->points; i++)
         if (open[i] > 0 && (*which < 0 || open[i] > open[*which])) *which = i;
@@ -187,7 +206,7 @@ static int taken(System *s, Contacts *c, double *p, Block now, Block out, int m,
     for (int i = 0; i < s->nv; i++) s->work[i] = 0.5 * length * c->xi[i];
     configuration(s, now.q, s->work, out.q);
     if (c->loaded && s->samples && s->python(SAMPLE, 0, t + 0.5 * length)) return FAILED;
-    if (c->loaded) verdict = evaluate(s, out.q, c->xi, out.a, out.lam, t + 0.5 * length);
+    if (c->loaded || s->rows) verdict = evaluate(s, out.q, c->xi, out.a, out.lam, t + 0.5 * length);
     else verdict = place(s, out.q, c->xi);
     if (verdict) return verdict;
     for (int i = 0; i < s->nv; i++) c->xi[i] *= length;
@@ -195,8 +214,9 @@ static int taken(System *s, Contacts *c, double *p, Block now, Block out, int m,
 
     configuration(s, now.q, c->xi, c->ahead);
     memcpy(out.q, c->ahead, s->nq * sizeof(double));
-    if ((verdict = closed_rows(s, c, p, out.q, out.v, t + length)) || (verdict = place(s, out.q, out.v))) return verdict;
+    if ((verdict = closed_rows(s, c, p, out.q, out.v, t + length))) return verdict;
     if (touch(c, out.q, t + length, &c->aside)) return LOOK;
+    if ((verdict = place(s, out.q, out.v))) return verdict;
 
     *out.t = t + length;
     energies(s, t + length, out.q, out.v, s->rest_gravity, e);
@@ -216,29 +236,57 @@ static int taken(System *s, Contacts *c, double *p, Block now, Block out, int m,
     return DONE;
 }
 
+/* A part of almost no length through the impacts of those that bounce; m contacts take part. */
+static int impact(System *s, Contacts *c, double *p, Block now, Block out, int m, double h)
+{
+    for (int i = 0; i < c->points; i++) {
+        if (!c->bouncing[i]) continue;
+        c->tally.impacts++;
+        if (++c->hits[i] > REPEATS) return LOOK;
+    }
+    int verdict = solved(s, c, p, now, out, m, INSTANT * h, h);
+    return verdict ? verdict : taken(s, c, p, now, out, m, INSTANT * h, h);
+}
+
+/* Contacts that would leave for a moment only take part as well: how many do then, or -1 where Python failed. ``hit``: in joints
+   flights end at the touch, so those that approach take an impact, and they alone are added; so do those without joints that would
+   end far below zero if they were closed at their speed. */
+static int holding(System *s, Contacts *c, double *p, Block now, int m, double h, int *hit)
+{
+    const int *open = c->hits + c->points;
+    const double fast = s->rows ? APPROACH * p[LENGTH] / h : DEEP * p[LENGTH] / h;
+    if (rates_known(c, now, h)) return -1;
+    *hit = 0;
+    for (int i = 0; i < c->points; i++) {
+        if (open[i] != 0) continue;
+        contact_rows(c, i, now.q, &c->now, c->rows);
+        c->bouncing[i] = along(c, i, c->rows, now.v) + c->rate[i] < -fast;
+        *hit |= c->bouncing[i];
+    }
+    for (int i = 0; i < c->points; i++)
+        if (open[i] == 0 && (!*hit || c->bouncing[i])) c->closed[m++] = i;
+    return m;
+}
+
 /* The part of a step h to the next impact, through it, or to the end, for which ``left`` is left. */
 static int part(System *s, Contacts *c, double *p, Block now, Block out, double left, double h)
 {
-    int hit, which, verdict;
+    int hit, which, verdict, held;
     double length = left, share;
     if (!c->known && touch(c, now.q, *now.t, &c->now)) return LOOK;
     c->known = 1;
     if (p[BOUNDED] != 0.0 && passes(c, now, left)) return LOOK;
     int m = taking_part(c, p, now, h, &hit);
     if (m < 0) return LOOK;
-    if (hit) {
-        for (int i = 0; i < c->points; i++) {
-            if (!c->bouncing[i]) continue;
-            c->tally.impacts++;
-            if (++c->hits[i] > REPEATS) return LOOK;
-        }
-        length = INSTANT * h;
-        verdict = solved(s, c, p, now, out, m, length, h);
-        return verdict ? verdict : taken(s, c, p, now, out, m, length, h);
-    }
+    if (hit) return impact(s, c, p, now, out, m, h);
 
-    if ((verdict = solved(s, c, p, now, out, m, length, length))) return verdict;
-    if ((verdict = next_touch(s, c, now, out, m, length, &share, &which))) return verdict;
+    for (;;) {
+        if ((verdict = solved(s, c, p, now, out, m, length, length))) return verdict;
+        if ((verdict = next_touch(s, c, now, out, m, length, &share, &which, &held))) return verdict;
+        if (!held) break;
+        if ((m = holding(s, c, p, now, m, h, &hit)) < 0) return LOOK;
+        if (hit) return impact(s, c, p, now, out, m, h);
+    }
     if (share < 1.0 && (verdict = located(s, c, p, now, out, m, which, &length, share))) return verdict;
     return taken(s, c, p, now, out, m, length, h);
 }
@@ -281,8 +329,36 @@ static int whole_step(System *s, Contacts *c, double *p, double **ring, int *new
     return DONE;
 }
 
-/* Up to ``steps`` steps from ring[0]; the other two are free. Returns how many were made; ring[0] is then the newest. */
-EXPORT long moreau_march(System *s, Contacts *c, double *p, long steps, double **ring, int *verdict)
+/* What a record tells of contacts, one array behind the other: gaps, places, normals, normal forces, forces, impulses, works, time. */
+static void record_contacts(const Contacts *c, double *to)
+{
+    const int m = c->points;
+    const double *from[] = {c->now.gap, c->now.x, c->now.normal, c->normal, c->force, c->impulse, c->works, &c->time};
+    const int sizes[] = {m, m * D, m * D, m, m * D, c->pairs * D, 5, 1};
+    for (int k = 0; k < 8; to += sizes[k++]) memcpy(to, from[k], sizes[k] * sizeof(double));
+}
+
+/* The newest state, whose step is accepted: elements remember it, and it is recorded where that is due. */
+static int accepted(System *s, const Contacts *c, Block now, Tape *tape)
+{
+    int recorded = tape && tape->left == 1, verdict;
+    if (recorded || s->remembers) {
+        if ((verdict = place(s, now.q, now.v))) return verdict;
+        if (recorded && s->samples && s->python(SAMPLE, 0, *now.t)) return FAILED;
+    }
+    if (recorded) {
+        const long size = c->points * (2 + 3 * D) + c->pairs * D + 6;
+        record_contacts(c, tape->contact + size * tape->count);
+        if ((verdict = record(s, tape, &now))) return verdict;
+    }
+    if (s->remembers) keep(s, *now.t);
+    if (tape) tape->left = recorded ? tape->every : tape->left - 1;
+    return DONE;
+}
+
+/* Up to ``steps`` steps from ring[0]; the other two are free. Returns how many were made; ring[0] is then the newest. ``tape`` (may
+   be NULL) takes records. */
+EXPORT long moreau_march(System *s, Contacts *c, double *p, long steps, double **ring, int *verdict, Tape *tape)
 {
     long made = 0;
     int newest;
@@ -302,10 +378,7 @@ EXPORT long moreau_march(System *s, Contacts *c, double *p, long steps, double *
         ring[newest] = ring[0];
         ring[0] = last;
         made++;
-        if (!s->remembers) continue;
-        Block now = block_at(s, last);
-        if ((*verdict = place(s, now.q, now.v))) break;
-        keep(s, *now.t);
+        if ((*verdict = accepted(s, c, block_at(s, last), tape))) break;
     }
     return made;
 }

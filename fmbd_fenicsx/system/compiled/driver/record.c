@@ -63,7 +63,7 @@ static double far_from_origin(const System *s, const double *q, double length)
     return place + length * (angle + counted);
 }
 
-static double largest_of(const double *units, const double *x, int n)
+double largest_of(const double *units, const double *x, int n)
 {
     double found = 0.0;
     for (int i = 0; i < n; i++)
@@ -92,7 +92,7 @@ static void judge_drift(System *s, Tape *tape, const Block *now, double *open)
 }
 
 /* One record of an accepted step whose frames are placed. */
-static int record(System *s, Tape *tape, const Block *now)
+int record(System *s, Tape *tape, const Block *now)
 {
     long k = tape->count, size = 1 + s->nq + 3 * (long)s->nv + s->rows;
     int verdict = readings(s, *now->t, tape->reading + 3 * (long)s->readings * k);

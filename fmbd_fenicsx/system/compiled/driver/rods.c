@@ -3,6 +3,11 @@
    The six section forces at a Gauss point act on z = (x', P, P'), and through the interpolation on places and quaternions of the
    nodes; a node that turns by theta in world axes moves its quaternion by (theta, 0) p / 2. */
 
+#include "tables.h"
+#include "rotations.c"
+#include "parts.h"
+#include "strains.c"
+
 enum { NODES = 4, POINTS = 3, STRAINS = 6, Z = 11, NODAL = 7, LOADED = 12 };
 
 /* Places and quaternions of an element's nodes, these of one sign. */
@@ -114,7 +119,7 @@ static void rod_loads(System *s, const Rod *k)
 }
 
 /* Forces (1) of all elements of a rod, and loads on its nodes, into the residual. */
-static int rod_forces(System *s, Rod *k, double t)
+int rod_forces(System *s, Rod *k, double t)
 {
     rod_kinematics(s, k);
     if (k->load) rod_loads(s, k);
@@ -195,7 +200,7 @@ static void rod_turned(double block[NODAL][NODAL], const double *pi, const doubl
 }
 
 /* The symmetric part of tangent (2) of all elements into the fronts; ``geometric``: weight of their geometric stiffness. */
-static int rod_tangents(System *s, Rod *k, double t, double geometric)
+int rod_tangents(System *s, Rod *k, double t, double geometric)
 {
     double inner[Z][Z], out[TWIST][TWIST];
     const int *to = k->to;
@@ -232,7 +237,7 @@ static int rod_tangents(System *s, Rod *k, double t, double geometric)
 }
 
 /* Elastic energy in the configuration that the frames are placed in, J. */
-static double rod_energy(System *s, Rod *k)
+double rod_energy(System *s, Rod *k)
 {
     double sum = 0.0;
     rod_kinematics(s, k);

@@ -1,23 +1,44 @@
 /* A state as one block of numbers, and its energies: t, q (nq), v (nv), a (nv), A (nv), lambda (rows). */
 
-typedef struct {
-    double *t, *q, *v, *a, *A, *lam;
-} Block;
-
-static Block block_at(const System *s, double *x)
+#if DIM == 3
+/* Counted angles: on with the increments of both frames, by any number of turns, then to the nearest angle of the attitude. */
+static void count_angles(const System *s, const double *q0, const double *xi, double *q)
 {
-    Block b;
-    b.t = x;
-    b.q = x + 1;
-    b.v = b.q + s->nq;
-    b.a = b.v + s->nv;
-    b.A = b.a + s->nv;
-    b.lam = b.A + s->nv;
-    return b;
+    for (int i = 0; i < s->angles; i++) {
+        const Angle *o = s->angle + i;
+        double Ra[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, Rb[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, fa[3], ga[3], fb[3], gb[3];
+        double ahead = q0[POSE * s->bodies + i];
+        if (o->a < s->bodies) {
+            rotation(q + POSE * o->a, Ra);
+            ahead -= dot(o->ea, xi + TWIST * o->a + D, 3);
+        }
+        if (o->b < s->bodies) {
+            rotation(q + POSE * o->b, Rb);
+            ahead += dot(o->eb, xi + TWIST * o->b + D, 3);
+        }
+        times(Ra, o->fa, fa);
+        times(Ra, o->ga, ga);
+        times(Rb, o->fb, fb);
+        times(Rb, o->gb, gb);
+        double attitude = atan2(dot(ga, fb, 3) - dot(fa, gb, 3), dot(fa, fb, 3) + dot(ga, gb, 3));
+        q[POSE * s->bodies + i] = nearest_turn(attitude, ahead);
+    }
+}
+#endif
+
+/* q = q0 o exp(xi), as system/configurations.py. */
+void configuration(const System *s, const double *q0, const double *xi, double *q)
+{
+    int poses = POSE * s->bodies + s->angles;
+    for (int b = 0; b < s->bodies; b++) compose(q0 + POSE * b, xi + TWIST * b, q + POSE * b);
+#if DIM == 3
+    count_angles(s, q0, xi, q);
+#endif
+    for (int i = TWIST * s->bodies, j = poses; i < s->nv; i++, j++) q[j] = q0[j] + xi[i];
 }
 
 /* Kinetic, elastic, of the weight, of springs, stops, bushings and dry friction (J); frames are placed. */
-static void energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out)
+void energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out)
 {
     out[0] = out[1] = out[2] = out[3] = 0.0;
     for (int b = 0; b < s->bodies; b++) {
@@ -40,7 +61,7 @@ static void energies(System *s, double t, const double *q, const double *v, cons
 }
 
 /* Formulas with a memory take up an accepted step, whose frames are placed. */
-static void keep(System *s, double t)
+void keep(System *s, double t)
 {
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != FORMULA || (k->formula != DRY && k->formula != PID)) continue;

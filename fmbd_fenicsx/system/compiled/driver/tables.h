@@ -28,6 +28,7 @@ typedef struct {
     kernel *value, *rates, *tangent;   /* of the kind, see mechanics/kinds/derivation.py */
     int role, outputs, live, products, curved, number; /* outputs: of the value kernel; number: for calls into Python */
     int flow;                          /* whether the kind is a speed; a ROW then holds velocities and has no s */
+    int driven;                        /* whether a motion of time is among its constants; s' has a part of its own then */
     long n, width;                     /* width: constants of an item */
     int *pair;                         /* n x 2 frames */
     double *P, *out;                   /* constants; s and the entries of the row */
@@ -175,6 +176,7 @@ typedef struct {
     double *units;                     /* of the rows, as lengths */
     double *block, *lam, *frames, *energy, *reading, *reaction, *drift; /* drift: open by, opening at */
     double *doubt;                     /* the state of the doubtful record */
+    double *contact;                   /* where there are contacts: see moreau.c */
 } Tape;
 
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */

@@ -2,6 +2,10 @@
    them, and keeps the slopes K and B (minus the derivatives by displacements and velocities of both markers) of an earlier state for as
    long as they foretell what the wrenches do. */
 
+#include "tables.h"
+#include "rotations.c"
+#include "parts.h"
+
 enum { PAIR = 2 * TWIST, SIGHT = D + D * D + TWIST, SIDE = D + D * D }; /* of both markers; of one: x, R, twist; constants of a side */
 enum { KNOWN = 2 * SIGHT + PAIR };
 static const double WRONG = 0.01, FAINT = 0.1; /* share of a motion by which slopes may mislead, of Newton's tolerance that is nothing */
@@ -105,7 +109,7 @@ static void keep_sights(Batch *k)
 }
 
 /* Wrenches on the markers into the residuals of their frames; one call into Python for all forces of a batch. */
-static int whole_forces(System *s, Batch *k, double t)
+int whole_forces(System *s, Batch *k, double t)
 {
     for (long i = 0; i < 2 * k->n; i++)
         if (!alone(k, i / 2, i % 2)) sight_of(s->frames + FRAME * k->pair[i], k->P + SIDE * i, k->sight + SIGHT * k->marker[i]);
@@ -147,7 +151,7 @@ static void to_frames(const double (*lever)[D], double *C)
 }
 
 /* The symmetric part of ck K + cd B into the fronts; Python gives new slopes where the old ones misled, or Newton is slow with them. */
-static int whole_tangents(System *s, Batch *k, double cd, double ck, double t)
+int whole_tangents(System *s, Batch *k, double cd, double ck, double t)
 {
     if (*k->astray || s->renewed) {
         s->calls++;
@@ -170,12 +174,4 @@ static int whole_tangents(System *s, Batch *k, double cd, double ck, double t)
         mapped_square(s, k, i, C);
     }
     return DONE;
-}
-
-/* Whether slopes in the matrix misled at the last evaluation. */
-static int misled(const System *s)
-{
-    for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
-        if (k->role == WHOLE && *k->astray) return 1;
-    return 0;
 }

@@ -35,7 +35,7 @@ class Jacobians:
         return np.asarray((lam[:, None, :] @ self.core)[:, 0])
 
 
-class Many:
+class EvaluationBatch:
     """Configurations evaluated one by one."""
 
     def __init__(self, system: System, t: Array, q: Array, v: Array) -> None:
@@ -68,7 +68,7 @@ class Many:
         return np.array([ev.balance(a[i], None if lam is None else lam[i]) for i, ev in enumerate(self._each)])
 
 
-class CoordinateMany(Many):
+class CoordinateBatch(EvaluationBatch):
     """Configurations of bodies in coordinates of the user's own, whose functions take many of them in a call."""
 
     def _rows(self, what: str, *arrays: Array) -> Array:
@@ -109,16 +109,18 @@ class CoordinateMany(Many):
             part.force_many(self.t, tuple(x[:, at] for x in (self.q, self.v, a)))
             for part, at in zip(parts, self.system.slices[1], strict=True)
         ]
+
         out = np.concatenate(rows, axis=1)
         return out if lam is None or not lam.size else out + self.jacobian.transposed(lam)
 
 
-def many(system: System, t: Array, q: Array, v: Array) -> Many:
+def evaluate_batch(system: System, t: Array, q: Array, v: Array) -> EvaluationBatch:
     """The configurations q (k, n_q), v (k, n_v) of a system at the times t, (k,) or one for all."""
     times = np.broadcast_to(np.asarray(t, dtype=float), (len(q),))
-    made: Callable[..., Many] = CoordinateMany if _in_coordinates(system) else Many
+    made: Callable[..., EvaluationBatch] = CoordinateBatch if _in_coordinates(system) else EvaluationBatch
+    # compiled code takes all of them in one call
     if system.driver is not None:
-        made = system.driver.many
+        made = system.driver.batch
         return made(times, q, v)
     return made(system, times, q, v)
 

@@ -12,7 +12,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.dae import Baumgarte, Overdetermined, StepEquations
-from fmbd_fenicsx.system.many import many as together_at
+from fmbd_fenicsx.system.evaluation_batch import evaluate_batch as together_at
 from fmbd_fenicsx.system.system import State
 
 

@@ -1,0 +1,253 @@
+"""What a meshed gmsh model must be to become a body: named groups, one solid of sound cells, facets on its boundary."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .errors import MeshError, near
+
+DEGENERATE = 1e-14  # of the largest Jacobian determinant
+
+
+@dataclass(frozen=True)
+class Group:
+    """A physical group of gmsh."""
+
+    dim: int
+    tag: int
+    name: str
+
+
+def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, dict[str, int], str]:
+    """Check physical groups and cells of a meshed gmsh model; drop the groups of other bodies. Rank 0 only.
+
+    Returns dimension, name of the volume, name -> tag of its surfaces, and the label.
+    """
+    groups = _named_groups(model, label)
+    solid = _solid(model, groups, label, volume)
+    for other in groups:
+        if other.dim == solid.dim and other.name != solid.name:
+            model.removePhysicalGroups([(other.dim, other.tag)])
+
+    entities = [int(e) for e in model.getEntitiesForPhysicalGroup(solid.dim, solid.tag)]
+    _check_cells(model, solid.dim, entities, label, solid.name)
+    around = [g for g in groups if g.dim == solid.dim - 1]
+    surfaces = _surfaces(model, around, entities, label)
+    _drop_others(model, solid.dim, entities)
+    return solid.dim, solid.name, surfaces, label
+
+
+# -- physical groups ------------------------------------------------------------------------------------------------
+def _named_groups(model: Any, label: str) -> list[Group]:
+    """All groups; those of the highest dimensions have names of their own."""
+    groups = [Group(dim, tag, model.getPhysicalName(dim, tag)) for dim, tag in model.getPhysicalGroups()]
+    if not groups:
+        raise MeshError(
+            f"{label}: no physical groups. Name the solid and its surfaces with addPhysicalGroup(..., name=...)."
+        )
+
+    dim = max(g.dim for g in groups)
+    unnamed = [(g.dim, g.tag) for g in groups if not g.name and g.dim >= dim - 1]
+    if unnamed:
+        raise MeshError(
+            f"{label}: physical groups {unnamed} (dim, tag) have no name; gmsh also drops a name that is given "
+            f"twice. Groups: {_listing(groups)}."
+        )
+
+    names = [(g.dim, g.name) for g in groups]
+    twice = sorted({name for dim, name in names if names.count((dim, name)) > 1})
+    if twice:
+        raise MeshError(f"{label}: several physical groups are called {twice}. Give each group its own name.")
+    return groups
+
+
+def _listing(groups: list[Group]) -> str:
+    """Groups as a message shows them."""
+    return ", ".join(f'"{g.name}" (dim {g.dim})' for g in groups)
+
+
+def _solid(model: Any, groups: list[Group], label: str, volume: str | None) -> Group:
+    """The group of the body: the one that is asked for, or the only one of the highest dimension."""
+    dim = max(g.dim for g in groups)
+    geometry = max((k for k, _ in model.getEntities()), default=dim)
+    if dim < 2 or dim < geometry:
+        raise MeshError(
+            f"{label}: the geometry has dimension {geometry} but the highest physical group has dimension {dim} "
+            f"({_listing(groups)}). Put the solid into a physical group, else only its surface mesh arrives."
+        )
+
+    solids = [g for g in groups if g.dim == dim]
+    names = [g.name for g in solids]
+    if volume is not None and volume not in names:
+        raise MeshError(f'{label}: no volume "{volume}". {near(volume, names)}')
+    if volume is None and len(solids) > 1:
+        raise MeshError(f"{label} holds several volumes: {names}. Choose one with volume=...")
+    return next(g for g in solids if volume in (None, g.name))
+
+
+def _surfaces(model: Any, groups: list[Group], entities: list[int], label: str) -> dict[str, int]:
+    """Name -> tag of the groups on the boundary of the solid; those elsewhere are removed."""
+    surfaces: dict[str, int] = {}
+    if not groups:
+        return surfaces
+    dim = groups[0].dim + 1
+    edges = _corners(model, dim, entities, facets=True)
+    own = {abs(int(t)) for e in entities for _, t in model.getBoundary([(dim, e)], oriented=False)}
+
+    for g in groups:
+        parts = [int(e) for e in model.getEntitiesForPhysicalGroup(g.dim, g.tag)]
+        if own and not own.intersection(parts):
+            model.removePhysicalGroups([(g.dim, g.tag)])
+            continue
+        if not any(len(x) for e in parts for x in model.mesh.getElements(g.dim, e)[1]):
+            raise MeshError(f'{label}: surface "{g.name}" has no facets. Mesh it, or remove the group.')
+        _check_facets(_corners(model, g.dim, parts), edges, f'{label}: surface "{g.name}"')
+        surfaces[g.name] = g.tag
+    return surfaces
+
+
+def _drop_others(model: Any, dim: int, entities: list[int]) -> None:
+    """Remove the mesh of everything that is no part of the solid: nodes without cells end DOLFINx's distribution."""
+    own = np.unique(np.concatenate([n for e in entities for n in model.mesh.getElements(dim, e)[2]]))
+    for k, e in sorted(model.getEntities(), reverse=True):
+        if k == dim and e in entities:
+            continue
+        nodes = model.mesh.getElements(k, e)[2]
+        if nodes and not np.isin(np.concatenate(nodes), own).all():
+            model.mesh.clear([(k, e)])
+    model.mesh.renumberNodes()
+
+
+# -- cells ----------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Cells:
+    """Cells of one kind in one entity: their numbers, nodes (n, k), determinants (n, p) at points (n, p, 3)."""
+
+    numbers: np.ndarray
+    nodes: np.ndarray
+    det: np.ndarray
+    points: np.ndarray
+
+
+def _cells(model: Any, dim: int, entities: list[int]) -> Iterator[Cells]:
+    """The cells of entities, kind by kind."""
+    for entity in entities:
+        types, tags, nodes = model.mesh.getElements(dim, entity)
+        for kind, numbers, cell_nodes in zip(types, tags, nodes, strict=True):
+            points, _ = model.mesh.getIntegrationPoints(kind, "Gauss2")
+
+            J, det, x = model.mesh.getJacobians(kind, points, tag=entity)
+
+            # gmsh gives the absolute value for cells of the plane, which hides those that are inverted
+            if dim == 2:
+                J = np.asarray(J).reshape(-1, 9)
+                det = J[:, 0] * J[:, 4] - J[:, 1] * J[:, 3]
+
+            per = len(points) // 3
+            yield Cells(
+                numbers,
+                np.asarray(cell_nodes, dtype=np.int64).reshape(len(numbers), -1),
+                np.asarray(det).reshape(-1, per),
+                np.asarray(x).reshape(-1, per, 3),
+            )
+
+
+def _check_cells(model: Any, dim: int, entities: list[int], label: str, name: str) -> None:
+    """One sign of the Jacobian determinant in all cells, no zero volumes, none twice, one connected part."""
+    cells = list(_cells(model, dim, entities))
+    if not sum(len(c.numbers) for c in cells):
+        raise MeshError(f'{label}: volume "{name}" has no cells. Call gmsh.model.mesh.generate({dim}).')
+    _check_signs(cells, label, name)
+    for c in cells:
+        twice = len(c.nodes) - len(np.unique(np.sort(c.nodes, axis=1), axis=0))
+        if twice:
+            raise MeshError(
+                f'{label}: {twice} cells of volume "{name}" are there twice. Remove the duplicates, or mesh anew.'
+            )
+    _check_connected(model, [c.nodes for c in cells], label, name)
+
+
+def _check_signs(cells: list[Cells], label: str, name: str) -> None:
+    """All cells have the orientation that most have, and a volume."""
+    bad, first, orientation = 0, "", 0.0
+    for c in cells:
+        if not np.isfinite(c.det).all():
+            raise MeshError(f'{label}: volume "{name}" has cells with coordinates that are not finite.')
+
+        # a volume may be meshed inside out as a whole: what most cells have counts as right
+        orientation = orientation or float(np.sign(np.median(c.det)))
+
+        # a cell is as bad as its worst quadrature point
+        smallest = (c.det * orientation).min(axis=1)
+        wrong = np.flatnonzero(smallest <= DEGENERATE * np.abs(c.det).max())
+        if wrong.size and not first:
+            at = c.points[wrong[0]].mean(0).round(6).tolist()
+            first = f"cell {int(c.numbers[wrong[0]])} at {at}"
+        bad += wrong.size
+
+    if bad:
+        number = sum(len(c.numbers) for c in cells)
+        raise MeshError(
+            f'{label}: {bad} of {number} cells of volume "{name}" are inverted or degenerate (first: {first}). '
+            "Remesh, or check the orientation of the geometry."
+        )
+
+
+FACETS = {  # corners of the facets of a cell, by dimension and number of corners, in gmsh's order
+    (2, 3): ((0, 1), (1, 2), (2, 0)),
+    (2, 4): ((0, 1), (1, 2), (2, 3), (3, 0)),
+    (3, 4): ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)),
+    (3, 8): ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+}
+
+
+def _corners(model: Any, dim: int, entities: list[int], facets: bool = False) -> set[tuple[int, ...]]:
+    """Corner nodes, sorted, of all elements of entities, or of their facets; none of shapes that are not known here."""
+    out: set[tuple[int, ...]] = set()
+    for entity in entities:
+        types, _, nodes = model.mesh.getElements(dim, entity)
+        for kind, numbers in zip(types, nodes, strict=True):
+            _, _, _, count, _, corners = model.mesh.getElementProperties(kind)
+            cells = np.asarray(numbers, dtype=np.int64).reshape(-1, count)[:, :corners]
+            parts = FACETS.get((dim, corners), ()) if facets else (tuple(range(corners)),)
+            for part in parts:
+                out.update(tuple(row) for row in np.sort(cells[:, list(part)], axis=1))
+    return out
+
+
+def _check_facets(facets: set[tuple[int, ...]], edges: set[tuple[int, ...]], what: str) -> None:
+    """The facets of a surface are facets of the solid's cells: others carry no field."""
+    lost = facets - edges if edges else set()
+    if lost:
+        raise MeshError(
+            f"{what}: {len(lost)} of {len(facets)} facets belong to no cell of the solid (first: nodes {list(min(lost))}). "
+            "Make the surface of the solid's own boundary, and mesh both together."
+        )
+
+
+def _check_connected(model: Any, links: list[np.ndarray], label: str, name: str) -> None:
+    """A body is one piece: cells joined through nodes."""
+    import scipy.sparse as sp
+    from scipy.sparse.csgraph import connected_components
+
+    top = max(int(c.max()) for c in links) + 1
+    rows = np.concatenate([np.repeat(c[:, 0], c.shape[1] - 1) for c in links])
+    cols = np.concatenate([c[:, 1:].ravel() for c in links])
+    graph = sp.coo_matrix((np.ones(len(rows)), (rows, cols)), shape=(top, top))
+    used = np.unique(np.concatenate([c.ravel() for c in links]))
+    count, part = connected_components(graph, directed=False)
+    parts = np.unique(part[used])
+    if len(parts) > 1:
+        nodes, x, _ = model.mesh.getNodes()
+        place = np.zeros((top, 3))
+        place[nodes[nodes < top]] = np.asarray(x).reshape(-1, 3)[nodes < top]
+        found = [used[part[used] == p] for p in parts]
+        listing = ", ".join(f"{len(n)} nodes about {place[n].mean(0).round(4).tolist()}" for n in found[:8])
+        raise MeshError(
+            f'{label}: volume "{name}" consists of {len(parts)} separate parts ({listing}). '
+            "Fuse them in gmsh, or give each its own physical group and body."
+        )

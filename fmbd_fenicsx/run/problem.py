@@ -1,0 +1,121 @@
+"""What a march needs: a consistent start, and from it the linear solver, the stepper and who judges its steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ..linear.condensation import StepSolver
+from ..notices import Gathered
+from ..ranks import OneAnswer
+from ..rotations import Array
+from ..schemes.consistent import Correction, consistent
+from ..schemes.declared import Declared
+from ..schemes.newton import Newton
+from ..schemes.stepping import TimeStepper, made_stepper
+from ..system.element_memory import reset
+from ..system.evaluation import Evaluation
+from ..system.scene.scene import Scene
+from ..system.system import State, System
+from .acceptance import Closed
+from .energy_check import Guarded, Watch
+from .force_balance import Balanced
+from .forecast import Forecast
+from .schedule import StepSchedule
+from .step_bisection import ConstantSteps, Judges
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A consistent start and what a march from it needs; ``driver``: the compiled evaluations that it was found with."""
+
+    scene: Scene
+    system: System
+    markers: dict[str, int]
+    given: State
+    start: State
+    scheme: Any
+    newton: Newton
+    linear: Any
+    pressures: list[Array]  # that bodies carry as unknowns
+    warned: Gathered | None = None  # the warnings of the run; None: it warns of nothing
+    driver: Any = None
+
+
+def make_solver(scene: Scene, system: System, linear: Any) -> StepSolver:
+    """The linear solver of a scene, with its own prefix of PETSc's options; collective."""
+    return StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
+
+
+def begin(
+    scene: Scene, scheme: Any, system: System, given: State, *, solver: StepSolver, h: float
+) -> tuple[State, Correction]:
+    """The consistent start of a scheme from a state as given, with first steps of h (s); collective."""
+    reset(system, given)
+    with OneAnswer(system.comm):
+        return _begun(scene, scheme, system, given, solver=solver, h=h)
+
+
+def _begun(
+    scene: Scene, scheme: Any, system: System, given: State, *, solver: StepSolver, h: float
+) -> tuple[State, Correction]:
+    """See :func:`begin`."""
+    if scene.settle:
+        from ..analysis.equilibrium import settled
+
+        given = settled(system, given, solver)
+    said = Declared.by(scheme)
+    if said.start is not None:
+        return said.start(system, given, solver, h)  # type: ignore[no-any-return]
+    if said.prepare is not None:
+        said.prepare(solver)
+    return consistent(system, given, solver, h=h)
+
+
+def judges_of(problem: Problem, solver: StepSolver, schedule: StepSchedule) -> Judges:
+    """Who looks at the ends of the steps of a march."""
+    return Judges(
+        closed=Closed.under(problem.system, problem.scheme),
+        balanced=Balanced.under(solver, problem.scheme, problem.newton.tolerance),
+        forecast=Forecast(solver, problem.start.t, schedule.t_end, schedule.steps),
+        at=solver.at,
+    )
+
+
+def make_stepper(
+    problem: Problem, solver: StepSolver, schedule: StepSchedule, judges: Judges, *, guarded: bool
+) -> TimeStepper:
+    """The stepper from the consistent start: constant steps in parts where that must be, under the energy guard where that makes
+    sense.
+    """
+    system = problem.system
+    solver.look_for_dependent_rows(evaluation_of(solver, problem.start))
+    made = made_stepper(problem.scheme, system, solver, problem.newton, problem.start)
+    watch = Watch(system, made.state, evaluation_of(solver, made.state)) if guarded else None
+    # a scheme with error control makes its steps smaller by itself
+    if not schedule.steps:
+        return made if watch is None else Guarded(made, watch)
+
+    def renew(state: State) -> TimeStepper:
+        return _made_anew(problem, solver, state, schedule.next(0.0))
+
+    said = Declared.by(problem.scheme)
+    goes_on = said.start is not None or said.free_steps
+    return ConstantSteps(made, system, None if goes_on else renew, watch, judges)
+
+
+def _made_anew(problem: Problem, solver: StepSolver, state: State, h: float) -> TimeStepper:
+    """A stepper for steps of h (s) from the consistent state nearest to one that a failed step began with."""
+    problem.newton.theta = 0.5
+    system = problem.system
+    if system.fields:  # tangents of a failed iteration are of no use
+        system.at(state.t, state.q, state.v).balance(state.a, state.lam)
+        for _, part in system.fields:
+            part.relinearise()
+    start, _ = consistent(system, state, solver, h=h)
+    return made_stepper(problem.scheme, system, solver, problem.newton, start)
+
+
+def evaluation_of(solver: StepSolver, state: State) -> Evaluation:
+    """The system in a state."""
+    return solver.at(state.t, state.q, state.v)

@@ -1,0 +1,74 @@
+"""Records of compiled steps with contact: beside those of all systems, where the contacts are and what they carry."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...mechanics.contact.rows import ContactSet
+from ...rotations import Array
+from ...system.compiled.recording import Openness, Recorded, Tape
+from ...system.compiled.tables import Tables
+from ...system.sensors.contact import WORKS, ContactForces, ContactState
+from ...system.system import State, System
+
+
+class ContactTape(Tape):
+    """Room for the records of one march."""
+
+    def __init__(self, tables: Tables, judged: Openness, contacts: ContactSet, system: System) -> None:
+        """``system``: with its contacts, which that of the tables lacks."""
+        m = len(contacts.pair)
+        pairs = len(contacts.pairs)
+        d = tables.dim
+        self.contacts, self.whole_system = contacts, system
+        # as record_contacts() of driver/moreau.c writes them
+        self.shapes = [(m,), (m, d), (m, d), (m,), (m, d), (pairs, d), (len(WORKS),), ()]
+        super().__init__(tables, judged, contact=sum(int(np.prod(x)) for x in self.shapes))
+
+    def recorded(self) -> Recorded:
+        """What was recorded, copied."""
+        return ContactRecorded(super().recorded(), self)
+
+
+class ContactRecorded(Recorded):
+    """Records with contact; ``contact``: its :class:`ContactForces`, with the record as the first axis of all arrays."""
+
+    def __init__(self, found: Recorded, tape: ContactTape) -> None:
+        super().__init__(found.tables, found.arrays, found.doubt)
+        self.system, contacts = tape.whole_system, tape.contacts
+        numbers, parts, first = self.arrays["contact"], [], 0
+        for shape in tape.shapes:
+            size = int(np.prod(shape))
+            parts.append(numbers[:, first : first + size].reshape(len(self), *shape))
+            first += size
+
+        gap, x, normal, carried, force, impulse, work, self._times = parts
+        self.contact = ContactForces(
+            contacts.names,
+            0.0,
+            contacts.pair,
+            x,
+            normal,
+            gap,
+            carried,
+            force,
+            _pressures(contacts, carried),
+            impulse,
+            work,
+        )
+
+    def state(self, i: int) -> State:
+        """One of the states, with the contact forces of the step that led to it."""
+        s = super().state(i)
+        c = self.contact
+        names = ("x", "normal", "gap", "normal_force", "force", "pressure", "impulse", "work")
+        one = {name: getattr(c, name)[i].copy() for name in names}
+        forces = ContactForces(names=c.names, time=float(self._times[i]), pair=c.pair, **one)
+        return ContactState(s.t, s.q, s.v, s.a, s.lam, forces)
+
+
+def _pressures(contacts: ContactSet, normal: Array) -> Array:
+    """Pressures of normal forces (k, m)."""
+    if all(pair.trace_nodes is None for pair in contacts.pairs):
+        return normal
+    return np.array([contacts.pressures(x) for x in normal]).reshape(normal.shape)

@@ -1,0 +1,97 @@
+"""What implicit schemes in local coordinates have in common: the equations of a step, their tangent, Newton's iteration and its
+judge, the step control.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..errors import CallbackError, ConvergenceError, LinearSolveError
+from ..linear.condensation import StepSolver
+from ..linear.residual import Judge
+from ..rotations import Array
+from ..system.serialisation import Memory, plain, worker
+from ..system.system import State, System
+from .control import ErrorNorm, Statistics, StepControl
+from .dae import Points, step_equations
+from .newton import Newton
+from .stepping import TimeStepper
+
+
+class ImplicitStepper(TimeStepper):
+    """Advances a consistent state by stages that Newton's iteration finds; :class:`.Radau` and :class:`.BDF` derive from it.
+
+    ``what``: what is solved, for messages. ``control``: of the step size, set by the scheme.
+    """
+
+    what: ClassVar[str]
+    control: StepControl
+    keeps: ClassVar = {
+        "state": Memory.state,
+        **dict.fromkeys(("_fresh", "_full", "proposed", "local_error", "_theta"), plain()),
+        "control": plain(StepControl),
+        "stats": plain(Statistics),
+        "norm": worker,
+        "eq": worker,
+    }
+
+    def __init__(self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
+        self.eq = step_equations(system, scheme.form, solver)
+        self.adaptive = scheme.rtol is not None
+        self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
+        self.stats = Statistics()
+        self.judge = Judge(self.what)
+        self.proposed: float | None = None
+
+        # the tangent is kept from step to step while Newton's iteration converges fast with it
+        self._tangent: Any = None  # of the equations' own kind
+        self._pencil: Any = None  # its factor
+        self._fresh = False  # whether the tangent is that of this step
+        self._full = False  # whether each iteration takes its own
+        self._theta = 1e-3  # rate of convergence
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Work so far, for the counters of a run."""
+        eq, judge = self.eq, self.judge
+        self.stats.residuals, self.stats.jacobians, self.stats.solves = eq.residuals, eq.jacobians, judge.solves
+        return {**self.stats.as_dict(), **eq.counters}
+
+    def _found(self, iterate: Callable[[], Points | str]) -> Points | str:
+        """The stages that an iteration finds, or the cause of its failure."""
+        try:
+            return iterate()
+        except (LinearSolveError, np.linalg.LinAlgError):
+            return "linear solve failed"
+        except (CallbackError, ConvergenceError) as error:
+            if not self.adaptive:
+                raise
+            self.control.fault = str(error)
+            return "forces not finite, or a motion out of range"
+
+    def _failure(self, h: float, cause: str) -> ConvergenceError:
+        """The error of a step of constant size h (s) whose iteration failed."""
+        t = self.state.t + h
+        return ConvergenceError(
+            f"Newton's iteration failed at t = {t:.6g} s (h = {h:.3g} s): {cause}. Take a smaller dt."
+        )
+
+    def _newton_tolerance(self) -> float:
+        """Bound of the norm of the error left, in units of the error norm."""
+        if not self.adaptive:
+            return 1.0
+        roundoff = 10 * float(np.finfo(float).eps) / self.norm.rtol
+        return max(roundoff, min(0.03, self.norm.rtol**0.5))
+
+    def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
+        """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
+        push = self.eq.pushes(dmult) if self.scheme.form.index > 1 else None
+        if self.adaptive:
+            return self.norm(h, dxi, dv, push)
+        return max(
+            self.norm.constant(h, self.state, dxi[i], dv[i], None if push is None else push[i]) for i in range(len(dxi))
+        )

@@ -1,0 +1,174 @@
+/* What explicit schemes need of a system, whose matrix is that of the masses: accelerations, states on the constraints, all stages
+   of a Runge-Kutta method in one call, and those of a half-explicit one. Frames on surfaces of bodies have no second derivatives
+   here: half-explicit stages, which ask for none, take them. */
+
+enum { REFINED = 12, CLOSED = 12, HALF = 50 }; /* iterations */
+static const double AT_REST = 1e-13; /* of the forces, that the balance may lack */
+
+static double greatest(const double *x, int n)
+{
+    double found = 0.0;
+    for (int i = 0; i < n; i++)
+        if (found == found && !(fabs(x[i]) <= found)) found = fabs(x[i]); /* nan stays */
+    return found;
+}
+
+/* a and lambda at (t, q, v), the third of (1) in schemes/consistent.py, by iterations down to roundoff; ``bias``: what prescribed
+   motions add to g'' - G a. ``room``: 2 nv + 3 rows + nu. ``factored``: whether the matrix of the masses is, at this q. */
+static int accelerate(System *s, double t, double length, const double *q, const double *v, const double *bias, double *a,
+                      double *lam, double *room, int factored)
+{
+    double *x = room, *y = x + s->nv, *second = y + s->rows, *partial = second + s->rows, *world = partial + s->rows;
+    double fastest = largest_of(s->units, v, s->nv), forces = 0.0, last = INFINITY;
+    int verdict = place(s, q, v);
+    if (verdict) return verdict;
+    derivatives_in_time(s, partial, second);
+    memset(a, 0, s->nv * sizeof(double));
+    memset(lam, 0, s->rows * sizeof(double));
+    memset(world, 0, s->nu * sizeof(double));
+
+    for (int k = 0; k < REFINED; k++) {
+        if ((verdict = evaluate(s, q, v, a, lam, t))) return verdict;
+        double left = greatest(s->residual, s->nu);
+        if (k == 0) forces = left;
+        else if (left <= AT_REST * forces) return DONE;
+        if (k == 0 && !factored && (verdict = prepare(s, q, 0.0, 0.0, lam, 0, t))) return verdict;
+
+        /* what is open: the balance, and G a + g'' - G a of the accelerations found so far */
+        memcpy(s->velocity, world, s->nu * sizeof(double));
+        slips(s, 0);
+        for (int i = 0; i < s->nu; i++) s->b[i] = -s->residual[i];
+        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -(s->slip[i] + second[i] + bias[i]);
+        solution(s, x, y);
+
+        add(world, 1.0, s->b, s->nu);
+        add(a, 1.0, x, s->nv);
+        add(lam, 1.0, y, s->rows);
+        double size = largest_of(s->units, x, s->nv), largest = largest_of(s->units, a, s->nv);
+        if (!(size < INFINITY)) return NEWTON;
+        int stalled = size > 0.5 * last && last <= 1e-8 * fmax(largest, fastest * fastest / length);
+        if (stalled || size <= 1e-11 * largest) return DONE;
+        last = size;
+    }
+    return NEWTON;
+}
+
+EXPORT int driver_accelerate(System *s, int factored, double t, double length, const double *q, const double *v, const double *bias,
+                             double *a, double *lam, double *room)
+{
+    double last = NAN;
+    int verdict = sample(s, t, &last);
+    return verdict ? verdict : accelerate(s, t, length, q, v, bias, a, lam, room, factored);
+}
+
+/* The smallest change of twists, in the mass metric, that closes the rows by ``open``: with the factor as it is. */
+static double closing_change(System *s, const double *open, double *x, double *y)
+{
+    memset(s->b, 0, s->nu * sizeof(double));
+    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -open[i];
+    solution(s, x, y);
+    return largest_of(s->units, x, s->nv);
+}
+
+/* q, then v, moved onto the constraints in the mass metric, as project() of schemes/consistent.py. The factor of the first
+   configuration serves as long as each correction is a hundred times smaller than the one before. ``room``: nv + rows + nq. */
+EXPORT int driver_close(System *s, double t, double length, double *q, double *v, double *room)
+{
+    double *x = room, *y = x + s->nv, *moved = y + s->rows, asked = NAN, last = INFINITY, size;
+    int verdict = sample(s, t, &asked), anew = 1;
+    if (verdict) return verdict;
+
+    for (int k = 0; k < CLOSED; k++) {
+        if ((verdict = place(s, q, v))) return verdict;
+        drift(s);
+        if (anew && (verdict = prepare(s, q, 0.0, 0.0, y, 0, t))) return verdict;
+        size = closing_change(s, s->gap, x, y);
+        if (!(size < INFINITY)) return NEWTON;
+        configuration(s, q, x, moved);
+        memcpy(q, moved, s->nq * sizeof(double));
+        if (size <= 1e-13 * length) break;
+        if (k == CLOSED - 1) return NEWTON;
+        anew = size > 1e-2 * last;
+        last = size;
+    }
+
+    last = INFINITY;
+    for (int k = 0; k < CLOSED; k++) {
+        if ((verdict = place(s, q, v))) return verdict;
+        drift(s);
+        if (anew && (verdict = prepare(s, q, 0.0, 0.0, y, 0, t))) return verdict;
+        size = closing_change(s, s->slip, x, y);
+        if (!(size < INFINITY)) return NEWTON;
+        add(v, 1.0, x, s->nv);
+        if (size <= 1e-14 * largest_of(s->units, v, s->nv) || size >= 0.5 * last) return DONE;
+        anew = size > 1e-2 * last;
+        last = size;
+    }
+    return NEWTON;
+}
+
+/* The stages of an explicit Runge-Kutta method in local coordinates xi about q0, whose rates and accelerations (stages x nv) are
+   known for the first; xi and v: the end of the step, by the last row of A, (stages + 1) x stages. ``bias``: stages x rows;
+   ``room``: nq + 2 nv + 4 rows + nu. */
+EXPORT int driver_stages(System *s, int stages, double t, double h, double length, const double *c, const double *A,
+                         const double *bias, const double *q0, const double *v0, double *rates, double *pushes, double *xi,
+                         double *v, double *room)
+{
+    double *q = room, *lam = q + s->nq, *rest = lam + s->rows, last = NAN;
+    int verdict;
+
+    for (int i = 1; i <= stages; i++) {
+        memset(xi, 0, s->nv * sizeof(double));
+        memcpy(v, v0, s->nv * sizeof(double));
+        for (int j = 0; j < i; j++) {
+            double share = h * A[i * stages + j];
+            if (share == 0.0) continue;
+            add(xi, share, rates + (long)j * s->nv, s->nv);
+            add(v, share, pushes + (long)j * s->nv, s->nv);
+        }
+        if (i == stages) break;
+
+        configuration(s, q0, xi, q);
+        if ((verdict = sample(s, t + c[i] * h, &last))) return verdict;
+        verdict = accelerate(s, t + c[i] * h, length, q, v, bias + (long)i * s->rows, pushes + (long)i * s->nv, lam, rest, 0);
+        if (verdict) return verdict;
+        double *rate = rates + (long)i * s->nv;
+        memcpy(rate, v, s->nv * sizeof(double));
+        for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, rate + TWIST * b);
+    }
+    return DONE;
+}
+
+/* One stage of a half-explicit method, (2) of schemes/onestep/half_explicit.py: a and lambda, which begin as a guess, with the balance
+   at (times[0], q, v) and the rows at (times[1], after) on the speeds known + h a. Below ``nothing`` an increment counts as none.
+   ``solves`` counts. ``room``: 2 nv + 2 rows. */
+EXPORT int driver_half_stage(System *s, double h, double nothing, const double *times, const double *q, const double *v,
+                             const double *after, const double *known, double *a, double *lam, long *solves, double *room)
+{
+    double *x = room, *speeds = x + s->nv, *y = speeds + s->nv, *open = y + s->rows, last = INFINITY, asked = NAN;
+    int verdict;
+
+    for (int k = 0; k < HALF; k++) {
+        memcpy(speeds, known, s->nv * sizeof(double));
+        add(speeds, h, a, s->nv);
+        if ((verdict = sample(s, times[1], &asked)) || (verdict = place(s, after, speeds))) return verdict;
+        drift(s);
+        memcpy(open, s->slip, s->rows * sizeof(double));
+
+        if ((verdict = sample(s, times[0], &asked)) || (verdict = evaluate(s, q, v, a, lam, times[0]))) return verdict;
+        if (k == 0 && (verdict = prepare(s, q, 0.0, 0.0, lam, 0, times[0]))) return verdict;
+        for (int i = 0; i < s->nu; i++) s->b[i] = -s->residual[i];
+        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -open[i] / h;
+        solution(s, x, y);
+        add(a, 1.0, x, s->nv);
+        add(lam, 1.0, y, s->rows);
+        (*solves)++;
+
+        double size = largest_of(s->units, x, s->nv), scale = fmax(largest_of(s->units, a, s->nv), 1e-300);
+        int stalled = size >= 0.5 * last && size <= 1e-9 * scale;
+        if (stalled || size <= fmax(1e-13 * scale, nothing)) return DONE;
+        if (!(size < INFINITY) || size > 2.0 * last) return NEWTON;
+        last = size;
+    }
+    return NEWTON;
+}

@@ -1,0 +1,90 @@
+/* What the units of the driver know of each other. A unit that no part of a scene needs is not linked, and not called. */
+
+#if defined(__GNUC__)
+#define EXPORT __attribute__((visibility("default")))
+#define PART __attribute__((weak))
+#else
+#define EXPORT
+#define PART
+#endif
+
+/* reduced.c, surfaces.c */
+PART int place_surface(System *s, int number, const double *q);
+PART int reduced_force(const Body *o, const double *R, const double *q, const double *v, const double *a, const double *w,
+                       const double *gravity, const double *accel, double *f, double *rows);
+PART void reduced_block(System *s, const Body *o, const double *R, const double *eta, double cd, double ck);
+PART void reduced_energies(const Body *o, const double *R, const double *q, const double *v, const double *pose, const double *twist,
+                           const double *gravity, double *out);
+
+/* fields.c */
+PART void add_column(const Field *e, int k, double c, double *U);
+PART void field_columns(const Body *o, const double *q, const double *v);
+PART int field_force(System *s, int b, const double *q, const double *v, const double *a, double *f, double t);
+PART void frame_conditions(System *s, const Body *o, const double *lam);
+PART void field_block(System *s, const Body *o, const double *R, const double *q);
+PART int field_load(System *s, const Body *o, double scale, double t);
+PART void field_increment(const Body *o, const double *p, double *dU, double *lam);
+PART void field_sway(const Body *o, const double *R, const double *dU, double *f);
+PART void field_energies(System *s, int b, double t, const double *q, const double *v, const double *gravity, double *out);
+
+/* rods.c, in space */
+PART int rod_forces(System *s, Rod *k, double t);
+PART int rod_tangents(System *s, Rod *k, double t, double geometric);
+PART double rod_energy(System *s, Rod *k);
+
+/* mounts.c */
+PART void mount_forces(System *s, const Batch *k);
+PART void mount_tangents(System *s, const Batch *k, double cd, double ck, double geometric);
+PART double mount_energy(const System *s, const Batch *k);
+
+/* whole.c */
+PART int whole_forces(System *s, Batch *k, double t);
+PART int whole_tangents(System *s, Batch *k, double cd, double ck, double t);
+
+/* the core */
+int side_map(const System *s, int frame, const double **map);
+void through(const double *map, int width, const double *y, double *row);
+void twist_row(const Batch *k, long i, double *y);
+void mapped_square(System *s, const Batch *k, long i, const double *C);
+int place(System *s, const double *q, const double *v);
+int inertia(System *s, const double *q, const double *v, const double *a, double t);
+int evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t);
+int prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t);
+void solution(System *s, double *x, double *y);
+void slips(System *s, int rates);
+void configuration(const System *s, const double *q0, const double *xi, double *q);
+void energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out);
+void keep(System *s, double t);
+double largest_of(const double *units, const double *x, int n);
+int judge(double *p, const double *sizes, int done, double *error);
+
+/* Parameters of a march; increments of a step at most. */
+enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,           /* in */
+       ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT,                                   /* in and out */
+       STABILISED };                                                                                                   /* in: the GGL form */
+enum { MOST = 64 };
+
+/* A state as one block of numbers: t, q (nq), v (nv), a (nv), A (nv), lambda (rows). */
+typedef struct {
+    double *t, *q, *v, *a, *A, *lam;
+} Block;
+
+static inline Block block_at(const System *s, double *x)
+{
+    Block b;
+    b.t = x;
+    b.q = x + 1;
+    b.v = b.q + s->nq;
+    b.a = b.v + s->nv;
+    b.A = b.a + s->nv;
+    b.lam = b.A + s->nv;
+    return b;
+}
+
+int record(System *s, Tape *tape, const Block *now); /* the core */
+
+/* The coordinates of a body's modes. */
+static inline const double *modes_of(const Body *o, const double *q)
+{
+    return o->field ? o->field->p : q + o->at_q;
+}

@@ -1,0 +1,161 @@
+"""The explicit Runge-Kutta method of order eight: order, error control, values between steps, and the compiled stages."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from dae_problems import march, pendulum, pendulum_at, pendulum_errors, spinning_top, state_errors
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.system.compiled.evaluation import DriverStates
+from fmbd_fenicsx.system.compiled.explicit import ExplicitStates
+
+
+def bead() -> fmbd.Scene:
+    """A bead slides on an arm that a drive turns unevenly."""
+    scene = fmbd.Scene("bead")
+    arm = fmbd.RigidBody("arm", 1.0, 1.0, (0.0, 0.0))
+    bead = fmbd.RigidBody("bead", 1.0, 0.1, (0.5, 0.0))
+    scene.add(arm, bead, fmbd.revolute("axle", fmbd.ground, arm, center=(0, 0)))
+    scene.add(fmbd.prismatic("wire", arm, bead, axis=(1, 0), center=(0, 0)))
+    turn = lambda t: (1 - np.cos(t), np.sin(t), np.cos(t))
+    scene.add(fmbd.drive_rotation("motor", fmbd.ground, arm, turn))
+    scene.sensor("x", fmbd.position(bead))
+    return scene
+
+
+def test_order_eight() -> None:
+    errors = [pendulum_errors(fmbd.ExplicitRungeKutta(None), 2.0, n) for n in (8, 16)]
+    assert (np.log2(errors[0] / errors[1]) > 7.5).all(), errors
+
+
+@pytest.mark.parametrize(("make", "t_end", "steps"), [(spinning_top, 0.5, 3), (bead, 2.0, 4)])
+def test_order_eight_of_frames(make: Any, t_end: float, steps: int) -> None:
+    """With rotations in space, and with a joint that is driven."""
+    scene, scheme = make(), fmbd.ExplicitRungeKutta(None)
+    reference = march(scene, scheme, t_end, 12 * steps)[-1]
+    other = march(scene, fmbd.Radau(5, fmbd.StateSpace(), None), t_end, 15 * steps)[-1]
+    assert max(state_errors(scene, other, reference)) < 1e-9
+
+    errors = [state_errors(scene, march(scene, scheme, t_end, n)[-1], reference) for n in (steps, 2 * steps)]
+    assert (np.log2(errors[0] / errors[1]) > 7.3).all(), errors
+
+
+@pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-11])
+def test_error_follows_the_tolerance(rtol: float) -> None:
+    run = fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.ExplicitRungeKutta(rtol))
+    x, v, lam = pendulum_at(1.0)
+    assert np.abs(run["x"][-1] - x).max() < 5 * rtol
+    assert np.abs(run["v"][-1] - v).max() < 10 * rtol
+    assert abs(abs(run.state.lam[0]) - lam) < 50 * rtol
+    assert run.drift[0] < 1e-13 and run.drift[1] < 1e-12
+
+
+def test_work_grows_like_order_eight() -> None:
+    steps = [
+        fmbd.solve(pendulum(), t_end=1.0, scheme=fmbd.ExplicitRungeKutta(r)).counters["steps"] for r in (1e-6, 1e-12)
+    ]
+    assert steps[1] / steps[0] < 1.3 * 1e6 ** (1 / 8)
+
+
+@pytest.mark.parametrize("make", [pendulum, spinning_top])
+def test_values_between_the_ends_of_steps_are_of_order_seven(make: Any) -> None:
+    scene = make()
+    if make is spinning_top:
+        body = next(iter(scene.bodies.values()))
+        scene.sensor("x", fmbd.position(body, point=(0.1, 0.2, 0.3)))
+        scene.sensor("v", fmbd.velocity(body))
+    output = fmbd.Output(times=tuple(np.linspace(0.013, 0.247, 14)), energy=False)
+    exact = fmbd.solve(scene, t_end=0.25, scheme=fmbd.ExplicitRungeKutta(None), dt=0.25 / 40, output=output)
+    counts = (2, 4)
+    runs = [
+        fmbd.solve(scene, t_end=0.25, dt=0.25 / n, scheme=fmbd.ExplicitRungeKutta(None), output=output) for n in counts
+    ]
+    for name in ("x", "v"):
+        errors = [np.abs(run[name] - exact[name]).max() for run in runs]
+        assert np.log2(errors[0] / errors[1]) > 6.3, (name, errors)
+
+
+def redundant() -> fmbd.Scene:
+    """A door on two hinges: rows depend on each other, and NumPy makes the stages."""
+    scene = fmbd.Scene("door", gravity=(0.0, -9.81, 0.0))
+    door = fmbd.RigidBody("door", 2.0, (0.2, 0.3, 0.1), (0.5, 0.0, 0.0))
+    axis = (0.1, 0.0, 1.0)
+    scene.add(door, fmbd.revolute("low", fmbd.ground, door, center=(0, 0, 0), axis=axis))
+    scene.add(fmbd.revolute("high", fmbd.ground, door, center=axis, axis=axis))
+    scene.sensor("x", fmbd.position(door))
+    return scene
+
+
+def chain() -> fmbd.Scene:
+    """Three links in the plane with springs on their hinges and a force of time."""
+    scene, before = fmbd.Scene("chain", gravity=(0.0, -9.81)), fmbd.ground
+    for i in range(3):
+        link = fmbd.RigidBody(f"link {i}", 1.0, 0.1, (0.5 + i, 0.0))
+        hinge = fmbd.revolute(f"hinge {i}", before, link, center=(float(i), 0.0))
+        scene.add(link, hinge, fmbd.joint_spring(f"spring {i}", fmbd.angle(hinge), stiffness=5.0, damping=0.3))
+        before = link
+    scene.add(fmbd.force("push", before, lambda t: (3.0 * np.sin(4 * t), 0.0)))
+    scene.sensor("x", fmbd.position(before))
+    return scene
+
+
+@pytest.mark.parametrize("make", [chain, bead, spinning_top, redundant])
+def test_compiled_stages_are_those_of_numpy(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One call a step; states agree to roundoff with stages that are made one by one."""
+    calls: Counter[bool] = Counter()
+    stages = ExplicitStates.stages
+
+    def counted(self: Any, *given: Any) -> Any:
+        found = stages(self, *given)
+        calls[found is not None] += 1
+        return found
+
+    monkeypatch.setattr(ExplicitStates, "stages", counted)
+    run = fmbd.solve(make(), t_end=0.3, scheme=fmbd.ExplicitRungeKutta(1e-7))
+    attempts = run.counters["steps"] + run.counters["rejections"]
+    assert calls == ({} if make is redundant else {True: attempts})
+
+    nothing = lambda *given: None
+    for name in ("stages", "accelerations", "closed"):
+        monkeypatch.setattr(ExplicitStates, name, nothing)
+    slow = fmbd.solve(make(), t_end=0.3, scheme=fmbd.ExplicitRungeKutta(1e-7))
+    assert slow.counters["steps"] == run.counters["steps"]
+    for found, expected in zip(
+        (run.state.q, run.state.v, run.state.a), (slow.state.q, slow.state.v, slow.state.a), strict=True
+    ):
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
+
+
+def test_a_step_enters_python_a_few_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stages in one call, the end in one, the accelerations there in one."""
+    calls: Counter[str] = Counter()
+
+    def count(name: str) -> Any:
+        function = getattr(DriverStates, name)
+
+        def counted(self: Any, *given: Any) -> Any:
+            calls[name] += 1
+            return function(self, *given)
+
+        return counted
+
+    for name in ("at", "balances", "constraints", "rows", "prepare"):
+        monkeypatch.setattr(DriverStates, name, count(name))
+    quiet = fmbd.Output(every=10**9, energy=False, progress=False)
+    fmbd.solve(chain(), t_end=0.1, scheme=fmbd.ExplicitRungeKutta(1e-8), output=quiet)
+    few = sum(calls.values())
+    calls.clear()
+    run = fmbd.solve(chain(), t_end=2.0, scheme=fmbd.ExplicitRungeKutta(1e-8), output=quiet)
+    assert run.counters["steps"] > 20
+    assert sum(calls.values()) <= few + 2 * run.counters["steps"]
+
+
+def test_a_law_that_fails_is_named() -> None:
+    scene = chain()
+    scene.add(fmbd.force("wind", scene.bodies["link 2"], lambda t: (np.nan if t > 0.05 else 1.0, 0.0)))
+    with pytest.raises(fmbd.errors.FmbdError, match="wind"):
+        fmbd.solve(scene, t_end=0.3, scheme=fmbd.ExplicitRungeKutta(1e-7))

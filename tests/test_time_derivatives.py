@@ -1,0 +1,79 @@
+"""Derivatives of functions of time: exact through NumPy's functions, and of any time scale through all others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.mechanics.joints.time_derivatives import rates
+
+LAWS: dict[str, tuple[Callable[[Any], Any], Callable[[float], tuple[float, float]]]] = {
+    "powers": (lambda t: 3 * t**3 - t**2 / 4 + 1, lambda t: (9 * t**2 - t / 2, 18 * t - 0.5)),
+    "quotient": (lambda t: 1 / (1 + t**2), lambda t: (-2 * t / (1 + t**2) ** 2, (6 * t**2 - 2) / (1 + t**2) ** 3)),
+    "wave": (lambda t: 0.3 * np.sin(40 * t + 1), lambda t: (12 * np.cos(40 * t + 1), -480 * np.sin(40 * t + 1))),
+    "nested": (
+        lambda t: np.exp(-np.sqrt(1 + t) * np.tanh(t)) - 2.0**t,
+        lambda t: derivatives_of_nested(t),
+    ),
+    "pieces": (lambda t: t**3 if t > 0.1 else 0.0 * t, lambda t: (3 * t**2, 6 * t) if t > 0.1 else (0.0, 0.0)),
+    "where": (lambda t: np.where(t < 0.1, 0.0, (t - 0.1) ** 3), lambda t: (3 * max(t - 0.1, 0) ** 2, 6 * max(t - 0.1, 0))),
+    "clipped": (lambda t: np.clip(t, 0.0, 0.2) ** 2 + abs(-t), lambda t: (2 * t + 1, 2.0) if t < 0.2 else (1.0, 0.0)),
+    "constant": (lambda t: 2.0, lambda t: (0.0, 0.0)),
+}  # fmt: skip
+
+
+def derivatives_of_nested(t: float) -> tuple[float, float]:
+    """With g = sqrt(1 + t) tanh t."""
+    r, y = math.sqrt(1 + t), math.tanh(t)
+    s = 1 - y * y
+    g1, g2 = y / (2 * r) + r * s, -y / (4 * r**3) + s / r - 2 * r * y * s
+    e, k = math.exp(-r * y), math.log(2.0)
+    return -g1 * e - k * 2**t, (g1**2 - g2) * e - k * k * 2**t
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_exact_through_functions_of_numpy(name: str) -> None:
+    law, exact = LAWS[name]
+    for t in (0.05, 0.17, 0.31, 3.0):
+        np.testing.assert_allclose(rates(law, t), exact(t), rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3])
+def test_other_functions_in_any_time_scale(scale: float) -> None:
+    """Of the module math, at the start and later; whole periods between the places looked at are no rest."""
+    for omega in (1.0, 2 * np.pi, 0.1):
+        w = omega / scale
+        for t in (0.0, 0.3 * scale, 5.0 * scale):
+            first, second = rates(lambda x, w=w: math.sin(w * x), t)
+            assert first == pytest.approx(w * np.cos(w * t), rel=2e-9, abs=2e-9 * w)
+            assert second == pytest.approx(-w * w * np.sin(w * t), rel=2e-7, abs=2e-7 * w * w)
+
+
+def test_a_table_between_its_knots() -> None:
+    """A spline has the derivatives of its piece; differences do not look across knots that change them."""
+    knots = np.linspace(0.0, 1.0, 11)
+    spline = CubicSpline(knots, np.sin(3 * knots))
+    for t in (0.05, 0.52, 0.97):
+        first, second = rates(spline, t)
+        assert first == pytest.approx(float(spline(t, 1)), rel=1e-6)
+        assert second == pytest.approx(float(spline(t, 2)), rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("sine", [np.sin, math.sin])
+def test_a_drive_of_a_microsecond(sine: Any) -> None:
+    """A resonator of 100 kHz: the drive's torque is that of its own acceleration."""
+    omega, size = 2 * np.pi * 1e5, 1e-3
+    body = fmbd.RigidBody("arm", 1e-9, 1e-18)
+    pin = fmbd.revolute("pin", fmbd.ground, body, center=(0, 0))
+    scene = fmbd.Scene("resonator")
+    scene.add(body, pin, fmbd.drive("drive", fmbd.angle(pin), lambda t: size * (omega * t - sine(omega * t)) ** 1))
+    scene.sensor("torque", fmbd.reaction("drive"))
+    run = fmbd.solve(scene, t_end=1e-5, dt=1e-7)
+    exact = -1e-18 * size * omega**2 * np.sin(omega * run.times)
+    assert np.abs(run["torque"][:, 0] - exact).max() < 1e-3 * np.abs(exact).max()
