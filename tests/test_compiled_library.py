@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from test_driver import bushings, links, tyre
 from test_kernel import flexible
@@ -29,3 +31,35 @@ def test_a_scene_gets_the_units_that_it_needs() -> None:
     assert units(bushings(3)) == ("mounts",)
     assert units(flexible(3)) == ("reduced",)
     assert units(tyre(3)) == ("whole",)
+
+
+SCHEMES = (fmbd.GeneralizedAlpha(), fmbd.Moreau(), fmbd.Radau(), fmbd.ExplicitRungeKutta(), fmbd.HalfExplicit())
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda x: type(x).__name__)
+def test_every_argument_has_a_type(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without one ctypes hands over half of an address; it says nothing where there are more arguments than types."""
+    body = fmbd.RigidBody("body", 1.0, 0.1, position=(0, 1), velocity=(1, 0))
+    scene = fmbd.Scene("falling", gravity=(0, -9.81))
+    scene.add(body, fmbd.revolute("pin", fmbd.ground, body, center=(0, 0)))
+    units: tuple[str, ...] = ()
+    if isinstance(scheme, fmbd.Moreau):
+        floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1)))
+        scene.add(fmbd.contact("floor", fmbd.corners(body, [(0, 0)]), floor))
+        units = (CONTACT,)
+    scene.sensor("place", fmbd.position(body))
+
+    library, called = driver_library(2, units), set()
+    for name, function in list(vars(library).items()):
+        if not hasattr(function, "argtypes"):
+            continue
+
+        def checked(*arguments: Any, function: Any = function, name: str = name) -> Any:
+            called.add(name)
+            assert len(arguments) == len(function.argtypes), name
+            return function(*arguments)
+
+        monkeypatch.setattr(library, name, checked)
+
+    fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=scheme)
+    assert called

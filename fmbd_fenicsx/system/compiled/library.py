@@ -27,6 +27,8 @@ FLAGS = (
 )
 CORE = "driver"
 CONTACT = "moreau"
+EXPORTED = re.compile(r"^EXPORT (\w+) (\w+)\((.*?)\)", re.MULTILINE | re.DOTALL)
+TYPES = {"int": ctypes.c_int, "long": ctypes.c_long, "double": ctypes.c_double, "void": None}
 
 
 def units_of(system: System) -> tuple[str, ...]:
@@ -47,7 +49,7 @@ def driver_library(dim: int, units: tuple[str, ...] = ()) -> Any:
     names = (CORE, *units)
     library = kernel_cache.Library(f"driver_{dim}d", tuple(_unit(dim, name) for name in names))
     loaded = kernel_cache.load_library(library, beside=(package_kernels(dim),))
-    return None if loaded is None else _typed(loaded, contact=CONTACT in units)
+    return None if loaded is None else _typed(loaded, dim, names)
 
 
 @cache
@@ -62,6 +64,7 @@ def _unit(dim: int, name: str) -> kernel_cache.Unit:
     )
 
 
+@cache
 def _source(dim: int, name: str, *, generated: bool = True) -> str:
     """A unit as one text, with what rods generate for it."""
 
@@ -77,29 +80,12 @@ def _source(dim: int, name: str, *, generated: bool = True) -> str:
     return whole(f"{name}.c")
 
 
-def _typed(library: Any, *, contact: bool) -> Any:
-    """The library with the types of its functions."""
-    p, r, i = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
-
-    # runs of steps
-    library.march.argtypes, library.march.restype = [p, p, ctypes.c_long, p, p, p], ctypes.c_long
-    if contact:
-        library.moreau_march.argtypes = [p, p, p, ctypes.c_long, p, p]
-        library.moreau_march.restype = ctypes.c_long
-
-    # states that Python asks for
-    library.driver_evaluate.argtypes = [p] * 5 + [r]
-    library.driver_prepare.argtypes = [p, p, r, r, p, i, r]
-    library.driver_increment.argtypes = [p, r, p, p, r]
-    library.driver_balances.argtypes = [p, ctypes.c_long] + [p] * 6
-    library.driver_constraints.argtypes = [p, ctypes.c_long] + [p] * 7
-    library.driver_rows.argtypes = [p, ctypes.c_long] + [p] * 4
-    library.driver_compose.argtypes, library.driver_compose.restype = [p, ctypes.c_long] + [p] * 3, None
-    library.driver_energies.argtypes = [p, r] + [p] * 4
-    library.driver_solve.argtypes = [p] * 6
-    library.driver_accelerate.argtypes = [p, i, r, r] + [p] * 6
-    library.driver_half_stage.argtypes = [p, r, r] + [p] * 9
-    library.driver_close.argtypes = [p, r, r] + [p] * 3
-    library.driver_stages.argtypes = [p, i, r, r, r] + [p] * 10
-
+def _typed(library: Any, dim: int, names: tuple[str, ...]) -> Any:
+    """The library with the types of its functions, as the sources declare them: ctypes would cut an address that has none."""
+    for name in names:
+        for result, function, arguments in EXPORTED.findall(_source(dim, name, generated=False)):
+            declared = [x.replace("const ", "").strip() for x in arguments.split(",")]
+            made = getattr(library, function)
+            made.restype = TYPES[result]
+            made.argtypes = [ctypes.c_void_p if "*" in x else TYPES[x.split()[0]] for x in declared]
     return library
