@@ -1,0 +1,58 @@
+"""No access beside the arrays that the driver was given: its tests once more, compiled with the compiler's address sanitizer."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FILES = (
+    "driver",
+    "driver_start",
+    "compiled",
+    "compiled_contact",
+    "compiled_evaluation",
+    "compiled_recording",
+    "checkpoint",
+)
+
+
+def library(name: str) -> str:
+    """The path of a library of the C compiler; "" without one."""
+    try:
+        found = subprocess.run(
+            ["gcc", f"-print-file-name={name}"], capture_output=True, text=True, check=True
+        ).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return found if Path(found).is_absolute() else ""
+
+
+SANITIZER, STANDARD = library("libasan.so"), library("libstdc++.so")
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+@pytest.mark.timeout(0)
+@pytest.mark.skipif(not (SANITIZER and STANDARD), reason="no address sanitizer")
+def test_the_driver_stays_in_its_memory(tmp_path: Path) -> None:
+    """The first access outside ends the process; Python's own allocator, which hides them, is left out."""
+    environment = {
+        **os.environ,
+        "CC": "cc -g -fsanitize=address",
+        "LD_PRELOAD": f"{SANITIZER} {STANDARD}",
+        "ASAN_OPTIONS": f"detect_leaks=0:log_path={tmp_path / 'found'}",
+        "PYTHONMALLOC": "malloc",
+        "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "tests"))),
+    }
+    options = ["-q", "-p", "no:cacheprovider", "-p", "no:xdist", f"--basetemp={tmp_path / 'tests'}", "--timeout=900"]
+    files = [f"tests/test_{name}.py" for name in FILES]
+    command = [sys.executable, "-m", "pytest", *options, *files]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+
+    reports = [x.read_text() for x in tmp_path.glob("found.*")]
+    assert not reports and done.returncode == 0, "\n".join(reports) or done.stdout[-3000:]
