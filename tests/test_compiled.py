@@ -52,9 +52,10 @@ def mixed() -> fmbd.Scene:
     return scene
 
 
-def pair(scene: Any, **options: Any) -> tuple[fmbd.Run, fmbd.Run]:
-    """The compiled and the NumPy run."""
-    runs = [fmbd.solve(scene(), scheme=GeneralizedAlpha(0.8, compiled=c), **options) for c in (True, False)]
+def pair(scene: Any, form: Any = None, **options: Any) -> tuple[fmbd.Run, fmbd.Run]:
+    """The compiled and the NumPy run; ``form``: index 3 without one."""
+    schemes = [GeneralizedAlpha(0.8, compiled=c, form=form or fmbd.Index3()) for c in (True, False)]
+    runs = [fmbd.solve(scene(), scheme=scheme, **options) for scheme in schemes]
     return runs[0], runs[1]
 
 

@@ -117,6 +117,21 @@ def test_same_digits_for_floating_bodies(rod_mesh: Callable[..., Any], dim: int,
     agree(fast, slow)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("frame", [fmbd.MeanAxis(), fmbd.Attached("pin"), fmbd.Chord("pin", "tip")], ids=str)
+def test_stabilised_form_of_floating_bodies(rod_mesh: Callable[..., Any], dim: int, frame: Any) -> None:
+    """Both levels closed, frame conditions among them, with the factors of the fields: the digits of NumPy."""
+    mesh = rod_mesh(dim=dim, h=0.25)
+    scene = lambda: floating(mesh, frame, stiffness_damping=1e-4)
+    fast, slow = pair(scene, fmbd.GGL(), t_end=0.02, dt=5e-4)
+    assert fast.counters["compiled_steps"] >= 30
+    agree(fast, slow)
+
+    ev = fast.system.at(fast.state.t, fast.state.q, fast.state.v)
+    slip = ev.jacobian.times(fast.state.v) + ev.constraint_rate()
+    assert np.abs(slip).max() < 1e-9 * np.abs(fast.state.v).max()
+
+
 @pytest.mark.parametrize("frame", ["mean axis", "attached"])
 @pytest.mark.parametrize("what", ["mass damping", "load", "large strain", "viscous"])
 def test_same_digits_where_python_tells_the_forces_of_a_field(

@@ -142,7 +142,7 @@ class GeneralizedAlpha:
 
         if system.fields:
             # NumPy shares reactions among dependent rows to the last digits
-            if redundant or isinstance(self.form, GGL):
+            if redundant:
                 return None
             from .alpha_driver import drivable
             from .field_stepper import FieldStepper

@@ -116,7 +116,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
 
         double closed = 0.0, size;
         if (p[STABILISED] != 0.0) {
-            stabilised(s, scale, damp, x, closing, y, none);
+            if ((verdict = stabilised(s, scale, damp, x, closing, y, none, t))) return verdict;
             closed = largest_of(s->units, closing, n);
             for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, closing + TWIST * b);
             for (int i = 0; i < n; i++) xi[i] += closing[i];

@@ -28,6 +28,25 @@ int place(System *s, const double *q, const double *v)
     return DONE;
 }
 
+/* An array like v into s->velocity, in world axes, that of surfaces behind the bodies'; frames are placed. */
+void turn_velocity(System *s, const double *v)
+{
+    for (int b = 0; b < s->bodies; b++) {
+        const Body *o = s->body + b;
+        double *to = s->velocity + o->at_u;
+        memcpy(to, v + TWIST * b, D * sizeof(double));
+        to_world(s->frames + FRAME * b + TURN, v + TWIST * b + D, to + D);
+        if (o->field) field_columns(o, s->q, v);
+        memcpy(to + TWIST, o->field ? o->field->rates : v + o->at_v, o->modes * sizeof(double));
+    }
+    for (int i = 0; i < s->surfaces; i++) {
+        const Surface *k = s->surface + i;
+        const Body *o = s->body + k->body;
+        for (int j = 0; j < TWIST; j++)
+            s->velocity[s->nu + TWIST * i + j] = dot(k->map + j * (TWIST + o->modes), s->velocity + o->at_u, TWIST + o->modes);
+    }
+}
+
 int inertia(System *s, const double *q, const double *v, const double *a, double t)
 {
     int verdict = DONE;

@@ -210,8 +210,8 @@ void field_block(System *s, const Body *o, const double *R, const double *q)
     for (int i = 0; i < e->frames; i++) s->L[s->row_dest[e->row + i]] -= 1.0;
 }
 
-/* The right-hand side of (2) into s->b: the field's own forces through its factor. */
-int field_load(System *s, const Body *o, double scale, double t)
+/* z of the field's own forces times -scale, through its factor. */
+static int field_alone(System *s, const Body *o, double scale, double t)
 {
     const Field *e = o->field;
     double *b = s->b + o->at_u + TWIST;
@@ -223,17 +223,25 @@ int field_load(System *s, const Body *o, double scale, double t)
         b[i] = 0.0;
     }
     s->calls++;
-    if (s->python(FIELD, e->number, t)) return FAILED;
+    return s->python(FIELD, e->number, t) ? FAILED : DONE;
+}
+
+/* The right-hand side of (2) into s->b, whose rows of the frame conditions hold what C^T dU has to be; ``scale`` = 0: no forces. */
+int field_load(System *s, const Body *o, double scale, double t)
+{
+    const Field *e = o->field;
+    double *b = s->b + o->at_u + TWIST, *wanted = s->b + s->nu + e->row, open[TWIST];
+    if (scale == 0.0) memset(e->z, 0, e->n * sizeof(double));
+    else if (field_alone(s, o, scale, t)) return FAILED;
 
     /* h closes the frame conditions */
-    double open[TWIST];
     for (int i = 0; i < e->solved; i++) e->pz[i] = column(e, i, e->z);
-    for (int i = 0; i < e->frames; i++) open[i] = e->pz[e->frame_slot[i]] + s->gap[e->row + i];
+    for (int i = 0; i < e->frames; i++) open[i] = e->pz[e->frame_slot[i]] - wanted[i];
     for (int i = 0; i < e->frames; i++) e->h[i] = dot(e->A + e->frames * i, open, e->frames);
     for (int i = 0; i < e->solved; i++) e->pz[i] -= dot(e->W + e->frames * i, e->h, e->frames);
 
     for (int i = 0; i < e->solved; i++) b[i] += dot(e->S + e->solved * i, e->pz, e->solved);
-    for (int i = 0; i < e->frames; i++) s->b[s->nu + e->row + i] = 0.0;
+    for (int i = 0; i < e->frames; i++) wanted[i] = 0.0;
     return DONE;
 }
 

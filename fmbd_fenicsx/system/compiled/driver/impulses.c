@@ -25,24 +25,6 @@ static void compliance(System *s, Contacts *c, const int *closed, int m)
         for (int k = 0; k < r; k++) c->W[r * n + k] = c->W[k * n + r] = 0.5 * (c->W[r * n + k] + c->W[k * n + r]);
 }
 
-/* Velocities as an array like v into s->velocity, world axes; frames are placed. */
-static void turn_velocity(System *s, const double *v)
-{
-    for (int b = 0; b < s->bodies; b++) {
-        const Body *o = s->body + b;
-        double *to = s->velocity + o->at_u;
-        memcpy(to, v + TWIST * b, D * sizeof(double));
-        to_world(s->frames + FRAME * b + TURN, v + TWIST * b + D, to + D);
-        memcpy(to + TWIST, v + o->at_v, o->modes * sizeof(double));
-    }
-    for (int i = 0; i < s->surfaces; i++) {
-        const Surface *k = s->surface + i;
-        const Body *o = s->body + k->body;
-        for (int j = 0; j < TWIST; j++)
-            s->velocity[s->nu + TWIST * i + j] = dot(k->map + j * (TWIST + o->modes), s->velocity + o->at_u, TWIST + o->modes);
-    }
-}
-
 /* The step of length h with the closed contacts: velocities in out.v, multipliers in out.lam, impulses in c->f. */
 static int velocities(System *s, Contacts *c, double *p, Block now, Block out, int m, double h, double span)
 {

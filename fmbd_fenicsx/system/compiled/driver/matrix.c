@@ -133,12 +133,10 @@ static void sway(System *s, double *x, double *y)
     add(y, 1.0, more, s->rows);
 }
 
-/* Newton's increment from -scale times the residuals evaluated last and the open constraints. */
-static int increment(System *s, double scale, double *x, double *y, double t)
+/* x and y for the right-hand side in b, world axes; the nodes of fields have their forces times -scale. */
+static int with_fields(System *s, double scale, double *x, double *y, double t)
 {
     int verdict, sways = 0;
-    for (int i = 0; i < s->nu; i++) s->b[i] = -scale * s->residual[i];
-    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->gap[i];
     for (int b = 0; s->fields && b < s->bodies; b++) {
         const Body *o = s->body + b;
         if (!o->field) continue;
@@ -148,6 +146,14 @@ static int increment(System *s, double scale, double *x, double *y, double t)
     solution(s, x, y);
     if (sways) sway(s, x, y);
     return DONE;
+}
+
+/* Newton's increment from -scale times the residuals evaluated last and the open constraints. */
+static int increment(System *s, double scale, double *x, double *y, double t)
+{
+    for (int i = 0; i < s->nu; i++) s->b[i] = -scale * s->residual[i];
+    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->gap[i];
+    return with_fields(s, scale, x, y, t);
 }
 
 /* Rows of the constraints on the velocities as they stand, and the rates of what is prescribed where ``rates``, into slip. */
@@ -172,26 +178,21 @@ void slips(System *s, int rates)
 }
 
 /* The increment of the stabilised form: x and y close the constraints on velocities, ``closing`` those on positions. */
-static void stabilised(System *s, double scale, double damp, double *x, double *closing, double *y, double *none)
+static int stabilised(System *s, double scale, double damp, double *x, double *closing, double *y, double *none, double t)
 {
+    int verdict;
     slips(s, 1);
     for (int i = 0; i < s->nu; i++) s->b[i] = -scale * s->residual[i];
     for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -scale / damp * s->slip[i];
-    solution(s, x, y);
+    if ((verdict = with_fields(s, scale, x, y, t))) return verdict;
 
-    memcpy(s->velocity, s->b, s->nu * sizeof(double));
-    for (int i = 0; i < s->surfaces; i++) {
-        const Surface *k = s->surface + i;
-        const Body *o = s->body + k->body;
-        for (int j = 0; j < TWIST; j++)
-            s->velocity[s->nu + TWIST * i + j] = dot(k->map + j * (TWIST + o->modes), s->velocity + o->at_u, TWIST + o->modes);
-    }
+    turn_velocity(s, x);
     slips(s, 0);
     memset(s->b, 0, s->nu * sizeof(double));
     for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->gap[i] - s->slip[i];
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++) /* rows on velocities have no g: the correction rolls */
         for (long i = 0; k->role == ROW && k->flow && i < k->n; i++) s->b[s->nu + k->row[i]] = 0.0;
-    solution(s, closing, none);
+    return with_fields(s, 0.0, closing, none, t);
 }
 
 /* Whether slopes in the matrix misled at the last evaluation. */

@@ -47,6 +47,7 @@ void through(const double *map, int width, const double *y, double *row);
 void twist_row(const Batch *k, long i, double *y);
 void mapped_square(System *s, const Batch *k, long i, const double *C);
 int place(System *s, const double *q, const double *v);
+void turn_velocity(System *s, const double *v);
 int inertia(System *s, const double *q, const double *v, const double *a, double t);
 int evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t);
 int prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t);
