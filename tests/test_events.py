@@ -92,6 +92,23 @@ def test_dense_output_of_bdf_has_its_order(order: int, steps: tuple[int, int]) -
     assert (np.log2(np.array(found[0]) / found[1]) > order - 0.35).all(), found
 
 
+@pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(), fmbd.GeneralizedAlpha(compiled=False)], ids=["C", "NumPy"])
+def test_places_between_steps_are_as_good_as_at_their_ends(scheme: Any) -> None:
+    """A link that a drive turns is in its place at the end of each step; between them errors fall like h^4."""
+    link = fmbd.RigidBody("link", 1.0, 0.1, position=(0.5, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, link, center=(0.0, 0.0))
+    scene = fmbd.Scene("driven")
+    scene.add(link, pin, fmbd.drive("drive", fmbd.angle(pin), lambda t: 2.0 * np.sin(3.0 * t) + t))
+    scene.sensor("angle", fmbd.angle(pin))
+
+    times = np.sort(np.random.default_rng(1).uniform(0.3, 1.0, 60))
+    errors = []
+    for n in (20, 40):
+        run = fmbd.solve(scene, t_end=1.0, dt=1.0 / n, scheme=scheme, output=fmbd.Output(times=tuple(times)))
+        errors.append(np.abs(run["angle"].ravel() - 2.0 * np.sin(3.0 * times) - times).max())
+    assert np.log2(errors[0] / errors[1]) > 3.6 and errors[1] < 1e-5, errors
+
+
 def test_events_that_are_none_are_refused() -> None:
     for make, message in [
         (lambda: fmbd.Event("x", direction=2), "direction = 2 must be"),

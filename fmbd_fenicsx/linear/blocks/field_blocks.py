@@ -114,6 +114,9 @@ class FieldBlocks:
             blocks = self._sets.pop(key)
         else:
             blocks = [self._block(i, G, w, ties_apart) for i in range(len(self.system.fields))]
+            # sets with the same factors and earlier columns are of no more use
+            matrices = [matrix for matrix, _ in key]
+            self._sets = {k: x for k, x in self._sets.items() if [matrix for matrix, _ in k] != matrices}
             self.drop(keep=self.kept, live=[b.factor for b in blocks])
             if self.linear is not None and w.ck and not splits:
                 check_options(self.prefix, self.system.comm)

@@ -96,6 +96,14 @@ class AlphaDriver:
         self.calls.raise_error()
         return int(made), int(self._verdict.value)
 
+    def error(self, scale: float, span: float, arrays: Sequence[Array], t: float) -> Array | None:
+        """``driver_error`` of alpha.c for q, v, a, lambda and the slopes of places; None where NumPy has to do."""
+        e, y = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
+        at = [address_of(np.ascontiguousarray(x)) for x in arrays]
+        verdict = self.library.driver_error(self.address, scale, span, *at, t, address_of(e), address_of(y))
+        self.calls.raise_error()
+        return None if verdict else e
+
 
 def settings(p: Array, system: System, newton: Newton) -> None:
     """Fill the driver's parameters from a system and Newton's settings."""

@@ -68,6 +68,11 @@ class Rule:
         """dq / dv at the end of a step, s."""
         return self.h * self.beta / self.gamma
 
+    @property
+    def miss(self) -> float:
+        """c: velocities differ from the derivatives of places by c h^2 v'' (but for turning)."""
+        return 1 / 6 - self.beta - 0.5 * (self.alpha_m - self.alpha_f)
+
     def predicted(self, start: Start) -> End:
         """The end for the accelerations and multipliers predicted."""
         h, am, af = self.h, self.alpha_m, self.alpha_f

@@ -81,6 +81,20 @@ class CompiledStepper(Stepper):
         if self._driver is not None:
             self._driver.slopes = kept
 
+    @property
+    def begun(self) -> tuple[State, Array, Array] | None:
+        """What the last step began with, wherever it was made."""
+        self._settle()
+        return self._begun
+
+    def error(self, h: float) -> Array:
+        """As :meth:`Stepper.error`, with the driver's factor where it made the last step."""
+        if not self._ahead:
+            return super().error(h)
+        s, scale, jump, slopes = self._of_error(h)
+        found = self.driver.error(scale, 0.5 * h, (s.q, s.v, s.a + jump, s.lam, slopes), s.t)
+        return super().error(h) if found is None else found
+
     def _settle(self) -> None:
         """Give A and the past of the newest blocks to the NumPy path; they hold for the state with its time rounded too."""
         if self._ahead:
@@ -89,6 +103,8 @@ class CompiledStepper(Stepper):
             blocks = [self.driver.ring.block(i) for i in range(known + 1)]
             self._A = blocks[0][4]
             self._earlier = [(t, a, lam) for t, _, _, a, _, lam in blocks[1:]]
+            t, q, v, a, A, lam = blocks[1]
+            self._begun = State(t, q, v, a, lam), v, A
         self._ahead = False
 
     def _load(self) -> None:

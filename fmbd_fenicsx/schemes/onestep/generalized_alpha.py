@@ -18,6 +18,9 @@ lambda of first order until rho^n is small. The first step therefore starts from
 from v_0 + dv with M dv + G^T mu = 0 and G dv equal to that expression (Arnold, Bruels and Cardona,
 doi:10.1007/s00211-014-0633-1). The recorded state at the start stays exact.
 
+By the same amount c h^2 v'' + h^2 v x v' / 12, in all directions, velocities differ from the derivatives of the places that (1)
+gives: the values within a step are those of the cubic with slopes that are less by it, with v'' = (A_n+1 - A_n) / h.
+
 The stabilised form, ``form=GGL()``, demands both levels: G v + g_t = 0 at t_n+1 goes with lambda, and (1) gains a correction
 -M^-1 G^T mu that closes g = 0. Velocities are then exact on their level, the start needs A_0 only, and rho_inf = 1 stays stable.
 One iteration costs a second solve with the same factor.
@@ -44,6 +47,7 @@ from ...system.system import State, System
 from ..consistent import jerk, spin_of_acceleration, worst_block
 from ..control import check_controlled
 from ..dae import GGL, Form, Index3
+from ..dense_output import cubic, place_within, state_within
 from ..newton import Newton, not_converged, strayed
 from ..stepping import TimeStepper
 from .alpha_step import PATIENCE, AlphaStep, Rule, Start
@@ -193,6 +197,7 @@ class Stepper(TimeStepper):
         self.A = state.a.copy()
         self.fresh = True  # the next step is the first after a consistent start
         self._past: list[tuple[float, Array, Array]] = []
+        self._begun: tuple[State, Array, Array] | None = None  # state, v and A as the last step took them
         self.local_error = 0.0
         self.counters = {}
 
@@ -218,7 +223,7 @@ class Stepper(TimeStepper):
 
         v = s.v
         if (system.n_lam or volume) and not isinstance(self.scheme.form, GGL):
-            c = 1 / 6 - rule.beta - 0.5 * ahead
+            c = rule.miss
             miss = h * h * (c * rate + spin_of_acceleration(system, s.v, s.a) / 12)
             push = volume_push(self.solver, {k: h * h * c * x for k, x in volume.items()})
             across = ev.jacobian.times(miss)
@@ -281,12 +286,60 @@ class Stepper(TimeStepper):
         # two earlier states and the newest one make the parabola of the predictor
         self._past = [(s.t, s.a, s.lam), *self._past][:2]
         self.A, self.fresh = A, False
+        self._begun = s, step.start.v, step.start.A
 
         found = step.found
         if step.lost:
             self.solver.note_lost_gaps(self.system.at(found.t, found.q))
         self.state = replace(found, lam=self._reactions(found.t, found.q, found.lam))
         return self.state
+
+    @property
+    def begun(self) -> tuple[State, Array, Array] | None:
+        """The state that the last step began with, v and A as it took them; None before the first one."""
+        return self._begun
+
+    @property
+    def miss(self) -> Array:
+        """By how much velocities exceed the derivatives of places in the last step, (n_v,); none in the stabilised form."""
+        assert self.begun is not None
+        before, v, A = self.begun
+        if isinstance(self.scheme.form, GGL):
+            return np.zeros_like(v)
+        rule = self.scheme.rule(self.state.t - before.t)
+        turning = spin_of_acceleration(self.system, v, before.a)
+        return rule.h * rule.miss * (self.A - A) + rule.h**2 / 12 * turning
+
+    def error(self, h: float) -> Array:
+        """The error of the last step, of size h (s), as :mod:`.variable_alpha` defines it, (n_v,); collective."""
+        s, scale, jump, slopes = self._of_error(h)
+        ev = self.system.at(s.t, s.q, s.v)
+        # M times the jump of accelerations: times h^2, it would be lost beside those of short steps
+        change = ev.balance(s.a + jump, s.lam) - ev.balance(s.a, s.lam)
+        self.solver.prepare(ev, self.scheme.rule(h).weights)
+        opening = ev.jacobian.times(slopes) + ev.constraint_rate()
+        return self.solver.solve(scale * change, 0.5 * h * opening)[0]
+
+    def _of_error(self, h: float) -> tuple[State, float, Array, Array]:
+        """The newest state, h^2 (beta - 1/6), the jump of A, and the slopes of places."""
+        assert self.begun is not None
+        scale = h * h * (self.scheme.parameters[3] - 1.0 / 6.0)
+        return self.state, scale, self.A - self.begun[2], self.state.v - self.miss
+
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step: q, v by cubics with the slopes of (1) to (3), a and lambda by straight
+        lines.
+        """
+        if self.begun is None or t < self.begun[0].t:
+            return None
+        (before, v, A), after = self.begun, self.state
+        rule, jump = self.scheme.rule(after.t - before.t), self.A - A
+        h, ahead, miss = rule.h, rule.alpha_m - rule.alpha_f, self.miss
+        q = place_within(self.system, before, after, t, (v - miss, after.v - miss))
+
+        # A is that of a time t + ahead h
+        slopes = A - ahead * jump, self.A - ahead * jump
+        return replace(state_within(before, after, t, q), v=cubic((t - before.t) / h, h, (v, after.v), slopes))
 
     def _reactions(self, t: float, q: Array, lam: Array) -> Array:
         """Multipliers of a configuration; of those with the same forces the smallest."""

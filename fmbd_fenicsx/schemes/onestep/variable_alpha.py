@@ -7,18 +7,20 @@ factors, in a decade; factors stay for the sizes in use.
 Two quantities of the scheme belong to a step size. With r = h_new / h_old
 
     A  <-  a + r (A - a),                     as  A_n = a(t_n + (alpha_m - alpha_f) h) + O(h^2)                        (1)
-    v  <-  v + dv,   M dv + G^T mu = 0,   G dv = (r^2 - 1) (G v + g_t)                                                (2)
+    v  <-  v + dv,   (M + S K) dv + G^T mu = 0,   G dv = (r^2 - 1) (G v + g_t)                                         (2)
 
 at a change of size: velocities of the index-3 form miss their constraints by a multiple of h^2. Without (1) and (2) the order
-falls to one.
+falls to one. S is that of a step over the whole stretch, so that (2) moves elastic bodies as if they were rigid: with M alone it
+bends them, and they vibrate from then on, by ten times the error of equal steps.
 
 The error of a step is that of the positions, filtered by the matrix of the step, so that vibrations which the step damps do not
 count:
 
-    (M + s K) e + G^T mu = M h^2 (beta - 1/6) (A_n+1 - A_n),     G e = h/2 (G v + g_t)                                 (3)
+    (M + s K) e + G^T mu = M h^2 (beta - 1/6) (A_n+1 - A_n),     G e = h/2 (G w + g_t)                                 (3)
 
-Positions meet their constraints; what velocities miss them by tells how far the motion between two steps is from the one that
-they prescribe. Without it a mechanism without freedom, all of whose places its drives give, took one step for three turns.
+Positions meet their constraints; what the slopes w = v - d of places miss them by tells how far the motion within a step is from
+the one that they prescribe. Without it a mechanism without freedom, all of whose places its drives give, took one step for three
+turns.
 
 Sources: Bruels and Arnold, doi:10.1115/1.2960475 (variable steps); Zienkiewicz and Xie, doi:10.1002/eqe.4290200907 (the
 error); Shampine and Baca, doi:10.1145/357456.357462 (filters).
@@ -48,13 +50,14 @@ from ..stepping import TimeStepper
 if TYPE_CHECKING:
     from .generalized_alpha import GeneralizedAlpha
 
-KEPT = 8  # sets of elastic factors
+KEPT = 9  # sets of elastic factors: those of eight sizes, and that of the whole stretch
 DEEPEST = 48  # levels of parts; the finest are below roundoff
 LOOKS = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882)  # where in a step of a new size loads are looked at
 CALM = 0.01  # error of the last step over what is allowed, below which nothing happens
 KEEPS = (
     0.93  # share of the present size that a proposal must have for this size to stay: an error of 0.9 is expected then
 )
+FARTHEST = 10.0  # times the least motion that closes constraints: one that bends bodies less may be as large
 SAME = 1e-9  # lengths of a stretch that differ by this share are equal
 
 
@@ -96,7 +99,7 @@ class VariableAlpha(TimeStepper):
 
         self.proposed: float | None = None
         self.size: float | None = None  # of the last step, s
-        self._judged: tuple[State, Evaluation] | None = None
+        self._seen: tuple[State, Evaluation] | None = None
         self.largest = 0.0  # step in which loads were looked at, s
 
         self.stretch, self.place, self.end = 0.0, Fraction(0), 0.0  # length, share of it that is done, its end
@@ -116,9 +119,13 @@ class VariableAlpha(TimeStepper):
 
     @property
     def evaluation(self) -> Evaluation | None:
-        """The system in the newest state, as its error was told with; elements with a memory move it on later."""
-        known = self._judged is not None and self._judged[0] is self.state and not self.system.keepers
-        return self._judged[1] if self._judged is not None and known else None
+        """The system in the newest state; None where elements have a memory, which moves on later."""
+        s = self.state
+        if self.system.keepers:
+            return None
+        if self._seen is None or self._seen[0] is not s:
+            self._seen = s, self.at(s.t, s.q, s.v)
+        return self._seen[1]
 
     @property
     def counters(self) -> dict[str, float]:
@@ -134,6 +141,10 @@ class VariableAlpha(TimeStepper):
         self.size = self.proposed = None
         self.stretch, self.place = 0.0, Fraction(0)
         self.control.h_old = 0.0
+
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step."""
+        return self.inner.between(t)  # type: ignore[no-any-return]
 
     # -- one accepted step --------------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:
@@ -239,13 +250,12 @@ class VariableAlpha(TimeStepper):
         """A step of size h, one of the parts of a level, and its error; where this is above one, the stepper is as before."""
         inner, size = self.inner, self.size
         kept = inner.state, inner.A.copy(), list(inner._past), inner.fresh, self.solver.pressures
-        self.norm.update(inner.state, h)
 
         try:
             self.step(h)
+            error, cause = self._error(h), "error estimate"
             if level is not None:
                 self._arrive(level)
-            error, cause = self._error(h), "error estimate"
         except (ConvergenceError, LinearSolveError) as failure:
             error, cause = np.inf, "Newton's iteration"
             self.control.fault = str(failure)
@@ -261,7 +271,6 @@ class VariableAlpha(TimeStepper):
     def step(self, h: float) -> State:
         """One step of size h (s) without a look at its error; collective."""
         self._resize(h)
-        self._A, self._weights = self.inner.A.copy(), self.scheme.rule(h).weights
         self.inner.advance(h)
         self.size = h
         return self.state
@@ -272,26 +281,33 @@ class VariableAlpha(TimeStepper):
         if inner.fresh or self.size is None or self.size == h:
             return
         r = h / self.size
-        # velocities miss their constraints by h^2: what they miss changes with the square of the size
         v = s.v
         if self.system.n_lam and not isinstance(self.scheme.form, GGL):
-            ev = self.at(s.t, s.q, s.v)
-            self.solver.prepare(ev, self.scheme.rule(h).weights)
-            v = v + self.solver.solve(np.zeros_like(v), (r * r - 1.0) * ev.opening())[0]
+            v = v + self._opened(h, r * r - 1.0)
         self._move(replace(s, v=v), s.a + r * (inner.A - s.a))
+
+    def _opened(self, h: float, share: float) -> Array:
+        """dv of (2), (n_v,), and the matrix for steps of size h (s); ``share``: r^2 - 1."""
+        s = self.state
+        ev = self.at(s.t, s.q, s.v)
+        opening, still = share * ev.opening(), np.zeros_like(s.v)
+
+        stiff = None
+        if self.norm.deforming or self.system.elements:
+            try:
+                self.solver.prepare(ev, self.scheme.rule(max(h, self.stretch)).weights)
+                stiff, _ = self.solver.solve(still, opening)
+            except LinearSolveError:  # M is lost beside S K
+                pass
+        self.solver.prepare(ev, self.scheme.rule(h).weights)
+        soft, _ = self.solver.solve(still, opening)
+
+        # forces may have a negative stiffness, and S K then no least motion
+        usable = stiff is not None and self.system.max_abs(stiff) <= FARTHEST * self.system.max_abs(soft)
+        return stiff if usable else soft
 
     def _error(self, h: float) -> float:
         """The norm of (3)."""
-        s = self.state
-        beta = self.scheme.parameters[3]
-        jump = self.inner.A - self._A
-        ev = self.at(s.t, s.q, s.v)
-        self._judged = s, ev
-
-        # M times the jump of accelerations: times h^2, it would be lost beside those of short steps
-        change = ev.balance(s.a + jump, s.lam) - ev.balance(s.a, s.lam)
-        push = h * h * (beta - 1.0 / 6.0) * change
-        self.solver.prepare(ev, self._weights)
-        e, _ = self.solver.solve(push, 0.5 * h * ev.opening())
-        self.norm.update(s, h)  # the way of this step counts
+        e = self.inner.error(h)
+        self.norm.update(self.state, h)  # the way of this step counts
         return self.norm(h, e, np.zeros_like(e))

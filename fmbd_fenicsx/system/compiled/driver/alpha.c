@@ -155,6 +155,18 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
     return DONE;
 }
 
+/* The error (3) of schemes/onestep/variable_alpha.py with the factor of the step that led to a state, e like v: ``a`` has the jump of
+   accelerations, which ``scale`` weights; ``slope`` are the velocities of which ``span`` (s) opens constraints. y: its multipliers. */
+EXPORT int driver_error(System *s, double scale, double span, const double *q, const double *v, const double *a, const double *lam,
+                        const double *slope, double t, double *e, double *y)
+{
+    int verdict;
+    if ((verdict = evaluate(s, q, v, a, lam, t)) || (verdict = place(s, q, slope))) return verdict;
+    slips(s, 1);
+    for (int i = 0; i < s->rows; i++) s->gap[i] = -span * s->slip[i];
+    return increment(s, -scale, e, y, t);
+}
+
 /* Up to ``steps`` steps in a ring of four blocks: ring[0] is the newest, ring[3] free. Returns how many were made; the reason to
    stop earlier is in ``verdict``, the state is then that of the last good step. ``tape`` (may be NULL) takes records. */
 EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict, Tape *tape)
