@@ -50,6 +50,7 @@ def test_equal_to_numpy(rod_mesh: Callable[..., Any], dim: int, frame: Any) -> N
     for given in ((a, lam), (a, None)):
         wanted = expected.balance(*given)
         assert told.balance(*given) == pytest.approx(wanted, rel=1e-11, abs=1e-12 * np.abs(wanted).max())
+    assert told.energies() == pytest.approx(expected.energies(), rel=1e-11)
     assert told.jacobian.times(v) == pytest.approx(expected.jacobian.times(v), rel=1e-12)
 
 

@@ -154,7 +154,7 @@ class Guarded(TimeStepper):
         before = self.stepper.state
         for left in range(HALVINGS, -1, -1):
             after = attempt(self.watch.system, self.stepper, min(h, self.largest))
-            if (gain := self.watch.gain(after)) is None:
+            if (gain := self.watch.gain(after, self.stepper.evaluation)) is None:
                 self.largest *= 2.0
                 self.local_error = self.stepper.local_error
                 return after

@@ -224,6 +224,9 @@ class Evaluation:
 
     @cached_property
     def _energies(self) -> dict[str, float]:
+        return self._found_energies()
+
+    def _found_energies(self) -> dict[str, float]:
         s = self.system
         assert self.v is not None
         # a ramp of gravity is over: potential energy is that of the full weight

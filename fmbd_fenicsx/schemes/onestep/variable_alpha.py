@@ -30,6 +30,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -39,6 +40,7 @@ from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.compiled.field_states import field_states
 from ...system.evaluation import Evaluation
+from ...system.evaluation_batch import evaluate_batch
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..consistent import consistent
@@ -107,6 +109,7 @@ class VariableAlpha(TimeStepper):
         solver.elastic.kept = max(solver.elastic.kept, KEPT)
         states = field_states(system) if system.fields else None
         self.at = system.at if states is None else states.at
+        self.many = partial(evaluate_batch, system) if states is None else states.batch
 
     @property
     def state(self) -> State:
@@ -226,11 +229,12 @@ class VariableAlpha(TimeStepper):
         s = self.state
         no_rows = np.zeros(self.system.n_lam)
 
-        def forces(share: float) -> Array:
-            return self.at(s.t + share * h, s.q, s.v).balance(s.a, s.lam)
+        # all at once, with the state held
+        shares = np.array([0.0, *LOOKS, 1.0])
+        q, v, a, lam = (np.tile(x, (len(shares), 1)) for x in (s.q, s.v, s.a, s.lam))
+        first, *inner, last = self.many(s.t + h * shares, q, v).balance(a, lam)
 
-        first, last = forces(0.0), forces(1.0)
-        between = [forces(k) - (1.0 - k) * first - k * last for k in LOOKS]
+        between = [f - (1.0 - k) * first - k * last for k, f in zip(LOOKS, inner, strict=True)]
         # what the ends of the step differ by is seen by the error (3)
         unseen = [np.sign(f) * np.maximum(np.abs(f) - np.abs(last - first), 0.0) for f in between]
         worst = max(unseen, key=lambda f: float(np.abs(f).max(initial=0.0)))

@@ -1,8 +1,8 @@
 """A system evaluated and solved by the driver: one configuration, or many in a call.
 
 What schemes in Python ask for at every stage, the balance and the constraints with their derivatives, comes from the driver's
-tables, to roundoff the numbers of :class:`~..evaluation.Evaluation`. Markers, energies and momenta are NumPy's, made when someone
-asks for them. Systems without elastic fields.
+tables, to roundoff the numbers of :class:`~..evaluation.Evaluation`, and so are energies. Markers and momenta are NumPy's, made
+when someone asks for them. Systems without elastic fields.
 """
 
 from __future__ import annotations
@@ -125,6 +125,13 @@ class DriverStates:
         """G, (k, n_lam, n_v); None as above."""
         out = np.empty((len(at[0]), self.system.n_lam, self.system.n_v))
         return out if self._ask(self.library.driver_rows, self._room(at), [address_of(out)]) else None
+
+    def energies(self, at: Configurations) -> Array | None:
+        """Kinetic, elastic, of the weight and of springs, J, (k, 4); None as above, or where laws in Python store some."""
+        looks, out = self.tables.looks, np.empty((len(at[0]), 4))
+        known = looks.energies_known and not looks.stores
+        asked = known and self._ask(self.library.driver_energies, self._room(at), [address_of(out)])
+        return out if asked else None
 
     def _room(self, at: Configurations) -> _Room:
         """Arrays for so many configurations, with these in them."""
@@ -301,6 +308,13 @@ class DriverEvaluation(_Constraints, Evaluation):
         if found is None or not np.isfinite(found).all():
             return super().balance(a, lam)  # which says what is wrong
         return found[0]
+
+
+    def _found_energies(self) -> dict[str, float]:
+        found = self.states.energies(self.alone)
+        if found is None:
+            return super()._found_energies()
+        return dict(zip(("kinetic", "elastic", "weight", "springs"), found[0].tolist(), strict=True))
 
 
 class DriverJacobian(Jacobian):

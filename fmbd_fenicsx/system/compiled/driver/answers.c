@@ -47,6 +47,18 @@ EXPORT int driver_balances(System *s, long count, const double *t, const double 
     return DONE;
 }
 
+/* Kinetic, elastic, of the full weight and of springs. */
+EXPORT int driver_energies(System *s, long count, const double *t, const double *q, const double *v, double *out)
+{
+    double last = NAN;
+    int verdict;
+    for (long i = 0; i < count; i++, q += s->nq, v += s->nv, out += 4) {
+        if ((verdict = sample(s, t[i], &last)) || (verdict = place(s, q, v))) return verdict;
+        energies(s, t[i], q, v, s->rest_gravity, out);
+    }
+    return DONE;
+}
+
 /* What of the rates of the constraints depends on time only, and their second derivatives at constant twists; what a prescribed
    motion adds to these is left to Python. */
 static void derivatives_in_time(System *s, double *partial, double *second)

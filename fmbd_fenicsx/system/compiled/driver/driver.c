@@ -28,10 +28,3 @@ EXPORT int driver_prepare(System *s, const double *q, double cd, double ck, cons
 }
 
 EXPORT int driver_increment(System *s, double scale, double *x, double *y, double t) { return increment(s, scale, x, y, t); }
-
-EXPORT int driver_energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out)
-{
-    int verdict = place(s, q, v);
-    energies(s, t, q, v, gravity, out);
-    return verdict;
-}
