@@ -191,6 +191,14 @@ class Markers:
             moving = Moving(self, rates[0][self.frame], rates[1][self.port], Rf, local, found)
         return Kinematics(pose[self.frame, :d] + lever, Rf @ turn, J, jac_port, moving)
 
+    def rotations(self, rotation: Array, port: Array) -> Array:
+        """Rotations R_m of all markers alone, (n, d, d), as :meth:`evaluate`."""
+        turn = self.rotation
+        if self.surface.size:
+            turn = turn.copy()
+            turn[self.surface] = polar(self._deformations(port)[1])[0] @ turn[self.surface]
+        return np.asarray(rotation[self.frame] @ turn)
+
     def lift(self, R: Array) -> Array:
         """blockdiag(R, R) (space) or blockdiag(R, 1) (plane) acting on (displacement, rotation)."""
         d = self.motions.dim
@@ -200,14 +208,20 @@ class Markers:
         big[:, d:, d:] = R if d == 3 else 1.0
         return big
 
-    def _surfaces(self, port: Array) -> tuple[Array, Array, _Surfaces]:
-        """Position and rotation of all markers in frame axes, and those on surfaces; (1), (2)."""
+    def _deformations(self, port: Array) -> tuple[Array, Array]:
+        """b and F of (1) of all surfaces, (n_s, 1 + d, d) and (n_s, d, d)."""
         m, d = self.motions, self.motions.dim
-        s = self.surface
         b = port[self.port].reshape(-1, 1 + d, d)
         F = np.swapaxes(b[:, 1:], 1, 2)
         if self.section is not None:
             F[self.section] = m.matrix(np.insert(np.zeros((self.section.sum(), 2)), 2, b[self.section, 1, 0], axis=1))
+        return b, F
+
+    def _surfaces(self, port: Array) -> tuple[Array, Array, _Surfaces]:
+        """Position and rotation of all markers in frame axes, and those on surfaces; (1), (2)."""
+        m, d = self.motions, self.motions.dim
+        s = self.surface
+        b, F = self._deformations(port)
         Rs, Z = polar(F)
         arms = np.swapaxes(Rs, 1, 2)  # arms[:, k] = R_s e_k
         lever = (Rs @ self.position[s][..., None])[..., 0]

@@ -120,4 +120,4 @@ def _marker_rotations(system: System, q: Array) -> Array:
     """Rotations of all markers, (n, d, d); collective."""
     pose = system.poses(q)
     port = system.ports(q, system.slices[0], True)
-    return system.markers.evaluate(pose, system.motions.matrix(pose), port).R
+    return system.markers.rotations(system.motions.matrix(pose), port)

@@ -132,6 +132,8 @@ class _Entries:
 
     def add_frames(self, T: Array, marker_a: np.ndarray, marker_b: np.ndarray, which: np.ndarray) -> None:
         """Elements between markers on frames, of those that ``which`` selects."""
+        if not which.any():
+            return
         s = self.ev.system
         kin = self.ev.kin
         n = s.motions.n_twist

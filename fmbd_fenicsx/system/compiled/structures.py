@@ -118,6 +118,12 @@ def structure(name: str, dim: int) -> type[ctypes.Structure]:
 
 
 @cache
+def array_of(kind: type[ctypes.Structure], count: int) -> Any:
+    """The type of ``count`` structures; ctypes would make it again for every scene."""
+    return kind * count
+
+
+@cache
 def enumeration(first: str) -> dict[str, int]:
     """Names and values of the enum of ``driver/tables.h`` that begins with a name."""
     text = Path(__file__).with_name("driver").joinpath("tables.h").read_text()

@@ -24,7 +24,7 @@ from .order import Fronts, RowGroup
 from .places import Shape, Structure, batch_of, fronts_of, pivots_of, structure_of
 from .recording import Looks
 from .rods import RodTable, rod_pairs
-from .structures import Store, structure
+from .structures import Store, array_of, structure
 from .whole import WholeLoads
 
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
@@ -334,7 +334,7 @@ class Tables:
 
         counts, addresses = {}, {}
         for name, (plural, made) in lists.items():
-            array = (structure(name.capitalize(), self.dim) * max(len(made), 1))(*made)
+            array = array_of(structure(name.capitalize(), self.dim), max(len(made), 1))(*made)
             self.store.kept.append(array)
             counts[plural], addresses[name] = len(made), ctypes.addressof(array)
             if name == "body":
