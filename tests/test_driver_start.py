@@ -13,7 +13,9 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.linear.driver_solver import DriverSolver
 from fmbd_fenicsx.rotations import Array
+from fmbd_fenicsx.schemes.consistent import accelerations
 from fmbd_fenicsx.system.compiled.evaluation import driver_states
+from fmbd_fenicsx.system.system import State
 
 MASSES = Weights(1.0, 0.0, 0.0)
 
@@ -81,7 +83,7 @@ def test_same_solution(make: Any, dim: int) -> None:
 
     elsewhere = system.compose(numpy.q, 0.1 * rng.standard_normal(system.n_v))
     with_driver = StepSolver(system)
-    with_driver.driver = DriverSolver(states)
+    with_driver.driver = DriverSolver(states, with_driver.core)
     found = solved(with_driver, driver, elsewhere)
     assert with_driver.driver.ready
     close(solved(StepSolver(system), numpy, elsewhere), found, 1e-10)
@@ -92,9 +94,42 @@ def test_same_solution(make: Any, dim: int) -> None:
 def test_dependent_rows_are_left_to_numpy(dim: int) -> None:
     states, _, driver = both(redundant(dim))
     solver = StepSolver(states.system)
-    solver.driver = DriverSolver(states)
+    solver.driver = DriverSolver(states, solver.core)
     solver.prepare(driver, MASSES)
     assert not solver.driver.ready and solver.core.redundant
+
+
+def at_once(scene: fmbd.Scene) -> tuple[Any, State]:
+    """a and lambda of the start in one call of the driver, once NumPy has seen that rows depend; and by NumPy."""
+    system, start, _ = scene.build()
+    states, plain, solver = driver_states(system), StepSolver(system), StepSolver(system)
+    wanted = accelerations(system, start, plain)
+
+    solver.look_for_dependent_rows(system.at(start.t, start.q, start.v))
+    assert states is not None and solver.core.redundant
+    return DriverSolver(states, solver.core).accelerations(start.t, start.q, start.v), wanted
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+def test_accelerations_where_rows_depend(dim: int) -> None:
+    """The driver's are NumPy's, its multipliers the smallest too."""
+    found, wanted = at_once(redundant(dim))
+    close(wanted.a, found[0], 1e-11)
+    close(wanted.lam, found[1], 1e-6)
+
+
+@compiled
+def test_accelerations_where_rows_contradict_each_other() -> None:
+    """Two drives of one hinge whose second derivatives differ are left to NumPy, which knows what to say of them."""
+    for turn in (0.0, 1e-6):
+        scene = fmbd.Scene("arm", gravity=(0.0, -9.81))
+        arm = fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0))
+        hinge = fmbd.revolute("hinge", fmbd.ground, arm, center=(0, 0))
+        first = fmbd.drive("first", fmbd.angle(hinge), lambda t: (t**2, 2 * t, 2.0))
+        second = fmbd.drive("second", fmbd.angle(hinge), lambda t, c=1 + turn: (c * t**2, c * 2 * t, c * 2.0))
+        scene.add(arm, hinge, first, second)
+        assert (at_once(scene)[0] is None) == (turn > 0)
 
 
 @compiled

@@ -1,6 +1,7 @@
 """Solutions by the driver: the matrix of a state that it evaluated is factored and solved there, and not in NumPy.
 
-Only where the rows certainly do not depend on each other, which the first factor tells; else all is NumPy's.
+Only where the rows certainly do not depend on each other, which the first factor tells. Where NumPy finds that they do, the driver
+still makes what explicit schemes ask for in one call, with the smallest multipliers; all else is NumPy's.
 """
 
 from __future__ import annotations
@@ -17,13 +18,15 @@ from .blocks.field_blocks import Weights
 
 if TYPE_CHECKING:
     from .condensation import StepSolver
+    from .core import CoreSolver
 
 
 class DriverSolver:
     """Of one :class:`~.condensation.StepSolver`; ``ready``: the matrix prepared last is the driver's."""
 
-    def __init__(self, states: DriverStates) -> None:
-        self.states = states
+    def __init__(self, states: DriverStates, core: CoreSolver) -> None:
+        """``core``: NumPy's, which knows where rows depend on each other."""
+        self.states, self.core = states, core
         self.ready = False
         self.usable: bool | None = None  # None: nothing was looked at so far
         self._counted = 0
@@ -53,8 +56,11 @@ class DriverSolver:
         return self.usable
 
     def _usable_at(self, t: float, q: Array, v: Array) -> bool:
-        """The same; the state is evaluated where nothing is known so far."""
-        return self._looked(self.states.at(t, q, v)) if self.usable is None else self.usable
+        """Whether one call finds all; the state is evaluated where nothing is known so far."""
+        usable = self._looked(self.states.at(t, q, v)) if self.usable is None else self.usable
+        if not usable and self.core.redundant:
+            self.states.let_depend()
+        return usable or self.core.redundant
 
     def accelerations(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
         """a and lambda of a consistent state in one call; None where they have to be found in parts."""
@@ -98,4 +104,4 @@ def use_driver_in(solver: StepSolver) -> None:
     use_driver(solver.system, None if solver.driver is None else solver.driver.states)
     states = solver.system.driver
     if states is not None and solver.driver is None:
-        solver.driver = DriverSolver(states)
+        solver.driver = DriverSolver(states, solver.core)

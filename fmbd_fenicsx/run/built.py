@@ -61,7 +61,7 @@ def use_evaluations(solver: StepSolver, driver: Any) -> None:
     """Let a new solver evaluate by what an earlier run of the same system, which is over, was evaluated by."""
     if driver is not None:
         driver.begin_anew()
-        solver.driver = DriverSolver(driver)
+        solver.driver = DriverSolver(driver, solver.core)
 
 
 def build(scene: Scene) -> Built:

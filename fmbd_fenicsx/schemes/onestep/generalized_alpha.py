@@ -126,7 +126,7 @@ class GeneralizedAlpha:
         from ...system.compiled.evaluation import driver_states
 
         states = driver_states(system)
-        solver.driver = None if states is None else DriverSolver(states)
+        solver.driver = None if states is None else DriverSolver(states, solver.core)
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Any:
         """Time stepper from a consistent state."""

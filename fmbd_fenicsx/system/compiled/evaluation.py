@@ -41,6 +41,7 @@ class DriverStates:
         self.system, self.library, self.factors = system, library, 0
         self.anew = True  # whether laws are asked again, since a state was taken
         self.taken: bool = False
+        self.dependent = False  # whether rows depend on each other: multipliers are the smallest then
         self.address: int = 0
         self.renew()
 
@@ -58,7 +59,13 @@ class DriverStates:
 
     def tables_of(self) -> Tables:
         """New tables of the system."""
-        return Tables(self.system, redundant=False)
+        return Tables(self.system, redundant=self.dependent)
+
+    def let_depend(self) -> None:
+        """Solve for rows that depend on each other from now on."""
+        if not self.dependent:
+            self.dependent, self._held = True, None
+            self.tables.c.redundant = 1
 
     @property
     def remembers(self) -> bool:

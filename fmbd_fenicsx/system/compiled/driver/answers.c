@@ -139,6 +139,17 @@ EXPORT int driver_rows(System *s, long count, const double *t, const double *q, 
     return DONE;
 }
 
+/* What the first solution of dependent rows leaves open, epsilon y / u^2, closed. */
+static void close_dependent(System *s, double *x, double *y)
+{
+    double *more = s->work, *left = more + s->nv;
+    memset(s->b, 0, s->nu * sizeof(double));
+    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -softness(s, i) * y[i];
+    solution(s, more, left);
+    add(x, 1.0, more, s->nv);
+    add(y, 1.0, left, s->rows);
+}
+
 /* x and y for right-hand sides b and c, with the factor of this configuration. */
 EXPORT int driver_solve(System *s, const double *q, const double *b, const double *c, double *x, double *y)
 {
@@ -146,6 +157,7 @@ EXPORT int driver_solve(System *s, const double *q, const double *b, const doubl
     memcpy(s->b, s->velocity, s->nu * sizeof(double));
     memcpy(s->b + s->nu, c, s->rows * sizeof(double));
     solution(s, x, y);
+    if (s->redundant) close_dependent(s, x, y);
     return verdict;
 }
 

@@ -4,6 +4,7 @@
 
 enum { REFINED = 12, CLOSED = 12, HALF = 50 }; /* iterations */
 static const double AT_REST = 1e-13; /* of the forces, that the balance may lack */
+static const double CONTRADICTS = 1e-8; /* of the accelerations, that rows may ask for otherwise than those they depend on */
 
 static double greatest(const double *x, int n)
 {
@@ -13,13 +14,28 @@ static double greatest(const double *x, int n)
     return found;
 }
 
+/* The largest acceleration that the forces evaluated last would give to an unknown by itself; the matrix is assembled. */
+static double alone(const System *s)
+{
+    double largest = 0.0;
+    for (int b = 0; b < s->bodies; b++) {
+        const Body *o = s->body + b;
+        for (int j = 0; j < TWIST + o->modes; j++) {
+            double unit = s->units[j < TWIST ? TWIST * b + j : o->at_v + j - TWIST], mass = s->diagonal[o->at_u + j];
+            if (mass > 0.0) largest = fmax(largest, unit * fabs(s->residual[o->at_u + j]) / mass);
+        }
+    }
+    return largest;
+}
+
 /* a and lambda at (t, q, v), the third of (1) in schemes/consistent.py, by iterations down to roundoff; ``bias``: what prescribed
-   motions add to g'' - G a. ``room``: 2 nv + 3 rows + nu. ``factored``: whether the matrix of the masses is, at this q. */
+   motions add to g'' - G a. ``room``: 2 nv + 3 rows + nu. ``factored``: whether the matrix of the masses is, at this q. Dependent
+   rows need a second solution, see soften(), and are looked at: NEWTON where they contradict each other. */
 static int accelerate(System *s, double t, double length, const double *q, const double *v, const double *bias, double *a,
                       double *lam, double *room, int factored)
 {
     double *x = room, *y = x + s->nv, *second = y + s->rows, *partial = second + s->rows, *world = partial + s->rows;
-    double fastest = largest_of(s->units, v, s->nv), forces = 0.0, last = INFINITY;
+    double fastest = largest_of(s->units, v, s->nv), forces = 0.0, typical = 0.0, last = INFINITY;
     int verdict = place(s, q, v);
     if (verdict) return verdict;
     derivatives_in_time(s, partial, second);
@@ -31,7 +47,8 @@ static int accelerate(System *s, double t, double length, const double *q, const
         if ((verdict = evaluate(s, q, v, a, lam, t))) return verdict;
         double left = greatest(s->residual, s->nu);
         if (k == 0) forces = left;
-        else if (left <= AT_REST * forces) return DONE;
+        int settled = k > s->redundant && left <= AT_REST * forces;
+        if (settled && !s->redundant) return DONE;
         if (k == 0 && !factored && (verdict = prepare(s, q, 0.0, 0.0, lam, 0, t))) return verdict;
 
         /* what is open: the balance, and G a + g'' - G a of the accelerations found so far */
@@ -39,6 +56,9 @@ static int accelerate(System *s, double t, double length, const double *q, const
         slips(s, 0);
         for (int i = 0; i < s->nu; i++) s->b[i] = -s->residual[i];
         for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -(s->slip[i] + second[i] + bias[i]);
+        if (k == 0 && s->redundant) typical = fmax(alone(s), fastest * fastest / length);
+        if (k > 1 && s->redundant && !(largest_of(s->row_units, s->b + s->nu, s->rows) <= CONTRADICTS * typical)) return NEWTON;
+        if (settled) return DONE;
         solution(s, x, y);
 
         add(world, 1.0, s->b, s->nu);
@@ -47,7 +67,7 @@ static int accelerate(System *s, double t, double length, const double *q, const
         double size = largest_of(s->units, x, s->nv), largest = largest_of(s->units, a, s->nv);
         if (!(size < INFINITY)) return NEWTON;
         int stalled = size > 0.5 * last && last <= 1e-8 * fmax(largest, fastest * fastest / length);
-        if (stalled || size <= 1e-11 * largest) return DONE;
+        if ((stalled || size <= 1e-11 * largest) && (!s->redundant || k > 1)) return DONE;
         last = size;
     }
     return NEWTON;
@@ -148,6 +168,7 @@ EXPORT int driver_half_stage(System *s, double h, double nothing, const double *
     double *x = room, *speeds = x + s->nv, *y = speeds + s->nv, *open = y + s->rows, last = INFINITY, asked = NAN;
     int verdict;
 
+    if (s->redundant) memset(lam, 0, s->rows * sizeof(double)); /* the smallest follow from none */
     for (int k = 0; k < HALF; k++) {
         memcpy(speeds, known, s->nv * sizeof(double));
         add(speeds, h, a, s->nv);
