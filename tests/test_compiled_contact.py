@@ -130,6 +130,21 @@ def loop() -> Any:
     return [*bars, *hinges, fmbd.joint_limit("stop", fmbd.angle(hinges[0]), lower=-0.5, upper=0.2, restitution=0.5)]
 
 
+def rope(friction: float) -> Any:
+    """A bob at the end of a damped rod that hangs in a hinge and swings against a cylinder, a spring at the bob."""
+    law = {"youngs_modulus": 2e7, "poisson_ratio": 0.3, "density": 1000.0}
+    section = fmbd.RodSection.rectangle(**law, width=0.02, height=0.02)
+    line = [(0.0, 0.0, 0.0), (0.6, 0.0, 0.0)]
+    body = fmbd.Rod("rope", line, section, elements=3, degree=2, normal=(0, 0, 1), damping=1e-3)
+    bob = fmbd.RigidBody("bob", 0.2, (1e-3, 1e-3, 1e-3), (0.6, 0.0, 0.0))
+    hinge = fmbd.revolute("hinge", fmbd.ground, body.surface("start"), center=(0, 0, 0), axis=(0, 1, 0))
+    spring = fmbd.Spring("spring", fmbd.ground, bob, (0.6, 0.0, 0.5), stiffness=5.0, damping=0.1, length=0.4)
+    bar = fmbd.Obstacle("bar", fmbd.Cylinder(0.05, axis=(0, 1, 0), center=(0.3, 0.0, -0.12)))
+    held = fmbd.fixed("knot", body.surface("end"), bob, center=(0.6, 0, 0))
+    pair = fmbd.contact("pair", fmbd.contacts.along(body, radius=0.01), bar, friction=friction)
+    return [bob, body, hinge, held, spring, pair]
+
+
 SCENES = {
     "bouncing 2": lambda: bouncing(2), "bouncing 3": lambda: bouncing(3), "rolling": rolling, "hollow": in_a_hollow,
     "cylinder": lambda: over_a_cylinder(np.inf), "rim": lambda: over_a_cylinder(0.5), "box": lambda: on_a_box(False),
@@ -138,6 +153,7 @@ SCENES = {
     "stops and friction": lambda: links(3, True), "reduced": lambda: plate(0.0, False),
     "dependent rows": loop, "many points": board,
     "reduced, friction": lambda: plate(0.4, False), "stop of reduced": lambda: plate(0.0, True),
+    "rod": lambda: rope(0.0), "rod, friction": lambda: rope(0.3),
 }  # fmt: skip
 
 

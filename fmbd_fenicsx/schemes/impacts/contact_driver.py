@@ -331,7 +331,7 @@ def contact_driver(system: System, *, redundant: bool, impacts: int) -> ContactD
     contacts = system.contacts
     if system.fields:
         return None
-    if not all(known(contacts, pair) for pair in contacts.pairs) or system.elements:
+    if not all(known(contacts, pair) for pair in contacts.pairs):
         return None
     plain = replace(system, contacts=None, cache={})
     if not (covers_bodies(plain) and covers(plain)) or speed_rows(plain).size:

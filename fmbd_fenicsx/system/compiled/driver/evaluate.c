@@ -47,6 +47,7 @@ void turn_velocity(System *s, const double *v)
     }
 }
 
+/* Forces of inertia and weight, and those within bodies and rods. */
 int inertia(System *s, const double *q, const double *v, const double *a, double t)
 {
     int verdict = DONE;
@@ -62,6 +63,8 @@ int inertia(System *s, const double *q, const double *v, const double *a, double
         } else if (!o->T) rigid_force(o, R, w, accel, s->gravity, f);
         else if (reduced_force(o, R, q, v, a, w, s->gravity, accel, f, f + TWIST)) verdict = LOOK;
     }
+    for (Rod *k = s->rod; k < s->rod + s->rods; k++)
+        if (rod_forces(s, k, t)) return FAILED;
     return verdict;
 }
 
@@ -125,9 +128,6 @@ int evaluate(System *s, const double *q, const double *v, const double *a, const
 
     for (Batch *k = s->batch; k < s->batch + s->batches; k++)
         if ((verdict = items(s, k, lam, t))) return verdict;
-
-    for (Rod *k = s->rod; k < s->rod + s->rods; k++)
-        if (rod_forces(s, k, t)) return FAILED;
 
     for (int b = 0; s->fields && b < s->bodies; b++)
         if (s->body[b].field) frame_conditions(s, s->body + b, lam);

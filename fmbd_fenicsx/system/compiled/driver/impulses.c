@@ -126,17 +126,17 @@ static void add_works(System *s, Contacts *c, Block now, Block out, const double
     double work[4] = {0.0, 0.0, 0.0, 0.0}, total, own;
     for (int k = 0; k < m * d; k++) work[k % d > 0] += c->f[k] / h * along(c, closed[k / d], c->rows + 2 * c->wide * k, xi);
 
-    /* of loads: what is left of the balance without inertia and reactions */
-    turn_velocity(s, xi);
+    /* of loads: what is left of the balance without inertia and reactions, at the mean velocity, which rods with damping see */
+    double *vm = s->work;
+    for (int i = 0; i < s->nv; i++) vm[i] = 0.5 * (now.v[i] + out.v[i]);
+    turn_velocity(s, vm);
     if (s->rows) slips(s, 0);
-    for (int i = 0; i < s->rows; i++) work[3] -= out.lam[i] * s->slip[i];
+    for (int i = 0; i < s->rows; i++) work[3] -= h * out.lam[i] * s->slip[i];
     if (c->loaded) {
         total = dot(s->residual, s->velocity, s->nu) - (s->rows ? dot(kept, s->slip, s->rows) : 0.0);
-        double *vm = s->work;
-        for (int i = 0; i < s->nv; i++) vm[i] = 0.5 * (now.v[i] + out.v[i]);
         inertia(s, s->q, vm, out.a, *now.t + h);
         own = dot(s->residual, s->velocity, s->nu);
-        work[2] = own - total;
+        work[2] = h * (own - total);
     }
     for (int i = 0; i < 4; i++) c->works[i] += work[i];
     c->works[4] -= work[0] + work[1] + work[2] + work[3];
