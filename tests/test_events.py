@@ -109,6 +109,42 @@ def test_places_between_steps_are_as_good_as_at_their_ends(scheme: Any) -> None:
     assert np.log2(errors[0] / errors[1]) > 3.6 and errors[1] < 1e-5, errors
 
 
+def falling_ball() -> fmbd.Scene:
+    """A ball of 0.1 m that falls by 1 m on a floor and keeps 0.8 of its speed."""
+    scene, body = fmbd.Scene("falling ball", gravity=(0.0, 0.0, -9.81)), fmbd.RigidBody("ball", 1.0, (4e-3,) * 3)
+    floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0.0, 0.0, -1.1), (0.0, 0.0, 1.0)))
+    scene.add(body, fmbd.contact("pair", fmbd.contacts.ball(body, 0.1), floor, restitution=0.8))
+    scene.sensor("ball", fmbd.position(body))
+    return scene
+
+
+def fallen(t: float) -> tuple[float, float]:
+    """Height (m) above the floor and velocity (m/s) of the ball: parabolas."""
+    begin, speed, g = np.sqrt(2.0 / 9.81), 0.8 * np.sqrt(2.0 * 9.81), 9.81
+    if t < begin:
+        return 1.0 - 0.5 * g * t * t, -g * t
+    while t - begin > 2.0 * speed / g:
+        begin, speed = begin + 2.0 * speed / g, 0.8 * speed
+    return speed * (t - begin) - 0.5 * g * (t - begin) ** 2, speed - g * (t - begin)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_bounces_within_steps(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps that are cut by impacts have the places and the crossings of their parts."""
+    if not compiled:
+        monkeypatch.setattr("fmbd_fenicsx.schemes.impacts.contact_driver.contact_driver", lambda *_, **__: None)
+    times, seen = np.sort(np.random.default_rng(2).uniform(0.0, 1.5, 200)), []
+    low = fmbd.Event("ball z", -0.99, then=lambda now: seen.append(now.t))
+    output = fmbd.Output(times=tuple(times), events=[low])
+    run = fmbd.solve(falling_ball(), t_end=1.5, dt=0.02, scheme=fmbd.schemes.Moreau(), output=output)
+    assert np.abs(run["ball"][:, 2] + 1.0 - [fallen(t)[0] for t in times]).max() < 1e-9
+
+    # down and up at each of two bounces, all within one step
+    assert len(seen) == 4
+    assert [fallen(t)[0] for t in seen] == pytest.approx([0.01] * 4, abs=1e-8)
+    assert [np.sign(fallen(t)[1]) for t in seen] == [-1, 1, -1, 1]
+
+
 def test_events_that_are_none_are_refused() -> None:
     for make, message in [
         (lambda: fmbd.Event("x", direction=2), "direction = 2 must be"),

@@ -91,7 +91,8 @@ class EventWatch:
             return after if t >= after.t else state_between(self.system, before, after, t, stepper)
 
         # with error control steps are long: a value may cross and come back within one
-        inner = [at(before.t + x * span) for x in self.places]
+        # and at an impact it turns
+        inner = [at(t) for t in sorted((*(before.t + x * span for x in self.places), *stepper.unwrapped.kinks))]
 
         found: list[tuple[float, int]] = []
         for k, event in enumerate(self.events):

@@ -76,6 +76,11 @@ class TimeStepper(Remembering):
         """Take the memory of elements to the newest state; whether that was done."""
         return False
 
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Times (s) within the last step at which velocities may jump."""
+        return ()
+
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step; None: a cubic through its ends has to do."""
         return None

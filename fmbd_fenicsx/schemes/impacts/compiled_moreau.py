@@ -39,6 +39,11 @@ class CompiledStepper(Stepper):
         """With the number of compiled steps."""
         return {**super().counters, "compiled_steps": float(self.compiled)}
 
+    @property
+    def stations(self) -> list[State]:
+        """As :attr:`Stepper.stations`, wherever the last step was made."""
+        return self.driver.stations() if self._tail is self.state and self.compiled else super().stations
+
     def remember(self, m: Memory) -> None:
         """With the number of compiled steps."""
         super().remember(m)

@@ -19,14 +19,14 @@ from ...mechanics.contact.rows import ContactSet
 from ...mechanics.contact.shapes import Box, Cylinder, HalfSpace, Shape, Sphere
 from ...mechanics.joints.relative import Expressed, RelativeAngle
 from ...rotations import Array, Motions
-from ...system.compiled.blocks import Ring
+from ...system.compiled.blocks import Ring, block_size, state_of
 from ...system.compiled.calls import Calls
 from ...system.compiled.items import covers
 from ...system.compiled.library import CONTACT, driver_library, units_of
 from ...system.compiled.structures import PYTHON
 from ...system.compiled.tables import Tables, covers_bodies
 from ...system.speed_rows import speed_rows
-from ...system.system import System
+from ...system.system import State, System
 from ..onestep import alpha_driver as slots
 from .contact_newton import frictional_forces, normal_forces
 from .contact_tape import ContactTape
@@ -73,8 +73,8 @@ class Contacts(ctypes.Structure):
         *_fields("carrying closed bouncing hits held force normal impulse works", POINTER),
         *_fields("energy springs time last", REAL),
         ("loaded", INT),
-        *_fields("rows drift rate W q f mu Y work ahead xi kept saved was", POINTER),
-        *_fields("size most done total", INT),
+        *_fields("rows drift rate W q f mu Y work ahead xi kept saved was path", POINTER),
+        *_fields("size most done total parts", INT),
         ("system", POINTER),
         ("tally", Tally),
         ("python", PYTHON),
@@ -170,7 +170,7 @@ class ContactDriver:
             "rows": 2 * rows * wide, "W": rows**2, "q": rows, "f": rows, "mu": room,
             "Y": rows * (self.n + self.m), "work": 6 * rows + rows**2, "ahead": self.nq, "xi": self.n, "still": self.n,
             "kept": self.m + 1,
-            "saved": m * k + len(contacts.pairs) * d + 7,
+            "saved": m * k + len(contacts.pairs) * d + 7, "path": (2 * self.impacts + 1) * block_size(s),
         }  # fmt: skip
         counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m}
         places = {name: self._array(name, np.zeros(size)) for name, size in sizes.items()}
@@ -313,6 +313,11 @@ class ContactDriver:
         )  # fmt: skip
         self.calls.error = None  # NumPy's step raises it again, with the name of the law
         return int(made)
+
+    def stations(self) -> list[State]:
+        """States at the start of the last step and at the ends of its parts."""
+        blocks = self.arrays["path"].reshape(-1, block_size(self.system))
+        return [state_of(self.system, x) for x in blocks[: self.c.parts + 1]]
 
     def touching(self) -> tuple[Array, Array, Array]:
         """Gaps (m,), places and normals (m, d) of all points at the newest state."""

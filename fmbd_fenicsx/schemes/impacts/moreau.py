@@ -18,8 +18,9 @@ Source: Moreau (1988), doi:10.1007/978-3-7091-2624-0_1; Jean, doi:10.1016/S0045-
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -35,6 +36,7 @@ from ...system.sensors.contact import forces_of
 from ...system.serialisation import Memory, plain
 from ...system.system import State, System
 from ..consistent import Correction, consistent
+from ..dense_output import place_within, state_within
 from ..newton import Newton, not_converged
 from .contact_detection import candidates, refuse_penetration
 from .contact_ledger import StepForces
@@ -110,6 +112,7 @@ class Stepper(ContactStepper):
         self.impulse = np.zeros_like(self.ledger.force)
         self.carrying = np.zeros(len(self.impulse), dtype=bool)  # contacts with a force that is no impact
         self.impacts, self.located, self.accumulations = impacts, 0, 0
+        self._stations: list[State] = []
 
     @property
     def counters(self) -> dict[str, float]:
@@ -121,6 +124,7 @@ class Stepper(ContactStepper):
         unchanged.
         """
         before = self.state, self.impulse, self.carrying, copy(self.ledger)
+        self._stations = [self.state]
         end = self.state.t + h
         hits = np.zeros(len(self.impulse), dtype=int)
         parts = 0
@@ -132,6 +136,7 @@ class Stepper(ContactStepper):
             while end - self.state.t > 2 * IMPACT * h:
                 part = self._part(end - self.state.t, h, hits, classical=parts >= 2 * self.impacts)
                 self._take(part)
+                self._stations.append(self.state)
                 # forces of the parts, weighted by their shares of the step
                 found = forces_of(self.state)
                 share = part.h / h
@@ -146,6 +151,27 @@ class Stepper(ContactStepper):
         self.state = self.ledger.averaged(self.state, end, (force, normal))
         self.ledger.count(iterations)
         return self.state
+
+    @property
+    def stations(self) -> list[State]:
+        """States at the start of the last step and at the ends of its parts; empty before the first."""
+        return self._stations
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Times (s) within the last step at which it was cut: contacts close, and velocities jump."""
+        return tuple(s.t for s in self.stations[1:-1])
+
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step, on the parabola of its part; contact forces are those of the step."""
+        path = self.stations
+        if not path or t < path[0].t:
+            return None
+        i = min(bisect_right([s.t for s in path], t), len(path) - 1)
+        before, after = path[i - 1], path[i]
+        q = place_within(self.system, before, after, t, (before.v, after.v))
+        v = state_within(before, after, t, q).v
+        return replace(self.state, t=t, q=q, v=v, a=after.a, lam=after.lam)
 
     def _part(self, left: float, h: float, hits: np.ndarray, *, classical: bool) -> _Step:
         """The step to the next impact, through it, or to the end; solved. ``hits`` (m,) counts impacts of contacts."""

@@ -316,7 +316,6 @@ class DriverEvaluation(_Constraints, Evaluation):
             return super().balance(a, lam)  # which says what is wrong
         return found[0]
 
-
     def _found_energies(self) -> dict[str, float]:
         found = self.states.energies(self.alone)
         if found is None:

@@ -49,7 +49,9 @@ typedef struct {
     double *ahead, *xi, *kept;                /* like q, like v, like lambda */
     double *saved;                            /* held, impulse and works at the start of a step */
     int *was;                                 /* carrying then */
+    double *path;                             /* most + 1 states: the start of a step and the ends of its parts */
     int size, most, done, total;              /* of v; parts of a step; iterations of a part and of the parts of a step */
+    int parts;                                /* of the last step */
     System *system;
     Tally tally;
     int (*python)(int what, int number, double t);

@@ -305,6 +305,14 @@ static void keep_books(Contacts *c, int back)
     else memcpy(c->was, c->carrying, c->points * sizeof(int));
 }
 
+/* The state after so many parts of a step. */
+static void note_part(const System *s, Contacts *c, int parts, const double *state)
+{
+    const size_t size = 1 + s->nq + 3 * s->nv + s->rows;
+    memcpy(c->path + parts * size, state, size * sizeof(double));
+    c->parts = parts;
+}
+
 /* A whole step from ring[0], in parts; where the newest state is then. */
 static int whole_step(System *s, Contacts *c, double *p, double **ring, int *newest)
 {
@@ -314,12 +322,14 @@ static int whole_step(System *s, Contacts *c, double *p, double **ring, int *new
     memset(c->hits, 0, c->points * sizeof(int));
     memset(c->force, 0, c->points * D * sizeof(double));
     memset(c->normal, 0, c->points * sizeof(double));
+    note_part(s, c, 0, ring[0]);
     for (int done = 0; end - *block_at(s, ring[from]).t > 2 * INSTANT * h; done++) {
         if (done >= c->most) return LOOK;
         Block now = block_at(s, ring[from]);
         if ((verdict = part(s, c, p, now, block_at(s, ring[to]), end - *now.t, h))) return verdict;
         from = to;
         to = 3 - to;
+        note_part(s, c, done + 1, ring[from]);
     }
     *block_at(s, ring[from]).t = end;
     for (int i = 0; i < c->points; i++) acts |= c->normal[i] != 0.0;
