@@ -309,6 +309,24 @@ def test_plan_lists_contact() -> None:
     assert ('contact "wall"', 2) in run.plan.unknowns and "friction" in run.plan.left_out
 
 
+@pytest.mark.parametrize("scheme", [fmbd.schemes.ContactMidpoint(), fmbd.schemes.ContactAlpha()], ids=lambda s: s.name)
+def test_places_of_a_contact_surface_between_steps(scheme: Any) -> None:
+    """Near the straight lines between the ends of steps, also where velocities of nodes without inertia alternate there."""
+    wall = fmbd.Obstacle("wall", fmbd.HalfSpace((0, 0), (1, 0)))
+
+    def left(**settings: Any) -> fmbd.Run:
+        bar, scene = strip(20), fmbd.Scene("bar impact")
+        scene.add(bar, fmbd.contact("wall", bar.surface("left"), wall))
+        scene.sensor("left", fmbd.position(bar.surface("left")))
+        return fmbd.solve(scene, t_end=3.0, dt=0.01, scheme=scheme, **settings)
+
+    ends, times = left(), np.sort(np.random.default_rng(3).uniform(0.1, 3.0, 200))
+    lines = np.interp(times, ends.times, ends["left"][:, 0])
+    found = left(output=fmbd.Output(times=tuple(times)))["left"][:, 0]
+    print(np.abs(found - lines).max(), np.abs(np.diff(ends["left"][:, 0])).max())
+    assert np.abs(found - lines).max() < 0.2 * np.abs(np.diff(ends["left"][:, 0])).max()
+
+
 def test_contact_sensors_at_given_times() -> None:
     """Between the ends of a step the contact force is that of the step: it was refused there."""
     bar = strip(20)

@@ -34,6 +34,7 @@ from ...system.scene.contents import Contents
 from ...system.speed_rows import gaps, speed_rows
 from ...system.system import State, System
 from ..consistent import Correction, consistent, worst_block
+from ..dense_output import state_within
 from ..newton import Newton, not_converged
 from .contact_detection import candidates, refuse_penetration
 from .contact_ledger import StepForces
@@ -117,6 +118,8 @@ class Stepper(ContactStepper):
         super().__init__(system, solver, newton, state)
         self.theta = theta
         self._projects = any(b.kind != "frame" for b in system.blocks)
+        self._begun: State | None = None  # what the last step began with
+        self._means: list[Array] = []  # velocities of the last two steps
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
@@ -137,6 +140,7 @@ class Stepper(ContactStepper):
                 break
             near = near | missed
 
+        self._begun, self._means = s, [*self._means[-1:], step.xi / h]
         # (1): v_n+1 from the mean velocity xi / h
         v = s.v + (step.xi / h - s.v) / self.theta
         if self._projects:
@@ -149,6 +153,18 @@ class Stepper(ContactStepper):
         self.state = self.ledger.write(State(s.t + h, step.q, v, a, lam), forces, (step.ev, step.xi, step.lam), h)
         self.ledger.count(len(history))
         return self.state
+
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step: positions on the parabola through the last three, as velocities at the
+        ends of steps say nothing of nodes without inertia, where they alternate.
+        """
+        before, after = self._begun, self.state
+        if before is None or t < before.t:
+            return None
+        h = after.t - before.t
+        x, earlier, mean = (t - before.t) / h, self._means[0], self._means[-1]
+        xi = x * h * mean - 0.5 * x * (1 - x) * h * (mean - earlier)
+        return state_within(before, after, t, self.system.compose(before.q, xi))
 
     def _project(self, step: _Step, v: Array) -> Array:
         """Velocity that satisfies the joints at the end of the step."""
