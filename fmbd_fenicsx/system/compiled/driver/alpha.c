@@ -71,6 +71,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
     const Block now = past[0];
     double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, *closing = begun + n, *none = closing + n;
     double w[3], sizes[MOST], left = 0.0;
+    double misfit = 0.0; /* of the springs' pulls across in the matrix */
     int verdict, far = 1, converged = 0, done = 0, afresh = s->redundant, begun_at = 0; /* of the multipliers */
     s->share = h * p[BETA] / gamma;
 
@@ -110,17 +111,27 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
            have other slopes there */
         s->renewed = done > 0 && p[THETA] > SLOW_TURN;
         int cheap = done == 1 && s->fields; /* beside a solution with the factor of a field */
-        int turning = s->stiff && done > 0 && (s->renewed || cheap || misled(s) || other_slopes(s, damp, scale));
-        if (far || turning || done > (int)p[PATIENCE])
-            if ((verdict = prepare(s, out.q, damp, scale, lam, done > (int)p[PATIENCE], t))) return verdict;
+        int turning = s->stiff && done > 0 && (s->renewed || cheap || misfit > 0.0 || misled(s) || other_slopes(s, damp, scale));
+        if (far || turning || done > (int)p[PATIENCE]) {
+            s->led = done > 0;
+            verdict = prepare(s, out.q, damp, scale, lam, done > (int)p[PATIENCE], t);
+            s->led = 0;
+            if (verdict) return verdict;
+        }
 
         double closed = 0.0, size;
         if (p[STABILISED] != 0.0) {
             if ((verdict = stabilised(s, scale, damp, x, closing, y, none, t))) return verdict;
             closed = largest_of(s->units, closing, n);
+            add(x, 1.0, closing, n);
+            misfit = s->stiff ? other_pulls(s, x) : 0.0;
+            add(x, -1.0, closing, n);
             for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, closing + TWIST * b);
             for (int i = 0; i < n; i++) xi[i] += closing[i];
-        } else if ((verdict = increment(s, scale, x, y, t))) return verdict;
+        } else {
+            if ((verdict = increment(s, scale, x, y, t))) return verdict;
+            misfit = s->stiff ? other_pulls(s, x) : 0.0;
+        }
         size = largest_of(s->units, x, n);
         if (!(closed <= size)) size = closed; /* nan stays */
         far = size > p[FAR];
@@ -133,6 +144,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
             out.a[i] += x[i] / scale;
         }
         converged = judge(p, sizes, done, &left);
+        if (converged > 0 && misfit * sizes[done - 1] > 1.0) converged = 0;
         if (s->fields && lingers(p, done, left)) return NEWTON; /* NumPy takes new tangents of fields */
         if (s->redundant && done == begun_at + 1 && converged > 0) converged = 0; /* the first solution leaves epsilon y open */
         if (s->redundant && converged > 0 && p[STABILISED] != 0.0 && !begun_at) { /* speeds of open rows contradict each other */

@@ -3,7 +3,11 @@
        [ M + cd C + ck K   G^T ]      K, C: of elastic bodies and of efforts, N r on a row r = ds/dV:
        [ G                  0  ]      (ck dN/ds + cd dN/ds') r r^T + ck N dr/dq                                        (1)
 
-   The last term of (1) is the geometric stiffness of an effort; that of a reaction has lambda for N. */
+   The last term of (1) is the geometric stiffness of an effort; that of a reaction has lambda for N. Newton's iteration moves a
+   stiff spring along itself at once, so that N is what the last increment leads to: of the elongation nearly found, which is off
+   by its square, N would be anything. These are the iterations of a form whose efforts are unknowns of their own. */
+
+static const double SAME_PULL = 0.1; /* efforts that differ by a smaller share are the same across */
 
 /* ---- frames of bodies: entries go straight to their places ---- */
 
@@ -36,6 +40,13 @@ static void plain_tangents(System *s, const Batch *k, const double *slope)
 
 /* ---- all of it ---- */
 
+/* The effort or reaction of item i in (1). */
+static double pull_of(const System *s, const Batch *k, long i, const double *lam)
+{
+    if (k->role == ROW) return k->factor[i] * lam[k->row[i]];
+    return k->role == LINEAR && s->led ? k->foretold[i] : k->effort[i];
+}
+
 /* The tangent of an effort or a reaction; ``geometric``: weight of its geometric stiffness. */
 static int tangents(System *s, Batch *k, double cd, double ck, double geometric, const double *lam, double t)
 {
@@ -59,7 +70,7 @@ static int tangents(System *s, Batch *k, double cd, double ck, double geometric,
     }
 
     int curved = k->curved && geometric != 0.0;
-    for (long i = 0; i < k->n; i++) k->weight[i] = geometric * (k->role == ROW ? k->factor[i] * lam[k->row[i]] : k->effort[i]);
+    for (long i = 0; i < k->n; i++) k->weight[i] = geometric * pull_of(s, k, i, lam);
     if (curved) k->tangent(k->n, k->pair, s->frames, k->P, k->weight, k->hessian);
     else if (k->curved) memset(k->hessian, 0, k->n * k->hessians * sizeof(double));
     if (!slope && !curved) return DONE;
@@ -193,6 +204,51 @@ static int stabilised(System *s, double scale, double damp, double *x, double *c
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++) /* rows on velocities have no g: the correction rolls */
         for (long i = 0; k->role == ROW && k->flow && i < k->n; i++) s->b[s->nu + k->row[i]] = 0.0;
     return with_fields(s, 0.0, closing, none, t);
+}
+
+/* Efforts of springs where an increment x, like v, leads from the state evaluated last. */
+static void foretell(System *s, const double *x)
+{
+    int turned = 0;
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->role != LINEAR || !k->curved) continue;
+        if (!turned) turn_velocity(s, x);
+        turned = 1;
+        const double *out = k->out;
+        const int *at = k->at;
+        for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
+            double change = 0.0;
+            for (int e = 0; e < k->live; e++) change += out[k->entry[e]] * s->velocity[at[e]];
+            k->foretold[i] = k->effort[i] + k->slope[i] / s->ck * change;
+        }
+    }
+}
+
+/* Inertia along an entry of the velocities; of surfaces that of their bodies; the ground, behind all, does not move. */
+static double inertia_of(const System *s, int at)
+{
+    int on = at - s->nu, surface = on / TWIST;
+    if (on < 0) return s->diagonal[at];
+    return surface < s->surfaces ? s->diagonal[s->body[s->surface[surface].body].at_u + on % TWIST] : INFINITY;
+}
+
+/* Share of an increment x that may be wrong since springs pull otherwise across, where it leads, than in the matrix. */
+static double other_pulls(System *s, const double *x)
+{
+    double worst = 0.0;
+    foretell(s, x);
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->role != LINEAR || !k->curved) continue;
+        for (long i = 0; i < k->n; i++) {
+            double pull = s->ck * k->foretold[i], other = pull - k->weight[i], stiffness = 0.0, inertia = INFINITY;
+            if (!(fabs(other) > SAME_PULL * fmax(fabs(pull), fabs(k->weight[i])))) continue;
+            k->tangent(1, k->pair + 2 * i, s->frames, k->P + i * k->width, &other, k->hessian);
+            for (int e = 0; e < k->curved; e++) stiffness = fmax(stiffness, fabs(k->hessian[k->curve[e]]));
+            for (int e = 0; e < k->live; e++) inertia = fmin(inertia, inertia_of(s, k->at[i * k->live + e]));
+            worst = fmax(worst, stiffness / inertia);
+        }
+    }
+    return worst;
 }
 
 /* Whether slopes in the matrix misled at the last evaluation. */

@@ -38,6 +38,7 @@ typedef struct {
     int *dest;                         /* ROW: n x live places in the fronts */
     double *stiffness, *damping, *free; /* efforts: N = stiffness (s - free) + damping s' */
     double *s, *rate, *effort, *weight, *slope; /* n each */
+    double *foretold;                  /* LINEAR: n efforts where the last increment of a step leads */
     int formula;                       /* FORMULA: which; n x FORMULA_WIDTH constants, n x MEMORY memory of accepted steps */
     double *constants, *kept;
     double *known;                     /* LAW: n x 3, s, s' and N where the slopes were taken; WHOLE, MOUNT: see whole.c, mounts.c */
@@ -166,6 +167,7 @@ typedef struct {
     double settled;                    /* Newton's tolerance of a step */
     int again;                         /* where in ``work`` a second solution has its own, see sway() */
     int renewed;                       /* whether forces as a whole get new slopes at any rate */
+    int led;                           /* whether the matrix takes the efforts foretold: after an increment of a step */
 } System;
 
 /* Records of accepted steps; every array holds ``capacity`` of them. ``left``: steps up to the next. */
