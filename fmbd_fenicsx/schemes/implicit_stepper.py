@@ -12,7 +12,9 @@ import numpy as np
 from ..errors import CallbackError, ConvergenceError, LinearSolveError
 from ..linear.condensation import StepSolver
 from ..linear.residual import Judge
+from ..log import log
 from ..rotations import Array
+from ..system.foretold_efforts import ForetoldEfforts
 from ..system.serialisation import Memory, plain, worker
 from ..system.system import State, System
 from .control import ErrorNorm, Statistics, StepControl
@@ -24,10 +26,12 @@ from .stepping import TimeStepper
 class ImplicitStepper(TimeStepper):
     """Advances a consistent state by stages that Newton's iteration finds; :class:`.Radau` and :class:`.BDF` derive from it.
 
-    ``what``: what is solved, for messages. ``control``: of the step size, set by the scheme.
+    ``what``: what is solved, for messages. ``lost``: measured, where motions begin to differ from those of rigid links.
+    ``control``: of the step size, set by the scheme.
     """
 
     what: ClassVar[str]
+    lost: ClassVar[float] = 3e-4  # share of the forces that the roundoff of a spring's effort may have
     control: StepControl
     keeps: ClassVar = {
         "state": Memory.state,
@@ -53,6 +57,18 @@ class ImplicitStepper(TimeStepper):
         self._fresh = False  # whether the tangent is that of this step
         self._full = False  # whether each iteration takes its own
         self._theta = 1e-3  # rate of convergence
+        self._warn_of_roundoff()
+
+    def _warn_of_roundoff(self) -> None:
+        """Say that a spring is too stiff for Newton's iteration with one tangent for several configurations."""
+        name, lost = ForetoldEfforts(self.system).lost(self.state.q)
+        weight = self.system.mass * max(np.linalg.norm(self.system.gravity(np.inf)), self.system.max_abs(self.state.a))
+        if lost > self.lost * weight:
+            log.warning(
+                'the effort of spring "%s" is known to %.1e N only, by roundoff of places times its stiffness, where forces are '
+                "of %.1e N: %s may lose the motion. Take fmbd.GeneralizedAlpha(), or fmbd.distance(...) in place of the spring",
+                name, lost, weight, self.scheme.name,
+            )  # fmt: skip
 
     @property
     def counters(self) -> dict[str, float]:

@@ -84,11 +84,14 @@ class Newton:
         require(self.max_iterations >= 1, f"Newton needs max_iterations of 1 at least, found {self.max_iterations}.")
 
     def solve(
-        self, increment: Callable[[], float], look: Callable[[], object] | None = None
+        self,
+        increment: Callable[[], float],
+        look: Callable[[], object] | None = None,
+        misfit: Callable[[], float] = lambda: 0.0,
     ) -> tuple[bool, list[float]]:
         """Call ``increment`` (it applies one increment, returns its norm over the tolerance) until the error
         is below 1. ``look`` evaluates the forces where the last increment led: a new tangent is taken there, and one increment
-        before without it.
+        before without it. ``misfit``: share of the last increment that its tangent may have got wrong.
 
         Returns whether it converged, and the history of norms.
         """
@@ -124,7 +127,7 @@ class Newton:
                     refreshed, self.theta = 1, 0.1
                     continue
 
-            if left <= 1.0 or size <= 1e-3:
+            if (left <= 1.0 or size <= 1e-3) and misfit() * size <= 1.0:
                 self.note(left)
                 self.renewals = refreshed
                 return True, history

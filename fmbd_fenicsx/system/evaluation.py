@@ -27,6 +27,7 @@ class Evaluation:
 
     def __init__(self, system: System, t: float, q: Array, v: Array | None) -> None:
         self.system, self.t, self.q, self.v = system, t, q, v
+        self.foretold: dict[Any, Array] = {}  # efforts of springs for the tangent, see foretold_efforts
         system.move(t)
 
     # -- frames, ports and markers ------------------------------------------------------------------------------------

@@ -52,6 +52,8 @@ def force_tangent(ev: Evaluation, cd: float, ck: float) -> ForceTangent | None:
         if tangent is None:
             continue
         T = ck * tangent.K + cd * tangent.D
+        if loads in ev.foretold:
+            T = T + ck * loads.relative.geometric(ev.kin, ev.foretold[loads] - loads.scalar(ev.kin, ev.t)[2])
         on_surface = entries.seen.touches(tangent.a) | entries.seen.touches(tangent.b)
         entries.add_frames(T, tangent.a, tangent.b, ~on_surface)
 

@@ -174,9 +174,13 @@ class ScalarLoads(Loads):
                 f'Spring "{self.forces[int(np.argmin(s))].name}": its two points coincide, so it has no direction.'
             )
 
+        return s - self.free, self.along(kin, kin.twist), *self.relative.rows(kin)
+
+    def along(self, kin: Kinematics, twists: Array) -> Array:
+        """The rates s' for twists of all markers, (m,)."""
         ra, rb = self.relative.rows(kin)
-        rate = (ra * kin.twist[self.a] + rb * kin.twist[self.b]).sum(1)
-        return s - self.free, rate, ra, rb
+        rate: Array = (ra * twists[self.a] + rb * twists[self.b]).sum(1)
+        return rate
 
     def law(self, which: np.ndarray, s: np.ndarray, rate: np.ndarray, t: float) -> Array:
         """N of the laws of the user's own of some forces, at their elongations s and rates: arrays like ``which``."""

@@ -111,6 +111,7 @@ class Stepper(ImplicitStepper):
     """Advances a consistent state; holds the past values, tangent, factor and the choice of step and order."""
 
     what = "a BDF step"
+    lost = 1e-5
     keeps: ClassVar = {
         **ImplicitStepper.keeps,
         "past": plain(_Past),

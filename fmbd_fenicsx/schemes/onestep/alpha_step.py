@@ -9,9 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...errors import LinearSolveError
 from ...linear.condensation import StepSolver, Weights
+from ...mechanics.forces.force_elements import ScalarLoads
 from ...rotations import Array
 from ...system.evaluation import Evaluation
+from ...system.foretold_efforts import ForetoldEfforts
 from ...system.speed_rows import gaps, speed_rows
 from ...system.system import State
 from ..exact_tangent import Pair, exact_increment
@@ -116,6 +119,7 @@ class AlphaStep:
         self.stabilised = stabilised and system.n_lam > 0
         self.tangent: ExactTangent | None = None if self.stabilised else newton.tangent
         self.stiff = any(loads.stiff for loads in system.forces)
+        self.springs = ForetoldEfforts(system)
         self.tolerance = self._tolerance()
 
         # what it has found
@@ -124,6 +128,8 @@ class AlphaStep:
         self.lost = False  # gaps were passed over as roundoff
         self.gaps: Array = np.zeros(0)
         self.newest: Array | None = None  # increment of q
+        self.foretold: dict[ScalarLoads, Array] = {}  # efforts of springs where it led
+        self.misfit = 0.0  # share of it that they may have bent
         self.tangent_iterations = 0
 
     def _tolerance(self) -> float:
@@ -134,7 +140,7 @@ class AlphaStep:
     def solve(self) -> tuple[bool, list[float]]:
         """Iterate; whether it converged, and the history of increments over the tolerance."""
         foretells = any(part.foretells for _, part in self.system.fields)
-        return self.newton.solve(self._increment, self._look if foretells else None)
+        return self.newton.solve(self._increment, self._look if foretells else None, lambda: self.misfit)
 
     @property
     def found(self) -> State:
@@ -150,13 +156,14 @@ class AlphaStep:
         ev = self._evaluation(before)
         g = self._known(ev)
         r = ev.balance(before.a, before.lam)
-
-        self.solver.prepare(ev, self.weights, keep=not self._wants_tangent())
+        ev.foretold = self.foretold
+        self._prepare(ev)
         self.done += 1
 
         increment = self._solved(ev, r, g)
         self._apply(increment)
         self.gaps, self.newest = g, increment.q
+        self._foretell(ev, increment)
 
         size = self._size(increment)
         self.far = size > FAR * self.system.length
@@ -164,6 +171,17 @@ class AlphaStep:
         if self.done > 2 and size > self.tolerance and not self.stabilised:
             size = self.system.max_abs(increment.q * above_roundoff(ev, before.lam, r, g))
         return size / self.tolerance
+
+    def _prepare(self, ev: Evaluation) -> None:
+        """The matrix, anew where that is worth it; without what springs push across where that makes it indefinite."""
+        keep = not self._wants_tangent()
+        try:
+            self.solver.prepare(ev, self.weights, keep=keep)
+        except LinearSolveError:
+            if self.foretold or not self.springs.linear:
+                raise
+            ev.foretold = self.springs.none
+            self.solver.prepare(ev, self.weights)
 
     def _evaluation(self, end: End) -> Evaluation:
         """The system at an end."""
@@ -181,7 +199,7 @@ class AlphaStep:
 
     def _wants_tangent(self) -> bool:
         """Whether the next increment is worth a tangent of its own."""
-        turned = self.stiff and self.done > 0 and (self.done == 1 or self.newton.theta > SLOW_TURN)
+        turned = self.stiff and self.done > 0 and (self.done == 1 or self.newton.theta > SLOW_TURN or self.misfit > 0.0)
         impatient = self.done > self.patience and not self.system.fields
 
         return self.far or self.tangent is not None or turned or impatient
@@ -230,6 +248,12 @@ class AlphaStep:
         """The end with its xi, and the accelerations that go with it, moved."""
         end, h = self.end, self.rule.h
         return replace(end, xi=end.xi + d_xi, A=end.A + d_xi / (h * h * self.rule.beta), a=end.a + d_xi / self.scale)
+
+    def _foretell(self, ev: Evaluation, increment: Increment) -> None:
+        """Efforts of springs where an increment leads, and whether its tangent had others."""
+        dq = increment.q if increment.closing is None else increment.q + increment.closing
+        self.foretold = self.springs.after(ev, dq, increment.q * (self.weights.cd / self.weights.ck))
+        self.misfit = self.springs.misfit(ev, self.foretold, self.weights.ck)
 
     def _size(self, increment: Increment) -> float:
         """The largest entry of an increment, as a length."""

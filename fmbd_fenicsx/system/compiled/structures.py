@@ -32,7 +32,9 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         *_fields("value rates tangent", _POINTER),
         *_fields("role outputs live products curved number flow driven", _INT),
         *_fields("n width", _LONG),
-        *_fields("pair P out entry at row factor dest stiffness damping free s rate effort weight slope foretold", _POINTER),
+        *_fields(
+            "pair P out entry at row factor dest stiffness damping free s rate effort weight slope foretold", _POINTER
+        ),
         ("formula", _INT),
         *_fields("constants kept known", _POINTER),
         *_fields("first second product_to curve curve_to", _POINTER),

@@ -41,7 +41,17 @@ DIRECTIONS = {  # constants that are directions in the axes of a marker: of whic
     "skate": {"e": 1},
     "follower_couple": {"load": 1},
 }
-OF_ITEMS = ("s", "rate", "effort", "foretold", "weight", "slope", "stiffness", "damping", "free")  # a number for each item
+OF_ITEMS = (
+    "s",
+    "rate",
+    "effort",
+    "foretold",
+    "weight",
+    "slope",
+    "stiffness",
+    "damping",
+    "free",
+)  # a number for each item
 ONE_SIDED = ("dead", "couple", "follower", "follower_couple")
 
 

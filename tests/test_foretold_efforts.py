@@ -1,0 +1,78 @@
+"""Masses of grams and kilograms on springs of any stiffness move as on rigid links, to the error of the step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import fmbd_fenicsx as fmbd
+
+G, ANGLE, END = 9.81, 0.5, 1.0
+DIRECTION = np.array([np.sin(ANGLE), -np.cos(ANGLE)])
+
+
+def chain(masses: Sequence[float], k: float, c: float = 0.0) -> fmbd.Scene:
+    """Masses on a line at a distance of 1 m, on springs that hold the weight at rest."""
+    scene = fmbd.Scene("chain", gravity=(0.0, -G))
+    above = fmbd.ground
+    for i, mass in enumerate(masses):
+        body = fmbd.RigidBody(f"mass {i}", mass, 0.1 * mass, position=(i + 1) * DIRECTION)
+        weight = sum(masses[i:]) * G * np.cos(ANGLE)
+        ends = {"point_a": i * DIRECTION, "point_b": (i + 1) * DIRECTION}
+        scene.add(body, fmbd.Spring(f"tie {i}", above, body, **ends, stiffness=k, damping=c, length=1.0 - weight / k))
+        scene.sensor(f"place {i}", fmbd.position(body))
+        above = body
+    return scene
+
+
+def on_rigid_links(masses: Sequence[float]) -> np.ndarray:
+    """Places of the masses at the end, (n, 2): angles of links by Lagrange's equations."""
+    n, m = len(masses), np.array(masses)
+    below = np.array([m[i:].sum() for i in range(n)])
+    shared = below[np.maximum.outer(np.arange(n), np.arange(n))]
+
+    def rates(t: float, y: np.ndarray) -> np.ndarray:
+        angle, rate = y[:n], y[n:]
+        between = angle[:, None] - angle
+        pull = -(shared * np.sin(between)) @ rate**2 - G * below * np.sin(angle)
+        return np.concatenate((rate, np.linalg.solve(shared * np.cos(between), pull)))
+
+    start = np.concatenate((np.full(n, ANGLE), np.zeros(n)))
+    angle = solve_ivp(rates, (0.0, END), start, method="DOP853", rtol=1e-10, atol=1e-12).y[:n, -1]
+    return np.cumsum(np.stack((np.sin(angle), -np.cos(angle)), axis=-1), axis=0)
+
+
+def error(run: Any, masses: Sequence[float]) -> float:
+    exact = on_rigid_links(masses)
+    return max(float(np.abs(run[f"place {i}"][-1] - x).max()) for i, x in enumerate(exact))
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-6], ids=["undamped", "damped"])
+@pytest.mark.parametrize("k", [1e8, 1e10, 1e12, 1e14])
+@pytest.mark.parametrize("masses", [(1.0, 1e-3), (1e-3, 1.0), (1e-3, 1.0, 1e-3, 1.0)], ids=str)
+def test_stiff_ties(masses: tuple[float, ...], k: float, damping: float) -> None:
+    """The error does not grow with the stiffness, nor does Newton's work; nothing is repeated in parts."""
+    run = fmbd.solve(chain(masses, k, damping * k), t_end=END, dt=1e-2)
+    assert error(run, masses) <= 3.5e-4
+    assert run.counters["newton_iterations"] <= 4.5 * run.counters["steps"]
+    assert not run.counters["halved_steps"] and not run.warnings
+
+
+@pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=lambda x: type(x).__name__)
+def test_without_compiled_steps(form: Any) -> None:
+    masses = (1e-3, 1.0)
+    scheme = fmbd.GeneralizedAlpha(form=form, compiled=False)
+    run = fmbd.solve(chain(masses, 1e12), t_end=END, dt=1e-2, scheme=scheme)
+    assert error(run, masses) <= 3.5e-4 and not run.warnings
+
+
+@pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-4), fmbd.BDF(rtol=1e-4)], ids=lambda x: type(x).__name__)
+def test_efforts_that_roundoff_hides(scheme: Any) -> None:
+    """A spring whose effort roundoff hides is named; one that is merely stiff is not."""
+    for k, warned in ((1e10, False), (1e14, True)):
+        run = fmbd.solve(chain((1.0, 1.0), k), t_end=0.05, scheme=scheme)
+        assert any('spring "tie 1" is known to' in text for text in run.warnings) == warned
