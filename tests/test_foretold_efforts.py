@@ -64,10 +64,10 @@ def test_stiff_ties(masses: tuple[float, ...], k: float, damping: float) -> None
 
 @pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=lambda x: type(x).__name__)
 def test_without_compiled_steps(form: Any) -> None:
-    masses = (1e-3, 1.0)
+    masses = (1.0, 1e-3)
     scheme = fmbd.GeneralizedAlpha(form=form, compiled=False)
-    run = fmbd.solve(chain(masses, 1e12), t_end=END, dt=1e-2, scheme=scheme)
-    assert error(run, masses) <= 3.5e-4 and not run.warnings
+    run = fmbd.solve(chain(masses, 1e13), t_end=END, dt=5e-3, scheme=scheme)
+    assert error(run, masses) <= 8e-5 and not run.warnings
 
 
 @pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-4), fmbd.BDF(rtol=1e-4)], ids=lambda x: type(x).__name__)
