@@ -57,6 +57,19 @@ def test_resonance(stiffness: float, settings: dict[str, Any]) -> None:
     assert 0.5 * true < run.certificate["x"].total < 3.0 * true
 
 
+@pytest.mark.parametrize(("periods", "steps", "uncertain"), [(40, 6, True), (10, 16, True), (10, 60, False)])
+def test_an_error_of_phase_as_large_as_the_motion_is_said_to_be_uncertain(
+    periods: int, steps: int, uncertain: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Six steps a period at resonance state a fortieth of the true error: the certificate and the warnings say so."""
+    t_end = 0.2 * np.pi * periods
+    output = fmbd.Output(estimate_error=True, progress=False)
+    run = fmbd.solve(resonant(100.0), t_end=t_end, dt=t_end / (4 * (periods * steps // 4)), output=output)
+    said = ["is uncertain" in text for text in (str(run.certificate), " ".join(run.warnings), caplog.text)]
+    assert said == [uncertain] * 3
+    assert list(run.certificate.uncertain) == ["x"] * uncertain
+
+
 def test_errors_add_up_with_their_signs() -> None:
     """At every instant; what cancels counts as two thirds at most; other times are found on straight lines."""
     t, half = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 3)

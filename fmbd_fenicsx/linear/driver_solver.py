@@ -1,7 +1,7 @@
 """Solutions by the driver: the matrix of a state that it evaluated is factored and solved there, and not in NumPy.
 
-Only where the rows certainly do not depend on each other, which the first factor tells. Where NumPy finds that they do, the driver
-makes what explicit schemes ask for in one call, with the smallest multipliers; all else is NumPy's.
+Only where the rows certainly do not depend on each other, which the first factor tells. Where NumPy finds that they do, the
+driver makes what explicit schemes ask for in one call, with the smallest multipliers; all else is NumPy's.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from .solve import Run
 
 KINDS = ("space", "time", "modes", "algebra")
+TOO_LOW, TOO_HIGH = (
+    0.75,
+    1.0,
+)  # share of the scheme's order, and what an order is beyond it, that belong to another motion
+LARGE = 0.02  # error of time over the range of a sensor below which such an order does not matter
 
 
 @dataclass(frozen=True)
@@ -44,11 +49,14 @@ class Statement:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Statements of all sensors, the seconds of the run, and why a kind of error was not stated: kind -> reason."""
+    """Statements of all sensors, the seconds of the run, why a kind of error was not stated: kind -> reason, and why an error of
+    time may be far from what is stated: sensor -> reason.
+    """
 
     statements: tuple[Statement, ...]
     seconds: float
     unstated: dict[str, str]
+    uncertain: dict[str, str] = field(default_factory=dict)
 
     def __getitem__(self, sensor: str) -> Statement:
         """The statement of a sensor."""
@@ -66,7 +74,7 @@ class Certificate:
             shown = "".join(f"{'-':>10}" if x is None else f"{x:>10.1e}" for x in (*numbers, s.total, s.share))
             lines.append(f"{s.sensor:<{width}} {shown}  {s.unit}")
         lines += [f"{kind} not stated: {why}" for kind, why in self.unstated.items()]
-        return "\n".join(lines)
+        return "\n".join([*lines, *self.uncertain.values()])
 
     def as_dict(self) -> dict[str, object]:
         """Plain data, for JSON."""
@@ -80,7 +88,7 @@ class Certificate:
             }
             for s in self.statements
         }
-        return {"sensors": rows, "seconds": self.seconds, "unstated": self.unstated}
+        return {"sensors": rows, "seconds": self.seconds, "unstated": self.unstated, "uncertain": self.uncertain}
 
 
 def certificate_of(run: Run) -> Certificate:
@@ -116,4 +124,18 @@ def certificate_of(run: Run) -> Certificate:
         found = [kind[name] for kind in run.deviations.values() if name in kind]
         time = run.error_estimate.get(name)
         made.append(Statement(name, sensor.unit, space, time, modes, own, together(found) + own, span))
-    return Certificate(tuple(made), run.seconds["total"], unstated)
+    uncertain = {s.sensor: why for s in made if (why := _uncertain(run, s))}
+    return Certificate(tuple(made), run.seconds["total"], unstated, uncertain)
+
+
+def _uncertain(run: Run, stated: Statement) -> str:
+    """Why the error of time of a sensor may be far from what is stated; "" where it is not."""
+    order, seen = run.scheme.order, run.observed_order.get(stated.sensor, np.nan)
+    regular = np.isnan(seen) or TOO_LOW * order <= seen <= order + TOO_HIGH
+    if regular or (stated.time or 0.0) <= LARGE * stated.span:
+        return ""
+    return (
+        f'the error of time of "{stated.sensor}" is uncertain: runs with larger steps show the order {seen:.1f}, {order} is '
+        "expected. They follow another motion, and what is stated may be several times too large or too small. Take a smaller "
+        "dt, or a scheme that chooses its steps (rtol)"
+    )

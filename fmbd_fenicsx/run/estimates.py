@@ -358,3 +358,11 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
         found_in_space, run.space_unstated = space_error(problem, made)
         run.state_error("space", found_in_space)
         run.seconds["space estimate"] = clock.perf_counter() - ended
+    warn_of_uncertain(run)
+
+
+def warn_of_uncertain(run: Run) -> None:
+    """Errors of time that may be far from what is stated, where a user sees it."""
+    for why in run.certificate.uncertain.values():
+        log.warning("%s.", why)
+        run.warnings.append(f"{why}.")

@@ -22,7 +22,7 @@ from ..schemes.declared import Declared
 from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.refinement import meshed_bodies, modal_bodies
 from ..system.scene.scene import Scene
-from .estimates import Compared, TimeError, reduction_error, tolerance_error
+from .estimates import Compared, TimeError, reduction_error, tolerance_error, warn_of_uncertain
 from .ledger import Books
 from .next_attempt import Looked, Plan, finer_steps, next_plan, space_first
 from .output import Output
@@ -138,6 +138,7 @@ class Search:
             log.warning(
                 'scene "%s": the tolerance was not reached, %.2g times it is stated: %s.', scene.name, over, self.why
             )
+        warn_of_uncertain(run)
         run.history = tuple(self.history)
         return run
 
