@@ -14,8 +14,7 @@ from test_kernel import PLANE, SPACE
 from test_rods import UNIT
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.system.compiled.evaluation import use_driver
-from fmbd_fenicsx.system.evaluation_batch import evaluate_batch
+from fmbd_fenicsx.system.compiled.evaluation import solves, use_driver
 from fmbd_fenicsx.system.system import System
 
 
@@ -67,7 +66,7 @@ def pair_of(make: Any) -> tuple[System, System, tuple[Any, ...]]:
     plain, start, _ = make().build()
     driven, _, _ = make().build()
     use_driver(driven)
-    assert driven.driver is not None
+    assert solves(driven.evaluator)
 
     k, rng = 3, np.random.default_rng(2)
     q = plain.compose(start.q, 0.03 * plain.length * rng.normal(size=(k, plain.n_v)))
@@ -95,7 +94,7 @@ def test_equal_to_numpy(name: str) -> None:
     plain, driven, (t, q, v, a, lam) = pair_of(MAKERS[name])
     expected = [answers(plain.at(float(t[i]), q[i], v[i]), a[i], lam[i]) for i in range(len(t))]
     single = [answers(driven.at(float(t[i]), q[i], v[i]), a[i], lam[i]) for i in range(len(t))]
-    together = answers(evaluate_batch(driven, t, q, v), a, lam)
+    together = answers(driven.batch(t, q, v), a, lam)
     for key in expected[0]:
         wanted = np.array([x[key] for x in expected])
         scale = max(1.0, float(np.abs(wanted).max(initial=0.0)))
@@ -145,7 +144,7 @@ def test_laws_of_time_are_asked_once_a_state() -> None:
 def test_answers_are_the_callers_own() -> None:
     """Who changes an answer changes no later one."""
     _, driven, (t, q, v, _, _) = pair_of(plane)
-    for ev in (driven.at(float(t[0]), q[0], v[0]), evaluate_batch(driven, t, q, v)):
+    for ev in (driven.at(float(t[0]), q[0], v[0]), driven.batch(t, q, v)):
         for ask in (ev.constraint, ev.opening, ev.gamma):
             first = ask()
             first[:] = np.nan

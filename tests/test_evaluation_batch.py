@@ -12,7 +12,6 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.dae import Baumgarte, Overdetermined, StepEquations
-from fmbd_fenicsx.system.evaluation_batch import evaluate_batch as together_at
 from fmbd_fenicsx.system.system import State
 
 
@@ -85,7 +84,7 @@ def states(
 @pytest.mark.parametrize("scene", SCENES, ids=lambda s: s.__name__)
 def test_copies_are_what_single_evaluations_are(scene: Callable[[], fmbd.Scene]) -> None:
     system, t, q, v, a, lam = states(scene())
-    many = together_at(system, t, q, v)
+    many = system.batch(t, q, v)
     ones = [system.at(float(t[i]), q[i], v[i]) for i in range(len(t))]
     pairs = [
         (many.constraint(), [e.constraint() for e in ones]),
@@ -128,7 +127,7 @@ def test_a_vectorized_body_is_called_once() -> None:
     for vectorized in (True, False):
         system, t, q, v, a, lam = states(body(vectorized), 3)
         calls.clear()
-        many = together_at(system, t, q, v)
+        many = system.batch(t, q, v)
         found.append([many.balance(a, lam), many.constraint(), many.opening(), many.gamma(), many.jacobian.core])
         assert calls == ([(2, 3)] if vectorized else [(2,)] * 3)
     for together, single in zip(*found, strict=True):
@@ -140,7 +139,7 @@ def test_a_force_that_is_not_finite_is_reported_with_its_time() -> None:
     scene.add(fmbd.CoordinateBody("mass", np.eye(1), lambda q, v, t: np.array([np.nan if t > 0.5 else 1.0]), [0.0]))
     system, _, _ = scene.build()
     with pytest.raises(CallbackError, match='"mass".*t = 0.6'):
-        together_at(system, np.array([0.4, 0.6]), np.zeros((2, 1)), np.zeros((2, 1))).balance(np.zeros((2, 1)))
+        system.batch(np.array([0.4, 0.6]), np.zeros((2, 1)), np.zeros((2, 1))).balance(np.zeros((2, 1)))
 
 
 @pytest.mark.parametrize("form", [fmbd.GGL(), Overdetermined(), Baumgarte(3.0, 4.0)], ids=lambda f: f.name)
@@ -152,7 +151,7 @@ def test_the_tangent_is_the_derivative_of_the_residual(scene: Callable[[], fmbd.
     made = equations.refresh(State(float(t[0]), q[0], v[0], a[0], lam[0]))
 
     def rows(xi: np.ndarray, dv: np.ndarray) -> np.ndarray:
-        at = together_at(system, t, system.compose(q, xi[None]), v + dv)
+        at = system.batch(t, system.compose(q, xi[None]), v + dv)
         return np.concatenate((at.balance(a, lam), form.rows(at, a)), axis=1)[0]
 
     zero, eye, h = np.zeros(system.n_v), np.eye(system.n_v), 1e-3

@@ -20,12 +20,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..errors import InputError, LinearSolveError, require
-from ..mechanics.placements import DistributedPart, FrameMotion
+from ..mechanics.placements import DistributedPart
 from ..rotations import Array, rotate_nodal
 from ..system.evaluation import Evaluation
+from ..system.evaluator import Evaluator
 from ..system.force_tangent import force_tangent
 from ..system.foreshortened_ports import tangent_ports
-from ..system.jacobian import dense_core
 from ..system.system import System
 from .blocks.field_blocks import Block, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_load
@@ -33,7 +33,8 @@ from .border import AroundSolver, Border
 from .configuration import Configuration
 from .configuration_warnings import CLOSE, mover, rows_depend, warn_near_singular
 from .core import ADVICE, TIE_LIMIT, CoreSolver, dense
-from .driver_solver import DriverSolver
+from .core_matrix import core_matrix
+from .driver_solver import DriverSolver, driver_solver
 from .residual import Judge
 
 __all__ = ["StepSolver", "Weights"]
@@ -59,7 +60,7 @@ class StepSolver:
         self._near_singular, self._masses = False, None
         self.increment: Array | None = None  # Newton's last, like v, where the next :meth:`refresh` is to know of it
         self._held: Configuration | None = None  # that of the matrices
-        self.driver: DriverSolver | None = None  # where starts are made by it too
+        self._driver: tuple[Evaluator | None, DriverSolver | None] = None, None
         self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
         self.elastic = FieldBlocks(system, linear, prefix)
         self.blocks: list[Block] = []
@@ -83,6 +84,15 @@ class StepSolver:
         from .iterated_multipliers import IteratedMultipliers
 
         return IteratedMultipliers(self.system, multiplier, self.linear.rtol)
+
+    @property
+    def driver(self) -> DriverSolver | None:
+        """Who solves in compiled code, where that evaluates the system; None where NumPy does all."""
+        evaluator, solver = self._driver
+        if evaluator is not self.system.evaluator:
+            solver = driver_solver(self.system, self.core)
+            self._driver = self.system.evaluator, solver
+        return solver
 
     # -- counts -------------------------------------------------------------------------------------------------
     @property
@@ -124,10 +134,11 @@ class StepSolver:
         """
         self._ev = ev
         s = self.system
-        if self.driver is not None and self.driver.prepare(ev, weights):
+        driver = self.driver
+        if driver is not None and driver.prepare(ev, weights):
             self.weights = weights
             self._look, self._held = False, None
-            self.core.factorisations += self.driver.new_factors()
+            self.core.factorisations += driver.new_factors()
             return
         masses_alone = not s.fields and not (weights.cd or weights.ck)
         if keep or (masses_alone and self.holds(ev, weights)):
@@ -156,10 +167,6 @@ class StepSolver:
         if self._look:
             self.core.redundant = rows_depend(ev)
         self._look = False
-
-    def at(self, t: float, q: Array, v: Array | None = None) -> Evaluation:
-        """The system in one state, by the driver where that makes starts; collective."""
-        return self.system.at(t, q, v) if self.driver is None else self.driver.at(t, q, v)
 
     def note_lost_gaps(self, ev: Evaluation) -> None:
         """Gaps of roundoff were all that an iteration could close: say so where the position is close to a singular one."""
@@ -210,7 +217,7 @@ class StepSolver:
     def _core_with_forces(self, ev: Evaluation) -> Any:
         """A of (1) with the tangents of force elements; those on fields become the border."""
         s, w = self.system, self.weights
-        A = self.core_matrix(ev, w)
+        A = core_matrix(ev, w)
         has_tangent = (s.forces or s.elements) and (w.cd or w.ck)
         applied = force_tangent(ev, w.cd, w.ck) if has_tangent else None
         self.border = Border.of(s, applied)
@@ -254,49 +261,10 @@ class StepSolver:
     def masses(self, ev: Evaluation) -> Any:
         """M of the core, not to be written into: of rigid bodies it is made once."""
         if self.system.parts:
-            return self.core_matrix(ev, Weights(1.0, 0.0, 0.0))
+            return core_matrix(ev, Weights(1.0, 0.0, 0.0))
         if self._masses is None:
-            self._masses = self.core_matrix(ev, Weights(1.0, 0.0, 0.0))
+            self._masses = core_matrix(ev, Weights(1.0, 0.0, 0.0))
         return self._masses
-
-    def core_matrix(self, ev: Evaluation, w: Weights) -> Any:
-        """cm M + cd C + ck K of the core: rigid bodies, frames of elastic ones (at U = 0), replicated parts."""
-        s, n = self.system, self.system.motions.n_twist
-        gravity, rest = s.gravity(ev.t), np.zeros(n)
-        M = np.zeros((s.n_frames + 1, n, n))
-        if s.rigid is not None:
-            M[s.rigid.frame] = s.rigid.matrices()
-
-        blocks = []
-        for k, p in enumerate(s.parts):
-            u = s.local_q(ev.q, k)
-            motion = FrameMotion(ev.t, ev.rotation[p.frame], rest, None, gravity)
-            of_frame, coupling, local = p.mass_blocks(motion, u)
-            M[p.frame] += of_frame
-            if p.distributed:
-                continue
-            K: Any = 0.0
-            C: Any = 0.0
-            if w.ck or w.cd:
-                rate = np.zeros(p.n) if ev.v is None else s.local_v(ev.v, k)
-                K, C = p.stiffness_blocks(motion, (u, rate))
-            blocks.append((k, p, w.cm * coupling, w.cm * local + w.cd * C + w.ck * K))
-        M *= w.cm
-
-        if not blocks and not dense_core(s):
-            frames = sp.bsr_matrix((M[:-1], np.arange(s.n_frames), np.arange(s.n_frames + 1)))
-            return frames.tocsr()
-
-        out = np.zeros((s.n_core, s.n_core))
-        view = out[: s.n_frames * n, : s.n_frames * n].reshape(s.n_frames, n, s.n_frames, n)
-        view[range(s.n_frames), :, range(s.n_frames)] = M[:-1]
-        for k, p, coupling, local in blocks:
-            rows = s.slices[1][k]
-            out[rows, rows] = local
-            if p.frame < s.n_frames:
-                frame = slice(p.frame * n, (p.frame + 1) * n)
-                out[rows, frame], out[frame, rows] = coupling, coupling.T
-        return out
 
     def _coupling(self, ev: Evaluation, i: int) -> Array:
         """S of distributed part i: (inertia columns + used ports, n_core + n_lam)."""
@@ -344,8 +312,9 @@ class StepSolver:
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """Increment like v and multiplier increment (n_lam,) for right-hand sides b (like v) and c (n_lam,)."""
         s = self.system
-        if self.driver is not None and self.driver.ready:
-            return self.driver.solve(b, c)
+        driver = self.driver
+        if driver is not None and driver.ready:
+            return driver.solve(b, c)
         if not s.fields:
             return self.core.solve(b, c)
         s.move(self._ev.t)

@@ -10,14 +10,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from ..rotations import Array
-from ..system.compiled.evaluation import DriverEvaluation, DriverStates, use_driver
+from ..system.compiled.evaluation import DriverEvaluation, DriverStates, solves
 from ..system.compiled.explicit import ExplicitStates, Stages, Tableau
 from ..system.evaluation import Evaluation
-from ..system.system import State
+from ..system.system import State, System
 from .blocks.field_blocks import Weights
 
 if TYPE_CHECKING:
-    from .condensation import StepSolver
     from .core import CoreSolver
 
 
@@ -30,16 +29,6 @@ class DriverSolver:
         self.ready = False
         self.usable: bool | None = None  # None: nothing was looked at so far
         self._counted = 0
-        self._last: DriverEvaluation | None = None  # made by :meth:`at`
-
-    def at(self, t: float, q: Array, v: Array | None) -> Evaluation:
-        """The system in one state; what was found of the one before is taken where it is the same."""
-        last = self._last
-        if last is not None and last.t == t and last.q is q and last.v is v:
-            return last.again()
-        made = self.states.at(t, q, v)
-        self._last = None if self.states.remembers else made
-        return made
 
     def prepare(self, ev: Evaluation, weights: Weights) -> bool:
         """Factor the matrix of a state; False where NumPy has to."""
@@ -99,9 +88,6 @@ class DriverSolver:
         return self.states.solve(b, c)
 
 
-def use_driver_in(solver: StepSolver) -> None:
-    """Let the driver evaluate the system of a solver from now on, and factor its matrices, where it knows all of it."""
-    use_driver(solver.system, None if solver.driver is None else solver.driver.states)
-    states = solver.system.driver
-    if states is not None and solver.driver is None:
-        solver.driver = DriverSolver(states, solver.core)
+def driver_solver(system: System, core: CoreSolver) -> DriverSolver | None:
+    """Solutions by the driver, where it evaluates a system and knows how to solve for it; ``core``: of the same solver."""
+    return DriverSolver(system.evaluator, core) if solves(system.evaluator) else None

@@ -16,7 +16,7 @@ from ..schemes.control import FINEST
 from ..system.scene.refined_basis import finer_system
 from ..system.scene.refinement import finer_space
 from ..system.scene.scene import Scene
-from .built import Built, build, use_evaluations
+from .built import Built, build
 from .deviation import Deviation
 from .output import Output, Recorder
 from .problem import Problem, begin, make_solver
@@ -194,7 +194,7 @@ def run_like(problem: Problem, compared: Compared, scene: Scene, built: Built) -
     try:
         begun = built.start(scene, problem.scheme, solver=solver, h=schedule.next(0.0))
         other = replace(problem, scene=scene, system=built.system, markers=built.markers, given=built.given)
-        other = replace(other, start=begun.state, driver=begun.driver, newton=newton, pressures=solver.pressures)
+        other = replace(other, start=begun.state, newton=newton, pressures=solver.pressures)
         return _whole(other, solver, schedule, wanted)
     except UNFIT as error:
         log.warning("no error in space: the run with finer spaces did not end: %s", error)
@@ -261,7 +261,7 @@ def again(problem: Problem, schedule: StepSchedule, steps: int, times: Sequence[
     solver = make_solver(problem.scene, problem.system, problem.linear)
     newton = problem.newton.afresh(solver.refresh)
     solver.pressures = problem.pressures
-    use_evaluations(solver, problem.driver)
+    problem.system.evaluator.begin_anew()
     wanted, other = Output(energy=False, progress=False, times=times), StepSchedule(schedule.t_end, steps)
     try:
         made = _whole(replace(problem, newton=newton), solver, other, wanted, parts=False)
@@ -324,9 +324,7 @@ def reduction_error(problem: Problem, compared: Compared) -> dict[str, Deviation
 
     try:
         start, _ = begin(problem.scene, problem.scheme, system, given, solver=solver, h=schedule.next(0.0))
-        finer = replace(
-            problem, system=system, given=given, start=start, newton=newton, pressures=solver.pressures, driver=None
-        )
+        finer = replace(problem, system=system, given=given, start=start, newton=newton, pressures=solver.pressures)
         fine = _whole(finer, solver, schedule, wanted).recorder
     except UNFIT as error:
         log.warning("no error of reduction: the run with more modes did not end: %s", error)

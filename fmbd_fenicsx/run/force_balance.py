@@ -26,6 +26,7 @@ import numpy as np
 
 from ..errors import ConvergenceError
 from ..linear.condensation import StepSolver, Weights
+from ..linear.core_matrix import core_matrix
 from ..rotations import Array
 from ..schemes.declared import Declared
 from ..system.evaluation import Evaluation
@@ -93,7 +94,7 @@ class Balanced:
     def _velocities(self, ev: Evaluation, left: Array, h: float, *, stiff: bool) -> Array:
         """d of (1) as lengths over time, (n_core,); ``stiff``: with C and K."""
         n = ev.system.n_core
-        weight = _diagonal(self.solver.core_matrix(ev, Weights(1.0, h, h * h)) if stiff else self.solver.masses(ev))
+        weight = _diagonal(core_matrix(ev, Weights(1.0, h, h * h)) if stiff else self.solver.masses(ev))
         applied = force_tangent(ev, h, h * h) if stiff and (ev.system.forces or ev.system.elements) else None
         if applied is not None:
             weight += 0.0 if applied.core is None else _diagonal(applied.core)

@@ -13,8 +13,8 @@ from ..schemes.consistent import Correction, consistent
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..schemes.stepping import TimeStepper, made_stepper
+from ..system.compiled.evaluation import use_driver
 from ..system.element_memory import reset
-from ..system.evaluation import Evaluation
 from ..system.scene.scene import Scene
 from ..system.system import State, System
 from .acceptance import Closed
@@ -27,7 +27,7 @@ from .step_bisection import ConstantSteps, Judges
 
 @dataclass(frozen=True)
 class Problem:
-    """A consistent start and what a march from it needs; ``driver``: the compiled evaluations that it was found with."""
+    """A consistent start and what a march from it needs."""
 
     scene: Scene
     system: System
@@ -39,7 +39,6 @@ class Problem:
     linear: Any
     pressures: list[Array]  # that bodies carry as unknowns
     warned: Gathered | None = None  # the warnings of the run; None: it warns of nothing
-    driver: Any = None
 
 
 def make_solver(scene: Scene, system: System, linear: Any) -> StepSolver:
@@ -52,6 +51,7 @@ def begin(
 ) -> tuple[State, Correction]:
     """The consistent start of a scheme from a state as given, with first steps of h (s); collective."""
     reset(system, given)
+    system.evaluator.begin_anew()
     with OneAnswer(system.comm):
         return _begun(scene, scheme, system, given, solver=solver, h=h)
 
@@ -67,8 +67,8 @@ def _begun(
     said = Declared.by(scheme)
     if said.start is not None:
         return said.start(system, given, solver, h)  # type: ignore[no-any-return]
-    if said.prepare is not None:
-        said.prepare(solver)
+    if said.compiled:
+        use_driver(system)
     return consistent(system, given, solver, h=h)
 
 
@@ -78,7 +78,6 @@ def judges_of(problem: Problem, solver: StepSolver, schedule: StepSchedule) -> J
         closed=Closed.under(problem.system, problem.scheme),
         balanced=Balanced.under(solver, problem.scheme, problem.newton.tolerance),
         forecast=Forecast(solver, problem.start.t, schedule.t_end, schedule.steps),
-        at=solver.at,
     )
 
 
@@ -89,9 +88,10 @@ def make_stepper(
     sense.
     """
     system = problem.system
-    solver.look_for_dependent_rows(evaluation_of(solver, problem.start))
-    made = made_stepper(problem.scheme, system, solver, problem.newton, problem.start)
-    watch = Watch(system, made.state, evaluation_of(solver, made.state)) if guarded else None
+    start = problem.start
+    solver.look_for_dependent_rows(system.at(start.t, start.q, start.v))
+    made = made_stepper(problem.scheme, system, solver, problem.newton, start)
+    watch = Watch(system, made.state) if guarded else None
     # a scheme with error control makes its steps smaller by itself
     if not schedule.steps:
         return made if watch is None else Guarded(made, watch)
@@ -114,8 +114,3 @@ def _made_anew(problem: Problem, solver: StepSolver, state: State, h: float) -> 
             part.relinearise()
     start, _ = consistent(system, state, solver, h=h)
     return made_stepper(problem.scheme, system, solver, problem.newton, start)
-
-
-def evaluation_of(solver: StepSolver, state: State) -> Evaluation:
-    """The system in a state."""
-    return solver.at(state.t, state.q, state.v)

@@ -107,7 +107,6 @@ def _problem(task: Task, built: Built, solver: StepSolver, start: Start) -> Prob
         linear=task.linear,
         pressures=solver.pressures,
         warned=built.warned,
-        driver=start.driver,
     )
 
 

@@ -16,7 +16,6 @@ from typing import Any, ClassVar
 
 from ..errors import ConstraintError, ConvergenceError, FmbdError, LinearSolveError, StabilityError
 from ..log import log
-from ..rotations import Array
 from ..schemes.stepping import TimeStepper
 from ..system.compiled.recording import Openness, Tape
 from ..system.element_memory import accept, whole_steps
@@ -34,13 +33,12 @@ DEPTH = 6  # times that a step that fails may be halved
 @dataclass(frozen=True)
 class Judges:
     """Who looks at the ends of steps and parts: ``closed`` refuses open joints, ``balanced`` forces out of balance; ``forecast``
-    counts. ``at`` evaluates the system.
+    counts.
     """
 
     closed: Closed
     balanced: Balanced | None
     forecast: Forecast
-    at: Callable[[float, Array, Array], Evaluation]
 
 
 class ConstantSteps(TimeStepper):
@@ -198,7 +196,7 @@ class ConstantSteps(TimeStepper):
         judges = self.judges
         if judges is None or (self.watch is None and self.path != "NumPy"):
             return
-        self._seen = judges.at(state.t, state.q, state.v)
+        self._seen = self.system.at(state.t, state.q, state.v)
         judges.closed.check(self._seen)
         if judges.balanced is not None:
             judges.balanced.check(self._seen, state, h)

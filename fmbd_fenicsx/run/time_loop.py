@@ -20,7 +20,7 @@ from .force_balance import Balanced
 from .moment import Moment
 from .output import Output, Progress, Recorder
 from .prescribed_motions import PrescribedMotions
-from .problem import Problem, evaluation_of, judges_of, make_stepper
+from .problem import Problem, judges_of, make_stepper
 from .progress import RunProgress
 from .schedule import StepSchedule
 
@@ -50,7 +50,7 @@ def _look(balanced: Balanced | None, stepper: TimeStepper, h: float) -> None:
     """Refuse the newest state, after compiled steps of size h (s), where its forces are not in balance."""
     if balanced is not None and not balanced.solver.system.keepers:  # their memory is that of the state already
         state = stepper.state
-        balanced.check(balanced.solver.at(state.t, state.q, state.v), state, h)
+        balanced.check(balanced.solver.system.at(state.t, state.q, state.v), state, h)
 
 
 CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to stop
@@ -154,7 +154,7 @@ class Loop:
         recorder = Recorder(problem.scene, problem.system, problem.markers, self.output, self.schedule.t_end)
         recorder.closed = Closed.under(problem.system, problem.scheme)
         recorder.warned = problem.warned
-        recorder.take(0, first, self.stepper.evaluation or evaluation_of(self.solver, first))
+        recorder.take(0, first, self.stepper.evaluation)
         return recorder
 
     # -- the loop ---------------------------------------------------------------------------------------------------

@@ -26,7 +26,6 @@ from ..linear.core import dense
 from ..log import log
 from ..rotations import Array
 from ..schemes.declared import Declared
-from ..system.jacobian import dense_core
 from ..system.speed_rows import speed_rows
 from ..system.system import State, System
 
@@ -72,20 +71,19 @@ def turned(solver: StepSolver, state: State, h: float, *, least: float = 0.0) ->
 def _rows(solver: StepSolver, state: State, h: float, held: np.ndarray | slice) -> tuple[Array, Array]:
     """L^-1 G^T of the rows ``held`` with M = L L^T, columns of size 1, (n_v, rows): of a state, and a step h (s) later."""
     system = solver.system
-    t = np.full(2, state.t)
     places = np.array((state.q, system.compose(state.q, h * state.v)))
-    known = None if solver.driver is None or not dense_core(system) else solver.driver.states
-    # of small systems both configurations come from the driver in one call
-    told = None if known is None else known.rows((t, places, np.array((state.v, state.v))))
+    both = system.batch(state.t, places, np.array((state.v, state.v)))
+    before, after = both.jacobian.core[:, held]
 
-    if told is None or system.parts:
-        both = [solver.at(state.t, q, state.v) for q in places]
-        scaled = [_scaled(_factored(solver.masses(ev)), dense(ev.jacobian.core)[held]) for ev in both]
-        return scaled[0], scaled[1]
-    if "mass factor" not in system.cache:  # of rigid bodies, made once
-        system.cache["mass factor"] = _factored(solver.masses(solver.at(state.t, state.q, state.v)))
-    rows = told[:, held]
-    return tuple(np.split(_scaled(system.cache["mass factor"], np.concatenate(rows)), 2, axis=1))  # type: ignore[return-value]
+    if system.parts:
+        factors = [_factored(solver.masses(system.at(state.t, q, state.v))) for q in places]
+        return _scaled(factors[0], before), _scaled(factors[1], after)
+
+    # of rigid bodies alone: made once
+    if "mass factor" not in system.cache:
+        system.cache["mass factor"] = _factored(solver.masses(system.at(state.t, state.q, state.v)))
+    columns = _scaled(system.cache["mass factor"], np.concatenate((before, after)))
+    return columns[:, : len(before)], columns[:, len(before) :]
 
 
 def _factored(matrix: Any) -> Array:

@@ -64,7 +64,7 @@ def _closed(state: State, solver: StepSolver, metric: Weights) -> tuple[Evaluati
     """The system with positions on the constraints, by how much they moved (m), and the iterations; the first of (1)."""
     system, q, moved = solver.system, state.q, 0.0
     zero = np.zeros(system.n_v)
-    ev = solver.at(state.t, q, state.v)
+    ev = system.at(state.t, q, state.v)
     g = first = ev.constraint()
     for iterations in range(25):  # noqa: B007, counted
         if _largest(system, g) <= 1e-14 * system.length:
@@ -80,7 +80,7 @@ def _closed(state: State, solver: StepSolver, metric: Weights) -> tuple[Evaluati
             raise _does_not_fit(system, state.t, first)
 
         q = system.compose(q, dq)
-        ev = solver.at(state.t, q, state.v)
+        ev = system.at(state.t, q, state.v)
         g = ev.constraint()
         if step <= 1e-15 * system.length:
             break
@@ -135,7 +135,7 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
     if found is not None:
         return replace(state, a=found[0], lam=found[1])
 
-    ev = solver.at(state.t, state.q, state.v)
+    ev = system.at(state.t, state.q, state.v)
     h = ev.balance(np.zeros(system.n_v))
     for _, part in system.fields:
         if part.field.keeps_volume:
@@ -320,7 +320,7 @@ def jerk(
     def defects(s: float) -> tuple[Array, Array, list[Array]]:
         q = system.compose(state.q, s * state.v + 0.5 * s * s * state.a)
         v = state.v + s * state.a
-        at = ev if s == 0.0 else solver.at(state.t + s, q, v)
+        at = ev if s == 0.0 else system.at(state.t + s, q, v)
         there = State(at.t, at.q, v, state.a, state.lam)
         volumes = [_second_rate(system, there, k) for k in kept]
         return at.balance(state.a, state.lam), at.jacobian.times(state.a) + at.gamma(), volumes

@@ -40,7 +40,7 @@ from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
 from ..linear.saddle.pencil import Pencil, Tangent
 from ..rotations import Array
-from ..system.evaluation_batch import EvaluationBatch, evaluate_batch
+from ..system.evaluation_batch import EvaluationBatch
 from ..system.linearise import at_once, differences
 from ..system.scene.contents import Contents
 from ..system.serialisation import Remembering, plain
@@ -266,7 +266,7 @@ class StepEquations(Remembering):
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
 
-        ev = evaluate_batch(s, t, s.compose(self.origin, p.xi), p.v)
+        ev = s.batch(t, s.compose(self.origin, p.xi), p.v)
         lam = p.mult[:, :m] if self.levels else None
         v, a = p.v, p.vd
         # more levels than one: positions or accelerations are corrected along M^-1 G^T

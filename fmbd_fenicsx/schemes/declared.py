@@ -19,7 +19,6 @@ class Declared:
     ``carries_pressure``: it moves pressures that are unknowns. ``start``: a start of its own, also for scenes with contact.
     ``refusal``: why it does not take what a scene holds, "" where it does.
     ``turn_limit``: angle (rad) by which rows of joints may turn in a step, None for any (:mod:`~fmbd_fenicsx.run.turning_rows`).
-    ``prepare``: takes the solver before the start, to choose how this is evaluated.
     ``timeless``: no scheme in time at all, as the pictures of a mode. ``compiled``: whether compiled code may evaluate.
     """
 
@@ -31,7 +30,6 @@ class Declared:
     start: Callable[..., Any] | None = None
     refusal: Callable[[Contents], str] | None = None
     turn_limit: float | None = None
-    prepare: Callable[..., None] | None = None
     timeless: bool = False
     compiled: bool = True
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError, require
+from ..system.compiled.evaluation import use_driver
 from ..system.evaluation import Evaluation
 from ..system.serialisation import Remembering
 from ..system.system import State
@@ -101,9 +102,7 @@ def made_stepper(scheme: Any, *given: Any) -> TimeStepper:
     )
     if Declared.by(scheme).compiled and not made.compiled_whole:
         # schemes in Python ask for evaluations: compiled code gives them
-        from ..linear.driver_solver import use_driver_in
-
-        use_driver_in(given[1])
+        use_driver(given[0])
     return made  # type: ignore[no-any-return]
 
 

@@ -40,20 +40,22 @@ def _twists(system: System, v: Array) -> Array:
 
 
 def compose(system: System, q: Array, xi: Array) -> Array:
-    """q o exp(xi), compiled where a driver evaluates the system.
+    """q o exp(xi), by who evaluates the system.
 
     Collective where surfaces without a frame count their angles; a configuration of the core alone leaves these to :func:`count`.
     """
     if _flat(system):
         return q + xi
 
-    at = system.counted_angles
-    k = system.n_frames * system.motions.n_twist
-    lead, q, xi = _together(q, xi)
-    if system.driver is not None:
-        made: Array = system.driver.compose(q, xi)
-        return made
+    _, q, xi = _together(q, xi)
+    return system.evaluator.compose(q, xi)
 
+
+def composed(system: System, q: Array, xi: Array) -> Array:
+    """The same of arrays with the same leading axes, in NumPy."""
+    at = system.counted_angles
+    lead = q.shape[:-1]
+    k = system.n_frames * system.motions.n_twist
     frames = system.motions.compose(_poses(system, q), _twists(system, xi))
     out = np.concatenate((frames.reshape(*lead, at.start), q[..., at], q[..., at.stop :] + xi[..., k:]), axis=-1)
 

@@ -8,16 +8,17 @@ one by one. Replicated coordinates only: no elastic fields.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..mechanics.bodies.coordinates import CoordinatePart
 from ..rotations import Array
 from .evaluation import Evaluation
-from .system import System
+
+if TYPE_CHECKING:
+    from .system import System
 
 
 class Jacobians:
@@ -114,18 +115,7 @@ class CoordinateBatch(EvaluationBatch):
         return out if lam is None or not lam.size else out + self.jacobian.transposed(lam)
 
 
-def evaluate_batch(system: System, t: Array, q: Array, v: Array) -> EvaluationBatch:
-    """The configurations q (k, n_q), v (k, n_v) of a system at the times t, (k,) or one for all."""
-    times = np.broadcast_to(np.asarray(t, dtype=float), (len(q),))
-    made: Callable[..., EvaluationBatch] = CoordinateBatch if _in_coordinates(system) else EvaluationBatch
-    # compiled code takes all of them in one call
-    if system.driver is not None:
-        made = system.driver.batch
-        return made(times, q, v)
-    return made(system, times, q, v)
-
-
-def _in_coordinates(system: System) -> bool:
+def in_coordinates(system: System) -> bool:
     """Whether all is said in coordinates of the user's own: no frames, no forces between markers."""
     plain = not system.n_frames and not system.batches and not system.forces and not system.traces
     return plain and all(isinstance(p, CoordinatePart) for p in system.parts)

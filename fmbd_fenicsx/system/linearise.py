@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from ..rotations import Array
-from .evaluation_batch import EvaluationBatch, evaluate_batch
+from .evaluation_batch import EvaluationBatch
 from .system import System
 
 LARGEST = 2_000_000  # entries of matrices that are evaluated at once
@@ -104,6 +104,6 @@ def at_once(system: System, t: float, function: Callable[[EvaluationBatch], Arra
 
     def made(q: Array, v: Array) -> Array:
         parts = [slice(i, min(i + largest, len(q))) for i in range(0, len(q), largest)]
-        return np.concatenate([function(evaluate_batch(system, np.array(t), q[p], v[p])) for p in parts])
+        return np.concatenate([function(system.batch(t, q[p], v[p])) for p in parts])
 
     return made

@@ -31,6 +31,8 @@ from ..mechanics.placements import DistributedPart, FrameElements, Part, RigidBl
 from ..rotations import Array, Motions
 from . import configurations, lengths
 from .evaluation import Evaluation
+from .evaluation_batch import EvaluationBatch
+from .evaluator import Evaluator, NumPyEvaluator
 
 
 @dataclass(frozen=True)
@@ -262,12 +264,22 @@ class System:
                 sizes.append(float(np.sqrt(square / count)))
         return max(sizes)
 
+    # -- evaluation ---------------------------------------------------------------------------------------------------
     @property
-    def driver(self) -> Any:
-        """What evaluates the system in compiled code (:mod:`.compiled.evaluation`); None where nothing does."""
-        return self.cache.get("driver")
+    def evaluator(self) -> Evaluator:
+        """Who evaluates states: NumPy, unless a run has asked for compiled code (:mod:`.compiled.evaluation`)."""
+        found: Evaluator | None = self.cache.get("evaluator")
+        return self.evaluate_by(NumPyEvaluator(self)) if found is None else found
+
+    def evaluate_by(self, evaluator: Evaluator) -> Evaluator:
+        """Let another one evaluate states from now on."""
+        self.cache["evaluator"] = evaluator
+        return evaluator
 
     def at(self, t: float, q: Array, v: Array | None = None) -> Evaluation:
         """The system in one configuration (and velocity); collective."""
-        made: Evaluation = Evaluation(self, t, q, v) if self.driver is None else self.driver.at(t, q, v)
-        return made
+        return self.evaluator.at(t, q, v)
+
+    def batch(self, t: float | Array, q: Array, v: Array) -> EvaluationBatch:
+        """The system in many configurations q (k, n_q), v (k, n_v) at the times t, (k,) or one for all; collective."""
+        return self.evaluator.batch(np.broadcast_to(np.asarray(t, dtype=float), (len(q),)), q, v)

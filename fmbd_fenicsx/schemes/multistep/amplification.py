@@ -19,6 +19,7 @@ import numpy as np
 
 from ...linear.condensation import StepSolver, Weights
 from ...linear.core import dense
+from ...linear.core_matrix import core_matrix
 from ...rotations import Array
 from ...system.evaluation import Evaluation
 from ...system.force_tangent import force_tangent
@@ -93,7 +94,7 @@ def vibrations(solver: StepSolver, state: State) -> Array:
 
 def _applied(solver: StepSolver, ev: Evaluation, w: Weights) -> Any:
     """cd C + ck K of replicated parts and of force elements on the core; None without any."""
-    parts = solver.core_matrix(ev, w)
+    parts = core_matrix(ev, w)
     applied = force_tangent(ev, w.cd, w.ck)
     if applied is None or applied.core is None:
         return parts if abs(parts).max() > 0 else None

@@ -16,7 +16,7 @@ from ...rotations import Array
 from ...system.compiled.blocks import Block as StateBlock
 from ...system.compiled.blocks import Ring
 from ...system.compiled.calls import Calls
-from ...system.compiled.evaluation import STORAGE_LIMIT, DriverStates
+from ...system.compiled.evaluation import STORAGE_LIMIT, solves
 from ...system.compiled.fields import Block
 from ...system.compiled.items import covers, other_loads
 from ...system.compiled.library import driver_library, units_of
@@ -121,16 +121,16 @@ def drivable(system: System) -> Any:
     return driver_library(system.motions.dim, units_of(system)) if known else None
 
 
-def alpha_driver(
-    system: System, *, redundant: bool, blocks: Sequence[Block] = (), states: DriverStates | None = None
-) -> AlphaDriver | None:
-    """The driver for a system, or None where the NumPy path has to do; ``blocks``: of its fields for the size of a step;
-    ``states``: what made its start, whose tables are taken.
+def alpha_driver(system: System, *, redundant: bool, blocks: Sequence[Block] = ()) -> AlphaDriver | None:
+    """The driver for a system, or None where the NumPy path has to do; ``blocks``: of its fields for the size of a step.
+
+    Where the driver evaluates the system its tables are taken.
     """
-    if states is not None:
-        tables, calls = states.give()
+    evaluator = system.evaluator
+    if solves(evaluator):
+        tables, calls = evaluator.give()
         tables.c.redundant = int(redundant)
-        return AlphaDriver(states.library, tables, calls)
+        return AlphaDriver(evaluator.library, tables, calls)
 
     library = drivable(system)
     if library is None:

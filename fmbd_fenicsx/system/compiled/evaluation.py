@@ -18,6 +18,8 @@ import numpy as np
 from ...rotations import Array
 from ..evaluation import Evaluation
 from ..evaluation_batch import EvaluationBatch, Jacobians
+from ..evaluator import Evaluator
+from ..foreshortened_ports import note_forces
 from ..jacobian import Jacobian, dense_core
 from ..mobility import certainly_regular
 from ..system import System
@@ -36,6 +38,8 @@ Configurations = tuple[Array, Array, Array]  # t (k,), q (k, n_q), v (k, n_v)
 
 class DriverStates:
     """The driver of a system, for states that Python asks for; arrays have the configurations in front, (k, ..)."""
+
+    solves = True  # whether it factors matrices too
 
     def __init__(self, system: System, library: Any) -> None:
         self.system, self.library, self.factors = system, library, 0
@@ -56,6 +60,7 @@ class DriverStates:
         self._found = _Exchange((n, m))  # and writes
         self._rooms: dict[int, _Room] = {}  # by the number of configurations
         self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
+        self._last: DriverEvaluation | None = None  # made by :meth:`at`
 
     def tables_of(self) -> Tables:
         """New tables of the system."""
@@ -82,14 +87,22 @@ class DriverStates:
         return self.tables, self.calls
 
     def begin_anew(self) -> None:
-        """Serve another run, the one before is over: tables that remember nothing of it serve again."""
-        if not self.remembers and not self.tables.whole:
-            self.taken, self._held = False, None
+        """Serve another run, the one before is over: tables that remember nothing of its steps serve again."""
+        if self.taken and (self.remembers or self.tables.whole):
+            self.renew()
+        self.taken, self._held = False, None
 
     def at(self, t: float, q: Array, v: Array | None = None) -> DriverEvaluation:
-        """The system in one configuration (and velocity)."""
+        """The system in one configuration (and velocity); what was found of the one before is taken where it is the same."""
+        last = self._last
+        if last is not None and last.is_at(t, q, v):
+            return last.again()
         self.anew = True
-        return DriverEvaluation(self, t, q, v)
+        # apart from arrays that a caller may write into later
+        made = DriverEvaluation(self, t, q.copy(), None if v is None else v.copy())
+        # what depends on time may be an input, and another one when it is asked again
+        self._last = None if self.remembers or self.tables.c.samples else made
+        return made
 
     def evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
         """Whether a state is one of :meth:`at`."""
@@ -279,11 +292,21 @@ class DriverEvaluation(_Constraints, Evaluation):
 
     def __init__(self, states: DriverStates, t: float, q: Array, v: Array | None) -> None:
         super().__init__(states.system, t, q, v)
-        rest = np.zeros(states.system.n_v) if v is None else v
         self.states = states
-        self.alone = (np.array([t]), q[None], rest[None])
         nothing: tuple[Array, Array] = np.zeros(states.system.n_v), np.zeros(states.system.n_lam)
         self.forces = nothing  # a and lambda given last
+
+    @cached_property
+    def alone(self) -> Configurations:
+        """The configuration as one of many."""
+        rest = np.zeros(self.system.n_v) if self.v is None else self.v
+        return np.array([self.t]), self.q[None], rest[None]
+
+    def is_at(self, t: float, q: Array, v: Array | None) -> bool:
+        """Whether this is the same state."""
+        if self.t != t or (self.v is None) != (v is None):
+            return False
+        return bool((self.q == q).all()) and (v is None or bool((self.v == v).all()))
 
     def again(self) -> DriverEvaluation:
         """The same state for someone else, with all that is known of it but the forces."""
@@ -314,6 +337,9 @@ class DriverEvaluation(_Constraints, Evaluation):
         self.forces = (a, lam)
         if found is None or not np.isfinite(found).all():
             return super().balance(a, lam)  # which says what is wrong
+        # stiffening takes the forces on surfaces from here
+        if self.system.curved:
+            note_forces(self, self.wrenches() if self.system.forces else None, lam)
         return found[0]
 
     def _found_energies(self) -> dict[str, float]:
@@ -381,13 +407,16 @@ def driver_states(system: System) -> DriverStates | None:
     return states if states is None or states.tables.fronts.storage <= STORAGE_LIMIT else None
 
 
-def use_driver(system: System, known: DriverStates | None = None) -> None:
-    """Let the driver evaluate a system from now on, where it knows all of it. It keeps no forces of stiffened bodies.
-
-    ``known``: the driver that made the start, if any: its tables serve again.
-    """
-    if system.driver is not None or system.curved:
+def use_driver(system: System) -> None:
+    """Let the driver evaluate a system from now on, where it knows all of it."""
+    if "driver looked for" in system.cache:
         return
-    states = driver_states(system) if known is None else known
+    system.cache["driver looked for"] = True
+    states = driver_states(system)
     if states is not None:
-        system.cache["driver"] = states
+        system.evaluate_by(states)
+
+
+def solves(evaluator: Evaluator) -> TypeGuard[DriverStates]:
+    """Whether who evaluates a system also factors its matrices."""
+    return isinstance(evaluator, DriverStates) and evaluator.solves

@@ -1,0 +1,83 @@
+"""The replicated block of a step's matrix: rigid bodies, frames of elastic ones, and parts whose coordinates every rank holds.
+
+                 frames      parts
+    frames   [ cm M_ff               cm M_fl                     ]
+    parts    [ cm M_lf               cm M_ll + cd C_ll + ck K_ll ]                                              (1)
+
+Units of mass times those of the increments: kg, kg m, kg m^2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..mechanics.placements import FrameMotion, Part
+from ..rotations import Array
+from ..system.evaluation import Evaluation
+from ..system.jacobian import dense_core
+from .blocks.field_blocks import Weights
+
+
+@dataclass(frozen=True, eq=False)
+class LocalBlock:
+    """A replicated part of number ``k`` in (1): its rows on its frame (n, n_twist), and on itself (n, n)."""
+
+    k: int
+    part: Part
+    coupling: Array
+    local: Array
+
+
+def core_matrix(ev: Evaluation, w: Weights) -> Any:
+    """(1) in a configuration, (n_core, n_core): dense, or sparse for many rigid bodies without parts; elastic bodies at U = 0."""
+    s, n = ev.system, ev.system.motions.n_twist
+    on_frames = np.zeros((s.n_frames + 1, n, n))  # the ground last
+    if s.rigid is not None:
+        on_frames[s.rigid.frame] = s.rigid.matrices()
+
+    blocks = []
+    for k, part in enumerate(s.parts):
+        motion = FrameMotion(ev.t, ev.rotation[part.frame], np.zeros(n), None, s.gravity(ev.t))
+        of_frame, coupling, mass = part.mass_blocks(motion, s.local_q(ev.q, k))
+        on_frames[part.frame] += of_frame
+        # fields are eliminated: their own blocks stay with their factors
+        if not part.distributed:
+            blocks.append(LocalBlock(k, part, w.cm * coupling, _local(ev, k, motion, mass, w)))
+
+    frames = w.cm * on_frames[:-1]
+    if blocks or dense_core(s):
+        return _dense(ev, frames, blocks)
+    return sp.bsr_matrix((frames, np.arange(s.n_frames), np.arange(s.n_frames + 1))).tocsr()
+
+
+def _local(ev: Evaluation, k: int, motion: FrameMotion, mass: Array, w: Weights) -> Array:
+    """cm M + cd C + ck K of the coordinates of a replicated part, (n, n)."""
+    if not (w.ck or w.cd):
+        return w.cm * mass
+    s = ev.system
+    rate = np.zeros(s.parts[k].n) if ev.v is None else s.local_v(ev.v, k)
+    K, C = s.parts[k].stiffness_blocks(motion, (s.local_q(ev.q, k), rate))
+    return w.cm * mass + w.cd * C + w.ck * K
+
+
+def _dense(ev: Evaluation, frames: Array, blocks: list[LocalBlock]) -> Array:
+    """(1) of the blocks of the frames (n_frames, n_twist, n_twist) and of the parts."""
+    s, n = ev.system, ev.system.motions.n_twist
+    out = np.zeros((s.n_core, s.n_core))
+    view = out[: s.n_frames * n, : s.n_frames * n].reshape(s.n_frames, n, s.n_frames, n)
+    view[range(s.n_frames), :, range(s.n_frames)] = frames
+
+    for block in blocks:
+        rows = s.slices[1][block.k]
+        out[rows, rows] = block.local
+
+        # parts on the ground have no frame that moves
+        if block.part.frame < s.n_frames:
+            frame = slice(block.part.frame * n, (block.part.frame + 1) * n)
+            out[rows, frame] = block.coupling
+            out[frame, rows] = block.coupling.T
+    return out

@@ -1,0 +1,56 @@
+"""Who evaluates the states of a system: NumPy, or compiled code where a run has asked for it and knows all of the system.
+
+A system has one evaluator; :meth:`.System.at`, :meth:`.System.batch` and :meth:`.System.compose` ask it, and nobody else does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
+
+from ..rotations import Array
+from .configurations import composed
+from .evaluation import Evaluation
+from .evaluation_batch import CoordinateBatch, EvaluationBatch, in_coordinates
+
+if TYPE_CHECKING:
+    from .system import System
+
+
+class Evaluator(Protocol):
+    """State in, everything out: what is evaluated of a state depends on nothing that was evaluated before."""
+
+    def at(self, t: float, q: Array, v: Array | None) -> Evaluation:
+        """The system in one configuration (and velocity); collective."""
+
+    def batch(self, t: Array, q: Array, v: Array) -> EvaluationBatch:
+        """Many configurations at the times t (k,): q (k, n_q), v (k, n_v)."""
+
+    def compose(self, q: Array, xi: Array) -> Array:
+        """q o exp(xi) of arrays with the same leading axes, see :func:`.configurations.compose`."""
+
+    def begin_anew(self) -> None:
+        """Serve another run, the one before is over."""
+
+
+class NumPyEvaluator:
+    """The reference for all others, which takes every system."""
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+
+    def at(self, t: float, q: Array, v: Array | None) -> Evaluation:
+        """The system in one configuration (and velocity); collective."""
+        return Evaluation(self.system, t, q, v)
+
+    def batch(self, t: Array, q: Array, v: Array) -> EvaluationBatch:
+        """Many configurations at the times t (k,): q (k, n_q), v (k, n_v)."""
+        made: Callable[..., EvaluationBatch] = CoordinateBatch if in_coordinates(self.system) else EvaluationBatch
+        return made(self.system, t, q, v)
+
+    def compose(self, q: Array, xi: Array) -> Array:
+        """q o exp(xi) of arrays with the same leading axes."""
+        return composed(self.system, q, xi)
+
+    def begin_anew(self) -> None:
+        """Nothing: it keeps nothing of a run."""
