@@ -33,6 +33,26 @@ LARGEST = sys.float_info.max  # whole numbers may be larger
 UNIONS = (typing.Union, types.UnionType)
 
 
+@typing.runtime_checkable
+class Named(typing.Protocol):
+    """What messages call by a name: parts of a scene."""
+
+    name: Any
+
+
+@typing.runtime_checkable
+class OfBody(typing.Protocol):
+    """What belongs to a body: surfaces, nodes, stations."""
+
+    body: Any
+
+
+def name_of(value: Any) -> str | None:
+    """The name of an object that has one; None of others, and of classes."""
+    named = isinstance(value, Named) and not isinstance(value, type) and isinstance(value.name, str)
+    return value.name if named else None
+
+
 def shown(value: Any) -> str:
     """A value as a message shows it: short, and a class as a class."""
     if isinstance(value, type):

@@ -14,7 +14,7 @@ from test_kernel import PLANE, SPACE
 from test_rods import UNIT
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.system.compiled.evaluation import solves, use_driver
+from fmbd_fenicsx.system.compiled.choice import solves, use_driver
 from fmbd_fenicsx.system.system import System
 
 
@@ -149,3 +149,20 @@ def test_answers_are_the_callers_own() -> None:
             first = ask()
             first[:] = np.nan
             assert np.isfinite(ask()).all()
+
+
+@compiled
+@pytest.mark.parametrize("make", [joint_springs, suspended])
+def test_an_array_that_is_written_into_is_another_state(make: Any) -> None:
+    """What was found of a state serves again for the same values only, not for the same array."""
+    system, start, _ = make(2).build()
+    use_driver(system)
+    q = start.q.copy()
+    first = system.at(0.0, q, start.v).balance(start.a)
+    gaps = system.at(0.0, q, start.v).constraint()
+
+    q += 0.01
+    moved = system.at(0.0, q, start.v)
+    assert np.abs(moved.balance(start.a) - first).max() > 1e-3
+    if system.n_lam:
+        assert np.abs(moved.constraint() - gaps).max() > 1e-3

@@ -14,7 +14,7 @@ from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.linear.driver_solver import DriverSolver
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.schemes.consistent import accelerations
-from fmbd_fenicsx.system.compiled.evaluation import driver_states
+from fmbd_fenicsx.system.compiled.choice import driver_states
 from fmbd_fenicsx.system.system import State
 
 MASSES = Weights(1.0, 0.0, 0.0)

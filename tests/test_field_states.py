@@ -11,7 +11,7 @@ from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
-from fmbd_fenicsx.system.compiled.field_states import field_states
+from fmbd_fenicsx.system.compiled.choice import driver_states
 
 
 def swinging(mesh: Any, frame: Any, load: bool = False) -> fmbd.Scene:
@@ -37,8 +37,8 @@ def swinging(mesh: Any, frame: Any, load: bool = False) -> fmbd.Scene:
 @pytest.mark.parametrize("dim", [2, 3])
 def test_equal_to_numpy(rod_mesh: Callable[..., Any], dim: int, frame: Any) -> None:
     system, start, _ = swinging(rod_mesh(dim=dim, h=0.5, height=0.2), frame).build()
-    states = field_states(system)
-    assert states is not None and states is field_states(system)
+    states = driver_states(system)
+    assert states is not None and not states.solves
 
     rng = np.random.default_rng(3)
     q = system.compose(start.q, 1e-3 * rng.normal(size=system.n_v))
@@ -55,10 +55,8 @@ def test_equal_to_numpy(rod_mesh: Callable[..., Any], dim: int, frame: Any) -> N
 
 
 def test_left_to_numpy(rod_mesh: Callable[..., Any]) -> None:
-    """Fields whose columns change with their tangent, and systems without fields."""
+    """Fields whose columns change with their tangent."""
     bent = fmbd.FloatingBody("rod", rod_mesh(h=0.5), density=1000.0, energy=saint_venant_kirchhoff(5e6, 0.3))
-    rigid = fmbd.RigidBody("bob", 1.0, 0.1, (0, 0))
-    for body in (bent, rigid):
-        scene = fmbd.Scene("alone")
-        scene.add(body)
-        assert field_states(scene.build()[0]) is None
+    scene = fmbd.Scene("alone")
+    scene.add(bent)
+    assert driver_states(scene.build()[0]) is None

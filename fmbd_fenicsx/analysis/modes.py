@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.linalg as sl
@@ -41,6 +41,13 @@ FAR = 1e-3  # accelerations of a state "in equilibrium", over weights
 STAYS = 1e-10  # relative change of squared eigenvalues that are those wanted
 RIGID = 1e-3  # share of the largest that is added: what rigid motions have is roundoff of it
 NOTHING = 1e-6  # motion in a long time that counts as rest, over the model's length
+
+
+@runtime_checkable
+class AtState(Protocol):
+    """What stands for a state: a run that is over for its last one, an equilibrium."""
+
+    state: State
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +201,8 @@ def _linearised(scene: Scene, at: Any, linear: Any, built: tuple[System, State, 
 def _about(scene: Scene, at: Any, built: tuple[System, State], solver: StepSolver) -> Perturbation:
     """The operators at the state that ``at`` stands for."""
     system, given = built
-    state = at if isinstance(at, State) else getattr(at, "state", None)
-    if at is not None and not isinstance(state, State):
+    state = at.state if isinstance(at, AtState) else at
+    if state is not None and not isinstance(state, State):
         raise InputError(f"at must be an equilibrium, a run or a state of the same scene, found {at!r}.")
     if state is not None:
         _require_same(scene, system, state)

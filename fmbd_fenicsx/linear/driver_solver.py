@@ -10,7 +10,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from ..rotations import Array
-from ..system.compiled.evaluation import DriverEvaluation, DriverStates, solves
+from ..system.compiled.choice import solves
+from ..system.compiled.evaluation import DriverEvaluation, DriverStates
 from ..system.compiled.explicit import ExplicitStates, Stages, Tableau
 from ..system.evaluation import Evaluation
 from ..system.system import State, System

@@ -174,6 +174,10 @@ class DistributedPart(Part, Protocol):
         """Whether an increment of Newton foretells stresses for the tangent, see :meth:`relinearise`."""
         return False
 
+    def see(self, u: Array) -> None:
+        """Take note of a configuration that someone else evaluated: the next tangent is taken there."""
+        return None
+
     def relinearise(self, increment: Array | None = None) -> bool:
         """Take the tangent at the configuration evaluated last; False when it is constant anyway. Collective.
 

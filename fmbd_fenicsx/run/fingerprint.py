@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import OfBody, name_of
 from ..errors import CheckpointError
+from ..mesh import Mesh
 from ..rotations import Array
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory
@@ -69,11 +71,11 @@ def _describe(name: str, x: Any, out: dict[str, str], depth: int = 0) -> None:
         for k, y in x.items():
             _describe(f"{name}[{k!r}]", y, out, depth + 1)
     # what has a name is told by it: bodies and joints are described where they stand
-    elif depth and isinstance(getattr(x, "name", None), str):
-        body = getattr(getattr(x, "body", None), "name", "")
+    elif depth and name_of(x) is not None:
+        body = name_of(x.body) if isinstance(x, OfBody) else None
         out[name] = f'{type(x).__name__} "{x.name}"' + (f' of "{body}"' if body else "")
     # objects field by field, but for meshes
-    elif dataclasses.is_dataclass(x) and not isinstance(x, type) and depth < 4 and not hasattr(x, "dolfinx"):
+    elif dataclasses.is_dataclass(x) and not isinstance(x, type) and depth < 4 and not isinstance(x, Mesh):
         out[name] = type(x).__name__
         for f in dataclasses.fields(x):
             _describe(f"{name}.{f.name}", getattr(x, f.name), out, depth + 1)

@@ -13,7 +13,7 @@ from ..schemes.consistent import Correction, consistent
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..schemes.stepping import TimeStepper, made_stepper
-from ..system.compiled.evaluation import use_driver
+from ..system.compiled.choice import use_driver
 from ..system.element_memory import reset
 from ..system.scene.scene import Scene
 from ..system.system import State, System
@@ -67,7 +67,8 @@ def _begun(
     said = Declared.by(scheme)
     if said.start is not None:
         return said.start(system, given, solver, h)  # type: ignore[no-any-return]
-    if said.compiled:
+    # steps with fields may need no evaluations: tables wait until someone asks for them
+    if said.compiled and not system.fields:
         use_driver(system)
     return consistent(system, given, solver, h=h)
 

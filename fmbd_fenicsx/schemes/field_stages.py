@@ -17,7 +17,6 @@ Source of the forms: :mod:`.dae`. Newton-Krylov methods: Knoll and Keyes, doi:10
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -26,14 +25,11 @@ import numpy as np
 from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
 from ..rotations import Array
-from ..system.compiled.field_states import field_states
 from ..system.evaluation import Evaluation
 from ..system.serialisation import Memory, Remembering, plain
 from ..system.system import State, System
 from .dae import Form, Points
 from .stage_krylov import FieldStages
-
-StateEvaluator = Callable[[float, Array, Array], Evaluation]
 
 MASS = Weights(1.0, 0.0, 0.0)
 SHIFT = float(np.sqrt(np.finfo(float).eps))  # of a difference quotient, over the model's length
@@ -50,7 +46,6 @@ class FieldTangent:
     state: State
     ev: Evaluation
     low: Array
-    at: StateEvaluator
 
     def along(self, dq: Array, dv: Array, da: Array) -> Array:
         """Derivative of balance and rows along (dq, dv, da), complex directions by their two parts; collective."""
@@ -65,7 +60,7 @@ class FieldTangent:
         else:  # lengths: positions, and what velocities move within the time in which they change
             eps = SHIFT * system.length / max(place, speed**2 / max(push, 1e-300))
 
-        ev = self.at(s.t, system.compose(s.q, eps * dq), s.v + eps * dv)
+        ev = system.at(s.t, system.compose(s.q, eps * dq), s.v + eps * dv)
         moved = lower(self.form, self.levels, ev, s.a + eps * da, s.lam)
         return (moved - self.low) / eps
 
@@ -108,8 +103,6 @@ class FieldEquations(Remembering):
         self.origin: Array = np.zeros(0)
         self.anchor: float | None = None  # |s| of the grid's first factor, 1/s
         solver.elastic.kept = KEPT
-        states = field_states(system)
-        self.at: StateEvaluator = system.at if states is None else states.at
         self.metric = MASS  # of the corrections N c: the matrix P of the step
         self._last_metric = MASS  # of the step before: its errors across the constraints are of least size in it
         self._begun: State | None = None
@@ -128,12 +121,15 @@ class FieldEquations(Remembering):
             return None
         h, q, v, p = last or (None,) * 4
         stages = m("stages", 0 if p is None else len(p.xi))
-        rows: dict[str, list[Array]] = {name: [] for name in ("xi", "rate", "v", "vd")}
-        for name, made in rows.items():
-            for i in range(stages):
-                made.append(m.like_v(f"{name} {i}", None if p is None else getattr(p, name)[i]))
+
+        def rows(name: str, values: Array | None) -> Array:
+            return np.array([m.like_v(f"{name} {i}", None if values is None else values[i]) for i in range(stages)])
+
+        xi = rows("xi", None if p is None else p.xi)
+        rate = rows("rate", None if p is None else p.rate)
+        vs = rows("v", None if p is None else p.v)
+        vd = rows("vd", None if p is None else p.vd)
         mult = m("mult", None if p is None else p.mult)
-        xi, rate, vs, vd = (np.array(x) for x in rows.values())
         points = Points(xi, rate, vs, vd, mult)
         return m("h", h), m.like_q("q", q), m.like_v("v", v), points
 
@@ -155,7 +151,7 @@ class FieldEquations(Remembering):
         kin, low = [], []
         for i, time in enumerate(t):
             v, a = p.v[i] - slips[i], p.vd[i] + pulls[i]
-            ev = self.at(float(time), s.compose(self.origin, p.xi[i]), p.v[i])
+            ev = s.at(float(time), s.compose(self.origin, p.xi[i]), p.v[i])
             low.append(lower(self.form, self.levels, ev, a, p.mult[i, :m]))
             kin.append(p.rate[i] - s.rate(p.xi[i], v))
         return np.array(kin), np.array(low)
@@ -222,9 +218,9 @@ class FieldEquations(Remembering):
     def refresh(self, state: State) -> FieldTangent:
         """Derivatives at a state from now on."""
         self.jacobians += 1
-        ev = self._basis = self.at(state.t, state.q, state.v)
+        ev = self._basis = self.system.at(state.t, state.q, state.v)
         low = lower(self.form, self.levels, ev, state.a, state.lam)
-        return FieldTangent(self.form, self.levels, state, ev, low, self.at)
+        return FieldTangent(self.form, self.levels, state, ev, low)
 
     def inertia(self, tangent: FieldTangent, a: Array) -> Array:
         """M a at the tangent's motion."""

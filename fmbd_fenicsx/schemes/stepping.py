@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError, require
-from ..system.compiled.evaluation import use_driver
+from ..system.compiled.choice import use_driver
 from ..system.evaluation import Evaluation
 from ..system.serialisation import Remembering
 from ..system.system import State

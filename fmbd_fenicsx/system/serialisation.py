@@ -108,12 +108,13 @@ class Memory:
         v = m.like_v("v", None if none else s.v)
         a = m.like_v("a", None if none else s.a)
         lam = m("lam", None if none else s.lam)
-        touched = m("touched", getattr(s, "contact", None) is not None)
-        if not touched:
-            return State(t, q, v, a, lam) if self.reading else s
         from .sensors.contact import ContactForces, ContactState
 
-        found, forces = {}, None if none else s.contact
+        forces = s.contact if isinstance(s, ContactState) else None
+        if not m("touched", forces is not None):
+            return State(t, q, v, a, lam) if self.reading else s
+
+        found = {}
         for f in dataclasses.fields(ContactForces):
             keep = m if f.name in ("names", "time", "impulse", "work") else m.candidates
             found[f.name] = keep(f.name, getattr(forces, f.name, None))

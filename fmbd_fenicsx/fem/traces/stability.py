@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.linalg as sl
@@ -178,6 +178,25 @@ class BodyNorm:
         self.A.destroy()
 
 
+class OnSurface(NamedTuple):
+    """Where multipliers act: a surface of a mesh, the degree of the displacements there, and the multiplier space, None: that
+    which goes with the degree.
+    """
+
+    mesh: Mesh
+    name: str
+    degree: int = 2
+    space: MultiplierSpace | None = None
+
+
+@runtime_checkable
+class Tied(Protocol):
+    """What multipliers hold: surfaces of elastic bodies, and ties."""
+
+    def multipliers_on(self) -> OnSurface:
+        """Where they act, and which."""
+
+
 @typed
 def infsup(
     joint: Any,
@@ -201,23 +220,13 @@ def infsup(
         :class:`DualNorm`.
         carrier: (mesh, surface name) of another mesh on the same place that carries the multipliers.
     """
-    side = getattr(joint, "a", joint)
-    if hasattr(side, "body"):
-        surface = (side.body.mesh, side.name)
-        degree = degree or side.body.degree
-        space = space or getattr(joint, "space", None)
-    else:
-        pair = isinstance(joint, tuple) and len(joint) == 2 and isinstance(joint[0], Mesh) and isinstance(joint[1], str)
-        if not pair:
-            raise InputError(
-                f"infsup takes a surface tie, a surface of an elastic body, or (mesh, surface name); found {shown(joint)}."
-            )
-        surface, degree = joint, degree or 2
-    space = space or default_space(degree)
+    given = _on_surface(joint)
+    mesh, name = given.mesh, given.name
+    degree = degree or given.degree
+    space = space or given.space or default_space(degree)
     from dolfinx import fem
 
     # the multipliers on the surface, or on another mesh of the same place
-    mesh, name = surface
     length = mesh.extent
     body = BodyNorm(mesh, degree, clamped=clamped, length=length)
     trace = trace_of(body.space, mesh, name)
@@ -274,3 +283,16 @@ def _nested(mu: Multipliers, fine: Trace) -> sp.csr_matrix:
             f"{fine.label} is not a refinement of {t.label}: {int((parent < 0).sum())} facets lie in no facet."
         )
     return fine.columns(refined_coupling(mu, fine, parent, corners))
+
+
+def _on_surface(joint: Any) -> OnSurface:
+    """What the user means."""
+    if isinstance(joint, Tied):
+        return joint.multipliers_on()
+    if isinstance(joint, tuple) and len(joint) == 2:
+        mesh, name = joint
+        if isinstance(mesh, Mesh) and isinstance(name, str):
+            return OnSurface(mesh, name)
+    raise InputError(
+        f"infsup takes a surface tie, a surface of an elastic body, or (mesh, surface name); found {shown(joint)}."
+    )

@@ -47,16 +47,22 @@ def stacked(tangents: list[Tangent]) -> Tangent:
     n = tangents[0].M.shape[0]
     m = tangents[0].G.shape[0]
 
-    def lower(name: str) -> Array:
-        blocks = [getattr(t, name) for t in tangents]
+    def lower(blocks: list[Array]) -> Array:
         cuts = [0, *range(n, blocks[0].shape[0] + 1, m)] if m else [0, n]
         return np.concatenate([sl.block_diag(*(b[i:j] for b in blocks)) for i, j in pairwise(cuts)])
 
-    def diagonal(name: str) -> Array:
-        return np.asarray(sl.block_diag(*(getattr(t, name) for t in tangents)))
+    def diagonal(blocks: list[Array]) -> Array:
+        return np.asarray(sl.block_diag(*blocks))
 
-    J, M, G, U = (diagonal(name) for name in ("J", "M", "G", "U"))
-    return Tangent(J, M, G, U, lower("by_q"), lower("by_v"), lower("by_a"))
+    return Tangent(
+        J=diagonal([t.J for t in tangents]),
+        M=diagonal([t.M for t in tangents]),
+        G=diagonal([t.G for t in tangents]),
+        U=diagonal([t.U for t in tangents]),
+        by_q=lower([t.by_q for t in tangents]),
+        by_v=lower([t.by_v for t in tangents]),
+        by_a=lower([t.by_a for t in tangents]),
+    )
 
 
 class Pencil:

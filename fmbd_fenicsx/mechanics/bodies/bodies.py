@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from ...fem.loads import Load
 from ...rotations import Array, motions
 from ..placements import Attached, Chord, MeanAxis, Part
 from .body import FIELDS, Body, Placed, Site, start_velocity
+
+if TYPE_CHECKING:
+    from ...fem.traces.stability import OnSurface
 
 Vector = Sequence[float] | Array
 Same = TypeVar("Same", bound="ElasticBody")
@@ -166,6 +169,12 @@ class Surface:
     def dim(self) -> int:
         """Space dimension of the body."""
         return int(self.body.dim)
+
+    def multipliers_on(self) -> OnSurface:
+        """Where multipliers act that hold the surface."""
+        from ...fem.traces.stability import OnSurface
+
+        return OnSurface(self.body.mesh, self.name, self.body.degree)
 
     def __repr__(self) -> str:
         return f'surface "{self.name}" of "{self.body.name}"'

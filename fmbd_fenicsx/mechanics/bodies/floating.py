@@ -142,7 +142,7 @@ class FloatingField(FieldPart):
     def internal(self, U: Array, Ud: Array) -> Array:
         """f_int(U) + beta K_0 U', (n d,)."""
         beta = self.field.forms.stiffness_damping
-        self._last = U
+        self.see(U)
         if not self.field.nonlinear:
             return self.field.stiffness(U + beta * Ud if beta else U)
         f = self.field.internal(U)
@@ -157,6 +157,10 @@ class FloatingField(FieldPart):
     def column_version(self) -> int:
         """Number of times that the columns of inertia were taken anew."""
         return self._columns_taken
+
+    def see(self, u: Array) -> None:
+        """The next tangent is taken at the displacements u."""
+        self._last = u
 
     @property
     def tangent_version(self) -> int:

@@ -52,10 +52,9 @@ class LineField:
         u = ufl.TrialFunction(self.space)
         v = ufl.TestFunction(self.space)
         dx = ufl.dx(domain=line)
-        mu, T, EI = (
-            fem.Constant(line, np.array([getattr(w, a) for w in body.wires], dtype=float))
-            for a in ("mass", "tension", "bending")
-        )
+        mu = fem.Constant(line, np.array([wire.mass for wire in body.wires], dtype=float))
+        T = fem.Constant(line, np.array([wire.tension for wire in body.wires], dtype=float))
+        EI = fem.Constant(line, np.array([wire.bending for wire in body.wires], dtype=float))
 
         def weighted(c: Any, order: int) -> Any:
             def d(w: Any, i: int) -> Any:

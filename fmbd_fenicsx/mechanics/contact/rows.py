@@ -13,7 +13,7 @@ form.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -58,15 +58,16 @@ class Rows:
 
     def take(self, rows: np.ndarray) -> Rows:
         """Some of the candidates."""
-        return replace(
-            self,
-            **{n: getattr(self, n)[rows] for n in _PER_ROW},
+        return Rows(
+            gap=self.gap[rows],
             N=self.N.take(rows),
             tangents=tuple(t.take(rows) for t in self.tangents),
+            friction=self.friction[rows],
+            restitution=self.restitution[rows],
+            normal=self.normal[rows],
+            drift=self.drift[rows],
+            trace=self.trace[rows],
         )
-
-
-_PER_ROW = ("gap", "friction", "restitution", "normal", "drift", "trace")
 
 
 @dataclass(frozen=True)
@@ -203,7 +204,11 @@ class ContactSet:
         if len(parts) == 1:
             return parts[0]
         return Touch(
-            *(np.concatenate([getattr(p, n) for p in parts]) for n in ("gap", "x", "normal", "relative", "geometric"))
+            gap=np.concatenate([p.gap for p in parts]),
+            x=np.concatenate([p.x for p in parts]),
+            normal=np.concatenate([p.normal for p in parts]),
+            relative=np.concatenate([p.relative for p in parts]),
+            true_gap=np.concatenate([p.geometric for p in parts]),
         )
 
     @cached_property
@@ -353,11 +358,16 @@ def _stack(parts: list[Rows]) -> Rows:
             tuple(sp.vstack([x.field[i] for x in linears], format="csr") for i in range(n)),
         )
 
-    return replace(
-        parts[0],
-        **{n: np.concatenate([getattr(p, n) for p in parts]) for n in _PER_ROW},
+    directions = range(len(parts[0].tangents))
+    return Rows(
+        gap=np.concatenate([p.gap for p in parts]),
         N=join([p.N for p in parts]),
-        tangents=tuple(join([p.tangents[i] for p in parts]) for i in range(len(parts[0].tangents))),
+        tangents=tuple(join([p.tangents[i] for p in parts]) for i in directions),
+        friction=np.concatenate([p.friction for p in parts]),
+        restitution=np.concatenate([p.restitution for p in parts]),
+        normal=np.concatenate([p.normal for p in parts]),
+        drift=np.concatenate([p.drift for p in parts]),
+        trace=np.concatenate([p.trace for p in parts]),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import isfinite
 from typing import Any
 
@@ -171,9 +172,9 @@ class OwnLoads(Loads):
 
     def _near(self, motion: MarkerMotion, name: str, step: float) -> list[MarkerMotion]:
         """The motion moved, turned, or made faster by a step along each axis."""
-        parts = {part: getattr(motion, part) for part in SEEN}
+        plain = MarkerMotion(motion.x, motion.R, motion.v, motion.w)
         if name == "R":
             turned = [motion.R + self.motions.spin(e, motion.R.T).T for e in step * np.eye(self.motions.n_rot)]
-            return [MarkerMotion(**{**parts, "R": R}) for R in turned]
-        value = parts[name]
-        return [MarkerMotion(**{**parts, name: value + e}) for e in step * np.eye(len(value))]
+            return [replace(plain, R=R) for R in turned]
+        value = {"x": motion.x, "v": motion.v, "w": motion.w}[name]
+        return [replace(plain, **{name: value + e}) for e in step * np.eye(len(value))]

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -33,6 +33,9 @@ from ..rods.rods import Rod, node_name
 from .constraints import Motion, standstill
 from .couplings import smooth_motion
 from .joints import ground
+
+if TYPE_CHECKING:
+    from ...fem.traces.stability import OnSurface
 
 LOOK_LIMIT = 1500  # multiplier functions up to which a tie looks for combinations that see nothing
 
@@ -66,6 +69,10 @@ class SurfaceTie(ScenePart):
 
         if isinstance(self.b, Surface) and self.b.body is self.a.body and self.b.name == self.a.name:
             raise InputError(f'Tie "{self.name}" ties {self.a!r} with itself.')
+
+    def multipliers_on(self) -> OnSurface:
+        """Where its multipliers act: on its first surface."""
+        return self.a.multipliers_on()._replace(space=self.space)
 
     @property
     def surfaces(self) -> tuple[Surface, ...]:

@@ -60,11 +60,7 @@ class ContactRecorded(Recorded):
     def state(self, i: int) -> State:
         """One of the states, with the contact forces of the step that led to it."""
         s = super().state(i)
-        c = self.contact
-        names = ("x", "normal", "gap", "normal_force", "force", "pressure", "impulse", "work")
-        one = {name: getattr(c, name)[i].copy() for name in names}
-        forces = ContactForces(names=c.names, time=float(self._times[i]), pair=c.pair, **one)
-        return ContactState(s.t, s.q, s.v, s.a, s.lam, forces)
+        return ContactState(s.t, s.q, s.v, s.a, s.lam, self.contact.record(i, float(self._times[i])))
 
 
 def _pressures(contacts: ContactSet, normal: Array) -> Array:

@@ -16,7 +16,7 @@ from ...rotations import Array
 from ...system.compiled.blocks import Block as StateBlock
 from ...system.compiled.blocks import Ring
 from ...system.compiled.calls import Calls
-from ...system.compiled.evaluation import STORAGE_LIMIT, solves
+from ...system.compiled.choice import STORAGE_LIMIT, solves
 from ...system.compiled.fields import Block
 from ...system.compiled.items import covers, other_loads
 from ...system.compiled.library import driver_library, units_of

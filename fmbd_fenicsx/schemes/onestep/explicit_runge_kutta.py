@@ -20,15 +20,12 @@ from functools import lru_cache
 import numpy as np
 from scipy.integrate import DOP853
 
-from ...checks import check_fields
 from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.system import State, System
 from ..consistent import accelerations
-from ..control import check_tolerance
 from ..newton import Newton
-from . import half_explicit
-from .explicit_limit import StepLimit
+from .explicit_stepper import ExplicitScheme, ExplicitStepper, amplified
 
 STAGES = 12
 THIRD = 0.01  # weight of the square of the error of order three beside that of order five
@@ -42,40 +39,31 @@ def coefficients() -> tuple[Array, Array]:
 
 def amplification(z: float, damping: float) -> Array:
     """The matrix of one step for x'' + c x' + w^2 x = 0, z = h w and damping = h c, over (x, h x'), (2, 2)."""
-    return half_explicit.amplified(coefficients()[1], z, damping)
+    return amplified(coefficients()[1], z, damping)
 
 
 @dataclass(frozen=True)
-class ExplicitRungeKutta:
-    """Scheme data, order eight. ``rtol``: relative tolerance of the local error, None for constant steps; ``atol`` as in Radau.
-
-    Constant steps that do not resolve the fastest vibration are refused.
-    """
+class ExplicitRungeKutta(ExplicitScheme):
+    """Scheme data, order eight; settings of :class:`.ExplicitScheme`."""
 
     rtol: float | None = 1e-8
-    atol: float | None = None
     order = 8
     name = "explicit Runge-Kutta (8)"
-    holds = (0, 1)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        check_tolerance(self.rtol, self.atol, "ExplicitRungeKutta")
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
-        """A run's worker, from a consistent state."""
+        """Time stepper from a consistent state."""
         return Stepper(self, system, solver, newton, state)
 
 
-class Stepper(half_explicit.Stepper):
+class Stepper(ExplicitStepper):
     """Advances a consistent state."""
 
-    def __init__(
-        self, scheme: ExplicitRungeKutta, system: System, solver: StepSolver, newton: Newton, state: State
-    ) -> None:
-        super().__init__(scheme, system, solver, newton, state)
-        self.limit = StepLimit("The explicit Runge-Kutta scheme", system, solver, amplification)
-        self._slopes: tuple[Array, Array] | None = None  # rates and accelerations of the stages of the last step
+    what = "The explicit Runge-Kutta scheme"
+    _slopes: tuple[Array, Array] | None = None  # rates and accelerations of the stages of the last step
+
+    def amplification(self, z: float, damping: float) -> Array:
+        """See :func:`amplification`."""
+        return amplification(z, damping)
 
     def _step(self, h: float) -> tuple[State, tuple[Array, Array]]:
         """(1), (2): the new state before projection, and the slopes of all stages."""

@@ -15,23 +15,18 @@ ODEs II, section VII.6, doi:10.1007/978-3-642-05221-7.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar
 
 import numpy as np
 
-from ...checks import check_fields
-from ...errors import BalanceError, CallbackError, ConvergenceError, LawError, LinearSolveError
+from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver, Weights
 from ...rotations import Array
-from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
-from ..consistent import accelerations, project
-from ..control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands, turn_limit, turns_too_far
+from ..consistent import accelerations
 from ..newton import Newton
-from ..stepping import TimeStepper
-from .explicit_limit import StepLimit
+from .explicit_stepper import ExplicitScheme, ExplicitStepper, amplified
 
 MASS = Weights(1.0, 0.0, 0.0)
 MOVES_NOTHING = 1e-14  # of the model's length in a step
@@ -59,138 +54,27 @@ def amplification(z: float, damping: float) -> Array:
     return amplified(coefficients()[1], z, damping)
 
 
-def amplified(A: Array, z: float, damping: float) -> Array:
-    """The same of any explicit method with the rows A, (stages + 1, stages)."""
-    x, v = np.eye(2)
-    places, speeds, pushes = [x], [v], []
-    for row in A[1:]:
-        # x'' at the newest stage
-        pushes.append(-(z * z * places[-1] + damping * speeds[-1]))
-        known = row[: len(pushes)]
-        places.append(x + known @ np.array(speeds))
-        speeds.append(v + known @ np.array(pushes))
-    return np.array([places[-1], speeds[-1]])
-
-
 @dataclass(frozen=True)
-class HalfExplicit:
-    """Scheme data. ``rtol``: relative tolerance of the local error, None for constant steps; ``atol`` as in Radau.
-
-    Constant steps that do not resolve the fastest vibration are refused.
-    """
+class HalfExplicit(ExplicitScheme):
+    """Scheme data, order four; settings of :class:`.ExplicitScheme`."""
 
     rtol: float | None = 1e-6
-    atol: float | None = None
     order = 4
     name = "half-explicit Runge-Kutta (4)"
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-        check_tolerance(self.rtol, self.atol, "HalfExplicit")
-
-    holds = (0, 1)
-
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
-        """A run's worker, from a consistent state."""
+        """Time stepper from a consistent state."""
         return Stepper(self, system, solver, newton, state)
 
 
-class Stepper(TimeStepper):
+class Stepper(ExplicitStepper):
     """Advances a consistent state."""
 
-    keeps: ClassVar = {
-        "state": Memory.state,
-        "control": plain(StepControl),
-        "stats": plain(Statistics),
-        "proposed": plain(),
-        "local_error": plain(),
-        "norm": worker,
-    }
+    what = "The half-explicit scheme"
 
-    def __init__(self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
-        self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
-        self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, 1)
-        self.control, self.stats = StepControl(float(scheme.order)), Statistics()
-        self.proposed: float | None = None
-        self.local_error = 0.0
-        self.before: State | None = None  # at the start of the last step
-        self.limit = StepLimit("The half-explicit scheme", system, solver, amplification)
-
-    @property
-    def counters(self) -> dict[str, float]:
-        """Work so far, for the counters of a run."""
-        return self.stats.as_dict()
-
-    def restart(self, t: float) -> None:
-        """Accelerations and multipliers behind a kink at t."""
-        self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
-        self.proposed, self.control.h_old, self.before = None, 0.0, None
-
-    def advance(self, h: float) -> State:
-        """One accepted step: of size h, or with error control of at most h (s); collective."""
-        return self._accept(self._constant(h) if self.scheme.rtol is None else self._controlled(h))
-
-    def _constant(self, h: float) -> State:
-        """The state after a step of size h (s), before projection."""
-        self.limit.look(self.state, h)
-        try:
-            return self._step(h)[0]
-        except (CallbackError, LawError) as fault:
-            if not isinstance(fault, BalanceError) and not self._has_forces(h):
-                raise
-            raise self.limit.blame(self.state, h, fault) from fault
-
-    def _has_forces(self, h: float) -> bool:
-        """Whether all laws have values, up to the end of a step of size h, where it begins: a step without has run away."""
-        s = self.state
-        try:
-            for t in (s.t, s.t + h):
-                self.system.at(t, s.q, s.v).balance(s.a, s.lam)
-        except (CallbackError, LawError):
-            return False
-        return True
-
-    def _controlled(self, limit: float) -> State:
-        """The same after a step of at most ``limit`` (s) that passes the error test."""
-        self.control.span = max(self.control.span, limit)
-        if self.proposed is None:
-            self.norm.update(self.state, limit)
-            self.proposed = first_step(self.norm, self.state, self.control.order, limit)
-
-        farthest = turn_limit(self.system, self.state)
-        while True:
-            h = lands(min(self.proposed, farthest), limit)
-            made, error, cause = self._attempt(h)
-            if made is not None and error <= 1.0:
-                break
-            self.stats.rejected[cause] += 1
-            self.proposed = self.control.rejected(self.state.t, h, error, cause)
-
-        # a step cut short by the end tells nothing of the next one
-        new = self.control.accepted(h, error)
-        self.proposed = new if h >= self.proposed or new < h else self.proposed
-        self.local_error = error
-        return made
-
-    def _attempt(self, h: float) -> tuple[State | None, float, str]:
-        """A step of size h: the state, if there is one, the error over the tolerance, and the cause of a rejection."""
-        self.norm.update(self.state, h)
-        try:
-            made, errors = self._step(h)
-            error = self._size(h, errors)
-            moved = self.system.difference(self.state.q, made.q, near=h * made.v)
-        except (ConvergenceError, LinearSolveError):
-            return None, np.inf, "constraints not closed"
-        except CallbackError as fault:
-            self.control.fault = str(fault)
-            return None, np.inf, "forces not finite"
-        if turns_too_far(self.system, moved):
-            return None, np.inf, "turns too far"
-        return made, error, "error estimate"
-
-    def _size(self, h: float, errors: tuple[Array, Array]) -> float:
-        """What :meth:`_step` told of the errors of xi and v, over the tolerance."""
-        return self.norm(h, *errors)
+    def amplification(self, z: float, damping: float) -> Array:
+        """See :func:`amplification`."""
+        return amplification(z, damping)
 
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step, of the order of the scheme; None after a new start; collective.
@@ -201,26 +85,15 @@ class Stepper(TimeStepper):
         """
         if self.before is None:
             return None
-        system, a, b = self.system, self.before, self.state
-        h = b.t - a.t
-        x = (t - a.t) / h
-        moved = system.difference(a.q, b.q)
+        system, begin, end = self.system, self.before, self.state
+        h = end.t - begin.t
+        x = (t - begin.t) / h
 
-        # what the parabola of the start leaves open at the end, in place and rate
-        gap = moved - h * a.v - 0.5 * h * h * a.a
-        turn = h * (system.rate(moved, b.v) - a.v - h * a.a)
-        xi = x * h * a.v + 0.5 * (x * h) ** 2 * a.a + x**3 * ((4 - 3 * x) * gap + (x - 1) * turn)
-        change = b.v - a.v
-        first = h * a.a
-        last = h * b.a
-        v = a.v + x * x * (3 - 2 * x) * change + x * (1 - x) ** 2 * first - x * x * (1 - x) * last
-        return accelerations(system, State(t, system.compose(a.q, xi), v, a.a, a.lam), self.solver)
-
-    def _accept(self, made: State) -> State:
-        self.before = self.state
-        self.state = accelerations(self.system, project(self.system, made, self.solver), self.solver)
-        self.stats.steps += 1
-        return self.state
+        moved = system.difference(begin.q, end.q)
+        slopes = h * begin.v, h * system.rate(moved, end.v)
+        xi = _quartic(x, moved, slopes, h * h * begin.a)
+        v = begin.v + _cubic(x, end.v - begin.v, (h * begin.a, h * end.a))
+        return accelerations(system, State(t, system.compose(begin.q, xi), v, begin.a, begin.lam), self.solver)
 
     def _step(self, h: float) -> tuple[State, tuple[Array, Array]]:
         """(1), (2): the new state before projection, and the errors of xi and v."""
@@ -297,3 +170,21 @@ class Stepper(TimeStepper):
         raise ConvergenceError(
             f"A half-explicit stage at t = {ev.t:.6g} s did not close its constraints: take a smaller dt."
         )
+
+
+def _cubic(x: float, change: Array, slopes: tuple[Array, Array]) -> Array:
+    """From 0 at x = 0 by ``change`` until x = 1, with these slopes at both ends."""
+    first, last = slopes
+    rising = x * x * (3 - 2 * x)
+    return rising * change + x * (1 - x) ** 2 * first - x * x * (1 - x) * last
+
+
+def _quartic(x: float, change: Array, slopes: tuple[Array, Array], bend: Array) -> Array:
+    """The same with the second derivative ``bend`` at x = 0."""
+    first, last = slopes
+    parabola = x * first + 0.5 * x * x * bend
+
+    # what it leaves open at the end, in place and slope
+    gap = change - first - 0.5 * bend
+    turn = last - first - bend
+    return parabola + x**3 * ((4 - 3 * x) * gap + (x - 1) * turn)

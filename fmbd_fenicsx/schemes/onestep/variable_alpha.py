@@ -30,7 +30,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
-from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -38,9 +37,7 @@ import numpy as np
 from ...errors import ConvergenceError, LinearSolveError
 from ...linear.condensation import StepSolver
 from ...rotations import Array
-from ...system.compiled.field_states import field_states
 from ...system.evaluation import Evaluation
-from ...system.evaluation_batch import evaluate_batch
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..consistent import consistent
@@ -107,9 +104,6 @@ class VariableAlpha(TimeStepper):
         self.stretch, self.place, self.end = 0.0, Fraction(0), 0.0  # length, share of it that is done, its end
         # sizes come back: factors of the last few are kept
         solver.elastic.kept = max(solver.elastic.kept, KEPT)
-        states = field_states(system) if system.fields else None
-        self.at = system.at if states is None else states.at
-        self.many = partial(evaluate_batch, system) if states is None else states.batch
 
     @property
     def state(self) -> State:
@@ -127,7 +121,7 @@ class VariableAlpha(TimeStepper):
         if self.system.keepers:
             return None
         if self._seen is None or self._seen[0] is not s:
-            self._seen = s, self.at(s.t, s.q, s.v)
+            self._seen = s, self.system.at(s.t, s.q, s.v)
         return self._seen[1]
 
     @property
@@ -232,14 +226,14 @@ class VariableAlpha(TimeStepper):
         # all at once, with the state held
         shares = np.array([0.0, *LOOKS, 1.0])
         q, v, a, lam = (np.tile(x, (len(shares), 1)) for x in (s.q, s.v, s.a, s.lam))
-        first, *inner, last = self.many(s.t + h * shares, q, v).balance(a, lam)
+        first, *inner, last = self.system.batch(s.t + h * shares, q, v).balance(a, lam)
 
         between = [f - (1.0 - k) * first - k * last for k, f in zip(LOOKS, inner, strict=True)]
         # what the ends of the step differ by is seen by the error (3)
         unseen = [np.sign(f) * np.maximum(np.abs(f) - np.abs(last - first), 0.0) for f in between]
         worst = max(unseen, key=lambda f: float(np.abs(f).max(initial=0.0)))
 
-        ev = self.at(s.t, s.q, s.v)
+        ev = self.system.at(s.t, s.q, s.v)
         self.solver.prepare(ev, self.scheme.rule(h).weights)
         e, _ = self.solver.solve(h * h / 6.0 * worst, no_rows)
 
@@ -293,7 +287,7 @@ class VariableAlpha(TimeStepper):
     def _opened(self, h: float, share: float) -> Array:
         """dv of (2), (n_v,), and the matrix for steps of size h (s); ``share``: r^2 - 1."""
         s = self.state
-        ev = self.at(s.t, s.q, s.v)
+        ev = self.system.at(s.t, s.q, s.v)
         opening, still = share * ev.opening(), np.zeros_like(s.v)
 
         stiff = None

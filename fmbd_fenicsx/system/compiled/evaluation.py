@@ -18,18 +18,14 @@ import numpy as np
 from ...rotations import Array
 from ..evaluation import Evaluation
 from ..evaluation_batch import EvaluationBatch, Jacobians
-from ..evaluator import Evaluator
 from ..foreshortened_ports import note_forces
 from ..jacobian import Jacobian, dense_core
 from ..mobility import certainly_regular
 from ..system import System
 from .calls import Calls
-from .items import covers
-from .library import driver_library, units_of
 from .structures import address_of, enumeration
-from .tables import Tables, covers_bodies
+from .tables import Tables
 
-STORAGE_LIMIT = 20_000_000  # numbers in the factor
 ROOMS = 16  # configurations up to which arrays for so many are kept
 LOOK = enumeration("DONE")["LOOK"]  # a verdict
 
@@ -337,9 +333,11 @@ class DriverEvaluation(_Constraints, Evaluation):
         self.forces = (a, lam)
         if found is None or not np.isfinite(found).all():
             return super().balance(a, lam)  # which says what is wrong
-        # stiffening takes the forces on surfaces from here
+        # tangents take the forces on surfaces, and what they are asked for in, from here
         if self.system.curved:
             note_forces(self, self.wrenches() if self.system.forces else None, lam)
+        for k, part in self.system.fields:
+            part.see(self.system.local_q(self.q, k))
         return found[0]
 
     def _found_energies(self) -> dict[str, float]:
@@ -396,27 +394,3 @@ class DriverBatch(_Constraints, EvaluationBatch):
         """M a + h + G^T lambda, (k, n_v)."""
         found = self.states.balances(self.all, a, lam)
         return super().balance(a, lam) if found is None or not np.isfinite(found).all() else found
-
-
-def driver_states(system: System) -> DriverStates | None:
-    """The driver for states of a system that it knows; None where it does not know all of it, or where it is too large."""
-    if system.fields or not covers_bodies(system) or not covers(system):
-        return None
-    library = driver_library(system.motions.dim, units_of(system))
-    states = None if library is None else DriverStates(system, library)
-    return states if states is None or states.tables.fronts.storage <= STORAGE_LIMIT else None
-
-
-def use_driver(system: System) -> None:
-    """Let the driver evaluate a system from now on, where it knows all of it."""
-    if "driver looked for" in system.cache:
-        return
-    system.cache["driver looked for"] = True
-    states = driver_states(system)
-    if states is not None:
-        system.evaluate_by(states)
-
-
-def solves(evaluator: Evaluator) -> TypeGuard[DriverStates]:
-    """Whether who evaluates a system also factors its matrices."""
-    return isinstance(evaluator, DriverStates) and evaluator.solves

@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array
-from ..system import System
-from .evaluation import STORAGE_LIMIT, Configurations, DriverStates
-from .items import covers, other_loads
-from .library import driver_library, units_of
-from .tables import Tables, covers_bodies
+from ..configurations import composed
+from .evaluation import Configurations, DriverStates
+from .tables import Tables
 
 
 @dataclass
@@ -40,6 +38,8 @@ def unsolved(part: Any) -> Unsolved:
 class FieldStates(DriverStates):
     """The driver of a system with fields, for states that Python asks for."""
 
+    solves = False
+
     def tables_of(self) -> Tables:
         """Tables with fields that nothing is solved for."""
         blocks = [unsolved(part) for _, part in self.system.fields]
@@ -50,21 +50,6 @@ class FieldStates(DriverStates):
         """None: G of a field is kept by its ports."""
         return None
 
-
-def field_states(system: System) -> FieldStates | None:
-    """The driver for states of a system with fields, made once; None where it does not know all of it."""
-    if "field states" not in system.cache:
-        system.cache["field states"] = _made(system)
-    found: FieldStates | None = system.cache["field states"]
-
-    return found
-
-
-def _made(system: System) -> FieldStates | None:
-    known = covers_bodies(system) and covers(system) and not any(p.field.nonlinear for _, p in system.fields)
-    if not system.fields or not known or system.curved or other_loads(system):
-        return None
-
-    library = driver_library(system.motions.dim, units_of(system))
-    states = None if library is None else FieldStates(system, library)
-    return states if states is None or states.tables.fronts.storage <= STORAGE_LIMIT else None
+    def compose(self, q: Array, xi: Array) -> Array:
+        """q o exp(xi) in NumPy: most of it is a sum."""
+        return composed(self.system, q, xi)

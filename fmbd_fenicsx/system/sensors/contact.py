@@ -41,6 +41,22 @@ class ContactForces:
     impulse: Array
     work: Array
 
+    def record(self, i: int, time: float) -> ContactForces:
+        """Those of one of many steps, which act at a time (s); arrays of its own."""
+        return ContactForces(
+            self.names,
+            time,
+            self.pair,
+            x=self.x[i].copy(),
+            normal=self.normal[i].copy(),
+            gap=self.gap[i].copy(),
+            normal_force=self.normal_force[i].copy(),
+            force=self.force[i].copy(),
+            pressure=self.pressure[i].copy(),
+            impulse=self.impulse[i].copy(),
+            work=self.work[i].copy(),
+        )
+
     def of(self, name: str) -> np.ndarray:
         """Which candidates belong to a pair, (m,) bool."""
         if name not in self.names:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import shown, typed, vector
+from ...checks import name_of, shown, typed, vector
 from ...errors import InputError, near, require
 from ...mechanics.bodies.bodies import RigidBody, Surface
 from ...mechanics.joints.drives import JointCoordinate
@@ -314,8 +314,8 @@ class Coordinates(Sensor):
 
 def named_part(what: str, part: Any) -> str:
     """The name of a part of a scene, given by its name or itself."""
-    name = part if isinstance(part, str) else None if isinstance(part, type) else getattr(part, "name", None)
-    if not isinstance(name, str):
+    name = part if isinstance(part, str) else name_of(part)
+    if name is None:
         raise InputError(f"{what} {shown(part)} must be a name, or what bears it.")
     return name
 

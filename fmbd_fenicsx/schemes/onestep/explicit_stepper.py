@@ -1,0 +1,170 @@
+"""What explicit Runge-Kutta methods share: settings, control of the step by an embedded formula, the end of a step.
+
+A method makes a step up to positions and velocities that miss the constraints by the error of the step. Here they are closed by a
+projection in the mass metric, accelerations and multipliers are those of the new state, and a step whose error is above the
+tolerance is made again, smaller. Source of the control: :mod:`..control`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...checks import check_fields
+from ...errors import BalanceError, CallbackError, ConvergenceError, LawError, LinearSolveError
+from ...linear.condensation import StepSolver
+from ...rotations import Array
+from ...system.serialisation import Memory, plain, worker
+from ...system.system import State, System
+from ..consistent import accelerations, project
+from ..control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands, turn_limit, turns_too_far
+from ..newton import Newton
+from ..stepping import TimeStepper
+from .explicit_limit import StepLimit
+
+
+@dataclass(frozen=True)
+class ExplicitScheme:
+    """Scheme data. ``rtol``: relative tolerance of the local error, None for constant steps; ``atol`` as in Radau.
+
+    Constant steps that do not resolve the fastest vibration are refused.
+    """
+
+    rtol: float | None = None
+    atol: float | None = None
+    order: ClassVar[int]
+    holds = (0, 1)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        check_tolerance(self.rtol, self.atol, type(self).__name__)
+
+
+class ExplicitStepper(TimeStepper):
+    """Advances a consistent state. A method says how a step is made (:meth:`_step`), and how it amplifies vibrations."""
+
+    what = "The scheme"  # in messages
+
+    keeps: ClassVar = {
+        "state": Memory.state,
+        "control": plain(StepControl),
+        "stats": plain(Statistics),
+        "proposed": plain(),
+        "local_error": plain(),
+        "norm": worker,
+    }
+
+    def __init__(self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
+        self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, 1)
+        self.control, self.stats = StepControl(float(scheme.order)), Statistics()
+        self.proposed: float | None = None
+        self.local_error = 0.0
+        self.before: State | None = None  # at the start of the last step
+        self.limit = StepLimit(self.what, system, solver, self.amplification)
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Work so far, for the counters of a run."""
+        return self.stats.as_dict()
+
+    def restart(self, t: float) -> None:
+        """Accelerations and multipliers behind a kink at t."""
+        self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
+        self.proposed, self.control.h_old, self.before = None, 0.0, None
+
+    def advance(self, h: float) -> State:
+        """One accepted step: of size h, or with error control of at most h (s); collective."""
+        return self._accept(self._constant(h) if self.scheme.rtol is None else self._controlled(h))
+
+    def _constant(self, h: float) -> State:
+        """The state after a step of size h (s), before projection."""
+        self.limit.look(self.state, h)
+        try:
+            return self._step(h)[0]
+        except (CallbackError, LawError) as fault:
+            if not isinstance(fault, BalanceError) and not self._has_forces(h):
+                raise
+            raise self.limit.blame(self.state, h, fault) from fault
+
+    def _has_forces(self, h: float) -> bool:
+        """Whether all laws have values, up to the end of a step of size h, where it begins: a step without has run away."""
+        s = self.state
+        try:
+            for t in (s.t, s.t + h):
+                self.system.at(t, s.q, s.v).balance(s.a, s.lam)
+        except (CallbackError, LawError):
+            return False
+        return True
+
+    def _controlled(self, limit: float) -> State:
+        """The same after a step of at most ``limit`` (s) that passes the error test."""
+        self.control.span = max(self.control.span, limit)
+        if self.proposed is None:
+            self.norm.update(self.state, limit)
+            self.proposed = first_step(self.norm, self.state, self.control.order, limit)
+
+        farthest = turn_limit(self.system, self.state)
+        while True:
+            h = lands(min(self.proposed, farthest), limit)
+            made, error, cause = self._attempt(h)
+            if made is not None and error <= 1.0:
+                break
+            self.stats.rejected[cause] += 1
+            self.proposed = self.control.rejected(self.state.t, h, error, cause)
+
+        # a step cut short by the end tells nothing of the next one
+        new = self.control.accepted(h, error)
+        self.proposed = new if h >= self.proposed or new < h else self.proposed
+        self.local_error = error
+        return made
+
+    def _attempt(self, h: float) -> tuple[State | None, float, str]:
+        """A step of size h: the state, if there is one, the error over the tolerance, and the cause of a rejection."""
+        self.norm.update(self.state, h)
+        try:
+            made, errors = self._step(h)
+            error = self._size(h, errors)
+            moved = self.system.difference(self.state.q, made.q, near=h * made.v)
+        except (ConvergenceError, LinearSolveError):
+            return None, np.inf, "constraints not closed"
+        except CallbackError as fault:
+            self.control.fault = str(fault)
+            return None, np.inf, "forces not finite"
+        if turns_too_far(self.system, moved):
+            return None, np.inf, "turns too far"
+        return made, error, "error estimate"
+
+    def _accept(self, made: State) -> State:
+        self.before = self.state
+        self.state = accelerations(self.system, project(self.system, made, self.solver), self.solver)
+        self.stats.steps += 1
+        return self.state
+
+    # -- what a method says -------------------------------------------------------------------------------------------
+    def amplification(self, z: float, damping: float) -> Array:
+        """The matrix of one step for x'' + c x' + w^2 x = 0, z = h w and damping = h c, over (x, h x'), (2, 2)."""
+        raise NotImplementedError
+
+    def _step(self, h: float) -> tuple[State, tuple[Array, Array]]:
+        """The state after a step of size h (s) before projection, and what :meth:`_size` takes of the errors of xi and v."""
+        raise NotImplementedError
+
+    def _size(self, h: float, errors: tuple[Array, Array]) -> float:
+        """What :meth:`_step` told of the errors of xi and v, over the tolerance."""
+        return self.norm(h, *errors)
+
+
+def amplified(A: Array, z: float, damping: float) -> Array:
+    """The matrix of :meth:`.ExplicitStepper.amplification` for a method with the rows A, (stages + 1, stages)."""
+    x, v = np.eye(2)
+    places, speeds, pushes = [x], [v], []
+    for row in A[1:]:
+        # x'' at the newest stage
+        pushes.append(-(z * z * places[-1] + damping * speeds[-1]))
+        known = row[: len(pushes)]
+        places.append(x + known @ np.array(speeds))
+        speeds.append(v + known @ np.array(pushes))
+    return np.array([places[-1], speeds[-1]])

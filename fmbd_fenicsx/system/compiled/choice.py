@@ -1,0 +1,49 @@
+"""Whether compiled code evaluates a system: where the driver knows all of it, and its factor is not too large."""
+
+from __future__ import annotations
+
+from typing import TypeGuard
+
+from ..evaluator import Evaluator
+from ..system import System
+from .evaluation import DriverStates
+from .field_states import FieldStates
+from .items import covers, other_loads
+from .library import driver_library, units_of
+from .tables import covers_bodies
+
+STORAGE_LIMIT = 20_000_000  # numbers in the factor
+
+
+def use_driver(system: System) -> None:
+    """Let the driver evaluate a system from now on, where it knows all of it; looked at once."""
+    if "driver looked for" in system.cache:
+        return
+    system.cache["driver looked for"] = True
+    states = driver_states(system)
+    if states is not None:
+        system.evaluate_by(states)
+
+
+def driver_states(system: System) -> DriverStates | None:
+    """The driver for states of a system, None where NumPy has to evaluate it."""
+    if not covers_bodies(system) or not covers(system) or (system.fields and not _covers_fields(system)):
+        return None
+    library = driver_library(system.motions.dim, units_of(system))
+    if library is None:
+        return None
+
+    made = FieldStates if system.fields else DriverStates
+    states = made(system, library)
+    return states if states.tables.fronts.storage <= STORAGE_LIMIT else None
+
+
+def _covers_fields(system: System) -> bool:
+    """Whether fields have constant matrices, on which nothing acts that Python gives as a whole."""
+    constant = not any(part.field.nonlinear for _, part in system.fields)
+    return constant and not system.curved and not other_loads(system)
+
+
+def solves(evaluator: Evaluator) -> TypeGuard[DriverStates]:
+    """Whether who evaluates a system also factors its matrices."""
+    return isinstance(evaluator, DriverStates) and evaluator.solves
