@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from test_driver import SCENES as OF_THE_DRIVER
-from test_driver import compiled
+from test_driver import compiled, joint_springs, suspended
 from test_evaluation_batch import plane
 from test_kernel import PLANE, SPACE
 from test_rods import UNIT
