@@ -12,7 +12,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.consistent import consistent
-from fmbd_fenicsx.schemes.multistep.bdf import _derivative, _weights
+from fmbd_fenicsx.schemes.multistep.past import slopes_at_first, weights
 
 
 @pytest.mark.parametrize(
@@ -74,8 +74,8 @@ def test_one_residual_an_iteration_and_few_factors() -> None:
 def test_interpolation_weights() -> None:
     nodes = np.array([1.0, 0.7, 0.55, 0.1])
     cubic = nodes**3 - 2 * nodes**2 + 3
-    assert _weights(nodes, 1.4) @ cubic == pytest.approx(1.4**3 - 2 * 1.4**2 + 3)
-    assert _derivative(nodes, 1.0) @ cubic == pytest.approx(3 - 4)
+    assert weights(nodes, 1.4) @ cubic == pytest.approx(1.4**3 - 2 * 1.4**2 + 3)
+    assert slopes_at_first(nodes) @ cubic == pytest.approx(3 - 4)
 
 
 def test_orders_that_do_not_exist() -> None:

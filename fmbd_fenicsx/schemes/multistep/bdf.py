@@ -36,8 +36,6 @@ from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..consistent import accelerations, project
 from ..control import (
-    ROUNDOFF,
-    STAGNATION,
     StepControl,
     check_tolerance,
     first_step,
@@ -48,9 +46,11 @@ from ..control import (
 )
 from ..dae import GGL, Form, OfForm, Points
 from ..implicit_stepper import ImplicitStepper
-from ..newton import Newton, strayed
+from ..newton import Newton
 from ..onestep.radau import Radau
 from .amplification import Amplification
+from .corrector import Corrector
+from .past import LONGEST, Past, before, local, slopes, weights
 
 STABLE = 2  # the highest order that damps undamped vibrations at any step
 
@@ -97,24 +97,14 @@ class BDF(OfForm):
         return Stepper(self, system, solver, newton, state)
 
 
-@dataclass(frozen=True)
-class _Past:
-    """One earlier value: time, configuration, velocity, multipliers."""
-
-    t: float
-    q: Array
-    v: Array
-    mult: Array
-
-
-class Stepper(ImplicitStepper):
+class Stepper(Corrector):
     """Advances a consistent state; holds the past values, tangent, factor and the choice of step and order."""
 
     what = "a BDF step"
     lost = 1e-5
     keeps: ClassVar = {
         **ImplicitStepper.keeps,
-        "past": plain(_Past),
+        "past": plain(Past),
         **dict.fromkeys(("k", "held"), plain()),
         "amplification": worker,
         "_starter": worker,
@@ -137,7 +127,7 @@ class Stepper(ImplicitStepper):
         mult = np.zeros(self.eq.levels * self.system.n_lam)
         if self.eq.levels:
             mult[: self.system.n_lam] = s.lam
-        self.past = [_Past(s.t, s.q, s.v, mult)]
+        self.past = [Past(s.t, s.q, s.v, mult)]
         self.eq.weigh(s)
         if not self.adaptive and self.scheme.order > 1:
             scheme = Radau(stages=3, form=self.scheme.form, rtol=None)
@@ -163,12 +153,12 @@ class Stepper(ImplicitStepper):
         count = min(self.k + 1, len(self.past))
         if count < 2 or not self.past[count - 1].t <= t <= self.state.t:
             return None
-        times, xis, vs = self._local(count)
-        w = _weights(times, t)
+        times, xis, vs = local(self.system, self.state.q, self.past[:count])
+        w = weights(times, t)
         m, s = self.system.n_lam, self.state
         mult = w @ np.array([p.mult for p in self.past[:count]])
         lam = mult[:m] if self.eq.levels else s.lam
-        return State(t, self.system.compose(s.q, w @ xis), w @ vs, _slopes(times, t) @ vs, lam)
+        return State(t, self.system.compose(s.q, w @ xis), w @ vs, slopes(times, t) @ vs, lam)
 
     # -- steps --------------------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:
@@ -185,7 +175,8 @@ class Stepper(ImplicitStepper):
         if self.proposed is None:
             self.norm.update(s, limit)
             self.proposed = 0.1 * first_step(self.norm, s, 2.0, limit)
-            self._back(min(self.proposed, limit))
+            newest = self.past[0]
+            self.past = [newest, before(self.system, s, min(self.proposed, limit), newest.mult)]
 
         while True:
             h = lands(min(self.proposed, farthest), limit)
@@ -247,12 +238,6 @@ class Stepper(ImplicitStepper):
             raise self._failure(h, found)
         return self._accept(h, found)
 
-    def _back(self, h: float) -> None:
-        """A value before the start, by Taylor's formula, for the first predictor."""
-        s, p = self.state, self.past[0]
-        before = self.system.compose(s.q, -h * s.v + 0.5 * h * h * s.a)
-        self.past = [p, _Past(s.t - h, before, s.v - h * s.a, p.mult)]
-
     def _accept(self, h: float, p: Points) -> State:
         s, q = self.state, self.system.compose(self.state.q, p.xi[0])
         mult = self._least(self.system.at(s.t + h, q), p.mult[0])
@@ -277,170 +262,66 @@ class Stepper(ImplicitStepper):
         return np.concatenate([least(self.solver, ev, x) for x in mult.reshape(self.eq.levels, -1)])
 
     def _remember(self, state: State, mult: Array) -> None:
-        self.past = [_Past(state.t, state.q, state.v, mult), *self.past][:8]
-
-    # -- one step of order k ------------------------------------------------------------------------------------
-    def _local(self, count: int) -> tuple[Array, Array, Array]:
-        """Times (count,), and past xi, v in the coordinates of the step, (count, n_v) each."""
-        s, past = self.state, self.past[:count]
-        t, v = np.array([p.t for p in past]), np.array([p.v for p in past])
-        back = 0.5 * np.diff(t)[:, None] * (v[1:] + v[:-1])  # tells how many turns lie between
-        guess = np.concatenate((np.zeros_like(v[:1]), np.cumsum(back, axis=0)))
-        xi = np.array(self.system.difference(s.q, np.array([p.q for p in past]), near=guess))
-        xi[0] = 0.0
-        return t, xi, v
-
-    def _newton(self, h: float, k: int) -> Points | str:
-        """The new values of a step of size h, or the cause of failure."""
-        return self._found(lambda: self._iterate(h, k))
-
-    def _predicted(self, h: float, k: int) -> tuple[Points, Array]:
-        """The new values as the past foretells them, and the coefficients c of (1)."""
-        s, t = self.state, self.state.t + h
-        times, xis, vs = self._local(max(k + 1, 2))
-        c = _derivative(np.concatenate(([t], times[:k])), t)
-
-        # on the polynomial through k + 1 past values
-        n_pred = min(k + 1, len(times))
-        w = _weights(times[:n_pred], t)
-        xi, v = w @ xis[:n_pred], w @ vs[:n_pred]
-        if len(times) == 1:
-            xi, v = h * s.v + 0.5 * h * h * s.a, s.v + h * s.a
-
-        # multipliers by three past values at most
-        m = min(k, len(self.past), 3)
-        mult = _weights(times[:m], t) @ np.array([p.mult for p in self.past[:m]])
-        rate = c[0] * xi + c[1:] @ xis[:k]
-        accel = c[0] * v + c[1:] @ vs[:k]
-        return Points(*(x[None] for x in (xi, rate, v, accel, mult))), c
-
-    def _iterate(self, h: float, k: int) -> Points | str:
-        """The new values by Newton's iteration, or why it failed."""
-        t = self.state.t + h
-        p, c = self._predicted(h, k)
-        foretold = p.xi[0]
-        self.eq.begin(self.state)
-        relax = self._prepare(t, p, c[0])
-
-        n, now = self.system.n_v, np.array([t])
-        tolerance = self._newton_tolerance()
-        last = 0.0
-        for i in range(self.newton.max_iterations):
-            kin, low = self.eq.residual(now, p)
-            if self._full and self.eq.dense and i > 0:
-                tangent = self.eq.tangent_at(t, p.xi[0], p.v[0], p.vd[0], p.mult[0])
-                self._pencil = self.eq.pencil(tangent, c[:1], self.judge)
-                self.stats.factorisations += 1
-            assert self._pencil is not None
-            change, dmult = (relax * x for x in self._pencil.solve(kin, low))
-            dxi, dv = change[:, :n], change[:, n:]
-            p = Points(p.xi + dxi, p.rate + c[0] * dxi, p.v + dv, p.vd + c[0] * dv, p.mult + dmult)
-
-            self.newton.iterations += 1
-            self.stats.newton_iterations += 1
-            size = self._size(h, dxi, dv, dmult)
-            if not np.isfinite(size):
-                return "Newton diverged"
-
-            # the rate of convergence; increments that no longer fall are roundoff, or divergence
-            theta = 0.5 if i == 0 else min(size / last if last > 0 else 0.0, 2.0)
-            if i > 0:
-                self._theta = theta
-                if self.adaptive and theta > 0.5 and max(size, last) <= ROUNDOFF:
-                    size = 0.0
-                elif not self.adaptive and i > 2 and theta > 0.3 and size <= STAGNATION:
-                    size = 0.0
-                elif theta >= 0.95 and size > tolerance and (self.adaptive or i > 3):
-                    return "Newton diverged"
-
-            last, left = size, theta / (1 - min(theta, 0.95)) * size
-            if left <= tolerance or size <= 1e-2 * tolerance:
-                self.newton.note(left)
-                if self._full and strayed(self.system, p.xi[0], foretold):
-                    return "Newton found another solution, far from the predicted one"
-                return p
-        return "Newton too slow"
-
-    def _prepare(self, t: float, p: Points, s: float) -> float:
-        """Tangent and factor for the frequency s; returns the correction of increments for an old factor."""
-        if self._tangent is None:
-            lam = p.mult[0, : self.system.n_lam] if self.eq.levels else self.state.lam
-            at = State(t, self.system.compose(self.eq.origin, p.xi[0]), p.v[0], p.vd[0], lam)
-            self._tangent, self._pencil, self._fresh = self.eq.refresh(at), None, True
-        old = None if self._pencil is None else float(self._pencil.s[0])
-        if old is None or not 0.8 <= s / old <= 1.25 or (not self.adaptive and s != old):
-            self._pencil = self.eq.pencil(self._tangent, np.array([s]), self.judge)
-            self.stats.factorisations += 1
-            return 1.0
-        return 2.0 / (1.0 + s / old)
+        self.past = [Past(state.t, state.q, state.v, mult), *self.past][:LONGEST]
 
     # -- error and order ----------------------------------------------------------------------------------------
     def _error(self, h: float, p: Points, k: int) -> float:
         """Error of a step taken with order k if it had been taken with order ``k``."""
-        times, xis, vs = self._local(k + 1)
+        times, xis, vs = local(self.system, self.state.q, self.past[: k + 1])
         t = self.state.t + h
         if len(times) < k + 1:
             return np.inf
-        w = _weights(times, t)
+        w = weights(times, t)
         share = h / (t - times[-1])
         return self.norm(h, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
 
     def _choose(self, h: float, p: Points, error: float) -> float:
         """The next step; sets the next order. Changes only after k + 1 steps of one size and order."""
         self.held += 1
-        k = self.k
-
-        def factor(e: float, order: int) -> float:
-            return 0.85 * max(e, 1e-8) ** (-1.0 / (order + 1))
-
+        stay = _growth(error, self.k)
         if self.control.rejections:
-            self.held = 0
-            new = h * min(factor(error, k), 1.0)
-            if not self.amplification.permits(k, new, self.state):
-                self.k = STABLE
-            return new
-        stay = factor(error, k)
-        if self.held <= k and stay > 0.9:
+            return self._after_rejections(h * min(stay, 1.0))
+        if self.held <= self.k and stay > 0.9:
             return h
-        best, order = stay, k
-        if k > 1 and (lower := factor(self._error(h, p, k - 1), k - 1)) > 1.05 * best:
-            best, order = lower, k - 1
-        if (
-            k < self.highest
-            and len(self.past) >= k + 2
-            and (higher := factor(self._error(h, p, k + 1), k + 1)) > 1.1 * best
-        ):
-            best, order = higher, k + 1
-        while not self.amplification.permits(order, h * min(max(best, 0.3), 2.0), self.state):
-            order -= 1
-            best = factor(self._error(h, p, order), order)
-        if order == k and 0.9 <= best <= 1.2:
+
+        order, best = self._best_order(h, p, stay)
+        if order == self.k and 0.9 <= best <= 1.2:
             return h
         self.k, self.held = order, 0
-        return h * min(max(best, 0.3), 2.0)
+        return h * _within(best)
+
+    def _after_rejections(self, h: float) -> float:
+        """The next step where this one was made at last, not longer; with an order that is stable with it."""
+        self.held = 0
+        if not self.amplification.permits(self.k, h, self.state):
+            self.k = STABLE
+        return h
+
+    def _best_order(self, h: float, p: Points, stay: float) -> tuple[int, float]:
+        """The order with the longest stable step, one more or less at most, and its growth; ``stay``: that of the same order."""
+        k = self.k
+        order, best = k, stay
+        if k > 1:
+            lower = _growth(self._error(h, p, k - 1), k - 1)
+            if lower > 1.05 * best:
+                order, best = k - 1, lower
+        if k < self.highest and len(self.past) >= k + 2:
+            higher = _growth(self._error(h, p, k + 1), k + 1)
+            if higher > 1.1 * best:
+                order, best = k + 1, higher
+
+        # orders above two amplify vibrations that the step does not resolve
+        while not self.amplification.permits(order, h * _within(best), self.state):
+            order -= 1
+            best = _growth(self._error(h, p, order), order)
+        return order, best
 
 
-def _weights(nodes: Array, t: float) -> Array:
-    """Weights of the values at the nodes in their interpolating polynomial at t."""
-    out = np.ones(len(nodes))
-    for j, a in enumerate(nodes):
-        others = np.delete(nodes, j)
-        out[j] = np.prod((t - others) / (a - others))
-    return out
+def _growth(error: float, order: int) -> float:
+    """By how much a step with this error over the tolerance may grow."""
+    return float(0.85 * max(error, 1e-8) ** (-1.0 / (order + 1)))
 
 
-def _slopes(nodes: Array, t: float) -> Array:
-    """Weights of the values at the nodes in the derivative of their interpolating polynomial at any t."""
-    span = float(np.ptp(nodes))
-    powers = ((nodes - t) / span)[None] ** np.arange(len(nodes))[:, None]
-    return np.linalg.solve(powers, np.eye(len(nodes))[1]) / span  # type: ignore[no-any-return]
-
-
-def _derivative(nodes: Array, t: float) -> Array:
-    """Weights of the values at the nodes in the derivative of their interpolating polynomial at t = nodes[0]."""
-    out = np.zeros(len(nodes))
-    for j in range(1, len(nodes)):
-        others = np.delete(nodes, [0, j])
-        out[j] = np.prod((t - others) / (nodes[j] - others)) / (nodes[j] - t)
-    out[0] = -out[1:].sum()
-    return out
+def _within(growth: float) -> float:
+    """The growth within bounds."""
+    return min(max(growth, 0.3), 2.0)

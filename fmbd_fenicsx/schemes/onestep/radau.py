@@ -19,23 +19,20 @@ doi:10.1007/BFb0093947; local coordinates: Munthe-Kaas, doi:10.1007/BF02510919.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ...errors import CallbackError, ConvergenceError, LinearSolveError, require
+from ...errors import require
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...linear.residual import Judge
-from ...linear.saddle.pencil import Pencil, Tangent, stacked
+from ...linear.saddle.pencil import Tangent
 from ...rotations import Array
 from ...system.serialisation import Memory, plain
 from ...system.system import State, System
 from ..consistent import accelerations, project
 from ..control import (
-    ROUNDOFF,
-    STAGNATION,
     StepControl,
     check_controlled,
     first_step,
@@ -47,9 +44,8 @@ from ..control import (
 from ..dae import GGL, Form, OfForm, Points
 from ..implicit_stepper import ImplicitStepper
 from ..newton import Newton
-from .collocation import lagrange, tableau
-
-CAUTIOUS = 0.05  # with constant steps no rate below this is believed
+from .collocation import tableau
+from .stage_newton import StageNewton
 
 
 @dataclass(frozen=True)
@@ -87,7 +83,7 @@ class Radau(OfForm):
         return Stepper(self, system, solver, newton, state)
 
 
-class Stepper(ImplicitStepper):
+class Stepper(StageNewton):
     """Advances a consistent state; holds tangent, factors, the last collocation polynomial and the step control."""
 
     what = "a Radau step"
@@ -151,16 +147,26 @@ class Stepper(ImplicitStepper):
             self.norm.update(s, limit)
             self.proposed = first_step(self.norm, s, self.control.order, limit)
 
+        h, points, error = self._passing(limit, farthest)
+        self.local_error = error
+        self.proposed = self._next_size(h, limit, error)
+        return self._accept(h, points)
+
+    def _passing(self, limit: float, farthest: float) -> tuple[float, Points, float]:
+        """The first step, of ever smaller ones, that passes the error test: its size (s), stages and error."""
+        s = self.state
+        assert self.proposed is not None
         while True:
             h = lands(min(self.proposed, farthest), limit)
             moves(s.t, h)
             self.norm.update(s, h)
             self.eq.begin(s)
-            point = self._newton(h)
-            if not isinstance(point, str) and turns_too_far(self.system, point.xi):
-                point = "turns too far"
-            if isinstance(point, str):
-                cause, error = point, np.inf
+
+            points = self._newton(h)
+            if not isinstance(points, str) and turns_too_far(self.system, points.xi):
+                points = "turns too far"
+            if isinstance(points, str):
+                cause, error = points, np.inf
                 stale = self._tangent is not None and not self._fresh
                 self._tangent = None
                 if stale:
@@ -168,24 +174,28 @@ class Stepper(ImplicitStepper):
                 self._trouble += 2
                 # on the way through a singular configuration smaller steps fail alike
                 if self._trouble > 4:
-                    point = self._own_tangents(h)
-            if not isinstance(point, str):
-                error, cause = self._estimate(h, point), "error estimate"
+                    points = self._own_tangents(h)
+
+            if not isinstance(points, str):
+                error, cause = self._estimate(h, points), "error estimate"
                 if error <= 1.0:
-                    break
+                    return h, points, error
                 self._theta = max(self._theta, 1e-3)
             self.stats.rejected[cause] += 1
             self.proposed = self.control.rejected(s.t, h, error, cause)
 
-        # the next step: smaller where Newton's iteration had to work hard
-        self.local_error = error
+    def _next_size(self, h: float, limit: float, error: float) -> float:
+        """The size (s) that is proposed after a step of size h: smaller where Newton's iteration had to work hard."""
         most = 2 * self.newton.max_iterations
         effort = (most + 1) / (most + self._iterations)
         new = self.control.accepted(h, error, effort)
         if self._theta < 1e-2 and 1.0 <= new / h <= 1.2:
             new = h  # keep the factors
-        self.proposed = new if h < limit or new < limit else max(new, self.proposed)
-        return self._accept(h, point)
+
+        # a step cut short by the end tells nothing of the next one
+        cut_short = h >= limit and new >= limit
+        assert self.proposed is not None
+        return max(new, self.proposed) if cut_short else new
 
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step, by its collocation polynomial; None after a new start."""
@@ -252,171 +262,6 @@ class Stepper(ImplicitStepper):
                 rows = slice(level * m, (level + 1) * m)
                 mult[i, rows] = least(self.solver, ev, mult[i, rows])
         return replace(points, mult=mult)
-
-    # -- Newton -------------------------------------------------------------------------------------------------
-    def _refresh(self, h: float) -> None:
-        """Tangent in the middle of the step as predicted, where it serves all stages best."""
-        s, W = self.state, self.tab.W
-        xi, v, mult = self._predict(h)
-        weights = lagrange(np.concatenate(([0.0], self.tab.c)), np.array([0.5]))[0, 1:]
-        vd = (W @ (v - s.v) / h).mean(axis=0)
-        lam = mult.mean(axis=0)[: self.system.n_lam] if self.eq.levels else s.lam
-        q = self.system.compose(s.q, weights @ xi)
-        self._tangent = self.eq.refresh(State(s.t + 0.5 * h, q, s.v + weights @ (v - s.v), vd, lam))
-        self._fresh = True
-        self._pencil = None
-
-    def _prepare(self, h: float) -> None:
-        if self._tangent is None:
-            self._refresh(h)
-        if self._pencil is not None and self._h_factor == h:
-            return
-        assert self._tangent is not None
-        self._h_factor = h
-        self._pencil = self.eq.pencil(self._tangent, self.tab.values / h, self.judge)
-        self.stats.factorisations += len(self.tab.values)
-        self._filter = None
-
-    def _newton(self, h: float) -> Points | str:
-        """The stages of a step of size h, or the cause of failure."""
-
-        def iterate() -> Points | str:
-            self._prepare(h)
-            return self._iterate(h)
-
-        return self._found(iterate)
-
-    def _iterate(self, h: float) -> Points | str:
-        xi, v, mult = self._predict(h)
-        tolerance = self._newton_tolerance()
-        theta = max(self._eta, 1e-16) ** 0.8  # of the step before, a little worse
-        last = 0.0
-        times = self.state.t + h * self.tab.c
-
-        for k in range(self.newton.max_iterations):
-            kin, low = self.eq.residual(times, self._stages(h, xi, v, mult))
-            dxi, dv, dmult = self._solve(kin, low)
-            xi, v, mult = xi + dxi, v + dv, mult + dmult
-            self.newton.iterations += 1
-            self.stats.newton_iterations += 1
-            size = self._size(h, dxi, dv, dmult)
-            if not np.isfinite(size):
-                return "Newton diverged"
-
-            # the rate of convergence; increments that no longer fall are roundoff, or divergence
-            if k > 0:
-                ratio = size / last if last > 0 else 0.0
-                self._theta = ratio if k == 1 else np.sqrt(ratio * max(self._theta, 1e-10))
-                if self.adaptive and ratio > 0.5 and size <= ROUNDOFF and max(size, last) <= 10 * ROUNDOFF:
-                    size = 0.0  # increments no longer fall: roundoff, harmless against the tolerance
-                elif not self.adaptive and k > 2 and ratio > 0.3 and size <= STAGNATION:
-                    size = 0.0
-                elif self._theta >= 0.99 and size > tolerance and (self.adaptive or k > 3):
-                    return "Newton diverged"
-                theta = self._theta / (1 - min(self._theta, 0.99))
-                if not self.adaptive:  # the first rate flatters: fast components go first
-                    theta = max(theta, CAUTIOUS)
-                left = self.newton.max_iterations - 1 - k
-                if self.adaptive and k > 1 and theta * size * self._theta**left > tolerance and size > tolerance:
-                    return "Newton too slow"
-
-            last = size
-            if theta * size <= tolerance or size <= 1e-2 * tolerance:
-                self._eta, self._iterations = theta, k + 1
-                self.newton.note(theta * size)
-                return self._finished(h, xi, v, mult)
-        return "Newton too slow"
-
-    def _finished(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
-        points = self._stages(h, xi, v, mult)
-        self._acceleration = self.eq.accelerations(points)[-1]
-        return points
-
-    def _own_tangents(self, h: float) -> Points | str:
-        """Newton's iteration with a tangent for each stage where one for all has failed at falling step sizes: on the way through
-        a singular configuration directions of constraint forces turn within any step, however small.
-        """
-        try:
-            self._prepare(h)  # the error estimate needs a tangent in the middle
-            return self._full_newton(h)
-        except (LinearSolveError, CallbackError, ConvergenceError, np.linalg.LinAlgError):
-            return "linear solve failed"
-
-    def _full_newton(self, h: float) -> Points | str:
-        """The stages by Newton's iteration with a tangent of its own for each stage.
-
-        For stiff springs that turn: with a frozen direction the iteration converges for h omega sqrt(k / m) h << 1 only (Lubich,
-        doi:10.1007/BF01385643); constant steps have no other way out. For singular configurations too.
-        """
-        if not self.eq.dense:
-            return "Newton too slow"
-        n = self.system.n_v
-        m = self.system.n_lam
-        stages = len(self.tab.c)
-        xi, v, mult = self._predict(h)
-        coupling = np.kron(self.tab.W / h, np.eye(n))
-        last = np.inf
-
-        # what is small enough, and what is as small as roundoff permits, after so many iterations
-        enough, floor, calm = 1.0, STAGNATION, 1
-        if self.adaptive:  # roundoff eps of a constraint leaves sqrt(eps) of the motion at a singular position
-            enough = ROUNDOFF
-            floor = 1.0 + np.finfo(float).eps ** 0.5 / self.norm.rtol
-            calm = 3
-        times = self.state.t + h * self.tab.c
-        cuts = [0, *range(n, n + self.eq.levels * m + 1, m)] if m else [0, n]
-
-        for k in range(2 * self.newton.max_iterations):  # at a singular position each halves the error
-            points = self._stages(h, xi, v, mult)
-            kin, low = self.eq.residual(times, points)
-            tangents = [self.eq.tangent_at(float(times[i]), xi[i], v[i], points.vd[i], mult[i]) for i in range(stages)]
-
-            # rows of all stages: balance, then the constraints level by level
-            pencil = Pencil(stacked(tangents), coupling, self.judge, self.solver.core.redundant)
-            below = np.concatenate([low[:, i:j].ravel() for i, j in pairwise(cuts)])
-            change, by_level = pencil.solve(kin.reshape(1, -1), below[None])
-            dxi, dv = change.reshape(2, stages, n)
-            dmult = by_level.reshape(self.eq.levels, stages, m).swapaxes(0, 1).reshape(stages, -1)
-            xi, v, mult = xi + dxi, v + dv, mult + dmult
-
-            self.newton.iterations += 1
-            self.stats.newton_iterations += 1
-            self.stats.factorisations += 1
-            size = self._size(h, dxi, dv, dmult)
-            if not np.isfinite(size):
-                return "Newton diverged"
-            if size <= enough or (k > calm and size <= floor and size > 0.3 * last):
-                self._iterations, self._theta = k + 1, 1.0
-                return self._finished(h, xi, v, mult)
-            last = size
-        return "Newton too slow"
-
-    def _stages(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
-        W = self.tab.W / h
-        return Points(xi, W @ xi, v, W @ (v - self.state.v), mult)
-
-    def _solve(self, kin: Array, low: Array) -> tuple[Array, Array, Array]:
-        """Decoupled solves: y = Re(vectors z), z of the real eigenvalue and of one of each complex pair."""
-        tab, n = self.tab, self.system.n_v
-        assert self._pencil is not None
-        z = np.concatenate(self._pencil.solve(tab.inverse @ kin, tab.inverse @ low), axis=1)
-        y = (tab.vectors @ z).real
-        return y[:, :n], y[:, n : 2 * n], y[:, 2 * n :]
-
-    def _predict(self, h: float) -> tuple[Array, Array, Array]:
-        """Stages on the polynomial of the last step, or on the parabola at the start."""
-        s, c = self.state, self.tab.c
-        if self._last is None:
-            x = (c * h)[:, None]
-            xi = x * s.v + 0.5 * x * x * s.a
-            v = s.v + x * s.a
-            return xi, v, np.repeat(self.mult[None], len(c), axis=0)
-        h0, q0, v0, points = self._last
-        powers = (1.0 + c * h / h0)[:, None] ** np.arange(len(c) + 1)
-        basis = (powers @ self.tab.basis)[:, 1:]
-        ahead = basis @ points.xi
-        moved = self.system.difference(s.q, self.system.compose(q0, ahead), near=ahead - points.xi[-1])
-        return moved, v0 + basis @ (points.v - v0), powers[:, :-1] @ self.tab.stage_basis @ points.mult
 
     # -- error --------------------------------------------------------------------------------------------------
     def _error_filter(self, h: float) -> Any:

@@ -1,0 +1,136 @@
+"""The values at the end of a BDF step of a given order: predicted by the past, corrected by Newton's iteration.
+
+With the increments xi_j of past configurations and the slopes c_j of the polynomial through them and the new value,
+
+    xi' = c_0 xi + sum_j c_j xi_j,        v' = c_0 v + sum_j c_j v_j,                                               (1)
+
+the equations of the step (:mod:`~fmbd_fenicsx.schemes.dae`) are solved for xi, v and the multipliers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...rotations import Array
+from ...system.system import State
+from ..control import ROUNDOFF, STAGNATION
+from ..dae import Points
+from ..implicit_stepper import ImplicitStepper
+from ..newton import strayed
+from .past import Past, local, slopes_at_first, weights
+
+
+class Corrector(ImplicitStepper):
+    """Newton's iteration of :class:`.BDF`; the tangent is kept from step to step while it converges fast."""
+
+    past: list[Past]  # newest first
+
+    def _newton(self, h: float, k: int) -> Points | str:
+        """The new values of a step of size h, or the cause of failure."""
+        return self._found(lambda: self._iterate(h, k))
+
+    def _predicted(self, h: float, k: int) -> tuple[Points, Array]:
+        """The new values as the past foretells them, and the coefficients c of (1)."""
+        s, t = self.state, self.state.t + h
+        times, xis, vs = local(self.system, self.state.q, self.past[: max(k + 1, 2)])
+        c = slopes_at_first(np.concatenate(([t], times[:k])))
+
+        # on the polynomial through k + 1 past values
+        if len(times) == 1:
+            xi = h * s.v + 0.5 * h * h * s.a
+            v = s.v + h * s.a
+        else:
+            ahead = weights(times[: k + 1], t)
+            xi = ahead @ xis[: k + 1]
+            v = ahead @ vs[: k + 1]
+
+        # multipliers by three past values at most
+        few = self.past[: min(k, 3)]
+        mult = weights(times[: len(few)], t) @ np.array([p.mult for p in few])
+        rate = c[0] * xi + c[1:] @ xis[:k]
+        accel = c[0] * v + c[1:] @ vs[:k]
+        return Points(xi[None], rate[None], v[None], accel[None], mult[None]), c
+
+    def _iterate(self, h: float, k: int) -> Points | str:
+        """The new values by Newton's iteration, or why it failed."""
+        t = self.state.t + h
+        p, c = self._predicted(h, k)
+        foretold = p.xi[0]
+        self.eq.begin(self.state)
+        relax = self._prepare(t, p, c[0])
+
+        tolerance = self._newton_tolerance()
+        last = 0.0
+        for i in range(self.newton.max_iterations):
+            kin, low = self.eq.residual(np.array([t]), p)
+            if self._full and self.eq.dense and i > 0:
+                self._own_tangent(t, p, c[0])
+            p, size = self._moved(h, p, c[0], self._increment(kin, low, relax))
+
+            theta = 0.5 if i == 0 else min(size / last if last > 0 else 0.0, 2.0)
+            size, why = self._judged(i, theta, size, last)
+            if why is not None:
+                return why
+
+            # what is left, by the rate of convergence
+            last = size
+            left = theta / (1 - min(theta, 0.95)) * size
+            if left <= tolerance or size <= 1e-2 * tolerance:
+                self.newton.note(left)
+                if self._full and strayed(self.system, p.xi[0], foretold):
+                    return "Newton found another solution, far from the predicted one"
+                return p
+        return "Newton too slow"
+
+    def _own_tangent(self, t: float, p: Points, frequency: float) -> None:
+        """Tangent and factor of this very iterate."""
+        tangent = self.eq.tangent_at(t, p.xi[0], p.v[0], p.vd[0], p.mult[0])
+        self._pencil = self.eq.pencil(tangent, np.array([frequency]), self.judge)
+        self.stats.factorisations += 1
+
+    def _increment(self, kin: Array, low: Array, relax: float) -> tuple[Array, Array, Array]:
+        """Increments of xi, v (1, n_v) and of the multipliers for what the equations leave."""
+        assert self._pencil is not None
+        change, dmult = self._pencil.solve(kin, low)
+        n = self.system.n_v
+        return relax * change[:, :n], relax * change[:, n:], relax * dmult
+
+    def _moved(self, h: float, p: Points, c: float, increment: tuple[Array, Array, Array]) -> tuple[Points, float]:
+        """The values after an increment, and its norm."""
+        dxi, dv, dmult = increment
+        self.newton.iterations += 1
+        self.stats.newton_iterations += 1
+        size = self._size(h, dxi, dv, dmult)
+        return Points(p.xi + dxi, p.rate + c * dxi, p.v + dv, p.vd + c * dv, p.mult + dmult), size
+
+    def _judged(self, i: int, theta: float, size: float, last: float) -> tuple[float, str | None]:
+        """The size of increment i, 0 where it is roundoff, and why the iteration has failed, if it has; the rate is kept.
+
+        ``theta``: this increment over the ``last``. Increments that no longer fall are roundoff, or divergence.
+        """
+        if not np.isfinite(size):
+            return size, "Newton diverged"
+        if i == 0:
+            return size, None
+        self._theta = theta
+
+        stalled = theta > 0.5 and max(size, last) <= ROUNDOFF
+        stagnates = i > 2 and theta > 0.3 and size <= STAGNATION
+        if stalled if self.adaptive else stagnates:
+            return 0.0, None
+        patient = self.adaptive or i > 3
+        diverged = theta >= 0.95 and size > self._newton_tolerance() and patient
+        return size, "Newton diverged" if diverged else None
+
+    def _prepare(self, t: float, p: Points, s: float) -> float:
+        """Tangent and factor for the frequency s; returns the correction of increments for an old factor."""
+        if self._tangent is None:
+            lam = p.mult[0, : self.system.n_lam] if self.eq.levels else self.state.lam
+            at = State(t, self.system.compose(self.eq.origin, p.xi[0]), p.v[0], p.vd[0], lam)
+            self._tangent, self._pencil, self._fresh = self.eq.refresh(at), None, True
+        old = None if self._pencil is None else float(self._pencil.s[0])
+        if old is None or not 0.8 <= s / old <= 1.25 or (not self.adaptive and s != old):
+            self._pencil = self.eq.pencil(self._tangent, np.array([s]), self.judge)
+            self.stats.factorisations += 1
+            return 1.0
+        return 2.0 / (1.0 + s / old)

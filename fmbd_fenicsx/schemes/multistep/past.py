@@ -1,0 +1,77 @@
+"""The past of a multistep method, and the polynomials through it.
+
+With values x_j at times t_j, newest first, and the Lagrange polynomials l_j of these times:
+
+    x(t) = sum_j l_j(t) x_j,        x'(t) = sum_j l_j'(t) x_j                                                       (1)
+
+Configurations are taken as increments xi_j from the newest one, of as many turns as the velocities tell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...rotations import Array
+from ...system.system import State, System
+
+LONGEST = 8  # values that are kept
+
+
+@dataclass(frozen=True)
+class Past:
+    """One earlier value: time, configuration, velocity, multipliers."""
+
+    t: float
+    q: Array
+    v: Array
+    mult: Array
+
+
+def before(system: System, state: State, h: float, mult: Array) -> Past:
+    """A value h (s) before the start, by Taylor's formula, for the first predictor."""
+    back = -h * state.v + 0.5 * h * h * state.a
+    return Past(state.t - h, system.compose(state.q, back), state.v - h * state.a, mult)
+
+
+def local(system: System, q0: Array, past: list[Past]) -> tuple[Array, Array, Array]:
+    """Times (k,), and xi, v of past values in coordinates about the newest configuration q0, (k, n_v) each."""
+    t = np.array([p.t for p in past])
+    v = np.array([p.v for p in past])
+    q = np.array([p.q for p in past])
+
+    # the way back by the trapezoid rule tells how many turns lie between
+    ways = 0.5 * np.diff(t)[:, None] * (v[1:] + v[:-1])
+    guess = np.concatenate((np.zeros_like(v[:1]), np.cumsum(ways, axis=0)))
+    xi = np.array(system.difference(q0, q, near=guess))
+    xi[0] = 0.0
+    return t, xi, v
+
+
+def weights(nodes: Array, t: float) -> Array:
+    """l_j(t) of (1), (k,)."""
+    out = np.ones(len(nodes))
+    for j, node in enumerate(nodes):
+        others = np.delete(nodes, j)
+        out[j] = np.prod((t - others) / (node - others))
+    return out
+
+
+def slopes(nodes: Array, t: float) -> Array:
+    """l_j'(t) of (1) at any t, 1/s, (k,)."""
+    span = float(np.ptp(nodes))
+    powers = ((nodes - t) / span)[None] ** np.arange(len(nodes))[:, None]
+    first = np.eye(len(nodes))[1]
+    return np.linalg.solve(powers, first) / span  # type: ignore[no-any-return]
+
+
+def slopes_at_first(nodes: Array) -> Array:
+    """l_j'(t) of (1) at the first of the nodes, 1/s, (k,)."""
+    t = nodes[0]
+    out = np.zeros(len(nodes))
+    for j in range(1, len(nodes)):
+        others = np.delete(nodes, [0, j])
+        out[j] = np.prod((t - others) / (nodes[j] - others)) / (nodes[j] - t)
+    out[0] = -out[1:].sum()
+    return out

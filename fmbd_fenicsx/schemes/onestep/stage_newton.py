@@ -1,0 +1,227 @@
+"""The stages of an implicit Runge-Kutta step by Newton's iteration: one tangent for all of them, or one for each.
+
+With one tangent the stages decouple in the eigenvectors of the scheme's coefficients (:mod:`.collocation`): a real solve and one
+of each complex pair, in place of one of all stages at once. Where the forces of a step turn too much for one tangent, constant
+steps and steps through singular positions take one for each stage.
+
+Source: Hairer and Wanner, Solving ODEs II, section IV.8, doi:10.1007/978-3-642-05221-7 (the iteration and when it ends).
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from ...errors import CallbackError, ConvergenceError, LinearSolveError
+from ...linear.saddle.pencil import Pencil, stacked
+from ...rotations import Array
+from ...system.system import State
+from ..control import ROUNDOFF, STAGNATION
+from ..dae import Points
+from ..implicit_stepper import ImplicitStepper
+from .collocation import Tableau, lagrange
+
+CAUTIOUS = 0.05  # with constant steps no rate below this is believed
+
+
+class StageNewton(ImplicitStepper):
+    """Newton's iteration of :class:`.Radau`."""
+
+    tab: Tableau
+    mult: Array  # at the end of the last step, (levels n_lam,)
+    _last: tuple[float, Array, Array, Points] | None  # the last step: its size, q and v at its start, its stages
+    _h_factor: float  # size of the step that the factor is for, s
+    _eta: float  # what the last increment of the last step left, over its size
+    _filter: object  # of the error estimate, of the same tangent
+
+    def _refresh(self, h: float) -> None:
+        """Tangent in the middle of the step as predicted, where it serves all stages best."""
+        s, W = self.state, self.tab.W
+        xi, v, mult = self._predict(h)
+        weights = lagrange(np.concatenate(([0.0], self.tab.c)), np.array([0.5]))[0, 1:]
+        vd = (W @ (v - s.v) / h).mean(axis=0)
+        lam = mult.mean(axis=0)[: self.system.n_lam] if self.eq.levels else s.lam
+        q = self.system.compose(s.q, weights @ xi)
+        self._tangent = self.eq.refresh(State(s.t + 0.5 * h, q, s.v + weights @ (v - s.v), vd, lam))
+        self._fresh = True
+        self._pencil = None
+
+    def _prepare(self, h: float) -> None:
+        if self._tangent is None:
+            self._refresh(h)
+        if self._pencil is not None and self._h_factor == h:
+            return
+        assert self._tangent is not None
+        self._h_factor = h
+        self._pencil = self.eq.pencil(self._tangent, self.tab.values / h, self.judge)
+        self.stats.factorisations += len(self.tab.values)
+        self._filter = None
+
+    def _newton(self, h: float) -> Points | str:
+        """The stages of a step of size h, or the cause of failure."""
+
+        def iterate() -> Points | str:
+            self._prepare(h)
+            return self._iterate(h)
+
+        return self._found(iterate)
+
+    def _iterate(self, h: float) -> Points | str:
+        """With one tangent for all stages, as long as it converges."""
+        xi, v, mult = self._predict(h)
+        times = self.state.t + h * self.tab.c
+        tolerance = self._newton_tolerance()
+        last = 0.0
+
+        for k in range(self.newton.max_iterations):
+            kin, low = self.eq.residual(times, self._stages(h, xi, v, mult))
+            increment = self._solve(kin, low)
+            xi, v, mult = xi + increment[0], v + increment[1], mult + increment[2]
+            size, why = self._judged(k, self._counted(h, increment), last)
+            if why is not None:
+                return why
+
+            # what is left, by the rate of convergence
+            last = size
+            share = self._share_left(k)
+            if share * size <= tolerance or size <= 1e-2 * tolerance:
+                self._eta, self._iterations = share, k + 1
+                self.newton.note(share * size)
+                return self._finished(h, xi, v, mult)
+        return "Newton too slow"
+
+    def _counted(self, h: float, increment: tuple[Array, Array, Array]) -> float:
+        """The norm of one more increment."""
+        self.newton.iterations += 1
+        self.stats.newton_iterations += 1
+        return self._size(h, *increment)
+
+    def _judged(self, k: int, size: float, last: float) -> tuple[float, str | None]:
+        """The size of increment k, 0 where it is roundoff, and why the iteration has failed, if it has; the rate is kept.
+
+        Increments that no longer fall are roundoff, harmless against the tolerance, or divergence.
+        """
+        if not np.isfinite(size):
+            return size, "Newton diverged"
+        if k == 0:
+            return size, None
+        ratio = size / last if last > 0 else 0.0
+        self._theta = ratio if k == 1 else float(np.sqrt(ratio * max(self._theta, 1e-10)))
+
+        stalled = ratio > 0.5 and size <= ROUNDOFF and max(size, last) <= 10 * ROUNDOFF
+        stagnates = k > 2 and ratio > 0.3 and size <= STAGNATION
+        if stalled if self.adaptive else stagnates:
+            size = 0.0
+        elif self._theta >= 0.99 and size > self._newton_tolerance() and (self.adaptive or k > 3):
+            return size, "Newton diverged"
+        return size, "Newton too slow" if self._hopeless(k, size) else None
+
+    def _share_left(self, k: int) -> float:
+        """What is left of the error, over the size of increment k: by the rate of this step, or of the one before."""
+        if k == 0:
+            return float(max(self._eta, 1e-16) ** 0.8)  # a little worse
+        share = self._theta / (1 - min(self._theta, 0.99))
+        # with constant steps the first rate flatters: fast components go first
+        return share if self.adaptive else max(share, CAUTIOUS)
+
+    def _hopeless(self, k: int, size: float) -> bool:
+        """Whether error control had better take a smaller step than wait for the last iteration."""
+        if not self.adaptive or k <= 1 or size <= self._newton_tolerance():
+            return False
+        left = self.newton.max_iterations - 1 - k
+        return bool(self._share_left(k) * size * self._theta**left > self._newton_tolerance())
+
+    def _finished(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
+        points = self._stages(h, xi, v, mult)
+        self._acceleration = self.eq.accelerations(points)[-1]
+        return points
+
+    def _own_tangents(self, h: float) -> Points | str:
+        """Newton's iteration with a tangent for each stage where one for all has failed at falling step sizes: on the way through
+        a singular configuration directions of constraint forces turn within any step, however small.
+        """
+        try:
+            self._prepare(h)  # the error estimate needs a tangent in the middle
+            return self._full_newton(h)
+        except (LinearSolveError, CallbackError, ConvergenceError, np.linalg.LinAlgError):
+            return "linear solve failed"
+
+    def _full_newton(self, h: float) -> Points | str:
+        """The stages by Newton's iteration with a tangent of its own for each stage.
+
+        For stiff springs that turn: with a frozen direction the iteration converges for h omega sqrt(k / m) h << 1 only (Lubich,
+        doi:10.1007/BF01385643); constant steps have no other way out. For singular configurations too.
+        """
+        if not self.eq.dense:
+            return "Newton too slow"
+        xi, v, mult = self._predict(h)
+
+        # what is small enough, and what is as small as roundoff permits, after so many iterations
+        enough, floor, calm = 1.0, STAGNATION, 1
+        if self.adaptive:  # roundoff eps of a constraint leaves sqrt(eps) of the motion at a singular position
+            enough = ROUNDOFF
+            floor = 1.0 + np.finfo(float).eps ** 0.5 / self.norm.rtol
+            calm = 3
+
+        last = np.inf
+        for k in range(2 * self.newton.max_iterations):  # at a singular position each halves the error
+            increment = self._solve_with_own_tangents(h, self._stages(h, xi, v, mult))
+            xi, v, mult = xi + increment[0], v + increment[1], mult + increment[2]
+            size = self._counted(h, increment)
+
+            if not np.isfinite(size):
+                return "Newton diverged"
+            if size <= enough or (k > calm and size <= floor and size > 0.3 * last):
+                self._iterations, self._theta = k + 1, 1.0
+                return self._finished(h, xi, v, mult)
+            last = size
+        return "Newton too slow"
+
+    def _solve_with_own_tangents(self, h: float, points: Points) -> tuple[Array, Array, Array]:
+        """Increments of xi, v and of the multipliers of all stages, with a tangent at each; one large matrix."""
+        n, m = self.system.n_v, self.system.n_lam
+        stages, levels = len(self.tab.c), self.eq.levels
+        times = self.state.t + h * self.tab.c
+        kin, low = self.eq.residual(times, points)
+        each = zip(times, points.xi, points.v, points.vd, points.mult, strict=True)
+        tangents = [self.eq.tangent_at(float(t), *values) for t, *values in each]
+
+        # rows of all stages: balance, then the constraints level by level
+        cuts = [0, *range(n, n + levels * m + 1, m)] if m else [0, n]
+        below = np.concatenate([low[:, i:j].ravel() for i, j in pairwise(cuts)])
+        coupling = np.kron(self.tab.W / h, np.eye(n))
+        pencil = Pencil(stacked(tangents), coupling, self.judge, self.solver.core.redundant)
+        self.stats.factorisations += 1
+
+        change, by_level = pencil.solve(kin.reshape(1, -1), below[None])
+        dxi, dv = change.reshape(2, stages, n)
+        dmult = by_level.reshape(levels, stages, m).swapaxes(0, 1).reshape(stages, -1)
+        return dxi, dv, dmult
+
+    def _stages(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
+        W = self.tab.W / h
+        return Points(xi, W @ xi, v, W @ (v - self.state.v), mult)
+
+    def _solve(self, kin: Array, low: Array) -> tuple[Array, Array, Array]:
+        """Decoupled solves: y = Re(vectors z), z of the real eigenvalue and of one of each complex pair."""
+        tab, n = self.tab, self.system.n_v
+        assert self._pencil is not None
+        z = np.concatenate(self._pencil.solve(tab.inverse @ kin, tab.inverse @ low), axis=1)
+        y = (tab.vectors @ z).real
+        return y[:, :n], y[:, n : 2 * n], y[:, 2 * n :]
+
+    def _predict(self, h: float) -> tuple[Array, Array, Array]:
+        """Stages on the polynomial of the last step, or on the parabola at the start."""
+        s, c = self.state, self.tab.c
+        if self._last is None:
+            x = (c * h)[:, None]
+            xi = x * s.v + 0.5 * x * x * s.a
+            v = s.v + x * s.a
+            return xi, v, np.repeat(self.mult[None], len(c), axis=0)
+        h0, q0, v0, points = self._last
+        powers = (1.0 + c * h / h0)[:, None] ** np.arange(len(c) + 1)
+        basis = (powers @ self.tab.basis)[:, 1:]
+        ahead = basis @ points.xi
+        moved = self.system.difference(s.q, self.system.compose(q0, ahead), near=ahead - points.xi[-1])
+        return moved, v0 + basis @ (points.v - v0), powers[:, :-1] @ self.tab.stage_basis @ points.mult
