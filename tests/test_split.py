@@ -11,7 +11,7 @@ pytest.importorskip("dolfinx")
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, LinearSolveError
-from fmbd_fenicsx.linear.fieldsplit import SplitSolver
+from fmbd_fenicsx.linear.fieldsplit.solver import SplitSolver
 from fmbd_fenicsx.linear.saddle.presets import Bddc, FieldSplit, Multigrid
 
 ROOT = Path(__file__).resolve().parents[1]

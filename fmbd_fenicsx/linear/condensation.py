@@ -117,7 +117,7 @@ class StepSolver:
 
     @property
     def saddle_iterations(self) -> int:
-        """Iterations on the whole matrix of a step, see :mod:`.fieldsplit`; 0 where it is eliminated instead."""
+        """Iterations on the whole matrix of a step, see :mod:`.fieldsplit.solver`; 0 where it is eliminated instead."""
         return 0 if self.split is None else int(self.split.iterations)
 
     @property

@@ -22,7 +22,8 @@ from ...fem.fields import Field
 from ...rotations import Array
 from ...system.system import System
 from ..blocks.elastic_blocks import Bddc, Cholesky, Multigrid, block_solver, set_bddc
-from ..fieldsplit import SplitBlock, SplitSolver, split_prefix
+from ..fieldsplit.block import SplitBlock, split_prefix
+from ..fieldsplit.solver import SplitSolver
 from ..options import check_options, set_from_options
 from ..residual import Judge, krylov_reason
 from .diagnosis import diagnose
@@ -69,7 +70,7 @@ class FieldSplit(Preset):
 
     ``elastic``: :class:`Cholesky` or :class:`Multigrid`. ``multiplier``: how S~ is made, see
     :mod:`.precondition`. In scenes: the whole matrix of a step, see
-    :mod:`fmbd_fenicsx.linear.fieldsplit`.
+    :mod:`fmbd_fenicsx.linear.fieldsplit.solver`.
     """
 
     elastic: Cholesky | Multigrid | Bddc = Cholesky()

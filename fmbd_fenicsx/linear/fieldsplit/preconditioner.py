@@ -1,0 +1,132 @@
+"""The splits (2) of :mod:`.solver`: a diagonal block for the core, for each field and for each block of rows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...rotations import Array
+from ..blocks.field_blocks import Weights
+from ..iterated_multipliers import SceneTies
+from ..saddle.precondition import Fractional, lumped, rigid_term, to_petsc
+from .layout import Layout
+from .matrix import StepMatrix
+
+LEAST = 1e-10  # eigenvalues of preconditioning blocks, scaled to a unit diagonal, are at least this
+
+
+class Preconditioner:
+    """diag(|A|, E_k~, S~_j) as a nested matrix ``P`` of PETSc with the index ``sets`` of its blocks; ``bounds``: (tr S~_j)^1/2.
+
+    Collective throughout. It gives the layout the units of its blocks.
+    """
+
+    def __init__(self, matrix: StepMatrix, couplings: list[Array], weights: Weights, multiplier: Any) -> None:
+        layout = matrix.layout
+        first = layout.first
+        frame = positive(matrix.A)
+        force = _complements(frame, matrix, couplings, _Ties(matrix, weights, multiplier))
+        self.bounds = np.sqrt([S.diagonal().sum() for S in force])
+
+        small = [*[sp.csr_matrix(frame)][:first], *force]
+        scale = _units(matrix, small)
+        layout.scale = np.array([*scale[:first], *np.ones(len(matrix.blocks)), *scale[first:]])
+
+        own = [to_petsc(S * x**2, layout.system) for S, x in zip(small, scale, strict=True)]
+        diagonal = [*own[:first], *(b.factor.E for b in matrix.blocks), *own[first:]]
+        self.sets = _index_sets(layout)
+        self.P = _nested(diagonal, self.sets, layout.comm)
+        self._own = [self.P, *own, *self.sets]
+
+    def destroy(self) -> None:
+        """Free what PETSc holds; collective."""
+        for each in self._own:
+            each.destroy()
+
+
+class _Ties:
+    """Preconditioners of the rows of surface ties."""
+
+    def __init__(self, matrix: StepMatrix, weights: Weights, multiplier: Any) -> None:
+        system = matrix.layout.system
+        self.multiplier = multiplier
+        self.numbers = {span.start: i for i, (_, span) in enumerate(system.traces)}
+        self.seen = SceneTies(system, weights) if self.numbers else None
+
+    def add(self, S: Array, rows: slice) -> None:
+        """Add to S, where the rows are those of a tie: its own surfaces, and the rigid motion of their bodies."""
+        i = self.numbers.get(rows.start)
+        if i is None or self.seen is None:
+            return
+        fractional = isinstance(self.multiplier, Fractional)
+        own = self.multiplier.block(self.seen, i) if fractional else lumped(self.seen, i)
+        S += own.toarray()
+
+        for k, e in enumerate(self.seen.elastic):
+            gram, BR = rigid_term(e, k, [self.seen.ties[i]])
+            S += BR @ np.linalg.solve(gram, BR.T)
+
+
+def _complements(frame: Array, matrix: StepMatrix, couplings: list[Array], ties: _Ties) -> list[sp.csr_matrix]:
+    """S~_j of (2), one for each block of rows, replicated; collective."""
+    n = matrix.layout.system.n_core
+    core = matrix.G.core.toarray() if sp.issparse(matrix.G.core) else np.asarray(matrix.G.core)
+
+    out = []
+    for rows in matrix.layout.rows.values():
+        count = rows.stop - rows.start
+        S = core[rows] @ np.linalg.solve(frame, core[rows].T) if n else np.zeros((count, count))
+        # fields answer by the constant columns of their ports
+        for block, coupling in zip(matrix.blocks, couplings, strict=True):
+            part = coupling[:, n + rows.start : n + rows.stop]
+            S += part.T @ block.W @ part
+        ties.add(S, rows)
+        out.append(sp.csr_matrix(positive(S)))
+    return out
+
+
+def _units(matrix: StepMatrix, small: list[sp.csr_matrix]) -> list[float]:
+    """Units of replicated blocks in which their diagonal is like those of E_k: FGMRES minimises over all blocks at once."""
+    total, count = 0.0, 0
+    for block in matrix.blocks:
+        diagonal = block.factor.E.getDiagonal()
+        total += diagonal.sum()
+        count += diagonal.getSize()
+        diagonal.destroy()
+    mean = total / count
+    return [float(np.sqrt(mean / S.diagonal().mean())) for S in small]
+
+
+def _index_sets(layout: Layout) -> list[Any]:
+    """Where each block stands in the vectors of PETSc, which hold the blocks of a rank one after the other."""
+    from petsc4py import PETSc
+
+    begin = layout.comm.exscan(sum(layout.sizes)) or 0
+    starts = begin + np.cumsum([0, *layout.sizes])
+    pairs = zip(layout.sizes, starts, strict=False)
+    return [PETSc.IS().createStride(size, int(start), 1, comm=layout.comm) for size, start in pairs]
+
+
+def _nested(diagonal: list[Any], sets: list[Any], comm: Any) -> Any:
+    """The matrix with these blocks on its diagonal."""
+    from petsc4py import PETSc
+
+    count = range(len(diagonal))
+    table = [[diagonal[i] if i == j else None for j in count] for i in count]
+    P = PETSc.Mat().createNest(table, isrows=sets, iscols=sets, comm=comm)
+    P.assemble()
+    return P
+
+
+def positive(A: Array) -> Array:
+    """|A| of a symmetric matrix scaled to a unit diagonal, its eigenvalues at least :data:`LEAST`; scaled back."""
+    size = np.sqrt(np.abs(np.diag(A)))
+    size = np.where(size > 0, size, size.max(initial=0.0) or 1.0)
+    scale = np.outer(size, size)
+
+    # MINRES needs a definite preconditioner: absolute values, none near zero
+    values, vectors = np.linalg.eigh(0.5 * (A + A.T) / scale)
+    values = np.maximum(np.abs(values), LEAST)
+    return np.asarray((vectors * values) @ vectors.T * scale)
