@@ -121,13 +121,15 @@ def drivable(system: System) -> Any:
     return driver_library(system.motions.dim, units_of(system)) if known else None
 
 
-def alpha_driver(system: System, *, redundant: bool, blocks: Sequence[Block] = ()) -> AlphaDriver | None:
+def alpha_driver(
+    system: System, *, redundant: bool, blocks: Sequence[Block] = (), alone: bool = True
+) -> AlphaDriver | None:
     """The driver for a system, or None where the NumPy path has to do; ``blocks``: of its fields for the size of a step.
 
-    Where the driver evaluates the system its tables are taken.
+    ``alone``: where the driver evaluates the system its tables are taken.
     """
     evaluator = system.evaluator
-    if solves(evaluator):
+    if alone and solves(evaluator):
         tables, calls = evaluator.give()
         tables.c.redundant = int(redundant)
         return AlphaDriver(evaluator.library, tables, calls)

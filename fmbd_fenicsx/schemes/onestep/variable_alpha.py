@@ -89,7 +89,7 @@ class VariableAlpha(TimeStepper):
         assert scheme.rtol is not None
         self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
         self.constant = replace(scheme, rtol=None, atol=None)
-        self.inner: Any = self.constant.stepper(system, solver, newton, state)
+        self.inner: Any = self._steps(state)
 
         self.norm = NormOfWays(system, scheme.rtol, scheme.atol, 3)
         self.control = StepControl(3.0)
@@ -104,6 +104,10 @@ class VariableAlpha(TimeStepper):
         self.stretch, self.place, self.end = 0.0, Fraction(0), 0.0  # length, share of it that is done, its end
         # sizes come back: factors of the last few are kept
         solver.elastic.kept = max(solver.elastic.kept, KEPT)
+
+    def _steps(self, start: State) -> Any:
+        """The stepper of one size from a consistent state; errors are solved for between its steps."""
+        return self.constant.steps((self.constant, self.system, self.solver, self.newton, start), alone=False)
 
     @property
     def state(self) -> State:
@@ -134,7 +138,7 @@ class VariableAlpha(TimeStepper):
     def restart(self, t: float) -> None:
         """Go on behind a jump of forces: consistent accelerations and multipliers, a new stretch, small steps at first."""
         start, _ = consistent(self.system, self.state, self.solver, h=self.size or 0.0)
-        self.inner = self.constant.stepper(self.system, self.solver, self.newton, start)
+        self.inner = self._steps(start)
         self.size = self.proposed = None
         self.stretch, self.place = 0.0, Fraction(0)
         self.control.h_old = 0.0

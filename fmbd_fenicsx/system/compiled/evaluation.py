@@ -189,8 +189,10 @@ class DriverStates:
         return True
 
     def _holds(self, ev: DriverEvaluation, weights: tuple[float, float]) -> bool:
-        """Whether the factor is that of a state; velocities count where weights are those of stiffness or damping."""
-        if self._held is None or self._held[0] != ev.t or self._held[3] != weights:
+        """Whether the factor is that of a state; velocities count where weights are those of stiffness or damping. Steps that
+        took the tables write over it.
+        """
+        if self.taken or self._held is None or self._held[0] != ev.t or self._held[3] != weights:
             return False
         _, q, v, _ = self._held
         return bool((q == ev.q).all()) and (not any(weights) or bool((v == ev.alone[2][0]).all()))
