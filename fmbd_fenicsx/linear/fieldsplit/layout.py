@@ -44,15 +44,15 @@ class Layout:
     def unpack(self, x: Array) -> tuple[Array, list[Array], Array]:
         """Core, nodal values of each field, and all multipliers of a vector of unknowns; collective."""
         parts = [d * y for d, y in zip(self.scale, self.split(x), strict=True)]
-        local = parts[self.fields]
+        local: list[Array] = parts[self.fields]
 
         # what is shared among ranks comes back together
         mine = [*parts[: self.first], *parts[self.fields.stop :]]
         ranks = self.comm.allgather(mine)
         whole = [np.concatenate([rank[j] for rank in ranks]) for j in range(len(mine))]
 
-        core = whole[0] if self.first else np.zeros(0)
-        lam = np.zeros(self.system.n_lam)
+        core: Array = whole[0] if self.first else np.zeros(0)
+        lam: Array = np.zeros(self.system.n_lam)
         for r, y in zip(self.rows.values(), whole[self.first :], strict=True):
             lam[r] = y
         return core, local, lam

@@ -305,8 +305,9 @@ class VariableAlpha(TimeStepper):
         soft, _ = self.solver.solve(still, opening)
 
         # forces may have a negative stiffness, and S K then no least motion
-        usable = stiff is not None and self.system.max_abs(stiff) <= FARTHEST * self.system.max_abs(soft)
-        return stiff if usable else soft
+        if stiff is not None and self.system.max_abs(stiff) <= FARTHEST * self.system.max_abs(soft):
+            return stiff
+        return soft
 
     def _error(self, h: float) -> float:
         """The norm of (3)."""
