@@ -14,7 +14,7 @@ from test_kernel import flexible
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError, LawError
 from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledStepper
-from fmbd_fenicsx.system.compiled.evaluation import driver_states
+from fmbd_fenicsx.system.compiled.choice import driver_states
 from fmbd_fenicsx.system.compiled.library import driver_library
 from fmbd_fenicsx.system.compiled.order import Elimination, Fronts, RowGroup, joint_tree
 from fmbd_fenicsx.system.evaluation import Evaluation
