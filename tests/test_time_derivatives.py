@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, interp1d
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.mechanics.joints.time_derivatives import rates
@@ -63,6 +64,46 @@ def test_a_table_between_its_knots() -> None:
         first, second = rates(spline, t)
         assert first == pytest.approx(float(spline(t, 1)), rel=1e-6)
         assert second == pytest.approx(float(spline(t, 2)), rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("outside", [math.nan, "raises"])
+def test_a_function_of_a_part_of_the_time(outside: Any) -> None:
+    """At the ends of a table differences look to the inner side."""
+
+    def table(t: float) -> float:
+        if 0.0 <= t <= 1.0:
+            return math.sin(3 * t)
+        if outside == "raises":
+            raise IndexError("not in the table")
+        return float(outside)
+
+    for t in (0.0, 1e-9, 0.3, 1.0 - 1e-6, 1.0):
+        first, second = rates(fmbd.errors.named("The", "table", table), t)
+        assert first == pytest.approx(3 * math.cos(3 * t), rel=1e-7)
+        assert second == pytest.approx(-9 * math.sin(3 * t), rel=1e-4, abs=1e-4)
+
+
+def test_differences_stop_where_they_disagree() -> None:
+    """Steps that are longer than those which count are not tried."""
+    asked: list[float] = []
+    rates(lambda t: asked.append(float(t)) or math.sin(float(t)), 0.3)
+    assert max(asked) < 100.0
+
+
+@pytest.mark.parametrize("element", [fmbd.drive, partial(fmbd.motor, kp=1e5, kd=1e3)])
+def test_a_table_as_long_as_the_run(element: Any) -> None:
+    """A drive and a motor follow a table of the times of the run, at which it begins and ends."""
+    times = np.linspace(0.0, 1.0, 101)
+    table = interp1d(times, 0.3 * (1 - np.cos(3 * times)), kind="cubic")  # refuses times before 0 and after 1
+    body = fmbd.RigidBody("arm", 1.0, 0.1)
+    pin = fmbd.revolute("pin", fmbd.ground, body, center=(0, 0))
+    scene = fmbd.Scene("arm")
+    key = "motion" if element is fmbd.drive else "target"
+    scene.add(body, pin, element("m", fmbd.angle(pin), **{key: table}))
+    scene.sensor("angle", fmbd.angle(pin))
+    run = fmbd.solve(scene, t_end=1.0, dt=1e-2)
+    assert run.times[-1] > 1.0  # by roundoff
+    np.testing.assert_allclose(run["angle"][:, 0], 0.3 * (1 - np.cos(3 * run.times)), atol=2e-4)
 
 
 @pytest.mark.parametrize("sine", [np.sin, math.sin])

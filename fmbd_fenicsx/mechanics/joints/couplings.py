@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import CallbackError, named
+from ...errors import CallbackError, FmbdError, named
 from ...log import log
 from ...rotations import Array, Motions, hat
 from ..bodies.coordinates import derivative, differences
@@ -81,13 +81,29 @@ class SmoothMotion:
             )
 
 
+def _to_the_end(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A function of time that fails a few roundings behind its end, as at its end: the times of a run are sums of its steps, so
+    the last one may lie behind a table that is as long as the run.
+    """
+
+    def value(t: Any) -> Any:
+        try:
+            return function(t)
+        except FmbdError:
+            if not isinstance(t, float):
+                raise
+            return function(t - 1024 * float(np.spacing(t)))
+
+    return value
+
+
 def smooth_motion(name: str, function: Callable[[float], Any], *, of: str = "drive") -> SmoothMotion:
     """A prescribed motion from a function that returns (s, s', s'') or s alone; it must be smooth.
 
     Whether it is, and whether its rates are those of its motion, is looked at along the run
     (:mod:`fmbd_fenicsx.run.prescribed_motions`). ``of``: what is moved, in messages.
     """
-    function = named(f"The motion of {of}", name, function)
+    function = _to_the_end(named(f"The motion of {of}", name, function))
     first = SmoothMotion(name, function, of, complete=False)._checked(function(0.0), 0.0)
     return SmoothMotion(name, function, of, complete=len(first) == 3)
 

@@ -4,27 +4,32 @@ A function made of arithmetic, comparisons and NumPy's functions is called with 
 derivatives through every operation: exact to roundoff. Any other function (of ``math``, an interpolation, a table) is
 differenced about t with steps of 2^-39 to 2^18 s, eight times as long from one to the next,
 
-    s'(t) ~ (45 d_1 - 9 d_2 + d_3) / (60 h),     d_k = s(t + k h) - s(t - k h),                                          (1)
-    s''(t) ~ (270 c_1 - 27 c_2 + 2 c_3) / (180 h^2),     c_k = s(t + k h) - 2 s(t) + s(t - k h),                         (2)
+    h^m d^m s / dt^m ~ sum_k w_k (s(t + k h) - s(t)),     sum_k w_k k^j = m! for j = m, else 0,   j = 1 ... 6,            (1)
 
-and the step counts whose error, by its difference from the formula of fourth order and its roundoff, is smallest. Longer steps
+with k = -3 ... 3, and where the function ends (it raises, or returns no finite number) with k = 1 ... 6 or -6 ... -1. The step
+counts whose error, by its difference from the formula of the four nearest k and its roundoff, is smallest. Longer steps
 are tried as long as they agree with what shorter ones have found: a whole period would else look like rest.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+
+from ...errors import FmbdError
+from ...rotations import Array
 
 EPS = float(np.finfo(float).eps)
 STEPS = tuple(2.0**k for k in range(-39, 19, 3))  # s
 AGREES = 10.0  # times the errors that two steps are thought to have
 REFUSED = (TypeError, ValueError, OverflowError, AttributeError)  # of functions that take plain numbers only
+OUTSIDE = (*REFUSED, ArithmeticError, FmbdError)  # of functions of a part of the time only
 
 Rates = tuple[float, float]
+Estimates = list[tuple[float, float]]  # with their errors, by longer and longer steps
 
 
 class Jet:
@@ -219,36 +224,67 @@ def rates(function: Callable[[Any], Any], t: float) -> Rates:
     return found.first, found.second
 
 
+def _weights(nodes: Sequence[int]) -> Array:
+    """The w_k of (1) for m = 1 and 2 by all six nodes, and by the four nearest, (2, 2, 6)."""
+    found = np.zeros((2, 2, 6))
+    for kind, used in enumerate((6, 4)):
+        which = np.argsort(np.abs(nodes), kind="stable")[:used]
+        powers = np.array(nodes, dtype=float)[which] ** np.arange(1, used + 1)[:, None]
+        found[kind][:, which] = np.linalg.solve(powers, np.eye(used)[:, :2] * (1.0, 2.0)).T
+    return found
+
+
+SIDES = tuple(
+    (nodes, _weights(nodes)) for nodes in ((-3, -2, -1, 1, 2, 3), (1, 2, 3, 4, 5, 6), (-6, -5, -4, -3, -2, -1))
+)
+
+
 def _differenced(function: Callable[[Any], Any], t: float) -> Rates:
-    """(1) and (2), each with the step that suits it best."""
-    s = lambda x: float(function(x))
-    here = s(t)
-    firsts, seconds = [], []
+    """(1) for m = 1 and 2, each with the step that suits it best; NaN where the function is known at t alone."""
+    here = float(function(t))
+    found: tuple[Estimates, Estimates] = ([], [])
     for h in STEPS:
         if t + h == t:
             continue
-        ahead = [s(t + k * h) for k in (1, 2, 3)]
-        behind = [s(t - k * h) for k in (1, 2, 3)]
-        d = [x - y for x, y in zip(ahead, behind, strict=True)]
-        c = [x - 2 * here + y for x, y in zip(ahead, behind, strict=True)]
+        around = _around(function, t, h)
+        if around is None:
+            break
+        there, weights = around
 
         # values are known to their roundoff, and times to theirs
-        noise = EPS * max(map(abs, (here, *ahead, *behind))) + EPS * abs(t) / h * max(map(abs, d))
-        sixth = (45 * d[0] - 9 * d[1] + d[2]) / (60 * h)
-        fourth = (8 * d[0] - d[1]) / (12 * h)
-        firsts.append((sixth, abs(sixth - fourth) + noise / h))
-        sixth = (270 * c[0] - 27 * c[1] + 2 * c[2]) / (180 * h * h)
-        fourth = (16 * c[0] - c[1]) / (12 * h * h)
-        seconds.append((sixth, abs(sixth - fourth) + 4 * noise / (h * h)))
-    return _best(firsts), _best(seconds)
+        d = there - here
+        noise = EPS * max(abs(here), np.abs(there).max()) + EPS * abs(t) / h * np.abs(d).max()
+        values, rough = weights @ d
+        doubts = np.abs(values - rough) + noise * np.abs(weights[0]).sum(axis=1)
+        for m, estimates in enumerate(found):
+            estimates.append((float(values[m]) / h ** (m + 1), float(doubts[m]) / h ** (m + 1)))
 
-
-def _best(found: list[tuple[float, float]]) -> float:
-    """Of estimates with their errors, by longer and longer steps, the most accurate one before the first that contradicts it."""
-    best, error = found[0]
-    for value, doubt in found[1:]:
-        if not abs(value - best) <= AGREES * (error + doubt):
+        if all(_best(estimates)[1] for estimates in found):
             break
+    first, second = (_best(estimates)[0] for estimates in found)
+    return first, second
+
+
+def _around(function: Callable[[Any], Any], t: float, h: float) -> tuple[Array, Array] | None:
+    """Values at t + k h with the weights of these k: on both sides, else ahead, else behind; None where neither is known."""
+    for nodes, weights in SIDES:
+        try:
+            there = np.array([float(function(t + k * h)) for k in nodes])
+        except OUTSIDE:
+            continue
+        if np.isfinite(there).all():
+            return there, weights
+    return None
+
+
+def _best(found: Estimates) -> tuple[float, bool]:
+    """Of estimates with their errors, by longer and longer steps, the most accurate one before the first that contradicts it,
+    and whether one does.
+    """
+    best, error = math.nan, math.inf
+    for value, doubt in found:
+        if not (math.isnan(best) or abs(value - best) <= AGREES * (error + doubt)):
+            return best, True
         if doubt < error:
             best, error = value, doubt
-    return best
+    return best, False
