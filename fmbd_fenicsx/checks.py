@@ -198,7 +198,7 @@ def typed(make: Callable[P, T]) -> Callable[P, T]:
     """A function whose arguments are checked by their annotations before it is called."""
     signature = inspect.signature(make)
     bound = _binder(signature)
-    module = make.__module__
+    module, title = make.__module__, make.__qualname__.rpartition("<locals>.")[2]
     hints: dict[str, tuple[Any, Any]] = {}
 
     @wraps(make)
@@ -206,15 +206,16 @@ def typed(make: Callable[P, T]) -> Callable[P, T]:
         try:
             values = bound(args, kwargs)
         except TypeError as error:  # without the function's name
-            known = ", ".join(signature.parameters)
-            raise TypeError(f"{make.__name__}(): {error}. It takes {known}.") from None
+            raise TypeError(f"{title}(): {error}. It takes {_taken(signature)}.") from None
 
-        label = _label(make.__name__, values)
+        label = _label(title, values)
 
         # names of annotations may come from modules that import this one: they are looked up at the first call
         if not hints:
             single = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-            every = {n: p for n, p in signature.parameters.items() if p.kind not in single}
+            every = {
+                n: p for n, p in signature.parameters.items() if p.kind not in single and p.annotation is not p.empty
+            }
             hints.update({n: (_hint(module, p.annotation), p.default) for n, p in every.items()})
 
         for name, value in values.items():
@@ -246,6 +247,16 @@ def _binder(signature: inspect.Signature) -> Callable[[tuple[Any, ...], dict[str
         return signature.bind(*args, **kwargs).arguments
 
     return bound
+
+
+def _taken(signature: inspect.Signature) -> str:
+    """The names of the arguments, those apart that must be named in a call."""
+    by_name = [p.name for p in signature.parameters.values() if p.kind is inspect.Parameter.KEYWORD_ONLY]
+    others = [name for name in signature.parameters if name not in (*by_name, "cls")]
+    listed = [", ".join(others)] if others else []
+    if by_name:
+        listed.append("by name: " + ", ".join(by_name))
+    return "; ".join(listed)
 
 
 def _label(kind: str, values: Mapping[str, Any]) -> str:

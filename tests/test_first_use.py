@@ -49,7 +49,7 @@ def test_what_is_neither_is_refused(law: Any) -> None:
 
 def test_a_mistyped_argument_is_named_with_its_function() -> None:
     body, _ = arm()
-    with pytest.raises(TypeError, match=r"^ball\(\): .*'centre'. It takes body, radius, center.$"):
+    with pytest.raises(TypeError, match=r"^ball\(\): .*'centre'. It takes body, radius; by name: center.$"):
         C.ball(body, 0.1, centre=(0, 0))  # type: ignore[call-arg]
 
 
@@ -138,3 +138,76 @@ def test_near_matches_do_not_mind_capitals() -> None:
     from fmbd_fenicsx.errors import near
 
     assert near("Root", ["TIP", "ROOT"]).startswith('Did you mean "ROOT"?')
+
+
+def test_sections_tell_the_names_that_they_take() -> None:
+    """A constructor from dimensions takes them by name only, and says so."""
+    names = "youngs_modulus, poisson_ratio, density, radius, inner"
+    with pytest.raises(TypeError, match=rf"^RodSection.circle\(\): too many .*It takes by name: {names}.$"):
+        fmbd.RodSection.circle(2e11, 0.3, 7800.0, 0.01)  # type: ignore[misc,call-arg]
+    with pytest.raises(InputError, match="Section.rectangle: height 'a' must be a finite number"):
+        fmbd.Section.rectangle(youngs_modulus=1.0, poisson_ratio=0.3, density=1.0, width=1.0, height="a")  # type: ignore[arg-type]
+
+
+def test_adding_returns_the_part() -> None:
+    scene = fmbd.Scene("arm", gravity=(0, -9.81))
+    body = scene.add(fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0)))
+    pin, spring = scene.add(
+        fmbd.revolute("pin", fmbd.ground, body, center=(0, 0)),
+        fmbd.Spring("spring", fmbd.ground, body, (0, 1), (1, 0), stiffness=10.0),
+    )
+    assert (body.name, pin.name, spring.name) == ("arm", "pin", "spring")
+
+
+def test_sensors_of_elements_take_names() -> None:
+    """As those of joints and contacts do: the same values and units as from the elements themselves."""
+    body, pin = arm()
+    motor = fmbd.motor("motor", fmbd.angle(pin), target=0.3, kp=20.0, kd=1.0)
+    spring = fmbd.Spring("spring", fmbd.ground, body, (0, -1), (1, 0), stiffness=100.0, length=1.0)
+    stop = fmbd.joint_limit("stop", fmbd.angle(pin), lower=-0.05)
+    scene = fmbd.Scene("arm", gravity=(0, -9.81))
+    scene.add(body, pin, motor, spring, stop)
+    kinds = {
+        "effort": (fmbd.element_effort, motor),
+        "force": (fmbd.element_force, spring),
+        "torque": (fmbd.element_torque, motor),
+        "power": (fmbd.element_power, motor),
+        "tension": (fmbd.tension, spring),
+        "elongation": (fmbd.elongation, motor),
+        "stop": (fmbd.sensors.limit_effort, stop),
+    }
+    for name, (make, part) in kinds.items():
+        scene.sensor(name, make(part))
+        scene.sensor(f"{name} by name", make(part.name))
+        assert scene.sensors[name].unit == scene.sensors[f"{name} by name"].unit
+
+    run = fmbd.solve(scene, t_end=0.5, dt=1e-2)
+    for name in kinds:
+        np.testing.assert_array_equal(run[name], run[f"{name} by name"])
+        assert np.abs(run[name]).max() > 0
+
+    with pytest.raises(InputError, match='Sensor "x": "sprong" is not among the forces .* Did you mean "spring"?'):
+        scene.sensor("x", fmbd.tension("sprong"))
+    with pytest.raises(InputError, match='"spring" is a name that only scene.sensor'):
+        law = fmbd.controller(
+            "c", reads={"T": fmbd.tension("spring")}, acts=fmbd.angle(pin), law=lambda t, y: 0.0, every=0.1
+        )
+        scene.add(law)
+        fmbd.solve(scene, t_end=0.2, dt=1e-2)
+
+
+def test_a_rod_is_as_long_as_its_points_are_apart() -> None:
+    """A pendulum on a massless rod swings as one of that length."""
+    ends = []
+    for length in (None, 0.5):
+        bob = fmbd.RigidBody("bob", 2.0, 0.1, (0.3, -0.4))
+        scene = fmbd.Scene("pendulum", gravity=(0, -9.81))
+        scene.add(bob, fmbd.distance("rod", fmbd.ground, bob, length=length))
+        scene.sensor("bob", fmbd.position(bob))
+        ends.append(fmbd.solve(scene, t_end=0.3, dt=1e-2)["bob"][-1])
+    np.testing.assert_array_equal(*ends)
+
+    mesh = fmbd.read_gmsh("meshes/rod.py", h=0.3)
+    rod = fmbd.FloatingBody("rod", mesh, density=1e3, elastic=fmbd.materials.linear_elastic(5e6, 0.3))
+    with pytest.raises(InputError, match='Joint "wire": give its length, or the point of "tip"'):
+        fmbd.distance("wire", fmbd.ground, rod.surface("tip"))

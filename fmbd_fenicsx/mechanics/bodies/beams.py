@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import check_fields, number, vector, whole
+from ...checks import check_fields, number, typed, vector, whole
 from ...errors import InputError, near, require
 from ...rotations import Array
 from ..reduction.reduced import Constants, placed_modes
@@ -64,6 +64,7 @@ class Section:
         return float(np.sqrt(12 * self.EI / self.EA))
 
     @classmethod
+    @typed
     def rectangle(
         cls, *, youngs_modulus: float, poisson_ratio: float, density: float, width: float, height: float
     ) -> Section:

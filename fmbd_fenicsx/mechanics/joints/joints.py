@@ -306,14 +306,37 @@ def point_on_line(name: str, a: Any, b: Any, *, axis: Vector, center: Vector | N
     return _joint((name, "point on line", a, b), center, rows, n if dim == 2 else E[2])
 
 
+def _start(side: Any, point: Array | None, name: str, dim: int) -> Array:
+    """Where the end of a rod lies at the start, world axes."""
+    if point is not None or side is ground:
+        return np.zeros(dim) if point is None else point
+    require(
+        isinstance(side, RigidBody),
+        f'Joint "{name}": give its length, or the point of "{side.name}" that it starts from.',
+    )
+    return np.asarray(side.start_pose()[:dim])
+
+
 @typed
 def distance(
-    name: str, a: Any, b: Any, *, point_a: Vector | None = None, point_b: Vector | None = None, length: float
+    name: str,
+    a: Any,
+    b: Any,
+    *,
+    point_a: Vector | None = None,
+    point_b: Vector | None = None,
+    length: float | None = None,
 ) -> Joint:
-    """Massless rod of the given length (m) between a point of a and a point of b; multiplier: its tension (N)."""
-    number(f'Joint "{name}": length', length, above=0.0, unit="m")
+    """Massless rod of a ``length`` (m) between a point of a and a point of b; multiplier: its tension (N).
+
+    Points are world coordinates of the start; None: the position of a rigid body, the centroid of a surface, the origin of the
+    ground. Without a length the rod is as long as the points are apart then.
+    """
     dim = dimension(a, b, name)
     pa, pb = center_point(point_a, dim, name), center_point(point_b, dim, name)
+    if length is None:
+        length = float(np.linalg.norm(_start(b, pb, name, dim) - _start(a, pa, name, dim)))
+    number(f'Joint "{name}": length', length, above=0.0, unit="m")
     return Joint(name, a, b, (Row(ct.Distance, np.zeros(dim)),), pa, pb, length, "distance")
 
 

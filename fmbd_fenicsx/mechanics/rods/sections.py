@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import number
+from ...checks import number, typed
 from ...errors import CallbackError, InputError, require
 from ...rotations import Array
 from ..torsion import torsion_of_rectangle
@@ -54,6 +54,7 @@ class RodSection:
         self.arms(np.zeros((1, 1)))
 
     @classmethod
+    @typed
     def rectangle(
         cls, *, youngs_modulus: float, poisson_ratio: float, density: float, width: float, height: float
     ) -> RodSection:
@@ -70,6 +71,7 @@ class RodSection:
         return cls._of((A, I2, I3, J, 5 / 6), (youngs_modulus, poisson_ratio, density), corners)
 
     @classmethod
+    @typed
     def circle(
         cls, *, youngs_modulus: float, poisson_ratio: float, density: float, radius: float, inner: float = 0.0
     ) -> RodSection:

@@ -120,8 +120,8 @@ class Scene:
             )
         return dict(given)
 
-    def add(self, *parts: Any) -> None:
-        """Add bodies, joints, forces and contacts; names must be unique among each."""
+    def add(self, *parts: Any) -> Any:
+        """Add bodies, joints, forces and contacts; names must be unique among each. Returns the part, or a tuple of several."""
         for part in parts:
             if isinstance(part, BODIES):
                 self._put(self.bodies, part, "body")
@@ -138,6 +138,7 @@ class Scene:
                 self._put({"tie": self.ties, "contact": self.contacts}[part.what], part, part.what)
             else:
                 raise InputError(f"A scene takes bodies, joints, forces and contacts; found {shown(part)}.")
+        return parts[0] if len(parts) == 1 else parts
 
     def sensor(self, name: str, quantity: Sensor | JointCoordinate) -> str:
         """Record a quantity in every run, say ``scene.sensor("tip", fmbd.position(rod.surface("tip")))``; returns the name."""
@@ -146,7 +147,7 @@ class Scene:
         if isinstance(quantity, JointCoordinate):
             quantity = JointReading(None, quantity.unit, coordinate=quantity)
         instance(f'Sensor "{name}": quantity', quantity, Sensor)
-        self.sensors[name] = quantity.in_scene(name, self.joints)
+        self.sensors[name] = quantity.in_scene(name, self)
         return name
 
     @property

@@ -14,7 +14,7 @@ from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..system import State, System
-from .sensors import Sensor, named_part
+from .sensors import Sensor, named_part, or_name
 
 WORKS = ("contact", "friction", "loads", "joints", "numerical")
 
@@ -195,6 +195,7 @@ class LimitEffort(Sensor):
         return np.asarray(efforts.sum(-1, keepdims=True))
 
 
+@or_name("limits")
 @typed
 def limit_effort(limit: JointLimit) -> Sensor:
     """Effort of a :func:`~fmbd_fenicsx.joint_limit` on its coordinate, N m or N, (1,); positive at the lower stop.

@@ -18,7 +18,7 @@ from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..system import State, System
-from .sensors import Sensor
+from .sensors import Sensor, or_name
 
 
 def find(system: System, name: str) -> tuple[Loads, list[int]]:
@@ -104,7 +104,7 @@ def power(loads: Loads, ev: Evaluation, at: list[int]) -> float:
 def _element(what: str, element: Any, *, scalar: bool = False) -> Force:
     require(
         isinstance(element, Force),
-        f"{what} takes a force element such as fmbd.Spring(...) or fmbd.motor(...), found {element!r}.",
+        f"{what} takes a force element such as fmbd.Spring(...) or fmbd.motor(...), or its name, found {element!r}.",
     )
     one = element.coordinate is not None or element.kind in ("spring", "force element")
     require(
@@ -119,6 +119,7 @@ def _effort_unit(element: Force) -> str:
     return "N m" if turning else "N"
 
 
+@or_name("forces")
 def element_effort(element: Force) -> Sensor:
     """Effort of an element on its joint coordinate (N m or N), (1,): positive where it drives the coordinate up.
 
@@ -128,12 +129,14 @@ def element_effort(element: Force) -> Sensor:
     return ElementScalar(None, _effort_unit(f), None, f.name, 2, -1.0)
 
 
+@or_name("forces")
 def tension(element: Force) -> Sensor:
     """Tension (N) of a spring between two points, (1,): positive where it pulls them together."""
     f = _element("tension", element, scalar=True)
     return ElementScalar(None, _effort_unit(f), None, f.name, 2, 1.0)
 
 
+@or_name("forces")
 def elongation(element: Force) -> Sensor:
     """Elongation (m or rad) of an element from its unstressed state, (1,)."""
     f = _element("elongation", element, scalar=True)
@@ -141,18 +144,21 @@ def elongation(element: Force) -> Sensor:
     return ElementScalar(None, unit, None, f.name, 0, 1.0)
 
 
+@or_name("forces")
 def element_force(element: Force) -> Sensor:
     """Force (N) of any element on its body b (on a where it has no b), world axes, (d,)."""
     f = _element("element_force", element)
     return ElementWrench(None, "N", None, f.name, False, f.b is not None)
 
 
+@or_name("forces")
 def element_torque(element: Force) -> Sensor:
     """Torque (N m) of any element on its body b (on a where it has no b) about its point there, world axes, (n_rot,)."""
     f = _element("element_torque", element)
     return ElementWrench(None, "N m", None, f.name, True, f.b is not None)
 
 
+@or_name("forces")
 def element_power(element: Force) -> Sensor:
     """Power (W) that an element gives to the bodies, (1,): negative where it takes energy, as dampers and friction do."""
     return ElementPower(None, "W", None, _element("element_power", element).name)

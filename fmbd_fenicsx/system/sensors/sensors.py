@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from functools import wraps
 from typing import Any
 
 import numpy as np
@@ -47,8 +48,8 @@ class Sensor:
         """What it reads that a scene must hold: "joint", "body" or "contact" -> its name."""
         return {}
 
-    def in_scene(self, name: str, joints: Mapping[str, Any]) -> Sensor:
-        """The quantity as the sensor ``name`` of a scene with these joints; refuses one that is not there."""
+    def in_scene(self, name: str, scene: Any) -> Sensor:
+        """The quantity as the sensor ``name`` of a scene."""
         return self
 
     def unit_of(self, component: int) -> str:
@@ -63,6 +64,46 @@ class Sensor:
     def labels(self) -> Sequence[str]:
         """Names of the components; numbers where there are none."""
         return ()
+
+
+@dataclass(frozen=True, eq=False)
+class OfNamed(Sensor):
+    """A quantity of a part that is given by its name: ``make`` of what the scene has under this name among its ``parts``."""
+
+    _: KW_ONLY
+    make: Callable[[Any], Sensor]
+    parts: str
+    name: str
+
+    def in_scene(self, name: str, scene: Any) -> Sensor:
+        """The quantity of the part.
+
+        Raises:
+            InputError: the scene has no such part so far.
+        """
+        known = getattr(scene, self.parts)
+        if self.name not in known:
+            raise InputError(
+                f'Sensor "{name}": "{self.name}" is not among the {self.parts} of the scene. {near(self.name, known)}'
+            )
+        return self.make(known[self.name])
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """No scene has told which part it is."""
+        raise InputError(f'"{self.name}" is a name that only scene.sensor(...) looks up: give the part itself here.')
+
+
+def or_name(parts: str) -> Callable[[Callable[[Any], Sensor]], Callable[[Any], Sensor]]:
+    """Lets the maker of a sensor take a part of a scene also by its name; ``parts``: among which of the scene's."""
+
+    def taking(make: Callable[[Any], Sensor]) -> Callable[[Any], Sensor]:
+        @wraps(make)
+        def made(part: Any) -> Sensor:
+            return OfNamed(None, "", make=make, parts=parts, name=part) if isinstance(part, str) else make(part)
+
+        return made
+
+    return taking
 
 
 class _Vector(Sensor):
@@ -176,8 +217,9 @@ class Reaction(Sensor):
         """A joint, or another part with constraint rows."""
         return {"joint": self.joint}
 
-    def in_scene(self, name: str, joints: Mapping[str, Any]) -> Sensor:
+    def in_scene(self, name: str, scene: Any) -> Sensor:
         """With the units of the joint's rows: forces, and moments where a row holds a rotation."""
+        joints = scene.joints
         units = joints[self.joint].reaction_units if self.joint in joints else ()
         return replace(self, units=units, unit=", ".join(sorted(set(units))) or self.unit)
 
