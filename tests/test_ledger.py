@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -149,3 +150,26 @@ def _swing() -> tuple[fmbd.Scene]:
     scene.add(rod, pin, fmbd.joint_spring("bearing", fmbd.angle(pin), damping=5.0))
     scene.sensor("tip", fmbd.position(rod.surface("tip")))
     return (scene,)
+
+
+def test_elements_are_asked_once_a_record() -> None:
+    """A batch of laws is evaluated once for the ledger and all sensors of a record, however many these are."""
+
+    def asked(n: int) -> float:
+        calls = [0]
+
+        def law(s: float, rate: float, t: float) -> float:
+            calls[0] += 1
+            return 20.0 * math.sin(s) + rate
+
+        scene = fmbd.Scene("masses")
+        for i in range(n):
+            body = scene.add(fmbd.RigidBody(f"mass {i}", 1.0, 0.1, (i, 1.0)))
+            spring = scene.add(fmbd.Spring(f"spring {i}", fmbd.ground, body, (i, 0.0), law=law, length=0.5))
+            scene.sensor(f"tension {i}", fmbd.tension(spring))
+            scene.sensor(f"force {i}", fmbd.element_force(spring))
+            scene.sensor(f"power {i}", fmbd.element_power(spring))
+        fmbd.solve(scene, t_end=0.1, dt=1e-2, output=BOOKED)
+        return calls[0] / n
+
+    assert asked(12) < 1.2 * asked(3)

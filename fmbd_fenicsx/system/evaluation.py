@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import BalanceError
+from ..mechanics.forces.force_elements import Loads
 from ..mechanics.frames import Kinematics
 from ..mechanics.placements import FrameMotion
 from ..mechanics.reduction.foreshortening import Bent
@@ -28,6 +29,7 @@ class Evaluation:
     def __init__(self, system: System, t: float, q: Array, v: Array | None) -> None:
         self.system, self.t, self.q, self.v = system, t, q, v
         self.foretold: dict[Any, Array] = {}  # efforts of springs for the tangent, see foretold_efforts
+        self._asked: dict[tuple[Loads, str], Any] = {}
         system.move(t)
 
     # -- frames, ports and markers ------------------------------------------------------------------------------------
@@ -149,6 +151,13 @@ class Evaluation:
             for marker, wrench in zip((loads.a, loads.b), loads.wrenches(self.kin, self.t), strict=True):
                 np.add.at(out, marker, wrench)
         return out
+
+    def asked(self, loads: Loads, what: str) -> Any:
+        """What a batch of elements tells of itself to all who record it: its "scalar" or its "wrenches"; asked once."""
+        key = loads, what
+        if key not in self._asked:
+            self._asked[key] = getattr(loads, what)(self.kin, self.t)
+        return self._asked[key]
 
     def spread(self, wrench: Array) -> Array:
         """Generalised forces of wrenches on the markers: the transpose of the marker Jacobians, like v."""

@@ -32,7 +32,7 @@ def _elements(ev: Evaluation) -> dict[str, float]:
     found: dict[str, float] = {}
     for loads in ev.system.forces:
         assert ev.kin.twist is not None
-        on_a, on_b = loads.wrenches(ev.kin, ev.t)
+        on_a, on_b = ev.asked(loads, "wrenches")
         given = (on_a * ev.kin.twist[loads.a]).sum(1) + (on_b * ev.kin.twist[loads.b]).sum(1)
 
         # a controller acts at several places under one name

@@ -50,7 +50,7 @@ class ElementScalar(_ElementSensor):
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The value, (1,)."""
         loads, at = find(ev.system, self.element)
-        found = loads.scalar(ev.kin, ev.t)
+        found = ev.asked(loads, "scalar")
         assert found is not None  # refused when the sensor was made
         return np.asarray(self.sign * found[self.which][at])
 
@@ -78,7 +78,7 @@ class ElementWrench(_ElementSensor):
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Components in world axes."""
         loads, at = find(ev.system, self.element)
-        wrench = loads.wrenches(ev.kin, ev.t)[1 if self.on_b else 0][at].sum(0)
+        wrench = ev.asked(loads, "wrenches")[1 if self.on_b else 0][at].sum(0)
         d = ev.system.motions.dim
         return np.asarray(wrench[d:] if self.torque else wrench[:d])
 
@@ -96,7 +96,7 @@ class ElementPower(_ElementSensor):
 def power(loads: Loads, ev: Evaluation, at: list[int]) -> float:
     """Power (W) that some elements of a batch give to the bodies."""
     assert ev.kin.twist is not None
-    on_a, on_b = loads.wrenches(ev.kin, ev.t)
+    on_a, on_b = ev.asked(loads, "wrenches")
     given = (on_a * ev.kin.twist[loads.a]).sum(1) + (on_b * ev.kin.twist[loads.b]).sum(1)
     return float(given[at].sum())
 
