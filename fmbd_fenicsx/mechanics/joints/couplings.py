@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -90,9 +91,10 @@ def _to_the_end(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
         try:
             return function(t)
         except FmbdError:
-            if not isinstance(t, float):
-                raise
-            return function(t - 1024 * float(np.spacing(t)))
+            if isinstance(t, float) and t > 0:
+                with suppress(FmbdError):
+                    return function(t - 1024 * float(np.spacing(t)))
+            raise
 
     return value
 
