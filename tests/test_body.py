@@ -11,6 +11,8 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import materials
+from fmbd_fenicsx.mechanics.bodies.body import Body, Placed, Site
+from fmbd_fenicsx.mechanics.placements import FrameMotion, Part
 from fmbd_fenicsx.post.report import conservative
 
 
@@ -66,3 +68,57 @@ def test_equations_of_a_users_own_may_do_anything() -> None:
 
     assert own().may_do_work and not own().keeps_energy
     assert own(potential=lambda q: 0.5 * q @ q).keeps_energy
+
+
+class Bouncer(Body):
+    """A mass of 1 kg on a spring of 4 N/m, with one coordinate and no frame: 0.1 m from rest at the start."""
+
+    name = "bouncer"
+    dim = None
+    framed = False
+    by_surface = False
+    alone = True
+
+    def placed(self, site: Site) -> Placed:
+        return Placed(Oscillator(self, site.ground), np.array([0.1]), np.zeros(1))
+
+
+class Oscillator(Part):
+    n, n_port = 1, 0
+    reference, port_matrix = np.zeros(0), np.zeros((0, 1))
+
+    def __init__(self, body: Bouncer, frame: int) -> None:
+        self.name, self.body, self.frame = body.name, body, frame
+
+    def force(self, motion: FrameMotion, local: Any) -> Any:
+        u, _, second = local
+        return np.zeros(len(motion.twist)), second + 4.0 * u
+
+    def mass_blocks(self, motion: FrameMotion, u: Any) -> Any:
+        n = len(motion.twist)
+        return np.zeros((n, n)), np.zeros((1, n)), np.eye(1)
+
+    def stiffness_blocks(self, motion: FrameMotion, local: Any) -> Any:
+        return 4.0 * np.eye(1), np.zeros((1, 1))
+
+    def energies(self, motion: FrameMotion, pose: Any, local: Any) -> Any:
+        return 0.5 * float(local[1] @ local[1]), 2.0 * float(local[0] @ local[0]), 0.0
+
+    def momenta(self, motion: FrameMotion, pose: Any, local: Any) -> Any:
+        return np.zeros(2), np.zeros(1)
+
+    def given(self, motion: FrameMotion, local: Any) -> Any:
+        return {}
+
+
+@pytest.mark.parametrize(
+    "scheme", [fmbd.GeneralizedAlpha(0.9), fmbd.Radau(rtol=1e-8), fmbd.Rattle()], ids=lambda x: x.name
+)
+def test_a_body_of_the_users_own_that_is_no_rigid_one(scheme: Any) -> None:
+    """A scene takes whatever derives from Body."""
+    scene = fmbd.Scene("own", gravity=(0.0, -9.81))
+    scene.add(Bouncer())
+    scene.sensor("u", fmbd.sensors.coordinates("bouncer"))
+    steps = {} if isinstance(scheme, fmbd.Radau) else {"dt": 2e-3}
+    run = fmbd.solve(scene, t_end=1.0, scheme=scheme, **steps)
+    assert run["u"][-1, 0] == pytest.approx(0.1 * np.cos(2.0), abs=1e-6)

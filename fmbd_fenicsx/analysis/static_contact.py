@@ -252,15 +252,22 @@ class ContactNewton(StaticNewton):
 
     def _left_over(self, here: Touching) -> float:
         """Forces that nothing balances, over the largest contact force; infinite where gaps or joints are not closed."""
-        system, contacts = self.residual.system, self.contacts
-        pushed = contacts.transposed(system, here.rows.N, here.force) if len(here.force) else np.zeros(system.n_v)
-        open_by = max(float(np.abs(here.residual[1]).max(initial=0.0)), -float(here.rows.gap.min(initial=0.0)))
-        open_by = max(open_by, float(here.rows.gap[here.force > 0.0].max(initial=0.0)))
+        system = self.residual.system
+        balance, joints = here.residual
+        gap = here.rows.gap
+
+        # joints, bodies in each other, and gaps under forces
+        closed = gap[here.force > 0.0]
+        open_by = max(np.abs(joints).max(initial=0.0), -gap.min(initial=0.0), closed.max(initial=0.0))
         if open_by > FLOOR * system.length:
             return float("inf")
+
+        pushed = np.zeros(system.n_v)
+        if len(here.force):
+            pushed = self.contacts.transposed(system, here.rows.N, here.force)
         moments = 1.0 / system.units**2  # are divided by the length, as rotations are multiplied by it
         scale = system.max_abs(moments * pushed)
-        return system.max_abs(moments * (here.residual[0] - pushed)) / scale if scale else float("inf")
+        return system.max_abs(moments * (balance - pushed)) / scale if scale else float("inf")
 
     def _by_exact(self, here: Touching, t: float, rest: Pair) -> tuple[Touching | None, float]:
         """The point after the increment of the exact tangent and its length; None where it is no way forward."""

@@ -38,11 +38,14 @@ class Saddle:
     def __init__(self, A: Any, G: Any) -> None:
         self.keys = tuple(x.copy() for M in (A, G) for x in (M.indptr, M.indices))
         n, m = A.shape[0], G.shape[0]
-        a = np.repeat(np.arange(n), np.diff(A.indptr))
-        g = np.repeat(np.arange(m), np.diff(G.indptr)) + n
-        self.rows, self.cols = np.concatenate((a, g, G.indices)), np.concatenate((A.indices, G.indices, g))
         self.size = n + m
-        self.reorder(np.arange(n + m))
+
+        # entries of A, of G below it, and of G^T beside it
+        of_a = np.repeat(np.arange(n), np.diff(A.indptr))
+        of_g = np.repeat(np.arange(m), np.diff(G.indptr)) + n
+        self.rows = np.concatenate((of_a, of_g, G.indices))
+        self.cols = np.concatenate((A.indices, G.indices, of_g))
+        self.reorder(np.arange(self.size))
 
     def fits(self, A: Any, G: Any) -> bool:
         """Whether A and G have the pattern this was made for."""
@@ -56,10 +59,12 @@ class Saddle:
         place = np.empty(self.size, dtype=np.int64)
         place[self.columns] = np.arange(self.size)
         at = place[self.cols]
+
         # entries by column, within it by row: compressed columns
         self.order = np.lexsort((self.rows, at))
         self.indices = self.rows[self.order].astype(np.int32)
-        self.indptr = np.concatenate(([0], np.cumsum(np.bincount(at, minlength=self.size)))).astype(np.int32)
+        counts = np.bincount(at, minlength=self.size)
+        self.indptr = np.concatenate(([0], np.cumsum(counts))).astype(np.int32)
 
     def matrix(self, A: Any, G: Any, scale: Array) -> Any:
         """The scaled matrix in compressed columns."""

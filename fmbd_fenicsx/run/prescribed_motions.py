@@ -89,14 +89,21 @@ class Follower:
     # -- kinks and jumps --------------------------------------------------------------------------------------------
     def _bend(self) -> float:
         """B of (1) over the motion in three steps."""
-        t, s = self.times, self.places
-        rise = [(s[k + 1] - s[k]) / (t[k + 1] - t[k]) for k in range(2)]
-        # Newton's form through the first three places
-        parabola = s[1] + (t[3] - t[1]) * (rise[1] + (t[3] - t[2]) * (rise[1] - rise[0]) / (t[2] - t[0]))
+        t0, t1, t2, t3 = self.times
+        s0, s1, s2, s3 = self.places
 
-        size = max(s) - min(s) + 1e-3 * (t[3] - t[0]) * self.fastest
-        roundoff = 1e3 * EPS * max(map(abs, s))
-        return max(abs(s[3] - parabola) - roundoff, 0.0) / size if size > max(roundoff, SEEN * self.length) else 0.0
+        # Newton's form of the parabola through the first three places
+        first = (s1 - s0) / (t1 - t0)
+        second = (s2 - s1) / (t2 - t1)
+        bend = (second - first) / (t2 - t0)
+        parabola = s1 + (t3 - t1) * (second + (t3 - t2) * bend)
+
+        # against what has moved, where that is more than roundoff
+        size = max(self.places) - min(self.places) + 1e-3 * (t3 - t0) * self.fastest
+        roundoff = 1e3 * EPS * max(map(abs, self.places))
+        if size <= max(roundoff, SEEN * self.length):
+            return 0.0
+        return max(abs(s3 - parabola) - roundoff, 0.0) / size
 
     def _look_for_kinks(self, bend: float) -> None:
         if bend <= DOUBTFUL or (self.looks >= LOOKS and bend <= 2 * self.worst):

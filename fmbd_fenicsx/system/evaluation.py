@@ -165,12 +165,13 @@ class Evaluation:
 
     def on_ports(self, wrench: Array) -> tuple[Array, Array]:
         """Forces of wrenches on the frames, and on the ports (n_port,)."""
-        s, m = self.system, self.system.markers
+        s, markers = self.system, self.system.markers
         core = np.zeros((s.n_frames + 1, s.motions.n_twist))
-        np.add.at(core, m.frame, (self.kin.jac_frame.swapaxes(1, 2) @ wrench[..., None])[..., 0])
+        np.add.at(core, markers.frame, _transposed(self.kin.jac_frame, wrench))
+
         port = np.zeros(s.n_port)
-        if m.surface.size:
-            np.add.at(port, m.port, (self.kin.jac_port.swapaxes(1, 2) @ wrench[m.surface][..., None])[..., 0])
+        if markers.surface.size:
+            np.add.at(port, markers.port, _transposed(self.kin.jac_port, wrench[markers.surface]))
         return core[:-1].ravel(), port
 
     def gather(self, core: Array, port: Array) -> Array:
@@ -272,3 +273,8 @@ class Evaluation:
             dp, dL = part.momenta(motion, self.pose[part.frame], (s.local_q(self.q, k), s.local_v(self.v, k)))
             p, L = p + dp, L + dL
         return p, L
+
+
+def _transposed(jacobians: Array, wrenches: Array) -> Array:
+    """J^T f of each marker, (m, n) for Jacobians (m, d + n_rot, n)."""
+    return np.asarray((jacobians.swapaxes(1, 2) @ wrenches[..., None])[..., 0])

@@ -102,14 +102,18 @@ def _masses(ev: Evaluation) -> Array:
 
 def scaled_jacobian(ev: Evaluation) -> Array:
     """G_s of (1), dense (n_lam, n_core + ports of fields)."""
-    s, core = ev.system, ev.jacobian.core
+    core = ev.jacobian.core
     G = (core.toarray() if sp.issparse(core) else core) / np.sqrt(_masses(ev))
-    if s.fields:
-        # ports of fields beside the core, of its size
-        typical = float(np.abs(G).max(initial=1.0))
-        ports = [ev.jacobian.port[:, s.port_slice(k)] @ _port_factor(p) for k, p in s.fields]
-        G = np.concatenate((G, *(typical * p / max(float(np.abs(p).max(initial=0.0)), 1.0) for p in ports)), axis=1)
 
+    # ports of fields beside the core, of its size
+    typical = float(np.abs(G).max(initial=1.0))
+    columns = [G]
+    for k, part in ev.system.fields:
+        ports = ev.jacobian.port[:, ev.system.port_slice(k)] @ _port_factor(part)
+        size = max(float(np.abs(ports).max(initial=0.0)), 1.0)
+        columns.append(typical * ports / size)
+
+    G = np.concatenate(columns, axis=1)
     norms = np.sqrt((G * G).sum(1))
     return np.asarray(G / np.where(norms > 0, norms, 1.0)[:, None])
 

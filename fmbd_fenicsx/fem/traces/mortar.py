@@ -134,12 +134,19 @@ def _candidates(slave: Trace, master: Trace, sight: Array) -> np.ndarray:
         c = t.corners.mean(1)
         return c, np.linalg.norm(t.corners - c[:, None], axis=2).max(axis=1)
 
-    (cs, rs), (cm, rm) = balls(slave), balls(master)
-    hits = cKDTree(cm).query_ball_point(cs, (rs + sight) * (1 + 1e-9) + rm.max(), return_sorted=True)
+    wider = 1 + 1e-9  # than roundoff
+    centres, radii = balls(slave)
+    others, their_radii = balls(master)
+    reach = radii + sight
+
+    # as if all balls of the master were as large as the largest, then with their own sizes
+    hits = cKDTree(others).query_ball_point(centres, reach * wider + their_radii.max(), return_sorted=True)
     counts = [len(found) for found in hits]
-    pairs = np.stack((np.repeat(np.arange(len(cs)), counts), np.concatenate([*hits, []])), axis=1).astype(np.int64)
-    apart = np.linalg.norm(cs[pairs[:, 0]] - cm[pairs[:, 1]], axis=1)
-    return np.asarray(pairs[apart <= ((rs + sight)[pairs[:, 0]] + rm[pairs[:, 1]]) * (1 + 1e-9)])
+    f = np.repeat(np.arange(len(centres)), counts)
+    g = np.concatenate([*hits, []]).astype(np.int64)
+    apart = np.linalg.norm(centres[f] - others[g], axis=1)
+    near = apart <= (reach[f] + their_radii[g]) * wider
+    return np.stack((f, g), axis=1)[near]
 
 
 def _distance(a: Trace, b: Trace) -> float:
@@ -183,11 +190,16 @@ def _integrate(
 
 def _onto(X: Array, normal: Array, corners: Array) -> tuple[Array, Array]:
     """Reference coordinates (n, q, m) on the master's facets of points moved along the slave's normal, and the moves."""
-    e = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
-    A = np.concatenate((e, -normal[:, :, None]), axis=2)
-    flat = np.abs(np.linalg.det(A)) < 1e-14 * np.abs(A).max(axis=(1, 2), initial=1e-300) ** 2
+    # corner + edges y - normal s = X
+    edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
+    A = np.concatenate((edges, -normal[:, :, None]), axis=2)
+    right = X - corners[:, None, 0]
+
+    # a normal in the plane of a facet never meets it
+    size = np.abs(A).max(axis=(1, 2), initial=1e-300)
+    flat = np.abs(np.linalg.det(A)) < 1e-14 * size**2
     A = np.where(flat[:, None, None], np.eye(A.shape[1]), A)
-    z = np.linalg.solve(A[:, None], (X - corners[:, None, 0])[..., None])[..., 0]
+    z = np.linalg.solve(A[:, None], right[..., None])[..., 0]
     z[flat] = np.inf
     return np.asarray(z[..., :-1]), np.asarray(z[..., -1])
 

@@ -192,17 +192,25 @@ class DualInterface:
         self, f: dict[int, Array], g: Array, *, rtol: float = 1e-10, limit: int = 500
     ) -> tuple[dict[int, Array], Array, int]:
         """Displacements of this rank's subdomains, multipliers, and the number of iterations; collective."""
-        z = {k: self.factors[k].solve(f[k]) for k in self.own}
-        d = self._total(sum((self.B[k] @ z[k] for k in self.own), np.zeros(self.n))) - g
+        free = {k: self.factors[k].solve(f[k]) for k in self.own}
+        d = self._jumps(free) - g
+        lam, iterations = conjugate_gradients(self.operator, self._precondition, d, rtol=rtol, limit=limit)
 
-        precondition = (lambda r: sl.cho_solve(self._factor, r)) if self._factor is not None else (lambda r: r)
-        lam, iterations = conjugate_gradients(self.operator, precondition, d, rtol=rtol, limit=limit)
-        u: dict[int, Array] = {k: z[k] - self.factors[k].solve(self.B[k].T @ lam) for k in self.own}
+        held = {k: self.factors[k].solve(self.B[k].T @ lam) for k in self.own}
+        u: dict[int, Array] = {k: free[k] - held[k] for k in self.own}
 
         # judged by the gaps that are left
-        gap = self._total(sum((self.B[k] @ u[k] for k in self.own), np.zeros(self.n))) - g
-        self.judge.check(float(np.linalg.norm(gap)), float(np.linalg.norm(d)) + float(np.linalg.norm(g)))
+        gap = self._jumps(u) - g
+        size = float(np.linalg.norm(d)) + float(np.linalg.norm(g))
+        self.judge.check(float(np.linalg.norm(gap)), size)
         return u, lam, iterations
+
+    def _jumps(self, u: dict[int, Array]) -> Array:
+        """sum_k B_k u_k over the subdomains of all ranks; collective."""
+        return self._total(sum((self.B[k] @ u[k] for k in self.own), np.zeros(self.n)))
+
+    def _precondition(self, r: Array) -> Array:
+        return r if self._factor is None else np.asarray(sl.cho_solve(self._factor, r))
 
     def destroy(self) -> None:
         """Free the factors."""

@@ -103,23 +103,37 @@ class _Cone:
     @classmethod
     def of(cls, problem: Products, it: Iterate) -> _Cone:
         """At an iterate of the problem."""
-        x, m, d = it.x, *it.x.shape
+        x = it.x
+        m, d = x.shape
         slip = it.state == 2
-        y = x[:, 1:] - problem.c[:, 1:] * it.u[:, 1:]
-        size = np.where(slip, np.linalg.norm(y, axis=1), 1.0)
-        # directions of slip; r: share of the cone's radius in the trial force
-        e = np.where(slip[:, None], y / size[:, None], np.eye(d - 1)[0])
-        r = np.where(slip, problem.mu * np.maximum(x[:, 0], 0.0) / size, 1.0)
 
-        turn = e[:, :, None] if d == 2 else np.stack((e, np.stack((-e[:, 1], e[:, 0]), axis=1)), axis=2)
+        # directions of slip, of the trial force
+        trial = x[:, 1:] - problem.c[:, 1:] * it.u[:, 1:]
+        size = np.where(slip, np.linalg.norm(trial, axis=1), 1.0)
+        along = np.where(slip[:, None], trial / size[:, None], np.eye(d - 1)[0])
+        turn = along[:, :, None]
+        if d == 3:
+            across = np.stack((-along[:, 1], along[:, 0]), axis=1)
+            turn = np.stack((along, across), axis=2)
+
+        # share of the cone's radius in the trial force
+        radius = problem.mu * np.maximum(x[:, 0], 0.0)
+        r = np.where(slip, radius / size, 1.0)
+        inside = r > SHARE
+
         weight = np.where(it.state[:, None] > 0, 1.0, np.zeros((m, d)))
         weight[slip, 1] = 0.0
-        weight[:, 2:] *= np.where(r > SHARE, np.sqrt(r), 0.0)[:, None]
+        weight[:, 2:] *= np.where(inside, np.sqrt(r), 0.0)[:, None]
 
-        share, stiffness = np.ones((m, d)), np.zeros((m, d))
+        share = np.ones((m, d))
         share[:, 2:] = np.maximum(r, SHARE)[:, None]
-        stiffness[:, 2:] = (np.where(slip & (r > SHARE), np.maximum(1.0 - r, SHARE), 0.0) / problem.c[:, 1])[:, None]
-        return cls(turn, weight, share, np.where(slip & (x[:, 0] > 0), problem.mu, 0.0), stiffness)
+
+        stiffness = np.zeros((m, d))
+        left = np.where(slip & inside, np.maximum(1.0 - r, SHARE), 0.0)
+        stiffness[:, 2:] = (left / problem.c[:, 1])[:, None]
+
+        slope = np.where(slip & (x[:, 0] > 0), problem.mu, 0.0)
+        return cls(turn, weight, share, slope, stiffness)
 
     def known(self, it: Iterate) -> Array:
         """s_0: forces of open points vanish, those of slipping points come back to the cone."""

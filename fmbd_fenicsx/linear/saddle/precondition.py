@@ -129,15 +129,21 @@ class Fractional:
         depth = e.depth
         _, K, X = pencil(surface, np.inf)
         C = B @ X
+
         # waves of the surface reach no farther into the body than its size, or than a step lets them
         L = K + 1.0 / min(depth, e.size) ** 2
+        waves = np.sqrt(L + self.grid * (h * L) ** 2)
+        sheared = self.stiffness * (waves + self.layer * h / depth**2)
 
-        symbol = self.stiffness * (np.sqrt(L + self.grid * (h * L) ** 2) + self.layer * h / depth**2)
         # under pressure a layer as thick as the body's reach is compressed too
-        pressed = symbol + 1.0 / (depth**2 * np.sqrt(K + 1.0 / min(depth**2 * axial / shear, e.size**2)))
+        reach = min(depth**2 * axial / shear, e.size**2)
+        pressed = sheared + 1.0 / (depth**2 * np.sqrt(K + 1.0 / reach))
 
-        out = [(C / (e.ck * shear * s)) @ C.T for s in (symbol, pressed)]
-        return 0.5 * (out[0] + out[0].T), 0.5 * (out[1] + out[1].T)
+        def answer(symbol: Array) -> Array:
+            found = (C / (e.ck * shear * symbol)) @ C.T
+            return 0.5 * (found + found.T)
+
+        return answer(sheared), answer(pressed)
 
     def rigid(self, saddle: SaddlePoint) -> Array:
         """Equation (3), (n, n)."""

@@ -155,12 +155,15 @@ class AbsoluteField(FieldPart):
 
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic, elastic and weight energy, J; collective."""
-        d, (U, Ud) = self.field.dim, local
-        W = Ud.reshape(-1, d)
-        moved = self.field.mass(self.field.X_world + U.reshape(-1, d)).sum(0)
-        kinetic = 0.5 * float((W * self.field.mass(W)).sum())
-        sums = self.field.total(np.concatenate(([kinetic], moved)))
-        return float(sums[0]), self.field.energy(U), -float(motion.gravity @ sums[1:])
+        f, (U, Ud) = self.field, local
+        W = Ud.reshape(-1, f.dim)
+        x = f.X_world + U.reshape(-1, f.dim)
+
+        # this rank's share of the kinetic energy, and of the mass times its centre
+        kinetic = 0.5 * float((W * f.mass(W)).sum())
+        center = f.mass(x).sum(0)
+        sums = f.total(np.concatenate(([kinetic], center)))
+        return float(sums[0]), f.energy(U), -float(motion.gravity @ sums[1:])
 
     def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
         """Linear and angular momentum about the world origin, world axes; collective."""

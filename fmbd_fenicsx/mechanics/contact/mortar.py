@@ -144,12 +144,15 @@ class MortarPair:
     # -- rows ------------------------------------------------------------------------------------------------
     def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], here: Here) -> Touch:
         """Gaps of this pair; collective."""
-        p = self._ready(contacts, system, at[1])
-        xs = here.nodes(self.slave.trace)[0][self.order[0]]
-        xm = here.nodes(self.master.trace)[0][self.order[1]]
-        between = p.slave @ xs - p.master @ xm
-        gap = np.where(p.on, (p.normal * between).sum(1), np.inf)  # inf: nothing opposite
-        return Touch(gap - p.offset, xs[self.candidates], p.normal, between, gap)
+        pairing = self._ready(contacts, system, at[1])
+        on_slave, on_master = self.order
+        xs = here.nodes(self.slave.trace)[0][on_slave]
+        xm = here.nodes(self.master.trace)[0][on_master]
+
+        between = pairing.slave @ xs - pairing.master @ xm
+        along = (pairing.normal * between).sum(1)
+        gap = np.where(pairing.on, along, np.inf)  # inf: nothing opposite
+        return Touch(gap - pairing.offset, xs[self.candidates], pairing.normal, between, gap)
 
     def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], here: Here) -> Rows:
         """Candidates of this pair; collective."""

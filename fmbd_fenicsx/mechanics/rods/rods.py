@@ -261,11 +261,17 @@ class Rod(Body):
         half = 0.5 * np.diff(self.breaks)
         points = self.breaks[:-1, None] + half[:, None] * (1 + shape.points)
         made = RodElements(self.name, first + self.connectivity, shape, half, np.zeros((*points.shape, 6)))
-        # free of stress as it lies, but for prestrains
-        made.natural = made.strains(np.concatenate((np.zeros((first, 7)), self.poses))) + self._prestrains(points)
+        made.points = points
+        made.breaks = self.breaks
 
-        made.points, made.breaks = points, self.breaks
-        made.law, made.beta, made.arms = self.section.law(points), self.damping, self.section.arms(points)
+        # free of stress as it lies, but for prestrains
+        poses = np.concatenate((np.zeros((first, 7)), self.poses))
+        made.natural = made.strains(poses) + self._prestrains(points)
+
+        # material and loads
+        made.law = self.section.law(points)
+        made.beta = self.damping
+        made.arms = self.section.arms(points)
         made.kept = None if made.arms is None else made.arms.relaxed()
         made.loads = tuple(LineLoad(x.law, self.lengths, self.nodes, x.follower, x.turns) for x in self.loads)
         return made

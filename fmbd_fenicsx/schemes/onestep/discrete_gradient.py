@@ -88,11 +88,13 @@ class Mean(Evaluation):
 
     def _turn(self, kin: Kinematics) -> None:
         """Rotational columns (2) of the markers on bodies."""
-        m, markers = self.system.motions, self.system.markers
-        rotation = 0.5 * (self.ends[0].rotation + self.ends[1].rotation)[markers.frame]
+        motions, frame = self.system.motions, self.system.markers.frame
+        old, new = self.ends
+        rotation = 0.5 * (old.rotation + new.rotation)[frame]
+        origin = 0.5 * (old.pose + new.pose)[frame, :3]
+
         spatial = np.linalg.inv(rotation).swapaxes(1, 2)
-        origin = 0.5 * (self.ends[0].pose + self.ends[1].pose)[markers.frame, :3]
-        kin.jac_frame[:, :3, 3:] = m.lever(kin.x - origin) @ spatial
+        kin.jac_frame[:, :3, 3:] = motions.lever(kin.x - origin) @ spatial
         kin.jac_frame[:, 3:, 3:] = spatial
 
     # -- forces -------------------------------------------------------------------------------------------------
@@ -110,12 +112,16 @@ class Mean(Evaluation):
         twist = self.kin.twist
         assert twist is not None
         s0, s1 = (loads.relative.values(ev.kin) for ev in self.ends)
+        moved = s1 - s0
+
+        # rows that give all of s_1 - s_0
         ra, rb = loads.relative.rows(self.kin)
         linear = self.h * (ra * twist[loads.a] + rb * twist[loads.b]).sum(1)
         share = loads.relative.share(self.kin, (s0, s1), linear)
-        rate = (s1 - s0) / self.h
-        N = sum(w * loads.effort(s0 + x * (s1 - s0) - loads.free, rate, self.t) for x, w in GAUSS)
-        N = (share * N)[:, None]
+
+        rate = moved / self.h
+        mean = sum(w * loads.effort(s0 + x * moved - loads.free, rate, self.t) for x, w in GAUSS)
+        N = (share * mean)[:, None]
         return -N * ra, -N * rb
 
     # -- balance ------------------------------------------------------------------------------------------------

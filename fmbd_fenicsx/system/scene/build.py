@@ -247,23 +247,32 @@ class Builder:
     def length(self) -> float:
         """The characteristic length of the model, m: how far it spreads, or that of bodies in one place."""
         points = [q[: self.m.dim] for q in self.poses]
-        points += [x for j in self.scene.joints.values() for x in (j.center_a, j.center_b) if x is not None]
+        for joint in self.scene.joints.values():
+            points += [x for x in (joint.center_a, joint.center_b) if x is not None]
         spread = np.ptp(np.array(points), axis=0) if points else np.zeros(1)
-        found = max([float(np.linalg.norm(spread)), *(p.size for p in self.fields)])
-        return found or self._length_about(points[0] if points else np.zeros(self.m.dim))
+
+        sizes = [float(np.linalg.norm(spread)), *(p.size for p in self.fields)]
+        return max(sizes) or self._length_about(points[0] if points else np.zeros(self.m.dim))
 
     def _length_about(self, place: Array) -> float:
         """That of bodies in one place: how far away forces act or contact points spread, or else a radius of gyration."""
         from ...mechanics.contact.contact import RigidPoints
 
-        ends = [x for f in self.scene.forces.values() for x in (f.point_a, f.point_b) if x is not None]
-        sizes = [float(np.linalg.norm(np.asarray(x, dtype=float)[: self.m.dim] - place)) for x in ends]
-        touching = [c.slave for c in self.scene.contacts.values() if isinstance(c.slave, RigidPoints)]
-        sizes += [float(np.linalg.norm(np.ptp(p.points, axis=0))) + 2 * p.radius for p in touching]
+        sizes = [0.0]
+        for force in self.scene.forces.values():
+            ends = [np.asarray(x, dtype=float) for x in (force.point_a, force.point_b) if x is not None]
+            sizes += [float(np.linalg.norm(x[: self.m.dim] - place)) for x in ends]
 
-        heavy = [b for b in self.scene.bodies.values() if isinstance(b, RigidBody) and b.mass > 0.0]
-        radii = [float(np.sqrt(np.abs(b.inertia).max() / b.mass)) for b in heavy]
-        return max(sizes, default=0.0) or max(radii, default=0.0) or 1.0  # 1 m where nothing has a size
+        for c in self.scene.contacts.values():
+            if isinstance(c.slave, RigidPoints):
+                spread = np.ptp(c.slave.points, axis=0)
+                sizes.append(float(np.linalg.norm(spread)) + 2 * c.slave.radius)
+
+        radii = [0.0]
+        for body in self.scene.bodies.values():
+            if isinstance(body, RigidBody) and body.mass > 0.0:
+                radii.append(float(np.sqrt(np.abs(body.inertia).max() / body.mass)))
+        return max(sizes) or max(radii) or 1.0  # 1 m where nothing has a size
 
     def _gravity(self) -> Callable[[float], Array]:
         d, ramp = self.m.dim, self.scene.gravity_ramp

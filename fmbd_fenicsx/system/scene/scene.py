@@ -10,40 +10,38 @@ from typing import Any
 from ...checks import check_fields, instance, number, shown, vector, word
 from ...errors import InputError, near, require
 from ...log import log
-from ...mechanics.bodies.beams import Beam
-from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody, RigidBody
-from ...mechanics.bodies.coordinates import CoordinateBody
-from ...mechanics.bodies.line_body import LineBody
+from ...mechanics.bodies.body import Body
 from ...mechanics.catenary.sliding import SlidingContact
-from ...mechanics.catenary.wires import Wires
 from ...mechanics.forces.forces import Force
 from ...mechanics.forces.inputs import Input
 from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.joints import Joint
 from ...mechanics.joints.limits import JointLimit
 from ...mechanics.parts import ScenePart
-from ...mechanics.reduction.craig_bampton import ReducedBody
-from ...mechanics.reduction.stored import StoredBody
-from ...mechanics.rods.rods import Rod
 from ..mobility import Mobility, check, loose_bodies
 from ..sensors.sensors import JointReading, Sensor
 from ..system import State, System
 from .build import Builder
 
-BODIES = (RigidBody, FloatingBody, AbsoluteBody, ReducedBody, StoredBody, Beam, LineBody, Rod, CoordinateBody, Wires)
-
 # where parts stand: what they are, in types and in a word
-PLACES: dict[str, tuple[tuple[type, ...], str]] = {
-    "bodies": (BODIES, "body"),
-    "joints": ((Joint,), "joint"),
-    "forces": ((Force,), "force"),
-    "sensors": ((Sensor,), "sensor"),
-    "contacts": ((ScenePart,), "contact"),
-    "limits": ((JointLimit,), "joint limit"),
-    "sliders": ((SlidingContact,), "sliding contact"),
-    "ties": ((ScenePart,), "tie"),
-    "inputs": ((Input,), "input"),
+PLACES: dict[str, tuple[type, str]] = {
+    "bodies": (Body, "body"),
+    "joints": (Joint, "joint"),
+    "forces": (Force, "force"),
+    "sensors": (Sensor, "sensor"),
+    "contacts": (ScenePart, "contact"),
+    "limits": (JointLimit, "joint limit"),
+    "sliders": (SlidingContact, "sliding contact"),
+    "ties": (ScenePart, "tie"),
+    "inputs": (Input, "input"),
 }
+ADDED = ("bodies", "sliders", "joints", "limits", "forces", "ties", "contacts")  # by Scene.add
+
+
+def _fits(part: Any, place: str) -> bool:
+    """Whether a part belongs there; ties and contacts say themselves what they are."""
+    kind, word = PLACES[place]
+    return isinstance(part, kind) and (not isinstance(part, ScenePart) or part.what == word)
 
 
 @dataclass(repr=False)
@@ -110,10 +108,9 @@ class Scene:
         what = f'Scene "{self.__dict__.get("name", "")}": {place}'
         advice = "Make the scene first, and add parts with scene.add(...) and scene.sensor(...)."
         require(isinstance(given, dict), f"{what} {shown(given)} must be a dict of parts by their names. {advice}")
-        types, word = PLACES[place]
+        word = PLACES[place][1]
         for name, part in given.items():
-            fits = isinstance(part, types) and not (isinstance(part, ScenePart) and part.what != word)
-            require(fits, f'{what}: "{name}" is no {word}, found {shown(part)}. {advice}')
+            require(_fits(part, place), f'{what}: "{name}" is no {word}, found {shown(part)}. {advice}')
             own = name if isinstance(part, Sensor) else part.name
             require(
                 own == name and name != "ground", f'{what}: {word} "{own}" stands under the name "{name}". {advice}'
@@ -123,21 +120,10 @@ class Scene:
     def add(self, *parts: Any) -> Any:
         """Add bodies, joints, forces and contacts; names must be unique among each. Returns the part, or a tuple of several."""
         for part in parts:
-            if isinstance(part, BODIES):
-                self._put(self.bodies, part, "body")
-            elif isinstance(part, SlidingContact):
-                self._put(self.sliders, part, "sliding contact")
-            elif isinstance(part, Joint):
-                self._put(self.joints, part, "joint")
-            elif isinstance(part, JointLimit):
-                self._put(self.limits, part, "joint limit")
-            elif isinstance(part, Force):
-                self._put(self.forces, part, "force")
-            # ties and contacts say themselves what they are
-            elif isinstance(part, ScenePart):
-                self._put({"tie": self.ties, "contact": self.contacts}[part.what], part, part.what)
-            else:
+            place = next((place for place in ADDED if _fits(part, place)), None)
+            if place is None:
                 raise InputError(f"A scene takes bodies, joints, forces and contacts; found {shown(part)}.")
+            self._put(self.__dict__[place], part, PLACES[place][1])
         return parts[0] if len(parts) == 1 else parts
 
     def sensor(self, name: str, quantity: Sensor | JointCoordinate) -> str:
