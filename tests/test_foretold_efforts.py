@@ -62,6 +62,24 @@ def test_stiff_ties(masses: tuple[float, ...], k: float, damping: float) -> None
     assert not run.counters["halved_steps"] and not run.warnings
 
 
+@pytest.mark.parametrize("loaded", [True, False])
+def test_reactions_push_across(loaded: bool) -> None:
+    """A gram on a rigid link carries a tonne on a stiff spring: what the link pulls across it is in the matrix at once."""
+    masses = (1e-3, 1e3)
+    scene = fmbd.Scene("tonne", gravity=(0.0, -G))
+    light, heavy = (fmbd.RigidBody(f"mass {i}", m, 0.1 * m, position=(i + 1) * DIRECTION) for i, m in enumerate(masses))
+    link = fmbd.distance("link", fmbd.ground, light, point_a=(0.0, 0.0), point_b=DIRECTION, length=1.0)
+    stretched = 1e3 * G * np.cos(ANGLE) / 1e10 if loaded else 0.0
+    ends = {"point_a": DIRECTION, "point_b": 2 * DIRECTION}
+    scene.add(light, heavy, link, fmbd.Spring("tie", light, heavy, **ends, stiffness=1e10, length=1.0 - stretched))
+    for i, body in enumerate((light, heavy)):
+        scene.sensor(f"place {i}", fmbd.position(body))
+
+    run = fmbd.solve(scene, t_end=END, dt=1e-2)
+    assert error(run, masses) <= 3.5e-4
+    assert not run.counters["halved_steps"] and not run.warnings
+
+
 @pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=lambda x: type(x).__name__)
 def test_without_compiled_steps(form: Any) -> None:
     masses = (1.0, 1e-3)
