@@ -112,10 +112,11 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         s->renewed = done > 0 && p[THETA] > SLOW_TURN;
         int cheap = done == 1 && s->fields; /* beside a solution with the factor of a field */
         int turning = s->stiff && done > 0 && (s->renewed || cheap || misfit > 0.0 || misled(s) || other_slopes(s, damp, scale));
-        /* reactions as predicted may be far off, and make the matrix indefinite: theirs counts from the second increment on */
+        /* what reactions push across counts where the iteration is slow without it; as predicted it may be far off */
+        int reactions = (done > 1 && s->renewed) || done > (int)p[PATIENCE];
         if (far || turning || done > (int)p[PATIENCE]) {
             s->led = done > 0;
-            verdict = prepare(s, out.q, damp, scale, lam, done > 0, t);
+            verdict = prepare(s, out.q, damp, scale, lam, reactions, t);
             s->led = 0;
             if (verdict) return verdict;
         }
