@@ -130,6 +130,19 @@ def loop() -> Any:
     return [*bars, *hinges, fmbd.joint_limit("stop", fmbd.angle(hinges[0]), lower=-0.5, upper=0.2, restitution=0.5)]
 
 
+def in_a_bowl(carried: bool) -> Any:
+    """A rod in a bowl that the user gives by a function, at rest or on a sprung body."""
+    bowl = fmbd.contacts.SignedDistance(lambda x: x[1] - 0.5 * x[0] ** 2, scale=0.1)
+    rod = fmbd.RigidBody("rod", 1.0, 0.02, (0.1, 0.35), angular_velocity=2.0)
+    ends = fmbd.contacts.corners(rod, [(-0.2, 0.0), (0.2, 0.0)])
+    if not carried:
+        return [rod, fmbd.contact("pair", ends, fmbd.Obstacle("bowl", bowl), friction=0.3, restitution=0.4)]
+    base = fmbd.RigidBody("base", 5.0, 1.0, (0.0, 0.0))
+    rail = fmbd.prismatic("rail", fmbd.ground, base, axis=(0, 1), center=(0, 0))
+    spring = fmbd.Spring("spring", fmbd.ground, base, (0.0, -1.0), stiffness=1e3, damping=5.0, length=1.05)
+    return [rod, base, rail, spring, fmbd.contact("pair", ends, fmbd.Obstacle("bowl", bowl, on=base), friction=0.3)]
+
+
 def rope(friction: float) -> Any:
     """A bob at the end of a damped rod that hangs in a hinge and swings against a cylinder, a spring at the bob."""
     law = {"youngs_modulus": 2e7, "poisson_ratio": 0.3, "density": 1000.0}
@@ -153,6 +166,7 @@ SCENES = {
     "stops and friction": lambda: links(3, True), "reduced": lambda: plate(0.0, False),
     "dependent rows": loop, "many points": board,
     "reduced, friction": lambda: plate(0.4, False), "stop of reduced": lambda: plate(0.0, True),
+    "own shape": lambda: in_a_bowl(False), "own shape carried": lambda: in_a_bowl(True),
     "rod": lambda: rope(0.0), "rod, friction": lambda: rope(0.3),
 }  # fmt: skip
 

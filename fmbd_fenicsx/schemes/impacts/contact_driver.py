@@ -1,7 +1,7 @@
 """Contact of points with obstacles, and stops, in the compiled driver: tables, and the march through flights, contacts, impacts.
 
 Frames, joints and forces are those of the driver's tables; Python is entered for the poses of obstacles that move as prescribed,
-and for contacts whose forces are hard to find (dependent ones with friction).
+for distances to shapes of the user's own, and for contacts whose forces are hard to find (dependent ones with friction).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from ...system.compiled.recording import Openness, Tape
     from ..newton import Newton
 
-POSE_OF, COMPLEMENTARITY = range(2)
-LIMIT = 4  # behind the shapes of obstacles
+POSE_OF, COMPLEMENTARITY, DISTANCES = range(3)
+LIMIT, OWN = 4, 5  # behind the shapes that the driver knows; OWN: Python tells the distances
 BOUNDED = slots.AM
 MOST = 64  # closed at once: a step with more is NumPy's, whose problem is not dense then
 POINTER = ctypes.c_void_p
@@ -73,7 +73,7 @@ class Contacts(ctypes.Structure):
         *_fields("carrying closed bouncing hits held force normal impulse works", POINTER),
         *_fields("energy springs time last", REAL),
         ("loaded", INT),
-        *_fields("rows drift rate W q f mu Y work ahead xi kept saved was path", POINTER),
+        *_fields("rows drift rate W q f mu Y work ahead xi kept saved was path own", POINTER),
         *_fields("size most done total parts", INT),
         ("system", POINTER),
         ("tally", Tally),
@@ -103,8 +103,8 @@ def pair_structure(motions: Motions) -> type[ctypes.Structure]:
     return type("Pair", (ctypes.Structure,), {"_fields_": fields})
 
 
-def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]] | None:
-    """Kind and numbers of a shape as ``driver/contact.c`` reads them; None for shapes that it does not know."""
+def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]]:
+    """Kind and numbers of a shape as ``driver/contact.c`` reads them."""
     if type(shape) is HalfSpace:
         point, normal = (x[:dim] for x in shape.plane)
         return 0, [*normal, float(point @ normal)]
@@ -115,16 +115,14 @@ def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]] | None:
     if type(shape) is Box:
         half = np.asarray(shape.size, dtype=float)[:dim] / 2
         return 3, [*half, *np.asarray(shape.center, dtype=float)[:dim]]
-    return None
+    return OWN, []
 
 
 def known(contacts: ContactSet, pair: Any) -> bool:
-    """Whether the driver knows a pair: stops of a coordinate; points of bodies without a field, and a shape by numbers."""
+    """Whether the driver knows a pair: stops of a coordinate; points of bodies without a field, and an obstacle."""
     if type(pair) is LimitPair:
         return not isinstance(pair.relative, Expressed)
-    if type(pair) is not ObstaclePair or pair.slave.trace in contacts.on_fields:
-        return False
-    return shape_data(pair.shape, contacts.m.dim) is not None
+    return type(pair) is ObstaclePair and pair.slave.trace not in contacts.on_fields
 
 
 class ContactDriver:
@@ -169,7 +167,7 @@ class ContactDriver:
             "held": m * k, "force": m * d, "normal": m, "impulse": len(contacts.pairs) * d, "works": 5, "drift": rows, "rate": m,
             "rows": 2 * rows * wide, "W": rows**2, "q": rows, "f": rows, "mu": room,
             "Y": rows * (self.n + self.m), "work": 6 * rows + rows**2, "ahead": self.nq, "xi": self.n, "still": self.n,
-            "kept": self.m + 1,
+            "kept": self.m + 1, "own": m * (1 + 2 * d),
             "saved": m * k + len(contacts.pairs) * d + 7, "path": (2 * self.impacts + 1) * block_size(s),
         }  # fmt: skip
         counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m}
@@ -233,7 +231,6 @@ class ContactDriver:
     def _obstacle(self, one: Any, pair: ObstaclePair) -> None:
         """Shape and carrier of an obstacle, and the modes of the nodes that may touch it."""
         found = shape_data(pair.shape, self.tables.dim)
-        assert found is not None
         one.shape, one.data[: len(found[1])] = found[0], found[1]
         if not pair.moving and 0 <= pair.carrier.frame < self.system.n_frames:
             one.carrier = pair.carrier.frame
@@ -262,11 +259,22 @@ class ContactDriver:
         try:
             if what == POSE_OF:
                 self.pairs[number].pose[:] = list(self.contacts.pairs[number].carrier.motion(t))
+            elif what == DISTANCES:
+                self._distances(number)
             else:
                 self._forces(number)
         except Exception:
             return 1
         return 0
+
+    def _distances(self, number: int) -> None:
+        """Signed distances and gradients of a pair's points by its own shape."""
+        m, d = self.c.points, self.tables.dim
+        places, distances, gradients = np.split(self.arrays["own"], [m * d, m * (d + 1)])
+        mine = slice(self.pairs[number].first, self.pairs[number].first + self.pairs[number].count)
+
+        shape = self.contacts.pairs[number].shape
+        distances[mine], gradients.reshape(m, d)[mine] = shape.evaluate(places.reshape(m, d)[mine].copy())
 
     def _forces(self, m: int) -> None:
         """Forces of m contacts with the matrix W and the openings q without force."""

@@ -4,8 +4,8 @@
    Points are fixed in a body, or nodes of a reduced one. An obstacle is at rest, moves as prescribed (Python gives its pose), or is
    carried by a body. A stop is a pair of its own, whose one or two candidates are the lower and the upper one. */
 
-enum { HALF_SPACE, SPHERE, CYLINDER, BOX, LIMIT };
-enum { POSE_OF, COMPLEMENTARITY }; /* what Python is asked for by contact */
+enum { HALF_SPACE, SPHERE, CYLINDER, BOX, LIMIT, OWN }; /* OWN: Python tells the distances */
+enum { POSE_OF, COMPLEMENTARITY, DISTANCES };           /* what Python is asked for by contact */
 
 typedef struct {
     int shape, first, count, carrier, moving; /* points; carrier: body, -1 for none */
@@ -50,6 +50,7 @@ typedef struct {
     double *saved;                            /* held, impulse and works at the start of a step */
     int *was;                                 /* carrying then */
     double *path;                             /* most + 1 states: the start of a step and the ends of its parts */
+    double *own;                              /* for Python: places of the points in a shape's axes, distances, gradients */
     int size, most, done, total;              /* of v; parts of a step; iterations of a part and of the parts of a step */
     int parts;                                /* of the last step */
     System *system;
@@ -165,6 +166,22 @@ static void local_place(const Contacts *c, const Pair *o, int i, const double *q
     for (int j = 0; j < D; j++) P[j] += dot(modes + j * body->modes, q + body->at_q, body->modes);
 }
 
+/* Signed distances and gradients of the points of an own shape, all in one call; 1 where Python failed. */
+static int own_distances(const Contacts *c, const Pair *o, const Touch *out, double t)
+{
+    memcpy(c->own + D * o->first, out->relative + D * o->first, D * o->count * sizeof(double));
+    return c->python(DISTANCES, (int)(o - c->pair), t);
+}
+
+/* Signed distance and gradient of one point, in the shape's axes. */
+static double distance_of(const Contacts *c, const Pair *o, int i, const double *y, double *n)
+{
+    const double *told = c->own + D * c->points;
+    if (o->shape != OWN) return distance(o, y, n);
+    memcpy(n, told + c->points + D * i, D * sizeof(double));
+    return told[i];
+}
+
 /* All points at a configuration. */
 static int touch(const Contacts *c, const double *q, double t, Touch *out)
 {
@@ -178,13 +195,18 @@ static int touch(const Contacts *c, const double *q, double t, Touch *out)
         if (obstacle(c, o, q, t, r, R)) return 1;
         for (int i = o->first; i < o->first + o->count; i++) {
             const double *pose = q + POSE * c->on[2 * i];
-            double *x = out->x + D * i, *y = out->relative + D * i, P[D], Rb[D * D], way[D], n[D];
+            double *x = out->x + D * i, P[D], Rb[D * D], way[D];
             rotation(pose, Rb);
             local_place(c, o, i, q, P);
             times(Rb, P, x);
             for (int j = 0; j < D; j++) x[j] += pose[j], way[j] = x[j] - r[j];
-            transposed(R, way, y);
-            out->gap[i] = distance(o, y, n) - o->radius;
+            transposed(R, way, out->relative + D * i);
+        }
+        if (o->shape == OWN && own_distances(c, o, out, t)) return 1;
+
+        for (int i = o->first; i < o->first + o->count; i++) {
+            double *x = out->x + D * i, n[D];
+            out->gap[i] = distance_of(c, o, i, out->relative + D * i, n) - o->radius;
             times(R, n, out->normal + D * i);
             for (int j = 0; j < D; j++) x[j] -= o->radius * out->normal[D * i + j];
         }

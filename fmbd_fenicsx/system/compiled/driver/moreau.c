@@ -125,6 +125,35 @@ static int along_parabola(System *s, Contacts *c, Block now, Block out, double l
     return touch(c, c->ahead, *now.t + share * length, &c->aside);
 }
 
+/* The share at which contact i closes, which is open at ``lower`` and not at twice that: by secants that halve the gap of an end
+   which stays (Dowell and Jarratt, doi:10.1007/BF01934364). */
+static int closing_share(System *s, Contacts *c, Block now, Block out, int i, double length, double lower, double *share)
+{
+    double upper = 2.0 * lower, open, shut;
+    if (along_parabola(s, c, now, out, length, lower)) return LOOK;
+    open = c->aside.gap[i];
+    if (along_parabola(s, c, now, out, length, upper)) return LOOK;
+    shut = c->aside.gap[i];
+
+    for (int k = 0, side = 0; k < 64 && upper - lower > 1e-14; k++) {
+        *share = lower + (upper - lower) * open / (open - shut);
+        if (!(*share > lower && *share < upper)) *share = 0.5 * (lower + upper);
+        if (along_parabola(s, c, now, out, length, *share)) return LOOK;
+
+        double gap = c->aside.gap[i];
+        if (gap == 0.0) break;
+        if (gap > 0.0) {
+            lower = *share, open = gap;
+            if (side > 0) shut *= 0.5;
+        } else {
+            upper = *share, shut = gap;
+            if (side < 0) open *= 0.5;
+        }
+        side = gap > 0.0 ? 1 : -1;
+    }
+    return DONE;
+}
+
 /* Share of a solved step at which the first free contact closes, into ``share`` (1: none), and which one that is. ``held``: how many
    would leave for a moment only; these have 0 behind the counts of impacts. */
 static int next_touch(
@@ -139,7 +168,6 @@ static int next_touch(
     *held = 0;
     if (!any) return DONE;
 
-    double upper = 1.0;
     for (int k = 1; k < SHARES; k++) {
         if (along_parabola(s, c, now, out, length, ldexp(1.0, -k))) return LOOK;
         left = 0;
@@ -154,17 +182,7 @@ static int next_touch(
     for (int i = 0; i < c->points; i++)
         if (open[i] > 0 && (*which < 0 || open[i] > open[*which])) *which = i;
 
-    /* the root by halves of the interval */
-    double lower = ldexp(1.0, -open[*which]);
-    upper = 2.0 * lower;
-    while (upper - lower > 1e-14) {
-        double middle = 0.5 * (lower + upper);
-        if (along_parabola(s, c, now, out, length, middle)) return LOOK;
-        if (c->aside.gap[*which] > 0.0) lower = middle;
-        else upper = middle;
-    }
-    *share = 0.5 * (lower + upper);
-    return DONE;
+    return closing_share(s, c, now, out, *which, length, ldexp(1.0, -open[*which]), share);
 }
 
 /* The solved step once more, so that it ends where contact ``which`` closes; its length. */
