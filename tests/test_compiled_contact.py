@@ -51,11 +51,11 @@ def over_a_cylinder(length: float) -> Any:
     return [ball, fmbd.contact("pair", fmbd.ball(ball, 0.1), log, friction=0.3)]
 
 
-def on_a_box(carried: bool) -> Any:
+def on_a_box(carried: bool, turned: float | None = None) -> Any:
     """A ball that rolls over the edge of a box, at rest or on a body on a guide."""
     ball = fmbd.RigidBody("ball", 1.0, 0.004, (0.15, 0.3), velocity=(0.6, 0.0))
     base = fmbd.RigidBody("base", 5.0, 0.1, (0.0, 0.0))
-    box = fmbd.Obstacle("box", fmbd.Box((0.4, 0.4)), on=base if carried else None)
+    box = fmbd.Obstacle("box", fmbd.Box((0.4, 0.4), rotation=turned), on=base if carried else None)
     made = [ball, fmbd.contact("pair", fmbd.ball(ball, 0.1), box, friction=0.4)]
     guide = fmbd.prismatic("guide", fmbd.ground, base, axis=(1.0, 0.0), center=(0, 0))
     return [*made, base, guide] if carried else made
@@ -161,7 +161,8 @@ def rope(friction: float) -> Any:
 SCENES = {
     "bouncing 2": lambda: bouncing(2), "bouncing 3": lambda: bouncing(3), "rolling": rolling, "hollow": in_a_hollow,
     "cylinder": lambda: over_a_cylinder(np.inf), "rim": lambda: over_a_cylinder(0.5), "box": lambda: on_a_box(False),
-    "carried box": lambda: on_a_box(True), "cam": cam, "dry friction": lambda: with_memory(False),
+    "carried box": lambda: on_a_box(True), "turned box": lambda: on_a_box(True, -0.3), "cam": cam,
+    "dry friction": lambda: with_memory(False),
     "pid": lambda: with_memory(True), "stops 2": lambda: links(2, False), "stops 3": lambda: links(3, False),
     "stops and friction": lambda: links(3, True), "reduced": lambda: plate(0.0, False),
     "dependent rows": loop, "many points": board,

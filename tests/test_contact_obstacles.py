@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import CallbackError, ConvergenceError, LawError
+from fmbd_fenicsx.errors import CallbackError, ConvergenceError, InputError, LawError
 from fmbd_fenicsx.log import world_rank
 
 BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
@@ -179,3 +180,27 @@ def test_own_distance_is_warned_of_where_it_is_none(caplog: pytest.LogCaptureFix
         assert distance == pytest.approx([-0.5, 1.0], abs=1e-9)
         assert normal == pytest.approx(np.array([[0.6, 0.8], [0.0, 1.0]]), abs=1e-9)
         assert sum("instead of 1" in r.getMessage() for r in caplog.records) == count
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_turned_box_is_an_incline(dim: int) -> None:
+    """A ball rolls down a slope of -0.4 rad, the upper side of a box that is turned, as it rolls down a half-space."""
+    slope = Rotation.from_rotvec((0, 0, -0.4) if dim == 2 else (0.3, 0, -0.4)).as_matrix()[:dim, :dim]
+    center = np.array((0.3, -0.2, 0.1)[:dim])
+    box = fmbd.Box((4.0, 0.2, 3.0)[:dim], center=center, rotation=-0.4 if dim == 2 else slope)
+    half_space = fmbd.HalfSpace(center + 0.1 * slope[:, 1], slope[:, 1])
+
+    ways = []
+    for shape in (box, half_space):
+        ball = fmbd.RigidBody("ball", 1.0, 0.004 if dim == 2 else (0.004,) * 3, center + slope[:, 1] * 0.2)
+        scene = fmbd.Scene("incline", gravity=(0, -9.81, 0)[:dim])
+        scene.add(ball, fmbd.contact("touch", fmbd.ball(ball, 0.1), fmbd.Obstacle("slope", shape), friction=0.4))
+        scene.sensor("ball", fmbd.position(ball))
+        ways.append(fmbd.solve(scene, t_end=0.4, dt=1e-2)["ball"])
+    np.testing.assert_allclose(*ways, atol=1e-12)
+    assert np.linalg.norm(ways[0][-1] - ways[0][0]) > 0.1
+
+
+def test_a_box_refuses_what_is_no_rotation() -> None:
+    with pytest.raises(InputError, match="rotation"):
+        fmbd.Box((1.0, 1.0, 1.0), rotation=np.ones((3, 3)))

@@ -17,7 +17,7 @@ import numpy as np
 from ...checks import check_fields, instance, number, shown, vector
 from ...errors import CallbackError, InputError, named, require
 from ...log import log
-from ...rotations import Array
+from ...rotations import Array, motions
 from ..bodies.bodies import ORIGIN, RigidBody
 
 Vector = Sequence[float] | Array
@@ -160,10 +160,13 @@ def _rounded(a: Array, b: Array, na: Array, nb: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Box(Shape):
-    """A box (in the plane: a rectangle) with edges ``size`` (m, (d,)) along the shape's axes."""
+    """A box (in the plane: a rectangle) with edges ``size`` (m, (d,)) about ``center``, along the shape's axes or turned
+    from them by ``rotation``: an angle (rad) in the plane, a matrix (3, 3) or quaternion (scalar last) in space.
+    """
 
     size: Vector
     center: Vector = ORIGIN
+    rotation: Any = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -172,6 +175,13 @@ class Box(Shape):
             bool((size > 0).all()) and len(size) in (2, 3),
             f"Box: size {self.size} must be 2 or 3 positive lengths.",
         )
+        self.axes  # noqa: B018, refuses what is no rotation
+
+    @cached_property
+    def axes(self) -> Array:
+        """Directions of the edges, columns, (d, d)."""
+        m = motions(len(self.size))
+        return np.asarray(m.matrix(m.pose(np.zeros(m.dim), self.rotation)))
 
     @property
     def thickness(self) -> float:  # type: ignore[override]
@@ -187,7 +197,7 @@ class Box(Shape):
             f"Box: size {self.size!r} must be {dim} positive lengths.",
         )
 
-        r = y - np.asarray(self.center, dtype=float)[:dim]
+        r = (y - np.asarray(self.center, dtype=float)[:dim]) @ self.axes
         # outside: distance to the nearest point of the box; inside: to the nearest side
         over = np.abs(r) - half
         outside = np.maximum(over, 0.0)
@@ -198,7 +208,7 @@ class Box(Shape):
         side = np.where(r < 0, -1.0, 1.0)
         n_in = side * (np.arange(dim) == over.argmax(axis=1)[:, None])
         n_out = side * outside / np.where(far > 0, far, 1.0)[:, None]
-        return d, np.where(far[:, None] > 0, n_out, n_in)
+        return d, np.where(far[:, None] > 0, n_out, n_in) @ self.axes.T
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,9 @@ def shape_solid(shape: Shape, dim: int, bounds: Bounds = UNBOUNDED) -> Solid:
     """The surface of a shape in its own axes; ``bounds`` cut off what is infinite or given by a function."""
     if isinstance(shape, Box):
         solid = rectangle(_sized(shape.size)) if dim == 2 else box(_sized(shape.size))
-        return solid.moved(_point(shape.center))
+        axes = np.eye(3)
+        axes[:dim, :dim] = shape.axes
+        return solid.moved(_point(shape.center), axes)
     if isinstance(shape, Sphere):
         return _ball(shape, dim).moved(_point(shape.center))
 

@@ -89,7 +89,7 @@ def pair_structure(motions: Motions) -> type[ctypes.Structure]:
     fields = [
         *_fields("shape first count carrier moving", INT),
         *_fields("radius friction restitution thickness", REAL),
-        ("data", REAL * 8),
+        ("data", REAL * 16),
         ("pose", REAL * poses),
         ("asked", REAL),
         *_fields("modes batch", POINTER),
@@ -116,6 +116,8 @@ def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]]:
         half = np.asarray(shape.size, dtype=float)[:dim] / 2
         return 3, [*half, *np.asarray(shape.center, dtype=float)[:dim]]
     return OWN, []
+        return 3, [*half, *np.asarray(shape.center, dtype=float)[:dim], *shape.axes.T.ravel()]
+    return None
 
 
 def known(contacts: ContactSet, pair: Any) -> bool:

@@ -10,7 +10,7 @@ enum { POSE_OF, COMPLEMENTARITY, DISTANCES };           /* what Python is asked 
 typedef struct {
     int shape, first, count, carrier, moving; /* points; carrier: body, -1 for none */
     double radius, friction, restitution, thickness;
-    double data[8];                           /* of the shape: see contact_driver.py */
+    double data[16];                          /* of the shape: see contact_driver.py */
     double pose[POSE], asked;                 /* of an obstacle that no body carries; the time it was last asked for */
     double *modes;                            /* count x D x modes: of nodes of a reduced body, NULL for points fixed in a body */
     Batch *batch;                             /* LIMIT: of the coordinate, which is its item; */
@@ -87,19 +87,26 @@ static double cylinder(const double *data, const double *y, double *n)
     return rho - radius;
 }
 
-/* data: half edges, centre */
+/* data: half edges, centre, directions of the edges one by one */
 static double box(const double *data, const double *y, double *n)
 {
+    const double *axes = data + 2 * D;
     double far = 0.0, inner = -INFINITY, outside[D], sign[D];
     int nearest = 0;
     for (int i = 0; i < D; i++) {
-        double r = y[i] - data[D + i], over = fabs(r) - data[i];
+        double r = 0.0, over;
+        for (int k = 0; k < D; k++) r += axes[D * i + k] * (y[k] - data[D + k]);
+        over = fabs(r) - data[i];
         sign[i] = r < 0 ? -1.0 : 1.0;
         outside[i] = fmax(over, 0.0);
         if (over > inner) inner = over, nearest = i;
     }
     far = length_of(outside);
-    for (int i = 0; i < D; i++) n[i] = far > 0 ? sign[i] * outside[i] / far : sign[i] * (i == nearest);
+    memset(n, 0, D * sizeof(double));
+    for (int i = 0; i < D; i++) {
+        double along = far > 0 ? sign[i] * outside[i] / far : sign[i] * (i == nearest);
+        for (int k = 0; k < D; k++) n[k] += along * axes[D * i + k];
+    }
     return far > 0 ? far : inner;
 }
 
