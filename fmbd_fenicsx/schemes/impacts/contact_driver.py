@@ -114,10 +114,8 @@ def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]]:
         return 2, [*shape.direction, *np.asarray(shape.center, dtype=float), shape.radius, shape.length]
     if type(shape) is Box:
         half = np.asarray(shape.size, dtype=float)[:dim] / 2
-        return 3, [*half, *np.asarray(shape.center, dtype=float)[:dim]]
-    return OWN, []
         return 3, [*half, *np.asarray(shape.center, dtype=float)[:dim], *shape.axes.T.ravel()]
-    return None
+    return OWN, []
 
 
 def known(contacts: ContactSet, pair: Any) -> bool:
