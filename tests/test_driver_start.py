@@ -13,8 +13,9 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.linear.driver_solver import DriverSolver
 from fmbd_fenicsx.rotations import Array
-from fmbd_fenicsx.schemes.consistent import accelerations
-from fmbd_fenicsx.system.compiled.choice import driver_states
+from fmbd_fenicsx.schemes.consistent import accelerations, consistent
+from fmbd_fenicsx.schemes.newton import Newton
+from fmbd_fenicsx.system.compiled.choice import driver_states, use_driver
 from fmbd_fenicsx.system.system import State
 
 MASSES = Weights(1.0, 0.0, 0.0)
@@ -154,3 +155,24 @@ def test_what_a_law_raises_comes_through() -> None:
     scene.add(fmbd.joint_spring("broken", fmbd.angle(joint), law=law))
     with pytest.raises(fmbd.errors.FmbdError, match="broken"):
         fmbd.solve(scene, t_end=0.01, dt=1e-3)
+
+
+@compiled
+def test_compiled_steps_write_over_the_factor() -> None:
+    """A matrix that was factored before a step, in the tables that the step uses, is factored again after it."""
+    system, given, _ = joint_springs(2).build()
+    use_driver(system)
+    solver = StepSolver(system)
+    start, _ = consistent(system, given, solver)
+    stepper = fmbd.GeneralizedAlpha().stepper(system, solver, Newton(refresh=solver.refresh), start)
+    b, c = np.ones(system.n_v), np.ones(system.n_lam)
+
+    def solved() -> Array:
+        solver.prepare(system.at(start.t, start.q, start.v), Weights(1.0, 0.1, 0.01))
+        return np.concatenate(solver.solve(b, c))
+
+    stepper.advance(1e-3)  # the first one solves by itself for what it begins with
+    first = solved()
+    stepper.advance(1e-3)
+    assert stepper.path != "NumPy" and solver.driver is not None and solver.driver.ready
+    close(first, solved(), 1e-12)

@@ -262,7 +262,7 @@ class ContactNewton(StaticNewton):
         if open_by > FLOOR * system.length:
             return float("inf")
 
-        pushed = np.zeros(system.n_v)
+        pushed: Array = np.zeros(system.n_v)
         if len(here.force):
             pushed = self.contacts.transposed(system, here.rows.N, here.force)
         moments = 1.0 / system.units**2  # are divided by the length, as rotations are multiplied by it

@@ -62,7 +62,8 @@ class ImplicitStepper(TimeStepper):
     def _warn_of_roundoff(self) -> None:
         """Say that a spring is too stiff for Newton's iteration with one tangent for several configurations."""
         name, lost = ForetoldEfforts(self.system).lost(self.state.q)
-        weight = self.system.mass * max(np.linalg.norm(self.system.gravity(np.inf)), self.system.max_abs(self.state.a))
+        gravity = float(np.linalg.norm(self.system.gravity(np.inf)))
+        weight = self.system.mass * max(gravity, self.system.max_abs(self.state.a))
         if lost > self.lost * weight:
             log.warning(
                 'the effort of spring "%s" is known to %.1e N only, by roundoff of places times its stiffness, where forces are '

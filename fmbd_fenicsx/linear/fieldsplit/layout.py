@@ -43,8 +43,8 @@ class Layout:
 
     def unpack(self, x: Array) -> tuple[Array, list[Array], Array]:
         """Core, nodal values of each field, and all multipliers of a vector of unknowns; collective."""
-        parts = [d * y for d, y in zip(self.scale, self.split(x), strict=True)]
-        local: list[Array] = parts[self.fields]
+        parts: list[Array] = [d * y for d, y in zip(self.scale, self.split(x), strict=True)]
+        local = parts[self.fields]
 
         # what is shared among ranks comes back together
         mine = [*parts[: self.first], *parts[self.fields.stop :]]
