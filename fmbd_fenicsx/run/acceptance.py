@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from ..schemes.declared import Declared
 from ..system.compiled.recording import Openness
 from ..system.evaluation import Evaluation
 from ..system.lengths import farthest
+from ..system.serialisation import Remembering, plain
 from ..system.system import State, System
 from .force_balance import Balanced
 
@@ -94,8 +95,10 @@ def _diverged(t: float, h: float) -> str:
 
 
 @dataclass
-class Closed:
+class Closed(Remembering):
     """Refuses states whose constraints are open. ``levels``: those that the scheme holds; ``share``: the factor of L in (1)."""
+
+    keeps: ClassVar = dict.fromkeys(("fastest", "last"), plain())
 
     system: System
     levels: tuple[int, ...]

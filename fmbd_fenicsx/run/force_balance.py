@@ -20,7 +20,7 @@ equations of motion at the end of a step are judged, in scenes without contact: 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from ..schemes.declared import Declared
 from ..system.evaluation import Evaluation
 from ..system.force_tangent import force_tangent
 from ..system.lengths import farthest
+from ..system.serialisation import Remembering, plain
 from ..system.system import State, System
 
 SHARE = 1e-2  # of accelerations
@@ -41,8 +42,10 @@ ROUNDOFF = 1e4 * float(np.finfo(float).eps)
 
 
 @dataclass
-class Balanced:
+class Balanced(Remembering):
     """Refuses states whose forces are not in balance by (2). ``rtol``: of the scheme's error control, 0 without."""
+
+    keeps: ClassVar = dict.fromkeys(("hardest", "fastest", "repeated"), plain())
 
     solver: StepSolver
     share: float = SHARE

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 from ..linear.condensation import StepSolver
 from ..schemes.newton import Newton
 from ..schemes.stepping import TimeStepper
+from ..system.serialisation import worker
 from ..system.system import System
+from .force_balance import Balanced
 from .output import Recorder
 
 if TYPE_CHECKING:
@@ -18,8 +20,8 @@ if TYPE_CHECKING:
 
 @dataclass
 class RunProgress:
-    """The workers of a march, steps ``done``, largest ``local_error``, back-solves of the ``first`` step, and the seconds
-    that processes before a restart took.
+    """The workers of a march, the judge of its balance, steps ``done``, largest ``local_error``, back-solves of the ``first`` step,
+    and the seconds that processes before a restart took.
     """
 
     system: System
@@ -27,6 +29,7 @@ class RunProgress:
     newton: Newton
     stepper: TimeStepper
     recorder: Recorder
+    balanced: Balanced | None = None
     done: int = 0
     local_error: float = 0.0
     first: int = 0
@@ -47,6 +50,8 @@ class RunProgress:
         n = self.newton
         n.iterations, n.theta, n.renewals = m("Newton", (n.iterations, n.theta, n.renewals))
         self.recorder.remember(m.inside("recorder"))
+        worker(m, "balanced", self.balanced)
+        worker(m, "closed", self.recorder.closed)
         self.done, self.local_error, self.first = m("course", (self.done, self.local_error, self.first))
         now = clock.perf_counter()
         spent = m("seconds", self.earlier + now - self.begun)

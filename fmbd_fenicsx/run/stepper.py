@@ -82,7 +82,7 @@ class SceneStepper:
             raise
 
         recorder = Recorder(scene, system, markers, Output(progress=False), np.inf)
-        self._progress = RunProgress(system, self._solver, newton, made, recorder)
+        self._progress = RunProgress(system, self._solver, newton, made, recorder, judges.balanced)
         self._motions = PrescribedMotions(scene, system, start.t)
 
         self._saved: Saved | None = None

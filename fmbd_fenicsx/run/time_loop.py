@@ -136,7 +136,7 @@ class Loop:
         self.judges = judges_of(problem, solver, schedule)
         self.stepper = make_stepper(problem, solver, schedule, self.judges, guarded=guarded)
         self.recorder = self._recorder()
-        self.progress = RunProgress(system, solver, problem.newton, self.stepper, self.recorder)
+        self.progress = RunProgress(system, solver, problem.newton, self.stepper, self.recorder, self.judges.balanced)
         if keeper is not None:
             keeper.resume(self.progress)
         self.state = state = self.stepper.state
