@@ -13,6 +13,7 @@ import pytest
 from ufl import Identity, dev, grad, inner, sqrt, sym, tr
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.post.plot import series_of
 
 E, NU = 5e6, 0.3
 
@@ -111,3 +112,20 @@ def test_rigid_bodies_are_written_where_they_are(tmp_path: Path) -> None:
     grid = reader.read().combine()
     where = (grid.points + grid["displacement"]).mean(0)
     np.testing.assert_allclose(where, run["ball"][-1], atol=1e-6)
+
+
+def test_components_have_units_of_their_own(tmp_path: Path) -> None:
+    """Forces and moments of a rod's section, in tables and on axes."""
+    section = fmbd.RodSection.circle(youngs_modulus=2e11, poisson_ratio=0.3, density=7800.0, radius=0.01)
+    scene = fmbd.Scene("cantilever", gravity=(0, 0, -9.81))
+    rod = scene.add(fmbd.Rod("rod", [(0, 0, 0), (1, 0, 0)], section, elements=1))
+    scene.add(fmbd.fixed("clamp", fmbd.ground, rod.surface("start")))
+    scene.sensor("root", fmbd.sensors.section_forces(rod.surface("start")))
+    scene.sensor("strain", fmbd.sensors.section_strains(rod.surface("start")))
+    run = fmbd.solve(scene, t_end=1e-3, dt=1e-3)
+
+    run.save(tmp_path / "run.csv")
+    with (tmp_path / "run.csv").open() as file:
+        names = next(csv.reader(file))
+    assert {"root Q3 (N)", "root M2 (N m)", "strain gamma 1 (1)", "strain kappa 3 (1/m)"} <= set(names)
+    assert series_of(run, "root M2")[2] == "N m" and series_of(run, "root N")[2] == "N"

@@ -97,7 +97,8 @@ def series_of(run: Run, name: str) -> tuple[list[str], Array, str]:
     for sensor in run.series:
         labels = components(run, sensor)
         if name in labels and len(labels) > 1:
-            return [name], run[sensor][:, labels.index(name)][:, None], run.scene.sensors[sensor].unit
+            k = labels.index(name)
+            return [name], run[sensor][:, k][:, None], run.scene.sensors[sensor].unit_of(k)
     return components(run, name), run[name], run.scene.sensors[name].unit
 
 

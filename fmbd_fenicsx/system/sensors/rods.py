@@ -45,6 +45,10 @@ class SectionSensor(Sensor):
         mean: Array = np.mean(values, axis=0)
         return mean
 
+    def unit_of(self, component: int) -> str:
+        """Of the three forces and three moments, or of stretch and shears, twist and bendings."""
+        return self.unit.split(", ")[component // 3]
+
     @property
     def labels(self) -> Sequence[str]:
         """Stretch, shears, twist, bendings, or the forces and moments that belong to them."""
