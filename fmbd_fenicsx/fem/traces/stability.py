@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.linalg as sl
@@ -178,7 +178,8 @@ class BodyNorm:
         self.A.destroy()
 
 
-class OnSurface(NamedTuple):
+@dataclass(frozen=True)
+class OnSurface:
     """Where multipliers act: a surface of a mesh, the degree of the displacements there, and the multiplier space, None: that
     which goes with the degree.
     """

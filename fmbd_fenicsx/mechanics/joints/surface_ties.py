@@ -72,7 +72,7 @@ class SurfaceTie(ScenePart):
 
     def multipliers_on(self) -> OnSurface:
         """Where its multipliers act: on its first surface."""
-        return self.a.multipliers_on()._replace(space=self.space)
+        return replace(self.a.multipliers_on(), space=self.space)
 
     @property
     def surfaces(self) -> tuple[Surface, ...]:
