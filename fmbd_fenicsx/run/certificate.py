@@ -136,6 +136,6 @@ def _uncertain(run: Run, stated: Statement) -> str:
         return ""
     return (
         f'the error of time of "{stated.sensor}" is uncertain: runs with larger steps show the order {seen:.1f}, {order} is '
-        "expected. They follow another motion, and what is stated may be several times too large or too small. Take a smaller "
-        "dt, or a scheme that chooses its steps (rtol)"
+        "expected. They follow another motion, or the sensor jumps, and what is stated may be several times too large or too "
+        "small. Take a smaller dt, or a scheme that chooses its steps (rtol); of what jumps, a mean over time"
     )

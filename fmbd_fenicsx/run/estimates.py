@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -356,11 +356,12 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
         found_in_space, run.space_unstated = space_error(problem, made)
         run.state_error("space", found_in_space)
         run.seconds["space estimate"] = clock.perf_counter() - ended
-    warn_of_uncertain(run)
+    warn_of_uncertain(run, run.series)
 
 
-def warn_of_uncertain(run: Run) -> None:
-    """Errors of time that may be far from what is stated, where a user sees it."""
-    for why in run.certificate.uncertain.values():
+def warn_of_uncertain(run: Run, sensors: Iterable[str]) -> None:
+    """Errors of time of some sensors that may be far from what is stated, where a user sees it."""
+    found = run.certificate.uncertain
+    for why in (found[name] for name in sensors if name in found):
         log.warning("%s.", why)
         run.warnings.append(f"{why}.")

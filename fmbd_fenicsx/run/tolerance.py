@@ -96,7 +96,7 @@ def solve_within(
         if plan_next is None:
             break
         plan = plan_next
-    return found.result(scene)
+    return found.result(scene, tol)
 
 
 @dataclass
@@ -126,7 +126,7 @@ class Search:
             "begin with, smooth the load, or take a sensor that is a mean over time or space"
         )
 
-    def result(self, scene: Scene) -> Run:
+    def result(self, scene: Scene, tol: Tolerance) -> Run:
         """The best run, with a warning where it does not keep the tolerance.
 
         Raises ConvergenceError where no run came to its end.
@@ -138,7 +138,7 @@ class Search:
             log.warning(
                 'scene "%s": the tolerance was not reached, %.2g times it is stated: %s.', scene.name, over, self.why
             )
-        warn_of_uncertain(run)
+        warn_of_uncertain(run, tol)
         run.history = tuple(self.history)
         return run
 
