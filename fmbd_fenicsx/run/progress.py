@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 @dataclass
 class RunProgress:
-    """The workers of a march, the judge of its balance, steps ``done``, largest ``local_error``, back-solves of the ``first`` step,
-    and the seconds that processes before a restart took.
+    """The workers of a march, the judge of its balance, steps ``done``, largest ``local_error``, back-solves of the ``first``
+    step, and the seconds that processes before a restart took.
     """
 
     system: System

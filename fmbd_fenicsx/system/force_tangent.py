@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
+from ..mechanics.forces.force_elements import ScalarLoads
 from ..rotations import Array
 from .element_tangent import with_elements
 
@@ -52,7 +53,7 @@ def force_tangent(ev: Evaluation, cd: float, ck: float) -> ForceTangent | None:
         if tangent is None:
             continue
         T = ck * tangent.K + cd * tangent.D
-        if loads in ev.foretold:
+        if isinstance(loads, ScalarLoads) and loads in ev.foretold:
             T = T + ck * loads.relative.geometric(ev.kin, ev.foretold[loads] - loads.scalar(ev.kin, ev.t)[2])
         on_surface = entries.seen.touches(tangent.a) | entries.seen.touches(tangent.b)
         entries.add_frames(T, tangent.a, tangent.b, ~on_surface)
