@@ -97,9 +97,10 @@ class AlphaDriver:
         return int(made), int(self._verdict.value)
 
     def error(self, scale: float, span: float, arrays: Sequence[Array], t: float) -> Array | None:
-        """``driver_error`` of alpha.c for q, v, a, lambda and the slopes of places; None where NumPy has to do."""
+        """``driver_error`` of alpha.c for q, v, a and lambda; None where NumPy has to do."""
         e, y = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
-        at = [address_of(np.ascontiguousarray(x)) for x in arrays]
+        kept = [np.ascontiguousarray(x) for x in arrays]
+        at = [address_of(x) for x in kept]
         verdict = self.library.driver_error(self.address, scale, span, *at, t, address_of(e), address_of(y))
         self.calls.raise_error()
         return None if verdict else e

@@ -91,8 +91,8 @@ class CompiledStepper(Stepper):
         """As :meth:`Stepper.error`, with the driver's factor where it made the last step."""
         if not self._ahead:
             return super().error(h)
-        s, scale, jump, slopes = self._of_error(h)
-        found = self.driver.error(scale, 0.5 * h, (s.q, s.v, s.a + jump, s.lam, slopes), s.t)
+        s, scale, jump = self._of_error(h)
+        found = self.driver.error(scale, 0.5 * h, (s.q, s.v, s.a + jump, s.lam), s.t)
         return super().error(h) if found is None else found
 
     def _settle(self) -> None:

@@ -306,19 +306,18 @@ class Stepper(TimeStepper):
 
     def error(self, h: float) -> Array:
         """The error of the last step, of size h (s), as :mod:`.variable_alpha` defines it, (n_v,); collective."""
-        s, scale, jump, slopes = self._of_error(h)
+        s, scale, jump = self._of_error(h)
         ev = self.system.at(s.t, s.q, s.v)
         # M times the jump of accelerations: times h^2, it would be lost beside those of short steps
         change = ev.balance(s.a + jump, s.lam) - ev.balance(s.a, s.lam)
         self.solver.prepare(ev, self.scheme.rule(h).weights)
-        opening = ev.jacobian.times(slopes) + ev.constraint_rate()
-        return self.solver.solve(scale * change, 0.5 * h * opening)[0]
+        return self.solver.solve(scale * change, 0.5 * h * ev.opening())[0]
 
-    def _of_error(self, h: float) -> tuple[State, float, Array, Array]:
-        """The newest state, h^2 (beta - 1/6), the jump of A, and the slopes of places."""
+    def _of_error(self, h: float) -> tuple[State, float, Array]:
+        """The newest state, h^2 (beta - 1/6), and the jump of A."""
         assert self.begun is not None
         scale = h * h * (self.scheme.parameters[3] - 1.0 / 6.0)
-        return self.state, scale, self.A - self.begun[2], self.state.v - self.miss
+        return self.state, scale, self.A - self.begun[2]
 
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step: q, v by cubics with the slopes of (1) to (3), a and lambda by straight

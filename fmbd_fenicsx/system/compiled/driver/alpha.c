@@ -170,12 +170,12 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
 }
 
 /* The error (3) of schemes/onestep/variable_alpha.py with the factor of the step that led to a state, e like v: ``a`` has the jump of
-   accelerations, which ``scale`` weights; ``slope`` are the velocities of which ``span`` (s) opens constraints. y: its multipliers. */
+   accelerations, which ``scale`` weights; velocities open constraints for ``span`` (s). y: its multipliers. */
 EXPORT int driver_error(System *s, double scale, double span, const double *q, const double *v, const double *a, const double *lam,
-                        const double *slope, double t, double *e, double *y)
+                        double t, double *e, double *y)
 {
     int verdict;
-    if ((verdict = evaluate(s, q, v, a, lam, t)) || (verdict = place(s, q, slope))) return verdict;
+    if ((verdict = evaluate(s, q, v, a, lam, t))) return verdict;
     slips(s, 1);
     for (int i = 0; i < s->rows; i++) s->gap[i] = -span * s->slip[i];
     return increment(s, -scale, e, y, t);
