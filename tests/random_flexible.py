@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from random_scenes import pick
 from scipy.integrate import solve_ivp
 
 import fmbd_fenicsx as fmbd
@@ -36,11 +37,6 @@ SMOOTH: tuple[Callable[[], Any], ...] = (
     lambda: fmbd.Radau(2, form=fmbd.GGL(), rtol=None),
     lambda: fmbd.BDF(rtol=1e-5),
 )
-
-
-def pick(rng: Rng, *items: Any) -> Any:
-    """One of some objects."""
-    return items[int(rng.integers(len(items)))]
 
 
 @dataclass(frozen=True)

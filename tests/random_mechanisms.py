@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from joint_coordinates import Array, Axis, Kin, Link, Model
+from random_scenes import pick
 from scipy.spatial.transform import Rotation
 
 import fmbd_fenicsx as fmbd
@@ -44,10 +45,6 @@ SCHEMES: tuple[Callable[[], Any], ...] = (
 def unit(rng: np.random.Generator) -> Array:
     v = rng.normal(size=3)
     return v / np.linalg.norm(v)
-
-
-def pick(rng: np.random.Generator, *items: Any) -> Any:
-    return items[int(rng.integers(len(items)))]
 
 
 @dataclass

@@ -14,7 +14,7 @@ from ..linear.condensation import StepSolver
 from ..linear.residual import Judge
 from ..log import log
 from ..rotations import Array
-from ..system.foretold_efforts import ForetoldEfforts
+from ..system.foretold_efforts import foretold_efforts
 from ..system.serialisation import Memory, plain, worker
 from ..system.system import State, System
 from .control import ErrorNorm, Statistics, StepControl
@@ -61,7 +61,7 @@ class ImplicitStepper(TimeStepper):
 
     def _warn_of_roundoff(self) -> None:
         """Say that a spring is too stiff for Newton's iteration with one tangent for several configurations."""
-        name, lost = ForetoldEfforts(self.system).lost(self.state.q)
+        name, lost = foretold_efforts(self.system).lost(self.state.q)
         gravity = float(np.linalg.norm(self.system.gravity(np.inf)))
         weight = self.system.mass * max(gravity, self.system.max_abs(self.state.a))
         if lost > self.lost * weight:

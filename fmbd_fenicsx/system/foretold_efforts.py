@@ -29,6 +29,14 @@ from .system import System
 SAME = 0.1  # efforts that differ by a smaller share are the same across
 
 
+def foretold_efforts(system: System) -> ForetoldEfforts:
+    """Those of a system, made once."""
+    if "foretold efforts" not in system.cache:
+        system.cache["foretold efforts"] = ForetoldEfforts(system)
+    made: ForetoldEfforts = system.cache["foretold efforts"]
+    return made
+
+
 class ForetoldEfforts:
     """(1) and (2) of all linear springs of a system whose rows turn."""
 

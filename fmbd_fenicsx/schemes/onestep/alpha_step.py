@@ -14,7 +14,7 @@ from ...linear.condensation import StepSolver, Weights
 from ...mechanics.forces.force_elements import ScalarLoads
 from ...rotations import Array
 from ...system.evaluation import Evaluation
-from ...system.foretold_efforts import ForetoldEfforts
+from ...system.foretold_efforts import foretold_efforts
 from ...system.speed_rows import gaps, speed_rows
 from ...system.system import State
 from ..exact_tangent import Pair, exact_increment
@@ -119,7 +119,7 @@ class AlphaStep:
         self.stabilised = stabilised and system.n_lam > 0
         self.tangent: ExactTangent | None = None if self.stabilised else newton.tangent
         self.stiff = any(loads.stiff for loads in system.forces)
-        self.springs = ForetoldEfforts(system)
+        self.springs = foretold_efforts(system)
         self.tolerance = self._tolerance()
 
         # what it has found

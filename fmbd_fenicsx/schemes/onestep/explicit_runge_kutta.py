@@ -61,9 +61,7 @@ class Stepper(ExplicitStepper):
     what = "The explicit Runge-Kutta scheme"
     _slopes: tuple[Array, Array] | None = None  # rates and accelerations of the stages of the last step
 
-    def amplification(self, z: float, damping: float) -> Array:
-        """See :func:`amplification`."""
-        return amplification(z, damping)
+    amplification = staticmethod(amplification)
 
     def _step(self, h: float) -> tuple[State, tuple[Array, Array]]:
         """(1), (2): the new state before projection, and the slopes of all stages."""

@@ -144,7 +144,8 @@ class ExplicitStepper(TimeStepper):
         return self.state
 
     # -- what a method says -------------------------------------------------------------------------------------------
-    def amplification(self, z: float, damping: float) -> Array:
+    @staticmethod
+    def amplification(z: float, damping: float) -> Array:
         """The matrix of one step for x'' + c x' + w^2 x = 0, z = h w and damping = h c, over (x, h x'), (2, 2)."""
         raise NotImplementedError
 

@@ -72,9 +72,7 @@ class Stepper(ExplicitStepper):
 
     what = "The half-explicit scheme"
 
-    def amplification(self, z: float, damping: float) -> Array:
-        """See :func:`amplification`."""
-        return amplification(z, damping)
+    amplification = staticmethod(amplification)
 
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step, of the order of the scheme; None after a new start; collective.

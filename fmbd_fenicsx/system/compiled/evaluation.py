@@ -189,17 +189,21 @@ class DriverStates:
         return True
 
     def _holds(self, ev: DriverEvaluation, weights: tuple[float, float]) -> bool:
-        """Whether the factor is that of a state; velocities count where weights are those of stiffness or damping. Steps that
-        took the tables write over it.
-        """
-        if self.taken or self._held is None or self._held[0] != ev.t or self._held[3] != weights:
+        """Whether the factor is that of a state; velocities count where weights are those of stiffness or damping."""
+        if not self._holds_in(ev.t, ev.q, weights):
             return False
-        _, q, v, _ = self._held
-        return bool((q == ev.q).all()) and (not any(weights) or bool((v == ev.alone[2][0]).all()))
+        assert self._held is not None
+        return not any(weights) or bool((self._held[2] == ev.alone[2][0]).all())
 
     def holds_masses(self, t: float, q: Array) -> bool:
         """Whether the factor is that of the masses in a configuration."""
-        return self._held is not None and self._held[::3] == (t, (0.0, 0.0)) and bool((self._held[1] == q).all())
+        return self._holds_in(t, q, (0.0, 0.0))
+
+    def _holds_in(self, t: float, q: Array, weights: tuple[float, float]) -> bool:
+        """Whether the factor is that of a configuration; steps that took the tables write over it."""
+        if self.taken or self._held is None:
+            return False
+        return self._held[::3] == (t, weights) and bool((self._held[1] == q).all())
 
     def hold(self, t: float | None, q: Array | None = None, v: Array | None = None, *, new: bool = True) -> None:
         """Take note that the factor is that of the masses in a state, or, without one, of nothing that is known."""
