@@ -124,6 +124,18 @@ def test_the_error_is_that_of_the_whole_step() -> None:
         late.advance(1.0)
 
 
+def test_depth_counts_from_the_parts_that_every_step_gets() -> None:
+    """After energy was gained all steps are made in halves: a part that fails may still be cut into 64."""
+    system, state = body()
+    stepper = ConstantSteps(Brittle(state, 0.01), system, lambda s: Brittle(s, 0.01), None)
+    stepper.whole = 1
+    assert stepper.advance(1.0).t == 1.0 and stepper.counters == {"made": 128, "halved_steps": 126}
+    short = ConstantSteps(Brittle(state, 0.005), system, lambda s: Brittle(s, 0.005), None)
+    short.whole = 1
+    with pytest.raises(ConvergenceError, match=r"h = 0\.5 Parts of this step fail too, down to 1/128"):
+        short.advance(1.0)
+
+
 def test_a_worker_that_can_restart_stays_on_the_grid_under_guard() -> None:
     """Radau and BDF restart; with constant steps a part of a step that gained energy is no step."""
     system, state = body()

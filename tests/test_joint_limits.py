@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.materials import linear_elastic
 
 G = 9.81
+BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
 
 
 def bouncing(t: np.ndarray, depth: float, e: float) -> np.ndarray:
@@ -159,6 +161,34 @@ def test_beside_frictional_contact(dim: int) -> None:
     run = fmbd.solve(scene, t_end=0.3, dt=1e-2)
     assert np.allclose(run["s"][:, 0], bouncing(run.times, 0.2, 0.7), atol=1e-9)
     assert np.allclose(run["ball"][:, 0], 1.0 - 0.3 * G * run.times, atol=1e-9)  # it slides for 0.309 s
+
+
+def test_beside_contact_of_many_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A limited slider next to a soft bar on the floor, whose rows are applied, not stored: each moves as alone."""
+    monkeypatch.setattr("fmbd_fenicsx.linear.complementarity.delassus.MANY", 1)
+    mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.1), counts=(8, 1), quads=True)
+
+    def fallen(*wanted: str) -> Any:
+        scene = fmbd.Scene("both", gravity=(0.0, -G))
+        if "slider" in wanted:
+            mass = fmbd.RigidBody("mass", 2.0, 0.1, position=(0.0, 0.0))
+            rail = fmbd.prismatic("rail", fmbd.ground, mass, axis=(0, 1))
+            scene.add(mass, rail, fmbd.joint_limit("stop", fmbd.displacement(rail), lower=-0.2, restitution=0.7))
+            scene.sensor("s", fmbd.displacement(rail))
+        if "bar" in wanted:
+            bar = fmbd.AbsoluteBody("bar", mesh, degree=1, density=1e3, elastic=linear_elastic(1e6, 0.3))
+            floor = fmbd.Obstacle("floor", fmbd.contacts.HalfSpace((0.0, -0.001), (0.0, 1.0)))
+            scene.add(bar, fmbd.contact("floor", bar.surface("bottom"), floor, redistribute_mass=False))
+            scene.sensor("impulse", fmbd.contact_impulse("floor"))
+        return fmbd.solve(scene, t_end=0.3, dt=2e-3, scheme=fmbd.Moreau())
+
+    both = fallen("slider", "bar")
+    assert np.allclose(both["s"][:, 0], bouncing(both.times, 0.2, 0.7), atol=1e-9)
+    alone = fallen("bar")["impulse"]
+    assert alone.max() > 10.0
+    assert np.allclose(
+        both["impulse"], alone, atol=5e-3 * alone.max()
+    )  # the stop's impacts are met within steps of their own
 
 
 def test_bad_input_is_named() -> None:
