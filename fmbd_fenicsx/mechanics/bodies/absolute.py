@@ -53,9 +53,10 @@ class AbsoluteField(FieldPart):
         """Mean rotation of the body since its tangent was taken, (d, d); None for linear bodies."""
         if not self.field.nonlinear:
             return None
-        return self._mean_rotation(u) @ self._turn_at_tangent.T
+        return self.mean_rotation(u) @ self._turn_at_tangent.T
 
-    def _mean_rotation(self, u: Array) -> Array:
+    def mean_rotation(self, u: Array) -> Array:
+        """Mean rotation of the body at displacements u (n d,), (d, d); collective."""
         d = self.field.dim
         # mean deformation gradient over the mass; the rotation in it
         F = self.field.total((self.field.X + u.reshape(-1, d)).T @ self._moment_columns)
@@ -80,7 +81,7 @@ class AbsoluteField(FieldPart):
             return False
         increment = increment if self.foretells else None
         self.field.linearise_motion(*self._last, increment)
-        self._turn_at_tangent = self._mean_rotation(self._last[1])
+        self._turn_at_tangent = self.mean_rotation(self._last[1])
         pressure = self.field.pressure_values if self.field.carried else None  # type: ignore[attr-defined]
         t, U, Ud = self._last
         self._tangent_at = TangentPoint(t, U, Ud, None, pressure, increment)
@@ -133,7 +134,7 @@ class AbsoluteField(FieldPart):
 
     def _damping_turn(self, U: Array) -> Array:
         """R of the damping, (d, d); of bodies with a pressure the turn since the tangent was taken, as in Newton's matrix."""
-        turn = self._mean_rotation(U)
+        turn = self.mean_rotation(U)
         return turn @ self._turn_at_tangent.T if self.field.mixed else turn
 
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:

@@ -11,24 +11,37 @@ A viscous law acts at (u_0 + u_1) / 2 with the rate (u_1 - u_0) / h; there sym(F
 is that of the strain that has changed, and a rigid rotation over any angle does none. Dead loads b do the work
 b . (u_1 - u_0), a pressure that of its mean over the way from u_0 to u_1 (two points: exact). P are the forces of joints
 and springs on the ports, see :mod:`.energy_momentum`. The tangent is exact; it is taken anew while Newton's iteration is
-slow: the scheme is for steps that turn bodies far.
+slow, and turns with the body in between: the scheme is for steps that turn bodies far.
 
 Source: Gonzalez, doi:10.1016/S0045-7825(00)00189-4; Simo and Tarnow, doi:10.1007/BF00913408.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ...energies import StoredEnergy, ViscousForm
 from ...mechanics.bodies.absolute import AbsoluteField
-from ...rotations import Array
+from ...rotations import Array, rotate_nodal
+from ...system.serialisation import Memory
 from ...system.system import State, System
 
 TINY = 1e-9  # dC : dC below which the correction in (2), of the third order in dC, is lost in roundoff
 POINTS = (0.5 - 1 / 12**0.5, 0.5 + 1 / 12**0.5)  # of Gauss's rule from u_0 to u_1
+
+
+@dataclass(frozen=True)
+class Taken:
+    """The step whose tangent was taken: its start (s), size (s), displacements at both ends (n d,), the body's mean rotation."""
+
+    t: float
+    h: float
+    U0: Array
+    U1: Array
+    turn: Array
 
 
 class _Body:
@@ -67,6 +80,13 @@ class _Body:
         self.ksp.getPC().setFactorSolverType("mumps")
 
         self.x, self.b = self.J.createVecs()
+        self.taken: Taken | None = None  # where J_f was
+        self.turn: Array | None = None  # of the body since, where that matters
+
+    @property
+    def constant(self) -> bool:
+        """Whether the tangent depends on the size of the step only."""
+        return not (self.field.nonlinear or self.field.loads.moving or self.field.viscous.law is not None)
 
     def _forces(self, v: Any) -> Any:
         """UFL form of elastic and viscous forces and of loads on the deformed body."""
@@ -126,8 +146,8 @@ class _Body:
 
     def begin(self, state: tuple[float, Array, Array], h: float, gravity: Array) -> None:
         """A step of size h (s) from t, u_0, v_0, and a first u_1; collective."""
-        t, U, V = state
-        f = self.field
+        self.t, U, V = state
+        t, f = self.t, self.field
         self.h.value = h
         f.loads.at(t + 0.5 * h)
 
@@ -138,6 +158,13 @@ class _Body:
 
         self._place(self.u0, U)
         self.U, self.U0, self.V0 = self._predict(U, V, h), U, V
+        self.turn = None
+        if self.taken is not None and not self.constant:
+            self.turn = self._mean_turn() @ self.taken.turn.T
+
+    def _mean_turn(self) -> Array:
+        """Mean rotation of the body in the middle of the step, (d, d); collective."""
+        return self.part.mean_rotation(0.5 * (self.U0 + self.U))
 
     def _place(self, function: Any, U: Array) -> None:
         """Nodal values with ghosts."""
@@ -155,18 +182,40 @@ class _Body:
         inertia = self.field.mass((2.0 / self.h.value**2 * self.U).reshape(-1, self.field.dim)).ravel()
         return np.array(inertia + b.array[:n] - self._known)
 
-    def linearise(self) -> None:
-        """J_f at u_1; factored at the next solve; collective."""
-        self._place(self.u1, self.U)
+    def linearise(self) -> bool:
+        """J_f at u_1, factored at the next solve; False where the one that is there would be the same. Collective."""
+        h = float(self.h.value)
+        if self.constant and self.taken is not None and self.taken.h == h:
+            return False
+        self._take(Taken(self.t, h, self.U0, self.U, self._mean_turn()))
+        return True
+
+    def _take(self, at: Taken) -> None:
+        """J_f of a step; collective."""
+        self.taken, self.turn, self.h.value = at, None, at.h
+        self.field.loads.at(at.t + 0.5 * at.h)
+        self._place(self.u0, at.U0)
+        self._place(self.u1, at.U1)
         self.J.zeroEntries()
         self._assemble(self.J, self._tangent)
         self.J.assemble()
 
+    def remember(self, m: Memory) -> None:
+        """Take the tangent again where it was taken; collective."""
+        at, order = self.taken, self.field.numbering
+        if not m("taken", at is not None):
+            self.taken = None
+            return
+        t, h, turn = (m(name, at and getattr(at, name)) for name in ("t", "h", "turn"))
+        U0, U1 = (m.nodal(name, at and getattr(at, name), order) for name in ("U0", "U1"))
+        if m.reading:
+            self._take(Taken(t, h, U0, U1, turn))
+
     def solve(self, r: Array) -> Array:
-        """J_f^-1 r; collective."""
-        self.b.array[:] = r
+        """J_f^-1 r, for the body as it has turned since J_f was taken; collective."""
+        self.b.array[:] = rotate_nodal(r, self.turn, back=True)
         self.ksp.solve(self.b, self.x)
-        return np.array(self.x.array)
+        return rotate_nodal(np.array(self.x.array), self.turn)
 
     def solve_columns(self, B: Array) -> Array:
         """The same for columns (n d, k)."""
@@ -227,6 +276,8 @@ class Fields:
             self._reference[at] = part.reference[own]
             self._H.append(part.port_columns(own))
 
+        self._Y: list[Array] = [np.zeros_like(H) for H in self._H]
+        self._own_W: list[Array] = [np.zeros((H.shape[1], H.shape[1])) for H in self._H]
         self.W: Array = np.zeros((len(used), len(used)))
 
     def begin(self, s: State, h: float) -> None:
@@ -235,6 +286,15 @@ class Fields:
         g = self.system.gravity(s.t + 0.5 * h)
         for body, (k, _) in zip(self.bodies, self.system.fields, strict=True):
             body.begin((s.t, s.q[in_q[k]], s.v[in_v[k]]), h, g)
+        self._turn_compliance()
+
+    def _turn_compliance(self) -> None:
+        """W for the bodies as they have turned: ports are vectors."""
+        for body, (at, _), W in zip(self.bodies, self._at, self._own_W, strict=True):
+            if body.turn is not None and len(at):
+                T = np.kron(np.eye(len(at) // len(body.turn)), body.turn)
+                W = T @ W @ T.T
+            self.W[np.ix_(at, at)] = W
 
     def port_values(self) -> Array:
         """The ports in use at u_1; collective."""
@@ -246,11 +306,22 @@ class Fields:
 
     def linearise(self) -> None:
         """Tangents at u_1 and W = H^T J_f^-1 H; collective."""
-        self._Y = []
-        for body, (at, _), H in zip(self.bodies, self._at, self._H, strict=True):
-            body.linearise()
-            self._Y.append(body.solve_columns(H))
-            self.W[np.ix_(at, at)] = body.field.total(H.T @ self._Y[-1])
+        for k, body in enumerate(self.bodies):
+            if body.linearise():
+                self._solve_columns(k)
+        self._turn_compliance()
+
+    def _solve_columns(self, k: int) -> None:
+        """J_f^-1 H and W of one body."""
+        self._Y[k] = self.bodies[k].solve_columns(self._H[k])
+        self._own_W[k] = self.bodies[k].field.total(self._H[k].T @ self._Y[k])
+
+    def remember(self, m: Memory) -> None:
+        """Where tangents were taken, which are taken there again; collective."""
+        for k, body in enumerate(self.bodies):
+            body.remember(m.inside(str(k)))
+            if m.reading and body.taken is not None:
+                self._solve_columns(k)
 
     def back(self, port: Array) -> Array:
         """H^T z, z = J_f^-1 r_f with the forces ``port`` on the ports; collective."""
@@ -265,7 +336,7 @@ class Fields:
         """u_1 moved by du = -z - J_f^-1 H dP; the largest mean increment of a body over its size; collective."""
         found = []
         for body, (at, _), Y, z in zip(self.bodies, self._at, self._Y, self._z, strict=True):
-            dU = -z - Y @ dP[at]
+            dU = -z - rotate_nodal(Y @ rotate_nodal(dP[at], body.turn, back=True), body.turn)
             body.U = body.U + dU
 
             f = body.field

@@ -45,7 +45,7 @@ from ...rotations import Array
 from ...system.configurations import count
 from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
-from ...system.serialisation import Memory, plain
+from ...system.serialisation import Memory, plain, worker
 from ...system.speed_rows import speed_rows
 from ...system.system import State, System
 from ..consistent import accelerations
@@ -57,6 +57,7 @@ SLOW = 0.1  # rate of Newton's iteration above which a new tangent is taken
 SINGULAR = 1e-14  # singular values of the scaled tangent below this share belong to rows that depend on each other
 DIFFERENCE = 1e-7
 NEAR = 12  # further iterations where the tangent is not exact
+ZERO = 1e-13  # an increment of this size is roundoff
 ENOUGH = 1e-9  # last increment of accelerations, over their size
 ROUNDOFF = 1e-12  # an increment that moves positions by this share of the model's length is none that further ones could improve
 WITH_FIELDS = 40  # iterations at most of scenes with fields: their large steps turn bodies far
@@ -114,13 +115,17 @@ def _over(history: list[float]) -> bool:
     """Whether increments are at roundoff, fall no more close to it, or have diverged."""
     last = history[-1]
     stalled = len(history) > 2 and last <= 1e-10 and last > 0.2 * history[-2]
-    return last <= 1e-13 or stalled or not np.isfinite(last)
+    return last <= ZERO or stalled or not np.isfinite(last)
 
 
 class Stepper(TimeStepper):
     """Advances a consistent state. The unknowns of a step: mean accelerations of the core, ports of fields in use, lambda."""
 
-    keeps: ClassVar = {"state": Memory.state, "_last": plain(), "_kept": plain(), "counters": plain()}
+    keeps: ClassVar = {
+        "state": Memory.state,
+        **dict.fromkeys(("_last", "_kept", "counters"), plain()),
+        "fields": worker,
+    }
     counters: dict[str, float] = {}
 
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
@@ -152,35 +157,40 @@ class Stepper(TimeStepper):
         exact = J is None and not self._prepare(h, y)  # whether differences have to give the tangent
         history: list[float] = []
         worst = 0.0  # rate of convergence
+        age = 0 if J is None else 1  # increments by the tangent of a scene with fields
 
         for _ in range(self.newton.max_iterations + NEAR if self.fields is None else WITH_FIELDS):
             r = self._residual(h, y, old)
             if J is None and exact:
                 J = self._differences(h, (y, r, self._reach(h, size)), old)
+                age = 0
                 if self.fields is not None:
                     self.fields.linearise()
             y = self._near_increment(y, r, weights) if J is None else self._increment(y, r, J, weights)
             history.append(self._change)
             self.newton.iterations += 1
+            age += 1
 
             rate, above_roundoff = _rate(history), history[-1] > 1e-11
             if above_roundoff:
                 worst = max(worst, rate)
-            if rate > SLOW and history[-1] <= roundoff:
+            # slow by an old tangent of fields is no roundoff
+            old_tangent = self.fields is not None and age > 1 and rate > SLOW and history[-1] > ZERO
+            if rate > SLOW and history[-1] <= roundoff and not old_tangent:
                 break
             # a tangent that does not serve any more is taken anew; a near one that serves at once is kept
             if rate > SLOW and (J is not None or above_roundoff):
                 J, exact = None, True
-            elif len(history) == 1 and self._kept is None:
+            elif len(history) == 1 and self._kept is None and self.fields is None:
                 J = None
-            if _over(history):
+            if _over(history) and not old_tangent:
                 break
 
         if not history[-1] <= max(ENOUGH, roundoff):
             raise self._failure(h, history)
         settled = min(rate, 0.9)  # what further increments would add
         self.newton.note(settled / (1 - settled) * history[-1] / self.newton.tolerance)
-        self._kept = (h, J) if J is not None and worst < 0.5 * SLOW and self.fields is None else None
+        self._kept = (h, J) if J is not None and worst < 0.5 * SLOW else None
         return self._take(h, y)
 
     def _failure(self, h: float, history: list[float]) -> ConvergenceError:
