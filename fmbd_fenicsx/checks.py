@@ -102,8 +102,8 @@ def whole(what: str, value: Any, *, least: int = 0) -> int:
 def array(what: str, value: Any, *, shape: str = "finite numbers") -> np.ndarray:
     """Finite numbers in an array of any shape; ``shape``: what is wanted, in words."""
     plain = value if type(value) is tuple else (value,)
-    if plain and all(type(x) is float and math.isfinite(x) for x in plain):
-        return np.array(value)  # as most are given
+    if plain and _numbers(plain):
+        return np.array(value, dtype=float)  # as most are given
     try:
         found = np.asarray(value)
         usable = found.dtype.kind in "iuf" and _finite(found)
@@ -112,6 +112,15 @@ def array(what: str, value: Any, *, shape: str = "finite numbers") -> np.ndarray
     if not usable:
         refuse(what, shape, value)
     return np.array(found, dtype=float)
+
+
+def _numbers(values: tuple[Any, ...]) -> bool:
+    """Whether all of some values are Python's own finite numbers."""
+    for x in values:
+        kind = type(x)
+        if not ((kind is float or kind is int) and -LARGEST <= x <= LARGEST):
+            return False
+    return True
 
 
 def _finite(x: np.ndarray) -> bool:
@@ -316,7 +325,7 @@ def _usual(value: Any, hint: Any, default: Any) -> bool:
     if value is default and default is not MISSING:
         return True
     options, anything, _ = _options(hint)
-    return anything or _plainly(value, options)
+    return anything or _plainly(value, options) or isinstance(value, _classes(hint))
 
 
 @cache
@@ -326,6 +335,14 @@ def _options(hint: Any) -> tuple[tuple[Any, ...], bool, bool]:
     some = tuple(option for option in options if option is not type(None))
     objects = all(isinstance(x, type) and x not in (float, int, str, bool, np.ndarray) for x in some)
     return options, any(_unknown(option) for option in some), objects
+
+
+@cache
+def _classes(hint: Any) -> tuple[type, ...]:
+    """The classes among the types that an annotation allows of whose objects nothing more is checked."""
+    origins = [typing.get_origin(option) or option for option in _options(hint)[0]]
+    looked_into = (float, int, str, np.ndarray, Sequence, tuple, list)
+    return tuple(x for x in origins if isinstance(x, type) and x not in looked_into)
 
 
 def _plainly(value: Any, options: tuple[Any, ...]) -> bool:

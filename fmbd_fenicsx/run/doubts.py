@@ -48,7 +48,7 @@ def warn_of_doubts(scene: Scene, solver: StepSolver, recorder: Recorder, counter
 
 def _growth(system: System, energy: dict[str, Array], times: Array) -> None:
     """(1): steps that each gain little are not refused, many of them add up."""
-    total = np.sum(list(energy.values()), axis=0)
+    total: Array = sum(energy.values(), start=np.zeros(len(times)))
     turnover = max(float(np.max(energy["kinetic"] + energy["elastic"] + np.abs(energy["springs"]))), 0.0)
 
     weight = system.mass * float(np.linalg.norm(system.gravity(0.0))) * system.length
@@ -112,10 +112,9 @@ def _impacts(counters: Mapping[str, float]) -> None:
 def _open_velocities(recorder: Recorder) -> None:
     """(2), above what roundoff of places is in one run: a scene at rest moves by nothing else."""
     check = recorder.closed
-    span = float(np.ptp(recorder.times))
     if check is None or recorder.worst_slip <= SLIP * recorder.fastest:
         return
-    if recorder.worst_slip * span <= ROUNDOFF * recorder.system.length:
+    if recorder.worst_slip * float(np.ptp(recorder.times)) <= ROUNDOFF * recorder.system.length:
         return
     log.warning(
         "joints open at up to %.2g m/s (or rad/s times the model's length), the largest velocity is %.3g m/s: velocities and "

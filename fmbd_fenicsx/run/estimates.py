@@ -361,6 +361,8 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
 
 def warn_of_uncertain(run: Run, sensors: Iterable[str]) -> None:
     """Errors of time of some sensors that may be far from what is stated, where a user sees it."""
+    if not run.observed_order:  # which tells
+        return
     found = run.certificate.uncertain
     for why in (found[name] for name in sensors if name in found):
         log.warning("%s.", why)

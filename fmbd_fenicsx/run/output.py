@@ -142,7 +142,7 @@ class Output:
             count = int(np.floor(t_end * self.snapshots.rate * (1 + 1e-12)))
             return [k / self.snapshots.rate for k in range(count + 1)]
         if isinstance(self.snapshots, int):
-            return [float(t) for t in np.linspace(0.0, t_end, self.snapshots)]
+            return [float(t) for t in np.linspace(0.0, t_end, self.snapshots)] if self.snapshots else []
 
         late = [t for t in self.snapshots if t > t_end * (1 + 1e-9)]
         require(not late, f"Output: snapshots at {late} s lie after the end of the run, {t_end:g} s.")
@@ -152,6 +152,8 @@ class Output:
 def refuse_too_many(output: Output, system: System, t_end: float, steps: int) -> None:
     """Refuse snapshots that would fill the memory; ``steps`` of the run, 0 where they are not known."""
     wanted = output.count(t_end)
+    if not wanted:
+        return
     number = min(wanted, steps + 1) if steps else wanted
     # t, q, v, a, lambda of one state; this machine's memory
     size = 8.0 * (system.n_q + 2 * system.n_v + system.n_lam)

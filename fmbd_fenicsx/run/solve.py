@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Run", "default_scheme", "solve"]
 
+USUAL = GeneralizedAlpha()  # frozen: all runs may share it
+
 
 def solve(
     scene: Scene,
@@ -97,7 +99,7 @@ def default_scheme(scene: Scene) -> Any:
     or reduced bodies or rods touch, the scheme with impacts.
     """
     if not scene.unilateral:
-        return GeneralizedAlpha()
+        return USUAL
     if scene.limits or any(pair.bounces for pair in scene.contacts.values()):
         from ..schemes.impacts.moreau import Moreau
 

@@ -15,7 +15,7 @@ stable at any angle.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,13 +33,13 @@ LARGEST = 150  # replicated coordinates up to which the angle is looked at
 RANK = 1e-9  # singular values of rows below this share of the largest are zero
 
 
-def warn_of_turning_rows(solver: StepSolver, scheme: object, states: Iterable[State], h: float) -> None:
+def warn_of_turning_rows(solver: StepSolver, scheme: object, states: Sequence[State], h: float) -> None:
     """Warn where rows turn beyond the scheme's limit in one of the states; no fields, not collective."""
     limit = Declared.by(scheme).turn_limit
     system = solver.system
     if limit is None or system.fields or not 0 < system.n_core <= LARGEST:
         return
-    angle, state = max(((turned(solver, s, h, least=limit), s) for s in states), key=lambda found: found[0])
+    angle, state = max(zip(turned(solver, states, h, least=limit), states, strict=True), key=lambda found: found[0])
     if angle <= limit:
         return
     log.warning(
@@ -49,41 +49,52 @@ def warn_of_turning_rows(solver: StepSolver, scheme: object, states: Iterable[St
     )  # fmt: skip
 
 
-def turned(solver: StepSolver, state: State, h: float, *, least: float = 0.0) -> float:
-    """phi of the module for a step h (s) with the velocity of a state, rad; 0 where it is certainly below ``least``."""
+def turned(solver: StepSolver, states: Sequence[State], h: float, *, least: float = 0.0) -> list[float]:
+    """phi of the module for a step h (s) with the velocity of each state, rad; 0 where it is certainly below ``least``."""
     system = solver.system
-    if not np.isfinite(state.q).all() or not np.isfinite(state.v).all() or not state.v.any():
-        return 0.0
     on_speeds = speed_rows(system)
     held = np.setdiff1d(np.arange(system.n_lam), on_speeds) if on_speeds.size else slice(None)
+    moving = [i for i, s in enumerate(states) if np.isfinite(s.q).all() and np.isfinite(s.v).all() and s.v.any()]
 
-    before, after = _rows(solver, state, h, held)
-    if not before.shape[1] or _certainly_below(np.sin(least), before, after):
-        return 0.0
+    angles, sine = [0.0] * len(states), float(np.sin(least))
+    for i, (before, after) in zip(moving, _rows(solver, [states[i] for i in moving], h, held), strict=True):
+        if before.shape[1] and not _certainly_below(sine, before, after):
+            angles[i] = _angle(before, after)
+    return angles
 
-    # the sine of the largest angle: what the smaller space has outside of the larger
+
+def _angle(before: Array, after: Array) -> float:
+    """The largest principal angle between the spaces of two sets of columns: what the smaller has outside of the larger."""
     small, large = sorted((_space(before), _space(after)), key=lambda basis: basis.shape[1])
     outside = small - large @ (large.T @ small)
     sine = float(np.linalg.norm(outside, 2))
     return float(np.arcsin(min(sine, 1.0)))
 
 
-def _rows(solver: StepSolver, state: State, h: float, held: np.ndarray | slice) -> tuple[Array, Array]:
-    """L^-1 G^T of the rows ``held`` with M = L L^T, columns of size 1, (n_v, rows): of a state, and a step h (s) later."""
+def _rows(
+    solver: StepSolver, states: Sequence[State], h: float, held: np.ndarray | slice
+) -> Iterator[tuple[Array, Array]]:
+    """L^-1 G^T of the rows ``held`` with M = L L^T, columns of size 1, (n_v, rows): of each state, and a step h (s) later."""
+    if not states:
+        return
     system = solver.system
-    places = np.array((state.q, system.compose(state.q, h * state.v)))
-    both = system.batch(state.t, places, np.array((state.v, state.v)))
-    before, after = both.jacobian.core[:, held]
+    q, v = np.array([s.q for s in states]), np.array([s.v for s in states])
+    t = np.array([s.t for s in states])
+    places = np.concatenate((q, system.compose(q, h * v)))
+    every = system.batch(np.concatenate((t, t)), places, np.concatenate((v, v)))
+    rows = every.jacobian.core[:, held]
 
-    if system.parts:
-        factors = [_factored(solver.masses(system.at(state.t, q, state.v))) for q in places]
-        return _scaled(factors[0], before), _scaled(factors[1], after)
-
-    # of rigid bodies alone: made once
-    if "mass factor" not in system.cache:
-        system.cache["mass factor"] = _factored(solver.masses(system.at(state.t, state.q, state.v)))
-    columns = _scaled(system.cache["mass factor"], np.concatenate((before, after)))
-    return columns[:, : len(before)], columns[:, len(before) :]
+    for i, s in enumerate(states):
+        before, after = rows[i], rows[i + len(states)]
+        if system.parts:
+            factors = [_factored(solver.masses(system.at(s.t, x, s.v))) for x in (s.q, places[i + len(states)])]
+            yield _scaled(factors[0], before), _scaled(factors[1], after)
+            continue
+        # of rigid bodies alone: made once
+        if "mass factor" not in system.cache:
+            system.cache["mass factor"] = _factored(solver.masses(system.at(s.t, s.q, s.v)))
+        columns = _scaled(system.cache["mass factor"], np.concatenate((before, after)))
+        yield columns[:, : len(before)], columns[:, len(before) :]
 
 
 def _factored(matrix: Any) -> Array:
@@ -93,7 +104,10 @@ def _factored(matrix: Any) -> Array:
     # bodies without inertia in some direction: a little of it, which rows that hold them hardly feel
     diagonal = M.diagonal()
     M = 0.5 * (M + M.T) + 1e-12 * np.diag(np.maximum(diagonal, diagonal.max() * 1e-12))
-    return np.asarray(np.linalg.cholesky(M))
+    factor, fault = dpotrf(M, lower=1, clean=1, overwrite_a=1)
+    if fault:
+        raise np.linalg.LinAlgError("The masses of a state are not positive.")
+    return np.asarray(factor)
 
 
 def _scaled(factor: Array, rows: Array) -> Array:

@@ -317,14 +317,6 @@ def jerk(
     system, d = ev.system, 0.02 * h
     kept = [k for k, part in system.fields if part.field.keeps_volume]
 
-    def defects(s: float) -> tuple[Array, Array, list[Array]]:
-        q = system.compose(state.q, s * state.v + 0.5 * s * s * state.a)
-        v = state.v + s * state.a
-        at = ev if s == 0.0 else system.at(state.t + s, q, v)
-        there = State(at.t, at.q, v, state.a, state.lam)
-        volumes = [_second_rate(system, there, k) for k in kept]
-        return at.balance(state.a, state.lam), at.jacobian.times(state.a) + at.gamma(), volumes
-
     def rates(points: list[tuple[Array, Array, list[Array]]], d: float) -> tuple[Array, Array, dict[int, Array]]:
         def slope(x: Array, y: Array, z: Array) -> Array:
             return (3 * x - 4 * y + z) / (2 * d)  # less the derivative
@@ -334,20 +326,45 @@ def jerk(
         a, lam = solver.solve(slope(*forces) + volume_push(solver, third), slope(*constraints))
         return a, lam, third
 
-    begin, middle, end = (defects(s) for s in (0.0, d, 2 * d))
     turning = any(loads.stiff for loads in system.forces)
-    early = defects(0.5 * d) if turning else begin
+    begin, middle, end, *early = _defects(ev, state, kept, np.array((d, 2 * d, 0.5 * d) if turning else (d, 2 * d)))
     solver.prepare(ev, weights)
     found = rates([begin, middle, end], d)
     if not turning:
         return found
 
     # smooth motions differ by a thousandth here
-    nearer = rates([begin, early, middle], 0.5 * d)
+    nearer = rates([begin, *early, middle], 0.5 * d)
     apart, size = (system.max_abs(x) for x in (nearer[0] - found[0], found[0]))
     if apart <= max(0.1 * size, 1e-6 * system.max_abs(state.a) / h):
         return found
     return np.zeros_like(found[0]), np.zeros_like(found[1]), {k: np.zeros_like(x) for k, x in found[2].items()}
+
+
+Defects = tuple[Array, Array, list[Array]]  # of the balance, of the constraints on accelerations, of volumes
+
+
+def _defects(ev: Evaluation, state: State, kept: list[int], ahead: Array) -> list[Defects]:
+    """What is left of the balance, G a + gamma, and the third rates of the volumes of the parts ``kept``: of a state, evaluated
+    as ``ev``, and at times ``ahead`` (k,) of it, s, along its parabola with its accelerations and multipliers; collective.
+    """
+    system, s, (a, lam) = ev.system, ahead[:, None], (state.a, state.lam)
+    q, v = system.compose(state.q, s * state.v + 0.5 * s * s * a), state.v + s * a
+
+    def alone(at: Evaluation, v: Array) -> Defects:
+        there = State(at.t, at.q, v, a, lam)
+        return at.balance(a, lam), at.jacobian.times(a) + at.gamma(), [_second_rate(system, there, k) for k in kept]
+
+    found = [alone(ev, state.v)]
+    if system.fields:
+        later = [system.at(float(state.t + d), q[i], v[i]) for i, d in enumerate(ahead)]
+        return found + [alone(at, v[i]) for i, at in enumerate(later)]
+
+    # replicated coordinates: all in one call
+    every = system.batch(state.t + ahead, q, v)
+    pushes, multipliers = (np.array([x] * len(ahead)) for x in (a, lam))
+    forces, constraints = every.balance(pushes, multipliers), every.jacobian.times(pushes) + every.gamma()
+    return found + [(forces[i], constraints[i], []) for i in range(len(ahead))]
 
 
 def spin_of_acceleration(system: System, v: Array, a: Array) -> Array:

@@ -35,8 +35,16 @@ class Declared:
 
     @classmethod
     def by(cls, scheme: Any) -> Declared:
-        """What a scheme says."""
-        return cls(**{name: getattr(scheme, name, default) for name, default in _members()})
+        """What a scheme says; of one that cannot change, a frozen dataclass, read once."""
+        known = _newest.get(id(scheme))
+        if known is not None and known[0] is scheme:
+            return known[1]
+        made = cls(**{name: getattr(scheme, name, default) for name, default in _members()})
+        parameters: Any = getattr(type(scheme), "__dataclass_params__", None)
+        if parameters is not None and parameters.frozen:
+            _newest.clear()
+            _newest[id(scheme)] = scheme, made
+        return made
 
     def refuse(self, name: str, held: Contents) -> str:
         """Why the scheme ``name`` does not take what a scene holds, "" where it does; known before anything is computed."""
@@ -63,6 +71,9 @@ class Declared:
         if self.form is None:
             return self.holds
         return (0, 1) if self.form.projected else tuple(self.form.levels)
+
+
+_newest: dict[int, tuple[Any, Declared]] = {}  # the scheme asked for last: a run asks a dozen times
 
 
 @cache

@@ -14,10 +14,12 @@ if TYPE_CHECKING:
 
 def of_increments(system: System) -> Array:
     """For arrays like v, (n_v,): rotations times the model's length, amplitudes of modes times what they displace."""
-    m = system.motions
-    frame = np.concatenate((np.ones(m.dim), np.full(m.n_rot, system.length)))
-    local = [p.lengths(system.length) for p in system.parts]
-    return np.concatenate((np.tile(frame, system.n_frames), *local))
+    m, n = system.motions, system.n_frames
+    out = np.ones(system.n_v)
+    out[: n * m.n_twist].reshape(n, m.n_twist)[:, m.dim :] = system.length
+    for part, own in zip(system.parts, system.slices[1], strict=True):
+        out[own] = part.lengths(system.length)
+    return out
 
 
 def of_rows(system: System) -> Array:

@@ -92,7 +92,8 @@ class RigidBody(Body):
 
     def _check_start(self, what: str) -> None:
         """Pose and twist of the start. Its inertia makes a body plane or not; a position of the other kind shows a slip."""
-        size = np.size(np.asarray(self.position, dtype=object))
+        given = self.position
+        size = len(given) if type(given) is tuple else np.size(np.asarray(given, dtype=object))
         # texts of arrays cost more than all else that a body needs: they are made for an error only
         if self.dim == 3 and size != 3:
             raise InputError(
@@ -106,10 +107,10 @@ class RigidBody(Body):
             )
 
         try:
-            self.start_pose()
+            _ = self._pose
         except InputError as error:
             raise error if str(error).startswith(what) else InputError(f"{what}: {error}") from None
-        self.start_twist()
+        _ = self._twist
 
     @property
     def inertia_matrix(self) -> Array:

@@ -130,7 +130,9 @@ def start_velocity(what: str, value: Any, size: int) -> Array:
     """A velocity (size,), zero where none is given."""
     if value is None:
         return np.zeros(size)
-    found = vector(what, np.atleast_1d(array(what, value)), size=size)
-    if not float(np.abs(found).max()) < FASTEST:
+    found = np.atleast_1d(array(what, value))
+    if found.shape != (size,):
+        found = vector(what, found, size=size)
+    if not max(abs(float(x)) for x in found) < FASTEST:
         raise InputError(f"{what} {value} must be below {FASTEST:g}.")
     return found

@@ -14,7 +14,8 @@ Each kind has three kernels over many items: ``value`` writes s and the entries 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,7 @@ class Kind:
     frames: tuple[SymbolicFrame, SymbolicFrame]
     flow: bool = False  # a speed, which is no rate of a coordinate
 
-    @property
+    @cached_property
     def width(self) -> int:
         """Numbers in the table of constants, an item."""
         return sum(self.constants.values())
@@ -62,9 +63,12 @@ class Kind:
 
     def place(self, name: str) -> slice:
         """Columns of a constant in the table."""
-        names = list(self.constants)
-        start = sum(self.constants[n] for n in names[: names.index(name)])
-        return slice(start, start + self.constants[name])
+        return self._places[name]
+
+    @cached_property
+    def _places(self) -> dict[str, slice]:
+        ends = accumulate(self.constants.values())
+        return {name: slice(end - size, end) for (name, size), end in zip(self.constants.items(), ends, strict=True)}
 
     def symbols(self) -> list[str]:
         """Names of all constants, component by component."""

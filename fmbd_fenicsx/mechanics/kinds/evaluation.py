@@ -7,6 +7,7 @@ driver.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,20 +23,30 @@ class Items:
 
     def __init__(self, motions: Motions, kind: Kind, a: Any, b: Any, constants: dict[str, Array]) -> None:
         self.motions, self.kind = motions, kind
-        self.pair: np.ndarray = np.ascontiguousarray(np.stack((a, b), axis=-1), dtype=np.int32).reshape(-1, 2)
-        self.constants, self.table = constants, self._table(constants)
-        self.addresses = self.pair.ctypes.data, self.table.ctypes.data
+        self.pair: np.ndarray = np.array((a, b), dtype=np.int32).T.copy().reshape(-1, 2)
+        self.constants = constants
         self.width = motions.dim + motions.n_rot
-        self.entries = np.array(kind.entries, dtype=int)
 
     def __len__(self) -> int:
         return len(self.pair)
 
-    def _table(self, constants: dict[str, Array]) -> Array:
+    # compiled code has tables of its own: these are made where items are evaluated here
+    @cached_property
+    def entries(self) -> np.ndarray:
+        """Which twist components the row has."""
+        return np.array(self.kind.entries, dtype=int)
+
+    @cached_property
+    def addresses(self) -> tuple[int, int]:
+        """Of the pairs and of the table, for C."""
+        return self.pair.ctypes.data, self.table.ctypes.data
+
+    @cached_property
+    def table(self) -> Array:
         """All constants, (n, width); markers are frames, so points are their origins and turns are none."""
         kind, n = self.kind, len(self.pair)
         out = np.zeros((n, kind.width))
-        known = dict.fromkeys(("turn_a", "turn_b"), np.eye(kind.dim).ravel()) | constants
+        known = dict.fromkeys(("turn_a", "turn_b"), np.eye(kind.dim).ravel()) | self.constants
         for name in kind.constants:
             if name in known:
                 out[:, kind.place(name)] = np.reshape(known[name], (-1, kind.constants[name]))

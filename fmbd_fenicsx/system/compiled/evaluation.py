@@ -8,7 +8,7 @@ when someone asks for them. Systems without elastic fields.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeGuard
@@ -23,10 +23,10 @@ from ..jacobian import Jacobian, dense_core
 from ..mobility import certainly_regular
 from ..system import System
 from .calls import Calls
-from .structures import address_of, enumeration
+from .structures import address_of, enumeration, zeros_of
 from .tables import Tables
 
-ROOMS = 16  # configurations up to which arrays for so many are kept
+FEW, ROOMS = 4, 16  # configurations for which arrays are made at least; up to which they are kept
 LOOK = enumeration("DONE")["LOOK"]  # a verdict
 
 Configurations = tuple[Array, Array, Array]  # t (k,), q (k, n_q), v (k, n_v)
@@ -52,9 +52,9 @@ class DriverStates:
         self.address = ctypes.addressof(self.tables.c)
         self.taken = False
         n, m = self.system.n_v, self.system.n_lam
-        self._given = _Exchange((self.system.n_q, n, m))  # what C reads
-        self._found = _Exchange((n, m))  # and writes
-        self._rooms: dict[int, _Room] = {}  # by the number of configurations
+        self._given = _Exchange({"q": self.system.n_q, "b": n, "c": m})  # what C reads
+        self._found = _Exchange({"x": n, "y": m})  # and writes
+        self._kept_room: _Room | None = None
         self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
         self._last: DriverEvaluation | None = None  # made by :meth:`at`
 
@@ -119,23 +119,21 @@ class DriverStates:
     def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
         """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""
         room = self._room(at)
-        room.a.put(a)
+        room.a[: room.count] = a
         if lam is not None:
-            room.lam.put(lam)
-        below = None if lam is None else room.lam.at[0]
-        if not self._ask(self.library.driver_balances, room, (room.a.at[0], below, room.sums.at[0])):
-            return None
-        return room.sums.arrays[0].copy()
+            room.lam[: room.count] = lam
+        places = room.places["a"], None if lam is None else room.places["lam"], room.places["sums"]
+        return room.sums[: room.count].copy() if self._ask(self.library.driver_balances, room, places) else None
 
-    def constraints(self, at: Configurations) -> tuple[Array, Array, Array, Array] | None:
-        """g, G v + g_t, g_t and gamma, (k, n_lam) each; gamma without the bias of surfaces. None as above."""
+    def constraints(self, at: Configurations) -> Array | None:
+        """g, G v + g_t, g_t and gamma, (4, k, n_lam); gamma without the bias of surfaces. None as above."""
         room = self._room(at)
-        if not self._ask(self.library.driver_constraints, room, room.constraints.at):
+        if not self._ask(self.library.driver_constraints, room, room.constraints_at):
             return None
-        gap, opening, rate, gamma = (x.copy() for x in room.constraints.arrays)
+        found = room.constraints[:, : room.count].copy()
         for rows, motions in self.calls.moving:
-            gamma[:, rows] -= [[motion(float(t))[2] for motion in motions] for t in at[0]]
-        return gap, opening, rate, gamma
+            found[3][:, rows] -= [[motion(float(t))[2] for motion in motions] for t in at[0]]
+        return found
 
     def rows(self, at: Configurations) -> Array | None:
         """G, (k, n_lam, n_v); None as above."""
@@ -152,19 +150,21 @@ class DriverStates:
     def _room(self, at: Configurations) -> _Room:
         """Arrays for so many configurations, with these in them."""
         count = len(at[0])
-        room = self._rooms.get(count)
-        if room is None:
-            room = _Room(self.system, count)
+        room = self._kept_room
+        if room is None or room.most < count:
+            room = _Room(self.system, max(count, FEW))
             if count <= ROOMS:
-                self._rooms[count] = room
-        room.at.put(*at)
+                self._kept_room = room
+        room.count = count
+        for x, value in zip(room.state, at, strict=True):
+            x[:count] = value
         return room
 
     def _ask(self, function: Any, room: _Room, places: Sequence[int | None]) -> bool:
         """One call for all configurations; whether they have been evaluated."""
         self.tables.recall()
         self.calls.trusted = not self.anew
-        verdict = function(self.address, room.count, *room.at.at, *places)
+        verdict = function(self.address, room.count, *room.state_at, *places)
         self.calls.trusted = self.anew = False
         self.calls.raise_error()
         if verdict == LOOK:
@@ -221,21 +221,26 @@ class DriverStates:
         """Whether the rows certainly do not depend on each other, by the factor with masses only: as
         :func:`~fmbd_fenicsx.system.mobility.independent`, with the true inertia.
         """
-        size = np.sqrt(self.tables.arrays["weight"][: self.system.n_lam])
-        nothing = np.zeros(self.system.n_v)
+        assert self._held is not None
+        size = np.sqrt(self.tables.arrays["weight"])
+        places = self._given.put(self._held[1], np.zeros(self.system.n_v))
+        below, found = self._given.arrays[2], self._found.arrays[1]
 
         def solve(x: Array) -> Array:
-            return np.asarray(size * self.solve(nothing, size * x)[1])
+            np.multiply(size, x, out=below)
+            self.library.driver_solve(self.address, *places, self._given.at[2], *self._found.at)
+            return np.asarray(size * found)
 
         return certainly_regular(solve, len(size), float(len(size)))
 
 
 class _Exchange:
-    """Arrays of the given shapes that C knows by their addresses ``at``."""
+    """Arrays of the given sizes that C knows by their addresses ``at``."""
 
-    def __init__(self, shapes: Iterable[int | tuple[int, ...]]) -> None:
-        self.arrays = [np.zeros(shape) for shape in shapes]
-        self.at = [address_of(x) for x in self.arrays]
+    def __init__(self, sizes: Mapping[str, int]) -> None:
+        made = zeros_of(sizes).values()
+        self.arrays = [x for x, _ in made]
+        self.at = [address for _, address in made]
 
     def put(self, *values: Array | None) -> list[int]:
         """Copy in the first arrays, as far as there are values; their addresses."""
@@ -246,23 +251,27 @@ class _Exchange:
 
 
 class _Room:
-    """What C reads and writes of ``count`` configurations: t, q and v; a; lambda; the sums of the balance; four of the rows."""
+    """What C reads and writes of the first ``count`` of at most so many configurations: t, q and v; a; lambda; the sums of the
+    balance; four of the rows.
+    """
 
-    def __init__(self, system: System, count: int) -> None:
-        n, m = (count, system.n_v), (count, system.n_lam)
-        self.count = count
-        self.at = _Exchange([count, (count, system.n_q), n])
-        self.a = _Exchange([n])
-        self.lam = _Exchange([m])
-        self.sums = _Exchange([n])
-        self.constraints = _Exchange([m] * 4)
+    def __init__(self, system: System, most: int) -> None:
+        n, m = (most, system.n_v), (most, system.n_lam)
+        self.most = self.count = most
+        made = zeros_of({"t": most, "q": (most, system.n_q), "v": n, "a": n, "lam": m, "sums": n, "rows": (4, *m)})
+        self.places = {name: address for name, (_, address) in made.items()}
+        self.state = [made[name][0] for name in "tqv"]
+        self.state_at = [self.places[name] for name in "tqv"]
+        self.a, self.lam, self.sums = (made[name][0] for name in ("a", "lam", "sums"))
+        self.constraints = made["rows"][0]
+        self.constraints_at = [self.places["rows"] + x * self.constraints.strides[0] for x in range(4)]
 
 
 @dataclass(frozen=True)
 class Told:
     """What the driver told of constraints, in the order of :meth:`DriverStates.constraints`; None where it did not."""
 
-    found: tuple[Array, ...] | None
+    found: Array | None
 
     def get(self, which: int, numpy: Callable[[], Array]) -> Array:
         """One of the answers, the caller's own; that of ``numpy`` where there is none."""
@@ -321,7 +330,7 @@ class DriverEvaluation(_Constraints, Evaluation):
     @cached_property
     def _told(self) -> Told:  # type: ignore[override]
         found = self.states.constraints(self.alone)
-        return Told(None if found is None else tuple(x[0] for x in found))
+        return Told(None if found is None else found[:, 0])
 
     def constraint_rate(self) -> Array:
         """g_t, (n_lam,)."""

@@ -23,12 +23,12 @@ from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
 from ..system import State, System
 from .blocks import block_size, state_of
-from .structures import address_of
+from .structures import address_of, zeros_of
 
 if TYPE_CHECKING:
     from .tables import Tables
 
-CAPACITY = 2048  # records between two visits of Python
+FIRST, CAPACITY = 64, 2048  # records between two visits of Python, at first and at most
 BYTES = 1_000_000  # that they may take, so that they stay in the cache
 
 
@@ -152,7 +152,7 @@ class Tape:
         self.units = np.ascontiguousarray(judged.units, dtype=float)
         size = block_size(s)
 
-        shapes: dict[str, tuple[int, ...]] = {
+        self._sizes: dict[str, tuple[int, ...]] = {
             "block": (size if looks.whole else 1,),
             "lam": (s.n_lam if looks.rows else 0,),
             "frames": (len(looks.markers), FRAME[tables.dim]),
@@ -163,17 +163,23 @@ class Tape:
             "contact": (contact,),
         }
         # as many records as fit in a few megabytes
-        each = sum(math.prod(x) for x in shapes.values())
-        self.capacity = min(max(BYTES // (8 * each), 16), CAPACITY)
-        self.arrays = {name: np.zeros((self.capacity, *shape)) for name, shape in shapes.items()}
+        each = sum(math.prod(x) for x in self._sizes.values())
+        self.most = min(max(BYTES // (8 * each), 16), CAPACITY)
         self.doubt = np.zeros(size)
 
         self.c = _Tape(
-            capacity=self.capacity, whole=looks.whole, rows=looks.rows, units=address_of(self.units),
-            allowed=judged.allowed, roundoff=judged.roundoff, length=s.length, doubt=address_of(self.doubt),
+            whole=looks.whole, rows=looks.rows, units=address_of(self.units), allowed=judged.allowed,
+            roundoff=judged.roundoff, length=s.length, doubt=address_of(self.doubt),
         )  # fmt: skip
-        for name, array in self.arrays.items():
-            setattr(self.c, name, address_of(array))
+        self._make_room(min(FIRST, self.most))
+
+    def _make_room(self, capacity: int) -> None:
+        """Room for so many records, none of them made."""
+        room = zeros_of({name: (capacity, *shape) for name, shape in self._sizes.items()})
+        self.arrays = {name: x for name, (x, _) in room.items()}
+        self.capacity = self.c.capacity = capacity
+        for name, (_, address) in room.items():
+            setattr(self.c, name, address)
 
     @property
     def address(self) -> int:
@@ -181,7 +187,9 @@ class Tape:
         return ctypes.addressof(self.c)
 
     def begin(self, every: int, left: int) -> None:
-        """Nothing recorded; the first record after ``left`` steps, then every so many."""
+        """Nothing recorded; the first record after ``left`` steps, then every so many. One that was full has more room then."""
+        if self.c.count == self.capacity < self.most:
+            self._make_room(min(4 * self.capacity, self.most))
         self.c.every, self.c.left, self.c.count, self.c.doubtful = every, left, 0, -1
 
     def recorded(self) -> Recorded:

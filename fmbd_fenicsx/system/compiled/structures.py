@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache
@@ -151,6 +152,23 @@ def address_of(x: np.ndarray) -> int:
         return int(x.ctypes.data)
 
 
+def zeros_of(sizes: Mapping[str, int | tuple[int, ...]]) -> dict[str, tuple[Array, int]]:
+    """Arrays of zeros by name, one behind the other in one piece of memory, and their addresses; none is empty there."""
+    spans, count = [], 0
+    for name, shape in sizes.items():
+        size = shape if isinstance(shape, int) else math.prod(shape)
+        spans.append((name, shape, count, size))
+        count += -(-(size or 1) // LANES) * LANES
+    whole = np.zeros(count)
+    first = address_of(whole)
+
+    made: dict[str, tuple[Array, int]] = {}
+    for name, shape, at, size in spans:
+        x = whole[at : at + size]
+        made[name] = x if isinstance(shape, int) else x.reshape(shape), first + 8 * at
+    return made
+
+
 class Store:
     """Arrays that C reads and writes: kept here as long as the tables live."""
 
@@ -163,16 +181,11 @@ class Store:
         self.kept.append(copy)
         return copy, address_of(copy)
 
-    def zeros(self, sizes: Mapping[str, int]) -> dict[str, tuple[Array, int]]:
-        """Arrays of zeros by name, one behind the other, and their addresses; none is empty."""
-        starts, count = {}, 0
-        for name, size in sizes.items():
-            starts[name] = count, max(size, 1)
-            count += -(-max(size, 1) // LANES) * LANES
-        whole = np.zeros(count)
-        self.kept.append(whole)
-        first = address_of(whole)
-        return {name: (whole[at : at + size], first + 8 * at) for name, (at, size) in starts.items()}
+    def zeros(self, sizes: Mapping[str, int | tuple[int, ...]]) -> dict[str, tuple[Array, int]]:
+        """Arrays of zeros by name, as :func:`zeros_of` makes them."""
+        made = zeros_of(sizes)
+        self.kept.append(made)
+        return made
 
     def address(self, values: Any, dtype: Any = np.float64) -> int:
         """The address of a contiguous copy."""

@@ -41,17 +41,7 @@ DIRECTIONS = {  # constants that are directions in the axes of a marker: of whic
     "skate": {"e": 1},
     "follower_couple": {"load": 1},
 }
-OF_ITEMS = (
-    "s",
-    "rate",
-    "effort",
-    "foretold",
-    "weight",
-    "slope",
-    "stiffness",
-    "damping",
-    "free",
-)  # a number for each item
+OF_ITEMS = "s rate effort foretold weight slope stiffness damping free".split()  # a number for each item
 ONE_SIDED = ("dead", "couple", "follower", "follower_couple")
 
 
@@ -207,18 +197,17 @@ class Tables:
         sort = np.where((frames > self.nb).any(axis=1), 9, (frames == self.nb) @ np.array([1, 2]))
         return [np.flatnonzero(sort == k) for k in np.unique(sort)]
 
-    def constants(self, items: Items) -> Array:
-        """The table of constants, (n, width), in the axes of the frames."""
+    def _constants(self, items: Items, P: Array) -> None:
+        """Fill the table of constants, (n, width), in the axes of the frames."""
         mk = self.system.markers
         n = len(items)
         kind = items.kind
-        P = np.zeros((n, kind.width))
 
         for name, side in PLACES.items():
             if name in kind.constants:
                 place = mk.position[items.markers[:, side]]
-                # a marker on a surface lies where the surface is
-                place[self.frame[items.markers[:, side]] > self.nb] = 0.0
+                if self.surfaces.size:  # a marker on a surface lies where the surface is
+                    place[self.frame[items.markers[:, side]] > self.nb] = 0.0
                 P[:, kind.place(name)] = place
 
         for name, side in TURNS.items():
@@ -233,7 +222,6 @@ class Tables:
         for name, values in items.constants.items():
             if name in kind.constants:
                 P[:, kind.place(name)] = self.turned(items, name, values)
-        return P
 
     def theta_places(self, items: Items) -> np.ndarray:
         """Places in q of the counted angles of items, in space."""
@@ -278,27 +266,28 @@ class Tables:
         kind, n, store = items.kind, len(items), self.store
         one = batch_of(self, items)
         one.number = number
-        items.table, one.P = store.array(self.constants(items))
-        one.out = store.address(np.zeros((n, one.outputs)))
+        room = store.zeros({
+            "P": (n, kind.width), "out": (n, one.outputs), "hessian": (n, 0 if items.role == READ else one.hessians),
+            "known": (n, 3 if items.role == LAW else 0), "numbers": (len(OF_ITEMS), n),
+        })  # fmt: skip
+        items.table, one.P = room["P"]
+        self._constants(items, items.table)
+        one.out, one.hessian, one.known = room["out"][1], room["hessian"][1], room["known"][1]
 
-        data, first = store.array(np.zeros((len(OF_ITEMS), n)))
+        numbers, first = room["numbers"]
         given = {"effort": items.effort, "stiffness": items.stiffness, "damping": items.damping, "free": items.free}
         for k, name in enumerate(OF_ITEMS):
             values = given.get(name)
-            items.arrays[name] = data[k]
+            items.arrays[name] = numbers[k]
             if values is not None:
-                data[k] = values
+                numbers[k] = values
             setattr(one, name, first + 8 * n * k)
-        if items.role == LAW:
-            one.known = store.address(np.zeros((n, 3)))
         if items.formula is not None:
             self._formula(one, items)
         if items.slot is not None:
             one.slot = store.integers(items.slot)
         if items.role == ROW:
             one.factor = store.address(items.factor)
-        if items.role != READ:
-            one.hessian = store.address(np.zeros((n, max(one.hessians, 1))))
         if kind.name == "angle" and self.dim == 3:
             one.near, one.theta = kind.place("near").start, store.integers(self.theta_places(items))
         return one
@@ -356,22 +345,26 @@ class Tables:
         s = self.system
         store = self.store
         size = self.nu + self.rows
-        frames = np.zeros((self.nb + 1 + len(self.surfaces), FRAME[self.dim]))
-        frames[self.nb, self.dim : self.dim + self.dim**2] = np.eye(self.dim).ravel()
         widest = int(self.width.max(initial=0))
+        given = {
+            "gravity": s.gravity(0.0),
+            "rest_gravity": s.gravity(np.inf),
+            "units": s.units,
+            "row_units": s.row_units,
+        }
 
         arrays = store.zeros({
             "velocity": self.nothing + 1, "residual": self.nothing + 1,
             "L": self.fronts.storage + 8, "diagonal": size, "inverse": size, "b": size, "local": size + 8,
             "work": once + s.n_v + self.rows, "big": (2 * self.twist + 1) * 2 * widest + size,
             **dict.fromkeys(("gap", "slip", "weight", "motion", "motion_rate"), self.rows),
+            "frames": (self.nb + 1 + len(self.surfaces), FRAME[self.dim]), **{name: len(x) for name, x in given.items()},
         })  # fmt: skip
-        given = {
-            "frames": frames, "gravity": s.gravity(0.0), "rest_gravity": s.gravity(np.inf), "units": s.units,
-            "row_units": s.row_units,
-        }  # fmt: skip
-        arrays |= {name: store.array(x) for name, x in given.items()}
         self.arrays = {name: x for name, (x, _) in arrays.items()}
+        for name, values in given.items():
+            self.arrays[name][:] = values
+        # the ground does not turn
+        self.arrays["frames"][self.nb, self.dim : self.dim + self.dim**2 : self.dim + 1] = 1.0
         return {name: address for name, (_, address) in arrays.items()}
 
     @property

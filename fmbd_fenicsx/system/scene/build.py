@@ -66,6 +66,7 @@ class Builder:
         self.starts: list[tuple[Array, Array]] = []
         self.nodes = RodNodes()
         self.places: list[MarkerPlace] = []
+        self.axes: dict[int, Array] = {}  # R^T of frames at the start that carry markers
 
     def build(self) -> tuple[System, State, dict[str, int]]:
         """The system, its state as given, and the marker of each sensor; collective."""
@@ -310,10 +311,11 @@ class Builder:
 
     def _on_frame(self, frame: int, pose: Array, point: Array | None) -> MarkerPlace:
         """A world point on a rigid frame that starts at ``pose``."""
-        origin = pose[: self.m.dim]
-        R = self.m.matrix(pose)
+        if frame not in self.axes:
+            self.axes[frame] = self.m.matrix(pose).T
+        origin, back = pose[: self.m.dim], self.axes[frame]
         where = origin if point is None else point
-        return MarkerPlace(frame, R.T @ (where - origin), R.T)
+        return MarkerPlace(frame, back @ (where - origin), back)
 
     def _default_point(self, joint: Joint | Force) -> Array | None:
         """Where a joint or bushing without a center sits: the centroid of a surface, else the origin of its moving body."""

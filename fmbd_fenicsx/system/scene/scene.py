@@ -105,6 +105,8 @@ class Scene:
 
     def _parts(self, place: str, given: Any) -> dict[str, Any]:
         """A dict of parts by their names, as :meth:`add` makes it; a copy, so that two scenes never share one."""
+        if type(given) is dict and not given:  # as all are in a new scene
+            return {}
         what = f'Scene "{self.__dict__.get("name", "")}": {place}'
         advice = "Make the scene first, and add parts with scene.add(...) and scene.sensor(...)."
         require(isinstance(given, dict), f"{what} {shown(given)} must be a dict of parts by their names. {advice}")
