@@ -32,6 +32,22 @@ def test_without_energy_no_energy_is_recorded():
     assert solve(0.1, energy=False).energy == {}
 
 
+def test_steps_between_given_times_are_made_in_one_call(monkeypatch):
+    """Only those that pass an instant are steps by themselves; values are those of single steps to the last bit."""
+    from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledStepper
+
+    calls, march = [], CompiledStepper._steps
+    monkeypatch.setattr(CompiledStepper, "_steps", lambda self, h, n, *x: calls.append(n) or march(self, h, n, *x))
+    times = (0.0, 0.1237, 0.5, 0.7501)
+    run = solve(1e-3, times=times)
+    assert sum(calls) == 1000 and len(calls) < 20
+
+    one_by_one = solve(1e-3, times=times, on_step=lambda now: None)
+    assert np.allclose(run.times, times, rtol=1e-12) and np.array_equal(run.times, one_by_one.times)
+    for name in ("bob", "force"):
+        assert np.array_equal(run[name], one_by_one[name])
+
+
 @pytest.mark.parametrize("bad", [{"every": 0}, {"snapshots": -1}])
 def test_impossible_output_is_refused(bad):
     with pytest.raises(fmbd.errors.InputError):

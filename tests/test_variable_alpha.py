@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -182,6 +183,58 @@ def test_a_mechanism_without_freedom_is_followed_between_its_steps(rtol: float) 
     angle = run["angle"].ravel()
     exact = 0.2 * np.cos(angle) + np.sqrt(0.36 - (0.2 * np.sin(angle)) ** 2)
     assert np.abs(run["slider"][:, 0] - exact).max() < rtol
+
+
+def driven_pendulum(turn: float) -> fmbd.Scene:
+    """An arm that its drive brings from rest to rest within a second, a pendulum on its end."""
+
+    def motion(t: float) -> tuple[float, float, float]:
+        x = min(t, 1.0)
+        angle, rate = x**4 * (35 - 84 * x + 70 * x**2 - 20 * x**3), 140 * (x - x * x) ** 3
+        return turn * angle, turn * rate, turn * 420 * (x - x * x) ** 2 * (1 - 2 * x)
+
+    scene = fmbd.Scene("driven pendulum")
+    arm, bob = fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0)), fmbd.RigidBody("bob", 1.0, 0.01, (1.5, 0.0))
+    scene.add(arm, bob, fmbd.revolute("axle", fmbd.ground, arm, center=(0, 0)))
+    scene.add(fmbd.revolute("pin", arm, bob, center=(1, 0)), fmbd.drive_rotation("motor", fmbd.ground, arm, motion))
+    scene.sensor("bob", fmbd.position(bob))
+    return scene
+
+
+@pytest.mark.parametrize("share", [0.3, 3.0])
+def test_ways_of_refused_steps_count_where_they_are_known(share: float) -> None:
+    """A step that was too large foretells the motion; one whose error is larger than its way foretells nothing."""
+    stepper = stepper_of(driven_pendulum(1.0), fmbd.Index3())
+    norm, at_rest = stepper.norm, stepper.state
+    norm.update(at_rest, 0.1)
+    before = norm.largest
+
+    norm.update(replace(at_rest, t=0.1, q=at_rest.q + 0.2), 0.1)
+    far = norm.way
+    norm.take_back(before, share / norm.rtol)
+    assert far > 0.0
+    assert norm.way == (far if share < 1.0 else 0.0)
+
+
+@pytest.mark.parametrize("turn", [1.0, 1e-3])
+def test_what_drives_will_move_is_known_at_the_start(turn: float) -> None:
+    """A slow start takes no more steps than the rest: against the motion so far it took twice as many in all."""
+    output = fmbd.Output(times=tuple(np.linspace(0.0, 1.0, 41)), energy=False)
+    run = fmbd.solve(driven_pendulum(turn), t_end=1.0, scheme=fmbd.GeneralizedAlpha(rtol=1e-4), output=output)
+    exact = fmbd.solve(driven_pendulum(turn), t_end=1.0, scheme=fmbd.Radau(3, rtol=1e-9), output=output)
+    assert run.counters["steps"] < 50
+    assert np.abs(run["bob"] - exact["bob"]).max() < 5e-3 * np.ptp(exact["bob"], axis=0).max()
+
+
+def test_a_step_that_loses_the_masses_is_not_tried_again_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A crank at rest for a second: each attempt with too large a step, and each change of size, made a factor in vain."""
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "demos"))
+    import crank_fe_model as fe
+
+    scene = fe.scene(fe.rod(0.03, 0.03), lambda t: fe.run_up(max(t - 1.0, 0.0)))
+    run = fmbd.solve(scene, t_end=1.0 + 0.3 * fe.END, scheme=fmbd.GeneralizedAlpha(rtol=1e-3))
+    assert run.counters["rejected: linear solve failed"] <= 4
+    assert run.counters["factorisations"] <= 14
 
 
 def test_changes_of_size_do_not_bend_elastic_bodies(monkeypatch: pytest.MonkeyPatch) -> None:

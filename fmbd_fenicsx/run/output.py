@@ -258,11 +258,12 @@ class Recorder:
                 self.energies.setdefault(name, []).append(np.array([value]))
 
     def quiet(self, n: int, t: float, h: float) -> int:
-        """Steps of size h (s) after step n, at time t, up to the next that is recorded, it included."""
-        if self._wanted is not None:  # values between the ends of every step may be asked for
-            return 1
-
+        """Steps of size h (s) after step n, at time t, up to the next that is recorded, it included; or all before one that
+        passes an instant at which values are asked for: that one is a step by itself, as its polynomials tell them.
+        """
         steps = self.output.every - n % self.output.every
+        if self._wanted is not None:
+            steps = int((self._wanted[0] - t) / h - 1e-6) if self._wanted else MOST
         if self._due:
             steps = min(steps, int(np.ceil((self._due[0] - t) / h - 1e-6)))
         return max(steps, 1)

@@ -99,6 +99,15 @@ class ErrorNorm(Remembering):
         self.wv = self.wq / h
         self.wv[:n] = np.where(self.deformations[:n], self.wv[:n], rates)
 
+    @property
+    def largest(self) -> tuple[Any, ...]:
+        """The largest sizes so far."""
+        return self.q_size, self.v_size, self.deflections
+
+    def take_back(self, known: tuple[Any, ...], error: float) -> None:
+        """The largest sizes before a step that was refused with this error."""
+        self.q_size, self.v_size, self.deflections = known
+
     def judged(self, state: State) -> Array:
         """Sizes like v that the tolerance of positions is relative to: those of the model."""
         # schemes that judge ways instead override this
@@ -185,16 +194,54 @@ class NormOfWays(ErrorNorm):
 
         sizes = max(min(w, 1), least) (length, one radian),      least = 1e-6, or what leaves 1e-12 beside rtol           (1)
 
-    so that bodies at rest, which move by roundoff, take large steps.
+    so that bodies at rest, which move by roundoff, take large steps. Beside a motion that begins, what has moved so far is no
+    measure. What prescribed motions will move belongs to the way from the start. So does where a step has led that was refused
+    with an error below its way, error rtol w < w: it foretells the motion under loads that have just come. One that has gone
+    astray leaves nothing.
     """
 
     LEAST, FINEST = 1e-6, 1e-12
+    PLACES = (
+        0.118,
+        0.236,
+        0.382,
+        0.5,
+        0.618,
+        0.764,
+        0.882,
+        1.0,
+    )  # of a stretch, where prescribed motions are looked at
     keeps: ClassVar = {**ErrorNorm.keeps, "origin": _configuration, "way": plain()}
 
     def __init__(self, system: System, rtol: float, atol: float | None, index: int) -> None:
         super().__init__(system, rtol, atol, index)
         self.origin: Array | None = None
         self.way = 0.0
+
+    def take_back(self, known: tuple[Any, ...], error: float) -> None:
+        """With the way, but for one that is known to less than itself."""
+        *sizes, way = known
+        super().take_back(tuple(sizes), error)
+        if not error * self.rtol < 1.0:
+            self.way = way
+
+    @property
+    def largest(self) -> tuple[Any, ...]:
+        """With the way."""
+        return *super().largest, self.way
+
+    def look_ahead(self, state: State, span: float) -> None:
+        """Take notice of what prescribed motions move within ``span`` (s): by how much they open constraints of a state that is
+        held; collective.
+        """
+        s = self.system
+        if not s.n_lam:
+            return
+        times = state.t + span * np.array([0.0, *self.PLACES])
+        held = [np.tile(x, (len(times), 1)) for x in (state.q, state.v)]
+        now, *later = s.batch(times, *held).constraint()
+        opened = np.abs(s.row_units * (np.array(later) - now)).max(initial=0.0)
+        self.way = max(self.way, float(opened) / s.length)
 
     def judged(self, state: State) -> Array:
         """(1), with the state among those that were reached."""

@@ -59,6 +59,7 @@ KEEPS = (
 )
 FARTHEST = 10.0  # times the least motion that closes constraints: one that bends bodies less may be as large
 SAME = 1e-9  # lengths of a stretch that differ by this share are equal
+HELD = 10.0  # times its length that a step is held for too long in which M is lost beside s K
 
 
 def parts(level: int) -> int:
@@ -80,7 +81,7 @@ class VariableAlpha(TimeStepper):
         "norm": worker,
         "control": plain(StepControl),
         "stats": plain(Statistics),
-        **dict.fromkeys(("proposed", "size", "largest", "local_error", "stretch", "end"), plain()),
+        **dict.fromkeys(("proposed", "size", "largest", "lost", "local_error", "stretch", "end"), plain()),
         "place": _keep_share,
     }
 
@@ -101,6 +102,7 @@ class VariableAlpha(TimeStepper):
         self.size: float | None = None  # of the last step, s
         self._seen: tuple[State, Evaluation] | None = None
         self.largest = 0.0  # step in which loads were looked at, s
+        self.lost: tuple[float, float] | None = None  # size of a step in which M is lost beside s K, and until when, s
 
         self.stretch, self.place, self.end = 0.0, Fraction(0), 0.0  # length, share of it that is done, its end
         # sizes come back: factors of the last few are kept
@@ -158,6 +160,7 @@ class VariableAlpha(TimeStepper):
         self._follow(s.t, h)
         self.control.span = max(self.control.span, h)
         if self.proposed is None:
+            self.norm.look_ahead(s, h)
             self.norm.update(s, h)
             self.proposed = first_step(self.norm, s, 3.0, h)
 
@@ -170,7 +173,7 @@ class VariableAlpha(TimeStepper):
                 error, cause = self._ahead(h), "a load within the step"
             except LinearSolveError as failure:  # M is lost beside s K, and with it the motion of a free body
                 error, cause = np.inf, "linear solve failed"
-                self.control.fault = str(failure)
+                self.control.fault, self.lost = str(failure), (h, s.t + HELD * h)
             if error <= 1.0:
                 error, cause = self._attempt(h, level)
             if error <= 1.0:
@@ -197,9 +200,14 @@ class VariableAlpha(TimeStepper):
     def _level(self, wanted: float) -> int:
         """The coarsest parts that are no larger than a step wanted, and of which one begins here."""
         for level in range(DEEPEST):
-            if self.stretch / parts(level) <= wanted and (self.place * parts(level)).denominator == 1:
+            size = self.stretch / parts(level)
+            if size <= wanted and not self._loses(size) and (self.place * parts(level)).denominator == 1:
                 return level
         return DEEPEST
+
+    def _loses(self, h: float) -> bool:
+        """Whether M is known to be lost beside s K in a step of size h (s); its factor need not be tried."""
+        return self.lost is not None and h >= self.lost[0] * (1 - SAME) and self.state.t < self.lost[1]
 
     def _arrive(self, level: int) -> None:
         """Give the state at the end of a step the time that the parts tell."""
@@ -251,7 +259,7 @@ class VariableAlpha(TimeStepper):
     # -- attempts -----------------------------------------------------------------------------------------------------
     def _attempt(self, h: float, level: int | None = None) -> tuple[float, str]:
         """A step of size h, one of the parts of a level, and its error; where this is above one, the stepper is as before."""
-        inner, size = self.inner, self.size
+        inner, size, largest = self.inner, self.size, self.norm.largest
         kept = inner.state, inner.A.copy(), list(inner._past), inner.fresh, self.solver.pressures
 
         try:
@@ -269,6 +277,7 @@ class VariableAlpha(TimeStepper):
         if not error <= 1.0:
             inner.state, inner.A, inner._past, inner.fresh, self.solver.pressures = kept
             self.size, self.newton.theta = size, 0.5
+            self.norm.take_back(largest, error)
         return error, cause
 
     def step(self, h: float) -> State:
@@ -295,13 +304,7 @@ class VariableAlpha(TimeStepper):
         ev = self.system.at(s.t, s.q, s.v)
         opening, still = share * ev.opening(), np.zeros_like(s.v)
 
-        stiff = None
-        if self.norm.deforming or self.system.elements:
-            try:
-                self.solver.prepare(ev, self.scheme.rule(max(h, self.stretch)).weights)
-                stiff, _ = self.solver.solve(still, opening)
-            except LinearSolveError:  # M is lost beside S K
-                pass
+        stiff = self._opened_stiffly(ev, opening, h) if self.norm.deforming or self.system.elements else None
         self.solver.prepare(ev, self.scheme.rule(h).weights)
         soft, _ = self.solver.solve(still, opening)
 
@@ -309,6 +312,21 @@ class VariableAlpha(TimeStepper):
         if stiff is not None and self.system.max_abs(stiff) <= FARTHEST * self.system.max_abs(soft):
             return stiff
         return soft
+
+    def _opened_stiffly(self, ev: Evaluation, opening: Array, h: float) -> Array | None:
+        """dv of (2) with S of the whole stretch, or of the largest part of it in which M is not lost; None where that is h."""
+        for level in range(DEEPEST):
+            span = self.stretch / parts(level)
+            if self._loses(span):
+                continue
+            if span <= h:
+                break
+            try:
+                self.solver.prepare(ev, self.scheme.rule(span).weights)
+                return self.solver.solve(np.zeros_like(ev.v), opening)[0]
+            except LinearSolveError:
+                self.lost = span, ev.t + HELD * span
+        return None
 
     def _error(self, h: float) -> float:
         """The norm of (3)."""
