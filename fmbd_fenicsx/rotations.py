@@ -278,7 +278,9 @@ def motions(dim: int) -> Motions:
 
 
 def rotate_nodal(x: Array, R: Array | None, back: bool = False) -> Array:
-    """Nodal vectors x (n d,) turned by R (d, d), or back by R^T; x itself without a rotation."""
+    """Nodal vectors x (n d,), or columns (n d, k), turned by R (d, d), or back by R^T; x itself without a rotation."""
     if R is None:
         return x
+    if x.ndim > 1:
+        return np.asarray(((R.T if back else R) @ x.reshape(-1, len(R), x.shape[1])).reshape(x.shape))
     return np.asarray((x.reshape(-1, len(R)) @ (R if back else R.T)).ravel())

@@ -324,10 +324,12 @@ class StepSolver:
             return self.iterated.solve(self._solve_direct, b, c)
         return self._solve_direct(b, c)
 
-    def closing(self, c: Array) -> Array:
-        """The motion like v that opens the constraints by c, (n_lam,), and is least in the metric of the matrix."""
-        alone = self.whole or self.iterated is not None or not self.system.fields
-        return self.solve(np.zeros(self.system.n_v), c)[0] if alone else self._solve_direct(None, c)[0]
+    def closing(self, C: Array) -> Array:
+        """Motions (n_v, k) that open the constraints by the columns C (n_lam, k) and are least in the metric of the matrix."""
+        if self.whole or self.iterated is not None or not self.system.fields:
+            nothing = np.zeros(self.system.n_v)
+            return np.stack([self.solve(nothing, c)[0] for c in C.T], axis=1)
+        return self._solve_direct(None, C)[0]
 
     def step(self, b: Array, c: Array) -> tuple[Array, Array]:
         """As :meth:`solve`, for an increment of Newton's iteration: the pressures that bodies carry move along; collective.
@@ -351,24 +353,27 @@ class StepSolver:
             field.pressure_values = p  # type: ignore[attr-defined]
 
     def _solve_direct(self, b: Array | None, c: Array) -> tuple[Array, Array]:
-        """The same with the rows that the core holds: all, or those of no surface tie where these are iterated. No b: zero."""
+        """The same with the rows that the core holds: all, or those of no surface tie where these are iterated. No b: zero.
+        c may be columns where there is no b.
+        """
         s = self.system
-        n = s.n_core
+        n, columns = s.n_core, c.shape[1:]
+        core = self.core.solve_columns if columns else self.core.solve
 
         # z = E^-1 b of each field, and what is left for the core
-        rhs = np.concatenate((np.zeros(n) if b is None else b[:n], c, np.zeros(self.border.count)))
+        rhs = np.concatenate((np.zeros((n, *columns)) if b is None else b[:n], c, np.zeros((self.border.count, *columns))))
         zs: list[Any] = [0.0] * len(self.blocks)
         for i, ((k, f), block) in enumerate(zip(s.fields, self.blocks, strict=True)):
             if b is not None:
                 zs[i] = block.factor.solve(rotate_nodal(s.local_v(b, k), self.corotations[i], back=True))
                 rhs -= self.back_couplings[i].T @ self._project(f, block, zs[i])
-        x = np.concatenate(self.core.solve(rhs[:n], rhs[n:]))
+        x = np.concatenate(core(rhs[:n], rhs[n:]))
         parts = [z - block.Y @ (S @ x) for S, block, z in zip(self.couplings, self.blocks, zs, strict=True)]
 
         # Moments that the constant columns of inertia leave out: a second solve with the core's factor, no back-solve.
         moments = self._moments_left_out(parts)
         if moments is not None:
-            more = np.concatenate(self.core.solve(moments, np.zeros(len(x) - n)))
+            more = np.concatenate(core(moments, np.zeros((len(x) - n, *columns))))
             x += more
             for part, S, block in zip(parts, self.couplings, self.blocks, strict=True):
                 part -= block.Y @ (S @ more)
@@ -383,20 +388,18 @@ class StepSolver:
         return np.concatenate((q, ports[block.used]))
 
     def _moments_left_out(self, increments: list[Array]) -> Array | None:
-        """Moments, (n_core,), that increments dU of fields have about their frames by M (e x U): -cm (M U) x dU.
+        """Moments, (n_core, ..), that increments dU of fields have about their frames by M (e x U): -cm (M U) x dU.
 
         Without them a light axis of a slender body slows Newton's iteration. None where there are none.
         """
         if all(MU is None for MU in self._missing_momenta):
             return None
         s, m = self.system, self.system.motions
-        out: Array = np.zeros(s.n_core)
-        for (_, f), MU, dU in zip(s.fields, self._missing_momenta, increments, strict=True):
-            if MU is None:
-                continue
-            at = f.frame * m.n_twist
-            moment = m.moment(MU, dU.reshape(-1, m.dim)).sum(0)
-            out[at + m.dim : at + m.n_twist] -= self.weights.cm * f.field.total(moment)
+        out: Array = np.zeros((s.n_core, *increments[0].shape[1:]))
+        for (_, f), rows, dU in zip(s.fields, self._missing_momenta, increments, strict=True):
+            if rows is not None:
+                at = f.frame * m.n_twist
+                out[at + m.dim : at + m.n_twist] -= self.weights.cm * f.field.total(rows @ dU)
         return out
 
     def refresh(self) -> bool:

@@ -226,14 +226,31 @@ class CoreSolver:
         self.judge.check(residual, given + found, ADVICE)
         return x, y
 
+    def solve_columns(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """x (n, k) and y (m, k) for columns b, c: all at once, or one by one where a residual is too large at first."""
+        if self.n + self.m == 0:
+            return b, c
+        rhs = self.scale[:, None] * np.concatenate((b, c))
+        z = self._solve(rhs)
+        x, y, left = self._residual(z, b, c)
+        residual, given, found = (np.sqrt((a * a).sum(axis=0)) for a in (left, rhs, z))
+        sizes = given + found
+        if (residual <= self.judge.tolerance * sizes).all() and (found <= LARGEST_GROWTH * given).all():
+            for k, size in enumerate(sizes):
+                self.judge.check(float(residual[k]), float(size), ADVICE)
+            return x, y
+        each = [self.solve(b[:, k], c[:, k]) for k in range(b.shape[1])]
+        return np.stack([x for x, _ in each], axis=1), np.stack([y for _, y in each], axis=1)
+
     def _residual(self, z: Array, b: Array, c: Array) -> tuple[Array, Array, Array]:
-        """x, y of scaled unknowns z, and their scaled residual."""
-        unscaled = self.scale * z
+        """x, y of scaled unknowns z, and their scaled residual; arrays or columns."""
+        unscaled = (self.scale * z.T).T
         x = unscaled[: self.n]
         y = unscaled[self.n :]
         upper = self.A @ x + self.upper @ y - b
         lower = self.G @ x - c if self.C is None else self.G @ x + self.C @ y - c
-        return x, y, self.scale * np.concatenate((upper, lower if self.exact else np.zeros_like(lower)))
+        left = np.concatenate((upper, lower if self.exact else np.zeros_like(lower)))
+        return x, y, (self.scale * left.T).T
 
 
 def _norm(x: Array) -> float:

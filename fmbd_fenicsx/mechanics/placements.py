@@ -166,7 +166,7 @@ class DistributedPart(Part, Protocol):
         return None
 
     def missing_momentum(self, u: Array) -> Array | None:
-        """Nodal momenta M u (nodes, d), if their moments are missing from the columns of inertia, else None; collective."""
+        """Rows (n_rot, n) of the moments of M u x, if these are missing from the columns of inertia, else None; collective."""
         return None
 
     @property

@@ -26,6 +26,7 @@ from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
 from ..rotations import Array
 from ..system.evaluation import Evaluation
+from ..system.evaluation_batch import EvaluationBatch
 from ..system.serialisation import Memory, Remembering, plain
 from ..system.system import State, System
 from .dae import Form, Points
@@ -49,20 +50,28 @@ class FieldTangent:
 
     def along(self, dq: Array, dv: Array, da: Array) -> Array:
         """Derivative of balance and rows along (dq, dv, da), complex directions by their two parts; collective."""
-        if np.iscomplexobj(dq) or np.iscomplexobj(dv) or np.iscomplexobj(da):
-            real = self.along(dq.real, dv.real, da.real)
-            return real + 1j * self.along(dq.imag, dv.imag, da.imag)  # type: ignore[no-any-return]
+        given = dq, dv, da
+        if any(np.iscomplexobj(d) for d in given):
+            real, imaginary = self._along(*(np.array([d.real, d.imag]) for d in given))
+            return np.asarray(real + 1j * imaginary)
+        return np.asarray(self._along(*(d[None] for d in given))[0])
 
+    def _along(self, dq: Array, dv: Array, da: Array) -> Array:
+        """The same for directions (k, n_v)."""
+        system, s = self.ev.system, self.state
+        eps = np.array([[self._shift(*d)] for d in zip(dq, dv, da, strict=True)])
+        ev = system.batch(s.t, system.compose(s.q, eps * dq), s.v + eps * dv)
+        lam = np.repeat(s.lam[None], len(dq), axis=0)
+        return np.asarray((lower(self.form, self.levels, ev, s.a + eps * da, lam) - self.low) / eps)
+
+    def _shift(self, dq: Array, dv: Array, da: Array) -> float:
+        """The length of a difference; collective."""
         system, s = self.ev.system, self.state
         place, speed, push = system.max_abs(dq), system.max_abs(dv), system.max_abs(da)
         if place == speed == 0.0:  # linear: as large as the accelerations that they are added to
-            eps = (system.max_abs(s.a) or 1.0) / (push or 1.0)
-        else:  # lengths: positions, and what velocities move within the time in which they change
-            eps = SHIFT * system.length / max(place, speed**2 / max(push, 1e-300))
-
-        ev = system.at(s.t, system.compose(s.q, eps * dq), s.v + eps * dv)
-        moved = lower(self.form, self.levels, ev, s.a + eps * da, s.lam)
-        return (moved - self.low) / eps
+            return (system.max_abs(s.a) or 1.0) / (push or 1.0)
+        # lengths: positions, and what velocities move within the time in which they change
+        return SHIFT * system.length / max(place, speed**2 / max(push, 1e-300))
 
     def turning(self, d: Array) -> Array:
         """Derivative of rate(xi, v) along d at xi = 0; not collective."""
@@ -78,10 +87,10 @@ class FieldTangent:
         return (system.rate(e * d, self.state.v) - system.rate(-e * d, self.state.v)) / (2 * e)
 
 
-def lower(form: Form, levels: int, ev: Evaluation, a: Array, lam: Array) -> Array:
-    """Balance and constraint rows of one configuration, (n_v + levels n_lam,); collective."""
+def lower(form: Form, levels: int, ev: Evaluation | EvaluationBatch, a: Array, lam: Array) -> Array:
+    """Balance and constraint rows, (n_v + levels n_lam,), of one configuration or, (k, ..), of many; collective."""
     balance = ev.balance(a, lam if levels else None)
-    return np.concatenate((balance, form.rows(ev, a))) if levels else balance
+    return np.concatenate((balance, form.rows(ev, a)), axis=-1) if levels else balance
 
 
 class FieldEquations(Remembering):
@@ -148,35 +157,28 @@ class FieldEquations(Remembering):
         slips = self.corrections(p.mult, 1)
         pulls = self.corrections(p.mult, 2)
 
-        kin, low = [], []
-        for i, time in enumerate(t):
-            v, a = p.v[i] - slips[i], p.vd[i] + pulls[i]
-            ev = s.at(float(time), s.compose(self.origin, p.xi[i]), p.v[i])
-            low.append(lower(self.form, self.levels, ev, a, p.mult[i, :m]))
-            kin.append(p.rate[i] - s.rate(p.xi[i], v))
-        return np.array(kin), np.array(low)
+        ev = s.batch(t, s.compose(self.origin, p.xi), p.v)
+        low = lower(self.form, self.levels, ev, p.vd + pulls, p.mult[:, :m])
+        return p.rate - s.rate(p.xi, p.v - slips), low
 
     def corrections(self, mult: Array, level: int) -> Array:
         """N c of the multipliers (k, levels n_lam) of one level, (k, n_v); zero where the form has no such level."""
         m = self.system.n_lam
-        out = np.zeros((len(mult), self.system.n_v))
-        if self.levels <= level:
-            return out
-        for i in range(len(mult)):
-            slip = mult[i, level * m : (level + 1) * m]
-            if slip.any():
-                out[i] = self.closing(slip)
-        return out
+        slips = mult[:, level * m : (level + 1) * m]
+        if self.levels <= level or not slips.any():
+            return np.zeros((len(mult), self.system.n_v))
+        return self.closing(slips)
 
-    def closing(self, slip: Array) -> Array:
-        """N c, like v; complex slips by their parts."""
-        if np.iscomplexobj(slip):
-            return self.closing(slip.real) + 1j * self.closing(slip.imag)  # type: ignore[no-any-return]
+    def closing(self, slips: Array) -> Array:
+        """N c of slips (k, n_lam), (k, n_v); complex ones by their parts."""
+        if np.iscomplexobj(slips):
+            real, imaginary = np.split(self.closing(np.concatenate((slips.real, slips.imag))), 2)
+            return np.asarray(real + 1j * imaginary)
         if self._basis is None:
             assert self._begun is not None
             self._basis = self.system.at(self._begun.t, self._begun.q)
         self.prepare(self._basis, self.metric)
-        return self.solver.closing(slip)
+        return self.solver.closing(slips.T).T
 
     def prepare(self, ev: Evaluation, weights: Weights) -> None:
         """The matrix of a step, unless it is there."""

@@ -47,9 +47,13 @@ class Directions:
 
     def __init__(self, dot: Dot, what: str) -> None:
         self.dot, self.what = dot, what
-        self.iterations = 0
-        self.d: list[Array] = []
-        self.images: list[Images] = []
+        self.iterations = self.count = 0
+        self._rows: list[Array] = []  # d, then its images: a row for each direction, and room for more
+
+    @property
+    def known(self) -> list[Array]:
+        """The directions (count, n_v) and their images: motions, multipliers and further rows."""
+        return [x[: self.count] for x in self._rows]
 
     def solve(self, first: Images, image: Callable[[Array], Images]) -> Images:
         """dxi with P^-1 J dxi = x, but for a share of the residual; y less the multipliers that go with dxi, z plus its further
@@ -60,22 +64,27 @@ class Directions:
         residual, y, z = first
         dxi = np.zeros_like(residual)
         enough = ACCURATE * self.norm(residual)
-        if len(self.d) > LIMIT:
-            self.d, self.images = [], []
+        if self.count > LIMIT:
+            self.count = 0
+
+        # the part of the residual that all known directions take
+        if self.count and enough > 0.0:
+            d, w, reaction, row = self.known
+            shares = self.dot(w, residual)
+            dxi, residual = shares @ d, residual - shares @ w
+            y, z = y - shares @ reaction, z + shares @ row
 
         used, share, left = 0, 1.0, self.norm(residual)
-        last = len(self.d) + LIMIT
         while left > enough:
-            if used == len(self.d):
-                if used == last:
-                    raise LinearSolveError(
-                        f"{self.what}: {LIMIT} iterations of the stages left {left / enough * ACCURATE:.1e} of the residual."
-                    )
-                stuck = used > 0 and abs(share) <= WEAK * left
-                self._add(self.images[-1][0] if stuck else residual / left, image)
+            if used == LIMIT:
+                raise LinearSolveError(
+                    f"{self.what}: {LIMIT} iterations of the stages left {left / enough * ACCURATE:.1e} of the residual."
+                )
+            stuck = used > 0 and abs(share) <= WEAK * left
+            self._add(self.known[1][-1] if stuck else residual / left, image)
 
-            # the part of the residual that one more direction takes
-            d, (w, reaction, row) = self.d[used], self.images[used]
+            # and one more
+            d, w, reaction, row = (x[-1] for x in self.known)
             share = self.dot(w[None], residual)[0]
             dxi, residual = dxi + share * d, residual - share * w
             y, z = y - share * reaction, z + share * row
@@ -85,18 +94,25 @@ class Directions:
     def _add(self, d: Array, image: Callable[[Array], Images]) -> None:
         """One more direction, with an image of unit size across the others."""
         self.iterations += 1
-        w, reaction, row = image(d)
-        for _ in range(2 if self.d else 0):  # twice is enough
-            shares = self.dot(np.array([other for other, _, _ in self.images]), w)
-            for share, e, (other, of_e, row_e) in zip(shares, self.d, self.images, strict=True):
-                d, w = d - share * e, w - share * other
-                reaction, row = reaction - share * of_e, row - share * row_e
+        new = [d, *image(d)]
+        for _ in range(2 if self.count else 0):  # twice is enough
+            shares = self.dot(self.known[1], new[1])
+            new = [x - shares @ others for x, others in zip(new, self.known, strict=True)]
 
-        size = self.norm(w)
+        size = self.norm(new[1])
         if not 0.0 < size < np.inf:
             raise LinearSolveError(f"{self.what}: an iteration of the stages is not finite, or stands still.")
-        self.d.append(d / size)
-        self.images.append((w / size, reaction / size, row / size))
+        if not self._rows or self.count == len(self._rows[0]):
+            self._make_room(new)
+        for rows, x in zip(self._rows, new, strict=True):
+            rows[self.count] = x / size
+        self.count += 1
+
+    def _make_room(self, like: list[Array]) -> None:
+        """For twice as many."""
+        room = max(4, 2 * self.count)
+        before = self.known if self._rows else [x[None][:0] for x in like]
+        self._rows = [np.concatenate((x, np.empty((room - len(x), x.shape[1]), x.dtype))) for x in before]
 
     def norm(self, x: Array) -> float:
         """Size of a motion; collective."""
@@ -110,7 +126,7 @@ class FieldStages:
         self.eq, self.t, self.judge = equations, tangent, judge
         self.s = [x.real if x.imag == 0 else x for x in s]
         self.weights = equations.metric = equations.weights(float(np.abs(s).max()))
-        self.share = _shares(equations.system)
+        self.square = _shares(equations.system) ** 2
         self.known = [Directions(self._dot, judge.what) for _ in self.s]
 
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
@@ -131,18 +147,18 @@ class FieldStages:
         rate = kin
         if L > 1:
             slip = s * low[n : n + m] - low[n + m : n + 2 * m] - self._rows(kin)
-            rate = kin + eq.closing(slip)
+            rate = kin + eq.closing(slip[None])[0]
         push = s * rate
         if L > 2:
             pull = s * low[n + m : n + 2 * m] - low[n + 2 * m :]
-            push = push + eq.closing(pull)
+            push = push + eq.closing(pull[None])[0]
 
         eq.prepare(self.t.ev, self.weights)
         dxi, dv, dlam, left = self._motion(i, (rate, push), low)
         mult = [dlam]
         if L > 1:  # what the motion itself adds
             mult.append(slip + left[:m])
-            dv = dv + eq.closing(left[:m])
+            dv = dv + eq.closing(left[None, :m])[0]
         if L > 2:
             mult.append(pull + left[m:] - s * left[:m])
         return np.concatenate((dxi, dv)), np.concatenate(mult) if L else np.zeros(0)
@@ -198,9 +214,9 @@ class FieldStages:
     def _dot(self, V: Array, w: Array) -> Array:
         """Inner products of vectors (k, n_v) with one: mean squares of each field, sums of the core; collective."""
         system, n = self.eq.system, self.eq.system.n_core
-        V, w = V.conj() * self.share, w * self.share
+        w = (self.square * w).conj()
         core = V[:, :n] @ w[:n]
-        return core + np.asarray(rank_sum(system.comm, V[:, n:] @ w[n:]))
+        return np.asarray((core + rank_sum(system.comm, V[:, n:] @ w[n:])).conj())
 
 
 def _shares(system: System) -> Array:

@@ -3,7 +3,7 @@
 The names are those of :class:`~.system.Evaluation`, with the configurations in front of every array: t (k,), q (k, n_q),
 v (k, n_v), lambda (k, n_lam), G (k, n_lam, n_v). Where the compiled driver knows the system it evaluates all of them in one call
 (:mod:`~.compiled.evaluation`); equations in coordinates of the user's own take arrays of configurations; others are evaluated
-one by one. Replicated coordinates only: no elastic fields.
+one by one.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from ..rotations import Array
 from .evaluation import Evaluation
 
 if TYPE_CHECKING:
+    from .jacobian import Jacobian
     from .system import System
 
 
@@ -34,6 +35,21 @@ class Jacobians:
     def transposed(self, lam: Array) -> Array:
         """G^T lambda, (k, n_v)."""
         return np.asarray((lam[:, None, :] @ self.core)[:, 0])
+
+
+class FieldJacobians(Jacobians):
+    """The same of systems with elastic fields, by products only."""
+
+    def __init__(self, each: list[Jacobian]) -> None:
+        self.each = each
+
+    def times(self, v: Array) -> Array:
+        """G v, (k, n_lam); collective."""
+        return np.array([G.times(x) for G, x in zip(self.each, v, strict=True)])
+
+    def transposed(self, lam: Array) -> Array:
+        """G^T lambda, (k, n_v)."""
+        return np.array([G.transposed(x) for G, x in zip(self.each, lam, strict=True)])
 
 
 class EvaluationBatch:
@@ -61,6 +77,8 @@ class EvaluationBatch:
     @cached_property
     def jacobian(self) -> Jacobians:
         """G of all configurations."""
+        if self.system.fields:
+            return FieldJacobians([ev.jacobian for ev in self._each])
         cores = [ev.jacobian.core for ev in self._each]
         return Jacobians(np.array([G if isinstance(G, np.ndarray) else G.toarray() for G in cores]))
 

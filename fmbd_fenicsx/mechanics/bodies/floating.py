@@ -229,8 +229,11 @@ class FloatingField(FieldPart):
         return M, np.zeros((0, n)), np.zeros((0, 0))
 
     def missing_momentum(self, u: Array) -> Array | None:
-        """M U (nodes, d) where the columns of inertia are those of P = X; collective."""
-        return self.field.mass(u.reshape(-1, self.field.dim)) if self.shared_columns else None
+        """Rows (n_rot, n d) of sum M U x where the columns of inertia are those of P = X; collective."""
+        if not self.shared_columns:
+            return None
+        m = self.motions
+        return m.lever(self.field.mass(u.reshape(-1, m.dim))).reshape(-1, m.n_rot).T
 
     def _velocity(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array, Array]:
         """Points P, nodal velocities W in body axes and M W."""
