@@ -10,15 +10,26 @@ import pytest
 from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
+from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, saint_venant_kirchhoff
 from fmbd_fenicsx.system.compiled.choice import driver_states
+
+SMALL = {"elastic": linear_elastic(5e6, 0.3)}
+LARGE = {"energy": saint_venant_kirchhoff(5e6, 0.3)}
+BODIES = {  # in the world; a second one has another number
+    "small strains": SMALL | {"stiffness_damping": 1e-3},
+    "mass damping": SMALL | {"mass_damping": 0.2},
+    "large strains": LARGE | {"stiffness_damping": 1e-3},
+    "viscous": LARGE | {"viscous": kelvin_voigt(100.0)},
+}
 
 
 def swinging(mesh: Any, frame: Any, load: bool = False) -> fmbd.Scene:
     """A damped rod on a driven pin, a bob and a spring at its other end, gravity that is switched on."""
-    rod = fmbd.FloatingBody(
-        "rod", mesh, density=1000.0, elastic=linear_elastic(5e6, 0.3), frame=frame, stiffness_damping=1e-3
-    )
+    if isinstance(frame, str):
+        rod: Any = fmbd.AbsoluteBody("rod", mesh, density=1000.0, **BODIES[frame])
+    else:
+        law = SMALL | {"stiffness_damping": 1e-3}
+        rod = fmbd.FloatingBody("rod", mesh, density=1000.0, frame=frame, **law)
     d = rod.dim
     if load:
         rod.loads.append(fmbd.loads.Traction("tip", lambda t: (10.0 * t, 1.0, 0.0)[:d]))
@@ -33,10 +44,35 @@ def swinging(mesh: Any, frame: Any, load: bool = False) -> fmbd.Scene:
 
 
 @compiled
-@pytest.mark.parametrize("frame", [fmbd.MeanAxis(), fmbd.Attached("pin"), fmbd.Chord("pin", "tip")], ids=str)
+@pytest.mark.parametrize("frame", [fmbd.MeanAxis(), fmbd.Attached("pin"), fmbd.Chord("pin", "tip"), *BODIES], ids=str)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_equal_to_numpy(rod_mesh: Callable[..., Any], dim: int, frame: Any) -> None:
-    system, start, _ = swinging(rod_mesh(dim=dim, h=0.5, height=0.2), frame).build()
+    assert_equal_to_numpy(swinging(rod_mesh(dim=dim, h=0.5, height=0.2), frame))
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+def test_several_bodies_in_the_world(rod_mesh: Callable[..., Any], dim: int) -> None:
+    """Two of them with a load that follows one, joined to each other; and alone, where no frame moves."""
+    mesh = rod_mesh(dim=dim, h=0.5, height=0.2)
+    axis = {} if dim == 2 else {"axis": (0, 0, 1)}
+    scene = fmbd.Scene("two", gravity=(0.0, -9.81, 0.0)[:dim])
+    first = fmbd.AbsoluteBody("first", mesh, density=1000.0, **SMALL)
+    second = fmbd.AbsoluteBody("second", mesh, density=500.0, loads=[fmbd.loads.pressure("side", 10.0)], **LARGE)
+    scene.add(first, second, fmbd.revolute("pin", fmbd.ground, first.surface("pin"), center=(0, 0, 0)[:dim], **axis))
+    scene.add(fmbd.revolute("hinge", first.surface("pin"), second.surface("pin"), center=(0, 0, 0)[:dim], **axis))
+    assert_equal_to_numpy(scene)
+
+    at = {"point_a": (1, 1, 0)[:dim], "point_b": (1, 0, 0)[:dim]}
+    rope = fmbd.Spring("rope", fmbd.ground, second.surface("tip"), stiffness=50.0, **at)
+    link = fmbd.RigidBody("link", 1.0, 1.0 if dim == 2 else (1, 1, 1))
+    scene.add(rope, link, fmbd.spherical("knee", link, second.surface("tip"), center=(1, 0, 0)[:dim]))
+    assert_equal_to_numpy(scene)
+
+
+def assert_equal_to_numpy(scene: fmbd.Scene) -> None:
+    """What the driver says of a state somewhere near the start."""
+    system, start, _ = scene.build()
     states = driver_states(system)
     assert states is not None and not states.solves
 
@@ -52,6 +88,14 @@ def test_equal_to_numpy(rod_mesh: Callable[..., Any], dim: int, frame: Any) -> N
         assert told.balance(*given) == pytest.approx(wanted, rel=1e-11, abs=1e-12 * np.abs(wanted).max())
     assert told.energies() == pytest.approx(expected.energies(), rel=1e-11)
     assert told.jacobian.times(v) == pytest.approx(expected.jacobian.times(v), rel=1e-12)
+
+    both = [np.stack((x, y)) for x, y in ((q, start.q), (v, start.v), (a, start.a), (lam, start.lam))]
+    many = states.batch(np.array([0.3, 0.0]), both[0], both[1])
+    balances = many.balance(both[2], both[3])
+    assert balances[0] == pytest.approx(wanted := expected.balance(a, lam), rel=1e-11, abs=1e-12 * np.abs(wanted).max())
+    for name in ("constraint", "opening", "gamma"):
+        assert getattr(many, name)()[0] == pytest.approx(getattr(expected, name)(), rel=1e-11, abs=1e-12), name
+    assert many.jacobian.times(both[1])[0] == pytest.approx(expected.jacobian.times(v), rel=1e-12)
 
 
 def test_left_to_numpy(rod_mesh: Callable[..., Any]) -> None:

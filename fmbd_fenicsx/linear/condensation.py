@@ -361,7 +361,9 @@ class StepSolver:
         core = self.core.solve_columns if columns else self.core.solve
 
         # z = E^-1 b of each field, and what is left for the core
-        rhs = np.concatenate((np.zeros((n, *columns)) if b is None else b[:n], c, np.zeros((self.border.count, *columns))))
+        rhs = np.concatenate(
+            (np.zeros((n, *columns)) if b is None else b[:n], c, np.zeros((self.border.count, *columns)))
+        )
         zs: list[Any] = [0.0] * len(self.blocks)
         for i, ((k, f), block) in enumerate(zip(s.fields, self.blocks, strict=True)):
             if b is not None:

@@ -59,7 +59,7 @@ class FieldTangent:
     def _along(self, dq: Array, dv: Array, da: Array) -> Array:
         """The same for directions (k, n_v)."""
         system, s = self.ev.system, self.state
-        eps = np.array([[self._shift(*d)] for d in zip(dq, dv, da, strict=True)])
+        eps = np.array([[self._shift(dq[i], dv[i], da[i])] for i in range(len(dq))])
         ev = system.batch(s.t, system.compose(s.q, eps * dq), s.v + eps * dv)
         lam = np.repeat(s.lam[None], len(dq), axis=0)
         return np.asarray((lower(self.form, self.levels, ev, s.a + eps * da, lam) - self.low) / eps)

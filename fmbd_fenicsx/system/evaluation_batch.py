@@ -45,11 +45,11 @@ class FieldJacobians(Jacobians):
 
     def times(self, v: Array) -> Array:
         """G v, (k, n_lam); collective."""
-        return np.array([G.times(x) for G, x in zip(self.each, v, strict=True)])
+        return np.array([G.times(v[i]) for i, G in enumerate(self.each)])
 
     def transposed(self, lam: Array) -> Array:
         """G^T lambda, (k, n_v)."""
-        return np.array([G.transposed(x) for G, x in zip(self.each, lam, strict=True)])
+        return np.array([G.transposed(lam[i]) for i, G in enumerate(self.each)])
 
 
 class EvaluationBatch:

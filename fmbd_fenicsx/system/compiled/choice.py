@@ -10,6 +10,7 @@ from .evaluation import DriverStates
 from .field_states import FieldStates
 from .items import covers, other_loads
 from .library import driver_library, units_of
+from .resting import RestingField, Twin
 from .tables import covers_bodies
 
 STORAGE_LIMIT = 20_000_000  # numbers in the factor
@@ -27,9 +28,10 @@ def use_driver(system: System) -> None:
 
 def driver_states(system: System) -> DriverStates | None:
     """The driver for states of a system, None where NumPy has to evaluate it."""
-    if not covers_bodies(system) or not covers(system) or (system.fields and not _covers_fields(system)):
+    known = Twin(system).system
+    if not covers_bodies(known) or not covers(known) or (known.fields and not _covers_fields(known)):
         return None
-    library = driver_library(system.motions.dim, units_of(system))
+    library = driver_library(system.motions.dim, units_of(known))
     if library is None:
         return None
 
@@ -39,8 +41,8 @@ def driver_states(system: System) -> DriverStates | None:
 
 
 def _covers_fields(system: System) -> bool:
-    """Whether fields have constant matrices, on which nothing acts that Python gives as a whole."""
-    constant = not any(part.field.nonlinear for _, part in system.fields)
+    """Whether floating fields have constant matrices, and nothing acts on fields that Python gives as a whole."""
+    constant = not any(part.field.nonlinear for _, part in system.fields if not isinstance(part, RestingField))
     return constant and not system.curved and not other_loads(system)
 
 

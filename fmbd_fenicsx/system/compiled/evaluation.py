@@ -54,7 +54,7 @@ class DriverStates:
         n, m = self.system.n_v, self.system.n_lam
         self._given = _Exchange({"q": self.system.n_q, "b": n, "c": m})  # what C reads
         self._found = _Exchange({"x": n, "y": m})  # and writes
-        self._kept_room: _Room | None = None
+        self._kept_room: Room | None = None
         self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
         self._last: DriverEvaluation | None = None  # made by :meth:`at`
 
@@ -147,12 +147,12 @@ class DriverStates:
         asked = known and self._ask(self.library.driver_energies, self._room(at), [address_of(out)])
         return out if asked else None
 
-    def _room(self, at: Configurations) -> _Room:
+    def _room(self, at: Configurations) -> Room:
         """Arrays for so many configurations, with these in them."""
         count = len(at[0])
         room = self._kept_room
         if room is None or room.most < count:
-            room = _Room(self.system, max(count, FEW))
+            room = Room(self.tables.system, max(count, FEW))
             if count <= ROOMS:
                 self._kept_room = room
         room.count = count
@@ -160,7 +160,7 @@ class DriverStates:
             x[:count] = value
         return room
 
-    def _ask(self, function: Any, room: _Room, places: Sequence[int | None]) -> bool:
+    def _ask(self, function: Any, room: Room, places: Sequence[int | None]) -> bool:
         """One call for all configurations; whether they have been evaluated."""
         self.tables.recall()
         self.calls.trusted = not self.anew
@@ -250,7 +250,7 @@ class _Exchange:
         return self.at[: len(values)]
 
 
-class _Room:
+class Room:
     """What C reads and writes of the first ``count`` of at most so many configurations: t, q and v; a; lambda; the sums of the
     balance; four of the rows.
     """

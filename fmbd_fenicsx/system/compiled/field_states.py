@@ -1,4 +1,4 @@
-"""States of systems with floating elastic fields by the driver: balance and constraints in one call each.
+"""States of systems with elastic fields by the driver: balance and constraints in one call each.
 
 The driver's tables of a field hold its matrices and ports; what its own factor has solved for a size of step is left out, as
 nothing is solved here. Rows of constraints with their ports, and biases of surfaces, are NumPy's.
@@ -13,7 +13,9 @@ import numpy as np
 
 from ...rotations import Array
 from ..configurations import composed
-from .evaluation import Configurations, DriverStates
+from ..system import System
+from .evaluation import Configurations, DriverStates, Room
+from .resting import Twin
 from .tables import Tables
 
 
@@ -40,11 +42,24 @@ class FieldStates(DriverStates):
 
     solves = False
 
+    def __init__(self, system: System, library: Any) -> None:
+        self.twin = Twin(system)
+        super().__init__(system, library)
+
     def tables_of(self) -> Tables:
         """Tables with fields that nothing is solved for."""
-        blocks = [unsolved(part) for _, part in self.system.fields]
+        blocks = [unsolved(part) for _, part in self.twin.system.fields]
 
-        return Tables(self.system, redundant=False, blocks=blocks)
+        return Tables(self.twin.system, redundant=False, blocks=blocks)
+
+    def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
+        """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""
+        found = super().balances(at, self.twin.velocities(a), lam)
+        return None if found is None else self.twin.forces(found)
+
+    def _room(self, at: Configurations) -> Room:
+        t, q, v = at
+        return super()._room((t, self.twin.configurations(q), self.twin.velocities(v)))
 
     def rows(self, at: Configurations) -> Array | None:
         """None: G of a field is kept by its ports."""

@@ -11,6 +11,7 @@ from ...mechanics.bodies.floating import FloatingField
 from ...mechanics.placements import FrameMotion
 from ...mechanics.validity import TOO_LARGE
 from ...rotations import Array
+from .resting import RestingField
 from .structures import structure
 
 if TYPE_CHECKING:
@@ -174,8 +175,8 @@ class Condensed:
 
 
 def known_field(part: Any) -> bool:
-    """Whether the driver takes a part with a field: a floating one on one rank, of moderate size, whose ports are linear."""
-    if type(part) is not FloatingField:
+    """Whether the driver takes a part with a field, floating or at rest: on one rank, of moderate size, with linear ports."""
+    if type(part) not in (FloatingField, RestingField):
         return False
     small = part.comm.size == 1 and part.n <= FIELD_LIMIT
     return small and not (part.field.mixed or part.field.redistributed or part.traces or part.stiffening is not None)

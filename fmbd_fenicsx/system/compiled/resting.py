@@ -1,0 +1,103 @@
+"""Bodies in absolute coordinates for the driver: floating fields whose frames rest where the bodies were meshed.
+
+The driver knows fields in moving frames, x = r + R (X + u). With r at the mass centre of the meshed body, R = 1 and no velocities
+that is x = X + u, and inertia forces are M (u'' - g). So a system has a twin in which each absolute body has such a frame: poses
+and twists (zero) of these stand behind those of the moving frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...mechanics.bodies.absolute import AbsoluteField
+from ...mechanics.bodies.field_part import FieldPart
+from ...mechanics.placements import FrameMotion
+from ...rotations import Array
+from ..system import System
+
+
+class RestingField(FieldPart):
+    """An absolute field in a frame at rest; what is not linear of its forces stays with the field itself."""
+
+    stiffening = None
+    warned = True  # it does not spin
+
+    def __init__(self, part: AbsoluteField, frame: int) -> None:
+        super().__init__(part.field, frame, [], part.conditions)
+        field = part.field
+        self.part, self.surfaces, self.n_port = part, part.surfaces, part.n_port
+        self.reference = part.reference.copy()
+        per = field.dim * (1 + field.dim)
+        for k in range(len(self.surfaces)):
+            self.reference[k * per : k * per + field.dim] -= field.center
+
+        self.size = np.inf  # of what displacements may be
+        self.inertia_columns = np.zeros((self.n, self.motions.n_twist))
+        self.moment, self.inertia = np.zeros(field.dim), field.inertia
+
+    def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """Rows of the frame, zero, and forces on the nodes."""
+        return self.part.force(motion, local)
+
+    def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
+        """Kinetic, elastic and weight energy, J."""
+        return self.part.energies(motion, pose, local)
+
+    def momenta(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Linear and angular momentum about the world origin."""
+        return self.part.momenta(motion, pose, local)
+
+
+class Twin:
+    """A system, and its twin with a frame for each absolute body: ``system``, the same one where there are none."""
+
+    def __init__(self, system: System) -> None:
+        still = [(k, p) for k, p in system.fields if isinstance(p, AbsoluteField)]
+        m, n = system.motions, system.n_frames
+        self.poses: Array = np.zeros((0, m.n_pose))
+        self._in_q, self._in_v = n * m.n_pose, n * m.n_twist
+        self.system = system
+        if not still:
+            return
+
+        parts: list[Any] = list(system.parts)
+        for i, (k, part) in enumerate(still):
+            parts[k] = RestingField(part, n + i)
+        self.poses = np.stack([m.pose(part.field.center) for _, part in still])
+        names = (*system.frame_names, *(part.name for _, part in still))
+        markers = replace(system.markers, frame=_frames(system, [k for k, _ in still]))
+        self.system = replace(system, frame_names=names, parts=tuple(parts), markers=markers, cache={})
+
+    def configurations(self, q: Array) -> Array:
+        """q (k, n_q) with the frames at rest."""
+        return self._wider(q, self._in_q, self.poses.ravel())
+
+    def velocities(self, v: Array) -> Array:
+        """The same of arrays like v, (k, n_v): they do not move."""
+        return self._wider(v, self._in_v, np.zeros(len(self.poses) * self.system.motions.n_twist))
+
+    def forces(self, x: Array) -> Array:
+        """Arrays like v without the frames at rest."""
+        if not len(self.poses):
+            return x
+        end = self._in_v + len(self.poses) * self.system.motions.n_twist
+        return np.concatenate((x[:, : self._in_v], x[:, end:]), axis=1)
+
+    def _wider(self, x: Array, at: int, more: Array) -> Array:
+        if not len(self.poses):
+            return x
+        return np.concatenate((x[:, :at], np.broadcast_to(more, (len(x), len(more))), x[:, at:]), axis=1)
+
+
+def _frames(system: System, still: list[int]) -> np.ndarray:
+    """Frames of all markers, (n,): those on surfaces of the parts ``still`` have new ones, and the ground is behind these."""
+    markers, n = system.markers, system.n_frames
+    frame = np.where(markers.frame == n, n + len(still), markers.frame)
+    for i, k in enumerate(still):
+        ports = system.port_slice(k)
+        on = (markers.port[:, 0] >= ports.start) & (markers.port[:, 0] < ports.stop)
+        frame[markers.surface[on]] = n + i
+    return frame
