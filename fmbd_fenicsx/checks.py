@@ -101,7 +101,7 @@ def whole(what: str, value: Any, *, least: int = 0) -> int:
 
 def array(what: str, value: Any, *, shape: str = "finite numbers") -> np.ndarray:
     """Finite numbers in an array of any shape; ``shape``: what is wanted, in words."""
-    plain = value if type(value) is tuple else (value,)
+    plain = value if type(value) in (tuple, list) else (value,)
     if plain and _numbers(plain):
         return np.array(value, dtype=float)  # as most are given
     try:
@@ -114,11 +114,11 @@ def array(what: str, value: Any, *, shape: str = "finite numbers") -> np.ndarray
     return np.array(found, dtype=float)
 
 
-def _numbers(values: tuple[Any, ...]) -> bool:
-    """Whether all of some values are Python's own finite numbers."""
+def _numbers(values: Sequence[Any]) -> bool:
+    """Whether all of some values are finite numbers as most are given."""
     for x in values:
         kind = type(x)
-        if not ((kind is float or kind is int) and -LARGEST <= x <= LARGEST):
+        if not ((kind is float or kind is int or kind is np.float64) and -LARGEST <= x <= LARGEST):
             return False
     return True
 
@@ -350,9 +350,11 @@ def _plainly(value: Any, options: tuple[Any, ...]) -> bool:
     kind = type(value)
     if kind is float or kind is int:
         return float in options and -LARGEST <= value <= LARGEST
-    if kind is tuple:
-        numbers = all((type(x) is float or type(x) is int) and -LARGEST <= x <= LARGEST for x in value)
-        return bool(value) and numbers and any(option in SEVERAL for option in options)
+    if kind is tuple or kind is list:
+        return bool(value) and _numbers(value) and any(option in SEVERAL for option in options)
+    if kind is np.ndarray:
+        plain = value.ndim == 1 and value.dtype.kind == "f" and value.size > 0
+        return plain and _finite(value) and any(option in SEVERAL for option in options)
     return kind is str and str in options and bool(value.strip())
 
 

@@ -78,11 +78,10 @@ class RigidBody(Body):
         if self.dim == 2:
             number(f"{what}: inertia", J, above=0.0, unit="kg m^2")
             return
-        J = np.diag(J) if J.shape == (3,) else J
-        require(J.shape == (3, 3), f'Body "{self.name}": inertia must have shape (3,) or (3, 3), found {J.shape}.')
-        if not np.allclose(J, J.T, rtol=1e-12, atol=1e-12 * np.abs(J).max()):
+        require(J.shape in ((3,), (3, 3)), f"{what}: inertia must have shape (3,) or (3, 3), found {J.shape}.")
+        if J.ndim == 2 and not (np.abs(J - J.T) <= 1e-12 * (np.abs(J).max() + np.abs(J.T))).all():
             raise InputError(f'Body "{self.name}": inertia is not symmetric: {J.tolist()}.')
-        p = np.linalg.eigvalsh(J)
+        p = np.sort(J) if J.ndim == 1 else np.linalg.eigvalsh(J)
         if not p[0] > 0:
             raise InputError(f'Body "{self.name}": principal inertias {p} must be positive.')
         if not p[0] + p[1] >= p[2] * (1 - 1e-9):
@@ -93,7 +92,7 @@ class RigidBody(Body):
     def _check_start(self, what: str) -> None:
         """Pose and twist of the start. Its inertia makes a body plane or not; a position of the other kind shows a slip."""
         given = self.position
-        size = len(given) if type(given) is tuple else np.size(np.asarray(given, dtype=object))
+        size = len(given) if type(given) in (tuple, list) else np.asarray(given, dtype=object).size
         # texts of arrays cost more than all else that a body needs: they are made for an error only
         if self.dim == 3 and size != 3:
             raise InputError(

@@ -130,9 +130,12 @@ def start_velocity(what: str, value: Any, size: int) -> Array:
     """A velocity (size,), zero where none is given."""
     if value is None:
         return np.zeros(size)
-    found = np.atleast_1d(array(what, value))
+    found = array(what, value)
+    if found.ndim == 0:
+        found = found[None]
     if found.shape != (size,):
         found = vector(what, found, size=size)
-    if not max(abs(float(x)) for x in found) < FASTEST:
+    numbers: Any = found.tolist()
+    if not max(map(abs, numbers)) < FASTEST:
         raise InputError(f"{what} {value} must be below {FASTEST:g}.")
     return found

@@ -62,9 +62,12 @@ class DryFrictionLoads(ScalarLoads):
         return 0.5 * float((self.k * stretch**2).sum())
 
     def tangent(self, kin: Kinematics, t: float) -> Tangent:
-        """k and c where it sticks, 0 where it slides; the geometric stiffness of N."""
+        """k and c where it sticks, 0 where it slides; the geometric stiffness of N.
+
+        A point that was dragged lies on the limit: there it slides, and roundoff does not decide.
+        """
         s, rate, _, _ = self._state(kin)
-        sticks = np.abs(self._trial(s, rate)) < self.limit
+        sticks = np.abs(self._trial(s, rate)) <= (1.0 - 1e-9) * self.limit
         return self._tangent_of(kin, self.effort(s, rate, t), (self.k * sticks, self.c * sticks))
 
     def first(self, ev: Any, state: Any) -> Array:

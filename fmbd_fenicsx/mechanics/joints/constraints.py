@@ -22,9 +22,8 @@ marker: a row of ``Coincident`` has force +lambda n on a, -lambda n on b.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -45,8 +44,7 @@ def standstill(t: float) -> tuple[float, float, float]:
     return 0.0, 0.0, 0.0
 
 
-@dataclass(frozen=True)
-class Pair:
+class Pair(NamedTuple):
     """One elementary constraint: kind, the two marker indices, direction in a (or space), direction in b, length, drive."""
 
     kind: type[Batch]

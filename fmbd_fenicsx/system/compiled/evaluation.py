@@ -127,13 +127,23 @@ class DriverStates:
 
     def constraints(self, at: Configurations) -> Array | None:
         """g, G v + g_t, g_t and gamma, (4, k, n_lam); gamma without the bias of surfaces. None as above."""
-        room = self._room(at)
-        if not self._ask(self.library.driver_constraints, room, room.constraints_at):
+        found = self._constraints(at)
+        if found is None:
             return None
-        found = room.constraints[:, : room.count].copy()
         for rows, motions in self.calls.moving:
             found[3][:, rows] -= [[motion(float(t))[2] for motion in motions] for t in at[0]]
-        return found
+        return found.copy()
+
+    def _constraints(self, at: Configurations) -> Array | None:
+        """The same without the second rates of prescribed motions, a view."""
+        room = self._room(at)
+        asked = self._ask(self.library.driver_constraints, room, room.constraints_at)
+        return room.constraints[:, : room.count] if asked else None
+
+    def along(self, at: Configurations) -> Array | None:
+        """G v, (k, n_lam), without G; None as above."""
+        found = self._constraints(at)
+        return None if found is None else found[1] - found[2]
 
     def rows(self, at: Configurations) -> Array | None:
         """G, (k, n_lam, n_v); None as above."""
@@ -387,6 +397,31 @@ class DriverJacobian(Jacobian):
         """The part on the ports of parts."""
         return self.numpy.port
 
+    def times(self, v: Array) -> Array:
+        """G v, (n_lam,)."""
+        t, q, _ = self.ev.alone
+        found = self.ev.states.along((t, q, v[None]))
+        return super().times(v) if found is None else found[0]
+
+
+class DriverJacobians(Jacobians):
+    """G of many configurations by the driver, made when someone looks at it."""
+
+    def __init__(self, batch: DriverBatch) -> None:
+        self.batch = batch
+
+    @cached_property
+    def core(self) -> Array:  # type: ignore[override]
+        """G, (k, n_lam, n_v)."""
+        G = self.batch.states.rows(self.batch.all)
+        return EvaluationBatch(self.batch.system, *self.batch.all).jacobian.core if G is None else G
+
+    def times(self, v: Array) -> Array:
+        """G v, (k, n_lam)."""
+        t, q, _ = self.batch.all
+        found = self.batch.states.along((t, q, v))
+        return super().times(v) if found is None else found
+
 
 class DriverBatch(_Constraints, EvaluationBatch):
     """Many configurations by the driver."""
@@ -402,8 +437,7 @@ class DriverBatch(_Constraints, EvaluationBatch):
     @cached_property
     def jacobian(self) -> Jacobians:
         """G of all configurations."""
-        G = self.states.rows(self.all)
-        return super().jacobian if G is None else Jacobians(G)
+        return DriverJacobians(self)
 
     def balance(self, a: Array, lam: Array | None = None) -> Array:
         """M a + h + G^T lambda, (k, n_v)."""

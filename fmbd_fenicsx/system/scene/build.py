@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -41,13 +40,14 @@ def smooth_step(t: float, duration: float) -> float:
     return s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
 
 
-@dataclass(frozen=True, eq=False)
-class MarkerPlace:
-    """A marker in the axes of its frame: position (d,), rotation (d, d); ``surface`` of an elastic body, or None."""
+class MarkerPlace(NamedTuple):
+    """A marker with the axes of the world at the start, on a frame that starts at a pose (n_pose,): at a ``point`` (d,) of the
+    world; ``surface`` of an elastic body, or None.
+    """
 
     frame: int
-    position: Array
-    rotation: Array
+    pose: Array
+    point: Array
     surface: Surface | None = None
 
 
@@ -66,7 +66,7 @@ class Builder:
         self.starts: list[tuple[Array, Array]] = []
         self.nodes = RodNodes()
         self.places: list[MarkerPlace] = []
-        self.axes: dict[int, Array] = {}  # R^T of frames at the start that carry markers
+        self.here = self.m.identity  # the pose of the ground
 
     def build(self) -> tuple[System, State, dict[str, int]]:
         """The system, its state as given, and the marker of each sensor; collective."""
@@ -290,32 +290,26 @@ class Builder:
         return len(self.places) - 1
 
     def _place(self, side: Any, point: Array | None) -> MarkerPlace:
-        d = self.m.dim
+        d, here = self.m.dim, self.here
         if isinstance(side, Surface) and isinstance(side.body, Rod):
-            return self._on_frame(*self.nodes.section(side), point)
+            frame, pose = self.nodes.section(side)
+            return MarkerPlace(frame, pose, pose[:d] if point is None else point)
         if isinstance(side, Surface):
             # on a surface: by its centroid, and the lever of the point in the surface's own axes
             part = self.fields[self.part_of[side.body.name]]
             lever = np.zeros(d) if point is None else point - part.surface_center(side.name)
-            return MarkerPlace(part.frame, lever, np.eye(d), side)
+            return MarkerPlace(part.frame, here, lever, side)
 
         # on the ground, on a body locked to it, or on a moving one
         ground_frame = len(self.poses)
         if side is ground:
-            return MarkerPlace(ground_frame, np.zeros(d) if point is None else point, np.eye(d))
+            return MarkerPlace(ground_frame, here, here[:d] if point is None else point)
         if side.locked:
-            return MarkerPlace(ground_frame, side.start_pose()[:d] if point is None else point, np.eye(d))
+            return MarkerPlace(ground_frame, here, side.start_pose()[:d] if point is None else point)
 
         frame = self.frame_of[side.name]
-        return self._on_frame(frame, self.poses[frame], point)
-
-    def _on_frame(self, frame: int, pose: Array, point: Array | None) -> MarkerPlace:
-        """A world point on a rigid frame that starts at ``pose``."""
-        if frame not in self.axes:
-            self.axes[frame] = self.m.matrix(pose).T
-        origin, back = pose[: self.m.dim], self.axes[frame]
-        where = origin if point is None else point
-        return MarkerPlace(frame, back @ (where - origin), back)
+        pose = self.poses[frame]
+        return MarkerPlace(frame, pose, pose[:d] if point is None else point)
 
     def _default_point(self, joint: Joint | Force) -> Array | None:
         """Where a joint or bushing without a center sits: the centroid of a surface, else the origin of its moving body."""
@@ -344,11 +338,16 @@ class Builder:
             ports.append(np.arange(first, first + per))
             is_section.append(side.body.by_section)
 
+        # a point of the world, and its axes, in the axes of the frames: R^T (x - r), R^T
+        poses = np.array([p.pose for p in self.places]).reshape(n, self.m.n_pose)
+        levers = np.array([p.point for p in self.places]).reshape(n, d) - poses[:, :d]
+        back = np.swapaxes(self.m.matrix(poses), 1, 2)
+
         return Markers(
             self.m,
             np.array([p.frame for p in self.places], dtype=int),
-            np.array([p.position for p in self.places]).reshape(n, d),
-            np.array([p.rotation for p in self.places]).reshape(n, d, d),
+            (back @ levers[..., None])[..., 0],
+            np.ascontiguousarray(back),
             np.array(on_surfaces, dtype=int),
             np.array(ports, dtype=int).reshape(len(on_surfaces), per),
             np.array(is_section, dtype=bool) if any(is_section) else None,
@@ -376,7 +375,8 @@ class Builder:
     ) -> tuple[list[tuple[Batch, np.ndarray]], list[tuple[PortConstraint, slice]], list[RowBlock]]:
         collected = JointRows(self.m)
         for joint in self.scene.joints.values():
-            default = self._default_point(joint) if joint.joined else None
+            somewhere = joint.center_a is not None and joint.center_b is not None
+            default = self._default_point(joint) if joint.joined and not somewhere else None
             a = self._marker(joint.a, default if joint.center_a is None else joint.center_a)
             b = self._marker(joint.b, default if joint.center_b is None else joint.center_b)
             collected.add(joint, (a, b))

@@ -13,6 +13,13 @@ static double cut(double effort, double limit, double *k, double *c)
     return effort > 0 ? limit : -limit;
 }
 
+/* Dry friction, sticking below its limit; a point that was dragged lies on it, and roundoff does not decide: it slides. */
+static double friction(double effort, double limit, double *k, double *c)
+{
+    if (fabs(effort) > (1.0 - 1e-9) * limit) *k = *c = 0.0;
+    return fmax(-limit, fmin(limit, effort));
+}
+
 /* A motor with integral part: its memory z grows by the trapezoidal rule from what was kept, so the effort is linear until cut. */
 static double pid_effort(const double *p, const double *kept, double x, double rate, double t, double *k, double *c)
 {
@@ -74,7 +81,7 @@ static void formula(Batch *k, long i, double t)
     *slope = p[0];
     *drag = p[1];
     if (k->formula == SERVO) k->effort[i] = cut(p[0] * (x - p[4]) + p[1] * (rate - p[5]), p[2], slope, drag);
-    else k->effort[i] = cut(p[0] * (x - kept[0]) + p[1] * rate, p[2], slope, drag);
+    else k->effort[i] = friction(p[0] * (x - kept[0]) + p[1] * rate, p[2], slope, drag);
 }
 
 /* Where dry friction sticks if a step ends at the s, s' and effort of the last evaluation. */
