@@ -40,11 +40,16 @@ from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
 from ..linear.saddle.pencil import Pencil, Tangent
 from ..rotations import Array
+from ..system.compiled.choice import use_driver
 from ..system.evaluation_batch import EvaluationBatch
 from ..system.linearise import at_once, differences
 from ..system.scene.contents import Contents
 from ..system.serialisation import Remembering, plain
+from ..system.stiff_ties import stiff_ties
 from ..system.system import State, System
+
+
+CLOSINGS = 2  # corrections that bring an elongation from Newton's tolerance to roundoff
 
 
 @dataclass(frozen=True)
@@ -246,8 +251,14 @@ class StepEquations(Remembering):
     def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
         self.system, self.form, self.solver = system, form, solver
         self.levels = len(form.levels) if system.n_lam else 0
+        self.stiff = stiff_ties(system)
+        if "driver looked for" in system.cache:
+            use_driver(self.stiff.system)
+        self.n_mult = self.levels * system.n_lam + len(self.stiff)
         self.residuals = self.jacobians = 0
         self.U: Array = np.zeros((system.n_v, system.n_lam))
+        self.U_ties: Array = np.zeros((system.n_v, len(self.stiff)))
+        self.R: Array = self.U_ties.T  # of the last point
         self.normal: Array = self.U
         self.origin: Array = np.zeros(0)
         self._closed: State | None = None
@@ -262,24 +273,46 @@ class StepEquations(Remembering):
             self.U = self._inverse_mass @ _dense(ev.jacobian.core).T
 
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
-        """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) of (1), (2) at the times t (k,)."""
+        """r_kin (k, n_v) and r_low (k, n_v + n_mult) of (1), (2) at the times t (k,)."""
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
 
-        ev = s.batch(t, s.compose(self.origin, p.xi), p.v)
-        lam = p.mult[:, :m] if self.levels else None
+        ev = self.stiff.system.batch(t, s.compose(self.origin, p.xi), p.v)
         v, a = p.v, p.vd
         # more levels than one: positions or accelerations are corrected along M^-1 G^T
         if self.levels > 1:
-            self.normal = self.U if self.form.frozen else self._inverse_mass @ ev.jacobian.core.swapaxes(1, 2)
+            G = ev.jacobian.core[:, self.stiff.joints] if len(self.stiff) else ev.jacobian.core
+            self.normal = self.U if self.form.frozen else self._inverse_mass @ G.swapaxes(1, 2)
             v = v - self._normally(p.mult[:, m : 2 * m])
             if self.levels > 2:
-                a = a + self._normally(p.mult[:, 2 * m :])
+                a = a + self._normally(p.mult[:, 2 * m : 3 * m])
 
-        low = ev.balance(a, lam)
+        if len(self.stiff):
+            self.R = ev.jacobian.core[-1][self.stiff.ties]
+        return p.rate - s.rate(p.xi, v), self._lower(ev, a, p.mult)
+
+    def _lower(self, ev: EvaluationBatch, a: Array, mult: Array) -> Array:
+        """The balance, the constraints of all levels, and the efforts of ties: (k, n_v + n_mult)."""
+        m, ties = self.system.n_lam, self.stiff
+        lam, efforts = mult[:, :m], mult[:, self.levels * m :]
+        if not len(ties):
+            balance = ev.balance(a, lam if self.levels else None)
+            return np.concatenate((balance, self.form.rows(ev, a)), axis=1) if self.levels else balance
+
+        rows = [ev.balance(a, ties.forces(lam, efforts))]
         if self.levels:
-            low = np.concatenate((low, self.form.rows(ev, a)), axis=1)
-        return p.rate - s.rate(p.xi, v), low
+            every = self.form.rows(ev, a).reshape(len(a), self.levels, -1)
+            rows.append(every[:, :, ties.joints].reshape(len(a), -1))
+        rows.append(ties.residual(ev.constraint(), ev.opening(), efforts))
+        return np.concatenate(rows, axis=1)
+
+    def multipliers(self, state: State) -> Array:
+        """Those that a state begins with, (n_mult,)."""
+        efforts = self.stiff.efforts(self.system.at(state.t, state.q, state.v)) if len(self.stiff) else np.zeros(0)
+        mult = np.zeros(self.n_mult)
+        mult[: self.system.n_lam if self.levels else 0] = state.lam
+        mult[self.n_mult - len(efforts) :] = efforts
+        return mult
 
     def _normally(self, mult: Array) -> Array:
         """U times multipliers (k, n_lam), with the U of the last residual, (n_v, n_lam) or one for each of the k."""
@@ -287,7 +320,8 @@ class StepEquations(Remembering):
 
     def accelerations(self, p: Points) -> Array:
         """a = v' + U tau, (k, n_v), with the U of the last residual."""
-        return p.vd + self._normally(p.mult[:, 2 * self.system.n_lam :]) if self.levels > 2 else p.vd
+        m = self.system.n_lam
+        return p.vd + self._normally(p.mult[:, 2 * m : 3 * m]) if self.levels > 2 else p.vd
 
     def corrections(self, mult: Array, level: int) -> Array:
         """U times the multipliers (k, levels n_lam) of one level, (k, n_v); zero where the form has no such level."""
@@ -299,8 +333,43 @@ class StepEquations(Remembering):
         )
 
     def pushes(self, mult: Array) -> Array | None:
-        """Accelerations U lambda that the multipliers (k, levels n_lam) cause, (k, n_v); None without constraints."""
+        """Accelerations U lambda that the multipliers (k, n_mult) cause, (k, n_v); None without constraints."""
         return mult[:, : self.system.n_lam] @ self.U.T if self.levels else None
+
+    def pulls(self, mult: Array) -> Array | None:
+        """Accelerations that the efforts of ties in the multipliers (k, n_mult) cause, (k, n_v); None without ties."""
+        return mult[:, self.n_mult - len(self.stiff) :] @ self.U_ties.T if len(self.stiff) else None
+
+    def close_ties(self, t: float, q: Array, v: Array, mult: Array) -> Array:
+        """A configuration whose ties have the efforts among the multipliers (n_mult,), with the least motion to it.
+
+        What Newton's iteration leaves of a position, times k, is no small effort, and its square no small energy.
+        """
+        ties = self.stiff
+        if not len(ties):
+            return q
+        for _ in range(CLOSINGS):
+            ev = ties.system.at(t, q, v)
+            rows = _dense(ev.jacobian.core)
+            missing = np.zeros(len(rows))
+            if self.form.levels[0] == 0:
+                missing[ties.joints] = -ev.constraint()[ties.joints]
+            left = ties.residual(ev.constraint()[None], ev.opening()[None], mult[None, self.n_mult - len(ties) :])
+            missing[ties.ties] = -left[0] / ties.stiffness
+            across = self._inverse_mass @ rows.T
+            q = self.system.compose(q, across @ (np.linalg.pinv(rows @ across, hermitian=True) @ missing))
+        return q
+
+    def along_ties(self, h: float, v: Array) -> Array:
+        """The part of velocities (n_v,) that ties hold in steps of h (s): all of it along ties of periods that h does not resolve.
+
+            v - (M + R^T (h c + h^2 k) R)^-1 M v
+        """
+        ties = self.stiff
+        if not len(ties):
+            return np.zeros_like(v)
+        held = np.diag(1.0 / (h * ties.damping + h * h * ties.stiffness)) + self.R @ self.U_ties
+        return self.U_ties @ np.linalg.solve(held, self.R @ v)
 
     def inertia(self, tangent: Tangent, a: Array) -> Array:
         """M a at the tangent's motion."""
@@ -337,8 +406,8 @@ class StepEquations(Remembering):
             self._closed = state
         return self._start
 
-    def refresh(self, state: State) -> Tangent:
-        """The tangent of (1), (2) at a state; also refreshes the metric W.
+    def refresh(self, state: State, mult: Array) -> Tangent:
+        """The tangent of (1), (2) at a state with multipliers (n_mult,); also refreshes the metric W.
 
         M and G are assembled. Stiffness and damping of the balance, with the geometric stiffness (G^T lambda)_q, and the
         derivatives of the velocity and acceleration rows are directional derivatives, all directions in one evaluation.
@@ -348,7 +417,7 @@ class StepEquations(Remembering):
         n = s.n_v
         m = s.n_lam
         self.jacobians += 1
-        q, v, a, lam = state.q, state.v, state.a, state.lam
+        q, v, a = state.q, state.v, state.a
         ev = s.at(state.t, q, v)
         M = _dense(self.solver.masses(ev))
         self._inverse_mass = np.linalg.inv(M)
@@ -358,12 +427,9 @@ class StepEquations(Remembering):
 
         def lower(at: EvaluationBatch) -> Array:
             k = len(at.q)
-            a_k = np.broadcast_to(a, (k, n))
-            if not self.levels:
-                return at.balance(a_k)
-            return np.concatenate((at.balance(a_k, np.broadcast_to(lam, (k, m))), form.rows(at, a_k)), axis=1)
+            return self._lower(at, np.broadcast_to(a, (k, n)), np.broadcast_to(mult, (k, self.n_mult)))
 
-        by_q, by_v = differences(s, at_once(s, state.t, lower), (q, v, a))
+        by_q, by_v = differences(s, at_once(self.stiff.system, state.t, lower), (q, v, a))
         # known exactly: M, and G on the level of each row
         by_a = np.zeros_like(by_v)
         by_a[:n] = M
@@ -375,7 +441,12 @@ class StepEquations(Remembering):
                 by_v[rows] = G
             else:
                 by_a[rows] = G
-        return Tangent(self._turning(np.zeros(n), v)[0], M, G, self.U, by_q, by_v, by_a)
+        R = np.zeros((0, n))
+        if ties := len(self.stiff):
+            R = _dense(self.stiff.system.at(state.t, q, v).jacobian.core)[self.stiff.ties]
+            self.U_ties = self._inverse_mass @ R.T
+            by_q[-ties:], by_v[-ties:] = self.stiff.stiffness[:, None] * R, self.stiff.damping[:, None] * R
+        return Tangent(self._turning(np.zeros(n), v)[0], M, G, self.U, by_q, by_v, by_a, R)
 
     def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
         """d rate(xi, v) / d xi by differences, and the matrix T with v = T rate(xi, v)."""
@@ -389,8 +460,8 @@ class StepEquations(Remembering):
 
     def tangent_at(self, t: float, xi: Array, v: Array, vd: Array, mult: Array) -> Tangent:
         """The tangent at a point of the local coordinates, for a full Newton iteration."""
-        lam = mult[: self.system.n_lam]
-        made = self.refresh(State(t, self.system.compose(self.origin, xi), v, vd, lam))
+        at = State(t, self.system.compose(self.origin, xi), v, vd, mult[: self.system.n_lam])
+        made = self.refresh(at, mult)
         J, T = self._turning(xi, v)
         return replace(made, J=J, by_q=made.by_q @ T)
 

@@ -17,7 +17,7 @@ Source of the forms: :mod:`.dae`. Newton-Krylov methods: Knoll and Keyes, doi:10
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -108,6 +108,7 @@ class FieldEquations(Remembering):
     def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
         self.system, self.form, self.solver = system, form, solver
         self.levels = len(form.levels) if system.n_lam else 0
+        self.n_mult = self.levels * system.n_lam
         self.residuals = self.jacobians = self.krylov = 0
         self.origin: Array = np.zeros(0)
         self.anchor: float | None = None  # |s| of the grid's first factor, 1/s
@@ -193,6 +194,24 @@ class FieldEquations(Remembering):
         """Accelerations that multipliers cause: without an inverse of the mass they stay out of error norms."""
         return None
 
+    def pulls(self, mult: Array) -> Array | None:
+        """No efforts are unknowns of their own."""
+        return None
+
+    def close_ties(self, t: float, q: Array, v: Array, mult: Array) -> Array:
+        """The configuration as it is."""
+        return q
+
+    def along_ties(self, h: float, v: Array) -> Array:
+        """None of velocities (n_v,)."""
+        return np.zeros_like(v)
+
+    def multipliers(self, state: State) -> Array:
+        """Those that a state begins with, (n_mult,)."""
+        mult = np.zeros(self.n_mult)
+        mult[: self.system.n_lam if self.levels else 0] = state.lam
+        return mult
+
     def weigh(self, state: State) -> None:
         """Nothing: N takes the mass where it needs it."""
 
@@ -217,10 +236,12 @@ class FieldEquations(Remembering):
         return self._start
 
     # -- derivatives --------------------------------------------------------------------------------------------
-    def refresh(self, state: State) -> FieldTangent:
-        """Derivatives at a state from now on."""
+    def refresh(self, state: State, mult: Array) -> FieldTangent:
+        """Derivatives at a state with multipliers (n_mult,) from now on."""
         self.jacobians += 1
         ev = self._basis = self.system.at(state.t, state.q, state.v)
+        if self.levels:
+            state = replace(state, lam=mult[: self.system.n_lam])
         low = lower(self.form, self.levels, ev, state.a, state.lam)
         return FieldTangent(self.form, self.levels, state, ev, low)
 

@@ -57,7 +57,8 @@ class ImplicitStepper(TimeStepper):
         self._fresh = False  # whether the tangent is that of this step
         self._full = False  # whether each iteration takes its own
         self._theta = 1e-3  # rate of convergence
-        self._warn_of_roundoff()
+        if not self.eq.dense:
+            self._warn_of_roundoff()
 
     def _warn_of_roundoff(self) -> None:
         """Say that a spring is too stiff for Newton's iteration with one tangent for several configurations."""
@@ -104,11 +105,19 @@ class ImplicitStepper(TimeStepper):
         roundoff = 10 * float(np.finfo(float).eps) / self.norm.rtol
         return max(roundoff, min(0.03, self.norm.rtol**0.5))
 
+    def _error_size(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
+        """Norm of the error of a step, like v; velocities along ties are known to one order less, as in index 3."""
+        along = self.eq.along_ties(h, e_v)
+        size = self.norm(h, e_q, e_v - along, e_a)
+        return max(size, self.norm.mean(along * (h / self.norm.wq))) if along.any() else size
+
     def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
         """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
         push = self.eq.pushes(dmult) if self.scheme.form.index > 1 else None
         if self.adaptive:
-            return self.norm(h, dxi, dv, push)
+            pulls = self.eq.pulls(dmult)
+            size = self.norm(h, dxi, dv, push)
+            return size if pulls is None else max(size, self.norm.mean(pulls * (h * h / self.norm.wq)))
         return max(
             self.norm.constant(h, self.state, dxi[i], dv[i], None if push is None else push[i]) for i in range(len(dxi))
         )

@@ -4,9 +4,10 @@ The equations of a step, with U = M^-1 G^T the normal directions, multipliers la
 :mod:`fmbd_fenicsx.schemes.dae`) and increments d,
 
     s dxi - J dxi - dv + U dmu = -r_kin,        a = s v + U tau
-    [K; P] dxi + [C; Q] dv + [M; S] da + [G^T dlambda; 0] = -r_low                                             (1)
+    [K; P] dxi + [C; Q] dv + [M; S] da + [G^T dlambda + R^T dN; 0] = -r_low                                    (1)
+    k R dxi + c R dv - dN = -r_N
 
-are reduced to the unknowns (dxi, dlambda, dmu, dtau): with D = s - J the first row gives dv = D dxi + U dmu + r_kin. The rest is
+with efforts N of stiff springs along R are reduced to the unknowns (dxi, dlambda, dmu, dtau, dN): with D = s - J the first row gives dv = D dxi + U dmu + r_kin. The rest is
 dense, scaled by rows and columns, and inverted by LAPACK, all frequencies of a scheme in one call: the matrices are small, and a
 step solves with them many times. Every solve is judged by its residual. A stiffly damped mode, a free body and an index-3
 constraint all have the same condition number, whatever s.
@@ -29,7 +30,9 @@ REFINED = 1e-12  # relative residuals above this are refined once
 
 @dataclass(frozen=True)
 class Tangent:
-    """Coefficients of (1): J, M (n, n); G (m, n); U (n, m); derivatives of the lower rows by xi, v, a: (n + k m, n) each."""
+    """Coefficients of (1): J, M (n, n); G (m, n); U (n, m); R (p, n); derivatives of the lower rows by xi, v, a:
+    (n + k m + p, n) each.
+    """
 
     J: Array
     M: Array
@@ -38,6 +41,7 @@ class Tangent:
     by_q: Array
     by_v: Array
     by_a: Array
+    R: Array
 
 
 def stacked(tangents: list[Tangent]) -> Tangent:
@@ -46,9 +50,9 @@ def stacked(tangents: list[Tangent]) -> Tangent:
     """
     n = tangents[0].M.shape[0]
     m = tangents[0].G.shape[0]
+    cuts = cuts_of(tangents[0].by_q.shape[0], n, m, tangents[0].R.shape[0])
 
     def lower(blocks: list[Array]) -> Array:
-        cuts = [0, *range(n, blocks[0].shape[0] + 1, m)] if m else [0, n]
         return np.concatenate([sl.block_diag(*(b[i:j] for b in blocks)) for i, j in pairwise(cuts)])
 
     def diagonal(blocks: list[Array]) -> Array:
@@ -62,7 +66,14 @@ def stacked(tangents: list[Tangent]) -> Tangent:
         by_q=lower([t.by_q for t in tangents]),
         by_v=lower([t.by_v for t in tangents]),
         by_a=lower([t.by_a for t in tangents]),
+        R=diagonal([t.R for t in tangents]),
     )
+
+
+def cuts_of(rows: int, n: int, m: int, ties: int) -> list[int]:
+    """Where the balance, each level of the constraints and the efforts begin among the lower rows of a point, and their end."""
+    ends = [0, *range(n, rows - ties + 1, m)] if m else [0, n]
+    return [*ends, rows] if ties else ends
 
 
 class Pencil:
@@ -78,7 +89,8 @@ class Pencil:
         m = tangent.G.shape[0]
         self.n = n
         self.m = m
-        self.levels = (T.by_q.shape[0] - n) // m if m else 0
+        ties = T.R.shape[0]
+        self.levels = (T.by_q.shape[0] - n - ties) // m if m else 0
         L = self.levels
 
         # one rate for all, or one for each row of a batch
@@ -90,14 +102,18 @@ class Pencil:
             self.va = T.by_v + s[:, None, None] * T.by_a
 
         # rows of the balance; those of the constraints follow with their levels
-        K = np.zeros((len(self.D), n + L * m, n + L * m), dtype=self.va.dtype)
+        size = n + L * m + ties
+        K = np.zeros((len(self.D), size, size), dtype=self.va.dtype)
         K[:, :, :n] = T.by_q + self.va @ self.D
         if L > 0:
             K[:, :n, n : n + m] = T.G.T
         if L > 1:
             K[:, :, n + m : n + 2 * m] = self.va @ T.U
         if L > 2:
-            K[:, :, n + 2 * m :] = T.by_a @ T.U
+            K[:, :, n + 2 * m : n + 3 * m] = T.by_a @ T.U
+        if ties:
+            K[:, :n, -ties:] = T.R.T
+            K[:, range(size - ties, size), range(size - ties, size)] = -1.0
 
         self._factor(K)
 

@@ -124,10 +124,7 @@ class Stepper(Corrector):
     def _begin(self) -> None:
         """The past at the start: one value, and with constant steps those of a Radau run to come."""
         s = self.state
-        mult = np.zeros(self.eq.levels * self.system.n_lam)
-        if self.eq.levels:
-            mult[: self.system.n_lam] = s.lam
-        self.past = [Past(s.t, s.q, s.v, mult)]
+        self.past = [Past(s.t, s.q, s.v, self.eq.multipliers(s))]
         self.eq.weigh(s)
         if not self.adaptive and self.scheme.order > 1:
             scheme = Radau(stages=3, form=self.scheme.form, rtol=None)
@@ -239,11 +236,12 @@ class Stepper(Corrector):
         return self._accept(h, found)
 
     def _accept(self, h: float, p: Points) -> State:
-        s, q = self.state, self.system.compose(self.state.q, p.xi[0])
-        mult = self._least(self.system.at(s.t + h, q), p.mult[0])
+        s, t = self.state, self.state.t + h
+        q = self.eq.close_ties(t, self.system.compose(s.q, p.xi[0]), p.v[0], p.mult[0])
+        mult = self._least(self.system.at(t, q), p.mult[0])
         lam = mult[: self.system.n_lam] if self.eq.levels else s.lam
         a = self.eq.accelerations(p)[0]
-        self.state = State(s.t + h, q, p.v[0], a, lam)
+        self.state = State(t, q, p.v[0], a, lam)
         if self.scheme.form.projected:
             self.state = project(self.system, self.state, self.solver)
 
@@ -259,7 +257,9 @@ class Stepper(Corrector):
         """Of the multipliers with the same forces the smallest, level by level."""
         if not self.solver.core.redundant or not self.eq.levels:
             return mult
-        return np.concatenate([least(self.solver, ev, x) for x in mult.reshape(self.eq.levels, -1)])
+        every = self.eq.levels * self.system.n_lam
+        levels = [least(self.solver, ev, x) for x in mult[:every].reshape(self.eq.levels, -1)]
+        return np.concatenate([*levels, mult[every:]])
 
     def _remember(self, state: State, mult: Array) -> None:
         self.past = [Past(state.t, state.q, state.v, mult), *self.past][:LONGEST]
@@ -273,7 +273,7 @@ class Stepper(Corrector):
             return np.inf
         w = weights(times, t)
         share = h / (t - times[-1])
-        return self.norm(h, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
+        return self._error_size(h, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
 
     def _choose(self, h: float, p: Points, error: float) -> float:
         """The next step; sets the next order. Changes only after k + 1 steps of one size and order."""

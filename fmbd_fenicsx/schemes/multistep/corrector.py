@@ -125,9 +125,8 @@ class Corrector(ImplicitStepper):
     def _prepare(self, t: float, p: Points, s: float) -> float:
         """Tangent and factor for the frequency s; returns the correction of increments for an old factor."""
         if self._tangent is None:
-            lam = p.mult[0, : self.system.n_lam] if self.eq.levels else self.state.lam
-            at = State(t, self.system.compose(self.eq.origin, p.xi[0]), p.v[0], p.vd[0], lam)
-            self._tangent, self._pencil, self._fresh = self.eq.refresh(at), None, True
+            at = State(t, self.system.compose(self.eq.origin, p.xi[0]), p.v[0], p.vd[0], self.state.lam)
+            self._tangent, self._pencil, self._fresh = self.eq.refresh(at, p.mult[0]), None, True
         old = None if self._pencil is None else float(self._pencil.s[0])
         if old is None or not 0.8 <= s / old <= 1.25 or (not self.adaptive and s != old):
             self._pencil = self.eq.pencil(self._tangent, np.array([s]), self.judge)

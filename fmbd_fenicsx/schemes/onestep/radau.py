@@ -93,8 +93,7 @@ class Stepper(StageNewton):
         super().__init__(scheme, system, solver, newton, state)
         self.tab = tableau(scheme.stages)
         self.control = StepControl(scheme.stages + 1.0)
-        self.mult: Array = np.zeros(self.eq.levels * system.n_lam)
-        self._reset_multipliers()
+        self.mult: Array = self.eq.multipliers(state)
 
         self._filter: Any = None  # of the error estimate
         self._h_factor = 0.0  # size of the step that the factor is for, s
@@ -222,13 +221,8 @@ class Stepper(StageNewton):
     def restart(self, t: float) -> None:
         """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
         self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
-        self._reset_multipliers()
+        self.mult = self.eq.multipliers(self.state)
         self._last, self._tangent, self.proposed, self.control.h_old = None, None, None, 0.0
-
-    def _reset_multipliers(self) -> None:
-        self.mult = np.zeros_like(self.mult)
-        if self.eq.levels:
-            self.mult[: self.system.n_lam] = self.state.lam
 
     def _accept(self, h: float, points: Points) -> State:
         s, m = self.state, self.system.n_lam
@@ -240,7 +234,8 @@ class Stepper(StageNewton):
         self._last = (h, s.q, s.v, points)
         self.mult = points.mult[-1]
         lam = self.mult[:m] if self.eq.levels else s.lam
-        self.state = State(t, self.system.compose(s.q, points.xi[-1]), points.v[-1], self._acceleration, lam)
+        q = self.eq.close_ties(t, self.system.compose(s.q, points.xi[-1]), points.v[-1], self.mult)
+        self.state = State(t, q, points.v[-1], self._acceleration, lam)
         if self.scheme.form.projected:
             self.state = project(self.system, self.state, self.solver)
 
@@ -271,7 +266,6 @@ class Stepper(StageNewton):
     def _estimate(self, h: float, points: Points) -> float:
         s = self.state
         tab = self.tab
-        m = self.system.n_lam
         assert self._tangent is not None
         if self._filter is None:
             self._filter = self._error_filter(h)
@@ -286,9 +280,9 @@ class Stepper(StageNewton):
         push = a + tab.error @ change / h
 
         # filtered: components that the step does not resolve would be overestimated
-        no_rows = np.zeros(self.eq.levels * m)
+        no_rows = np.zeros(self.eq.n_mult)
         low = np.concatenate((-self.eq.inertia(self._tangent, push), no_rows))
         errors, e_m = self._filter.solve(-kin[None], low[None])
         e_q, e_v = errors.reshape(2, -1)
         pushed = self.eq.pushes(e_m)
-        return self.norm(h, e_q, e_v, None if pushed is None else pushed[0])
+        return self._error_size(h, e_q, e_v, None if pushed is None else pushed[0])

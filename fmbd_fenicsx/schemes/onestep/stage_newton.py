@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from ...errors import CallbackError, ConvergenceError, LinearSolveError
-from ...linear.saddle.pencil import Pencil, stacked
+from ...linear.saddle.pencil import Pencil, cuts_of, stacked
 from ...rotations import Array
 from ...system.system import State
 from ..control import ROUNDOFF, STAGNATION
@@ -41,9 +41,8 @@ class StageNewton(ImplicitStepper):
         xi, v, mult = self._predict(h)
         weights = lagrange(np.concatenate(([0.0], self.tab.c)), np.array([0.5]))[0, 1:]
         vd = (W @ (v - s.v) / h).mean(axis=0)
-        lam = mult.mean(axis=0)[: self.system.n_lam] if self.eq.levels else s.lam
         q = self.system.compose(s.q, weights @ xi)
-        self._tangent = self.eq.refresh(State(s.t + 0.5 * h, q, s.v + weights @ (v - s.v), vd, lam))
+        self._tangent = self.eq.refresh(State(s.t + 0.5 * h, q, s.v + weights @ (v - s.v), vd, s.lam), mult.mean(axis=0))
         self._fresh = True
         self._pencil = None
 
@@ -187,8 +186,8 @@ class StageNewton(ImplicitStepper):
         each = zip(times, points.xi, points.v, points.vd, points.mult, strict=True)
         tangents = [self.eq.tangent_at(float(t), *values) for t, *values in each]
 
-        # rows of all stages: balance, then the constraints level by level
-        cuts = [0, *range(n, n + levels * m + 1, m)] if m else [0, n]
+        # rows of all stages: balance, then the constraints level by level, then efforts
+        cuts = cuts_of(low.shape[1], n, m, self.eq.n_mult - levels * m)
         below = np.concatenate([low[:, i:j].ravel() for i, j in pairwise(cuts)])
         coupling = np.kron(self.tab.W / h, np.eye(n))
         pencil = Pencil(stacked(tangents), coupling, self.judge, self.solver.core.redundant)
@@ -196,8 +195,8 @@ class StageNewton(ImplicitStepper):
 
         change, by_level = pencil.solve(kin.reshape(1, -1), below[None])
         dxi, dv = change.reshape(2, stages, n)
-        dmult = by_level.reshape(levels, stages, m).swapaxes(0, 1).reshape(stages, -1)
-        return dxi, dv, dmult
+        of_joints = by_level[0, : stages * levels * m].reshape(levels, stages, m).swapaxes(0, 1).reshape(stages, -1)
+        return dxi, dv, np.concatenate((of_joints, by_level[0, stages * levels * m :].reshape(stages, -1)), axis=1)
 
     def _stages(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
         W = self.tab.W / h
