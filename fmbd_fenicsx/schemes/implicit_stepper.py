@@ -23,6 +23,9 @@ from .newton import Newton
 from .stepping import TimeStepper
 
 
+STILL = 16.0  # roundings of the model's length
+
+
 class ImplicitStepper(TimeStepper):
     """Advances a consistent state by stages that Newton's iteration finds; :class:`.Radau` and :class:`.BDF` derive from it.
 
@@ -57,6 +60,7 @@ class ImplicitStepper(TimeStepper):
         self._fresh = False  # whether the tangent is that of this step
         self._full = False  # whether each iteration takes its own
         self._theta = 1e-3  # rate of convergence
+        self._still = False  # whether the last increment moved nothing beyond roundoff: multipliers may go on changing by theirs
         if not self.eq.dense:
             self._warn_of_roundoff()
 
@@ -114,6 +118,8 @@ class ImplicitStepper(TimeStepper):
     def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
         """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
         push = self.eq.pushes(dmult) if self.scheme.form.index > 1 else None
+        moved = max(max(self.system.max_abs(x), h * self.system.max_abs(y)) for x, y in zip(dxi, dv, strict=True))
+        self._still = moved <= STILL * float(np.finfo(float).eps) * self.system.length
         if self.adaptive:
             pulls = self.eq.pulls(dmult)
             size = self.norm(h, dxi, dv, push)

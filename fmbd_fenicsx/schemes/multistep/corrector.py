@@ -115,7 +115,8 @@ class Corrector(ImplicitStepper):
         self._theta = theta
 
         stalled = theta > 0.5 and max(size, last) <= ROUNDOFF
-        stagnates = i > 2 and theta > 0.3 and size <= STAGNATION
+        stagnates = i > 2 and theta > 0.3 and (size <= STAGNATION or self._still)
+        stalled = stalled or (stagnates and self._still)
         if stalled if self.adaptive else stagnates:
             return 0.0, None
         patient = self.adaptive or i > 3

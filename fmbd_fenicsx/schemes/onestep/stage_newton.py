@@ -109,7 +109,8 @@ class StageNewton(ImplicitStepper):
         self._theta = ratio if k == 1 else float(np.sqrt(ratio * max(self._theta, 1e-10)))
 
         stalled = ratio > 0.5 and size <= ROUNDOFF and max(size, last) <= 10 * ROUNDOFF
-        stagnates = k > 2 and ratio > 0.3 and size <= STAGNATION
+        stagnates = k > 2 and ratio > 0.3 and (size <= STAGNATION or self._still)
+        stalled = stalled or (stagnates and self._still)
         if stalled if self.adaptive else stagnates:
             size = 0.0
         elif self._theta >= 0.99 and size > self._newton_tolerance() and (self.adaptive or k > 3):
@@ -171,7 +172,8 @@ class StageNewton(ImplicitStepper):
 
             if not np.isfinite(size):
                 return "Newton diverged"
-            if size <= enough or (k > calm and size <= floor and size > 0.3 * last):
+            calmed = k > calm and size > 0.3 * last
+            if size <= enough or (calmed and (size <= floor or self._still)):
                 self._iterations, self._theta = k + 1, 1.0
                 return self._finished(h, xi, v, mult)
             last = size
