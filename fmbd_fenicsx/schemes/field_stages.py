@@ -198,9 +198,9 @@ class FieldEquations(Remembering):
         """No efforts are unknowns of their own."""
         return None
 
-    def close_ties(self, t: float, q: Array, v: Array, mult: Array) -> Array:
-        """The configuration as it is."""
-        return q
+    def close_ties(self, h: float, state: State, mult: Array) -> State:
+        """The end of a step as it is."""
+        return state
 
     def along_ties(self, h: float, v: Array) -> Array:
         """None of velocities (n_v,)."""

@@ -18,10 +18,10 @@ from ..system.foretold_efforts import foretold_efforts
 from ..system.serialisation import Memory, plain, worker
 from ..system.system import State, System
 from .control import ErrorNorm, Statistics, StepControl
-from .dae import Points, step_equations
+from .dae import Points
 from .newton import Newton
+from .step_equations import step_equations
 from .stepping import TimeStepper
-
 
 STILL = 16.0  # roundings of the model's length
 
@@ -60,7 +60,9 @@ class ImplicitStepper(TimeStepper):
         self._fresh = False  # whether the tangent is that of this step
         self._full = False  # whether each iteration takes its own
         self._theta = 1e-3  # rate of convergence
-        self._still = False  # whether the last increment moved nothing beyond roundoff: multipliers may go on changing by theirs
+        self._still = (
+            False  # whether the last increment moved nothing beyond roundoff: multipliers may go on changing by theirs
+        )
         if not self.eq.dense:
             self._warn_of_roundoff()
 

@@ -28,7 +28,7 @@ STIFF = 1e6  # a spring is a tie where its weight stretches it by a smaller shar
 
 @dataclass(frozen=True, eq=False)
 class StiffTies:
-    """The stiff springs of a system. ``system``: (1), with the springs as rows; ``joints``, ``ties``: their places among its rows.
+    """The stiff springs of a system. ``system``: (1), with springs as rows; ``joints``, ``ties``: their places among its rows.
 
     ``stiffness`` (N/m) and ``damping`` (N s/m), (p,); ``springs``: where the springs stood, batches with the places in them.
     """

@@ -7,10 +7,10 @@ The equations of a step, with U = M^-1 G^T the normal directions, multipliers la
     [K; P] dxi + [C; Q] dv + [M; S] da + [G^T dlambda + R^T dN; 0] = -r_low                                    (1)
     k R dxi + c R dv - dN = -r_N
 
-with efforts N of stiff springs along R are reduced to the unknowns (dxi, dlambda, dmu, dtau, dN): with D = s - J the first row gives dv = D dxi + U dmu + r_kin. The rest is
-dense, scaled by rows and columns, and inverted by LAPACK, all frequencies of a scheme in one call: the matrices are small, and a
-step solves with them many times. Every solve is judged by its residual. A stiffly damped mode, a free body and an index-3
-constraint all have the same condition number, whatever s.
+with efforts N of stiff springs along R are reduced to the unknowns (dxi, dlambda, dmu, dtau, dN): with D = s - J the first row
+gives dv = D dxi + U dmu + r_kin. The rest is dense, scaled by rows and columns, and inverted by LAPACK, all frequencies of a
+scheme in one call: the matrices are small, and a step solves with them many times. Every solve is judged by its residual. A
+stiffly damped mode, a free body and an index-3 constraint all have the same condition number, whatever s.
 """
 
 from __future__ import annotations

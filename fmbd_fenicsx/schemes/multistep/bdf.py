@@ -237,11 +237,11 @@ class Stepper(Corrector):
 
     def _accept(self, h: float, p: Points) -> State:
         s, t = self.state, self.state.t + h
-        q = self.eq.close_ties(t, self.system.compose(s.q, p.xi[0]), p.v[0], p.mult[0])
+        q = self.system.compose(s.q, p.xi[0])
         mult = self._least(self.system.at(t, q), p.mult[0])
         lam = mult[: self.system.n_lam] if self.eq.levels else s.lam
         a = self.eq.accelerations(p)[0]
-        self.state = State(t, q, p.v[0], a, lam)
+        self.state = self.eq.close_ties(h, State(t, q, p.v[0], a, lam), mult)
         if self.scheme.form.projected:
             self.state = project(self.system, self.state, self.solver)
 

@@ -234,8 +234,8 @@ class Stepper(StageNewton):
         self._last = (h, s.q, s.v, points)
         self.mult = points.mult[-1]
         lam = self.mult[:m] if self.eq.levels else s.lam
-        q = self.eq.close_ties(t, self.system.compose(s.q, points.xi[-1]), points.v[-1], self.mult)
-        self.state = State(t, q, points.v[-1], self._acceleration, lam)
+        end = State(t, self.system.compose(s.q, points.xi[-1]), points.v[-1], self._acceleration, lam)
+        self.state = self.eq.close_ties(h, end, self.mult)
         if self.scheme.form.projected:
             self.state = project(self.system, self.state, self.solver)
 

@@ -42,7 +42,9 @@ class StageNewton(ImplicitStepper):
         weights = lagrange(np.concatenate(([0.0], self.tab.c)), np.array([0.5]))[0, 1:]
         vd = (W @ (v - s.v) / h).mean(axis=0)
         q = self.system.compose(s.q, weights @ xi)
-        self._tangent = self.eq.refresh(State(s.t + 0.5 * h, q, s.v + weights @ (v - s.v), vd, s.lam), mult.mean(axis=0))
+        self._tangent = self.eq.refresh(
+            State(s.t + 0.5 * h, q, s.v + weights @ (v - s.v), vd, s.lam), mult.mean(axis=0)
+        )
         self._fresh = True
         self._pencil = None
 

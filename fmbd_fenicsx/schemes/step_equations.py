@@ -1,0 +1,269 @@
+"""The equations of an implicit step of a small system, in any form of its constraints, and their tangents.
+
+They are (1), (2) of :mod:`.dae`, with efforts of stiff springs as unknowns beside the multipliers (:mod:`~..system.stiff_ties`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..linear.condensation import StepSolver, Weights
+from ..linear.residual import Judge
+from ..linear.saddle.pencil import Pencil, Tangent
+from ..rotations import Array
+from ..system.compiled.choice import use_driver
+from ..system.evaluation_batch import EvaluationBatch
+from ..system.linearise import at_once, differences
+from ..system.serialisation import Remembering, plain
+from ..system.stiff_ties import stiff_ties
+from ..system.system import State, System
+from .dae import Form, Points
+
+CLOSINGS = 2  # corrections that bring an elongation from Newton's tolerance to roundoff
+
+
+class StepEquations(Remembering):
+    """(1), (2) in the local coordinates of one step; shared by the implicit schemes. Small systems: dense.
+
+    ``begin`` sets the origin of the coordinates, ``refresh`` the tangent, ``residual`` evaluates. Counts its work. Systems with
+    elastic fields have :class:`.field_stages.FieldEquations`, with the same names.
+    """
+
+    keeps: ClassVar = dict.fromkeys(
+        ("residuals", "jacobians", "U", "U_ties", "R", "normal", "origin", "_inverse_mass"), plain()
+    )
+    dense = True
+    counters: ClassVar[dict[str, float]] = {}
+
+    def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
+        self.system, self.form, self.solver = system, form, solver
+        self.levels = len(form.levels) if system.n_lam else 0
+        self.stiff = stiff_ties(system)
+        if "driver looked for" in system.cache:
+            use_driver(self.stiff.system)
+        self.n_mult = self.levels * system.n_lam + len(self.stiff)
+        self.residuals = self.jacobians = 0
+        self.U: Array = np.zeros((system.n_v, system.n_lam))
+        self.U_ties: Array = np.zeros((system.n_v, len(self.stiff)))
+        self.R: Array = self.U_ties.T  # of the last point
+        self.normal: Array = self.U
+        self.origin: Array = np.zeros(0)
+        self._closed: State | None = None
+        self._start: tuple[Array, Array, Array] = (self.origin,) * 3
+        self._inverse_mass: Any = None
+
+    def begin(self, state: State) -> None:
+        """Local coordinates about the state."""
+        self.origin = state.q
+        if self.form.frozen and self.levels:
+            ev = self.system.at(state.t, state.q, state.v)
+            self.U = self._inverse_mass @ _dense(ev.jacobian.core).T
+
+    def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
+        """r_kin (k, n_v) and r_low (k, n_v + n_mult) of (1), (2) at the times t (k,)."""
+        s, m = self.system, self.system.n_lam
+        self.residuals += len(t)
+
+        ev = self.stiff.system.batch(t, s.compose(self.origin, p.xi), p.v)
+        v, a = p.v, p.vd
+        # more levels than one: positions or accelerations are corrected along M^-1 G^T
+        if self.levels > 1:
+            G = ev.jacobian.core[:, self.stiff.joints] if len(self.stiff) else ev.jacobian.core
+            self.normal = self.U if self.form.frozen else self._inverse_mass @ G.swapaxes(1, 2)
+            v = v - self._normally(p.mult[:, m : 2 * m])
+            if self.levels > 2:
+                a = a + self._normally(p.mult[:, 2 * m : 3 * m])
+
+        if len(self.stiff):
+            self.R = ev.jacobian.core[-1][self.stiff.ties]
+        return p.rate - s.rate(p.xi, v), self.lower(ev, a, p.mult)
+
+    def lower(self, ev: EvaluationBatch, a: Array, mult: Array) -> Array:
+        """The balance, the constraints of all levels, and the efforts of ties: (k, n_v + n_mult)."""
+        m, ties = self.system.n_lam, self.stiff
+        lam, efforts = mult[:, :m], mult[:, self.levels * m :]
+        if not len(ties):
+            balance = ev.balance(a, lam if self.levels else None)
+            return np.concatenate((balance, self.form.rows(ev, a)), axis=1) if self.levels else balance
+
+        rows = [ev.balance(a, ties.forces(lam, efforts))]
+        if self.levels:
+            every = self.form.rows(ev, a).reshape(len(a), self.levels, -1)
+            rows.append(every[:, :, ties.joints].reshape(len(a), -1))
+        rows.append(ties.residual(ev.constraint(), ev.opening(), efforts))
+        return np.concatenate(rows, axis=1)
+
+    def multipliers(self, state: State) -> Array:
+        """Those that a state begins with, (n_mult,)."""
+        efforts = self.stiff.efforts(self.system.at(state.t, state.q, state.v)) if len(self.stiff) else np.zeros(0)
+        mult = np.zeros(self.n_mult)
+        mult[: self.system.n_lam if self.levels else 0] = state.lam
+        mult[self.n_mult - len(efforts) :] = efforts
+        return mult
+
+    def _normally(self, mult: Array) -> Array:
+        """U times multipliers (k, n_lam), with the U of the last residual, (n_v, n_lam) or one for each of the k."""
+        return mult @ self.normal.T if self.normal.ndim == 2 else (self.normal @ mult[..., None])[..., 0]
+
+    def accelerations(self, p: Points) -> Array:
+        """a = v' + U tau, (k, n_v), with the U of the last residual."""
+        m = self.system.n_lam
+        return p.vd + self._normally(p.mult[:, 2 * m : 3 * m]) if self.levels > 2 else p.vd
+
+    def corrections(self, mult: Array, level: int) -> Array:
+        """U times the multipliers (k, levels n_lam) of one level, (k, n_v); zero where the form has no such level."""
+        m = self.system.n_lam
+        return (
+            mult[:, level * m : (level + 1) * m] @ self.U.T
+            if self.levels > level
+            else np.zeros((len(mult), self.system.n_v))
+        )
+
+    def pushes(self, mult: Array) -> Array | None:
+        """Accelerations U lambda that the multipliers (k, n_mult) cause, (k, n_v); None without constraints."""
+        return mult[:, : self.system.n_lam] @ self.U.T if self.levels else None
+
+    def pulls(self, mult: Array) -> Array | None:
+        """Accelerations that the efforts of ties in the multipliers (k, n_mult) cause, (k, n_v); None without ties."""
+        return mult[:, self.n_mult - len(self.stiff) :] @ self.U_ties.T if len(self.stiff) else None
+
+    def close_ties(self, h: float, state: State, mult: Array) -> State:
+        """The end of a step of h (s) with places and velocities that give ties the efforts among the multipliers (n_mult,).
+
+        What Newton's iteration leaves of a place, times k, is no small effort, nor its square a small energy. Joints stay closed:
+
+            R dq = (N - k (s - free) - c s') / (k + c / h),        G dq = 0,        dv = dq / h
+        """
+        ties = self.stiff
+        if not len(ties):
+            return state
+        for _ in range(CLOSINGS):
+            ev = ties.system.at(state.t, state.q, state.v)
+            left = ties.residual(ev.constraint()[None], ev.opening()[None], mult[None, self.n_mult - len(ties) :])
+            missing = ties.forces(np.zeros(self.system.n_lam), -left[0] / (ties.stiffness + ties.damping / h))
+            rows = _dense(ev.jacobian.core)
+            across = self._inverse_mass @ rows.T
+            dq = across @ (np.linalg.pinv(rows @ across, hermitian=True) @ missing)
+            state = replace(state, q=self.system.compose(state.q, dq), v=state.v + dq / h)
+        return state
+
+    def along_ties(self, h: float, v: Array) -> Array:
+        """The part of velocities (n_v,) that ties hold in steps of h (s): all, where h does not resolve their periods.
+
+        v - (M + R^T (h c + h^2 k) R)^-1 M v
+        """
+        ties = self.stiff
+        if not len(ties):
+            return np.zeros_like(v)
+        held = np.diag(1.0 / (h * ties.damping + h * h * ties.stiffness)) + self.R @ self.U_ties
+        return self.U_ties @ np.linalg.solve(held, self.R @ v)
+
+    def inertia(self, tangent: Tangent, a: Array) -> Array:
+        """M a at the tangent's motion."""
+        return tangent.M @ a
+
+    def pencil(self, tangent: Tangent, s: Array, judge: Judge) -> Pencil:
+        """Solver of the stages for the frequencies s, (p,)."""
+        return Pencil(tangent, s, judge, self.solver.core.redundant)
+
+    def weigh(self, state: State) -> None:
+        """Take the mass matrix of a state for the normal directions."""
+        ev = self.system.at(state.t, state.q, state.v)
+        self._inverse_mass = np.linalg.inv(_dense(self.solver.masses(ev)))
+
+    def consistent_start(self, state: State) -> tuple[Array, Array, Array]:
+        """What closes the constraints of a step's start: increments of q, the velocity on G v + g_t = 0, its acceleration.
+
+        Above index 1 schemes leave errors of lower order across the constraints in a (index 3: in v too), and what Newton's
+        tolerance permits in all of them. The next step forgets these; an error estimate must not take them for its own: they do
+        not fall with the step.
+        """
+        if self.form.index == 1 or not self.levels:
+            return np.zeros(self.system.n_v), state.v, state.a
+        if self._closed is not state:
+            s = self.system
+            zero = np.zeros(s.n_v)
+            ev = s.at(state.t, state.q, state.v)
+            self.solver.prepare(ev, Weights(1.0, 0.0, 0.0))
+            # positions, then velocities, then accelerations on their own levels
+            dq = self.solver.solve(zero, -ev.constraint())[0] if 0 in self.form.levels else zero
+            v = state.v + self.solver.solve(zero, -ev.opening())[0]
+            ev = s.at(state.t, state.q, v)
+            self._start = dq, v, self.solver.solve(-ev.balance(zero), -ev.gamma())[0]
+            self._closed = state
+        return self._start
+
+    def refresh(self, state: State, mult: Array) -> Tangent:
+        """The tangent of (1), (2) at a state with multipliers (n_mult,); also refreshes the metric W.
+
+        M and G are assembled. Stiffness and damping of the balance, with the geometric stiffness (G^T lambda)_q, and the
+        derivatives of the velocity and acceleration rows are directional derivatives, all directions in one evaluation.
+        """
+        s = self.system
+        form = self.form
+        n = s.n_v
+        m = s.n_lam
+        self.jacobians += 1
+        q, v, a = state.q, state.v, state.a
+        ev = s.at(state.t, q, v)
+        M = _dense(self.solver.masses(ev))
+        self._inverse_mass = np.linalg.inv(M)
+        G = _dense(ev.jacobian.core)
+        if not form.frozen:
+            self.U = self._inverse_mass @ G.T
+
+        def lower(at: EvaluationBatch) -> Array:
+            k = len(at.q)
+            return self.lower(at, np.broadcast_to(a, (k, n)), np.broadcast_to(mult, (k, self.n_mult)))
+
+        by_q, by_v = differences(s, at_once(self.stiff.system, state.t, lower), (q, v, a))
+        # known exactly: M, and G on the level of each row
+        by_a = np.zeros_like(by_v)
+        by_a[:n] = M
+        for i, level in enumerate(form.levels[: self.levels]):
+            rows = slice(n + i * m, n + (i + 1) * m)
+            if level == 0:
+                by_q[rows], by_v[rows] = G, 0.0
+            elif level == 1:
+                by_v[rows] = G
+            else:
+                by_a[rows] = G
+        R = np.zeros((0, n))
+        if ties := len(self.stiff):
+            R = _dense(self.stiff.system.at(state.t, q, v).jacobian.core)[self.stiff.ties]
+            self.U_ties = self._inverse_mass @ R.T
+            by_q[-ties:], by_v[-ties:] = self.stiff.stiffness[:, None] * R, self.stiff.damping[:, None] * R
+        return Tangent(self._turning(np.zeros(n), v)[0], M, G, self.U, by_q, by_v, by_a, R)
+
+    def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
+        """d rate(xi, v) / d xi by differences, and the matrix T with v = T rate(xi, v)."""
+        s = self.system
+        eye = np.eye(s.n_v)
+        if s.motions.dim == 2 or not s.n_frames:
+            return np.zeros_like(eye), eye
+        # rotations in space: xi' depends on xi
+        J = (s.rate(xi + 1e-6 * eye, v) - s.rate(xi - 1e-6 * eye, v)).T / 2e-6
+        return J, np.asarray(np.linalg.inv(s.rate(xi, eye).T))
+
+    def tangent_at(self, t: float, xi: Array, v: Array, vd: Array, mult: Array) -> Tangent:
+        """The tangent at a point of the local coordinates, for a full Newton iteration."""
+        at = State(t, self.system.compose(self.origin, xi), v, vd, mult[: self.system.n_lam])
+        made = self.refresh(at, mult)
+        J, T = self._turning(xi, v)
+        return replace(made, J=J, by_q=made.by_q @ T)
+
+
+def step_equations(system: System, form: Form, solver: StepSolver) -> Any:
+    """The equations of a step: with dense tangents, or by their action where there are elastic fields."""
+    if not system.fields:
+        return StepEquations(system, form, solver)
+    from .field_stages import FieldEquations
+
+    return FieldEquations(system, form, solver)
+
+
+def _dense(A: Any) -> Array:
+    return A if isinstance(A, np.ndarray) else np.asarray(A.toarray())

@@ -1,0 +1,130 @@
+"""Radau and BDF on stiff springs: equations, errors and work of rigid links, whatever the stiffness."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_checkpoint import at_every_step
+from test_foretold_efforts import ANGLE, DIRECTION, END, G, chain, error
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.system.stiff_ties import stiff_ties
+
+CHAINS = [(1.0, 1e-3), (1e-3, 1.0), (1e-3, 1.0, 1e-3, 1.0)]
+SCHEMES = [fmbd.Radau(rtol=1e-4), fmbd.BDF(rtol=1e-4)]
+ERRORS = {"Radau": 1e-3, "BDF": 3e-3}  # those of rigid links: 7e-5 and 1e-3
+
+
+def name_of(scheme: Any) -> str:
+    return type(scheme).__name__
+
+
+def links(masses: Sequence[float]) -> fmbd.Scene:
+    """The chain on rigid links."""
+    scene = fmbd.Scene("links", gravity=(0.0, -G))
+    above = fmbd.ground
+    for i, mass in enumerate(masses):
+        body = fmbd.RigidBody(f"mass {i}", mass, 0.1 * mass, position=(i + 1) * DIRECTION)
+        ends = {"point_a": i * DIRECTION, "point_b": (i + 1) * DIRECTION}
+        scene.add(body, fmbd.distance(f"link {i}", above, body, **ends))
+        scene.sensor(f"place {i}", fmbd.position(body))
+        above = body
+    return scene
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=name_of)
+@pytest.mark.parametrize("masses", CHAINS, ids=str)
+def test_as_rigid_links(masses: tuple[float, ...], scheme: Any) -> None:
+    """Errors and work do not grow with the stiffness, and nothing is warned of."""
+    rigid = fmbd.solve(links(masses), t_end=END, scheme=scheme).counters
+    for k in (1e8, 1e10, 1e12, 1e14):
+        run = fmbd.solve(chain(masses, k), t_end=END, scheme=scheme)
+        assert error(run, masses) <= ERRORS[name_of(scheme)]
+        assert run.counters["newton_iterations"] <= 1.6 * rigid["newton_iterations"]
+        assert not run.warnings
+
+
+@pytest.mark.parametrize("k", [1e9, 1e13])
+def test_damped(k: float) -> None:
+    run = fmbd.solve(chain((1e-3, 1.0), k, 1e-6 * k), t_end=END, scheme=fmbd.Radau(rtol=1e-5))
+    assert error(run, (1e-3, 1.0)) <= 1e-5 and not run.warnings
+
+
+@pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-6), fmbd.BDF(rtol=1e-6)], ids=name_of)
+def test_tighter(scheme: Any) -> None:
+    run = fmbd.solve(chain((1.0, 1e-3), 1e14), t_end=END, scheme=scheme)
+    assert error(run, (1.0, 1e-3)) <= 2e-5 and not run.warnings
+
+
+@pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=None), fmbd.BDF(order=2, rtol=None)], ids=name_of)
+@pytest.mark.parametrize("k", [1e10, 1e12])
+def test_a_tonne_on_a_gram(scheme: Any, k: float) -> None:
+    """Constant steps end where increments are roundoff: on a link and a spring, with a multiplier of 1e4 N on a gram."""
+    masses = (1e-3, 1e3)
+    scene = fmbd.Scene("tonne", gravity=(0.0, -G))
+    light, heavy = (fmbd.RigidBody(f"mass {i}", m, 0.1 * m, position=(i + 1) * DIRECTION) for i, m in enumerate(masses))
+    scene.add(light, heavy, fmbd.distance("link", fmbd.ground, light, point_a=(0.0, 0.0), point_b=DIRECTION))
+    length = 1.0 - 1e3 * G * np.cos(ANGLE) / k
+    ends = {"point_a": DIRECTION, "point_b": 2 * DIRECTION}
+    scene.add(fmbd.Spring("tie", light, heavy, **ends, stiffness=k, length=length))
+    for i, body in enumerate((light, heavy)):
+        scene.sensor(f"place {i}", fmbd.position(body))
+
+    run = fmbd.solve(scene, t_end=END, dt=5e-3, scheme=scheme)
+    assert error(run, masses) <= 4e-4 and not run.warnings
+
+
+def bifilar(k: float | None) -> fmbd.Scene:
+    """A plate in space on two long springs beside its centre, or on rigid links, with a push."""
+    scene = fmbd.Scene("bifilar", gravity=(0.0, 0.0, -G))
+    plate = fmbd.RigidBody("plate", 0.01, (1e-4, 2e-4, 3e-4), velocity=(0.0, 0.2, 0.0))
+    scene.add(plate)
+    for i, y in enumerate((-0.2, 0.3)):
+        ends = {"point_a": (0.0, y, 1.0), "point_b": (0.1, y, 0.0)}
+        if k is None:
+            scene.add(fmbd.distance(f"tie {i}", fmbd.ground, plate, **ends))
+        else:
+            length = float(np.hypot(1.0, 0.1))
+            scene.add(fmbd.Spring(f"tie {i}", fmbd.ground, plate, **ends, stiffness=k, damping=1e-4 * k, length=length))
+    scene.sensor("place", fmbd.position(plate))
+    return scene
+
+
+@pytest.mark.parametrize("k", [1e9, 1e12])
+def test_in_space(k: float) -> None:
+    exact = fmbd.solve(bifilar(None), t_end=0.5, scheme=fmbd.Radau(rtol=1e-9))
+    run = fmbd.solve(bifilar(k), t_end=0.5, scheme=fmbd.Radau(rtol=1e-6))
+    assert run["place"][-1] == pytest.approx(exact["place"][-1], abs=2e-6) and not run.warnings
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=name_of)
+def test_efforts_read_from_places(scheme: Any) -> None:
+    """What Newton's iteration leaves of places, times the stiffness, does not reach the efforts that sensors read."""
+    scene = chain((1.0, 1.0), 1e10)
+    scene.sensor("pull", fmbd.tension("tie 0"))
+    stiff = fmbd.solve(scene, t_end=0.2, scheme=scheme)
+    scene = links((1.0, 1.0))
+    scene.sensor("pull", fmbd.sensors.reaction("link 0"))
+    rigid = fmbd.solve(scene, t_end=0.2, scheme=scheme)
+    assert np.linalg.norm(stiff["pull"][-1]) == pytest.approx(np.linalg.norm(rigid["pull"][-1]), rel=2e-2)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=name_of)
+def test_a_run_is_taken_up(scheme: Any, tmp_path: Path) -> None:
+    at_every_step(lambda: chain((1e-3, 1.0), 1e12), tmp_path, (3, 10), t_end=0.2, scheme=scheme)
+
+
+def test_which_springs_are_ties() -> None:
+    """Those that hang on their weight by less than a millionth; soft ones, laws of a user's own and angles stay forces."""
+    scene = chain((1.0, 1.0), 1e10)
+    above, below = (fmbd.RigidBody(f"more {i}", 1.0, 0.1, position=(2.0 + i, 0.0)) for i in range(2))
+    ends = {"point_a": (2.0, 0.0), "point_b": (3.0, 0.0)}
+    scene.add(above, below, fmbd.Spring("soft", above, below, **ends, stiffness=1e3))
+    system, _, _ = scene.build()
+    found = stiff_ties(system)
+    assert len(found) == 2 and found.system.n_lam == system.n_lam + 2
+    assert sum(len(loads.forces) for loads in found.system.forces) == 1
