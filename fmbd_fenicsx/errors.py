@@ -9,6 +9,8 @@ import difflib
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import numpy as np
+
 
 class FmbdError(Exception):
     """Any error that this package raises on purpose."""
@@ -92,12 +94,19 @@ AGREEMENTS: list[Callable[[str, Callable[[], Any]], Any]] = []
 """How the ranks of the run under way agree on what a user's function gives, see :mod:`fmbd_fenicsx.ranks`; empty on one rank."""
 
 
-def named(what: str, name: str, function: Callable[..., Any], *, time: int | None = -1) -> Callable[..., Any]:
+ROUNDINGS = 2e-10  # of a time: what a sum of a million steps may be off
+
+
+def named(
+    what: str, name: str, function: Callable[..., Any], *, time: int | None = -1, to_end: bool = False
+) -> Callable[..., Any]:
     """A user's function whose exceptions become a :class:`LawError`: 'What "name" failed at t = 0.1 s: KeyError: ...'.
 
     Args:
         what: whose function it is, for example "The law of spring".
         time: which argument is the time (s; of complex steps the real part is shown), None for none.
+        to_end: whether a function that fails is asked some roundings earlier. Times are sums of steps, and the last one may lie
+            so far behind a table that is as long as the run. Not for functions that are differenced.
     """
 
     def call(*args: Any) -> Any:
@@ -107,14 +116,38 @@ def named(what: str, name: str, function: Callable[..., Any], *, time: int | Non
 
     def alone(*args: Any) -> Any:
         try:
-            return function(*args)
+            value = function(*args)
+            return _at_the_end(function, args, value, time) if to_end and _no_number(value) else value
         except FmbdError:
             raise
         except Exception as error:
+            found = _at_the_end(function, args, error, time) if to_end else error
+            if found is not error:
+                return found
             when = "" if time is None else f" at t = {_times(args[time])} s"
             raise LawError(f'{what} "{name}" failed{when}: {type(error).__name__}: {error}') from error
 
     return call
+
+
+def _no_number(value: Any) -> bool:
+    """Whether a float is none, or some of an array of them are none; everything else is for others to look at."""
+    if isinstance(value, float):
+        return value != value
+    return isinstance(value, np.ndarray) and value.dtype.kind == "f" and bool(np.isnan(value).any())
+
+
+def _at_the_end(function: Callable[..., Any], args: tuple[Any, ...], found: Any, time: int | None) -> Any:
+    """What a function that failed gives a few roundings earlier, or what was ``found``."""
+    if time is None or not isinstance(args[time], float) or not args[time] > 0:
+        return found
+    earlier = list(args)
+    earlier[time] = args[time] * (1.0 - ROUNDINGS)
+    try:
+        value = function(*earlier)
+    except Exception:
+        return found
+    return found if _no_number(value) else value
 
 
 def _times(t: Any) -> str:

@@ -12,6 +12,7 @@ import pytest
 from scipy.interpolate import CubicSpline, interp1d
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import FmbdError
 from fmbd_fenicsx.mechanics.joints.time_derivatives import rates
 
 LAWS: dict[str, tuple[Callable[[Any], Any], Callable[[float], tuple[float, float]]]] = {
@@ -118,3 +119,25 @@ def test_a_drive_of_a_microsecond(sine: Any) -> None:
     run = fmbd.solve(scene, t_end=1e-5, dt=1e-7)
     exact = -1e-18 * size * omega**2 * np.sin(omega * run.times)
     assert np.abs(run["torque"][:, 0] - exact).max() < 1e-3 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize(
+    ("scheme", "end", "steps"),
+    [(fmbd.GeneralizedAlpha(), 2.1, 30), (fmbd.GeneralizedAlpha(), 10.0, 20_000), (fmbd.Radau(rtol=None), 2.1, 30)],
+)
+@pytest.mark.parametrize("refuses", [True, False])
+def test_loads_from_tables_as_long_as_the_run(scheme: Any, end: float, steps: int, refuses: bool) -> None:
+    """Sums of steps lie roundings behind the end: the load is that of the end there. Behind it, a table ends the run."""
+    times = np.linspace(0.0, end, 50)
+    values = np.stack((np.sin(times), np.cos(times)), axis=-1)
+    table: Any = interp1d(times, values, axis=0) if refuses else CubicSpline(times, values, extrapolate=False)
+
+    def run(t_end: float) -> fmbd.Run:
+        scene = fmbd.Scene("push")
+        body = fmbd.RigidBody("body", 1.0, 0.1)
+        scene.add(body, fmbd.force("push", body, table))
+        return fmbd.solve(scene, t_end=t_end, dt=t_end / steps, scheme=scheme, output=fmbd.Output(every=steps))
+
+    assert run(end).times[-1] > end
+    with pytest.raises(FmbdError, match='"push"'):
+        run(end * 1.001)

@@ -59,7 +59,7 @@ class Load:
 
     def factor(self, t: float, body: str) -> float:
         """The checked value of ``time`` at t."""
-        value = named("The function of time of a load on body", body, self.time)(t)
+        value = named("The function of time of a load on body", body, self.time, to_end=True)(t)
         try:
             return number("a factor", value)
         except InputError as error:

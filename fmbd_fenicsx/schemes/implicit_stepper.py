@@ -120,7 +120,7 @@ class ImplicitStepper(TimeStepper):
     def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
         """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
         push = self.eq.pushes(dmult) if self.scheme.form.index > 1 else None
-        moved = max(max(self.system.max_abs(x), h * self.system.max_abs(y)) for x, y in zip(dxi, dv, strict=True))
+        moved = max(self.system.max_abs(x) for x in (*dxi, *(h * dv)))
         self._still = moved <= STILL * float(np.finfo(float).eps) * self.system.length
         if self.adaptive:
             pulls = self.eq.pulls(dmult)

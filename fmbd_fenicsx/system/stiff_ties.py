@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..mechanics.forces.force_elements import ScalarLoads
+from ..mechanics.joints.constraints import Motion
 from ..mechanics.joints.couplings import CouplingBatch
-from ..mechanics.joints.relative import Separation, Slide
+from ..mechanics.joints.relative import Relative, Separation, Slide
 from ..rotations import Array
 from .evaluation import Evaluation
 from .system import System
@@ -62,28 +63,28 @@ class StiffTies:
 
 def stiff_ties(system: System) -> StiffTies:
     """Those of a system; the system itself where it has none."""
-    springs = tuple((loads, which) for loads in system.forces if len(which := _stiff(system, loads)))
+    linear = (loads for loads in system.forces if type(loads) is ScalarLoads)
+    springs = tuple((loads, which) for loads in linear if len(which := _stiff(system, loads)))
     if not springs:
         none = np.zeros(0)
         return StiffTies(system, np.arange(system.n_lam), np.zeros(0, dtype=int), none, none, ())
 
-    forces = []
     taken = dict(springs)
-    for loads in system.forces:
-        rest = np.setdiff1d(np.arange(len(loads.forces)), taken[loads]) if loads in taken else None
-        if rest is None:
-            forces.append(loads)
-        elif len(rest):
+    forces = [loads for loads in system.forces if loads not in taken]
+    for loads, which in springs:
+        rest = np.setdiff1d(np.arange(len(loads.forces)), which)
+        if len(rest):
             forces.append(_part(loads, rest))
 
     # joints first, then ties, then the conditions of frames
     ties = [_part(loads, which) for loads, which in springs]
     counts = np.cumsum([0, *(len(tie.forces) for tie in ties)])
     numbers = [np.arange(i, j) for i, j in zip(counts[:-1], counts[1:], strict=True)]
+    terms: list[tuple[Relative, np.ndarray, Array]]
     terms = [(tie.relative, at, np.ones(len(at))) for tie, at in zip(ties, numbers, strict=True)]
     free = np.concatenate([tie.free for tie in ties])
     places = system.n_rows + np.arange(len(free))
-    batch = CouplingBatch(terms, [lambda t, s=float(s): (s, 0.0, 0.0) for s in free])  # type: ignore[misc]
+    batch = CouplingBatch(terms, [_standing(float(s)) for s in free])
     with_rows = replace(system, forces=tuple(forces), batches=(*system.batches, (batch, places)), cache={})
     return StiffTies(
         system=with_rows,
@@ -95,9 +96,14 @@ def stiff_ties(system: System) -> StiffTies:
     )
 
 
-def _stiff(system: System, loads: object) -> np.ndarray:
+def _standing(s: float) -> Motion:
+    """The motion of a free length."""
+    return lambda t: (s, 0.0, 0.0)
+
+
+def _stiff(system: System, loads: ScalarLoads) -> np.ndarray:
     """Which of some loads are linear springs along lines that turn, much stiffer than what gravity asks of them."""
-    if type(loads) is not ScalarLoads or not isinstance(loads.relative, Separation | Slide):
+    if not isinstance(loads.relative, Separation | Slide):
         return np.zeros(0, dtype=int)
     masses = [system.mass] if system.rigid is None else [*system.rigid.mass, system.mass]
     weight = float(np.min(masses)) * float(np.linalg.norm(system.gravity(np.inf)))

@@ -286,7 +286,7 @@ class CoordinatePart(Part):
         self.n = self.n_port = len(np.asarray(body.start))
         self.reference = np.zeros(self.n)
         self.port_matrix = np.eye(self.n)
-        self._force = named("The force of body", body.name, body.force)
+        self._force = named("The force of body", body.name, body.force, to_end=True)
         tangent = body.force_jacobian
         self._tangent = None if tangent is None else named("The force_jacobian of body", body.name, tangent)
         self._mass = named("The mass of body", body.name, body.mass, time=None) if callable(body.mass) else body.mass

@@ -53,7 +53,7 @@ class Repeatable:
     """
 
     def __init__(self, what: str, name: str, law: Callable[..., Any], *, time: int = -1) -> None:
-        self.name, self.time, self.law = name, time, named(what, name, law, time=time)
+        self.name, self.time, self.law = name, time, named(what, name, law, time=time, to_end=True)
         self._asked = False
 
     def __call__(self, *args: Any) -> Any:

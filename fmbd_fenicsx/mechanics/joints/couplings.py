@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
 import numpy as np
 
-from ...errors import CallbackError, FmbdError, named
+from ...errors import ROUNDINGS, CallbackError, FmbdError, named
 from ...log import log
 from ...rotations import Array, Motions, hat
 from ..bodies.coordinates import derivative, differences
@@ -40,6 +39,7 @@ class SmoothMotion:
     function: Callable[[Any], Any]
     of: str
     complete: bool
+    differenced: Callable[[Any], Any]  # the function up to its very end
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         """s, s', s'' at a time."""
@@ -47,14 +47,23 @@ class SmoothMotion:
             s = self._checked(self.function(t), t)
             self._require(len(s) == 3, s, t)
             return float(s[0]), float(s[1]), float(s[2])
-        s = self._checked((self.place(t), *rates(self.function, t)), t)
+        s = self._checked((self.place(t), *self.rates(t)), t)
         return float(s[0]), float(s[1]), float(s[2])
 
     def moving(self, t: float) -> tuple[float, float]:
         """s and s' at a time."""
         if self.complete:
             return self(t)[:2]
-        return self.place(t), rates(self.function, t)[0]
+        return self.place(t), self.rates(t)[0]
+
+    def rates(self, t: float) -> tuple[float, float]:
+        """s' and s'' of a function that gives s alone; a few roundings behind its end those at its end."""
+        inside = t * (1.0 - ROUNDINGS)
+        try:
+            found = rates(self.differenced, t)
+        except FmbdError:
+            return rates(self.differenced, inside)
+        return found if isfinite(found[0]) and isfinite(found[1]) else rates(self.differenced, inside)
 
     def place(self, t: float) -> float:
         """s alone."""
@@ -82,32 +91,16 @@ class SmoothMotion:
             )
 
 
-def _to_the_end(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A function of time that fails a few roundings behind its end, as at its end: the times of a run are sums of its steps, so
-    the last one may lie behind a table that is as long as the run.
-    """
-
-    def value(t: Any) -> Any:
-        try:
-            return function(t)
-        except FmbdError:
-            if isinstance(t, float) and t > 0:
-                with suppress(FmbdError):
-                    return function(t - 1024 * float(np.spacing(t)))
-            raise
-
-    return value
-
-
 def smooth_motion(name: str, function: Callable[[float], Any], *, of: str = "drive") -> SmoothMotion:
     """A prescribed motion from a function that returns (s, s', s'') or s alone; it must be smooth.
 
     Whether it is, and whether its rates are those of its motion, is looked at along the run
     (:mod:`fmbd_fenicsx.run.prescribed_motions`). ``of``: what is moved, in messages.
     """
-    function = _to_the_end(named(f"The motion of {of}", name, function))
-    first = SmoothMotion(name, function, of, complete=False)._checked(function(0.0), 0.0)
-    return SmoothMotion(name, function, of, complete=len(first) == 3)
+    asked = named(f"The motion of {of}", name, function, to_end=True)
+    differenced = named(f"The motion of {of}", name, function)
+    first = SmoothMotion(name, asked, of, False, differenced)._checked(asked(0.0), 0.0)
+    return SmoothMotion(name, asked, of, len(first) == 3, differenced)
 
 
 class CouplingBatch(Batch):
