@@ -63,3 +63,13 @@ def test_report_of_an_elastic_run_names_factorisations_and_the_field(rod_mesh):
     assert "1 elastic factorisation," in text and f"{run.counters['back_solves']:.0f} back-solves" in text
     assert "rod.u" in text and "elastic " in text
     assert np.isfinite(run.memory) and run.memory > 1e6
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [fmbd.GeneralizedAlpha(rtol=1e-4), fmbd.Radau(rtol=1e-4), fmbd.BDF(rtol=1e-4), fmbd.HalfExplicit(rtol=1e-4)],
+    ids=lambda x: type(x).__name__,
+)
+def test_reports_of_steps_of_the_schemes_own_choice(scheme):
+    run = fmbd.solve(pendulum(), t_end=0.1, scheme=scheme)
+    assert f"rtol = 0.0001, {run.counters['steps']:.0f} steps" in run.report()

@@ -82,11 +82,10 @@ def _steps(run: Run, steps: int) -> str:
         return f"h = {run.dt:.6g} s, {steps} steps" + (f", {_n(halved, 'halving')}" if halved else "")
     causes = [f"{n:.0f} for {k.split(': ')[1]}" for k, n in run.counters.items() if k.startswith("rejected: ")]
     rejected = _n(run.counters["rejections"], "rejection") + (f" ({', '.join(causes)})" if causes else "")
-    return (
-        f"rtol = {rtol:g}, {steps} steps of {run.dt:.3g} s on average, {rejected}, "
-        f"{_n(run.counters['jacobians'], 'tangent')}, "
-        f"{_n(run.counters['residuals'], 'residual')}"
-    )
+    # what a scheme does not count it does not tell
+    work = {"jacobians": "tangent", "residuals": "residual"}
+    done = [_n(run.counters[key], what) for key, what in work.items() if key in run.counters]
+    return ", ".join((f"rtol = {rtol:g}, {steps} steps of {run.dt:.3g} s on average", rejected, *done))
 
 
 def _n(count: float, what: str) -> str:
