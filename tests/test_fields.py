@@ -85,6 +85,36 @@ def test_combination_is_the_sum(rod_mesh: Callable[..., Any]) -> None:
         thing.destroy()
 
 
+def test_factors_assemble_nothing(rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The matrix of a size of step is made of those that are held: of the last tangent, whatever was evaluated since."""
+    import dolfinx.fem.petsc as fp
+
+    energy = fmbd.materials.saint_venant_kirchhoff(5e6, 0.3)
+    body = fmbd.AbsoluteBody("rod", rod_mesh(dim=2, h=0.5, height=0.4), density=1000.0, energy=energy)
+    body.loads.append(fmbd.loads.pressure("tip", 1e3))
+    scene = fmbd.Scene("one")
+    scene.add(body)
+    f = scene.build()[0].fields[0][1].field
+    bent, rest, dU = 1e-2 * np.random.default_rng(f.comm.rank).standard_normal((3, f.n * 2))
+
+    assembled = []
+    original = fp.assemble_matrix
+    monkeypatch.setattr(fp, "assemble_matrix", lambda *given: assembled.append(1) or original(*given))
+    f.linearise_motion(0.0, bent, 0.0 * bent, dU)
+    assert len(assembled) == 3  # the energy's, that of the pressure, that of the stress foretold
+
+    f.internal(rest)
+    E = f.combination(0.0, 1e-3)
+    assert len(assembled) == 3
+    x, y = E.createVecs()
+    x.array[:] = rest
+    E.mult(x, y)
+    expected = 1e-3 * f.tangent(rest)
+    assert np.abs(y.array - expected).max(initial=0.0) < 1e-12 * np.abs(expected).max(initial=1e-300)
+    for thing in (E, x, y):
+        thing.destroy()
+
+
 # -- input ---------------------------------------------------------------------------------------------------
 def unsymmetric(u: Any, v: Any, dx: Any) -> Any:
     """A form whose stress is not that of a symmetric gradient."""

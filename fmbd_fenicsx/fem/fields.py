@@ -180,12 +180,12 @@ class Field:
         # what the tangent of moving loads adds stands in a matrix of its own: K stays that of the energy
         if extra:
             if self._with_extra is None:
-                self._with_extra = fp.create_matrix(self.stiffness_form, "baij")
-            self._with_extra.zeroEntries()
-            for form in (self.stiffness_form, *extra):
+                self._with_extra = self.K.duplicate()
+            self.K.copy(self._with_extra)
+            for form in extra:
                 fp.assemble_matrix(self._with_extra, form)
             self._with_extra.assemble()
-        self._linearised, self._extra = U, extra
+        self._extra = extra
         self.tangents += 1
 
     def _place(self, U: Array) -> None:
@@ -316,64 +316,43 @@ class Field:
         return M
 
     def combination(self, cm: float, ck: float, cd: float = 0.0) -> Any:
-        """The PETSc matrix cm M + cd D + ck K (symmetric, aij); collective. The caller destroys it."""
-        import dolfinx.fem.petsc as fp
+        """The PETSc matrix cm M + cd D + ck K (symmetric, aij) of those that are held; collective. The caller destroys it."""
+        from petsc4py import PETSc
 
-        if self.nonlinear:
-            self._place(np.zeros(self.n * self.dim) if self._linearised is None else self._linearised)
-            self.viscous.restore()
-        E = fp.create_matrix(self.stiffness_form)
-        E.zeroEntries()
-        if self.redistributed:
-            return self._with_own_mass(E, cm, ck)
-
-        fp.assemble_matrix(E, self.mass_form)
-        E.assemble()
-        E.scale(cm / ck)
-        self._add_tangent(E, ck)
-
-        # scaled before and after, so that the form itself needs no factor
+        held = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+        if self.redistributed:  # neighbours of neighbours
+            held = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+        E = (self._with_extra if self._extra else self.K).convert("aij", PETSc.Mat())
+        E.scale(ck)
+        M = self._mass_of_components()
+        E.axpy(cm, M, structure=held)
+        M.destroy()
         if cd and self.D is not None:
-            E.scale(1.0 / cd)
-            fp.assemble_matrix(E, self.viscous.form)
-            E.assemble()
-            E.scale(cd)
+            D = self.D.convert("aij", PETSc.Mat())
+            E.axpy(cd, D, structure=held)
+            D.destroy()
         return E
 
-    def _add_tangent(self, E: Any, ck: float) -> None:
-        """E := ck (E + K), with the forms that the last tangent took beside the energy's; collective."""
-        import dolfinx.fem.petsc as fp
+    def _mass_of_components(self) -> Any:
+        """The scalar mass matrix on each component of vectors (aij); collective. The caller destroys it."""
+        from petsc4py import PETSc
 
-        for form in (self.stiffness_form, *self._extra):
-            fp.assemble_matrix(E, form)
-            E.assemble()
-        E.scale(ck)
+        d, sizes = self.dim, tuple(tuple(self.dim * n for n in size) for size in self.M.getSizes())
+        start, columns, values = self.M.getValuesCSR()
+        counts = np.repeat(np.diff(start), d)
+        first = np.concatenate(([0], np.cumsum(counts)))
+
+        # of every entry of the rows (node, component): where it stands in the scalar matrix
+        at = np.arange(first[-1]) + np.repeat(np.repeat(start[:-1], d) - first[:-1], counts)
+        component = np.repeat(np.tile(np.arange(d), len(start) - 1), counts)
+        csr = first.astype(PETSc.IntType), (d * columns[at] + component).astype(PETSc.IntType), values[at]
+        return PETSc.Mat().createAIJ(sizes, bsize=d, csr=csr, comm=self.comm)
 
     def replace_mass(self, M: Any) -> None:
         """Use another scalar mass matrix with the same layout from now on (see ``mechanics.contact.mass``); collective."""
         self.M.destroy()
         self.M, self.redistributed = M, True
         self._rigid_properties()
-
-    def _with_own_mass(self, E: Any, cm: float, ck: float) -> Any:
-        """cm M + ck K for a mass matrix that is not the form's: each scalar entry acts on all components."""
-        from petsc4py import PETSc
-
-        self._add_tangent(E, ck)
-
-        # the scalar mass for each component, in a pattern of its own
-        d, (low, high) = self.dim, self.M.getOwnershipRange()
-        start, cols, values = self.M.getValuesCSR()
-        big = PETSc.Mat().createAIJ(E.getSizes(), nnz=int(np.diff(start).max(initial=1)), comm=self.comm)
-        big.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-        for k in range(d):
-            indptr = np.zeros((high - low) * d + 1, dtype=PETSc.IntType)
-            indptr[1:][k::d] = np.diff(start)
-            big.setValuesCSR(np.cumsum(indptr).astype(PETSc.IntType), (cols * d + k).astype(PETSc.IntType), values)
-        big.assemble()
-        E.axpy(cm, big, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        big.destroy()
-        return E
 
     # -- constants ----------------------------------------------------------------------------------------------
     def _rigid_properties(self) -> None:

@@ -266,8 +266,6 @@ class MixedField(Field):
         """[cm M + ck A, ck B^T; ck B, -ck C] as one PETSc matrix (aij); collective. The caller destroys it."""
         from petsc4py import PETSc
 
-        if self.nonlinear and self._linearised is not None:
-            self._place(self._linearised)
         if self.carried:
             E = super().combination(cm, ck + cd * self.forms.stiffness_damping, cd if self.D is not None else 0.0)
         else:
