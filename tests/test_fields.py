@@ -85,13 +85,13 @@ def test_combination_is_the_sum(rod_mesh: Callable[..., Any]) -> None:
         thing.destroy()
 
 
+@pytest.mark.mpi
 def test_factors_assemble_nothing(rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """The matrix of a size of step is made of those that are held: of the last tangent, whatever was evaluated since."""
     import dolfinx.fem.petsc as fp
 
-    energy = fmbd.materials.saint_venant_kirchhoff(5e6, 0.3)
-    body = fmbd.AbsoluteBody("rod", rod_mesh(dim=2, h=0.5, height=0.4), density=1000.0, energy=energy)
-    body.loads.append(fmbd.loads.pressure("tip", 1e3))
+    law = {"energy": fmbd.materials.saint_venant_kirchhoff(5e6, 0.3), "loads": [fmbd.loads.pressure("tip", 1e3)]}
+    body = fmbd.AbsoluteBody("rod", rod_mesh(dim=2, h=0.5, height=0.4), density=1000.0, **law)
     scene = fmbd.Scene("one")
     scene.add(body)
     f = scene.build()[0].fields[0][1].field

@@ -165,6 +165,7 @@ class Field:
     def linearise(self, U: Array | None, *extra: Any) -> None:
         """Assemble K, for an energy at the displacements U (n d,) (None: zero), plus ``extra`` compiled forms; collective."""
         import dolfinx.fem.petsc as fp
+        from petsc4py import PETSc
 
         if self.nonlinear:
             self._place(np.zeros(self.n * self.dim) if U is None else U)
@@ -180,13 +181,23 @@ class Field:
         # what the tangent of moving loads adds stands in a matrix of its own: K stays that of the energy
         if extra:
             if self._with_extra is None:
-                self._with_extra = self.K.duplicate()
-            self.K.copy(self._with_extra)
+                self._with_extra = self._with_places()
+            self._with_extra.zeroEntries()
             for form in extra:
                 fp.assemble_matrix(self._with_extra, form)
             self._with_extra.assemble()
+            self._with_extra.axpy(1.0, self.K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self._extra = extra
         self.tangents += 1
+
+    def _with_places(self) -> Any:
+        """A matrix with the places of the stiffness; collective."""
+        import dolfinx.fem.petsc as fp
+
+        out = fp.create_matrix(self.stiffness_form, "baij")
+        fp.assemble_matrix(out, self.stiffness_form)  # places that nothing is put into at first are lost
+        out.assemble()
+        return out
 
     def _place(self, U: Array) -> None:
         """Nodal values of the energy's argument, ghosts included; collective."""
