@@ -12,6 +12,7 @@ from dae_problems import pendulum
 from tolerance_scenes import CASES, TIMES, check
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.run import estimates, shared_runs, single_run, tolerance
 
 QUICK = ("pendulum", "mass on spring", "clamped beam", "spin-up")
@@ -98,6 +99,55 @@ def test_all_attempts_together_take_few_steps(monkeypatch: pytest.MonkeyPatch, t
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("few", ["fail", "in parts"])
+def test_steps_that_are_too_few_for_finer_meshes_do_not_end_the_search(
+    few: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The fewest steps that follow the motion on coarse meshes fail on finer ones: more are taken, and the tolerance is kept."""
+    run_once, run_like, refined = shared_runs.run_once, shared_runs.run_like, shared_runs.SharedRuns.refined
+    run_again = shared_runs.again
+    refused: list[int] = []
+    trusted: list[int] = []  # all the same
+    fine: list[fmbd.Scene] = []  # refined once at least
+
+    def finer(self: shared_runs.SharedRuns, scene: fmbd.Scene) -> fmbd.Scene:
+        fine.append(refined(self, scene))
+        return fine[-1]
+
+    def too_few(scene: fmbd.Scene, steps: int) -> bool:
+        refuse = steps < 24 and any(x is scene for x in fine)
+        refused.extend([steps] * refuse)
+        return refuse
+
+    def once(task: Any, *given: Any) -> Any:
+        refuse = too_few(task.scene, task.schedule.steps)
+        if refuse and few == "fail":
+            raise ConvergenceError("too few")
+        made = run_once(task, *given)
+        made.run.counters["halved_steps"] = made.run.counters.get("halved_steps", 0) + refuse
+        return made
+
+    def like(problem: Any, compared: Any, scene: fmbd.Scene, built: Any) -> Any:
+        if too_few(scene, compared.schedule.steps):
+            trusted.append(compared.schedule.steps)
+        return run_like(problem, compared, scene, built)
+
+    def again(problem: Any, schedule: Any, steps: int, times: Any) -> Any:
+        if too_few(problem.scene, steps):
+            raise ConvergenceError("too few")
+        return run_again(problem, schedule, steps, times)
+
+    monkeypatch.setattr(shared_runs, "run_once", once)
+    monkeypatch.setattr(shared_runs, "run_like", like)
+    monkeypatch.setattr(shared_runs, "again", again)
+    monkeypatch.setattr(shared_runs.SharedRuns, "refined", finer)
+    case = CASES["tied bar"]
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: 1e-3}, output=fmbd.Output(progress=False))
+    assert refused and not trusted
+    assert run.history[-1].then == "done"
+    assert run.certificate[case.sensor].total < 1e-3
+
+
 def test_errors_that_do_not_fall_end_the_search() -> None:
     """The force of a contact jumps with every node that comes to rest: two attempts tell that no mesh makes it smooth."""
     scene = CASES["bar on the wall and back"].scene()

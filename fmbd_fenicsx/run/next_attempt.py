@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import ConvergenceError, InputError
 from ..schemes.control import FINEST
 from ..system.scene.refinement import expected_rate, meshed_bodies, modal_bodies, more_modes, slender
 from ..system.scene.scene import Scene
@@ -89,6 +89,8 @@ def space_first(plan: Plan, tol: Tolerance, shared: SharedRuns, wanted: Output) 
     """A look at meshes that are new, by runs with the fewest steps that follow the motion; None where they are fine enough.
 
     These runs serve the whole attempt too. Where errors fall more slowly than expected, at corners, it is spared; collective.
+
+    Raises ConvergenceError or LinearSolveError where these steps are too few: a run does not end, or only with steps in parts.
     """
     few = plan.orders.follow
     if plan.known is not None or not 0 < few < plan.steps or not meshed_bodies(plan.scene):
@@ -96,11 +98,13 @@ def space_first(plan: Plan, tol: Tolerance, shared: SharedRuns, wanted: Output) 
 
     output = replace(wanted, every=1, energy=False, ledger=False, estimate_error=False)
     solved = shared.solve(plan.scene, plan.scheme, StepSchedule(plan.schedule.t_end, few), output)
+    run = solved.run
+    if run.counters.get("halved_steps"):
+        raise ConvergenceError(f"{few} steps had to be made in parts")
     errors, unstated = shared.space_error(solved, solved.compared, plan.below)
     if unstated or not errors:
         return None
 
-    run = solved.run
     run.state_error("space", errors)
     over = max(share(run.certificate, n, x, "space") for n, x in tol.items())
     limit = AIM * (0.6 if modal_bodies(plan.scene) else 1.0)

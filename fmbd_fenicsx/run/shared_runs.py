@@ -115,7 +115,7 @@ class SharedRuns:
 
         coarser = []
         try:
-            coarser.append(self._with(solved, max(near) if near else self._wanted(steps, known, bool(earlier))))
+            coarser.append(self._coarser(solved, max(near) if near else self._wanted(steps, known, bool(earlier))))
             first = coarser[0].schedule.steps
             before = [n for n in have if n <= first / NEAREST]
             if before:
@@ -155,6 +155,16 @@ class SharedRuns:
         if known.seen or earlier:
             return max(round(steps / 4 / self.grain), 1) * self.grain
         return max(steps // 2, 1)
+
+    def _coarser(self, solved: Solved, steps: int) -> Compared:
+        """The run with so many steps, or with half as many as the given one where it does not come to its end."""
+        half = solved.compared.schedule.steps // 2
+        try:
+            return self._with(solved, steps)
+        except UNFIT:
+            if steps >= half:
+                raise
+            return self._with(solved, half)
 
     def _with(self, solved: Solved, steps: int) -> Compared:
         """The run with so many steps."""

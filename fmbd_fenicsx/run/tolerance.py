@@ -22,7 +22,7 @@ from ..schemes.declared import Declared
 from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.refinement import meshed_bodies, modal_bodies
 from ..system.scene.scene import Scene
-from .estimates import Compared, TimeError, reduction_error, tolerance_error, warn_of_uncertain
+from .estimates import UNENDED, UNFIT, Compared, TimeError, reduction_error, tolerance_error, warn_of_uncertain
 from .ledger import Books
 from .next_attempt import Looked, Plan, finer_steps, next_plan, space_first
 from .output import Output
@@ -40,6 +40,7 @@ START = 100  # steps of the first attempt where no dt is given
 SCOUT = 48  # the same where spaces or modes have to be found first, whose errors are seen with few steps, and nothing touches
 LOOSEST = 1e-4  # rtol of the first attempt of schemes with error control
 STALLED, STALLED_IN_CONTACT = 256.0, 60.0  # ratios of steps over which errors have to fall
+FAILURES = 1  # runs that may fail, each followed by one with a quarter of the step, beside one that came to its end
 RECORDS = 200  # that runs make at least, so that they can be compared
 
 
@@ -89,10 +90,12 @@ def solve_within(
         try:
             plan_next = _one_more(plan, tol, shared, wanted=wanted, found=found)
         except (ConvergenceError, LinearSolveError) as error:
-            if found.best is not None or plan.step < 1e-3 * t_end / START:
+            # finer meshes may need smaller steps than those on which the error was small enough
+            found.failed += 1
+            if (found.best is not None and found.failed > FAILURES) or plan.step < 1e-3 * t_end / START:
                 found.why = f"a run failed: {error}"
                 break
-            plan_next = finer_steps(plan, 0.25)
+            plan_next = finer_steps(_anew(plan), 0.25)
         if plan_next is None:
             break
         plan = plan_next
@@ -106,6 +109,7 @@ class Search:
     history: list[Attempt] = field(default_factory=list)
     best: tuple[float, Run] | None = None
     why: str = f"{ATTEMPTS} attempts were not enough"
+    failed: int = 0  # runs that did not come to their end
 
     def take(self, run: Run, ratio: float) -> None:
         """A run of an attempt."""
@@ -146,7 +150,10 @@ class Search:
 def _one_more(plan: Plan, tol: Tolerance, shared: SharedRuns, *, wanted: Output, found: Search) -> Plan | None:
     """One attempt, noted among what was found; the plan of the next one, or None; collective."""
     begun = clock.perf_counter()
-    looked = space_first(plan, tol, shared, wanted)
+    try:
+        looked = space_first(plan, tol, shared, wanted)
+    except UNFIT:
+        plan, looked = _anew(plan), None
     if looked is not None:
         found.history.append(_of_space(plan, looked, clock.perf_counter() - begun))
         return looked.plan
@@ -162,6 +169,11 @@ def _one_more(plan: Plan, tol: Tolerance, shared: SharedRuns, *, wanted: Output,
     if made is None:
         found.why = then
     return made
+
+
+def _anew(plan: Plan) -> Plan:
+    """The plan where the fewest steps that follow the motion on coarser meshes are too few."""
+    return replace(plan, orders=replace(plan.orders, follow=0))
 
 
 def _after(
@@ -252,13 +264,19 @@ def _other_errors(plan: Plan, shared: SharedRuns, solved: Solved, made: Compared
             run.state_error(kind, found)
         return
 
+    # steps that are enough for the run may be too few with more modes or finer meshes: those of the run itself then
+    steps = [made] if made is solved.compared else [made, solved.compared]
     begun = clock.perf_counter()
     if modal_bodies(plan.scene):
-        run.state_error("modes", reduction_error(solved.problem, made))
+        by_modes = (reduction_error(solved.problem, x) for x in steps)
+        run.state_error("modes", next(filter(None, by_modes), {}))
         run.seconds["reduction estimate"] = clock.perf_counter() - begun
     begun = clock.perf_counter()
     if meshed_bodies(plan.scene):
-        in_space, run.space_unstated = shared.space_error(solved, made, plan.below)
+        for x in steps:
+            in_space, run.space_unstated = shared.space_error(solved, x, plan.below)
+            if run.space_unstated != UNENDED:
+                break
         run.state_error("space", in_space)
         run.seconds["space estimate"] = clock.perf_counter() - begun
 
