@@ -230,8 +230,10 @@ class FieldEquations(Remembering):
             return self.solver.solve(zero, -gap)[0]
 
         dq = closed(ev.constraint()) if 0 in self.form.levels else zero
-        v = state.v + closed(ev.opening())
-        a = state.a + closed(ev.jacobian.times(state.a) + s.at(state.t, state.q, v).gamma())
+        q = s.compose(state.q, dq)  # rows turn by dq
+        v = state.v + closed(s.at(state.t, q, state.v).opening())
+        ev = s.at(state.t, q, v)
+        a = state.a + closed(ev.jacobian.times(state.a) + ev.gamma())
         self._start, self._closed = (dq, v, a), state
         return self._start
 

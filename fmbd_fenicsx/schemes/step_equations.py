@@ -188,12 +188,14 @@ class StepEquations(Remembering):
             zero = np.zeros(s.n_v)
             ev = s.at(state.t, state.q, state.v)
             self.solver.prepare(ev, Weights(1.0, 0.0, 0.0))
-            # positions, then velocities, then accelerations on their own levels
+            # positions, then velocities where these are closed, then accelerations: rows turn by dq
             dq = self.solver.solve(zero, -ev.constraint())[0] if 0 in self.form.levels else zero
-            v = state.v + self.solver.solve(zero, -ev.opening())[0]
-            ev = s.at(state.t, state.q, v)
-            self._start = dq, v, self.solver.solve(-ev.balance(zero), -ev.gamma())[0]
-            self._closed = state
+            q = s.compose(state.q, dq)
+            v = state.v + self.solver.solve(zero, -s.at(state.t, q, state.v).opening())[0]
+            ev = s.at(state.t, q, v)
+            a = self.solver.solve(-ev.balance(zero), -ev.gamma())[0]
+            a = a - self.solver.solve(zero, ev.jacobian.times(a) + ev.gamma())[0]
+            self._start, self._closed = (dq, v, a), state
         return self._start
 
     def refresh(self, state: State, mult: Array) -> Tangent:

@@ -87,7 +87,7 @@ class Stepper(StageNewton):
     """Advances a consistent state; holds tangent, factors, the last collocation polynomial and the step control."""
 
     what = "a Radau step"
-    keeps: ClassVar = {**ImplicitStepper.keeps, **dict.fromkeys(("mult", "_trouble", "_eta"), plain())}
+    keeps: ClassVar = {**ImplicitStepper.keeps, **dict.fromkeys(("mult", "_trouble", "_eta", "_h_rate"), plain())}
 
     def __init__(self, scheme: Radau, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(scheme, system, solver, newton, state)
@@ -98,7 +98,7 @@ class Stepper(StageNewton):
         self._filter: Any = None  # of the error estimate
         self._h_factor = 0.0  # size of the step that the factor is for, s
         self._trouble = 0  # two for each failure of Newton's iteration, less one for each step
-        self._eta = 1.0
+        self._eta, self._h_rate = 1.0, 0.0
         self._last: tuple[float, Array, Array, Points] | None = None
         self.eq.weigh(state)
 
@@ -141,7 +141,8 @@ class Stepper(StageNewton):
         """A step of at most ``limit`` (s) that passes the error test."""
         s = self.state
         self.control.span = max(self.control.span, limit)
-        farthest = turn_limit(self.system, s)
+        # coordinates on the tangent space of the start end where the rows have turned by a quarter turn
+        farthest = turn_limit(self.system, s, steps=2 if self.scheme.form.frozen else 1)
         if self.proposed is None:
             self.norm.update(s, limit)
             self.proposed = first_step(self.norm, s, self.control.order, limit)

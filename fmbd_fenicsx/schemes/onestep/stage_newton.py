@@ -22,6 +22,7 @@ from ..dae import Points
 from ..implicit_stepper import ImplicitStepper
 from .collocation import Tableau, lagrange
 
+LONGER = 1.2  # steps so much longer than that of a rate do not rely on it
 CAUTIOUS = 0.05  # with constant steps no rate below this is believed
 
 
@@ -33,6 +34,7 @@ class StageNewton(ImplicitStepper):
     _last: tuple[float, Array, Array, Points] | None  # the last step: its size, q and v at its start, its stages
     _h_factor: float  # size of the step that the factor is for, s
     _eta: float  # what the last increment of the last step left, over its size
+    _h_rate: float  # size of the step in which that was seen, s
     _filter: object  # of the error estimate, of the same tangent
 
     def _refresh(self, h: float) -> None:
@@ -79,15 +81,16 @@ class StageNewton(ImplicitStepper):
             kin, low = self.eq.residual(times, self._stages(h, xi, v, mult))
             increment = self._solve(kin, low)
             xi, v, mult = xi + increment[0], v + increment[1], mult + increment[2]
-            size, why = self._judged(k, self._counted(h, increment), last)
+            size, why = self._judged(k, h, self._counted(h, increment), last)
             if why is not None:
                 return why
 
             # what is left, by the rate of convergence
             last = size
-            share = self._share_left(k)
+            share = self._share_left(k, h)
             if share * size <= tolerance or size <= 1e-2 * tolerance:
                 self._eta, self._iterations = share, k + 1
+                self._h_rate = h if k else max(h, self._h_rate)
                 self.newton.note(share * size)
                 return self._finished(h, xi, v, mult)
         return "Newton too slow"
@@ -98,8 +101,8 @@ class StageNewton(ImplicitStepper):
         self.stats.newton_iterations += 1
         return self._size(h, *increment)
 
-    def _judged(self, k: int, size: float, last: float) -> tuple[float, str | None]:
-        """The size of increment k, 0 where it is roundoff, and why the iteration has failed, if it has; the rate is kept.
+    def _judged(self, k: int, h: float, size: float, last: float) -> tuple[float, str | None]:
+        """The size of increment k of a step of size h, 0 where it is roundoff, and why the iteration has failed, if it has; the rate is kept.
 
         Increments that no longer fall are roundoff, harmless against the tolerance, or divergence.
         """
@@ -117,22 +120,25 @@ class StageNewton(ImplicitStepper):
             size = 0.0
         elif self._theta >= 0.99 and size > self._newton_tolerance() and (self.adaptive or k > 3):
             return size, "Newton diverged"
-        return size, "Newton too slow" if self._hopeless(k, size) else None
+        return size, "Newton too slow" if self._hopeless(k, h, size) else None
 
-    def _share_left(self, k: int) -> float:
-        """What is left of the error, over the size of increment k: by the rate of this step, or of the one before."""
+    def _share_left(self, k: int, h: float) -> float:
+        """What is left of the error, over the size of increment k: by the rate of this step, or of the one before.
+
+        Rates grow with the step, by any power of it where motions turn far: those of shorter steps promise nothing.
+        """
         if k == 0:
-            return float(max(self._eta, 1e-16) ** 0.8)  # a little worse
+            return float(max(self._eta, 1e-16) ** 0.8) if h <= LONGER * self._h_rate else 1.0  # a little worse
         share = self._theta / (1 - min(self._theta, 0.99))
         # with constant steps the first rate flatters: fast components go first
         return share if self.adaptive else max(share, CAUTIOUS)
 
-    def _hopeless(self, k: int, size: float) -> bool:
+    def _hopeless(self, k: int, h: float, size: float) -> bool:
         """Whether error control had better take a smaller step than wait for the last iteration."""
         if not self.adaptive or k <= 1 or size <= self._newton_tolerance():
             return False
         left = self.newton.max_iterations - 1 - k
-        return bool(self._share_left(k) * size * self._theta**left > self._newton_tolerance())
+        return bool(self._share_left(k, h) * size * self._theta**left > self._newton_tolerance())
 
     def _finished(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
         points = self._stages(h, xi, v, mult)
