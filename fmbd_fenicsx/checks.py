@@ -161,10 +161,23 @@ def words(what: str, value: Any) -> tuple[str, ...]:
     return tuple(value)
 
 
-def function(what: str, value: Any) -> Callable[..., Any]:
-    """Something that can be called."""
+def function(what: str, value: Any, arguments: Sequence[Any] | None = None, *, named: str = "") -> Callable[..., Any]:
+    """Something that can be called, with so many arguments; ``named``: what they are."""
+    of = "" if arguments is None else f" of {len(arguments)} argument{'s' * (len(arguments) != 1)}"
+    wanted = f"a function{of}{f' ({named})' if named else ''}"
     if not callable(value):
-        refuse(what, "a function", value)
+        refuse(what, wanted, value)
+    if arguments is None or isinstance(value, type):
+        return typing.cast(Callable[..., Any], value)
+
+    try:
+        signature = inspect.signature(value)
+    except (TypeError, ValueError):  # of compiled code that does not tell
+        return typing.cast(Callable[..., Any], value)
+    try:
+        signature.bind(*arguments)
+    except TypeError:
+        raise InputError(f"{what} must be {wanted}, found one of {signature}.") from None
     return typing.cast(Callable[..., Any], value)
 
 
@@ -309,6 +322,8 @@ def _check(what: str, value: Any, hint: Any, *, default: Any) -> None:
         return
 
     options = tuple(option for option in options if option is not type(None))
+    if callable(value) and not isinstance(value, type):  # what takes functions is told how many arguments they lack
+        options = tuple(option for option in options if _of_function(option)) or options
     if objects:
         instance(what, value, options)
         return
@@ -363,14 +378,26 @@ def _unknown(option: Any) -> bool:
     return option is Any or option is object or isinstance(option, TypeVar)
 
 
+def _of_function(option: Any) -> bool:
+    """Whether a type is that of functions."""
+    origin = typing.get_origin(option) or option
+    return origin is Callable or (origin is typing.Annotated and _of_function(typing.get_args(option)[0]))
+
+
 def _one(what: str, value: Any, option: Any) -> None:
-    """Check a value against one type."""
+    """Check a value against one type; words beside that of a function name its arguments."""
     origin = typing.get_origin(option) or option
     inner = typing.get_args(option)
-    simple: dict[Any, Callable[[str, Any], Any]] = {float: number, str: word, Callable: function}  # type: ignore[dict-item]
+    named = ""
+    if origin is typing.Annotated:
+        option, named = inner[:2]
+        origin, inner = typing.get_origin(option) or option, typing.get_args(option)
+    simple: dict[Any, Callable[[str, Any], Any]] = {float: number, str: word}
 
     if origin in simple:
         simple[origin](what, value)
+    elif origin is Callable:
+        function(what, value, inner[0] if inner and inner[0] is not Ellipsis else None, named=named)
     elif origin is int:
         whole(what, value, least=-sys.maxsize)
     elif origin is bool:

@@ -101,6 +101,86 @@ LAWS = {
 }
 
 
+# laws that are refused where they are given
+CALLS = {
+    "spring, two arguments": (
+        lambda body, hinge: fmbd.Spring("k", fmbd.ground, body, law=lambda s, v: 0.0),
+        r'Spring "k": law must be a function of 3 arguments \(s, rate, t\), found one of \(s, v\)',
+    ),
+    "spring, two laws": (
+        lambda body, hinge: fmbd.Spring("k", fmbd.ground, body, stiffness=1.0, law=lambda s, v, t: 0.0),
+        'Spring "k": law replaces stiffness',
+    ),
+    "spring, joint": (
+        lambda body, hinge: fmbd.joint_spring("k", fmbd.angle(hinge), law=lambda s: s),
+        '"k".*3 arguments',
+    ),
+    "spring, one body": (
+        lambda body, hinge: fmbd.Spring("k", body, body, (0, 0, 1), (1, 0, 0)),
+        '"k" connects .* itself',
+    ),
+    "tyre": (lambda body, hinge: fmbd.Tyre("w", body, road=lambda x: 0.0), '"w".*road must be .*2 arguments'),
+    "force": (lambda body, hinge: fmbd.force("f", body, lambda t, x: (0, 0, 1)), '"f".*1 argument .t.'),
+    "force, two components": (lambda body, hinge: fmbd.force("f", body, (0, 1)), 'Force "f": law .* 3 finite numbers'),
+    "force, on the ground": (
+        lambda body, hinge: fmbd.force("f", fmbd.ground, (0, 1, 0)),
+        'Force "f" must act on a body',
+    ),
+    "torque, one component": (lambda body, hinge: fmbd.torque("m", body, 1.0), 'Torque "m": law .* 3 finite numbers'),
+    "effort": (lambda body, hinge: fmbd.effort("e", fmbd.angle(hinge), "5"), 'Effort "e": law .5. must be'),
+    "own force": (lambda body, hinge: fmbd.own_force("f", fmbd.ground, body, lambda t, a: 0), r'"f".*\(t, a, b\)'),
+    "own joint": (
+        lambda body, hinge: fmbd.own_joint("j", fmbd.ground, body, lambda xa, Ra, xb, Rb: xb - xa),
+        'Joint "j": function must be .*5 arguments',
+    ),
+    "drive": (lambda body, hinge: fmbd.drive("d", fmbd.angle(hinge), lambda: 0.0), '"d": motion must be .*1 argument'),
+    "motor": (lambda body, hinge: fmbd.motor("m", fmbd.angle(hinge), target="up", kp=1.0), '"m": target'),
+    "pid": (lambda body, hinge: fmbd.pid("m", fmbd.angle(hinge), target=None, gains=(1, 1, 1)), '"m": target'),
+    "pid, two gains": (lambda body, hinge: fmbd.pid("m", fmbd.angle(hinge), target=0.0, gains=(1, 1)), '"m": gains'),
+    "pid, one gain": (lambda body, hinge: fmbd.pid("m", fmbd.angle(hinge), target=0.0, gains=5.0), '"m": gains'),
+    "friction": (
+        lambda body, hinge: fmbd.joint_friction("f", fmbd.angle(hinge), coulomb=1.0, speed=0.1, stribeck=0.2),
+        '"f": stribeck .* static',
+    ),
+    "controller": (
+        lambda body, hinge: fmbd.controller("c", reads={}, acts=fmbd.angle(hinge), law=lambda t, y: 0.0),
+        r'"c": law must be .*\(t, y, z\)',
+    ),
+    "load along a rod": (
+        lambda body, hinge: fmbd.RodLoad(lambda s: (0, 0, 1)),
+        "law must be a function of 2 arguments",
+    ),
+    "elastic": (
+        lambda body, hinge: fmbd.FloatingBody("r", None, density=1.0, elastic=lambda u, v: u),
+        '"r": elastic must be a function of 3 arguments',
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_laws_where_they_are_given(name: str) -> None:
+    make, text = CALLS[name]
+    body = rod()
+    with pytest.raises(InputError, match=text):
+        make(body, fmbd.revolute("hinge", fmbd.ground, body))
+
+
+def test_readings_that_a_law_asks_for_in_vain() -> None:
+    def motor(body: Any, hinge: Any) -> Any:
+        reads = {"angle": fmbd.angle(hinge)}
+        return fmbd.controller("motor", reads=reads, acts=fmbd.angle(hinge), law=lambda t, y, z: -y["angel"][0])
+
+    with pytest.raises(LawError, match='"motor".*"angel".*Did you mean "angle"'):
+        fmbd.solve(law_scene(motor), t_end=0.1, dt=0.01)
+
+
+@pytest.mark.parametrize("returned", [None, "no"])
+def test_own_joints_that_return_no_numbers(returned: Any) -> None:
+    scene = law_scene(lambda body, hinge: fmbd.own_joint("mine", fmbd.ground, body, lambda xa, Ra, xb, Rb, t: returned))
+    with pytest.raises(CallbackError, match='"mine".*expected finite numbers'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
 @pytest.mark.parametrize("name", BODIES)
 def test_bodies(name: str) -> None:
     make, text = BODIES[name]

@@ -202,7 +202,7 @@ def test_bad_input_is_named() -> None:
         (lambda: fmbd.elastic_stop("f", phi, stiffness=1.0), "give lower"),
         (lambda: fmbd.motor("f", phi, target="far", kp=1.0), "target"),
         (lambda: fmbd.motor("f", "phi", target=1.0, kp=1.0), "fmbd.angle"),
-        (lambda: fmbd.element_effort(fmbd.force("f", fmbd.ground, lambda t: (0, 0))), "no single coordinate"),
+        (lambda: fmbd.element_effort(fmbd.force("f", phi.joint.b, lambda t: (0, 0))), "no single coordinate"),
         (lambda: fmbd.element_power(phi), "force element"),
     ):
         with pytest.raises(InputError, match=what):

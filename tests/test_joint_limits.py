@@ -214,5 +214,5 @@ def test_bad_input_is_named() -> None:
         fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.ContactMidpoint())
     low = fmbd.Scene("starts below")
     low.add(arm, hinge, fmbd.joint_limit("stop", fmbd.angle(hinge), lower=0.2))
-    with pytest.raises(InputError, match='"stop"'):
+    with pytest.raises(InputError, match='Joint limit "stop": the joint begins 0.2 rad beyond its stop'):
         fmbd.solve(low, t_end=0.1, dt=0.01)

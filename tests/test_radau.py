@@ -133,6 +133,46 @@ def test_index_three_rejects_no_steps_for_inherited_errors() -> None:
     assert run.counters["steps"] < 130
 
 
+@pytest.mark.parametrize("stages", [5, 7])
+@pytest.mark.parametrize("rate", [20.0, 60.0, 90.0])
+def test_rates_of_shorter_steps_are_not_believed(stages: int, rate: float) -> None:
+    """A wheel on a torsion spring, 2.5 rad a step: the first step, short and nearly linear, said nothing of the next ones."""
+    axis, inertia, stiffness, end = np.array((1.0, 2.0, -2.0)) / 3, 0.3, 0.7, 0.5
+    wheel = fmbd.RigidBody("wheel", 2.0, (inertia,) * 3, angular_velocity=rate * axis)
+    hinge = fmbd.revolute("hinge", fmbd.ground, wheel, center=(0, 0, 0), axis=axis)
+    scene = fmbd.Scene("wheel")
+    scene.add(wheel, hinge, fmbd.joint_spring("spring", fmbd.angle(hinge), stiffness=stiffness))
+    scene.sensor("angle", fmbd.angle(hinge))
+    run = fmbd.solve(scene, t_end=end, scheme=fmbd.Radau(stages))
+    w = np.sqrt(stiffness / inertia)
+    assert run["angle"][-1, 0] == pytest.approx(rate / w * np.sin(w * end), rel=1e-6)
+    assert run.drift[0] < 1e-7
+
+
+def test_tangent_space_of_a_start_lasts_for_a_quarter_turn() -> None:
+    axis, rate, ratio = np.array((0.3, -0.7, 0.2)) / np.sqrt(0.62), 17.0, -3.3
+    scene, coordinates = fmbd.Scene("gear"), []
+    for k, speed in enumerate((rate, ratio * rate)):
+        wheel = fmbd.RigidBody(f"wheel {k}", 1.0, (0.2,) * 3, position=(k, 0, 0), angular_velocity=speed * axis)
+        hinge = fmbd.revolute(f"hinge {k}", fmbd.ground, wheel, center=(k, 0, 0), axis=axis)
+        scene.add(wheel, hinge)
+        coordinates.append(fmbd.angle(hinge))
+    scene.add(fmbd.gear("gear", *coordinates, ratio=ratio))
+    scene.sensor("angle", coordinates[0])
+    run = fmbd.solve(scene, t_end=1.0, scheme=fmbd.Radau(form=fmbd.StateSpace()))
+    assert run["angle"][-1, 0] == pytest.approx(rate, rel=1e-7)
+    assert "rejected: Newton diverged" not in run.counters
+    assert run.counters["jacobians"] < 200
+
+
+def test_no_roundoff_is_feared_at_rest() -> None:
+    """A guard compares with forces that could be there: no load, no speed, no warning."""
+    body = fmbd.RigidBody("body", 7.3, 0.21, position=(0.37, -0.81))
+    scene = fmbd.Scene("rest")
+    scene.add(body, fmbd.Spring("spring", fmbd.ground, body, (0, 0), stiffness=1e5, length=float(np.hypot(0.37, 0.81))))
+    assert fmbd.solve(scene, t_end=0.1, scheme=fmbd.Radau()).warnings == []
+
+
 def test_units_do_not_change_the_steps() -> None:
     """The same motion in metres and in millimetres takes the same steps."""
 

@@ -69,9 +69,11 @@ class ImplicitStepper(TimeStepper):
     def _warn_of_roundoff(self) -> None:
         """Say that a spring is too stiff for Newton's iteration with one tangent for several configurations."""
         name, lost = foretold_efforts(self.system).lost(self.state.q)
-        gravity = float(np.linalg.norm(self.system.gravity(np.inf)))
-        weight = self.system.mass * max(gravity, self.system.max_abs(self.state.a))
-        if lost > self.lost * weight:
+        system, state = self.system, self.state
+        gravity = float(np.linalg.norm(system.gravity(np.inf)))
+        centripetal = system.max_abs(state.v) ** 2 / system.length
+        weight = system.mass * max(gravity, system.max_abs(state.a), centripetal)
+        if lost > self.lost * weight > 0:  # at rest without loads nothing can be lost
             log.warning(
                 'the effort of spring "%s" is known to %.1e N only, by roundoff of places times its stiffness, where forces are '
                 "of %.1e N: %s may lose the motion. Take fmbd.GeneralizedAlpha(), or fmbd.distance(...) in place of the spring",

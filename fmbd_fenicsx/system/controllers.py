@@ -19,8 +19,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..checks import instance, typed
-from ..errors import CallbackError, InputError, named, require
+from ..checks import function, instance, typed, vector
+from ..errors import CallbackError, InputError, named, near, require
 from ..mechanics.forces.effort_laws import PID
 from ..mechanics.forces.force_elements import Loads, Tangent
 from ..mechanics.forces.forces import Force
@@ -81,6 +81,13 @@ class Reading:
         return []
 
 
+class Readings(dict[str, Array]):
+    """What a law reads, by name."""
+
+    def __missing__(self, name: str) -> Array:
+        raise LookupError(f'"{name}" is not among what it reads. {near(str(name), self)}')
+
+
 class ControlLoads(Loads):
     """One controller: efforts on the coordinates ``acts``, one marker pair each; ``kept`` as in :class:`Kept`."""
 
@@ -102,7 +109,7 @@ class ControlLoads(Loads):
     def ask_law(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
         """Efforts (acts,) and rate (or next value) of the memory, checked."""
         c = self.controller
-        found = self.law(t, y, z.copy())
+        found = self.law(t, Readings(y), z.copy())
         if not len(z) and isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], tuple) and not found[1]:
             found = found[0]  # an empty memory, returned as it was given
         # with a memory a law returns two things
@@ -366,7 +373,7 @@ def controller(
         instance(f'Controller "{name}": on', coordinate, JointCoordinate)
 
     # continuous laws are asked inside Newton's iteration, where only the motion is known
-    require(callable(law), f'Controller "{name}": law must be a function (t, y, z), found {law!r}.')
+    function(f'Controller "{name}": law', law, "tyz", named="t, y, z")
     require(every is None or (np.isfinite(every) and every > 0), f'Controller "{name}": every = {every} s must be > 0.')
 
     sensors: dict[str, Sensor] = {}
@@ -424,8 +431,8 @@ def pid(
         every: period of sampling, s; None for a continuous controller.
     """
     instance(f'Controller "{name}": on', on, JointCoordinate)
-    for gain in gains:
-        require(np.isfinite(gain) and gain >= 0, f'PID "{name}": gains {gains} must be finite and not negative.')
+    vector(f'PID "{name}": gains (k_p, k_i, k_d)', gains, size=3)
+    require(min(gains) >= 0, f'PID "{name}": gains {gains} must not be negative.')
     require(limit > 0, f'PID "{name}": limit = {limit} must be positive.')
     require(gains[0] > 0 or not np.isfinite(limit), f'PID "{name}": a limit needs a proportional gain above 0.')
 

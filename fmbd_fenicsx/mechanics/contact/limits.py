@@ -43,6 +43,14 @@ class LimitPair(Pair):
         """Stops have no nodes."""
         return None
 
+    def overlap(self, system: Any, depth: float, x: Array, normal: Array) -> str:
+        """The sentence that refuses a start beyond a stop."""
+        unit = "rad" if isinstance(self.relative, RelativeAngle) else "m"
+        return (
+            f'Joint limit "{self.name}": the joint begins {depth / self.lever(system):.3g} {unit} beyond its stop. Its '
+            "coordinate counts from the start of the run: take lower or upper from there, or turn the bodies."
+        )
+
     def lever(self, system: Any) -> float:
         """l of (1)."""
         return float(system.length) if isinstance(self.relative, RelativeAngle) else 1.0

@@ -28,7 +28,7 @@ from ...fem.traces.multipliers import Continuous, Dual, Ends
 from ...fem.traces.traces import Trace as Facets
 from ...fem.traces.traces import scatter
 from ...rotations import Array
-from .rows import ContactSet, Here, Linear, Rows, Side, Touch, tangents_of
+from .rows import ContactSet, Here, Linear, Rows, Side, Touch, bodies_overlap, tangents_of
 from .trace import Trace
 
 COVERED = 0.05  # a multiplier with less than this share of its weight in the overlap is left out
@@ -89,6 +89,10 @@ class MortarPair:
         self.count = len(carriers)
         self.thickness = traces[sides[1].trace].thickness
         self.pairing: Pairing | None = None
+
+    def overlap(self, system: Any, depth: float, x: Array, normal: Array) -> str:
+        """The sentence that refuses a start with an overlap, as :meth:`.Pair.overlap`."""
+        return bodies_overlap(self.name, depth, x, normal)
 
     def pressures(self, force: Array) -> Array:
         """Pressures (N/m^(d-1)) of normal forces on the candidates, (m,) N."""

@@ -90,6 +90,14 @@ class Carrier:
     motion: Callable[[float], Array] | None
 
 
+def bodies_overlap(name: str, depth: float, x: Array, normal: Array) -> str:
+    """The sentence that refuses a start of contact ``name`` with a depth (m) at a point x along a normal, world axes."""
+    return (
+        f'Contact "{name}": the bodies overlap at the start by {depth:.3g} m, at {np.round(x, 6).tolist()}. '
+        f"Move one of them apart along {np.round(normal, 3).tolist()}."
+    )
+
+
 @dataclass(frozen=True)
 class Pair:
     """One contact with an obstacle, ready to evaluate."""
@@ -108,6 +116,10 @@ class Pair:
     def moving(self) -> bool:
         """Whether the obstacle moves as prescribed."""
         return self.carrier.motion is not None
+
+    def overlap(self, system: Any, depth: float, x: Array, normal: Array) -> str:
+        """The sentence that refuses a start with an overlap of a depth (m), at a point x along a normal, world axes."""
+        return bodies_overlap(self.name, depth, x, normal)
 
     def update(self, contacts: ContactSet, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
         """Nothing to pair anew: an obstacle is met where it is."""

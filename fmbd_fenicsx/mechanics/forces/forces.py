@@ -15,11 +15,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from ...checks import check_fields, number, shown, typed, vector
+from ...checks import array, check_fields, function, number, shown, typed, vector
 from ...errors import InputError, require
 from ...rotations import Array
 from ..joints.drives import JointCoordinate
@@ -27,7 +27,9 @@ from ..joints.joints import ground, refuse_no_attachment
 from .force_elements import Loads, ScalarLoads, TimeLoads, TyreLoads
 from .own_loads import OwnLoads
 
-Law = Callable[..., Any]
+Law = Annotated[Callable[[Any, Any, Any], Any], "s, rate, t"]
+TimeLaw = Annotated[Callable[[Any], Any], "t"]
+Road = Annotated[Callable[[Any, Any], Any], "x, t"]
 Point = Sequence[float] | Array | None
 
 
@@ -59,6 +61,7 @@ class Force:
         for end, point in (("point_a", self.point_a), ("point_b", self.point_b)):
             if point is not None:
                 vector(f"{what}: {end}", point, size=dim)
+        require(self.b is None or self.a != self.b, f"{what} connects {shown(self.a)} with itself.")
 
     @property
     def coordinate(self) -> JointCoordinate | None:
@@ -86,24 +89,45 @@ class Force:
 
 
 @dataclass(frozen=True, eq=False)
-class PointForce(Force):
-    """A force law(t) in N, (d,), on a point of a body or on a surface (its mean displacement); ``follower``: turning with it."""
+class Constant:
+    """What is prescribed over time, where it stays the same."""
 
-    law: Law = None  # type: ignore[assignment]
+    value: Array
+
+    def __call__(self, t: float) -> Array:
+        """The value at any time."""
+        return self.value
+
+
+@dataclass(frozen=True, eq=False)
+class InTime(Force):
+    """A law of time alone, one number for each component of its place; ``follower``: turning with the body."""
+
+    law: TimeLaw | Constant = None  # type: ignore[assignment]
     follower: bool = False
 
     batch: ClassVar[type[Loads]] = TimeLoads
     turns: ClassVar[bool] = False
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        what = f'{self.kind.capitalize()} "{self.name}"'
+        require(self.a is not None and self.a is not ground, f"{what} must act on a body or on a surface of one.")
+        if isinstance(self.law, Constant):
+            rotations = 1 if self.a.dim == 2 else 3
+            size = rotations if self.turns else self.a.dim
+            object.__setattr__(self, "law", Constant(vector(f"{what}: law", np.atleast_1d(self.law.value), size=size)))
+
 
 @dataclass(frozen=True, eq=False)
-class Torque(Force):
+class PointForce(InTime):
+    """A force law(t) in N, (d,), on a point of a body or on a surface (its mean displacement); ``follower``: turning with it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Torque(InTime):
     """A torque law(t) in N m on a body: a number (plane) or (3,) in world axes (space); ``follower``: turning with it."""
 
-    law: Law = None  # type: ignore[assignment]
-    follower: bool = False
-
-    batch: ClassVar[type[Loads]] = TimeLoads
     turns: ClassVar[bool] = True
     kind: ClassVar[str] = "torque"
 
@@ -130,6 +154,7 @@ class Spring(Force):
             self.b is not None, f'Spring "{self.name}" needs two ends: Spring(name, a, b, ...); one may be fmbd.ground.'
         )
         _constants(self.name, self.stiffness, self.damping, self.length)
+        _one_law(f'Spring "{self.name}"', self.law, self.stiffness, self.damping)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +186,7 @@ class Tyre(Force):
     The force acts at the centre; there is no friction.
     """
 
-    road: Law = None  # type: ignore[assignment]
+    road: Road = None  # type: ignore[assignment]
     radius: float = 0.3  # m
     stiffness: float = 0.0  # N/m
     damping: float = 0.0  # N s/m
@@ -171,10 +196,7 @@ class Tyre(Force):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(
-            callable(self.road),
-            f'Tyre "{self.name}": road must be a function of position and time, found {self.road!r}.',
-        )
+        function(f'Tyre "{self.name}": road', self.road, "xt", named="x, t")
         number(f'Tyre "{self.name}": radius', self.radius, above=0.0, unit="m")
         size = float(np.linalg.norm(vector(f'Tyre "{self.name}": up', self.up, size=self.a.dim)))
         require(abs(size - 1.0) < 1e-9, f'Tyre "{self.name}": up {self.up} must be a unit vector.')
@@ -185,10 +207,17 @@ class Tyre(Force):
 class OwnForce(Force):
     """A law of the user's own, see :func:`own_force`."""
 
-    law: Law = None  # type: ignore[assignment]
-    jacobian: Law | None = None
+    law: Callable[..., Any] = None  # type: ignore[assignment]
+    jacobian: Callable[..., Any] | None = None
 
     batch: ClassVar[type[Loads]] = OwnLoads
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        arguments = "t, a" if self.b is None else "t, a, b"
+        for what, given in (("law", self.law), ("jacobian", self.jacobian)):
+            if given is not None or what == "law":
+                function(f'Force "{self.name}": {what}', given, arguments.split(", "), named=arguments)
 
 
 def _constants(name: str, stiffness: float, damping: float, length: float) -> None:
@@ -197,21 +226,21 @@ def _constants(name: str, stiffness: float, damping: float, length: float) -> No
     number(f'Spring "{name}": length', length)
 
 
-def in_time(what: str, law: Any) -> Law:
+def _one_law(what: str, law: Any, stiffness: float, damping: float) -> None:
+    require(
+        law is None or stiffness == damping == 0,
+        f"{what}: law replaces stiffness and damping, and both are given. Take one of them, or write them into the law.",
+    )
+
+
+def in_time(what: str, law: Any) -> Callable[[Any], Any]:
     """What is prescribed over time as a function: ``law`` itself, or one that returns the constant."""
     if callable(law):
-        return law
-    try:
-        value = np.array(law, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        value = np.array(np.nan)
-    good = not isinstance(law, bool) and value.ndim <= 1 and value.size > 0 and bool(np.isfinite(value).all())
-    require(good, f"{what}: law must be a function of time t (s) or a constant, found {shown(law)}.")
-
-    def constant(t: float) -> Array:
-        return value
-
-    return constant
+        return function(f"{what}: law", law, "t", named="t")
+    wanted = "a function of time t (s) or a constant"
+    value = array(f"{what}: law", law, shape=wanted)
+    require(value.ndim <= 1 and value.size > 0, f"{what}: law must be {wanted}, found shape {value.shape}.")
+    return Constant(value)
 
 
 @typed
@@ -244,6 +273,7 @@ def joint_spring(
 ) -> CoordinateForce:
     """Spring and damper on a joint coordinate s: restoring effort stiffness (s - free) + damping s', or law(s - free, s', t)."""
     _constants(name, stiffness, damping, free)
+    _one_law(f'Joint spring "{name}"', law, stiffness, damping)
     return CoordinateForce(name, on.joint.a, on.joint.b, None, None, on, stiffness, damping, free, law)
 
 
@@ -251,6 +281,8 @@ def joint_spring(
 def effort(name: str, on: JointCoordinate, law: Any) -> CoordinateForce:
     """Prescribed effort law(t), or a constant, on a joint coordinate s: torque (N m) or force (N), positive where s increases."""
     given = in_time(f'Effort "{name}"', law)
+    if isinstance(given, Constant):
+        vector(f'Effort "{name}": law', np.atleast_1d(given.value), size=1)
     return CoordinateForce(
         name, on.joint.a, on.joint.b, None, None, on, law=lambda s, rate, t: -np.asarray(given(t)), of_time=True
     )
@@ -261,10 +293,10 @@ def own_force(
     name: str,
     a: Any,
     b: Any,
-    law: Law,
+    law: Callable[..., Any],
     *,
     points: tuple[Point, Point] = (None, None),
-    jacobian: Law | None = None,
+    jacobian: Callable[..., Any] | None = None,
 ) -> OwnForce:
     """Any force: law(t, a) -> (force, torque) on a (b None), or law(t, a, b) -> (force, torque) on b, the reaction on a.
 

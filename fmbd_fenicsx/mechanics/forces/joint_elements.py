@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import typed
+from ...checks import number, typed
 from ...errors import require
 from ..joints.couplings import smooth_motion
 from ..joints.drives import JointCoordinate
@@ -55,6 +55,10 @@ def joint_friction(
 
     For true rest under load use :func:`dry_friction`.
     """
+    require(
+        stribeck is None or static is not None,
+        f'Friction "{name}": stribeck is the rate over which static falls to coulomb; give static as well.',
+    )
     static = coulomb if static is None else static
     stribeck = 10 * speed if stribeck is None else stribeck
     not_negative("Friction", name, coulomb=coulomb, static=static, viscous=viscous)
@@ -129,10 +133,6 @@ def motor(
     """
     not_negative("Motor", name, kp=kp, kd=kd)
     require(limit > 0, f'Motor "{name}": limit = {limit} must be positive.')
-    require(
-        callable(target) or (isinstance(target, int | float) and bool(np.isfinite(target))),
-        f'Motor "{name}": target must be a number or a function of time, found {target!r}.',
-    )
     return _on(name, on, Feedback(kp, kd, motion_of(name, target), limit))
 
 
@@ -140,4 +140,4 @@ def motion_of(name: str, target: Callable[[float], Any] | float) -> Callable[[fl
     """A target as t -> (s, s', s'')."""
     if callable(target):
         return smooth_motion(name, target, of="target of motor")
-    return Held(float(target))
+    return Held(number(f'Motor "{name}": target, where it is no function of time,', target))

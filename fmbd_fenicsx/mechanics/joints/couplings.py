@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import function as checked_function
 from ...errors import ROUNDINGS, CallbackError, FmbdError, named
 from ...log import log
 from ...rotations import Array, Motions, hat
@@ -97,6 +98,7 @@ def smooth_motion(name: str, function: Callable[[float], Any], *, of: str = "dri
     Whether it is, and whether its rates are those of its motion, is looked at along the run
     (:mod:`fmbd_fenicsx.run.prescribed_motions`). ``of``: what is moved, in messages.
     """
+    checked_function(f'{of.capitalize()} "{name}": motion', function, "t", named="t")
     asked = named(f"The motion of {of}", name, function, to_end=True)
     differenced = named(f"The motion of {of}", name, function)
     first = SmoothMotion(name, asked, of, False, differenced)._checked(asked(0.0), 0.0)
@@ -169,7 +171,7 @@ class OwnBatch(Batch):
 
     def _checked(self, value: Any, t: float) -> Any:
         found = np.atleast_1d(np.asarray(value))
-        if found.ndim != 1 or not np.isfinite(found).all():
+        if found.ndim != 1 or found.dtype.kind not in "iufc" or not np.isfinite(found).all():
             raise CallbackError(
                 f'Joint "{self.name}": its function returned {value!r} at t = {t:g} s, expected finite numbers.'
             )

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import function as checked_function
 from ...checks import typed, vector
 from ...errors import InputError
 from ...rotations import Array
@@ -129,6 +130,7 @@ def own_joint(
     dim = dimension(a, b, name)
     c = center_point(center, dim, name)
     way = None if axis is None else direction(axis, dim, name)
+    checked_function(f'Joint "{name}": function', function, range(5), named="x_a, R_a, x_b, R_b, t")
     rows = _formula_rows(name, function, dim, c)
     return OwnJoint(name, a, b, rows, c, c, kind="own", axis=way, function=function)
 

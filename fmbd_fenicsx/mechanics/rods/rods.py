@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import check_fields
 from ...errors import InputError, near, require
 from ...rotations import SPACE, Array
 from ..bodies.bodies import RigidBody, Surface, Vector
@@ -43,6 +44,9 @@ class RodLoad:
     law: Callable[[float, float], Any]
     follower: bool = False
     turns: bool = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True, eq=False)

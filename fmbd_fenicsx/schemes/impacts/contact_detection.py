@@ -60,12 +60,8 @@ def refuse_penetration(system: System, contacts: ContactSet, state: State) -> No
     worst = int(np.argmin(rows.geometric))
     depth = -float(rows.geometric[worst])
     if depth > ALLOWED * system.length:
-        raise InputError(
-            f'Contact "{contacts.names[contacts.pair[worst]]}": the bodies overlap at the start by '
-            f"{depth:.3g} m, at "
-            f"{np.round(rows.x[worst], 6).tolist()}. Move one of them apart along "
-            f"{np.round(rows.normal[worst], 3).tolist()}."
-        )
+        pair = contacts.pairs[contacts.pair[worst]]
+        raise InputError(pair.overlap(system, depth, rows.x[worst], rows.normal[worst]))
 
 
 def _refuse_tunnelling(system: System, contacts: ContactSet, state: State, step: tuple[float, Touch, Touch]) -> None:

@@ -102,7 +102,7 @@ class StageNewton(ImplicitStepper):
         return self._size(h, *increment)
 
     def _judged(self, k: int, h: float, size: float, last: float) -> tuple[float, str | None]:
-        """The size of increment k of a step of size h, 0 where it is roundoff, and why the iteration has failed, if it has; the rate is kept.
+        """The size of increment k (step h), 0 where it is roundoff, and why the iteration has failed, if so; the rate is kept.
 
         Increments that no longer fall are roundoff, harmless against the tolerance, or divergence.
         """
