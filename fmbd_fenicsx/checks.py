@@ -177,7 +177,8 @@ def function(what: str, value: Any, arguments: Sequence[Any] | None = None, *, n
     try:
         signature.bind(*arguments)
     except TypeError:
-        raise InputError(f"{what} must be {wanted}, found one of {signature}.") from None
+        found = ", ".join(signature.parameters)
+        raise InputError(f"{what} must be {wanted}, found one of ({found}).") from None
     return typing.cast(Callable[..., Any], value)
 
 
@@ -322,7 +323,8 @@ def _check(what: str, value: Any, hint: Any, *, default: Any) -> None:
         return
 
     options = tuple(option for option in options if option is not type(None))
-    if callable(value) and not isinstance(value, type):  # what takes functions is told how many arguments they lack
+    known = any(isinstance(option, type) and isinstance(value, option) for option in options)
+    if callable(value) and not isinstance(value, type) and not known:  # functions are told how many arguments they lack
         options = tuple(option for option in options if _of_function(option)) or options
     if objects:
         instance(what, value, options)

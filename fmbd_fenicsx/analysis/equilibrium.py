@@ -25,6 +25,7 @@ from ..mechanics.reduction.modes import first_eigenvalue_bound
 from ..ranks import OneAnswer
 from ..rotations import Array
 from ..system.scene.scene import Scene
+from ..system.speed_rows import speed_rows
 from ..system.system import State, System
 from .arc_length import ArcLength, Path
 from .basis import free_motions
@@ -114,6 +115,7 @@ def equilibrium(
             _check_drives(newton.residual, given.q, t)
             point = _with_controllers(newton, Point(given.q, np.zeros(system.n_lam)), t, path)
             made = None if path is None else path.trace(newton, point, t)
+            _check_given_speeds(newton.residual, point.q, t)
             check_steady(newton, point if made is None else made.points[-1], t if made is None else made.parameter[-1])
         finally:
             solver.destroy()
@@ -161,6 +163,21 @@ def _check_drives(residual: Residual, q: Array, t: float) -> None:
             f'"{name}" moves with {-rate[row]:.6g} (rad/s, m/s) at t = {t:g} s; in the rotation with {residual.spin.rate:g} '
             f"rad/s it would with {missed[row] - rate[row]:.6g}: no steady motion has both. Let the drive stand, as the ground "
             "turns, or give both one rate."
+        )
+
+
+def _check_given_speeds(residual: Residual, q: Array, t: float) -> None:
+    """Refuse constraints that give a speed to bodies at rest: rows on velocities take no part in an equilibrium."""
+    system = residual.system
+    rows = speed_rows(system)
+    if not rows.size or isinstance(residual.spin, Spin):
+        return
+    given = np.abs(system.at(t, q, np.zeros(system.n_v)).constraint_rate()[rows])
+    if given.max() > 1e-9 * system.length:  # m/s
+        row = rows[int(given.argmax())]
+        name = next(b.name for b in system.blocks if b.rows.start <= row < b.rows.stop)
+        raise InputError(
+            f'Joint "{name}" gives a speed of {given.max():.6g} m/s to bodies at rest: there is no equilibrium.'
         )
 
 

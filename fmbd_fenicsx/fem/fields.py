@@ -53,7 +53,7 @@ class ElasticForms:
     degree: int
     mass_damping: float = 0.0  # 1/s
     stiffness_damping: float = 0.0  # s
-    energy: Callable[[Any, Any], Any] | None = None
+    energy: Callable[..., Any] | None = None
     quadrature: int | None = None
     loads: tuple[Load, ...] = ()
     viscous: Callable[[Any, Any, Any], Any] | ViscousForm | None = None

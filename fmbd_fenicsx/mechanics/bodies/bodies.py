@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from ...checks import array, check_fields, instance, number, vector, whole, word
-from ...energies import Hooke, SheetEnergy, StoredEnergy, ViscousForm
+from ...energies import Hooke, MixedEnergy, SheetEnergy, StoredEnergy, ViscousForm
 from ...errors import InputError, near, require
 from ...fem.fields import ElasticForms
 from ...fem.loads import Load
@@ -212,7 +212,7 @@ class ElasticBody(Body):
     degree: int = 2
     density: float = field(kw_only=True)
     elastic: Callable[[Any, Any, Any], Any] | None = None
-    energy: Callable[[Any, Any], Any] | None = None
+    energy: Callable[[Any, Any], Any] | MixedEnergy | None = None
     velocity: Vector | None = None
     angular_velocity: Any = None
     displacement: Callable[[Array], Array] | None = None

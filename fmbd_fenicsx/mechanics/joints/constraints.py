@@ -220,9 +220,13 @@ class ExpressedInTime(InTime, Expressed):
 
 
 class ExpressedSpeed(Expressed):
-    """A formula of a user's own, linear in velocities, is zero."""
+    """A formula of a user's own, linear in velocities but for a given speed, is zero."""
 
     on_speeds = True
+
+    def rate(self, kin: Kinematics, t: float) -> Array:
+        """The given speed."""
+        return self.items.rates(kin)[0]
 
 
 class ExpressedSpeedInTime(InTime, ExpressedSpeed):

@@ -3,12 +3,12 @@
 With twists V = (v_A, w_A, v_B, w_B) and a coordinate s(A, B, drive(t)):
 
     row      r_i = d(ds/dt)/dV_i                                                                              (1)
-    rate     ds/dt - r . V         (from the drive)                                                           (2)
+    rate     ds/dt - r . V         (from the drive; of a flow: its speed at rest)                             (2)
     gamma    d2s/dt2 at constant twists                                                                       (3)
     tangent  H_ij = d r_i / d(displacement j), made symmetric: the geometric stiffness of a unit effort       (4)
 
-Each kind has three kernels over many items: ``value`` writes s and the entries of its row that are not zero everywhere,
-``rates`` writes (2) and (3), ``tangent`` writes the entries of the lower half of (4) times a weight.
+Each kind has three kernels over many items: ``value`` writes s, or (2) of a flow, and the entries of its row that are not zero
+everywhere, ``rates`` writes (2) and (3), ``tangent`` writes the entries of the lower half of (4) times a weight.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 
 from ...rotations import Array
 from .definitions import COORDINATES, FLOWS, IN_SPACE, Definition
-from .expressions import ZERO, Expression, Program, c_lines, gradient, symbol, symbols_of
+from .expressions import ZERO, Expression, Program, c_lines, gradient, rebuilt, symbol, symbols_of
 from .frames import FRAME, TWIST, Constants, SymbolicFrame, twist_gradient, twist_of
 
 KERNELS = ("value", "rates", "tangent")
@@ -76,10 +76,12 @@ class Kind:
 
 
 def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -> Kind:
-    """Rows, rates and tangent of a definition; ``flow``: it gives a speed, linear in the twists, and no coordinate."""
+    """Rows, rates and tangent of a definition; ``flow``: it gives a speed, linear in the twists or beside a given speed, and no
+    coordinate.
+    """
     frames = SymbolicFrame("A", dim), SymbolicFrame("B", dim)
     constants = Constants(dim)
-    # flows are linear in the twist already; others get their row by (1)
+    # flows are linear in the twist already, but for what they give to bodies at rest; others get their row by (1)
     y = definition(*frames, constants)
     sizes = dict(constants.sizes)
     if "drive" in sizes:
@@ -88,7 +90,7 @@ def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -
 
     row = gradient(y, twist) if flow else twist_gradient(y, frames)
     moving = ZERO if flow else gradient(y, [DRIVE])[0]
-    partial = moving * DRIVE_RATE
+    partial = rebuilt([y], symbols=dict.fromkeys(twist, ZERO))[0] if flow else moving * DRIVE_RATE
     speed = partial
     for r, u in zip(row, twist, strict=True):
         speed = speed + r * u
@@ -102,7 +104,7 @@ def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -
     # what is zero in the formula is not computed
     entries = tuple(i for i, r in enumerate(row) if r is not ZERO)
     outputs = {
-        "value": [ZERO if flow else y, *(row[i] for i in entries)],
+        "value": [partial if flow else y, *(row[i] for i in entries)],
         "rates": [partial, second],
         "tangent": [WEIGHT * h for h in lower.values()],
     }

@@ -78,8 +78,8 @@ class Items:
 
     # -- what follows from the definition -----------------------------------------------------------------------
     def values(self, kin: Kinematics) -> Array:
-        """The coordinates s, (n,)."""
-        return self._value(kin)[:, 0]
+        """The coordinates s, (n,); a flow has none."""
+        return np.zeros(len(self)) if self.kind.flow else self._value(kin)[:, 0]
 
     def rows(self, kin: Kinematics) -> tuple[Array, Array]:
         """ds/dt = rows_a . twist_a + rows_b . twist_b + rate: each (n, d + n_rot)."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -295,12 +296,17 @@ _MADE: dict[str, Callable[..., Expression]] = {
 }
 
 
-def rebuilt(results: Sequence[Expression], constants: Callable[[float], Expression]) -> list[Expression]:
-    """The same expressions with each number x replaced by ``constants(x)``."""
+def rebuilt(
+    results: Sequence[Expression],
+    constants: Callable[[float], Expression] | None = None,
+    symbols: Mapping[Expression, Expression] = MappingProxyType({}),
+) -> list[Expression]:
+    """The same expressions with each number x replaced by ``constants(x)``, and symbols by others."""
+    constants = constant if constants is None else constants
     new: dict[Expression, Expression] = {}
     for node in _ordered(results):
         if node.operation == "symbol":
-            new[node] = node
+            new[node] = symbols.get(node, node)
         elif node.operation == "constant":
             new[node] = constants(node.arguments[0])
         else:

@@ -96,12 +96,12 @@ class AlphaDriver:
         self.calls.raise_error()
         return int(made), int(self._verdict.value)
 
-    def error(self, scale: float, span: float, arrays: Sequence[Array], t: float) -> Array | None:
+    def error(self, scale: float, span: float, arrays: Sequence[Array], t: float, missed: Array) -> Array | None:
         """``driver_error`` of alpha.c for q, v, a and lambda; None where NumPy has to do."""
         e, y = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
-        kept = [np.ascontiguousarray(x) for x in arrays]
-        at = [address_of(x) for x in kept]
-        verdict = self.library.driver_error(self.address, scale, span, *at, t, address_of(e), address_of(y))
+        kept = [np.ascontiguousarray(x) for x in (*arrays, missed)]
+        *at, missing = [address_of(x) for x in kept]
+        verdict = self.library.driver_error(self.address, scale, span, *at, t, missing, address_of(e), address_of(y))
         self.calls.raise_error()
         return None if verdict else e
 

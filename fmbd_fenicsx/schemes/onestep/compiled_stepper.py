@@ -92,7 +92,7 @@ class CompiledStepper(Stepper):
         if not self._ahead:
             return super().error(h)
         s, scale, jump = self._of_error(h)
-        found = self.driver.error(scale, 0.5 * h, (s.q, s.v, s.a + jump, s.lam), s.t)
+        found = self.driver.error(scale, 0.5 * h, (s.q, s.v, s.a + jump, s.lam), s.t, scale * jump)
         return super().error(h) if found is None else found
 
     def _settle(self) -> None:

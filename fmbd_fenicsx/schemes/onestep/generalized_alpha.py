@@ -311,7 +311,11 @@ class Stepper(TimeStepper):
         # M times the jump of accelerations: times h^2, it would be lost beside those of short steps
         change = ev.balance(s.a + jump, s.lam) - ev.balance(s.a, s.lam)
         self.solver.prepare(ev, self.scheme.rule(h).weights)
-        return self.solver.solve(scale * change, 0.5 * h * ev.opening())[0]
+
+        across, rolling = 0.5 * h * ev.opening(), speed_rows(self.system)
+        if rolling.size:  # rows on velocities hold no places
+            across[rolling] = ev.jacobian.times(scale * jump)[rolling]
+        return self.solver.solve(scale * change, across)[0]
 
     def _of_error(self, h: float) -> tuple[State, float, Array]:
         """The newest state, h^2 (beta - 1/6), and the jump of A."""

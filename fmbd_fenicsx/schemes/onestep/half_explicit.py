@@ -23,6 +23,7 @@ import numpy as np
 from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver, Weights
 from ...rotations import Array
+from ...system.speed_rows import speed_rows
 from ...system.system import State, System
 from ..consistent import accelerations
 from ..newton import Newton
@@ -118,7 +119,9 @@ class Stepper(ExplicitStepper):
             after = system.at(s.t + c[5] * h, end, known)
             self.solver.prepare(after, MASS)
             zero = np.zeros_like(v)
-            e_q, e_v = (e + self.solver.solve(zero, -after.jacobian.times(e))[0] for e in errors)
+            across_q, across_v = (after.jacobian.times(e) for e in errors)
+            across_q[speed_rows(system)] = 0.0  # rows on velocities hold no places: errors of these stay
+            e_q, e_v = (e - self.solver.solve(zero, x)[0] for e, x in zip(errors, (across_q, across_v), strict=True))
             errors = e_q, e_v
         return State(s.t + h, system.compose(s.q, xi), v, a, lam), errors
 

@@ -105,7 +105,7 @@ static int items(System *s, Batch *k, const double *lam, double t)
     for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
         double force;
         if (k->role == ROW) {
-            double open = out[0];
+            double open = k->flow ? s->share * out[0] : out[0];
             for (int e = 0; k->flow && e < k->live; e++) open += s->share * out[k->entry[e]] * s->velocity[at[e]];
             s->gap[k->row[i]] += k->factor[i] * open;
             force = k->factor[i] * lam[k->row[i]];

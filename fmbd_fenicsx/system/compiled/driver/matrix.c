@@ -176,15 +176,17 @@ void slips(System *s, int rates)
             s->slip[o->field->row + i] = s->velocity[o->at_u + TWIST + o->field->frame_slot[i]];
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != ROW) continue;
-        if (rates && k->driven) {
+        if (rates && k->driven && !k->flow) {
             k->rates(k->n, k->pair, s->frames, k->P, 0, k->out);
             for (long i = 0; i < k->n; i++) s->slip[k->row[i]] += k->factor[i] * k->out[2 * i];
         }
         if (rates) k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
         const double *out = k->out;
         const int *at = k->at;
-        for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live)
+        for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
+            if (rates && k->flow) s->slip[k->row[i]] += k->factor[i] * out[0]; /* the speed that it gives to bodies at rest */
             for (int e = 0; e < k->live; e++) s->slip[k->row[i]] += k->factor[i] * out[k->entry[e]] * s->velocity[at[e]];
+        }
     }
 }
 

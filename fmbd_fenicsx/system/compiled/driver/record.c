@@ -9,7 +9,7 @@ static void drift(System *s)
     for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
         for (int i = 0; o->field && i < o->field->frames; i++) s->gap[o->field->row + i] = o->field->p[o->field->frame_slot[i]];
     for (Batch *k = s->batch; k < s->batch + s->batches; k++)
-        for (long i = 0; k->role == ROW && i < k->n; i++) s->gap[k->row[i]] += k->factor[i] * k->out[i * k->outputs];
+        for (long i = 0; k->role == ROW && !k->flow && i < k->n; i++) s->gap[k->row[i]] += k->factor[i] * k->out[i * k->outputs];
 }
 
 /* s, s' and the effort of the items that are read. */
