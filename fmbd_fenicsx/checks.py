@@ -358,7 +358,7 @@ def _options(hint: Any) -> tuple[tuple[Any, ...], bool, bool]:
 def _classes(hint: Any) -> tuple[type, ...]:
     """The classes among the types that an annotation allows of whose objects nothing more is checked."""
     origins = [typing.get_origin(option) or option for option in _options(hint)[0]]
-    looked_into = (float, int, str, np.ndarray, Sequence, tuple, list)
+    looked_into = (float, int, str, np.ndarray, Callable, Sequence, tuple, list)
     return tuple(x for x in origins if isinstance(x, type) and x not in looked_into)
 
 
