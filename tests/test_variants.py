@@ -116,3 +116,17 @@ def test_a_start_costs_few_calls() -> None:
     """Most of a short run is Python: it was 1 850 calls, and 137 for each further body."""
     assert calls_of(pendulum, 1.3) < 1480
     assert (calls_of(chain, 30) - calls_of(chain, 10)) / 20 < 122
+
+
+def test_starts_make_no_matrix_of_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Products with the rows of constraints come without these, which a long chain would fill memory with."""
+    from fmbd_fenicsx.system.compiled.evaluation import DriverStates
+    from fmbd_fenicsx.system.jacobian import Jacobian
+
+    def refuse(*given: Any) -> None:
+        raise AssertionError("rows were made")
+
+    known = fmbd.solve(chain(60), t_end=0.01, dt=1e-3).state.q
+    monkeypatch.setattr(DriverStates, "rows", refuse)
+    monkeypatch.setattr(Jacobian, "__init__", refuse)
+    assert np.array_equal(fmbd.solve(chain(60), t_end=0.01, dt=1e-3).state.q, known)

@@ -184,7 +184,7 @@ class Store:
     def zeros(self, sizes: Mapping[str, int | tuple[int, ...]]) -> dict[str, tuple[Array, int]]:
         """Arrays of zeros by name, as :func:`zeros_of` makes them."""
         made = zeros_of(sizes)
-        self.kept.append(made)
+        self.kept += [x for x, _ in made.values()][:1]  # which keeps all of them
         return made
 
     def address(self, values: Any, dtype: Any = np.float64) -> int:
