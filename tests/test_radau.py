@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from dae_problems import march, observed, pendulum, pendulum_at, pendulum_errors, spinning_top, state_errors
@@ -242,3 +244,31 @@ def test_rows_and_columns_of_a_pencil_are_balanced() -> None:
     assert (scaled.max(axis=1) > 0.05).all() and (scaled.max(axis=1) < 4.0).all()
     assert (scaled.max(axis=2) > 0.5).all() and (scaled.max(axis=2) < 2.0).all()
     assert (np.frexp(np.stack([rows, columns]))[0] == 0.5).all()
+
+
+def beyond_reach() -> fmbd.Scene:
+    """A crank and a rod whose end is pushed along a line further than both are long."""
+    scene = fmbd.Scene("reach")
+    crank, rod = (fmbd.RigidBody(name, 1.0, 0.1, position=(x, 0.3)) for name, x in (("crank", 0.4), ("rod", 1.2)))
+    slot = fmbd.point_on_line("slot", fmbd.ground, rod, center=(1.6, 0.0), axis=(1, 0))
+    scene.add(crank, rod, fmbd.revolute("pin", fmbd.ground, crank, center=(0, 0)))
+    scene.add(fmbd.revolute("knee", crank, rod, center=(0.8, 0.6)), slot)
+    scene.add(fmbd.drive("push", fmbd.displacement(slot), lambda t: t * t))
+    return scene
+
+
+@pytest.mark.parametrize(
+    "scheme", [fmbd.Radau(rtol=None), fmbd.BDF(order=2, rtol=None)], ids=lambda x: type(x).__name__
+)
+def test_joints_that_stay_open_are_named(scheme: Any) -> None:
+    """What no iteration can close is told with its joint, its gap and its cause, beside that Newton failed."""
+    with pytest.raises(
+        ConvergenceError, match=r'left joint "knee" .* open by .* m after t = 0\.62 s: drives and joints may'
+    ):
+        fmbd.solve(beyond_reach(), t_end=1.0, dt=0.02, scheme=scheme)
+
+
+def test_what_an_earlier_step_left_open_is_forgotten() -> None:
+    with pytest.raises(ConvergenceError, match="singular configuration") as error:
+        fmbd.solve(beyond_reach(), t_end=1.0, scheme=fmbd.Radau(rtol=1e-4))
+    assert "t = 0.0" not in str(error.value)

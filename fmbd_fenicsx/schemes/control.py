@@ -294,7 +294,9 @@ class StepControl:
     rejections: list[tuple[float, float, str]] = field(
         default_factory=list
     )  # (t, h, cause) since the last accepted step
-    fault: str = ""  # what a law of the user's own returned last that could not be used
+    fault: str = (
+        ""  # since the last accepted step: what a law returned that could not be used, or a joint that stayed open
+    )
 
     def accepted(self, h: float, error: float, effort: float = 1.0) -> float:
         """Step after an accepted one; ``effort`` in (0, 1] lowers the safety when Newton worked hard."""
@@ -382,11 +384,13 @@ def _rotations(system: System, x: Array) -> Array:
     return x[..., : n * m.n_twist].reshape(-1, m.n_twist)[:, m.dim :]
 
 
-def moves(t: float, h: float) -> None:
-    """Refuse a step that does not change the time: accepted steps too can shrink without end."""
+def moves(t: float, h: float, fault: str = "") -> None:
+    """Refuse a step that does not change the time: accepted steps too can shrink without end. ``fault``: what is known of why."""
     if t + h == t:
         raise ConvergenceError(
-            f"The step at t = {t:.9g} s has shrunk to h = {h:.1e} s: t + h == t. Take another form or scheme, or another rtol."
+            f"The step at t = {t:.9g} s has shrunk to h = {h:.1e} s: t + h == t. "
+            + (f"{fault} " if fault else "")
+            + "Take another form or scheme, or another rtol."
         )
 
 

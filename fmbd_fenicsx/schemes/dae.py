@@ -50,6 +50,11 @@ class Form:
     projected: ClassVar[bool] = False
 
     @property
+    def unit(self) -> str:
+        """Of the first of its rows, as lengths."""
+        return ("m", "m/s", "m/s^2")[self.levels[0]]
+
+    @property
     def name(self) -> str:
         """Name in reports and tables."""
         return type(self).__name__

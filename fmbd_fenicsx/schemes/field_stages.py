@@ -109,6 +109,7 @@ class FieldEquations(Remembering):
         self.system, self.form, self.solver = system, form, solver
         self.levels = len(form.levels) if system.n_lam else 0
         self.n_mult = self.levels * system.n_lam
+        self.left: Array = np.zeros(system.n_lam)  # the first rows of the form at the last point
         self.residuals = self.jacobians = self.krylov = 0
         self.origin: Array = np.zeros(0)
         self.anchor: float | None = None  # |s| of the grid's first factor, 1/s
@@ -160,6 +161,7 @@ class FieldEquations(Remembering):
 
         ev = s.batch(t, s.compose(self.origin, p.xi), p.v)
         low = lower(self.form, self.levels, ev, p.vd + pulls, p.mult[:, :m])
+        self.left = low[-1, s.n_v : s.n_v + m]
         return p.rate - s.rate(p.xi, p.v - slips), low
 
     def corrections(self, mult: Array, level: int) -> Array:

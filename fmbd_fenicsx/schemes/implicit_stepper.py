@@ -17,12 +17,14 @@ from ..rotations import Array
 from ..system.foretold_efforts import foretold_efforts
 from ..system.serialisation import Memory, plain, worker
 from ..system.system import State, System
+from .consistent import worst_block
 from .control import ErrorNorm, Statistics, StepControl
 from .dae import Points
 from .newton import Newton
 from .step_equations import step_equations
 from .stepping import TimeStepper
 
+OPEN = 1e-6  # of the model's length
 STILL = 16.0  # roundings of the model's length
 
 
@@ -90,7 +92,10 @@ class ImplicitStepper(TimeStepper):
     def _found(self, iterate: Callable[[], Points | str]) -> Points | str:
         """The stages that an iteration finds, or the cause of its failure."""
         try:
-            return iterate()
+            found = iterate()
+            if isinstance(found, str):
+                self._note_open()
+            return found
         except (LinearSolveError, np.linalg.LinAlgError):
             return "linear solve failed"
         except (CallbackError, ConvergenceError) as error:
@@ -99,11 +104,24 @@ class ImplicitStepper(TimeStepper):
             self.control.fault = str(error)
             return "forces not finite, or a motion out of range"
 
+    def _note_open(self) -> None:
+        """Where an iteration has failed: the joint that it left open by more than a rounding of steps, for messages."""
+        gaps = self.system.row_units * self.eq.left
+        gap = float(np.abs(gaps).max(initial=0.0))
+        if not gap > OPEN * self.system.length:
+            return
+        self.control.fault = (
+            f"Newton left {worst_block(self.system, gaps)} open by {gap:.1e} {self.eq.form.unit} after t = {self.state.t:.6g} s: "
+            "drives and joints may contradict each other there, or ask for more than bodies can reach."
+        )
+
     def _failure(self, h: float, cause: str) -> ConvergenceError:
         """The error of a step of constant size h (s) whose iteration failed."""
         t = self.state.t + h
         return ConvergenceError(
-            f"Newton's iteration failed at t = {t:.6g} s (h = {h:.3g} s): {cause}. Take a smaller dt."
+            f"Newton's iteration failed at t = {t:.6g} s (h = {h:.3g} s): {cause}. "
+            + (f"{self.control.fault} " if self.control.fault else "")
+            + "Take a smaller dt."
         )
 
     def _newton_tolerance(self) -> float:

@@ -49,6 +49,7 @@ class StepEquations(Remembering):
         self.U: Array = np.zeros((system.n_v, system.n_lam))
         self.U_ties: Array = np.zeros((system.n_v, len(self.stiff)))
         self.R: Array = self.U_ties.T  # of the last point
+        self.left: Array = np.zeros(system.n_lam)  # the first rows of the form there
         self.normal: Array = self.U
         self.origin: Array = np.zeros(0)
         self._closed: State | None = None
@@ -79,7 +80,9 @@ class StepEquations(Remembering):
 
         if len(self.stiff):
             self.R = ev.jacobian.core[-1][self.stiff.ties]
-        return p.rate - s.rate(p.xi, v), self.lower(ev, a, p.mult)
+        low = self.lower(ev, a, p.mult)
+        self.left = low[-1, s.n_v : s.n_v + m]
+        return p.rate - s.rate(p.xi, v), low
 
     def lower(self, ev: EvaluationBatch, a: Array, mult: Array) -> Array:
         """The balance, the constraints of all levels, and the efforts of ties: (k, n_v + n_mult)."""

@@ -177,7 +177,7 @@ class Stepper(Corrector):
 
         while True:
             h = lands(min(self.proposed, farthest), limit)
-            moves(s.t, h)
+            moves(s.t, h, self.control.fault)
             self.norm.update(s, h)
             found = self._newton(h, self.k)
             if not isinstance(found, str) and turns_too_far(self.system, found.xi):
@@ -247,6 +247,7 @@ class Stepper(Corrector):
 
         self._remember(self.state, mult)
         self.stats.steps += 1
+        self.control.fault = ""
         self._fresh = False
         if self._theta > 0.2 or self._full or not self.eq.dense:
             self._tangent = None

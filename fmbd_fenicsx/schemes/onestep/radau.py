@@ -241,6 +241,7 @@ class Stepper(StageNewton):
             self.state = project(self.system, self.state, self.solver)
 
         self.stats.steps += 1
+        self.control.fault = ""
         self._trouble = max(self._trouble - 1, 0)
         self._fresh = False
         if self._theta > 1e-2 or not self.eq.dense:
