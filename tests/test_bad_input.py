@@ -127,7 +127,7 @@ CALLS = {
         'Force "f" must act on a body',
     ),
     "torque, one component": (lambda body, hinge: fmbd.torque("m", body, 1.0), 'Torque "m": law .* 3 finite numbers'),
-    "effort": (lambda body, hinge: fmbd.effort("e", fmbd.angle(hinge), "5"), 'Effort "e": law .5. must be'),
+    "effort": (lambda body, hinge: fmbd.effort("e", fmbd.angle(hinge), "5"), 'Effort "e": law must be .* found .5.'),
     "own force": (lambda body, hinge: fmbd.own_force("f", fmbd.ground, body, lambda t, a: 0), r'"f".*\(t, a, b\)'),
     "own joint": (
         lambda body, hinge: fmbd.own_joint("j", fmbd.ground, body, lambda xa, Ra, xb, Rb: xb - xa),

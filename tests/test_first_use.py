@@ -190,7 +190,7 @@ def test_sensors_of_elements_take_names() -> None:
         scene.sensor("x", fmbd.tension("sprong"))
     with pytest.raises(InputError, match='"spring" is a name that only scene.sensor'):
         law = fmbd.controller(
-            "c", reads={"T": fmbd.tension("spring")}, acts=fmbd.angle(pin), law=lambda t, y: 0.0, every=0.1
+            "c", reads={"T": fmbd.tension("spring")}, acts=fmbd.angle(pin), law=lambda t, y, z: 0.0, every=0.1
         )
         scene.add(law)
         fmbd.solve(scene, t_end=0.2, dt=1e-2)

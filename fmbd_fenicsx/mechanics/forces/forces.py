@@ -237,9 +237,12 @@ def in_time(what: str, law: Any) -> Callable[[Any], Any]:
     """What is prescribed over time as a function: ``law`` itself, or one that returns the constant."""
     if callable(law):
         return function(f"{what}: law", law, "t", named="t")
-    wanted = "a function of time t (s) or a constant"
-    value = array(f"{what}: law", law, shape=wanted)
-    require(value.ndim <= 1 and value.size > 0, f"{what}: law must be {wanted}, found shape {value.shape}.")
+    try:
+        value = array(what, law)
+    except InputError:
+        value = np.zeros(0)
+    good = value.ndim <= 1 and value.size > 0
+    require(good, f"{what}: law must be a function of time t (s) or a constant, found {shown(law)}.")
     return Constant(value)
 
 
