@@ -107,10 +107,6 @@ CALLS = {
         lambda body, hinge: fmbd.Spring("k", fmbd.ground, body, law=lambda s, v: 0.0),
         r'Spring "k": law must be a function of 3 arguments \(s, rate, t\), found one of \(s, v\)',
     ),
-    "spring, two laws": (
-        lambda body, hinge: fmbd.Spring("k", fmbd.ground, body, stiffness=1.0, law=lambda s, v, t: 0.0),
-        'Spring "k": law replaces stiffness',
-    ),
     "spring, joint": (
         lambda body, hinge: fmbd.joint_spring("k", fmbd.angle(hinge), law=lambda s: s),
         '"k".*3 arguments',

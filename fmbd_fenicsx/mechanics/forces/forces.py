@@ -154,7 +154,6 @@ class Spring(Force):
             self.b is not None, f'Spring "{self.name}" needs two ends: Spring(name, a, b, ...); one may be fmbd.ground.'
         )
         _constants(self.name, self.stiffness, self.damping, self.length)
-        _one_law(f'Spring "{self.name}"', self.law, self.stiffness, self.damping)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,13 +225,6 @@ def _constants(name: str, stiffness: float, damping: float, length: float) -> No
     number(f'Spring "{name}": length', length)
 
 
-def _one_law(what: str, law: Any, stiffness: float, damping: float) -> None:
-    require(
-        law is None or stiffness == damping == 0,
-        f"{what}: law replaces stiffness and damping, and both are given. Take one of them, or write them into the law.",
-    )
-
-
 def in_time(what: str, law: Any) -> Callable[[Any], Any]:
     """What is prescribed over time as a function: ``law`` itself, or one that returns the constant."""
     if callable(law):
@@ -276,7 +268,6 @@ def joint_spring(
 ) -> CoordinateForce:
     """Spring and damper on a joint coordinate s: restoring effort stiffness (s - free) + damping s', or law(s - free, s', t)."""
     _constants(name, stiffness, damping, free)
-    _one_law(f'Joint spring "{name}"', law, stiffness, damping)
     return CoordinateForce(name, on.joint.a, on.joint.b, None, None, on, stiffness, damping, free, law)
 
 
