@@ -141,8 +141,8 @@ class Stepper(StageNewton):
         """A step of at most ``limit`` (s) that passes the error test."""
         s = self.state
         self.control.span = max(self.control.span, limit)
-        # coordinates on the tangent space of the start end where the rows have turned by a quarter turn
-        farthest = turn_limit(self.system, s, steps=2 if self.scheme.form.frozen else 1)
+        # coordinates on the tangent space of the start end after a quarter turn; many stages share one tangent that long
+        farthest = turn_limit(self.system, s, steps=2 if self.scheme.form.frozen or self.scheme.stages > 3 else 1)
         if self.proposed is None:
             self.norm.update(s, limit)
             self.proposed = first_step(self.norm, s, self.control.order, limit)
