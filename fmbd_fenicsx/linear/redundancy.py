@@ -6,9 +6,9 @@ stress between the joints that no rigid body feels. Of all multipliers with the 
     f -> f - N N^T f,        f = lambda / u,   G^T diag(u) N = 0,   N^T N = 1                                     (1)
 
 in every step, for the multiplier itself: increments of minimum norm do not keep it small, since the null space turns with the
-bodies and predictors extrapolate what lies in it. u turns angles into lengths
-(:attr:`~fmbd_fenicsx.system.system.System.row_units`): moments count as forces at the model's length, so the result does not
-depend on the system of units.
+bodies and predictors extrapolate what lies in it. u makes moments comparable with forces
+(:attr:`~fmbd_fenicsx.system.system.System.multiplier_units`): each counts as a pair of forces at the model's length, so the
+result does not depend on the system of units.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ def null_space(ev: Evaluation) -> Array:
     # rows of one size: singular values tell dependence, not units
     U, stretch, _ = np.linalg.svd(scale[:, None] * rows)
     rank = int((stretch > DEPENDENT * stretch[0]).sum())
-    # orthonormal in lengths, so that angles and distances share alike
+    # orthonormal in forces, so that moments and forces share alike
     null = scale[:, None] * U[:, rank:]
-    return np.asarray(np.linalg.qr(null / s.row_units[:, None])[0])
+    return np.asarray(np.linalg.qr(null / s.multiplier_units[:, None])[0])
 
 
 def least(solver: StepSolver, ev: Evaluation, lam: Array) -> Array:
     """The smallest multiplier with the forces of ``lam`` in a configuration; ``lam`` itself where it is unique. Collective."""
     if not solver.core.redundant or not len(lam):
         return lam
-    N, u = null_space(ev), ev.system.row_units
+    N, u = null_space(ev), ev.system.multiplier_units
     # what changes no force is taken out
     return lam - u * (N @ (N.T @ (lam / u)))
 

@@ -357,8 +357,8 @@ def _defects(ev: Evaluation, state: State, kept: list[int], ahead: Array) -> lis
 
     found = [alone(ev, state.v)]
     if system.fields:
-        later = [system.at(float(state.t + d), q[i], v[i]) for i, d in enumerate(ahead)]
-        return found + [alone(at, v[i]) for i, at in enumerate(later)]
+        # one after the other: fields keep what they evaluated last
+        return found + [alone(system.at(float(state.t + d), q[i], v[i]), v[i]) for i, d in enumerate(ahead)]
 
     # replicated coordinates: all in one call
     every = system.batch(state.t + ahead, q, v)

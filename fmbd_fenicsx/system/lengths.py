@@ -23,17 +23,31 @@ def of_increments(system: System) -> Array:
 
 
 def of_rows(system: System) -> Array:
-    """For values of constraints, (n_lam,): angles times the model's length; multipliers over them are forces.
+    """For values of constraints, (n_lam,): angles times the model's length.
 
     Frame conditions are moments of a body's mass: what they are per displacement or turn makes them lengths. Rows of a user's
     own count as they are.
     """
+    return _of_rows(system, system.length)
+
+
+def of_multipliers(system: System) -> Array:
+    """What multipliers are divided by to be compared as forces, (n_lam,).
+
+    A moment M counts as the pair of forces M / L, with the model's length L between them, that could stand for it: of norm
+    sqrt(2) M / L.
+    """
+    return _of_rows(system, system.length / np.sqrt(2.0))
+
+
+def _of_rows(system: System, turn: float) -> Array:
+    """For rows, (n_lam,): a radian as the length ``turn``."""
     out = np.ones(system.n_lam)
     for batch, rows in system.batches:
-        out[rows] = batch.lengths(system.length)
+        out[rows] = batch.lengths(turn)
 
     for part, own in zip(system.parts, system.frame_rows, strict=True):
-        out[own] = part.frame_lengths(system.length)
+        out[own] = part.frame_lengths(turn)
     return out
 
 

@@ -248,6 +248,11 @@ class System:
         """What turns the values of constraints into lengths, (n_lam,): :func:`.lengths.of_rows`."""
         return lengths.of_rows(self)
 
+    @cached_property
+    def multiplier_units(self) -> Array:
+        """What multipliers are divided by to be compared as forces, (n_lam,): :func:`.lengths.of_multipliers`."""
+        return lengths.of_multipliers(self)
+
     def max_abs(self, x: Array) -> float:
         """Largest entry of an array like v, all entries as lengths (see :attr:`units`); collective."""
         local = float(np.abs(self.units * x).max(initial=0.0))

@@ -78,7 +78,7 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         *_fields("body surface batch front angle rod frames velocity residual", _POINTER),
         *_fields("gap motion gravity weight diagonal row_dest", _POINTER),
         ("storage", _LONG),
-        *_fields("L inverse b local sign units row_units", _POINTER),
+        *_fields("L inverse b local sign units row_units multiplier_units", _POINTER),
         ("python", PYTHON),
         *_fields("samples stiff", _INT),
         *_fields("cd ck epsilon share", _REAL),

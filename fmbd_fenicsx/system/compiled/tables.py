@@ -351,6 +351,7 @@ class Tables:
             "rest_gravity": s.gravity(np.inf),
             "units": s.units,
             "row_units": s.row_units,
+            "multiplier_units": s.multiplier_units,
         }
 
         arrays = store.zeros({

@@ -27,19 +27,19 @@ static inline void eliminate(double *F, int ld, int rows, int k, double inverse)
     }
 }
 
-/* Dependent rows get -epsilon / u^2 on the diagonal: G x - epsilon y / u^2 = c instead of G x = c, with u y in lengths where y is
-   in angles. Solving again for what is left open, with the multipliers found so far in the residual, closes the rows; started
+/* Dependent rows get -epsilon / u^2 on the diagonal: G x - epsilon y / u^2 = c instead of G x = c, with y / u in forces where y is
+   a moment. Solving again for what is left open, with the multipliers found so far in the residual, closes the rows; started
    from no multipliers it leads to those with the smallest forces y / u (method of multipliers, a proximal point method;
    Rockafellar, doi:10.1287/moor.1.2.97). */
 static double softness(const System *s, int row)
 {
-    return s->epsilon / (s->row_units[row] * s->row_units[row]);
+    return s->epsilon / (s->multiplier_units[row] * s->multiplier_units[row]);
 }
 
 static void soften(System *s)
 {
     double largest = 0.0;
-    for (int i = 0; i < s->rows; i++) largest = fmax(largest, s->weight[i] * s->row_units[i] * s->row_units[i]);
+    for (int i = 0; i < s->rows; i++) largest = fmax(largest, s->weight[i] * s->multiplier_units[i] * s->multiplier_units[i]);
     s->epsilon = s->redundant ? 1e-9 * largest : 0.0;
     for (int i = 0; i < s->rows; i++) s->L[s->row_dest[i]] -= softness(s, i);
 }

@@ -152,6 +152,7 @@ typedef struct {
     double *L, *inverse, *b, *local;
     signed char *sign;                 /* of the pivots, by unknowns */
     double *units, *row_units;         /* nv, rows: what turns increments and gaps into lengths */
+    double *multiplier_units;          /* rows: what multipliers are divided by to be compared as forces */
     int (*python)(int what, int number, double t); /* what: see below; 0 when all is well */
     int samples, stiff;                /* whether Python is asked once a step; whether efforts depend on the motion */
     double cd, ck, epsilon;            /* of the matrix in the fronts */
