@@ -126,12 +126,12 @@ from .post.responses import bode as bode
 from .post.responses import nyquist as nyquist
 from .post.vibration import vibration as vibration
 from .post.demo import Check as Check
-from .run.checkpoint import Checkpoint as Checkpoint
+from .run.checkpoints.checkpoint import Checkpoint as Checkpoint
 from .post.drawing.view import Paint as Paint
 from .post.drawing.view import View as View
-from .run.output import Output as Output
-from .run.output import PerSecond as PerSecond
-from .run.events import Event as Event
+from .run.recording.output import Output as Output
+from .run.recording.output import PerSecond as PerSecond
+from .run.recording.events import Event as Event
 from .run.solve import Run as Run
 from .run.solve import solve as solve
 from .schemes.dae import Baumgarte as Baumgarte
@@ -183,7 +183,7 @@ from .mechanics.forces.joint_elements import elastic_stop as elastic_stop
 from .mechanics.forces.joint_elements import joint_friction as joint_friction
 from .mechanics.forces.joint_elements import motor as motor
 from .run.stepper import stepper as stepper
-from .run.tolerance import relative as relative
+from .run.accuracy.tolerance import relative as relative
 from .system.sensors.elements import element_effort as element_effort
 from .system.sensors.elements import element_force as element_force
 from .system.sensors.elements import element_power as element_power

@@ -219,7 +219,7 @@ from mpi4py import MPI
 sys.path.insert(0, "tests")
 import fmbd_fenicsx as fmbd
 import faults
-from fmbd_fenicsx.run import checkpoint
+from fmbd_fenicsx.run.checkpoints import checkpoint
 checkpoint.LOOK = 0.0  # the run is short
 what, rank, folder = sys.argv[1], int(sys.argv[2]), sys.argv[3]
 done = []

@@ -111,7 +111,7 @@ MUTATIONS: list[tuple[str, str, str, str, list[str]]] = [
      ["test_checkpoint"]),
     ("turns of an increment not counted", "system/configurations.py", "q[..., at] += system.counted.ahead(", "_ = system.counted.ahead(",
      ["test_counted"]),
-    ("a damaged checkpoint is read", "run/archive.py", "(actual := sha256(folder / name)) != expected", "not (actual := sha256(folder / name))",
+    ("a damaged checkpoint is read", "run/checkpoints/archive.py", "(actual := sha256(folder / name)) != expected", "not (actual := sha256(folder / name))",
      ["test_checkpoint_files"]),
     ("a mesh library loaded by the package", "__init__.py", "from . import errors, materials", "import gmsh\nfrom . import errors, materials",
      ["test_imports"]),

@@ -10,7 +10,7 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, FmbdError, InputError
 from fmbd_fenicsx.mechanics.reduction.modes import rigid_fields
-from fmbd_fenicsx.run.acceptance import Closed
+from fmbd_fenicsx.run.judges.acceptance import Closed
 
 
 def double_pendulum(upper: float, lower: float, size: float = 1.0) -> fmbd.Scene:

@@ -13,8 +13,8 @@ from test_field_stages import pendulum
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, MeshError
-from fmbd_fenicsx.run.certificate import KINDS
-from fmbd_fenicsx.run.estimates import order_seen, scattered_order
+from fmbd_fenicsx.run.accuracy.certificate import KINDS
+from fmbd_fenicsx.run.accuracy.estimates import order_seen, scattered_order
 from fmbd_fenicsx.system.scene.refinement import finer_space, more_modes, refined, with_bodies
 
 ALL = fmbd.Output(estimate_error=True, estimate_space=True, estimate_reduction=True)

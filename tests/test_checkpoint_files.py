@@ -21,7 +21,7 @@ from test_ranks import ROOT, launch
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CheckpointError, InputError, Stopped
-from fmbd_fenicsx.run import archive
+from fmbd_fenicsx.run.checkpoints import archive
 from fmbd_fenicsx.schemes import TimeStepper
 
 pytestmark = pytest.mark.serial
@@ -137,7 +137,7 @@ def test_the_page_runs_as_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_a_run_without_checkpoints_loads_nothing_of_them(tmp_path: Path) -> None:
     code = PROGRAM.partition("plan =")[0] + "fmbd.solve(scene, t_end=0.02, dt=0.01)\n"
-    code += 'print([m for m in sys.modules if m.endswith(("run.checkpoint", "run.archive", "run.fingerprint", "numbering"))])'
+    code += 'print([m for m in sys.modules if m.endswith(("run.checkpoints.checkpoint", "run.checkpoints.archive", "run.checkpoints.fingerprint", "numbering"))])'
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=120, check=True
     )
@@ -253,7 +253,7 @@ def asking(folder: Path, how: str) -> Callable[[float], tuple[float, float]]:
 def test_a_run_that_is_asked_to_stop_can_go_on(
     how: str, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fmbd_fenicsx.run.checkpoint.LOOK", 0.0)
+    monkeypatch.setattr("fmbd_fenicsx.run.checkpoints.checkpoint.LOOK", 0.0)
     plan = fmbd.Checkpoint(tmp_path / "run")
     whole = run(tmp_path / "whole")
     with pytest.raises(Stopped) as found:

@@ -15,8 +15,8 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CheckpointError
-from fmbd_fenicsx.run import archive
-from fmbd_fenicsx.run.folder_lock import FolderLock
+from fmbd_fenicsx.run.checkpoints import archive
+from fmbd_fenicsx.run.checkpoints.folder_lock import FolderLock
 
 pytestmark = pytest.mark.serial
 

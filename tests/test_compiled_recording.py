@@ -101,7 +101,7 @@ def test_prescribed_motion_and_its_drift() -> None:
 
 
 def test_an_open_joint_is_refused_where_it_is_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
-    from fmbd_fenicsx.run import acceptance
+    from fmbd_fenicsx.run.judges import acceptance
 
     monkeypatch.setattr(acceptance, "OPEN", -1.0)
     monkeypatch.setattr(acceptance.Closed, "under", lambda system, scheme: acceptance.Closed(system, (0,), -1.0))
@@ -113,7 +113,7 @@ def test_floating_fields_are_recorded_in_the_loop(monkeypatch: pytest.MonkeyPatc
     """Only the start and the first step, which is NumPy's, are read one by one; all records are those of NumPy."""
     from motion import elastic_rod
 
-    from fmbd_fenicsx.run.output import Recorder
+    from fmbd_fenicsx.run.recording.output import Recorder
 
     mesh, single, read = fmbd.read_gmsh("meshes/rod.py", dim=2, h=0.25), Recorder._record, []
 

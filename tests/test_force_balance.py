@@ -12,7 +12,7 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.linear.condensation import StepSolver
-from fmbd_fenicsx.run.force_balance import Balanced
+from fmbd_fenicsx.run.judges.force_balance import Balanced
 from fmbd_fenicsx.schemes.multistep import bdf
 from fmbd_fenicsx.schemes.onestep import generalized_alpha, radau
 

@@ -10,7 +10,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver
-from fmbd_fenicsx.run.forecast import Forecast, fastest, reason
+from fmbd_fenicsx.run.judges.forecast import Forecast, fastest, reason
 
 
 def light_and_heavy(stiffness: float) -> fmbd.Scene:

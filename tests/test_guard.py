@@ -12,7 +12,7 @@ from test_energy_momentum import spinner
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
-from fmbd_fenicsx.run.energy_check import Guarded, Watch, closed
+from fmbd_fenicsx.run.judges.energy_check import Guarded, Watch, closed
 from fmbd_fenicsx.run.step_bisection import ConstantSteps
 from fmbd_fenicsx.schemes import TimeStepper
 from fmbd_fenicsx.system.system import State

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, LinearSolveError
-from fmbd_fenicsx.run.energy_check import Watch
+from fmbd_fenicsx.run.judges.energy_check import Watch
 from fmbd_fenicsx.run.step_bisection import ConstantSteps
 from fmbd_fenicsx.schemes import TimeStepper
 from fmbd_fenicsx.system.system import State, System

@@ -11,7 +11,7 @@ from honesty_scenes import HONEST, judge
 from tolerance_scenes import spun_up
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.run.deviation import Deviation, together
+from fmbd_fenicsx.run.accuracy.deviation import Deviation, together
 
 QUICK = ("clamped beam", "rotating cantilever")
 

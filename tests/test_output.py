@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.run.output import Progress
+from fmbd_fenicsx.run.recording.output import Progress
 
 
 def pendulum():

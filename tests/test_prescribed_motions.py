@@ -12,7 +12,7 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.mechanics.joints.couplings import smooth_motion
-from fmbd_fenicsx.run.prescribed_motions import Follower
+from fmbd_fenicsx.run.judges.prescribed_motions import Follower
 
 
 def followed(motion: Any, times: Any, length: float = 1.0) -> Follower:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.run import rank_advice
-from fmbd_fenicsx.run.rank_advice import WORTH, faster_ranks
+from fmbd_fenicsx.run.judges import rank_advice
+from fmbd_fenicsx.run.judges.rank_advice import WORTH, faster_ranks
 
 
 def test_ranks_that_are_worth_while() -> None:

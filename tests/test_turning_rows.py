@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.run.judges.turning_rows import _certainly_below, turned
 from fmbd_fenicsx.run.problem import make_solver
-from fmbd_fenicsx.run.turning_rows import _certainly_below, turned
 
 H = 4e-3
 

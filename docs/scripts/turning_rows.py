@@ -11,7 +11,7 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver
-from fmbd_fenicsx.run.turning_rows import turned
+from fmbd_fenicsx.run.judges.turning_rows import turned
 from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.newton import Newton
 

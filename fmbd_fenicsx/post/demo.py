@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..log import say, world_rank
-from ..run.output import Output
+from ..run.recording.output import Output
 
 __all__ = ["Check", "arguments", "film", "finish", "say", "show", "snapshots"]
 

@@ -21,8 +21,8 @@ from ..log import log
 from ..rotations import Array
 from ..system.scene.scene import Scene
 from ..system.system import System
-from .energy_check import closed, strain_energy
-from .output import Recorder
+from .judges.energy_check import closed, strain_energy
+from .recording.output import Recorder
 
 GROWTH = 0.02
 SLIP = 0.02

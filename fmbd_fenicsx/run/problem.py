@@ -17,10 +17,10 @@ from ..system.compiled.choice import use_driver
 from ..system.element_memory import reset
 from ..system.scene.scene import Scene
 from ..system.system import State, System
-from .acceptance import Closed
-from .energy_check import Guarded, Watch
-from .force_balance import Balanced
-from .forecast import Forecast
+from .judges.acceptance import Closed
+from .judges.energy_check import Guarded, Watch
+from .judges.force_balance import Balanced
+from .judges.forecast import Forecast
 from .schedule import StepSchedule
 from .step_bisection import ConstantSteps, Judges
 

@@ -16,12 +16,12 @@ from ..schemes.consistent import Correction
 from ..system.scene.plan import Plan
 from ..system.scene.scene import Scene
 from ..system.system import State, System
-from .deviation import Deviation, sizes
-from .ledger import Books, Ledger, make_ledger
+from .accuracy.deviation import Deviation, sizes
+from .recording.ledger import Books, Ledger, make_ledger
 
 if TYPE_CHECKING:
     from ..post.drawing.view import Paint, View
-    from .certificate import Certificate
+    from .accuracy.certificate import Certificate
 
 
 @dataclass(repr=False)
@@ -110,7 +110,7 @@ class Run:
     @property
     def certificate(self) -> Certificate:
         """Errors of space, time, reduction and algebra of every sensor, their sum, and what could not be stated."""
-        from .certificate import certificate_of
+        from .accuracy.certificate import certificate_of
 
         return certificate_of(self)
 

@@ -13,7 +13,7 @@ from ..schemes.newton import Newton
 from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.contents import contents_of
 from ..system.scene.scene import Scene
-from .output import Output
+from .recording.output import Output
 
 
 def check_settings(scene: Any, newton: Any, output: Any, restart: Any) -> None:
@@ -36,7 +36,7 @@ def check_ways(linear: Any, checkpoint: Any) -> None:
 
         instance("solve: linear", linear, Preset)
     if checkpoint is not None:
-        from .checkpoint import Checkpoint
+        from .checkpoints.checkpoint import Checkpoint
 
         instance("solve: checkpoint", checkpoint, Checkpoint)
 

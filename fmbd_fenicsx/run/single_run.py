@@ -14,19 +14,19 @@ from ..log import peak_memory
 from ..schemes.newton import Newton
 from ..system.scene.plan import make_plan
 from ..system.scene.scene import Scene
+from .accuracy.estimates import Compared
 from .built import Built, Start
 from .doubts import warn_of_doubts
-from .estimates import Compared
-from .output import Output, refuse_too_many
+from .judges.rank_advice import advise_on_ranks
+from .judges.turning_rows import warn_of_turning_rows
 from .problem import Problem, make_solver
-from .rank_advice import advise_on_ranks
+from .recording.output import Output, refuse_too_many
 from .result import Run
 from .schedule import StepSchedule
 from .time_loop import March, march
-from .turning_rows import warn_of_turning_rows
 
 if TYPE_CHECKING:
-    from .checkpoint import Checkpoint, Keeper
+    from .checkpoints.checkpoint import Checkpoint, Keeper
 
 
 @dataclass(frozen=True)
@@ -184,8 +184,8 @@ def _keeper(
     problem: Problem, schedule: StepSchedule, output: Output, plan: Checkpoint | None, restart: str | Path | None
 ) -> Keeper:
     """Who writes the checkpoints of a run, and takes one up; loaded only when asked for."""
-    from .checkpoint import Keeper
-    from .fingerprint import given
+    from .checkpoints.checkpoint import Keeper
+    from .checkpoints.fingerprint import given
 
     settings = {
         "scheme": problem.scheme,

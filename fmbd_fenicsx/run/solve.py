@@ -13,16 +13,16 @@ from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.scene import Scene
+from .accuracy.estimates import state_errors
 from .built import build
-from .estimates import state_errors
-from .output import Output
+from .recording.output import Output
 from .result import Run
 from .schedule import step_schedule
 from .settings import check_contents, check_settings, check_tangent, check_ways, checked_scheme
 from .single_run import Task, run_once
 
 if TYPE_CHECKING:
-    from .checkpoint import Checkpoint
+    from .checkpoints.checkpoint import Checkpoint
 
 __all__ = ["Run", "default_scheme", "solve"]
 
@@ -75,7 +75,7 @@ def solve(
         instance("solve: tol", tol, Mapping)
         if scheme is not None:
             check_contents(scene, checked_scheme(scheme))
-        from .tolerance import solve_within
+        from .accuracy.tolerance import solve_within
 
         require(
             checkpoint is None and restart is None, "A run with tol is made of several runs: no checkpoint, no restart."

@@ -22,10 +22,10 @@ from ..system.element_memory import accept, whole_steps
 from ..system.evaluation import Evaluation
 from ..system.serialisation import plain, worker
 from ..system.system import State, System
-from .acceptance import Closed, attempt
-from .energy_check import HALVINGS, Watch
-from .force_balance import Balanced
-from .forecast import Forecast
+from .judges.acceptance import Closed, attempt
+from .judges.energy_check import HALVINGS, Watch
+from .judges.force_balance import Balanced
+from .judges.forecast import Forecast
 
 DEPTH = 6  # times that a step that fails may be halved
 

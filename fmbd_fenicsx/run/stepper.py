@@ -30,13 +30,13 @@ from ..system.element_memory import accept
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory
 from ..system.system import State
-from .acceptance import attempt
-from .energy_check import closed
-from .moment import Moment
-from .output import Output, Recorder
-from .prescribed_motions import PrescribedMotions
+from .checkpoints.progress import RunProgress
+from .judges.acceptance import attempt
+from .judges.energy_check import closed
+from .judges.prescribed_motions import PrescribedMotions
 from .problem import Problem, begin, judges_of, make_solver, make_stepper
-from .progress import RunProgress
+from .recording.moment import Moment
+from .recording.output import Output, Recorder
 from .schedule import StepSchedule
 from .settings import check_contents
 from .solve import default_scheme

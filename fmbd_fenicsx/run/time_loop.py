@@ -14,19 +14,19 @@ from ..schemes.stepping import TimeStepper
 from ..system.element_memory import accept, reset
 from ..system.evaluation import Evaluation
 from ..system.system import State
-from .acceptance import Closed, attempt, attempt_in_balance
-from .energy_check import closed
-from .force_balance import Balanced
-from .moment import Moment
-from .output import Output, Progress, Recorder
-from .prescribed_motions import PrescribedMotions
+from .checkpoints.progress import RunProgress
+from .judges.acceptance import Closed, attempt, attempt_in_balance
+from .judges.energy_check import closed
+from .judges.force_balance import Balanced
+from .judges.prescribed_motions import PrescribedMotions
 from .problem import Problem, judges_of, make_stepper
-from .progress import RunProgress
+from .recording.moment import Moment
+from .recording.output import Output, Progress, Recorder
 from .schedule import StepSchedule
 
 if TYPE_CHECKING:
-    from .checkpoint import Keeper
-    from .events import EventWatch
+    from .checkpoints.checkpoint import Keeper
+    from .recording.events import EventWatch
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def _events(problem: Problem, schedule: StepSchedule, output: Output, state: Sta
     """Who looks for the events of a run; loaded only when asked for."""
     if not output.events:
         return None
-    from .events import EventWatch
+    from .recording.events import EventWatch
 
     watch = EventWatch(tuple(output.events), problem.scene, problem.system, problem.markers, samples=not schedule.steps)
     watch.start(state)

@@ -20,7 +20,7 @@ from ..errors import FmbdError, InputError, near, require
 from ..log import world_size
 from ..rotations import Array
 from ..system.scene.scene import Scene
-from .output import Output
+from .recording.output import Output
 from .solve import solve
 
 FEW = 50_000  # objects between two collections in a copy

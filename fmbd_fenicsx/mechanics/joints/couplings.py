@@ -96,7 +96,7 @@ def smooth_motion(name: str, function: Callable[[float], Any], *, of: str = "dri
     """A prescribed motion from a function that returns (s, s', s'') or s alone; it must be smooth.
 
     Whether it is, and whether its rates are those of its motion, is looked at along the run
-    (:mod:`fmbd_fenicsx.run.prescribed_motions`). ``of``: what is moved, in messages.
+    (:mod:`fmbd_fenicsx.run.judges.prescribed_motions`). ``of``: what is moved, in messages.
     """
     checked_function(f'{of.capitalize()} "{name}": motion', function, "t", named="t")
     asked = named(f"The motion of {of}", name, function, to_end=True)

@@ -15,7 +15,7 @@ from .alpha_step import FAR, PATIENCE
 from .generalized_alpha import Stepper
 
 if TYPE_CHECKING:
-    from ...run.energy_check import Watch
+    from ...run.judges.energy_check import Watch
     from ...system.compiled.recording import Openness, Tape
     from .generalized_alpha import GeneralizedAlpha
 

@@ -11,7 +11,7 @@ from .alpha_driver import AlphaDriver, alpha_driver
 from .compiled_stepper import CompiledStepper
 
 if TYPE_CHECKING:
-    from ...run.energy_check import Watch
+    from ...run.judges.energy_check import Watch
     from ...system.compiled.recording import Openness, Tape
 
 

@@ -93,7 +93,7 @@ class GeneralizedAlpha:
 
     @property
     def turn_limit(self) -> float | None:
-        """Angle (rad) by which constraints on positions may turn in a step: :mod:`~fmbd_fenicsx.run.turning_rows`."""
+        """Angle (rad) by which constraints on positions may turn in a step: :mod:`~fmbd_fenicsx.run.judges.turning_rows`."""
         fixed = self.rtol is None and isinstance(self.form, Index3)
         return 0.7 * (1.0 - self.rho_inf) if fixed else None
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import InputError, near
-from ..rotations import Array
+from ...errors import InputError, near
+from ...rotations import Array
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import OfBody, name_of
-from ..errors import CheckpointError
-from ..mesh import Mesh
-from ..rotations import Array
-from ..system.scene.scene import Scene
-from ..system.serialisation import Memory
-from ..system.system import State, System
+from ...checks import OfBody, name_of
+from ...errors import CheckpointError
+from ...mesh import Mesh
+from ...rotations import Array
+from ...system.scene.scene import Scene
+from ...system.serialisation import Memory
+from ...system.system import State, System
 
 SAME = 1e-6  # relative difference of forces and energies
 SMALL = 24  # arrays up to this size are compared entry by entry

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from ..errors import InputError, near
-from ..rotations import Array
-from ..system.evaluation import Evaluation
-from ..system.scene.scene import Scene
-from ..system.system import State, System
+from ...errors import InputError, near
+from ...rotations import Array
+from ...system.evaluation import Evaluation
+from ...system.scene.scene import Scene
+from ...system.system import State, System
 
 
 @dataclass(frozen=True)

@@ -19,15 +19,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..errors import ConvergenceError
-from ..mechanics.forces.effort_laws import EffortLaw
-from ..mechanics.forces.force_elements import ScalarLoads
-from ..mechanics.joints.couplings import OwnBatch
-from ..schemes.stepping import TimeStepper
-from ..system.evaluation import Evaluation
-from ..system.scene.scene import Scene
-from ..system.serialisation import Remembering, plain, worker
-from ..system.system import State, System
+from ...errors import ConvergenceError
+from ...mechanics.forces.effort_laws import EffortLaw
+from ...mechanics.forces.force_elements import ScalarLoads
+from ...mechanics.joints.couplings import OwnBatch
+from ...schemes.stepping import TimeStepper
+from ...system.evaluation import Evaluation
+from ...system.scene.scene import Scene
+from ...system.serialisation import Remembering, plain, worker
+from ...system.system import State, System
 from .acceptance import attempt
 
 SHARE = 1e-3

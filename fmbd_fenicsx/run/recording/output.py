@@ -13,17 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import check_fields, instance, vector, whole
-from ..errors import InputError, require
-from ..log import world_rank
-from ..notices import Gathered
-from ..rotations import Array
-from ..system.compiled.recording import Openness, Recorded
-from ..system.evaluation import Evaluation
-from ..system.scene.scene import Scene
-from ..system.serialisation import Memory
-from ..system.system import State, System
-from .acceptance import Closed
+from ...checks import check_fields, instance, vector, whole
+from ...errors import InputError, require
+from ...log import world_rank
+from ...notices import Gathered
+from ...rotations import Array
+from ...system.compiled.recording import Openness, Recorded
+from ...system.evaluation import Evaluation
+from ...system.scene.scene import Scene
+from ...system.serialisation import Memory
+from ...system.system import State, System
+from ..judges.acceptance import Closed
 from .between import state_between
 from .ledger import Books
 
@@ -64,9 +64,9 @@ class Output:
         estimate_space: run again with each body in a finer space (displacements of one degree more, or half the cell size) and
             estimate the error that the mesh causes in each sensor.
         ledger: whether the power of every force, drive and damping is recorded too, for ``run.ledger``.
-        on_step: called after each step with a :class:`~fmbd_fenicsx.run.moment.Moment`: ``now.t``, ``now.step``, ``now["tip"]``
+        on_step: called after each step with a :class:`~fmbd_fenicsx.run.recording.moment.Moment`: ``now.t``, ``now.step``, ``now["tip"]``
             for the present value of a sensor. On all ranks; what it returns is ignored.
-        events: crossings of a value by a sensor, each an :class:`~fmbd_fenicsx.run.events.Event`: the run ends, or calls back.
+        events: crossings of a value by a sensor, each an :class:`~fmbd_fenicsx.run.recording.events.Event`: the run ends, or calls back.
     """
 
     every: int = 1
@@ -348,7 +348,7 @@ class Recorder:
 
     def _book(self, ev: Evaluation, state: State) -> None:
         """Power of every element in a state, and work of contacts up to it; collective."""
-        from ..system.powers import contact_works, powers, unlisted
+        from ...system.powers import contact_works, powers, unlisted
 
         if not self.powers:
             self.unlisted = tuple(unlisted(ev, state))

@@ -7,9 +7,9 @@ step. Contact forces are those of the step: the mean over it.
 
 from __future__ import annotations
 
-from ..schemes.dense_output import place_within, state_within
-from ..schemes.stepping import TimeStepper
-from ..system.system import State, System
+from ...schemes.dense_output import place_within, state_within
+from ...schemes.stepping import TimeStepper
+from ...system.system import State, System
 
 
 def state_between(system: System, before: State, after: State, t: float, stepper: TimeStepper | None = None) -> State:

@@ -13,12 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from ..log import log
-from ..notices import Gathered
-from ..schemes.newton import Newton
-from ..system.scene.refinement import expected_rate, one_kind, refined, refined_by_finer_space
-from ..system.scene.scene import Scene
-from .built import Built, build
+from ...log import log
+from ...notices import Gathered
+from ...schemes.newton import Newton
+from ...system.scene.refinement import expected_rate, one_kind, refined, refined_by_finer_space
+from ...system.scene.scene import Scene
+from ..built import Built, build
+from ..recording.output import Output
+from ..schedule import StepSchedule
+from ..single_run import Solved, Task, run_once
 from .deviation import Deviation
 from .estimates import (
     REGULAR,
@@ -34,9 +37,6 @@ from .estimates import (
     run_like,
     space_deviations,
 )
-from .output import Output
-from .schedule import StepSchedule
-from .single_run import Solved, Task, run_once
 
 NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
 BEYOND = 20.0  # the same where they show the order of the scheme

@@ -7,8 +7,8 @@ https://petsc.org/release/faq/).
 
 from __future__ import annotations
 
-from ..log import note, world_size
-from ..system.system import System
+from ...log import note, world_size
+from ...system.system import System
 
 WORTH = 10_000  # unknowns that make a rank worth while
 

@@ -10,7 +10,7 @@ import time as clock
 from contextlib import suppress
 from pathlib import Path
 
-from ..errors import CheckpointError
+from ...errors import CheckpointError
 
 LOCK = ".in_use"
 

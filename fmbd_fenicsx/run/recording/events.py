@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from ..checks import check_fields, number
-from ..errors import InputError, near, require
-from ..system.scene.scene import Scene
-from ..system.system import State, System
+from ...checks import check_fields, number
+from ...errors import InputError, near, require
+from ...system.scene.scene import Scene
+from ...system.system import State, System
 from .between import state_between
 from .moment import Moment
 
@@ -35,7 +35,7 @@ class Event:
         sensor: name of a sensor with one component, or of a component: "tip y".
         level: the value, in the sensor's unit.
         direction: 1 for rising, -1 for falling values only, 0 for both.
-        then: called with the :class:`~fmbd_fenicsx.run.moment.Moment` of the crossing, on all ranks, and the run goes on;
+        then: called with the :class:`~fmbd_fenicsx.run.recording.moment.Moment` of the crossing, on all ranks, and the run goes on;
             None ends the run there.
     """
 

@@ -24,14 +24,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, LawError
-from ..log import log
-from ..mechanics.joints.constraints import Perpendicular
-from ..mechanics.joints.couplings import CouplingBatch, SmoothMotion
-from ..mechanics.joints.drives import Coupling
-from ..mechanics.joints.relative import RelativeAngle
-from ..system.scene.scene import Scene
-from ..system.system import System
+from ...errors import InputError, LawError
+from ...log import log
+from ...mechanics.joints.constraints import Perpendicular
+from ...mechanics.joints.couplings import CouplingBatch, SmoothMotion
+from ...mechanics.joints.drives import Coupling
+from ...mechanics.joints.relative import RelativeAngle
+from ...system.scene.scene import Scene
+from ...system.system import System
 
 DOUBTFUL = 2e-3  # (1), (2) over the motion in the steps, from which on they are looked at closely
 SHARP = 0.01  # change of slope over the slopes that is a kink

@@ -20,8 +20,8 @@ from typing import IO, Any
 
 import numpy as np
 
-from ..errors import CheckpointError
-from ..rotations import Array
+from ...errors import CheckpointError
+from ...rotations import Array
 
 FORMAT = 1
 SUMS, CONTENT, ARRAYS = "SHA256SUMS", "content.json", "arrays.npz"

@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import ConvergenceError, InputError
-from ..schemes.control import FINEST
-from ..system.scene.refinement import expected_rate, meshed_bodies, modal_bodies, more_modes, slender
-from ..system.scene.scene import Scene
+from ...errors import ConvergenceError, InputError
+from ...schemes.control import FINEST
+from ...system.scene.refinement import expected_rate, meshed_bodies, modal_bodies, more_modes, slender
+from ...system.scene.scene import Scene
+from ..recording.output import Output
+from ..result import Run
+from ..schedule import StepSchedule
 from .certificate import KINDS
 from .deviation import Deviation
 from .estimates import SEEN
-from .output import Output
-from .result import Run
-from .schedule import StepSchedule
 from .shared_runs import Orders, SharedRuns
 from .shares import AIM, WHOLE, Tolerance, share
 

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..checks import check_fields, number, whole
-from ..errors import CheckpointError, InputError
-from ..log import StopRequests, log, together, world_rank, world_size
-from ..system.serialisation import Memory
-from ..system.system import System
+from ...checks import check_fields, number, whole
+from ...errors import CheckpointError, InputError
+from ...log import StopRequests, log, together, world_rank, world_size
+from ...system.serialisation import Memory
+from ...system.system import System
 from . import archive
 from .fingerprint import compare
 from .folder_lock import FolderLock

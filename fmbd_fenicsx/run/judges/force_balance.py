@@ -24,16 +24,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..errors import ConvergenceError
-from ..linear.condensation import StepSolver, Weights
-from ..linear.core_matrix import core_matrix
-from ..rotations import Array
-from ..schemes.declared import Declared
-from ..system.evaluation import Evaluation
-from ..system.force_tangent import force_tangent
-from ..system.lengths import farthest
-from ..system.serialisation import Remembering, plain
-from ..system.system import State, System
+from ...errors import ConvergenceError
+from ...linear.condensation import StepSolver, Weights
+from ...linear.core_matrix import core_matrix
+from ...rotations import Array
+from ...schemes.declared import Declared
+from ...system.evaluation import Evaluation
+from ...system.force_tangent import force_tangent
+from ...system.lengths import farthest
+from ...system.serialisation import Remembering, plain
+from ...system.system import State, System
 
 SHARE = 1e-2  # of accelerations
 KNOWN = 1e-8  # of the forces that joints and elements exert on a body

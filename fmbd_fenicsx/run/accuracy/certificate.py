@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import InputError, near
-from ..schemes.declared import Declared
-from ..system.scene.refinement import meshed_bodies, modal_bodies
+from ...errors import InputError, near
+from ...schemes.declared import Declared
+from ...system.scene.refinement import meshed_bodies, modal_bodies
 from .deviation import together
 
 if TYPE_CHECKING:
-    from .solve import Run
+    from ..solve import Run
 
 KINDS = ("space", "time", "modes", "algebra")
 TOO_LOW, TOO_HIGH = (

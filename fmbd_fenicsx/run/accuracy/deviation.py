@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..rotations import Array
+from ...rotations import Array
 
 TRUSTED = 1.0 / 3.0  # share of the sum that errors are left with, however well they seem to cancel
 

@@ -6,16 +6,16 @@ import time as clock
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from ..linear.condensation import StepSolver
-from ..schemes.newton import Newton
-from ..schemes.stepping import TimeStepper
-from ..system.serialisation import worker
-from ..system.system import System
-from .force_balance import Balanced
-from .output import Recorder
+from ...linear.condensation import StepSolver
+from ...schemes.newton import Newton
+from ...schemes.stepping import TimeStepper
+from ...system.serialisation import worker
+from ...system.system import System
+from ..judges.force_balance import Balanced
+from ..recording.output import Recorder
 
 if TYPE_CHECKING:
-    from ..system.serialisation import Memory
+    from ...system.serialisation import Memory
 
 
 @dataclass
@@ -38,8 +38,8 @@ class RunProgress:
 
     def remember(self, m: Memory, where: Any = "") -> None:
         """Write all of it, or read it from the checkpoint ``where``; see :mod:`fmbd_fenicsx.system.serialisation`. Collective."""
-        from ..linear.blocks.solver_memory import remember_solver
-        from ..system.element_memory import kinds, memories, restore
+        from ...linear.blocks.solver_memory import remember_solver
+        from ...system.element_memory import kinds, memories, restore
         from .fingerprint import check_effect
 
         restore(self.system, m("elements", memories(self.system), *kinds(self.system)))

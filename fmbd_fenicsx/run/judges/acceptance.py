@@ -20,15 +20,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..errors import ConvergenceError
-from ..rotations import Array
-from ..schemes.consistent import worst_block
-from ..schemes.declared import Declared
-from ..system.compiled.recording import Openness
-from ..system.evaluation import Evaluation
-from ..system.lengths import farthest
-from ..system.serialisation import Remembering, plain
-from ..system.system import State, System
+from ...errors import ConvergenceError
+from ...rotations import Array
+from ...schemes.consistent import worst_block
+from ...schemes.declared import Declared
+from ...system.compiled.recording import Openness
+from ...system.evaluation import Evaluation
+from ...system.lengths import farthest
+from ...system.serialisation import Remembering, plain
+from ...system.system import State, System
 from .force_balance import Balanced
 
 OPEN = 5e-7  # of the model's length

@@ -21,13 +21,13 @@ from typing import Any
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 
-from ..linear.condensation import StepSolver
-from ..linear.core import dense
-from ..log import log
-from ..rotations import Array
-from ..schemes.declared import Declared
-from ..system.speed_rows import speed_rows
-from ..system.system import State, System
+from ...linear.condensation import StepSolver
+from ...linear.core import dense
+from ...log import log
+from ...rotations import Array
+from ...schemes.declared import Declared
+from ...system.speed_rows import speed_rows
+from ...system.system import State, System
 
 LARGEST = 150  # replicated coordinates up to which the angle is looked at
 RANK = 1e-9  # singular values of rows below this share of the largest are zero

@@ -15,23 +15,23 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import number
-from ..errors import ConvergenceError, LinearSolveError
-from ..log import log
-from ..schemes.declared import Declared
-from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
-from ..system.scene.refinement import meshed_bodies, modal_bodies
-from ..system.scene.scene import Scene
+from ...checks import number
+from ...errors import ConvergenceError, LinearSolveError
+from ...log import log
+from ...schemes.declared import Declared
+from ...schemes.onestep.generalized_alpha import GeneralizedAlpha
+from ...system.scene.refinement import meshed_bodies, modal_bodies
+from ...system.scene.scene import Scene
+from ..recording.ledger import Books
+from ..recording.output import Output
+from ..result import Run
+from ..schedule import StepSchedule, step_schedule
+from ..settings import check_tangent, checked_scheme
+from ..single_run import Solved
 from .estimates import UNENDED, UNFIT, Compared, TimeError, reduction_error, tolerance_error, warn_of_uncertain
-from .ledger import Books
 from .next_attempt import Looked, Plan, finer_steps, next_plan, space_first
-from .output import Output
-from .result import Run
-from .schedule import StepSchedule, step_schedule
-from .settings import check_tangent, checked_scheme
 from .shared_runs import Orders, SharedRuns
 from .shares import Relative, Tolerance, check_tolerances, relative, safe, worst
-from .single_run import Solved
 
 __all__ = ["Attempt", "Relative", "relative", "solve_within"]
 
@@ -213,7 +213,7 @@ def _default(scene: Scene, t_end: float) -> Any:
     """The usual scheme of a scene; where loads jump at break points on the way, it chooses its steps: a jump within a step leaves
     an error that depends on where it falls, and that other steps of equal size do not tell.
     """
-    from .solve import default_scheme
+    from ..solve import default_scheme
 
     scheme = default_scheme(scene)
     jumps = any(0.0 < t < t_end for t in scene.breakpoints)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import typed
-from ..errors import InputError, near, require
-from ..system.scene.scene import Scene
+from ...checks import typed
+from ...errors import InputError, near, require
+from ...system.scene.scene import Scene
 from .certificate import Certificate, Statement
 
 AIM = 0.6  # share of the tolerance below which the error of space, or of modes, is brought: its estimate is the coarser one

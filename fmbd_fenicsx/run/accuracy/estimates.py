@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import ConvergenceError, InputError, LinearSolveError
-from ..linear.condensation import StepSolver
-from ..log import log
-from ..schemes.control import FINEST
-from ..system.scene.refined_basis import finer_system
-from ..system.scene.refinement import finer_space
-from ..system.scene.scene import Scene
-from .built import Built, build
+from ...errors import ConvergenceError, InputError, LinearSolveError
+from ...linear.condensation import StepSolver
+from ...log import log
+from ...schemes.control import FINEST
+from ...system.scene.refined_basis import finer_system
+from ...system.scene.refinement import finer_space
+from ...system.scene.scene import Scene
+from ..built import Built, build
+from ..problem import Problem, begin, make_solver
+from ..recording.output import Output, Recorder
+from ..schedule import StepSchedule
+from ..time_loop import March, march
 from .deviation import Deviation
-from .output import Output, Recorder
-from .problem import Problem, begin, make_solver
-from .schedule import StepSchedule
-from .time_loop import March, march
 
 if TYPE_CHECKING:
-    from .result import Run
+    from ..result import Run
 
 UNFIT = (
     ConvergenceError,
