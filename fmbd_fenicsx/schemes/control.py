@@ -201,16 +201,8 @@ class NormOfWays(ErrorNorm):
     """
 
     LEAST, FINEST = 1e-6, 1e-12
-    PLACES = (
-        0.118,
-        0.236,
-        0.382,
-        0.5,
-        0.618,
-        0.764,
-        0.882,
-        1.0,
-    )  # of a stretch, where prescribed motions are looked at
+    # shares of a stretch at which prescribed motions are looked at
+    PLACES = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882, 1.0)
     keeps: ClassVar = {**ErrorNorm.keeps, "origin": _configuration, "way": plain()}
 
     def __init__(self, system: System, rtol: float, atol: float | None, index: int) -> None:

@@ -18,7 +18,8 @@ class Declared:
     constraints that hold at the end of a step, where no form says so. ``free_steps``: any size may follow any other.
     ``carries_pressure``: it moves pressures that are unknowns. ``start``: a start of its own, also for scenes with contact.
     ``refusal``: why it does not take what a scene holds, "" where it does.
-    ``turn_limit``: angle (rad) by which rows of joints may turn in a step, None for any (:mod:`~fmbd_fenicsx.run.judges.turning_rows`).
+    ``turn_limit``: angle (rad) by which rows of joints may turn in a step, None for any
+    (:mod:`~fmbd_fenicsx.run.judges.turning_rows`).
     ``timeless``: no scheme in time at all, as the pictures of a mode. ``compiled``: whether compiled code may evaluate.
     """
 

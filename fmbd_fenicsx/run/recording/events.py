@@ -35,8 +35,8 @@ class Event:
         sensor: name of a sensor with one component, or of a component: "tip y".
         level: the value, in the sensor's unit.
         direction: 1 for rising, -1 for falling values only, 0 for both.
-        then: called with the :class:`~fmbd_fenicsx.run.recording.moment.Moment` of the crossing, on all ranks, and the run goes on;
-            None ends the run there.
+        then: called with the :class:`~fmbd_fenicsx.run.recording.moment.Moment` of the crossing, on all ranks, and the run
+            goes on; None ends the run there.
     """
 
     sensor: str

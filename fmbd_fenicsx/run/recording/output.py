@@ -64,9 +64,10 @@ class Output:
         estimate_space: run again with each body in a finer space (displacements of one degree more, or half the cell size) and
             estimate the error that the mesh causes in each sensor.
         ledger: whether the power of every force, drive and damping is recorded too, for ``run.ledger``.
-        on_step: called after each step with a :class:`~fmbd_fenicsx.run.recording.moment.Moment`: ``now.t``, ``now.step``, ``now["tip"]``
-            for the present value of a sensor. On all ranks; what it returns is ignored.
-        events: crossings of a value by a sensor, each an :class:`~fmbd_fenicsx.run.recording.events.Event`: the run ends, or calls back.
+        on_step: called after each step with a :class:`~fmbd_fenicsx.run.recording.moment.Moment`: ``now.t``, ``now.step``,
+            ``now["tip"]`` for the present value of a sensor. On all ranks; what it returns is ignored.
+        events: crossings of a value by a sensor, each an :class:`~fmbd_fenicsx.run.recording.events.Event`: the run ends,
+            or calls back.
     """
 
     every: int = 1
