@@ -47,7 +47,7 @@ def compiler() -> list[str] | None:
 
 
 @dataclass(frozen=True)
-class Unit:
+class SourceUnit:
     """One C file of a library.
 
     Attributes:
@@ -75,7 +75,7 @@ class Library:
     """A shared library of some units, linked with the mathematical library."""
 
     name: str
-    units: Sequence[Unit]
+    units: Sequence[SourceUnit]
 
     def file(self, folder: Path, command: list[str]) -> Path:
         """Where it is kept."""
@@ -91,8 +91,8 @@ def load(
     flags: tuple[str, ...] = FLAGS,
     made_from: bytes = b"",
 ) -> ctypes.CDLL | None:
-    """The library of one unit, see :class:`Unit` and :func:`load_library`; ``name``: the first part of the file's name."""
-    return load_library(Library(name, [Unit(name, source, flags, made_from)]))
+    """The library of one unit, see :class:`SourceUnit` and :func:`load_library`; ``name``: the first part of the file's name."""
+    return load_library(Library(name, [SourceUnit(name, source, flags, made_from)]))
 
 
 def load_library(library: Library, *, beside: Sequence[Library] = ()) -> ctypes.CDLL | None:
@@ -210,7 +210,7 @@ class _Building:
             for library in libraries:
                 self._link(library, Path(work))
 
-    def _missing(self, libraries: Sequence[Library], work: Path) -> list[Unit]:
+    def _missing(self, libraries: Sequence[Library], work: Path) -> list[SourceUnit]:
         """Units to be compiled."""
         missing = []
         for unit in (unit for library in libraries for unit in library.units):
@@ -221,7 +221,7 @@ class _Building:
                 missing.append(unit)
         return missing
 
-    def _compile(self, unit: Unit) -> None:
+    def _compile(self, unit: SourceUnit) -> None:
         """One unit into its object."""
         file = self.objects[unit.key(self.command)]
         text = unit.source() if callable(unit.source) else unit.source

@@ -55,7 +55,7 @@ class Recipe:
 
 
 @dataclass(frozen=True)
-class Finished:
+class FinishedMesh:
     """How a finished mesh was loaded into gmsh, how often its edges were halved since, and where it was placed."""
 
     load: Loader
@@ -97,7 +97,7 @@ class Mesh:
     surfaces: dict[str, int]
     volume: str
     label: str
-    recipe: Recipe | Finished | None = None
+    recipe: Recipe | FinishedMesh | None = None
 
     def __repr__(self) -> str:
         cells = self.dolfinx.topology.index_map(self.dim).size_global
@@ -234,7 +234,7 @@ def distributed(load: Loader, label: str, comm: Any = None) -> Mesh:
             gmsh.finalize()
 
     msh.topology.create_connectivity(dim - 1, dim)
-    return Mesh(msh, facets, groups, name, label, Finished(load, comm))
+    return Mesh(msh, facets, groups, name, label, FinishedMesh(load, comm))
 
 
 def require_file(path: Path) -> None:

@@ -13,8 +13,8 @@ from test_mobility import slider_crank
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
-from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledStepper
-from fmbd_fenicsx.schemes.onestep.generalized_alpha import GeneralizedAlpha, Stepper
+from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
+from fmbd_fenicsx.schemes.onestep.generalized_alpha import AlphaStepper, GeneralizedAlpha
 from fmbd_fenicsx.system.compiled.library import driver_library
 from fmbd_fenicsx.system.system import State
 
@@ -73,7 +73,7 @@ def test_same_digits_as_numpy(make: Any) -> None:
     assert fast.local_error == pytest.approx(slow.local_error, rel=1e-5)
 
 
-def stepper_of(scene: fmbd.Scene, scheme: GeneralizedAlpha | None = None) -> Stepper:
+def stepper_of(scene: fmbd.Scene, scheme: GeneralizedAlpha | None = None) -> AlphaStepper:
     from fmbd_fenicsx.linear.condensation import StepSolver
     from fmbd_fenicsx.schemes.consistent import consistent
 
@@ -84,18 +84,18 @@ def stepper_of(scene: fmbd.Scene, scheme: GeneralizedAlpha | None = None) -> Ste
 
 
 def test_kernel_is_used_where_it_can_and_only_there() -> None:
-    assert isinstance(stepper_of(chain(3)), CompiledStepper)
-    assert not isinstance(stepper_of(chain(3), GeneralizedAlpha(0.8, compiled=False)), CompiledStepper)
+    assert isinstance(stepper_of(chain(3)), CompiledAlphaStepper)
+    assert not isinstance(stepper_of(chain(3), GeneralizedAlpha(0.8, compiled=False)), CompiledAlphaStepper)
     spring = chain(2)
     spring.add(fmbd.Spring("s", *spring.bodies.values(), (0, 1), (1, 0), 1.0))
-    assert isinstance(stepper_of(spring), CompiledStepper)
+    assert isinstance(stepper_of(spring), CompiledAlphaStepper)
     geared = chain(2)
     turn = fmbd.angle(geared.joints["pin 1"])
     geared.add(fmbd.gear("teeth", fmbd.angle(geared.joints["pin 0"]), turn, ratio=2.0))
-    assert isinstance(stepper_of(geared), CompiledStepper)
+    assert isinstance(stepper_of(geared), CompiledAlphaStepper)
     twice = chain(1)
     twice.add(fmbd.revolute("again", fmbd.ground, twice.bodies["0"], center=(0, 0)))
-    assert isinstance(stepper_of(twice), CompiledStepper)  # redundant rows
+    assert isinstance(stepper_of(twice), CompiledAlphaStepper)  # redundant rows
 
 
 def test_steps_may_alternate_between_both() -> None:
@@ -103,7 +103,7 @@ def test_steps_may_alternate_between_both() -> None:
     a, b = stepper_of(chain(5)), stepper_of(chain(5), GeneralizedAlpha(0.8, compiled=False))
     for k in range(40):
         if k % 3 == 1:
-            Stepper.advance(a, 1e-3)
+            AlphaStepper.advance(a, 1e-3)
         else:
             a.advance(1e-3)
         b.advance(1e-3)

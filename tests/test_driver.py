@@ -13,7 +13,7 @@ from test_kernel import flexible
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError, LawError
-from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledStepper
+from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
 from fmbd_fenicsx.system.compiled.choice import driver_states
 from fmbd_fenicsx.system.compiled.library import driver_library
 from fmbd_fenicsx.system.compiled.order import Elimination, Fronts, RowGroup, joint_tree
@@ -136,7 +136,7 @@ SCENES = [joint_springs, suspended, loaded, driven, redundant, tyre, bushings]
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("make", SCENES, ids=lambda f: f.__name__)
 def test_same_motion_as_numpy(make: Any, dim: int) -> None:
-    assert isinstance(stepper_of(make(dim)), CompiledStepper)
+    assert isinstance(stepper_of(make(dim)), CompiledAlphaStepper)
     fast, slow = pair(lambda: make(dim), t_end=0.1, dt=1e-3)
     assert fast.counters["compiled_steps"] == 100
     # dependent rows take a second iteration, which closes them

@@ -193,7 +193,7 @@ def test_tangents_serve_many_steps(
         monkeypatch.setattr(owner, name, call)
 
     counted(elastic_momentum._Body, "_take", "of bodies")
-    counted(energy_momentum.Stepper, "_differences", "of joints")
+    counted(energy_momentum.EnergyMomentumStepper, "_differences", "of joints")
     run = fmbd.solve(scene, t_end=0.2, dt=0.004, scheme=fmbd.EnergyMomentum())
     energy = sum(run.energy.values())
     assert np.abs(energy - energy[0]).max() < 1e-9 * run.energy["kinetic"].max()

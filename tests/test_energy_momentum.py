@@ -92,6 +92,6 @@ def test_usual_steps_need_no_differences(monkeypatch: pytest.MonkeyPatch) -> Non
     def refused(*_: object) -> None:
         raise AssertionError("differences")
 
-    monkeypatch.setattr(energy_momentum.Stepper, "_differences", refused)
+    monkeypatch.setattr(energy_momentum.EnergyMomentumStepper, "_differences", refused)
     run = fmbd.solve(scene, t_end=0.1, dt=1e-3, scheme=fmbd.EnergyMomentum())
     assert run["tip"][-1] == pytest.approx(exact["tip"][-1], abs=1e-5)

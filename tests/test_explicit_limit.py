@@ -12,7 +12,7 @@ from fmbd_fenicsx.errors import StabilityError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.onestep import explicit_runge_kutta, half_explicit, rattle
-from fmbd_fenicsx.schemes.onestep.explicit_limit import Vibration, fastest_vibration, largest_step
+from fmbd_fenicsx.schemes.onestep.explicit_limit import FastestVibration, fastest_vibration, largest_step
 
 QUIET = fmbd.Output(progress=False)
 SCHEMES = [fmbd.Rattle(), fmbd.HalfExplicit(rtol=None), fmbd.ExplicitRungeKutta(rtol=None)]
@@ -44,7 +44,7 @@ def clamped(joint: str) -> fmbd.Scene:
     return scene
 
 
-def vibration(scene: fmbd.Scene) -> Vibration:
+def vibration(scene: fmbd.Scene) -> FastestVibration:
     system, given, _ = scene.build()
     solver = StepSolver(system)
     found = fastest_vibration(system, consistent(system, given, solver)[0], solver)
@@ -62,7 +62,7 @@ def test_a_mass_on_a_spring_and_a_damper() -> None:
 
 def test_limits_of_the_schemes() -> None:
     """2 / omega for RATTLE; the matrices of steps are those of the schemes, by a step of a mass on a spring."""
-    free = Vibration(10.0, 0.0, "")
+    free = FastestVibration(10.0, 0.0, "")
     assert largest_step(free, rattle.amplification) == pytest.approx(0.2, rel=1e-3)
     assert 0.28 < largest_step(free, half_explicit.amplification) < 0.34
     for scheme, module in zip(SCHEMES, MODULES, strict=True):

@@ -16,7 +16,7 @@ from test_kinds import defects
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.mechanics.kinds.own import own_term, traced
-from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledStepper
+from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
 from fmbd_fenicsx.system.compiled.library import driver_library
 
 LENGTH = 1.25
@@ -293,7 +293,7 @@ def test_steps_are_compiled_and_kinds_shared() -> None:
 
         scene.add(ball, fmbd.constraint(f"rod {i}", before, ball, chord))
         before = ball
-    assert isinstance(stepper_of(scene), CompiledStepper)
+    assert isinstance(stepper_of(scene), CompiledAlphaStepper)
     assert len({row.own for joint in scene.joints.values() for row in joint.rows}) == 1
 
 

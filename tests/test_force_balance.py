@@ -28,10 +28,10 @@ def double_pendulum(size: float = 1.0, mass: float = 1.0) -> fmbd.Scene:
 
 
 SCHEMES = {
-    "alpha": (generalized_alpha.Stepper, fmbd.GeneralizedAlpha(0.8, compiled=False), 2e-3),
-    "Radau": (radau.Stepper, fmbd.Radau(rtol=1e-6), None),
-    "BDF": (bdf.Stepper, fmbd.BDF(rtol=1e-6), None),
-    "BDF, constant": (bdf.Stepper, fmbd.BDF(order=2, rtol=None), 2e-3),
+    "alpha": (generalized_alpha.AlphaStepper, fmbd.GeneralizedAlpha(0.8, compiled=False), 2e-3),
+    "Radau": (radau.RadauStepper, fmbd.Radau(rtol=1e-6), None),
+    "BDF": (bdf.BDFStepper, fmbd.BDF(rtol=1e-6), None),
+    "BDF, constant": (bdf.BDFStepper, fmbd.BDF(order=2, rtol=None), 2e-3),
 }
 
 

@@ -140,7 +140,7 @@ def stacked(vectors: Any) -> Any:
 @pytest.mark.serial
 def test_exudyn_gets_the_integrals_of_nodal_sums() -> None:
     """Against the sums over nodes that Exudyn itself takes of a finite element model."""
-    from fmbd_fenicsx.mechanics.reduction.reduced import Constants, constants_of
+    from fmbd_fenicsx.mechanics.reduction.reduced import ReducedConstants, constants_of
     from fmbd_fenicsx.post.exudyn_file import _integrals
 
     n, m = 5, 3
@@ -149,7 +149,7 @@ def test_exudyn_gets_the_integrals_of_nodal_sums() -> None:
     mass = A @ A.T + n * np.eye(n)
     Z = rng.normal(size=(n, 3, m + 1))
     S, T = constants_of(Z, np.tensordot(mass, Z, 1))
-    found = _integrals(Constants(float(mass.sum()), S, T, np.eye(m), np.zeros((m, m)), {}, np.zeros(3), 1.0))
+    found = _integrals(ReducedConstants(float(mass.sum()), S, T, np.eye(m), np.zeros((m, m)), {}, np.zeros(3), 1.0))
 
     M, X = np.kron(mass, np.eye(3)), Z[:, :, 0].ravel()
     psi = Z[:, :, 1:].reshape(3 * n, m)

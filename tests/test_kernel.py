@@ -15,8 +15,8 @@ from test_compiled import pair, stepper_of
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
-from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledStepper
-from fmbd_fenicsx.schemes.onestep.generalized_alpha import GeneralizedAlpha, Stepper
+from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
+from fmbd_fenicsx.schemes.onestep.generalized_alpha import AlphaStepper, GeneralizedAlpha
 from fmbd_fenicsx.system.compiled.library import driver_library
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -82,7 +82,7 @@ def agree(fast: fmbd.Run, slow: fmbd.Run, *, rates: float = 1e-9) -> None:
 
 @pytest.mark.parametrize("make", [rigid, lambda: flexible(2), lambda: flexible(3)], ids=["rigid", "2", "3"])
 def test_same_digits_as_numpy(make: Any) -> None:
-    assert isinstance(stepper_of(make()), CompiledStepper)
+    assert isinstance(stepper_of(make()), CompiledAlphaStepper)
     agree(*pair(make, t_end=0.1, dt=1e-3))
 
 
@@ -241,7 +241,7 @@ def test_steps_may_alternate(rod_mesh: Callable[..., Any]) -> None:
     a, b = stepper_of(flexible(3)), stepper_of(flexible(3), GeneralizedAlpha(0.8, compiled=False))
     for k in range(30):
         if k % 3 == 1:
-            Stepper.advance(a, 1e-3)
+            AlphaStepper.advance(a, 1e-3)
         else:
             a.advance(1e-3)
         b.advance(1e-3)

@@ -34,10 +34,10 @@ def test_without_energy_no_energy_is_recorded():
 
 def test_steps_between_given_times_are_made_in_one_call(monkeypatch):
     """Only those that pass an instant are steps by themselves; values are those of single steps to the last bit."""
-    from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledStepper
+    from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
 
-    calls, march = [], CompiledStepper._steps
-    monkeypatch.setattr(CompiledStepper, "_steps", lambda self, h, n, *x: calls.append(n) or march(self, h, n, *x))
+    calls, march = [], CompiledAlphaStepper._steps
+    monkeypatch.setattr(CompiledAlphaStepper, "_steps", lambda self, h, n, *x: calls.append(n) or march(self, h, n, *x))
     times = (0.0, 0.1237, 0.5, 0.7501)
     run = solve(1e-3, times=times)
     assert sum(calls) == 1000 and len(calls) < 20

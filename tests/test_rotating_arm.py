@@ -18,7 +18,7 @@ from numpy.polynomial import Legendre, Polynomial
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import linear_elastic, plane_stress
 from fmbd_fenicsx.mechanics.placements import Attached, FrameMotion
-from fmbd_fenicsx.mechanics.reduction.reduced import Constants, ReducedPart
+from fmbd_fenicsx.mechanics.reduction.reduced import ReducedConstants, ReducedPart
 from fmbd_fenicsx.system.system import System
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -73,7 +73,7 @@ def nearest(found: Any, value: float) -> float:
     return float(found[np.argmin(np.abs(found - value))])
 
 
-def spinning(c: Constants, rate: float) -> Any:
+def spinning(c: ReducedConstants, rate: float) -> Any:
     """Frequencies (rad/s) about steady rotation about the root, Coriolis forces included."""
     d = c.S.shape[0]
     part, zero = ReducedPart("arm", c, 0, []), np.zeros(c.n_modes)
@@ -87,7 +87,7 @@ def spinning(c: Constants, rate: float) -> Any:
     return oscillations(*(derivative(rows(k), np.full(c.n_modes, 1e-6)) for k in range(3)))
 
 
-def compare(c: Constants, height: float) -> None:
+def compare(c: ReducedConstants, height: float) -> None:
     """Every frequency of the table to 1e-3."""
     for gamma, flap, flap_2, lag in zip(range(13), FLAP, FLAP_2, LAG, strict=True):
         found = spinning(c, gamma * unit(height)) / unit(height)

@@ -17,7 +17,7 @@ import numpy as np
 from ..checks import check_fields
 from ..errors import ConvergenceError, LinearSolveError, require
 from ..rotations import Array
-from .static_newton import Point, StaticNewton
+from .static_newton import StaticNewton, StaticPoint
 
 
 @dataclass(eq=False)
@@ -28,11 +28,11 @@ class Path:
     """
 
     parameter: list[float] = field(default_factory=list)
-    points: list[Point] = field(default_factory=list)
+    points: list[StaticPoint] = field(default_factory=list)
     series: dict[str, Array] = field(default_factory=dict)
     distance: list[float] = field(default_factory=lambda: [0.0])  # along the path
 
-    def add(self, parameter: float, point: Point, length: float = 0.0) -> None:
+    def add(self, parameter: float, point: StaticPoint, length: float = 0.0) -> None:
         """Take one more point, ``length`` beyond the last one along the path."""
         self.points.append(point)
         self.parameter.append(parameter)
@@ -73,7 +73,7 @@ class ArcLength:
         require(0.0 < self.step <= 1.0, f"ArcLength: step = {self.step} must be in (0, 1].")
         require(self.most >= 1, f"ArcLength: most = {self.most} must be at least 1.")
 
-    def trace(self, newton: StaticNewton, start: Point, t: float) -> Path:
+    def trace(self, newton: StaticNewton, start: StaticPoint, t: float) -> Path:
         """The path from an equilibrium at t on; collective. Raises ConvergenceError where steps become too short."""
         span = self.t_end - t
         path = Path([t], [start])
@@ -111,7 +111,7 @@ def _product(newton: StaticNewton, x: Array, y: Array) -> float:
 
 
 def _tangent(
-    newton: StaticNewton, point: Point, t: float, span: float, last: tuple[Array, float] | None
+    newton: StaticNewton, point: StaticPoint, t: float, span: float, last: tuple[Array, float] | None
 ) -> tuple[Array, float]:
     """(d, e) of (1) with unit length, e over the span, in the sense of the last one."""
     r = newton.take(point, t)
@@ -125,15 +125,15 @@ def _tangent(
 
 
 def _step(
-    newton: StaticNewton, start: tuple[Point, float], tangent: tuple[Array, float], span: float, length: float
-) -> tuple[Point, float, int]:
+    newton: StaticNewton, start: tuple[StaticPoint, float], tangent: tuple[Array, float], span: float, length: float
+) -> tuple[StaticPoint, float, int]:
     """One step of (1): point, parameter and number of iterations."""
     system, (first, t0), (d, e) = newton.residual.system, start, tangent
 
     # predictor: along the tangent
     xi, lam, s = length * d, first.lam, length * e
     for count in range(12):
-        point = Point(system.compose(first.q, xi), lam)
+        point = StaticPoint(system.compose(first.q, xi), lam)
         t = t0 + span * s
         r = newton.take(point, t)
         newton.iterations += 1
@@ -156,7 +156,7 @@ def _step(
         if not size < 0.5 * system.length:
             break
         if size <= 1e-9 * system.length and abs(ds) < 1e-9:
-            return Point(system.compose(first.q, xi), lam), t0 + span * s, count + 1
+            return StaticPoint(system.compose(first.q, xi), lam), t0 + span * s, count + 1
     raise ConvergenceError("a step along the path did not converge")
 
 

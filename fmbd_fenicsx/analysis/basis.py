@@ -31,7 +31,7 @@ EXACT = ExactTangent(rtol=1e-7, max_iterations=60)
 
 
 @dataclass(frozen=True, eq=False)
-class Projected:
+class ProjectedSystem:
     """M, C, K on a basis: ``vectors`` (k, n_v), each satisfying the constraints; ``speeds``: G_s and P of rows on velocities;
     ``memory``: what moves with them in elements that remember.
     """
@@ -43,11 +43,11 @@ class Projected:
     speeds: tuple[Array, Array]
     memory: SmallMemory | None = None
 
-    def on(self, Q: Array) -> Projected:
+    def on(self, Q: Array) -> ProjectedSystem:
         """The same on combinations Q (k, n) of the basis."""
         G, P = self.speeds
         memory = None if self.memory is None else self.memory.on(Q)
-        return Projected(
+        return ProjectedSystem(
             Q.T @ self.vectors, Q.T @ self.M @ Q, Q.T @ self.C @ Q, Q.T @ self.K @ Q, (G @ Q, P @ Q), memory
         )
 
@@ -59,8 +59,8 @@ def projected(
     *,
     shift: float,
     inputs: Sequence[Array] = (),
-    enough: Callable[[Projected], bool] | None = None,
-) -> Projected:
+    enough: Callable[[ProjectedSystem], bool] | None = None,
+) -> ProjectedSystem:
     """The small matrices for the first ``count`` modes, and for static answers to ``inputs`` (forces like v); collective.
 
     ``enough`` tells from the matrices whether the space of elastic fields need not grow any more.
@@ -115,11 +115,11 @@ class _Space:
         share = np.linalg.lstsq(self.small[0][:n, :n], along, rcond=None)[0]
         return b - np.sum([c * image[0] for c, image in zip(share, self.images, strict=False)], axis=0)
 
-    def projected(self) -> Projected:
+    def projected(self) -> ProjectedSystem:
         """The matrices so far, without rows on velocities."""
         n = len(self.vectors)
         M, C, K = self.small
-        return Projected(
+        return ProjectedSystem(
             np.array(self.vectors).reshape(n, self.about.system.n_v), M, C, K, (np.zeros((0, n)), np.zeros((0, n)))
         )
 
@@ -152,8 +152,8 @@ def _krylov(
     inverse: _Shifted,
     count: int,
     inputs: Sequence[Array],
-    enough: Callable[[Projected], bool] | None,
-) -> Projected:
+    enough: Callable[[ProjectedSystem], bool] | None,
+) -> ProjectedSystem:
     """The matrices on an orthonormal basis of a block Krylov space; where it ends early others go on beside it."""
     about, basis = space.about, space.vectors
     limit = min(3 * count + MORE, _freedom(about))

@@ -23,7 +23,7 @@ from ..system.sensors.contact import ContactSensor, LimitEffort
 from ..system.system import State, System
 from .equilibrium import Equilibrium, static_newton
 from .static_contact import FLOOR, ContactNewton
-from .static_newton import Point
+from .static_newton import StaticPoint
 
 STILL = 1e-6  # increment of the equilibrium, over the model's length, that counts as none
 NO_FORCE = 1e-9  # share of the largest force below which a point carries none
@@ -96,7 +96,7 @@ def closed_contacts(at: Any, system: System, solver: StepSolver) -> ClosedContac
     newton: Any = static_newton(system, solver, at.state.t, at.spin)
     assert isinstance(newton, ContactNewton)
     none = np.zeros(system.n_v), np.zeros(system.n_lam)
-    here = newton.look(Point(at.state.q, at.state.lam), at.state.t, none)
+    here = newton.look(StaticPoint(at.state.q, at.state.lam), at.state.t, none)
     if here.size > STILL * system.length:
         raise InputError(
             f"The scene is not in equilibrium at this state: with its contacts it moves by {here.size:.3g} m."

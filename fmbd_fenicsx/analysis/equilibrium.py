@@ -32,7 +32,7 @@ from .basis import free_motions
 from .load_steps import LoadSteps
 from .perturbation import Perturbation
 from .rotors import BodySpin, body_spin, check_steady
-from .static_newton import NoEquilibriumError, Point, StaticNewton, by_load_steps, relax
+from .static_newton import NoEquilibriumError, StaticNewton, StaticPoint, by_load_steps, relax
 from .steady import Residual, Spin, steady_rates
 
 FEW = 120  # coordinates up to which stability is looked at
@@ -113,7 +113,7 @@ def equilibrium(
             turning = spin if spin is None or not spin.bodies else body_spin(system, given.q, spin)
             newton = static_newton(system, solver, t, turning)
             _check_drives(newton.residual, given.q, t)
-            point = _with_controllers(newton, Point(given.q, np.zeros(system.n_lam)), t, path)
+            point = _with_controllers(newton, StaticPoint(given.q, np.zeros(system.n_lam)), t, path)
             made = None if path is None else path.trace(newton, point, t)
             _check_given_speeds(newton.residual, point.q, t)
             check_steady(newton, point if made is None else made.points[-1], t if made is None else made.parameter[-1])
@@ -181,7 +181,9 @@ def _check_given_speeds(residual: Residual, q: Array, t: float) -> None:
         )
 
 
-def _with_controllers(newton: StaticNewton, start: Point, t: float, path: ArcLength | LoadSteps | None) -> Point:
+def _with_controllers(
+    newton: StaticNewton, start: StaticPoint, t: float, path: ArcLength | LoadSteps | None
+) -> StaticPoint:
     """:func:`find`, with memories of controllers at rest as well; collective."""
     system = newton.residual.system
     if not system.keepers:
@@ -213,7 +215,7 @@ def _read_along(found: Equilibrium, path: Path) -> None:
 def settled(system: System, given: State, solver: StepSolver) -> State:
     """The state at rest in equilibrium near a given one: the start of ``Scene(settle=True)``; collective."""
     newton = static_newton(system, solver, given.t, None)
-    return state_of(system, find(newton, Point(given.q, np.zeros(system.n_lam)), given.t), given.t, None)
+    return state_of(system, find(newton, StaticPoint(given.q, np.zeros(system.n_lam)), given.t), given.t, None)
 
 
 def static_newton(system: System, solver: StepSolver, t: float, spin: Spin | BodySpin | None) -> StaticNewton:
@@ -237,7 +239,7 @@ def static_newton(system: System, solver: StepSolver, t: float, spin: Spin | Bod
     return ContactNewton(Residual(system, spin), solver, 0.1 * tau)
 
 
-def state_of(system: System, point: Point, t: float, spin: Spin | BodySpin | None) -> State:
+def state_of(system: System, point: StaticPoint, t: float, spin: Spin | BodySpin | None) -> State:
     """A point as a state with its steady velocities, and contact forces where there are contacts."""
     v, a = steady_rates(system, point.q, spin)
     state = State(t, point.q, v, a, point.lam)
@@ -249,7 +251,7 @@ def state_of(system: System, point: Point, t: float, spin: Spin | BodySpin | Non
     return state_with_contact(system, state, point.force)
 
 
-def find(newton: StaticNewton, start: Point, t: float) -> Point:
+def find(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
     """:func:`by_load_steps` with shorter preconditioning steps where elastic blocks are singular; errors say what moves."""
     system = newton.residual.system
     while True:
@@ -270,7 +272,7 @@ def find(newton: StaticNewton, start: Point, t: float) -> Point:
             newton.__post_init__()
 
 
-def _nearer(newton: StaticNewton, start: Point, t: float) -> Point:
+def _nearer(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
     """A better start by descent; with contact, whose increments descend anyway, the same with a shorter step."""
     slow = _slow(newton.residual.system, t)
     if newton.residual.system.contacts is None:
@@ -280,7 +282,7 @@ def _nearer(newton: StaticNewton, start: Point, t: float) -> Point:
     return start
 
 
-def _stable(newton: StaticNewton, start: Point, found: Point, t: float) -> Point:
+def _stable(newton: StaticNewton, start: StaticPoint, found: StaticPoint, t: float) -> StaticPoint:
     """The equilibrium found, or a stable one by descent where Newton went far and ended on an unstable one.
 
     Looks at scenes of few replicated coordinates only: others rarely end there.
@@ -312,7 +314,7 @@ def _slow(system: System, t: float) -> float:
     return 0.5 * float(np.sqrt(system.length / (pull or 1.0)))
 
 
-def _why(newton: StaticNewton, start: Point, t: float, error: NoEquilibriumError) -> str:
+def _why(newton: StaticNewton, start: StaticPoint, t: float, error: NoEquilibriumError) -> str:
     """What a missing equilibrium means: a body that moves freely, or a load above the limit."""
     system = newton.residual.system
     motion, grown, push = _softest(newton, start, t, np.ones(system.n_v))
@@ -330,7 +332,7 @@ def _why(newton: StaticNewton, start: Point, t: float, error: NoEquilibriumError
     )
 
 
-def _softest(newton: StaticNewton, start: Point, t: float, motion: Array) -> tuple[Array, float, float]:
+def _softest(newton: StaticNewton, start: StaticPoint, t: float, motion: Array) -> tuple[Array, float, float]:
     """The motion (largest displacement 1 m) that forces move farthest about a point, how far, and the force (N) along it.
 
     Inertia forces of a motion without any stiffness move it by as much: 1.

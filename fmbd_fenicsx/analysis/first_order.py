@@ -19,7 +19,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from ..rotations import Array
-from .basis import Projected
+from .basis import ProjectedSystem
 
 ALMOST = 1e-7  # share of the fastest eigenvalue below which a slow one is real
 UNCHANGED = 1e-9  # strain of dashpots beside a motion of 1 m that is roundoff
@@ -44,7 +44,7 @@ class FirstOrder:
         return z, rate, self.N @ u_rate + self.D @ rate
 
 
-def first_order(small: Projected) -> FirstOrder:
+def first_order(small: ProjectedSystem) -> FirstOrder:
     """(1) from the projected matrices."""
     M = small.M
     C = small.C

@@ -26,7 +26,7 @@ from ..mechanics.forces.force_elements import ScalarLoads, TimeLoads
 from ..rotations import Array
 from ..system.scene.scene import Scene
 from ..system.system import State
-from .basis import Projected, projected
+from .basis import ProjectedSystem, projected
 from .first_order import first_order
 from .modes import Linearised, eigenpairs, prepared, readable
 from .small_memory import changed, memory_size, pushed_by
@@ -105,7 +105,7 @@ def frequency_response(
     return linearise(scene, inputs, outputs, at=at).frequency_response(omega)
 
 
-def _first_modes(small: Projected, n: int) -> Projected:
+def _first_modes(small: ProjectedSystem, n: int) -> ProjectedSystem:
     """The model on real and imaginary parts of its first modes."""
     _, Y = eigenpairs(small, n)
     Q = sl.orth(np.concatenate((Y.real, Y.imag), axis=1), rcond=1e-9)
@@ -169,7 +169,7 @@ def _values(made: Linearised, state: State, names: Sequence[str]) -> list[Array]
 
 
 def _model(
-    made: Linearised, small: Projected, forces: list[tuple[str, Array]], outputs: list[tuple[str, str, int]]
+    made: Linearised, small: ProjectedSystem, forces: list[tuple[str, Array]], outputs: list[tuple[str, str, int]]
 ) -> LinearModel:
     """(1) from the projected matrices and the derivatives of the sensors."""
     system = made.about.system

@@ -17,7 +17,7 @@ import numpy as np
 from ..checks import check_fields
 from ..errors import ConvergenceError, LinearSolveError, require
 from .arc_length import Path
-from .static_newton import Point, StaticNewton
+from .static_newton import StaticNewton, StaticPoint
 
 SHORTEST = 1e-5  # load step, as a share of the first one
 FAST = 5  # iterations after which the next step may be longer
@@ -40,7 +40,7 @@ class LoadSteps:
         require(ascending, f"LoadSteps: the load parameters must ascend, found {self.stops}.")
         require(self.first is None or self.first > 0.0, f"LoadSteps: first = {self.first} must be positive.")
 
-    def trace(self, newton: StaticNewton, start: Point, t: float) -> Path:
+    def trace(self, newton: StaticNewton, start: StaticPoint, t: float) -> Path:
         """The equilibria at the stops, from the one at t on; collective. Raises ConvergenceError with the last one reached."""
         require(t < self.stops[0], f"LoadSteps: the first parameter {self.stops[0]} must be above t = {t}.")
         made = [(t, start)]
@@ -69,7 +69,7 @@ class LoadSteps:
         return path
 
 
-def _predicted(newton: StaticNewton, made: list[tuple[float, Point]], target: float) -> Point:
+def _predicted(newton: StaticNewton, made: list[tuple[float, StaticPoint]], target: float) -> StaticPoint:
     """The point of (1)."""
     system, (t, last) = newton.residual.system, made[-1]
     if len(made) < 2:
@@ -77,4 +77,4 @@ def _predicted(newton: StaticNewton, made: list[tuple[float, Point]], target: fl
     before, past = made[0]
     share = (target - t) / (t - before)
     moved = share * system.difference(past.q, last.q)
-    return Point(system.compose(last.q, moved), last.lam + share * (last.lam - past.lam))
+    return StaticPoint(system.compose(last.q, moved), last.lam + share * (last.lam - past.lam))

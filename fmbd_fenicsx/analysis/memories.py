@@ -24,7 +24,7 @@ from ..system.controllers import ControlLoads, Kept
 from ..system.element_memory import memories, restore
 from ..system.system import State, System
 from .small_memory import hold
-from .static_newton import Point, StaticNewton, by_load_steps
+from .static_newton import StaticNewton, StaticPoint, by_load_steps
 
 LENGTHS = 100.0  # T over the preconditioner's time step
 MOST = 60
@@ -108,7 +108,7 @@ def remembering(system: System, point: Array, t: float) -> list[ControlLoads]:
     return found
 
 
-def steady(newton: StaticNewton, start: Point, t: float, keeping: list[ControlLoads]) -> Point:
+def steady(newton: StaticNewton, start: StaticPoint, t: float, keeping: list[ControlLoads]) -> StaticPoint:
     """The equilibrium with memories at rest, from the one with the memories as given; collective.
 
     Raises ConvergenceError where a memory keeps changing: an integral whose target cannot be reached.

@@ -26,13 +26,13 @@ from ..schemes.consistent import consistent
 from ..system.scene.scene import Scene
 from ..system.speed_rows import speed_rows
 from ..system.system import State, System
-from .basis import Projected, projected
+from .basis import ProjectedSystem, projected
 from .equilibrium import Equilibrium, static_newton
 from .first_order import first_order, slowest
 from .perturbation import Perturbation
 from .rotors import BodySpin, check_round
 from .small_memory import refuse_moving_memory, relaxes
-from .static_newton import Point, StaticNewton
+from .static_newton import StaticNewton, StaticPoint
 from .steady import Spin
 
 SYMMETRIC = 1e-7  # relative size of what a symmetric matrix may lack of symmetry, differences included
@@ -265,7 +265,7 @@ def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
         return
 
     # where would a long step bring it?
-    r = newton.take(Point(state.q, state.lam), state.t)
+    r = newton.take(StaticPoint(state.q, state.lam), state.t)
     away = system.max_abs(newton.solver.solve(-r[0], -r[1])[0])
     if away > NOTHING * system.length:
         raise InputError(
@@ -274,7 +274,7 @@ def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
         )
 
 
-def eigenpairs(small: Projected, n: int, *, relaxing: bool = False) -> tuple[Array, Array]:
+def eigenpairs(small: ProjectedSystem, n: int, *, relaxing: bool = False) -> tuple[Array, Array]:
     """The n slowest eigenvalues (n,) of (1) on a basis and their vectors (k, n), one of each conjugate pair.
 
     ``relaxing``: as for :func:`.first_order.slowest`.
@@ -309,7 +309,7 @@ class Settled:
     last: Array | None = None
     stays: int = 0
 
-    def __call__(self, small: Projected) -> bool:
+    def __call__(self, small: ProjectedSystem) -> bool:
         """Twice in a row they do."""
         if len(small.M) <= 2 * self.n:
             return False

@@ -22,7 +22,7 @@ from ..system.system import State, System
 
 if TYPE_CHECKING:
     from .perturbation import Perturbation
-    from .static_newton import Point, StaticNewton
+    from .static_newton import StaticNewton, StaticPoint
     from .steady import Spin
 
 ANGLES = (1.0, 2.5)  # by which bodies are turned, rad
@@ -105,7 +105,7 @@ def _frames_of(name: str, names: Sequence[str]) -> list[int]:
     return list(range(start, start + count))
 
 
-def check_steady(newton: StaticNewton, point: Point, t: float) -> None:
+def check_steady(newton: StaticNewton, point: StaticPoint, t: float) -> None:
     """Refuse what holds the bodies that spin, and equilibria that change as they turn; collective."""
     system, spin = newton.residual.system, newton.residual.spin
     if not isinstance(spin, BodySpin) or spin.rate == 0.0:

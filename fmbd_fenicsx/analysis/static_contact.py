@@ -33,7 +33,7 @@ from ..schemes.exact_tangent import exact_increment
 from ..system.sensors.contact import WORKS, ContactForces, ContactState
 from ..system.speed_rows import speed_rows
 from ..system.system import State, System
-from .static_newton import EXACT, LONG, Pair, Point, StaticNewton
+from .static_newton import EXACT, LONG, Pair, StaticNewton, StaticPoint
 
 MOST = 40  # increments
 LONGEST = 0.2  # increment (2) that is taken whole, over the model's length
@@ -49,7 +49,7 @@ CHANGES = 6  # of the set of closed points in one increment
 class Touching:
     """A point with its increment (2): ``near`` (m,) bool, the candidates' ``rows`` and matrix W, forces Lambda on them."""
 
-    point: Point
+    point: StaticPoint
     residual: Pair
     near: np.ndarray
     rows: Rows
@@ -72,7 +72,7 @@ class ContactNewton(StaticNewton):
         self.compliance = Compliance(self.solver, self.contacts)
 
     # -- the increment of a long step -------------------------------------------------------------------------------
-    def look(self, point: Point, t: float, rest: Pair) -> Touching:
+    def look(self, point: StaticPoint, t: float, rest: Pair) -> Touching:
         """The increment (2) at a point; with a shorter time step where it would go too far for rows of this place."""
         system = self.residual.system
         weights = self.weights
@@ -94,7 +94,7 @@ class ContactNewton(StaticNewton):
         self.weights = weights
         return found
 
-    def _increment(self, point: Point, t: float, r: Pair) -> Touching:
+    def _increment(self, point: StaticPoint, t: float, r: Pair) -> Touching:
         """The increment (2) with the matrix that the solver has; candidates are points that are near or come near by it."""
         system = self.residual.system
         contacts = self.contacts
@@ -218,7 +218,7 @@ class ContactNewton(StaticNewton):
         return 0.5 * (columns + columns.T)
 
     # -- the iteration ----------------------------------------------------------------------------------------------
-    def solve(self, start: Point, t: float, rest: Pair) -> Point:
+    def solve(self, start: StaticPoint, t: float, rest: Pair) -> StaticPoint:
         """The point where the residuals of (1) equal ``rest``; ConvergenceError where the iteration ends elsewhere."""
         system = self.residual.system
         here = self.look(start, t, rest)
@@ -282,17 +282,17 @@ class ContactNewton(StaticNewton):
         good = there.size <= max(0.7 * here.size, FLOOR * system.length)
         return (there, size) if good else (None, np.inf)
 
-    def _moved(self, point: Point, step: Pair, share: float) -> Point:
+    def _moved(self, point: StaticPoint, step: Pair, share: float) -> StaticPoint:
         system = self.residual.system
-        return Point(system.compose(point.q, share * step[0]), point.lam + share * step[1])
+        return StaticPoint(system.compose(point.q, share * step[0]), point.lam + share * step[1])
 
-    def _with_forces(self, here: Touching) -> Point:
+    def _with_forces(self, here: Touching) -> StaticPoint:
         force: Array = np.zeros(len(here.near))
         force[here.near] = here.force
         return replace(here.point, force=force)
 
     # -- what moves where there is no equilibrium ---------------------------------------------------------------------
-    def respond(self, start: Point, t: float) -> tuple[Array, Any]:
+    def respond(self, start: StaticPoint, t: float) -> tuple[Array, Any]:
         """Configuration where the iteration ended, and P^-1 there with the points that touch held closed."""
         none = np.zeros(self.residual.system.n_v), np.zeros(self.residual.system.n_lam)
         here = self.look(start if self.last is None else self.last.point, t, none)

@@ -39,11 +39,11 @@ TINY = 1e-6  # increments, over the model's length, that ought to become smaller
 LONG = 0.5  # increment that is not taken whole, over the model's length
 
 Pair = tuple[Array, Array]
-Increment = Callable[["Point", float, Pair, Pair], Pair | None]  # point, time, residuals, what they are to be
+Increment = Callable[["StaticPoint", float, Pair, Pair], Pair | None]  # point, time, residuals, what they are to be
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class StaticPoint:
     """A configuration and its multipliers; ``force`` (m,) N on the candidates of contacts, None without any."""
 
     q: Array
@@ -70,7 +70,7 @@ class StaticNewton:
         self.weights = Weights(1.0 / self.tau**2, 0.0, 1.0)
 
     # -- one tangent ----------------------------------------------------------------------------------------------
-    def take(self, point: Point, t: float) -> Pair:
+    def take(self, point: StaticPoint, t: float) -> Pair:
         """Take the tangent at a point; the residuals there."""
         ev = self.residual.at(point.q, t)
         r = self.residual.values(ev, point.lam)
@@ -79,7 +79,7 @@ class StaticNewton:
         self.solver.prepare(ev, self.weights)
         return r
 
-    def inverse(self, point: Point, t: float, r: Pair, goal: Pair, share: float = 0.0) -> Pair:
+    def inverse(self, point: StaticPoint, t: float, r: Pair, goal: Pair, share: float = 0.0) -> Pair:
         """(J + s M / tau^2)^-1 (goal - r) at a point with residuals r, J exact, s = ``share``; increments of q and lambda."""
         system = self.residual.system
         inertia = share * self.weights.cm
@@ -104,7 +104,7 @@ class StaticNewton:
         return self.solver.step(*b)
 
     # -- a whole iteration ----------------------------------------------------------------------------------------
-    def solve(self, start: Point, t: float, rest: Pair) -> Point:
+    def solve(self, start: StaticPoint, t: float, rest: Pair) -> StaticPoint:
         """The point where both residuals equal ``rest``; ConvergenceError where the iteration ends elsewhere."""
         carried = any(p.field.carried for _, p in self.residual.system.fields)
         if carried:
@@ -118,7 +118,7 @@ class StaticNewton:
         except ConvergenceError:
             return self._iterate(start, t, rest, WHOLE, self._slow_increment)
 
-    def _iterate(self, start: Point, t: float, rest: Pair, most: int, increment: Increment) -> Point:
+    def _iterate(self, start: StaticPoint, t: float, rest: Pair, most: int, increment: Increment) -> StaticPoint:
         """Newton's iteration of at most ``most`` increments from ``increment``, which gives None where there is none to take."""
         system = self.residual.system
         point = start
@@ -129,7 +129,7 @@ class StaticNewton:
             step = increment(point, t, r, rest)
             if step is None:
                 break
-            point = Point(system.compose(point.q, step[0]), point.lam + step[1])
+            point = StaticPoint(system.compose(point.q, step[0]), point.lam + step[1])
 
             size = system.max_abs(step[0])
             sizes.append(size)
@@ -142,18 +142,18 @@ class StaticNewton:
                 break
         raise ConvergenceError(f"increments of {', '.join(f'{x:.1e}' for x in sizes[-4:])} m")
 
-    def _carrying_increment(self, point: Point, t: float, r: Pair, rest: Pair) -> Pair | None:
+    def _carrying_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
         """Increment of the solver's own matrix, the pressures of bodies with it."""
         step = self.direct((rest[0] - r[0], rest[1] - r[1]))
         return step if np.isfinite(self.residual.system.max_abs(step[0])) else None
 
-    def _whole_increment(self, point: Point, t: float, r: Pair, rest: Pair) -> Pair | None:
+    def _whole_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
         """Increment of the exact tangent, unless it is long against the model."""
         system = self.residual.system
         dq, dlam = self.inverse(point, t, r, rest)
         return (dq, dlam) if system.max_abs(dq) <= LONG * system.length else None
 
-    def _damped_increment(self, point: Point, t: float, r: Pair, rest: Pair) -> Pair | None:
+    def _damped_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
         """Share (2) of the increment of the exact tangent."""
         system = self.residual.system
         dq, dlam = self.inverse(point, t, r, rest)
@@ -165,7 +165,7 @@ class StaticNewton:
         share = self._share(point, t, (dq, dlam), (rest[0] - r[0], rest[1] - r[1]), rest)
         return (share * dq, share * dlam) if share else None
 
-    def _slow_increment(self, point: Point, t: float, r: Pair, rest: Pair) -> Pair | None:
+    def _slow_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
         """Increment with M / tau^2 beside the exact tangent.
 
         What may turn or slide freely has no stiffness, and roundoff would move it far; the rest hardly feels it, as tau is long.
@@ -174,20 +174,20 @@ class StaticNewton:
         dq, dlam = self.inverse(point, t, r, rest, 1.0)
         return (dq, dlam) if system.max_abs(dq) <= LONG * system.length else None
 
-    def respond(self, start: Point, t: float) -> tuple[Array, Callable[[Array], Array]]:
+    def respond(self, start: StaticPoint, t: float) -> tuple[Array, Callable[[Array], Array]]:
         """A configuration, and P^-1 there: what forces move where there is no equilibrium."""
         self.take(start, t)
         zero = np.zeros(self.residual.system.n_lam)
         return start.q, lambda b: self.solver.solve(b, zero)[0]
 
-    def _balanced(self, point: Point, t: float, rest: Pair) -> bool:
+    def _balanced(self, point: StaticPoint, t: float, rest: Pair) -> bool:
         """Whether the residuals are small in the measure of the preconditioner: no increment is no proof where J is singular."""
         system = self.residual.system
         r = self.residual.values(self.residual.at(point.q, t), point.lam)
         left = self.solver.solve(rest[0] - r[0], rest[1] - r[1])[0]
         return system.max_abs(left) <= 1e-6 * system.length
 
-    def _share(self, point: Point, t: float, step: Pair, b: Pair, rest: Pair) -> float:
+    def _share(self, point: StaticPoint, t: float, step: Pair, b: Pair, rest: Pair) -> float:
         """The share l of (2), 0.0 where there is none."""
         system, share = self.residual.system, 1.0
         before = system.max_abs(self.solver.solve(*b)[0])
@@ -205,7 +205,7 @@ class StaticNewton:
         return 0.0
 
 
-def by_load_steps(newton: StaticNewton, start: Point, t: float) -> Point:
+def by_load_steps(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
     """The equilibrium at time t by load steps (1), as long as they can be; collective.
 
     Raises ConvergenceError with the last load factor reached.
@@ -232,7 +232,7 @@ def by_load_steps(newton: StaticNewton, start: Point, t: float) -> Point:
     return point
 
 
-def relax(newton: StaticNewton, start: Point, t: float, tau: float) -> Point:
+def relax(newton: StaticNewton, start: StaticPoint, t: float, tau: float) -> StaticPoint:
     """A point near a stable equilibrium, by descent in the metric M / tau^2 + K: for starts where J is not definite; collective.
 
     Raises ConvergenceError where increments do not become small.
@@ -254,7 +254,7 @@ def relax(newton: StaticNewton, start: Point, t: float, tau: float) -> Point:
 
         share = min(1.0, 0.2 * system.length / max(size, 1e-300))
         last = size
-        point = Point(system.compose(point.q, share * d), lam)
+        point = StaticPoint(system.compose(point.q, share * d), lam)
         if size <= 1e-4 * system.length:
             return point
     raise ConvergenceError(f"increments of {last:.1e} m after {RELAXED} iterations of descent")

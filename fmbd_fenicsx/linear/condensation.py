@@ -27,10 +27,10 @@ from ..system.evaluator import Evaluator
 from ..system.force_tangent import force_tangent
 from ..system.foreshortened_ports import tangent_ports
 from ..system.system import System
-from .blocks.field_blocks import Block, FieldBlocks, Weights
+from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_load
 from .border import AroundSolver, Border
-from .configuration import Configuration
+from .configuration import MatrixConfiguration
 from .configuration_warnings import CLOSE, mover, rows_depend, warn_near_singular
 from .core import ADVICE, TIE_LIMIT, CoreSolver, dense
 from .core_matrix import core_matrix
@@ -59,11 +59,11 @@ class StepSolver:
         self._look = redundant is None
         self._near_singular, self._masses = False, None
         self.increment: Array | None = None  # Newton's last, like v, where the next :meth:`refresh` is to know of it
-        self._held: Configuration | None = None  # that of the matrices
+        self._held: MatrixConfiguration | None = None  # that of the matrices
         self._driver: tuple[Evaluator | None, DriverSolver | None] = None, None
         self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
         self.elastic = FieldBlocks(system, linear, prefix)
-        self.blocks: list[Block] = []
+        self.blocks: list[FactoredField] = []
         self.split: Any = None if linear is None else linear.split(system, prefix)
         self.iterated = self._iterated_ties()
         self.direct: Any = slice(None) if self.iterated is None else self.iterated.direct
@@ -180,10 +180,10 @@ class StepSolver:
         fields = self.system.fields
         return not fields[0][1].field.total(np.array(float(not same))) if fields else same
 
-    def _configuration(self, ev: Evaluation, weights: Weights) -> Configuration:
+    def _configuration(self, ev: Evaluation, weights: Weights) -> MatrixConfiguration:
         versions = [(f.tangent_version, f.column_version) for _, f in self.system.fields]
         moving = None if ev.v is None or not (weights.cd or weights.ck) else ev.v.copy()
-        return Configuration(ev.t, ev.q.copy(), moving, weights, versions)
+        return MatrixConfiguration(ev.t, ev.q.copy(), moving, weights, versions)
 
     def _assemble(self, ev: Evaluation) -> None:
         """The matrices of (1), and the factor of the core."""
@@ -383,7 +383,7 @@ class StepSolver:
         local = [rotate_nodal(part, T) for part, T in zip(parts, self.corotations, strict=True)]
         return np.concatenate([x[:n], *local]), x[n : n + len(c)]
 
-    def _project(self, f: DistributedPart, block: Block, z: Array) -> Array:
+    def _project(self, f: DistributedPart, block: FactoredField, z: Array) -> Array:
         """H^T z of a field."""
         ports = tangent_ports(f, z)
         q = ports[: f.n_frame_rows] if f.shared_columns else f.field.total(f.inertia_columns.T @ z)

@@ -12,7 +12,7 @@ from .blocks.field_blocks import Weights
 
 
 @dataclass(frozen=True, eq=False)
-class Configuration:
+class MatrixConfiguration:
     """What the matrices depend on; velocities only where they weigh damping or stiffness. ``versions``: of tangents, columns."""
 
     t: float
@@ -21,7 +21,7 @@ class Configuration:
     weights: Weights
     versions: list[tuple[int, int]]
 
-    def equals(self, other: Configuration) -> bool:
+    def equals(self, other: MatrixConfiguration) -> bool:
         """Whether the matrices are the same to the last bit."""
         plain = self.t == other.t and self.weights == other.weights and self.versions == other.versions
         return plain and all(x is y or np.array_equal(x, y) for x, y in ((self.q, other.q), (self.v, other.v)))

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..errors import InputError, require
 from ..log import log, on_root
-from ..mechanics.reduction.reduced import Constants
+from ..mechanics.reduction.reduced import ReducedConstants
 from ..rotations import Array, hat
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def save_exudyn(model: InterfaceModel, file: str | Path) -> Path:
     return file
 
 
-def _checked(model: InterfaceModel, file: Path) -> Constants:
+def _checked(model: InterfaceModel, file: Path) -> ReducedConstants:
     """The constants of a body that Exudyn can hold."""
     require(file.suffix == ".npz", f'Exudyn file "{file}": the name must end in .npz, found "{file.suffix}".')
     if model.body is None or model.motion is None:
@@ -62,7 +62,7 @@ def _checked(model: InterfaceModel, file: Path) -> Constants:
     return c
 
 
-def _tell_damping(c: Constants, file: Path) -> None:
+def _tell_damping(c: ReducedConstants, file: Path) -> None:
     """Damping is given to Exudyn by two factors, which its file does not hold: say them.
 
     Raises:
@@ -95,7 +95,7 @@ def _tell_damping(c: Constants, file: Path) -> None:
     )
 
 
-def _integrals(c: Constants) -> dict[str, Any]:
+def _integrals(c: ReducedConstants) -> dict[str, Any]:
     """(1) by the names of Exudyn."""
     m = c.n_modes
     turning = np.trace(c.T, axis1=2, axis2=3)[:, :, None, None] * np.eye(3) - c.T.transpose(0, 1, 3, 2)
@@ -127,7 +127,7 @@ def _side_by_side(blocks: list[Array]) -> Array:
     return np.concatenate([np.zeros((3, 0)), *blocks], axis=1)
 
 
-def _skeleton(model: InterfaceModel, c: Constants) -> dict[str, Any]:
+def _skeleton(model: InterfaceModel, c: ReducedConstants) -> dict[str, Any]:
     """Nodes, their displacements by modes, and triangles to look at, by the names of Exudyn."""
     assert model.motion is not None
     arms = ARM * c.size * np.concatenate((np.zeros((1, 3)), np.eye(3), -np.eye(3)))

@@ -22,7 +22,7 @@ from ..errors import InputError, require
 from ..log import on_root
 from ..mechanics.placements import FrameMotion
 from ..mechanics.reduction.craig_bampton import ReducedBody
-from ..mechanics.reduction.reduced import Constants
+from ..mechanics.reduction.reduced import ReducedConstants
 from ..mechanics.reduction.stored import StoredBody, packed, unpacked
 from ..rotations import Array
 from ..system.scene.scene import Scene
@@ -53,7 +53,7 @@ class InterfaceModel:
     omega: Array
     mass: float
     center: Array
-    body: Constants | None = field(default=None, repr=False)
+    body: ReducedConstants | None = field(default=None, repr=False)
     motion: Array | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from ..rotations import Array
 from .animation import Story
 from .drawing.render import ARROWS, color_of
-from .drawing.scene_graph import Deforming, Moving, Piece, Role
+from .drawing.scene_graph import Deforming, MovingPoints, Piece, Role
 from .plot import series_of
 
 MOST = 600  # points of a curve
@@ -78,7 +78,7 @@ def _piece(piece: Piece, chosen: list[int]) -> dict[str, Any]:
         size = np.maximum(np.ptp(x, axis=(0, 1)), 1e-300)
         made |= {"low": _numbers(low), "size": _numbers(size)}
         made["deforming"] = _packed(np.round((x - low) / size * 65535), "<u2")
-    elif isinstance(motion, Moving):
+    elif isinstance(motion, MovingPoints):
         made["points"] = _packed(motion.points, "<f4")
         places = np.concatenate((motion.matrix[chosen].reshape(-1, 9), motion.origin[chosen]), axis=1)
         made["places"] = _packed(places, "<f4")

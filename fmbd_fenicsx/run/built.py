@@ -16,7 +16,7 @@ from .problem import begin
 
 
 @dataclass(frozen=True)
-class Start:
+class ConsistentStart:
     """A consistent start, and what it corrected."""
 
     state: State
@@ -35,9 +35,9 @@ class Built:
     markers: dict[str, int]
     warned: Gathered
     seconds: float
-    starts: list[Start] = field(default_factory=list)
+    starts: list[ConsistentStart] = field(default_factory=list)
 
-    def start(self, scene: Scene, scheme: Any, *, solver: StepSolver, h: float) -> Start:
+    def start(self, scene: Scene, scheme: Any, *, solver: StepSolver, h: float) -> ConsistentStart:
         """The consistent start, with first steps of h (s): the one that is known, or a new one; collective.
 
         A start that a scheme makes itself depends on the steps, and one with pressures on tangents: these are made each time.
@@ -47,7 +47,7 @@ class Built:
             self.system.evaluator.begin_anew()
             return self.starts[0]
 
-        made = Start(*begin(scene, scheme, self.system, self.given, solver=solver, h=h))
+        made = ConsistentStart(*begin(scene, scheme, self.system, self.given, solver=solver, h=h))
         if Declared.by(scheme).start is None and not solver.pressures:
             self.starts.append(made)
         return made

@@ -15,7 +15,7 @@ from ..schemes.newton import Newton
 from ..system.scene.plan import make_plan
 from ..system.scene.scene import Scene
 from .accuracy.estimates import Compared
-from .built import Built, Start
+from .built import Built, ConsistentStart
 from .doubts import warn_of_doubts
 from .judges.rank_advice import advise_on_ranks
 from .judges.turning_rows import warn_of_turning_rows
@@ -51,7 +51,7 @@ class Solved:
 
 
 @dataclass(frozen=True)
-class Finished:
+class FinishedMarch:
     """A march that is over: what it solved from which start, its counts, the joints whose reactions are not unique.
 
     ``times``: of the clock when the run began, when its start was found, and at its end, s. ``exit_code``: where it stops.
@@ -59,7 +59,7 @@ class Finished:
 
     march: March
     problem: Problem
-    start: Start
+    start: ConsistentStart
     counters: dict[str, float]
     undetermined: list[str]
     times: tuple[float, float, float]
@@ -94,7 +94,7 @@ def run_once(
     return Solved(run, problem, Compared(finished.march.recorder, task.schedule))
 
 
-def _problem(task: Task, built: Built, solver: StepSolver, start: Start) -> Problem:
+def _problem(task: Task, built: Built, solver: StepSolver, start: ConsistentStart) -> Problem:
     """What the march starts from."""
     return Problem(
         scene=task.scene,
@@ -113,11 +113,11 @@ def _problem(task: Task, built: Built, solver: StepSolver, start: Start) -> Prob
 def _finished(
     task: Task,
     problem: Problem,
-    start: Start,
+    start: ConsistentStart,
     solver: StepSolver,
     clocks: tuple[float, float],
     keeper: Keeper | None,
-) -> Finished:
+) -> FinishedMarch:
     """March, and look at what it left while its solver is there."""
     try:
         marched = march(problem, solver, task.schedule, task.output, keeper)
@@ -131,10 +131,10 @@ def _finished(
     warn_of_doubts(task.scene, solver, marched.recorder, counters)
     warn_of_turning_rows(solver, task.scheme, (start.state, marched.state), task.schedule.next(0.0))
     code = None if keeper is None else keeper.exit_code
-    return Finished(marched, problem, start, counters, undetermined, (*clocks, ended), code)
+    return FinishedMarch(marched, problem, start, counters, undetermined, (*clocks, ended), code)
 
 
-def _run(task: Task, built: Built, finished: Finished) -> Run:
+def _run(task: Task, built: Built, finished: FinishedMarch) -> Run:
     """The run as users see it."""
     marched, system = finished.march, built.system
     recorder = marched.recorder
@@ -166,7 +166,7 @@ def _run(task: Task, built: Built, finished: Finished) -> Run:
     )
 
 
-def _seconds(built: Built, finished: Finished) -> dict[str, float]:
+def _seconds(built: Built, finished: FinishedMarch) -> dict[str, float]:
     """Wall time of the phases of a run, with those before a restart, s."""
     begun, started, ended = finished.times
     earlier = finished.march.earlier

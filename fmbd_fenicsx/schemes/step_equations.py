@@ -12,7 +12,7 @@ import numpy as np
 
 from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
-from ..linear.saddle.pencil import Pencil, Tangent
+from ..linear.saddle.pencil import Pencil, PencilTangent
 from ..rotations import Array
 from ..system.compiled.choice import use_driver
 from ..system.evaluation_batch import EvaluationBatch
@@ -164,11 +164,11 @@ class StepEquations(Remembering):
         held = np.diag(1.0 / (h * ties.damping + h * h * ties.stiffness)) + self.R @ self.U_ties
         return self.U_ties @ np.linalg.solve(held, self.R @ v)
 
-    def inertia(self, tangent: Tangent, a: Array) -> Array:
+    def inertia(self, tangent: PencilTangent, a: Array) -> Array:
         """M a at the tangent's motion."""
         return tangent.M @ a
 
-    def pencil(self, tangent: Tangent, s: Array, judge: Judge) -> Pencil:
+    def pencil(self, tangent: PencilTangent, s: Array, judge: Judge) -> Pencil:
         """Solver of the stages for the frequencies s, (p,)."""
         return Pencil(tangent, s, judge, self.solver.core.redundant)
 
@@ -201,7 +201,7 @@ class StepEquations(Remembering):
             self._start, self._closed = (dq, v, a), state
         return self._start
 
-    def refresh(self, state: State, mult: Array) -> Tangent:
+    def refresh(self, state: State, mult: Array) -> PencilTangent:
         """The tangent of (1), (2) at a state with multipliers (n_mult,); also refreshes the metric W.
 
         M and G are assembled. Stiffness and damping of the balance, with the geometric stiffness (G^T lambda)_q, and the
@@ -241,7 +241,7 @@ class StepEquations(Remembering):
             R = _dense(self.stiff.system.at(state.t, q, v).jacobian.core)[self.stiff.ties]
             self.U_ties = self._inverse_mass @ R.T
             by_q[-ties:], by_v[-ties:] = self.stiff.stiffness[:, None] * R, self.stiff.damping[:, None] * R
-        return Tangent(self._turning(np.zeros(n), v)[0], M, G, self.U, by_q, by_v, by_a, R)
+        return PencilTangent(self._turning(np.zeros(n), v)[0], M, G, self.U, by_q, by_v, by_a, R)
 
     def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
         """d rate(xi, v) / d xi by differences, and the matrix T with v = T rate(xi, v)."""
@@ -253,7 +253,7 @@ class StepEquations(Remembering):
         J = (s.rate(xi + 1e-6 * eye, v) - s.rate(xi - 1e-6 * eye, v)).T / 2e-6
         return J, np.asarray(np.linalg.inv(s.rate(xi, eye).T))
 
-    def tangent_at(self, t: float, xi: Array, v: Array, vd: Array, mult: Array) -> Tangent:
+    def tangent_at(self, t: float, xi: Array, v: Array, vd: Array, mult: Array) -> PencilTangent:
         """The tangent at a point of the local coordinates, for a full Newton iteration."""
         at = State(t, self.system.compose(self.origin, xi), v, vd, mult[: self.system.n_lam])
         made = self.refresh(at, mult)

@@ -22,7 +22,7 @@ import numpy as np
 from ..checks import function, instance, typed, vector
 from ..errors import CallbackError, InputError, named, near, require
 from ..mechanics.forces.effort_laws import PID
-from ..mechanics.forces.force_elements import Loads, Tangent
+from ..mechanics.forces.force_elements import Loads, MarkerTangent
 from ..mechanics.forces.forces import Force
 from ..mechanics.forces.formulas import Formula, SampledEffort, table
 from ..mechanics.forces.joint_elements import motion_of
@@ -177,7 +177,7 @@ class ControlLoads(Loads):
         rate = np.concatenate([r.rates(kin) for r in self.acts])
         return s, rate, -self.efforts(kin, t)
 
-    def tangent(self, kin: Kinematics, t: float) -> Tangent | None:
+    def tangent(self, kin: Kinematics, t: float) -> MarkerTangent | None:
         """How u answers to what is read, for each pair of an acting and a read marker; None when sampled."""
         if self.controller.every is not None:
             return None
@@ -202,7 +202,7 @@ class ControlLoads(Loads):
         K, D = np.zeros((2, len(entries), 2 * n, 2 * n))
         for i, (_, _, block, fast) in enumerate(entries):
             (D if fast else K)[i, :n, n:] = block
-        return Tangent(np.array([e[0] for e in entries]), np.array([e[1] for e in entries]), K, D)
+        return MarkerTangent(np.array([e[0] for e in entries]), np.array([e[1] for e in entries]), K, D)
 
     def _slopes(self, t: float, y: dict[str, Array], name: str) -> Array:
         """du/dy of one reading, (acts, size), the memory going along."""

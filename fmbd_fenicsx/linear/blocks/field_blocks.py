@@ -56,7 +56,7 @@ class FieldMatrix:
 
 
 @dataclass
-class Block:
+class FactoredField:
     """Factor and constant columns of one field for one ratio cm : ck."""
 
     factor: Any
@@ -79,7 +79,7 @@ class FieldBlocks:
         self.kept = 1
         self.factorisations = 0
         self.retired_solves: list[int] = []  # of factors that have been freed
-        self._sets: dict[tuple[Any, ...], list[Block]] = {}
+        self._sets: dict[tuple[Any, ...], list[FactoredField]] = {}
 
     # -- counts -------------------------------------------------------------------------------------------------
     @property
@@ -103,7 +103,7 @@ class FieldBlocks:
         return max((f.judge.worst for f in self._live), default=0.0)
 
     # -- set-up -------------------------------------------------------------------------------------------------
-    def of(self, G: Any, w: Weights, *, ties_apart: bool, splits: bool) -> list[Block]:
+    def of(self, G: Any, w: Weights, *, ties_apart: bool, splits: bool) -> list[FactoredField]:
         """Blocks for the weights of a step, earlier ones where nothing of theirs has changed.
 
         ``G`` is the constraint Jacobian, whose ports need columns. ``ties_apart``: the rows of surface ties are not
@@ -124,7 +124,7 @@ class FieldBlocks:
         self._sets[key] = blocks  # those used last are dropped last
         return blocks
 
-    def _block(self, i: int, G: Any, w: Weights, ties_apart: bool) -> Block:
+    def _block(self, i: int, G: Any, w: Weights, ties_apart: bool) -> FactoredField:
         """Factor of field i, an earlier one where its matrix is the same, and its columns."""
         k, part = self.system.fields[i]
         matrix = FieldMatrix.of(part, w)
@@ -137,7 +137,7 @@ class FieldBlocks:
         H = np.concatenate((part.inertia_columns, part.port_columns(used)), axis=1)
         Y = factor.solve_columns(H)
         W = part.field.total(H.T @ Y)
-        return Block(factor, used, Y, 0.5 * (W + W.T), matrix)
+        return FactoredField(factor, used, Y, 0.5 * (W + W.T), matrix)
 
     def _used_ports(self, k: int, part: DistributedPart, G: Any, ties_apart: bool) -> np.ndarray:
         """Numbers of the ports of a part that constraints or force elements act on."""

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...errors import require
-from ...mechanics.contact.rows import ContactSet, Linear
+from ...mechanics.contact.rows import ContactSet, LinearRows
 from ...rotations import Array
 from ...system.serialisation import Remembering, plain, worker
 from ..condensation import StepSolver
@@ -43,7 +43,7 @@ class Compliance(Remembering):
         self.columns = 0
         self.blocks = SlaveBlocks(solver, contacts)
 
-    def of(self, rows: Linear, trace: np.ndarray, scale: float) -> Any:
+    def of(self, rows: LinearRows, trace: np.ndarray, scale: float) -> Any:
         """s W for the rows of points, d' after each other, whose multipliers the given traces (m,) carry: a matrix, or an
         :class:`Applied` for many candidates on elastic surfaces.
         """
@@ -58,7 +58,7 @@ class Compliance(Remembering):
             return Applied(self.blocks, rows, np.repeat(trace, rows.core.shape[0] // len(trace)), scale)
         return scale * self.matrix(rows)
 
-    def matrix(self, rows: Linear) -> Array:
+    def matrix(self, rows: LinearRows) -> Array:
         """W, (m, m), for the configuration the solver was last prepared for."""
         s = self.solver.system
         n = s.n_core
@@ -102,7 +102,7 @@ class Compliance(Remembering):
         # symmetric but for roundoff
         return 0.5 * (W + W.T)
 
-    def _by_solves(self, rows: Linear) -> Array:
+    def _by_solves(self, rows: LinearRows) -> Array:
         """W of (1), (m, m), by one solve of the step for each row: where the matrix is not eliminated block by block."""
         system = self.solver.system
         m = rows.core.shape[0]

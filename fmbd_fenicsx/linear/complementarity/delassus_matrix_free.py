@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...errors import ConvergenceError
-from ...mechanics.contact.rows import ContactSet, Linear
+from ...mechanics.contact.rows import ContactSet, LinearRows
 from ...rotations import Array
 from ...system.serialisation import Remembering, plain
 from ..condensation import StepSolver
@@ -73,7 +73,7 @@ def _principal(A: Any, mine: np.ndarray, n: int) -> Any:
 class Applied:
     """W for rows of elastic surfaces in the configuration the solver was last prepared for; methods are collective."""
 
-    def __init__(self, blocks: SlaveBlocks, rows: Linear, slave: np.ndarray, scale: float) -> None:
+    def __init__(self, blocks: SlaveBlocks, rows: LinearRows, slave: np.ndarray, scale: float) -> None:
         """``slave`` (m,): number of the trace that carries each row's multiplier."""
         self.blocks, self.rows, self.scale = blocks, rows, scale
         self.inverse = self._lumped(slave)

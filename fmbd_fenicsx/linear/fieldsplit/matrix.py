@@ -9,7 +9,7 @@ import numpy as np
 
 from ...rotations import Array, rotate_nodal
 from ...system.jacobian import Jacobian
-from ..blocks.field_blocks import Block
+from ..blocks.field_blocks import FactoredField
 from .layout import Layout
 
 ROUNDOFF = 1e-13  # relative error that a product with the matrix may have
@@ -27,7 +27,7 @@ class StepMatrix:
     A: Array
     G: Jacobian
     twists: list[Array]
-    blocks: list[Block]
+    blocks: list[FactoredField]
     corotations: list[Any]
 
     # -- arrays -------------------------------------------------------------------------------------------------

@@ -29,7 +29,7 @@ REFINED = 1e-12  # relative residuals above this are refined once
 
 
 @dataclass(frozen=True)
-class Tangent:
+class PencilTangent:
     """Coefficients of (1): J, M (n, n); G (m, n); U (n, m); R (p, n); derivatives of the lower rows by xi, v, a:
     (n + k m + p, n) each.
     """
@@ -44,7 +44,7 @@ class Tangent:
     R: Array
 
 
-def stacked(tangents: list[Tangent]) -> Tangent:
+def stacked(tangents: list[PencilTangent]) -> PencilTangent:
     """The tangent of several stages together: variables and balances stage by stage, then each constraint level stage by
     stage.
     """
@@ -58,7 +58,7 @@ def stacked(tangents: list[Tangent]) -> Tangent:
     def diagonal(blocks: list[Array]) -> Array:
         return np.asarray(sl.block_diag(*blocks))
 
-    return Tangent(
+    return PencilTangent(
         J=diagonal([t.J for t in tangents]),
         M=diagonal([t.M for t in tangents]),
         G=diagonal([t.G for t in tangents]),
@@ -82,7 +82,7 @@ class Pencil:
     ``redundant``: dependent constraints are solved with multipliers of least norm.
     """
 
-    def __init__(self, tangent: Tangent, s: Array, judge: Judge, redundant: bool = False) -> None:
+    def __init__(self, tangent: PencilTangent, s: Array, judge: Judge, redundant: bool = False) -> None:
         self.s, self.judge, self.t, self.redundant = s, judge, tangent, redundant
         T = tangent
         n = tangent.M.shape[0]

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import require
 from ...rotations import Array
-from ..reduction.reduced import Constants, SurfaceData
+from ..reduction.reduced import ReducedConstants, SurfaceData
 
 if TYPE_CHECKING:
     from .beams import Beam
@@ -229,7 +229,7 @@ class BeamElements:
         y = y / size
         return np.stack((e, y, np.cross(e, y)), axis=1)
 
-    def constants(self) -> Constants:
+    def constants(self) -> ReducedConstants:
         """Everything in world axes of the start."""
         beam, R = self.beam, self.axes()
         S, T = self.inertia()
@@ -260,7 +260,7 @@ class BeamElements:
             of_spin = np.multiply.outer(np.outer(along, along).ravel(), by_spin)
             G = np.concatenate((of_accel, of_spin))
             surfaces["end"] = replace(surfaces["end"], bend=np.multiply.outer(along, by_tension))
-        return Constants(self.s.rhoA * beam.length, S, T, K, D, surfaces, center, beam.length, G)
+        return ReducedConstants(self.s.rhoA * beam.length, S, T, K, D, surfaces, center, beam.length, G)
 
     def centre_line(self, per_element: int) -> Array:
         """Points along the beam, (n, d, 1 + modes)."""

@@ -25,7 +25,7 @@ import numpy as np
 from ...checks import check_fields, number, typed, vector, whole
 from ...errors import InputError, near, require
 from ...rotations import Array
-from ..reduction.reduced import Constants, placed_modes
+from ..reduction.reduced import ReducedConstants, placed_modes
 from ..torsion import torsion_of_rectangle
 from .beam_elements import BeamElements
 from .bodies import RigidBody, Surface
@@ -200,7 +200,7 @@ class Beam(Body):
         return replace(self, elements=2 * self.elements)
 
     @cached_property
-    def constants(self) -> Constants:
+    def constants(self) -> ReducedConstants:
         """What the time loop needs."""
         return BeamElements(self).constants()
 

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 from ...rotations import Array
 from ..joints.relative import Relative, RelativeAngle, Separation
-from .rows import ContactSet, Here, Linear, Pair, Rows, Touch
+from .rows import ContactSet, Here, LinearRows, Pair, Rows, Touch
 from .trace import FieldTrace
 
 
@@ -84,7 +84,7 @@ class LimitPair(Pair):
         one = np.ones(self.count)
         core, fields = self._row(contacts, ev)
         factor = self.lever(system) * self.signs
-        N = Linear(factor[:, None] * core, tuple(sp.csr_matrix(factor[:, None] * f) for f in fields))
+        N = LinearRows(factor[:, None] * core, tuple(sp.csr_matrix(factor[:, None] * f) for f in fields))
 
         # without friction any rows serve as tangents: their forces are zero
         tangents = (N,) * (system.motions.dim - 1) if contacts.frictional else ()

@@ -28,8 +28,8 @@ from ...fem.traces.multipliers import Continuous, Dual, Ends
 from ...fem.traces.traces import Trace as Facets
 from ...fem.traces.traces import scatter
 from ...rotations import Array
-from .rows import ContactSet, Here, Linear, Rows, Side, Touch, bodies_overlap, tangents_of
-from .trace import Trace
+from .rows import ContactSet, Here, LinearRows, Rows, Side, Touch, bodies_overlap, tangents_of
+from .trace import ContactTrace
 
 COVERED = 0.05  # a multiplier with less than this share of its weight in the overlap is left out
 
@@ -64,7 +64,7 @@ class MortarPair:
         name: str,
         sides: tuple[Side, Side],
         facets: tuple[Facets, Facets],
-        traces: list[Trace],
+        traces: list[ContactTrace],
         law: Any,
     ) -> None:
         self.name, self.slave, self.master = name, sides[0], sides[1]
@@ -165,11 +165,11 @@ class MortarPair:
         S = _widen(p.slave, self.order[0], contacts.traces[self.slave.trace].n)
         Q = _widen(p.master, self.order[1], contacts.traces[self.master.trace].n)
 
-        def linear(direction: Array) -> Linear:
+        def linear(direction: Array) -> LinearRows:
             made = contacts.blank(self.count)
             for side, W in ((self.slave, S), (self.master, -Q)):
                 contacts.add_nodes(made, side.trace, (W, direction), here.nodes(side.trace)[1:], by_row=True)
-            return Linear(made[0], tuple(made[1]))
+            return LinearRows(made[0], tuple(made[1]))
 
         directions = tangents_of(touch.normal) if contacts.frictional else []
         one = np.ones(self.count)
@@ -185,7 +185,7 @@ class MortarPair:
         )
 
 
-def _match(facets: Facets, side: Side, trace: Trace) -> np.ndarray:
+def _match(facets: Facets, side: Side, trace: ContactTrace) -> np.ndarray:
     """Number in the trace of each node of the facets, by position at rest."""
     from scipy.spatial import cKDTree
 

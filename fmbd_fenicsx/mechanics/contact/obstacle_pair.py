@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...rotations import Array
-from .rows import ContactSet, Here, Linear, Pair, Rows, Touch, tangents_of
+from .rows import ContactSet, Here, LinearRows, Pair, Rows, Touch, tangents_of
 
 
 class ObstaclePair(Pair):
@@ -56,7 +56,7 @@ class ObstaclePair(Pair):
         touch, (r, R, P, origin, Rb) = self._place(contacts, system, (t, q), here)
         count = len(touch.gap)
 
-        def linear(direction: Array) -> Linear:
+        def linear(direction: Array) -> LinearRows:
             core, field = contacts.blank(count)
             if side.surface is not None:
                 full = np.zeros((contacts.traces[side.trace].n, d))
@@ -67,7 +67,7 @@ class ObstaclePair(Pair):
                 contacts.add_frames(core, side.frames, (direction, touch.x, origin, Rb))
             if 0 <= self.carrier.frame < system.n_frames and self.carrier.motion is None:
                 contacts.add_frames(core, np.full(count, self.carrier.frame), (-direction, touch.x, r, R))
-            return Linear(core, tuple(field))
+            return LinearRows(core, tuple(field))
 
         directions = tangents_of(touch.normal) if contacts.frictional else []
         drift = np.zeros((count, len(directions)))

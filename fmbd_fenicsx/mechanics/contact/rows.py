@@ -21,11 +21,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...rotations import Array, Motions
-from .trace import FieldTrace, ModalTrace, SurfaceNodes, Trace
+from .trace import ContactTrace, FieldTrace, ModalTrace, SurfaceNodes
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearRows:
     """Rows on velocities: ``core`` (m, n_core) and, for each trace, ``field`` (m, n_trace d) in the body's axes; those of
     a :class:`ModalTrace` are empty, it acts on the core.
     """
@@ -33,9 +33,9 @@ class Linear:
     core: Array
     field: tuple[Any, ...]
 
-    def take(self, rows: np.ndarray) -> Linear:
+    def take(self, rows: np.ndarray) -> LinearRows:
         """Some of the rows."""
-        return Linear(self.core[rows], tuple(f[rows] for f in self.field))
+        return LinearRows(self.core[rows], tuple(f[rows] for f in self.field))
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class Rows:
     """
 
     gap: Array
-    N: Linear
-    tangents: tuple[Linear, ...]
+    N: LinearRows
+    tangents: tuple[LinearRows, ...]
     friction: Array
     restitution: Array
     normal: Array
@@ -173,7 +173,7 @@ class ContactSet:
         self,
         motions: Motions,
         pairs: tuple[Any, ...],
-        traces: tuple[Trace, ...],
+        traces: tuple[ContactTrace, ...],
         amplitudes: dict[int, slice],
         n_core: int,
     ) -> None:
@@ -282,14 +282,14 @@ class ContactSet:
         return (self.touch(system, t + e, q).gap - self.touch(system, t - e, q).gap) / (2 * e)
 
     # -- products --------------------------------------------------------------------------------------------
-    def times(self, system: Any, rows: Linear, v: Array) -> Array:
+    def times(self, system: Any, rows: LinearRows, v: Array) -> Array:
         """N v, (m,); collective."""
         out = rows.core @ v[: self.n_core]
         for i, tr in self.on_fields.items():
             out = out + rows.field[i] @ tr.gather(system.local_v(v, tr.part)).ravel()
         return np.asarray(out)
 
-    def transposed(self, system: Any, rows: Linear, force: Array) -> Array:
+    def transposed(self, system: Any, rows: LinearRows, force: Array) -> Array:
         """N^T Lambda, like v."""
         out = np.zeros(system.n_v)
         out[: self.n_core] = rows.core.T @ force
@@ -363,9 +363,9 @@ def _stack(parts: list[Rows]) -> Rows:
     if len(parts) == 1:
         return parts[0]
 
-    def join(linears: list[Linear]) -> Linear:
+    def join(linears: list[LinearRows]) -> LinearRows:
         n = len(linears[0].field)
-        return Linear(
+        return LinearRows(
             np.concatenate([x.core for x in linears]),
             tuple(sp.vstack([x.field[i] for x in linears], format="csr") for i in range(n)),
         )

@@ -57,7 +57,7 @@ class BodyNodes:
         return Numbering(self.space)
 
 
-class Trace:
+class ContactTrace:
     """All contact nodes of one elastic part; collective to build.
 
     A :class:`FieldTrace` sees nodal values of a field, a :class:`ModalTrace` amplitudes of modes.
@@ -136,7 +136,7 @@ class Trace:
         return np.concatenate(self.comm.allgather(self.own + low))
 
 
-class FieldTrace(Trace):
+class FieldTrace(ContactTrace):
     """Contact nodes of an elastic field, whose local coordinates are nodal displacements."""
 
     def __init__(self, number: int, part: Any, surfaces: list[str], *, moving: bool) -> None:
@@ -165,7 +165,7 @@ class FieldTrace(Trace):
         return out
 
 
-class ModalTrace(Trace):
+class ModalTrace(ContactTrace):
     """Contact nodes of a reduced body, u = Phi eta; its rows act on the amplitudes, which belong to the core.
 
     ``modes`` (n d, m): Phi at the contact nodes.

@@ -21,7 +21,7 @@ from ...errors import InputError, require
 from ...rotations import Array, Motions, hat
 from ..frames import Kinematics
 from ..joints.joints import dimension
-from .force_elements import Loads, Tangent
+from .force_elements import Loads, MarkerTangent
 from .forces import Force
 
 _STEP = 1e-30
@@ -146,7 +146,7 @@ class BushingLoads(Loads):
         s = self._relative(self._pose(kin))[0]
         return 0.5 * float((s * (self.K @ s[..., None])[..., 0]).sum())
 
-    def tangent(self, kin: Kinematics, t: float) -> Tangent:
+    def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
         """B^T C B, and the derivative of (1) by displacements and rotations of both markers."""
         m = self.motions
         d = m.dim
@@ -166,7 +166,7 @@ class BushingLoads(Loads):
                     R[at] += h * spin @ R[at].real
 
         K = -self._forces(_Pose(xa, Ra, xb, Rb), twist).imag / _STEP
-        return Tangent(self.a, self.b, np.moveaxis(K, 0, -1), np.swapaxes(B, 1, 2) @ self.C @ B)
+        return MarkerTangent(self.a, self.b, np.moveaxis(K, 0, -1), np.swapaxes(B, 1, 2) @ self.C @ B)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from ..frames import Kinematics
 from ..joints.drives import JointCoordinate
 from ..joints.relative import Relative
 from .effort_laws import DRY
-from .force_elements import Loads, ScalarLoads, Tangent
+from .force_elements import Loads, MarkerTangent, ScalarLoads
 from .forces import Force
 from .formulas import MEMORY, Formula, table
 
@@ -61,7 +61,7 @@ class DryFrictionLoads(ScalarLoads):
         stretch = np.minimum(offset, self.limit / self.k)
         return 0.5 * float((self.k * stretch**2).sum())
 
-    def tangent(self, kin: Kinematics, t: float) -> Tangent:
+    def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
         """k and c where it sticks, 0 where it slides; the geometric stiffness of N.
 
         A point that was dragged lies on the limit: there it slides, and roundoff does not decide.

@@ -28,7 +28,7 @@ from .user_laws import Repeatable, checked, checked_number, checked_numbers
 
 
 @dataclass(frozen=True)
-class Tangent:
+class MarkerTangent:
     """Stiffness and damping (m, 2 n, 2 n) over the displacements of markers a and b, n = d + n_rot."""
 
     a: np.ndarray
@@ -74,7 +74,7 @@ class Loads:
         """Potential energy, J."""
         return 0.0
 
-    def tangent(self, kin: Kinematics, t: float) -> Tangent | None:
+    def tangent(self, kin: Kinematics, t: float) -> MarkerTangent | None:
         """Minus the derivatives of the wrenches, or None where they are neglected."""
         return None
 
@@ -246,7 +246,7 @@ class ScalarLoads(Loads):
         stored = sum(f.law.stored(x) for f, x in zip(self.forces, s, strict=True) if isinstance(f.law, EffortLaw))
         return 0.5 * float((self.k * s**2)[linear].sum()) + float(stored)
 
-    def tangent(self, kin: Kinematics, t: float) -> Tangent:
+    def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
         """Material stiffness k and damping c, and the geometric stiffness of N."""
         s, rate, _, _ = self._state(kin)
         k, c = self.k.copy(), self.c.copy()
@@ -255,7 +255,7 @@ class ScalarLoads(Loads):
             k[which], c[which] = self.slopes(which, s[which], rate[which], t)
         return self._tangent_of(kin, self.effort(s, rate, t), (k, c))
 
-    def _tangent_of(self, kin: Kinematics, N: Array, slopes: tuple[Array, Array]) -> Tangent:
+    def _tangent_of(self, kin: Kinematics, N: Array, slopes: tuple[Array, Array]) -> MarkerTangent:
         """The tangent of efforts N with dN/ds and dN/ds', and the geometric stiffness of N, (1)."""
         _, _, ra, rb = self._state(kin)
         k, c = slopes
@@ -264,7 +264,7 @@ class ScalarLoads(Loads):
         K, D = k[:, None, None] * rr, c[:, None, None] * rr
         # the direction turns: an effort along it is stiff across
         K += self.relative.geometric(kin, N)
-        return Tangent(self.a, self.b, K, D)
+        return MarkerTangent(self.a, self.b, K, D)
 
 
 class TyreLoads(Loads):
@@ -312,7 +312,7 @@ class TyreLoads(Loads):
         c = np.maximum(self._compression(kin, t)[0], 0.0)
         return 0.5 * float((self._constants()[0] * c**2).sum())
 
-    def tangent(self, kin: Kinematics, t: float) -> Tangent:
+    def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
         """k and c along the direction of compression, of those in contact."""
         c, rate, up, row = self._compression(kin, t)
         k, damping = self._constants()
@@ -322,4 +322,4 @@ class TyreLoads(Loads):
         n = self.motions.dim + self.motions.n_rot
         outer = np.zeros((len(c), 2 * n, 2 * n))
         outer[:, :d, :d] = up[:, :, None] * row[:, None, :]
-        return Tangent(self.a, self.b, (on * k)[:, None, None] * outer, (on * damping)[:, None, None] * outer)
+        return MarkerTangent(self.a, self.b, (on * k)[:, None, None] * outer, (on * damping)[:, None, None] * outer)

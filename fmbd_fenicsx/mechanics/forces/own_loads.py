@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import CallbackError, named
 from ...rotations import Array, Motions
 from ..frames import Kinematics
-from .force_elements import Loads, MarkerMotion, Tangent
+from .force_elements import Loads, MarkerMotion, MarkerTangent
 from .user_laws import Repeatable, checked
 
 SMALL = 1e-7  # steps of differences as shares of a length, a turn, a speed: about the root of roundoff
@@ -95,13 +95,13 @@ class OwnLoads(Loads):
         """Wrenches of the user's laws on both markers."""
         return self._both(kin, self._answers(kin, t))
 
-    def tangent(self, kin: Kinematics, t: float) -> Tangent:
+    def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
         """By the Jacobians of the user, or by forward differences of the law by what it reads of its markers."""
         n = self.motions.dim + self.motions.n_rot
         K, D = np.zeros((2, len(self.forces), 2 * n, 2 * n))
         for k in range(len(self.forces)):
             K[k], D[k] = self._given(k, kin, t) if self.laws[k][1] is not None else self._differenced(k, kin, t)
-        return Tangent(self.a, self.b, K, D)
+        return MarkerTangent(self.a, self.b, K, D)
 
     def _given(self, k: int, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """K and D of a Jacobian of the user's own."""

@@ -11,7 +11,7 @@ kind               g
 ``Perpendicular``  e . f
 ``Turned``         e . f, e turned in a by the angle s
 ``Distance``       (d . d / L - L) / 2
-``Expressed``      a formula of the user's own
+``ExpressedConstraint``      a formula of the user's own
 =================  ======================================
 
 Each is defined once, in :mod:`~..kinds.definitions`; g, its rows, g_t and g'' are evaluated by :mod:`~..kinds.evaluation`. The
@@ -30,7 +30,7 @@ import numpy as np
 from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..kinds.derivation import Kind, kinds
-from ..kinds.evaluation import Items
+from ..kinds.evaluation import KindItems
 
 Motion = Callable[[float], tuple[float, float, float]]
 """A prescribed motion: t -> (s, s', s'')."""
@@ -44,7 +44,7 @@ def standstill(t: float) -> tuple[float, float, float]:
     return 0.0, 0.0, 0.0
 
 
-class Pair(NamedTuple):
+class ElementaryConstraint(NamedTuple):
     """One elementary constraint: kind, the two marker indices, direction in a (or space), direction in b, length, drive."""
 
     kind: type[Batch]
@@ -55,7 +55,7 @@ class Pair(NamedTuple):
     length: float = 1.0
     motion: Motion = standstill
     axis: Array | None = None  # in marker a: what a driven ``Perpendicular`` turns about
-    own: Kind | None = None  # of ``Expressed``
+    own: Kind | None = None  # of ``ExpressedConstraint``
     constants: Mapping[str, Any] = MappingProxyType({})  # of a kind that has names for them
 
 
@@ -68,15 +68,15 @@ class Batch:
     kind: ClassVar[str]
     on_speeds: ClassVar[bool] = False
 
-    def __init__(self, motions: Motions, pairs: list[Pair]) -> None:
+    def __init__(self, motions: Motions, pairs: list[ElementaryConstraint]) -> None:
         self.motions = motions
         self.a = np.array([p.a for p in pairs])
         self.b = np.array([p.b for p in pairs])
         self.driven = [(i, p.motion) for i, p in enumerate(pairs) if p.motion is not standstill]
         kind = pairs[0].own or kinds(motions.dim)[self.kind]
-        self.items = Items(motions, kind, self.a, self.b, self.constants(pairs))
+        self.items = KindItems(motions, kind, self.a, self.b, self.constants(pairs))
 
-    def constants(self, pairs: list[Pair]) -> dict[str, Array]:
+    def constants(self, pairs: list[ElementaryConstraint]) -> dict[str, Array]:
         """Constants of the kind by name, in the axes of the markers."""
         return {"e": np.array([p.direction for p in pairs], dtype=float)}
 
@@ -133,7 +133,7 @@ class Distance(Batch):
 
     kind = "distance"
 
-    def constants(self, pairs: list[Pair]) -> dict[str, Array]:
+    def constants(self, pairs: list[ElementaryConstraint]) -> dict[str, Array]:
         """The lengths."""
         return {"length": np.array([p.length for p in pairs])}
 
@@ -141,7 +141,7 @@ class Distance(Batch):
 class NamedConstants(Batch):
     """Constraints of a kind whose joints give its constants by name."""
 
-    def constants(self, pairs: list[Pair]) -> dict[str, Array]:
+    def constants(self, pairs: list[ElementaryConstraint]) -> dict[str, Array]:
         """As the rows of the joints name them."""
         return {name: np.array([p.constants[name] for p in pairs], dtype=float) for name in pairs[0].constants}
 
@@ -151,7 +151,7 @@ class Perpendicular(Batch):
 
     kind = "perpendicular"
 
-    def constants(self, pairs: list[Pair]) -> dict[str, Array]:
+    def constants(self, pairs: list[ElementaryConstraint]) -> dict[str, Array]:
         """Both directions."""
         other = [p.direction if p.other is None else p.other for p in pairs]
         return super().constants(pairs) | {"f": np.array(other, dtype=float)}
@@ -195,7 +195,7 @@ class Turned(InTime, Perpendicular):
 
     kind = "turned"
 
-    def constants(self, pairs: list[Pair]) -> dict[str, Array]:
+    def constants(self, pairs: list[ElementaryConstraint]) -> dict[str, Array]:
         """Both directions, and where e turns to."""
         found = super().constants(pairs)
         e = found["e"]
@@ -205,7 +205,7 @@ class Turned(InTime, Perpendicular):
         return found | {"g": np.cross(axis, e)}
 
 
-class Expressed(NamedConstants):
+class ExpressedConstraint(NamedConstants):
     """A formula of a user's own is zero; one kind a batch."""
 
     kind = "own"
@@ -215,11 +215,11 @@ class Expressed(NamedConstants):
         return np.full(len(self.a), length if self.items.turns_only else 1.0)
 
 
-class ExpressedInTime(InTime, Expressed):
+class ExpressedInTime(InTime, ExpressedConstraint):
     """The same, with time in the formula: its motion is the time itself."""
 
 
-class ExpressedSpeed(Expressed):
+class ExpressedSpeed(ExpressedConstraint):
     """A formula of a user's own, linear in velocities but for a given speed, is zero."""
 
     on_speeds = True

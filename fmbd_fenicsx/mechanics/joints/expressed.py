@@ -155,7 +155,7 @@ def _row(name: str, term: OwnTerm, dim: int) -> Row:
 
 
 _BATCHES = {
-    (False, False): ct.Expressed,
+    (False, False): ct.ExpressedConstraint,
     (False, True): ct.ExpressedInTime,
     (True, False): ct.ExpressedSpeed,
     (True, True): ct.ExpressedSpeedInTime,

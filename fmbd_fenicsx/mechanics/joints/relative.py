@@ -10,7 +10,7 @@ kind               s
 ``Reach``          n . d
 ``Slide``          e . d
 ``RelativeAngle``  atan2(e_2 . f_1 - e_1 . f_2, e_1 . f_1 + e_2 . f_2), the angle about e
-``Expressed``      an expression of the user's own
+``ExpressedCoordinate``      an expression of the user's own
 =================  ==========================================================================
 
 Each is defined once, in :mod:`~..kinds.definitions`; s, its rows, s' and s'' are evaluated by
@@ -28,7 +28,7 @@ import numpy as np
 from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..kinds.derivation import Kind, kinds
-from ..kinds.evaluation import Items
+from ..kinds.evaluation import KindItems
 from ..kinds.own import OwnTerm
 
 
@@ -53,7 +53,7 @@ class Relative:
         self.a = np.asarray(a)
         self.b = np.asarray(b)
         self.e: Array = np.asarray(e, dtype=float).reshape(len(self.a), motions.dim)
-        self.items = Items(motions, kind or kinds(motions.dim)[self.kind], self.a, self.b, self.constants())
+        self.items = KindItems(motions, kind or kinds(motions.dim)[self.kind], self.a, self.b, self.constants())
 
     def constants(self) -> dict[str, Array]:
         """Constants of the kind, in the axes of the markers."""
@@ -117,7 +117,7 @@ class Slide(Relative):
     kind = "along"
 
 
-class Expressed(Relative):
+class ExpressedCoordinate(Relative):
     """A coordinate by a formula of the user's own; ``terms``: those of all items, of one kind."""
 
     kind = "own"

@@ -134,7 +134,7 @@ def finer_first(a: Surface, b: Surface) -> tuple[Surface, Surface]:
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class TiedSide:
     """One side (2): its frame, its part (None: rigid or ground) with the ports p, and the constants m (n,), s (n, d).
 
     ``trace`` and ``coupling`` (functions, nodes of the trace) of an elastic side: p = coupling u on the trace.
@@ -155,7 +155,7 @@ class TraceRows:
 
     name: str
     multipliers: Multipliers
-    sides: tuple[Side, Side]
+    sides: tuple[TiedSide, TiedSide]
     data: Array
     motion: Motion
     normal: Array | None  # (d,), in the axes of b's frame
@@ -347,7 +347,7 @@ def build_trace_rows(
         b = replace(b, s=b.s + (start - end))  # gaps of curved or distant meshes stay as they are
     else:
         frame, r, R = place(tie.b)
-        b = Side(frame, None, slice(0, 0), a.m, (start - a.m[:, None] * r) @ R)
+        b = TiedSide(frame, None, slice(0, 0), a.m, (start - a.m[:, None] * r) @ R)
 
     # a sliding tie holds the normal direction alone, that of the side whose frame is rigid
     normal = None
@@ -389,12 +389,12 @@ def _trace(part: Any, surface: Surface) -> Trace:
     return trace_of(part.field.space, surface.body.mesh, surface.name)
 
 
-def _elastic_side(part: Any, number: int, trace: Trace, A: sp.csr_matrix) -> tuple[Side, Array]:
+def _elastic_side(part: Any, number: int, trace: Trace, A: sp.csr_matrix) -> tuple[TiedSide, Array]:
     """Side with the ports p = A u (rows d) of a part, and int mu X in world axes at the start."""
     ports = part.add_trace(sp.kron(trace.columns(A), sp.identity(trace.dim), format="csr"))
     m = np.asarray(A.sum(axis=1)).ravel()
     start = np.asarray(A @ trace.points)
-    return Side(part.frame, number, ports, m, start - m[:, None] * part.origin, trace, A), start
+    return TiedSide(part.frame, number, ports, m, start - m[:, None] * part.origin, trace, A), start
 
 
 def _imposed(tie: SurfaceTie, mu: Multipliers) -> Array:

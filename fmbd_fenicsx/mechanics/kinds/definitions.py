@@ -28,51 +28,51 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from .expressions import Expression, atan2, cos, nearest_turn, sin, sqrt
-from .frames import Constants, SymbolicFrame, Vector, cross, spin
+from .frames import AskedConstants, SymbolicFrame, Vector, cross, spin
 
-Definition = Callable[[SymbolicFrame, SymbolicFrame, Constants], Expression]
+Definition = Callable[[SymbolicFrame, SymbolicFrame, AskedConstants], Expression]
 
 
-def _between(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Vector:
+def _between(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Vector:
     """From the point p of A to the point q of B."""
     return b.point(c.vector("q")) - a.point(c.vector("p"))
 
 
-def coincident(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def coincident(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Distance of the points along a direction fixed in space."""
     return c.vector("e") @ _between(a, b, c)
 
 
-def along(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def along(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Distance of the points along a direction fixed in A."""
     return a.axis(c.vector("e")) @ _between(a, b, c)
 
 
-def perpendicular(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def perpendicular(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Cosine of the angle between a direction of A and one of B."""
     return a.axis(c.vector("e")) @ b.axis(c.vector("f"))
 
 
-def turned(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def turned(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """The same; the direction of A turns from e towards g by the prescribed angle."""
     e, g, f = (c.vector(name) for name in "egf")
     s = c.scalar("drive")
     return (a.axis(e) * cos(s) + a.axis(g) * sin(s)) @ b.axis(f)
 
 
-def distance(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def distance(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Zero where the points are the length apart; the multiplier is a force."""
     d, length = _between(a, b, c), c.scalar("length")
     return ((d @ d) / length - length) * 0.5
 
 
-def separation(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def separation(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Distance of the points."""
     d = _between(a, b, c)
     return sqrt(d @ d)
 
 
-def angle(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def angle(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Rotation of B against A; in space about e of A with e, f, g a basis of both, next to the angle counted so far."""
     if a.phi is not None and b.phi is not None:
         return b.phi - a.phi - c.scalar("zero")
@@ -81,28 +81,28 @@ def angle(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
     return nearest_turn(atan2(ga @ fb - fa @ gb, fa @ fb + ga @ gb), near)
 
 
-def dead(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def dead(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Minus the potential of a force fixed in space at the point q of B."""
     return c.vector("load") @ b.point(c.vector("q"))
 
 
-def couple(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def couple(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Power of a torque fixed in space."""
     return c.vector("load", len(b.w)) @ b.w
 
 
-def follower(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def follower(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Power of a force fixed in B at its point q."""
     return b.axis(c.vector("load")) @ b.velocity(c.vector("q"))
 
 
-def follower_couple(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def follower_couple(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Power of a torque fixed in B."""
     load = c.vector("load", len(b.w))
     return load @ b.w if b.dim == 2 else b.axis(load) @ b.w
 
 
-def wheel_height(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def wheel_height(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Height of a wheel's lowest point over the plane through the point p of A."""
     normal = a.axis(c.vector("e"))
     axis = b.axis(c.vector("f"))
@@ -110,7 +110,7 @@ def wheel_height(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression
     return normal @ _between(a, b, c) - c.scalar("radius") * sqrt(along @ along) - c.scalar("tread")
 
 
-def wheel_slip(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def wheel_slip(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Speed at which a wheel's lowest point slips over A, along one direction of A."""
     normal = a.axis(c.vector("e"))
     axis = b.axis(c.vector("f"))
@@ -119,19 +119,19 @@ def wheel_slip(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
     return _slip(a, b, c, upward * c.scalar("radius") + normal * c.scalar("tread"))
 
 
-def ball_slip(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def ball_slip(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Speed at which a ball's lowest point slips over A, along one direction of A."""
     return _slip(a, b, c, a.axis(c.vector("e")) * c.scalar("radius"))
 
 
-def _slip(a: SymbolicFrame, b: SymbolicFrame, c: Constants, up: Vector) -> Expression:
+def _slip(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants, up: Vector) -> Expression:
     """Velocity of the material point of B that lies ``up`` below q against that of A at the same place, along t of A."""
     from_b = b.axis(c.vector("q")) - up
     from_a = b.x - a.x + from_b
     return a.axis(c.vector("t")) @ (b.v + spin(b.w, from_b) - a.v - spin(a.w, from_a))
 
 
-def skate(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+def skate(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Speed of a blade across itself, against what it runs on."""
     arm = b.axis(c.vector("q"))
     return b.axis(c.vector("e")) @ (b.v + spin(b.w, arm) - a.v - spin(a.w, b.x - a.x + arm))

@@ -23,7 +23,7 @@ import numpy as np
 from ...rotations import Array
 from .definitions import COORDINATES, FLOWS, IN_SPACE, Definition
 from .expressions import ZERO, Expression, Program, c_lines, gradient, rebuilt, symbol, symbols_of
-from .frames import FRAME, TWIST, Constants, SymbolicFrame, twist_gradient, twist_of
+from .frames import FRAME, TWIST, AskedConstants, SymbolicFrame, twist_gradient, twist_of
 
 KERNELS = ("value", "rates", "tangent")
 WEIGHT = symbol("weight")
@@ -80,7 +80,7 @@ def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -
     coordinate.
     """
     frames = SymbolicFrame("A", dim), SymbolicFrame("B", dim)
-    constants = Constants(dim)
+    constants = AskedConstants(dim)
     # flows are linear in the twist already, but for what they give to bodies at rest; others get their row by (1)
     y = definition(*frames, constants)
     sizes = dict(constants.sizes)

@@ -18,7 +18,7 @@ from .derivation import Kind, numpy_kernel
 from .library import kernel
 
 
-class Items:
+class KindItems:
     """Items of a kind between markers a and b, (n,) each; ``constants`` by name, (n, size), in the axes of the markers."""
 
     def __init__(self, motions: Motions, kind: Kind, a: Any, b: Any, constants: dict[str, Array]) -> None:

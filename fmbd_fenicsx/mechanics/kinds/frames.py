@@ -104,7 +104,7 @@ class SymbolicFrame:
         return self.v + spin(self.w, self.axis(p))
 
 
-class Constants:
+class AskedConstants:
     """Names the constants of a definition as it asks for them, in this order."""
 
     def __init__(self, dim: int) -> None:

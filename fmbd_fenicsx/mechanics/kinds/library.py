@@ -23,7 +23,7 @@ def package_kernels(dim: int) -> kernel_cache.Library:
     """Kernels of the package's own kinds, as they are built."""
     files = sorted(Path(__file__).parent.glob("*.py"))
     text = b"".join(path.read_bytes() for path in files) + processor().encode()
-    unit = kernel_cache.Unit(f"kernels_{dim}d", lambda: c_source(kinds(dim)), FLAGS, text)
+    unit = kernel_cache.SourceUnit(f"kernels_{dim}d", lambda: c_source(kinds(dim)), FLAGS, text)
     return kernel_cache.Library(unit.name, (unit,))
 
 

@@ -22,7 +22,7 @@ from ...errors import FmbdError, InputError
 from ...rotations import Array
 from .derivation import DRIVE, Kind, derive
 from .expressions import Expression, as_expression, constant, gradient, rebuilt, symbol, symbols_of
-from .frames import FRAME, Constants, SymbolicFrame, Vector, spin, twist_of
+from .frames import FRAME, AskedConstants, SymbolicFrame, Vector, spin, twist_of
 
 PLAIN = 10  # whole numbers up to this size stay in the formula
 
@@ -71,7 +71,7 @@ class OwnTerm:
         return made
 
 
-def markers_of(frames: Sequence[SymbolicFrame], constants: Constants) -> list[MarkerSymbols]:
+def markers_of(frames: Sequence[SymbolicFrame], constants: AskedConstants) -> list[MarkerSymbols]:
     """The two markers: points p and q, turned by turn_a and turn_b, of two frames."""
     out = []
     for frame, place, turn in zip(frames, "pq", ("turn_a", "turn_b"), strict=True):
@@ -96,7 +96,7 @@ def traced(what: str, function: Function, dim: int) -> list[Expression]:
     Raises:
         InputError: it fails for symbols, or does not return formulas.
     """
-    a, b = markers_of([SymbolicFrame(name, dim) for name in "AB"], Constants(dim))
+    a, b = markers_of([SymbolicFrame(name, dim) for name in "AB"], AskedConstants(dim))
     try:
         found = function(a, b, DRIVE)
     except FmbdError:
@@ -169,7 +169,7 @@ def _require_linear(what: str, y: Expression, speeds: list[Expression]) -> None:
 def _kind(dim: int, y: Expression, numbers: int, flow: bool) -> Kind:
     """The kind of a formula whose numbers are constants of the item; the same formula is the same object."""
 
-    def definition(a: SymbolicFrame, b: SymbolicFrame, c: Constants) -> Expression:
+    def definition(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
         markers_of((a, b), c)
         if numbers:
             c.vector("own", numbers)

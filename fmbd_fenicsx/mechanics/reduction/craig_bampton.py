@@ -26,7 +26,7 @@ from ...rotations import Array
 from ..bodies.body import MODES, Body, Placed, Site
 from ..bodies.floating import attachment, frame_conditions, moment_columns
 from ..bodies.floating_start import framed_start
-from .reduced import Constants, SurfaceData, constants_of, placed_modes
+from .reduced import ReducedConstants, SurfaceData, constants_of, placed_modes
 from .stiffening import Stiffening
 
 LEFT_OUT = 1e-4  # share of the mean square of an initial displacement above which modes that miss it are warned of
@@ -237,7 +237,7 @@ class ReducedBody(Body):
         return reduce_body(self.source, self.basis, None if self.coarser is None else self.coarser.reduction)
 
     @property
-    def constants(self) -> Constants:
+    def constants(self) -> ReducedConstants:
         """What the time loop needs."""
         return self.reduction.constants
 
@@ -274,7 +274,7 @@ class Reduction:
     ``moments``: those of the surfaces.
     """
 
-    constants: Constants
+    constants: ReducedConstants
     omega: Array
     phi: Array
     space: Any
@@ -332,7 +332,7 @@ def reduce_body(
     return Reduction(constants, omega, phi, space, local, (start.pose, start.twist), f.known_moments)
 
 
-def _constants(body: Any, f: Field, omega: Array, phi: Array, stress: Stiffening | None) -> Constants:
+def _constants(body: Any, f: Field, omega: Array, phi: Array, stress: Stiffening | None) -> ReducedConstants:
     """What the time loop needs of the modes phi with frequencies omega; ``stress``: that stiffens the body. Collective."""
     d, m = f.dim, phi.shape[1]
     Z = np.concatenate((f.X[:, :, None], phi.reshape(f.n, d, m)), axis=2)
@@ -352,7 +352,9 @@ def _constants(body: Any, f: Field, omega: Array, phi: Array, stress: Stiffening
         stiffening = stress.modal(phi, stress.columns)
         for (load, _), columns in zip(stress.loads, stress.load_columns, strict=True):
             load_stress[load] = stress.modal(phi, columns).reshape(d, d, m, m)
-    return Constants(f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z), load_stress)
+    return ReducedConstants(
+        f.mass_total, S, T, K, D, surfaces, f.center, f.size, stiffening, *_loads(f, Z), load_stress
+    )
 
 
 def _surface(f: Field, name: str, phi: Array, stress: Stiffening | None, held_at: str | None) -> SurfaceData:

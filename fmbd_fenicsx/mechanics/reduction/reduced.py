@@ -45,7 +45,7 @@ class SurfaceData:
 
 
 @dataclass(frozen=True, eq=False)
-class Constants:
+class ReducedConstants:
     """All that a reduced body is made of.
 
     Attributes: ``mass`` kg; ``S`` (d, m + 1) and ``T`` (m + 1, m + 1, d, d) of (1); ``K``, ``D`` (m, m) stiffness and
@@ -99,7 +99,7 @@ def placed_modes(body: Any, site: Site, frame: tuple[Array, Array] | None = None
 class ReducedPart(Part):
     """A reduced body as a replicated part of a system: local coordinates are the modal amplitudes eta, (m,)."""
 
-    def __init__(self, name: str, constants: Constants, frame: int, surfaces: Sequence[str]) -> None:
+    def __init__(self, name: str, constants: ReducedConstants, frame: int, surfaces: Sequence[str]) -> None:
         import scipy.linalg as sl
 
         self.name, self.constants, self.frame, self.surfaces = name, constants, frame, tuple(surfaces)

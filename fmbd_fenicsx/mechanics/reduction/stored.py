@@ -11,7 +11,7 @@ from ...errors import InputError, near
 from ...rotations import Array, motions
 from ..bodies.bodies import Surface
 from ..bodies.body import MODES, Body, Placed, Site
-from .reduced import Constants, SurfaceData, placed_modes
+from .reduced import ReducedConstants, SurfaceData, placed_modes
 
 PLAIN = ("mass", "S", "T", "K", "D", "center", "size")
 
@@ -24,7 +24,7 @@ class StoredBody(Body):
     stage = MODES
 
     name: str
-    constants: Constants
+    constants: ReducedConstants
 
     @property
     def dim(self) -> int:  # type: ignore[override]
@@ -62,7 +62,7 @@ class StoredBody(Body):
         return np.zeros(n), np.zeros(n)
 
 
-def packed(constants: Constants, name: str) -> dict[str, Any]:
+def packed(constants: ReducedConstants, name: str) -> dict[str, Any]:
     """The constants of body ``name`` as arrays by names that begin with "body_".
 
     Raises:
@@ -82,7 +82,7 @@ def packed(constants: Constants, name: str) -> dict[str, Any]:
     return out
 
 
-def unpacked(found: dict[str, Any]) -> Constants:
+def unpacked(found: dict[str, Any]) -> ReducedConstants:
     """The constants that :func:`packed` made; KeyError where one is missing."""
     d = int(np.asarray(found["body_center"]).size)
     m = int(np.asarray(found["body_T"]).shape[0]) - 1
@@ -97,7 +97,7 @@ def unpacked(found: dict[str, Any]) -> Constants:
         surfaces[name] = SurfaceData(reference, modes, np.ravel(found[of + "center"]), bend)
 
     stiffening = found.get("body_stiffening")
-    return Constants(
+    return ReducedConstants(
         mass=float(np.ravel(found["body_mass"])[0]),
         S=np.reshape(found["body_S"], (d, m + 1)),
         T=np.ascontiguousarray(np.reshape(found["body_T"], (m + 1, m + 1, d, d))),

@@ -21,7 +21,7 @@ import numpy as np
 
 from ...rotations import Array, hat, quaternion_matrix
 from .relaxation import ArmMemory, Arms
-from .strains import Shape, strain_hessian, strain_jacobian, strains
+from .strains import LobattoShape, strain_hessian, strain_jacobian, strains
 
 Forces = tuple[np.ndarray, Array]  # numbers of frames (m, k), and what belongs to them
 
@@ -53,7 +53,7 @@ class RodElements:
     ``kept``.
     """
 
-    def __init__(self, name: str, frames: np.ndarray, shape: Shape, half: Array, natural: Array) -> None:
+    def __init__(self, name: str, frames: np.ndarray, shape: LobattoShape, half: Array, natural: Array) -> None:
         self.name, self.frames, self.shape = name, frames, shape
         self.weights = half[:, None] * shape.weights
         self.slopes = shape.dN[None] / half[:, None, None]  # dN/ds, (m, q, k)

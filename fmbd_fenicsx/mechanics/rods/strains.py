@@ -32,7 +32,7 @@ from ..kinds.frames import Vector, cross
 
 
 @dataclass(frozen=True)
-class Shape:
+class LobattoShape:
     """Lagrange interpolation on -1 <= xi <= 1 through Gauss-Lobatto nodes, and the Gauss points of the elastic energy.
 
     ``nodes`` (k,) with their Lobatto weights, which lump the mass; ``points`` (q,) with weights; ``N`` and ``dN`` (q, k): values
@@ -49,7 +49,7 @@ class Shape:
 
 
 @cache
-def shape_of(degree: int) -> Shape:
+def shape_of(degree: int) -> LobattoShape:
     """The interpolation of one degree.
 
     As many Gauss points as the degree: the strains of a rigid or an inextensible rod are zero there without stiffening its
@@ -67,10 +67,10 @@ def shape_of(degree: int) -> Shape:
         others = np.polynomial.Polynomial.fromroots(np.delete(nodes, i))
         basis = others / others(nodes[i])
         N[:, i], dN[:, i] = basis(points), basis.deriv()(points)
-    return Shape(degree, nodes, node_weights, points, weights, N, dN)
+    return LobattoShape(degree, nodes, node_weights, points, weights, N, dN)
 
 
-def values_at(shape: Shape, xi: float) -> Array:
+def values_at(shape: LobattoShape, xi: float) -> Array:
     """Weights (q,) that continue numbers at the Gauss points, as a polynomial, to the place xi."""
     basis = np.array([np.prod([(xi - b) / (a - b) for b in shape.points if b != a]) for a in shape.points])
     return basis

@@ -11,7 +11,7 @@ from ...system.sensors.contact import forces_of
 from ...system.sensors.sensors import reaction_force
 from .connections import stretch
 from .places import Places
-from .scene_graph import ArrowScale, Moving, Piece, Role
+from .scene_graph import ArrowScale, MovingPoints, Piece, Role
 from .solids import arrow
 from .view import View
 
@@ -47,7 +47,7 @@ def _scaled(found: dict[str, tuple[Array, Array]], scale: ArrowScale, size: floa
     pieces = []
     for name, (x, force) in found.items():
         matrix = stretch(x, x + LONGEST * size / scale.largest * force, radius)
-        motion = Moving(solid.points, x, matrix)
+        motion = MovingPoints(solid.points, x, matrix)
         pieces.append(Piece(name, Role.ARROW, solid.triangles, solid.edges, motion, shade=scale.shade))
     return pieces
 

@@ -24,7 +24,7 @@ from ...mechanics.reduction.recovery import displacement_field
 from ...rotations import Array
 from .obstacles import shape_solid
 from .places import Places
-from .scene_graph import Deforming, Moving, Piece, Role, Solid, joined
+from .scene_graph import Deforming, MovingPoints, Piece, Role, Solid, joined
 from .skins import gathered_nodes, painted, skin
 from .solids import hull, in_space, read_stl, sphere, swept
 from .view import Paint
@@ -169,7 +169,7 @@ def _rigid(body: RigidBody, at: Places, paint: Paint | None, symbol: float) -> l
 
     if body.shape is None or not _is_cad(body.shape):  # bars show where it is held, inside the shape or outside of it
         solid = _with_bars(solid, body, at, symbol)
-    return [Piece(body.name, Role.BODY, solid.triangles, solid.edges, Moving(solid.points, origin, axes))]
+    return [Piece(body.name, Role.BODY, solid.triangles, solid.edges, MovingPoints(solid.points, origin, axes))]
 
 
 def _given_shape(body: RigidBody) -> Solid | None:

@@ -12,7 +12,7 @@ from ...mechanics.joints.joints import Joint, ground
 from ...mechanics.joints.relative import RelativeAngle
 from ...rotations import Array
 from .places import Places
-from .scene_graph import Deforming, Moving, Piece, Role, Solid
+from .scene_graph import Deforming, MovingPoints, Piece, Role, Solid
 from .solids import box, coil, cylinder, dashpot, disk, frame_of, polygon, rectangle, ring, sphere, turn_arrow, zigzag
 
 ACROSS = 1.1  # radius of springs, in symbols
@@ -174,7 +174,7 @@ def _coiled(name: str, start: Array, end: Array, form: tuple[float, int]) -> Pie
 def _between(name: str, solid: Solid, start: Array, end: Array, radius: float) -> Piece:
     """A solid along (0 ... 1, 0, 0) stretched from one moving point to the other."""
     return Piece(
-        name, Role.SPRING, solid.triangles, solid.edges, Moving(solid.points, start, stretch(start, end, radius))
+        name, Role.SPRING, solid.triangles, solid.edges, MovingPoints(solid.points, start, stretch(start, end, radius))
     )
 
 
@@ -228,4 +228,4 @@ def _road(force: Tyre, at: Places, centre: Array) -> Piece:
 
 
 def _piece(name: str, role: Role, solid: Solid, origin: Array, matrix: Array) -> Piece:
-    return Piece(name, role, solid.triangles, solid.edges, Moving(solid.points, origin, matrix))
+    return Piece(name, role, solid.triangles, solid.edges, MovingPoints(solid.points, origin, matrix))

@@ -10,7 +10,7 @@ from ...mechanics.contact.shapes import Box, Cylinder, HalfSpace, Obstacle, Shap
 from ...rotations import Array
 from .level_sets import region
 from .places import Places
-from .scene_graph import Moving, Piece, Role, Solid
+from .scene_graph import MovingPoints, Piece, Role, Solid
 from .solids import box, cylinder, disk, frame_of, in_space, rectangle, ring, sphere
 
 Bounds = tuple[Array, Array]
@@ -100,7 +100,7 @@ def obstacle_pieces(at: Places, bounds: Bounds) -> list[Piece]:
         reach = 0.5 * (bounds[1] - bounds[0])
         own = bounds if obstacle.motion is None else (-reach, reach)
         solid = shape_solid(obstacle.shape, d, own)
-        motion = Moving(solid.points, origin, matrix)
+        motion = MovingPoints(solid.points, origin, matrix)
         drawn[id(obstacle)] = Piece(obstacle.name, Role.OBSTACLE, solid.triangles, solid.edges, motion)
     return list(drawn.values())
 

@@ -3,7 +3,7 @@
 A piece says what it stands for (:class:`Role`), which triangles and edges it has, and where its points are at each instant:
 
     at rest          x = X                      :class:`Still`
-    rigid, affine    x = o(t) + A(t) X          :class:`Moving`: bodies, joints; springs, whose A stretches them
+    rigid, affine    x = o(t) + A(t) X          :class:`MovingPoints`: bodies, joints; springs, whose A stretches them
     deforming        x(t)                       :class:`Deforming`: skins of elastic bodies, wires
 
 All points are in space, (n, 3); a plane scene lies in z = 0. Lengths in m, world axes.
@@ -58,7 +58,7 @@ class Still:
 
 
 @dataclass(frozen=True)
-class Moving:
+class MovingPoints:
     """x = o + A X: ``points`` X (n, 3), ``origin`` o (instants, 3), ``matrix`` A (instants, 3, 3)."""
 
     points: Array

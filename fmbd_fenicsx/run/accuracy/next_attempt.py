@@ -46,7 +46,7 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Plan:
+class AttemptPlan:
     """What an attempt is made with.
 
     ``steps``: their number, a multiple of ``grain``; 0 for schemes with error control. ``known``: errors of space and modes that
@@ -80,12 +80,12 @@ class Plan:
 class Looked:
     """The plan with finer meshes after a look at the error in space: each sensor's, and the largest over its tolerance."""
 
-    plan: Plan
+    plan: AttemptPlan
     errors: dict[str, float]
     over: float
 
 
-def space_first(plan: Plan, tol: Tolerance, shared: SharedRuns, wanted: Output) -> Looked | None:
+def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: Output) -> Looked | None:
     """A look at meshes that are new, by runs with the fewest steps that follow the motion; None where they are fine enough.
 
     These runs serve the whole attempt too. Where errors fall more slowly than expected, at corners, it is spared; collective.
@@ -118,8 +118,8 @@ def space_first(plan: Plan, tol: Tolerance, shared: SharedRuns, wanted: Output) 
 
 
 def next_plan(
-    plan: Plan, run: Run, tol: Tolerance, *, shared: SharedRuns, history: Sequence[Attempt]
-) -> tuple[Plan | None, str]:
+    plan: AttemptPlan, run: Run, tol: Tolerance, *, shared: SharedRuns, history: Sequence[Attempt]
+) -> tuple[AttemptPlan | None, str]:
     """The next plan and what it changes, or None and why there is none; collective where meshes are refined."""
     over = {kind: max(share(run.certificate, n, x, kind) for n, x in tol.items()) for kind in KINDS}
     if over["algebra"] > AIM:
@@ -175,7 +175,7 @@ def _limits(over: Mapping[str, float]) -> dict[str, float]:
     return {"space": fixed, "modes": fixed, "time": WHOLE - spent}
 
 
-def _finer_meshes(plan: Plan, over: float, limit: float, shared: SharedRuns) -> Plan:
+def _finer_meshes(plan: AttemptPlan, over: float, limit: float, shared: SharedRuns) -> AttemptPlan:
     """The plan with meshes refined as often as the rate seen so far asks for."""
     rate = expected_rate(plan.scene)
     if plan.before is not None and np.isfinite(plan.before[1]):
@@ -198,12 +198,14 @@ def _finer_meshes(plan: Plan, over: float, limit: float, shared: SharedRuns) -> 
     return replace(made, known=None, before=(plan.meshes, over))
 
 
-def _foreseen(plan: Plan) -> bool:
+def _foreseen(plan: AttemptPlan) -> bool:
     """Whether the next error in space can be told in advance: from a rate that was seen, or of slender bodies."""
     return plan.before is not None or slender(plan.scene)
 
 
-def _factor(plan: Plan, run: Run, tol: Tolerance, *, shares: tuple[float, float], history: Sequence[Attempt]) -> float:
+def _factor(
+    plan: AttemptPlan, run: Run, tol: Tolerance, *, shares: tuple[float, float], history: Sequence[Attempt]
+) -> float:
     """By what steps, or the scheme's tolerance, are multiplied, so that the error of time falls from one share to another."""
     now, wanted = shares
     if plan.steps:
@@ -228,7 +230,7 @@ def _order(run: Run, tol: Tolerance) -> float:
     return float(np.clip(min(known), 0.5, run.scheme.order)) if known else float(run.scheme.order)
 
 
-def finer_steps(plan: Plan, factor: float) -> Plan:
+def finer_steps(plan: AttemptPlan, factor: float) -> AttemptPlan:
     """Smaller steps by a factor below one, rounded to whole grains; or a smaller tolerance of the scheme."""
     if not plan.steps:
         return replace(plan, scheme=replace(plan.scheme, rtol=max(plan.scheme.rtol * factor, FINEST)))

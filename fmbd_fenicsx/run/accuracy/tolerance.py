@@ -29,7 +29,7 @@ from ..schedule import StepSchedule, step_schedule
 from ..settings import check_tangent, checked_scheme
 from ..single_run import Solved
 from .estimates import UNENDED, UNFIT, Compared, TimeError, reduction_error, tolerance_error, warn_of_uncertain
-from .next_attempt import Looked, Plan, finer_steps, next_plan, space_first
+from .next_attempt import AttemptPlan, Looked, finer_steps, next_plan, space_first
 from .shared_runs import Orders, SharedRuns
 from .shares import Relative, Tolerance, check_tolerances, relative, safe, worst
 
@@ -116,7 +116,7 @@ class Search:
         if self.best is None or ratio < self.best[0]:
             self.best = ratio, run
 
-    def stalled(self, plan: Plan, ratio: float) -> str:
+    def stalled(self, plan: AttemptPlan, ratio: float) -> str:
         """Why smaller steps are of no use: errors have not fallen while steps of the same spaces became far smaller; "" else."""
         same = [a for a in self.history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]
         far = STALLED_IN_CONTACT if plan.scene.contacts else STALLED
@@ -147,7 +147,9 @@ class Search:
         return run
 
 
-def _one_more(plan: Plan, tol: Tolerance, shared: SharedRuns, *, wanted: Output, found: Search) -> Plan | None:
+def _one_more(
+    plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, *, wanted: Output, found: Search
+) -> AttemptPlan | None:
     """One attempt, noted among what was found; the plan of the next one, or None; collective."""
     begun = clock.perf_counter()
     try:
@@ -171,14 +173,14 @@ def _one_more(plan: Plan, tol: Tolerance, shared: SharedRuns, *, wanted: Output,
     return made
 
 
-def _anew(plan: Plan) -> Plan:
+def _anew(plan: AttemptPlan) -> AttemptPlan:
     """The plan where the fewest steps that follow the motion on coarser meshes are too few."""
     return replace(plan, orders=replace(plan.orders, follow=0))
 
 
 def _after(
-    tried: Plan, run: Run, ratio: float, *, tol: Tolerance, shared: SharedRuns, found: Search
-) -> tuple[Plan | None, str]:
+    tried: AttemptPlan, run: Run, ratio: float, *, tol: Tolerance, shared: SharedRuns, found: Search
+) -> tuple[AttemptPlan | None, str]:
     """The plan after an attempt and what it changes, or None and why there is none; collective."""
     if safe(run.certificate, tol):
         return None, "done"
@@ -190,23 +192,23 @@ def _after(
     return made, "done" if nothing_has_to else then
 
 
-def _of_space(plan: Plan, looked: Looked, seconds: float) -> Attempt:
+def _of_space(plan: AttemptPlan, looked: Looked, seconds: float) -> Attempt:
     """The line of an attempt that ended when its meshes were found too coarse."""
     step = plan.schedule.t_end / plan.orders.follow
     return Attempt(step, plan.meshes, plan.modes, looked.over, looked.errors, seconds, "finer meshes")
 
 
-def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> Plan:
+def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> AttemptPlan:
     """The first attempt: the scene as it is, with the steps given or a hundred of them, or with a loose tolerance."""
     scheme = _default(scene, t_end) if scheme is None else checked_scheme(scheme)
     if Declared.by(scheme).adaptive:
         scheme = replace(scheme, rtol=max(scheme.rtol, LOOSEST))
-        return Plan(scene, scheme, step_schedule(scene, scheme, t_end, dt), 1)
+        return AttemptPlan(scene, scheme, step_schedule(scene, scheme, t_end, dt), 1)
     number("End time t_end =", t_end, above=0.0, unit="s")
     spaces = bool(meshed_bodies(scene) or modal_bodies(scene)) and not scene.contacts
     dt = t_end / (SCOUT if spaces else START) if dt is None else dt
     schedule = step_schedule(scene, scheme, t_end, dt, multiple=4)
-    return Plan(scene, scheme, schedule, schedule.steps // 4)
+    return AttemptPlan(scene, scheme, schedule, schedule.steps // 4)
 
 
 def _default(scene: Scene, t_end: float) -> Any:
@@ -220,7 +222,7 @@ def _default(scene: Scene, t_end: float) -> Any:
     return replace(scheme, rtol=LOOSEST) if jumps and isinstance(scheme, GeneralizedAlpha) else scheme
 
 
-def _attempt(plan: Plan, tol: Tolerance, shared: SharedRuns, wanted: Output) -> tuple[Run, Orders]:
+def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: Output) -> tuple[Run, Orders]:
     """A run with the estimates that are not known yet, and the orders that were seen; collective."""
     every = _often(wanted, plan.schedule)
     output = replace(wanted, every=every, estimate_error=False)
@@ -236,7 +238,7 @@ def _attempt(plan: Plan, tol: Tolerance, shared: SharedRuns, wanted: Output) -> 
     return run, Orders(found.orders, fewest) if fewest < plan.steps else Orders()
 
 
-def _time_error(plan: Plan, tol: Tolerance, shared: SharedRuns, solved: Solved) -> TimeError:
+def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, solved: Solved) -> TimeError:
     """The error by the steps, or by the scheme's tolerance; collective."""
     run, made = solved.run, solved.compared
     if not plan.steps:
@@ -255,7 +257,7 @@ def _time_error(plan: Plan, tol: Tolerance, shared: SharedRuns, solved: Solved) 
     return found
 
 
-def _other_errors(plan: Plan, shared: SharedRuns, solved: Solved, made: Compared) -> None:
+def _other_errors(plan: AttemptPlan, shared: SharedRuns, solved: Solved, made: Compared) -> None:
     """State the errors of modes and space: those that are known, or from runs with the steps of a run ``made``; collective."""
     run = solved.run
     if plan.known is not None:

@@ -14,13 +14,13 @@ from ...system.system import State, System
 from ..newton import Newton
 from ..onestep import alpha_driver as slots
 from .contact_driver import ContactDriver, Tally
-from .moreau import Stepper
+from .moreau import MoreauStepper
 
 if TYPE_CHECKING:
     from ...system.compiled.recording import Openness, Tape
 
 
-class CompiledStepper(Stepper):
+class CompiledMoreauStepper(MoreauStepper):
     """Steps by the driver, one or many in a call."""
 
     compiled_whole = True

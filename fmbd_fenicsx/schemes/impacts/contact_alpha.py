@@ -34,7 +34,7 @@ from ..onestep.generalized_alpha import GeneralizedAlpha
 from .contact_detection import candidates
 from .contact_ledger import StepForces
 from .contact_midpoint import elastic_refusal, elastic_start
-from .contact_newton import Unilateral, normal_forces, openings
+from .contact_newton import UnilateralForces, normal_forces, openings
 from .contact_stepper import ContactStepper
 
 
@@ -75,12 +75,12 @@ class ContactAlpha(GeneralizedAlpha):
         a, lam = solver.solve(-ev.balance(np.zeros(system.n_v)), -ev.gamma())
         return replace(start, a=a, lam=lam), correction
 
-    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:  # type: ignore[override]
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> ContactAlphaStepper:  # type: ignore[override]
         """A run's worker, from a consistent state."""
-        return Stepper(self, system, solver, newton, state)
+        return ContactAlphaStepper(self, system, solver, newton, state)
 
 
-class Stepper(ContactStepper):
+class ContactAlphaStepper(ContactStepper):
     """Advances a state; holds the algorithmic acceleration A."""
 
     keeps: ClassVar = {**ContactStepper.keeps, "A": Memory.like_v}
@@ -149,7 +149,7 @@ class Stepper(ContactStepper):
 class _Step:
     """The Newton iteration of one step."""
 
-    def __init__(self, stepper: Stepper, h: float, near: np.ndarray) -> None:
+    def __init__(self, stepper: ContactAlphaStepper, h: float, near: np.ndarray) -> None:
         self.p, self.h, self.near = stepper, h, near
         s = stepper.state
         self.am, self.af, self.gamma, self.beta = stepper.scheme.parameters
@@ -158,7 +158,7 @@ class _Step:
         self.fixed = h * s.v + h * h * (0.5 - self.beta) * stepper.A
         self.xi = self.fixed + h * h * self.beta * self.A
         self.scale = self.beta * h * h * (1 - self.af) / (1 - self.am)
-        self.contact = Unilateral(stepper.compliance, stepper.ledger.counts, stepper.ledger.force[near])
+        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, stepper.ledger.force[near])
         self.prepared = False
         self.ev: Evaluation = None  # type: ignore[assignment]
 

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 from ...errors import ConvergenceError, InputError
 from ...log import log
-from ...mechanics.contact.rows import ContactSet, Linear, Rows, Touch, tangents_of
+from ...mechanics.contact.rows import ContactSet, LinearRows, Rows, Touch, tangents_of
 from ...rotations import Array
 from ...system.system import State, System
 
@@ -31,14 +31,14 @@ def candidates(system: System, contacts: ContactSet, state: State, h: float, *, 
     return np.asarray((now.gap < reach) | (then.gap < reach))
 
 
-def components(rows: Rows) -> Linear:
+def components(rows: Rows) -> LinearRows:
     """Normal and tangential rows of each point after each other, (m d, ...)."""
     parts = [rows.N, *rows.tangents]
     d, m = len(parts), len(rows.gap)
     order = np.argsort(np.tile(np.arange(m), d), kind="stable")
     core = np.concatenate([p.core for p in parts])[order]
     n = len(rows.N.field)
-    return Linear(core, tuple(sp.vstack([p.field[i] for p in parts], format="csr")[order] for i in range(n)))
+    return LinearRows(core, tuple(sp.vstack([p.field[i] for p in parts], format="csr")[order] for i in range(n)))
 
 
 def in_world(rows: Rows, force: Array) -> Array:

@@ -17,7 +17,7 @@ from ...mechanics.contact.limits import LimitPair
 from ...mechanics.contact.obstacle_pair import ObstaclePair
 from ...mechanics.contact.rows import ContactSet
 from ...mechanics.contact.shapes import Box, Cylinder, HalfSpace, Shape, Sphere
-from ...mechanics.joints.relative import Expressed, RelativeAngle
+from ...mechanics.joints.relative import ExpressedCoordinate, RelativeAngle
 from ...rotations import Array, Motions
 from ...system.compiled.blocks import Ring, block_size, state_of
 from ...system.compiled.calls import Calls
@@ -49,7 +49,7 @@ def _fields(text: str, kind: Any) -> list[tuple[str, Any]]:
     return [(name, kind) for name in text.split()]
 
 
-class Touching(ctypes.Structure):
+class TouchStructure(ctypes.Structure):
     """The structure Touch of ``driver/contact.c``."""
 
     _fields_ = _fields("gap x normal relative", POINTER)
@@ -69,7 +69,7 @@ class Contacts(ctypes.Structure):
         ("pair", POINTER),
         *_fields("stops wide", INT),
         *_fields("on of place still", POINTER),
-        *_fields("now end aside", Touching),
+        *_fields("now end aside", TouchStructure),
         *_fields("carrying closed bouncing hits held force normal impulse works", POINTER),
         *_fields("energy springs time last", REAL),
         ("loaded", INT),
@@ -121,7 +121,7 @@ def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]]:
 def known(contacts: ContactSet, pair: Any) -> bool:
     """Whether the driver knows a pair: stops of a coordinate; points of bodies without a field, and an obstacle."""
     if type(pair) is LimitPair:
-        return not isinstance(pair.relative, Expressed)
+        return not isinstance(pair.relative, ExpressedCoordinate)
     return type(pair) is ObstaclePair and pair.slave.trace not in contacts.on_fields
 
 
@@ -181,10 +181,10 @@ class ContactDriver:
             loaded=int(bool(s.forces)), size=self.n, most=2 * self.impacts, system=ctypes.addressof(self.tables.c), **places,
         )  # fmt: skip
 
-    def _touch(self, name: str, m: int, d: int) -> Touching:
+    def _touch(self, name: str, m: int, d: int) -> TouchStructure:
         """Room for where all points stand."""
         sizes = {"gap": m, "x": m * d, "normal": m * d, "relative": m * d}
-        return Touching(**{k: self._array(f"{name} {k}", np.zeros(size)) for k, size in sizes.items()})
+        return TouchStructure(**{k: self._array(f"{name} {k}", np.zeros(size)) for k, size in sizes.items()})
 
     def _points(self) -> tuple[np.ndarray, Array]:
         """Bodies that the candidates act on, (m, 2), -1 for none, and places of points in the axes of the first, (m, d)."""

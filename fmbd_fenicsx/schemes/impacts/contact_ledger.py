@@ -34,7 +34,7 @@ class StepForces:
 
 
 @dataclass
-class Ledger(Remembering):
+class ContactLedger(Remembering):
     """Sums over the steps; ``write`` after each step makes the state that sensors read. Methods are
     collective.
     """

@@ -38,7 +38,7 @@ from ..dense_output import state_within
 from ..newton import Newton, not_converged
 from .contact_detection import candidates, refuse_penetration
 from .contact_ledger import StepForces
-from .contact_newton import Unilateral, openings
+from .contact_newton import UnilateralForces, openings
 from .contact_stepper import ContactStepper
 
 
@@ -74,9 +74,9 @@ class ContactMidpoint:
 
     holds = (0,)
 
-    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> ContactMidpointStepper:
         """A run's worker, from a consistent state."""
-        return Stepper(self.theta, system, solver, newton, state)
+        return ContactMidpointStepper(self.theta, system, solver, newton, state)
 
 
 def elastic_refusal(name: str, held: Contents) -> str:
@@ -111,7 +111,7 @@ def elastic_start(system: System, state: State, solver: StepSolver, tau: float) 
     return start, correction
 
 
-class Stepper(ContactStepper):
+class ContactMidpointStepper(ContactStepper):
     """Advances a state through contact."""
 
     def __init__(self, theta: float, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
@@ -177,12 +177,12 @@ class Stepper(ContactStepper):
 class _Step:
     """The Newton iteration of one step."""
 
-    def __init__(self, stepper: Stepper, h: float, near: np.ndarray) -> None:
+    def __init__(self, stepper: ContactMidpointStepper, h: float, near: np.ndarray) -> None:
         self.p, self.h, self.near = stepper, h, near
         system, s = stepper.system, stepper.state
         self.xi = h * s.v
         self.lam = s.lam.copy()
-        self.contact = Unilateral(stepper.compliance, stepper.ledger.counts, stepper.ledger.force[near])
+        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, stepper.ledger.force[near])
         self.prepared = False
         self.theta = stepper.theta
         self.scale = self.theta * h * h

@@ -22,7 +22,7 @@ from ...rotations import Array
 from .contact_detection import components
 
 
-class Unilateral:
+class UnilateralForces:
     """Forces ``force`` (m, 1 or d) on the candidates of one step, improved by each call of
     :meth:`increment`.
     """

@@ -14,7 +14,7 @@ from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..newton import Newton
 from ..stepping import TimeStepper
-from .contact_ledger import Ledger
+from .contact_ledger import ContactLedger
 
 
 class ContactStepper(TimeStepper):
@@ -27,7 +27,7 @@ class ContactStepper(TimeStepper):
         self.system, self.solver, self.newton = system, solver, newton
         self.contacts: ContactSet = system.contacts
         self.compliance = Compliance(solver, self.contacts)
-        self.ledger = Ledger(system)
+        self.ledger = ContactLedger(system)
         self.local_error = 0.0
         self.state = self.ledger.open(state)
 

@@ -40,7 +40,7 @@ from ..dense_output import place_within, state_within
 from ..newton import Newton, not_converged
 from .contact_detection import candidates, refuse_penetration
 from .contact_ledger import StepForces
-from .contact_newton import Unilateral, openings
+from .contact_newton import UnilateralForces, openings
 from .contact_stepper import ContactStepper
 
 IMPACT = 1e-9  # length of an impact, as a share of the step
@@ -85,19 +85,19 @@ class Moreau:
 
     holds = (0,)
 
-    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> MoreauStepper:
         """A run's worker, from a consistent state: compiled where the driver knows bodies, forces and contacts."""
         from .contact_driver import contact_driver
 
         driver = contact_driver(system, redundant=solver.core.redundant, impacts=self.impacts) if self.impacts else None
         if driver is None:
-            return Stepper(system, solver, newton, state, self.impacts)
-        from .compiled_moreau import CompiledStepper
+            return MoreauStepper(system, solver, newton, state, self.impacts)
+        from .compiled_moreau import CompiledMoreauStepper
 
-        return CompiledStepper((system, solver, newton, state), self.impacts, driver)
+        return CompiledMoreauStepper((system, solver, newton, state), self.impacts, driver)
 
 
-class Stepper(ContactStepper):
+class MoreauStepper(ContactStepper):
     """Advances a state through impacts."""
 
     keeps: ClassVar = {
@@ -337,13 +337,19 @@ class _Step:
     """
 
     def __init__(
-        self, stepper: Stepper, h: float, closed: np.ndarray, *, bounce: np.ndarray | bool = False, span: float = 0.0
+        self,
+        stepper: MoreauStepper,
+        h: float,
+        closed: np.ndarray,
+        *,
+        bounce: np.ndarray | bool = False,
+        span: float = 0.0,
     ) -> None:
         self.p, self.h, self.span, self.closed = stepper, h, span or h, closed
         s, contacts = stepper.state, stepper.contacts
 
         self.v, self.lam = s.v.copy(), s.lam.copy()
-        self.contact = Unilateral(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed])
+        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed])
         self.bouncing = np.broadcast_to(bounce, closed.shape)
 
         self.prepared, self.rows = False, None

@@ -28,7 +28,7 @@ from ...errors import require
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...linear.residual import Judge
-from ...linear.saddle.pencil import Tangent
+from ...linear.saddle.pencil import PencilTangent
 from ...rotations import Array
 from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
@@ -92,12 +92,12 @@ class BDF(OfForm):
             return f'Body "{name}": BDF of order {self.order} amplifies elastic vibrations: {most}.'
         return super().refusal(held)
 
-    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> BDFStepper:
         """A run's worker, from a consistent state."""
-        return Stepper(self, system, solver, newton, state)
+        return BDFStepper(self, system, solver, newton, state)
 
 
-class Stepper(Corrector):
+class BDFStepper(Corrector):
     """Advances a consistent state; holds the past values, tangent, factor and the choice of step and order."""
 
     what = "a BDF step"
@@ -139,8 +139,8 @@ class Stepper(Corrector):
 
     def remember(self, m: Memory) -> None:
         """With the tangent, whose factor is made again."""
-        self._tangent, self.judge = m("tangent", (self._tangent, self.judge), Tangent, Judge)
-        factored = m("factored", None if self._pencil is None else (self._pencil.t, self._pencil.s), Tangent)
+        self._tangent, self.judge = m("tangent", (self._tangent, self.judge), PencilTangent, Judge)
+        factored = m("factored", None if self._pencil is None else (self._pencil.t, self._pencil.s), PencilTangent)
         if m.reading:
             self._pencil = None if factored is None else self.eq.pencil(factored[0], factored[1], self.judge)
         super().remember(m)

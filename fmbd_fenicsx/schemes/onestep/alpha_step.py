@@ -30,7 +30,7 @@ PATIENCE = 4  # iterations with the tangent of the first one, where a new tangen
 
 
 @dataclass(frozen=True)
-class Start:
+class StepStart:
     """What a step begins with: the state, v and A as (1) and (2) take them, a and lambda predicted for the end."""
 
     state: State
@@ -41,7 +41,7 @@ class Start:
 
 
 @dataclass(frozen=True)
-class End:
+class StepEnd:
     """The end of a step: A, the increment xi of the configuration, a and lambda."""
 
     A: Array
@@ -76,15 +76,15 @@ class Rule:
         """c: velocities differ from the derivatives of places by c h^2 v'' (but for turning)."""
         return 1 / 6 - self.beta - 0.5 * (self.alpha_m - self.alpha_f)
 
-    def predicted(self, start: Start) -> End:
+    def predicted(self, start: StepStart) -> StepEnd:
         """The end for the accelerations and multipliers predicted."""
         h, am, af = self.h, self.alpha_m, self.alpha_f
         # (3) with the predicted a; (1) with that A
         A = ((1 - af) * start.a + af * start.state.a - am * start.A) / (1 - am)
         xi = h * start.v + h * h * (0.5 - self.beta) * start.A + h * h * self.beta * A
-        return End(A, xi, start.a, start.lam)
+        return StepEnd(A, xi, start.a, start.lam)
 
-    def speed(self, start: Start, A: Array) -> Array:
+    def speed(self, start: StepStart, A: Array) -> Array:
         """The velocity at the end, (2)."""
         return start.v + self.h * (1 - self.gamma) * start.A + self.h * self.gamma * A
 
@@ -105,7 +105,7 @@ class AlphaStep:
     """
 
     def __init__(
-        self, rule: Rule, start: Start, solver: StepSolver, newton: Newton, *, patience: int, stabilised: bool
+        self, rule: Rule, start: StepStart, solver: StepSolver, newton: Newton, *, patience: int, stabilised: bool
     ) -> None:
         self.rule, self.start, self.solver, self.newton = rule, start, solver, newton
         self.system = system = solver.system
@@ -183,7 +183,7 @@ class AlphaStep:
             ev.foretold = self.springs.none
             self.solver.prepare(ev, self.weights)
 
-    def _evaluation(self, end: End) -> Evaluation:
+    def _evaluation(self, end: StepEnd) -> Evaluation:
         """The system at an end."""
         q = self.system.compose(self.start.state.q, end.xi)
         return self.system.at(self.t, q, self.rule.speed(self.start, end.A))
@@ -244,7 +244,7 @@ class AlphaStep:
         moved = self._moved(rate(self.end.xi, increment.q))
         self.end = replace(moved, lam=end.lam + increment.lam / self.scale)
 
-    def _moved(self, d_xi: Array) -> End:
+    def _moved(self, d_xi: Array) -> StepEnd:
         """The end with its xi, and the accelerations that go with it, moved."""
         end, h = self.end, self.rule.h
         return replace(end, xi=end.xi + d_xi, A=end.A + d_xi / (h * h * self.rule.beta), a=end.a + d_xi / self.scale)

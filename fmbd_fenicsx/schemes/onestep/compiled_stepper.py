@@ -12,7 +12,7 @@ from ..dae import GGL
 from . import alpha_driver as slots
 from .alpha_driver import AlphaDriver, settings
 from .alpha_step import FAR, PATIENCE
-from .generalized_alpha import Stepper
+from .generalized_alpha import AlphaStepper
 
 if TYPE_CHECKING:
     from ...run.judges.energy_check import Watch
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .generalized_alpha import GeneralizedAlpha
 
 
-class CompiledStepper(Stepper):
+class CompiledAlphaStepper(AlphaStepper):
     """Steps by the driver, one or many in a call. Those that fail are NumPy's."""
 
     path = "compiled (all bodies, joints and forces in C; NumPy for the start and for steps it gives back)"

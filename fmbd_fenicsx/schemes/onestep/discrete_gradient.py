@@ -32,7 +32,7 @@ from ...system.system import System
 GAUSS = ((0.5 - 0.15**0.5, 5 / 18), (0.5, 4 / 9), (0.5 + 0.15**0.5, 5 / 18))  # of laws of the user's own over a step
 
 
-class End(Evaluation):
+class GradientEnd(Evaluation):
     """One configuration of the core and the ports of fields: nothing here touches a field, so nothing is collective."""
 
     def __init__(self, system: System, t: float, q: Array, port: Array) -> None:

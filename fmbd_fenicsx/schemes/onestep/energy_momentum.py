@@ -51,7 +51,7 @@ from ...system.system import State, System
 from ..consistent import accelerations
 from ..newton import Newton
 from ..stepping import TimeStepper
-from .discrete_gradient import End, Mean
+from .discrete_gradient import GradientEnd, Mean
 
 SLOW = 0.1  # rate of Newton's iteration above which a new tangent is taken
 SINGULAR = 1e-14  # singular values of the scaled tangent below this share belong to rows that depend on each other
@@ -83,9 +83,9 @@ class EnergyMomentum:
         """Why it does not take what a scene holds."""
         return next((reason for body in held.nodal if (reason := _refused(body))), "")
 
-    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> EnergyMomentumStepper:
         """A run's worker, from a consistent state."""
-        return Stepper(system, solver, newton, state)
+        return EnergyMomentumStepper(system, solver, newton, state)
 
 
 def _refused(body: Any) -> str:
@@ -118,7 +118,7 @@ def _over(history: list[float]) -> bool:
     return last <= ZERO or stalled or not np.isfinite(last)
 
 
-class Stepper(TimeStepper):
+class EnergyMomentumStepper(TimeStepper):
     """Advances a consistent state. The unknowns of a step: mean accelerations of the core, ports of fields in use, lambda."""
 
     keeps: ClassVar = {
@@ -202,10 +202,10 @@ class Stepper(TimeStepper):
         )
 
     # -- one step -----------------------------------------------------------------------------------------------
-    def _old(self) -> End:
+    def _old(self) -> GradientEnd:
         s = self.state
         port = self.system.ports(s.q, self.system.slices[0], True) if self.system.parts else np.zeros(0)
-        return End(self.system, s.t, s.q[: self.n_q], port)
+        return GradientEnd(self.system, s.t, s.q[: self.n_q], port)
 
     def _size(self, h: float) -> float:
         """What accelerations are judged by, as lengths over s^2: increments of 1e-10 of it move nothing beyond roundoff."""
@@ -313,7 +313,7 @@ class Stepper(TimeStepper):
         turn *= np.where(angle > 1e-8, 2 * np.arctan(0.5 * angle) / np.maximum(angle, 1e-300), 1 - angle**2 / 12)
         return out
 
-    def _residual(self, h: float, y: Array, old: End) -> tuple[Array, Array, Array]:
+    def _residual(self, h: float, y: Array, old: GradientEnd) -> tuple[Array, Array, Array]:
         """(1) for y: rows of the core, forces on the ports in use, constraints divided by h^2 / 2."""
         system = self.system
         n = self.n
@@ -325,7 +325,7 @@ class Stepper(TimeStepper):
 
         v, q, w, middle = self._motion(h, a)
         t = self.state.t
-        new = End(system, t + h, q, port)
+        new = GradientEnd(system, t + h, q, port)
         mean = Mean(old, new, (t + 0.5 * h, middle, w), h)
         core, push = mean.small(a, lam)
         if not system.n_lam:
@@ -346,7 +346,7 @@ class Stepper(TimeStepper):
 
         return core + left * Mw, push[self.ports] + left * moved, 2.0 / h**2 * g
 
-    def _differences(self, h: float, at: tuple[Array, tuple[Array, Array, Array], Array], old: End) -> Array:
+    def _differences(self, h: float, at: tuple[Array, tuple[Array, Array, Array], Array], old: GradientEnd) -> Array:
         """Derivatives of the residual by y, its accelerations and ports moved by shares of their sizes."""
         (y, r, size), n = at, self.n
         first = np.concatenate(r)

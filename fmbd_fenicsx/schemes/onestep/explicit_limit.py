@@ -36,7 +36,7 @@ GROWTH = 1.0 + 1e-6  # in a step, that counts as none
 
 
 @dataclass(frozen=True)
-class Vibration:
+class FastestVibration:
     """The fastest vibration: ``omega`` (rad/s) and ``damping`` c (1/s) of (1), and the name of what moves most in it."""
 
     omega: float
@@ -74,7 +74,7 @@ class _Operator:
         return self.solver.solve(force, np.zeros(self.system.n_lam))[0]
 
 
-def fastest_vibration(system: System, state: State, solver: StepSolver) -> Vibration | None:
+def fastest_vibration(system: System, state: State, solver: StepSolver) -> FastestVibration | None:
     """(1) about a consistent state; None where nothing vibrates. Collective.
 
     The solver is left prepared for the mass matrix in this state.
@@ -87,7 +87,7 @@ def fastest_vibration(system: System, state: State, solver: StepSolver) -> Vibra
     return found
 
 
-def _lanczos(operator: _Operator) -> Vibration | None:
+def _lanczos(operator: _Operator) -> FastestVibration | None:
     system = operator.system
     force = _rough(system)
     x = operator.moved(force)
@@ -129,7 +129,7 @@ def _lanczos(operator: _Operator) -> Vibration | None:
 
     omega = float(np.sqrt(square))
     damping = max(system.dot(x, operator.damping(x, omega)), 0.0)
-    return Vibration(omega, float(damping), _moving_most(system, x * m))
+    return FastestVibration(omega, float(damping), _moving_most(system, x * m))
 
 
 def _rough(system: System) -> Array:
@@ -154,7 +154,9 @@ def _moving_most(system: System, energy: Array) -> str:
     return max(shares, key=lambda name: shares[name])
 
 
-def largest_step(vibration: Vibration, matrix: Callable[[float, float], Array], *, enough: float = np.inf) -> float:
+def largest_step(
+    vibration: FastestVibration, matrix: Callable[[float, float], Array], *, enough: float = np.inf
+) -> float:
     """The largest stable step (s), with ``matrix(h omega, h c)`` of one step of the scheme for (x, h x'), (2, 2).
 
     ``enough``: a size (s) beyond which nobody looks; the step found may be smaller than the largest then, but not than this.

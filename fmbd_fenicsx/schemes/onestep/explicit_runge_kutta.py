@@ -50,12 +50,12 @@ class ExplicitRungeKutta(ExplicitScheme):
     order = 8
     name = "explicit Runge-Kutta (8)"
 
-    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> RungeKuttaStepper:
         """Time stepper from a consistent state."""
-        return Stepper(self, system, solver, newton, state)
+        return RungeKuttaStepper(self, system, solver, newton, state)
 
 
-class Stepper(ExplicitStepper):
+class RungeKuttaStepper(ExplicitStepper):
     """Advances a consistent state."""
 
     what = "The explicit Runge-Kutta scheme"

@@ -8,14 +8,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from .alpha_driver import AlphaDriver, alpha_driver
-from .compiled_stepper import CompiledStepper
+from .compiled_stepper import CompiledAlphaStepper
 
 if TYPE_CHECKING:
     from ...run.judges.energy_check import Watch
     from ...system.compiled.recording import Openness, Tape
 
 
-class FieldStepper(CompiledStepper):
+class FieldStepper(CompiledAlphaStepper):
     """The same; the first step of a size, and steps with new tangents, are NumPy's."""
 
     def __init__(self, data: Any, driver: AlphaDriver | None) -> None:

@@ -50,7 +50,7 @@ from ..dae import GGL, Form, Index3
 from ..dense_output import cubic, place_within, state_within
 from ..newton import Newton, not_converged, strayed
 from ..stepping import TimeStepper
-from .alpha_step import PATIENCE, AlphaStep, Rule, Start
+from .alpha_step import PATIENCE, AlphaStep, Rule, StepStart
 
 
 @dataclass(frozen=True)
@@ -126,15 +126,15 @@ class GeneralizedAlpha:
 
         return self.steps((self, system, solver, newton, state))
 
-    def steps(self, given: Given, *, alone: bool = True) -> Stepper:
+    def steps(self, given: Given, *, alone: bool = True) -> AlphaStepper:
         """Time stepper for constant steps. ``alone``: nobody else solves for the system between them, so that the tables of who
         evaluates it in compiled code may serve.
         """
         newton = given[3]
         made = self._compiled_stepper(given, alone) if self.compiled and newton.tangent is None else None
-        return Stepper(*given) if made is None else made
+        return AlphaStepper(*given) if made is None else made
 
-    def _compiled_stepper(self, given: Given, alone: bool) -> Stepper | None:
+    def _compiled_stepper(self, given: Given, alone: bool) -> AlphaStepper | None:
         """Steps in compiled code; None where NumPy has to make them."""
         _, system, solver, _, _ = given
         redundant = solver.core.redundant
@@ -149,10 +149,10 @@ class GeneralizedAlpha:
             return None if drivable(system) is None else FieldStepper(given, None)
 
         from .alpha_driver import alpha_driver
-        from .compiled_stepper import CompiledStepper
+        from .compiled_stepper import CompiledAlphaStepper
 
         driver = alpha_driver(system, redundant=redundant, alone=alone)
-        return None if driver is None else CompiledStepper(given, driver)
+        return None if driver is None else CompiledAlphaStepper(given, driver)
 
 
 Given = tuple[GeneralizedAlpha, System, StepSolver, Newton, State]
@@ -168,7 +168,7 @@ def _keep_counters(m: Memory, name: str, counters: Any) -> dict[str, float]:
     return {**counters, **m(name, counters)}
 
 
-class Stepper(TimeStepper):
+class AlphaStepper(TimeStepper):
     """Advances a consistent state; holds the algorithmic acceleration and the history of the predictor."""
 
     keeps: ClassVar = {
@@ -208,7 +208,7 @@ class Stepper(TimeStepper):
             lam += w * li
         return a, lam
 
-    def _first(self, rule: Rule) -> Start:
+    def _first(self, rule: Rule) -> StepStart:
         """v_0 and A_0 without a transient (see the module), and a, lambda predicted for the end of the first step."""
         system, s, h = self.system, self.state, rule.h
         ahead = rule.alpha_m - rule.alpha_f
@@ -223,13 +223,13 @@ class Stepper(TimeStepper):
             across = ev.jacobian.times(miss)
             across[speed_rows(system)] = 0.0  # rows on velocities are held there, not missed
             v = v + self.solver.solve(push, across)[0]
-        return Start(s, v, s.a + ahead * h * rate, s.a + h * rate, s.lam + h * lam_rate)
+        return StepStart(s, v, s.a + ahead * h * rate, s.a + h * rate, s.lam + h * lam_rate)
 
-    def _predicted(self, rule: Rule) -> Start:
+    def _predicted(self, rule: Rule) -> StepStart:
         """What the next step begins with, and the prediction of its end."""
         if self.fresh:
             return self._first(rule)
-        return Start(self.state, self.state.v, self.A, *self._predict(rule.h))
+        return StepStart(self.state, self.state.v, self.A, *self._predict(rule.h))
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
@@ -246,7 +246,7 @@ class Stepper(TimeStepper):
         self.newton.theta = 0.5
         return self._step(rule, start, 0)  # stiff springs that turn need Newton's own tangent
 
-    def _step(self, rule: Rule, start: Start, patience: int) -> State:
+    def _step(self, rule: Rule, start: StepStart, patience: int) -> State:
         """The step by Newton's iteration, its first ``patience`` iterations with one tangent."""
         stabilised = isinstance(self.scheme.form, GGL)
         step = AlphaStep(rule, start, self.solver, self.newton, patience=patience, stabilised=stabilised)

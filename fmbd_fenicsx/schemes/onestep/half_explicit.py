@@ -63,12 +63,12 @@ class HalfExplicit(ExplicitScheme):
     order = 4
     name = "half-explicit Runge-Kutta (4)"
 
-    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> HalfExplicitStepper:
         """Time stepper from a consistent state."""
-        return Stepper(self, system, solver, newton, state)
+        return HalfExplicitStepper(self, system, solver, newton, state)
 
 
-class Stepper(ExplicitStepper):
+class HalfExplicitStepper(ExplicitStepper):
     """Advances a consistent state."""
 
     what = "The half-explicit scheme"

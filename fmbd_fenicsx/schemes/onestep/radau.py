@@ -27,7 +27,7 @@ from ...errors import require
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...linear.residual import Judge
-from ...linear.saddle.pencil import Tangent
+from ...linear.saddle.pencil import PencilTangent
 from ...rotations import Array
 from ...system.serialisation import Memory, plain
 from ...system.system import State, System
@@ -78,12 +78,12 @@ class Radau(OfForm):
         """Name in reports."""
         return f"Radau IIA({self.stages}), {self.form.name}"
 
-    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> RadauStepper:
         """A run's worker, from a consistent state."""
-        return Stepper(self, system, solver, newton, state)
+        return RadauStepper(self, system, solver, newton, state)
 
 
-class Stepper(StageNewton):
+class RadauStepper(StageNewton):
     """Advances a consistent state; holds tangent, factors, the last collocation polynomial and the step control."""
 
     what = "a Radau step"
@@ -105,7 +105,7 @@ class Stepper(StageNewton):
     def remember(self, m: Memory) -> None:
         """With the last collocation polynomial and the tangent, whose factors are made again."""
         if self.eq.dense:
-            self._last, self._tangent = m("last", (self._last, self._tangent), Points, Tangent)
+            self._last, self._tangent = m("last", (self._last, self._tangent), Points, PencilTangent)
         else:  # every step takes its own derivatives
             self._last = self.eq.remember_points(m.inside("last"), self._last)
         made = m("made", (self._pencil is not None, self._filter is not None))

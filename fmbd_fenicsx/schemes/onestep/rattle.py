@@ -51,9 +51,9 @@ class Rattle:
         """Why it does not take what a scene holds."""
         return positions_refused(held, "Rattle", self.holds)
 
-    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> Stepper:
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> RattleStepper:
         """A run's worker, from a consistent state."""
-        return Stepper(system, solver, newton, state)
+        return RattleStepper(system, solver, newton, state)
 
 
 def amplification(z: float, damping: float) -> Array:
@@ -64,7 +64,7 @@ def amplification(z: float, damping: float) -> Array:
     return np.array([new, middle - 0.5 * (z * z * new + damping * middle)])
 
 
-class Stepper(TimeStepper):
+class RattleStepper(TimeStepper):
     """Advances a consistent state; ``half`` holds the multipliers of the last second half step.
 
     ``ahead``: by how much accelerations and multipliers of the last first half step differed from those at its beginning, a

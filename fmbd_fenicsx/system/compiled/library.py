@@ -53,13 +53,13 @@ def driver_library(dim: int, units: tuple[str, ...] = ()) -> Any:
 
 
 @cache
-def _unit(dim: int, name: str) -> kernel_cache.Unit:
+def _unit(dim: int, name: str) -> kernel_cache.SourceUnit:
     """One unit as it is compiled; it follows from all sources of the driver, and from what generates those of rods."""
     definitions = Path(strains.__file__).parents[1] / "kinds"
     files = [*sorted(definitions.glob("*.py")), Path(strains.__file__)] if name == "rods" else []
     text = b"".join(path.read_bytes() for path in files) + _source(dim, name, generated=False).encode()
     flags = (*FLAGS, f"-DDIM={dim}")
-    return kernel_cache.Unit(
+    return kernel_cache.SourceUnit(
         f"{name}_{dim}d", lambda: _source(dim, name), flags, text + processor().encode(), shared=True
     )
 

@@ -26,7 +26,7 @@ STRUCTURES = 16  # that are kept
 
 
 @dataclass(frozen=True)
-class Shape:
+class MatrixShape:
     """The structure of a scene's matrix: widths of the bodies' blocks, groups of rows, ``pairs`` of bodies that forces couple."""
 
     widths: tuple[int, ...]
@@ -37,7 +37,7 @@ class Shape:
 class Structure:
     """The fronts of one shape, and the places that were found in them."""
 
-    def __init__(self, shape: Shape) -> None:
+    def __init__(self, shape: MatrixShape) -> None:
         ends = np.cumsum(shape.widths, dtype=int)
         count = int(ends[-1]) if len(ends) else 0
         unknowns = [np.arange(end - width, end) for end, width in zip(ends, shape.widths, strict=True)]
@@ -56,7 +56,7 @@ class Structure:
 structures_kept: dict[tuple[Any, ...], Structure] = {}  # the newest, by what acts between which frames
 
 
-def structure_of(connections: tuple[Any, ...], shape: Callable[[], Shape]) -> Structure:
+def structure_of(connections: tuple[Any, ...], shape: Callable[[], MatrixShape]) -> Structure:
     """The structure of scenes with these connections, made once, from their ``shape``."""
     found = structures_kept.pop(connections, None) or Structure(shape())
     structures_kept[connections] = found

@@ -21,7 +21,7 @@ from .fields import Block, FieldTable, known_field
 from .items import LAW, READ, ROW, Items, items_of, other_loads
 from .mounts import mount_batch
 from .order import Fronts, RowGroup
-from .places import Shape, Structure, batch_of, fronts_of, pivots_of, structure_of
+from .places import MatrixShape, Structure, batch_of, fronts_of, pivots_of, structure_of
 from .recording import Looks
 from .rods import RodTable, rod_pairs
 from .structures import Store, array_of, structure
@@ -163,7 +163,7 @@ class Tables:
         on = _bytes(self.system.markers.frame[self.surfaces])
         return self.dim, self.rows, _bytes(self.width), on, tuple(acting), tuple(whole), rods
 
-    def _shape(self) -> Shape:
+    def _shape(self) -> MatrixShape:
         """Groups of rows, and the bodies that are coupled."""
         touched: list[set[int]] = [set() for _ in range(self.rows)]
         terms = np.zeros(self.rows, int)
@@ -184,7 +184,7 @@ class Tables:
         for row in range(self.rows):
             found.setdefault((tuple(sorted(touched[row])), bool(terms[row] > 1)), []).append(row)
         groups = [RowGroup(near, tuple(rows), coupling) for (near, coupling), rows in found.items()]
-        return Shape(tuple(int(n) for n in self.width), tuple(groups), frozenset(pairs))
+        return MatrixShape(tuple(int(n) for n in self.width), tuple(groups), frozenset(pairs))
 
     # -- batches -------------------------------------------------------------------------------------------------------------
     def _split(self, items: Items) -> list[Items]:

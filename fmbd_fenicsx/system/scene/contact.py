@@ -18,7 +18,7 @@ from ...mechanics.contact.mass import redistribute_mass
 from ...mechanics.contact.obstacle_pair import ObstaclePair
 from ...mechanics.contact.rows import Carrier, ContactSet, Side
 from ...mechanics.contact.shapes import Obstacle
-from ...mechanics.contact.trace import BodyNodes, FieldTrace, ModalTrace, Trace, surface_nodes
+from ...mechanics.contact.trace import BodyNodes, ContactTrace, FieldTrace, ModalTrace, surface_nodes
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...rotations import Array, Motions
 from .joints import relative_of
@@ -82,7 +82,7 @@ def build_contacts(
             start += part.n
 
     # one trace for each body, whatever its surfaces
-    traces: list[Trace] = []
+    traces: list[ContactTrace] = []
     number: dict[str, int] = {}
     for k, part in enumerate(parts):
         body = scene.bodies.get(part.name)
@@ -114,7 +114,7 @@ def limit_pairs(scene: Any, motions: Motions, markers: dict[str, tuple[int, int]
     return tuple(found)
 
 
-def _trace(number: int, part: Any, body: Any, surfaces: list[str], n_frames: int) -> Trace:
+def _trace(number: int, part: Any, body: Any, surfaces: list[str], n_frames: int) -> ContactTrace:
     """The contact nodes of an elastic body; collective."""
     if body.nodal:
         return FieldTrace(number, part, surfaces, moving=part.frame < n_frames)
@@ -124,7 +124,7 @@ def _trace(number: int, part: Any, body: Any, surfaces: list[str], n_frames: int
     return ModalTrace(number, part, nodes, made.phi, surfaces)
 
 
-def _pair(c: Contact, m: Motions, frame_of: dict[str, int], known: tuple[list[Trace], dict[str, int]]) -> Any:
+def _pair(c: Contact, m: Motions, frame_of: dict[str, int], known: tuple[list[ContactTrace], dict[str, int]]) -> Any:
     traces, number = known
     if isinstance(c.slave, Surface):
         i = number[c.slave.body.name]
@@ -141,7 +141,7 @@ def _pair(c: Contact, m: Motions, frame_of: dict[str, int], known: tuple[list[Tr
     )  # fmt: skip
 
 
-def _mortar_pair(c: Contact, slave: Side, known: tuple[list[Trace], dict[str, int]]) -> Any:
+def _mortar_pair(c: Contact, slave: Side, known: tuple[list[ContactTrace], dict[str, int]]) -> Any:
     from ...fem.traces.traces import trace_of
     from ...mechanics.contact.mortar import MortarPair
 

@@ -11,7 +11,7 @@ from ...mechanics.forces.expressed import ExpressedForce
 from ...mechanics.forces.force_elements import Loads, ScalarLoads
 from ...mechanics.forces.forces import Force
 from ...mechanics.joints.drives import JointCoordinate
-from ...mechanics.joints.relative import Expressed, Relative, Separation
+from ...mechanics.joints.relative import ExpressedCoordinate, Relative, Separation
 from ...rotations import Motions
 from ..sensors.sensors import Sensor
 from .joints import relative_of
@@ -81,6 +81,6 @@ def _relative(m: Motions, kind: Any, fs: list[Force], ms: list[tuple[int, int]])
     markers = np.array(ms)
     terms = [f.term for f in fs if isinstance(f, ExpressedForce)]
     if terms:
-        return Expressed(m, markers[:, 0], markers[:, 1], terms)
+        return ExpressedCoordinate(m, markers[:, 0], markers[:, 1], terms)
     made: Relative = kind(m, markers[:, 0], markers[:, 1], np.zeros((len(fs), m.dim)))
     return made

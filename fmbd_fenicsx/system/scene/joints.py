@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import InputError, named, near, require
 from ...mechanics.frames import Markers
-from ...mechanics.joints.constraints import Batch, Pair
+from ...mechanics.joints.constraints import Batch, ElementaryConstraint
 from ...mechanics.joints.counted import CountedAngles, turning_freely
 from ...mechanics.joints.couplings import CouplingBatch, OwnBatch
 from ...mechanics.joints.drives import Coupling, JointCoordinate
@@ -29,7 +29,9 @@ class JointRows:
     row: int = 0
     blocks: list[RowBlock] = field(default_factory=list)
     markers: dict[str, tuple[int, int]] = field(default_factory=dict)
-    _kinds: dict[tuple[type[Batch], Kind | None], tuple[list[Pair], list[int]]] = field(default_factory=dict)
+    _kinds: dict[tuple[type[Batch], Kind | None], tuple[list[ElementaryConstraint], list[int]]] = field(
+        default_factory=dict
+    )
     _couplings: list[tuple[Coupling, int]] = field(default_factory=list)
     _own: list[tuple[OwnJoint, int, int]] = field(default_factory=list)
 
@@ -44,7 +46,11 @@ class JointRows:
         # rows of one kind are evaluated together, wherever they stand
         for r in joint.rows:
             pairs, rows = self._kinds.setdefault((r.kind, r.own), ([], []))
-            pairs.append(Pair(r.kind, a, b, r.direction, r.other, joint.length, r.motion, r.axis, r.own, r.constants))
+            pairs.append(
+                ElementaryConstraint(
+                    r.kind, a, b, r.direction, r.other, joint.length, r.motion, r.axis, r.own, r.constants
+                )
+            )
             rows.append(self.row)
             self.row += 1
         if isinstance(joint, Coupling):
