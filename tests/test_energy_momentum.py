@@ -95,3 +95,19 @@ def test_usual_steps_need_no_differences(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(energy_momentum.EnergyMomentumStepper, "_differences", refused)
     run = fmbd.solve(scene, t_end=0.1, dt=1e-3, scheme=fmbd.EnergyMomentum())
     assert run["tip"][-1] == pytest.approx(exact["tip"][-1], abs=1e-5)
+
+
+@pytest.mark.parametrize(("rate", "lag"), [(40.0, None), (100.0, "7.3 %")])
+def test_large_turns_are_said(rate: float, lag: str | None, caplog: pytest.LogCaptureFixture) -> None:
+    """The Cayley map turns by 2 atan(h w / 2): a wheel lags behind, and nothing else in the run would tell."""
+    scene = fmbd.Scene("wheel")
+    wheel = fmbd.RigidBody("wheel", 1.0, 1.0, angular_velocity=rate)
+    pin = fmbd.revolute("pin", fmbd.ground, wheel)
+    scene.add(wheel, pin)
+    scene.sensor("angle", fmbd.angle(pin))
+    run = fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.EnergyMomentum())
+
+    said = [x.getMessage() for x in caplog.records if "a step, of which energy-momentum" in x.getMessage()]
+    assert len(said) == (lag is not None)
+    assert lag is None or (f'"wheel" turns by 1 rad a step, of which energy-momentum leaves out {lag}' in said[0])
+    assert run["angle"][-1, 0] == pytest.approx(20 * np.arctan(0.005 * rate), rel=1e-9)

@@ -40,6 +40,7 @@ from ...energies import MixedEnergy, StoredEnergy
 from ...errors import ConvergenceError, LinearSolveError
 from ...linear.condensation import StepSolver, Weights
 from ...linear.redundancy import least
+from ...log import log
 from ...mechanics.bodies.bodies import AbsoluteBody
 from ...rotations import Array
 from ...system.configurations import count
@@ -60,6 +61,7 @@ NEAR = 12  # further iterations where the tangent is not exact
 ZERO = 1e-13  # an increment of this size is roundoff
 ENOUGH = 1e-9  # last increment of accelerations, over their size
 ROUNDOFF = 1e-12  # an increment that moves positions by this share of the model's length is none that further ones could improve
+LARGE = 0.5  # rad that a body turns in a step: the Cayley map lags by 2 %
 WITH_FIELDS = 40  # iterations at most of scenes with fields: their large steps turn bodies far
 
 
@@ -141,6 +143,7 @@ class EnergyMomentumStepper(TimeStepper):
         self._last = state.a[: self.n], state.lam  # means over the last step
         self.counters = {}
         self._kept: tuple[float, Array] | None = None  # step and tangent, where Newton converges well with an old one
+        self._warned = False  # of large turns
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton's iteration fails."""
@@ -280,7 +283,8 @@ class EnergyMomentumStepper(TimeStepper):
         """The state at the end of the step, its accelerations and multipliers solved for."""
         s, n = self.state, self.n
         means = y[n + len(self.ports) :]
-        v_core, q_core, _, _ = self._motion(h, y[:n])
+        v_core, q_core, w, _ = self._motion(h, y[:n])
+        self._warn_of_turns(h, w)
         q, v = s.q.copy(), s.v.copy()
         q[: self.n_q], v[:n] = q_core, v_core
         if self.fields is not None:
@@ -302,6 +306,22 @@ class EnergyMomentumStepper(TimeStepper):
         w = v + 0.5 * h * a
         turn = self._cayley(h * w)
         return v + h * a, self.system.compose(q, turn), w, self.system.compose(q, 0.5 * turn)
+
+    def _warn_of_turns(self, h: float, w: Array) -> None:
+        """Say once that a body turns so far in a step that the Cayley map lags: by 2 atan(x / 2) in place of x = h |w|, rad."""
+        m, n = self.system.motions, self.system.n_frames
+        if self._warned or not n:
+            return
+        turns = h * np.linalg.norm(w[: n * m.n_twist].reshape(n, m.n_twist)[:, m.dim :], axis=1)
+        fastest = int(turns.argmax())
+        if (x := float(turns[fastest])) <= LARGE:
+            return
+        self._warned = True
+        log.warning(
+            't = %.6g s: "%s" turns by %.2g rad a step, of which energy-momentum leaves out %.1f %%. Take dt = %.2g s or less, '
+            "or fmbd.GeneralizedAlpha()",
+            self.state.t, self.system.frame_names[fastest], x, 100 * (1 - 2 * np.arctan(0.5 * x) / x), LARGE * h / x,
+        )  # fmt: skip
 
     def _cayley(self, xi: Array) -> Array:
         """Increments whose exponential is the Cayley map of xi: rotation angles 2 atan(|xi| / 2)."""
