@@ -132,10 +132,13 @@ class ImplicitStepper(TimeStepper):
         return max(roundoff, min(0.03, self.norm.rtol**0.5))
 
     def _error_size(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
-        """Norm of the error of a step, like v; velocities along ties are known to one order less, as in index 3."""
-        along = self.eq.along_ties(h, e_v)
-        size = self.norm(h, e_q, e_v - along, e_a)
-        return max(size, self.norm.mean(along * (h / self.norm.wq))) if along.any() else size
+        """Norm of errors like v. Along ties, as in index 3, velocities count by the places that they lead to, accelerations not."""
+        held = self.eq.along_ties(h, e_v)
+        if not held.any():
+            return self.norm(h, e_q, e_v, e_a)
+        if e_a is not None:
+            e_a = e_a - self.eq.along_ties(h, e_a)
+        return max(self.norm(h, e_q, e_v - held, e_a), self.norm.mean(held * (h / self.norm.wq)))
 
     def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
         """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
@@ -143,6 +146,7 @@ class ImplicitStepper(TimeStepper):
         moved = max(self.system.max_abs(x) for x in (*dxi, *(h * dv)))
         self._still = moved <= STILL * float(np.finfo(float).eps) * self.system.length
         if self.adaptive:
+            # joints and ties apart, though they may cancel: what is left of either is noise of the next steps
             pulls = self.eq.pulls(dmult)
             size = self.norm(h, dxi, dv, push)
             return size if pulls is None else max(size, self.norm.mean(pulls * (h * h / self.norm.wq)))

@@ -33,7 +33,7 @@ class StepEquations(Remembering):
     """
 
     keeps: ClassVar = dict.fromkeys(
-        ("residuals", "jacobians", "U", "U_ties", "R", "normal", "origin", "_inverse_mass"), plain()
+        ("residuals", "jacobians", "U", "U_ties", "rows", "normal", "origin", "_inverse_mass"), plain()
     )
     dense = True
     counters: ClassVar[dict[str, float]] = {}
@@ -48,7 +48,7 @@ class StepEquations(Remembering):
         self.residuals = self.jacobians = 0
         self.U: Array = np.zeros((system.n_v, system.n_lam))
         self.U_ties: Array = np.zeros((system.n_v, len(self.stiff)))
-        self.R: Array = self.U_ties.T  # of the last point
+        self.rows: Array = np.zeros((system.n_lam + len(self.stiff), system.n_v))  # of joints and ties, at the last point
         self.left: Array = np.zeros(system.n_lam)  # the first rows of the form there
         self.normal: Array = self.U
         self.origin: Array = np.zeros(0)
@@ -79,7 +79,7 @@ class StepEquations(Remembering):
                 a = a + self._normally(p.mult[:, 2 * m : 3 * m])
 
         if len(self.stiff):
-            self.R = ev.jacobian.core[-1][self.stiff.ties]
+            self.rows = ev.jacobian.core[-1]
         low = self.lower(ev, a, p.mult)
         self.left = low[-1, s.n_v : s.n_v + m]
         return p.rate - s.rate(p.xi, v), low
@@ -154,15 +154,23 @@ class StepEquations(Remembering):
         return state
 
     def along_ties(self, h: float, v: Array) -> Array:
-        """The part of velocities (n_v,) that ties hold in steps of h (s): all, where h does not resolve their periods.
+        """The part of velocities (..., n_v) that ties hold in steps of h (s), joints closed: dv with
 
-        v - (M + R^T (h c + h^2 k) R)^-1 M v
+            M dv + G^T mu + R^T nu = 0,        G dv = 0,        R dv - nu / (h c + h^2 k) = R v,
+
+        all of R v where h does not resolve the periods of ties.
         """
         ties = self.stiff
         if not len(ties):
             return np.zeros_like(v)
-        held = np.diag(1.0 / (h * ties.damping + h * h * ties.stiffness)) + self.R @ self.U_ties
-        return self.U_ties @ np.linalg.solve(held, self.R @ v)
+        soft = np.zeros(len(self.rows))
+        soft[ties.ties] = 1.0 / (h * ties.damping + h * h * ties.stiffness)
+        across = np.zeros_like(self.rows.T)
+        across[:, ties.joints], across[:, ties.ties] = self.U, self.U_ties  # those that push and pull
+        wanted = np.zeros((len(soft), *v.shape[:-1]))
+        wanted[ties.ties] = self.rows[ties.ties] @ v.T
+        found = np.linalg.lstsq(self.rows @ across + np.diag(soft), wanted, rcond=None)[0]
+        return np.asarray((across @ found).T)
 
     def inertia(self, tangent: PencilTangent, a: Array) -> Array:
         """M a at the tangent's motion."""

@@ -286,5 +286,6 @@ class RadauStepper(StageNewton):
         low = np.concatenate((-self.eq.inertia(self._tangent, push), no_rows))
         errors, e_m = self._filter.solve(-kin[None], low[None])
         e_q, e_v = errors.reshape(2, -1)
-        pushed = self.eq.pushes(e_m)
-        return self._error_size(h, e_q, e_v, None if pushed is None else pushed[0])
+        # joints and ties that hold the same body cancel
+        pushed = [x[0] for x in (self.eq.pushes(e_m), self.eq.pulls(e_m)) if x is not None]
+        return self._error_size(h, e_q, e_v, np.sum(pushed, axis=0) if pushed else None)
