@@ -138,7 +138,7 @@ def negative(u: Any, v: Any, dx: Any) -> Any:
         (lambda u, v, dx: 1.0, "bilinear"),
         (lambda u, v, dx: u[0] * dx, "bilinear"),
         (lambda u, v, dx: None, "bilinear"),
-        (lambda u, v: None, "bilinear"),
+        (lambda u, v: None, "elastic must be a function of 3 arguments"),
     ],
 )
 def test_unusable_elastic_forms_are_refused(elastic: Any, words: str, rod_mesh: Callable[..., Any]) -> None:

@@ -63,10 +63,10 @@ def test_units_are_compiled_once_for_several_libraries(folders: tuple[Path, Path
     """A library of two units, then one that has the first of them and another; an object that was changed is made again."""
     code = (
         "from fmbd_fenicsx import kernel_cache as k\n"
-        "one = k.Unit('one', 'int one(void) { return 1; }', shared=True)\n"
+        "one = k.SourceUnit('one', 'int one(void) { return 1; }', shared=True)\n"
         "def more(n):\n"
         "    text = f'int one(void); int value(void) {{ return {n} + one(); }}'\n"
-        "    return k.load_library(k.Library('test', (one, k.Unit(f'more{n}', text, shared=True)))).value()\n"
+        "    return k.load_library(k.Library('test', (one, k.SourceUnit(f'more{n}', text, shared=True)))).value()\n"
         "print(more(NUMBER))\n"
     )
 

@@ -31,7 +31,9 @@ def test_breathing_and_twisting(kind: Any, spin: float, share: float, monkeypatc
     assert len(reference) == 2
     for w in reference:
         assert np.abs(omega / w - 1.0).min() < share
-    assert np.abs(omega / spin - 1.0).min() < 1e-6  # a disc that flies straight on turns back in turning axes
+    # a disc that flies straight on turns back in turning axes: a double root, which roundoff splits by its square root
+    near = omega[np.argsort(np.abs(omega - spin))[:2]]
+    assert near == pytest.approx(spin, rel=1e-5) and near.mean() == pytest.approx(spin, rel=1e-10)
     if kind is fmbd.FloatingBody:  # its frame turns with it: nothing holds its angle
         assert omega[0] < 1e-6
 

@@ -78,6 +78,22 @@ def test_a_tonne_on_a_gram(scheme: Any, k: float) -> None:
     assert error(run, masses) <= 4e-4 and not run.warnings
 
 
+@pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-4), fmbd.BDF(rtol=1e-4)], ids=name_of)
+@pytest.mark.parametrize("masses", [(1e-3, 1e3), (1e-2, 10.0)], ids=str)
+def test_beside_a_joint(masses: tuple[float, float], scheme: Any) -> None:
+    """A light body between a rigid rod and a spring: their pushes on it cancel, and steps are not those of either alone."""
+    down, steps = np.array([np.sin(0.5), -np.cos(0.5)]), []
+    for rigid in (True, False):
+        scene = fmbd.Scene("rod and spring", gravity=(0.0, -G))
+        light, heavy = (fmbd.RigidBody(f"mass {i}", m, 0.1 * m, position=(i + 1) * down) for i, m in enumerate(masses))
+        scene.add(light, heavy, fmbd.distance("rod", fmbd.ground, light, point_a=(0.0, 0.0), point_b=down))
+        ends, length = {"point_a": down, "point_b": 2 * down}, 1.0 - masses[1] * G * np.cos(0.5) / 1e8
+        tie = fmbd.Spring("tie", light, heavy, **ends, stiffness=1e8, length=length)
+        scene.add(fmbd.distance("tie", light, heavy, **ends) if rigid else tie)
+        steps.append(fmbd.solve(scene, t_end=1.0, scheme=scheme).counters["steps"])
+    assert steps[1] <= 3.0 * steps[0]
+
+
 def bifilar(k: float | None) -> fmbd.Scene:
     """A plate in space on two long springs beside its centre, or on rigid links, with a push."""
     scene = fmbd.Scene("bifilar", gravity=(0.0, 0.0, -G))

@@ -13,7 +13,8 @@ from tolerance_scenes import CASES, TIMES, check
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
-from fmbd_fenicsx.run.accuracy import estimates, shared_runs, single_run, tolerance
+from fmbd_fenicsx.run import single_run
+from fmbd_fenicsx.run.accuracy import estimates, shared_runs, tolerance
 
 QUICK = ("pendulum", "mass on spring", "clamped beam", "spin-up")
 CALLS = [

@@ -132,7 +132,7 @@ class ImplicitStepper(TimeStepper):
         return max(roundoff, min(0.03, self.norm.rtol**0.5))
 
     def _error_size(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
-        """Norm of errors like v. Along ties, as in index 3, velocities count by the places that they lead to, accelerations not."""
+        """Norm of errors like v. Along ties velocities count by the places that they lead to, as in index 3."""
         held = self.eq.along_ties(h, e_v)
         if not held.any():
             return self.norm(h, e_q, e_v, e_a)

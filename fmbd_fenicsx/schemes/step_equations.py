@@ -48,7 +48,9 @@ class StepEquations(Remembering):
         self.residuals = self.jacobians = 0
         self.U: Array = np.zeros((system.n_v, system.n_lam))
         self.U_ties: Array = np.zeros((system.n_v, len(self.stiff)))
-        self.rows: Array = np.zeros((system.n_lam + len(self.stiff), system.n_v))  # of joints and ties, at the last point
+        self.rows: Array = np.zeros(
+            (system.n_lam + len(self.stiff), system.n_v)
+        )  # of joints and ties, at the last point
         self.left: Array = np.zeros(system.n_lam)  # the first rows of the form there
         self.normal: Array = self.U
         self.origin: Array = np.zeros(0)

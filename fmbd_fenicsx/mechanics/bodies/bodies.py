@@ -229,6 +229,11 @@ class ElasticBody(Body):
 
         n = self.name
         what = f'Body "{n}"'
+        # materials in each other's place, before their arguments are counted
+        require(
+            not isinstance(self.elastic, StoredEnergy), f"{what}: elastic is a stored energy; give it as energy=..."
+        )
+        require(not isinstance(self.energy, Hooke), f"{what}: energy is a bilinear form; give it as elastic=...")
         check_fields(self, what)
         instance(f"{what}: mesh", self.mesh, Mesh)
         require(
@@ -239,10 +244,6 @@ class ElasticBody(Body):
         require(
             callable(given), f'Body "{n}": elastic must be a function (u, v, dx) -> UFL form, energy one of (u, dx).'
         )
-        require(
-            not isinstance(self.elastic, StoredEnergy), f"{what}: elastic is a stored energy; give it as energy=..."
-        )
-        require(not isinstance(self.energy, Hooke), f"{what}: energy is a bilinear form; give it as elastic=...")
         if self.dim == 3 and (isinstance(given, SheetEnergy) or (isinstance(given, Hooke) and given.sheet)):
             raise InputError(
                 f"{what}: materials.{given.name} is a law of sheets in the plane, and {self.mesh.label} is in space. Take "
