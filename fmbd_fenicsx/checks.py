@@ -92,10 +92,13 @@ def number(what: str, value: Any, *, above: float = -np.inf, least: float = -np.
     return found
 
 
-def whole(what: str, value: Any, *, least: int = 0) -> int:
-    """A whole number of at least ``least``."""
-    if isinstance(value, bool | np.bool_) or not isinstance(value, Integral) or int(value) < least:
-        refuse(what, f"a whole number, at least {least}", value)
+def whole(what: str, value: Any, *, least: int | None = 0) -> int:
+    """A whole number of at least ``least``, None for any."""
+    beyond = "" if least is None else f", at least {least}"
+    if isinstance(value, bool | np.bool_) or not isinstance(value, Integral):
+        refuse(what, f"a whole number{beyond}", value)
+    if least is not None and int(value) < least:
+        refuse(what, f"a whole number{beyond}", value)
     return int(value)
 
 
@@ -401,7 +404,7 @@ def _one(what: str, value: Any, option: Any) -> None:
     elif origin is Callable:
         function(what, value, inner[0] if inner and inner[0] is not Ellipsis else None, named=named)
     elif origin is int:
-        whole(what, value, least=-sys.maxsize)
+        whole(what, value, least=None)
     elif origin is bool:
         instance(what, value, (bool, np.bool_))
     elif origin is np.ndarray:
