@@ -94,11 +94,9 @@ def number(what: str, value: Any, *, above: float = -np.inf, least: float = -np.
 
 def whole(what: str, value: Any, *, least: int | None = 0) -> int:
     """A whole number of at least ``least``, None for any."""
-    beyond = "" if least is None else f", at least {least}"
-    if isinstance(value, bool | np.bool_) or not isinstance(value, Integral):
-        refuse(what, f"a whole number{beyond}", value)
-    if least is not None and int(value) < least:
-        refuse(what, f"a whole number{beyond}", value)
+    known = isinstance(value, Integral) and not isinstance(value, bool | np.bool_)
+    if not known or (least is not None and int(value) < least):
+        refuse(what, "a whole number" if least is None else f"a whole number, at least {least}", value)
     return int(value)
 
 

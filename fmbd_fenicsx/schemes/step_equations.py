@@ -46,11 +46,11 @@ class StepEquations(Remembering):
             use_driver(self.stiff.system)
         self.n_mult = self.levels * system.n_lam + len(self.stiff)
         self.residuals = self.jacobians = 0
+
+        # of the last tangent, and of the last point
         self.U: Array = np.zeros((system.n_v, system.n_lam))
         self.U_ties: Array = np.zeros((system.n_v, len(self.stiff)))
-        self.rows: Array = np.zeros(
-            (system.n_lam + len(self.stiff), system.n_v)
-        )  # of joints and ties, at the last point
+        self.rows: Array = np.zeros((self.stiff.system.n_lam, system.n_v))  # of joints and ties
         self.left: Array = np.zeros(system.n_lam)  # the first rows of the form there
         self.normal: Array = self.U
         self.origin: Array = np.zeros(0)
