@@ -26,8 +26,8 @@ CONTACT = ["test_contact"]
 
 # what is broken, file, old text, new text, tests tried
 MUTATIONS: list[tuple[str, str, str, str, list[str]]] = [
-    ("sign of B^T on elastic surfaces", "system/jacobian.py", "p.port_force(self.port[:, s.port_slice(k)].T @ lam)",
-     "-p.port_force(self.port[:, s.port_slice(k)].T @ lam)", MECHANICS),
+    ("sign of B^T on elastic surfaces", "system/jacobian.py", "p.port_force(self.port[:, s.port_slice(k)].T @ lam, self.t)",
+     "-p.port_force(self.port[:, s.port_slice(k)].T @ lam, self.t)", MECHANICS),
     ("sign of G^T on frames", "system/jacobian.py", "core = np.asarray(self.core.T @ lam)",
      "core = -np.asarray(self.core.T @ lam)", MECHANICS),
     ("T(theta) in place of its inverse", "rotations.py", "w = (tangent_inverse(xi[..., 3:])", "w = (tangent(xi[..., 3:])",

@@ -70,7 +70,7 @@ def test_bias_is_the_acceleration_without_acceleration(motion: Motion) -> None:
     measured = first(lambda x: motion.at(x).kin.twist)
     accel = (ev.kin.jac_frame @ s.twists(motion.a)[m.frame][..., None])[..., 0]
     if m.surface.size:
-        port = s.ports(motion.a, s.slices[1], False)
+        port = s.ports(motion.a, 0.0, rates=True)
         accel[m.surface] += (ev.kin.jac_port @ port[m.port][..., None])[..., 0]
     assert ev.kin.bias is not None
     assert np.abs(measured - accel - ev.kin.bias).max() < 1e-7 * np.abs(measured).max()

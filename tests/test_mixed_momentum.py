@@ -171,7 +171,7 @@ def test_work_of_loads(rod_mesh: Callable[..., Any]) -> None:
     system = scene.build()[0]
     energy = np.array([sum(system.at(s.t, s.q, s.v).energies().values()) for s in states])
     k, part = system.fields[0]
-    tip = np.array([part.ports_of(system.local_q(s.q, k))[:2] for s in states])
+    tip = np.array([part.ports_of(system.local_q(s.q, k), s.t)[:2] for s in states])
     size = np.array([area(part.field, system.local_q(s.q, k)) for s in states])
     work = tip @ (0.2 * np.array([3.0, 5.0]) + [0.5, -0.2]) - 40.0 * size
     assert np.ptp(40.0 * size) > 1e-2 * np.ptp(energy)

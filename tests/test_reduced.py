@@ -69,7 +69,7 @@ def test_same_forces_as_the_field(rod_mesh: Callable[..., Any], dim: int, frame:
         np.testing.assert_allclose(part.energies(motion, pose, local_), full.energies(motion, pose, local), rtol=1e-9)
         for a, b in zip(part.momenta(motion, pose, local_), full.momenta(motion, pose, local), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
-        np.testing.assert_allclose(part.ports_of(eta), full.ports_of(phi @ eta)[m.n_twist :], atol=1e-12)
+        np.testing.assert_allclose(part.ports_of(eta, 0.0), full.ports_of(phi @ eta, 0.0)[m.n_twist :], atol=1e-12)
     field.destroy()
 
 

@@ -245,10 +245,9 @@ class _Shifted:
         self.about, self.shift = about, shift
         s = about.state
         ev = about.system.at(s.t, s.q, s.v)
-        ev.balance(s.a, s.lam)
         # tangents are those of this state
-        for _, part in about.system.fields:
-            part.relinearise()
+        ev.forces = s.a, s.lam
+        ev.take_tangents()
         solver.prepare(ev, Weights(shift, 0.0, 1.0))
         self.inverse = solver.solve if about.closed is None else about.closed.held(solver)
 

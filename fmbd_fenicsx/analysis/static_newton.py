@@ -74,8 +74,7 @@ class StaticNewton:
         """Take the tangent at a point; the residuals there."""
         ev = self.residual.at(point.q, t)
         r = self.residual.values(ev, point.lam)
-        for _, part in self.residual.system.fields:
-            part.relinearise()
+        ev.take_tangents()
         self.solver.prepare(ev, self.weights)
         return r
 

@@ -175,7 +175,7 @@ class Field:
             fp.assemble_matrix(self.K, self.stiffness_form)
             self.K.assemble()
         # damping by stiffness is that of the body without stress
-        if self.tangents < 0 and self.nonlinear and not self.mixed and self.forms.stiffness_damping > 0:
+        if self.tangents < 0 and self.nonlinear and (self.carried or self.forms.stiffness_damping > 0):
             self._unstressed = self.K.copy()
 
         # what the tangent of moving loads adds stands in a matrix of its own: K stays that of the energy

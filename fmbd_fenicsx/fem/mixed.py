@@ -13,7 +13,7 @@ A ``carried`` pressure (large strain, nu up to 1/2) is an unknown beside u. Newt
     [ A   B^T ] [ du ]   [ -f(u, p)         ]         eliminated:   (A + B^T C^-1 B) du = -f(u, p) - B^T C^-1 r       (2)
     [ B   -C  ] [ dp ] = [ -r,  r = dPi/dp  ]                       dp = C^-1 (B du + r)
 
-with the factor of (1): r is a further load of the step (:meth:`MixedField.volume_load`) and p moves with each increment
+with the factor of (1): r (:meth:`MixedField.volume_gap`) is a further load of the step and p moves with each increment
 (:meth:`MixedField.move_pressure`). The rate does not depend on lambda. At nu = 1/2, r = b(u) has no part in p, and C, with
 lambda = 1e8 mu, is in the matrix only.
 
@@ -84,7 +84,6 @@ class MixedField(Field):
         self.carried = self._energy.carried
         self.keeps_volume = self.carried and self._energy.incompressible
         self._balance = balance
-        self._rest: Any = None  # A of the stress-free body, for stiffness_damping
         self._make_compliance()
 
     def _make_compliance(self) -> None:
@@ -111,23 +110,27 @@ class MixedField(Field):
 
         self._place(np.zeros(self.n * self.dim) if U is None else U)
         super().linearise(U, *extra)
-        if self.carried and self._rest is None:
-            self._rest = self.K.copy()
-        if self._B is None:
+        first = self._B is None
+        if first:
             self._B = fp.create_matrix(self._coupling_form)
             self._bu, self._bp = self._B.createVecs()
         self._B.zeroEntries()
         fp.assemble_matrix(self._B, self._coupling_form)
         self._B.assemble()
+        if first:
+            kept = self._unstressed is not None and not self.carried
+            self._unstressed_B = self._B.copy() if kept else None
 
     def _place(self, U: Array) -> None:
         """Displacements and the pressure that belongs to them, ghosts included; collective."""
+        super()._place(U)
+        if not self.carried:
+            self._take_pressure_of_law()
+
+    def _take_pressure_of_law(self) -> None:
+        """The pressure that belongs to the displacements that are placed: C p = b, the balance at p = 0."""
         from dolfinx import fem, la
 
-        super()._place(U)
-        if self.carried:
-            return
-        # the pressure that follows: C p = b, the balance at p = 0
         self._p.x.array[:] = 0.0
         b = fem.assemble_vector(self._balance_form)
         b.scatter_reverse(la.InsertMode.add)
@@ -137,22 +140,22 @@ class MixedField(Field):
         self._p.x.scatter_forward()
 
     # -- a pressure that is an unknown --------------------------------------------------------------------------
-    def volume_load(self) -> Array:
-        """B^T C^-1 r of (2) at the displacements placed last, in the axes of the tangent, (n d,); collective."""
+    def volume_gap(self, U: Array) -> Array:
+        """r of (2) at displacements U (n d,), int q (J - 1) for a body that keeps its volume; collective."""
         from dolfinx import fem, la
 
+        self._place(U)
         b = fem.assemble_vector(self._balance_form)
         b.scatter_reverse(la.InsertMode.add)
+        gap = b.array[: self.n_pressure].copy()
         if self._energy.incompressible:
             self._px.array[:] = self._p.x.array[: self.n_pressure]
             self._C.mult(self._px, self._pb)
-            self._gap = b.array[: self.n_pressure] + self._pb.array
-        else:
-            self._gap = b.array[: self.n_pressure].copy()
-        return self.volume_push(self._gap)
+            gap += self._pb.array
+        return gap
 
     def volume_push(self, gap: Array) -> Array:
-        """B^T C^-1 gap, (n d,); collective."""
+        """B^T C^-1 gap in the axes of the tangent, (n d,); collective."""
         self._pb.array[:] = gap
         self._solve_p.solve(self._pb, self._px)
         self._B.multTranspose(self._px, self._bu)
@@ -163,11 +166,6 @@ class MixedField(Field):
         self._px.array[:] = self._p.x.array[: self.n_pressure]
         self._B.multTranspose(self._px, self._bu)
         return float(max(self.comm.allgather(np.abs(self._bu.array).max(initial=0.0))))
-
-    def volume_gap(self) -> Array:
-        """int q (J - 1) at the displacements placed last, for a body that keeps its volume; collective."""
-        self.volume_load()
-        return self._gap
 
     def volume_rate(self, V: Array) -> Array:
         """B v of velocities (n d,), where the field is linearised; collective."""
@@ -211,19 +209,16 @@ class MixedField(Field):
 
     def constitutive_pressure(self, U: Array) -> Array:
         """The pressure that the law gives for displacements U, nu below 1/2; collective."""
-        carried, self.carried = self.carried, False
-        try:
-            self._place(U)
-        finally:
-            self.carried = carried
+        self._place(U)
+        self._take_pressure_of_law()
         return self.pressure_values
 
-    def move_pressure(self, dU: Array) -> None:
-        """p + dp of (2) for the increment dU (n d,) in the axes of the tangent; collective."""
+    def move_pressure(self, dU: Array, gap: Array) -> None:
+        """p + dp of (2) for the increment dU (n d,) in the axes of the tangent, where r = ``gap``; collective."""
         # p moves by C^-1 (gap + B du), as the eliminated row says
         self._bu.array[:] = dU
         self._B.mult(self._bu, self._pb)
-        self._pb.array[:] += self._gap
+        self._pb.array[:] += gap
         self._solve_p.solve(self._pb, self._px)
         self.pressure_values = self.pressure_values + self._px.array
 
@@ -239,15 +234,21 @@ class MixedField(Field):
 
     def stiffness(self, U: Array) -> Array:
         """A U + B^T C^-1 B U, (n d,); with a pressure of its own A U of the stress-free body: what stiffness_damping acts by."""
-        if self.carried:
-            return self._times(self._rest, U)
-        # K u + B^T C^-1 B u: the pressure follows the volume
+        return self._times(self._unstressed, U) if self.carried else self._with_volume(self.K, self._B, U)
+
+    def stiffness_at_rest(self, U: Array) -> Array:
+        """The same of the body without stress."""
+        kept = self._unstressed_B is not None
+        return self._with_volume(self._unstressed, self._unstressed_B, U) if kept else self.stiffness(U)
+
+    def _with_volume(self, A: Any, B: Any, U: Array) -> Array:
+        """A U + B^T C^-1 B U: the pressure follows the volume."""
         self._bu.array[:] = U
-        self._B.mult(self._bu, self._pb)
+        B.mult(self._bu, self._pb)
         self._solve_p.solve(self._pb, self._px)
-        self._B.multTranspose(self._px, self._bu)
+        B.multTranspose(self._px, self._bu)
         volume = np.array(self._bu.array)
-        return self._times(self.K, U) + volume
+        return self._times(A, U) + volume
 
     def stress_form(self, u: Any, v: Any) -> tuple[Any, Any]:
         """Work of the stress of u and of its pressure on grad v, and the pressure."""
@@ -296,8 +297,8 @@ class MixedField(Field):
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""
-        if self._rest is not None:
-            self._rest.destroy()
+        if self._unstressed_B is not None:
+            self._unstressed_B.destroy()
         for x in (self._B, self._bu, self._bp, self._px, self._pb, self._C, self._solve_p):
             x.destroy()
         super().destroy()

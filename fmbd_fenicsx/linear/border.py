@@ -24,19 +24,20 @@ Solve = Callable[[Array, Array], tuple[Array, Array]]
 
 @dataclass(frozen=True, eq=False)
 class Border:
-    """L and R of (1), (n_core + n_port, r) each, of one configuration."""
+    """L and R of (1), (n_core + n_port, r) each, of one configuration at time ``t``."""
 
     system: System
     left: Array
     right: Array
+    t: float
 
     @classmethod
-    def of(cls, system: System, tangent: ForceTangent | None) -> Border:
+    def of(cls, system: System, tangent: ForceTangent | None, t: float) -> Border:
         """The border of a tangent; without columns where no element touches a field."""
         if tangent is None:
             none = np.zeros((system.n_core + system.n_port, 0))
-            return cls(system, none, none)
-        return cls(system, tangent.left, tangent.right)
+            return cls(system, none, none, t)
+        return cls(system, tangent.left, tangent.right, t)
 
     @property
     def count(self) -> int:
@@ -57,14 +58,14 @@ class Border:
         """Column j of L as forces like v."""
         s, n = self.system, self.system.n_core
         ports = self.left[n:, j]
-        return np.concatenate((self.left[:n, j], *(p.port_force(ports[s.port_slice(k)]) for k, p in s.fields)))
+        return np.concatenate((self.left[:n, j], *(p.port_force(ports[s.port_slice(k)], self.t) for k, p in s.fields)))
 
     def seen(self, v: Array) -> Array:
         """R^T v, (r,); collective."""
         s, n = self.system, self.system.n_core
         y: Array = self.right[:n].T @ v[:n]
         for k, p in s.fields:
-            y = y + self.right[n:][s.port_slice(k)].T @ tangent_ports(p, s.local_v(v, k))
+            y = y + self.right[n:][s.port_slice(k)].T @ tangent_ports(p, s.local_v(v, k), self.t)
         return y
 
 

@@ -28,7 +28,7 @@ from ..system.force_tangent import force_tangent
 from ..system.foreshortened_ports import tangent_ports
 from ..system.system import System
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
-from .blocks.incompressibility import move_pressures, volume_load
+from .blocks.incompressibility import move_pressures, volume_gaps, volume_push
 from .border import AroundSolver, Border
 from .configuration import MatrixConfiguration
 from .configuration_warnings import CLOSE, mover, rows_depend, warn_near_singular
@@ -143,7 +143,6 @@ class StepSolver:
         masses_alone = not s.fields and not (weights.cd or weights.ck)
         if keep or (masses_alone and self.holds(ev, weights)):
             return
-        s.move(ev.t)
         self.weights, self._held = weights, None
 
         self.look_for_dependent_rows(ev)
@@ -181,7 +180,7 @@ class StepSolver:
         return not fields[0][1].field.total(np.array(float(not same))) if fields else same
 
     def _configuration(self, ev: Evaluation, weights: Weights) -> MatrixConfiguration:
-        versions = [(f.tangent_version, f.column_version) for _, f in self.system.fields]
+        versions = [(f.tangent_version, f.column_version(ev.t)) for _, f in self.system.fields]
         moving = None if ev.v is None or not (weights.cd or weights.ck) else ev.v.copy()
         return MatrixConfiguration(ev.t, ev.q.copy(), moving, weights, versions)
 
@@ -220,7 +219,7 @@ class StepSolver:
         A = core_matrix(ev, w)
         has_tangent = (s.forces or s.elements) and (w.cd or w.ck)
         applied = force_tangent(ev, w.cd, w.ck) if has_tangent else None
-        self.border = Border.of(s, applied)
+        self.border = Border.of(s, applied, ev.t)
 
         if applied is not None and applied.core is not None:
             A = A + applied.core
@@ -317,7 +316,6 @@ class StepSolver:
             return driver.solve(b, c)
         if not s.fields:
             return self.core.solve(b, c)
-        s.move(self._ev.t)
         if self.whole:
             return self._around.solve(b, c)
         if self.iterated is not None:
@@ -332,13 +330,10 @@ class StepSolver:
         return self._solve_direct(None, C)[0]
 
     def step(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """As :meth:`solve`, for an increment of Newton's iteration: the pressures that bodies carry move along; collective.
-
-        The system's forces must have been evaluated last at the iterate.
-        """
-        load = volume_load(self)
-        dq, dlam = self.solve(b if load is None else b - self.weights.ck * load, c)
-        move_pressures(self, dq)
+        """As :meth:`solve`, for an increment of Newton's iteration: the pressures that bodies carry move along; collective."""
+        gaps = volume_gaps(self._ev)
+        dq, dlam = self.solve(b - volume_push(self, gaps) if gaps else b, c)
+        move_pressures(self, dq, gaps)
         return dq, dlam
 
     @property
@@ -385,7 +380,7 @@ class StepSolver:
 
     def _project(self, f: DistributedPart, block: FactoredField, z: Array) -> Array:
         """H^T z of a field."""
-        ports = tangent_ports(f, z)
+        ports = tangent_ports(f, z, self.jacobian.t)
         q = ports[: f.n_frame_rows] if f.shared_columns else f.field.total(f.inertia_columns.T @ z)
         return np.concatenate((q, ports[block.used]))
 
@@ -405,16 +400,17 @@ class StepSolver:
         return out
 
     def refresh(self) -> bool:
-        """New tangents of nonlinear parts at the configuration evaluated last, and rows at the one given last to
-        :meth:`prepare`; False when all are constant. Collective.
+        """New tangents of nonlinear parts, and rows, at the state given last to :meth:`prepare`; False when all are constant.
+
+        Collective.
         """
         s, x, self.increment = self.system, self.increment, None
-        known = [None if x is None or b.factor.noisy else x for b in self.blocks]
-        parts = zip(s.fields, known, strict=True)
-        changed = [f.relinearise(None if d is None else s.local_v(d, k)) for (k, f), d in parts]
-        if any(changed):
+        exact = [k for (k, _), b in zip(s.fields, self.blocks, strict=True) if not b.factor.noisy]
+        known = {} if x is None else {k: s.local_v(x, k) for k in exact}
+        changed = self._ev.take_tangents(increments=known)
+        if changed:
             self.prepare(self._ev, self.weights)
-        return any(changed)
+        return changed
 
     def destroy(self) -> None:
         """Free all factors; collective."""

@@ -40,8 +40,8 @@ def core_matrix(ev: Evaluation, w: Weights) -> Any:
         on_frames[s.rigid.frame] = s.rigid.matrices()
 
     blocks = []
-    for k, part in enumerate(s.parts):
-        motion = FrameMotion(ev.t, ev.rotation[part.frame], np.zeros(n), None, s.gravity(ev.t))
+    motions = ev.tangent_motions(strained=bool(w.ck))
+    for k, (part, motion) in enumerate(zip(s.parts, motions, strict=True)):
         of_frame, coupling, mass = part.mass_blocks(motion, s.local_q(ev.q, k))
         on_frames[part.frame] += of_frame
         # fields are eliminated: their own blocks stay with their factors
@@ -58,9 +58,7 @@ def _local(ev: Evaluation, k: int, motion: FrameMotion, mass: Array, w: Weights)
     """cm M + cd C + ck K of the coordinates of a replicated part, (n, n)."""
     if not (w.ck or w.cd):
         return w.cm * mass
-    s = ev.system
-    rate = np.zeros(s.parts[k].n) if ev.v is None else s.local_v(ev.v, k)
-    K, C = s.parts[k].stiffness_blocks(motion, (s.local_q(ev.q, k), rate))
+    K, C = ev.system.parts[k].stiffness_blocks(motion, ev.local(k))
     return w.cm * mass + w.cd * C + w.ck * K
 
 

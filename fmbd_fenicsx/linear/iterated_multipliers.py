@@ -156,7 +156,7 @@ class IteratedMultipliers:
             MR = np.stack([e.body.mass(r.reshape(-1, e.body.dim)).ravel() for r in R.T], axis=1)
             masses.append(e.cm * e.body.total(R.T @ MR))
 
-            ports = np.stack([p.ports_of(r) for r in R.T], axis=1)
+            ports = np.stack([p.ports_of(r, self.G.t) for r in R.T], axis=1)
             columns.append(np.asarray(self.G.port[:, s.port_slice(k)] @ ports))
 
         # masses and rows are made of one size, so that one threshold tells what is singular

@@ -23,13 +23,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FrameMotion:
-    """What a part needs of its frame: time (s), rotation (d, d), twist and its rate (n_twist,), gravity (d,), world axes."""
+    """What a part needs of its frame: time (s), rotation (d, d), twist and its rate (n_twist,), gravity (d,), world axes.
+
+    ``pull`` (r,): forces (N) and moments (N m) along its ports of second order, for tangents; None for a part without such ports.
+    """
 
     t: float
     R: Array
     twist: Array
     accel: Array | None
     gravity: Array
+    pull: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -99,17 +103,13 @@ class Part(Protocol):
         """What turns the values of the frame conditions into lengths (m), for a model of a size (m): (n_frame_rows,)."""
         return np.ones(self.n_frame_rows)
 
-    def ports_of(self, w: Array) -> Array:
-        """Ports of local coordinates, without the reference part; collective."""
+    def ports_of(self, w: Array, t: float) -> Array:
+        """Ports of local coordinates, where they are at time t (s), without the reference part; collective."""
         return np.asarray(self.port_matrix @ w)
 
-    def port_force(self, f: Array) -> Array:
+    def port_force(self, f: Array, t: float) -> Array:
         """Transpose of ``ports_of``."""
         return np.asarray(self.port_matrix.T @ f)
-
-    def move(self, t: float) -> None:
-        """Put ports that move with time where they are at time t (s)."""
-        return None
 
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of the frame (n_twist,) and of the local coordinates (n,) of M a + h; collective."""
@@ -134,8 +134,8 @@ class DistributedPart(Part, Protocol):
     """This rank's share of a displacement field, with what the elimination of the field from (cm M + cd C + ck K) x = b needs.
 
     ``inertia_columns`` (n, k): couple the field's inertia to the twist of its frame (k = n_twist, or 0 without a moving frame).
-    ``shared_columns``: the frame conditions have these same columns. ``column_version`` and ``tangent_version`` are new numbers
-    whenever the columns or the field's tangent have changed.
+    ``shared_columns``: the frame conditions have these same columns. :meth:`column_version` and ``tangent_version`` are new
+    numbers whenever the columns or the field's tangent have changed.
     """
 
     field: Field
@@ -145,9 +145,8 @@ class DistributedPart(Part, Protocol):
     slack: np.ndarray | None = None  # one-sided springs that the tangent leaves out
     shown: Bent | None = None  # the second order of the ports that the columns hold
 
-    @property
-    def column_version(self) -> Any:
-        """Number of the columns E^-1 H; a new one asks for new columns."""
+    def column_version(self, t: float) -> Any:
+        """Number of the columns E^-1 H at time t (s); a new one asks for new columns."""
         return 0
 
     @property
@@ -155,10 +154,10 @@ class DistributedPart(Part, Protocol):
         """Number of the tangent that the field holds; a new one asks for a new factor."""
         return 0
 
-    def port_columns(self, used: np.ndarray) -> Array:
+    def port_columns(self, used: np.ndarray, t: float) -> Array:
         """Columns (n, count) of ``port_force`` for the port numbers ``used``."""
 
-    def port_gram(self) -> Array:
+    def port_gram(self, t: float) -> Array:
         """P P^T of the ports p = P w, (n_port, n_port): ports of neighbouring surfaces share nodes; collective."""
 
     def corotation(self, u: Array) -> Array | None:
@@ -174,14 +173,10 @@ class DistributedPart(Part, Protocol):
         """Whether an increment of Newton foretells stresses for the tangent, see :meth:`relinearise`."""
         return False
 
-    def see(self, u: Array) -> None:
-        """Take note of a configuration that someone else evaluated: the next tangent is taken there."""
-        return None
+    def relinearise(self, motion: FrameMotion, local: tuple[Array, Array], increment: Array | None = None) -> bool:
+        """Take the tangent at a motion of the frame and local coordinates with their rates; False when it is constant anyway.
 
-    def relinearise(self, increment: Array | None = None) -> bool:
-        """Take the tangent at the configuration evaluated last; False when it is constant anyway. Collective.
-
-        ``increment``: Newton's of the local coordinates, that led there, where it is known.
+        ``increment``: Newton's of the local coordinates, that led there, where it is known. Collective.
         """
         return False
 

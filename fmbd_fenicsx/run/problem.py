@@ -110,8 +110,8 @@ def _made_anew(problem: Problem, solver: StepSolver, state: State, h: float) -> 
     problem.newton.theta = 0.5
     system = problem.system
     if system.fields:  # tangents of a failed iteration are of no use
-        system.at(state.t, state.q, state.v).balance(state.a, state.lam)
-        for _, part in system.fields:
-            part.relinearise()
+        ev = system.at(state.t, state.q, state.v)
+        ev.forces = state.a, state.lam
+        ev.take_tangents()
     start, _ = consistent(system, state, solver, h=h)
     return made_stepper(problem.scheme, system, solver, problem.newton, start)

@@ -137,9 +137,8 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
 
     ev = system.at(state.t, state.q, state.v)
     h = ev.balance(np.zeros(system.n_v))
-    for _, part in system.fields:
-        if part.field.keeps_volume:
-            part.relinearise()
+    kept = [k for k, part in system.fields if part.field.keeps_volume]
+    ev.take_tangents(kept)
     solver.prepare(ev, MASS)
     held = kept_volumes(solver)
 
@@ -153,8 +152,7 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
 
     # inertia at the deformed configuration is not exactly the solver's matrix
     a, lam = _refined(ev, (a, lam), gamma, solver, forces=_size_of_forces(ev, h, held))
-    for _, part, _ in held:
-        part.relinearise()  # with the pressure found
+    ev.take_tangents(kept)  # with the pressures found
     return replace(state, a=a, lam=least(solver, ev, lam))
 
 
@@ -211,7 +209,6 @@ def _roundoff(system: System, ev: Any, solved: tuple[Array, Array], solver: Step
     sides = np.where(np.arange(system.n_v) % 2, 1.0, -1.0)
     moved = system.compose(ev.q, sides * np.finfo(float).eps * system.length / system.units)
     change = system.at(ev.t, moved, ev.v).balance(a, lam) - ev.balance(a, lam)
-    system.move(ev.t)
     return system.max_abs(solver.solve(-change, np.zeros(system.n_lam))[0])
 
 
@@ -242,10 +239,9 @@ def _keep_volume(system: System, k: int, made: State, given: State) -> None:
         return float(np.sqrt(field.total(np.array(x @ x / field.n))))
 
     for _ in range(8):
-        system.at(made.t, made.q, made.v).balance(np.zeros(system.n_v))
-        part.relinearise()
+        system.at(made.t, made.q, made.v).take_tangents([k])
         mass = VolumeMass(field, 1.0)
-        dU = mass.both(zero, -field.volume_gap())[0]
+        dU = mass.both(zero, -field.volume_gap(U))[0]
         dV = mass.both(zero, -field.volume_rate(V))[0]
         mass.destroy()
 
@@ -357,7 +353,6 @@ def _defects(ev: Evaluation, state: State, kept: list[int], ahead: Array) -> lis
 
     found = [alone(ev, state.v)]
     if system.fields:
-        # one after the other: fields keep what they evaluated last
         return found + [alone(system.at(float(state.t + d), q[i], v[i]), v[i]) for i, d in enumerate(ahead)]
 
     # replicated coordinates: all in one call

@@ -121,5 +121,5 @@ def count(system: System, q: Array, xi: Array | None = None) -> None:
 def _marker_rotations(system: System, q: Array) -> Array:
     """Rotations of all markers, (n, d, d); collective."""
     pose = system.poses(q)
-    port = system.ports(q, system.slices[0], True)
+    port = system.ports(q, 0.0)  # markers sit on surfaces, whose ports do not move with time
     return system.markers.rotations(system.motions.matrix(pose), port)

@@ -5,7 +5,9 @@ See :mod:`.system` for the equations.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +18,7 @@ from ..mechanics.frames import Kinematics
 from ..mechanics.placements import FrameMotion
 from ..mechanics.reduction.foreshortening import Bent
 from ..rotations import Array
-from .foreshortened_ports import bend, note_forces, port_bias, port_forces
+from .foreshortened_ports import bend, port_bias, port_forces, pulls
 from .jacobian import Jacobian
 
 if TYPE_CHECKING:
@@ -28,9 +30,9 @@ class Evaluation:
 
     def __init__(self, system: System, t: float, q: Array, v: Array | None) -> None:
         self.system, self.t, self.q, self.v = system, t, q, v
+        self.forces: tuple[Array, Array] = np.zeros(system.n_v), np.zeros(system.n_lam)  # a and lambda, for tangents
         self.foretold: dict[Any, Array] = {}  # efforts of springs for the tangent, see foretold_efforts
         self._asked: dict[tuple[Loads, str], Any] = {}
-        system.move(t)
 
     # -- frames, ports and markers ------------------------------------------------------------------------------------
     @cached_property
@@ -52,8 +54,7 @@ class Evaluation:
     @cached_property
     def port(self) -> Array:
         """Ports of all parts, (n_port,)."""
-        self.system.move(self.t)
-        out = self.system.ports(self.q, self.system.slices[0], True)
+        out = self.system.ports(self.q, self.t)
         for k, bent in self.bent.items():
             out[self.system.port_slice(k)] += bent.values(self.system.local_q(self.q, k))
         return out
@@ -62,7 +63,7 @@ class Evaluation:
     def port_rate(self) -> Array:
         """Their rates, (n_port,)."""
         assert self.v is not None
-        out = self.system.ports(self.v, self.system.slices[1], False)
+        out = self.system.ports(self.v, self.t, rates=True)
         for k, bent in self.bent.items():
             out[self.system.port_slice(k)] += bent.along(self.system.local_v(self.v, k))
         return out
@@ -177,21 +178,15 @@ class Evaluation:
     def gather(self, core: Array, port: Array) -> Array:
         """An array like v from forces on the frames and on the ports."""
         s = self.system
-        if not s.parts:
-            return core
-        s.move(self.t)
-        return np.concatenate((core, *port_forces(self, port)))
+        return np.concatenate((core, *port_forces(self, port))) if s.parts else core
 
     def balance(self, a: Array, lam: Array | None = None) -> Array:
-        """M a + h + G^T lambda (lambda left out when None), like v."""
+        """M a + h + G^T lambda (lambda left out when None), like v; :attr:`forces` are these from now on."""
         s = self.system
+        self.forces = a, np.zeros(s.n_lam) if lam is None else lam
         out = self._inertia_and_parts(a)
-        wrench = self.wrenches() if s.forces else None
-        if wrench is not None:
-            out -= self.spread(wrench)
-        # stiffening takes the forces on surfaces from here
-        if s.curved:
-            note_forces(self, wrench, lam)
+        if s.forces:
+            out -= self.spread(self.wrenches())
         if lam is not None and s.n_lam:
             out += self.jacobian.transposed(lam)
 
@@ -215,18 +210,40 @@ class Evaluation:
 
         local_rows = []
         for k, p in enumerate(s.parts):
-            local = self._local(k, a)
             motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], accel[p.frame], g)
-            on_frame, rows = p.force(motion, local)
+            on_frame, rows = p.force(motion, (*self.local(k), s.local_v(a, k)))
             core[p.frame] += on_frame
             local_rows.append(rows)
         return np.concatenate((core[:-1].ravel(), *local_rows)) if s.parts else core[:-1].ravel()
 
-    def _local(self, k: int, a: Array) -> tuple[Array, Array, Array]:
-        """Local coordinates of part k, their rates and second rates."""
+    def local(self, k: int) -> tuple[Array, Array]:
+        """Local coordinates of part k and their rates, zero where no velocities are given."""
         s = self.system
-        assert self.v is not None
-        return s.local_q(self.q, k), s.local_v(self.v, k), s.local_v(a, k)
+        rates = np.zeros(s.parts[k].n) if self.v is None else s.local_v(self.v, k)
+        return s.local_q(self.q, k), rates
+
+    def tangent_motions(self, *, strained: bool = True) -> list[FrameMotion]:
+        """What tangents of the parts need of their frames: accelerations of :attr:`forces`, and where ``strained`` their pull."""
+        s = self.system
+        a, lam = self.forces
+        twist = np.zeros_like(s.twists(a)) if self.v is None else self.twist
+        accel, g, pull = s.twists(a), s.gravity(self.t), pulls(self, lam) if strained else {}
+        return [
+            FrameMotion(self.t, self.rotation[p.frame], twist[p.frame], accel[p.frame], g, pull.get(k))
+            for k, p in enumerate(s.parts)
+        ]
+
+    def take_tangents(
+        self, parts: Iterable[int] | None = None, increments: Mapping[int, Array] = MappingProxyType({})
+    ) -> bool:
+        """New tangents of elastic fields (None: of all) at this state; False when all are constant.
+
+        ``increments``: of Newton, by part, that led there, where they are known.
+        """
+        motions = self.tangent_motions()
+        fields = self.system.fields if parts is None else [(k, f) for k, f in self.system.fields if k in parts]
+        changed = [f.relinearise(motions[k], self.local(k), increments.get(k)) for k, f in fields]
+        return any(changed)
 
     # -- invariants -------------------------------------------------------------------------------------------------
     def energies(self) -> dict[str, float]:

@@ -25,25 +25,26 @@ def bend(system: System, q: Array) -> dict[int, Bent]:
 def port_forces(ev: Evaluation, port: Array) -> list[Array]:
     """Forces on the local coordinates of each part, of forces on the ports (n_port,)."""
     s = ev.system
-    forces = [p.port_force(port[s.port_slice(k)]) for k, p in enumerate(s.parts)]
+    forces = [p.port_force(port[s.port_slice(k)], ev.t) for k, p in enumerate(s.parts)]
     for k, bent in ev.bent.items():
         forces[k] = forces[k] + bent.force(port[s.port_slice(k)])
     return forces
 
 
-def note_forces(ev: Evaluation, wrench: Array | None, lam: Array | None) -> None:
-    """Keep the forces of joints (multipliers lam) and of wrenches on the surfaces of bent bodies, for tangents."""
+def pulls(ev: Evaluation, lam: Array) -> dict[int, Array]:
+    """Forces of joints (multipliers lam) and of force elements on the surfaces of bent bodies, by part."""
     s = ev.system
-    port = np.zeros(s.n_port) if wrench is None else ev.on_ports(wrench)[1]
-    if lam is not None and s.n_lam:
+    if not s.curved:
+        return {}
+    port = ev.on_ports(ev.wrenches())[1] if s.forces else np.zeros(s.n_port)
+    if s.n_lam:
         port -= ev.jacobian.port.T @ lam
-    for k, p in s.curved:
-        p.shortening.pull = p.shortening.N.T @ port[s.port_slice(k)]
+    return {k: p.shortening.N.T @ port[s.port_slice(k)] for k, p in s.curved}
 
 
-def tangent_ports(part: Any, w: Array) -> Array:
+def tangent_ports(part: Any, w: Array, t: float) -> Array:
     """Rates of the ports for rates w of a field, with the columns that its tangent holds; collective."""
-    ports: Array = part.ports_of(w)
+    ports: Array = part.ports_of(w, t)
     return ports if part.shown is None else ports + part.shown.along(w)
 
 
@@ -60,7 +61,7 @@ def port_bias(ev: Evaluation) -> Array:
 def port_acceleration(ev: Evaluation, a: Array) -> Array:
     """Accelerations of the ports, (n_port,), for accelerations a like v; collective."""
     s = ev.system
-    out = s.ports(a, s.slices[1], False)
+    out = s.ports(a, ev.t, rates=True)
     for k, bent in ev.bent.items():
         out[s.port_slice(k)] += bent.along(s.local_v(a, k))
     return out + port_bias(ev) if ev.bent else out

@@ -84,6 +84,6 @@ class ForetoldEfforts:
         """Twists of all markers for velocities v, (n_markers, d + n_rot)."""
         s = self.system
         assert ev.kin.moving is not None
-        rate = s.ports(v, s.slices[1], False)
+        rate = s.ports(v, ev.t, rates=True)
         moving = replace(ev.kin.moving, frame_twist=s.twists(v)[s.markers.frame], rate=rate[s.markers.port])
         return moving.twist(ev.kin)

@@ -179,7 +179,6 @@ class Jacobian:
     def times(self, v: Array) -> Array:
         """G v, (n_lam,); collective."""
         s = self.system
-        s.move(self.t)
         out = np.asarray(self.core @ v[: s.n_core])
         for k, p in s.fields:
             out = out + self.port[:, s.port_slice(k)] @ self.ports_of(k, p, s.local_v(v, k))
@@ -187,18 +186,17 @@ class Jacobian:
 
     def ports_of(self, k: int, part: Any, w: Array) -> Array:
         """Rates of the ports of part k for rates w of its coordinates; collective."""
-        ports = part.ports_of(w)
+        ports = part.ports_of(w, self.t)
         return ports + self.bent[k].along(w) if k in self.bent else ports
 
     def transposed(self, lam: Array) -> Array:
         """G^T lambda, like v."""
         s = self.system
-        s.move(self.t)
         core = np.asarray(self.core.T @ lam)
         if not s.fields:
             return core
         # nodal forces of each field; foreshortening adds its own
-        forces = [p.port_force(self.port[:, s.port_slice(k)].T @ lam) for k, p in s.fields]
+        forces = [p.port_force(self.port[:, s.port_slice(k)].T @ lam, self.t) for k, p in s.fields]
         for i, (k, _) in enumerate(s.fields):
             if k in self.bent:
                 forces[i] = forces[i] + self.bent[k].force(self.port[:, s.port_slice(k)].T @ lam)

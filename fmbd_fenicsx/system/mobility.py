@@ -109,7 +109,7 @@ def scaled_jacobian(ev: Evaluation) -> Array:
     typical = float(np.abs(G).max(initial=1.0))
     columns = [G]
     for k, part in ev.system.fields:
-        ports = ev.jacobian.port[:, ev.system.port_slice(k)] @ _port_factor(part)
+        ports = ev.jacobian.port[:, ev.system.port_slice(k)] @ _port_factor(part, ev.t)
         size = max(float(np.abs(ports).max(initial=0.0)), 1.0)
         columns.append(typical * ports / size)
 
@@ -163,9 +163,9 @@ def certainly_regular(solve: Callable[[Array], Array], count: int, largest: floa
     return bool(inverse * largest < 1.0 / CERTAIN**2)
 
 
-def _port_factor(part: Any) -> Array:
+def _port_factor(part: Any, t: float) -> Array:
     """F with F F^T = P P^T for the ports p = P w of a field: two ties that share nodes may depend on each other."""
-    gram = part.port_gram()
+    gram = part.port_gram(t)
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / np.outer(size, size))
     # eigenvalues of roundoff stand for ports that depend on others

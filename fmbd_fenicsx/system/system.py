@@ -104,11 +104,6 @@ class System:
         """Distributed parts with their numbers."""
         return tuple((k, p) for k, p in enumerate(self.parts) if is_distributed(p))
 
-    def move(self, t: float) -> None:
-        """Put moving ports where they are at time t."""
-        for p in self.parts:
-            p.move(t)
-
     @cached_property
     def core_parts(self) -> tuple[tuple[int, Part], ...]:
         """Replicated parts with their numbers."""
@@ -204,12 +199,13 @@ class System:
         """Local coordinates of part k in v or a."""
         return v[self.slices[1][k]]
 
-    def ports(self, x: Array, slices: list[slice], reference: bool) -> Array:
-        """Port values of all parts for an array like q (reference added) or v; collective."""
+    def ports(self, x: Array, t: float, *, rates: bool = False) -> Array:
+        """Ports of all parts at time t (s) for an array like q, or their ``rates`` for one like v; collective."""
         out = np.zeros(self.n_port)
-        for f, s, p in zip(self.parts, slices, self.slices[2], strict=True):
-            out[p] = f.ports_of(x[s])
-            if reference:
+        in_q, in_v, in_p = self.slices
+        for f, s, p in zip(self.parts, in_v if rates else in_q, in_p, strict=True):
+            out[p] = f.ports_of(x[s], t)
+            if not rates:
                 out[p] += f.reference
         return out
 

@@ -109,7 +109,7 @@ class FieldBlocks:
         ``G`` is the constraint Jacobian, whose ports need columns. ``ties_apart``: the rows of surface ties are not
         eliminated, so their ports need none. ``splits``: PETSc's options are checked elsewhere.
         """
-        key = tuple((FieldMatrix.of(f, w), f.column_version) for _, f in self.system.fields)
+        key = tuple((FieldMatrix.of(f, w), f.column_version(G.t)) for _, f in self.system.fields)
         if key in self._sets:
             blocks = self._sets.pop(key)
         else:
@@ -134,7 +134,7 @@ class FieldBlocks:
             self.factorisations += factor.fresh
 
         used = self._used_ports(k, part, G, ties_apart)
-        H = np.concatenate((part.inertia_columns, part.port_columns(used)), axis=1)
+        H = np.concatenate((part.inertia_columns, part.port_columns(used, G.t)), axis=1)
         Y = factor.solve_columns(H)
         W = part.field.total(H.T @ Y)
         return FactoredField(factor, used, Y, 0.5 * (W + W.T), matrix)

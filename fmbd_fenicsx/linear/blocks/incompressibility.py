@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array, rotate_nodal
+from ...system.evaluation import Evaluation
 from ..residual import Judge
 from .spd import FieldFactor
 
@@ -102,21 +103,15 @@ def volume_push(solver: Any, rates: dict[int, Array]) -> Array:
     return out
 
 
-def volume_load(solver: Any) -> Array | None:
-    """What open volumes add to the balance, like v, where the forces were evaluated last; None without carried pressures.
+def volume_gaps(ev: Evaluation) -> dict[int, Array]:
+    """How far volumes are open in a state, of parts with a carried pressure (n_pressure,); collective."""
+    carried: list[tuple[int, Any]] = [(k, f.field) for k, f in ev.system.fields if f.field.carried]
+    return {k: field.volume_gap(ev.local(k)[0]) for k, field in carried}
 
-    Collective.
-    """
-    s, load = solver.system, None
+
+def move_pressures(solver: Any, dq: Array, gaps: dict[int, Array]) -> None:
+    """Move carried pressures along with Newton's increment ``dq``, like v, where volumes are open by ``gaps``; collective."""
+    s = solver.system
     for i, (k, f) in enumerate(s.fields):
-        if f.field.carried:
-            load = np.zeros(s.n_v) if load is None else load
-            load[s.slices[1][k]] = rotate_nodal(f.field.volume_load(), solver.corotations[i])
-    return load
-
-
-def move_pressures(solver: Any, dq: Array) -> None:
-    """Move carried pressures along with Newton's increment ``dq``, like v; after :func:`volume_load`. Collective."""
-    for i, (k, f) in enumerate(solver.system.fields):
-        if f.field.carried:
-            f.field.move_pressure(rotate_nodal(solver.system.local_v(dq, k), solver.corotations[i], back=True))
+        if k in gaps:
+            f.field.move_pressure(rotate_nodal(s.local_v(dq, k), solver.corotations[i], back=True), gaps[k])

@@ -18,7 +18,9 @@ def remember_solver(solver: StepSolver, m: Memory, state: State) -> None:
     for k, part in system.fields:
         part.field.indefinite = m(f"indefinite {k}", part.field.indefinite)
     if m.reading and system.fields:
-        solver.prepare(system.at(state.t, state.q, state.v), weights)
+        ev = system.at(state.t, state.q, state.v)
+        ev.forces = state.a, state.lam
+        solver.prepare(ev, weights)
     for k, part in system.fields:
         field = part.field
         if field.carried:

@@ -72,7 +72,6 @@ class StepMatrix:
         """Terms of G v: of the core, and of each field, which meets G through its ports."""
         s = self.layout.system
         rows = [np.asarray(self.G.core @ v[: s.n_core])]
-        s.move(self.G.t)
         for k, p in s.fields:
             ports = self.G.ports_of(k, p, s.local_v(v, k))
             rows.append(np.asarray(self.G.port[:, s.port_slice(k)] @ ports))

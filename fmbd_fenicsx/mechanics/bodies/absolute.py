@@ -44,9 +44,8 @@ class AbsoluteField(FieldPart):
             self.reference[k * per : k * per + field.dim] += field.center
         self._moment_columns = field.mass(field.X)
         self._turn_at_tangent: Array = np.eye(field.dim)
-        self._last = 0.0, np.zeros(self.n), np.zeros(self.n)  # t, u, u' of the forces evaluated last
         if field.loads.moving or field.viscous.law is not None:
-            self.field.linearise_motion(*self._last)
+            self._first_tangent()
 
     # -- tangent ------------------------------------------------------------------------------------------------
     def corotation(self, u: Array) -> Array | None:
@@ -72,26 +71,22 @@ class AbsoluteField(FieldPart):
         """Bodies with a stored energy: see :mod:`fmbd_fenicsx.fem.foretold_stress`."""
         return self.field.foretells
 
-    def relinearise(self, increment: Array | None = None) -> bool:
-        """Take the tangent at the configuration whose forces were evaluated last; collective.
-
-        ``increment`` (n d,): Newton's, that led there.
-        """
+    def relinearise(self, motion: FrameMotion, local: tuple[Array, Array], increment: Array | None = None) -> bool:
+        """Take the tangent at displacements and rates; collective. ``increment`` (n d,): Newton's, that led there."""
         if not self.field.nonlinear:
             return False
-        increment = increment if self.foretells else None
-        self.field.linearise_motion(*self._last, increment)
-        self._turn_at_tangent = self.mean_rotation(self._last[1])
+        U, Ud = (x.copy() for x in local)
         pressure = self.field.pressure_values if self.field.carried else None  # type: ignore[attr-defined]
-        t, U, Ud = self._last
-        self._tangent_at = TangentPoint(t, U, Ud, None, pressure, increment)
+        foretold = increment if self.foretells else None
+        self._take_tangent(TangentPoint(motion.t, U, Ud, None, pressure, foretold))
         return True
 
     def _take_tangent(self, at: TangentPoint) -> None:
-        self._last = at.t, at.U, at.Ud
         if at.pressure is not None:
             self.field.pressure_values = at.pressure  # type: ignore[attr-defined]
-        self.relinearise(at.increment)
+        self.field.linearise_motion(at.t, at.U, at.Ud, at.increment)
+        self._turn_at_tangent = self.mean_rotation(at.U)
+        self._tangent_at = at
 
     def _first_tangent(self) -> None:
         self.field.linearise_motion(0.0, np.zeros(self.n), np.zeros(self.n))
@@ -105,9 +100,6 @@ class AbsoluteField(FieldPart):
         A = Udd.reshape(-1, d) - motion.gravity
         if forms.mass_damping:
             A = A + forms.mass_damping * Ud.reshape(-1, d)
-
-        # for the tangent
-        self._last = motion.t, U, Ud
         rows = self.field.mass(A).ravel() + self.field.internal(U)
 
         # damping, then loads
@@ -129,13 +121,8 @@ class AbsoluteField(FieldPart):
             return self.field.stiffness(Ud)
         d = self.field.dim
         # into the axes of the body, and back
-        R = self._damping_turn(U)
+        R = self.mean_rotation(U)
         return (self.field.stiffness_at_rest((Ud.reshape(-1, d) @ R).ravel()).reshape(-1, d) @ R.T).ravel()
-
-    def _damping_turn(self, U: Array) -> Array:
-        """R of the damping, (d, d); of bodies with a pressure the turn since the tangent was taken, as in Newton's matrix."""
-        turn = self.mean_rotation(U)
-        return turn @ self._turn_at_tangent.T if self.field.mixed else turn
 
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
         """Power (W) of loads and of material damping; collective."""

@@ -291,11 +291,11 @@ class CoordinatePart(Part):
         self._tangent = None if tangent is None else named("The force_jacobian of body", body.name, tangent)
         self._mass = named("The mass of body", body.name, body.mass, time=None) if callable(body.mass) else body.mass
 
-    def ports_of(self, w: Array) -> Array:
+    def ports_of(self, w: Array, t: float) -> Array:
         """The coordinates."""
         return w
 
-    def port_force(self, f: Array) -> Array:
+    def port_force(self, f: Array, t: float) -> Array:
         """Forces on the coordinates."""
         return f
 

@@ -68,7 +68,7 @@ class FieldPart(DistributedPart):
         return self.field.moments(surface).center
 
     # -- ports --------------------------------------------------------------------------------------------------
-    def ports_of(self, w: Array) -> Array:
+    def ports_of(self, w: Array, t: float) -> Array:
         """Port values of a nodal vector without its reference part, (n d,) -> (n_port,); collective."""
         d = self.field.dim
         W = w.reshape(-1, d)
@@ -76,7 +76,7 @@ class FieldPart(DistributedPart):
         parts += [B @ w for B in self.traces]
         return self.field.total(np.concatenate(parts))
 
-    def port_force(self, f: Array) -> Array:
+    def port_force(self, f: Array, t: float) -> Array:
         """Nodal forces of port forces, the transpose of :meth:`ports_of`; (n_port,) -> (n d,)."""
         d, k = self.field.dim, self.n_frame_rows
         out = (self.conditions @ f[:k]).reshape(-1, d)
@@ -90,16 +90,16 @@ class FieldPart(DistributedPart):
             k += B.shape[0]
         return flat
 
-    def port_columns(self, used: np.ndarray) -> Array:
+    def port_columns(self, used: np.ndarray, t: float) -> Array:
         """Dense columns (n d, count) of :meth:`port_force` for the port numbers ``used``."""
         out = np.empty((self.n, len(used)))
         for i, p in enumerate(used):
             e = np.zeros(self.n_port)
             e[p] = 1.0
-            out[:, i] = self.port_force(e)
+            out[:, i] = self.port_force(e, t)
         return out
 
-    def port_gram(self) -> Array:
+    def port_gram(self, t: float) -> Array:
         """P P^T of the ports p = P w, (n_port, n_port): ports of neighbouring surfaces share nodes; collective."""
         import scipy.sparse as sp
 
@@ -140,7 +140,7 @@ class FieldPart(DistributedPart):
             self._take_tangent(TangentPoint(t, U, Ud, load, pressure, increment))
 
     def _take_tangent(self, at: TangentPoint) -> None:
-        """The tangent of a configuration, with what else it depends on; collective."""
+        """The tangent of a configuration, with what else it depends on, which is kept for checkpoints; collective."""
         raise NotImplementedError
 
     def _first_tangent(self) -> None:

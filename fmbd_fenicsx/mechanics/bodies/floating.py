@@ -53,9 +53,7 @@ class FloatingField(FieldPart):
             self.shortening = self.stiffening.shortening(surfaces, self.n_frame_rows, self.n_port)
 
         self.kind = kind
-        self._last = np.zeros(self.n)
         self.warned = False
-        self._load: Array = np.zeros(0 if self.stiffening is None else self.stiffening.count)
         self._columns_taken = 0  # a number for each set of columns, never used twice
         self._undeformed_columns()
 
@@ -114,11 +112,18 @@ class FloatingField(FieldPart):
         if self.field.D is not None:
             rows += self.field.damping(local[1])
         if self.stiffening is not None:
-            self._load = self.stiffening.coefficients(inertia_load(a, motion.twist[d:], accel[d:]), motion.t, R)
-            rows += self.stiffening.force(self._load, local[0])
+            rows += self.stiffening.force(self._straining(self.stiffening, motion), local[0])
         if self.field.forms.mass_damping:
             rows += self.field.forms.mass_damping * self.field.mass(Ud).ravel()
         return sums, rows
+
+    def _straining(self, stiffening: Stiffening, motion: FrameMotion) -> Array:
+        """Accelerations and loads whose stress stiffens the body, as :meth:`.Stiffening.coefficients`."""
+        assert motion.accel is not None
+        d = self.field.dim
+        a = motion.R.T @ (motion.accel[:d] - motion.gravity)
+        inertia = inertia_load(a, motion.twist[d:], motion.accel[d:])
+        return stiffening.coefficients(inertia, motion.t, motion.R)
 
     def _watch(self, spin: float, square: float) -> None:
         """Warn of a spin above the first frequency; refuse displacements of the size of the body. Linear bodies only."""
@@ -142,48 +147,47 @@ class FloatingField(FieldPart):
     def internal(self, U: Array, Ud: Array) -> Array:
         """f_int(U) + beta K_0 U', (n d,)."""
         beta = self.field.forms.stiffness_damping
-        self.see(U)
         if not self.field.nonlinear:
             return self.field.stiffness(U + beta * Ud if beta else U)
         f = self.field.internal(U)
         return f + beta * self.field.stiffness_at_rest(Ud) if beta else f
 
-    def port_columns(self, used: np.ndarray) -> Array:
-        """Columns (n d, count) of port forces, of the body as it was bent at the last :meth:`relinearise`."""
-        columns = super().port_columns(used)
+    def port_columns(self, used: np.ndarray, t: float) -> Array:
+        """Columns (n d, count) of port forces, of the body as it was bent where its tangent was taken."""
+        columns = super().port_columns(used, t)
         return columns if self.shown is None else columns - self.shown.slopes @ self.shown.N[used].T
 
-    @property
-    def column_version(self) -> int:
+    def column_version(self, t: float) -> int:
         """Number of times that the columns of inertia were taken anew."""
         return self._columns_taken
-
-    def see(self, u: Array) -> None:
-        """The next tangent is taken at the displacements u."""
-        self._last = u
 
     @property
     def tangent_version(self) -> int:
         """Number of tangents taken so far."""
         return self.field.tangents
 
-    def relinearise(self, increment: Array | None = None) -> bool:
-        """Take tangent and inertia of the configuration whose forces were evaluated last; collective.
+    def relinearise(self, motion: FrameMotion, local: tuple[Array, Array], increment: Array | None = None) -> bool:
+        """Take tangent and inertia at displacements; collective.
 
         The columns of the frame's inertia M (e x P), frozen at P = X before, follow the deformed body: an attached frame
         with large displacements needs them. They cost a few back-solves, no factor.
         """
+        load = np.zeros(0) if self.stiffening is None else self._straining(self.stiffening, motion)
+        self._take_tangent(TangentPoint(0.0, local[0].copy(), np.zeros(self.n), (load, motion.pull), None))
+        return True
+
+    def _take_tangent(self, at: TangentPoint) -> None:
         f = self.field
         m = self.motions
         d = f.dim
         if self.stiffening is not None:
-            self.stiffening.set_load(self._load, self.shortening)
+            self.stiffening.set_load(*at.load)
             f.linearise(None, self.stiffening.matrix_form)
         elif f.nonlinear:
-            f.linearise(self._last)
+            f.linearise(at.U)
 
         # inertia of the frame about the deformed body: columns M (e x P), their sums and moments
-        P = f.points(self._last)
+        P = f.points(at.U)
         Q = f.Q.reshape(f.n, d, m.n_twist).copy()
         J = np.empty((m.n_rot, m.n_rot))
         for k in range(m.n_rot):
@@ -193,25 +197,17 @@ class FloatingField(FieldPart):
         self.moment = f.total(f.mass(P).sum(0))
         self.inertia_columns = Q.reshape(self.n, m.n_twist)
 
-        # what the frame conditions, the ports and checkpoints take from it
+        # what the frame conditions and the ports take from it
         self.shared_columns = False
-        self.shown = None if self.shortening is None else self.shortening.at(self._last)
+        self.shown = None if self.shortening is None else self.shortening.at(at.U)
         self._columns_taken += 1
-        pull = None if self.shortening is None else self.shortening.pull
-        self._tangent_at = TangentPoint(0.0, self._last, np.zeros(self.n), (self._load, pull), None)
-        return True
+        self._tangent_at = at
 
     def _first_tangent(self) -> None:
         if self.field.nonlinear or self.stiffening is not None:
             self.field.linearise(None)
         self._undeformed_columns()
         self._columns_taken += 1
-
-    def _take_tangent(self, at: TangentPoint) -> None:
-        self._last, (self._load, pull) = at.U, at.load
-        if self.shortening is not None:
-            self.shortening.pull = pull
-        self.relinearise()
 
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
         """Mass block of the frame with the columns in use; the field's own blocks stay with its factor."""
@@ -257,7 +253,7 @@ class FloatingField(FieldPart):
 
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
         """Power (W) of loads, of material damping, and of the stress of inertia forces that stiffens; collective."""
-        f, d, (U, Ud) = self.field, self.field.dim, local
+        f, (U, Ud) = self.field, local
         found = {}
         if f.loads.loads:
             outer, inner = f.loads.nodal(motion.t, motion.R, U)
@@ -267,12 +263,8 @@ class FloatingField(FieldPart):
             found["damping"] = -float(Ud @ self._damping(U, Ud))
 
         if self.stiffening is not None:
-            assert motion.accel is not None
-            a = motion.R.T @ (motion.accel[:d] - motion.gravity)
-            w = motion.twist[d:]
-            turn = motion.accel[d:]
-            load = self.stiffening.coefficients(inertia_load(a, w, turn), motion.t, motion.R)
-            found["stiffening"] = -float(self.stiffening.force(load, U) @ Ud)
+            stress = self.stiffening.force(self._straining(self.stiffening, motion), U)
+            found["stiffening"] = -float(stress @ Ud)
         return self.summed(found)
 
     def _damping(self, U: Array, Ud: Array) -> Array:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -174,10 +175,23 @@ class Wires(Body):
         return replace(self, droppers=tuple(hung))
 
 
+def slider_tables(
+    body: Wires, field: LineField, sliders: Sequence[tuple[int, Any]], t: float
+) -> list[tuple[np.ndarray, Array]]:
+    """What points that slide see of the wires at time t (s): unknowns, and w, w_x, w_xx of them."""
+    tables = []
+    for wire, path in sliders:
+        x = float(path(t))
+        if not 0 <= x <= body.length:
+            raise InputError(f'A point that slides on wires "{body.name}" leaves them: x = {x:g} m at t = {t:g} s.')
+        tables.append(field.shape(wire, x, 2))
+    return tables
+
+
 class WiresPart(FieldPart):
     """Wires as a part of a system. Ports: w, w_x, w_xx at each point that slides along a wire, and a zero.
 
-    ``sliders``: (wire, function t -> x). The ports move with time: :meth:`move` puts them where they are at t.
+    ``sliders``: (wire, function t -> x). The ports move with time.
     """
 
     PORTS = 4
@@ -196,30 +210,16 @@ class WiresPart(FieldPart):
 
         self.mass_total, self.size = self.field.mass_total, self.field.size
 
-        # what the tangent and the ports were taken at
-        self.t = np.nan
+        # what the tangent was taken at
         self.slack = np.zeros(0, dtype=int)
         self._chosen = False  # whether Newton has just asked for the present set
-        self._tangents, self._last = 0, np.zeros(self.n)
+        self._tangents = 0
         self.statuses: list[Any] = []  # of the contacts at the sliding ports
-        self.move(0.0)
+        self._tables = lru_cache(maxsize=4)(partial(slider_tables, body, self.field, self.sliders))
 
-    @property
-    def column_version(self) -> Any:
+    def column_version(self, t: float) -> Any:
         """Where the ports are and which of them are in use."""
-        return (self.t, *(s.closed for s in self.statuses))
-
-    def move(self, t: float) -> None:
-        """Put the sliding ports where they are at time t."""
-        if t == self.t:
-            return
-        self.t = t
-        self._at = []
-        for wire, path in self.sliders:
-            x = float(path(t))
-            if not 0 <= x <= self.body.length:
-                raise InputError(f'A point that slides on wires "{self.name}" leaves them: x = {x:g} m at t = {t:g} s.')
-            self._at.append(self.field.shape(wire, x, 2))
+        return (t, *(s.closed for s in self.statuses))
 
     # -- tangent ------------------------------------------------------------------------------------------------
     def corotation(self, u: Array) -> None:
@@ -243,9 +243,9 @@ class WiresPart(FieldPart):
         """Number of slack sets taken so far."""
         return self._tangents
 
-    def relinearise(self, increment: Array | None = None) -> bool:
-        """Take the slack droppers of the configuration evaluated last; False when they are the same."""
-        self._chosen = self._see(self._last)
+    def relinearise(self, motion: FrameMotion, local: tuple[Array, Array], increment: Array | None = None) -> bool:
+        """Take the slack droppers at displacements; False when they are the same."""
+        self._chosen = self._see(local[0])
         return self._chosen
 
     def free_factors(self) -> None:
@@ -253,26 +253,25 @@ class WiresPart(FieldPart):
         self.field.free_factors()
 
     # -- mechanics ----------------------------------------------------------------------------------------------
-    def ports_of(self, w: Array) -> Array:
+    def ports_of(self, w: Array, t: float) -> Array:
         """w, w_x, w_xx, 0 at each sliding point."""
-        return np.concatenate([np.zeros(0), *(np.append(table @ w[dofs], 0.0) for dofs, table in self._at)])
+        return np.concatenate([np.zeros(0), *(np.append(table @ w[dofs], 0.0) for dofs, table in self._tables(t))])
 
-    def port_force(self, f: Array) -> Array:
+    def port_force(self, f: Array, t: float) -> Array:
         """Its transpose."""
         out = np.zeros(self.n)
-        for (dofs, table), fi in zip(self._at, f.reshape(-1, self.PORTS), strict=True):
+        for (dofs, table), fi in zip(self._tables(t), f.reshape(-1, self.PORTS), strict=True):
             out[dofs] += table.T @ fi[:3]
         return out
 
-    def port_gram(self) -> Array:
-        """P P^T of the ports where they are now; every rank holds all wires."""
-        columns = self.port_columns(np.arange(self.n_port))
+    def port_gram(self, t: float) -> Array:
+        """P P^T of the ports; every rank holds all wires."""
+        columns = self.port_columns(np.arange(self.n_port), t)
         return columns.T @ columns
 
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of (1)."""
         u, v, a = local
-        self._last = u
         f, forms = self.field, self.field.forms
         inertia = a + forms.mass_damping * v if forms.mass_damping else a
 

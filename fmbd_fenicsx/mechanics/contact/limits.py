@@ -120,5 +120,5 @@ class LimitPair(Pair):
         fields = [np.zeros(tr.n * s.motions.dim) for tr in contacts.traces]
         for i, tr in enumerate(contacts.traces):
             if isinstance(tr, FieldTrace):
-                fields[i] = tr.gather(s.parts[tr.part].port_force(port[s.port_slice(tr.part)])).ravel()
+                fields[i] = tr.gather(s.parts[tr.part].port_force(port[s.port_slice(tr.part)], ev.t)).ravel()
         return core, fields

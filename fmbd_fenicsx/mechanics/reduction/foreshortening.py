@@ -17,7 +17,7 @@ Source: Wallrapp and Schwertassek, doi:10.1002/nme.1620320818 (second-order disp
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -51,23 +51,18 @@ class Bent:
         return 0.5 * self.along(u)
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Shortening:
     """(1) of one part: ``products`` gives the columns G_r u (n, r) of a u (n,), ``N`` (n_port, r) what (1) does to the ports,
     ``total`` the sum over ranks.
 
-    ``G`` (r, n, n): the matrices themselves, replicated parts only. ``pull`` (r,): forces (N) and moments (N m) on the surfaces
-    when forces were evaluated last, for tangents.
+    ``G`` (r, n, n): the matrices themselves, replicated parts only.
     """
 
     products: Callable[[Array], Array]
     N: Array
     total: Callable[[Array], Array]
     G: Array | None = None
-    pull: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.pull = np.zeros(self.N.shape[1])
 
     def at(self, u: Array) -> Bent:
         """The derivative at u; collective."""

@@ -116,7 +116,6 @@ class ReducedPart(Part):
         self.port_matrix = np.concatenate([np.zeros((0, self.n)), *(s.modes for s in used)])
 
         self.shortening = of_constants(self.motions, used, self.n_port)
-        self._stress: Array = np.zeros((self.n, self.n))
 
         # T with its second index last: T(e_a, p) of all a is one product
         k = self.n + 1
@@ -148,17 +147,6 @@ class ReducedPart(Part):
         assert motion.accel is not None
         w = spin_matrix(motion.twist[d:])
         return motion.R.T @ (motion.accel[:d] - motion.gravity), w, spin_matrix(motion.accel[d:]) + w @ w
-
-    @property
-    def evaluated(self) -> Any:
-        """What the last evaluation of forces left for the next tangent; kept in checkpoints."""
-        return self._stress, None if self.shortening is None else self.shortening.pull
-
-    @evaluated.setter
-    def evaluated(self, value: Any) -> None:
-        self._stress, pull = value
-        if self.shortening is not None:
-            self.shortening.pull = pull
 
     def _watch(self, motion: FrameMotion, eta: Array) -> None:
         """Warn of a spin above the first frequency; refuse displacements of the size of the body."""
@@ -194,8 +182,7 @@ class ReducedPart(Part):
         rows: Array = a @ c.S[:, 1:] + np.trace(B[1:], axis1=1, axis2=2) + c.K @ eta + c.D @ rate
 
         if c.stiffening is not None:
-            self._stress = self._stress_of(motion)
-            rows = rows + self._stress @ eta
+            rows = rows + self._stress_of(motion) @ eta
         for load, b in c.loads:
             self._apply(load, b, motion, p[:, 0], (frame, rows))
         return frame, rows
@@ -274,12 +261,12 @@ class ReducedPart(Part):
         return M, low, self._modal_mass
 
     def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
-        """K and D of the modes; K with the stress of the forces evaluated last."""
+        """K and D of the modes; K with the stress of inertia forces, loads and forces on the surfaces."""
         K = self.constants.K
         if self.constants.stiffening is not None:
-            K = K + self._stress
-        if self.shortening is not None and self.shortening.G is not None:
-            K = K + np.tensordot(self.shortening.pull, self.shortening.G, 1)
+            K = K + self._stress_of(motion)
+        if motion.pull is not None and self.shortening is not None and self.shortening.G is not None:
+            K = K + np.tensordot(motion.pull, self.shortening.G, 1)
         return K, self.constants.D
 
     def _momentum(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array, float]:

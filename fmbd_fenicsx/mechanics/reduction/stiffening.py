@@ -186,11 +186,11 @@ class Stiffening:
         if self._p0 is not None:
             self._p0.x.array[:] = self.field.pressure_of(U).x.array
 
-    def set_load(self, coefficients: Array, surfaces: Shortening | None = None) -> None:
-        """Take u_0 for the numbers of :meth:`coefficients`, and for the forces on ``surfaces`` that were evaluated last."""
+    def set_load(self, coefficients: Array, pull: Array | None = None) -> None:
+        """Take u_0 for the numbers of :meth:`coefficients`, and for forces ``pull`` on the surfaces."""
         U = self._all @ coefficients
-        if surfaces is not None:
-            U = U + np.concatenate(list(self.section_columns.values()), axis=1) @ surfaces.pull
+        if pull is not None:
+            U = U + np.concatenate(list(self.section_columns.values()), axis=1) @ pull
         self._hold(U)
 
     def force(self, coefficients: Array, U: Array) -> Array:

@@ -19,7 +19,7 @@ from typing import ClassVar
 import numpy as np
 
 from ...errors import ConvergenceError, LinearSolveError
-from ...linear.blocks.incompressibility import move_pressures, volume_load
+from ...linear.blocks.incompressibility import move_pressures, volume_gaps, volume_push
 from ...linear.condensation import StepSolver, Weights
 from ...mechanics.contact.rows import Rows
 from ...rotations import Array
@@ -71,8 +71,9 @@ class ContactAlpha(GeneralizedAlpha):
         """
         start, correction = elastic_start(system, state, solver, 0.5 * h)
         ev = system.at(start.t, start.q, start.v)
+        forces = ev.balance(np.zeros(system.n_v))
         solver.prepare(ev, Weights(1.0, 0.0, 0.25 * h * h))
-        a, lam = solver.solve(-ev.balance(np.zeros(system.n_v)), -ev.gamma())
+        a, lam = solver.solve(-forces, -ev.gamma())
         return replace(start, a=a, lam=lam), correction
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> ContactAlphaStepper:  # type: ignore[override]
@@ -179,11 +180,13 @@ class _Step:
         system, solver = p.system, p.solver
         q = system.compose(s.q, self.xi)
         ev = self.ev = system.at(s.t + h, q, self.v)
+        balance = ev.balance(self.a, self.lam)
         solver.prepare(ev, Weights(1.0, h * self.gamma * (1 - self.af) / (1 - self.am), self.scale), keep=self.prepared)
         self.prepared = True
-        balance = ev.balance(self.a, self.lam)
-        load = volume_load(solver)
-        residuals = balance if load is None else balance + load, gaps(ev, h * self.beta / self.gamma)
+        volumes = volume_gaps(ev)
+        if volumes:
+            balance = balance + volume_push(solver, volumes) / self.scale
+        residuals = balance, gaps(ev, h * self.beta / self.gamma)
 
         if self.near.any():
             rows: Rows = p.contacts.rows(system, s.t + h, q, since=(s.t, h)).take(self.near)
@@ -191,7 +194,7 @@ class _Step:
             dq, dlam = self.contact.increment(rows, u, residuals, self.scale)
         else:
             dq, dlam = solver.solve(-self.scale * residuals[0], -residuals[1])
-        move_pressures(solver, dq)
+        move_pressures(solver, dq, volumes)
 
         d_xi = system.rate(self.xi, dq)
         self.lam = self.lam + dlam / self.scale

@@ -205,10 +205,10 @@ class _Step:
         middle = system.compose(s.q, self.theta * self.xi)
         vm = self.xi / h
         ev = self.ev = system.at(s.t + self.theta * h, middle, vm)
+        r = ev.balance((vm - s.v) / (self.theta * h), self.lam)
         solver.prepare(ev, Weights(1.0, self.theta * h, (self.theta * h) ** 2), keep=self.prepared)
         self.prepared = True
 
-        r = ev.balance((vm - s.v) / (self.theta * h), self.lam)
         self.g = system.at(s.t + h, self.q).constraint() if system.n_lam else np.zeros(0)
         if speed_rows(system).size:  # no slip at the middle of the step
             self.g[speed_rows(system)] = gaps(ev, h)[speed_rows(system)]

@@ -377,10 +377,10 @@ class _Step:
         system, solver = p.system, p.solver
         vm = 0.5 * (s.v + self.v)
         ev = self.ev = system.at(s.t + h / 2, system.compose(s.q, 0.5 * h * vm), vm)
+        r = h * ev.balance((self.v - s.v) / h, self.lam)
         solver.prepare(ev, Weights(1.0, h / 2, h * h / 4), keep=self.prepared)
         self.prepared = True
 
-        r = h * ev.balance((self.v - s.v) / h, self.lam)
         slip = ev.jacobian.times(self.v) + ev.constraint_rate() if system.n_lam else np.zeros(0)
 
         if self.rows is not None:

@@ -37,11 +37,10 @@ class GradientEnd(Evaluation):
 
     def __init__(self, system: System, t: float, q: Array, port: Array) -> None:
         self.system, self.t, self.q, self.v = system, t, q, None
-        system.move(t)
         self.pose = system.poses(q)
         self.port = port.copy()
         for k, part in system.core_parts:
-            self.port[system.port_slice(k)] = part.ports_of(system.local_q(q, k)) + part.reference
+            self.port[system.port_slice(k)] = part.ports_of(system.local_q(q, k), t) + part.reference
 
 
 class Mean(Evaluation):
@@ -49,7 +48,6 @@ class Mean(Evaluation):
 
     def __init__(self, old: Evaluation, new: Evaluation, middle: tuple[float, Array, Array], h: float) -> None:
         self.system, (self.t, self.q, self.v) = old.system, middle
-        self.system.move(self.t)
         self.ends, self.h = (old, new), h
         self.pose = self.system.poses(self.q)
         self.port = 0.5 * (old.port + new.port)
@@ -154,7 +152,7 @@ class Mean(Evaluation):
         if s.forces:
             push, pull = self.on_ports(self.wrenches())
             port -= pull
-            out -= np.concatenate((push, *(p.port_force(pull[s.port_slice(k)]) for k, p in s.core_parts)))
+            out -= np.concatenate((push, *(p.port_force(pull[s.port_slice(k)], self.t) for k, p in s.core_parts)))
 
         if s.n_lam:
             out += np.asarray(self.jacobian.core.T @ lam)

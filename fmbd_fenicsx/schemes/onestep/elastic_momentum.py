@@ -274,7 +274,7 @@ class Fields:
             self.bodies.append(_Body(part))
             self._at.append((at, own))
             self._reference[at] = part.reference[own]
-            self._H.append(part.port_columns(own))
+            self._H.append(part.port_columns(own, 0.0))
 
         self._Y: list[Array] = [np.zeros_like(H) for H in self._H]
         self._own_W: list[Array] = [np.zeros((H.shape[1], H.shape[1])) for H in self._H]
@@ -301,7 +301,7 @@ class Fields:
         out = self._reference.copy()
         for body, (at, own) in zip(self.bodies, self._at, strict=True):
             if len(at):
-                out[at] += body.part.ports_of(body.U)[own]
+                out[at] += body.part.ports_of(body.U, body.t)[own]
         return out
 
     def linearise(self) -> None:

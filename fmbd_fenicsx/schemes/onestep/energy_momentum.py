@@ -207,7 +207,7 @@ class EnergyMomentumStepper(TimeStepper):
     # -- one step -----------------------------------------------------------------------------------------------
     def _old(self) -> GradientEnd:
         s = self.state
-        port = self.system.ports(s.q, self.system.slices[0], True) if self.system.parts else np.zeros(0)
+        port = self.system.ports(s.q, s.t) if self.system.parts else np.zeros(0)
         return GradientEnd(self.system, s.t, s.q[: self.n_q], port)
 
     def _size(self, h: float) -> float:
@@ -261,9 +261,12 @@ class EnergyMomentumStepper(TimeStepper):
         """
         if self.fields is not None:
             return False
-        _, _, w, middle = self._motion(h, y[: self.n])
+        a, lam = y[: self.n], y[len(y) - self.system.n_lam :]
+        _, _, w, middle = self._motion(h, a)
+        ev = self.system.at(self.state.t + 0.5 * h, middle, w)
+        ev.forces = a, lam
         try:
-            self.solver.prepare(self.system.at(self.state.t + 0.5 * h, middle, w), Weights(1.0, 0.5 * h, 0.25 * h * h))
+            self.solver.prepare(ev, Weights(1.0, 0.5 * h, 0.25 * h * h))
         except LinearSolveError:
             return False
         return True

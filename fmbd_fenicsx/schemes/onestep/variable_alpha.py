@@ -248,6 +248,7 @@ class VariableAlpha(TimeStepper):
         worst = max(unseen, key=lambda f: float(np.abs(f).max(initial=0.0)))
 
         ev = self.system.at(s.t, s.q, s.v)
+        ev.forces = s.a, s.lam
         self.solver.prepare(ev, self.scheme.rule(h).weights)
         e, _ = self.solver.solve(h * h / 6.0 * worst, no_rows)
 
@@ -303,6 +304,7 @@ class VariableAlpha(TimeStepper):
         """dv of (2), (n_v,), and the matrix for steps of size h (s); ``share``: r^2 - 1."""
         s = self.state
         ev = self.system.at(s.t, s.q, s.v)
+        ev.forces = s.a, s.lam
         opening, still = share * ev.opening(), np.zeros_like(s.v)
 
         stiff = self._opened_stiffly(ev, opening, h) if self.norm.deforming or self.system.elements else None

@@ -18,7 +18,6 @@ import numpy as np
 from ...rotations import Array
 from ..evaluation import Evaluation
 from ..evaluation_batch import EvaluationBatch, Jacobians
-from ..foreshortened_ports import note_forces
 from ..jacobian import Jacobian, dense_core
 from ..mobility import certainly_regular
 from ..system import System
@@ -314,8 +313,6 @@ class DriverEvaluation(_Constraints, Evaluation):
     def __init__(self, states: DriverStates, t: float, q: Array, v: Array | None) -> None:
         super().__init__(states.system, t, q, v)
         self.states = states
-        nothing: tuple[Array, Array] = np.zeros(states.system.n_v), np.zeros(states.system.n_lam)
-        self.forces = nothing  # a and lambda given last
 
     @cached_property
     def alone(self) -> Configurations:
@@ -331,7 +328,6 @@ class DriverEvaluation(_Constraints, Evaluation):
 
     def again(self) -> DriverEvaluation:
         """The same state for someone else, with all that is known of it but the forces."""
-        self.system.move(self.t)
         other = DriverEvaluation.__new__(DriverEvaluation)
         other.__dict__.update(self.__dict__)
         other.forces = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
@@ -355,14 +351,9 @@ class DriverEvaluation(_Constraints, Evaluation):
         """M a + h + G^T lambda (lambda left out when None), like v."""
         lam = np.zeros(self.system.n_lam) if lam is None else lam
         found = self.states.balances(self.alone, a[None], lam[None])
-        self.forces = (a, lam)
         if found is None or not np.isfinite(found).all():
             return super().balance(a, lam)  # which says what is wrong
-        # tangents take the forces on surfaces, and what they are asked for in, from here
-        if self.system.curved:
-            note_forces(self, self.wrenches() if self.system.forces else None, lam)
-        for k, part in self.system.fields:
-            part.see(self.system.local_q(self.q, k))
+        self.forces = a, lam
         return found[0]
 
     def _found_energies(self) -> dict[str, float]:

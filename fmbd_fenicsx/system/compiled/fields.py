@@ -113,7 +113,7 @@ class FieldTable:
             **self._matrices(), "Y": self.block.Y.T,
             "A": inverse.A, "W": inverse.W, "G": inverse.G, "S": inverse.S,
             "X": field.X, "Q": part.inertia_columns.T, "inertia": part.inertia,
-            "moment": part.moment if part.column_version else np.zeros(d),
+            "moment": part.moment if part.column_version(0.0) else np.zeros(d),
             **{name: np.zeros(self.count) for name in ("p", "rates", "pz", "rest", "f", "h")},
             **{name: np.zeros(n) for name in ("accel", "MU")},
         }  # fmt: skip
@@ -139,7 +139,7 @@ class FieldTable:
         d = self.tables.dim
         start, columns, values = field.M.getValuesCSR()
         K = sp.csr_matrix(field.K.getValuesCSR()[::-1], shape=(part.n, part.n)).tobsr((d, d))
-        ports = sp.csc_matrix(part.port_columns(self.ports))
+        ports = sp.csc_matrix(part.port_columns(self.ports, 0.0))
         return {
             "M_start": start.astype(np.int32), "M_column": columns.astype(np.int32), "M": values,
             "K_start": K.indptr.astype(np.int32), "K_column": K.indices.astype(np.int32), "K": K.data,
