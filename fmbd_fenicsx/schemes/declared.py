@@ -1,4 +1,4 @@
-"""What a scheme says of itself beside its name, order and stepper; read once, with what holds for one that says nothing."""
+"""What a scheme says of itself beside its name, order and stepper, with what holds for one that says nothing."""
 
 from __future__ import annotations
 
@@ -36,16 +36,8 @@ class Declared:
 
     @classmethod
     def by(cls, scheme: Any) -> Declared:
-        """What a scheme says; of one that cannot change, a frozen dataclass, read once."""
-        known = _newest.get(id(scheme))
-        if known is not None and known[0] is scheme:
-            return known[1]
-        made = cls(**{name: getattr(scheme, name, default) for name, default in _members()})
-        parameters: Any = getattr(type(scheme), "__dataclass_params__", None)
-        if parameters is not None and parameters.frozen:
-            _newest.clear()
-            _newest[id(scheme)] = scheme, made
-        return made
+        """What a scheme says, with what holds where it says nothing."""
+        return cls(**{name: getattr(scheme, name, default) for name, default in _members()})
 
     def refuse(self, name: str, held: Contents) -> str:
         """Why the scheme ``name`` does not take what a scene holds, "" where it does; known before anything is computed."""
@@ -72,9 +64,6 @@ class Declared:
         if self.form is None:
             return self.holds
         return (0, 1) if self.form.projected else tuple(self.form.levels)
-
-
-_newest: dict[int, tuple[Any, Declared]] = {}  # the scheme asked for last: a run asks a dozen times
 
 
 @cache
