@@ -133,12 +133,11 @@ class ImplicitStepper(TimeStepper):
 
     def _error_size(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
         """Norm of errors like v. Along ties velocities count by the places that they lead to, as in index 3."""
-        held = self.eq.along_ties(h, e_v)
+        errors = np.array([e_v] if e_a is None else [e_v, e_a])
+        held = self.eq.along_ties(h, errors)
         if not held.any():
             return self.norm(h, e_q, e_v, e_a)
-        if e_a is not None:
-            e_a = e_a - self.eq.along_ties(h, e_a)
-        return max(self.norm(h, e_q, e_v - held, e_a), self.norm.mean(held * (h / self.norm.wq)))
+        return max(self.norm(h, e_q, *(errors - held)), self.norm.mean(held[0] * (h / self.norm.wq)))
 
     def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
         """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
