@@ -51,6 +51,10 @@ class StabilityError(ConvergenceError):
     """A step longer than an explicit scheme can take; parts of it are no cure, the next one would be as long."""
 
 
+class PartsError(StabilityError):
+    """Steps of a run had to be made in more parts than it may take: smaller ones cost less."""
+
+
 class CallbackError(InputError):
     """A function given by the user returned something unusable."""
 

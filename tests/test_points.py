@@ -143,7 +143,7 @@ def test_run_records_points_with_units_and_labels(rod_mesh: Callable[..., Any], 
     run = fmbd.solve(scene, t_end=2e-3, dt=1e-3)
     run.save(tmp_path / "run.csv")
     head = (tmp_path / "run.csv").read_text().splitlines()[0]
-    assert run["strain"].shape == (3, 3) and '"strain xy (-)"' in head
+    assert run["strain"].shape == (3, 3) and '"strain xy (1)"' in head
 
 
 @pytest.mark.mpi

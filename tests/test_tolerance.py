@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from dae_problems import pendulum
-from tolerance_scenes import CASES, TIMES, check
+from tolerance_scenes import CASES, MESHES, TIMES, check
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.errors import ConvergenceError, PartsError
+from fmbd_fenicsx.materials import neo_hookean
 from fmbd_fenicsx.run import single_run
 from fmbd_fenicsx.run.accuracy import estimates, shared_runs, tolerance
+from fmbd_fenicsx.run.schedule import StepSchedule
 
 QUICK = ("pendulum", "mass on spring", "clamped beam", "spin-up")
 CALLS = [
@@ -165,3 +167,44 @@ def test_steps_that_help_nothing_end_the_search() -> None:
     assert "do not fall with the steps" in search.stalled(plan, 6.0)
     assert not search.stalled(plan, 4.0) and not search.stalled(plan, 0.9)
     assert not search.stalled(replace(plan, meshes=1), 6.0)
+
+
+def soft_cantilever() -> fmbd.Scene:
+    """A bar of rubber, clamped, dropped at once: it hangs down after half a second, and its clamped corners wrinkle."""
+    mesh = fmbd.read_gmsh(MESHES / "rod.py", dim=2, h=0.25, height=0.1)
+    bar = fmbd.AbsoluteBody("bar", mesh, degree=1, density=1000.0, energy=neo_hookean(1e6, 0.3))
+    scene = fmbd.Scene("soft cantilever", gravity=(0.0, -9.81))
+    scene.add(bar, fmbd.fixed("clamp", fmbd.ground, bar.surface("pin")))
+    scene.sensor("tip", fmbd.position(bar.surface("tip")))
+    scene.sensor("strain", fmbd.sensors.strain(bar, point=(0.6, 0.04)))
+    return scene
+
+
+def test_runs_with_many_steps_in_parts_end_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half a second of a search spent on steps that smaller ones would make for less: a run ends there, one that only tells an
+    error of steps of one size at the first.
+    """
+    scene, output = soft_cantilever(), fmbd.Output(progress=False)
+    shared = shared_runs.SharedRuns(None, None, 12)
+    solved = shared.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 48), output)
+    assert not solved.run.counters["halved_steps"]
+    with pytest.raises(PartsError, match="step 13 of 24"):
+        estimates.again(solved.problem, solved.compared.schedule, 24, None)
+
+    # some parts cost less than smaller steps throughout; more are a matter of the scene, not of the tolerance
+    coarse = fmbd.solve(scene, t_end=1.0, dt=1 / 24, output=output)
+    parts = coarse.counters["halved_steps"]
+    assert 0 < parts < shared_runs.PARTED * 24
+    assert shared.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 24), output).run.status == "finished"
+    monkeypatch.setattr(shared_runs, "PARTED", 0.5 * parts / 24)
+    with pytest.raises(PartsError, match="of 24"):
+        shared.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 24), output)
+
+
+def test_strains_take_plain_numbers() -> None:
+    """A strain is a number without unit, which is known: 1e-3 of it says what it allows."""
+    scene = soft_cantilever()
+    scene.gravity_ramp = 0.3
+    run = fmbd.solve(scene, t_end=0.3, tol={"strain": 2e-2}, output=fmbd.Output(progress=False))
+    assert run.history[-1].then == "done"
+    assert 0.0 < run.certificate["strain"].total <= 2e-2 and run.certificate["strain"].unit == "1"

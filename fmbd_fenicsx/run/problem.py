@@ -39,6 +39,7 @@ class Problem:
     linear: Any
     pressures: list[Array]  # that bodies carry as unknowns
     warned: Gathered | None = None  # the warnings of the run; None: it warns of nothing
+    most_parts: float | None = None  # times that steps may be halved; None: as often as that helps
 
 
 def make_solver(scene: Scene, system: System, linear: Any) -> StepSolver:
@@ -102,7 +103,7 @@ def make_stepper(
 
     said = Declared.by(problem.scheme)
     goes_on = said.start is not None or said.free_steps
-    return ConstantSteps(made, system, None if goes_on else renew, watch, judges)
+    return ConstantSteps(made, system, None if goes_on else renew, watch, judges, problem.most_parts)
 
 
 def _made_anew(problem: Problem, solver: StepSolver, state: State, h: float) -> TimeStepper:

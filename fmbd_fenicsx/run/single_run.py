@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Task:
-    """What a run is asked for; ``newton`` is its own, and counts."""
+    """What a run is asked for; ``newton`` is its own, and counts. ``most_parts``: see :class:`.problem.Problem`."""
 
     scene: Scene
     scheme: Any
@@ -39,6 +39,7 @@ class Task:
     newton: Newton
     linear: Any
     output: Output
+    most_parts: float | None = None
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,7 @@ def _problem(task: Task, built: Built, solver: StepSolver, start: ConsistentStar
         linear=task.linear,
         pressures=solver.pressures,
         warned=built.warned,
+        most_parts=task.most_parts,
     )
 
 

@@ -14,7 +14,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from ..errors import ConstraintError, ConvergenceError, FmbdError, LinearSolveError, StabilityError
+import numpy as np
+
+from ..errors import ConstraintError, ConvergenceError, FmbdError, LinearSolveError, PartsError, StabilityError
 from ..log import log
 from ..schemes.stepping import TimeStepper
 from ..system.compiled.recording import Openness, Tape
@@ -45,6 +47,7 @@ class ConstantSteps(TimeStepper):
     """A stepper with constant steps, whole or in parts.
 
     ``renew`` makes a stepper from a state, None: the stepper goes on with another size. ``watch``: the energy guard, if any.
+    ``most``: times that steps and parts may be halved, None: as often as that helps.
     """
 
     keeps: ClassVar = {
@@ -60,8 +63,10 @@ class ConstantSteps(TimeStepper):
         renew: Callable[[State], TimeStepper] | None,
         watch: Watch | None,
         judges: Judges | None = None,
+        most: float | None = None,
     ) -> None:
         self.stepper, self.system, self.renew, self.watch = stepper, system, renew, watch
+        self.most, self.parted = np.inf if most is None else most, 0
         self.judges = judges
         self._seen: Evaluation | None = None  # the system in the newest state, where it was looked at
         self.local_error = 0.0
@@ -202,6 +207,12 @@ class ConstantSteps(TimeStepper):
             judges.balanced.check(self._seen, state, h)
 
     def _halves(self, h: float, depth: int) -> None:
+        self.parted += 1
+        if self.parted > self.most:
+            raise PartsError(
+                f"t = {self.stepper.state.t:g} s: steps of {h * 2**depth:g} s were halved {self.parted} times, more often than smaller "
+                "ones would be worth it."
+            )
         self._advance(0.5 * h, depth + 1)
         self._advance(0.5 * h, depth + 1)
 

@@ -274,11 +274,10 @@ def _whole(
     problem: Problem, solver: StepSolver, schedule: StepSchedule, output: Output, *, parts: bool = True
 ) -> March:
     """A march that was not stopped on request; collective. ``parts``: whether steps may be made in parts."""
-    marched = march(replace(problem, warned=None), solver, schedule, output)
+    most = problem.most_parts if parts else 0.0
+    marched = march(replace(problem, warned=None, most_parts=most), solver, schedule, output)
     if marched.status != "finished":
         raise ConvergenceError(f"stopped at t = {marched.state.t:g} s")
-    if not parts and marched.counters.get("halved_steps"):
-        raise ConvergenceError("steps had to be made in parts, so their size is not known")
     return marched
 
 

@@ -40,6 +40,7 @@ from .estimates import (
 
 NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
 BEYOND = 20.0  # the same where they show the order of the scheme
+PARTED = 0.25  # halvings of steps, for each step, that a run may take: beyond, smaller steps cost less
 TWICE = 2.0  # least ratio where they do not
 
 
@@ -80,7 +81,7 @@ class SharedRuns:
 
     def solve(self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output) -> Solved:
         """One run, kept for later ones with smaller steps to be compared with; collective."""
-        task = Task(scene, scheme, schedule, self.newton.afresh(), self.linear, output)
+        task = Task(scene, scheme, schedule, self.newton.afresh(), self.linear, output, PARTED * schedule.steps)
         solved = run_once(task, self.built(scene))
         if not solved.run.counters.get("halved_steps"):
             self._note(scene, solved.compared)

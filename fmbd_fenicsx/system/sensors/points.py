@@ -234,7 +234,7 @@ def strain(body: Any, *, point: Sequence[float]) -> Sensor:
     Of bodies with ``elastic`` the linear strain, of those with ``energy`` that of Green and Lagrange. Within one cell, so it
     jumps where the point crosses to the next. ``point`` as in :func:`elastic_displacement`.
     """
-    return PointStrain(None, "-", None, *_point("strain", body, point))
+    return PointStrain(None, "1", None, *_point("strain", body, point))
 
 
 def point_value(body: Any, quantity: Callable[[Any], Any], *, point: Sequence[float], unit: str = "Pa") -> Sensor:
