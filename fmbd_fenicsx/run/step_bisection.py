@@ -210,8 +210,7 @@ class ConstantSteps(TimeStepper):
         self.parted += 1
         if self.parted > self.most:
             raise PartsError(
-                f"t = {self.stepper.state.t:g} s: steps of {h * 2**depth:g} s were halved {self.parted} times, more often than smaller "
-                "ones would be worth it."
+                f"t = {self.stepper.state.t:g} s: steps of {h * 2**depth:g} s were halved {self.parted} times; smaller ones cost less."
             )
         self._advance(0.5 * h, depth + 1)
         self._advance(0.5 * h, depth + 1)

@@ -140,7 +140,10 @@ class Search:
         over, run = self.best
         if over > 1.0:
             log.warning(
-                'scene "%s": the tolerance was not reached, %.2g times it is stated: %s.', scene.name, over, self.why
+                'scene "%s": the tolerance was not reached, %.2g times it is stated: %s.',
+                scene.name,
+                over,
+                self.why.rstrip("."),
             )
         warn_of_uncertain(run, tol)
         run.history = tuple(self.history)
