@@ -209,8 +209,9 @@ class ConstantSteps(TimeStepper):
     def _halves(self, h: float, depth: int) -> None:
         self.parted += 1
         if self.parted > self.most:
+            t, whole = self.stepper.state.t, h * 2**depth
             raise PartsError(
-                f"t = {self.stepper.state.t:g} s: steps of {h * 2**depth:g} s were halved {self.parted} times; smaller ones cost less."
+                f"t = {t:g} s: steps of {whole:g} s were halved {self.parted} times; smaller ones cost less."
             )
         self._advance(0.5 * h, depth + 1)
         self._advance(0.5 * h, depth + 1)
