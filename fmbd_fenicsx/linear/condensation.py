@@ -90,7 +90,8 @@ class StepSolver:
         """Who solves in compiled code, where that evaluates the system; None where NumPy does all."""
         evaluator, solver = self._driver
         if evaluator is not self.system.evaluator:
-            solver = driver_solver(self.system, self.core)
+            eliminated = self.split is None and self.iterated is None
+            solver = driver_solver(self.system, self.core, self.elastic if eliminated else None)
             self._driver = self.system.evaluator, solver
         return solver
 
@@ -137,7 +138,7 @@ class StepSolver:
         driver = self.driver
         if driver is not None and driver.prepare(ev, weights):
             self.weights = weights
-            self._look, self._held = False, None
+            self._look, self._held, self.blocks = False, None, driver.blocks
             self.core.factorisations += driver.new_factors()
             return
         masses_alone = not s.fields and not (weights.cd or weights.ck)
@@ -324,7 +325,8 @@ class StepSolver:
 
     def closing(self, C: Array) -> Array:
         """Motions (n_v, k) that open the constraints by the columns C (n_lam, k) and are least in the metric of the matrix."""
-        if self.whole or self.iterated is not None or not self.system.fields:
+        driven = self.driver is not None and self.driver.ready
+        if driven or self.whole or self.iterated is not None or not self.system.fields:
             nothing = np.zeros(self.system.n_v)
             return np.stack([self.solve(nothing, c)[0] for c in C.T], axis=1)
         return self._solve_direct(None, C)[0]

@@ -6,38 +6,49 @@ driver makes what explicit schemes ask for in one call, with the smallest multip
 
 from __future__ import annotations
 
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeGuard
 
 from ..rotations import Array
 from ..system.compiled.choice import solves
 from ..system.compiled.evaluation import DriverEvaluation, DriverStates
 from ..system.compiled.explicit import ExplicitStates, Stages, Tableau
+from ..system.compiled.field_states import FactoredFieldStates, FieldStates
 from ..system.evaluation import Evaluation
 from ..system.system import State, System
-from .blocks.field_blocks import Weights
+from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
+from .core import CoreSolver
 
-if TYPE_CHECKING:
-    from .core import CoreSolver
+MASSES = Weights(1.0, 0.0, 0.0)
 
 
 class DriverSolver:
     """Of one :class:`~.condensation.StepSolver`; ``ready``: the matrix prepared last is the driver's."""
 
+    blocks: list[FactoredField] = []  # factors of elastic fields in that matrix
+
     def __init__(self, states: DriverStates, core: CoreSolver) -> None:
         """``core``: NumPy's, which knows where rows depend on each other."""
         self.states, self.core = states, core
+        self.explicit = ExplicitStates(states)
         self.ready = False
         self.usable: bool | None = None  # None: nothing was looked at so far
         self._counted = 0
 
     def prepare(self, ev: Evaluation, weights: Weights) -> bool:
         """Factor the matrix of a state; False where NumPy has to."""
-        states, self.ready = self.states, False
-        if self.usable is False or weights.cm != 1.0 or not states.evaluated(ev):
+        self.ready = False
+        if self.usable is False or weights.cm != 1.0 or not self._evaluated(ev):
             return False
-        self.ready = self._looked(ev) and states.prepare(ev, weights.cd, weights.ck)
+        self._choose(ev, weights)
+        self.ready = self._looked(ev) and self.states.prepare(ev, weights.cd, weights.ck)
         return self.ready
+
+    def _evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
+        """Whether a state is the driver's."""
+        return self.states.evaluated(ev)
+
+    def _choose(self, ev: DriverEvaluation, weights: Weights) -> None:
+        """Take the tables that make a matrix: of systems without fields all serve."""
 
     def _looked(self, ev: DriverEvaluation) -> bool:
         """Whether rows do not depend on each other, which the first state tells."""
@@ -55,29 +66,24 @@ class DriverSolver:
     def accelerations(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
         """a and lambda of a consistent state in one call; None where they have to be found in parts."""
         usable = self._usable_at(t, q, v)
-        found = self._explicit.accelerations(t, q, v) if usable else None
+        found = self.explicit.accelerations(t, q, v) if usable else None
         self.ready = found is not None
         return found
 
     def closed(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
         """q and v on the constraints in one call; None as above. Nothing is prepared then."""
         usable, self.ready = self._usable_at(t, q, v), False
-        return self._explicit.closed(t, q, v) if usable else None
+        return self.explicit.closed(t, q, v) if usable else None
 
     def stages(self, state: State, h: float, tableau: Tableau) -> Stages | None:
         """All stages of an explicit Runge-Kutta method from a state in one call; None as above. Nothing is prepared then."""
         usable, self.ready = self._usable_at(state.t, state.q, state.v), False
-        return self._explicit.stages((state.t, h), (state.q, state.v, state.a), tableau) if usable else None
+        return self.explicit.stages((state.t, h), (state.q, state.v, state.a), tableau) if usable else None
 
     def half_stage(self, state: State, *given: Any) -> tuple[Array, Array, int] | None:
         """A stage of a half-explicit method in one call, see ExplicitStates; ``state``: the start of the step."""
         usable, self.ready = self._usable_at(state.t, state.q, state.v), False
-        return self._explicit.half_stage(*given) if usable else None
-
-    @cached_property
-    def _explicit(self) -> ExplicitStates:
-        """What the driver does in one call."""
-        return ExplicitStates(self.states)
+        return self.explicit.half_stage(*given) if usable else None
 
     def new_factors(self) -> int:
         """Factorisations since the last call."""
@@ -89,6 +95,49 @@ class DriverSolver:
         return self.states.solve(b, c)
 
 
-def driver_solver(system: System, core: CoreSolver) -> DriverSolver | None:
-    """Solutions by the driver, where it evaluates a system and knows how to solve for it; ``core``: of the same solver."""
-    return DriverSolver(system.evaluator, core) if solves(system.evaluator) else None
+class FieldDriverSolver(DriverSolver):
+    """The same with elastic fields: tables of their own for the factors of each size of step, as long as these are kept.
+
+    Rows that depend on each other are NumPy's.
+    """
+
+    def __init__(self, states: FieldStates, core: CoreSolver, elastic: FieldBlocks) -> None:
+        """``states``: those that are asked for; ``elastic``: the factors of fields."""
+        super().__init__(states, core)
+        self.told, self.elastic = states, elastic
+        self._sets: list[tuple[FactoredFieldStates, ExplicitStates]] = []
+
+    def _evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
+        return self.told.evaluated(ev)
+
+    def _choose(self, ev: DriverEvaluation, weights: Weights) -> None:
+        """Take the tables with the factors of a size of step; new ones where these are."""
+        self.blocks = self.elastic.of(ev.jacobian, weights, ties_apart=False, splits=False)
+        if isinstance(self.states, FactoredFieldStates) and self.states.blocks is self.blocks:
+            return
+        self._sets = [x for x in self._sets if self.elastic.keeps(x[0].blocks)]
+        found = next((x for x in self._sets if x[0].blocks is self.blocks), None)
+        if found is None:
+            states = FactoredFieldStates(self.told, self.blocks)
+            found = states, ExplicitStates(states)
+            self._sets.append(found)
+        self._counted += found[0].factors - self.states.factors
+        self.states, self.explicit = found
+
+    def _usable_at(self, t: float, q: Array, v: Array) -> bool:
+        if self.usable is False:
+            return False
+        ev = self.told.at(t, q, v)
+        self._choose(ev, MASSES)
+        return self._looked(ev)
+
+
+def driver_solver(system: System, core: CoreSolver, elastic: FieldBlocks | None) -> DriverSolver | None:
+    """Solutions by the driver, where it evaluates a system and knows how to solve for it.
+
+    ``core``, ``elastic``: of the same solver; None for fields that are not eliminated by factors of their own.
+    """
+    states = system.evaluator
+    if isinstance(states, FieldStates):
+        return FieldDriverSolver(states, core, elastic) if elastic is not None and states.moving else None
+    return DriverSolver(states, core) if solves(states) else None

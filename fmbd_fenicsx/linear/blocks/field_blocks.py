@@ -102,6 +102,10 @@ class FieldBlocks:
         """Largest relative residual of a solve with a live block."""
         return max((f.judge.worst for f in self._live), default=0.0)
 
+    def keeps(self, blocks: list[FactoredField]) -> bool:
+        """Whether these are still there, not freed."""
+        return any(blocks is x for x in self._sets.values())
+
     # -- set-up -------------------------------------------------------------------------------------------------
     def of(self, G: Any, w: Weights, *, ties_apart: bool, splits: bool) -> list[FactoredField]:
         """Blocks for the weights of a step, earlier ones where nothing of theirs has changed.

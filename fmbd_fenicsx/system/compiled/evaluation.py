@@ -125,7 +125,7 @@ class DriverStates:
         return room.sums[: room.count].copy() if self._ask(self.library.driver_balances, room, places) else None
 
     def constraints(self, at: Configurations) -> Array | None:
-        """g, G v + g_t, g_t and gamma, (4, k, n_lam); gamma without the bias of surfaces. None as above."""
+        """g, G v + g_t, g_t and gamma, (4, k, n_lam). None as above."""
         found = self._constraints(at)
         if found is None:
             return None
@@ -290,7 +290,6 @@ class Told:
 class _Constraints:
     """Constraints by the driver, of one configuration or of many; those of NumPy, the next base, where it did not tell."""
 
-    system: System
     _told: Told
 
     def constraint(self) -> Array:
@@ -303,8 +302,7 @@ class _Constraints:
 
     def gamma(self) -> Array:
         """g'' - G a, likewise."""
-        numpy: Callable[[], Array] = super().gamma  # type: ignore[misc]
-        return numpy() if self.system.markers.surface.size else self._told.get(3, numpy)
+        return self._told.get(3, super().gamma)  # type: ignore[misc]
 
 
 class DriverEvaluation(_Constraints, Evaluation):

@@ -1,7 +1,6 @@
 """Accelerations, projections and the stages of explicit and half-explicit methods by the driver: one call each.
 
-For systems without surfaces of reduced bodies, whose second derivatives the driver does not know, and whose rows do not depend on
-each other. None as an answer: NumPy has to do, or has something to say.
+None as an answer: NumPy has to do, or has something to say.
 """
 
 from __future__ import annotations
@@ -27,7 +26,6 @@ class ExplicitStates:
     def __init__(self, states: DriverStates) -> None:
         self.states, self.system = states, states.system
         s = self.system
-        self.knows = not s.markers.surface.size
         tables = states.tables
         self.room = np.zeros(2 * s.n_q + 2 * s.n_v + 5 * s.n_lam + tables.nu)
         self.place = address_of(self.room)
@@ -75,7 +73,7 @@ class ExplicitStates:
         lam = guess[1].copy()
         solves = np.zeros(1, dtype=np.int64)
         arrays: tuple[Any, ...] = (times, *given, a, lam, solves)
-        made = self._ask(self.states.library.driver_half_stage, sizes, arrays, surfaces=True)
+        made = self._ask(self.states.library.driver_half_stage, sizes, arrays)
         return (a, lam, int(solves[0])) if made else None
 
     def _bias(self, times: Array) -> Array:
@@ -85,14 +83,10 @@ class ExplicitStates:
             bias[:, rows] -= [[motion(float(t))[2] for motion in motions] for t in times]
         return bias
 
-    def _ask(
-        self, function: Any, numbers: tuple[float, ...], arrays: tuple[Array, ...], *, surfaces: bool = False
-    ) -> bool:
-        """One call of a function of numbers, arrays and room to work in; whether it has found an answer. ``surfaces``: it takes
-        those of reduced bodies.
-        """
+    def _ask(self, function: Any, numbers: tuple[float, ...], arrays: tuple[Array, ...]) -> bool:
+        """One call of a function of numbers, arrays and room to work in; whether it has found an answer."""
         states = self.states
-        if states.taken or not (surfaces or self.knows):
+        if states.taken:
             return False
         states.hold(None)
         states.tables.recall()

@@ -1,11 +1,12 @@
 """States of systems with elastic fields by the driver: balance and constraints in one call each.
 
-The driver's tables of a field hold its matrices and ports; what its own factor has solved for a size of step is left out, as
-nothing is solved here. Rows of constraints with their ports, and biases of surfaces, are NumPy's.
+The driver's tables of a field hold its matrices and ports, and what its own factor has solved for a size of step: there is one
+set of tables for states, where nothing is solved, and one for each set of factors. Rows of constraints with their ports are NumPy's.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +16,7 @@ from ...rotations import Array
 from ..configurations import composed
 from ..system import System
 from .evaluation import Configurations, DriverStates, Room
+from .fields import Block
 from .resting import Twin
 from .tables import Tables
 
@@ -61,6 +63,11 @@ class FieldStates(DriverStates):
         t, q, v = at
         return super()._room((t, self.twin.configurations(q), self.twin.velocities(v)))
 
+    @property
+    def moving(self) -> bool:
+        """Whether all fields have frames that move: only these leave a step's matrix in the driver."""
+        return self.twin.system is self.system
+
     def rows(self, at: Configurations) -> Array | None:
         """None: G of a field is kept by its ports."""
         return None
@@ -68,3 +75,17 @@ class FieldStates(DriverStates):
     def compose(self, q: Array, xi: Array) -> Array:
         """q o exp(xi) in NumPy: most of it is a sum."""
         return composed(self.system, q, xi)
+
+
+class FactoredFieldStates(FieldStates):
+    """The same with the factors of a size of step, ``blocks`` of the fields, for solutions."""
+
+    solves = True
+
+    def __init__(self, states: FieldStates, blocks: Sequence[Block]) -> None:
+        self.blocks = blocks
+        super().__init__(states.system, states.library)
+
+    def tables_of(self) -> Tables:
+        """Tables with these factors."""
+        return Tables(self.system, redundant=False, blocks=self.blocks)

@@ -59,12 +59,27 @@ EXPORT int driver_energies(System *s, long count, const double *t, const double 
     return DONE;
 }
 
+/* What surfaces that move in their bodies add to the second derivatives of rows, at constant twists of the bodies. */
+static void biases(const System *s, const Batch *k, double *second)
+{
+    const double *out = k->out;
+    const int *at = k->at;
+    k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+    for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live)
+        for (int e = 0; e < k->live; e++) {
+            int on = at[e] - s->nu, surface = on / TWIST;
+            if (on < 0 || surface >= s->surfaces) continue; /* the ground is behind all */
+            second[k->row[i]] += k->factor[i] * out[k->entry[e]] * s->surface[surface].bias[on % TWIST];
+        }
+}
+
 /* What of the rates of the constraints depends on time only, and their second derivatives at constant twists; what a prescribed
    motion adds to these is left to Python. */
 static void derivatives_in_time(System *s, double *partial, double *second)
 {
     for (int i = 0; i < s->rows; i++) partial[i] = -s->motion_rate[i];
     memset(second, 0, s->rows * sizeof(double));
+    for (int i = 0; i < s->surfaces; i++) surface_bias(s, i);
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != ROW) continue;
         k->rates(k->n, k->pair, s->frames, k->P, 0, k->out);
@@ -72,6 +87,7 @@ static void derivatives_in_time(System *s, double *partial, double *second)
             partial[k->row[i]] += k->factor[i] * k->out[2 * i];
             second[k->row[i]] += k->factor[i] * k->out[2 * i + 1];
         }
+        if (k->mapped) biases(s, k, second);
     }
 }
 
@@ -150,13 +166,29 @@ static void close_dependent(System *s, double *x, double *y)
     add(y, 1.0, left, s->rows);
 }
 
+/* A right-hand side on the nodes of fields, which stand behind the frames in b: whether there is any. */
+static int load_nodes(System *s, const double *b)
+{
+    int loaded = 0;
+    for (int k = 0; s->fields && k < s->bodies; k++) {
+        const Body *o = s->body + k;
+        if (!o->field) continue;
+        memset(s->b + o->at_u + TWIST, 0, o->modes * sizeof(double));
+        for (long i = 0; i < o->field->n; i++) {
+            o->field->force[i] = -b[o->at_v + i];
+            loaded |= o->field->force[i] != 0.0;
+        }
+    }
+    return loaded;
+}
+
 /* x and y for right-hand sides b and c, with the factor of this configuration. */
 EXPORT int driver_solve(System *s, const double *q, const double *b, const double *c, double *x, double *y)
 {
-    int verdict = place(s, q, b);
+    int verdict = place(s, q, b), failed;
     memcpy(s->b, s->velocity, s->nu * sizeof(double));
     memcpy(s->b + s->nu, c, s->rows * sizeof(double));
-    solution(s, x, y);
+    if ((failed = with_fields(s, load_nodes(s, b), x, y, 0.0))) return failed;
     if (s->redundant) close_dependent(s, x, y);
     return verdict;
 }

@@ -1,6 +1,5 @@
 /* What explicit schemes need of a system, whose matrix is that of the masses: accelerations, states on the constraints, all stages
-   of a Runge-Kutta method in one call, and those of a half-explicit one. Frames on surfaces of bodies have no second derivatives
-   here: half-explicit stages, which ask for none, take them. */
+   of a Runge-Kutta method in one call, and those of a half-explicit one. */
 
 enum { REFINED = 12, CLOSED = 12, HALF = 50 }; /* iterations */
 static const double AT_REST = 1e-13; /* of the forces, that the balance may lack */
@@ -12,6 +11,14 @@ static double greatest(const double *x, int n)
     for (int i = 0; i < n; i++)
         if (found == found && !(fabs(x[i]) <= found)) found = fabs(x[i]); /* nan stays */
     return found;
+}
+
+/* The largest force that the balance evaluated last lacks; on the nodes of fields too. ``x``: room, like v. */
+static double missing(const System *s, double *x)
+{
+    if (!s->fields) return greatest(s->residual, s->nu);
+    like_v(s, s->residual, x);
+    return greatest(x, s->nv);
 }
 
 /* The largest acceleration that the forces evaluated last would give to an unknown by itself; the matrix is assembled. */
@@ -45,21 +52,22 @@ static int accelerate(System *s, double t, double length, const double *q, const
 
     for (int k = 0; k < REFINED; k++) {
         if ((verdict = evaluate(s, q, v, a, lam, t))) return verdict;
-        double left = greatest(s->residual, s->nu);
+        double left = missing(s, x);
         if (k == 0) forces = left;
         int settled = k > s->redundant && left <= AT_REST * forces;
         if (settled && !s->redundant) return DONE;
         if (k == 0 && !factored && (verdict = prepare(s, q, 0.0, 0.0, lam, 0, t))) return verdict;
 
         /* what is open: the balance, and G a + g'' - G a of the accelerations found so far */
-        memcpy(s->velocity, world, s->nu * sizeof(double));
+        if (s->surfaces) turn_velocity(s, a);
+        else memcpy(s->velocity, world, s->nu * sizeof(double));
         slips(s, 0);
         for (int i = 0; i < s->nu; i++) s->b[i] = -s->residual[i];
         for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -(s->slip[i] + second[i] + bias[i]);
         if (k == 0 && s->redundant) typical = fmax(alone(s), fastest * fastest / length);
         if (k > 1 && s->redundant && !(largest_of(s->row_units, s->b + s->nu, s->rows) <= CONTRADICTS * typical)) return NEWTON;
         if (settled) return DONE;
-        solution(s, x, y);
+        if ((verdict = with_fields(s, 1.0, x, y, t))) return verdict;
 
         add(world, 1.0, s->b, s->nu);
         add(a, 1.0, x, s->nv);
@@ -86,7 +94,7 @@ static double closing_change(System *s, const double *open, double *x, double *y
 {
     memset(s->b, 0, s->nu * sizeof(double));
     for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -open[i];
-    solution(s, x, y);
+    with_fields(s, 0.0, x, y, 0.0);
     return largest_of(s->units, x, s->nv);
 }
 
@@ -180,7 +188,7 @@ EXPORT int driver_half_stage(System *s, double h, double nothing, const double *
         if (k == 0 && (verdict = prepare(s, q, 0.0, 0.0, lam, 0, times[0]))) return verdict;
         for (int i = 0; i < s->nu; i++) s->b[i] = -s->residual[i];
         for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -open[i] / h;
-        solution(s, x, y);
+        if ((verdict = with_fields(s, 1.0, x, y, times[0]))) return verdict;
         add(a, 1.0, x, s->nv);
         add(lam, 1.0, y, s->rows);
         (*solves)++;

@@ -10,6 +10,7 @@
 
 /* reduced.c, surfaces.c */
 PART int place_surface(System *s, int number, const double *q);
+PART void surface_bias(System *s, int number);
 PART int reduced_force(const Body *o, const double *R, const double *q, const double *v, const double *a, const double *w,
                        const double *gravity, const double *accel, double *f, double *rows);
 PART void reduced_block(System *s, const Body *o, const double *R, const double *eta, double cd, double ck);

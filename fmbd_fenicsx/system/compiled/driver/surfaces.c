@@ -54,7 +54,7 @@ int place_surface(System *s, int number, const double *q)
     Surface *k = s->surface + number;
     const Body *body = s->body + k->body;
     const double *frame = s->frames + FRAME * k->body, *R = frame + TURN, *eta = modes_of(body, q);
-    double *x = s->frames + FRAME * (s->bodies + 1 + number), b[PORT], Rs[D * D], centre[D];
+    double *x = s->frames + FRAME * (s->bodies + 1 + number), *b = k->b, Rs[D * D], centre[D];
     int m = body->modes;
 
     if (k->bends) bend(k, eta, m);
@@ -81,4 +81,78 @@ int place_surface(System *s, int number, const double *q)
     }
     memcpy(x + SPEED, velocity, TWIST * sizeof(double));
     return DONE;
+}
+
+/* b_0' .. b_D' of a surface, or what the rates of the body alone add to b_0'' ..: -N (eta' G eta'). */
+static void port_rates(const Surface *k, const double *rates, int m, double *first, double *second)
+{
+    for (int j = 0; j < PORT; j++) first[j] = dot((k->bends ? k->now : k->ports) + m * j, rates, m);
+    memset(second, 0, PORT * sizeof(double));
+    for (int r = 0; r < k->bends; r++) {
+        double shortened = 0.0;
+        for (int i = 0; i < m; i++) shortened += rates[i] * dot(k->G + (r * m + i) * m, rates, m);
+        for (int j = 0; j < PORT; j++) second[j] -= k->N[j * k->bends + r] * shortened;
+    }
+}
+
+/* The surface's own turn in its body, speed w and rate of it, from Z^-1 w = sum_k (R_s e_k) x b_k' and its derivative. */
+static void own_turn(const Surface *k, const double *first, const double *second, double *w, double *rate)
+{
+    double sum[ROT] = {0.0}, one[ROT], turned[D], Sd[D * D] = {0.0}, trace = 0.0;
+    for (int c = 0; c < D; c++) {
+        moment(k->turn + D * c, first + D * (1 + c), one);
+        add(sum, 1.0, one, ROT);
+    }
+    for (int i = 0; i < ROT; i++) w[i] = dot(k->Z + ROT * i, sum, ROT);
+
+    memset(sum, 0, sizeof sum);
+    for (int c = 0; c < D; c++) {
+        spin(w, k->turn + D * c, turned);
+        moment(turned, first + D * (1 + c), one);
+        add(sum, 1.0, one, ROT);
+        moment(k->turn + D * c, second + D * (1 + c), one);
+        add(sum, 1.0, one, ROT);
+        for (int i = 0; i < D; i++) {
+            add(Sd + D * i, first[D * (1 + c) + i], k->turn + D * c, D);
+            add(Sd + D * i, k->b[D * (1 + c) + i], turned, D);
+        }
+    }
+    for (int i = 0; i < D; i++) trace += Sd[(D + 1) * i];
+    for (int i = 0; i < ROT; i++) {
+        sum[i] -= trace * w[i];
+        for (int j = 0; DIM == 3 && j < ROT; j++) sum[i] += 0.5 * (Sd[D * i + j] + Sd[D * j + i]) * w[j];
+    }
+    for (int i = 0; i < ROT; i++) rate[i] = dot(k->Z + ROT * i, sum, ROT);
+}
+
+/* d/dt of the twist of a surface, world axes, at no accelerations of its body: as Moving.bias of frames.py. */
+void surface_bias(System *s, int number)
+{
+    Surface *k = s->surface + number;
+    const Body *body = s->body + k->body;
+    const double *frame = s->frames + FRAME * k->body, *R = frame + TURN;
+    double first[PORT], second[PORT], w[ROT], rate[ROT], spins[ROT], way[D], speed[D], x[D], y[D], accel[D];
+    port_rates(k, s->velocity + body->at_u + TWIST, body->modes, first, second);
+    own_turn(k, first, second, w, rate);
+    to_body(R, frame + SPIN, spins);
+    transposed(R, k->arm, way);
+
+    /* within the body: of the mean, and of the lever */
+    spin(w, k->lever, x);
+    for (int i = 0; i < D; i++) speed[i] = first[i] + x[i];
+    spin(w, x, accel);
+    spin(rate, k->lever, y);
+    for (int i = 0; i < D; i++) accel[i] += y[i] + second[i];
+
+    /* and with it */
+    spin(spins, way, x);
+    spin(spins, x, y);
+    spin(spins, speed, x);
+    for (int i = 0; i < D; i++) accel[i] += y[i] + 2.0 * x[i];
+    times(R, accel, k->bias);
+#if DIM == 3
+    spin(spins, w, x);
+    add(rate, 1.0, x, ROT);
+#endif
+    to_world(R, rate, k->bias + D);
 }

@@ -64,9 +64,11 @@ typedef struct {
     int bends;
     double *N, *G;                     /* PORT x bends, bends x modes x modes */
     double p[D];                       /* lever of the marker from the centroid */
+    double b[PORT];                    /* its ports */
     double Z[ROT * ROT], turn[D * D], lever[D], arm[D];
     double *map;                       /* TWIST x (TWIST + modes): twist of the surface from the body's rates, world axes */
     double *bend_map;                  /* TWIST x bends */
+    double bias[TWIST];                /* rate of the twist at no accelerations of the body, see surface_bias() */
 } Surface;
 
 /* The elastic field U of a floating body, which its own factor eliminates from the step's matrix; see fields.c. */
