@@ -25,7 +25,7 @@ class Factor:
         E = field.combination(cm, ck, cd)
         definite = not (field.mixed or field.indefinite)
         try:
-            ksp = _factored(E, definite)
+            ksp = factored(E, definite)
         except PETSc.Error as error:
             if not (definite and field.nonlinear):
                 raise LinearSolveError(
@@ -33,7 +33,7 @@ class Factor:
                     f"(PETSc error {error.ierr}). Check density and moduli for their signs and units."
                 ) from error
             field.indefinite = True  # LDL^T from now on: Cholesky factorisations that fail leave memory behind
-            ksp = _factored(E, False)
+            ksp = factored(E, False)
         pc = ksp.getPC()
         self.factor = pc.getFactorMatrix()
         self.factor.incRef()
@@ -111,7 +111,7 @@ class Factor:
             obj.destroy()
 
 
-def _factored(E: Any, definite: bool) -> Any:
+def factored(E: Any, definite: bool) -> Any:
     """A PETSc solver with the factor of E: Cholesky where it is definite, LDL^T by MUMPS otherwise."""
     from petsc4py import PETSc
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import require
-from ...fem.factor import Factor
+from ...fem.factor import Factor, factored
 from ...fem.fields import Field
 from ...rotations import Array
 from ..residual import Judge
@@ -22,6 +22,8 @@ HIDDEN = 1.5e-7  # measured: below, a rod that falls is right to 3e-4 of its len
 # measured: from 1e-8 on, stresses that an increment foretold led rods that fall to other solutions of a step, 1e-3 of their
 # length away; soft frames and arches, which need them, have less than 4e-10
 NOISY = 2e-9
+
+SMALL = 50_000  # unknowns of a field on one rank whose masses are factored
 
 
 class FieldFactor:
@@ -113,23 +115,30 @@ def back_solves(factors: list[Any]) -> int:
 
 
 class MassInverse(FieldFactor):
-    """M^-1 of a field by conjugate gradients with diagonal scaling.
+    """M^-1 of a field: one matrix for all components.
 
-    The Galerkin mass matrix has a condition number that does not depend on the mesh, so about 30 iterations reach 1e-13
-    (Wathen, doi:10.1093/imanum/7.4.449) and the consistent start needs no second factorisation.
+    A Cholesky factor where that is small; explicit schemes solve with it several times a step. Else conjugate gradients with
+    diagonal scaling: the Galerkin mass matrix has a condition number that does not depend on the mesh, so about 30 iterations
+    reach 1e-13 (Wathen, doi:10.1093/imanum/7.4.449), and the consistent start of a large body needs no second factorisation.
     """
 
     def __init__(self, field: Field, cm: float) -> None:
-        from petsc4py import PETSc
-
         self.field, self.cm = field, cm
         self.judge = Judge(f'the mass matrix of body "{field.name}"')
-        self.ksp = PETSc.KSP().create(field.comm)
-        self.ksp.setOperators(field.M)
-        self.ksp.setType("cg")
-        self.ksp.getPC().setType("jacobi")
-        self.ksp.setTolerances(rtol=1e-13, atol=1e-300, max_it=2000)
+        small = field.comm.size == 1 and field.n * field.dim <= SMALL
+        definite = small and not field.redistributed  # contact nodes may have no mass
+        self.ksp = factored(field.M, True) if definite else self._conjugate_gradients()
         self.x, self.b = field.M.createVecs()
+
+    def _conjugate_gradients(self) -> Any:
+        from petsc4py import PETSc
+
+        ksp = PETSc.KSP().create(self.field.comm)
+        ksp.setOperators(self.field.M)
+        ksp.setType("cg")
+        ksp.getPC().setType("jacobi")
+        ksp.setTolerances(rtol=1e-13, atol=1e-300, max_it=2000)
+        return ksp
 
     def solve(self, b: Array) -> Array:
         """(cm M)^-1 b on owned entries, judged by its true residual."""
