@@ -174,6 +174,9 @@ class StepSolver:
 
     def holds(self, ev: Evaluation, weights: Weights) -> bool:
         """Whether :meth:`prepare` would make the matrices again that are there; collective."""
+        driver = self.driver
+        if driver is not None and driver.ready:
+            return driver.holds(ev, weights)
         same = self._held is not None and self._held.equals(self._configuration(ev, weights))
 
         # each rank sees its own nodes only

@@ -33,6 +33,7 @@ class DriverSolver:
         self.ready = False
         self.usable: bool | None = None  # None: nothing was looked at so far
         self._counted = 0
+        self._weights = MASSES  # of the matrix prepared last
 
     def prepare(self, ev: Evaluation, weights: Weights) -> bool:
         """Factor the matrix of a state; False where NumPy has to."""
@@ -40,8 +41,13 @@ class DriverSolver:
         if self.usable is False or weights.cm != 1.0 or not self._evaluated(ev):
             return False
         self._choose(ev, weights)
+        self._weights = weights
         self.ready = self._looked(ev) and self.states.prepare(ev, weights.cd, weights.ck)
         return self.ready
+
+    def holds(self, ev: Evaluation, weights: Weights) -> bool:
+        """Whether the matrix prepared last is this one."""
+        return self._evaluated(ev) and weights == self._weights and self.states.holds(ev, weights.cd, weights.ck)
 
     def _evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
         """Whether a state is the driver's."""
@@ -67,7 +73,7 @@ class DriverSolver:
         """a and lambda of a consistent state in one call; None where they have to be found in parts."""
         usable = self._usable_at(t, q, v)
         found = self.explicit.accelerations(t, q, v) if usable else None
-        self.ready = found is not None
+        self.ready, self._weights = found is not None, MASSES
         return found
 
     def closed(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:

@@ -35,6 +35,7 @@ from .stage_krylov import FieldStages
 MASS = Weights(1.0, 0.0, 0.0)
 SHIFT = float(np.sqrt(np.finfo(float).eps))  # of a difference quotient, over the model's length
 DECADE = 3  # factors kept for a decade of step sizes
+COLUMNS = 64  # multipliers for which N is kept as a matrix
 KEPT = 6  # sets of elastic factors, that of the mass included
 
 
@@ -118,6 +119,7 @@ class FieldEquations(Remembering):
         self._last_metric = MASS  # of the step before: its errors across the constraints are of least size in it
         self._begun: State | None = None
         self._basis: Evaluation | None = None  # where N is taken
+        self._motions: tuple[Evaluation, Weights, Array] | None = None  # N, and what it is taken for
         self._closed: State | None = None
         self._start: tuple[Array, Array, Array] = (self.origin,) * 3
 
@@ -180,8 +182,18 @@ class FieldEquations(Remembering):
         if self._basis is None:
             assert self._begun is not None
             self._basis = self.system.at(self._begun.t, self._begun.q)
-        self.prepare(self._basis, self.metric)
-        return self.solver.closing(slips.T).T
+        if slips.shape[1] > COLUMNS:
+            self.prepare(self._basis, self.metric)
+            return self.solver.closing(slips.T).T
+        return slips @ self._closing_motions(self._basis).T
+
+    def _closing_motions(self, basis: Evaluation) -> Array:
+        """N of (1), (n_v, n_lam), solved for once where derivatives are taken."""
+        known = self._motions
+        if known is None or known[0] is not basis or known[1] != self.metric:
+            self.prepare(basis, self.metric)
+            self._motions = known = basis, self.metric, self.solver.closing(np.eye(self.system.n_lam))
+        return known[2]
 
     def prepare(self, ev: Evaluation, weights: Weights) -> None:
         """The matrix of a step, unless it is there."""

@@ -183,7 +183,7 @@ class DriverStates:
     # -- solution ---------------------------------------------------------------------------------------------------------
     def prepare(self, ev: DriverEvaluation, cd: float, ck: float) -> bool:
         """Factor [M + cd C + ck K, G^T; G, 0] at a state; False where rows depend on each other, or nearly do."""
-        if self._holds(ev, (cd, ck)):
+        if self.holds(ev, cd, ck):
             return True
         self._held = None
         a, lam = ev.forces
@@ -197,12 +197,12 @@ class DriverStates:
         self._held, self.factors = (ev.t, ev.q, ev.alone[2][0], (cd, ck)), self.factors + 1
         return True
 
-    def _holds(self, ev: DriverEvaluation, weights: tuple[float, float]) -> bool:
+    def holds(self, ev: DriverEvaluation, cd: float, ck: float) -> bool:
         """Whether the factor is that of a state; velocities count where weights are those of stiffness or damping."""
-        if not self._holds_in(ev.t, ev.q, weights):
+        if not self._holds_in(ev.t, ev.q, (cd, ck)):
             return False
         assert self._held is not None
-        return not any(weights) or bool((self._held[2] == ev.alone[2][0]).all())
+        return not (cd or ck) or bool((self._held[2] == ev.alone[2][0]).all())
 
     def holds_masses(self, t: float, q: Array) -> bool:
         """Whether the factor is that of the masses in a configuration."""
