@@ -10,6 +10,8 @@ import pytest
 from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear import condensation
+from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, saint_venant_kirchhoff
 from fmbd_fenicsx.system.compiled.choice import driver_states
 
@@ -96,6 +98,71 @@ def assert_equal_to_numpy(scene: fmbd.Scene) -> None:
     for name in ("constraint", "opening", "gamma"):
         assert getattr(many, name)()[0] == pytest.approx(getattr(expected, name)(), rel=1e-11, abs=1e-12), name
     assert many.jacobian.times(both[1])[0] == pytest.approx(expected.jacobian.times(v), rel=1e-12)
+
+
+def solved(solver: StepSolver, ev: Any, weights: Weights) -> Any:
+    """x and y for random right-hand sides, and motions that close single rows; frame conditions stay closed."""
+    rng, system = np.random.default_rng(5), ev.system
+    rows = np.setdiff1d(np.arange(system.n_lam), np.concatenate([np.r_[span] for span in system.frame_rows]))
+    c = np.zeros(system.n_lam)
+    c[rows] = rng.normal(size=len(rows))
+
+    solver.prepare(ev, weights)
+    return *solver.solve(rng.normal(size=system.n_v), c), solver.closing(np.eye(system.n_lam)[:, rows])
+
+
+@compiled
+@pytest.mark.parametrize("frame", [fmbd.MeanAxis(), fmbd.Attached("pin"), fmbd.Chord("pin", "tip")], ids=str)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_solutions_are_those_of_numpy(rod_mesh: Callable[..., Any], dim: int, frame: Any) -> None:
+    """With masses alone and with the matrix of a step, one after the other; the matrix of a state is made once."""
+    system, start, _ = swinging(rod_mesh(dim=dim, h=0.5, height=0.2), frame).build()
+    states = driver_states(system)
+    assert states is not None
+    rng = np.random.default_rng(3)
+    moved, v = rng.normal(size=(2, system.n_v))
+    moved[system.n_core :] = 0.0  # of a bent body NumPy's masses lack the moments that the driver corrects
+    q = system.compose(start.q, 1e-3 * moved)
+
+    sizes = Weights(1.0, 0.0, 0.0), Weights(1.0, 1e-3, 1e-6), Weights(1.0, 0.0, 0.0)
+    plain = StepSolver(system)
+    wanted = [solved(plain, system.at(0.3, q, v), weights) for weights in sizes]
+    system.evaluate_by(states)
+    driven = StepSolver(system)
+    for weights, expected in zip(sizes, wanted, strict=True):
+        for found, one in zip(solved(driven, system.at(0.3, q, v), weights), expected, strict=True):
+            assert found == pytest.approx(one, rel=1e-6, abs=1e-6 * np.abs(one).max())
+        assert driven.driver is not None and driven.driver.ready
+        assert driven.holds(system.at(0.3, q, v), weights) and not driven.holds(system.at(0.4, q, v), weights)
+    assert driven.core.factorisations <= 2 * len(sizes)
+
+
+@compiled
+@pytest.mark.parametrize(
+    "scheme", [fmbd.Rattle(), fmbd.HalfExplicit(rtol=None), fmbd.BDF(order=2, rtol=None)], ids=lambda s: s.name
+)
+def test_steps_are_solved_in_the_driver(
+    rod_mesh: Callable[..., Any], scheme: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """NumPy condenses no field on the core; the motion is the same."""
+    scene = lambda: swinging(rod_mesh(dim=2, h=0.5, height=0.2), fmbd.MeanAxis())
+    dt = 1e-5 if scheme.name != fmbd.BDF(order=2, rtol=None).name else 1e-4
+
+    def run() -> tuple[fmbd.Run, int]:
+        found: list[Any] = []
+        condense = StepSolver._condense
+        with monkeypatch.context() as patch:
+            patch.setattr(StepSolver, "_condense", lambda *given: (found.append(1), condense(*given))[1])
+            made = fmbd.solve(scene(), t_end=20 * dt, dt=dt, scheme=scheme, output=fmbd.Output(progress=False))
+        return made, len(found)
+
+    fast, few = run()
+    monkeypatch.setattr(condensation, "driver_solver", lambda *given: None)
+    slow, many = run()
+    assert few < 10 < many
+    for name in ("q", "v", "lam"):
+        one = getattr(slow.state, name)
+        assert getattr(fast.state, name) == pytest.approx(one, rel=1e-6, abs=1e-6 * np.abs(one).max()), name
 
 
 def test_left_to_numpy(rod_mesh: Callable[..., Any]) -> None:

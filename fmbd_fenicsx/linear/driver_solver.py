@@ -111,24 +111,24 @@ class FieldDriverSolver(DriverSolver):
         """``states``: those that are asked for; ``elastic``: the factors of fields."""
         super().__init__(states, core)
         self.told, self.elastic = states, elastic
-        self._sets: list[tuple[FactoredFieldStates, ExplicitStates]] = []
+        self._sets: list[tuple[list[FactoredField], FactoredFieldStates, ExplicitStates]] = []
 
     def _evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
         return self.told.evaluated(ev)
 
     def _choose(self, ev: DriverEvaluation, weights: Weights) -> None:
         """Take the tables with the factors of a size of step; new ones where these are."""
-        self.blocks = self.elastic.of(ev.jacobian, weights, ties_apart=False, splits=False)
-        if isinstance(self.states, FactoredFieldStates) and self.states.blocks is self.blocks:
+        blocks, before = self.elastic.of(ev.jacobian, weights, ties_apart=False, splits=False), self.blocks
+        if blocks is before:
             return
-        self._sets = [x for x in self._sets if self.elastic.keeps(x[0].blocks)]
-        found = next((x for x in self._sets if x[0].blocks is self.blocks), None)
+        self._sets = [x for x in self._sets if self.elastic.keeps(x[0])]
+        found = next((x for x in self._sets if x[0] is blocks), None)
         if found is None:
-            states = FactoredFieldStates(self.told, self.blocks)
-            found = states, ExplicitStates(states)
+            states = FactoredFieldStates(self.told, blocks)
+            found = blocks, states, ExplicitStates(states)
             self._sets.append(found)
-        self._counted += found[0].factors - self.states.factors
-        self.states, self.explicit = found
+        self._counted += found[1].factors - self.states.factors
+        self.blocks, self.states, self.explicit = found
 
     def _usable_at(self, t: float, q: Array, v: Array) -> bool:
         if self.usable is False:

@@ -1,7 +1,7 @@
 """States of systems with elastic fields by the driver: balance and constraints in one call each.
 
-The driver's tables of a field hold its matrices and ports, and what its own factor has solved for a size of step: there is one
-set of tables for states, where nothing is solved, and one for each set of factors. Rows of constraints with their ports are NumPy's.
+The driver's tables of a field hold its matrices and ports, and what its own factor has solved for a size of step: there are
+tables for states, where nothing is solved, and some for each set of factors. Rows of constraints with their ports are NumPy's.
 """
 
 from __future__ import annotations
