@@ -127,8 +127,8 @@ def test_compiled_stages_are_those_of_numpy(make: Any, end: float, monkeypatch: 
     monkeypatch.setattr(ExplicitStates, "stages", counted)
     run = fmbd.solve(make(), t_end=end, scheme=fmbd.ExplicitRungeKutta(1e-7))
     attempts = run.counters["steps"] + run.counters["rejections"]
-    far = run.counters.get("rejected: constraints not closed", 0)  # first steps, out of any range
-    assert calls[True] == attempts - far and calls[False] == far
+    assert sum(calls.values()) == attempts
+    assert calls[False] <= (make is bent)  # a first step that leads far out of the range of small displacements
 
     nothing = lambda *given: None
     for name in ("stages", "accelerations", "closed"):
