@@ -1,8 +1,8 @@
 """Stated errors against true ones, each kind alone and all together, on scenes with exact or converged values.
 
-True errors are largest differences over the run: of time, to the same scene with an eighth of the step; of space, to meshes finer
-by two levels or more with the same step; of modes, to the bodies before their reduction; of all, to an exact solution or to
-all of this at once.
+True errors are largest differences over the run, at the ends of its steps: of time, to the same scene with an eighth of the
+step; of space, to meshes finer by two levels or more with the same step; of modes, to the bodies before their reduction; of all,
+to an exact solution or to all of this at once.
 
 Run:  cd tests; ../with-dolfinx python3 honesty_scenes.py [name ...]        (the table of docs/accuracy.md)
 """
@@ -29,10 +29,9 @@ from tolerance_scenes import (
 )
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.materials import linear_elastic, plane_stress
+from fmbd_fenicsx.materials import linear_elastic, neo_hookean, plane_stress
 from fmbd_fenicsx.system.scene.refinement import meshed_bodies, modal_bodies, refined
 
-TIMES = 41
 LEAST, MOST = 0.5, 3.0
 NEGLIGIBLE = 0.02  # share of the largest kind below which a kind is not judged: it is not seen beside the others
 
@@ -48,6 +47,7 @@ class Honest:
     exact: Callable[[Any], Any] | None = None
     whole: Callable[[], fmbd.Scene] | None = None
     meshes: int = 2  # levels that the references are finer by
+    scheme: Any = None
 
 
 # -- scenes ---------------------------------------------------------------------------------------------------------
@@ -108,6 +108,62 @@ def rotating_cantilever() -> fmbd.Scene:
     return scene
 
 
+def swinging_beam(
+    sensor: Callable[[Any], Any], *, elements: int = 2, ramp: float = 0.3, EI: float = 20.0
+) -> fmbd.Scene:
+    """A beam on a pin falls from the horizontal, its weight switched on within ``ramp`` (s), or at once."""
+    section = fmbd.Section(EA=1e5, EI=EI, rhoA=1.0, rhoI=1e-3, GA=4e4)
+    beam = fmbd.Beam("beam", (0.0, 0.0), (1.0, 0.0), section, elements=elements)
+    scene = fmbd.Scene("swinging beam", gravity=(0.0, -9.81), **({"gravity_ramp": ramp} if ramp else {}))
+    scene.add(beam, fmbd.revolute("pin", fmbd.ground, beam.surface("start"), center=(0, 0)))
+    scene.sensor("seen", sensor(beam.surface("end")))
+    return scene
+
+
+def pin_force(_end: Any) -> Any:
+    """Sensor of the force in the joint "pin"."""
+    return fmbd.reaction_force("pin")
+
+
+def bent_block(load: Callable[[float], float], degree: int = 2) -> fmbd.Scene:
+    """A rubber block on a wall, its free end pushed across."""
+    mesh = fmbd.read_gmsh(MESHES / "block.py", size=(0.4, 0.1), counts=(4, 1), origin=(0.0, 0.0))
+    block = fmbd.AbsoluteBody("block", mesh, degree=degree, density=1000.0, energy=neo_hookean(1e6, 0.3))
+    scene, end = fmbd.Scene("bent block"), block.surface("right")
+    scene.add(block, fmbd.fixed("wall", fmbd.ground, block.surface("left")))
+    scene.add(fmbd.force("push", end, lambda t: (0.0, -20.0 * load(t))))
+    scene.sensor("wall force", fmbd.reaction_force("wall"))
+    scene.sensor("acceleration", fmbd.acceleration(end))
+    return scene
+
+
+def swinging_rod_shakes() -> fmbd.Scene:
+    """The acceleration of the tip of the swinging rod."""
+    scene = swinging_rod(2)
+    scene.sensor("acceleration", fmbd.acceleration(scene.bodies["rod"].surface("end")))
+    return scene
+
+
+def strained(modes: int | None = None) -> fmbd.Scene:
+    """The strain near the middle of the elastic pendulum."""
+    scene = elastic_pendulum(2, modes)
+    scene.sensor("strain", fmbd.sensors.strain(scene.bodies["rod"], point=(0.52, 0.02)))
+    return scene
+
+
+def falling_ball() -> fmbd.Scene:
+    """A ball on a spring falls towards a floor, which it has not met yet: a scheme for impacts, of order one there."""
+    scene, ball = (
+        fmbd.Scene("ball", gravity=(0.0, -9.81)),
+        fmbd.RigidBody("ball", 1.0, 0.01, (0.0, 1.0), velocity=(1.0, 0.0)),
+    )
+    floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0.0, 0.0), (0.0, 1.0)))
+    spring = fmbd.Spring("spring", fmbd.ground, ball, (0, 2), stiffness=20.0, length=0.5)
+    scene.add(ball, spring, fmbd.contact("touch", fmbd.ball(ball, 0.1), floor, restitution=0.5))
+    scene.sensor("tension", fmbd.tension(spring))
+    return scene
+
+
 HONEST = {
     "flying bar": Honest(flying_wave, 1.5, 0.025, "left", flying_exact),
     "elastic pendulum": Honest(lambda: elastic_pendulum(2), 0.4, 0.4 / 80, "tip"),
@@ -121,6 +177,18 @@ HONEST = {
     "bushing and tie": Honest(bushed, 0.4, 4e-3, "end"),
     "near-incompressible block": Honest(squeezed_block, 0.2, 2e-3, "top"),
     "crank with FE rod": Honest(lambda: fe_crank(2), 0.04, 1e-4, "side", whole=fe_crank),
+    "pin force of one beam element": Honest(lambda: swinging_beam(pin_force, elements=1), 0.8, 8e-3, "seen", meshes=3),
+    "speed of a stiff beam, let go": Honest(
+        lambda: swinging_beam(fmbd.velocity, ramp=0.0, EI=2e3), 0.8, 8e-3, "seen", meshes=3
+    ),
+    "tip of a soft beam, let go": Honest(lambda: swinging_beam(fmbd.position, ramp=0.0), 0.8, 8e-3, "seen", meshes=3),
+    "acceleration of a rod": Honest(swinging_rod_shakes, 0.6, 6e-3, "acceleration"),
+    "strain, reduced pendulum": Honest(lambda: strained(1), 0.4, 0.4 / 80, "strain", whole=strained),
+    "wall force of a rubber block": Honest(lambda: bent_block(rise(0.1)), 0.2, 2e-3, "wall force"),
+    "the same, a load with a kink": Honest(
+        lambda: bent_block(lambda t: min(10.0 * t, 1.0)), 0.2, 2e-3, "wall force"
+    ),
+    "spring above the floor, Moreau": Honest(falling_ball, 0.3, 3e-3, "tension", scheme=fmbd.Moreau(), meshes=0),
 }  # fmt: skip
 
 
@@ -157,11 +225,11 @@ class Found:
 def judge(name: str) -> Found:
     """Run a scene with all estimates, and its references."""
     case = HONEST[name]
-    times = tuple(np.linspace(0.0, case.t_end, TIMES))
+    schemes = {} if case.scheme is None else {"scheme": case.scheme}
 
     def values(scene: fmbd.Scene, parts: int) -> Any:
-        output = fmbd.Output(times=times, energy=False, progress=False)
-        return fmbd.solve(scene, t_end=case.t_end, dt=case.dt / parts, output=output)[case.sensor]
+        output = fmbd.Output(every=parts, energy=False, progress=False)
+        return fmbd.solve(scene, t_end=case.t_end, dt=case.dt / parts, output=output, **schemes)[case.sensor]
 
     def finer(scene: fmbd.Scene) -> fmbd.Scene:
         for _ in range(case.meshes):
@@ -169,10 +237,8 @@ def judge(name: str) -> Found:
         return scene
 
     scene = case.scene()
-    asked = fmbd.Output(
-        times=times, energy=False, progress=False, estimate_error=True, estimate_space=True, estimate_reduction=True
-    )
-    run = fmbd.solve(scene, t_end=case.t_end, dt=case.dt, output=asked)
+    asked = fmbd.Output(energy=False, progress=False, estimate_error=True, estimate_space=True, estimate_reduction=True)
+    run = fmbd.solve(scene, t_end=case.t_end, dt=case.dt, output=asked, **schemes)
     made, x = run.certificate[case.sensor], run[case.sensor]
     stated, true = {"time": made.time or 0.0, "together": made.total}, {"time": values(case.scene(), 8)}
     if meshed_bodies(scene):
@@ -180,7 +246,7 @@ def judge(name: str) -> Found:
     if modal_bodies(scene) and case.whole is not None:
         stated["modes"], true["modes"] = made.modes or 0.0, values(case.whole(), 1)
     whole = case.whole or case.scene
-    true["together"] = values(finer(whole()), 8) if case.exact is None else case.exact(np.array(times))
+    true["together"] = values(finer(whole()), 8) if case.exact is None else case.exact(run.times)
     return Found(name, stated, {k: float(np.abs(x - y).max()) for k, y in true.items()})
 
 

@@ -7,13 +7,22 @@ from typing import Any
 import numpy as np
 import pytest
 from dae_problems import pendulum as point_pendulum
-from honesty_scenes import HONEST, judge
-from tolerance_scenes import spun_up
+from honesty_scenes import HONEST, bent_block, judge
+from tolerance_scenes import rise, spun_up
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.run.accuracy.deviation import Deviation, together
+from fmbd_fenicsx.run.accuracy.estimates import usable_order
 
-QUICK = ("clamped beam", "rotating cantilever")
+QUICK = (
+    "clamped beam",
+    "rotating cantilever",
+    "pin force of one beam element",  # in space: 3.4 when compared at four times the step
+    "speed of a stiff beam, let go",  # 0.25 by the order of the slow motion after the start
+    "tip of a soft beam, let go",  # not stated without a run with half the step
+    "acceleration of a rod",  # 5.5 by the order seen alone
+    "spring above the floor, Moreau",  # 3.05 by the order of the scheme
+)
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in QUICK else pytest.mark.slow) for n in HONEST])
@@ -68,6 +77,39 @@ def test_an_error_of_phase_as_large_as_the_motion_is_said_to_be_uncertain(
     said = ["is uncertain" in text for text in (str(run.certificate), " ".join(run.warnings), caplog.text)]
     assert said == [uncertain] * 3
     assert list(run.certificate.uncertain) == ["x"] * uncertain
+
+
+def test_what_has_no_value_that_finer_runs_tend_to_is_said_to_be_uncertain(caplog: pytest.LogCaptureFixture) -> None:
+    """A sudden load moves the nodes of its surface at once, the faster the finer they are: no acceleration is right."""
+    output = fmbd.Output(estimate_space=True, progress=False)
+    run = fmbd.solve(bent_block(lambda t: 1.0, degree=1), t_end=0.05, dt=1e-3, output=output)
+    assert 'by space of "acceleration" is uncertain' in run.certificate.uncertain["acceleration"]
+    assert 'by space of "acceleration"' in " ".join(run.warnings) and 'by space of "acceleration"' in caplog.text
+    fine = fmbd.solve(bent_block(lambda t: 1.0, degree=2), t_end=0.05, dt=1e-3)
+    assert np.ptp(fine["acceleration"]) > 1.5 * np.ptp(run["acceleration"])
+
+    # a smooth load and quadratic displacements: nothing to doubt; nor in a sensor that is still
+    smooth = bent_block(rise(0.1))
+    smooth.sensor("held", fmbd.position(smooth.bodies["block"].surface("left")))
+    assert not fmbd.solve(smooth, t_end=0.05, dt=1e-3, output=output).certificate.uncertain
+
+
+def test_an_order_between_is_not_far_from_either() -> None:
+    """By the order seen, by that of the scheme, and what is taken between them; chance does not count in full."""
+    assert usable_order(np.nan, 2) == 2.0 == usable_order(2.0, 2)
+    for p in np.linspace(0.5, 2.0, 16):
+        between, seen, least = (1.0 / (2.0**q - 1.0) for q in (usable_order(p, 2), p, 2.0))
+        assert 1 / 2.6 < between / seen <= 1.0 <= between / least < 3.01
+    assert usable_order(-1.0, 2) == usable_order(0.5, 2)
+    assert usable_order(2.0, 1) == usable_order(30.0, 1) == 1.5  # smooth motion under a scheme for impacts
+
+
+def test_a_shaken_start_is_not_told_by_slow_motion_after_it() -> None:
+    """The order about the largest difference: 0 where it is as large with twice the step, whatever comes later."""
+    t = np.linspace(0.0, 1.0, 41)
+    start = Deviation(t, np.exp(-50.0 * t)[:, None])
+    assert start.when == 0.0
+    assert start.near(0.0, 0.1) == 1.0 and start.near(1.0, 0.1) < 1e-15
 
 
 def test_errors_add_up_with_their_signs() -> None:

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.run.accuracy import estimates
 from fmbd_fenicsx.run.recording.output import Progress
 
 
@@ -105,8 +107,19 @@ def test_estimate_of_an_elastic_rod_is_honest_also_where_the_step_does_not_resol
     assert ("does not resolve all motion" in run.report()) == (ramp == 0)
 
 
-def test_a_second_run_that_fails_leaves_the_run_without_estimate():
+def test_where_runs_with_larger_steps_fail_one_with_half_the_step_tells_the_error():
     run = fmbd.solve(pendulum(), t_end=2.4, dt=0.2, output=fmbd.Output(estimate_error=True))
+    fine = fmbd.solve(pendulum(), t_end=2.4, dt=2e-3, output=fmbd.Output(every=100))
+    for name, values in run.series.items():
+        assert 0.5 < run.error_estimate[name] / np.abs(values - fine[name]).max() < 2.0, name
+
+
+def test_other_runs_that_fail_leave_the_run_without_estimate(monkeypatch):
+    def failing(*args):
+        raise ConvergenceError("too large")
+
+    monkeypatch.setattr(estimates, "again", failing)
+    run = fmbd.solve(pendulum(), t_end=0.4, dt=0.1, output=fmbd.Output(estimate_error=True))
     assert run.status == "finished" and run.error_estimate == {}
     assert "the run with 2 h failed" in run.report()
 

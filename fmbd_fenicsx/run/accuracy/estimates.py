@@ -33,13 +33,19 @@ UNFIT = (
 )  # of runs that only tell an error: with larger steps forces may have no value
 SEEN = 0.75  # share of the scheme's order above which runs with larger steps follow the same motion
 LEAST_ORDER = 0.5
+BETWEEN, MOST_BETWEEN = 0.4, 0.5  # of the way from an order seen to that of the scheme; and the most that this may be
+NEARBY = 0.1  # share of the run about the largest difference in which that with larger steps is looked at too
 REGULAR = 0.9  # share of the scheme's order above which an order is what it seems
 AHEAD = 4.0 / 3.0  # the error of the finer space counts as at most a quarter of that of the given one
 ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
 FALLING = 3.0  # from one level to the next; below, the differences of levels do not tell the error
 UNENDED = "the run with finer spaces did not end"
 TENTH = 1.25  # the error of a run with a tenth of the tolerance counts as at most a fifth of that of the given one
-SATURATION = 2.0  # the error of the finer basis counts as at most half of that of the given one
+SATURATION = 1.5  # the error of the finer basis counts as at most a third of that of the given one
+
+
+class StoppedError(ConvergenceError):
+    """A run that only tells an error was stopped on request: no other one is made in its place."""
 
 
 @dataclass(frozen=True)
@@ -62,19 +68,35 @@ class TimeError:
 def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule) -> TimeError:
     """Error of each sensor from runs with 2 h and 4 h, and the observed order, see :func:`compare_steps`; collective.
 
-    Motion that the scheme damps in all three runs is not seen. Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.4.
+    Where a run with larger steps does not end, one with half the step tells the error. Motion that the scheme damps in all runs
+    is not seen. Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.4.
     """
-    times, given = fine.output.times, Compared(fine, schedule)
+    given, coarser = Compared(fine, schedule), []
     try:
-        half = again(problem, schedule, schedule.steps // 2, times)
+        for parts in (2, 4):
+            coarser.append(again(problem, schedule, schedule.steps // parts, fine.output.times))
+        found = compare_steps(problem.scheme.order, given, coarser)
     except UNFIT as error:
-        log.warning("no error estimate: the run with twice the step did not end: %s", error)
-        return TimeError({}, {}, given)
+        if isinstance(error, StoppedError) or (found := _by_smaller_steps(problem, given, coarser)) is None:
+            log.warning("no error estimate: the run with twice the step did not end: %s", error)
+            return TimeError({}, {}, given)
+    return found if found.with_others is given else replace(found, with_others=coarser[0])
+
+
+def _by_smaller_steps(problem: Problem, given: Compared, coarser: list[Compared]) -> TimeError | None:
+    """Errors of the ``given`` run with the help of one with half its step; None where there is nothing to compare with; collective.
+
+    x - x_h = (x - x_h/2) + (x_h/2 - x_h)                                                                     (1)
+    """
+    schedule, order = given.schedule, problem.scheme.order
     try:
-        quarter = again(problem, schedule, schedule.steps // 4, times)
+        finer = again(problem, schedule, 2 * schedule.steps, given.recorder.output.times)
     except UNFIT:
-        return compare_steps(problem.scheme.order, given, [half])
-    return compare_steps(problem.scheme.order, given, [half, quarter])
+        return compare_steps(order, given, coarser) if coarser else None
+    found = compare_steps(order, finer, [given, *coarser])
+    between = {name: _deviation(finer.recorder, given.recorder, name) for name in found.errors}
+    errors = {name: replace(e, values=e.values + between[name].values) for name, e in found.errors.items()}
+    return TimeError(errors, found.orders, given)
 
 
 def compare_steps(
@@ -89,12 +111,12 @@ def compare_steps(
 
         |x_h - x| ~ |x_h - x_H| / ((H/h)^p - 1),     (K^p - H^p) / (H^p - h^p) = |x_H - x_K| / |x_h - x_H|     (1)
 
-    p the smaller one of those in the maximum and the mean square over time, at most the ``order`` of the scheme.
+    p the smallest one of those in the maximum over time, in the mean square, and about the largest |x_h - x_H|: a start that
+    shakes for some steps is not told by the slow motion after it. It counts as :func:`usable_order` says.
 
     Where fast motion is not resolved (say, gravity switched on at once) the observed order is below the scheme's, and the
-    estimate larger; an order below 1/2 counts as 1/2. From one run alone p is the ``known`` one, sensor -> p, or that of the
-    scheme. Orders of such motion scatter: one that is not regular counts as its mean with a lower one that was seen
-    ``before``, with larger steps.
+    estimate larger. From one run alone p is the ``known`` one, sensor -> p, or that of the scheme. Orders of such motion scatter:
+    one that is not regular counts as its mean with a lower one that was seen ``before``, with larger steps.
     """
     fine, coarse = given.recorder, coarser[0].recorder
     ratio = given.schedule.steps / coarser[0].schedule.steps
@@ -105,15 +127,30 @@ def compare_steps(
         if len(coarser) > 1 and between.size > 0:
             steps = coarser[1].schedule.steps, coarser[0].schedule.steps, given.schedule.steps
             far = _deviation(coarse, coarser[1].recorder, name)
-            p = min(order_seen(*steps, far.size / between.size), order_seen(*steps, far.mean / between.mean))
+            here = far.near(between.when, max(NEARBY * fine.t_end, 2.0 * fine.t_end / steps[0]))
+            ratios = far.size / between.size, far.mean / between.mean, here / between.size
+            p = min(order_seen(*steps, x) for x in ratios)
             p = scattered_order(p, order, None if before is None else before.get(name))
-        usable = order if np.isnan(p) else min(max(p, LEAST_ORDER), order)
-        errors[name], orders[name] = _scaled(between, 1.0 / (ratio**usable - 1.0)), p
+        errors[name], orders[name] = _scaled(between, 1.0 / (ratio ** usable_order(p, order) - 1.0)), p
 
     moving = [n for n, x in fine.series.items() if errors[n].size > ROUNDOFF * np.abs(x).max(initial=0.0)]
     seen = [orders[n] for n in moving]
     follows = bool(seen) and min(seen) >= SEEN * order and (len(coarser) > 1 or known is not None)
     return TimeError(errors, orders, coarser[-1] if follows else given)
+
+
+def usable_order(p: float, order: int) -> float:
+    """The order that differences are extrapolated with, from the one that was seen, nan where none was.
+
+    Below that of the scheme p is a mixture: slow motion has the order of the scheme, fast motion is off by about its own size
+    with the larger steps, so that its differences do not grow with them. Errors by p and by the order of the scheme differ by a
+    factor of up to seven, with the truth between them; an order between them is not far from either. Above it motion may converge
+    faster than the scheme has to (that for impacts, between them), or differences cancel by chance: half of one more counts.
+    """
+    if np.isnan(p):
+        return order
+    low = max(p, LEAST_ORDER)
+    return low + min(BETWEEN * (order - low), MOST_BETWEEN) if low < order else order + 0.5 * min(low - order, 1.0)
 
 
 def scattered_order(p: float, order: int, before: float | None) -> float:
@@ -277,7 +314,7 @@ def _whole(
     most = problem.most_parts if parts else 0.0
     marched = march(replace(problem, warned=None, most_parts=most), solver, schedule, output)
     if marched.status != "finished":
-        raise ConvergenceError(f"stopped at t = {marched.state.t:g} s")
+        raise StoppedError(f"stopped at t = {marched.state.t:g} s")
     return marched
 
 
@@ -306,7 +343,7 @@ def reduction_error(problem: Problem, compared: Compared) -> dict[str, Deviation
     A run is made once more, with the same steps, by finer bases that contain the given ones
     (``mechanics.reduction.craig_bampton.RefinedBasis``):
 
-        |x_m - x| <= |x_m - x_f| + |x_f - x| <= 2 |x_m - x_f|     as long as  |x_f - x| <= |x_m - x| / 2         (1)
+        |x_m - x| <= |x_m - x_f| + |x_f - x| <= 3/2 |x_m - x_f|     as long as  |x_f - x| <= |x_m - x| / 3       (1)
 
     in the maximum norm over time, x the run with the whole field. The loop holds no field in this run either. Differences near
     the tolerance of Newton's iteration are no errors of reduction. Bank and Smith, doi:10.1137/0730048.
@@ -359,8 +396,8 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
 
 
 def warn_of_uncertain(run: Run, sensors: Iterable[str]) -> None:
-    """Errors of time of some sensors that may be far from what is stated, where a user sees it."""
-    if not run.observed_order:  # which tells
+    """Errors of some sensors that may be far from what is stated, where a user sees it."""
+    if not run.deviations:  # which tell
         return
     found = run.certificate.uncertain
     for why in (found[name] for name in sensors if name in found):
