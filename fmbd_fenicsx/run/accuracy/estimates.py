@@ -72,19 +72,22 @@ def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule) -> Time
     is not seen. Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.4.
     """
     given, coarser = Compared(fine, schedule), []
+    found: TimeError | None = None
     try:
         for parts in (2, 4):
             coarser.append(again(problem, schedule, schedule.steps // parts, fine.output.times))
         found = compare_steps(problem.scheme.order, given, coarser)
     except UNFIT as error:
-        if isinstance(error, StoppedError) or (found := _by_smaller_steps(problem, given, coarser)) is None:
+        if not isinstance(error, StoppedError):
+            found = _by_smaller_steps(problem, given, coarser)
+        if found is None:
             log.warning("no error estimate: the run with twice the step did not end: %s", error)
             return TimeError({}, {}, given)
     return found if found.with_others is given else replace(found, with_others=coarser[0])
 
 
 def _by_smaller_steps(problem: Problem, given: Compared, coarser: list[Compared]) -> TimeError | None:
-    """Errors of the ``given`` run with the help of one with half its step; None where there is nothing to compare with; collective.
+    """Errors of the ``given`` run with the help of one with half its step, None where nothing can be compared; collective.
 
     x - x_h = (x - x_h/2) + (x_h/2 - x_h)                                                                     (1)
     """
