@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -50,22 +51,37 @@ def _look(balanced: Balanced | None, stepper: TimeStepper, h: float) -> None:
     """Refuse the newest state, after compiled steps of size h (s), where its forces are not in balance."""
     if balanced is not None and not balanced.solver.system.keepers:  # their memory is that of the state already
         state = stepper.state
-        balanced.check(balanced.solver.system.at(state.t, state.q, state.v), state, h)
+        seen = stepper.evaluation or balanced.solver.system.at(state.t, state.q, state.v)
+        balanced.check(seen, state, h)
 
 
+MOST = 10_000_000  # steps in one call
 CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to stop
 
 
-def quietly(stepper: TimeStepper, schedule: StepSchedule, recorder: Recorder, done: int, *, most: int) -> int:
-    """How many steps, at most so many, were made in one call, where the stepper can: recorded on the way or up to a record."""
-    t = stepper.state.t
-    h = schedule.next(stepper.state.t)
+def quietly(
+    stepper: TimeStepper,
+    schedule: StepSchedule,
+    recorder: Recorder,
+    done: int,
+    *,
+    most: int,
+    refused: Callable[[float], bool] | None = None,
+) -> int:
+    """How many steps, at most so many, were made in one call, where the stepper can: recorded on the way or up to a record.
+
+    ``refused``: looks at the newest of steps with error control, which is taken back where it says so.
+    """
+    t, equal = stepper.state.t, bool(schedule.steps)
     if recorder.output.on_step is not None or recorder.output.events:
         return 0
+    h = stepper.stride(schedule.next(t))
+    if not h:
+        return 0
     tape = stepper.tape(recorder.openness) if recorder.on_tape else None
-    quiet = recorder.quiet(done, t, h) if tape is None else recorder.free(t, h)
-    steps = min(quiet, schedule.steps - done, most)
-    if steps == 1 and tape is None:
+    quiet = recorder.quiet(done, t, h, through=not equal) if tape is None else recorder.free(t, h)
+    steps = min(quiet, schedule.steps - done if equal else quiet, most)
+    if steps == 1 and tape is None and equal:
         return 0
 
     begin, made, chunk = clock.perf_counter(), 0, 64
@@ -76,11 +92,19 @@ def quietly(stepper: TimeStepper, schedule: StepSchedule, recorder: Recorder, do
         if tape is not None:
             tape.begin(every, every - (done + made) % every)
             now = min(now, tape.capacity * every)
-        now = stepper.march(h, now, tape=tape)
+        now = stepper.march(schedule.next(stepper.state.t), now, tape=tape)
+        back = bool(now) and refused is not None and refused(h)
+        if back:
+            now -= 1
+            stepper.step_back()
+            if tape is not None:
+                tape.step_back()
         if tape is not None and now:
             recorder.take_tape(tape.recorded(), done + made)
         made += now
-        if not now:
+        # steps with error control have their own: up to break points
+        over = not equal and (schedule.broken(stepper.state.t) is not None or schedule.ended(stepper.state.t, 0))
+        if not now or back or over:
             break
         chunk *= 4
     return made
@@ -195,8 +219,21 @@ class Loop:
         return made, None
 
     def _chosen_step(self) -> tuple[int, Evaluation | None]:
-        """A step of a size that the scheme chooses: one, and the system in the new state where it is known."""
+        """Steps of sizes that the scheme chooses, many in one call or one by itself: how many, and the system in the new state where
+        it is known.
+        """
         system = self.problem.system
+        if self.keeper is None:
+            made = quietly(
+                self.stepper, self.schedule, self.recorder, self.progress.done, most=MOST, refused=self._unbalanced
+            )
+            if made:
+                self.state = self.stepper.state
+                if self.motions is not None:
+                    self.motions.look(self.state.t, made)
+                self.judges.forecast.note(self.state, made)
+                return made, None
+
         h = self.schedule.next(self.state.t)
         seen = attempt_in_balance(system, self.stepper, h, balanced=self.judges.balanced)
 
@@ -206,6 +243,17 @@ class Loop:
         accept(system, self.state)  # equal steps note their parts one by one
         self.judges.forecast.note(self.state)
         return 1, seen
+
+    def _unbalanced(self, h: float) -> bool:
+        """Whether the newest state, after a compiled step of size h (s) under error control, is not in balance."""
+        balanced = self.judges.balanced
+        try:
+            _look(balanced, self.stepper, h)
+        except ConvergenceError:
+            assert balanced is not None
+            balanced.repeated += 1
+            return True
+        return False
 
     def _count(self, made: int) -> None:
         """So many steps more."""

@@ -35,6 +35,7 @@ from ..system.system import State, System
 ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the tolerance are accepted
 STAGNATION = 100.0  # the same with constant steps, where the tolerance may lie below the roundoff of stiff forces
 TURN = 2.5  # rad
+LEAST_ERROR = 1e-2  # of errors that are remembered
 FINEST = 100 * float(np.finfo(float).eps)
 
 
@@ -246,9 +247,13 @@ class NormOfWays(ErrorNorm):
             self.way = max(self.way, float(np.abs(moved[block]).max(initial=0.0)) / unit)
 
         sizes = self.scale.copy()
-        least = min(max(self.LEAST, self.FINEST / self.rtol), 1.0)
-        sizes[: s.n_frames * s.motions.n_twist] *= max(min(self.way, 1.0), least)
+        sizes[: s.n_frames * s.motions.n_twist] *= max(min(self.way, 1.0), self.least)
         return sizes
+
+    @property
+    def least(self) -> float:
+        """``least`` of (1)."""
+        return min(max(self.LEAST, self.FINEST / self.rtol), 1.0)
 
 
 @dataclass
@@ -299,12 +304,18 @@ class StepControl:
         if self.h_old > 0:
             predictive = self.safety * (h / self.h_old) * (self.error_old / error**2) ** k
             factor = min(factor, predictive)
-        self.h_old, self.error_old = h, max(error, 1e-2)
+        self.h_old, self.error_old = h, max(error, LEAST_ERROR)
         # after a rejection the step does not grow at once
         after_rejection = bool(self.rejections)
         self.rejections.clear()
         factor = min(max(factor, self.shrink), 1.0 if after_rejection else self.grow)
         return h * factor
+
+    def pressure(self, factor: float) -> float:
+        """The larger of error and error^2 / error_old after which a step of the same size as the one before is followed by one of
+        ``factor`` times its size; more than this shrinks it.
+        """
+        return (self.safety / factor) ** self.order
 
     def rejected(self, t: float, h: float, error: float, cause: str) -> float:
         """Step after a rejected one. Raises ConvergenceError when steps have become too small to matter."""

@@ -69,6 +69,14 @@ class TimeStepper(Remembering):
         """Up to so many steps in one call, recorded on the ``tape``; how many were made. None here: they are made one by one."""
         return 0
 
+    def stride(self, h: float) -> float:
+        """Size (s) of the steps that :meth:`march` would make next, with error control of at most h; 0: it makes none."""
+        return h
+
+    def step_back(self) -> None:
+        """Go back to the beginning of the newest of the steps that :meth:`march` has made under error control."""
+        raise InputError(f"{_kind(self)} has no step_back().")
+
     def tape(self, judged: Openness) -> Tape | None:
         """Room for the records of :meth:`march`; None: it has none."""
         return None

@@ -15,7 +15,7 @@ damping of the scheme then removes it.
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from ...system.scene.scene import Scene
 from ...system.serialisation import Remembering, plain, worker
 from ...system.system import State, System
 from .acceptance import attempt
+
+if TYPE_CHECKING:
+    from ...system.compiled.recording import Openness, Tape
 
 SHARE = 1e-3
 HALVINGS = 10
@@ -136,9 +139,10 @@ class Guarded(TimeStepper):
         return self.stepper
 
     @property
-    def evaluation(self) -> Evaluation:
+    def evaluation(self) -> Evaluation | None:
         """At the newest state."""
-        return self.watch.evaluation
+        seen = self.watch.evaluation
+        return seen if seen.q is self.state.q else self.stepper.evaluation
 
     @property
     def counters(self) -> dict[str, float]:
@@ -148,6 +152,25 @@ class Guarded(TimeStepper):
     def restart(self, t: float) -> None:
         """Go on behind a kink at t."""
         self.stepper.restart(t)
+
+    def stride(self, h: float) -> float:
+        """That of the stepper; none while steps have to be smaller than it likes."""
+        return self.stepper.stride(h) if h <= self.largest else 0.0
+
+    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None) -> int:
+        """Steps of the stepper that gain no energy."""
+        made = self.stepper.march(h, steps, self.watch, tape) if h <= self.largest else 0
+        if made:
+            self.local_error, self.watch.time = self.stepper.local_error, self.state.t
+        return made
+
+    def tape(self, judged: Openness) -> Tape | None:
+        """That of the stepper."""
+        return self.stepper.tape(judged)
+
+    def step_back(self) -> None:
+        """The same of the stepper."""
+        self.stepper.step_back()
 
     def advance(self, h: float) -> State:
         """One step of at most h; collective."""

@@ -33,22 +33,24 @@ class Forecast:
     def __init__(self, solver: StepSolver, t: float, t_end: float, planned: int) -> None:
         self.solver, self.t_end, self.planned = solver, t_end, planned
         self.taken, self.since, self.said = 0, t, False
+        self.counted = 0  # steps at the time ``since``
 
-    def note(self, state: State) -> None:
-        """One more step, or part of one, that ended in ``state``; collective."""
-        self.taken += 1
-        if self.taken % EVERY:
+    def note(self, state: State, steps: int = 1) -> None:
+        """So many more steps, or parts of steps, the last of which ended in ``state``; collective."""
+        self.taken += steps
+        recent = self.taken - self.counted
+        if recent < EVERY:
             return
-        advanced, self.since = state.t - self.since, state.t
+        advanced, self.since, self.counted = state.t - self.since, state.t, self.taken
         if self.said or advanced <= 0:
             return
-        needed = self.taken + (self.t_end - state.t) / advanced * EVERY
+        needed = self.taken + (self.t_end - state.t) / advanced * recent
         if needed < max(MANY, TIMES * self.planned):
             return
         self.said = True
         log.warning(
             "t = %g s: the last %d steps or parts of steps took %.2g s; at this pace the run needs about %.1e. %s",
-            state.t, EVERY, advanced, needed, reason(self.solver, state),
+            state.t, recent, advanced, needed, reason(self.solver, state),
         )  # fmt: skip
 
 

@@ -258,13 +258,14 @@ class Recorder:
             for name, value in ev.energies().items() if energy else ():
                 self.energies.setdefault(name, []).append(np.array([value]))
 
-    def quiet(self, n: int, t: float, h: float) -> int:
+    def quiet(self, n: int, t: float, h: float, *, through: bool = False) -> int:
         """Steps of size h (s) after step n, at time t, up to the next that is recorded, it included; or all before one that
-        passes an instant at which values are asked for: that one is a step by itself, as its polynomials tell them.
+        passes an instant at which values are asked for: that one is a step by itself, as its polynomials tell them, or
+        (``through``) the last of all.
         """
         steps = self.output.every - n % self.output.every
         if self._wanted is not None:
-            steps = int((self._wanted[0] - t) / h - 1e-6) if self._wanted else MOST
+            steps = int((self._wanted[0] - t) / h - 1e-6) + through if self._wanted else MOST
         if self._due:
             steps = min(steps, int(np.ceil((self._due[0] - t) / h - 1e-6)))
         return max(steps, 1)

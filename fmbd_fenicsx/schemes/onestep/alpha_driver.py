@@ -27,13 +27,14 @@ from ...system.system import System
 
 if TYPE_CHECKING:
     from ..newton import Newton
+    from .compiled_control import CompiledControl
 
 # fmt: off
 (H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, ITERATIONS, LOCAL,
  GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT, STABILISED) = range(25)
 # fmt: on
 COUNTED = [ITERATIONS, LOCAL, LEFT]  # by a march, from zero
-DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN = enumeration("DONE").values()
+DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE = enumeration("DONE").values()
 
 
 class AlphaDriver:
@@ -82,8 +83,10 @@ class AlphaDriver:
             self._tape = Tape(self.tables, judged)
         return self._tape
 
-    def march(self, steps: int, tape: Tape | None = None) -> tuple[int, int]:
-        """Make up to so many steps; the number made, and the verdict of the one that stopped them."""
+    def march(
+        self, steps: int, tape: Tape | None = None, control: CompiledControl | None = None
+    ) -> tuple[int, int]:
+        """Make up to so many steps; the number made, and the verdict of the one that stopped them. ``control``: judges errors."""
         self.parameters[COUNTED] = 0.0
         made = self.library.march(
             self.address,
@@ -92,6 +95,7 @@ class AlphaDriver:
             self.ring.address,
             ctypes.byref(self._verdict),
             None if tape is None else tape.address,
+            None if control is None else control.address,
         )
         self.calls.raise_error()
         return int(made), int(self._verdict.value)

@@ -17,6 +17,7 @@ from .generalized_alpha import AlphaStepper
 if TYPE_CHECKING:
     from ...run.judges.energy_check import Watch
     from ...system.compiled.recording import Openness, Tape
+    from .compiled_control import CompiledControl
     from .generalized_alpha import GeneralizedAlpha
 
 
@@ -147,6 +148,25 @@ class CompiledAlphaStepper(AlphaStepper):
             self.driver.tables.remember()
         return made
 
+    def controlled(
+        self, h: float, steps: int, control: CompiledControl, watch: Watch | None = None, tape: Tape | None = None
+    ) -> int:
+        """:meth:`march` under error control, up to where the size may change, or a step is refused."""
+        if self.fresh or not self._ready(h) or self._is_refused(h):
+            return 0
+        made = self._steps(h, steps, watch, tape, control)
+        if made:
+            self.driver.tables.remember()
+        return made
+
+    def _ready(self, h: float) -> bool:
+        """Whether the driver can make steps of size h (s)."""
+        return True
+
+    def _is_refused(self, h: float) -> bool:
+        """Whether the driver gave a step of size h (s) from this state back."""
+        return self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
+
     def note(self) -> bool:
         """Elements with a memory keep that of the newest state, which is accepted; whether it is known."""
         known = self._ahead and self._tail is self.state
@@ -157,8 +177,7 @@ class CompiledAlphaStepper(AlphaStepper):
 
     def _march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
         """The same; the memory of elements may be that of a step before."""
-        refused = self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
-        if refused:
+        if self._is_refused(h):
             return 0
 
         # the first step after a consistent start begins with values of its own
@@ -172,13 +191,20 @@ class CompiledAlphaStepper(AlphaStepper):
             self.local_error = max(self.local_error, largest)
             return made
 
-        # steps that NumPy made since are given to the driver
-        if self._tail is not self.state:
-            self._load()
         return self._steps(h, steps, watch, tape)
 
-    def _steps(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
-        """The same from the blocks as they are."""
+    def _steps(
+        self,
+        h: float,
+        steps: int,
+        watch: Watch | None = None,
+        tape: Tape | None = None,
+        control: CompiledControl | None = None,
+    ) -> int:
+        """The same from the newest blocks."""
+        # steps that NumPy made since are given to the driver
+        if not self.fresh and self._tail is not self.state:
+            self._load()
         driver, newton = self.driver, self.newton
         p = driver.parameters
         p[slots.H], p[slots.THETA] = h, newton.theta
@@ -187,7 +213,7 @@ class CompiledAlphaStepper(AlphaStepper):
             p[slots.HIGHEST : slots.SETTLING + 1] = watch.limits
 
         driver.tables.recall()
-        made, verdict = driver.march(steps, tape)
+        made, verdict = driver.march(steps, tape, control)
         if verdict == slots.LOOK:
             driver.tables.look()
         if made and watch is not None:

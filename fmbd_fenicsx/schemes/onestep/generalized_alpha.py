@@ -246,6 +246,10 @@ class AlphaStepper(TimeStepper):
         self.newton.theta = 0.5
         return self._step(rule, start, 0)  # stiff springs that turn need Newton's own tangent
 
+    def controlled(self, h: float, steps: int, control: Any, watch: Any = None, tape: Any = None) -> int:
+        """Up to so many steps under error control in one call of compiled code; none here."""
+        return 0
+
     def _step(self, rule: Rule, start: StepStart, patience: int) -> State:
         """The step by Newton's iteration, its first ``patience`` iterations with one tangent."""
         stabilised = isinstance(self.scheme.form, GGL)

@@ -39,6 +39,7 @@ import numpy as np
 from ...errors import ConvergenceError, LinearSolveError
 from ...linear.condensation import StepSolver
 from ...rotations import Array
+from ...system.element_memory import whole_steps
 from ...system.evaluation import Evaluation
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
@@ -49,6 +50,9 @@ from ..newton import Newton
 from ..stepping import TimeStepper
 
 if TYPE_CHECKING:
+    from ...run.judges.energy_check import Watch
+    from ...system.compiled.recording import Openness, Tape
+    from .compiled_control import CompiledControl, Stay
     from .generalized_alpha import GeneralizedAlpha
 
 KEPT = 9  # sets of elastic factors: those of eight sizes, and that of the whole stretch
@@ -82,7 +86,7 @@ class VariableAlpha(TimeStepper):
         "norm": worker,
         "control": plain(StepControl),
         "stats": plain(Statistics),
-        **dict.fromkeys(("proposed", "size", "largest", "lost", "local_error", "stretch", "end"), plain()),
+        **dict.fromkeys(("proposed", "size", "largest", "lost", "local_error", "error", "stretch", "end"), plain()),
         "place": _keep_share,
     }
 
@@ -97,7 +101,8 @@ class VariableAlpha(TimeStepper):
         self.norm = NormOfWays(system, scheme.rtol, scheme.atol, 3)
         self.control = StepControl(3.0)
         self.stats = Statistics()
-        self.local_error = 0.0
+        self.local_error = self.error = 0.0  # the largest since :meth:`advance`, and that of the newest step
+        self._compiled: CompiledControl | None = None
 
         self.proposed: float | None = None
         self.size: float | None = None  # of the last step, s
@@ -183,16 +188,22 @@ class VariableAlpha(TimeStepper):
             self.proposed = min(self.control.rejected(s.t, h, error, cause), 0.9 * h)
 
         self.local_error = error
-        self.stats.steps += 1
-        self.proposed = self.control.accepted(h, error)
-        if KEEPS * h <= self.proposed < h:  # the next smaller size is a half or a third
-            self.proposed = h
-        self.place += Fraction(1, parts(level))
+        self._count(h, error, Fraction(1, parts(level)))
         return self.state
 
+    def _count(self, h: float, error: float, way: Fraction, steps: int = 1) -> None:
+        """So many accepted steps of size h (s), which are a share of the stretch; the error of the newest."""
+        self.stats.steps += steps
+        self.error, self.proposed = error, self.control.accepted(h, error)
+        if KEEPS * h <= self.proposed < h:  # the next smaller size is a half or a third
+            self.proposed = h
+        self.place += way
+
     def _follow(self, t: float, left: float) -> None:
-        """Begin a new stretch where the last one has ended, or where another end is asked for."""
-        if self.place < 1 and self.stretch > 0 and abs(self.end - t - left) <= SAME * self.stretch:
+        """Begin a new stretch where the last one has ended, or where an earlier end is asked for: also where steps have a limit, and
+        what is left is always the same, they are parts of one stretch after another.
+        """
+        if self.place < 1 and self.stretch > 0 and self.end - t <= left + SAME * self.stretch:
             return
         if abs(self.stretch - left) > SAME * left:  # else its factors serve again
             self.stretch = left
@@ -210,9 +221,8 @@ class VariableAlpha(TimeStepper):
         """Whether M is known to be lost beside s K in a step of size h (s); its factor need not be tried."""
         return self.lost is not None and h >= self.lost[0] * (1 - SAME) and self.state.t < self.lost[1]
 
-    def _arrive(self, level: int) -> None:
+    def _arrive(self, place: Fraction) -> None:
         """Give the state at the end of a step the time that the parts tell."""
-        place = self.place + Fraction(1, parts(level))
         t = self.end if place == 1 else self.end - self.stretch * float(1 - place)
         if self.state.t != t:
             self._move(replace(self.state, t=t))
@@ -232,7 +242,7 @@ class VariableAlpha(TimeStepper):
 
             (M + s K) e + G^T mu = h^2 / 6 (f(t + k h) - (1 - k) f(t) - k f(t + h)),     G e = 0                         (4)
         """
-        if h <= self.largest and self.local_error > CALM:
+        if self._is_looked_at(h):
             return 0.0
         s = self.state
         no_rows = np.zeros(self.system.n_lam)
@@ -258,6 +268,72 @@ class VariableAlpha(TimeStepper):
             self.largest = max(self.largest, h)
         return error
 
+    def _is_looked_at(self, h: float) -> bool:
+        """Whether loads within a step of size h (s) need no look."""
+        return h <= self.largest and self.error > CALM
+
+    # -- many steps in compiled code ------------------------------------------------------------------------------------
+    def stride(self, h: float) -> float:
+        """Size (s) of the steps that :meth:`march` makes next, where h is the most; 0 where :meth:`advance` has to."""
+        s = self.state
+        self._follow(s.t, h)
+        if self.proposed is None or self.size is None or (self.system.keepers and not self.inner.keeps_memories):
+            return 0.0
+        size = self.stretch / parts(self._level(min(self.proposed, turn_limit(self.system, s))))
+        return size if size == self.size and self._is_looked_at(size) else 0.0
+
+    def march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
+        """Up to so many accepted steps of one size, at most h (s), in one call of compiled code, as :meth:`advance` makes them one
+        by one; fewer where the size may change or a step is refused.
+        """
+        size = self.stride(h)
+        if not size:
+            return 0
+        count = round(self.stretch / size)
+        place = int(self.place * count)
+        steps = int(min(steps, count - place, whole_steps(self.system, self.state.t, size)))
+        if steps <= 0:
+            return 0
+
+        control = self._control()
+        control.lend(self._stay(count, place))
+        made: int = self.inner.controlled(size, steps, control, watch, tape)
+        if made:
+            control.take()
+            self.local_error = max(self.local_error, control.c.largest)
+            self._count(size, control.c.error, Fraction(made, count), made)
+            self._arrive(self.place)
+        return made
+
+    def _control(self) -> CompiledControl:
+        """What lends the controller to compiled code."""
+        if self._compiled is None:
+            from .compiled_control import CompiledControl
+
+            self._compiled = CompiledControl(self.norm, self.control)
+        return self._compiled
+
+    def _stay(self, count: int, place: int) -> Stay:
+        """Up to when steps keep the present size; ``count`` of them in a stretch, ``place`` are behind."""
+        from .compiled_control import Stay
+
+        level = next(k for k in range(DEEPEST + 1) if parts(k) == count)
+        ratio = count // parts(level - 1) if level else 0
+        lost = bool(ratio) and self._loses(ratio * self.stretch / count)
+        assert not lost or self.lost is not None
+        until = self.lost[1] if lost and self.lost is not None else np.inf
+        return Stay(place, 0 if lost else ratio, KEEPS, CALM, until)
+
+    def tape(self, judged: Openness) -> Tape | None:
+        """Room for records of :meth:`march`."""
+        return self.inner.tape(judged)  # type: ignore[no-any-return]
+
+    def step_back(self) -> None:
+        """Go back to the beginning of the newest step, from where smaller ones begin anew."""
+        before = self.inner.begun[0]
+        self.state = before
+        self.restart(before.t)
+
     # -- attempts -----------------------------------------------------------------------------------------------------
     def _attempt(self, h: float, level: int | None = None) -> tuple[float, str]:
         """A step of size h, one of the parts of a level, and its error; where this is above one, the stepper is as before."""
@@ -268,7 +344,7 @@ class VariableAlpha(TimeStepper):
             self.step(h)
             error, cause = self._error(h), "error estimate"
             if level is not None:
-                self._arrive(level)
+                self._arrive(self.place + Fraction(1, parts(level)))
         except (ConvergenceError, LinearSolveError) as failure:
             error, cause = np.inf, "Newton's iteration"
             self.control.fault = str(failure)

@@ -73,6 +73,15 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         ("beta", _REAL),
         *_fields("N slope weight natural C z E strain rate S density load to", _POINTER),
     ],
+    "Extent": [*_fields("sort at_q at_v n", _INT), *_fields("unit size reached", _POINTER)],
+    "Control": [
+        *_fields("rtol atol length least way reached", _REAL),
+        ("origin", _POINTER),
+        *_fields("extents place ratio", _LONG),
+        ("extent", _POINTER),
+        *_fields("high low calm floor turn until error before largest", _REAL),
+        *_fields("e y a missed", _POINTER),
+    ],
     "System": [
         *_fields("bodies surfaces batches fronts angles rods rows nu nv nq redundant fields core", _INT),
         *_fields("body surface batch front angle rod frames velocity residual", _POINTER),

@@ -15,6 +15,8 @@
 #include "answers.c"
 #include "explicit.c"
 #include "alpha.c"
+#include "control.c"
+#include "march.c"
 
 /* The evaluation, the factor and a solution for Python: what other schemes and tests call. */
 EXPORT int driver_evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t)

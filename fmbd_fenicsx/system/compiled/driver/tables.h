@@ -18,8 +18,9 @@ enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA, MOUNT, WHOLE }; /* roles of items
                                                           /* given for the whole step, or from a law in Python; READ: only */
                                                           /* looked at in records; FORMULA: one of formulas.c; MOUNT: bushings; */
                                                           /* WHOLE: wrenches on two markers from Python */
-enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN };      /* verdicts; LOOK: the NumPy path has something to say; FAILED: a */
-                                                          /* law in Python raised; GAIN: energy from nothing */
+enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE }; /* verdicts; LOOK: the NumPy path has something to say; FAILED: a */
+                                                          /* law in Python raised; GAIN: energy from nothing; SIZE: the next */
+                                                          /* step may have another size */
 
 typedef void kernel(long n, const int *pair, const double *frames, const double *P, const double *W, double *out);
 
@@ -183,6 +184,26 @@ typedef struct {
     double *doubt;                     /* the state of the doubtful record */
     double *contact;                   /* where there are contacts: see moreau.c */
 } Tape;
+
+/* Local coordinates in the norm of errors (control.c): of a user's own, amplitudes of shapes, or nodes of a field. */
+typedef struct {
+    int sort, at_q, at_v, n;
+    const double *unit;                /* OWN_COORDINATES: as lengths; SHAPE_AMPLITUDES: displacements at amplitudes of one */
+    double *size, *reached;            /* the largest so far, and with the newest state: OWN_COORDINATES n of them, else one length */
+} Extent;
+enum { OWN_COORDINATES, SHAPE_AMPLITUDES, NODAL_VALUES };
+
+/* Error control of a march: tolerances, sizes so far, and up to when steps keep their size. See control.c. */
+typedef struct {
+    double rtol, atol, length, least, way, reached;
+    const double *origin;              /* the configuration that ways are measured from */
+    long extents, place, ratio;        /* place: in steps of this size; ratio: of the next larger one, 0: there is none */
+    Extent *extent;
+    double high, low;                  /* pressures above which steps shrink, and up to which they grow */
+    double calm, floor, turn, until;   /* error below which nothing happens; least error that is remembered; rad; s */
+    double error, before, largest;     /* of the newest step, of the one before, of all of a march */
+    double *e, *y, *a, *missed;        /* work: like v, the rows, like v twice */
+} Control;
 
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES };

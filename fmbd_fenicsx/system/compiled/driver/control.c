@@ -1,0 +1,134 @@
+/* Error control of steps of one size: the norm of schemes/control.py (NormOfWays) for errors of positions, and whether the next step
+   has this size too, as schemes/onestep/variable_alpha.py decides it. Every other decision is Python's. */
+
+#if DIM == 3
+/* Largest component of the smallest rotation vector between two attitudes. */
+static double turned(const double *q0, const double *q)
+{
+    double relative[3], cross[3], c = dot(q0 + 3, q + 3, 4), sine, angle, worst = 0.0;
+    moment(q0 + 3, q + 3, cross);
+    for (int i = 0; i < 3; i++) {
+        relative[i] = q0[6] * q[3 + i] - q[6] * q0[3 + i] - cross[i];
+        worst = fmax(worst, fabs(relative[i]));
+    }
+    sine = sqrt(dot(relative, relative, 3));
+    angle = 2.0 * atan2(sine, fabs(c));
+    return sine > 0.0 ? worst * angle / sine : 0.0;
+}
+#else
+static double turned(const double *q0, const double *q) { return fabs(q[2] - q0[2]); }
+#endif
+
+/* Sizes of one body's local coordinates with those of a state. */
+static void extend(Extent *x, const double *q, double length)
+{
+    double largest = 0.0;
+    for (int i = 0; i < x->n; i++) largest = fmax(largest, fabs(x->sort == NODAL_VALUES ? q[i] : x->unit[i] * q[i]));
+    if (x->sort != OWN_COORDINATES) {
+        *x->reached = fmax(*x->size, fmax(largest, 1e-2 * length));
+        return;
+    }
+    double least = 1e-3 * fmax(largest, 1e-3 * length);
+    for (int i = 0; i < x->n; i++) {
+        double own = fmax(x->unit[i] * fabs(q[i]), least) / (x->unit[i] > 0.0 ? x->unit[i] : 1.0);
+        x->reached[i] = fmax(x->size[i], own);
+    }
+}
+
+/* Sizes with those of a state, which may still be refused. */
+static void reach(const System *s, Control *c, const double *q)
+{
+    c->reached = c->way;
+    for (int b = 0; c->way < 1.0 && b < s->bodies; b++) { /* longer ways count as one */
+        const double *from = c->origin + POSE * b, *to = q + POSE * b;
+        for (int i = 0; i < D; i++) c->reached = fmax(c->reached, fabs(to[i] - from[i]) / c->length);
+        c->reached = fmax(c->reached, turned(from, to));
+    }
+    for (Extent *x = c->extent; x < c->extent + c->extents; x++) extend(x, q + x->at_q, c->length);
+}
+
+/* Sum of squares of errors over one tolerance. */
+static double squares(const double *e, int n, double tolerance)
+{
+    double sum = 0.0;
+    for (int i = 0; i < n; i++) sum += (e[i] / tolerance) * (e[i] / tolerance);
+    return sum;
+}
+
+/* Sum of squares of errors of one body's local coordinates over their tolerances. */
+static double local_squares(const Control *c, const Extent *x, const double *e)
+{
+    double sum = 0.0;
+    if (x->sort == NODAL_VALUES) return squares(e, x->n, c->rtol * *x->reached + c->atol);
+    for (int i = 0; i < x->n; i++) {
+        double size = x->sort == OWN_COORDINATES ? x->reached[i] : *x->reached / x->unit[i];
+        sum += squares(e + i, 1, c->rtol * size + c->atol);
+    }
+    return sum;
+}
+
+/* Root mean square of the core, or that of the worst field. */
+static double error_norm(const System *s, const Control *c, const double *e)
+{
+    double share = c->rtol * fmax(fmin(c->reached, 1.0), c->least), core = 0.0, worst = 0.0;
+    for (int b = 0; b < s->bodies; b++) {
+        core += squares(e + TWIST * b, D, share * c->length + c->atol);
+        core += squares(e + TWIST * b + D, ROT, share + c->atol);
+    }
+    for (const Extent *x = c->extent; x < c->extent + c->extents; x++) {
+        double sum = local_squares(c, x, e + x->at_v);
+        if (x->sort != NODAL_VALUES) core += sum;
+        else if (!(sum / x->n <= worst)) worst = sum / x->n; /* nan stays */
+    }
+    if (s->core && !(core / s->core <= worst)) worst = core / s->core;
+    return sqrt(worst);
+}
+
+/* The error of a step from ``now`` to ``out``; SIZE where it is refused, and sizes are as before. */
+static int judged(System *s, const double *p, Control *c, const Block *now, const Block *out)
+{
+    const double scale = p[H] * p[H] * (p[BETA] - 1.0 / 6.0);
+    for (int i = 0; i < s->nv; i++) {
+        double jump = out->A[i] - now->A[i];
+        c->a[i] = out->a[i] + jump;
+        c->missed[i] = scale * jump;
+    }
+    int verdict = driver_error(s, scale, 0.5 * p[H], out->q, out->v, c->a, out->lam, *out->t, c->missed, c->e, c->y);
+    if (verdict) return verdict;
+
+    reach(s, c, out->q);
+    double error = error_norm(s, c, c->e);
+    if (!(error <= 1.0)) return SIZE;
+    c->before = fmax(c->error, c->floor);
+    c->error = error;
+    c->largest = fmax(c->largest, error);
+    c->way = c->reached;
+    for (Extent *x = c->extent; x < c->extent + c->extents; x++)
+        memcpy(x->size, x->reached, (x->sort == OWN_COORDINATES ? x->n : 1) * sizeof(double));
+    return DONE;
+}
+
+/* Largest step in which no frame in space turns by more than c->turn as it moves in a state. */
+static double farthest(const System *s, const Control *c, const Block *now)
+{
+    double fastest = 0.0;
+#if DIM == 3
+    for (int b = 0; b < s->bodies; b++) {
+        const double *w = now->v + TWIST * b + D, *e = now->a + TWIST * b + D;
+        double square = dot(w, w, 3);
+        fastest = fmax(fastest, sqrt(square) + sqrt(square + 2.0 * sqrt(dot(e, e, 3)) * c->turn));
+    }
+#else
+    (void)s, (void)now;
+#endif
+    return fastest > 0.0 ? 2.0 * c->turn / fastest : INFINITY;
+}
+
+/* Whether the step after an accepted one has this size too and needs no look at loads. */
+static int stays(const System *s, const double *p, Control *c, const Block *now)
+{
+    double pressure = fmax(c->error, c->error * c->error / c->before), far = farthest(s, c, now);
+    c->place++;
+    if (pressure > c->high || c->error <= c->calm || p[H] > far || *now->t >= c->until) return 0;
+    return !(c->ratio && c->place % c->ratio == 0 && pressure <= c->low && c->ratio * p[H] <= far);
+}
