@@ -219,8 +219,8 @@ class Loop:
         return made, None
 
     def _chosen_step(self) -> tuple[int, Evaluation | None]:
-        """Steps of sizes that the scheme chooses, many in one call or one by itself: how many, and the system in the new state where
-        it is known.
+        """Steps of sizes that the scheme chooses, many in one call or one by itself: how many, and the system in the new state,
+        where it is known.
         """
         system = self.problem.system
         if self.keeper is None:

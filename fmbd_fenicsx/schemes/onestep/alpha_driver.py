@@ -83,9 +83,7 @@ class AlphaDriver:
             self._tape = Tape(self.tables, judged)
         return self._tape
 
-    def march(
-        self, steps: int, tape: Tape | None = None, control: CompiledControl | None = None
-    ) -> tuple[int, int]:
+    def march(self, steps: int, tape: Tape | None = None, control: CompiledControl | None = None) -> tuple[int, int]:
         """Make up to so many steps; the number made, and the verdict of the one that stopped them. ``control``: judges errors."""
         self.parameters[COUNTED] = 0.0
         made = self.library.march(

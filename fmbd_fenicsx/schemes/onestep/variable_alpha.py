@@ -200,8 +200,8 @@ class VariableAlpha(TimeStepper):
         self.place += way
 
     def _follow(self, t: float, left: float) -> None:
-        """Begin a new stretch where the last one has ended, or where an earlier end is asked for: also where steps have a limit, and
-        what is left is always the same, they are parts of one stretch after another.
+        """Begin a new stretch where the last one has ended, or where an earlier end is asked for. So steps with a limit, for
+        which what is left is always the same, are parts of one stretch after another.
         """
         if self.place < 1 and self.stretch > 0 and self.end - t <= left + SAME * self.stretch:
             return
@@ -277,14 +277,20 @@ class VariableAlpha(TimeStepper):
         """Size (s) of the steps that :meth:`march` makes next, where h is the most; 0 where :meth:`advance` has to."""
         s = self.state
         self._follow(s.t, h)
-        if self.proposed is None or self.size is None or (self.system.keepers and not self.inner.keeps_memories):
+        if self.proposed is None or self.size is None or not self._marches:
             return 0.0
         size = self.stretch / parts(self._level(min(self.proposed, turn_limit(self.system, s))))
         return size if size == self.size and self._is_looked_at(size) else 0.0
 
+    @property
+    def _marches(self) -> bool:
+        """Whether compiled code knows memories and all local coordinates: they are deformations."""
+        remembered = self.inner.keeps_memories or not self.system.keepers
+        return remembered and len(self.norm.deforming) == len(self.system.parts)
+
     def march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
-        """Up to so many accepted steps of one size, at most h (s), in one call of compiled code, as :meth:`advance` makes them one
-        by one; fewer where the size may change or a step is refused.
+        """Up to so many accepted steps of one size, at most h (s), in one call of compiled code, as :meth:`advance` makes one;
+        fewer where the size may change or a step is refused.
         """
         size = self.stride(h)
         if not size:

@@ -193,12 +193,10 @@ class Tape:
         self.c.every, self.c.left, self.c.count, self.c.doubtful = every, left, 0, -1
 
     def step_back(self) -> None:
-        """Forget the newest step, and with it its record."""
+        """Forget the record of the newest step, if it has one."""
         if self.c.count and self.c.left == self.c.every:
             self.c.count -= 1
             self.c.doubtful = -1 if self.c.doubtful == self.c.count else self.c.doubtful
-        else:
-            self.c.left += 1
 
     def recorded(self) -> Recorded:
         """What was recorded, copied."""

@@ -19,22 +19,6 @@ static double turned(const double *q0, const double *q)
 static double turned(const double *q0, const double *q) { return fabs(q[2] - q0[2]); }
 #endif
 
-/* Sizes of one body's local coordinates with those of a state. */
-static void extend(Extent *x, const double *q, double length)
-{
-    double largest = 0.0;
-    for (int i = 0; i < x->n; i++) largest = fmax(largest, fabs(x->sort == NODAL_VALUES ? q[i] : x->unit[i] * q[i]));
-    if (x->sort != OWN_COORDINATES) {
-        *x->reached = fmax(*x->size, fmax(largest, 1e-2 * length));
-        return;
-    }
-    double least = 1e-3 * fmax(largest, 1e-3 * length);
-    for (int i = 0; i < x->n; i++) {
-        double own = fmax(x->unit[i] * fabs(q[i]), least) / (x->unit[i] > 0.0 ? x->unit[i] : 1.0);
-        x->reached[i] = fmax(x->size[i], own);
-    }
-}
-
 /* Sizes with those of a state, which may still be refused. */
 static void reach(const System *s, Control *c, const double *q)
 {
@@ -44,7 +28,10 @@ static void reach(const System *s, Control *c, const double *q)
         for (int i = 0; i < D; i++) c->reached = fmax(c->reached, fabs(to[i] - from[i]) / c->length);
         c->reached = fmax(c->reached, turned(from, to));
     }
-    for (Extent *x = c->extent; x < c->extent + c->extents; x++) extend(x, q + x->at_q, c->length);
+    for (Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
+        x->reached = fmax(x->size, 1e-2 * c->length);
+        for (int i = 0; i < x->n; i++) x->reached = fmax(x->reached, fabs((x->rms ? x->rms[i] : 1.0) * q[x->at_q + i]));
+    }
 }
 
 /* Sum of squares of errors over one tolerance. */
@@ -52,18 +39,6 @@ static double squares(const double *e, int n, double tolerance)
 {
     double sum = 0.0;
     for (int i = 0; i < n; i++) sum += (e[i] / tolerance) * (e[i] / tolerance);
-    return sum;
-}
-
-/* Sum of squares of errors of one body's local coordinates over their tolerances. */
-static double local_squares(const Control *c, const Extent *x, const double *e)
-{
-    double sum = 0.0;
-    if (x->sort == NODAL_VALUES) return squares(e, x->n, c->rtol * *x->reached + c->atol);
-    for (int i = 0; i < x->n; i++) {
-        double size = x->sort == OWN_COORDINATES ? x->reached[i] : *x->reached / x->unit[i];
-        sum += squares(e + i, 1, c->rtol * size + c->atol);
-    }
     return sum;
 }
 
@@ -75,10 +50,11 @@ static double error_norm(const System *s, const Control *c, const double *e)
         core += squares(e + TWIST * b, D, share * c->length + c->atol);
         core += squares(e + TWIST * b + D, ROT, share + c->atol);
     }
-    for (const Extent *x = c->extent; x < c->extent + c->extents; x++) {
-        double sum = local_squares(c, x, e + x->at_v);
-        if (x->sort != NODAL_VALUES) core += sum;
-        else if (!(sum / x->n <= worst)) worst = sum / x->n; /* nan stays */
+    for (const Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
+        for (int i = 0; x->rms && i < x->n; i++)
+            core += squares(e + x->at_v + i, 1, c->rtol * x->reached / x->rms[i] + c->atol);
+        double mean = x->rms ? 0.0 : squares(e + x->at_v, x->n, c->rtol * x->reached + c->atol) / x->n;
+        if (!(mean <= worst)) worst = mean; /* nan stays */
     }
     if (s->core && !(core / s->core <= worst)) worst = core / s->core;
     return sqrt(worst);
@@ -103,8 +79,7 @@ static int judged(System *s, const double *p, Control *c, const Block *now, cons
     c->error = error;
     c->largest = fmax(c->largest, error);
     c->way = c->reached;
-    for (Extent *x = c->extent; x < c->extent + c->extents; x++)
-        memcpy(x->size, x->reached, (x->sort == OWN_COORDINATES ? x->n : 1) * sizeof(double));
+    for (Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) x->size = x->reached;
     return DONE;
 }
 

@@ -185,20 +185,19 @@ typedef struct {
     double *contact;                   /* where there are contacts: see moreau.c */
 } Tape;
 
-/* Local coordinates in the norm of errors (control.c): of a user's own, amplitudes of shapes, or nodes of a field. */
+/* Deformations of one body in the norm of errors (control.c). */
 typedef struct {
-    int sort, at_q, at_v, n;
-    const double *unit;                /* OWN_COORDINATES: as lengths; SHAPE_AMPLITUDES: displacements at amplitudes of one */
-    double *size, *reached;            /* the largest so far, and with the newest state: OWN_COORDINATES n of them, else one length */
-} Extent;
-enum { OWN_COORDINATES, SHAPE_AMPLITUDES, NODAL_VALUES };
+    int at_q, at_v, n;
+    const double *rms;                 /* displacements at amplitudes of one; NULL: the coordinates are those of a field's nodes */
+    double size, reached;              /* m, the largest displacement so far, and with the newest state */
+} Deflection;
 
 /* Error control of a march: tolerances, sizes so far, and up to when steps keep their size. See control.c. */
 typedef struct {
     double rtol, atol, length, least, way, reached;
     const double *origin;              /* the configuration that ways are measured from */
-    long extents, place, ratio;        /* place: in steps of this size; ratio: of the next larger one, 0: there is none */
-    Extent *extent;
+    long deforming, place, ratio;      /* place: in steps of this size; ratio: of the next larger one, 0: there is none */
+    Deflection *deflection;
     double high, low;                  /* pressures above which steps shrink, and up to which they grow */
     double calm, floor, turn, until;   /* error below which nothing happens; least error that is remembered; rad; s */
     double error, before, largest;     /* of the newest step, of the one before, of all of a march */
