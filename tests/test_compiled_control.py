@@ -1,0 +1,179 @@
+"""Generalized-alpha with steps of its own choice: steps of one size march in compiled code, decisions are Python's."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import checkpoint_scenes
+import numpy as np
+import pytest
+import unit_scenes
+from dae_problems import spinning_top
+from test_compiled import chain
+from test_variable_alpha import driven_crank, driven_pendulum, loaded_rod
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.materials import plane_stress
+from fmbd_fenicsx.run.judges.force_balance import Balanced
+from fmbd_fenicsx.schemes.onestep.variable_alpha import VariableAlpha
+from fmbd_fenicsx.system.compiled.library import driver_library
+
+pytestmark = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")
+SI = unit_scenes.Units(1.0, 1.0, 1.0)
+QUIET: dict[str, Any] = {"progress": False}
+
+
+def twice_pinned() -> fmbd.Scene:
+    """A chain with a joint that is there twice."""
+    scene = chain(2)
+    scene.add(fmbd.revolute("again", fmbd.ground, scene.bodies["0"], center=(0, 0)))
+    return scene
+
+
+def reduced() -> fmbd.Scene:
+    """A blade on a pin, by its modes."""
+    field = checkpoint_scenes.rod(h=0.1, height=0.04)
+    body = fmbd.FloatingBody("blade", field, density=1000.0, elastic=plane_stress(1e8, 0.3)).reduced(modes=3)
+    scene = fmbd.Scene("modes", gravity=(0, -9.81))
+    scene.add(body, fmbd.revolute("pin", body.surface("pin"), fmbd.ground, center=(0, 0)))
+    scene.sensor("tip", fmbd.position(body.surface("tip")))
+    return scene
+
+
+def floating() -> fmbd.Scene:
+    return checkpoint_scenes.floating()[0]
+
+
+def controlled() -> fmbd.Scene:
+    return unit_scenes.controlled(SI).scene
+
+
+def sampled() -> fmbd.Scene:
+    return unit_scenes.sampled(SI).scene
+
+
+def carriage() -> fmbd.Scene:
+    return unit_scenes.carriage(SI).scene
+
+
+SCENES: dict[Callable[[], fmbd.Scene], float] = {  # and how long they run, s
+    lambda: chain(4): 1.0,
+    spinning_top: 1.0,
+    twice_pinned: 1.0,
+    driven_crank: 0.8,
+    lambda: driven_pendulum(1.0): 1.0,
+    lambda: loaded_rod(0.3): 0.2,
+    controlled: 1.0,
+    sampled: 0.5,
+    carriage: 0.5,
+    reduced: 0.3,
+    floating: 0.2,
+}
+NAMES = "chain top redundant crank pendulum rod controlled sampled carriage reduced floating".split()
+WAYS: dict[str, dict[str, Any]] = {
+    "all": {},
+    "stabilised": {"form": fmbd.GGL()},
+    "some": {"every": 3, "snapshots": 4},
+    "instants": {"times": tuple(np.linspace(0.0, 0.2, 12))},
+    "limited": {"dt": 0.01, "atol": 1e-6},
+}
+
+
+def solve(scene: fmbd.Scene, t_end: float, *, rtol: float = 1e-4, **given: Any) -> fmbd.Run:
+    """A run with steps of its own choice."""
+    law = {name: given.pop(name) for name in ("form", "atol") if name in given}
+    dt = {"dt": given.pop("dt")} if "dt" in given else {}
+    scheme = fmbd.GeneralizedAlpha(rtol=rtol, **law)
+    return fmbd.solve(scene, t_end=t_end, scheme=scheme, output=fmbd.Output(**QUIET, **given), **dt)
+
+
+class Entries:
+    """Counts what Python does for the steps."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.counts = counts = Counter[str]()
+        advance, march = VariableAlpha.advance, VariableAlpha.march
+
+        def counted_advance(self: VariableAlpha, h: float) -> Any:
+            counts["single"] += 1
+            return advance(self, h)
+
+        def counted_march(self: VariableAlpha, h: float, steps: int, *more: Any, **named: Any) -> int:
+            made = march(self, h, steps, *more, **named)
+            counts["calls"] += 1
+            counts["marched"] += made
+            return made
+
+        patch.setattr(VariableAlpha, "advance", counted_advance)
+        patch.setattr(VariableAlpha, "march", counted_march)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("make", SCENES, ids=NAMES)
+def test_same_steps_in_one_call_and_one_by_one(make: Any, way: str) -> None:
+    """The same sizes and refusals; values to roundoff, which stiff forces and short steps amplify."""
+    with pytest.MonkeyPatch.context() as patch:
+        entries = Entries(patch)
+        fast = solve(make(), SCENES[make], **WAYS[way])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(VariableAlpha, "march", lambda *given, **more: 0)
+        slow = solve(make(), SCENES[make], **WAYS[way])
+
+    if not (make is driven_crank and way == "stabilised"):  # has no freedom: takes one step
+        assert entries.counts["marched"] > 0
+    for name in ("steps", "rejections", "factorisations"):
+        assert fast.counters[name] == slow.counters[name], name
+    assert fast.counters["newton_iterations"] == pytest.approx(slow.counters["newton_iterations"], rel=0.02)
+    assert np.allclose(fast.times, slow.times, rtol=1e-12, atol=1e-14)
+    assert fast.local_error == pytest.approx(slow.local_error, rel=1e-5)
+    for name in fast.scene.sensors:
+        assert np.abs(fast[name] - slow[name]).max() < 1e-7 * np.abs(slow[name]).max(), name
+    for kind, energy in fast.energy.items():
+        assert np.allclose(energy, slow.energy[kind], rtol=1e-7, atol=1e-9), kind
+    assert [s.t for s in fast.snapshots] == pytest.approx([s.t for s in slow.snapshots])
+
+
+@pytest.mark.parametrize("make", [lambda: chain(6), spinning_top, floating], ids="chain top floating".split())
+def test_python_is_entered_where_sizes_change(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of hundreds of steps one in ten at most is made by itself, and calls hold many."""
+    entries = Entries(monkeypatch)
+    run = solve(make(), 2.0 if make is not floating else 0.5, rtol=1e-5)
+    sizes = np.diff(run.times)
+    changes = np.count_nonzero(np.abs(np.diff(sizes)) > 1e-6 * sizes[1:]) + int(run.counters["rejections"])
+    assert run.counters["steps"] > 200
+    assert entries.counts["single"] <= 2 * changes + 4
+    assert entries.counts["single"] + entries.counts["calls"] < 0.2 * run.counters["steps"]
+
+
+def test_compiled_and_numpy_steps_are_of_the_same_sizes() -> None:
+    """Both evaluate, solve and judge by themselves."""
+    runs = [
+        fmbd.solve(chain(4), t_end=0.5, scheme=fmbd.GeneralizedAlpha(rtol=1e-4, compiled=compiled))
+        for compiled in (True, False)
+    ]
+    assert np.allclose(runs[0].times, runs[1].times, rtol=1e-12)
+    assert np.abs(runs[0].state.q - runs[1].state.q).max() < 1e-10
+    assert runs[0].counters["compiled_steps"] > 0.9 * runs[0].counters["steps"]
+    assert "compiled_steps" not in runs[1].counters
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_a_compiled_step_out_of_balance_is_taken_back(every: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With its record, and goes on in smaller ones."""
+    check, refused = Balanced.check, []
+
+    def refuse_once(self: Balanced, ev: Any, state: Any, h: float) -> None:
+        if not refused and state.t > 0.4:
+            refused.append(state.t)
+            raise ConvergenceError("not in balance")
+        check(self, ev, state, h)
+
+    monkeypatch.setattr(Balanced, "check", refuse_once)
+    run = solve(chain(4), 1.0, every=every)
+    plain, exact = solve(chain(4), 1.0), solve(chain(4), 1.0, rtol=1e-6)
+    assert refused and refused[0] not in run.times and run.counters["unbalanced_steps"] == 1
+    assert (np.diff(run.times) > 0).all() and len(run.times) == len(run.energy["kinetic"])
+    assert np.abs(run.state.q - exact.state.q).max() < 2 * np.abs(plain.state.q - exact.state.q).max()
