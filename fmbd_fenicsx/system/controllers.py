@@ -317,7 +317,7 @@ class Controller(Force):
     @property
     def coordinates(self) -> tuple[JointCoordinate, ...]:
         """Those that it acts on or reads."""
-        return (*self.acts, *(s.coordinate for s in self.reads.values() if isinstance(s, JointReading)))
+        return (*self.acts, *(c for s in self.reads.values() for c in s.coordinates))
 
     @property
     def period(self) -> float | None:

@@ -20,7 +20,6 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.sparse.linalg import splu
 
 from ..energies import MixedEnergy
-from ..mechanics.bodies.bodies import Surface
 from ..mechanics.bodies.coordinates import CoordinatePart
 from ..mechanics.forces.force_elements import ScalarLoads
 from ..mechanics.joints.joints import ground
@@ -215,7 +214,7 @@ def loose_bodies(scene: Any) -> list[str]:
     bodies = scene.bodies
     parts = (*scene.joints.values(), *scene.ties.values(), *scene.forces.values())
     sides = [side for part in parts for side in (part.a, part.b) if side is not None and side is not ground]
-    attached = {(side.body if isinstance(side, Surface) else side).name for side in sides}
+    attached = {side.body.name for side in sides}
     attached |= _touching(scene) if attached else set()
     if not attached:
         return []

@@ -76,6 +76,16 @@ class Body:
     locked: bool = False
 
     @property
+    def body(self) -> Body:
+        """Itself: what is attached to a surface is attached to a body too."""
+        return self
+
+    @property
+    def solid(self) -> Any:
+        """The body on whose mesh its displacements live: itself, or the one that it reduces."""
+        return self
+
+    @property
     def space_rate(self) -> float:
         """By what its error in space falls where the elements are halved; at corners of solids it is less."""
         return 4.0

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...rotations import Array
-from ..joints.relative import Relative, RelativeAngle, Separation
+from ..joints.relative import Relative, Separation
 from .rows import ContactSet, Here, LinearRows, Pair, Rows, Touch
 from .trace import FieldTrace
 
@@ -45,7 +45,7 @@ class LimitPair(Pair):
 
     def overlap(self, system: Any, depth: float, x: Array, normal: Array) -> str:
         """The sentence that refuses a start beyond a stop."""
-        unit = "rad" if isinstance(self.relative, RelativeAngle) else "m"
+        unit = "rad" if self.relative.angular else "m"
         return (
             f'Joint limit "{self.name}": the joint begins {depth / self.lever(system):.3g} {unit} beyond its stop. Its '
             "coordinate counts from the start of the run: take lower or upper from there, or turn the bodies."
@@ -53,7 +53,7 @@ class LimitPair(Pair):
 
     def lever(self, system: Any) -> float:
         """l of (1)."""
-        return float(system.length) if isinstance(self.relative, RelativeAngle) else 1.0
+        return float(system.length) if self.relative.angular else 1.0
 
     def _gaps(self, system: Any, kin: Any) -> Array:
         s = self.relative.values(kin)[0]
@@ -67,7 +67,7 @@ class LimitPair(Pair):
         along = np.zeros(system.motions.dim)
         if isinstance(self.relative, Separation):
             along = (kin.x[b] - kin.x[a]) / np.linalg.norm(kin.x[b] - kin.x[a])
-        elif not isinstance(self.relative, RelativeAngle):
+        elif not self.relative.angular:
             along = kin.R[a] @ self.relative.e[0]
 
         x = np.tile(kin.x[b], (self.count, 1))

@@ -24,7 +24,7 @@ from ...rotations import Array, Motions, hat
 from ..bodies.coordinates import derivative, differences
 from ..frames import Kinematics
 from .constraints import Batch, Motion, Sides
-from .relative import Relative, RelativeAngle
+from .relative import Relative
 from .time_derivatives import rates
 
 
@@ -116,7 +116,7 @@ class CouplingBatch(Batch):
         """Sums of angles alone are angles; a coefficient turns those beside a distance into one."""
         linear = np.zeros(self.size, dtype=bool)
         for relative, rows, _ in self.terms:
-            linear[rows] |= not isinstance(relative, RelativeAngle)
+            linear[rows] |= not relative.angular
 
         return np.where(linear, 1.0, length)
 

@@ -35,7 +35,7 @@ class JointCoordinate:
     @property
     def unit(self) -> str:
         """Unit for labels."""
-        return "rad" if self.kind is RelativeAngle else "m"
+        return "rad" if self.kind.angular else "m"
 
 
 @typed
@@ -68,9 +68,14 @@ class Coupling(Joint):
     motion: Motion | None = None
 
     @property
+    def coordinates(self) -> tuple[JointCoordinate, ...]:
+        """Those of the terms."""
+        return tuple(s for s, _ in self.terms)
+
+    @property
     def reaction_units(self) -> tuple[str, ...]:
         """The multiplier acts on the first coordinate: a moment where that is an angle."""
-        return ("N m" if self.terms[0][0].kind is RelativeAngle else "N",)
+        return ("N m" if self.coordinates[0].kind.angular else "N",)
 
 
 def _coupling(

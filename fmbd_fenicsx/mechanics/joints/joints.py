@@ -49,6 +49,11 @@ class Ground:
 
     name = "ground"
 
+    @property
+    def body(self) -> Ground:
+        """Itself, as of bodies."""
+        return self
+
     def __repr__(self) -> str:
         return "ground"
 
@@ -84,6 +89,11 @@ class Joint:
     axis: Array | None = None  # of the joint's angle and displacement, unit vector, world, initial configuration
 
     @property
+    def coordinates(self) -> tuple[Any, ...]:
+        """Coordinates of other joints that it couples or prescribes."""
+        return ()
+
+    @property
     def reaction_units(self) -> tuple[str, ...]:
         """Units of the multipliers, one a row: rows on a rotation carry moments."""
         return tuple("N m" if issubclass(row.kind, ct.Perpendicular) else "N" for row in self.rows)
@@ -95,10 +105,8 @@ class Joint:
 
     def __post_init__(self) -> None:
         word("A joint's name", self.name)
-        ends = [
-            (x.body if isinstance(x, Surface) else x, x.name) for x in (self.a, self.b)
-        ]  # surfaces are made anew at each call
-        same = ends[0][0] is ends[1][0] and ends[0][1] == ends[1][1]
+        # surfaces are made anew at each call
+        same = self.a.body is self.b.body and self.a.name == self.b.name
         require(not same, f'Joint "{self.name}" connects {self.a.name!r} with itself.')
 
 

@@ -7,7 +7,6 @@ in b):
 kind               s
 =================  ==========================================================================
 ``Separation``     the distance, sqrt(d . d)
-``Reach``          n . d
 ``Slide``          e . d
 ``RelativeAngle``  atan2(e_2 . f_1 - e_1 . f_2, e_1 . f_1 + e_2 . f_2), the angle about e
 ``ExpressedCoordinate``      an expression of the user's own
@@ -47,6 +46,7 @@ class Relative:
     """Coordinates of one kind between markers a and b; ``e`` (m, d): a direction each, for kinds that have one."""
 
     kind: ClassVar[str]
+    angular: ClassVar[bool] = False  # rad, not m
 
     def __init__(self, motions: Motions, a: np.ndarray, b: np.ndarray, e: Array, kind: Kind | None = None) -> None:
         self.motions = motions
@@ -105,12 +105,6 @@ class Separation(Relative):
         return np.asarray(2 * self.values(mean) / (ends[0] + ends[1]))
 
 
-class Reach(Relative):
-    """Difference of the two points along directions fixed in space."""
-
-    kind = "coincident"
-
-
 class Slide(Relative):
     """Difference of the two points along directions fixed in a."""
 
@@ -139,6 +133,7 @@ class RelativeAngle(Relative):
     """Rotation of b against a about directions fixed in a, beyond a turn; 0 where the marker axes agree."""
 
     kind = "angle"
+    angular = True
 
     def constants(self) -> dict[str, Array]:
         """Axes e_1, e_2 across the axis, of both markers."""

@@ -200,6 +200,11 @@ class ReducedBody(Body):
         return True
 
     @property
+    def solid(self) -> Any:
+        """The full body."""
+        return self.source
+
+    @property
     def displacement_degree(self) -> int | None:
         """That of the full body."""
         return self.source.displacement_degree  # type: ignore[no-any-return]

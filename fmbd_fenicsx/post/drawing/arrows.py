@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from ...mechanics.forces.forces import PointForce
-from ...mechanics.joints.drives import Coupling
 from ...rotations import Array
 from ...system.sensors.contact import forces_of
 from ...system.sensors.sensors import reaction_force
@@ -73,7 +72,7 @@ def _reactions(at: Places) -> dict[str, tuple[Array, Array]]:
     d = s.motions.dim
     found: dict[str, tuple[Array, Array]] = {}
     for joint in at.run.scene.joints.values():
-        if isinstance(joint, Coupling):
+        if joint.coordinates:
             continue
         sensor = reaction_force(joint)
         values = np.zeros((at.count, 3))

@@ -241,12 +241,10 @@ def _with_bars(solid: Solid, body: RigidBody, at: Places, symbol: float) -> Soli
 
 def _attached(body: RigidBody, at: Places) -> Sequence[Array]:
     """Where joints and springs hold the body at the first instant, world axes, (n, 3)."""
-    from ...mechanics.joints.drives import Coupling
-
     scene = at.run.scene
     found = []
     for joint in scene.joints.values():
-        if not isinstance(joint, Coupling):  # a drive acts on a joint that is drawn anyway
+        if not joint.coordinates:  # a drive acts on a joint that is drawn anyway
             markers = at.joint(joint.name)
             found += [at.markers[0, m] for side, m in zip((joint.a, joint.b), markers, strict=True) if side is body]
     for force in scene.forces.values():

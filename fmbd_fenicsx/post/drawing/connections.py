@@ -9,7 +9,6 @@ import numpy as np
 from ...mechanics.forces.forces import CoordinateForce, Spring, Tyre
 from ...mechanics.joints.drives import Coupling
 from ...mechanics.joints.joints import Joint, ground
-from ...mechanics.joints.relative import RelativeAngle
 from ...rotations import Array
 from .places import Places
 from .scene_graph import Deforming, MovingPoints, Piece, Role, Solid
@@ -115,7 +114,7 @@ def _drive(joint: Coupling, at: Places, symbol: float) -> list[Piece]:
 
 
 def _effort_mark(name: str, coordinate: Any, at: Places, symbol: float) -> list[Piece]:
-    if coordinate.joint.name not in at.run.scene.joints or coordinate.kind is not RelativeAngle:
+    if coordinate.joint.name not in at.run.scene.joints or not coordinate.kind.angular:
         return []
     a, b = at.joint(coordinate.joint.name)
     solid = turn_arrow(2.4 * symbol)
@@ -149,7 +148,7 @@ def _on_coordinate(force: CoordinateForce, at: Places, symbol: float) -> list[Pi
     if force.law is not None and not force.stiffness and not force.damping:
         return _effort_mark(force.name, force.on, at, symbol)
     a, b = at.joint(joint.name)
-    if force.on.kind is not RelativeAngle:
+    if not force.on.kind.angular:
         return [_coiled(force.name, at.markers[:, a], at.markers[:, b], (symbol, at.run.system.motions.dim))]
 
     angle = np.linspace(0, 5 * np.pi, 90)

@@ -29,7 +29,6 @@ from ...log import log
 from ...mechanics.joints.constraints import Perpendicular
 from ...mechanics.joints.couplings import CouplingBatch, SmoothMotion
 from ...mechanics.joints.drives import Coupling
-from ...mechanics.joints.relative import RelativeAngle
 from ...system.scene.scene import Scene
 from ...system.system import System
 
@@ -286,6 +285,6 @@ def _motions(system: System) -> list[tuple[Any, float]]:
             angles = {i for i, _ in batch.driven}
         elif isinstance(batch, CouplingBatch):
             for relative, numbers, _ in batch.terms:
-                angles |= {int(i) for i in numbers} if isinstance(relative, RelativeAngle) else set()
+                angles |= {int(i) for i in numbers} if relative.angular else set()
         out += [(motion, 1.0 if i in angles else system.length) for i, motion in batch.driven]
     return out + [(tie.motion, system.length) for tie, _ in system.traces]

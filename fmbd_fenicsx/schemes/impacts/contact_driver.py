@@ -17,7 +17,7 @@ from ...mechanics.contact.limits import LimitPair
 from ...mechanics.contact.obstacle_pair import ObstaclePair
 from ...mechanics.contact.rows import ContactSet
 from ...mechanics.contact.shapes import Box, Cylinder, HalfSpace, Shape, Sphere
-from ...mechanics.joints.relative import ExpressedCoordinate, RelativeAngle
+from ...mechanics.joints.relative import ExpressedCoordinate
 from ...rotations import Array, Motions
 from ...system.compiled.blocks import Ring, block_size, state_of
 from ...system.compiled.calls import Calls
@@ -249,7 +249,7 @@ class ContactDriver:
         tables = self.tables
         place = np.zeros(tables.dim) if marker in tables.surfaces else self.system.markers.position[marker]
         one.shape, one.batch = LIMIT, tables.coordinate(self.stops.index(pair))
-        one.pushes, one.lever = int(not isinstance(pair.relative, RelativeAngle)), pair.lever(self.system)
+        one.pushes, one.lever = int(not pair.relative.angular), pair.lever(self.system)
         one.marked, one.mark[:] = int(tables.frame[marker]), list(place)
         one.bound[: pair.count], one.side[: pair.count] = list(pair.bounds), list(pair.signs)
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from ...mechanics.forces.effort_laws import EffortLaw
 from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
-from ...mechanics.joints.relative import Relative, RelativeAngle
+from ...mechanics.joints.relative import Relative
 from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
 from ..system import State, System
@@ -54,10 +54,10 @@ def readable(system: System, look: Look) -> bool:
         return any(look.element == x.name for f in scalar for x in f.forces)
     if look.relative is None:
         return True
-    if not isinstance(look.relative, RelativeAngle) or system.motions.dim == 2:
-        return not isinstance(look.relative, RelativeAngle) or system.counted is not None
-    if system.counted is None:
-        return False
+    if not look.relative.angular:
+        return True
+    if system.motions.dim == 2 or system.counted is None:
+        return system.counted is not None
     known = set(zip(system.counted.turn.a, system.counted.turn.b, strict=True))
     return all(pair in known for pair in zip(look.relative.a, look.relative.b, strict=True))
 

@@ -15,13 +15,11 @@ from ...mechanics.bodies.coordinates import CoordinateBody, PortConstraint, own_
 from ...mechanics.forces.forces import Force
 from ...mechanics.frames import Markers
 from ...mechanics.joints.constraints import Batch
-from ...mechanics.joints.drives import Coupling
 from ...mechanics.joints.joints import Joint, ground
-from ...mechanics.joints.relative import RelativeAngle
 from ...mechanics.rods.rods import Rod
 from ...rotations import Array, Motions, motions
 from ..configurations import count
-from ..sensors.sensors import JointReading, Sensor
+from ..sensors.sensors import Sensor
 from ..system import RowBlock, State, System
 from .force_batches import build_loads
 from .joints import JointRows, counted_angles
@@ -201,7 +199,7 @@ class Builder:
     def _known(self, side: Any, what: str) -> None:
         if side is ground:
             return
-        body = side.body if isinstance(side, Surface) else side
+        body = side.body
         if self.scene.bodies.get(body.name) is not body:
             known = near(body.name, self.scene.bodies)
             raise InputError(f'{what} refers to body "{body.name}", which is not in the scene. {known}')
@@ -412,14 +410,13 @@ class Builder:
     # -- start ----------------------------------------------------------------------------------------------------
     def _counted(self, markers: Markers) -> Any:
         """The angles beyond a turn that constraints, forces and sensors of the scene use; None without any."""
-        joints: list[Any] = list(self.scene.joints.values())
-        used = [s for joint in joints if isinstance(joint, Coupling) for s, _ in joint.terms]
-        used += [s for f in self.scene.forces.values() for s in f.coordinates]
-        used += [limit.coordinate for limit in self.scene.limits.values()]
-        used += [s.coordinate for s in self.scene.sensors.values() if isinstance(s, JointReading)]
+        scene = self.scene
+        parts: list[Any] = [*scene.joints.values(), *scene.forces.values(), *scene.sensors.values()]
+        used = [s for part in parts for s in part.coordinates]
+        used += [limit.coordinate for limit in scene.limits.values()]
         known = self.joint_markers  # a sensor of another joint is refused where it is read
         # one angle for each pair of markers, however many ask for it
-        angles = {known[s.joint.name]: s for s in used if s.kind is RelativeAngle and s.joint.name in known}
+        angles = {known[s.joint.name]: s for s in used if s.kind.angular and s.joint.name in known}
         if not angles:
             return None
         return counted_angles(self.m, markers, angles, np.array([*self.poses, self.m.identity]))

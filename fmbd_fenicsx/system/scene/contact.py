@@ -19,7 +19,6 @@ from ...mechanics.contact.obstacle_pair import ObstaclePair
 from ...mechanics.contact.rows import Carrier, ContactSet, Side
 from ...mechanics.contact.shapes import Obstacle
 from ...mechanics.contact.trace import BodyNodes, ContactTrace, FieldTrace, ModalTrace, surface_nodes
-from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...rotations import Array, Motions
 from .joints import relative_of
 
@@ -175,8 +174,7 @@ def oriented(c: Contact) -> Contact:
 
 def _facet_size(surface: Surface) -> float:
     """Mean diameter of the facets of a surface, m; collective."""
-    body = surface.body.source if isinstance(surface.body, ReducedBody) else surface.body
-    mesh = body.mesh
+    mesh = surface.body.solid.mesh
     tags, msh = mesh.facet_tags, mesh.dolfinx
     facets = tags.find(mesh.surface_tag(surface.name))
     own = facets[facets < msh.topology.index_map(mesh.dim - 1).size_local]

@@ -14,7 +14,8 @@ from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..system import State, System
-from .sensors import Sensor, named_part, or_name
+from .named import or_name
+from .sensors import Sensor, named_part
 
 WORKS = ("contact", "friction", "loads", "joints", "numerical")
 

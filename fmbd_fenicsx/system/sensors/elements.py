@@ -18,7 +18,8 @@ from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..system import State, System
-from .sensors import Sensor, or_name
+from .named import or_name
+from .sensors import Sensor
 
 
 def find(system: System, name: str) -> tuple[Loads, list[int]]:

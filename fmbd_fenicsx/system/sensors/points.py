@@ -208,8 +208,7 @@ def is_elastic(body: Any) -> bool:
 def _point(what: str, body: Any, point: Any) -> tuple[Any, tuple[float, ...]]:
     require(is_elastic(body), f"{what} reads a material point of an elastic body on a mesh, found {body!r}.")
     x = vector(f"{what}: point", point, size=body.dim)
-    source = body.source if isinstance(body, ReducedBody) else body
-    check_point(source.mesh, x, what)
+    check_point(body.solid.mesh, x, what)
     return body, tuple(float(c) for c in x)
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
-from functools import wraps
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -44,6 +43,11 @@ class Sensor:
         raise NotImplementedError
 
     @property
+    def coordinates(self) -> tuple[JointCoordinate, ...]:
+        """Joint coordinates that it reads."""
+        return ()
+
+    @property
     def reads(self) -> dict[str, str]:
         """What it reads that a scene must hold: "joint", "body" or "contact" -> its name."""
         return {}
@@ -64,46 +68,6 @@ class Sensor:
     def labels(self) -> Sequence[str]:
         """Names of the components; numbers where there are none."""
         return ()
-
-
-@dataclass(frozen=True, eq=False)
-class OfNamed(Sensor):
-    """A quantity of a part that is given by its name: ``make`` of what the scene has under this name among its ``parts``."""
-
-    _: KW_ONLY
-    make: Callable[[Any], Sensor]
-    parts: str
-    name: str
-
-    def in_scene(self, name: str, scene: Any) -> Sensor:
-        """The quantity of the part.
-
-        Raises:
-            InputError: the scene has no such part so far.
-        """
-        known = getattr(scene, self.parts)
-        if self.name not in known:
-            raise InputError(
-                f'Sensor "{name}": "{self.name}" is not among the {self.parts} of the scene. {near(self.name, known)}'
-            )
-        return self.make(known[self.name])
-
-    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
-        """No scene has told which part it is."""
-        raise InputError(f'"{self.name}" is a name that only scene.sensor(...) looks up: give the part itself here.')
-
-
-def or_name(parts: str) -> Callable[[Callable[[Any], Sensor]], Callable[[Any], Sensor]]:
-    """Lets the maker of a sensor take a part of a scene also by its name; ``parts``: among which of the scene's."""
-
-    def taking(make: Callable[[Any], Sensor]) -> Callable[[Any], Sensor]:
-        @wraps(make)
-        def made(part: Any) -> Sensor:
-            return OfNamed(None, "", make=make, parts=parts, name=part) if isinstance(part, str) else make(part)
-
-        return made
-
-    return taking
 
 
 class _Vector(Sensor):
@@ -296,6 +260,11 @@ class JointReading(Sensor):
 
     coordinate: JointCoordinate = None  # type: ignore[assignment]
     level: int = 0
+
+    @property
+    def coordinates(self) -> tuple[JointCoordinate, ...]:
+        """The one."""
+        return (self.coordinate,)
 
     @property
     def reads(self) -> dict[str, str]:

@@ -1,0 +1,54 @@
+"""Quantities of parts of a scene that are given by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
+from functools import wraps
+from typing import Any
+
+from ...errors import InputError, near
+from ...rotations import Array
+from ..evaluation import Evaluation
+from ..system import State
+from .sensors import Sensor
+
+
+@dataclass(frozen=True, eq=False)
+class OfNamed(Sensor):
+    """A quantity of a part that is given by its name: ``make`` of what the scene has under this name among its ``parts``."""
+
+    _: KW_ONLY
+    make: Callable[[Any], Sensor]
+    parts: str
+    name: str
+
+    def in_scene(self, name: str, scene: Any) -> Sensor:
+        """The quantity of the part.
+
+        Raises:
+            InputError: the scene has no such part so far.
+        """
+        known = getattr(scene, self.parts)
+        if self.name not in known:
+            raise InputError(
+                f'Sensor "{name}": "{self.name}" is not among the {self.parts} of the scene. {near(self.name, known)}'
+            )
+        return self.make(known[self.name])
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """No scene has told which part it is."""
+        raise InputError(f'"{self.name}" is a name that only scene.sensor(...) looks up: give the part itself here.')
+
+
+def or_name(parts: str) -> Callable[[Callable[[Any], Sensor]], Callable[[Any], Sensor]]:
+    """Lets the maker of a sensor take a part of a scene also by its name; ``parts``: among which of the scene's."""
+
+    def taking(make: Callable[[Any], Sensor]) -> Callable[[Any], Sensor]:
+        @wraps(make)
+        def made(part: Any) -> Sensor:
+            return OfNamed(None, "", make=make, parts=parts, name=part) if isinstance(part, str) else make(part)
+
+        return made
+
+    return taking
