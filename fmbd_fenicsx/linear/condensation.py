@@ -14,6 +14,7 @@ E_0 serves all attitudes; new tangents are taken only when Newton's rate asks fo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -410,12 +411,25 @@ class StepSolver:
         Collective.
         """
         s, x, self.increment = self.system, self.increment, None
-        exact = [k for (k, _), b in zip(s.fields, self.blocks, strict=True) if not b.factor.noisy]
-        known = {} if x is None else {k: s.local_v(x, k) for k in exact}
-        changed = self._ev.take_tangents(increments=known)
+        known = {} if x is None else {k: s.local_v(x, k) for k, _ in s.fields}
+        changed = self._ev.take_tangents(increments=self._exact(known))
         if changed:
             self.prepare(self._ev, self.weights)
         return changed
+
+    def renew_fields(self, ev: Evaluation, increments: Mapping[int, Array]) -> list[FactoredField]:
+        """Blocks with new tangents of all fields at a state, for a matrix that someone else makes; ``increments``: Newton's, by
+        part.
+        """
+        ev.take_tangents(increments=self._exact(increments))
+        self._held = None
+        self.blocks = self.elastic.of(self.jacobian, self.weights, ties_apart=False, splits=False)
+        return self.blocks
+
+    def _exact(self, increments: Mapping[int, Array]) -> dict[int, Array]:
+        """Increments of fields whose factors are exact enough for stresses to be foretold."""
+        parts = zip(self.system.fields, self.blocks, strict=True)
+        return {k: increments[k] for (k, _), b in parts if k in increments and not b.factor.noisy}
 
     def destroy(self) -> None:
         """Free all factors; collective."""

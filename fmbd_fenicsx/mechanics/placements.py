@@ -173,6 +173,11 @@ class DistributedPart(Part, Protocol):
         """Whether an increment of Newton foretells stresses for the tangent, see :meth:`relinearise`."""
         return False
 
+    @property
+    def renewable(self) -> bool:
+        """Whether :meth:`relinearise` changes anything."""
+        return False
+
     def relinearise(self, motion: FrameMotion, local: tuple[Array, Array], increment: Array | None = None) -> bool:
         """Take the tangent at a motion of the frame and local coordinates with their rates; False when it is constant anyway.
 

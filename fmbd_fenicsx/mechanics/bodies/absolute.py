@@ -43,7 +43,7 @@ class AbsoluteField(FieldPart):
         for k in range(len(self.surfaces)):
             self.reference[k * per : k * per + field.dim] += field.center
         self._moment_columns = field.mass(field.X)
-        self._turn_at_tangent: Array = np.eye(field.dim)
+        self.turn_at_tangent: Array = np.eye(field.dim)
         if field.loads.moving or field.viscous.law is not None:
             self._first_tangent()
 
@@ -52,7 +52,7 @@ class AbsoluteField(FieldPart):
         """Mean rotation of the body since its tangent was taken, (d, d); None for linear bodies."""
         if not self.field.nonlinear:
             return None
-        return self.mean_rotation(u) @ self._turn_at_tangent.T
+        return self.mean_rotation(u) @ self.turn_at_tangent.T
 
     def mean_rotation(self, u: Array) -> Array:
         """Mean rotation of the body at displacements u (n d,), (d, d); collective."""
@@ -65,6 +65,11 @@ class AbsoluteField(FieldPart):
     def tangent_version(self) -> int:
         """Number of tangents taken so far."""
         return self.field.tangents
+
+    @property
+    def renewable(self) -> bool:
+        """Whether it takes new tangents."""
+        return self.field.nonlinear
 
     @property
     def foretells(self) -> bool:
@@ -85,12 +90,12 @@ class AbsoluteField(FieldPart):
         if at.pressure is not None:
             self.field.pressure_values = at.pressure  # type: ignore[attr-defined]
         self.field.linearise_motion(at.t, at.U, at.Ud, at.increment)
-        self._turn_at_tangent = self.mean_rotation(at.U)
+        self.turn_at_tangent = self.mean_rotation(at.U)
         self._tangent_at = at
 
     def _first_tangent(self) -> None:
         self.field.linearise_motion(0.0, np.zeros(self.n), np.zeros(self.n))
-        self._turn_at_tangent = np.eye(self.field.dim)
+        self.turn_at_tangent = np.eye(self.field.dim)
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:

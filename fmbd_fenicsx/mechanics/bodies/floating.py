@@ -162,6 +162,11 @@ class FloatingField(FieldPart):
         return self._columns_taken
 
     @property
+    def renewable(self) -> bool:
+        """Always: columns of inertia are taken anew."""
+        return True
+
+    @property
     def tangent_version(self) -> int:
         """Number of tangents taken so far."""
         return self.field.tangents

@@ -21,9 +21,10 @@ from ...system.compiled.fields import Block
 from ...system.compiled.items import covers, other_loads
 from ...system.compiled.library import driver_library, units_of
 from ...system.compiled.recording import Openness, Tape
+from ...system.compiled.resting import Twin
 from ...system.compiled.structures import address_of, enumeration
 from ...system.compiled.tables import Tables, covers_bodies
-from ...system.system import System
+from ...system.system import State, System
 
 if TYPE_CHECKING:
     from ..newton import Newton
@@ -52,8 +53,16 @@ class AlphaDriver:
 
     def load(self, states: Sequence[StateBlock]) -> None:
         """Take the last states, the newest first, at most three."""
-        self.ring.load(states)
+        self.ring.load([self.tables.twin.widened(x) for x in states])
         self.parameters[HISTORY] = len(states) - 1
+
+    def block(self, i: int) -> StateBlock:
+        """The i-th newest state, with its algorithmic acceleration."""
+        return self.tables.twin.narrowed(self.ring.block(i))
+
+    def state(self) -> State:
+        """The newest state."""
+        return self.tables.twin.state(self.ring.state())
 
     @property
     def slopes(self) -> Array | None:
@@ -100,12 +109,15 @@ class AlphaDriver:
 
     def error(self, scale: float, span: float, arrays: Sequence[Array], t: float, missed: Array) -> Array | None:
         """``driver_error`` of alpha.c for q, v, a and lambda; None where NumPy has to do."""
+        twin = self.tables.twin
         e, y = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
-        kept = [np.ascontiguousarray(x) for x in (*arrays, missed)]
+        q, v, a, lam = arrays
+        v, a, missed = twin.velocities(np.stack((v, a, missed)))
+        kept = [np.ascontiguousarray(x) for x in (twin.configurations(q[None])[0], v, a, lam, missed)]
         *at, missing = [address_of(x) for x in kept]
         verdict = self.library.driver_error(self.address, scale, span, *at, t, missing, address_of(e), address_of(y))
         self.calls.raise_error()
-        return None if verdict else e
+        return None if verdict else twin.forces(e[None])[0]
 
 
 def settings(p: Array, system: System, newton: Newton) -> None:
@@ -120,8 +132,9 @@ def drivable(system: System) -> Any:
     It takes the symmetric half of the tangents of forces that Python gives as a whole: cheap iterations may make up for that,
     those with the factor of a field do not.
     """
-    known = covers_bodies(system) and covers(system) and not (system.fields and other_loads(system))
-    return driver_library(system.motions.dim, units_of(system)) if known else None
+    twin = Twin(system).system
+    known = covers_bodies(twin) and covers(twin) and not (twin.fields and other_loads(twin))
+    return driver_library(twin.motions.dim, units_of(twin)) if known else None
 
 
 def alpha_driver(

@@ -42,7 +42,7 @@ class CompiledAlphaStepper(AlphaStepper):
         """Take a driver."""
         self._driver, self._tail = driver, None
         driver.parameters[slots.AM : slots.BETA + 1] = self.scheme.parameters
-        settings(driver.parameters, self.system, self.newton)
+        settings(driver.parameters, driver.system, self.newton)
         driver.parameters[slots.FAR] = FAR * self.system.length
         driver.parameters[slots.PATIENCE] = PATIENCE
         driver.parameters[slots.STABILISED] = isinstance(self.scheme.form, GGL)
@@ -101,7 +101,7 @@ class CompiledAlphaStepper(AlphaStepper):
         if self._ahead:
             # the newest block first, then as many earlier ones as steps were made
             known = int(self.driver.parameters[slots.HISTORY])
-            blocks = [self.driver.ring.block(i) for i in range(known + 1)]
+            blocks = [self.driver.block(i) for i in range(known + 1)]
             self._A = blocks[0][4]
             self._earlier = [(t, a, lam) for t, _, _, a, _, lam in blocks[1:]]
             t, q, v, a, A, lam = blocks[1]
@@ -213,6 +213,7 @@ class CompiledAlphaStepper(AlphaStepper):
             p[slots.HIGHEST : slots.SETTLING + 1] = watch.limits
 
         driver.tables.recall()
+        driver.tables.c.renewals = newton.renewals
         made, verdict = driver.march(steps, tape, control)
         if verdict == slots.LOOK:
             driver.tables.look()
@@ -240,8 +241,8 @@ class CompiledAlphaStepper(AlphaStepper):
         self.counters["compiled_steps"] += made
         newton.iterations += int(p[slots.ITERATIONS])
         newton.note(float(p[slots.LEFT]), made)
-        newton.theta = float(p[slots.THETA])
+        newton.theta, newton.renewals = float(p[slots.THETA]), int(self.driver.tables.c.renewals)
         self.solver.core.factorisations += made
         self.local_error = float(p[slots.LOCAL])
         self._ahead = True
-        self.state = self._tail = self.driver.ring.state()
+        self.state = self._tail = self.driver.state()

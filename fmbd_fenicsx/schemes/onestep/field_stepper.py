@@ -11,8 +11,13 @@ from .alpha_driver import AlphaDriver, alpha_driver
 from .compiled_stepper import CompiledAlphaStepper
 
 if TYPE_CHECKING:
+    from ...linear.blocks.field_blocks import FactoredField
+    from ...rotations import Array
     from ...run.judges.energy_check import Watch
     from ...system.compiled.recording import Openness, Tape
+
+
+NEXT = 3  # block of a ring that a step writes
 
 
 class FieldStepper(CompiledAlphaStepper):
@@ -21,6 +26,16 @@ class FieldStepper(CompiledAlphaStepper):
     def __init__(self, data: Any, driver: AlphaDriver | None) -> None:
         self._drivers: list[AlphaDriver] = []  # the one used last is the last
         super().__init__(data, driver)
+
+    def _use(self, driver: AlphaDriver) -> None:
+        super()._use(driver)
+        driver.tables.renewed = self._renewed
+
+    def _renewed(self, t: float, increments: dict[int, Array]) -> list[FactoredField]:
+        """The fields' blocks with new tangents, for the driver in use, at the state that it evaluated last."""
+        _, q, v, *_ = self.driver.block(NEXT)
+        self.driver.field_blocks = self.solver.renew_fields(self.system.at(t, q, v), increments)
+        return self.solver.blocks
 
     def _first_march(self, h: float, watch: Watch | None = None, tape: Tape | None = None) -> int:
         return 0

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import ConvergenceError
+from ...errors import ConvergenceError, LinearSolveError
 from ...mechanics.forces.formulas import TARGET
 from ...mechanics.joints.couplings import SmoothMotion
 from .items import GIVEN, Items
@@ -19,6 +19,7 @@ from .tables import Tables
 
 ASKED = enumeration("SAMPLE")  # what C asks for
 OUTSIDE = enumeration("OUTSIDE")["OUTSIDE"]  # an answer
+NUMPYS = ASKED["FIELD_FORCES"], ASKED["FIELD_TANGENTS"]  # where these fail NumPy makes the step
 
 
 class Calls:
@@ -49,11 +50,11 @@ class Calls:
         tables.c.python = self.function
 
     def answer(self, what: int, number: int, t: float) -> int:
-        """0, 1 after an exception, OUTSIDE where a field's forces have no value."""
+        """0, 1 after an exception, OUTSIDE where a field's forces have no value, or its tangent no factor."""
         try:
             self.answers[what](number, t)
         except Exception as error:
-            if what == ASKED["FIELD_FORCES"] and isinstance(error, ConvergenceError):
+            if what in NUMPYS and isinstance(error, ConvergenceError | LinearSolveError):
                 return OUTSIDE
             self.error = error
             return 1
@@ -73,6 +74,7 @@ class Calls:
             "FIELD": lambda number, t: tables.fields[number].solve(),
             "FIELD_FORCES": lambda number, t: tables.fields[number].forces(t),
             "FIELD_ENERGIES": lambda number, t: tables.fields[number].energies(t),
+            "FIELD_TANGENTS": lambda number, t: tables.renew_fields(t),
         }
         return {value: said[name] for name, value in ASKED.items()}
 

@@ -44,15 +44,14 @@ class FieldStates(DriverStates):
 
     solves = False
 
-    def __init__(self, system: System, library: Any) -> None:
-        self.twin = Twin(system)
-        super().__init__(system, library)
-
     def tables_of(self) -> Tables:
         """Tables with fields that nothing is solved for."""
-        blocks = [unsolved(part) for _, part in self.twin.system.fields]
+        return Tables(self.system, redundant=False, blocks=[unsolved(part) for _, part in self.system.fields])
 
-        return Tables(self.twin.system, redundant=False, blocks=blocks)
+    @property
+    def twin(self) -> Twin:
+        """Between arrays of the system and those of the tables."""
+        return self.tables.twin
 
     def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
         """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""

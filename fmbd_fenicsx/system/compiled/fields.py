@@ -44,25 +44,44 @@ class FieldTable:
         self.tables, self.number, self.k, self.block = tables, number, k, block
         self.part: Any = system.parts[k]
         self.rows = system.frame_rows[k]
+        self.turns = isinstance(self.part, RestingField) and self.part.turns
 
         first = system.port_slice(k).start
         seen = [x for x in np.unique(system.markers.port) - first if 0 <= x < self.part.n_port]
         self.ports = np.concatenate((block.used, np.setdiff1d(seen, block.used))).astype(int)
-        inertial = self.part.inertia_columns.shape[1]
+        inertial = self.inertial = self.part.inertia_columns.shape[1]
         self.solved, self.count = inertial + len(block.used), inertial + len(self.ports)
         conditions = np.arange(self.part.n_frame_rows)
         places = inertial + np.searchsorted(block.used, conditions)
         self.frame_slots = conditions if self.part.shared_columns else places
-        self.inverse = Condensed(block.W, self.frame_slots, inertial)
 
         self.port_matrix = np.zeros((self.part.n_port, self.count))
         self.port_matrix[self.ports, inertial + np.arange(len(self.ports))] = 1.0
         nothing: Array = np.zeros(0)
         self.b = self.z = self.force = self.sums = self.state = nothing  # those of the structure
+        self.of_tangent: dict[str, Array] = {}  # likewise, what changes with the tangent
 
     def solve(self) -> None:
         """z = E^-1 b."""
         self.z[:] = self.block.factor.solve(self.b)
+
+    def take(self, block: Block) -> None:
+        """Go on with another factor, and with the inertia of the frame that goes with it."""
+        self.block = block
+        for name, values in self._of_tangent().items():
+            self.of_tangent[name][...] = values
+
+    def _of_tangent(self) -> dict[str, Array]:
+        """What changes with the tangent."""
+        part, block = self.part, self.block
+        inverse = Condensed(block.W, self.frame_slots, self.inertial)
+        d = self.tables.dim
+        moment = part.moment if part.column_version(0.0) else np.zeros(d)
+        return {
+            "Y": block.Y.T, "A": inverse.A, "W": inverse.W, "G": inverse.G, "S": inverse.S,
+            "Q": part.inertia_columns.T, "inertia": part.inertia, "moment": moment,
+            "began": part.began if self.turns else np.zeros((2, d, d)),
+        }  # fmt: skip
 
     def _motion(self, t: float) -> tuple[FrameMotion, Array, tuple[Array, Array, Array]]:
         """Motion and pose of the frame, and of the nodes, as C left them in ``state``."""
@@ -70,7 +89,7 @@ class FieldTable:
         sizes = [d * d, twist, twist, self.tables.system.motions.n_pose, d, n, n, n]
         R, velocity, accel, pose, gravity, *local = np.split(self.state, np.cumsum(sizes)[:-1])
         motion = FrameMotion(t, R.reshape(d, d), velocity, accel, gravity)
-        return motion, pose, (local[0].copy(), local[1], local[2])
+        return motion, pose, (local[0].copy(), local[1].copy(), local[2])
 
     def forces(self, t: float) -> None:
         """Rows of the frame and forces on the nodes."""
@@ -108,15 +127,13 @@ class FieldTable:
         d = tables.dim
         store = tables.store
         n = self.part.n
-        inverse = self.inverse
         arrays = {
-            **self._matrices(), "Y": self.block.Y.T,
-            "A": inverse.A, "W": inverse.W, "G": inverse.G, "S": inverse.S,
-            "X": field.X, "Q": part.inertia_columns.T, "inertia": part.inertia,
-            "moment": part.moment if part.column_version(0.0) else np.zeros(d),
+            **self._matrices(), "X": field.X, "MX": field.mass(field.X), "T": np.eye(d),
             **{name: np.zeros(self.count) for name in ("p", "rates", "pz", "rest", "f", "h")},
             **{name: np.zeros(n) for name in ("accel", "MU")},
         }  # fmt: skip
+        of_tangent = {name: store.array(x) for name, x in self._of_tangent().items()}
+        self.of_tangent = {name: x for name, (x, _) in of_tangent.items()}
 
         self.b, b = store.array(np.zeros(n))
         self.z, z = store.array(np.zeros(n))
@@ -128,7 +145,8 @@ class FieldTable:
             n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,
             sways=int(part.shared_columns), number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
             own=int(not linear_field(part)), force=force, sums=sums, state=state,
-            frame_slot=store.integers(self.frame_slots),
+            inertial=self.inertial, turns=int(self.turns), frame_slot=store.integers(self.frame_slots),
+            **{name: address for name, (_, address) in of_tangent.items()},
             **{name: store.integers(x) if x.dtype == np.int32 else store.address(x) for name, x in arrays.items()},
         )  # fmt: skip
 
@@ -170,7 +188,7 @@ class Condensed:
         scaled = compliance / np.outer(size, size)
 
         share, directions = np.linalg.eigh(0.5 * (scaled + scaled.T))
-        stiffness = 1.0 / np.maximum(share, LEAST * max(share[-1], LEAST))
+        stiffness = 1.0 / np.maximum(share, LEAST * share.max(initial=LEAST))
         self.S = (directions * stiffness) @ directions.T / np.outer(size, size)
 
 

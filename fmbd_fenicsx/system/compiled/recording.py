@@ -201,7 +201,8 @@ class Tape:
     def recorded(self) -> Recorded:
         """What was recorded, copied."""
         n = int(self.c.count)
-        doubt = state_of(self.tables.system, self.doubt) if self.c.doubtful >= 0 else None
+        doubtful = self.c.doubtful >= 0
+        doubt = self.tables.twin.state(state_of(self.tables.system, self.doubt)) if doubtful else None
         return Recorded(self.tables, {name: x[:n].copy() for name, x in self.arrays.items()}, doubt)
 
 
@@ -222,7 +223,7 @@ class Recorded:
 
     def state(self, i: int) -> State:
         """One of the states."""
-        return state_of(self.system, self.arrays["block"][i])
+        return self.tables.twin.state(state_of(self.system, self.arrays["block"][i]))
 
     # -- markers ------------------------------------------------------------------------------------------------------------
     def _frame(self, marker: int) -> tuple[Array, Array, Array]:

@@ -16,7 +16,8 @@ from ...mechanics.bodies.absolute import AbsoluteField
 from ...mechanics.bodies.field_part import FieldPart
 from ...mechanics.placements import FrameMotion
 from ...rotations import Array
-from ..system import System
+from ..system import State, System
+from .blocks import Block
 
 
 class RestingField(FieldPart):
@@ -35,8 +36,24 @@ class RestingField(FieldPart):
             self.reference[k * per : k * per + field.dim] -= field.center
 
         self.size = np.inf  # of what displacements may be
-        self.inertia_columns = np.zeros((self.n, self.motions.n_twist))
         self.moment, self.inertia = np.zeros(field.dim), field.inertia
+        self.turns = field.nonlinear  # its tangent turns with the body
+
+    @property
+    def renewable(self) -> bool:
+        """As the field itself."""
+        return self.part.renewable
+
+    @property
+    def foretells(self) -> bool:
+        """As the field itself."""
+        return self.part.foretells
+
+    @property
+    def began(self) -> Array:
+        """Rotation of the body where the tangent was taken, and sum of (M X) X^T, (2, d, d)."""
+        X = self.field.X
+        return np.stack((self.part.turn_at_tangent, self.field.mass(X).T @ X))
 
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of the frame, zero, and forces on the nodes."""
@@ -59,6 +76,7 @@ class Twin:
         m, n = system.motions, system.n_frames
         self.poses: Array = np.zeros((0, m.n_pose))
         self._in_q, self._in_v = n * m.n_pose, n * m.n_twist
+        self._poses = slice(self._in_q, self._in_q + len(still) * m.n_pose)
         self.system = system
         if not still:
             return
@@ -85,6 +103,29 @@ class Twin:
             return x
         end = self._in_v + len(self.poses) * self.system.motions.n_twist
         return np.concatenate((x[:, : self._in_v], x[:, end:]), axis=1)
+
+    def widened(self, block: Block) -> Block:
+        """The parts of a block of the system as those of the twin."""
+        if not len(self.poses):
+            return block
+        t, q, *rates, lam = block
+        v, a, A = self.velocities(np.stack(rates))
+        return t, self.configurations(q[None])[0], v, a, A, lam
+
+    def narrowed(self, block: Block) -> Block:
+        """And back."""
+        if not len(self.poses):
+            return block
+        t, q, *rates, lam = block
+        v, a, A = self.forces(np.stack(rates))
+        return t, np.delete(q, self._poses), v, a, A, lam
+
+    def state(self, state: State) -> State:
+        """A state of the twin as one of the system."""
+        if not len(self.poses):
+            return state
+        v, a = self.forces(np.stack((state.v, state.a)))
+        return replace(state, q=np.delete(state.q, self._poses), v=v, a=a)
 
     def _wider(self, x: Array, at: int, more: Array) -> Array:
         if not len(self.poses):

@@ -55,11 +55,11 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
     ],
     "Field": [
         *_fields("n nodes", _LONG),
-        *_fields("solved frames row sways number", _INT),
+        *_fields("solved frames row sways number inertial turns", _INT),
         *_fields("X Q port port_start port_on M_start M_column K_start K_column M K", _POINTER),
         ("beta", _REAL),
         ("own", _INT),
-        *_fields("state sums inertia moment Y S A W G frame_slot p rates accel force MU b z pz rest f h", _POINTER),
+        *_fields("state sums inertia moment Y S A W G frame_slot p rates accel force MU b z MX began T pz rest f h", _POINTER),
     ],
     "Front": [
         *_fields("pivots rows ld next", _INT),
@@ -96,7 +96,7 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         *_fields("remembers seen readings reactions", _INT),
         *_fields("seen_frame reaction motion_rate rest_gravity slip", _POINTER),
         ("settled", _REAL),
-        *_fields("again renewed led", _INT),
+        *_fields("again renewed led renewable foretells renewals", _INT),
     ],
 }
 
@@ -119,7 +119,12 @@ def _by_dimension(dim: int) -> dict[str, Fields]:
             *_fields("map bend_map", _POINTER),
             ("bias", _REAL * (dim + rotations)),
         ],
-        "Angle": [*_fields("a b", _INT), *_fields("ea fa ga eb fb gb", _REAL * dim)],
+        "Angle": [
+            *_fields("a b", _INT),
+            *_fields("ea fa ga eb fb gb", _REAL * dim),
+            ("zero", _REAL),
+            ("free", _INT),
+        ],
         "Reaction": [*_fields("items frame", _INT), *_fields("batch item side", _POINTER), ("p", _REAL * dim)],
     }
 

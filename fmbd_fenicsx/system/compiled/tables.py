@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from ...errors import ConvergenceError
 from ...mechanics.forces.formulas import MEMORY
 from ...mechanics.joints.relative import Relative
 from ...mechanics.kinds.frames import FRAME
@@ -23,6 +24,7 @@ from .mounts import mount_batch
 from .order import Fronts, RowGroup
 from .places import MatrixShape, Structure, batch_of, fronts_of, pivots_of, structure_of
 from .recording import Looks
+from .resting import Twin
 from .rods import RodTable, rod_pairs
 from .structures import Store, array_of, structure
 from .whole import WholeLoads
@@ -59,6 +61,7 @@ class Tables:
     rows: int
     structure: Structure
     fronts: Fronts
+    renewed: Callable[[float, dict[int, Array]], Sequence[Block]]  # fields with new tangents: at t, increments that led there
 
     def __init__(
         self, system: System, *, redundant: bool, blocks: Sequence[Block] = (), coordinates: Sequence[Relative] = ()
@@ -66,7 +69,8 @@ class Tables:
         """``blocks``: factors and columns of the floating fields for the size of a step; ``coordinates``: one item each that
         nothing acts on, for :meth:`coordinate`.
         """
-        self.system = system
+        self.twin = Twin(system)
+        self.system = system = self.twin.system  # with a frame for each absolute body
         self.store = Store()
         self.dim = system.motions.dim
         self.nb = system.n_frames
@@ -113,6 +117,9 @@ class Tables:
         used: list[np.ndarray] = [items.markers.ravel() for items in self.items]
         used += [x for f in (*self.loads, *self.mounts) for x in (f.a, f.b)]
         used.append(np.array(self.looks.markers, dtype=int))
+        if self.system.counted is not None:
+            turn, free = self.system.counted.turn, self.system.counted.free
+            used += [np.asarray(turn.a)[free], np.asarray(turn.b)[free]]
         self.surfaces = (
             np.intersect1d(np.concatenate(used), mk.surface).astype(int) if mk.surface.size else np.zeros(0, int)
         )
@@ -186,6 +193,14 @@ class Tables:
         groups = [RowGroup(near, tuple(rows), coupling) for (near, coupling), rows in found.items()]
         return MatrixShape(tuple(int(n) for n in self.width), tuple(groups), frozenset(pairs))
 
+    def renew_fields(self, t: float) -> None:
+        """New tangents of the fields at the state that C evaluated last; ConvergenceError where NumPy has to take them."""
+        if any(field.part.shared_columns for field in self.fields):
+            raise ConvergenceError("The columns of a frame with mean axes change their number with the first new tangent.")
+        blocks = self.renewed(t, {field.k: field.b.copy() for field in self.fields})
+        for field, block in zip(self.fields, blocks, strict=True):
+            field.take(block)
+
     # -- batches -------------------------------------------------------------------------------------------------------------
     def _split(self, items: Items) -> list[Items]:
         """Items whose frames are of one sort: bodies, the ground on one side, or some on surfaces."""
@@ -238,14 +253,20 @@ class Tables:
         s, mk = self.system, self.system.markers
         if s.counted is None or not s.counted.count:
             return []
-        turn = s.counted.turn
+        turn, start = s.counted.turn, s.counted.start
         vector = ctypes.c_double * self.dim
         sides = {"a": turn.a, "b": turn.b}
-        axes = {"e": turn.e, "f": turn.e1, "g": turn.e2}
+        axes = {"e": turn.e, "f": turn.e1, "g": turn.e2} if self.dim == 3 else {}
         out = []
-        for i in range(s.counted.count):
+        for i, free in enumerate(s.counted.free):
+            frame = self.frame if free else mk.frame
             local = {n + m: vector(*(mk.rotation[x[i]] @ e[i])) for n, e in axes.items() for m, x in sides.items()}
-            out.append(structure("Angle", self.dim)(a=int(mk.frame[turn.a[i]]), b=int(mk.frame[turn.b[i]]), **local))
+            a, b = (int(x[i]) for x in sides.values())
+            out.append(
+                structure("Angle", self.dim)(
+                    a=int(frame[a]), b=int(frame[b]), zero=start[b] - start[a], free=int(free), **local
+                )
+            )
         return out
 
     def turned(self, items: Items, name: str, values: Array) -> Array:
@@ -309,13 +330,15 @@ class Tables:
         counts, lists = self._lists()
         row_dest, sign = pivots_of(self)
 
+        parts = [field.part for field in self.fields]
         self.c = structure("System", self.dim)(
             **counts, **lists, **self._numbers(once), fronts=len(self.fronts.fronts), front=ctypes.addressof(fronts_of(self)),
             rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), fields=len(self.fields), core=s.n_core,
             again=once, stiff=int(bool(self.rods) or any(f.stiff for f in s.forces)),
             remembers=int(any(items.remembers for items in self.items)), storage=self.fronts.storage,
             seen=len(looks.markers), readings=looks.count, seen_frame=self.store.integers(self.frame[looks.markers]),
-            row_dest=row_dest, sign=sign,
+            row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
+            foretells=int(any(part.foretells for part in parts)),
         )  # fmt: skip
         self.look()
 

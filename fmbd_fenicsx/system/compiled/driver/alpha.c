@@ -3,6 +3,8 @@
    A block of a state holds t, q (nq), v (nv), a (nv), A (nv), lambda (rows). */
 
 static const double SLOW_TURN = 0.01; /* rate of Newton above which efforts get a new tangent */
+static const double WORTH = 1e3;      /* first increments, over the tolerance, that are worth a new tangent of fields at once */
+enum { RENEWALS = 10 };               /* of tangents of fields in a step at most */
 
 /* Weights of the parabola through the last steps (less at the start) at the time t. */
 static void predictor(const Block *past, int known, double t, double *w)
@@ -33,7 +35,7 @@ int judge(double *p, const double *sizes, int done, double *error)
     return left <= 1.0 || size <= 1e-3;
 }
 
-/* Whether an iteration that converges would still take many increments. */
+/* Whether an iteration that converges would still take more increments than its tangent is worth. */
 static int lingers(const double *p, int done, double left)
 {
     return done > 1 && left > 1.0 && -log(left) / log(p[THETA]) > p[NEW_TANGENT];
@@ -62,6 +64,42 @@ static int strayed(const System *s, const double *p, const double *xi, double *b
     return largest_of(s->units, begun, s->nv) > near;
 }
 
+/* The size of accelerations, as System.typical: of frames and modes the largest, of fields without a moving frame the root mean
+   square. */
+static double typical(const System *s, const double *a)
+{
+    double found = largest_of(s->units, a, s->core);
+    for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
+        if (o->field && rests(o->field)) found = fmax(found, sqrt(dot(a + o->at_v, a + o->at_v, o->field->n) / o->field->n));
+    return found;
+}
+
+/* New tangents of fields from the state evaluated last, where an increment x led; see fields.py. */
+static int take_tangents(System *s, const double *x, double t)
+{
+    for (const Body *o = s->body; o < s->body + s->bodies; o++) {
+        if (!o->field) continue;
+        memcpy(o->field->b, x + o->at_v, o->field->n * sizeof(double));
+    }
+    s->calls++;
+    int told = s->python(FIELD_TANGENTS, 0, t);
+    return told == OUTSIDE ? NEWTON : told ? FAILED : DONE;
+}
+
+/* Whether fields should have new tangents, as schemes/newton.py. */
+static int worth_tangents(const System *s, const double *p, double first, int done, double left)
+{
+    int at_once = done == 1 && s->foretells && s->renewals > 1 && first > WORTH;
+    return s->renewable && (at_once || lingers(p, done, left));
+}
+
+/* q and v at the end of a step, where the increment xi leads. */
+static void end_of(const System *s, const double *p, const Block *now, const double *xi, Block *out)
+{
+    configuration(s, now->q, xi, out->q);
+    for (int i = 0; i < s->nv; i++) out->v[i] = now->v[i] + p[H] * ((1 - p[GAMMA]) * now->A[i] + p[GAMMA] * out->A[i]);
+}
+
 /* One step from past[0] to out; past: the newest first. */
 static int step(System *s, double *p, const Block *past, int known, Block out)
 {
@@ -73,6 +111,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
     double w[3], sizes[MOST], left = 0.0;
     double misfit = 0.0; /* of the springs' pulls across in the matrix */
     int verdict, far = 1, converged = 0, done = 0, afresh = s->redundant, begun_at = 0; /* of the multipliers */
+    int evaluated = 0, renewals = 0;       /* whether the end was evaluated already; new tangents of fields */
     s->share = h * p[BETA] / gamma;
 
     if (s->samples) {
@@ -92,12 +131,11 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         for (int j = 0; j <= known; j++) out.lam[i] += w[j] * past[j].lam[i];
     }
 
-    double tolerance = fmax(p[TOL] * scale * largest_of(s->units, out.a, s->core), p[FLOOR]);
+    double tolerance = fmax(p[TOL] * scale * typical(s, out.a), p[FLOOR]);
     s->settled = tolerance;
 
     while (done < (int)p[MAXIT] && done < MOST && !converged) {
-        configuration(s, now.q, xi, out.q);
-        for (int i = 0; i < n; i++) out.v[i] = now.v[i] + h * ((1 - gamma) * now.A[i] + gamma * out.A[i]);
+        end_of(s, p, &now, xi, &out);
 
         /* dependent rows: the first solution gives the multipliers themselves, of minimum norm, and not their increments */
         memcpy(lam, out.lam, m * sizeof(double));
@@ -106,7 +144,8 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
             begun_at = done;
             afresh = 0;
         }
-        if ((verdict = evaluate(s, out.q, out.v, out.a, out.lam, t))) return verdict;
+        if (!evaluated && (verdict = evaluate(s, out.q, out.v, out.a, out.lam, t))) return verdict;
+        evaluated = 0;
         /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment; a law may
            have other slopes there */
         s->renewed = done > 0 && p[THETA] > SLOW_TURN;
@@ -147,7 +186,18 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         }
         converged = judge(p, sizes, done, &left);
         if (converged > 0 && misfit * sizes[done - 1] > 1.0) converged = 0;
-        if (s->fields && lingers(p, done, left)) return NEWTON; /* NumPy takes new tangents of fields */
+        if (size < INFINITY && renewals < RENEWALS && worth_tangents(s, p, sizes[0], done, left)) {
+            renewals++;
+            if (s->foretells) {
+                end_of(s, p, &now, xi, &out);
+                if ((verdict = evaluate(s, out.q, out.v, out.a, out.lam, t))) return verdict;
+                evaluated = 1;
+            }
+            if ((verdict = take_tangents(s, x, t)) || (verdict = prepare(s, s->q, damp, scale, out.lam, 0, t))) return verdict;
+            p[THETA] = 0.1;
+            converged = 0;
+            continue;
+        }
         if (s->redundant && done == begun_at + 1 && converged > 0) converged = 0; /* the first solution leaves epsilon y open */
         if (s->redundant && converged > 0 && p[STABILISED] != 0.0 && !begun_at) { /* speeds of open rows contradict each other */
             afresh = 1;
@@ -159,11 +209,13 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
 
     p[ITERATIONS] += done;
     p[LEFT] += left;
-    configuration(s, now.q, xi, out.q);
-    for (int i = 0; i < n; i++) {
-        out.v[i] = now.v[i] + h * ((1 - gamma) * now.A[i] + gamma * out.A[i]);
-        x[i] = out.A[i] - now.A[i];
+    s->renewals = renewals;
+    end_of(s, p, &now, xi, &out);
+    if (turns_freely(s)) {
+        if ((verdict = place(s, out.q, out.v))) return verdict;
+        settle_angles(s, out.q);
     }
+    for (int i = 0; i < n; i++) x[i] = out.A[i] - now.A[i];
     *out.t = t;
     p[LOCAL] = fmax(p[LOCAL], h * h * fabs(p[BETA] - 1.0 / 6.0) * largest_of(s->units, x, n));
     return DONE;

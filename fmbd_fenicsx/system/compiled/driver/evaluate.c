@@ -25,6 +25,15 @@ int place(System *s, const double *q, const double *v)
         int verdict = place_surface(s, k, q);
         if (verdict) return verdict;
     }
+#if DIM == 2
+    for (int i = 0; i < s->angles; i++) { /* surfaces that turn as a whole are known up to whole turns */
+        const Angle *o = s->angle + i;
+        double *a = s->frames + FRAME * (o->a + 1) - 1, *b = s->frames + FRAME * (o->b + 1) - 1, near = q[POSE * s->bodies + i];
+        double turns = nearest_turn(*b - *a - o->zero, near) - (*b - *a - o->zero);
+        if (o->b > s->bodies) *b += turns;
+        else *a -= turns;
+    }
+#endif
     return DONE;
 }
 

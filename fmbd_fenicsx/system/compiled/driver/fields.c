@@ -1,4 +1,4 @@
-/* Floating elastic bodies, equations (1) and (2) of mechanics/bodies/floating.py, and how their fields leave the step's matrix.
+/* Elastic bodies, equations (1) and (2) of mechanics/bodies/floating.py, and how their fields leave the step's matrix.
 
    With H = [columns of inertia, ports] and the frame conditions C^T U = 0, C among the columns of H, the rows of a field are
 
@@ -12,7 +12,10 @@
    and the body looks like a reduced one whose modes are the numbers H^T U and whose stiffness is S. Combinations of columns that
    do not move (the conditions themselves, moments along the normal of a flat surface) are given a small compliance in S: no dU
    follows from it, and what other rows see of it is closed by the next increment. Columns for which nothing was solved have no
-   place in (2): sensors read them, and forces without a tangent act on them, see field_load(). */
+   place in (2): sensors read them, and forces without a tangent act on them, see field_load().
+
+   Bodies in absolute coordinates have a frame that rests: no columns of inertia, no conditions, and nothing moves the frame. With
+   large strains E turns with the body, by T since its tangent was taken: E = T E_0 T^T node by node, and p, f, S turn likewise. */
 
 #include "tables.h"
 #include "rotations.c"
@@ -35,18 +38,18 @@ static double long_dot(const double *x, const double *y, long n)
 static double column(const Field *e, int k, const double *U)
 {
     double sum = 0.0;
-    if (k < TWIST) return long_dot(e->Q + e->n * k, U, e->n);
-    for (int i = e->port_start[k - TWIST]; i < e->port_start[k - TWIST + 1]; i++) sum += e->port[i] * U[e->port_on[i]];
+    if (k < e->inertial) return long_dot(e->Q + e->n * k, U, e->n);
+    for (int i = e->port_start[k - e->inertial]; i < e->port_start[k - e->inertial + 1]; i++) sum += e->port[i] * U[e->port_on[i]];
     return sum;
 }
 
 /* U += c H e_k */
 void add_column(const Field *e, int k, double c, double *U)
 {
-    if (k < TWIST)
+    if (k < e->inertial)
         for (long i = 0; i < e->n; i++) U[i] += c * e->Q[e->n * k + i];
     else
-        for (int i = e->port_start[k - TWIST]; i < e->port_start[k - TWIST + 1]; i++) U[e->port_on[i]] += c * e->port[i];
+        for (int i = e->port_start[k - e->inertial]; i < e->port_start[k - e->inertial + 1]; i++) U[e->port_on[i]] += c * e->port[i];
 }
 
 void field_columns(const Body *o, const double *q, const double *v)
@@ -149,12 +152,14 @@ int field_force(System *s, int b, const double *q, const double *v, const double
     const Field *e = o->field;
     const double *R = s->frames + FRAME * b + TURN;
     Motion m = motion_of(o, b, q, v, a);
-    if (!e->own) return linear_field(o, R, &m, s->gravity, f);
-    int verdict = own_field(s, e, FIELD_FORCES, R, &m, s->gravity, t);
-    if (verdict) return verdict;
-    memcpy(f, e->sums, D * sizeof(double));
-    to_world(R, e->sums + D, f + D);
-    return DONE;
+    int verdict = e->own ? own_field(s, e, FIELD_FORCES, R, &m, s->gravity, t) : linear_field(o, R, &m, s->gravity, f);
+    if (rests(e)) {
+        memset(f, 0, TWIST * sizeof(double));
+    } else if (e->own && !verdict) {
+        memcpy(f, e->sums, D * sizeof(double));
+        to_world(R, e->sums + D, f + D);
+    }
+    return verdict;
 }
 
 /* The open frame conditions, and their reactions C lambda on the nodes. */
@@ -167,17 +172,11 @@ void frame_conditions(System *s, const Body *o, const double *lam)
     }
 }
 
-/* The lower half of the block of (2) into the fronts; the frame conditions, solved already, get rows of their own: without a weight,
-   as they must not tell how soft the rows of joints are where these depend on each other. */
-void field_block(System *s, const Body *o, const double *R, const double *q)
+/* The rows of a moving frame in the block A (n columns) of (2), and T. */
+static void frame_block(const Body *o, const double *R, double *A, int n)
 {
     const Field *e = o->field;
-    int n = TWIST + o->modes;
-    double *A = o->block, world[D];
-    memset(A, 0, (size_t)n * n * sizeof(double));
-    if (e->sways) mass_times(e, q + o->at_q, e->MU);
-
-    for (int i = 0; i < D; i++) A[(n + 1) * i] = o->mass;
+    double world[D];
     times(R, e->moment, world);
 #if DIM == 3
     double X[9], T[9], J[9];
@@ -194,13 +193,64 @@ void field_block(System *s, const Body *o, const double *R, const double *q)
     A[n * 2 + 2] = e->inertia[0];
     spin(&one, world, A + n * 2);
 #endif
+    for (int i = 0; i < D; i++) A[(n + 1) * i] = o->mass;
     for (int i = 0; i < D; i++)
         for (int j = 0; j < D; j++) A[n * (TWIST + i) + j] = R[D * j + i];
     for (int i = 0; i < ROT; i++)
         for (int j = 0; j < ROT; j++) A[n * (TWIST + D + i) + D + j] = DIM == 3 ? R[D * j + i] : 1.0;
-    for (int i = 0; i < o->modes; i++)
-        for (int j = 0; j <= i; j++)
-            A[n * (TWIST + i) + TWIST + j] = i < e->solved ? e->S[e->solved * i + j] : (i == j ? HELD : 0.0);
+}
+
+/* The rotation T of the factor: that of sum (M X) x^T, x = X + U, since the tangent was taken. 1 where there is none. */
+static int turn_factor(const Field *e, const double *U)
+{
+    double F[D * D] = {0.0}, turn[D * D], Z[ROT * ROT];
+    for (long i = 0; i < e->nodes; i++)
+        for (int k = 0; k < D; k++) add(F + D * k, e->MX[D * i + k], U + D * i, D);
+    add(F, 1.0, e->began + D * D, D * D);
+    if (polar(F, turn, Z)) return 1;
+    for (int i = 0; i < D; i++) /* turn: R^T */
+        for (int j = 0; j < D; j++) {
+            e->T[D * i + j] = 0.0;
+            for (int k = 0; k < D; k++) e->T[D * i + j] += turn[D * k + i] * e->began[D * j + k];
+        }
+    return 0;
+}
+
+/* x (n vectors) = T y, or T^T y where ``back``; in place. */
+static void turn_nodes(const Field *e, double *x, long n, int back)
+{
+    double y[D];
+    for (long i = 0; e->turns && i < n; i += D) {
+        memcpy(y, x + i, sizeof y);
+        if (back) transposed(e->T, y, x + i);
+        else times(e->T, y, x + i);
+    }
+}
+
+/* The lower half of the block of (2) into the fronts; the frame conditions, solved already, get rows of their own: without a weight,
+   as they must not tell how soft the rows of joints are where these depend on each other. 1 where a body has no rotation. */
+int field_block(System *s, const Body *o, const double *R, const double *q)
+{
+    const Field *e = o->field;
+    int n = TWIST + o->modes;
+    double *A = o->block, *S = A + n * TWIST + TWIST;
+    memset(A, 0, (size_t)n * n * sizeof(double));
+    if (e->sways) mass_times(e, q + o->at_q, e->MU);
+    if (rests(e))
+        for (int i = 0; i < TWIST; i++) A[(n + 1) * i] = o->mass;
+    else frame_block(o, R, A, n);
+
+    if (e->turns && turn_factor(e, q + o->at_q)) return 1;
+    for (int i = 0; i < e->solved; i++) memcpy(S + n * i, e->S + e->solved * i, e->solved * sizeof(double));
+    for (int i = e->solved; i < o->modes; i++) S[(n + 1) * i] = HELD;
+    for (int i = 0; e->turns && i < e->solved; i++) turn_nodes(e, S + n * i, e->solved, 0); /* S T^T, then T S T^T */
+    for (int i = 0; e->turns && i < e->solved; i += D)
+        for (int j = 0; j < e->solved; j++) {
+            double y[D], x[D];
+            for (int k = 0; k < D; k++) y[k] = S[n * (i + k) + j];
+            times(e->T, y, x);
+            for (int k = 0; k < D; k++) S[n * (i + k) + j] = x[k];
+        }
 
     const int *dest = o->dest;
     for (int i = 0; i < n; i++) {
@@ -208,6 +258,7 @@ void field_block(System *s, const Body *o, const double *R, const double *q)
         s->diagonal[o->at_u + i] = A[(n + 1) * i];
     }
     for (int i = 0; i < e->frames; i++) s->L[s->row_dest[e->row + i]] -= 1.0;
+    return 0;
 }
 
 /* z of the field's own forces times -scale, through its factor. */
@@ -222,6 +273,7 @@ static int field_alone(System *s, const Body *o, double scale, double t)
         if (b[i] != 0.0) add_column(e, i, b[i], e->b);
         b[i] = 0.0;
     }
+    turn_nodes(e, e->b, e->n, 1);
     s->calls++;
     return s->python(FIELD, e->number, t) ? FAILED : DONE;
 }
@@ -240,7 +292,9 @@ int field_load(System *s, const Body *o, double scale, double t)
     for (int i = 0; i < e->frames; i++) e->h[i] = dot(e->A + e->frames * i, open, e->frames);
     for (int i = 0; i < e->solved; i++) e->pz[i] -= dot(e->W + e->frames * i, e->h, e->frames);
 
-    for (int i = 0; i < e->solved; i++) b[i] += dot(e->S + e->solved * i, e->pz, e->solved);
+    for (int i = 0; i < e->solved; i++) e->rest[i] = dot(e->S + e->solved * i, e->pz, e->solved);
+    turn_nodes(e, e->rest, e->solved, 0);
+    add(b, 1.0, e->rest, e->solved);
     for (int i = 0; i < e->frames; i++) wanted[i] = 0.0;
     return DONE;
 }
@@ -250,7 +304,9 @@ void field_increment(const Body *o, const double *p, double *dU, double *lam)
 {
     const Field *e = o->field;
     double *y = lam + e->row;
-    for (int i = 0; i < e->solved; i++) e->rest[i] = e->pz[i] - p[i];
+    memcpy(e->rest, p, e->solved * sizeof(double));
+    turn_nodes(e, e->rest, e->solved, 1);
+    for (int i = 0; i < e->solved; i++) e->rest[i] = e->pz[i] - e->rest[i];
     for (int i = 0; i < e->solved; i++) e->f[i] = dot(e->S + e->solved * i, e->rest, e->solved);
     for (int i = 0; i < e->frames; i++) y[i] = e->h[i] - dot(e->G + e->solved * i, e->f, e->solved);
     for (int i = 0; i < e->frames; i++) e->f[e->frame_slot[i]] += y[i];
@@ -260,6 +316,7 @@ void field_increment(const Body *o, const double *p, double *dU, double *lam)
         const double *Y = e->Y + e->n * i;
         for (long j = 0; e->f[i] != 0.0 && j < e->n; j++) dU[j] -= e->f[i] * Y[j];
     }
+    turn_nodes(e, dU, e->n, 0);
 }
 
 /* The moments -sum M U x dU on the frame into f (world axes), for a solution with no other right-hand side. */

@@ -89,8 +89,9 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
     for (int b = 0; b < s->bodies; b++) {
         const Body *o = s->body + b;
         const double *R = s->frames + FRAME * b + TURN;
-        if (o->field) field_block(s, o, R, q);
-        else if (o->T) reduced_block(s, o, R, q + o->at_q, cd, ck);
+        if (o->field && field_block(s, o, R, q)) return NEWTON;
+        if (o->field) continue;
+        if (o->T) reduced_block(s, o, R, q + o->at_q, cd, ck);
         else rigid_block(s, o, R);
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {

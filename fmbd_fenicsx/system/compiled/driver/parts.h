@@ -22,7 +22,7 @@ PART void add_column(const Field *e, int k, double c, double *U);
 PART void field_columns(const Body *o, const double *q, const double *v);
 PART int field_force(System *s, int b, const double *q, const double *v, const double *a, double *f, double t);
 PART void frame_conditions(System *s, const Body *o, const double *lam);
-PART void field_block(System *s, const Body *o, const double *R, const double *q);
+PART int field_block(System *s, const Body *o, const double *R, const double *q);
 PART int field_load(System *s, const Body *o, double scale, double t);
 PART void field_increment(const Body *o, const double *p, double *dU, double *lam);
 PART void field_sway(const Body *o, const double *R, const double *dU, double *f);
@@ -84,6 +84,9 @@ static inline Block block_at(const System *s, double *x)
 }
 
 int record(System *s, Tape *tape, const Block *now); /* the core */
+
+/* Whether the frame of a field rests where its body was meshed. */
+static inline int rests(const Field *e) { return e->inertial == 0; }
 
 /* The coordinates of a body's modes. */
 static inline const double *modes_of(const Body *o, const double *q)

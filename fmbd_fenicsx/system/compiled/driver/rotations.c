@@ -133,13 +133,50 @@ static int inverse(const double *A, double *B)
     return 0;
 }
 
-/* Polar rotation of F (turn: the rows R_s e_k) by Newton's iteration for the symmetry of S = F R^T, and Z = (tr S 1 - S)^-1.
-   b: the moments b_1, b_2, b_3, columns of F. 1 when the rotation is too far from 1. */
-static int polar(const double *b, double *turn, double *Z)
+/* A rotation near the polar rotation of F, however far it turns: its quaternion is the eigenvector of a symmetric matrix for the
+   largest eigenvalue (Horn, doi:10.1364/JOSAA.4.000629), by Jacobi's rotations. b, turn: as below. */
+static void nearest_rotation(const double *b, double *turn)
 {
-    memset(turn, 0, 9 * sizeof(double));
-    turn[0] = turn[4] = turn[8] = 1.0;
+    double N[4][4], V[4][4] = {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}, {0, 0, 0, 1}};
+    double diagonal[4] = {b[0] + b[4] + b[8], b[0] - b[4] - b[8], b[4] - b[0] - b[8], b[8] - b[0] - b[4]};
+    double above[6] = {b[5] - b[7], b[6] - b[2], b[1] - b[3], b[1] + b[3], b[2] + b[6], b[5] + b[7]};
+    for (int i = 0, k = 0; i < 4; i++) {
+        N[i][i] = diagonal[i];
+        for (int j = i + 1; j < 4; j++) N[i][j] = N[j][i] = above[k++];
+    }
 
+    for (int sweep = 0; sweep < 4; sweep++) /* each squares what is left beside the diagonal */
+        for (int i = 0; i < 3; i++)
+            for (int j = i + 1; j < 4; j++) {
+                if (N[i][j] == 0.0) continue;
+                double half = 0.5 * (N[j][j] - N[i][i]) / N[i][j];
+                double t = (half < 0 ? -1.0 : 1.0) / (fabs(half) + sqrt(half * half + 1.0)), c = 1.0 / sqrt(t * t + 1.0), z = t * c;
+                for (int k = 0; k < 4; k++) {
+                    double x = N[k][i], y = N[k][j], u = V[k][i], v = V[k][j];
+                    N[k][i] = c * x - z * y, N[k][j] = z * x + c * y;
+                    V[k][i] = c * u - z * v, V[k][j] = z * u + c * v;
+                }
+                for (int k = 0; k < 4; k++) {
+                    double x = N[i][k], y = N[j][k];
+                    N[i][k] = c * x - z * y, N[j][k] = z * x + c * y;
+                }
+            }
+
+    int best = 0;
+    for (int i = 1; i < 4; i++)
+        if (N[i][i] > N[best][best]) best = i;
+    double w = V[0][best], x = V[1][best], y = V[2][best], z = V[3][best];
+    double R[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+                   2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                   2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)};
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++) turn[3 * k + i] = R[3 * i + k];
+}
+
+/* Polar rotation of F (turn: the rows R_s e_k) by Newton's iteration for the symmetry of S = F R^T, from a rotation near to it,
+   and Z = (tr S 1 - S)^-1. b: the moments b_1, b_2, b_3, columns of F. 1 where it does not converge. */
+static int polar_from(const double *b, double *turn, double *Z)
+{
     for (int it = 0; it < 20; it++) {
         double S[9] = {0.0}, A[9], c[3], w[3], X[9], trace;
         for (int k = 0; k < 3; k++)
@@ -164,6 +201,16 @@ static int polar(const double *b, double *turn, double *Z)
         if (t < 1e-13) return 0;
     }
     return 1;
+}
+
+/* The same from 1, or from further away where that is too far. */
+static int polar(const double *b, double *turn, double *Z)
+{
+    memset(turn, 0, 9 * sizeof(double));
+    turn[0] = turn[4] = turn[8] = 1.0;
+    if (!polar_from(b, turn, Z)) return 0;
+    nearest_rotation(b, turn);
+    return polar_from(b, turn, Z);
 }
 #else
 static inline void moment(const double *x, const double *f, double *out) { out[0] = x[0] * f[1] - x[1] * f[0]; }

@@ -1,39 +1,68 @@
 /* A state as one block of numbers, and its energies: t, q (nq), v (nv), a (nv), A (nv), lambda (rows). */
 
+/* A counted angle: that of the attitude of both frames nearest to an estimate. */
+static double counted(const Angle *o, const double *frame_a, const double *frame_b, double near)
+{
 #if DIM == 3
-/* Counted angles: on with the increments of both frames, by any number of turns, then to the nearest angle of the attitude. */
+    double fa[3], ga[3], fb[3], gb[3];
+    times(frame_a + TURN, o->fa, fa);
+    times(frame_a + TURN, o->ga, ga);
+    times(frame_b + TURN, o->fb, fb);
+    times(frame_b + TURN, o->gb, gb);
+    return nearest_turn(atan2(dot(ga, fb, 3) - dot(fa, gb, 3), dot(fa, fb, 3) + dot(ga, gb, 3)), near);
+#else
+    return nearest_turn(frame_b[FRAME - 1] - frame_a[FRAME - 1] - o->zero, near);
+#endif
+}
+
+/* Counted angles: on with the increments of both frames, by any number of turns, then to the nearest angle of the attitude; those of
+   surfaces without a frame wait for these to be placed. */
 static void count_angles(const System *s, const double *q0, const double *xi, double *q)
 {
     for (int i = 0; i < s->angles; i++) {
         const Angle *o = s->angle + i;
-        double Ra[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, Rb[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, fa[3], ga[3], fb[3], gb[3];
-        double ahead = q0[POSE * s->bodies + i];
-        if (o->a < s->bodies) {
-            rotation(q + POSE * o->a, Ra);
-            ahead -= dot(o->ea, xi + TWIST * o->a + D, 3);
+        double ahead = q0[POSE * s->bodies + i], *theta = q + POSE * s->bodies + i;
+        int frame[2] = {o->a, o->b};
+        double at[2][FRAME] = {{0.0}};
+        for (int side = 0; side < 2; side++) {
+            int b = frame[side];
+            double sign = side ? 1.0 : -1.0;
+            for (int k = 0; k < D; k++) at[side][TURN + (D + 1) * k] = 1.0; /* the ground */
+            if (b >= s->bodies) continue;
+#if DIM == 3
+            ahead += sign * dot(side ? o->eb : o->ea, xi + TWIST * b + D, 3);
+#else
+            ahead += sign * xi[TWIST * b + D];
+#endif
+            if (!o->free) rotation(q + POSE * b, at[side] + TURN);
         }
-        if (o->b < s->bodies) {
-            rotation(q + POSE * o->b, Rb);
-            ahead += dot(o->eb, xi + TWIST * o->b + D, 3);
-        }
-        times(Ra, o->fa, fa);
-        times(Ra, o->ga, ga);
-        times(Rb, o->fb, fb);
-        times(Rb, o->gb, gb);
-        double attitude = atan2(dot(ga, fb, 3) - dot(fa, gb, 3), dot(fa, fb, 3) + dot(ga, gb, 3));
-        q[POSE * s->bodies + i] = nearest_turn(attitude, ahead);
+        *theta = o->free ? ahead : counted(o, at[0], at[1], ahead);
     }
 }
-#endif
+
+static int turns_freely(const System *s)
+{
+    for (int i = 0; i < s->angles; i++)
+        if (s->angle[i].free) return 1;
+    return 0;
+}
+
+/* Those of surfaces without a frame; frames are placed. */
+static void settle_angles(const System *s, double *q)
+{
+    for (int i = 0; i < s->angles; i++) {
+        const Angle *o = s->angle + i;
+        double *theta = q + POSE * s->bodies + i;
+        if (o->free) *theta = counted(o, s->frames + FRAME * o->a, s->frames + FRAME * o->b, *theta);
+    }
+}
 
 /* q = q0 o exp(xi), as system/configurations.py. */
 void configuration(const System *s, const double *q0, const double *xi, double *q)
 {
     int poses = POSE * s->bodies + s->angles;
     for (int b = 0; b < s->bodies; b++) compose(q0 + POSE * b, xi + TWIST * b, q + POSE * b);
-#if DIM == 3
     count_angles(s, q0, xi, q);
-#endif
     for (int i = TWIST * s->bodies, j = poses; i < s->nv; i++, j++) q[j] = q0[j] + xi[i];
 }
 

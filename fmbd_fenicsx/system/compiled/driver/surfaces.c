@@ -23,8 +23,9 @@ static void surface_row(const System *s, Surface *k, int i)
     if (i < D) l[i] = 1.0;
     else w[i - D] = 1.0;
     moment(k->arm, l, turning);
-    for (int j = 0; j < D; j++) row[j] = l[j];
-    for (int j = 0; j < ROT; j++) row[D + j] = turning[j] + w[j];
+    int moving = !(body->field && rests(body->field));
+    for (int j = 0; moving && j < D; j++) row[j] = l[j];
+    for (int j = 0; moving && j < ROT; j++) row[D + j] = turning[j] + w[j];
 
     /* in body axes: the mean's rate, and the rotation of the surface by its ports' rates */
     transposed(R, l, local);

@@ -77,8 +77,9 @@ typedef struct {
     long n, nodes;
     int solved, frames, row, sways, number; /* columns of H in the factor; frame conditions and their first row; whether the */
                                        /* moments of M U act on the frame's inertia; for the call into Python */
+    int inertial, turns;               /* columns of inertia: TWIST, none where the frame rests; whether the factor turns with U */
     double *X;                         /* nodes x D, at rest */
-    double *Q, *port;                  /* H: TWIST x n columns of inertia, then the entries of columns of ports */
+    double *Q, *port;                  /* H: inertial x n columns of inertia, then the entries of columns of ports */
     int *port_start, *port_on;         /* by columns */
     int *M_start, *M_column, *K_start, *K_column; /* by rows of nodes: scalars, D x D blocks */
     double *M, *K;
@@ -91,7 +92,8 @@ typedef struct {
     int *frame_slot;                   /* columns of the frame conditions */
     double *p, *rates;                 /* H^T U and H^T U' */
     double *accel, *force, *MU;        /* n each: work, force on the nodes, M U of the factor's configuration */
-    double *b, *z;                     /* n each: E z = b, by Python */
+    double *b, *z;                     /* n each: E z = b, by Python; b: Newton's increment, for new tangents */
+    double *MX, *began, *T;            /* n; rotation of the factor's tangent, sum of X (M X)^T; rotation since, see turn_factor() */
     double *pz, *rest, *f, *h;         /* solved each, frames: see fields.c */
 } Field;
 
@@ -109,6 +111,8 @@ typedef struct {
 typedef struct {
     int a, b;
     double ea[D], fa[D], ga[D], eb[D], fb[D], gb[D];
+    double zero;                       /* in the plane: at the start */
+    int free;                          /* whether a or b are surfaces that turn as a whole, without a frame */
 } Angle;
 
 /* The finite elements of one rod in space: n elements of k nodes (frames, ascending along the rod) and ``points`` Gauss points. */
@@ -172,6 +176,8 @@ typedef struct {
     int again;                         /* where in ``work`` a second solution has its own, see sway() */
     int renewed;                       /* whether forces as a whole get new slopes at any rate */
     int led;                           /* whether the matrix takes the efforts foretold: after an increment of a step */
+    int renewable, foretells, renewals; /* whether Python takes new tangents of fields in a step, and where the last increment */
+                                       /* led; how many the last step took */
 } System;
 
 /* Records of accepted steps; every array holds ``capacity`` of them. ``left``: steps up to the next. */
@@ -205,6 +211,7 @@ typedef struct {
 } Control;
 
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
-enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES };
+enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
+       FIELD_TANGENTS };
 enum { OUTSIDE = 2 };
 
