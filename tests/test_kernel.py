@@ -111,9 +111,8 @@ def test_same_digits_for_floating_bodies(rod_mesh: Callable[..., Any], dim: int,
     """Every frame; ports that the factor's columns do not hold, two bodies with one factor each, stiffness damping."""
     kind = {"mean axis": fmbd.MeanAxis(), "attached": fmbd.Attached("pin"), "chord": fmbd.Chord("pin", "tip")}[frame]
     fast, slow = pair(lambda: floating(rod_mesh(dim=dim, h=0.25), kind, stiffness_damping=1e-4), t_end=0.02, dt=5e-4)
-    assert fast.counters["compiled_steps"] >= 30
-    spent = fast.counters["back_solves"] / slow.counters["back_solves"]
-    assert spent <= (1.1 if frame == "attached" else 1.0)  # steps that ask for a new tangent begin anew in NumPy
+    assert fast.counters["compiled_steps"] >= 38  # but for the start, and the first new tangent of a mean frame
+    assert fast.counters["back_solves"] <= 1.02 * slow.counters["back_solves"]  # which begins its step anew
     agree(fast, slow)
 
 

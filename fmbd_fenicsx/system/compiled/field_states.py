@@ -14,7 +14,6 @@ import numpy as np
 
 from ...rotations import Array
 from ..configurations import composed
-from ..system import System
 from .evaluation import Configurations, DriverStates, Room
 from .fields import Block
 from .resting import Twin

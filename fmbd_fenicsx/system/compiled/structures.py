@@ -59,7 +59,9 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         *_fields("X Q port port_start port_on M_start M_column K_start K_column M K", _POINTER),
         ("beta", _REAL),
         ("own", _INT),
-        *_fields("state sums inertia moment Y S A W G frame_slot p rates accel force MU b z MX began T pz rest f h", _POINTER),
+        *_fields(
+            "state sums inertia moment Y S A W G frame_slot p rates accel force MU b z MX began T pz rest f h", _POINTER
+        ),
     ],
     "Front": [
         *_fields("pivots rows ld next", _INT),

@@ -17,6 +17,7 @@ from ...mechanics.reduction.reduced import ReducedPart
 from ...mechanics.rods.elements import RodElements
 from ...rotations import Array
 from ..system import System
+from .angles import angles, free_markers, theta_places
 from .bodies import reduced_body, rigid_bodies, surface
 from .fields import Block, FieldTable, known_field
 from .items import LAW, READ, ROW, Items, items_of, other_loads
@@ -117,9 +118,7 @@ class Tables:
         used: list[np.ndarray] = [items.markers.ravel() for items in self.items]
         used += [x for f in (*self.loads, *self.mounts) for x in (f.a, f.b)]
         used.append(np.array(self.looks.markers, dtype=int))
-        if self.system.counted is not None:
-            turn, free = self.system.counted.turn, self.system.counted.free
-            used += [np.asarray(turn.a)[free], np.asarray(turn.b)[free]]
+        used += free_markers(self.system)
         self.surfaces = (
             np.intersect1d(np.concatenate(used), mk.surface).astype(int) if mk.surface.size else np.zeros(0, int)
         )
@@ -238,37 +237,6 @@ class Tables:
             if name in kind.constants:
                 P[:, kind.place(name)] = self.turned(items, name, values)
 
-    def theta_places(self, items: Items) -> np.ndarray:
-        """Places in q of the counted angles of items, in space."""
-        counted = self.system.counted
-        assert counted is not None
-        a = np.asarray(counted.turn.a)
-        b = np.asarray(counted.turn.b)
-        number = {(int(i), int(j)): k for k, (i, j) in enumerate(zip(a, b, strict=True))}
-        first = self.system.counted_angles.start
-        return np.array([first + number[int(i), int(j)] for i, j in items.markers])
-
-    def _angles(self) -> list[Any]:
-        """Structures Angle of all counted angles, in the order of q."""
-        s, mk = self.system, self.system.markers
-        if s.counted is None or not s.counted.count:
-            return []
-        turn, start = s.counted.turn, s.counted.start
-        vector = ctypes.c_double * self.dim
-        sides = {"a": turn.a, "b": turn.b}
-        axes = {"e": turn.e, "f": turn.e1, "g": turn.e2} if self.dim == 3 else {}
-        out = []
-        for i, free in enumerate(s.counted.free):
-            frame = self.frame if free else mk.frame
-            local = {n + m: vector(*(mk.rotation[x[i]] @ e[i])) for n, e in axes.items() for m, x in sides.items()}
-            a, b = (int(x[i]) for x in sides.values())
-            out.append(
-                structure("Angle", self.dim)(
-                    a=int(frame[a]), b=int(frame[b]), zero=start[b] - start[a], free=int(free), **local
-                )
-            )
-        return out
-
     def turned(self, items: Items, name: str, values: Array) -> Array:
         """Constants of items, directions turned from the axes of their markers into those of the frames; (n, size)."""
         values = np.asarray(values, dtype=float).reshape(len(items), -1)
@@ -310,7 +278,7 @@ class Tables:
         if items.role == ROW:
             one.factor = store.address(items.factor)
         if kind.name == "angle" and self.dim == 3:
-            one.near, one.theta = kind.place("near").start, store.integers(self.theta_places(items))
+            one.near, one.theta = kind.place("near").start, store.integers(theta_places(self.system, items))
         return one
 
     def _formula(self, one: Any, items: Items) -> None:
@@ -348,7 +316,7 @@ class Tables:
         lists = {
             "body": ("bodies", [others[b] if b in others else reduced_body(self, b) for b in range(self.nb)]),
             "surface": ("surfaces", [surface(self, int(i)) for i in self.surfaces]),
-            "angle": ("angles", self._angles()),
+            "angle": ("angles", angles(self)),
             "rod": ("rods", [rod.c for rod in self.rods]),
             "batch": ("batches", self.batches),
             "reaction": ("reactions", [self._reaction(name) for name in self.looks.joints]),

@@ -152,8 +152,9 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         int cheap = done == 1 && s->fields; /* beside a solution with the factor of a field */
         int turning = s->stiff && done > 0 && (s->renewed || cheap || misfit > 0.0 || misled(s) || other_slopes(s, damp, scale));
         /* what reactions push across counts where the iteration is slow without it; as predicted it may be far off */
-        int reactions = (done > 1 && s->renewed) || done > (int)p[PATIENCE];
-        if (far || turning || done > (int)p[PATIENCE]) {
+        int impatient = done > (int)p[PATIENCE] && !s->fields; /* fields go on with one tangent while they converge */
+        int reactions = (done > 1 && s->renewed) || impatient;
+        if (far || turning || impatient) {
             s->led = done > 0;
             verdict = prepare(s, out.q, damp, scale, lam, reactions, t);
             s->led = 0;
@@ -205,7 +206,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         }
         if (converged < 0) return NEWTON;
     }
-    if (!converged || (done > (int)p[PATIENCE] + 1 && strayed(s, p, xi, begun))) return NEWTON;
+    if (!converged || (done > (int)p[PATIENCE] + 1 && !s->fields && strayed(s, p, xi, begun))) return NEWTON;
 
     p[ITERATIONS] += done;
     p[LEFT] += left;

@@ -268,8 +268,9 @@ static int field_alone(System *s, const Body *o, double scale, double t)
     double *b = s->b + o->at_u + TWIST;
     for (long i = 0; i < e->n; i++) e->b[i] = -scale * e->force[i];
 
-    /* forces without a tangent may act on ports that the factor has not solved for: on the nodes, then */
-    for (int i = e->solved; i < o->modes; i++) {
+    /* what acts on the columns goes to the nodes: it is in balance with the rest, and what differs is small. Left to (2), whose S is
+       stiff where columns do not move, each of both would leave its roundoff */
+    for (int i = 0; i < o->modes; i++) {
         if (b[i] != 0.0) add_column(e, i, b[i], e->b);
         b[i] = 0.0;
     }
