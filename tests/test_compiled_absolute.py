@@ -121,6 +121,15 @@ def test_soft_bodies_take_new_tangents_in_compiled_steps(rod_mesh: Callable[...,
     agree(fast, slow, 80)
 
 
+def test_tangents_at_once_after_steps_that_took_several(rod_mesh: Callable[..., Any]) -> None:
+    """What the last step took is known to the next one, wherever each was made."""
+    soft = {"energy": fmbd.materials.sheet_saint_venant_kirchhoff(1e6, 0.3)}
+    mesh = rod_mesh(dim=2, h=0.25, height=0.1)
+    fast, slow = pair(lambda: arm(mesh, soft)[0], t_end=0.4, dt=1e-2)
+    assert fast.counters["factorisations"] == slow.counters["factorisations"] > 12
+    agree(fast, slow, 40)
+
+
 def test_it_turns_many_times(rod_mesh: Callable[..., Any]) -> None:
     """The rotation of the factor, of its surfaces and the angle of its hinge go on beyond a turn, whoever evaluates them."""
     soft = {"energy": fmbd.materials.sheet_saint_venant_kirchhoff(1e8, 0.3)}
