@@ -62,7 +62,9 @@ class Tables:
     rows: int
     structure: Structure
     fronts: Fronts
-    renewed: Callable[[float, dict[int, Array]], Sequence[Block]]  # fields with new tangents: at t, increments that led there
+    renewed: Callable[
+        [float, dict[int, Array]], Sequence[Block]
+    ]  # fields with new tangents: at t, increments that led there
 
     def __init__(
         self, system: System, *, redundant: bool, blocks: Sequence[Block] = (), coordinates: Sequence[Relative] = ()
@@ -195,7 +197,9 @@ class Tables:
     def renew_fields(self, t: float) -> None:
         """New tangents of the fields at the state that C evaluated last; ConvergenceError where NumPy has to take them."""
         if any(field.part.shared_columns for field in self.fields):
-            raise ConvergenceError("The columns of a frame with mean axes change their number with the first new tangent.")
+            raise ConvergenceError(
+                "The columns of a frame with mean axes change their number with the first new tangent."
+            )
         blocks = self.renewed(t, {field.k: field.b.copy() for field in self.fields})
         for field, block in zip(self.fields, blocks, strict=True):
             field.take(block)
