@@ -47,6 +47,20 @@ def floating() -> fmbd.Scene:
     return checkpoint_scenes.floating()[0]
 
 
+def wheel() -> fmbd.Scene:
+    """A wheel that swings by a few degrees about its own centre, which rests: its way is its turn."""
+    disk = fmbd.RigidBody("disk", 1.0, (0.1, 0.1, 0.2), angular_velocity=(0, 0, 0.4))
+    axle = fmbd.revolute("axle", fmbd.ground, disk, axis=(0, 0, 1), center=(0, 0, 0))
+    scene = fmbd.Scene("wheel")
+    scene.add(disk, axle, fmbd.joint_spring("coil", fmbd.angle(axle), stiffness=10.0, damping=0.01))
+    scene.sensor("turn", fmbd.angle(axle))
+    return scene
+
+
+def rolling() -> fmbd.Scene:
+    return unit_scenes.rolling(SI).scene
+
+
 def controlled() -> fmbd.Scene:
     return unit_scenes.controlled(SI).scene
 
@@ -69,10 +83,12 @@ SCENES: dict[Callable[[], fmbd.Scene], float] = {  # and how long they run, s
     controlled: 1.0,
     sampled: 0.5,
     carriage: 0.5,
+    wheel: 2.0,
+    rolling: 1.0,
     reduced: 0.3,
     floating: 0.2,
 }
-NAMES = "chain top redundant crank pendulum rod controlled sampled carriage reduced floating".split()
+NAMES = "chain top redundant crank pendulum rod controlled sampled carriage wheel rolling reduced floating".split()
 WAYS: dict[str, dict[str, Any]] = {
     "all": {},
     "stabilised": {"form": fmbd.GGL()},
@@ -91,20 +107,28 @@ def solve(scene: fmbd.Scene, t_end: float, *, rtol: float = 1e-4, **given: Any) 
 
 
 class Entries:
-    """Counts what Python does for the steps."""
+    """Counts what Python does for the steps; ``seen``: error, way and deflections after the step that ended at a time."""
 
-    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+    def __init__(self, patch: pytest.MonkeyPatch, *, compiled: bool = True) -> None:
         self.counts = counts = Counter[str]()
+        self.seen = seen = dict[float, list[float]]()
         advance, march = VariableAlpha.advance, VariableAlpha.march
+
+        def noted(self: VariableAlpha) -> None:
+            seen[round(self.state.t, 10)] = [self.error, min(self.norm.way, 1.0), *self.norm.deflections]
 
         def counted_advance(self: VariableAlpha, h: float) -> Any:
             counts["single"] += 1
-            return advance(self, h)
+            state = advance(self, h)
+            noted(self)
+            return state
 
         def counted_march(self: VariableAlpha, h: float, steps: int, *more: Any, **named: Any) -> int:
-            made = march(self, h, steps, *more, **named)
+            made = march(self, h, steps, *more, **named) if compiled else 0
             counts["calls"] += 1
             counts["marched"] += made
+            if made:
+                noted(self)
             return made
 
         patch.setattr(VariableAlpha, "advance", counted_advance)
@@ -119,7 +143,7 @@ def test_same_steps_in_one_call_and_one_by_one(make: Any, way: str) -> None:
         entries = Entries(patch)
         fast = solve(make(), SCENES[make], **WAYS[way])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(VariableAlpha, "march", lambda *given, **more: 0)
+        single = Entries(patch, compiled=False)
         slow = solve(make(), SCENES[make], **WAYS[way])
 
     if not (make is driven_crank and way == "stabilised"):  # has no freedom: takes one step
@@ -128,6 +152,8 @@ def test_same_steps_in_one_call_and_one_by_one(make: Any, way: str) -> None:
         assert fast.counters[name] == slow.counters[name], name
     assert fast.counters["newton_iterations"] == pytest.approx(slow.counters["newton_iterations"], rel=0.02)
     assert np.allclose(fast.times, slow.times, rtol=1e-12, atol=1e-14)
+    for t, seen in entries.seen.items():
+        assert seen == pytest.approx(single.seen[t], rel=1e-5, abs=1e-9), t
     assert fast.local_error == pytest.approx(slow.local_error, rel=1e-5)
     for name in fast.scene.sensors:
         assert np.abs(fast[name] - slow[name]).max() < 1e-7 * np.abs(slow[name]).max(), name
@@ -177,3 +203,12 @@ def test_a_compiled_step_out_of_balance_is_taken_back(every: int, monkeypatch: p
     assert refused and refused[0] not in run.times and run.counters["unbalanced_steps"] == 1
     assert (np.diff(run.times) > 0).all() and len(run.times) == len(run.energy["kinetic"])
     assert np.abs(run.state.q - exact.state.q).max() < 2 * np.abs(plain.state.q - exact.state.q).max()
+
+
+def test_a_push_within_one_of_many_calm_steps_is_seen() -> None:
+    """Of a mass at rest that is pushed for a quarter of a step of a given size."""
+    scene, body = fmbd.Scene("pushed"), fmbd.RigidBody("mass", 1.0, 1.0, (0.0, 0.0))
+    load = lambda t: (np.sin(np.pi * (t - 5.1) / 0.2) ** 4 if 5.1 < t < 5.3 else 0.0, 0.0)
+    scene.add(body, fmbd.force("push", body, load))
+    run = solve(scene, 10.0, rtol=1e-4, dt=0.8)
+    assert run.state.q[0] == pytest.approx(0.375 * 0.2 * 4.8, rel=1e-2)
