@@ -119,6 +119,17 @@ class AlphaDriver:
         self.calls.raise_error()
         return None if verdict else twin.forces(e[None])[0]
 
+    def shut(self, t: float, q: Array, v: Array, allowed: float, most: int) -> Array | None:
+        """``driver_shut`` of march.c: q with closed joints, by at most so many iterations; None where NumPy has to do."""
+        system, twin = self.system, self.tables.twin
+        made, still = np.array(twin.configurations(q[None])[0]), np.ascontiguousarray(twin.velocities(v[None])[0])
+        room = np.zeros(system.n_v + system.n_lam + system.n_q)
+        verdict = self.library.driver_shut(
+            self.address, t, allowed, most, address_of(made), address_of(still), address_of(room)
+        )
+        self.calls.raise_error()
+        return None if verdict else twin.state(State(t, made, still, still, np.zeros(0))).q
+
 
 def settings(p: Array, system: System, newton: Newton) -> None:
     """Fill the driver's parameters from a system and Newton's settings."""

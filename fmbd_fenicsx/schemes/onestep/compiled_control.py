@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...rotations import Array
+from ...system.compiled.resting import Twin
 from ...system.compiled.structures import Store, array_of, structure
 from ..control import LEAST_ERROR, TURN, NormOfWays, StepControl
 
@@ -36,7 +37,8 @@ class CompiledControl:
 
     def __init__(self, norm: NormOfWays, control: StepControl) -> None:
         self.norm, self.control, self.store = norm, control, Store()
-        s, dim = norm.system, norm.system.motions.dim
+        self.twin = Twin(norm.system)
+        s, dim = self.twin.system, norm.system.motions.dim
         one = structure("Deflection", dim)
         self.deflections = array_of(one, len(norm.deforming))(
             *(
@@ -52,7 +54,7 @@ class CompiledControl:
         work = self.store.zeros({"e": s.n_v, "y": s.n_lam, "a": s.n_v, "missed": s.n_v})
         self.c = structure("Control", dim)(
             rtol=norm.rtol, atol=norm.atol or 0.0, length=s.length, least=norm.least, floor=LEAST_ERROR, turn=TURN,
-            deforming=len(norm.deforming), deflection=self.store.structure(self.deflections),
+            frames=norm.system.n_frames, core=norm.system.n_core, deforming=len(norm.deforming), deflection=self.store.structure(self.deflections),
             **{name: address for name, (_, address) in work.items()},
         )  # fmt: skip
         self._origin: Array | None = None
@@ -66,8 +68,9 @@ class CompiledControl:
         """Sizes and errors so far, and up to when steps keep their size."""
         norm, control, c = self.norm, self.control, self.c
         if self._origin is not norm.origin:
+            assert norm.origin is not None
             self._origin = norm.origin
-            c.origin = self.store.address(norm.origin)
+            c.origin = self.store.address(self.twin.configurations(norm.origin[None])[0])
         for one, largest in zip(self.deflections, norm.deflections, strict=True):
             one.size = largest
         c.way, c.error, c.largest = norm.way, control.error_old, 0.0

@@ -11,8 +11,8 @@ from ...system.system import State
 from ..dae import GGL
 from . import alpha_driver as slots
 from .alpha_driver import AlphaDriver, settings
-from .alpha_step import FAR, PATIENCE
-from .generalized_alpha import AlphaStepper
+from .alpha_step import FAR, PATIENCE, AlphaStep
+from .generalized_alpha import CLOSINGS, SHUT, AlphaStepper
 
 if TYPE_CHECKING:
     from ...run.judges.energy_check import Watch
@@ -31,6 +31,7 @@ class CompiledAlphaStepper(AlphaStepper):
     def __init__(self, data: tuple[GeneralizedAlpha, Any, Any, Any, State], driver: AlphaDriver | None) -> None:
         self._driver: AlphaDriver | None = None
         self._tail: State | None = None  # the state of the newest block
+        self._driven = False  # the driver made the last step, and has its factor
         self._ahead = False  # blocks are newer than A and the past of the NumPy path
         self._refused: tuple[State, float] | None = None  # where the driver gave a step of this size back
         super().__init__(*data)
@@ -40,7 +41,7 @@ class CompiledAlphaStepper(AlphaStepper):
 
     def _use(self, driver: AlphaDriver) -> None:
         """Take a driver."""
-        self._driver, self._tail = driver, None
+        self._driver, self._tail, self._driven = driver, None, False
         driver.parameters[slots.AM : slots.BETA + 1] = self.scheme.parameters
         settings(driver.parameters, driver.system, self.newton)
         driver.parameters[slots.FAR] = FAR * self.system.length
@@ -96,6 +97,13 @@ class CompiledAlphaStepper(AlphaStepper):
         found = self.driver.error(scale, 0.5 * h, (s.q, s.v, s.a + jump, s.lam), s.t, scale * jump)
         return super().error(h) if found is None else found
 
+    def _shut(self, t: float, q: Array, v: Array) -> Array:
+        """As :meth:`Stepper._shut`, with the driver's factor where it made the last step."""
+        if not self._driven or not self.system.n_lam:
+            return super()._shut(t, q, v)
+        found = self.driver.shut(t, q, v, SHUT * self.system.length, CLOSINGS)
+        return super()._shut(t, q, v) if found is None else found
+
     def _settle(self) -> None:
         """Give A and the past of the newest blocks to the NumPy path; they hold for the state with its time rounded too."""
         if self._ahead:
@@ -116,6 +124,10 @@ class CompiledAlphaStepper(AlphaStepper):
         past = [(t, place, zero, a, zero, lam) for t, a, lam in self._past]
         self.driver.load([(s.t, s.q, s.v, s.a, self.A, s.lam), *past])
         self._tail = s
+
+    def _accept(self, step: AlphaStep) -> State:
+        self._driven = False
+        return super()._accept(step)
 
     def advance(self, h: float) -> State:
         """One step of size h (s), as :meth:`Stepper.advance`."""
@@ -220,6 +232,7 @@ class CompiledAlphaStepper(AlphaStepper):
         if made and watch is not None:
             watch.limits = tuple(p[slots.HIGHEST : slots.SETTLING + 1])
         if made:
+            self.size = h
             self._take(made)
         # not again from the same state with the same step: NumPy has it
         if verdict in (slots.NEWTON, slots.SINGULAR):
@@ -244,5 +257,5 @@ class CompiledAlphaStepper(AlphaStepper):
         newton.theta, newton.renewals = float(p[slots.THETA]), int(self.driver.tables.c.renewals)
         self.solver.core.factorisations += made
         self.local_error = float(p[slots.LOCAL])
-        self._ahead = True
+        self._ahead = self._driven = True
         self.state = self._tail = self.driver.state()

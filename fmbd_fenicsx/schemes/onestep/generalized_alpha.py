@@ -19,7 +19,8 @@ from v_0 + dv with M dv + G^T mu = 0 and G dv equal to that expression (Arnold, 
 doi:10.1007/s00211-014-0633-1). The recorded state at the start stays exact.
 
 By the same amount c h^2 v'' + h^2 v x v' / 12, in all directions, velocities differ from the derivatives of the places that (1)
-gives: the values within a step are those of the cubic with slopes that are less by it, with v'' = (A_n+1 - A_n) / h.
+gives: the values within a step are those of the cubic with slopes that are less by it, with v'' = (A_n+1 - A_n) / h, and joints
+are then closed by the least motion.
 
 The stabilised form, ``form=GGL()``, demands both levels: G v + g_t = 0 at t_n+1 goes with lambda, and (1) gains a correction
 -M^-1 G^T mu that closes g = 0. Velocities are then exact on their level, the start needs A_0 only, and rho_inf = 1 stays stable.
@@ -51,6 +52,11 @@ from ..dense_output import cubic, place_within, state_within
 from ..newton import Newton, not_converged, strayed
 from ..stepping import TimeStepper
 from .alpha_step import PATIENCE, AlphaStep, Rule, StepStart
+
+CLOSINGS, SHUT = (
+    3,
+    1e-12,
+)  # iterations that close joints within a step; lengths of the model by which they may stay open
 
 
 @dataclass(frozen=True)
@@ -192,6 +198,7 @@ class AlphaStepper(TimeStepper):
         self.fresh = True  # the next step is the first after a consistent start
         self._past: list[tuple[float, Array, Array]] = []
         self._begun: tuple[State, Array, Array] | None = None  # state, v and A as the last step took them
+        self.size = 0.0  # of the last step, s
         self.local_error = 0.0
         self.counters = {}
 
@@ -284,7 +291,7 @@ class AlphaStepper(TimeStepper):
         # two earlier states and the newest one make the parabola of the predictor
         self._past = [(s.t, s.a, s.lam), *self._past][:2]
         self.A, self.fresh = A, False
-        self._begun = s, step.start.v, step.start.A
+        self._begun, self.size = (s, step.start.v, step.start.A), h
 
         found = step.found
         if step.lost:
@@ -329,7 +336,7 @@ class AlphaStepper(TimeStepper):
 
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step: q, v by cubics with the slopes of (1) to (3), a and lambda by straight
-        lines.
+        lines; q closes its constraints.
         """
         if self.begun is None or t < self.begun[0].t:
             return None
@@ -340,7 +347,24 @@ class AlphaStepper(TimeStepper):
 
         # A is that of a time t + ahead h
         slopes = A - ahead * jump, self.A - ahead * jump
-        return replace(state_within(before, after, t, q), v=cubic((t - before.t) / h, h, (v, after.v), slopes))
+        v = cubic((t - before.t) / h, h, (v, after.v), slopes)
+        return replace(state_within(before, after, t, self._shut(t, q, v)), v=v)
+
+    def _shut(self, t: float, q: Array, v: Array) -> Array:
+        """A configuration within the last step, joints closed by the least motion for the matrix of that step; collective.
+
+        What drives prescribe is not the cubic through the ends of a step: a crank was off by ten times the error of its ends.
+        """
+        system = self.system
+        for _ in range(CLOSINGS if system.n_lam else 0):
+            ev = system.at(t, q, v)
+            gap = ev.constraint()
+            gap[speed_rows(system)] = 0.0  # rows on velocities hold no places
+            if np.abs(system.row_units * gap).max() <= SHUT * system.length:
+                break
+            self.solver.prepare(ev, self.scheme.rule(self.size).weights)
+            q = system.compose(q, self.solver.solve(np.zeros_like(v), -gap)[0])
+        return q
 
     def _reactions(self, t: float, q: Array, lam: Array) -> Array:
         """Multipliers of a configuration; of those with the same forces the smallest."""

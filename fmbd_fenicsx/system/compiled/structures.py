@@ -79,7 +79,7 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
     "Control": [
         *_fields("rtol atol length least way reached", _REAL),
         ("origin", _POINTER),
-        *_fields("deforming place ratio", _LONG),
+        *_fields("frames core deforming place ratio", _LONG),
         ("deflection", _POINTER),
         *_fields("high low calm floor turn until error before largest", _REAL),
         *_fields("e y a missed", _POINTER),

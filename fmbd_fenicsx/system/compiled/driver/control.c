@@ -20,10 +20,10 @@ static double turned(const double *q0, const double *q) { return fabs(q[2] - q0[
 #endif
 
 /* Sizes with those of a state, which may still be refused. */
-static void reach(const System *s, Control *c, const double *q)
+static void reach(Control *c, const double *q)
 {
     c->reached = c->way;
-    for (int b = 0; c->way < 1.0 && b < s->bodies; b++) { /* longer ways count as one */
+    for (int b = 0; c->way < 1.0 && b < c->frames; b++) { /* longer ways count as one */
         const double *from = c->origin + POSE * b, *to = q + POSE * b;
         for (int i = 0; i < D; i++) c->reached = fmax(c->reached, fabs(to[i] - from[i]) / c->length);
         c->reached = fmax(c->reached, turned(from, to));
@@ -43,10 +43,10 @@ static double squares(const double *e, int n, double tolerance)
 }
 
 /* Root mean square of the core, or that of the worst field. */
-static double error_norm(const System *s, const Control *c, const double *e)
+static double error_norm(const Control *c, const double *e)
 {
     double share = c->rtol * fmax(fmin(c->reached, 1.0), c->least), core = 0.0, worst = 0.0;
-    for (int b = 0; b < s->bodies; b++) {
+    for (int b = 0; b < c->frames; b++) {
         core += squares(e + TWIST * b, D, share * c->length + c->atol);
         core += squares(e + TWIST * b + D, ROT, share + c->atol);
     }
@@ -56,7 +56,7 @@ static double error_norm(const System *s, const Control *c, const double *e)
         double mean = x->rms ? 0.0 : squares(e + x->at_v, x->n, c->rtol * x->reached + c->atol) / x->n;
         if (!(mean <= worst)) worst = mean; /* nan stays */
     }
-    if (s->core && !(core / s->core <= worst)) worst = core / s->core;
+    if (c->core && !(core / c->core <= worst)) worst = core / c->core;
     return sqrt(worst);
 }
 
@@ -72,8 +72,8 @@ static int judged(System *s, const double *p, Control *c, const Block *now, cons
     int verdict = driver_error(s, scale, 0.5 * p[H], out->q, out->v, c->a, out->lam, *out->t, c->missed, c->e, c->y);
     if (verdict) return verdict;
 
-    reach(s, c, out->q);
-    double error = error_norm(s, c, c->e);
+    reach(c, out->q);
+    double error = error_norm(c, c->e);
     if (!(error <= 1.0)) return SIZE;
     c->before = fmax(c->error, c->floor);
     c->error = error;
@@ -84,25 +84,25 @@ static int judged(System *s, const double *p, Control *c, const Block *now, cons
 }
 
 /* Largest step in which no frame in space turns by more than c->turn as it moves in a state. */
-static double farthest(const System *s, const Control *c, const Block *now)
+static double farthest(const Control *c, const Block *now)
 {
     double fastest = 0.0;
 #if DIM == 3
-    for (int b = 0; b < s->bodies; b++) {
+    for (int b = 0; b < c->frames; b++) {
         const double *w = now->v + TWIST * b + D, *e = now->a + TWIST * b + D;
         double square = dot(w, w, 3);
         fastest = fmax(fastest, sqrt(square) + sqrt(square + 2.0 * sqrt(dot(e, e, 3)) * c->turn));
     }
 #else
-    (void)s, (void)now;
+    (void)now;
 #endif
     return fastest > 0.0 ? 2.0 * c->turn / fastest : INFINITY;
 }
 
 /* Whether the step after an accepted one has this size too and needs no look at loads. */
-static int stays(const System *s, const double *p, Control *c, const Block *now)
+static int stays(const double *p, Control *c, const Block *now)
 {
-    double pressure = fmax(c->error, c->error * c->error / c->before), far = farthest(s, c, now);
+    double pressure = fmax(c->error, c->error * c->error / c->before), far = farthest(c, now);
     c->place++;
     if (pressure > c->high || c->error <= c->calm || p[H] > far || *now->t >= c->until) return 0;
     return !(c->ratio && c->place % c->ratio == 0 && pressure <= c->low && c->ratio * p[H] <= far);

@@ -1,5 +1,24 @@
 /* Many steps of generalized-alpha in one call: of one size, guarded, recorded and judged on the way. */
 
+/* A configuration within the newest step, its joints closed by the least motion for the factor of that step, at most so many times;
+   rows on velocities hold no places. ``room``: nv + rows + nq. */
+EXPORT int driver_shut(System *s, double t, double allowed, long most, double *q, const double *v, double *room)
+{
+    double *x = room, *y = x + s->nv, *moved = y + s->rows, asked = NAN;
+    int verdict = sample(s, t, &asked);
+    for (long i = 0; i < most && !verdict; i++) {
+        if ((verdict = place(s, q, v))) break;
+        drift(s);
+        for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
+            for (long j = 0; k->role == ROW && k->flow && j < k->n; j++) s->gap[k->row[j]] = 0.0;
+        if (largest_of(s->row_units, s->gap, s->rows) <= allowed) break;
+        if (!(closing_change(s, s->gap, x, y) < INFINITY)) return NEWTON;
+        configuration(s, q, x, moved);
+        memcpy(q, moved, s->nq * sizeof(double));
+    }
+    return verdict;
+}
+
 /* Up to ``steps`` steps in a ring of four blocks: ring[0] is the newest, ring[3] free. Returns how many were made; the reason to
    stop earlier is in ``verdict``, the state is then that of the last good step. ``tape`` (may be NULL) takes records,
    ``control`` (may be NULL) judges errors. */
@@ -35,7 +54,7 @@ EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict,
         ring[0] = newest;
         if (known < 2) p[HISTORY] = known + 1;
         made++;
-        if (control && !stays(s, p, control, &out)) {
+        if (control && !stays(p, control, &out)) {
             *verdict = SIZE;
             break;
         }

@@ -202,6 +202,7 @@ typedef struct {
 typedef struct {
     double rtol, atol, length, least, way, reached;
     const double *origin;              /* the configuration that ways are measured from */
+    long frames, core;                 /* that move, and entries like v of these and of what is no field */
     long deforming, place, ratio;      /* place: in steps of this size; ratio: of the next larger one, 0: there is none */
     Deflection *deflection;
     double high, low;                  /* pressures above which steps shrink, and up to which they grow */
