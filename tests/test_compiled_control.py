@@ -47,6 +47,20 @@ def floating() -> fmbd.Scene:
     return checkpoint_scenes.floating()[0]
 
 
+def absolute() -> fmbd.Scene:
+    """A sheet in absolute coordinates that hangs on a link."""
+    link = fmbd.RigidBody("link", 1.0, 0.1, position=(0.0, 0.5))
+    sheet = fmbd.AbsoluteBody(
+        "sheet", checkpoint_scenes.rod(h=0.25, height=0.1), density=1000.0, elastic=plane_stress(1e7, 0.3)
+    )
+    scene = fmbd.Scene("absolute", gravity=(0, -9.81))
+    scene.add(link, sheet, fmbd.revolute("top", fmbd.ground, link, center=(0, 1)))
+    scene.add(fmbd.revolute("pin", link, sheet.surface("pin"), center=(0, 0)))
+    scene.sensor("tip", fmbd.position(sheet.surface("tip")))
+    scene.sensor("link", fmbd.position(link))
+    return scene
+
+
 def wheel() -> fmbd.Scene:
     """A wheel that swings by a few degrees about its own centre, which rests: its way is its turn."""
     disk = fmbd.RigidBody("disk", 1.0, (0.1, 0.1, 0.2), angular_velocity=(0, 0, 0.4))
@@ -87,8 +101,11 @@ SCENES: dict[Callable[[], fmbd.Scene], float] = {  # and how long they run, s
     rolling: 1.0,
     reduced: 0.3,
     floating: 0.2,
+    absolute: 0.05,
 }
-NAMES = "chain top redundant crank pendulum rod controlled sampled carriage wheel rolling reduced floating".split()
+NAMES = (
+    "chain top redundant crank pendulum rod controlled sampled carriage wheel rolling reduced floating absolute".split()
+)
 WAYS: dict[str, dict[str, Any]] = {
     "all": {},
     "stabilised": {"form": fmbd.GGL()},

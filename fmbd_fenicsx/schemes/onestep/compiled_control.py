@@ -54,7 +54,8 @@ class CompiledControl:
         work = self.store.zeros({"e": s.n_v, "y": s.n_lam, "a": s.n_v, "missed": s.n_v})
         self.c = structure("Control", dim)(
             rtol=norm.rtol, atol=norm.atol or 0.0, length=s.length, least=norm.least, floor=LEAST_ERROR, turn=TURN,
-            frames=norm.system.n_frames, core=norm.system.n_core, deforming=len(norm.deforming), deflection=self.store.structure(self.deflections),
+            frames=norm.system.n_frames, core=norm.system.n_core,
+            deforming=len(norm.deforming), deflection=self.store.structure(self.deflections),
             **{name: address for name, (_, address) in work.items()},
         )  # fmt: skip
         self._origin: Array | None = None
