@@ -164,7 +164,7 @@ def test_compiled_steps_write_over_the_factor() -> None:
     use_driver(system)
     solver = StepSolver(system)
     start, _ = consistent(system, given, solver)
-    stepper = fmbd.GeneralizedAlpha().stepper(system, solver, Newton(refresh=solver.refresh), start)
+    stepper = fmbd.GeneralizedAlpha().stepper(system, solver, Newton(), start)
     b, c = np.ones(system.n_v), np.ones(system.n_lam)
 
     def solved() -> Array:

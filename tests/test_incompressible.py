@@ -234,7 +234,6 @@ def test_pressure_converges_from_the_first_step_on(rod_mesh: Callable[..., Any])
         solver = StepSolver(system)
         start, _ = consistent(system, given, solver)
         newton = fmbd.Newton(1e-10, 25)
-        newton.refresh = solver.refresh
         stepper = fmbd.GeneralizedAlpha(0.8).stepper(system, solver, newton, start)
         out = [system.fields[0][1].field.pressure_values]  # type: ignore[attr-defined]
         for _ in range(n):

@@ -10,11 +10,11 @@ from fmbd_fenicsx.schemes.newton import Newton, above_roundoff, known_gaps
 from fmbd_fenicsx.system.scene.build import Builder
 
 
-def run(sizes, **settings):
+def run(sizes, renew=lambda: False, **settings):
     """Feed a list of increments; returns (converged, how many were taken)."""
     feed = iter(sizes)
     newton = Newton(**settings)
-    converged, history = newton.solve(lambda: next(feed))
+    converged, history = newton.solve(lambda: next(feed), renew)
     return converged, len(history)
 
 
@@ -41,7 +41,7 @@ def test_not_finite_ends_at_once_and_too_many_iterations_too():
 
 def test_a_new_tangent_is_asked_for_when_the_rate_is_poor():
     asked = []
-    run([1e6, 5e5, 1e2, 1e-3], refresh=lambda: not asked.append(1))
+    run([1e6, 5e5, 1e2, 1e-3], renew=lambda: not asked.append(1))
     assert asked == [1]
 
 

@@ -98,9 +98,9 @@ class StaticNewton:
         self.tangent_iterations += count
         return dq, dlam
 
-    def direct(self, b: Pair) -> Pair:
-        """Increment of Newton with the solver's own matrix; pressures that bodies carry move along."""
-        return self.solver.step(*b)
+    def direct(self, point: StaticPoint, t: float, b: Pair) -> Pair:
+        """Increment of Newton with the solver's own matrix from a point; pressures that bodies carry move along."""
+        return self.solver.step(self.residual.at(point.q, t), *b)
 
     # -- a whole iteration ----------------------------------------------------------------------------------------
     def solve(self, start: StaticPoint, t: float, rest: Pair) -> StaticPoint:
@@ -143,7 +143,7 @@ class StaticNewton:
 
     def _carrying_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
         """Increment of the solver's own matrix, the pressures of bodies with it."""
-        step = self.direct((rest[0] - r[0], rest[1] - r[1]))
+        step = self.direct(point, t, (rest[0] - r[0], rest[1] - r[1]))
         return step if np.isfinite(self.residual.system.max_abs(step[0])) else None
 
     def _whole_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
@@ -242,7 +242,7 @@ def relax(newton: StaticNewton, start: StaticPoint, t: float, tau: float) -> Sta
         r = newton.residual.values(ev, np.zeros(system.n_lam))
         newton.solver.prepare(ev, Weights(1.0 / tau**2, 0.0, 1.0))
 
-        d, lam = newton.direct((-r[0], -r[1]))
+        d, lam = newton.solver.step(ev, -r[0], -r[1])
         size = system.max_abs(d)
 
         if not size < np.inf:

@@ -59,7 +59,6 @@ class StepSolver:
         self.system, self.linear, self.prefix = system, linear, prefix
         self._look = redundant is None
         self._near_singular, self._masses = False, None
-        self.increment: Array | None = None  # Newton's last, like v, where the next :meth:`refresh` is to know of it
         self._held: MatrixConfiguration | None = None  # that of the matrices
         self._driver: tuple[Evaluator | None, DriverSolver | None] = None, None
         self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
@@ -132,9 +131,8 @@ class StepSolver:
     def prepare(self, ev: Evaluation, weights: Weights, *, keep: bool = False) -> None:
         """Set up (1) for a configuration; elastic factors are kept from earlier calls with the same weights.
 
-        ``keep``: the matrix stays as it is, until :meth:`refresh` takes it at this configuration.
+        ``keep``: the matrix stays as it is, until :meth:`refresh` takes a new one.
         """
-        self._ev = ev
         s = self.system
         driver = self.driver
         if driver is not None and driver.prepare(ev, weights):
@@ -335,9 +333,12 @@ class StepSolver:
             return np.stack([self.solve(nothing, c)[0] for c in C.T], axis=1)
         return self._solve_direct(None, C)[0]
 
-    def step(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """As :meth:`solve`, for an increment of Newton's iteration: the pressures that bodies carry move along; collective."""
-        gaps = volume_gaps(self._ev)
+    def step(self, ev: Evaluation, b: Array, c: Array) -> tuple[Array, Array]:
+        """As :meth:`solve`, for an increment of Newton's iteration from a state: the pressures that bodies carry move along.
+
+        Collective.
+        """
+        gaps = volume_gaps(ev)
         dq, dlam = self.solve(b - volume_push(self, gaps) if gaps else b, c)
         move_pressures(self, dq, gaps)
         return dq, dlam
@@ -405,16 +406,15 @@ class StepSolver:
                 out[at + m.dim : at + m.n_twist] -= self.weights.cm * f.field.total(rows @ dU)
         return out
 
-    def refresh(self) -> bool:
-        """New tangents of nonlinear parts, and rows, at the state given last to :meth:`prepare`; False when all are constant.
+    def refresh(self, ev: Evaluation, increment: Array | None = None) -> bool:
+        """New tangents of nonlinear parts, and rows, at a state; False when all are constant. Collective.
 
-        Collective.
+        ``increment``: Newton's, like v, that led there, where stresses are to be those that it foretold.
         """
-        s, x, self.increment = self.system, self.increment, None
-        known = {} if x is None else {k: s.local_v(x, k) for k, _ in s.fields}
-        changed = self._ev.take_tangents(increments=self._exact(known))
+        known = {} if increment is None else {k: self.system.local_v(increment, k) for k, _ in self.system.fields}
+        changed = ev.take_tangents(increments=self._exact(known))
         if changed:
-            self.prepare(self._ev, self.weights)
+            self.prepare(ev, self.weights)
         return changed
 
     def renew_fields(self, ev: Evaluation, increments: Mapping[int, Array]) -> list[FactoredField]:

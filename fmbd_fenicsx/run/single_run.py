@@ -77,7 +77,6 @@ def run_once(
     begun = clock.perf_counter()
     # the solver is freed whatever happens: its factors are large
     solver = make_solver(task.scene, built.system, task.linear)
-    task.newton.refresh = solver.refresh
     try:
         with built.warned:
             found = built.start(task.scene, task.scheme, solver=solver, h=task.schedule.next(0.0))

@@ -68,7 +68,6 @@ class SceneStepper:
 
         system, given, markers = scene.build()
         self._solver = make_solver(scene, system, linear)
-        newton.refresh = self._solver.refresh
 
         try:
             start, _ = begin(scene, scheme, system, given, solver=self._solver, h=dt)

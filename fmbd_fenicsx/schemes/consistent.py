@@ -173,7 +173,7 @@ def _refined(
     last, noise = np.inf, -1.0
     for k in range(40):
         if k == 8:  # slow: take the inertia of the deformed bodies
-            solver.refresh()
+            solver.refresh(ev)
         if k < 2:  # the rest is roundoff of the pressure
             _renew_pressures(ev, a, lam, solver)
         r = ev.balance(a, lam)

@@ -64,7 +64,6 @@ class Newton:
     slow: float = 0.9  # a rate above this over two increments counts as divergence
     patience: float = 4.0  # a new tangent is taken when more than this many further iterations are to be expected
     tangent: ExactTangent | None = None
-    refresh: Callable[[], bool] | None = field(default=None, repr=False)  # takes a new tangent where one can change
     renewals: int = field(
         default=0, init=False
     )  # tangents that the last step took: where there were several, the next one begins with one
@@ -86,17 +85,19 @@ class Newton:
     def solve(
         self,
         increment: Callable[[], float],
-        look: Callable[[], object] | None = None,
+        renew: Callable[[], bool] = lambda: False,
+        *,
+        ahead: bool = False,
         misfit: Callable[[], float] = lambda: 0.0,
     ) -> tuple[bool, list[float]]:
         """Call ``increment`` (it applies one increment, returns its norm over the tolerance) until the error
-        is below 1. ``look`` evaluates the forces where the last increment led: a new tangent is taken there, and one increment
-        before without it. ``misfit``: share of the last increment that its tangent may have got wrong.
+        is below 1. ``renew`` takes a new tangent and tells whether there was one to take: where the last increment began, or
+        ``ahead``, where it led. ``misfit``: share of the last increment that its tangent may have got wrong.
 
         Returns whether it converged, and the history of norms.
         """
         history: list[float] = []
-        at_once = look is not None and self.renewals > 1
+        at_once = ahead and self.renewals > 1
         refreshed = 0
         for _ in range(self.max_iterations):
             size = increment()
@@ -113,7 +114,7 @@ class Newton:
                 # too slow to end within the patience: a new tangent
                 if left > 1.0 and refreshed < 10 and -math.log(left) / math.log(self.theta) > self.patience:
                     refreshed += 1
-                    if self._renewed(look):
+                    if renew():
                         self.theta = 0.1
                         continue
                 # one bad increment is no divergence
@@ -123,7 +124,7 @@ class Newton:
             else:
                 # the first: the rate of the step before, no better than 0.02
                 left = max(self.theta, 0.02) / (1 - min(max(self.theta, 0.02), 0.9)) * size
-                if at_once and size > FAR and self._renewed(look):
+                if at_once and size > FAR and renew():
                     refreshed, self.theta = 1, 0.1
                     continue
 
@@ -133,19 +134,9 @@ class Newton:
                 return True, history
         return False, history
 
-    def _renewed(self, look: Callable[[], object] | None) -> bool:
-        """Take a new tangent; whether there was one to take."""
-        if self.refresh is None:
-            return False
-        if look is not None:
-            look()
-        return self.refresh()
-
-    def afresh(self, refresh: Callable[[], bool] | None = None) -> Newton:
+    def afresh(self) -> Newton:
         """The same settings, nothing counted yet."""
-        made = replace(self)
-        made.refresh = self.refresh if refresh is None else refresh
-        return made
+        return replace(self)
 
     @property
     def settings(self) -> dict[str, Any]:

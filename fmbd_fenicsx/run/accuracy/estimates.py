@@ -190,7 +190,7 @@ def tolerance_error(problem: Problem, coarse: Recorder, schedule: StepSchedule) 
     scheme = replace(problem.scheme, rtol=max(0.1 * problem.scheme.rtol, FINEST))
     wanted = Output(energy=False, progress=False, times=tuple(coarse.times))
     solver = make_solver(problem.scene, problem.system, problem.linear)
-    newton = problem.newton.afresh(solver.refresh)
+    newton = problem.newton.afresh()
     solver.pressures = problem.pressures
     try:
         fine = _whole(replace(problem, scheme=scheme, newton=newton), solver, schedule, wanted).recorder
@@ -228,7 +228,7 @@ def run_like(problem: Problem, compared: Compared, scene: Scene, built: Built) -
     Collective.
     """
     solver = make_solver(scene, built.system, problem.linear)
-    newton = problem.newton.afresh(solver.refresh)
+    newton = problem.newton.afresh()
     schedule = compared.schedule
     wanted = _as_recorded(compared.recorder, schedule)
     try:
@@ -299,7 +299,7 @@ def finer_scene(scene: Scene) -> tuple[Scene, str, Built | None]:
 def again(problem: Problem, schedule: StepSchedule, steps: int, times: Sequence[float] | None) -> Compared:
     """The march once more with another number of steps, sensors recorded in every step or at the ``times``; collective."""
     solver = make_solver(problem.scene, problem.system, problem.linear)
-    newton = problem.newton.afresh(solver.refresh)
+    newton = problem.newton.afresh()
     solver.pressures = problem.pressures
     problem.system.evaluator.begin_anew()
     wanted, other = Output(energy=False, progress=False, times=times), StepSchedule(schedule.t_end, steps)
@@ -357,7 +357,7 @@ def reduction_error(problem: Problem, compared: Compared) -> dict[str, Deviation
 
     system, given = made
     solver = make_solver(problem.scene, system, problem.linear)
-    newton = problem.newton.afresh(solver.refresh)
+    newton = problem.newton.afresh()
     coarse, schedule = compared.recorder, compared.schedule
     wanted = _as_recorded(coarse, schedule)
 

@@ -109,7 +109,7 @@ class ContactAlphaStepper(ContactStepper):
 
         for _ in range(4):
             step = _Step(self, h, near)
-            converged, history = self.newton.solve(step.increment)
+            converged, history = self.newton.solve(step.increment, step.renew)
             if not converged:
                 raise not_converged(s.t + h, h, history)
             q = system.compose(s.q, step.xi)
@@ -171,6 +171,10 @@ class _Step:
     def v(self) -> Array:
         """Velocity at the end."""
         return self.p.state.v + self.h * ((1 - self.gamma) * self.p.A + self.gamma * self.A)
+
+    def renew(self) -> bool:
+        """A new tangent where the last increment began; whether there is one."""
+        return self.p.solver.refresh(self.ev)
 
     def increment(self) -> float:
         """One Newton step; returns its size over the tolerance."""

@@ -130,7 +130,7 @@ class ContactMidpointStepper(ContactStepper):
 
         for _ in range(4):
             step = _Step(self, h, near)
-            converged, history = self.newton.solve(step.increment)
+            converged, history = self.newton.solve(step.increment, step.renew)
             if not converged:
                 where = f"; the largest open constraint is {worst_block(system, step.g)}" if step.g.size else ""
                 raise not_converged(s.t + h, h, history, f"{where}. Try a smaller dt.")
@@ -190,6 +190,10 @@ class _Step:
         self.g: Array = np.zeros(0)
         self.ev: Evaluation = None  # type: ignore[assignment]
         self.floor = 100 * np.finfo(float).eps * system.length
+
+    def renew(self) -> bool:
+        """A new tangent where the last increment began; whether there is one."""
+        return self.p.solver.refresh(self.ev)
 
     def increment(self) -> float:
         """One Newton step: predictor, complementarity problem, correction; returns its size over the

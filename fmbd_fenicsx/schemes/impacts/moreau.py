@@ -364,10 +364,14 @@ class _Step:
             before = contacts.times(stepper.system, self.rows.N, s.v) + self.rate
             self.rebound = np.where(self.bouncing[closed], self.rows.restitution * np.minimum(before, 0.0), 0.0)
 
-        converged, history = stepper.newton.solve(self.increment)
+        converged, history = stepper.newton.solve(self.increment, self.renew)
         if not converged:
             raise not_converged(s.t + h, h, history)
         self.iterations = len(history)
+
+    def renew(self) -> bool:
+        """A new tangent where the last increment began; whether there is one."""
+        return self.p.solver.refresh(self.ev)
 
     def increment(self) -> float:
         """One Newton step; returns its size over the tolerance."""

@@ -124,6 +124,7 @@ class AlphaStep:
 
         # what it has found
         self.done = 0
+        self.at: Evaluation | None = None  # where the last increment began
         self.far = True  # the last increment was long
         self.lost = False  # gaps were passed over as roundoff
         self.gaps: Array = np.zeros(0)
@@ -140,7 +141,8 @@ class AlphaStep:
     def solve(self) -> tuple[bool, list[float]]:
         """Iterate; whether it converged, and the history of increments over the tolerance."""
         foretells = any(part.foretells for _, part in self.system.fields)
-        return self.newton.solve(self._increment, self._look if foretells else None, lambda: self.misfit)
+        renew = self._take_tangent_ahead if foretells else self._take_tangent
+        return self.newton.solve(self._increment, renew, ahead=foretells, misfit=lambda: self.misfit)
 
     @property
     def found(self) -> State:
@@ -153,7 +155,7 @@ class AlphaStep:
     def _increment(self) -> float:
         """One increment; its size over the tolerance."""
         before = self.end
-        ev = self._evaluation(before)
+        ev = self.at = self._evaluation(before)
         g = self._known(ev)
         r = ev.balance(before.a, before.lam)
         ev.foretold = self.foretold
@@ -210,7 +212,7 @@ class AlphaStep:
             return self._on_both_levels(ev, r, g)
         if self.tangent is not None:
             return self._by_exact_tangent(self.tangent, r, g)
-        return Increment(*self.solver.step(-self.scale * r, -g))
+        return Increment(*self.solver.step(ev, -self.scale * r, -g))
 
     def _on_both_levels(self, ev: Evaluation, r: Array, g: Array) -> Increment:
         """Multipliers keep velocities on their constraints; a correction along M^-1 G^T closes positions."""
@@ -260,9 +262,13 @@ class AlphaStep:
         size = self.system.max_abs(increment.q)
         return size if increment.closing is None else max(size, self.system.max_abs(increment.closing))
 
-    def _look(self) -> None:
-        """Evaluate the forces where the last increment led, for a tangent there."""
+    def _take_tangent(self) -> bool:
+        """A new tangent where the last increment began; whether there is one."""
+        assert self.at is not None
+        return self.solver.refresh(self.at)
+
+    def _take_tangent_ahead(self) -> bool:
+        """The same where it led, with the stresses that it foretold."""
         ev = self._evaluation(self.end)
-        ev.balance(self.end.a, self.end.lam)
-        self.solver.prepare(ev, self.weights, keep=True)
-        self.solver.increment = self.newest
+        ev.forces = self.end.a, self.end.lam
+        return self.solver.refresh(ev, self.newest)

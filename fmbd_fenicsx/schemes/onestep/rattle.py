@@ -126,19 +126,19 @@ class RattleStepper(TimeStepper):
         ):  # the smallest multipliers of dependent rows have none that grow from step to step
             lam += h * self.ahead[1]
         weights = Weights(1.0, 0.5 * h, 0.0) if self.damped else MASS
-        prepared = False
+        begun: Evaluation | None = None
 
         # increments move positions by h^2 a / 2: no less than roundoff
         floor = 64 * np.finfo(float).eps * system.length
         tolerance = max(self.newton.tolerance * 0.5 * h * h * max(system.max_abs(s.a), 1e-300), floor)
 
         def increment() -> float:
-            nonlocal a, lam, prepared
+            nonlocal a, lam, begun
             v = s.v + 0.5 * h * a
             ev = system.at(s.t, s.q, v)
-            if not prepared:
+            if begun is None:
                 self._prepare(ev, weights)
-            prepared = True
+            begun = ev
 
             r = ev.balance(a, lam)
             g = system.at(s.t + h, system.compose(s.q, h * v)).constraint() if system.n_lam else np.zeros(0)
@@ -147,7 +147,7 @@ class RattleStepper(TimeStepper):
             a, lam = a + da, lam + dlam
             return 0.5 * h * h * system.max_abs(da) / tolerance
 
-        converged, history = self.newton.solve(increment)
+        converged, history = self.newton.solve(increment, lambda: begun is not None and self.solver.refresh(begun))
         if not converged:
             raise ConvergenceError(
                 f"RATTLE's position constraints did not close at t = {s.t + h:.6g} s (h = {h:.3g} s): increments over tolerance "
