@@ -102,7 +102,7 @@ def _save_body(run: Run, body: Any, folder: Path, quantities: dict[str, Quantity
 def _motion(run: Run, body: Any, state: State, u: Any) -> np.ndarray:
     """x - X at the nodes, world axes: r + R (X - r_0 + u) - X with a frame, else u."""
     s = run.system
-    part: Any = next(p for p in s.parts if p.name == body.name)
+    _, part = s.part(body.name)
     if part.frame == s.n_frames:
         return np.asarray(u.x.array)
     ev = s.at(state.t, state.q)

@@ -88,6 +88,13 @@ class System:
                 return block
         raise InputError(f'No joint "{name}". {near(name, [b.name for b in self.blocks])}')
 
+    def part(self, name: str) -> tuple[int, Any]:
+        """Number and part of the named body."""
+        for k, part in enumerate(self.parts):
+            if part.name == name:
+                return k, part
+        raise InputError(f'Body "{name}" has no part in this system. {near(name, [p.name for p in self.parts])}')
+
     # -- sizes --------------------------------------------------------------------------------------------------
     @property
     def n_frames(self) -> int:

@@ -227,13 +227,16 @@ class Curve:
         """Axis 2 carried along without twist, from the world axis most across the curve's start (y before z before x)."""
         fine = np.unique(np.concatenate((np.linspace(0.0, self.length, 1024), s)))
         x, t = self.at(fine)
+
         # rounded, so that ties are broken by the order and not by roundoff
         order = np.array([1, 2, 0])
-        first = np.eye(3)[order[int(np.argmin(np.round(np.abs(t[0][order]), 9)))]]
-        n = first - (first @ t[0]) * t[0]
+        along = np.round(np.abs(t[0][order]), 9)
+        first = np.eye(3)[order[int(np.argmin(along))]]
+        across = first - (first @ t[0]) * t[0]
+        across /= np.linalg.norm(across)
 
-        turned = _products(_reflections(x, t))[np.searchsorted(fine, s)]
-        carried: Array = turned @ (n / np.linalg.norm(n))
+        turns = _products(_reflections(x, t))
+        carried: Array = turns[np.searchsorted(fine, s)] @ across
         return carried / np.linalg.norm(carried, axis=1, keepdims=True)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -182,8 +183,12 @@ class Rod(Body):
         length = self.reference.length
         inner = [s for s in self.places.values() if 1e-9 * length < s < (1 - 1e-9) * length]
         stops = np.unique([0.0, *inner, length])
-        parts = [max(1, round(self.elements * (b - a) / length)) for a, b in zip(stops[:-1], stops[1:], strict=True)]
-        pieces = [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(stops[:-1], stops[1:], parts, strict=True)]
+
+        pieces = []
+        for start, end in pairwise(stops):
+            share = (end - start) / length
+            count = max(1, round(self.elements * share))
+            pieces.append(np.linspace(start, end, count, endpoint=False))
         return np.concatenate((*pieces, [length]))
 
     @property

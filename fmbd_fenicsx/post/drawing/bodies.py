@@ -44,8 +44,7 @@ def pieces_of(body: Any, at: Places, paint: Paint | None, symbol: float) -> list
 @pieces_of.register
 def _field(body: FloatingBody | AbsoluteBody, at: Places, paint: Paint | None, symbol: float) -> list[Piece]:
     s = at.run.system
-    k = next(k for k, p in enumerate(s.parts) if p.name == body.name)
-    part: Any = s.parts[k]
+    _, part = s.part(body.name)
     absolute = part.frame == s.n_frames  # displacements from the place where the mesh lies
     origins = np.tile(part.field.center, (at.count, 1)) if absolute else at.frames[:, part.frame, : s.motions.dim]
 
@@ -56,7 +55,7 @@ def _field(body: FloatingBody | AbsoluteBody, at: Places, paint: Paint | None, s
 @pieces_of.register
 def _reduced(body: ReducedBody, at: Places, paint: Paint | None, symbol: float) -> list[Piece]:
     s = at.run.system
-    part = next(p for p in s.parts if p.name == body.name)
+    _, part = s.part(body.name)
     found, d = body.reduction, s.motions.dim
     n = len(found.phi) // d
     X = found.space.tabulate_dof_coordinates()[:n, :d] - found.constants.center
@@ -134,7 +133,7 @@ def tube(name: str, path: Array, radius: float) -> Piece:
 @pieces_of.register
 def _wires(body: Wires, at: Places, paint: Paint | None, symbol: float) -> list[Piece]:
     """Wires one above the other, a twentieth of the span apart; droppers between them, flagged where they are slack."""
-    part: Any = next(p for p in at.run.system.parts if p.name == body.name)
+    _, part = at.run.system.part(body.name)
     field = part.field
     u = at.coordinates[body.name]
     apart = body.length / 20

@@ -96,16 +96,19 @@ class Balanced(Remembering):
 
     def _velocities(self, ev: Evaluation, left: Array, h: float, *, stiff: bool) -> Array:
         """d of (1) as lengths over time, (n_core,); ``stiff``: with C and K."""
-        n = ev.system.n_core
+        s = ev.system
+        n = s.n_core
         weight = _diagonal(core_matrix(ev, Weights(1.0, h, h * h)) if stiff else self.solver.masses(ev))
-        applied = force_tangent(ev, h, h * h) if stiff and (ev.system.forces or ev.system.elements) else None
+        applied = force_tangent(ev, h, h * h) if stiff and (s.forces or s.elements) else None
         if applied is not None:
-            weight += 0.0 if applied.core is None else _diagonal(applied.core)
+            if applied.core is not None:
+                weight += _diagonal(applied.core)
             weight += np.abs(np.einsum("ij,ij->i", applied.left[:n], applied.right[:n]))
 
         # no force would change the velocity of a coordinate without inertia and stiffness
         known = weight > 0
-        return ev.system.units[:n] * np.where(known, np.abs(left) / np.where(known, weight, 1.0), 0.0)
+        change = np.where(known, np.abs(left) / np.where(known, weight, 1.0), 0.0)
+        return s.units[:n] * change
 
     def _forces(self, ev: Evaluation, state: State) -> Array:
         """Sizes of what joints and elements exert, (n_core,): of a frame one for its forces and one for its moments."""

@@ -247,11 +247,21 @@ class ContactDriver:
         """The coordinate of stops, and where they are."""
         marker = int(pair.relative.b[0])
         tables = self.tables
-        place = np.zeros(tables.dim) if marker in tables.surfaces else self.system.markers.position[marker]
-        one.shape, one.batch = LIMIT, tables.coordinate(self.stops.index(pair))
-        one.pushes, one.lever = int(not pair.relative.angular), pair.lever(self.system)
-        one.marked, one.mark[:] = int(tables.frame[marker]), list(place)
-        one.bound[: pair.count], one.side[: pair.count] = list(pair.bounds), list(pair.signs)
+        one.shape = LIMIT
+
+        # the coordinate; moments of angles push no point
+        one.batch = tables.coordinate(self.stops.index(pair))
+        one.pushes = int(not pair.relative.angular)
+        one.lever = pair.lever(self.system)
+
+        # the point on b
+        on_surface = marker in tables.surfaces
+        one.marked = int(tables.frame[marker])
+        one.mark[:] = [0.0] * tables.dim if on_surface else list(self.system.markers.position[marker])
+
+        # its stops
+        one.bound[: pair.count] = list(pair.bounds)
+        one.side[: pair.count] = list(pair.signs)
 
     # -- calls of C ----------------------------------------------------------------------------------------------------------
     def answer(self, what: int, number: int, t: float) -> int:

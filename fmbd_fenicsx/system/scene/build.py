@@ -248,10 +248,12 @@ class Builder:
         points = [q[: self.m.dim] for q in self.poses]
         for joint in self.scene.joints.values():
             points += [x for x in (joint.center_a, joint.center_b) if x is not None]
-        spread = np.ptp(np.array(points), axis=0) if points else np.zeros(1)
+        if not points:
+            points = [np.zeros(self.m.dim)]
 
-        sizes = [float(np.linalg.norm(spread)), *(p.size for p in self.fields)]
-        return max(sizes) or self._length_about(points[0] if points else np.zeros(self.m.dim))
+        spread = float(np.linalg.norm(np.ptp(np.array(points), axis=0)))
+        largest = max([spread, *(p.size for p in self.fields)])
+        return largest or self._length_about(points[0])
 
     def _length_about(self, place: Array) -> float:
         """That of bodies in one place: how far away forces act or contact points spread, or else a radius of gyration."""

@@ -175,12 +175,15 @@ def oriented(c: Contact) -> Contact:
 def _facet_size(surface: Surface) -> float:
     """Mean diameter of the facets of a surface, m; collective."""
     mesh = surface.body.solid.mesh
-    tags, msh = mesh.facet_tags, mesh.dolfinx
-    facets = tags.find(mesh.surface_tag(surface.name))
-    own = facets[facets < msh.topology.index_map(mesh.dim - 1).size_local]
+    msh, facet = mesh.dolfinx, mesh.dim - 1
+    facets = mesh.facet_tags.find(mesh.surface_tag(surface.name))
 
-    found = msh.comm.allgather((float(msh.h(mesh.dim - 1, own).sum()) if len(own) else 0.0, len(own)))
-    return sum(s for s, _ in found) / max(sum(n for _, n in found), 1)
+    # those of this rank
+    own = facets[facets < msh.topology.index_map(facet).size_local]
+    diameters = float(msh.h(facet, own).sum()) if len(own) else 0.0
+
+    sums, counts = zip(*msh.comm.allgather((diameters, len(own))), strict=True)
+    return float(sum(sums) / max(sum(counts), 1))
 
 
 def _carrier(name: str, obstacle: Obstacle, m: Motions, frame_of: dict[str, int]) -> Carrier:

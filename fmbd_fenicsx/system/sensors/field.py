@@ -49,8 +49,7 @@ class Largest(Sensor):
         import basix
         from dolfinx import fem
 
-        k = next(k for k, part in enumerate(ev.system.parts) if part.name == self.body.name)
-        part: Any = ev.system.parts[k]
+        k, part = ev.system.part(self.body.name)
         modes = part.body.reduction if isinstance(self.body, ReducedBody) else None
         space = part.field.space if modes is None else modes.space
         u = fem.Function(space)

@@ -54,8 +54,7 @@ class PointOfBody:
 
 def find(system: System, body: Any, X: Array) -> PointOfBody:
     """A point of a body in a system; collective."""
-    number = next(k for k, part in enumerate(system.parts) if part.name == body.name)
-    part: Any = system.parts[number]
+    number, part = system.part(body.name)
     reduced = isinstance(body, ReducedBody)
     space = part.body.reduction.space if reduced else part.field.space
     origin = part.constants.center if reduced else part.origin

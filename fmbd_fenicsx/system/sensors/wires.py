@@ -31,14 +31,14 @@ class WireHeight(Sensor):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Displacements of the wire, m."""
-        k = next(k for k, p in enumerate(ev.system.parts) if p.name == self.body.name)
+        known = ev.system.cache
+        k, part = ev.system.part(self.body.name)
         key = f"wire height {id(self)}"
-        if key not in ev.system.cache:
+        if key not in known:
             import scipy.sparse as sp
 
-            field: Any = ev.system.parts[k].field  # type: ignore[attr-defined]
-            ev.system.cache[key] = sp.vstack([field.row(self.wire, x) for x in self.x]).tocsr()
-        return np.asarray(ev.system.cache[key] @ ev.system.local_q(state.q, k))
+            known[key] = sp.vstack([part.field.row(self.wire, x) for x in self.x]).tocsr()
+        return np.asarray(known[key] @ ev.system.local_q(state.q, k))
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +54,8 @@ class DropperForces(Sensor):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Tensions, N."""
-        k = next(k for k, p in enumerate(ev.system.parts) if p.name == self.body.name)
-        field: Any = ev.system.parts[k].field  # type: ignore[attr-defined]
-        return np.asarray(field.tension(ev.system.local_q(state.q, k))[0])
+        k, part = ev.system.part(self.body.name)
+        return np.asarray(part.field.tension(ev.system.local_q(state.q, k))[0])
 
 
 def wire_height(wires: Any, wire: int, x: Any) -> Sensor:
