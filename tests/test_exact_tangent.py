@@ -35,8 +35,8 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> list[list[float]]:
     histories: list[list[float]] = []
     plain = Newton.solve
 
-    def solve(self: Newton, *given: Any) -> tuple[bool, list[float]]:
-        converged, history = plain(self, *given)
+    def solve(self: Newton, *given: Any, **more: Any) -> tuple[bool, list[float]]:
+        converged, history = plain(self, *given, **more)
         histories.append(history)
         return converged, history
 
