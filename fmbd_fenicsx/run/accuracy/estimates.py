@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -36,7 +36,8 @@ LEAST_ORDER = 0.5
 BETWEEN, MOST_BETWEEN = 0.4, 0.5  # of the way from an order seen to that of the scheme; and the most that this may be
 NEARBY = 0.1  # share of the run about the largest difference in which that with larger steps is looked at too
 REGULAR = 0.9  # share of the scheme's order above which an order is what it seems
-AHEAD = 4.0 / 3.0  # the error of the finer space counts as at most a quarter of that of the given one
+EXPECTED = 4.0  # ratio of the errors in a space and in the next finer one
+AHEAD = EXPECTED / (EXPECTED - 1.0)  # the error of the finer space counts as at most a quarter of that of the given one
 ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
 FALLING = 3.0  # from one level to the next; below, the differences of levels do not tell the error
 UNENDED = "the run with finer spaces did not end"
@@ -252,6 +253,26 @@ def space_deviations(coarse: Recorder, fine: Recorder, why: str) -> tuple[dict[s
         else:
             why = f'"{name}" has other values on another mesh'
     return errors, why
+
+
+def from_below(
+    given: Recorder, below: Recorder, levels: int, enough: Callable[[dict[str, Deviation]], bool]
+) -> dict[str, Deviation] | None:
+    """Error in space of each sensor from a run on a mesh so many ``levels`` coarser, each expected to be r = 4 times better:
+
+        x - x_h ~ (x_h - x_H) / (r^levels - 1)                                                                       (1)
+
+    which is what (2) of :func:`space_error` takes for granted too. None where it is not ``enough`` if each were
+    :data:`FALLING` times better only, and where a sensor has other values on each mesh.
+    """
+    apart = {}
+    for name, x in given.series.items():
+        if x.shape != below.series[name].shape:
+            return None
+        apart[name] = Deviation(given.times, x - below.series[name])
+    if not enough({n: _scaled(x, 1.0 / (FALLING**levels - 1.0)) for n, x in apart.items()}):
+        return None
+    return {n: _scaled(x, 1.0 / (EXPECTED**levels - 1.0)) for n, x in apart.items()}
 
 
 def levels_compared(highest: float, given: Recorder, below: Recorder, lowest: Recorder) -> dict[str, Deviation] | None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...errors import ConvergenceError, InputError
+from ...errors import InputError
 from ...schemes.control import FINEST
 from ...system.scene.refinement import expected_rate, meshed_bodies, modal_bodies, more_modes, slender
 from ...system.scene.scene import Scene
@@ -23,7 +23,7 @@ from .certificate import KINDS
 from .deviation import Deviation
 from .estimates import SEEN
 from .shared_runs import Orders, SharedRuns
-from .shares import AIM, WHOLE, Tolerance, share
+from .shares import AIM, WHOLE, Tolerance, largest_share, share
 
 if TYPE_CHECKING:
     from .tolerance import Attempt
@@ -33,24 +33,26 @@ LEAST_UNSEEN = 0.5  # the same where the order of the scheme was not seen
 NEAR, FAR = 1 / 4, 1 / 128  # most that a step is made smaller at once, without and with the order of the scheme seen
 STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, as long as nothing was seen
 HALF, LATER = 0.45, 0.3  # shares for time beside an error in space that is not known yet: allowed, and brought below
+BOTH = 0.6  # part of it for each of space and modes, where there are both
+SMALL = 0.5  # part of what it is allowed up to which an error is not estimated again when the other kind is refined
 FALLS = 1.1  # ratio by which errors in space have to fall when meshes are refined
 MANY = 32  # grains above which numbers of steps are rounded to four
 
 
 @dataclass(frozen=True)
 class Known:
-    """Errors of space and modes that were estimated with other steps, and what could not be stated."""
+    """Errors of space and modes, by kind, that still hold, and what could not be stated of the error in space."""
 
-    errors: dict[str, dict[str, Deviation]]
-    unstated: str
+    errors: Mapping[str, dict[str, Deviation]] = field(default_factory=dict)
+    unstated: str = ""
 
 
 @dataclass(frozen=True)
 class AttemptPlan:
     """What an attempt is made with.
 
-    ``steps``: their number, a multiple of ``grain``; 0 for schemes with error control. ``known``: errors of space and modes that
-    still hold. ``orders``: of time, seen with other spaces. ``before``: level of the meshes and error in space over the
+    ``steps``: their number, a multiple of ``grain``; 0 for schemes with error control. ``known``: errors that need no new
+    estimate. ``orders``: of time, seen with other spaces. ``before``: level of the meshes and error in space over the
     tolerance of the attempt before they were refined last. ``below``: the scene with the meshes of each level below.
     """
 
@@ -60,7 +62,7 @@ class AttemptPlan:
     grain: int
     meshes: int = 0
     modes: int = 0
-    known: Known | None = None
+    known: Known = field(default_factory=Known)
     orders: Orders = field(default_factory=Orders)
     before: tuple[int, float] | None = None
     below: tuple[Scene, ...] = ()
@@ -93,28 +95,26 @@ def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: O
     Raises ConvergenceError or LinearSolveError where these steps are too few: a run does not end, or only with steps in parts.
     """
     few = plan.orders.follow
-    if plan.known is not None or not 0 < few < plan.steps or not meshed_bodies(plan.scene):
+    if "space" in plan.known.errors or not 0 < few < plan.steps or not meshed_bodies(plan.scene):
         return None
 
     output = replace(wanted, every=1, energy=False, ledger=False, estimate_error=False)
-    solved = shared.solve(plan.scene, plan.scheme, StepSchedule(plan.schedule.t_end, few), output)
-    run = solved.run
-    if run.counters.get("halved_steps"):
-        raise ConvergenceError(f"{few} steps had to be made in parts")
-    errors, unstated = shared.space_error(solved, solved.compared, plan.below)
+    made = shared.look(plan.scene, plan.scheme, StepSchedule(plan.schedule.t_end, few), output)
+    series, limit = made.recorder.series, space_limit(plan.scene)
+    errors, unstated = shared.space_error(
+        plan.scene, made, plan.below, lambda x: largest_share(x, series, tol) <= limit
+    )
     if unstated or not errors:
         return None
 
-    run.state_error("space", errors)
-    over = max(share(run.certificate, n, x, "space") for n, x in tol.items())
-    limit = AIM * (0.6 if modal_bodies(plan.scene) else 1.0)
+    over = largest_share(errors, series, tol)
     if over <= limit:
         return None
     try:
         made = _finer_meshes(plan, over, limit, shared)
     except InputError:
         return None  # the whole attempt tells why
-    return Looked(made, {n: run.space_error[n] for n in tol if n in run.space_error}, over)
+    return Looked(made, {n: errors[n].size for n in tol}, over)
 
 
 def next_plan(
@@ -144,22 +144,21 @@ def next_plan(
             done.append("finer meshes")
         if over["modes"] > limits["modes"]:
             scene, *below = (more_modes(x, run.system) for x in (made.scene, *made.below))
-            made = replace(made, scene=scene, modes=made.modes + 1, known=None, below=tuple(below))
+            made = replace(made, scene=scene, modes=made.modes + 1, below=tuple(below))
             done.append("more modes")
     except InputError as error:
         known = run.certificate.unstated.get("space")
         return None, f"{error}" + (f" Of its error in space: {known}." if known else "")
+
+    made = replace(made, known=_still_known(plan, made, run, over, limits))
 
     # where the next error in space is open, steps change in the same attempt only if they have to
     unseen = not np.isfinite(over["time"])
     allowed = wanted = limits["time"]
     if made.meshes != plan.meshes and not _foreseen(plan):
         allowed, wanted = max(HALF, wanted), max(LATER, wanted)
-    if made is not plan and not (unseen or over["time"] > allowed):
+    if done and not (unseen or over["time"] > allowed):
         return made, " and ".join(done)
-    if made is plan:
-        errors = {k: run.deviations.get(k, {}) for k in ("space", "modes")}
-        made = replace(made, known=Known(errors, run.space_unstated))
     factor = 0.25 if unseen else _factor(plan, run, tol, shares=(over["time"], wanted), history=history)
     made = finer_steps(made, factor)
     if not made.steps and made.scheme.rtol <= FINEST:
@@ -167,10 +166,25 @@ def next_plan(
     return made, " and ".join([*done, "finer steps"])
 
 
+def _still_known(
+    plan: AttemptPlan, made: AttemptPlan, run: Run, over: Mapping[str, float], limits: Mapping[str, float]
+) -> Known:
+    """Errors of a run that hold for the next plan: what is small does not grow when only the other kind is refined."""
+    changed = {"space": made.meshes != plan.meshes, "modes": made.modes != plan.modes}
+    other = {"space": "modes", "modes": "space"}
+    keeps = [k for k in changed if not changed[k] and (not changed[other[k]] or over[k] <= SMALL * limits[k])]
+    return Known({k: run.deviations.get(k, {}) for k in keeps}, run.space_unstated if "space" in keeps else "")
+
+
+def space_limit(scene: Scene) -> float:
+    """Share of the tolerance that the error in space may take of itself."""
+    return AIM * (BOTH if modal_bodies(scene) else 1.0)
+
+
 def _limits(over: Mapping[str, float]) -> dict[str, float]:
     """Shares of the tolerance below which spaces, modes and time are left alone: what is fixed first leaves the rest to time."""
     kinds = sum(over[k] > 0 for k in ("space", "modes"))
-    fixed = AIM if kinds < 2 else 0.6 * AIM
+    fixed = AIM if kinds < 2 else BOTH * AIM
     spent = sum(min(over[k], fixed) for k in ("space", "modes")) + over["algebra"]
     return {"space": fixed, "modes": fixed, "time": WHOLE - spent}
 
@@ -195,7 +209,8 @@ def _finer_meshes(plan: AttemptPlan, over: float, limit: float, shared: SharedRu
                 raise
             break  # as fine as they get
     made = replace(plan, scene=scenes[-1], meshes=len(scenes) - 1, below=tuple(scenes[:-1]))
-    return replace(made, known=None, before=(plan.meshes, over))
+    modes = {k: x for k, x in plan.known.errors.items() if k == "modes"}
+    return replace(made, known=Known(modes), before=(plan.meshes, over))
 
 
 def _foreseen(plan: AttemptPlan) -> bool:

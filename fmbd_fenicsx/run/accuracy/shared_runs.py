@@ -7,18 +7,20 @@ follow the same motion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from ...errors import ConvergenceError
 from ...log import log
 from ...notices import Gathered
 from ...schemes.newton import Newton
 from ...system.scene.refinement import expected_rate, one_kind, refined, refined_by_finer_space
 from ...system.scene.scene import Scene
 from ..built import Built, build
+from ..problem import Problem
 from ..recording.output import Output
 from ..schedule import StepSchedule
 from ..single_run import Solved, Task, run_once
@@ -33,6 +35,7 @@ from .estimates import (
     again,
     compare_steps,
     finer_scene,
+    from_below,
     levels_compared,
     run_like,
     space_deviations,
@@ -42,6 +45,8 @@ NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the er
 BEYOND = 20.0  # the same where they show the order of the scheme
 PARTED = 0.25  # halvings of steps, for each step, that a run may take: beyond, smaller steps cost less
 TWICE = 2.0  # least ratio where they do not
+
+Enough = Callable[[dict[str, Deviation]], bool] | None
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,7 @@ class SharedRuns:
         self._built: dict[int, Built] = {}
         self._finer: dict[int, tuple[Scene, str, Built | None]] = {}
         self._runs: dict[int, dict[int, Compared]] = {}
+        self._newest: Problem | None = None  # of a run: others have its scheme and settings
         self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
 
@@ -83,9 +89,23 @@ class SharedRuns:
         """One run, kept for later ones with smaller steps to be compared with; collective."""
         task = Task(scene, scheme, schedule, self.newton.afresh(), self.linear, output, PARTED * schedule.steps)
         solved = run_once(task, self.built(scene))
+        self._newest = solved.problem
         if not solved.run.counters.get("halved_steps"):
             self._note(scene, solved.compared)
         return solved
+
+    def look(self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output) -> Compared:
+        """A run with equal steps that tells an error only: one that is there, or a new one; collective.
+
+        Raises ConvergenceError where its steps are made in parts.
+        """
+        kept = self.kept(scene, schedule.steps)
+        if kept is not None:
+            return kept
+        solved = self.solve(scene, scheme, schedule, output)
+        if solved.run.counters.get("halved_steps"):
+            raise ConvergenceError(f"{schedule.steps} steps had to be made in parts")
+        return solved.compared
 
     def _note(self, scene: Scene, made: Compared) -> None:
         """Keep a run whose steps have one size, recorded at all their ends or at given times."""
@@ -176,17 +196,15 @@ class SharedRuns:
         return have[steps]
 
     # -- errors in space ----------------------------------------------------------------------------------------------
-    def space_error(self, solved: Solved, made: Compared, below: Sequence[Scene]) -> tuple[dict[str, Deviation], str]:
-        """The error by the meshes, from runs on the levels ``below`` where there are two, else from one in finer spaces; with the
-        steps of a run ``made``; collective.
+    def space_error(
+        self, scene: Scene, made: Compared, below: Sequence[Scene], enough: Enough = None
+    ) -> tuple[dict[str, Deviation], str]:
+        """The error by the meshes, with the steps of a run ``made``: from runs on the levels ``below``, where these tell that it
+        is small ``enough`` or how it falls, else from one in finer spaces; collective.
         """
-        scene = solved.problem.scene
-        if len(below) > 1 and one_kind(below[-2]):
-            others = [self._like(solved, made, x) for x in below[:-3:-1]]
-            if others[0] is not None and others[1] is not None:
-                found = levels_compared(expected_rate(scene), made.recorder, others[0].recorder, others[1].recorder)
-                if found is not None:
-                    return found, ""
+        found = self._from_levels(scene, made, below, enough)
+        if found is not None:
+            return found, ""
 
         if id(scene) not in self._finer:
             self._finer[id(scene)] = finer_scene(scene)
@@ -195,17 +213,43 @@ class SharedRuns:
             return {}, why or "no body is on a mesh"
         if id(finer) not in self._built:
             self._keep(finer, built)
-        fine = self._like(solved, made, finer)
+        fine = self._like(made, finer)
         if fine is None:
             return {}, UNENDED
         return space_deviations(made.recorder, fine.recorder, why)
 
-    def _like(self, solved: Solved, made: Compared, scene: Scene) -> Compared | None:
+    def _from_levels(
+        self, scene: Scene, made: Compared, below: Sequence[Scene], enough: Enough
+    ) -> dict[str, Deviation] | None:
+        """The error by the meshes from runs on the levels below; None where they do not tell it."""
+        steps = made.schedule.steps
+        have = [k for k, x in enumerate(below) if self.kept(x, steps) is not None]
+
+        # runs that are there cost nothing
+        if have and enough is not None and not scene.contacts:
+            near = self._runs[id(below[have[-1]])][steps].recorder
+            found = from_below(made.recorder, near, len(below) - have[-1], enough)
+            if found is not None:
+                return found
+
+        if len(below) > 1 and one_kind(below[-2]):
+            others = [self._like(made, x) for x in below[:-3:-1]]
+            if others[0] is not None and others[1] is not None:
+                return levels_compared(expected_rate(scene), made.recorder, others[0].recorder, others[1].recorder)
+        return None
+
+    def kept(self, scene: Scene, steps: int) -> Compared | None:
+        """The run of a scene with so many equal steps, where there is one."""
+        return self._runs.get(id(scene), {}).get(steps)
+
+    def _like(self, made: Compared, scene: Scene) -> Compared | None:
         """A run of the scene with other meshes and the steps of a run ``made``; None where it does not end."""
-        kept = self._runs.get(id(scene), {}).get(made.schedule.steps)
+        kept = self.kept(scene, made.schedule.steps)
         if kept is not None:
             return kept
-        marched = run_like(solved.problem, made, scene, self.built(scene))
+        assert self._newest is not None
+        problem = replace(self._newest, most_parts=PARTED * made.schedule.steps)
+        marched = run_like(problem, made, scene, self.built(scene))
         if marched is None:
             return None
         found = Compared(marched.recorder, made.schedule)

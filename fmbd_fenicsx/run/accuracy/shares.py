@@ -10,8 +10,10 @@ import numpy as np
 
 from ...checks import typed
 from ...errors import InputError, near, require
+from ...rotations import Array
 from ...system.scene.scene import Scene
 from .certificate import Certificate, Statement
+from .deviation import Deviation
 
 AIM = 0.6  # share of the tolerance below which the error of space, or of modes, is brought: its estimate is the coarser one
 WHOLE, SAFE = 0.8, 0.9  # shares that all kinds together are brought below, and must be
@@ -70,13 +72,25 @@ def _limit(statement: Statement, value: Any) -> float:
 
     Raises InputError where it is below.
     """
-    limit = value.share * statement.span if isinstance(value, Relative) else float(value)
+    limit = _plain(value, statement.span)
     floor = FLOOR * statement.span
     require(
         limit >= floor,
         f'tol of "{statement.sensor}", {limit:g} {statement.unit}, is below what roundoff allows: about {floor:.1e}.',
     )
+    return limit
+
+
+def _plain(value: Any, span: float) -> float:
+    """The tolerance of a sensor with this range, in its unit."""
+    limit = value.share * span if isinstance(value, Relative) else float(value)
     return limit if limit > 0 else np.inf  # a sensor that does not move has no error to speak of
+
+
+def largest_share(errors: Mapping[str, Deviation], series: Mapping[str, Array], tol: Tolerance) -> float:
+    """The largest of some errors over its tolerance, sensor by sensor; ``series``: of a run, whose ranges shares refer to."""
+    spans = {n: float(np.ptp(series[n], axis=0).max(initial=0.0)) for n in tol}
+    return max(errors[n].size / _plain(x, spans[n]) for n, x in tol.items())
 
 
 def share(made: Certificate, sensor: str, value: Any, kind: str) -> float:

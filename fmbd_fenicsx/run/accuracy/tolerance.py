@@ -29,9 +29,9 @@ from ..schedule import StepSchedule, step_schedule
 from ..settings import check_tangent, checked_scheme
 from ..single_run import Solved
 from .estimates import UNENDED, UNFIT, Compared, TimeError, reduction_error, tolerance_error, warn_of_uncertain
-from .next_attempt import AttemptPlan, Looked, finer_steps, next_plan, space_first
+from .next_attempt import AttemptPlan, Looked, finer_steps, next_plan, space_first, space_limit
 from .shared_runs import Orders, SharedRuns
-from .shares import Relative, Tolerance, check_tolerances, relative, safe, worst
+from .shares import Relative, Tolerance, check_tolerances, largest_share, relative, safe, worst
 
 __all__ = ["Attempt", "Relative", "relative", "solve_within"]
 
@@ -234,7 +234,7 @@ def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: Outp
     found = _time_error(plan, tol, shared, solved)
     run.seconds["error estimate"] = clock.perf_counter() - ended
 
-    _other_errors(plan, shared, solved, found.with_others)
+    _other_errors(plan, tol, shared, solved, found.with_others)
     if every != wanted.every:
         _thin_out(run, solved.compared.recorder.indices, wanted.every)
     fewest = found.with_others.schedule.steps
@@ -260,26 +260,27 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, solved: S
     return found
 
 
-def _other_errors(plan: AttemptPlan, shared: SharedRuns, solved: Solved, made: Compared) -> None:
+def _other_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, solved: Solved, made: Compared) -> None:
     """State the errors of modes and space: those that are known, or from runs with the steps of a run ``made``; collective."""
-    run = solved.run
-    if plan.known is not None:
-        run.space_unstated = plan.known.unstated
-        for kind, found in plan.known.errors.items():
-            run.state_error(kind, found)
-        return
+    run, known = solved.run, plan.known.errors
+    for kind, found in known.items():
+        run.state_error(kind, found)
+    run.space_unstated = plan.known.unstated
 
     # steps that are enough for the run may be too few with more modes or finer meshes: those of the run itself then
     steps = [made] if made is solved.compared else [made, solved.compared]
     begun = clock.perf_counter()
-    if modal_bodies(plan.scene):
+    if modal_bodies(plan.scene) and "modes" not in known:
         by_modes = (reduction_error(solved.problem, x) for x in steps)
         run.state_error("modes", next(filter(None, by_modes), {}))
         run.seconds["reduction estimate"] = clock.perf_counter() - begun
     begun = clock.perf_counter()
-    if meshed_bodies(plan.scene):
+    if meshed_bodies(plan.scene) and "space" not in known:
+        series, limit = run.series, space_limit(plan.scene)
         for x in steps:
-            in_space, run.space_unstated = shared.space_error(solved, x, plan.below)
+            in_space, run.space_unstated = shared.space_error(
+                plan.scene, x, plan.below, lambda found: largest_share(found, series, tol) <= limit
+            )
             if run.space_unstated != UNENDED:
                 break
         run.state_error("space", in_space)
