@@ -35,6 +35,8 @@ STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, 
 HALF, LATER = 0.45, 0.3  # shares for time beside an error in space that is not known yet: allowed, and brought below
 BOTH = 0.6  # part of it for each of space and modes, where there are both
 SMALL = 0.5  # part of what it is allowed up to which an error is not estimated again when the other kind is refined
+TIGHTER = 0.05  # share of the tolerance that Newton's iteration is brought to leave, where it left too much
+LEAST_NEWTON = 1e-12  # tolerance of Newton's iteration: roundoff is above smaller ones
 FALLS = 1.1  # ratio by which errors in space have to fall when meshes are refined
 MANY = 32  # grains above which numbers of steps are rounded to four
 
@@ -102,14 +104,14 @@ def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: O
     made = shared.look(plan.scene, plan.scheme, StepSchedule(plan.schedule.t_end, few), output)
     series, limit = made.recorder.series, space_limit(plan.scene)
     errors, unstated = shared.space_error(
-        plan.scene, made, plan.below, lambda x: largest_share(x, series, tol) <= limit
+        plan.scene, [made], plan.below, lambda x: largest_share(x, series, tol) <= limit
     )
     if unstated or not errors:
         return None
 
     over = largest_share(errors, series, tol)
-    if over <= limit:
-        return None
+    if over <= limit or (plan.before is not None and over > plan.before[1] / FALLS):
+        return None  # fine enough, or no better than coarser ones: the whole attempt tells what is the matter
     try:
         made = _finer_meshes(plan, over, limit, shared)
     except InputError:
@@ -122,14 +124,15 @@ def next_plan(
 ) -> tuple[AttemptPlan | None, str]:
     """The next plan and what it changes, or None and why there is none; collective where meshes are refined."""
     over = {kind: max(share(run.certificate, n, x, kind) for n, x in tol.items()) for kind in KINDS}
-    if over["algebra"] > AIM:
-        smaller = shared.newton.tolerance * AIM / over["algebra"]
-        return (
-            None,
-            f"Newton's tolerance is too large: give newton=fmbd.Newton(tolerance={smaller:.0e}) or a smaller one",
-        )
-
     made, done = plan, []
+    if over["algebra"] > AIM:
+        smaller = shared.newton.tolerance * TIGHTER / over["algebra"]
+        if shared.newton_is_given:
+            return None, f"Newton's tolerance is too large: give newton=fmbd.Newton(tolerance={smaller:.0e})"
+        if smaller < LEAST_NEWTON:
+            return None, "Newton's iteration leaves more than that, by the roundoff of its increments"
+        shared.iterate_to(smaller)
+        over["algebra"], done = TIGHTER, ["a smaller tolerance of Newton's iteration"]
     limits = _limits(over)
     before = np.inf if plan.before is None else plan.before[1]
     if over["space"] > limits["space"] and over["space"] > max(before / FALLS, 1.0):

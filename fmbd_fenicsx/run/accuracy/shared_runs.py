@@ -62,6 +62,7 @@ class SharedRuns:
 
     def __init__(self, newton: Newton | None, linear: Any, grain: int) -> None:
         self.newton, self.linear, self.grain = Newton() if newton is None else newton, linear, max(grain, 1)
+        self.newton_is_given = newton is not None
         self._built: dict[int, Built] = {}
         self._finer: dict[int, tuple[Scene, str, Built | None]] = {}
         self._runs: dict[int, dict[int, Compared]] = {}
@@ -93,6 +94,11 @@ class SharedRuns:
         if not solved.run.counters.get("halved_steps"):
             self._note(scene, solved.compared)
         return solved
+
+    def iterate_to(self, tolerance: float) -> None:
+        """Newton's iteration to another tolerance from now on; runs with the old one are not compared with those to come."""
+        self.newton = replace(self.newton.afresh(), tolerance=tolerance)
+        self._runs.clear()
 
     def look(self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output) -> Compared:
         """A run with equal steps that tells an error only: one that is there, or a new one; collective.
@@ -197,14 +203,40 @@ class SharedRuns:
 
     # -- errors in space ----------------------------------------------------------------------------------------------
     def space_error(
-        self, scene: Scene, made: Compared, below: Sequence[Scene], enough: Enough = None
+        self, scene: Scene, runs: Sequence[Compared], below: Sequence[Scene], enough: Enough = None
     ) -> tuple[dict[str, Deviation], str]:
-        """The error by the meshes, with the steps of a run ``made``: from runs on the levels ``below``, where these tell that it
-        is small ``enough`` or how it falls, else from one in finer spaces; collective.
+        """The error by the meshes of a scene, with the steps of one of its ``runs``: from runs on the levels ``below`` that are
+        there, where these tell that it is small ``enough``; else from new ones, of the first of the ``runs`` for which they end;
+        collective.
         """
-        found = self._from_levels(scene, made, below, enough)
-        if found is not None:
-            return found, ""
+        for made in runs:
+            found = self._from_kept(scene, made, below, enough)
+            if found is not None:
+                return found, ""
+        for made in runs:
+            errors, why = self._from_new(scene, made, below)
+            if why != UNENDED:
+                break
+        return errors, why
+
+    def _from_kept(
+        self, scene: Scene, made: Compared, below: Sequence[Scene], enough: Enough
+    ) -> dict[str, Deviation] | None:
+        """The error by the meshes from the nearest level below with a run that is there; None where it is not ``enough``."""
+        near = [k for k, x in enumerate(below) if self.kept(x, made.schedule.steps) is not None]
+        if not near or enough is None or scene.contacts:
+            return None
+        lower = self._runs[id(below[near[-1]])][made.schedule.steps]
+        return from_below(made.recorder, lower.recorder, len(below) - near[-1], enough)
+
+    def _from_new(self, scene: Scene, made: Compared, below: Sequence[Scene]) -> tuple[dict[str, Deviation], str]:
+        """The error by the meshes from the two levels below, where these tell how it falls, else from a run in finer spaces."""
+        if len(below) > 1 and one_kind(below[-2]):
+            lower, lowest = (self._like(made, x) for x in below[:-3:-1])
+            if lower is not None and lowest is not None:
+                found = levels_compared(expected_rate(scene), made.recorder, lower.recorder, lowest.recorder)
+                if found is not None:
+                    return found, ""
 
         if id(scene) not in self._finer:
             self._finer[id(scene)] = finer_scene(scene)
@@ -217,26 +249,6 @@ class SharedRuns:
         if fine is None:
             return {}, UNENDED
         return space_deviations(made.recorder, fine.recorder, why)
-
-    def _from_levels(
-        self, scene: Scene, made: Compared, below: Sequence[Scene], enough: Enough
-    ) -> dict[str, Deviation] | None:
-        """The error by the meshes from runs on the levels below; None where they do not tell it."""
-        steps = made.schedule.steps
-        have = [k for k, x in enumerate(below) if self.kept(x, steps) is not None]
-
-        # runs that are there cost nothing
-        if have and enough is not None and not scene.contacts:
-            near = self._runs[id(below[have[-1]])][steps].recorder
-            found = from_below(made.recorder, near, len(below) - have[-1], enough)
-            if found is not None:
-                return found
-
-        if len(below) > 1 and one_kind(below[-2]):
-            others = [self._like(made, x) for x in below[:-3:-1]]
-            if others[0] is not None and others[1] is not None:
-                return levels_compared(expected_rate(scene), made.recorder, others[0].recorder, others[1].recorder)
-        return None
 
     def kept(self, scene: Scene, steps: int) -> Compared | None:
         """The run of a scene with so many equal steps, where there is one."""

@@ -28,7 +28,7 @@ from ..result import Run
 from ..schedule import StepSchedule, step_schedule
 from ..settings import check_tangent, checked_scheme
 from ..single_run import Solved
-from .estimates import UNENDED, UNFIT, Compared, TimeError, reduction_error, tolerance_error, warn_of_uncertain
+from .estimates import UNFIT, Compared, TimeError, reduction_error, tolerance_error, warn_of_uncertain
 from .next_attempt import AttemptPlan, Looked, finer_steps, next_plan, space_first, space_limit
 from .shared_runs import Orders, SharedRuns
 from .shares import Relative, Tolerance, check_tolerances, largest_share, relative, safe, worst
@@ -111,9 +111,13 @@ class Search:
     why: str = f"{ATTEMPTS} attempts were not enough"
     failed: int = 0  # runs that did not come to their end
 
-    def take(self, run: Run, ratio: float) -> None:
-        """A run of an attempt."""
-        if self.best is None or ratio < self.best[0]:
+    def take(self, run: Run, ratio: float, plan: AttemptPlan) -> None:
+        """A run of an attempt: better than the best so far, or a finer one that shows how little that knew of its error."""
+        refuted = False
+        if self.best is not None and 1.0 < self.best[0] < ratio < np.inf:
+            last = self.history[-1]
+            refuted = last.step > plan.step and (last.meshes, last.modes) == (plan.meshes, plan.modes)
+        if self.best is None or ratio < self.best[0] or refuted:
             self.best = ratio, run
 
     def stalled(self, plan: AttemptPlan, ratio: float) -> str:
@@ -165,7 +169,7 @@ def _one_more(
 
     run, orders = _attempt(plan, tol, shared, wanted)
     ratio = worst(run.certificate, tol)
-    found.take(run, ratio)
+    found.take(run, ratio, plan)
     made, then = _after(replace(plan, orders=orders), run, ratio, tol=tol, shared=shared, found=found)
 
     errors = {n: run.certificate[n].sum for n in tol}
@@ -277,12 +281,9 @@ def _other_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, solved:
     begun = clock.perf_counter()
     if meshed_bodies(plan.scene) and "space" not in known:
         series, limit = run.series, space_limit(plan.scene)
-        for x in steps:
-            in_space, run.space_unstated = shared.space_error(
-                plan.scene, x, plan.below, lambda found: largest_share(found, series, tol) <= limit
-            )
-            if run.space_unstated != UNENDED:
-                break
+        in_space, run.space_unstated = shared.space_error(
+            plan.scene, steps, plan.below, lambda found: largest_share(found, series, tol) <= limit
+        )
         run.state_error("space", in_space)
         run.seconds["space estimate"] = clock.perf_counter() - begun
 
