@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, PartsError
 from fmbd_fenicsx.materials import neo_hookean
 from fmbd_fenicsx.run import single_run
-from fmbd_fenicsx.run.accuracy import estimates, shared_runs, tolerance
+from fmbd_fenicsx.run.accuracy import estimates, next_attempt, shared_runs, tolerance
 from fmbd_fenicsx.run.schedule import StepSchedule
 
 QUICK = ("pendulum", "mass on spring", "clamped beam", "spin-up")
@@ -208,3 +209,90 @@ def test_strains_take_plain_numbers() -> None:
     run = fmbd.solve(scene, t_end=0.3, tol={"strain": 2e-2}, output=fmbd.Output(progress=False))
     assert run.history[-1].then == "done"
     assert 0.0 < run.certificate["strain"].total <= 2e-2 and run.certificate["strain"].unit == "1"
+
+
+def test_the_level_below_tells_an_error_that_is_small_enough() -> None:
+    """x - x_h ~ (x_h - x_H) / (4^n - 1) of a mesh n levels coarser, where a fall by 3 from level to level would be enough too."""
+    times = np.linspace(0.0, 1.0, 5)
+    given, below = (SimpleNamespace(times=times, series={"x": np.full((5, 1), x)}) for x in (1.0, 0.0))
+
+    def told(levels: int, limit: float) -> Any:
+        return estimates.from_below(given, below, levels, lambda found: found["x"].size <= limit)  # type: ignore[arg-type]
+
+    assert told(1, 0.5)["x"].size == pytest.approx(1 / 3)
+    assert told(2, 0.125)["x"].size == pytest.approx(1 / 15)
+    assert told(1, 0.4) is None and told(2, 0.1) is None
+    below.series["x"] = np.zeros((5, 2))
+    assert told(1, 10.0) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "k", "spaces"), [("line", 0, 1), pytest.param("crank with FE rod", 1, 1, marks=pytest.mark.slow)]
+)
+def test_no_run_is_made_twice(name: str, k: int, spaces: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs serve all attempts; a finer space is made only where those that are there do not tell that the error is small enough,
+    or where the bodies' own has changed.
+    """
+    case, made, finer = CASES[name], [], []
+    march, finer_scene = single_run.march, shared_runs.finer_scene
+
+    def noted(problem: Any, solver: Any, schedule: Any, *rest: Any, **more: Any) -> Any:
+        made.append((id(problem.system), schedule.steps))
+        return march(problem, solver, schedule, *rest, **more)
+
+    def counted(scene: fmbd.Scene) -> Any:
+        finer.append(finer_scene(scene))
+        return finer[-1]
+
+    for module in (estimates, single_run):
+        monkeypatch.setattr(module, "march", noted)
+    monkeypatch.setattr(shared_runs, "finer_scene", counted)
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: case.tolerances[k]})
+    assert run.history[-1].then == "done" and len(run.history) > 1
+    assert len(set(made)) == len(made), made
+    assert len(finer) == spaces
+
+
+def test_newton_is_tightened_where_it_leaves_too_much() -> None:
+    """Its share is seen in the first attempt; a user's own tolerance is left as it is, with what it should be."""
+    tol, output = {"x": 1e-11}, fmbd.Output(every=1000, progress=False)
+    run = fmbd.solve(pendulum(), t_end=0.1, tol=tol, output=output)
+    assert "Newton" in run.history[0].then and run.history[-1].then == "done"
+    assert run.certificate["x"].sum <= 1e-11
+    kept = fmbd.solve(pendulum(), t_end=0.1, tol=tol, output=output, newton=fmbd.Newton())
+    assert "Newton(tolerance=" in kept.history[-1].then and len(kept.history) == 1
+
+
+def test_a_finer_run_that_states_more_refutes_the_best() -> None:
+    """Chaos: a coarse run knows nothing of its error, and is not given as the best with one that the next run has refuted."""
+    search, plan = tolerance.Search(), tolerance._first(CASES["mass on spring"].scene(), None, 3.0, 1e-3)
+    coarse, fine, last = "coarse", "fine", "last"
+    search.take(coarse, 5.0, replace(plan, schedule=StepSchedule(3.0, 100)))  # type: ignore[arg-type]
+    search.history.append(tolerance.Attempt(3e-2, 0, 0, 5.0, {}, 0.0, ""))
+    search.take(fine, 50.0, plan)  # type: ignore[arg-type]
+    assert search.best == (50.0, fine)
+
+    # other meshes refute nothing, nor does any run one that keeps the tolerance
+    search.history.append(tolerance.Attempt(plan.step, 0, 0, 50.0, {}, 0.0, ""))
+    search.take(last, 60.0, replace(plan, meshes=1, schedule=StepSchedule(3.0, 10000)))  # type: ignore[arg-type]
+    assert search.best == (50.0, fine)
+    search.best = 0.95, coarse  # type: ignore[assignment]
+    search.take(last, 2.0, replace(plan, schedule=StepSchedule(3.0, 10000)))  # type: ignore[arg-type]
+    assert search.best == (0.95, coarse)
+
+
+def test_looks_end_where_finer_meshes_do_not_help() -> None:
+    """Meshes are not refined again and again by looks alone: where errors no longer fall, the whole attempt tells why."""
+    case = CASES["line"]
+    plan = tolerance._first(case.scene(), None, case.t_end, None)
+    plan = replace(plan, orders=shared_runs.Orders({case.sensor: 2.0}, 12))
+    wanted = fmbd.Output(progress=False)
+
+    def looked(before: tuple[int, float] | None) -> Any:
+        shared = shared_runs.SharedRuns(None, None, plan.grain)
+        return next_attempt.space_first(replace(plan, before=before, meshes=1), {case.sensor: 1e-4}, shared, wanted)
+
+    first = looked(None)
+    assert first is not None and first.plan.meshes > 1
+    assert looked((0, 2.0 * first.over)) is not None
+    assert looked((0, first.over)) is None
