@@ -101,10 +101,10 @@ def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: O
         return None
 
     output = replace(wanted, every=1, energy=False, ledger=False, estimate_error=False)
-    made = shared.look(plan.scene, plan.scheme, StepSchedule(plan.schedule.t_end, few), output)
-    series, limit = made.recorder.series, space_limit(plan.scene)
+    seen = shared.look(plan.scene, plan.scheme, StepSchedule(plan.schedule.t_end, few), output)
+    series, limit = seen.recorder.series, space_limit(plan.scene)
     errors, unstated = shared.space_error(
-        plan.scene, [made], plan.below, lambda x: largest_share(x, series, tol) <= limit
+        plan.scene, [seen], plan.below, lambda x: largest_share(x, series, tol) <= limit
     )
     if unstated or not errors:
         return None
