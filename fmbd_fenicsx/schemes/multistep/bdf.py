@@ -52,6 +52,7 @@ from .amplification import Amplification
 from .corrector import Corrector
 from .past import LONGEST, Past, before, local, slopes, weights
 
+SLOW = 0.05  # rate of convergence above which the next step takes a tangent of its own: measured, a tangent costs some iterations
 STABLE = 2  # the highest order that damps undamped vibrations at any step
 
 
@@ -189,7 +190,7 @@ class BDFStepper(Corrector):
                 if stale:
                     continue  # once more with a new tangent
                 if cause.startswith("Newton") and self.eq.dense and not self._full:
-                    self._full = True
+                    self._full = 1
                     continue  # and with one for each iteration, before the step is made smaller
             else:
                 error, cause = self._error(h, found, self.k), "error estimate"
@@ -205,7 +206,7 @@ class BDFStepper(Corrector):
 
     def _reject(self, h: float, error: float, cause: str) -> None:
         """A smaller step next; after several rejections a lower order, whose past is shorter."""
-        self._full = False
+        self._full = 0
         self.stats.rejected[cause] += 1
         self.control.order = self.k + 1.0
         self.proposed = self.control.rejected(self.state.t, h, error, cause)
@@ -226,10 +227,8 @@ class BDFStepper(Corrector):
             return self.state
 
         self.norm.update(self.state, h)
-        found = self._newton(h, self.scheme.order)
-        if isinstance(found, str):
-            self._tangent = None
-            self._full = True  # Newton's own tangent in each iteration: stiff springs that turn
+        found = self._by_one_tangent(lambda: self._newton(h, self.scheme.order))
+        if self._full:  # Newton's own tangent in each iteration: stiff springs that turn
             found = self._newton(h, self.scheme.order)
         if isinstance(found, str):
             raise self._failure(h, found)
@@ -249,9 +248,9 @@ class BDFStepper(Corrector):
         self.stats.steps += 1
         self.control.fault = ""
         self._fresh = False
-        if self._theta > 0.2 or self._full or not self.eq.dense:
+        if self._theta > SLOW or self._full or not self.eq.dense:
             self._tangent = None
-        self._full = self._full and not self.adaptive
+        self._full = max(self._full - 1, 0)
         return self.state
 
     def _least(self, ev: Evaluation, mult: Array) -> Array:
