@@ -36,7 +36,8 @@ ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the toler
 STAGNATION = 100.0  # the same with constant steps, where the tolerance may lie below the roundoff of stiff forces
 TURN = 2.5  # rad
 LEAST_ERROR = 1e-2  # of errors that are remembered
-FINEST = 100 * float(np.finfo(float).eps)
+EPS = float(np.finfo(float).eps)
+FINEST = 100 * EPS
 
 
 def check_controlled(scheme: Any) -> None:
@@ -163,15 +164,11 @@ class ErrorNorm(Remembering):
             means += list(total / np.maximum(counts, 1.0))
         return float(np.sqrt(max(means, default=0.0)))
 
-    def constant(self, h: float, state: State, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
-        """Size of a Newton increment over its tolerance in runs with constant steps: rtol of the accelerations, above
-        roundoff.
-        """
+    def constant(self, h: float, state: State) -> float:
+        """What a Newton increment may move (m) in runs with constant steps: rtol of the accelerations, above roundoff."""
         s = self.system
         typical = max(s.max_abs(state.a), 1e-3 * s.max_abs(state.v) / h)
-
-        moved = max(s.max_abs(e_q), h * s.max_abs(e_v), 0.0 if e_a is None else h * h * s.max_abs(e_a))
-        return moved / max(self.rtol * h * h * typical, 64 * float(np.finfo(float).eps) * s.length)
+        return max(self.rtol * h * h * typical, 64 * EPS * s.length)
 
 
 def _largest(u: Array, rms: Array | None) -> float:

@@ -18,7 +18,7 @@ from ..system.foretold_efforts import foretold_efforts
 from ..system.serialisation import Memory, plain, worker
 from ..system.system import State, System
 from .consistent import worst_block
-from .control import ErrorNorm, Statistics, StepControl
+from .control import EPS, ErrorNorm, Statistics, StepControl
 from .dae import Points
 from .newton import Newton
 from .step_equations import step_equations
@@ -56,6 +56,7 @@ class ImplicitStepper(TimeStepper):
         self.stats = Statistics()
         self.judge = Judge(self.what)
         self.proposed: float | None = None
+        self._allowed: tuple[State, float, float] | None = None  # start and size of a step, what increments may move
 
         # the tangent is kept from step to step while Newton's iteration converges fast with it
         self._tangent: Any = None  # of the equations' own kind
@@ -147,7 +148,7 @@ class ImplicitStepper(TimeStepper):
         """Bound of the norm of the error left, in units of the error norm."""
         if not self.adaptive:
             return 1.0
-        roundoff = 10 * float(np.finfo(float).eps) / self.norm.rtol
+        roundoff = 10 * EPS / self.norm.rtol
         return max(roundoff, min(0.03, self.norm.rtol**0.5))
 
     def _error_size(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
@@ -161,13 +162,20 @@ class ImplicitStepper(TimeStepper):
     def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
         """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
         push = self.eq.pushes(dmult) if self.scheme.form.index > 1 else None
-        moved = max(self.system.max_abs(x) for x in (*dxi, *(h * dv)))
-        self._still = moved <= STILL * float(np.finfo(float).eps) * self.system.length
+        moved = max(self.system.max_abs(dxi), h * self.system.max_abs(dv))
+        self._still = moved <= STILL * EPS * self.system.length
         if self.adaptive:
             # joints and ties apart, though they may cancel: what is left of either is noise of the next steps
             pulls = self.eq.pulls(dmult)
             size = self.norm(h, dxi, dv, push)
             return size if pulls is None else max(size, self.norm.mean(pulls * (h * h / self.norm.wq)))
-        return max(
-            self.norm.constant(h, self.state, dxi[i], dv[i], None if push is None else push[i]) for i in range(len(dxi))
-        )
+        if push is not None:
+            moved = max(moved, h * h * self.system.max_abs(push))
+        return moved / self._enough(h)
+
+    def _enough(self, h: float) -> float:
+        """What an increment of a constant step may move, m; found once a step."""
+        known = self._allowed
+        if known is None or known[0] is not self.state or known[1] != h:
+            self._allowed = known = self.state, h, self.norm.constant(h, self.state)
+        return known[2]

@@ -51,11 +51,17 @@ def local(system: System, q0: Array, past: list[Past]) -> tuple[Array, Array, Ar
 
 def weights(nodes: Array, t: float) -> Array:
     """l_j(t) of (1), (k,)."""
-    out = np.ones(len(nodes))
-    for j, node in enumerate(nodes):
-        others = np.delete(nodes, j)
-        out[j] = np.prod((t - others) / (node - others))
-    return out
+    return np.array([_product(nodes, t, (j,)) for j in range(len(nodes))])
+
+
+def _product(nodes: Array, t: float, without: tuple[int, ...]) -> float:
+    """l_j(t) less the factors of some nodes, of which j is the last."""
+    every = nodes.tolist()  # a few numbers: Python is faster than arrays
+    node, made = every[without[-1]], 1.0
+    for i, other in enumerate(every):
+        if i not in without:
+            made *= (t - other) / (node - other)
+    return made
 
 
 def slopes(nodes: Array, t: float) -> Array:
@@ -68,10 +74,9 @@ def slopes(nodes: Array, t: float) -> Array:
 
 def slopes_at_first(nodes: Array) -> Array:
     """l_j'(t) of (1) at the first of the nodes, 1/s, (k,)."""
-    t = nodes[0]
+    t = float(nodes[0])
     out = np.zeros(len(nodes))
     for j in range(1, len(nodes)):
-        others = np.delete(nodes, [0, j])
-        out[j] = np.prod((t - others) / (nodes[j] - others)) / (nodes[j] - t)
+        out[j] = _product(nodes, t, (0, j)) / (nodes[j] - t)
     out[0] = -out[1:].sum()
     return out

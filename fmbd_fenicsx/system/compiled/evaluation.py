@@ -117,21 +117,34 @@ class DriverStates:
 
     def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
         """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""
+        room, places = self._loaded_room(at, a, lam)
+        return room.sums[: room.count].copy() if self._ask(self.library.driver_balances, room, places) else None
+
+    def together(self, at: Configurations, a: Array, lam: Array | None) -> tuple[Array, Array] | None:
+        """:meth:`balances` and :meth:`constraints` in one call; None as above."""
+        room, places = self._loaded_room(at, a, lam)
+        if not self._ask(self.library.driver_batch, room, [*places, *room.constraints_at]):
+            return None
+        return room.sums[: room.count].copy(), self._with_motions(at[0], room.constraints[:, : room.count]).copy()
+
+    def _loaded_room(self, at: Configurations, a: Array, lam: Array | None) -> tuple[Room, list[int | None]]:
+        """Room with configurations, accelerations and multipliers in it, and where the last two and the balance are."""
         room = self._room(at)
         room.a[: room.count] = a
         if lam is not None:
             room.lam[: room.count] = lam
-        places = room.places["a"], None if lam is None else room.places["lam"], room.places["sums"]
-        return room.sums[: room.count].copy() if self._ask(self.library.driver_balances, room, places) else None
+        return room, [room.places["a"], None if lam is None else room.places["lam"], room.places["sums"]]
 
     def constraints(self, at: Configurations) -> Array | None:
         """g, G v + g_t, g_t and gamma, (4, k, n_lam). None as above."""
         found = self._constraints(at)
-        if found is None:
-            return None
+        return None if found is None else self._with_motions(at[0], found).copy()
+
+    def _with_motions(self, times: Array, found: Array) -> Array:
+        """Answers (4, k, n_lam) of the driver with the second rates of prescribed motions at the times (k,), written into them."""
         for rows, motions in self.calls.moving:
-            found[3][:, rows] -= [[motion(float(t))[2] for motion in motions] for t in at[0]]
-        return found.copy()
+            found[3][:, rows] -= [[motion(float(t))[2] for motion in motions] for t in times]
+        return found
 
     def _constraints(self, at: Configurations) -> Array | None:
         """The same without the second rates of prescribed motions, a view."""
@@ -429,6 +442,9 @@ class DriverBatch(_Constraints, EvaluationBatch):
         return DriverJacobians(self)
 
     def balance(self, a: Array, lam: Array | None = None) -> Array:
-        """M a + h + G^T lambda, (k, n_v)."""
-        found = self.states.balances(self.all, a, lam)
-        return super().balance(a, lam) if found is None or not np.isfinite(found).all() else found
+        """M a + h + G^T lambda, (k, n_v); the constraints are evaluated beside it."""
+        found = self.states.together(self.all, a, lam)
+        if found is None or not np.isfinite(found[0]).all():
+            return super().balance(a, lam)
+        self._told = Told(found[1])
+        return found[0]

@@ -57,6 +57,11 @@ class FieldStates(DriverStates):
         found = super().balances(at, self.twin.velocities(a), lam)
         return None if found is None else self.twin.forces(found)
 
+    def together(self, at: Configurations, a: Array, lam: Array | None) -> tuple[Array, Array] | None:
+        """The same and the constraints in one call."""
+        found = super().together(at, self.twin.velocities(a), lam)
+        return None if found is None else (self.twin.forces(found[0]), found[1])
+
     def _room(self, at: Configurations) -> Room:
         t, q, v = at
         return super()._room((t, self.twin.configurations(q), self.twin.velocities(v)))

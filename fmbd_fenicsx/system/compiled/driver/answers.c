@@ -91,6 +91,14 @@ static void derivatives_in_time(System *s, double *partial, double *second)
     }
 }
 
+static void told_of_rows(System *s, double *gap, double *slip, double *partial, double *second)
+{
+    derivatives_in_time(s, partial, second);
+    drift(s);
+    memcpy(gap, s->gap, s->rows * sizeof(double));
+    memcpy(slip, s->slip, s->rows * sizeof(double));
+}
+
 /* Of every constraint: g, its rate G v + g_t, g_t, and g'' less G a. */
 EXPORT int driver_constraints(System *s, long count, const double *t, const double *q, const double *v, double *gap, double *slip,
                               double *partial, double *second)
@@ -100,10 +108,25 @@ EXPORT int driver_constraints(System *s, long count, const double *t, const doub
     for (long i = 0; i < count; i++, q += s->nq, v += s->nv) {
         long at = i * s->rows;
         if ((verdict = sample(s, t[i], &last)) || (verdict = place(s, q, v))) return verdict;
-        derivatives_in_time(s, partial + at, second + at);
-        drift(s);
-        memcpy(gap + at, s->gap, s->rows * sizeof(double));
-        memcpy(slip + at, s->slip, s->rows * sizeof(double));
+        told_of_rows(s, gap + at, slip + at, partial + at, second + at);
+    }
+    return DONE;
+}
+
+/* The balance and the constraints of every configuration, as the two functions above. */
+EXPORT int driver_batch(System *s, long count, const double *t, const double *q, const double *v, const double *a, const double *lam,
+                        double *sums, double *gap, double *slip, double *partial, double *second)
+{
+    double *none = s->work, last = NAN;
+    int verdict;
+    if (!lam) memset(none, 0, s->rows * sizeof(double));
+
+    for (long i = 0; i < count; i++, q += s->nq, v += s->nv, a += s->nv, sums += s->nv) {
+        long at = i * s->rows;
+        if ((verdict = sample(s, t[i], &last))) return verdict;
+        if ((verdict = evaluate(s, q, v, a, lam ? lam + at : none, t[i]))) return verdict;
+        like_v(s, s->residual, sums);
+        told_of_rows(s, gap + at, slip + at, partial + at, second + at);
     }
     return DONE;
 }
