@@ -144,7 +144,8 @@ def drivable(system: System) -> Any:
     those with the factor of a field do not.
     """
     twin = Twin(system).system
-    known = covers_bodies(twin) and covers(twin) and not (twin.fields and other_loads(twin))
+    plain = system.contacts is None and not (twin.fields and other_loads(twin))
+    known = plain and covers_bodies(twin) and covers(twin)
     return driver_library(twin.motions.dim, units_of(twin)) if known else None
 
 

@@ -432,6 +432,6 @@ def covers_bodies(system: System) -> bool:
     """Whether all bodies are rigid, reduced, floating or rods, without loads that the driver does not know."""
     parts: tuple[Any, ...] = system.parts
     known = all(known_field(p) if p.distributed else type(p) is ReducedPart and not p.constants.loads for p in parts)
-    plain = system.markers.section is None and system.contacts is None
+    plain = system.markers.section is None
     rods = all(isinstance(e, RodElements) for e in system.elements)
     return known and plain and rods and not system.port_constraints and not system.traces and system.n_frames > 0
