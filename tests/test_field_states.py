@@ -13,7 +13,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear import condensation
 from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, saint_venant_kirchhoff
-from fmbd_fenicsx.system.compiled.choice import driver_states
+from fmbd_fenicsx.system.compiled.choice import driver_states, use_driver
 
 SMALL = {"elastic": linear_elastic(5e6, 0.3)}
 LARGE = {"energy": saint_venant_kirchhoff(5e6, 0.3)}
@@ -98,6 +98,22 @@ def assert_equal_to_numpy(scene: fmbd.Scene) -> None:
     for name in ("constraint", "opening", "gamma"):
         assert getattr(many, name)()[0] == pytest.approx(getattr(expected, name)(), rel=1e-11, abs=1e-12), name
     assert many.jacobian.times(both[1])[0] == pytest.approx(expected.jacobian.times(v), rel=1e-12)
+
+
+@compiled
+@pytest.mark.parametrize("frame", [fmbd.MeanAxis(), "small strains", "large strains"], ids=str)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_equal_to_numpy_with_contact(rod_mesh: Callable[..., Any], dim: int, frame: Any) -> None:
+    """Contact nodes have no inertia of their own; its compliance takes matrices from NumPy."""
+    scene = swinging(rod_mesh(dim=dim, h=0.25, height=0.2), frame)
+    rod = scene.bodies["rod"]
+    up = (0.0, 1.0, 0.0)[:dim]
+    floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0.0, -0.2, 0.0)[:dim], up))
+    scene.add(fmbd.contact("touch", rod.surface("side"), floor))
+    assert_equal_to_numpy(scene)
+    system = scene.build()[0]
+    use_driver(system)
+    assert StepSolver(system).driver is None
 
 
 def solved(solver: StepSolver, ev: Any, weights: Weights) -> Any:

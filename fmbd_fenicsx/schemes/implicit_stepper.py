@@ -108,8 +108,8 @@ class ImplicitStepper(TimeStepper):
             return "forces not finite, or a motion out of range"
 
     def _by_one_tangent(self, iterate: Callable[[], Points | str]) -> Points | str:
-        """What a constant step finds with one tangent: with the one that is kept, then with a new one; where both fail, this and the
-        next steps take tangents of their own, more of them each time.
+        """What a constant step finds with one tangent: with the one that is kept, then with a new one; where both fail, this and
+        the next steps take tangents of their own, more of them each time.
         """
         if self._full:
             return "own tangents"

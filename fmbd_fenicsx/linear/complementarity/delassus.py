@@ -121,7 +121,7 @@ class Compliance(Remembering):
         n = self.solver.system.n_core
         if len(rhs) == 0 or not np.abs(rhs).any():
             return np.zeros_like(rhs)
-        return np.stack([np.concatenate(self.solver.core.solve(b[:n], b[n:])) for b in rhs.T], axis=1)
+        return np.concatenate(self.solver.core.solve_columns(rhs[:n], rhs[n:]))
 
     def _columns(self, i: int, factor: Any, used: np.ndarray) -> Array:
         """C_s with at least the columns ``used``."""

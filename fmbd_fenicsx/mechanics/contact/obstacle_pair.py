@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...rotations import Array
 from .rows import ContactSet, Here, LinearRows, Pair, Rows, Touch, tangents_of
@@ -61,8 +60,7 @@ class ObstaclePair(Pair):
             if side.surface is not None:
                 full = np.zeros((contacts.traces[side.trace].n, d))
                 full[side.surface.nodes] = direction
-                W = _selection(side.surface.nodes, len(full))
-                contacts.add_nodes((core, field), side.trace, (W, full), (P, Rb))
+                contacts.add_nodes((core, field), side.trace, (contacts.picked(self), full), (P, Rb))
             else:
                 contacts.add_frames(core, side.frames, (direction, touch.x, origin, Rb))
             if 0 <= self.carrier.frame < system.n_frames and self.carrier.motion is None:
@@ -89,9 +87,3 @@ class ObstaclePair(Pair):
             drift=drift,
             trace=np.full(count, contacts.carrier_of(side)),
         )
-
-
-def _selection(nodes: np.ndarray, n: int) -> Any:
-    """Matrix that picks ``nodes`` out of n."""
-    k = len(nodes)
-    return sp.csr_matrix((np.ones(k), (np.arange(k), nodes)), shape=(k, n))

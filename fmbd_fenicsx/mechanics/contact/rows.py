@@ -182,6 +182,8 @@ class ContactSet:
         self.on_fields = {i: tr for i, tr in enumerate(traces) if isinstance(tr, FieldTrace)}
         self.frictional = any(p.friction > 0 for p in pairs)
         self.names = tuple(p.name for p in pairs)
+        self._blank: dict[int, list[Any]] = {}
+        self._picked: dict[str, Any] = {}
 
     # -- kinematics ------------------------------------------------------------------------------------------
     def nodes(self, system: Any, q: Array, trace: int) -> tuple[Array, Array, Array]:
@@ -304,8 +306,19 @@ class ContactSet:
 
     # -- building blocks of rows -----------------------------------------------------------------------------
     def blank(self, m: int) -> tuple[Array, list[Any]]:
-        """Empty core rows and sparse field rows."""
-        return np.zeros((m, self.n_core)), [sp.csr_matrix((m, t.n * self.m.dim)) for t in self.traces]
+        """Empty core rows and sparse field rows, these not to be written into."""
+        if m not in self._blank:
+            self._blank[m] = [sp.csr_matrix((m, t.n * self.m.dim)) for t in self.traces]
+        return np.zeros((m, self.n_core)), list(self._blank[m])
+
+    def picked(self, pair: Pair) -> Any:
+        """Which nodes of their trace the candidates of a pair are, sparse (m, n_trace)."""
+        if pair.name not in self._picked:
+            assert pair.slave.surface is not None
+            nodes, n = pair.slave.surface.nodes, self.traces[pair.slave.trace].n
+            each = np.arange(len(nodes) + 1)
+            self._picked[pair.name] = sp.csr_matrix((np.ones(len(nodes)), nodes, each), shape=(len(nodes), n))
+        return self._picked[pair.name]
 
     def add_nodes(
         self, linear: tuple[Array, list[Any]], trace: int, entries: tuple[Any, Array], at: tuple[Array, Array],
@@ -316,25 +329,23 @@ class ContactSet:
         """
         (core, field), (W, direction), (P, R), d = linear, entries, at, self.m.dim
         tr = self.traces[trace]
-        coo = W.tocoo()
-        which = coo.row if by_row else coo.col
+        row = np.repeat(np.arange(W.shape[0]), np.diff(W.indptr))
         # of each node: components in world and in body axes
-        world = direction[which] * coo.data[:, None]
+        world = direction[row if by_row else W.indices] * W.data[:, None]
         local = world @ R
-        rows = np.repeat(coo.row, d)
-        cols = (coo.col[:, None] * d + np.arange(d)).ravel()
-        nodal = sp.csr_matrix((local.ravel(), (rows, cols)), shape=(len(core), tr.n * d))
+        columns = (W.indices[:, None] * d + np.arange(d, dtype=W.indices.dtype)).ravel()
+        nodal = sp.csr_matrix((local.ravel(), columns, W.indptr * d), shape=(len(core), tr.n * d))
 
         if isinstance(tr, ModalTrace):
             core[:, self.amplitudes[tr.part]] += nodal @ tr.modes
         else:
-            field[trace] = field[trace] + nodal
+            field[trace] = field[trace] + nodal if field[trace].nnz else nodal
         # what the frame of the body does to its nodes
         n_twist = self.m.n_twist
         if tr.frame * n_twist < self.n_core and tr.frame >= 0 and tr.moving:
             at_frame = slice(tr.frame * n_twist, (tr.frame + 1) * n_twist)
-            block = np.concatenate((world, self.m.moment(P[coo.col], local)), axis=1)
-            np.add.at(core[:, at_frame], coo.row, block)
+            block = np.concatenate((world, self.m.moment(P[W.indices], local)), axis=1)
+            np.add.at(core[:, at_frame], row, block)
 
     def add_frames(self, core: Array, frames: np.ndarray, geometry: tuple[Array, Array, Array, Array]) -> None:
         """Add rows n . x' of points x on moving frames (m,): geometry = (n (m, d), x (m, d), r (d,) or (m, d), R likewise)."""

@@ -56,7 +56,7 @@ def weights(nodes: Array, t: float) -> Array:
 
 def _product(nodes: Array, t: float, without: tuple[int, ...]) -> float:
     """l_j(t) less the factors of some nodes, of which j is the last."""
-    every = nodes.tolist()  # a few numbers: Python is faster than arrays
+    every = [float(x) for x in nodes]  # a few numbers: Python is faster than arrays
     node, made = every[without[-1]], 1.0
     for i, other in enumerate(every):
         if i not in without:

@@ -141,7 +141,7 @@ class DriverStates:
         return None if found is None else self._with_motions(at[0], found).copy()
 
     def _with_motions(self, times: Array, found: Array) -> Array:
-        """Answers (4, k, n_lam) of the driver with the second rates of prescribed motions at the times (k,), written into them."""
+        """Answers (4, k, n_lam) of the driver with the second rates of prescribed motions at the times (k,) written in."""
         for rows, motions in self.calls.moving:
             found[3][:, rows] -= [[motion(float(t))[2] for motion in motions] for t in times]
         return found
