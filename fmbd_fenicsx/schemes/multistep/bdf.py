@@ -52,7 +52,10 @@ from .amplification import Amplification
 from .corrector import Corrector
 from .past import LONGEST, Past, before, local, slopes, weights
 
-SLOW = 0.05  # rate of convergence above which the next step takes a tangent of its own: measured, a tangent costs some iterations
+SLOW = {
+    True: 0.2,
+    False: 0.05,
+}  # rate above which the next step takes a tangent: with error control, and with constant steps
 STABLE = 2  # the highest order that damps undamped vibrations at any step
 
 
@@ -248,7 +251,7 @@ class BDFStepper(Corrector):
         self.stats.steps += 1
         self.control.fault = ""
         self._fresh = False
-        if self._theta > SLOW or self._full or not self.eq.dense:
+        if self._theta > SLOW[self.adaptive] or self._full or not self.eq.dense:
             self._tangent = None
         self._full = max(self._full - 1, 0)
         return self.state
