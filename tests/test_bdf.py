@@ -113,18 +113,3 @@ def test_the_order_is_that_of_the_longest_step(errors: tuple[float, ...], order:
     monkeypatch.setattr(stepper.amplification, "permits", lambda *given: True)
     stepper._choose(1e-3, None, errors[2])
     assert stepper.k == order
-
-
-@pytest.mark.parametrize(
-    "scheme, most", [(fmbd.BDF(order=2, rtol=None), 1.0), (fmbd.Radau(form=fmbd.GGL(), rtol=None), 5.0)]
-)
-def test_own_tangents_are_not_for_ever(scheme: Any, most: float) -> None:
-    """A beam on a spring, some of whose steps Newton does not solve with one tangent: the others have no more for that."""
-    section = fmbd.Section.rectangle(youngs_modulus=1e8, poisson_ratio=0.3, density=1000.0, width=1.0, height=0.1)
-    beam = fmbd.Beam("rod", (0, 0), (1, 0), section, elements=4)
-    scene = fmbd.Scene("sprung beam", gravity=(0.0, -9.81))
-    tip, anchor = beam.surface("end"), {"point_a": (1, 0.5), "point_b": (1, 0)}
-    scene.add(beam, fmbd.revolute("pin", fmbd.ground, beam.surface("start"), center=(0, 0)))
-    scene.add(fmbd.Spring("spring", fmbd.ground, tip, stiffness=1e4, damping=20.0, **anchor))
-    run = fmbd.solve(scene, t_end=0.06, dt=1e-3, scheme=scheme, output=fmbd.Output(progress=False))
-    assert run.counters["jacobians"] < most * run.counters["steps"]

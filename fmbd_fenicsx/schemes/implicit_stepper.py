@@ -26,7 +26,6 @@ from .stepping import TimeStepper
 
 OPEN = 1e-6  # of the model's length
 STILL = 16.0  # roundings of the model's length
-LONGEST = 64  # steps with tangents of their own
 
 
 class ImplicitStepper(TimeStepper):
@@ -41,7 +40,7 @@ class ImplicitStepper(TimeStepper):
     control: StepControl
     keeps: ClassVar = {
         "state": Memory.state,
-        **dict.fromkeys(("_fresh", "_full", "_stretch", "proposed", "local_error", "_theta"), plain()),
+        **dict.fromkeys(("_fresh", "_full", "proposed", "local_error", "_theta"), plain()),
         "control": plain(StepControl),
         "stats": plain(Statistics),
         "norm": worker,
@@ -62,8 +61,7 @@ class ImplicitStepper(TimeStepper):
         self._tangent: Any = None  # of the equations' own kind
         self._pencil: Any = None  # its factor
         self._fresh = False  # whether the tangent is that of this step
-        self._full = 0  # steps in which each iteration takes its own, from now on
-        self._stretch = 1  # how many these are when one tangent fails the next time
+        self._full = False  # whether each iteration takes its own
         self._theta = 1e-3  # rate of convergence
         self._still = (
             False  # whether the last increment moved nothing beyond roundoff: multipliers may go on changing by theirs
@@ -106,23 +104,6 @@ class ImplicitStepper(TimeStepper):
                 raise
             self.control.fault = str(error)
             return "forces not finite, or a motion out of range"
-
-    def _by_one_tangent(self, iterate: Callable[[], Points | str]) -> Points | str:
-        """What a constant step finds with one tangent: with the one that is kept, then with a new one; where both fail, this and
-        the next steps take tangents of their own, more of them each time.
-        """
-        if self._full:
-            return "own tangents"
-        found = iterate()
-        if isinstance(found, str) and not self._fresh:
-            self._tangent = None
-            found = iterate()
-        if isinstance(found, str) and self.eq.dense:
-            self._tangent = None
-            self._full, self._stretch = self._stretch, min(2 * self._stretch, LONGEST)
-        elif not isinstance(found, str):
-            self._stretch = max(self._stretch - 1, 1)
-        return found
 
     def _note_open(self) -> None:
         """Where an iteration has failed: the joint that it left open by more than a rounding of steps, for messages."""

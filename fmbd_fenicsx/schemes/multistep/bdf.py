@@ -193,7 +193,7 @@ class BDFStepper(Corrector):
                 if stale:
                     continue  # once more with a new tangent
                 if cause.startswith("Newton") and self.eq.dense and not self._full:
-                    self._full = 1
+                    self._full = True
                     continue  # and with one for each iteration, before the step is made smaller
             else:
                 error, cause = self._error(h, found, self.k), "error estimate"
@@ -209,7 +209,7 @@ class BDFStepper(Corrector):
 
     def _reject(self, h: float, error: float, cause: str) -> None:
         """A smaller step next; after several rejections a lower order, whose past is shorter."""
-        self._full = 0
+        self._full = False
         self.stats.rejected[cause] += 1
         self.control.order = self.k + 1.0
         self.proposed = self.control.rejected(self.state.t, h, error, cause)
@@ -230,8 +230,10 @@ class BDFStepper(Corrector):
             return self.state
 
         self.norm.update(self.state, h)
-        found = self._by_one_tangent(lambda: self._newton(h, self.scheme.order))
-        if self._full:  # Newton's own tangent in each iteration: stiff springs that turn
+        found = self._newton(h, self.scheme.order)
+        if isinstance(found, str):
+            self._tangent = None
+            self._full = True  # Newton's own tangent in each iteration: stiff springs that turn
             found = self._newton(h, self.scheme.order)
         if isinstance(found, str):
             raise self._failure(h, found)
@@ -253,7 +255,7 @@ class BDFStepper(Corrector):
         self._fresh = False
         if self._theta > SLOW[self.adaptive] or self._full or not self.eq.dense:
             self._tangent = None
-        self._full = max(self._full - 1, 0)
+        self._full = self._full and not self.adaptive
         return self.state
 
     def _least(self, ev: Evaluation, mult: Array) -> Array:

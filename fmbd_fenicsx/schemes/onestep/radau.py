@@ -126,13 +126,13 @@ class RadauStepper(StageNewton):
         return self._controlled(h) if self.adaptive else self._constant(h)
 
     def _constant(self, h: float) -> State:
-        """A step of size h; where the tangent of the step fails, and for some steps more, with one for each stage."""
+        """A step of size h; where the tangent of the step fails, and ever after, with one for each stage."""
         self.norm.update(self.state, h)
         self.eq.begin(self.state)
-        point = self._by_one_tangent(lambda: self._newton(h))
-        if self._full:
+        point = "full" if self._full else self._newton(h)
+        if isinstance(point, str):
+            self._tangent, self._full = None, True
             point = self._full_newton(h)
-            self._full -= 1
         if isinstance(point, str):
             raise self._failure(h, point)
         return self._accept(h, point)
