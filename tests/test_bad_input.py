@@ -364,3 +364,42 @@ def test_a_scene_and_its_copy_share_no_parts() -> None:
     copy.add(rod("other"))
     assert list(mine) == list(scene.bodies) == ["rod"]
     assert list(copy.bodies) == ["rod", "other"]
+
+
+NOTHING = {
+    "spring": (lambda a, p: fmbd.Spring("k", fmbd.ground, a, (0, 1, 0), (1, 0, 0), length=1.0), 'Spring "k" does nothing'),
+    "joint spring": (lambda a, p: fmbd.joint_spring("k", fmbd.angle(p), free=0.3), 'Joint spring "k" does nothing'),
+    "tyre": (lambda a, p: fmbd.Tyre("k", a, road=lambda x, t: 0.0), 'Tyre "k" does nothing'),
+}
+
+
+@pytest.mark.parametrize(("make", "says"), NOTHING.values(), ids=NOTHING)
+def test_elements_without_any_constant_are_refused(make: Any, says: str) -> None:
+    """Where nothing is given; a zero that is given, say in a study, is a value like others."""
+    with pytest.raises(InputError, match=says):
+        law_scene(make)
+    law_scene(lambda a, p: fmbd.joint_spring("k", fmbd.angle(p), stiffness=0.0))
+
+
+ROWS = {
+    "zero": lambda xa, Ra, xb, Rb, t: [xb[0] - xa[0], 0.0],
+    "a number": lambda xa, Ra, xb, Rb, t: [xb[0] - xa[0], 1.0],
+    "of time alone": lambda xa, Ra, xb, Rb, t: [xb[0] - xa[0], math.sin(np.real(t))],
+    "zero times a place": lambda xa, Ra, xb, Rb, t: [xb[0] - xa[0], 0.0 * abs(xb[0])],
+}
+
+
+@pytest.mark.parametrize("function", ROWS.values(), ids=ROWS)
+def test_rows_of_an_own_joint_that_hold_nothing_are_refused(function: Any) -> None:
+    scene = fmbd.Scene("own")
+    body = rod()
+    scene.add(body, fmbd.own_joint("odd", fmbd.ground, body, function, center=(0.5, 0, 0)))
+    with pytest.raises(InputError, match='"odd": number 1 of those .* holds nothing'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
+def test_coordinates_of_a_rigid_body_are_refused_with_what_to_take() -> None:
+    scene = pendulum()
+    scene.sensor("x", fmbd.coordinates("rod"))
+    with pytest.raises(InputError, match='"rod" has no coordinates beside .* fmbd.position'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)

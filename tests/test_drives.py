@@ -232,3 +232,29 @@ def test_derivatives_on_elastic_surfaces(dim: int, what: str, rod_mesh: Any) -> 
     else:
         scene.add(fmbd.own_joint("d", rod.surface("tip"), block, bevel))
     check_derivatives(Motion(scene))
+
+
+def test_an_own_joint_between_two_points_is_a_rope() -> None:
+    """Its length given as a function of numbers, of two points apart: the motion of the built-in distance."""
+
+    def rope(xa: Array, Ra: Array, xb: Array, Rb: Array, t: float) -> Array:
+        d = xb - xa
+        return np.array([np.sqrt(d @ d) - math.sqrt(1.25)])  # math.sqrt of a number is no reason to leave formulas
+
+    places = []
+    for numbers in (None, rope, lambda *x: rope(*x) + 0.0 * math.cos(np.real(x[-1]))):
+        scene = fmbd.Scene("crane", gravity=(0, -9.81))
+        trolley = fmbd.RigidBody("trolley", 2.0, 0.1)
+        load = fmbd.RigidBody("load", 1.0, 0.1, position=(0.5, -1.0))
+        scene.add(trolley, load, fmbd.prismatic("rail", fmbd.ground, trolley, center=(0, 0), axis=(1, 0)))
+        ends = {"point_a": (0.0, 0.0), "point_b": (0.5, -1.0)}
+        scene.add(
+            fmbd.distance("rope", trolley, load, **ends)
+            if numbers is None
+            else fmbd.own_joint("rope", trolley, load, numbers, **ends)
+        )
+        scene.sensor("load", fmbd.position(load))
+        places.append(fmbd.solve(scene, t_end=0.5, dt=5e-3)["load"])
+    assert max(np.abs(x - places[0]).max() for x in places) < 1e-9
+    with pytest.raises(InputError, match="center, where both markers sit, or point_a"):
+        fmbd.own_joint("rope", trolley, load, rope, center=(0, 0), point_a=(0, 0))

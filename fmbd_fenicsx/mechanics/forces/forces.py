@@ -139,8 +139,8 @@ class Spring(Force):
     Linear: N = stiffness s + damping s'. A user's law(s, rate, t) -> N replaces it. Points must not coincide.
     """
 
-    stiffness: float = 0.0  # N/m
-    damping: float = 0.0  # N s/m
+    stiffness: float = None  # type: ignore[assignment]  # N/m; 0 where only others are given
+    damping: float = None  # type: ignore[assignment]  # N s/m, the same
     length: float = 0.0  # m, unstressed
     law: Law | None = None
 
@@ -153,7 +153,10 @@ class Spring(Force):
         require(
             self.b is not None, f'Spring "{self.name}" needs two ends: Spring(name, a, b, ...); one may be fmbd.ground.'
         )
-        _constants(self.name, self.stiffness, self.damping, self.length)
+        k, c = _constants(f'Spring "{self.name}"', self.stiffness, self.damping, self.law)
+        number(f'Spring "{self.name}": length', self.length)
+        object.__setattr__(self, "stiffness", k)
+        object.__setattr__(self, "damping", c)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,8 +190,8 @@ class Tyre(Force):
 
     road: Road = None  # type: ignore[assignment]
     radius: float = 0.3  # m
-    stiffness: float = 0.0  # N/m
-    damping: float = 0.0  # N s/m
+    stiffness: float = None  # type: ignore[assignment]  # N/m; 0 where only the other is given
+    damping: float = None  # type: ignore[assignment]  # N s/m, the same
     up: Sequence[float] = (0.0, 1.0, 0.0)
 
     batch: ClassVar[type[Loads]] = TyreLoads
@@ -199,7 +202,9 @@ class Tyre(Force):
         number(f'Tyre "{self.name}": radius', self.radius, above=0.0, unit="m")
         size = float(np.linalg.norm(vector(f'Tyre "{self.name}": up', self.up, size=self.a.dim)))
         require(abs(size - 1.0) < 1e-9, f'Tyre "{self.name}": up {self.up} must be a unit vector.')
-        _constants(self.name, self.stiffness, self.damping, 0.0)
+        k, c = _constants(f'Tyre "{self.name}"', self.stiffness, self.damping)
+        object.__setattr__(self, "stiffness", k)
+        object.__setattr__(self, "damping", c)
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,10 +224,15 @@ class OwnForce(Force):
                 function(f'Force "{self.name}": {what}', given, arguments.split(", "), named=arguments)
 
 
-def _constants(name: str, stiffness: float, damping: float, length: float) -> None:
-    number(f'Spring "{name}": stiffness', stiffness)
-    number(f'Spring "{name}": damping', damping, least=0.0)
-    number(f'Spring "{name}": length', length)
+def _constants(what: str, stiffness: float | None, damping: float | None, law: Any = ...) -> tuple[float, float]:
+    """Stiffness and damping of an element: one that is left out is zero; refused where nothing is given at all."""
+    words = "stiffness or damping" if law is ... else "stiffness, damping or a law"
+    nothing = stiffness is None and damping is None and law in (None, ...)
+    require(not nothing, f"{what} does nothing: no {words} is given.")
+    return (
+        number(f"{what}: stiffness", 0.0 if stiffness is None else stiffness),
+        number(f"{what}: damping", 0.0 if damping is None else damping, least=0.0),
+    )
 
 
 def in_time(what: str, law: Any) -> Callable[[Any], Any]:
@@ -261,14 +271,15 @@ def joint_spring(
     name: str,
     on: JointCoordinate,
     *,
-    stiffness: float = 0.0,
-    damping: float = 0.0,
+    stiffness: float | None = None,
+    damping: float | None = None,
     free: float = 0.0,
     law: Law | None = None,
 ) -> CoordinateForce:
     """Spring and damper on a joint coordinate s: restoring effort stiffness (s - free) + damping s', or law(s - free, s', t)."""
-    _constants(name, stiffness, damping, free)
-    return CoordinateForce(name, on.joint.a, on.joint.b, None, None, on, stiffness, damping, free, law)
+    k, c = _constants(f'Joint spring "{name}"', stiffness, damping, law)
+    number(f'Joint spring "{name}": free', free)
+    return CoordinateForce(name, on.joint.a, on.joint.b, None, None, on, k, c, free, law)
 
 
 @typed

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ...checks import function as checked_function
-from ...errors import ROUNDINGS, CallbackError, FmbdError, named
+from ...errors import ROUNDINGS, CallbackError, FmbdError, named, require
 from ...log import log
 from ...rotations import Array, Motions, hat
 from ..bodies.coordinates import derivative, differences
@@ -212,7 +212,19 @@ class OwnBatch(Batch):
                     'joint "%s": complex steps fail in its function (abs, float?); using differences',
                     self.name,
                 )
+            self._refuse_still_rows(rough if self.by_differences else exact)
         return differences(g, np.zeros(2 * n)) if self.by_differences else derivative(g, np.zeros(2 * n))
+
+    def _refuse_still_rows(self, rows: Array) -> None:
+        """Refuse numbers that no motion of the markers changes where they start."""
+        still = np.flatnonzero(~rows.any(axis=1))
+        which = ", ".join(str(k) for k in still)
+        require(
+            not still.size,
+            f'Joint "{self.name}": number {which} of those that its function returns does not change with the places and '
+            "rotations of the two markers where they start, so it holds nothing. Return what is zero where the joint is closed "
+            "and only there; point_a and point_b say where the markers sit.",
+        )
 
     def _time(self, x: Array, R: Array, t: float) -> Array:
         return derivative(lambda s: self._at(x, R, s[0]), np.array([t]))[:, 0]

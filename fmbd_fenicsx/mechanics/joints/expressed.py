@@ -23,7 +23,7 @@ import numpy as np
 
 from ...checks import function as checked_function
 from ...checks import typed, vector
-from ...errors import InputError
+from ...errors import InputError, require
 from ...rotations import Array
 from ..bodies.bodies import RigidBody
 from ..kinds.own import OwnTerm, finite_at, own_term, traced
@@ -104,11 +104,12 @@ class OwnJoint(ExpressedJoint):
     """Rows g(x_a, R_a, x_b, R_b, t) = 0 given by the user; ``rows`` where they are formulas, else ``function`` tells them."""
 
     function: Callable[..., Any] = field(default=None)  # type: ignore[assignment]
+    apart: bool = False  # the markers sit at points of their own
 
     @property
     def joined(self) -> bool:
         """Both sides meet at one point where none is given."""
-        return True
+        return not self.apart
 
 
 @typed
@@ -120,28 +121,51 @@ def own_joint(
     *,
     center: Vector | None = None,
     axis: Vector | None = None,
+    point_a: Vector | None = None,
+    point_b: Vector | None = None,
 ) -> OwnJoint:
     """A joint of your own: function(x_a, R_a, x_b, R_b, t) -> (m,) numbers that are zero when the joint is closed.
 
-    x are the world positions (m) of the two markers at ``center`` and R their rotations since the start, (d, d). Lengths in
-    m, angles in rad, so that the checks can judge residuals. Written as one formula with NumPy operations (no ``abs``, no
-    ``float``, no cases) it is compiled as that of :func:`constraint`; else called at every evaluation. See docs/own_joint.md.
+    x are the world positions (m) of the two markers and R their rotations since the start, (d, d). Both markers sit at
+    ``center`` or, as those of a rope, at ``point_a`` and ``point_b`` (world, initial configuration; one that is left out as
+    in :func:`constraint`). Lengths in m, angles in rad, so that the checks can judge residuals. Written as one formula with
+    NumPy operations (no ``abs``, no ``float``, no cases) it is compiled as that of :func:`constraint`; else called at every
+    evaluation. See docs/own_joint.md.
+
+    Raises:
+        InputError: center and points together, or a number that no motion of the markers changes (when the scene is built).
     """
     dim = dimension(a, b, name)
     c = center_point(center, dim, name)
+    places: tuple[Any, Any] = (c, c)
+    if point_a is not None or point_b is not None:
+        require(center is None, f'Joint "{name}": give center, where both markers sit, or point_a and point_b.')
+        given = {"point_a": point_a, "point_b": point_b}
+        points = [None if x is None else vector(f'Joint "{name}": {end}', x, size=dim) for end, x in given.items()]
+        places = tuple(start_place(side, x, dim) for side, x in zip((a, b), points, strict=True))
     way = None if axis is None else direction(axis, dim, name)
     checked_function(f'Joint "{name}": function', function, range(5), named="x_a, R_a, x_b, R_b, t")
-    rows = _formula_rows(name, function, dim, c)
-    return OwnJoint(name, a, b, rows, c, c, kind="own", axis=way, function=function)
+    rows = _formula_rows(name, function, dim, places)
+    return OwnJoint(
+        name,
+        a,
+        b,
+        rows,
+        *places,
+        kind="own",
+        axis=way,
+        function=function,
+        apart=point_a is not None or point_b is not None,
+    )
 
 
-def _formula_rows(name: str, function: Callable[..., Any], dim: int, center: Array | None) -> tuple[Row, ...]:
+def _formula_rows(name: str, function: Callable[..., Any], dim: int, places: tuple[Any, Any]) -> tuple[Row, ...]:
     """The rows of a function that symbols pass; none where they do not, or where its formulas have no numbers at the start."""
     what = f'Joint "{name}"'
-    point = np.zeros(dim) if center is None else center
+    points = [np.zeros(dim) if x is None else x for x in places]
     try:
         terms = [own_term(what, y, dim) for y in traced(what, lambda a, b, t: function(a.x, a.R, b.x, b.R, t), dim)]
-        finite_at(what, terms, [point, point], dim)
+        finite_at(what, terms, points, dim)
     except InputError:
         return ()
     return tuple(_row(name, term, dim) for term in terms)

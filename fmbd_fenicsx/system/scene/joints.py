@@ -67,9 +67,9 @@ class JointRows:
     def _size(self, joint: OwnJoint) -> int:
         """Number of rows of a joint of the user's own, by one call."""
         d = self.motions.dim
-        point = np.zeros(d) if joint.center_a is None else joint.center_a
+        a, b = (np.zeros(d) if x is None else x for x in (joint.center_a, joint.center_b))
         function = named("The constraint of joint", joint.name, joint.function)  # (x_a, R_a, x_b, R_b, t)
-        found = np.atleast_1d(np.asarray(function(point, np.eye(d), point, np.eye(d), 0.0)))
+        found = np.atleast_1d(np.asarray(function(a, np.eye(d), b, np.eye(d), 0.0)))
         require(
             found.ndim == 1 and found.size > 0,
             f'Joint "{joint.name}": its function returned {found!r}, expected (m,) numbers.',

@@ -320,7 +320,11 @@ class Coordinates(Sensor):
                 if self.level == 0:
                     return ev.system.local_q(state.q, k).copy()
                 return ev.system.local_v(state.v if self.level == 1 else state.a, k).copy()
-        raise InputError(f'No coordinates of body "{self.body}". {near(self.body, (p.name for p in ev.system.parts))}')
+        own = near(self.body, (p.name for p in ev.system.parts))
+        raise InputError(
+            f'Body "{self.body}" has no coordinates beside its place and rotation: fmbd.coordinates reads those of reduced '
+            f"bodies, lines and bodies by own equations. {own} Take fmbd.position and fmbd.rotation of rigid bodies."
+        )
 
 
 def named_part(what: str, part: Any) -> str:
