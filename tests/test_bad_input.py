@@ -367,7 +367,10 @@ def test_a_scene_and_its_copy_share_no_parts() -> None:
 
 
 NOTHING = {
-    "spring": (lambda a, p: fmbd.Spring("k", fmbd.ground, a, (0, 1, 0), (1, 0, 0), length=1.0), 'Spring "k" does nothing'),
+    "spring": (
+        lambda a, p: fmbd.Spring("k", fmbd.ground, a, (0, 1, 0), (1, 0, 0), length=1.0),
+        'Spring "k" does nothing',
+    ),
     "joint spring": (lambda a, p: fmbd.joint_spring("k", fmbd.angle(p), free=0.3), 'Joint spring "k" does nothing'),
     "tyre": (lambda a, p: fmbd.Tyre("k", a, road=lambda x, t: 0.0), 'Tyre "k" does nothing'),
 }

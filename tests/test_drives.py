@@ -237,7 +237,7 @@ def test_derivatives_on_elastic_surfaces(dim: int, what: str, rod_mesh: Any) -> 
 def test_an_own_joint_between_two_points_is_a_rope() -> None:
     """Its length given as a function of numbers, of two points apart: the motion of the built-in distance."""
 
-    def rope(xa: Array, Ra: Array, xb: Array, Rb: Array, t: float) -> Array:
+    def rope(xa: Any, Ra: Any, xb: Any, Rb: Any, t: float) -> Any:
         d = xb - xa
         return np.array([np.sqrt(d @ d) - math.sqrt(1.25)])  # math.sqrt of a number is no reason to leave formulas
 

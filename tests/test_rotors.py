@@ -112,3 +112,30 @@ def test_a_drive_turns_with_the_rotor() -> None:
             continue
         with pytest.raises(InputError, match='"motor" does not let "rotor" spin'):
             fmbd.equilibrium(scene, spin=spin)
+
+
+def test_the_free_turn_of_a_rotor_is_no_mode_of_its_diagram() -> None:
+    """A shaft with a disc in round bearings: roundoff of its free turn made two modes of zero at some speeds and one at others,
+    and a critical speed where it was counted otherwise.
+    """
+
+    def make(speed: float) -> fmbd.Scene:
+        section = fmbd.RodSection.circle(youngs_modulus=2.1e11, poisson_ratio=0.3, density=7800, radius=0.006)
+        rod = fmbd.Rod("shaft", [(0, 0, 0), (0.6, 0, 0)], section, elements=3, damping=1e-5, stations={"disc": 0.2})
+        disc = fmbd.RigidBody("disc", 2.0, (6.4e-3, 3.2e-3, 3.2e-3), position=(0.2, 0, 0))
+        scene = fmbd.Scene("rotor")
+        scene.add(rod, disc, fmbd.fixed("shrink", rod.surface("disc"), disc, center=(0.2, 0, 0)))
+        for name in ("start", "end"):
+            k = (5e6, 5e6, 5e6, 0, 0, 0) if name == "start" else (0, 5e6, 5e6, 0, 0, 0)
+            bearing = fmbd.bushing(name, fmbd.ground, rod.surface(name), stiffness=k, damping=(10, 50, 50, 0, 0, 0))
+            scene.add(bearing)
+        return scene
+
+    spin = fmbd.Spin(0.0, (1, 0, 0), bodies=("shaft", "disc"))
+    speeds = [0.0, 50.0, 100.0, 150.0, 200.0]
+    found = fmbd.campbell(make, speeds, 2, spin=spin)
+    assert (found.omega > 100.0).all()
+    assert len(found.critical_speeds) == 1 and 160.0 < found.critical_speeds[0] < 163.0
+    assert str(found).endswith(f"critical speeds: {found.critical_speeds[0]:.6g}")
+    lines = str(found).splitlines()
+    assert len(lines) == len(speeds) + 3 and "mode 1" in lines[1]

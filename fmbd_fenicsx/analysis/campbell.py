@@ -17,7 +17,7 @@ from ..errors import require
 from ..rotations import Array
 from ..system.scene.scene import Scene
 from .equilibrium import equilibrium
-from .modes import modes
+from .modes import modes_of
 from .steady import Spin
 
 
@@ -60,11 +60,20 @@ class Campbell:
                     found.append(float(self.speeds[j] + step * a / (a - b)))
         return found
 
+    def __str__(self) -> str:
+        """A table: speeds and rates at rest, and the critical speeds."""
+        fixed = np.atleast_2d(self.fixed)
+        head = "  speed (rad/s)" + "".join(f"{f'mode {k}':>12}" for k in range(fixed.shape[1]))
+        lines = [f"  {w:13.6g}" + "".join(f"{x:12.6g}" for x in fixed[j]) for j, w in enumerate(self.speeds)]
+        critical = ", ".join(f"{w:.6g}" for w in self.critical_speeds) or "none"
+        return "\n".join(("rates at rest (rad/s)", head, *lines, f"  critical speeds: {critical}"))
+
 
 @typed
 def campbell(make: Callable[[float], Scene], speeds: Sequence[float], n: int, *, spin: Spin | None = None) -> Campbell:
     """The first n modes about the steady rotation of ``make(speed)`` at each speed (rad/s); collective.
 
+    Motions that nothing holds, such as the turn of a rotor about its axis, have no frequency and do not count among the n.
     ``spin`` gives axis, centre and bodies (its rate is ignored); the z axis through the origin by default. The ground turns as
     well, unless ``spin.bodies`` names those that do.
     """
@@ -73,7 +82,7 @@ def campbell(make: Callable[[float], Scene], speeds: Sequence[float], n: int, *,
     for speed in speeds:
         scene = make(float(speed))
         turn = Spin(float(speed)) if spin is None else replace(spin, rate=float(speed))
-        found = modes(scene, n, at=equilibrium(scene, spin=turn))
+        found = modes_of(scene, n, at=equilibrium(scene, spin=turn), held=True)
         values.append(found.eigenvalues)
         senses.append(found.whirl(turn.axis))
     at_rest = spin is not None and bool(spin.bodies)

@@ -150,10 +150,15 @@ def modes(scene: Scene, n: int, *, at: Any = None, linear: Any = None) -> Modes:
     Raises:
         InputError: more modes than the scene has; a state that is not in equilibrium, with how far.
     """
+    return modes_of(scene, n, at=at, linear=linear)
+
+
+def modes_of(scene: Scene, n: int, *, at: Any, linear: Any = None, held: bool = False) -> Modes:
+    """:func:`modes`; ``held``: without motions that nothing holds, of eigenvalue zero."""
     require(isinstance(n, int) and n >= 1, f"modes: n must be a whole number of at least 1, found {n!r}.")
     with prepared(scene, at, linear) as made:
         small = projected(made.about, made.solver, n, shift=made.shift, enough=Settled(n))
-        values, vectors = eigenpairs(small, n, relaxing=relaxes(made.about.system))
+        values, vectors = eigenpairs(small, n, relaxing=relaxes(made.about.system), held=held)
     system = made.about.system
     shapes = vectors.T @ small.vectors
     sizes = [max(system.max_abs(x.real), system.max_abs(x.imag), 1e-300) for x in shapes]
@@ -274,14 +279,13 @@ def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
         )
 
 
-def eigenpairs(small: ProjectedSystem, n: int, *, relaxing: bool = False) -> tuple[Array, Array]:
+def eigenpairs(small: ProjectedSystem, n: int, *, relaxing: bool = False, held: bool = False) -> tuple[Array, Array]:
     """The n slowest eigenvalues (n,) of (1) on a basis and their vectors (k, n), one of each conjugate pair.
 
-    ``relaxing``: as for :func:`.first_order.slowest`.
+    ``relaxing``: as for :func:`.first_order.slowest`; ``held``: without those that are zero but for roundoff.
     """
     M, C, K = small.M, small.C, small.K
 
-    k = len(M)
     size_M = np.abs(M).max(initial=1e-300)
     size_K = np.abs(K).max(initial=1e-300)
     quiet = np.abs(C).max(initial=0.0) <= SYMMETRIC * float(np.sqrt(size_M * size_K))
@@ -289,16 +293,26 @@ def eigenpairs(small: ProjectedSystem, n: int, *, relaxing: bool = False) -> tup
 
     # without damping: real squares omega^2 of a symmetric pencil
     if quiet and symmetric and not len(small.speeds[0]) and small.memory is None:
-        _enough(k, n)
         squares, Y = sl.eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
-        order = np.argsort(np.abs(squares))[:n]
+        order = np.argsort(np.abs(squares))
         rates = np.sqrt(np.abs(squares[order]))
         values = np.where(squares[order] >= 0, 1j * rates, rates)
-        return values, Y[:, order].astype(complex)
+        vectors = Y[:, order].astype(complex)
+    else:
+        values, vectors = slowest(first_order(small), relaxing=relaxing)
 
-    values, vectors = slowest(first_order(small), relaxing=relaxing)
+    if held:
+        kept = np.logical_not(_zeros(small, values, vectors))
+        values, vectors = values[kept], vectors[:, kept]
     _enough(len(values), n)
     return values[:n], vectors[:, :n]
+
+
+def _zeros(small: ProjectedSystem, values: Array, vectors: Array) -> Array:
+    """Which eigenvalues l are zero but for roundoff, (m,): l^2 M y and l C y, so K y too, are nothing beside the size of K."""
+    rate, size = np.abs(values), np.linalg.norm(small.K, 2) * np.linalg.norm(vectors, axis=0)
+    left = rate * rate * np.linalg.norm(small.M @ vectors, axis=0) + rate * np.linalg.norm(small.C @ vectors, axis=0)
+    return np.asarray(left <= 1e3 * np.finfo(float).eps * size)
 
 
 @dataclass(eq=False)

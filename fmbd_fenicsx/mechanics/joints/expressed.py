@@ -142,7 +142,7 @@ def own_joint(
         require(center is None, f'Joint "{name}": give center, where both markers sit, or point_a and point_b.')
         given = {"point_a": point_a, "point_b": point_b}
         points = [None if x is None else vector(f'Joint "{name}": {end}', x, size=dim) for end, x in given.items()]
-        places = tuple(start_place(side, x, dim) for side, x in zip((a, b), points, strict=True))
+        places = start_place(a, points[0], dim), start_place(b, points[1], dim)
     way = None if axis is None else direction(axis, dim, name)
     checked_function(f'Joint "{name}": function', function, range(5), named="x_a, R_a, x_b, R_b, t")
     rows = _formula_rows(name, function, dim, places)
