@@ -130,6 +130,23 @@ def test_tangents_at_once_after_steps_that_took_several(rod_mesh: Callable[..., 
     agree(fast, slow, 40)
 
 
+@pytest.mark.parametrize("body", ["small strains", "large strains"])
+@pytest.mark.parametrize("bob", [False, True], ids=["alone", "beside a frame"])
+def test_steps_of_its_own_choice(rod_mesh: Callable[..., Any], body: str, bob: bool) -> None:
+    """Errors are judged alike: frames that rest are none of the system's."""
+    mesh = rod_mesh(dim=2, h=0.5, height=0.2)
+    runs = []
+    for path in (True, False):
+        scene = machine(mesh, BODIES[body], "") if bob else arm(mesh, BODIES[body])[0]
+        scheme = fmbd.GeneralizedAlpha(0.8, rtol=1e-4, compiled=path)
+        runs.append(fmbd.solve(scene, t_end=0.05, scheme=scheme))
+    fast, slow = runs
+    assert fast.counters["compiled_steps"] > 10
+    assert len(fast.times) == len(slow.times)
+    assert fast.counters["newton_iterations"] == slow.counters["newton_iterations"]
+    assert np.abs(fast["tip"] - slow["tip"]).max() < 1e-9
+
+
 def test_it_turns_many_times(rod_mesh: Callable[..., Any]) -> None:
     """The rotation of the factor, of its surfaces and the angle of its hinge go on beyond a turn, whoever evaluates them."""
     soft = {"energy": fmbd.materials.sheet_saint_venant_kirchhoff(1e8, 0.3)}
