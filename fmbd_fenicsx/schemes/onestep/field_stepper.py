@@ -21,7 +21,7 @@ NEXT = 3  # block of a ring that a step writes
 
 
 class FieldStepper(CompiledAlphaStepper):
-    """The same; the first step of a size, and steps with new tangents, are NumPy's."""
+    """The same; the first step of a size, and the first new tangent of a frame with mean axes, are NumPy's."""
 
     def __init__(self, data: Any, driver: AlphaDriver | None) -> None:
         self._drivers: list[AlphaDriver] = []  # the one used last is the last

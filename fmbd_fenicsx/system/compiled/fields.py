@@ -59,6 +59,7 @@ class FieldTable:
         self.port_matrix[self.ports, inertial + np.arange(len(self.ports))] = 1.0
         nothing: Array = np.zeros(0)
         self.b = self.z = self.force = self.sums = self.state = nothing  # those of the structure
+        self.indefinite = False
         self.of_tangent: dict[str, Array] = {}  # likewise, what changes with the tangent
 
     def solve(self) -> None:
@@ -75,6 +76,7 @@ class FieldTable:
         """What changes with the tangent."""
         part, block = self.part, self.block
         inverse = Condensed(block.W, self.frame_slots, self.inertial)
+        self.indefinite = inverse.indefinite
         d = self.tables.dim
         moment = part.moment if part.column_version(0.0) else np.zeros(d)
         return {
@@ -187,8 +189,11 @@ class Condensed:
         size[vanishes] = size[ports & ~vanishes].min(initial=np.inf)
         scaled = compliance / np.outer(size, size)
 
+        # negative ones are those of bodies that buckle
         share, directions = np.linalg.eigh(0.5 * (scaled + scaled.T))
-        stiffness = 1.0 / np.maximum(share, LEAST * share.max(initial=LEAST))
+        least = LEAST * np.abs(share).max(initial=LEAST)
+        stiffness = 1.0 / np.where(np.abs(share) > least, share, least)
+        self.indefinite = bool((share < -least).any())
         self.S = (directions * stiffness) @ directions.T / np.outer(size, size)
 
 

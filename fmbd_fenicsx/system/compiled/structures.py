@@ -98,7 +98,7 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         *_fields("remembers seen readings reactions", _INT),
         *_fields("seen_frame reaction motion_rate rest_gravity slip", _POINTER),
         ("settled", _REAL),
-        *_fields("again renewed led renewable foretells renewals", _INT),
+        *_fields("again renewed led renewable foretells renewals indefinite", _INT),
     ],
 }
 

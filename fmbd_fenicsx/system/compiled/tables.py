@@ -203,6 +203,12 @@ class Tables:
         blocks = self.renewed(t, {field.k: field.b.copy() for field in self.fields})
         for field, block in zip(self.fields, blocks, strict=True):
             field.take(block)
+        self.c.indefinite = self._indefinite
+
+    @property
+    def _indefinite(self) -> int:
+        """Whether ports of a field give way where they are pulled: of bodies that buckle."""
+        return int(any(field.indefinite for field in self.fields))
 
     # -- batches -------------------------------------------------------------------------------------------------------------
     def _split(self, items: Items) -> list[Items]:
@@ -310,7 +316,7 @@ class Tables:
             remembers=int(any(items.remembers for items in self.items)), storage=self.fronts.storage,
             seen=len(looks.markers), readings=looks.count, seen_frame=self.store.integers(self.frame[looks.markers]),
             row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
-            foretells=int(any(part.foretells for part in parts)),
+            foretells=int(any(part.foretells for part in parts)), indefinite=self._indefinite,
         )  # fmt: skip
         self.look()
 

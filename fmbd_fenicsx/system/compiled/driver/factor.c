@@ -44,7 +44,7 @@ static void soften(System *s)
     for (int i = 0; i < s->rows; i++) s->L[s->row_dest[i]] -= softness(s, i);
 }
 
-/* SINGULAR when a pivot has the wrong sign or is small against what it is made of. */
+/* SINGULAR when a pivot has the wrong sign, where bodies are stable, or is small against what it is made of. */
 static int factor(System *s)
 {
     s->factors++;
@@ -55,10 +55,11 @@ static int factor(System *s)
         int ld = f->ld;
         for (int k = 0; k < f->pivots; k++) {
             int u = f->unknown[k];
-            double pivot = F[(long)(ld + 1) * k] * s->sign[u];
+            double sign = s->sign[u], pivot = F[(long)(ld + 1) * k] * sign;
+            if (s->indefinite && pivot < 0.0) sign = -sign, pivot = -pivot;
             double least = u < s->nu ? 1e-14 * s->diagonal[u] : (s->redundant ? 0.1 * softness(s, u - s->nu) : 1e-11 * s->weight[u - s->nu]);
             if (!(pivot > least)) return SINGULAR;
-            double inverse_ = s->sign[u] / pivot;
+            double inverse_ = sign / pivot;
             s->inverse[u] = inverse_;
             eliminate(F, ld, f->rows, k, inverse_);
         }

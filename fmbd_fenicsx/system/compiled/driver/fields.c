@@ -255,7 +255,7 @@ int field_block(System *s, const Body *o, const double *R, const double *q)
     const int *dest = o->dest;
     for (int i = 0; i < n; i++) {
         for (int j = 0; j <= i; j++) s->L[*dest++] += A[n * i + j];
-        s->diagonal[o->at_u + i] = A[(n + 1) * i];
+        s->diagonal[o->at_u + i] = fabs(A[(n + 1) * i]);
     }
     for (int i = 0; i < e->frames; i++) s->L[s->row_dest[e->row + i]] -= 1.0;
     return 0;

@@ -178,6 +178,7 @@ typedef struct {
     int led;                           /* whether the matrix takes the efforts foretold: after an increment of a step */
     int renewable, foretells, renewals; /* whether Python takes new tangents of fields in a step, and where the last increment */
                                        /* led; how many the last step took */
+    int indefinite;                    /* whether the tangent of a field may be so: of bodies that buckle */
 } System;
 
 /* Records of accepted steps; every array holds ``capacity`` of them. ``left``: steps up to the next. */
