@@ -60,6 +60,7 @@ class Tables:
     at_u: np.ndarray  # where they begin among the unknowns
     nu: int
     rows: int
+    c: Any  # the structure System
     structure: Structure
     fronts: Fronts
     renewed: Callable[
