@@ -82,3 +82,54 @@ def test_runs_with_strong_damping_do_not_depend_on_when_the_tangent_is_taken(rod
         newton = fmbd.Newton(1e-10, 60, patience=patience)
         tips.append(fmbd.solve(scene, t_end=0.2, dt=0.01, newton=newton, output=fmbd.Output(progress=False))["tip"][-1])
     assert np.abs(tips[0] - tips[1]).max() < 1e-7
+
+
+def one_bent(kind: Any, mesh: Any, beta: float) -> Any:
+    """A part whose tangent was taken where it is bent, and turned by 0.6 rad if it may turn in its coordinates."""
+    scene = fmbd.Scene("one")
+    scene.add(kind("rod", mesh, density=1e3, energy=neo_hookean(1e6, 0.3), stiffness_damping=beta))
+    part = scene.build()[0].fields[0][1]
+    X, turn = part.field.X, 0.6 if kind is fmbd.AbsoluteBody else 0.0
+    R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    U = ((X + 0.3 * bent(X).reshape(-1, 2)) @ R.T - X).ravel()
+    part.relinearise(at_rest(part), (U, np.zeros_like(U)))
+    return part, U
+
+
+@pytest.mark.parametrize("kind", [fmbd.AbsoluteBody, fmbd.FloatingBody])
+def test_newtons_matrix_has_the_damping_of_the_forces(rod_mesh: Callable[..., Any], kind: Any) -> None:
+    """cd D of the step's matrix, as E x with damping less E x without, is the derivative of the forces by the rate."""
+    from fmbd_fenicsx.linear.blocks.field_blocks import FieldMatrix, Weights
+
+    mesh, products = rod_mesh(dim=2, h=0.25), []
+    x = None
+    for beta in (BETA, 0.0):
+        part, U = one_bent(kind, mesh, beta)
+        x = np.random.default_rng(5).standard_normal(len(U)) if x is None else x
+        m = FieldMatrix.of(part, Weights(1.0, 1.0, 1.0))
+        E = part.field.combination(m.cm, m.ck, m.cd)
+        a, b = E.createVecs()
+        a.array[:] = x
+        E.mult(a, b)
+        products.append(b.array.copy())
+    part, U = one_bent(kind, mesh, BETA)
+    force = damping(part, U, x)
+    assert np.abs(products[0] - products[1] - force).max() < 2e-3 * np.abs(force).max()
+
+
+def test_a_pressed_and_damped_block_needs_no_more_iterations_than_an_undamped_one() -> None:
+    """A rubber block held and pressed by its faces to 85 % of its height, beta as large as the step: no step in parts."""
+    mesh, counts = fmbd.read_gmsh("meshes/block.py", size=(0.04, 0.02), cells=10), []
+    for beta in (0.0, 1e-3):
+        law = neo_hookean(2e6, 0.4)
+        block = fmbd.AbsoluteBody("block", mesh, density=1.1e3, energy=law, stiffness_damping=beta)
+        plate = fmbd.RigidBody("plate", 0.1, 1e-3, position=(0.02, 0.02))
+        slide = fmbd.prismatic("guide", fmbd.ground, plate, center=(0.02, 0.02), axis=(0, 1))
+        scene = fmbd.Scene("press")
+        scene.add(block, plate, slide, fmbd.tie_surface("bottom", block.surface("bottom"), fmbd.ground))
+        scene.add(fmbd.tie_surface("top", block.surface("top"), plate))
+        scene.add(fmbd.drive("press", fmbd.displacement(slide), lambda t: -0.003 * np.sin(50 * t) ** 2))
+        run = fmbd.solve(scene, t_end=0.03, dt=1e-3, output=fmbd.Output(progress=False))
+        assert run.counters["halved_steps"] == 0
+        counts.append(run.counters["newton_iterations"])
+    assert counts[1] < 1.1 * counts[0]

@@ -75,7 +75,7 @@ class Factor:
             r *= self.cm
             r += self.ck * f.tangent(x)
             if self.cd:
-                r += self.cd * f.damping(x)
+                r += self.cd * f.damping_in_tangent(x)
             r -= b
             return r
         self._x.array[:] = x

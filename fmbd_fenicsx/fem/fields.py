@@ -25,6 +25,7 @@ from ..rotations import Array, motions
 from .energy_quadrature import integrated
 from .field_checks import check_field
 from .loads import AppliedLoads, Load
+from .rest_damping import RestDamping
 from .surfaces import Moments
 from .viscous import Viscous, symmetric
 
@@ -100,6 +101,7 @@ class Field:
         self.K = fp.create_matrix(self.stiffness_form, "baij")
         self.tangents = -1
         self._with_extra: Any = None
+        self.rest_damping: RestDamping | None = None  # beside a tangent
         self._unstressed: Any = None  # K of the body without stress, where stiffness_damping has to know it
         self.linearise(None)
         u = ufl.TrialFunction(self.space)
@@ -177,6 +179,8 @@ class Field:
         # damping by stiffness is that of the body without stress
         if self.tangents < 0 and self.nonlinear and (self.carried or self.forms.stiffness_damping > 0):
             self._unstressed = self.K.copy()
+            if not self.mixed:
+                self.rest_damping = RestDamping(self, self._unstressed)
 
         # what the tangent of moving loads adds stands in a matrix of its own: K stays that of the energy
         if extra:
@@ -198,6 +202,17 @@ class Field:
         fp.assemble_matrix(out, self.stiffness_form)  # places that nothing is put into at first are lost
         out.assemble()
         return out
+
+    def stiffness_at(self, U: Array, into: Any = None) -> Any:
+        """The stiffness at displacements U (n d,) in a matrix of its own, made where none is given; collective."""
+        import dolfinx.fem.petsc as fp
+
+        self._place(U)
+        into = self._with_places() if into is None else into
+        into.zeroEntries()
+        fp.assemble_matrix(into, self.stiffness_form)
+        into.assemble()
+        return into
 
     def _place(self, U: Array) -> None:
         """Nodal values of the energy's argument, ghosts included; collective."""
@@ -222,6 +237,15 @@ class Field:
     def stiffness_at_rest(self, U: Array) -> Array:
         """K_0 U with the stiffness of the body without stress, what stiffness_damping acts by, (n d,) -> (n d,)."""
         return self.stiffness(U) if self._unstressed is None else self._times(self._unstressed, U)
+
+    def _dampings(self) -> list[tuple[float, Any]]:
+        """What stands at cd in :meth:`combination`, with factors: the viscous form, K_0 beside a tangent."""
+        own, rest = [] if self.D is None else [(1.0, self.D)], self.rest_damping
+        return own if rest is None else [*own, (rest.beta, rest.matrix)]
+
+    def damping_in_tangent(self, U: Array) -> Array:
+        """The matrix at cd of :meth:`combination` times U, (n d,) -> (n d,)."""
+        return sum((c * self._times(A, U) for c, A in self._dampings()), np.zeros_like(U))
 
     def tangent(self, U: Array) -> Array:
         """K U with the extra form of :meth:`linearise`: the matrix that :meth:`combination` holds."""
@@ -338,9 +362,9 @@ class Field:
         M = self._mass_of_components()
         E.axpy(cm, M, structure=held)
         M.destroy()
-        if cd and self.D is not None:
-            D = self.D.convert("aij", PETSc.Mat())
-            E.axpy(cd, D, structure=held)
+        for c, A in self._dampings() if cd else ():
+            D = A.convert("aij", PETSc.Mat())
+            E.axpy(c * cd, D, structure=held)
             D.destroy()
         return E
 
@@ -421,6 +445,6 @@ class Field:
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""
-        own = (A for A in (self._with_extra, self._unstressed, self.D) if A is not None)
+        own = (A for A in (self._with_extra, self.rest_damping, self._unstressed, self.D) if A is not None)
         for x in (self.M, self.K, *self._work, *self._big, *own):
             x.destroy()

@@ -89,13 +89,17 @@ class AbsoluteField(FieldPart):
     def _take_tangent(self, at: TangentPoint) -> None:
         if at.pressure is not None:
             self.field.pressure_values = at.pressure  # type: ignore[attr-defined]
-        self.field.linearise_motion(at.t, at.U, at.Ud, at.increment)
         self.turn_at_tangent = self.mean_rotation(at.U)
+        if self.field.rest_damping is not None:
+            self.field.rest_damping.turn(self.turn_at_tangent)
+        self.field.linearise_motion(at.t, at.U, at.Ud, at.increment)
         self._tangent_at = at
 
     def _first_tangent(self) -> None:
-        self.field.linearise_motion(0.0, np.zeros(self.n), np.zeros(self.n))
         self.turn_at_tangent = np.eye(self.field.dim)
+        if self.field.rest_damping is not None:
+            self.field.rest_damping.turn(self.turn_at_tangent)
+        self.field.linearise_motion(0.0, np.zeros(self.n), np.zeros(self.n))
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
@@ -120,7 +124,7 @@ class AbsoluteField(FieldPart):
 
     def _turned_stiffness(self, U: Array, Ud: Array) -> Array:
         """R K_0 R^T u', R the mean rotation of the body: damping by the stiffness without stress leaves rigid motion alone and
-        never gives energy. It depends on the state only; Newton's matrix has the tangent in its place.
+        never gives energy. It depends on the state only; Newton's matrix has the R of its tangent.
         """
         if not self.field.nonlinear:
             return self.field.stiffness(Ud)
