@@ -127,7 +127,7 @@ def _time_error(run: Run) -> str:
         return f"not estimated: the run with 2 h failed, h is near the largest usable step; {local}"
     if not run.error_estimate:
         return f"not estimated (Output(estimate_error=True) repeats the run with 2 h and 4 h); {local}"
-    text = f"estimated from runs with 2 h and 4 h: {_listed(run, run.error_estimate)}; {local}"
+    text = f"estimated from runs with other steps: {_listed(run, run.error_estimate)}; {local}"
     # an order far below the scheme's own: the estimate rests on it
     slow = [p for p in run.observed_order.values() if not p > run.scheme.order - 0.5]
     return text + (f". Some orders are below {run.scheme.order}: the step does not resolve all motion" if slow else "")

@@ -2,7 +2,8 @@
 
 Run:  ./with-dolfinx env PYTHONPATH=.:demos:tests:tests/benchmarks python3 tests/benchmarks/observatory.py --write
       (--fast: two values each; --write: docs/observatory.md and its figure; --only NAME ...: these problems;
-      --json FILE: keep the runs there after each problem, and do not make again those that it holds)
+      --json FILE: keep the runs there after each problem, and do not make again those that it holds;
+      --schemes NAME ...: these schemes, all other rows as docs/observatory.md has them)
 
 Every run that fails is a row. Schemes with equal steps run with h, h / 4, h / 16, those with error control with three tolerances;
 finer ones are left out where the last took longer than BUDGET seconds of CPU time, and no run takes longer than LONGEST: all of
@@ -22,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from observatory_page import figure, page
+from observatory_page import figure, page, rows_of
 from observatory_peers import FAILURES, PEERS_CONTROLLED, PEERS_EQUAL, NotForItError
 from observatory_problem import Problem
 from observatory_problems import PROBLEMS
@@ -43,6 +44,7 @@ CONTROLLED: dict[str, Callable[[float], Any]] = {
     "Radau(5), GGL": lambda r: fmbd.Radau(5, fmbd.GGL(), r),
     "BDF, GGL": lambda r: fmbd.BDF(5, fmbd.GGL(), r),
     "half-explicit": lambda r: fmbd.HalfExplicit(r),
+    "explicit Runge-Kutta": lambda r: fmbd.ExplicitRungeKutta(r),
     "generalized-alpha, controlled": lambda r: fmbd.GeneralizedAlpha(rtol=r),
 }
 EQUAL: dict[str, Callable[[], Any]] = {
@@ -144,11 +146,11 @@ def _runs(name: str) -> list[tuple[str, tuple[float, ...], Callable[[str, str, f
     return [*ours, *others]
 
 
-def observe(name: str, *, fast: bool) -> list[Point]:
-    """All runs of a problem."""
+def observe(name: str, *, fast: bool, schemes: list[str] | None = None) -> list[Point]:
+    """All runs of a problem, or those of some schemes."""
     points: list[Point] = []
     limit = FAST_BUDGET if fast else BUDGET
-    for scheme, values, run in _runs(name):
+    for scheme, values, run in (x for x in _runs(name) if schemes is None or x[0] in schemes):
         for value in values[:2] if fast else values:
             found = run(name, scheme, value)
             if found is None:
@@ -160,19 +162,39 @@ def observe(name: str, *, fast: bool) -> list[Point]:
     return points
 
 
-def observed(names: list[str], *, fast: bool, file: Path | None) -> tuple[list[Point], float]:
-    """All runs of some problems, and their CPU seconds; those that a file holds are taken from it, the others go there."""
+def observed(
+    names: list[str], *, fast: bool, file: Path | None, schemes: list[str] | None = None
+) -> tuple[list[Point], float]:
+    """All runs of some problems, or those of some schemes, and their CPU seconds; those that a file holds are taken from it, the
+    others go there.
+    """
     kept: dict[str, Any] = json.loads(file.read_text()) if file is not None and file.exists() else {}
-    for name in names:
-        if name in kept:
+    keys = {name: name if schemes is None else ", ".join((name, *sorted(schemes))) for name in names}
+    for name, key in keys.items():
+        if key in kept:
             continue
         begun = time.process_time()
-        points = observe(name, fast=fast)
-        kept[name] = {"points": [asdict(p) for p in points], "seconds": time.process_time() - begun}
+        points = observe(name, fast=fast, schemes=schemes)
+        kept[key] = {"points": [asdict(p) for p in points], "seconds": time.process_time() - begun}
         if file is not None:
             file.write_text(json.dumps(kept))
-    found = [kept[name] for name in names]
+    found = [kept[key] for key in keys.values()]
     return [Point(**p) for x in found for p in x["points"]], sum(x["seconds"] for x in found)
+
+
+def beside(points: list[Point], schemes: list[str]) -> list[Point]:
+    """Runs of some schemes among those of the others that the page holds, to its digits, in the order of problems and schemes."""
+    order = {(n, scheme): values for n in PROBLEMS for scheme, values, _ in _runs(n)}
+    kept = []
+    for problem, scheme, cells, failure in rows_of((ROOT / "docs/observatory.md").read_text()):
+        if scheme in schemes or (problem, scheme) not in order:
+            continue
+        for value, cell in zip(order[problem, scheme], cells, strict=False):
+            told = failure.get(f"{value:g}", "")
+            numbers = (np.nan, 0.0, 0.0) if cell in ("failed", "refused") else map(float, cell.split(" / "))
+            kept.append(Point(problem, scheme, value, *numbers, told, cell == "refused"))
+    places = {key: i for i, key in enumerate(order)}
+    return sorted([*kept, *points], key=lambda p: places[p.problem, p.scheme])
 
 
 def main() -> None:
@@ -182,11 +204,16 @@ def main() -> None:
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--only", nargs="+", choices=list(PROBLEMS))
     parser.add_argument("--json", type=Path, help="keep the runs in this file, and take from it those that it holds")
+    parser.add_argument("--schemes", nargs="+", choices=[*CONTROLLED, *EQUAL, *IMPACTS])
     args = parser.parse_args()
 
     fast = bool(args.fast)
-    points, spent = observed(args.only or list(PROBLEMS), fast=fast, file=args.json)
+    points, spent = observed(args.only or list(PROBLEMS), fast=fast, file=args.json, schemes=args.schemes)
     setting = f"with{' `--fast`: two' if fast else ' three'} values for each scheme"
+    if args.schemes:
+        points = beside(points, args.schemes)
+        listed = ", ".join(f"**{scheme}**" for scheme in args.schemes)
+        setting += f".\nRows of {listed} were made last, beside those of the page before: those come from earlier code"
     text = page(points, setting, (FAST_BUDGET if fast else BUDGET, LONGEST, spent))
     print(text)
     if args.write:

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8)
 INTRODUCTION = """\
-Written by `tests/benchmarks/observatory.py --write` (its head says how), {setting}. The runs took {spent:.0f} s of CPU time,
-on one core of a machine with other work.
+Written by `tests/benchmarks/observatory.py --write` (its head says how), {setting}.
+The runs took {spent:.0f} s of CPU time, on one core of a machine with other work.
 
 Errors are those of a sensor at the end, relative to the largest component of the reference. CPU times are those of whole runs,
 set-up and the first compilation of kernels included. References are exact or come from other means than this code; "ordinary
@@ -60,6 +60,23 @@ def page(points: list[Point], setting: str, spent: tuple[float, float, float]) -
         told = [f"- {p.problem}, {p.scheme}, {p.value:g}: {p.failure}" for p in failures if p.refused is refused]
         lines += [title, "", *(told or ["- none"]), ""]
     return "\n".join(lines)
+
+
+def rows_of(text: str) -> list[tuple[str, str, list[str], dict[str, str]]]:
+    """The runs that a page holds: problem, scheme, cells of its values, and what was said of values that failed."""
+    listed, failures = text.split("## All runs")[1].split("## Failures")
+    told: dict[tuple[str, str], dict[str, str]] = {}
+    found = []
+    for line in listed.splitlines():
+        cells = [x.strip() for x in line.strip("|").split("|")]
+        if len(cells) == 5 and cells[0] in PROBLEMS:
+            said = told.setdefault((cells[0], cells[1]), {})
+            start = f"- {cells[0]}, {cells[1]}, "
+            for failure in (x[len(start) :] for x in failures.splitlines() if x.startswith(start)):
+                value, _, why = failure.partition(": ")
+                said[value] = why
+            found.append((cells[0], cells[1], [x for x in cells[2:] if x], said))
+    return found
 
 
 def _what(name: str) -> str:

@@ -21,6 +21,7 @@ TOO_LOW, TOO_HIGH = (
     1.0,
 )  # share of the scheme's order, and what an order is beyond it, that belong to another motion
 LARGE = 0.02  # error of time over the range of a sensor below which such an order does not matter
+FALLING = 0.5  # order below which differences do not fall with the step: a tenth of such an error matters
 UNRESOLVED = 0.5  # error by spaces or modes over the range of a sensor above which no rate can be taken for granted
 STILL = 1e-9  # range over the largest value of its unit below which a sensor does not move
 
@@ -126,35 +127,45 @@ def certificate_of(run: Run) -> Certificate:
         found = [kind[name] for kind in run.deviations.values() if name in kind]
         time = run.error_estimate.get(name)
         made.append(Statement(name, sensor.unit, space, time, modes, own, together(found) + own, span))
-    uncertain = {
-        s.sensor: why for s in made if (why := ". ".join((*_uncertain_in_time(run, s), *_uncertain_in_space(run, s))))
-    }
+    moving = [s for s in made if s.span > STILL * _largest(run, s.unit)]
+    reasons = {s.sensor: [*_uncertain_in_time(run, s), *_uncertain_in_space(s)] for s in moving}
+    uncertain = {name: ". ".join(why) for name, why in reasons.items() if why}
     return Certificate(tuple(made), run.seconds["total"], unstated, uncertain)
+
+
+def _largest(run: Run, unit: str) -> float:
+    """The largest value of all sensors with a unit: a gap in contact moves by the roundoff of places."""
+    alike = [run.series[name] for name, sensor in run.scene.sensors.items() if sensor.unit == unit]
+    return max(float(np.abs(x).max(initial=0.0)) for x in alike)
+
+
+def irregular(order: int, seen: float, share: float) -> bool:
+    """Whether the order that was ``seen`` belongs to another motion than what converges with that of the scheme, and the error,
+    as a ``share`` of the range, is large enough to matter.
+    """
+    if np.isnan(seen) or TOO_LOW * order <= seen <= order + TOO_HIGH:
+        return False
+    return share > (LARGE if seen >= FALLING else 0.1 * LARGE)
 
 
 def _uncertain_in_time(run: Run, stated: Statement) -> list[str]:
     """Why the error of time of a sensor may be far from what is stated; empty where it is not."""
     order, seen = run.scheme.order, run.observed_order.get(stated.sensor, np.nan)
-    regular = np.isnan(seen) or TOO_LOW * order <= seen <= order + TOO_HIGH
-    if regular or (stated.time or 0.0) <= LARGE * stated.span:
+    if not irregular(order, seen, (stated.time or 0.0) / stated.span):
         return []
     return [
-        f'the error of time of "{stated.sensor}" is uncertain: runs with larger steps show the order {seen:.1f}, {order} is '
+        f'the error of time of "{stated.sensor}" is uncertain: runs with other steps show the order {seen:.1f}, {order} is '
         "expected. They follow another motion, or the sensor jumps, and what is stated may be several times too large or too "
         "small. Take a smaller dt, or a scheme that chooses its steps (rtol); of what jumps, a mean over time"
     ]
 
 
-def _uncertain_in_space(run: Run, stated: Statement) -> list[str]:
+def _uncertain_in_space(stated: Statement) -> list[str]:
     """Why errors by spaces and modes may be far from what is stated; empty where they are not.
 
     They are differences to one finer run, which is thought to be clearly better. Where these are as large as the sensor itself
     it may have no value that finer runs tend to: the acceleration of a surface that is hit at once goes with its shrinking mass.
     """
-    alike = [run.series[name] for name, other in run.scene.sensors.items() if other.unit == stated.unit]
-    largest = max(float(np.abs(x).max(initial=0.0)) for x in alike)
-    if stated.span <= STILL * largest:
-        return []
     kinds = {"space": "a finer mesh", "modes": "more modes"}
     return [
         f'the error by {kind} of "{stated.sensor}" is uncertain: with {what} it differs by {found:.1e} {stated.unit}, and all '
