@@ -70,7 +70,7 @@ def test_resonance(stiffness: float, settings: dict[str, Any]) -> None:
 def test_an_error_of_phase_as_large_as_the_motion_is_told_by_smaller_steps_or_uncertain(
     periods: int, steps: int, uncertain: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Six steps a period at resonance state less than half of the true error, and the certificate and the warnings say so; with 16
+    """Six steps a period at resonance state less than half of the true error, and certificate and warnings say so; with 16
     a run with half the step tells it, where those with larger steps follow another motion.
     """
     t_end = 0.2 * np.pi * periods
