@@ -18,11 +18,13 @@ from observatory_problems import PROBLEMS  # noqa: E402
 
 @pytest.mark.parametrize("name", ["gears", "free body"])
 def test_errors_fall_with_the_tolerance(name: str) -> None:
-    """By four orders of magnitude in the tolerance at least two in the error, for every scheme with error control."""
+    """By four orders of magnitude in the tolerance at least two in the error, for every scheme with error control, or to below the
+    tolerance: least steps of a scheme of order eight are more than enough for the larger one.
+    """
     for scheme in CONTROLLED:
         coarse, fine = one(name, scheme, 1e-2), one(name, scheme, 1e-6)
         assert not coarse.failure and not fine.failure
-        assert fine.error < 2e-3 and fine.error <= 0.02 * coarse.error, (scheme, coarse, fine)
+        assert fine.error < 2e-3 and fine.error <= max(0.02 * coarse.error, 1e-6), (scheme, coarse, fine)
 
 
 @pytest.mark.parametrize("name", ["double pendulum", "mass on spring", "spring pendulum"])
