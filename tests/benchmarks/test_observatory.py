@@ -18,7 +18,7 @@ from observatory_problems import PROBLEMS  # noqa: E402
 
 @pytest.mark.parametrize("name", ["gears", "free body"])
 def test_errors_fall_with_the_tolerance(name: str) -> None:
-    """By four orders of magnitude in the tolerance at least two in the error, for every scheme with error control, or to below the
+    """By four orders of magnitude in the tolerance two in the error, for every scheme with error control, or to below the
     tolerance: least steps of a scheme of order eight are more than enough for the larger one.
     """
     for scheme in CONTROLLED:
