@@ -193,13 +193,13 @@ def test_runs_with_many_steps_in_parts_end_early(monkeypatch: pytest.MonkeyPatch
         estimates.again(solved.problem, solved.compared.schedule, 24, None)
 
     # some parts cost less than smaller steps throughout; more are a matter of the scene, not of the tolerance
-    coarse = fmbd.solve(scene, t_end=1.0, dt=1 / 24, output=output)
+    coarse = fmbd.solve(scene, t_end=1.0, dt=1 / 20, output=output)
     parts = coarse.counters["halved_steps"]
-    assert 0 < parts < shared_runs.PARTED * 24
-    assert shared.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 24), output).run.status == "finished"
-    monkeypatch.setattr(shared_runs, "PARTED", 0.5 * parts / 24)
-    with pytest.raises(PartsError, match="of 24"):
-        shared.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 24), output)
+    assert 0 < parts < shared_runs.PARTED * 20
+    assert shared.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 20), output).run.status == "finished"
+    monkeypatch.setattr(shared_runs, "PARTED", 0.5 * parts / 20)
+    with pytest.raises(PartsError, match="of 20"):
+        shared.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 20), output)
 
 
 def test_strains_take_plain_numbers() -> None:
