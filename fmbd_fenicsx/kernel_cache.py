@@ -96,7 +96,7 @@ def load(
 
 
 def load_library(library: Library, *, beside: Sequence[Library] = ()) -> ctypes.CDLL | None:
-    """A library, built when it is not kept yet; None, with a line in the log, where it cannot be had.
+    """A library, built when it is not kept yet; None, with a line on standard error, where it cannot be had.
 
     Not collective: each process asks for itself, and several may build the same one at a time.
 
@@ -106,7 +106,7 @@ def load_library(library: Library, *, beside: Sequence[Library] = ()) -> ctypes.
     """
     command = compiler()
     if command is None:
-        log.info("no C compiler: kernel %s runs in NumPy", library.name)
+        note("no C compiler (the variable CC, or cc): all runs in NumPy, which may take a hundred times as long")
         return None
 
     try:
@@ -116,8 +116,15 @@ def load_library(library: Library, *, beside: Sequence[Library] = ()) -> ctypes.
             _Building(folder, notes, command).make([library, *beside])
         return ctypes.CDLL(str(file))
     except (OSError, subprocess.SubprocessError) as error:
-        log.info("the compiled kernel %s is not available (%s): it runs in NumPy", library.name, error)
+        note(f"{library.name} is not compiled ({_reason(error)}): it runs in NumPy, which may take a hundred times as long")
         return None
+
+
+def _reason(error: Exception) -> str:
+    """Why a library cannot be had, in one line: what the compiler said first, where it is that."""
+    said = getattr(error, "stderr", None)
+    lines = said.decode(errors="replace").strip().splitlines() if said else []
+    return lines[0] if lines else str(error)
 
 
 def _bytes(text: str | bytes) -> bytes:

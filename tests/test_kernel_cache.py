@@ -186,7 +186,14 @@ def test_without_a_place_to_keep_them(tmp_path: Path, monkeypatch: pytest.Monkey
     assert value(7) == 7
 
 
-def test_source_that_does_not_compile_and_no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_source_that_does_not_compile_and_no_compiler_are_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(kernel_cache, "note", said.append)
     assert kernel_cache.load("test", "no C at all") is None
+    # what is compiled, and what the compiler says
+    assert "test is not compiled" in said[-1] and "error" in said[-1] and "NumPy" in said[-1]
     monkeypatch.setenv("CC", "no-such-compiler")
-    assert kernel_cache.load("test", SOURCE % 1) is None
+    for name in ("test", "other"):
+        assert kernel_cache.load(name, SOURCE % 1) is None
+    # one text, of which a second is not written
+    assert "no C compiler" in said[-1] and said[-1] == said[-2]
