@@ -116,7 +116,9 @@ def load_library(library: Library, *, beside: Sequence[Library] = ()) -> ctypes.
             _Building(folder, notes, command).make([library, *beside])
         return ctypes.CDLL(str(file))
     except (OSError, subprocess.SubprocessError) as error:
-        note(f"{library.name} is not compiled ({_reason(error)}): it runs in NumPy, which may take a hundred times as long")
+        note(
+            f"{library.name} is not compiled ({_reason(error)}): it runs in NumPy, which may take a hundred times as long"
+        )
         return None
 
 

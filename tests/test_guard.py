@@ -72,7 +72,7 @@ def test_what_may_do_work_is_not_guarded() -> None:
         lambda b, j: fmbd.drive("motor", fmbd.angle(j), lambda t: t),
         lambda b, j: fmbd.drive_rotation("motor", fmbd.ground, b, lambda t: t),
         lambda b, j: fmbd.Spring("own", fmbd.ground, b, point_a=(2, 0), law=lambda s, v, t: -s),
-        lambda b, j: fmbd.Tyre("tyre", b, road=lambda x, t: 0.0, up=(0, 1)),
+        lambda b, j: fmbd.Tyre("tyre", b, stiffness=1e4, road=lambda x, t: 0.0, up=(0, 1)),
         lambda b, j: fmbd.own_joint("own", fmbd.ground, b, lambda xa, Ra, xb, Rb, t: xb[:1] - xa[:1] - t),
     ):
         scene = rod()

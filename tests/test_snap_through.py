@@ -51,14 +51,14 @@ def ramp(t: float) -> float:
 @pytest.mark.mpi
 @pytest.mark.parametrize("dt, share", [(0.005, 0.01), (0.02, 0.06), (0.1, 0.15)])
 def test_snaps_through(dt: float, share: float) -> None:
-    """Three steps, one of them 40 times the time of the snap: steps are halved where Newton fails, and the arch hangs as low as
+    """Three steps, one of them 40 times the time of the snap, which is halved where Newton fails: the arch hangs as low as
     in a run of steps of 1.25 ms, but for the ``share`` that larger steps damp.
     """
     run = run_of(PRESSURE, dt, ramp)
     top = run["top"][:, 1]
     assert top[0] > 0.03 and top.min() == pytest.approx(LOWEST, rel=share)
     halved = run.counters.get("halved_steps", 0)
-    assert (halved == 0) if dt < 0.01 else (halved > 0 and "halving" in run.report())
+    assert (halved == 0) if dt < 0.1 else (halved > 0 and "halving" in run.report())
 
 
 @pytest.mark.mpi

@@ -29,6 +29,7 @@ class LineField:
     numbering = None  # every rank holds all unknowns
     redistributed = False
     nonlinear = mixed = indefinite = carried = keeps_volume = False
+    rest_damping = None  # its stiffness is constant
 
     def __init__(self, body: Any) -> None:
         import basix

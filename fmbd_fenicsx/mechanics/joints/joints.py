@@ -106,7 +106,7 @@ class Joint:
     def __post_init__(self) -> None:
         word("A joint's name", self.name)
         # surfaces are made anew at each call
-        same = self.a.body is self.b.body and self.a.name == self.b.name
+        same = self.a.name == self.b.name and self.a.body is self.b.body
         require(not same, f'Joint "{self.name}" connects {self.a.name!r} with itself.')
 
 

@@ -122,8 +122,10 @@ class Scene:
     def add(self, *parts: Any) -> Any:
         """Add bodies, joints, forces and contacts; names must be unique among each. Returns the part, or a tuple of several."""
         for part in parts:
-            place = next((place for place in ADDED if _fits(part, place)), None)
-            if place is None:
+            for place in ADDED:
+                if _fits(part, place):
+                    break
+            else:
                 raise InputError(f"A scene takes bodies, joints, forces and contacts; found {shown(part)}.")
             self._put(self.__dict__[place], part, PLACES[place][1])
         return parts[0] if len(parts) == 1 else parts
