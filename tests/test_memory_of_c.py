@@ -14,9 +14,12 @@ FILES = (
     "driver",
     "driver_start",
     "compiled",
+    "compiled_absolute",
     "compiled_contact",
+    "compiled_control",
     "compiled_evaluation",
     "compiled_recording",
+    "field_states",
     "checkpoint",
 )
 
