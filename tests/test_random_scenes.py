@@ -109,6 +109,11 @@ def test_states_after_a_restart_are_judged_as_before() -> None:
     random_mechanisms.case(824).taken_up()
 
 
+def test_steps_of_own_choice_are_taken_up_where_they_are_made_many_in_a_call() -> None:
+    """Times at the parts of a stretch are those of single steps, and with them all that depends on time, to the last bit."""
+    random_mechanisms.case(182).taken_up()
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(0)
 @pytest.mark.parametrize(

@@ -21,11 +21,15 @@ from ..control import LEAST_ERROR, TURN, NormOfWays, StepControl
 class Stay:
     """Up to when steps keep their size h (s).
 
-    ``place``: the present one, in steps of h; ``ratio``: of the next larger size, which begins at its multiples, 0 without one;
+    ``place``: the present one, in steps of h; ``count`` of them are a ``stretch`` (s), up to ``end`` (s);
+    ``ratio``: of the next larger size, which begins at its multiples, 0 without one;
     ``keeps``: share of h that a proposal must have; ``calm``: error below which loads are looked at; ``until``: a time, s.
     """
 
     place: int
+    count: int
+    stretch: float
+    end: float
     ratio: int
     keeps: float
     calm: float
@@ -76,7 +80,8 @@ class CompiledControl:
             one.size = largest
         c.way, c.error, c.largest = norm.way, control.error_old, 0.0
 
-        c.place, c.ratio, c.calm, c.until = stay.place, stay.ratio, stay.calm, stay.until
+        c.place, c.count, c.stretch, c.end = stay.place, stay.count, stay.stretch, stay.end
+        c.ratio, c.calm, c.until = stay.ratio, stay.calm, stay.until
         c.high = min(control.pressure(stay.keeps), 1.0)
         c.low = control.pressure(stay.ratio) if stay.ratio else 0.0
 

@@ -328,7 +328,7 @@ class VariableAlpha(TimeStepper):
         lost = bool(ratio) and self._loses(ratio * self.stretch / count)
         assert not lost or self.lost is not None
         until = self.lost[1] if lost and self.lost is not None else np.inf
-        return Stay(place, 0 if lost else ratio, KEEPS, CALM, until)
+        return Stay(place, count, self.stretch, self.end, 0 if lost else ratio, KEEPS, CALM, until)
 
     def tape(self, judged: Openness) -> Tape | None:
         """Room for records of :meth:`march`."""

@@ -81,7 +81,9 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         ("origin", _POINTER),
         *_fields("frames core deforming place ratio", _LONG),
         ("deflection", _POINTER),
-        *_fields("high low calm floor turn until error before largest", _REAL),
+        *_fields("high low", _REAL),
+        ("count", _LONG),
+        *_fields("stretch end calm floor turn until error before largest", _REAL),
         *_fields("e y a missed", _POINTER),
     ],
     "System": [

@@ -83,6 +83,12 @@ static int judged(System *s, const double *p, Control *c, const Block *now, cons
     return DONE;
 }
 
+/* Give an accepted state the time that the parts of the stretch tell. */
+static void arrive(const Control *c, Block *out)
+{
+    *out->t = c->end - c->stretch * ((double)(c->count - c->place - 1) / (double)c->count);
+}
+
 /* Largest step in which no frame in space turns by more than c->turn as it moves in a state. */
 static double farthest(const Control *c, const Block *now)
 {

@@ -36,6 +36,7 @@ EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict,
             break;
         }
         if (control && (*verdict = judged(s, p, control, past, &out))) break;
+        if (control) arrive(control, &out);
         int recorded = tape && tape->left == 1;
         int placed = (p[GUARDED] != 0.0 || recorded || s->remembers) && !place(s, out.q, out.v);
         if (p[GUARDED] != 0.0 && placed && gained(s, p, &out)) {

@@ -207,6 +207,8 @@ typedef struct {
     long deforming, place, ratio;      /* place: in steps of this size; ratio: of the next larger one, 0: there is none */
     Deflection *deflection;
     double high, low;                  /* pressures above which steps shrink, and up to which they grow */
+    long count;                        /* of steps of this size in the stretch */
+    double stretch, end;               /* its length and its end, s */
     double calm, floor, turn, until;   /* error below which nothing happens; least error that is remembered; rad; s */
     double error, before, largest;     /* of the newest step, of the one before, of all of a march */
     double *e, *y, *a, *missed;        /* work: like v, the rows, like v twice */
