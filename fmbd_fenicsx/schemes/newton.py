@@ -64,9 +64,8 @@ class Newton:
     slow: float = 0.9  # a rate above this over two increments counts as divergence
     patience: float = 4.0  # a new tangent is taken when more than this many further iterations are to be expected
     tangent: ExactTangent | None = None
-    renewals: int = field(
-        default=0, init=False
-    )  # tangents that the last step took: where there were several, the next one begins with one
+    # tangents that the last step took: where there were several, the next one begins with one
+    renewals: int = field(default=0, init=False)
     iterations: int = field(default=0, init=False)
     theta: float = field(default=0.5, init=False)
     left: float = field(default=0.0, init=False)  # errors that solved steps left, over the tolerance, summed

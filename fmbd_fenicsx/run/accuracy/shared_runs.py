@@ -223,11 +223,13 @@ class SharedRuns:
         self, scene: Scene, made: Compared, below: Sequence[Scene], enough: Enough
     ) -> dict[str, Deviation] | None:
         """The error by the meshes from the nearest level below with a run that is there; None where it is not ``enough``."""
-        near = [k for k, x in enumerate(below) if self.kept(x, made.schedule.steps) is not None]
-        if not near or enough is None or scene.contacts:
+        if enough is None or scene.contacts:
             return None
-        lower = self._runs[id(below[near[-1]])][made.schedule.steps]
-        return from_below(made.recorder, lower.recorder, len(below) - near[-1], enough)
+        for levels, coarser in enumerate(reversed(below), start=1):
+            lower = self.kept(coarser, made.schedule.steps)
+            if lower is not None:
+                return from_below(made.recorder, lower.recorder, levels, enough)
+        return None
 
     def _from_new(self, scene: Scene, made: Compared, below: Sequence[Scene]) -> tuple[dict[str, Deviation], str]:
         """The error by the meshes from the two levels below, where these tell how it falls, else from a run in finer spaces."""

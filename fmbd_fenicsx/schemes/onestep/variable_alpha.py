@@ -59,9 +59,8 @@ KEPT = 9  # sets of elastic factors: those of eight sizes, and that of the whole
 DEEPEST = 48  # levels of parts; the finest are below roundoff
 LOOKS = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882)  # where in a step of a new size loads are looked at
 CALM = 0.01  # error of the last step over what is allowed, below which nothing happens
-KEEPS = (
-    0.93  # share of the present size that a proposal must have for this size to stay: an error of 0.9 is expected then
-)
+# share of the present size that a proposal must have for this size to stay: an error of 0.9 is expected then
+KEEPS = 0.93
 FARTHEST = 10.0  # times the least motion that closes constraints: one that bends bodies less may be as large
 SAME = 1e-9  # lengths of a stretch that differ by this share are equal
 HELD = 10.0  # times its length that a step is held for too long in which M is lost beside s K
@@ -275,12 +274,18 @@ class VariableAlpha(TimeStepper):
     # -- many steps in compiled code ------------------------------------------------------------------------------------
     def stride(self, h: float) -> float:
         """Size (s) of the steps that :meth:`march` makes next, where h is the most; 0 where :meth:`advance` has to."""
+        level = self._next_level(h)
+        return 0.0 if level is None else self.stretch / parts(level)
+
+    def _next_level(self, h: float) -> int | None:
+        """The parts of the stretch that these steps are; None where there are none."""
         s = self.state
         self._follow(s.t, h)
         if self.proposed is None or self.size is None or not self._marches:
-            return 0.0
-        size = self.stretch / parts(self._level(min(self.proposed, turn_limit(self.system, s))))
-        return size if size == self.size and self._is_looked_at(size) else 0.0
+            return None
+        level = self._level(min(self.proposed, turn_limit(self.system, s)))
+        size = self.stretch / parts(level)
+        return level if size == self.size and self._is_looked_at(size) else None
 
     @property
     def _marches(self) -> bool:
@@ -292,17 +297,17 @@ class VariableAlpha(TimeStepper):
         """Up to so many accepted steps of one size, at most h (s), in one call of compiled code, as :meth:`advance` makes one;
         fewer where the size may change or a step is refused.
         """
-        size = self.stride(h)
-        if not size:
+        level = self._next_level(h)
+        if level is None:
             return 0
-        count = round(self.stretch / size)
-        place = int(self.place * count)
+        count = parts(level)
+        size, place = self.stretch / count, int(self.place * count)
         steps = int(min(steps, count - place, whole_steps(self.system, self.state.t, size)))
         if steps <= 0:
             return 0
 
         control = self._control()
-        control.lend(self._stay(count, place))
+        control.lend(self._stay(level, place))
         made: int = self.inner.controlled(size, steps, control, watch, tape)
         if made:
             control.take()
@@ -319,11 +324,11 @@ class VariableAlpha(TimeStepper):
             self._compiled = CompiledControl(self.norm, self.control)
         return self._compiled
 
-    def _stay(self, count: int, place: int) -> Stay:
-        """Up to when steps keep the present size; ``count`` of them in a stretch, ``place`` are behind."""
+    def _stay(self, level: int, place: int) -> Stay:
+        """Up to when steps keep the present size, that of the parts of a level, of which ``place`` are behind."""
         from .compiled_control import Stay
 
-        level = next(k for k in range(DEEPEST + 1) if parts(k) == count)
+        count = parts(level)
         ratio = count // parts(level - 1) if level else 0
         lost = bool(ratio) and self._loses(ratio * self.stretch / count)
         assert not lost or self.lost is not None

@@ -63,9 +63,8 @@ class Tables:
     c: Any  # the structure System
     structure: Structure
     fronts: Fronts
-    renewed: Callable[
-        [float, dict[int, Array]], Sequence[Block]
-    ]  # fields with new tangents: at t, increments that led there
+    # fields with new tangents: at t, increments that led there
+    renewed: Callable[[float, dict[int, Array]], Sequence[Block]]
 
     def __init__(
         self, system: System, *, redundant: bool, blocks: Sequence[Block] = (), coordinates: Sequence[Relative] = ()
