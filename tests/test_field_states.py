@@ -128,7 +128,7 @@ def solved(solver: StepSolver, ev: Any, weights: Weights) -> Any:
 
 
 @compiled
-@pytest.mark.parametrize("frame", [fmbd.MeanAxis(), fmbd.Attached("pin"), fmbd.Chord("pin", "tip")], ids=str)
+@pytest.mark.parametrize("frame", [fmbd.MeanAxis(), fmbd.Attached("pin"), fmbd.Chord("pin", "tip"), *BODIES], ids=str)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_solutions_are_those_of_numpy(rod_mesh: Callable[..., Any], dim: int, frame: Any) -> None:
     """With masses alone and with the matrix of a step, one after the other; the matrix of a state is made once."""
@@ -154,14 +154,15 @@ def test_solutions_are_those_of_numpy(rod_mesh: Callable[..., Any], dim: int, fr
 
 
 @compiled
+@pytest.mark.parametrize("frame", [fmbd.MeanAxis(), "large strains"], ids=str)
 @pytest.mark.parametrize(
     "scheme", [fmbd.Rattle(), fmbd.HalfExplicit(rtol=None), fmbd.BDF(order=2, rtol=None)], ids=lambda s: s.name
 )
 def test_steps_are_solved_in_the_driver(
-    rod_mesh: Callable[..., Any], scheme: Any, monkeypatch: pytest.MonkeyPatch
+    rod_mesh: Callable[..., Any], scheme: Any, frame: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """NumPy condenses no field on the core; the motion is the same."""
-    scene = lambda: swinging(rod_mesh(dim=2, h=0.5, height=0.2), fmbd.MeanAxis())
+    scene = lambda: swinging(rod_mesh(dim=2, h=0.5, height=0.2), frame)
     dt = 1e-5 if scheme.name != fmbd.BDF(order=2, rtol=None).name else 1e-4
 
     def run() -> tuple[fmbd.Run, int]:

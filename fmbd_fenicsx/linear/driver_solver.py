@@ -148,5 +148,5 @@ def driver_solver(system: System, core: CoreSolver, elastic: FieldBlocks | None)
     if system.contacts is not None:
         return None
     if isinstance(states, FieldStates):
-        return FieldDriverSolver(states, core, elastic) if elastic is not None and states.moving else None
+        return None if elastic is None else FieldDriverSolver(states, core, elastic)
     return DriverSolver(states, core) if solves(states) else None

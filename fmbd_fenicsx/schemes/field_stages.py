@@ -60,15 +60,16 @@ class FieldTangent:
     def _along(self, dq: Array, dv: Array, da: Array) -> Array:
         """The same for directions (k, n_v)."""
         system, s = self.ev.system, self.state
-        eps = np.array([[self._shift(dq[i], dv[i], da[i])] for i in range(len(dq))])
+        eps = np.array(
+            [[self._shift(*sizes)] for sizes in system.each_max_abs(np.stack((dq, dv, da), axis=1)).tolist()]
+        )
         ev = system.batch(s.t, system.compose(s.q, eps * dq), s.v + eps * dv)
         lam = np.repeat(s.lam[None], len(dq), axis=0)
         return np.asarray((lower(self.form, self.levels, ev, s.a + eps * da, lam) - self.low) / eps)
 
-    def _shift(self, dq: Array, dv: Array, da: Array) -> float:
-        """The length of a difference; collective."""
+    def _shift(self, place: float, speed: float, push: float) -> float:
+        """The length of a difference along a direction with parts of these sizes; collective."""
         system, s = self.ev.system, self.state
-        place, speed, push = system.max_abs(dq), system.max_abs(dv), system.max_abs(da)
         if place == speed == 0.0:  # linear: as large as the accelerations that they are added to
             return (system.max_abs(s.a) or 1.0) / (push or 1.0)
         # lengths: positions, and what velocities move within the time in which they change

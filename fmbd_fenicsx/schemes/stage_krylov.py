@@ -215,6 +215,8 @@ class FieldStages:
         """Inner products of vectors (k, n_v) with one: mean squares of each field, sums of the core; collective."""
         system, n = self.eq.system, self.eq.system.n_core
         w = (self.square * w).conj()
+        if system.comm.size == 1:
+            return np.asarray((V @ w).conj())
         core = V[:, :n] @ w[:n]
         return np.asarray((core + rank_sum(system.comm, V[:, n:] @ w[n:])).conj())
 

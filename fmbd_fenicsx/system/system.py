@@ -261,6 +261,11 @@ class System:
         local = float(np.abs(self.units * x).max(initial=0.0))
         return local if not self.fields or self.comm.size == 1 else float(np.max(self.comm.allgather(local)))
 
+    def each_max_abs(self, x: Array) -> Array:
+        """The same of each of several arrays like v, (..., n_v) -> (...); collective."""
+        local = np.abs(self.units * x).max(axis=-1, initial=0.0)
+        return local if not self.fields or self.comm.size == 1 else np.max(self.comm.allgather(local), axis=0)
+
     def typical(self, x: Array) -> float:
         """The largest entry of the core, or root mean square of a field that no frame carries, as lengths; collective."""
         n = self.n_core

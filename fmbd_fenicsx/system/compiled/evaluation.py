@@ -50,8 +50,9 @@ class DriverStates:
         self.calls = Calls(self.tables)
         self.address = ctypes.addressof(self.tables.c)
         self.taken = False
-        n, m = self.system.n_v, self.system.n_lam
-        self._given = _Exchange({"q": self.system.n_q, "b": n, "c": m})  # what C reads
+        self.twin = self.tables.twin  # between arrays of the system and those of the tables
+        n, m = self.tables.system.n_v, self.system.n_lam
+        self._given = _Exchange({"q": self.tables.system.n_q, "b": n, "c": m})  # what C reads
         self._found = _Exchange({"x": n, "y": m})  # and writes
         self._kept_room: Room | None = None
         self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
@@ -118,19 +119,23 @@ class DriverStates:
     def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
         """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""
         room, places = self._loaded_room(at, a, lam)
-        return room.sums[: room.count].copy() if self._ask(self.library.driver_balances, room, places) else None
+        return self._sums(room) if self._ask(self.library.driver_balances, room, places) else None
 
     def together(self, at: Configurations, a: Array, lam: Array | None) -> tuple[Array, Array] | None:
         """:meth:`balances` and :meth:`constraints` in one call; None as above."""
         room, places = self._loaded_room(at, a, lam)
         if not self._ask(self.library.driver_batch, room, [*places, *room.constraints_at]):
             return None
-        return room.sums[: room.count].copy(), self._with_motions(at[0], room.constraints[:, : room.count]).copy()
+        return self._sums(room), self._with_motions(at[0], room.constraints[:, : room.count]).copy()
+
+    def _sums(self, room: Room) -> Array:
+        """Balances that C has written, (k, n_v)."""
+        return self.twin.forces(room.sums[: room.count]).copy()
 
     def _loaded_room(self, at: Configurations, a: Array, lam: Array | None) -> tuple[Room, list[int | None]]:
         """Room with configurations, accelerations and multipliers in it, and where the last two and the balance are."""
         room = self._room(at)
-        room.a[: room.count] = a
+        room.a[: room.count] = self.twin.velocities(a)
         if lam is not None:
             room.lam[: room.count] = lam
         return room, [room.places["a"], None if lam is None else room.places["lam"], room.places["sums"]]
@@ -171,14 +176,15 @@ class DriverStates:
 
     def _room(self, at: Configurations) -> Room:
         """Arrays for so many configurations, with these in them."""
-        count = len(at[0])
+        (t, q, v), twin = at, self.twin
+        count = len(t)
         room = self._kept_room
         if room is None or room.most < count:
             room = Room(self.tables.system, max(count, FEW))
             if count <= ROOMS:
                 self._kept_room = room
         room.count = count
-        for x, value in zip(room.state, at, strict=True):
+        for x, value in zip(room.state, (t, twin.configurations(q), twin.velocities(v)), strict=True):
             x[:count] = value
         return room
 
@@ -202,7 +208,7 @@ class DriverStates:
         a, lam = ev.forces
         if self.balances(ev.alone, a[None], lam[None]) is None:
             return False
-        q, _, below = self._given.put(ev.q, None, lam)
+        q, _, below = self._given.put(self.twin.configurations(ev.q), None, lam)
         verdict = self.library.driver_prepare(self.address, q, cd, ck, below, 0, ev.t)
         self.calls.raise_error()
         if verdict:
@@ -235,9 +241,10 @@ class DriverStates:
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """x like v and y (n_lam,) for the right-hand sides b and c."""
         assert self._held is not None
-        q, right, below = self._given.put(self._held[1], b, c)
-        self.library.driver_solve(self.address, q, right, below, *self._found.at[:2])
-        return self._found.arrays[0].copy(), self._found.arrays[1].copy()
+        twin, (x, y) = self.twin, self._found.arrays
+        q, right, below = self._given.put(twin.configurations(self._held[1]), twin.velocities(b), c)
+        self.library.driver_solve(self.address, q, right, below, *self._found.at)
+        return twin.forces(x).copy(), y.copy()
 
     def independent(self) -> bool:
         """Whether the rows certainly do not depend on each other, by the factor with masses only: as
@@ -245,7 +252,7 @@ class DriverStates:
         """
         assert self._held is not None
         size = np.sqrt(self.tables.arrays["weight"])
-        places = self._given.put(self._held[1], np.zeros(self.system.n_v))
+        places = self._given.put(self.twin.configurations(self._held[1]), np.zeros(self.tables.system.n_v))
         below, found = self._given.arrays[2], self._found.arrays[1]
 
         def solve(x: Array) -> Array:

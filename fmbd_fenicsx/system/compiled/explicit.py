@@ -25,41 +25,44 @@ class ExplicitStates:
 
     def __init__(self, states: DriverStates) -> None:
         self.states, self.system = states, states.system
-        s = self.system
         tables = states.tables
+        s = tables.system
         self.room = np.zeros(2 * s.n_q + 2 * s.n_v + 5 * s.n_lam + tables.nu)
         self.place = address_of(self.room)
 
     def accelerations(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
         """a and lambda of a consistent state; its matrix of masses is factored then."""
-        a = np.empty(self.system.n_v)
+        twin = self.states.twin
+        a = np.empty(twin.system.n_v)
         lam = np.empty(self.system.n_lam)
-        arrays = q, v, self._bias(np.array([t])), a, lam
+        arrays = twin.configurations(q), twin.velocities(v), self._bias(np.array([t])), a, lam
         known = self.states.holds_masses(t, q)
         if not self._ask(self.states.library.driver_accelerate, (int(known), t, self.system.length), arrays):
             return None
         self.states.hold(t, q, v, new=not known)
-        return a, lam
+        return twin.forces(a), lam
 
     def closed(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
         """q, then v, moved onto the constraints by the smallest change in the mass metric."""
-        arrays = q.copy(), v.copy()
-        made = self._ask(self.states.library.driver_close, (t, self.system.length), arrays)
-        return arrays if made else None
+        twin = self.states.twin
+        q, v = twin.configurations(q.copy()), twin.velocities(v.copy())
+        made = self._ask(self.states.library.driver_close, (t, self.system.length), (q, v))
+        return (twin.places(q), twin.forces(v)) if made else None
 
     def stages(self, span: tuple[float, float], start: tuple[Array, Array, Array], tableau: Tableau) -> Stages | None:
         """All stages of a step.
 
         ``span``: where it begins, and its size (s). ``start``: q, v and the accelerations there.
         """
-        (t, h), (q, v, a), (c, A) = span, start, tableau
-        rates, pushes = np.empty((2, len(c), self.system.n_v))
+        (t, h), (c, A), twin = span, tableau, self.states.twin
+        q, v, a = twin.configurations(start[0]), *twin.velocities(np.stack(start[1:]))
+        rates, pushes = np.empty((2, len(c), len(v)))
         rates[0], pushes[0] = v, a
-        xi, after = np.empty((2, self.system.n_v))
+        xi, after = np.empty((2, len(v)))
 
         arrays = c, A, self._bias(t + h * c), q, v, rates, pushes, xi, after
         made = self._ask(self.states.library.driver_stages, (len(c), t, h, self.system.length), arrays)
-        return (rates, pushes, xi, after) if made else None
+        return (twin.forces(rates), twin.forces(pushes), twin.forces(xi), twin.forces(after)) if made else None
 
     def half_stage(
         self, times: Array, sizes: tuple[float, float], given: tuple[Array, ...], guess: tuple[Array, Array]
@@ -69,12 +72,14 @@ class ExplicitStates:
         ``times``: of the stage and of the end of what it moves, (2,). ``sizes``: h times its weight (s); the acceleration that
         counts as none. ``given``: q and v of the stage, q at the end, v there without this stage. ``guess``: of a and lambda.
         """
-        a = guess[0].copy()
-        lam = guess[1].copy()
+        twin = self.states.twin
+        (q, v, after, known), a, lam = given, twin.velocities(guess[0].copy()), guess[1].copy()
         solves = np.zeros(1, dtype=np.int64)
-        arrays: tuple[Any, ...] = (times, *given, a, lam, solves)
+
+        q, after = twin.configurations(q), twin.configurations(after)
+        arrays = times, q, twin.velocities(v), after, twin.velocities(known), a, lam, solves
         made = self._ask(self.states.library.driver_half_stage, sizes, arrays)
-        return (a, lam, int(solves[0])) if made else None
+        return (twin.forces(a), lam, int(solves[0])) if made else None
 
     def _bias(self, times: Array) -> Array:
         """What prescribed motions add to gamma at several times, (k, n_lam)."""

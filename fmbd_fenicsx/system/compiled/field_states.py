@@ -14,9 +14,8 @@ import numpy as np
 
 from ...rotations import Array
 from ..configurations import composed
-from .evaluation import Configurations, DriverStates, Room
+from .evaluation import Configurations, DriverStates
 from .fields import Block
-from .resting import Twin
 from .tables import Tables
 
 
@@ -46,30 +45,6 @@ class FieldStates(DriverStates):
     def tables_of(self) -> Tables:
         """Tables with fields that nothing is solved for."""
         return Tables(self.system, redundant=False, blocks=[unsolved(part) for _, part in self.system.fields])
-
-    @property
-    def twin(self) -> Twin:
-        """Between arrays of the system and those of the tables."""
-        return self.tables.twin
-
-    def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
-        """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""
-        found = super().balances(at, self.twin.velocities(a), lam)
-        return None if found is None else self.twin.forces(found)
-
-    def together(self, at: Configurations, a: Array, lam: Array | None) -> tuple[Array, Array] | None:
-        """The same and the constraints in one call."""
-        found = super().together(at, self.twin.velocities(a), lam)
-        return None if found is None else (self.twin.forces(found[0]), found[1])
-
-    def _room(self, at: Configurations) -> Room:
-        t, q, v = at
-        return super()._room((t, self.twin.configurations(q), self.twin.velocities(v)))
-
-    @property
-    def moving(self) -> bool:
-        """Whether all fields have frames that move: only these leave a step's matrix in the driver."""
-        return self.twin.system is self.system
 
     def rows(self, at: Configurations) -> Array | None:
         """None: G of a field is kept by its ports."""

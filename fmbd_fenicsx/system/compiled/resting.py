@@ -76,7 +76,6 @@ class Twin:
         m, n = system.motions, system.n_frames
         self.poses: Array = np.zeros((0, m.n_pose))
         self._in_q, self._in_v = n * m.n_pose, n * m.n_twist
-        self._poses = slice(self._in_q, self._in_q + len(still) * m.n_pose)
         self.system = system
         if not still:
             return
@@ -90,19 +89,20 @@ class Twin:
         self.system = replace(system, frame_names=names, parts=tuple(parts), markers=markers, cache={})
 
     def configurations(self, q: Array) -> Array:
-        """q (k, n_q) with the frames at rest."""
+        """Arrays like q, (.., n_q), with the frames at rest."""
         return self._wider(q, self._in_q, self.poses.ravel())
 
     def velocities(self, v: Array) -> Array:
-        """The same of arrays like v, (k, n_v): they do not move."""
+        """The same of arrays like v, (.., n_v): they do not move."""
         return self._wider(v, self._in_v, np.zeros(len(self.poses) * self.system.motions.n_twist))
 
     def forces(self, x: Array) -> Array:
-        """Arrays like v without the frames at rest."""
-        if not len(self.poses):
-            return x
-        end = self._in_v + len(self.poses) * self.system.motions.n_twist
-        return np.concatenate((x[:, : self._in_v], x[:, end:]), axis=1)
+        """Arrays like v, (.., n_v), without the frames at rest."""
+        return self._narrower(x, self._in_v, len(self.poses) * self.system.motions.n_twist)
+
+    def places(self, q: Array) -> Array:
+        """Arrays like q, (.., n_q), without the frames at rest."""
+        return self._narrower(q, self._in_q, self.poses.size)
 
     def widened(self, block: Block) -> Block:
         """The parts of a block of the system as those of the twin."""
@@ -110,7 +110,7 @@ class Twin:
             return block
         t, q, *rates, lam = block
         v, a, A = self.velocities(np.stack(rates))
-        return t, self.configurations(q[None])[0], v, a, A, lam
+        return t, self.configurations(q), v, a, A, lam
 
     def narrowed(self, block: Block) -> Block:
         """And back."""
@@ -118,19 +118,25 @@ class Twin:
             return block
         t, q, *rates, lam = block
         v, a, A = self.forces(np.stack(rates))
-        return t, np.delete(q, self._poses), v, a, A, lam
+        return t, self.places(q), v, a, A, lam
 
     def state(self, state: State) -> State:
         """A state of the twin as one of the system."""
         if not len(self.poses):
             return state
         v, a = self.forces(np.stack((state.v, state.a)))
-        return replace(state, q=np.delete(state.q, self._poses), v=v, a=a)
+        return replace(state, q=self.places(state.q), v=v, a=a)
 
     def _wider(self, x: Array, at: int, more: Array) -> Array:
         if not len(self.poses):
             return x
-        return np.concatenate((x[:, :at], np.broadcast_to(more, (len(x), len(more))), x[:, at:]), axis=1)
+        made = np.empty((*x.shape[:-1], x.shape[-1] + len(more)))
+        end = at + len(more)
+        made[..., :at], made[..., at:end], made[..., end:] = x[..., :at], more, x[..., at:]
+        return made
+
+    def _narrower(self, x: Array, at: int, less: int) -> Array:
+        return np.concatenate((x[..., :at], x[..., at + less :]), axis=-1) if less else x
 
 
 def _frames(system: System, still: list[int]) -> np.ndarray:
