@@ -60,9 +60,8 @@ class FieldTangent:
     def _along(self, dq: Array, dv: Array, da: Array) -> Array:
         """The same for directions (k, n_v)."""
         system, s = self.ev.system, self.state
-        eps = np.array(
-            [[self._shift(*sizes)] for sizes in system.each_max_abs(np.stack((dq, dv, da), axis=1)).tolist()]
-        )
+        sizes = system.each_max_abs(np.stack((dq, dv, da), axis=1))
+        eps = np.array([[self._shift(float(place), float(speed), float(push))] for place, speed, push in sizes])
         ev = system.batch(s.t, system.compose(s.q, eps * dq), s.v + eps * dv)
         lam = np.repeat(s.lam[None], len(dq), axis=0)
         return np.asarray((lower(self.form, self.levels, ev, s.a + eps * da, lam) - self.low) / eps)

@@ -8,7 +8,7 @@ when someone asks for them. Systems without elastic fields.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeGuard
@@ -22,7 +22,8 @@ from ..jacobian import Jacobian, dense_core
 from ..mobility import certainly_regular
 from ..system import System
 from .calls import Calls
-from .structures import address_of, enumeration, zeros_of
+from .exchange import Exchange, Room
+from .structures import address_of, enumeration
 from .tables import Tables
 
 FEW, ROOMS = 4, 16  # configurations for which arrays are made at least; up to which they are kept
@@ -52,8 +53,8 @@ class DriverStates:
         self.taken = False
         self.twin = self.tables.twin  # between arrays of the system and those of the tables
         n, m = self.tables.system.n_v, self.system.n_lam
-        self._given = _Exchange({"q": self.tables.system.n_q, "b": n, "c": m})  # what C reads
-        self._found = _Exchange({"x": n, "y": m})  # and writes
+        self._given = Exchange({"q": self.tables.system.n_q, "b": n, "c": m})  # what C reads
+        self._found = Exchange({"x": n, "y": m})  # and writes
         self._kept_room: Room | None = None
         self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
         self._last: DriverEvaluation | None = None  # made by :meth:`at`
@@ -261,39 +262,6 @@ class DriverStates:
             return np.asarray(size * found)
 
         return certainly_regular(solve, len(size), float(len(size)))
-
-
-class _Exchange:
-    """Arrays of the given sizes that C knows by their addresses ``at``."""
-
-    def __init__(self, sizes: Mapping[str, int]) -> None:
-        made = zeros_of(sizes).values()
-        self.arrays = [x for x, _ in made]
-        self.at = [address for _, address in made]
-
-    def put(self, *values: Array | None) -> list[int]:
-        """Copy in the first arrays, as far as there are values; their addresses."""
-        for x, value in zip(self.arrays, values, strict=False):
-            if value is not None:
-                x[:] = value
-        return self.at[: len(values)]
-
-
-class Room:
-    """What C reads and writes of the first ``count`` of at most so many configurations: t, q and v; a; lambda; the sums of the
-    balance; four of the rows.
-    """
-
-    def __init__(self, system: System, most: int) -> None:
-        n, m = (most, system.n_v), (most, system.n_lam)
-        self.most = self.count = most
-        made = zeros_of({"t": most, "q": (most, system.n_q), "v": n, "a": n, "lam": m, "sums": n, "rows": (4, *m)})
-        self.places = {name: address for name, (_, address) in made.items()}
-        self.state = [made[name][0] for name in "tqv"]
-        self.state_at = [self.places[name] for name in "tqv"]
-        self.a, self.lam, self.sums = (made[name][0] for name in ("a", "lam", "sums"))
-        self.constraints = made["rows"][0]
-        self.constraints_at = [self.places["rows"] + x * self.constraints.strides[0] for x in range(4)]
 
 
 @dataclass(frozen=True)

@@ -55,9 +55,9 @@ class ExplicitStates:
         ``span``: where it begins, and its size (s). ``start``: q, v and the accelerations there.
         """
         (t, h), (c, A), twin = span, tableau, self.states.twin
-        q, v, a = twin.configurations(start[0]), *twin.velocities(np.stack(start[1:]))
+        q, v = twin.configurations(start[0]), twin.velocities(start[1])
         rates, pushes = np.empty((2, len(c), len(v)))
-        rates[0], pushes[0] = v, a
+        rates[0], pushes[0] = v, twin.velocities(start[2])
         xi, after = np.empty((2, len(v)))
 
         arrays = c, A, self._bias(t + h * c), q, v, rates, pushes, xi, after
@@ -77,7 +77,7 @@ class ExplicitStates:
         solves = np.zeros(1, dtype=np.int64)
 
         q, after = twin.configurations(q), twin.configurations(after)
-        arrays = times, q, twin.velocities(v), after, twin.velocities(known), a, lam, solves
+        arrays: tuple[Any, ...] = (times, q, twin.velocities(v), after, twin.velocities(known), a, lam, solves)
         made = self._ask(self.states.library.driver_half_stage, sizes, arrays)
         return (twin.forces(a), lam, int(solves[0])) if made else None
 
