@@ -95,7 +95,7 @@ def number(what: str, value: Any, *, above: float = -np.inf, least: float = -np.
 def whole(what: str, value: Any, *, least: int | None = 0) -> int:
     """A whole number of at least ``least``, None for any."""
     known = isinstance(value, Integral) and not isinstance(value, bool | np.bool_)
-    if not known or (least is not None and int(value) < least):
+    if not known or abs(int(value)) > sys.maxsize or (least is not None and int(value) < least):
         refuse(what, "a whole number" if least is None else f"a whole number, at least {least}", value)
     return int(value)
 
@@ -330,12 +330,21 @@ def _check(what: str, value: Any, hint: Any, *, default: Any) -> None:
     if objects:
         instance(what, value, options)
         return
-    for option in options[:-1]:  # any will do; the last one tells what is wrong
+    refusals = []
+    for option in options:  # any will do
         try:
             return _one(what, value, option)
-        except InputError:
-            continue
-    _one(what, value, options[-1])
+        except InputError as error:
+            refusals.append(str(error))
+    raise InputError(_together(f"{what} {shown(value)} must be ", refusals))
+
+
+def _together(begin: str, refusals: list[str]) -> str:
+    """One sentence of several that begin alike, with all that would do; else the last of them."""
+    if not all(text.startswith(begin) for text in refusals):
+        return refusals[-1]
+    wanted = dict.fromkeys(text.removeprefix(begin).removesuffix(".") for text in refusals)
+    return f"{begin}{' or '.join(wanted)}."
 
 
 def _usual(value: Any, hint: Any, default: Any) -> bool:
@@ -420,7 +429,7 @@ def _several(what: str, value: Any, inner: tuple[Any, ...]) -> None:
         vector(what, value) if np.size(np.asarray(value, dtype=object)) else None
     elif members == {str}:
         words(what, value)
-    elif isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
+    elif isinstance(value, str) or not isinstance(value, Sequence | np.ndarray) or np.ndim(value) == 0:
         refuse(what, "a list or tuple", value)
     elif len(members) == 1:
         for k, member in enumerate(value):

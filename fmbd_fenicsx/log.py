@@ -49,10 +49,10 @@ def world_rank() -> int:
 log.addHandler(OnStandardError(world_rank))
 
 
-def say(text: Any = "") -> None:
-    """Print on rank 0 only."""
+def say(*values: Any) -> None:
+    """Print on rank 0 only, as ``print`` does."""
     if world_rank() == 0:
-        print(text, flush=True)
+        print(*values, flush=True)
 
 
 def note(text: str) -> None:

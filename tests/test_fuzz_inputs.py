@@ -85,6 +85,7 @@ def right_calls(mesh: Any) -> list[tuple[Callable[..., Any], tuple[Any, ...], di
     hinge = fmbd.revolute("hinge", fmbd.ground, space, center=(0, 0, 0), axis=(0, 0, 1))
     slide = fmbd.cylindrical("slide", fmbd.ground, space, center=(0, 0, 0), axis=(0, 0, 1))
     floor = c.Obstacle("floor", c.HalfSpace((0, 0), (0, 1)))
+    section = fmbd.RodSection(stiffness=(1e6, 1e5, 1e5, 1e3, 1e3, 1e3), mass=1.0, inertia=(0.1, 0.1, 0.1))
     at, axis = {"center": (0, 0, 0)}, {"axis": (0, 0, 1)}
 
     scene = fmbd.Scene("scene", gravity=(0, -9.81))
@@ -115,7 +116,23 @@ def right_calls(mesh: Any) -> list[tuple[Callable[..., Any], tuple[Any, ...], di
         (fmbd.Multigrid, (), {"cycles": 1, "smoothing": 2}),
         (fmbd.Bddc, (), {"adaptive": 2.0}),
         (fmbd.Newton, (), {"tolerance": 1e-6, "max_iterations": 12, "slow": 0.9, "patience": 4.0}),
+        (fmbd.Rod, ("x", [(0, 0, 0), (1, 0, 0)], section), {"damping": 0.1, "stations": {"mid": 0.5}, "degree": 3}),
+        (fmbd.RodSection, (), {"stiffness": (1e6, 1e5, 1e5, 1e3, 1e3, 1e3), "mass": 1.0, "inertia": (0.1, 0.1, 0.1)}),
+        (fmbd.Wires, ("x", 9.0, 5, (fmbd.Wire(1.0, 1e4),)), {"supports": (fmbd.PointSupport(0, 1.0, 1e5),)}),
+        (fmbd.Spring, ("x", space, other), {"point_b": (1, 0, 0), "stiffness": 1e5, "damping": 1e2, "length": 0.1}),
+        (fmbd.Tyre, ("x", flat), {"road": lambda x, t: 0.0, "stiffness": 1e5}),
+        (fmbd.bushing, ("x", space, other), {"stiffness": (1,) * 6, "damping": (1,) * 6, "axes": np.eye(3)}),
+        (fmbd.pid, ("x", fmbd.angle(pin)), {"target": 0.0, "gains": (1.0, 0.1, 0.1), "limit": 5.0, "every": 0.1}),
+        (fmbd.contacts.corners, (flat, [(0, 0), (1, 0)]), {}),
+        (fmbd.Output, (), {"times": (0.0, 0.01), "events": ()}),
+        (fmbd.View, (), {"camera": (1, 1, 1), "size": (300, 200)}),
+        (fmbd.Paint, (lambda u: u, "stress (Pa)"), {}),
+        (fmbd.multipliers.Continuous, (), {"degree": 1}),
+        (fmbd.multipliers.Discontinuous, (), {"degree": 1}),
+        (fmbd.Unilateral, (fmbd.GeneralizedAlpha(),), {}),
+        (fmbd.study.orders, (lambda h: run, [0.02, 0.01]), {"names": ["place"], "reference": run}),
         (run.__getitem__, ("place",), {}),
+        (run.momenta, (), {"state": run.state}),
         (fmbd.solve, (scene,), {"t_end": 0.01, "dt": 0.01, "linear": None, "checkpoint": None, "scheme": None}),
     ]  # fmt: skip
 
@@ -152,6 +169,15 @@ def test_one_value_that_means_nothing(rod_mesh: Any) -> None:
         (lambda: fmbd.read_gmsh(ROD, h=float("nan")), r"rod.py: h nan must be a finite number"),
         (lambda: fmbd.read_gmsh(ROD, h=np.float32("inf")), r"rod.py: h .*inf.* must be a finite number"),
         (lambda: fmbd.read_gmsh(ROD, h=True), r"rod.py: h True must be a finite number"),
+        (lambda: fmbd.Dropper(0, 0, 1.0, 1e5), "both wire 0"),
+        (lambda: fmbd.PointSupport(0, 1.0, -1e5), "stiffness -100000.0 N/m must be a number that is not negative"),
+        (lambda: fmbd.Wheel(0.3, (0, 1)), r"Wheel: axis \(0, 1\) must be 3 finite numbers"),
+        (lambda: fmbd.Spin(1.0, center=(1.0,)), "must be a point"),
+        (lambda: fmbd.contacts.SignedDistance(lambda x: x[2], thickness=-1.0), "thickness = -1.0 m must be positive"),
+        (lambda: fmbd.multipliers.Discontinuous(degree=-1), "whole number, at least 0"),
+        (lambda: fmbd.Unilateral("alpha"), "must be an object such as"),
+        (lambda: fmbd.Tyre("x", fmbd.ground, road=lambda x, t: 0.0, stiffness=1.0), "not the ground"),
+        (lambda: fmbd.Rod("x", [(0, 0, 0), (1, 0, 0)], "steel"), 'Rod "x": section .steel. must be a RodSection'),
         (lambda: fmbd.solve(fmbd.Scene("x"), t_end=1.0, linear="direct"), "linear 'direct' must be"),
         (lambda: fmbd.solve(fmbd.Scene("x"), t_end=1.0, checkpoint="here"), "checkpoint 'here' must be a Checkpoint"),
     ],

@@ -439,7 +439,7 @@ STRAIGHT = [(0, 0, 0), (1, 0, 0)]
     [
         (lambda: fmbd.RodSection(SKEW, 1.0, (1, 1, 1)), r"not symmetric: entry \(\d, \d\)"),
         (lambda: fmbd.RodSection((1, 1, 1, -1, 1, 1), 1.0, (1, 1, 1)), "not positive"),
-        (lambda: fmbd.RodSection((1, 1, 1, 1, 1, 1), 0.0, (1, 1, 1)), "mass 0.0 kg/m at s = 0 m must be positive"),
+        (lambda: fmbd.RodSection((1, 1, 1, 1, 1, 1), 0.0, (1, 1, 1)), "at s = 0 m: mass 0.0 kg/m must be a positive number"),
         (lambda: fmbd.RodSection((1, 1, 1, 1, 1, 1), 1.0, (1, 0, 1)), "inertia at s = 0 m is not positive"),
         (lambda: fmbd.RodSection(), "either its stiffness"),
         (lambda: fmbd.Rod("rod", [(0, 0, 0), (0, 0, 0)], UNIT), "no tangent"),

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..checks import check_fields
+from ..checks import check_fields, vector
 from ..errors import require
 from ..rotations import Array
 from ..system.evaluation import Evaluation
@@ -39,14 +39,9 @@ class Spin:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        size = float(np.linalg.norm(self.axis))
-        require(bool(np.isfinite(self.rate)), f"Spin: rate = {self.rate} rad/s must be finite.")
-        require(
-            not isinstance(self.bodies, str), f"Spin: bodies must be names, such as ({self.bodies!r},), found one text."
-        )
-        require(
-            len(self.axis) == 3 and abs(size - 1.0) < 1e-9, f"Spin: axis {self.axis} must be a unit vector (x, y, z)."
-        )
+        size = float(np.linalg.norm(vector("Spin: axis", self.axis, size=3)))
+        require(abs(size - 1.0) < 1e-9, f"Spin: axis {self.axis} must be a unit vector (x, y, z).")
+        require(len(self.center) in (2, 3), f"Spin: center {self.center} must be a point (x, y) or (x, y, z), m.")
 
     def matrix(self, dim: int) -> Array:
         """W x as a matrix (d, d)."""
@@ -61,7 +56,7 @@ class Spin:
         m, d = system.motions, system.motions.dim
         W = self.matrix(d)
 
-        center = np.asarray(self.center, dtype=float)[:d]
+        center = np.array([*self.center, 0.0])[:d]  # of a plane scene, or one of space with z = 0
         pose = system.poses(q)
         # v = W x (r - c), a = W x v; angular velocity in body axes
         arm = (pose[:-1, :d] - center) @ W.T

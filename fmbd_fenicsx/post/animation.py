@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import typed
 from ..errors import InputError, require
 from ..log import on_root
 from ..rotations import Array
@@ -56,6 +57,7 @@ class Story:
         return f"slowed {ratio:.3g} times" if ratio > 1 else f"{1 / ratio:.3g} times faster"
 
 
+@typed
 def animate(
     run: Run,
     file: str | Path,

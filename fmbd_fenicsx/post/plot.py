@@ -7,10 +7,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
+from ..checks import typed, words
 from ..errors import InputError
 from ..log import on_root, world_rank
 from ..rotations import Array
@@ -18,9 +19,7 @@ from ..run.solve import Run
 from ..schemes.declared import Declared
 from .drawing.render import ARROWS, strobe
 from .drawing.scene_graph import Deforming, Drawing, Role
-
-if TYPE_CHECKING:
-    from .drawing.view import Paint, View
+from .drawing.view import Paint, View
 
 MARKS = "osD^vP*X"
 STYLE = {
@@ -220,7 +219,6 @@ def shapes(axes: Any, run: Run, *, paint: tuple[Any, Callable[[Any], Any], str] 
     ``paint``: (body, scalar quantity(u) in UFL, label with unit) colours this body's cells instead.
     """
     from .drawing.draw import draw
-    from .drawing.view import Paint, View
 
     painted = None if paint is None else Paint(paint[1], paint[2], (paint[0],))
     drawing = draw(run, view=View(symbols=False), paint=painted)
@@ -250,7 +248,7 @@ def plot_series(
     """Write sensor series over time, one axes for each sensor or component ("tip y"), all sensors when none is named, with
     what is known of them; collective.
     """
-    names = list(sensors) or list(run.series)
+    names = list(words("plot: sensors", sensors) or run.series)
     known = dict(reference or {})
     for name in [*names, *known]:
         series_of(run, name)
@@ -289,6 +287,7 @@ def plot_history(run: Run, file: str | Path) -> None:
         _saved(fig, file, 150)
 
 
+@typed
 def picture(
     run: Run,
     file: str | Path,
@@ -302,7 +301,6 @@ def picture(
     what is known of them; collective.
     """
     from .drawing.draw import draw
-    from .drawing.view import View
 
     known = dict(reference or {})
     names = list(dict.fromkeys((*sensors, *known)))

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import typed
 from ..errors import FmbdError, InputError, near, require
 from ..log import world_rank
 from ..rotations import Array
@@ -170,6 +171,7 @@ class OrderTable:
         return self.errors[name]
 
 
+@typed
 def orders(
     run: Callable[[float], Run],
     values: Sequence[float],
@@ -300,6 +302,7 @@ def _cell(x: float | None, form: str, missing: str = "") -> str:
     return missing if x is None or np.isnan(x) else f"{x:{form}}"
 
 
+@typed
 def work_precision(
     configurations: Sequence[Configuration],
     *,
@@ -347,6 +350,7 @@ def work_precision(
     return WorkPrecision(tuple(points), {n: sensors[n].unit for n in kept if n in sensors})
 
 
+@typed
 def compare(
     run: Callable[[Any], Run],
     variants: Mapping[str, Any],

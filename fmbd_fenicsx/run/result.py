@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import word
+from ..checks import typed, word
 from ..errors import InputError, near
 from ..rotations import Array
 from ..schemes.consistent import Correction
@@ -121,6 +121,7 @@ class Run:
         """
         return make_ledger(self.times, self.energy, self.books)
 
+    @typed
     def plot_history(self, file: str | Path) -> None:
         """Write the error against the seconds of every attempt of a run with ``tol`` (matplotlib); rank 0 writes."""
         from ..post.plot import plot_history
@@ -132,11 +133,13 @@ class Run:
         """Sum of the recorded energies, (n,) J."""
         return np.sum(list(self.energy.values()), axis=0)
 
+    @typed
     def momenta(self, state: State | None = None) -> tuple[Array, Array]:
         """Momentum (N s) and angular momentum about the origin (N m s) of a state, the last by default; collective."""
         s = self.state if state is None else state
         return self.system.at(s.t, s.q, s.v).momenta()
 
+    @typed
     def plot(self, *sensors: str, file: str | Path, reference: Mapping[str, Any] | None = None) -> None:
         """Write a figure of sensor series over time (matplotlib); rank 0 writes.
 
@@ -149,6 +152,7 @@ class Run:
 
         plot_series(self, sensors, file, reference)
 
+    @typed
     def save(self, file: str | Path) -> None:
         """Write times, sensors with units and energies as comma-separated values; rank 0 writes.
 
@@ -172,6 +176,7 @@ class Run:
 
         return to_pandas(self)
 
+    @typed
     def save_fields(self, folder: str | Path, quantities: Mapping[str, Any] | None = None) -> list[Path]:
         """Write the snapshots of elastic bodies for ParaView, ``folder/<body>.pvd``; collective. Returns the files.
 
@@ -182,6 +187,7 @@ class Run:
 
         return save_fields(self, folder, quantities)
 
+    @typed
     def picture(
         self,
         file: str | Path,
@@ -204,6 +210,7 @@ class Run:
         names = [sensors] if isinstance(sensors, str) else sensors
         picture(self, file, sensors=names, view=view, paint=paint, reference=reference)
 
+    @typed
     def animate(
         self,
         file: str | Path,
@@ -233,6 +240,7 @@ class Run:
 
         return animate(self, file, sensors=sensors, view=view, paint=paint, seconds=seconds)
 
+    @typed
     def show(self, *, sensors: Sequence[str] | str = (), view: View | None = None, paint: Paint | None = None) -> Any:
         """The animation to look at: in a notebook as the last expression of a cell, else in the web browser; collective.
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..checks import instance, shown
-from ..errors import InputError, require
+from ..errors import require
 from ..schemes.dae import Index3
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton
@@ -39,18 +39,6 @@ def check_ways(linear: Any, checkpoint: Any) -> None:
         from .checkpoints.checkpoint import Checkpoint
 
         instance("solve: checkpoint", checkpoint, Checkpoint)
-
-
-def checked_scheme(scheme: Any) -> Any:
-    """A scheme's object: neither its class nor its name."""
-    if isinstance(scheme, type):
-        raise InputError(f"solve: scheme is the class {scheme.__name__}; make an object of it: {scheme.__name__}(...).")
-    if not callable(getattr(scheme, "stepper", None)):
-        raise InputError(
-            f"solve: scheme {shown(scheme)} must be an object such as fmbd.GeneralizedAlpha() or fmbd.Radau(); "
-            "see fmbd.schemes."
-        )
-    return scheme
 
 
 def check_tangent(scheme: Any, newton: Newton | None) -> None:

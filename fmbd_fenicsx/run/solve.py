@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ..checks import instance
 from ..errors import require
 from ..log import install_hooks
-from ..schemes.declared import Declared
+from ..schemes.declared import Declared, checked_scheme
 from ..schemes.newton import Newton
 from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.scene import Scene
@@ -18,7 +18,7 @@ from .built import build
 from .recording.output import Output
 from .result import Run
 from .schedule import step_schedule
-from .settings import check_contents, check_settings, check_tangent, check_ways, checked_scheme
+from .settings import check_contents, check_settings, check_tangent, check_ways
 from .single_run import Task, run_once
 
 if TYPE_CHECKING:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any
 
+from ..checks import shown
+from ..errors import InputError
 from ..system.scene.contents import Contents
 
 
@@ -70,3 +72,14 @@ class Declared:
 def _members() -> tuple[tuple[str, Any], ...]:
     """Names of all members, with what holds where a scheme says nothing."""
     return tuple((f.name, f.default) for f in fields(Declared))
+
+
+def checked_scheme(scheme: Any, what: str = "solve: scheme") -> Any:
+    """A scheme's object: neither its class nor its name; ``what`` begins the message."""
+    if isinstance(scheme, type):
+        raise InputError(f"{what} is the class {scheme.__name__}; make an object of it: {scheme.__name__}(...).")
+    if not callable(getattr(scheme, "stepper", None)):
+        raise InputError(
+            f"{what} {shown(scheme)} must be an object such as fmbd.GeneralizedAlpha() or fmbd.Radau(); see fmbd.schemes."
+        )
+    return scheme

@@ -412,6 +412,7 @@ class PidLaw:
         return u, growth if self.every is None else z[0] + self.every * growth
 
 
+@typed
 def pid(
     name: str,
     on: JointCoordinate,
@@ -430,7 +431,6 @@ def pid(
             does not wind up. Needs k_p > 0.
         every: period of sampling, s; None for a continuous controller.
     """
-    instance(f'Controller "{name}": on', on, JointCoordinate)
     vector(f'PID "{name}": gains (k_p, k_i, k_d)', gains, size=3)
     require(min(gains) >= 0, f'PID "{name}": gains {gains} must not be negative.')
     require(limit > 0, f'PID "{name}": limit = {limit} must be positive.')

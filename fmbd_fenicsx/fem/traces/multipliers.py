@@ -20,6 +20,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import scipy.sparse as sp
 
+from ...checks import check_fields, whole
 from ...errors import InputError
 from ...rotations import Array
 from .traces import Trace, quadrature, reference_mass, scatter, shape_functions
@@ -113,6 +114,11 @@ class Continuous:
     degree: int | None = None
     ends: Ends = Ends.MERGED
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.degree is not None:
+            whole("Continuous: degree", self.degree, least=1)
+
     def on(self, trace: Trace) -> Multipliers:
         """The space on a surface."""
         degree = trace.degree if self.degree is None else self.degree
@@ -130,6 +136,9 @@ class Dual:
     """Multipliers biorthogonal to the nodal functions of V_h: int psi_i phi_j = delta_ij int phi_j; local elimination."""
 
     ends: Ends = Ends.MERGED
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     def on(self, trace: Trace) -> Multipliers:
         """The space on a surface."""
@@ -158,6 +167,9 @@ class Discontinuous:
     """Facet-wise polynomials of the given degree; degree 0 is stable beside P2 in the plane only."""
 
     degree: int = 0
+
+    def __post_init__(self) -> None:
+        whole("Discontinuous: degree", self.degree, least=0)
 
     def on(self, trace: Trace) -> Multipliers:
         """The space on a surface."""

@@ -54,6 +54,7 @@ class PointSupport:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        number("PointSupport: stiffness", self.stiffness, least=0.0, unit="N/m")
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,8 @@ class Dropper:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        number("Dropper: stiffness", self.stiffness, least=0.0, unit="N/m")
+        require(self.upper != self.lower, f"Dropper: upper and lower are both wire {self.upper}; they must be two.")
 
 
 @dataclass(frozen=True, eq=False)

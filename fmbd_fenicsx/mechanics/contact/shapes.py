@@ -232,6 +232,7 @@ class SignedDistance(Shape):
         )
         check_fields(self)
         number("SignedDistance: scale", self.scale, above=0.0, unit="m")
+        require(self.thickness > 0, f"SignedDistance: thickness = {self.thickness} m must be positive.")
 
     def values(self, y: Array) -> Array:
         """phi at points (n, d)."""

@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ...checks import array, typed
 from ...errors import InputError, require
 from ...rotations import Array, Motions, hat
 from ..frames import Kinematics
@@ -183,6 +184,7 @@ class Bushing(Force):
     joined: ClassVar[bool] = True
 
 
+@typed
 def bushing(
     name: str,
     a: Any,
@@ -205,13 +207,14 @@ def bushing(
     """
     d = dimension(a, b, name)
     n = 6 if d == 3 else 3
-    E = np.eye(d) if axes is None else np.asarray(axes, dtype=float)
+    E = np.eye(d) if axes is None else array(f'Bushing "{name}": axes', axes)
     require(
         E.shape == (d, d) and bool(np.isfinite(E).all()) and bool(np.abs(E @ E.T - np.eye(d)).max() < 1e-9)
         and bool(np.linalg.det(E) > 0),
         f'Bushing "{name}": axes must be {d} orthonormal right-handed rows, found {axes!r}.',
     )  # fmt: skip
-    K, C = _matrix(name, "stiffness", stiffness, n), _matrix(name, "damping", damping, n)
+    K = _matrix(name, "stiffness", stiffness, n)
+    C = np.zeros((n, n)) if damping is None else _matrix(name, "damping", damping, n)
     require(
         bool(np.linalg.eigvalsh(C + C.T)[0] >= -1e-12 * np.abs(C).max(initial=1.0)),
         f'Bushing "{name}": the damping gives energy: its symmetric part has a negative eigenvalue.',
@@ -220,13 +223,13 @@ def bushing(
 
 
 def _matrix(name: str, what: str, given: Any, n: int) -> Array:
-    """(n, n) from a matrix, a diagonal or None."""
-    M = np.zeros((n, n)) if given is None else np.asarray(given, dtype=float)
+    """(n, n) from a matrix or its diagonal."""
+    M = array(f'Bushing "{name}": {what}', given)
     if M.shape == (n,):
         M = np.diag(M)
-    if M.shape != (n, n) or not np.isfinite(M).all():
+    if M.shape != (n, n):
         raise InputError(
-            f'Bushing "{name}": {what} must be {n} numbers or ({n}, {n}), finite, found shape {M.shape}. '
+            f'Bushing "{name}": {what} must be {n} numbers or ({n}, {n}), found shape {M.shape}. '
             + ("Order: x, y, z, rotations about x, y, z." if n == 6 else "Order: x, y, rotation.")
         )
     return M

@@ -54,9 +54,9 @@ class Force:
         """Check what all forces have: types, where they act, and points of the right dimension."""
         what = f'{self.kind.capitalize()} "{self.name}"'
         check_fields(self, what)
-        for side in (self.a, self.b):
-            if side is not None:
-                refuse_no_attachment(side, what)
+        refuse_no_attachment(self.a, what)
+        if self.b is not None:
+            refuse_no_attachment(self.b, what)
         dim = next((side.dim for side in (self.a, self.b) if side is not None and side is not ground), None)
         for end, point in (("point_a", self.point_a), ("point_b", self.point_b)):
             if point is not None:
@@ -198,6 +198,9 @@ class Tyre(Force):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require(
+            self.a is not ground, f'Tyre "{self.name}" must act on a wheel: a rigid body or a surface, not the ground.'
+        )
         function(f'Tyre "{self.name}": road', self.road, "xt", named="x, t")
         number(f'Tyre "{self.name}": radius', self.radius, above=0.0, unit="m")
         size = float(np.linalg.norm(vector(f'Tyre "{self.name}": up', self.up, size=self.a.dim)))

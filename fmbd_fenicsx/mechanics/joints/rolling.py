@@ -68,6 +68,7 @@ class Wheel:
     def __post_init__(self) -> None:
         check_fields(self)
         number("Wheel: radius", self.radius, above=0.0, unit="m")
+        vector("Wheel: axis", self.axis, size=3, zero=False)
         require(
             0.0 <= self.tread < self.radius, f"Wheel: tread = {self.tread} m must be at least 0 and below the radius."
         )

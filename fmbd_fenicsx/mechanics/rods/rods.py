@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import check_fields
+from ...checks import check_fields, number, whole
 from ...errors import InputError, near, require
 from ...rotations import SPACE, Array
 from ..bodies.bodies import RigidBody, Surface, Vector
@@ -107,25 +107,14 @@ class Rod(Body):
         return not (self.loads or self.damping or len(self.section.relaxation))
 
     def __post_init__(self) -> None:
-        n = self.name
-        require(
-            isinstance(self.section, RodSection), f'Rod "{n}": section must be a RodSection, found {self.section!r}.'
-        )
+        what = f'Rod "{self.name}"'
+        check_fields(self, what)
+        whole(f"{what}: elements", self.elements, least=1)
+        number(f"{what}: damping", self.damping, least=0.0, unit="s")
         require(
             self.degree in (1, 2, 3),
-            f'Rod "{n}": degree {self.degree} must be 1, 2 or 3: with these, as many Gauss points as the degree cannot lock.',
+            f"{what}: degree {self.degree} must be 1, 2 or 3: with these, as many Gauss points as the degree cannot lock.",
         )
-        require(
-            isinstance(self.elements, int) and self.elements >= 1,
-            f'Rod "{n}": elements {self.elements} must be 1 at least.',
-        )
-        require(
-            bool(np.isfinite(self.damping)) and self.damping >= 0,
-            f'Rod "{n}": damping {self.damping} s must not be negative.',
-        )
-
-        for load in self.loads:
-            require(isinstance(load, RodLoad), f'Rod "{n}": loads are fmbd.RodLoad(...), found {load!r}.')
         self._check_turns()
 
     def _place(self, name: str, given: Any) -> float:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import number, typed
+from ...checks import check_fields, number, typed
 from ...errors import CallbackError, InputError, require
 from ...rotations import Array
 from ..torsion import torsion_of_rectangle
@@ -48,6 +48,7 @@ class RodSection:
             (self.stiffness is None) != (self.energy is None),
             "A section needs either its stiffness, (6,) or (6, 6), or an energy(gamma, kappa, s) in UFL.",
         )
+        check_fields(self, "Section")
         self.matrices(np.zeros(1))
         self.masses(np.zeros(1))
         self.inertias(np.zeros(1))
@@ -120,11 +121,8 @@ class RodSection:
 
     def masses(self, s: Array) -> Array:
         """kg/m at the places s, (n,)."""
-        found = np.array([float(np.asarray(x)) for x in _along(self.mass, s)])
-        bad = np.flatnonzero(~(np.isfinite(found) & (found > 0)))
-        if bad.size:
-            raise InputError(f"Section: mass {found[bad[0]]} kg/m at s = {s[bad[0]]:g} m must be positive.")
-        return found
+        given = zip(_along(self.mass, s), s, strict=True)
+        return np.array([number(f"Section: at s = {at:g} m: mass", x, above=0.0, unit="kg/m") for x, at in given])
 
     def inertias(self, s: Array) -> Array:
         """Rotary inertia at the places s, (n, 3, 3), kg m."""

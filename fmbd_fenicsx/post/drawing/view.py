@@ -25,8 +25,7 @@ class Paint:
     bodies: Sequence[Any] | None = None
 
     def __post_init__(self) -> None:
-        require(callable(self.quantity), f"Paint: quantity must be a function of u, found {self.quantity!r}.")
-        require(bool(self.label), "Paint: the label says what is shown, with its unit.")
+        check_fields(self)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 from ...checks import number
 from ...errors import ConvergenceError, LinearSolveError
 from ...log import log
-from ...schemes.declared import Declared
+from ...schemes.declared import Declared, checked_scheme
 from ...schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ...system.scene.refinement import meshed_bodies, modal_bodies
 from ...system.scene.scene import Scene
@@ -26,7 +26,7 @@ from ..recording.ledger import Books
 from ..recording.output import Output
 from ..result import Run
 from ..schedule import StepSchedule, step_schedule
-from ..settings import check_tangent, checked_scheme
+from ..settings import check_tangent
 from ..single_run import Solved
 from .estimates import UNFIT, Compared, TimeError, reduction_error, tolerance_error, warn_of_uncertain
 from .next_attempt import AttemptPlan, Looked, finer_steps, next_plan, space_first, space_limit

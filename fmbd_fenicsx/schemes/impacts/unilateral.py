@@ -19,7 +19,7 @@ from ...mechanics.catenary.sliding import HeadSide, WireSide
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..consistent import accelerations, project
-from ..declared import Declared
+from ..declared import Declared, checked_scheme
 from ..newton import Newton
 from ..onestep.generalized_alpha import GeneralizedAlpha
 from ..stepping import TimeStepper, made_stepper
@@ -30,6 +30,9 @@ class Unilateral:
     """``scheme`` with sliding contacts that may open and close; contacts without an idle coordinate stay closed."""
 
     scheme: Any = GeneralizedAlpha(0.6)
+
+    def __post_init__(self) -> None:
+        checked_scheme(self.scheme, "Unilateral: scheme")
 
     @property
     def name(self) -> str:
