@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import typed
+from ..checks import shown, typed
 from ..errors import FmbdError, InputError, near, require
 from ..log import world_rank
 from ..rotations import Array
@@ -47,6 +47,7 @@ class _Trace:
 
     @classmethod
     def of(cls, run: Run) -> _Trace:
+        require(hasattr(run, "series"), f"study: the function must return a run of fmbd.solve, found {shown(run)}.")
         return cls(np.asarray(run.times), dict(run.series), run)
 
 
