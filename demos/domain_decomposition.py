@@ -41,7 +41,7 @@ def wave(parts, cells):
 
 
 args = demo.arguments(__doc__, {"--parts": 4})
-cells = (32, 64) if args.fast else (16, 32, 64, 128)
+cells = (24, 48) if args.fast else (16, 32, 64, 128)
 whole = errors(1, *wave(1, cells[-1]))
 runs = [wave(args.parts, n) for n in cells]
 cut = [errors(args.parts, *found) for found in runs]

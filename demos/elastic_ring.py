@@ -17,7 +17,7 @@ FRESH = fmbd.Newton(patience=0.0, max_iterations=40)  # a tangent of its own for
 
 args = demo.arguments(__doc__)
 mesh = fmbd.read_gmsh("meshes/ring.py", h=0.3 if args.fast else 0.2)
-t_end = 5.0 if args.fast else 200.0
+t_end = 2.0 if args.fast else 200.0
 
 
 def fly(energy, h, t_end, scheme, newton=None, snapshots=0):

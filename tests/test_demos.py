@@ -10,19 +10,25 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from demo_process import run_copy
 
 ROOT = Path(__file__).resolve().parents[1]
 DEMOS = sorted(p for p in (ROOT / "demos").glob("*.py") if "finish(" in p.read_text())
 
 
 def run(demo: Path, file: Path, *before: str) -> dict[str, float]:
-    """Run a demo; the values of its checks by name."""
+    """Run a demo as a program of its own; the values of its checks by name."""
     command = [*before, sys.executable, str(demo), "--fast", "--json", str(file)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280)
-    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    return passed(done.returncode, done.stdout + done.stderr, file)
+
+
+def passed(code: int, output: str, file: Path) -> dict[str, float]:
+    """The values of a demo's checks by name; all of them hold."""
+    assert code == 0, output[-3000:]
     checks = json.loads(file.read_text())["check"]
     assert checks and all(c["ok"] for c in checks)
-    assert done.stdout.count(f"check {checks[0]['name']}:") == 1, "printed once, whatever the number of ranks"
+    assert output.count(f"check {checks[0]['name']}:") == 1, "printed once, whatever the number of ranks"
     return {c["name"]: c["value"] for c in checks}
 
 
@@ -36,7 +42,15 @@ PARAMETERS = [pytest.param(p, marks=MARKS.get(p.stem, ()), id=p.stem) for p in D
 @pytest.mark.serial
 @pytest.mark.parametrize("demo", PARAMETERS)
 def test_demo_passes_its_checks(demo, tmp_path):
-    run(demo, tmp_path / "one.json")
+    file = tmp_path / "one.json"
+    code, output = run_copy(demo, ["--fast", "--json", str(file)], tmp_path)
+    passed(code, output, file)
+
+
+@pytest.mark.serial
+def test_a_demo_is_a_program(tmp_path):
+    """In a process that has loaded nothing."""
+    run(ROOT / "demos/elastic_pendulum.py", tmp_path / "one.json")
 
 
 @pytest.mark.serial

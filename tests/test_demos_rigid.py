@@ -1,4 +1,7 @@
-"""The rigid demos end with good checks; the reference of the flyball governor by its three coordinates."""
+"""The rigid demos in full end with good checks; the reference of the flyball governor by its three coordinates.
+
+Their fast versions: tests/test_demos.py.
+"""
 
 from __future__ import annotations
 
@@ -23,19 +26,12 @@ DEMOS = [
 ]
 
 
-def run(name: str, tmp_path: Path, *flags: str) -> dict:  # type: ignore[type-arg]
+def run(name: str, tmp_path: Path) -> dict:  # type: ignore[type-arg]
     file = tmp_path / "out.json"
-    command = [sys.executable, f"demos/{name}.py", "--json", str(file), *flags]
+    command = [sys.executable, f"demos/{name}.py", "--json", str(file)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280)
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(file.read_text())
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize("name", DEMOS)
-def test_demo_fast(name: str, tmp_path: Path) -> None:
-    content = run(name, tmp_path, "--fast")
-    assert len(content["check"]) >= 4 and all(c["ok"] for c in content["check"])
 
 
 @pytest.mark.slow
