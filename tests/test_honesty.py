@@ -12,7 +12,7 @@ from tolerance_scenes import rise, spun_up
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.run.accuracy.deviation import Deviation, together
-from fmbd_fenicsx.run.accuracy.estimates import usable_order
+from fmbd_fenicsx.run.accuracy.orders import usable_order
 
 QUICK = (
     "clamped beam",
@@ -97,6 +97,27 @@ def test_what_has_no_value_that_finer_runs_tend_to_is_said_to_be_uncertain(caplo
     smooth = bent_block(rise(0.1))
     smooth.sensor("held", fmbd.position(smooth.bodies["block"].surface("left")))
     assert not fmbd.solve(smooth, t_end=0.05, dt=1e-3, output=output).certificate.uncertain
+
+
+@pytest.mark.parametrize(
+    ("stages", "form", "seen"), [(2, fmbd.Index3(), "pull"), (3, fmbd.GGL(), "pull"), (3, fmbd.Index3(), "speed")]
+)
+def test_multipliers_of_radau_have_an_order_of_their_own(stages: int, form: Any, seen: str) -> None:
+    """s - 1 at index 3, s with velocities held: 2 s - 1, as large steps show, states a third of the truth."""
+    scene = fmbd.Scene("two on a spring", gravity=(0.0, -9.81))
+    arm, load = fmbd.RigidBody("arm", 0.8, 0.02, (0.6, 0.0)), fmbd.RigidBody("load", 0.5, 0.01, (1.3, 0.2))
+    scene.add(arm, load, fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0)))
+    scene.add(fmbd.Spring("spring", arm, load, stiffness=300.0, damping=0.5, length=0.6))
+    scene.add(fmbd.force("kick", load, lambda t: (3.0 * np.sin(4.0 * t), 0.0)))
+    scene.sensor("pull", fmbd.reaction_force("pin"))
+    scene.sensor("speed", fmbd.velocity(arm))
+    n = 64 if stages == 2 else 32
+    given = {"t_end": 1.0, "dt": 1.0 / n}
+    run = fmbd.solve(scene, scheme=fmbd.Radau(stages, form, None), output=fmbd.Output(estimate_error=True), **given)
+    fine = fmbd.solve(scene, scheme=fmbd.Radau(5, rtol=None), **given)
+    stated, true = run.certificate[seen].time, float(np.abs(run[seen] - fine[seen]).max())
+    assert stated is not None and 0.5 < stated / true < 3.0
+    assert not run.certificate.uncertain
 
 
 def test_an_order_between_is_not_far_from_either() -> None:

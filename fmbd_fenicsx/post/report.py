@@ -11,6 +11,7 @@ import numpy as np
 from ..energies import Hooke
 from ..mechanics.forces.forces import Spring
 from ..mechanics.joints.constraints import standstill
+from ..run.accuracy.orders import expected_orders
 from ..schemes.declared import Declared
 from ..system.scene.scene import Scene
 from ..versions import short
@@ -129,8 +130,9 @@ def _time_error(run: Run) -> str:
         return f"not estimated (Output(estimate_error=True) repeats the run with 2 h and 4 h); {local}"
     text = f"estimated from runs with other steps: {_listed(run, run.error_estimate)}; {local}"
     # an order far below the scheme's own: the estimate rests on it
-    slow = [p for p in run.observed_order.values() if not p > run.scheme.order - 0.5]
-    return text + (f". Some orders are below {run.scheme.order}: the step does not resolve all motion" if slow else "")
+    expected = expected_orders(run.scheme, run.scene, run.system)
+    slow = [expected[n] for n, p in run.observed_order.items() if not p > expected[n] - 0.5]
+    return text + (f". Some orders are below {max(slow)}: the step does not resolve all motion" if slow else "")
 
 
 def _reduction_error(run: Run) -> list[str]:

@@ -334,7 +334,7 @@ class Controller(Force):
         readings = []
         for name, sensor in self.reads.items():
             if isinstance(sensor, JointReading):
-                readings.append(Reading(name, sensor, -1, place.relative(sensor.coordinate), sensor.level))
+                readings.append(Reading(name, sensor, -1, place.relative(sensor.coordinate), sensor.derivative))
             else:
                 readings.append(Reading(name, sensor, place.marker(sensor), None, 0))
         return ControlLoads(place.motions, self, [place.relative(s) for s in self.acts], readings)
@@ -439,6 +439,6 @@ def pid(
     law = PidLaw(gains, motion_of(name, target), limit, every)
     reads: dict[str, Sensor | JointCoordinate] = {
         "s": on,
-        "rate": JointReading(None, on.unit + "/s", coordinate=on, level=1),
+        "rate": JointReading(None, on.unit + "/s", coordinate=on, derivative=1),
     }
     return controller(name, reads=reads, acts=on, law=law, memory=(0.0,), every=every)

@@ -11,17 +11,12 @@ from ...errors import InputError, near
 from ...schemes.declared import Declared
 from ...system.scene.refinement import meshed_bodies, modal_bodies
 from .deviation import together
+from .orders import expected_orders, irregular
 
 if TYPE_CHECKING:
     from ..solve import Run
 
 KINDS = ("space", "time", "modes", "algebra")
-TOO_LOW, TOO_HIGH = (
-    0.75,
-    1.0,
-)  # share of the scheme's order, and what an order is beyond it, that belong to another motion
-LARGE = 0.02  # error of time over the range of a sensor below which such an order does not matter
-FALLING = 0.5  # order below which differences do not fall with the step: a tenth of such an error matters
 UNRESOLVED = 0.5  # error by spaces or modes over the range of a sensor above which no rate can be taken for granted
 STILL = 1e-9  # range over the largest value of its unit below which a sensor does not move
 
@@ -139,19 +134,11 @@ def _largest(run: Run, unit: str) -> float:
     return max(float(np.abs(x).max(initial=0.0)) for x in alike)
 
 
-def irregular(order: int, seen: float, share: float) -> bool:
-    """Whether the order that was ``seen`` belongs to another motion than what converges with that of the scheme, and the error,
-    as a ``share`` of the range, is large enough to matter.
-    """
-    if np.isnan(seen) or TOO_LOW * order <= seen <= order + TOO_HIGH:
-        return False
-    return share > (LARGE if seen >= FALLING else 0.1 * LARGE)
-
-
 def _uncertain_in_time(run: Run, stated: Statement) -> list[str]:
     """Why the error of time of a sensor may be far from what is stated; empty where it is not."""
-    order, seen = run.scheme.order, run.observed_order.get(stated.sensor, np.nan)
-    if not irregular(order, seen, (stated.time or 0.0) / stated.span):
+    order = expected_orders(run.scheme, run.scene, run.system)[stated.sensor]
+    seen = run.observed_order.get(stated.sensor, np.nan)
+    if not irregular((order, run.scheme.order), seen, (stated.time or 0.0) / stated.span):
         return []
     return [
         f'the error of time of "{stated.sensor}" is uncertain: runs with other steps show the order {seen:.1f}, {order} is '

@@ -21,8 +21,9 @@ from ..problem import Problem, begin, make_solver
 from ..recording.output import Output, Recorder
 from ..schedule import StepSchedule
 from ..time_loop import March, march
-from .certificate import STILL, irregular
+from .certificate import STILL
 from .deviation import Deviation
+from .orders import expected_orders, irregular, order_seen, resolved, scattered_order, usable_order
 
 if TYPE_CHECKING:
     from ..result import Run
@@ -32,11 +33,7 @@ UNFIT = (
     LinearSolveError,
     InputError,
 )  # of runs that only tell an error: with larger steps forces may have no value
-SEEN = 0.75  # share of the scheme's order above which runs with larger steps follow the same motion
-LEAST_ORDER = 0.5
-BETWEEN, MOST_BETWEEN = 0.4, 0.5  # of the way from an order seen to that of the scheme; and the most that this may be
 NEARBY = 0.1  # share of the run about the largest difference in which that with larger steps is looked at too
-REGULAR = 0.9  # share of the scheme's order above which an order is what it seems
 EXPECTED = 4.0  # ratio of the errors in a space and in the next finer one
 AHEAD = EXPECTED / (EXPECTED - 1.0)  # the error of the finer space counts as at most a quarter of that of the given one
 ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
@@ -74,54 +71,60 @@ def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule) -> Time
     with half the step tells the error. Motion that the scheme damps in all runs is not seen.
     Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.4.
     """
-    given, coarser = Compared(fine, schedule), []
+    given, coarser, orders = (
+        Compared(fine, schedule),
+        [],
+        expected_orders(problem.scheme, problem.scene, problem.system),
+    )
     found: TimeError | None = None
     try:
         for parts in (2, 4):
             coarser.append(again(problem, schedule, schedule.steps // parts, fine.output.times))
-        found = compare_steps(problem.scheme.order, given, coarser)
+        found = compare_steps(orders, given, coarser)
     except UNFIT as error:
         if not isinstance(error, StoppedError):
-            found = _by_smaller_steps(problem, given, coarser)
+            found = _by_smaller_steps(problem, given, coarser, orders)
         if found is None:
             log.warning("no error estimate: the run with twice the step did not end: %s", error)
             return TimeError({}, {}, given)
-    if _irregular(problem.scheme.order, fine, found):
-        found = _by_smaller_steps(problem, given, coarser[:1]) or found
+    if _irregular(problem.scheme.order, orders, fine, found):
+        found = _by_smaller_steps(problem, given, coarser[:1], orders) or found
     return found if found.with_others is given else replace(found, with_others=coarser[0])
 
 
-def _irregular(order: int, made: Recorder, found: TimeError) -> bool:
-    """Whether the order of a sensor that moves is not that of the scheme, and its error matters."""
+def _irregular(highest: int, expected: Mapping[str, int], made: Recorder, found: TimeError) -> bool:
+    """Whether the order of a sensor that moves is not that of the scheme in it, and its error matters."""
     spans = {name: float(np.ptp(x, axis=0).max(initial=0.0)) for name, x in made.series.items()}
     still = {name: STILL * float(np.abs(x).max(initial=0.0)) for name, x in made.series.items()}
     return any(
-        irregular(order, p, found.errors[name].size / spans[name])
+        irregular((expected[name], highest), p, found.errors[name].size / spans[name])
         for name, p in found.orders.items()
         if spans[name] > still[name]
     )
 
 
-def _by_smaller_steps(problem: Problem, given: Compared, coarser: list[Compared]) -> TimeError | None:
+def _by_smaller_steps(
+    problem: Problem, given: Compared, coarser: list[Compared], expected: Mapping[str, int]
+) -> TimeError | None:
     """Errors of the ``given`` run with the help of one with half its step, None where nothing can be compared; collective.
 
-    |x_h - x| ~ |x_h - x_h/2| / (1 - 2^-p),     p the order of the scheme, at most 2                          (1)
+    |x_h - x| ~ |x_h - x_h/2| / (1 - 2^-p),     p the order of the scheme in the sensor, at most 2            (1)
 
     For motion of order one the truth is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4.
     """
-    schedule, order = given.schedule, problem.scheme.order
+    schedule = given.schedule
     try:
         finer = again(problem, schedule, 2 * schedule.steps, given.recorder.output.times)
     except UNFIT:
-        return compare_steps(order, given, coarser) if coarser else None
-    orders = compare_steps(order, finer, [given, *coarser]).orders
-    factor = 1.0 / (1.0 - 2.0 ** -min(order, 2))
-    errors = {name: _scaled(_deviation(finer.recorder, given.recorder, name), factor) for name in orders}
+        return compare_steps(expected, given, coarser) if coarser else None
+    orders = compare_steps(expected, finer, [given, *coarser]).orders
+    factors = {name: 1.0 / (1.0 - 2.0 ** -min(p, 2)) for name, p in expected.items()}
+    errors = {name: _scaled(_deviation(finer.recorder, given.recorder, name), factors[name]) for name in orders}
     return TimeError(errors, orders, given)
 
 
 def compare_steps(
-    order: int,
+    expected: Mapping[str, int],
     given: Compared,
     coarser: Sequence[Compared],
     known: Mapping[str, float] | None = None,
@@ -136,8 +139,8 @@ def compare_steps(
     shakes for some steps is not told by the slow motion after it. It counts as :func:`usable_order` says.
 
     Where fast motion is not resolved (say, gravity switched on at once) the observed order is below the scheme's, and the
-    estimate larger. From one run alone p is the ``known`` one, sensor -> p, or that of the scheme. Orders of such motion scatter:
-    one that is not regular counts as its mean with a lower one that was seen ``before``, with larger steps.
+    estimate larger. From one run alone p is the ``known`` one, sensor -> p, or the ``expected`` one. Orders of such motion
+    scatter: one that is not regular counts as its mean with a lower one that was seen ``before``, with larger steps.
     """
     fine, coarse = given.recorder, coarser[0].recorder
     ratio = given.schedule.steps / coarser[0].schedule.steps
@@ -151,49 +154,13 @@ def compare_steps(
             here = far.near(between.when, max(NEARBY * fine.t_end, 2.0 * fine.t_end / steps[0]))
             ratios = far.size / between.size, far.mean / between.mean, here / between.size
             p = min(order_seen(*steps, x) for x in ratios)
-            p = scattered_order(p, order, None if before is None else before.get(name))
-        errors[name], orders[name] = _scaled(between, 1.0 / (ratio ** usable_order(p, order) - 1.0)), p
+            p = scattered_order(p, expected[name], None if before is None else before.get(name))
+        errors[name], orders[name] = _scaled(between, 1.0 / (ratio ** usable_order(p, expected[name]) - 1.0)), p
 
     moving = [n for n, x in fine.series.items() if errors[n].size > ROUNDOFF * np.abs(x).max(initial=0.0)]
-    seen = [orders[n] for n in moving]
-    follows = bool(seen) and min(seen) >= SEEN * order and (len(coarser) > 1 or known is not None)
+    seen = {n: orders[n] for n in moving}
+    follows = bool(seen) and resolved(seen, expected) and (len(coarser) > 1 or known is not None)
     return TimeError(errors, orders, coarser[-1] if follows else given)
-
-
-def usable_order(p: float, order: int) -> float:
-    """The order that differences are extrapolated with, from the one that was seen, nan where none was.
-
-    Below that of the scheme p is a mixture: slow motion has the order of the scheme, fast motion is off by about its own size
-    with the larger steps, so that its differences do not grow with them. Errors by p and by the order of the scheme differ by a
-    factor of up to seven, with the truth between them; an order between them is not far from either. Above it motion may converge
-    faster than the scheme has to (that for impacts, between them), or differences cancel by chance: half of one more counts.
-    """
-    if np.isnan(p):
-        return order
-    low = max(p, LEAST_ORDER)
-    return low + min(BETWEEN * (order - low), MOST_BETWEEN) if low < order else order + 0.5 * min(low - order, 1.0)
-
-
-def scattered_order(p: float, order: int, before: float | None) -> float:
-    """An order with regard to a lower one, of motion that converges, seen before; a regular one stands alone."""
-    if before is None or p >= REGULAR * order or not LEAST_ORDER <= before < p:
-        return p
-    return 0.5 * (p + before)
-
-
-def order_seen(first: int, second: int, third: int, ratio: float) -> float:
-    """The order p for which errors like n^-p of runs with so many steps n, rising, give differences of this ratio:
-
-    (first^-p - second^-p) / (second^-p - third^-p) = ratio,     0 where it is too small for any p > 0           (1)
-    """
-    if second**2 == first * third:
-        return float(np.log(ratio) / np.log(second / first)) if ratio > 0 else 0.0
-    below, above = 0.0, 64.0
-    for _ in range(60):
-        p = 0.5 * (below + above)
-        near, far = (first / second) ** p, (first / third) ** p
-        below, above = (p, above) if 1 - near < ratio * (near - far) else (below, p)
-    return below
 
 
 def tolerance_error(problem: Problem, coarse: Recorder, schedule: StepSchedule) -> dict[str, Deviation]:

@@ -21,7 +21,7 @@ from ..result import Run
 from ..schedule import StepSchedule
 from .certificate import KINDS
 from .deviation import Deviation
-from .estimates import SEEN
+from .orders import expected_orders, resolved
 from .shared_runs import Orders, SharedRuns
 from .shares import AIM, WHOLE, Tolerance, largest_share, share
 
@@ -227,8 +227,7 @@ def _factor(
     """By what steps, or the scheme's tolerance, are multiplied, so that the error of time falls from one share to another."""
     now, wanted = shares
     if plan.steps:
-        order = _order(run, tol)
-        regular = order > SEEN * run.scheme.order
+        order, regular = _order(run, tol)
         most, least = (FAR, LEAST) if regular else (NEAR, LEAST_UNSEEN)
         return float(np.clip((wanted / now) ** (1.0 / order), most, least))
 
@@ -241,11 +240,14 @@ def _factor(
     return float(np.clip(0.7 * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))
 
 
-def _order(run: Run, tol: Tolerance) -> float:
-    """The lowest order seen in the sensors that have a tolerance, between 1/2 and the scheme's."""
-    seen = [run.observed_order.get(n, np.nan) for n in tol]
-    known = [p for p in seen if np.isfinite(p)]
-    return float(np.clip(min(known), 0.5, run.scheme.order)) if known else float(run.scheme.order)
+def _order(run: Run, tol: Tolerance) -> tuple[float, bool]:
+    """The lowest order seen in the sensors with a tolerance, from 1/2 to the scheme's; whether all are those expected."""
+    orders = expected_orders(run.scheme, run.scene, run.system)
+    seen = {n: run.observed_order.get(n, np.nan) for n in tol}
+    known = {n: p for n, p in seen.items() if np.isfinite(p)}
+    if not known:
+        return float(min(orders[n] for n in tol)), True
+    return float(np.clip(min(known.values()), 0.5, run.scheme.order)), resolved(known, orders)
 
 
 def finer_steps(plan: AttemptPlan, factor: float) -> AttemptPlan:

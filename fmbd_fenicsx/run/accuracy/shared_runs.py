@@ -26,8 +26,6 @@ from ..schedule import StepSchedule
 from ..single_run import Solved, Task, run_once
 from .deviation import Deviation
 from .estimates import (
-    REGULAR,
-    SEEN,
     UNENDED,
     UNFIT,
     Compared,
@@ -40,6 +38,7 @@ from .estimates import (
     run_like,
     space_deviations,
 )
+from .orders import REGULAR, expected_orders, resolved
 
 NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
 BEYOND = 20.0  # the same where they show the order of the scheme
@@ -153,27 +152,25 @@ class SharedRuns:
             if not coarser:
                 log.warning("no error estimate: the run with larger steps did not end: %s", error)
                 return TimeError({}, {}, given)
-        order, seen = solved.problem.scheme.order, dict(self._seen)
-        found = compare_steps(order, given, coarser, known.seen or None, before=seen)
-        if (
-            steps < TWICE * coarser[0].schedule.steps
-            and min(known_orders(found).values(), default=order) < SEEN * order
-        ):
+        orders, seen = _expected(solved.problem), dict(self._seen)
+        found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
+        if steps < TWICE * coarser[0].schedule.steps and not resolved(known_orders(found), orders):
             # irregular motion is not judged by steps of nearly the same size
             half = self._with(solved, steps // 2)
-            found = compare_steps(order, given, [half, coarser[0]], before=seen)
+            found = compare_steps(orders, given, [half, coarser[0]], before=seen)
         return found
 
     def _from_afar(self, solved: Solved, earlier: Sequence[int]) -> TimeError | None:
         """The error by the steps from two earlier runs with far larger ones, if all three show the order of the scheme."""
-        given, order = solved.compared, solved.problem.scheme.order
-        have = self._runs[id(solved.problem.scene)]
+        given, scene = solved.compared, solved.problem.scene
+        orders, have = _expected(solved.problem), self._runs[id(scene)]
         known = sorted(n for n in earlier if n >= given.schedule.steps / BEYOND)[::-1]
         below = [n for n in earlier if known and n <= known[0] / NEAREST]
         if not below:
             return None
-        found = compare_steps(order, given, [have[known[0]], have[max(below)]])
-        return found if min(known_orders(found).values(), default=0.0) >= REGULAR * order else None
+        found = compare_steps(orders, given, [have[known[0]], have[max(below)]])
+        seen = known_orders(found)
+        return found if seen and resolved(seen, orders, REGULAR) else None
 
     def _wanted(self, steps: int, known: Orders, earlier: bool) -> int:
         """How many steps a run to compare with is made of: as few as tell the error, half as many where no order was seen."""
@@ -279,6 +276,11 @@ class SharedRuns:
         if finer is not None and finer[2] is not None and not finer[1] and refined_by_finer_space(scene):
             return finer[0]
         return refined(scene)
+
+
+def _expected(problem: Problem) -> dict[str, int]:
+    """The order of the scheme in each sensor."""
+    return expected_orders(problem.scheme, problem.scene, problem.system)
 
 
 def known_orders(found: TimeError) -> dict[str, float]:

@@ -74,6 +74,14 @@ class Radau(OfForm):
         return 2 * self.stages - 1
 
     @property
+    def orders(self) -> tuple[int, int, int]:
+        """Of positions, velocities, and accelerations with multipliers: Hairer, Lubich and Roche, doi:10.1007/BFb0093947."""
+        s, full, levels = self.stages, self.order, self.form.levels
+        if 2 in levels:
+            return full, full, full
+        return (full, full, s) if 1 in levels else (full, s, s - 1)
+
+    @property
     def name(self) -> str:
         """Name in reports."""
         return f"Radau IIA({self.stages}), {self.form.name}"

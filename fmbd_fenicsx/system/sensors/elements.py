@@ -47,6 +47,7 @@ class ElementScalar(_ElementSensor):
 
     which: int = 0
     sign: float = 1.0
+    derivative = 1
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The value, (1,)."""
@@ -70,6 +71,7 @@ class ElementWrench(_ElementSensor):
 
     torque: bool = False
     on_b: bool = True
+    derivative = 1
 
     @property
     def labels(self) -> str:
@@ -87,6 +89,8 @@ class ElementWrench(_ElementSensor):
 @dataclass(frozen=True, eq=False)
 class ElementPower(_ElementSensor):
     """Power that an element gives to the bodies, W."""
+
+    derivative = 1
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Sum of wrench times twist over both markers, (1,)."""

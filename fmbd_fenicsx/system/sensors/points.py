@@ -102,9 +102,9 @@ class PointSensor(Sensor):
 
 @dataclass(frozen=True, eq=False)
 class PointMotion(PointSensor):
-    """Position (level 0), velocity (1) or acceleration (2) of the point by (1), world axes, (d,)."""
+    """Position (derivative 0), velocity (1) or acceleration (2) of the point by (1), world axes, (d,)."""
 
-    level: int = 0
+    derivative: int = 0
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """x, x' or x''."""
@@ -114,12 +114,12 @@ class PointMotion(PointSensor):
         d = len(self.at)
         R = ev.rotation[k]
         P = p.lever + p.point.shape @ self.displacements(ev)
-        if self.level == 0:
+        if self.derivative == 0:
             return np.asarray(ev.pose[k, :d] + R @ P)
 
         w = ev.twist[k, d:]
         rate = p.point.shape @ p.nodal(s.local_v(state.v, p.number))
-        if self.level == 1:
+        if self.derivative == 1:
             return np.asarray(ev.twist[k, :d] + R @ (_cross(w, P) + rate))
 
         accel = s.twists(state.a)[k]

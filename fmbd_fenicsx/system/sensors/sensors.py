@@ -24,11 +24,15 @@ from ..system import State, System
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """A quantity of one instant. ``on`` is the attachment whose marker it reads (None: none), ``unit`` labels axes."""
+    """A quantity of one instant. ``on`` is the attachment whose marker it reads (None: none), ``unit`` labels axes.
+
+    ``derivative``: the highest one of the motion that it reads: 0 positions, 1 velocities, 2 accelerations or multipliers.
+    """
 
     on: Any
     unit: str
     point: Sequence[float] | None = None
+    derivative = 0
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The value, a flat array; collective."""
@@ -95,6 +99,8 @@ class Position(_Vector):
 class Velocity(_Vector):
     """World velocity of a point or of a surface's mean, (d,)."""
 
+    derivative = 1
+
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """x', m/s."""
         assert ev.kin.twist is not None
@@ -112,6 +118,8 @@ class Velocity(_Vector):
 class AngularVelocity(_Vector):
     """World angular velocity of a body or of a surface's mean, (n_rot,)."""
 
+    derivative = 1
+
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """w, rad/s."""
         assert ev.kin.twist is not None
@@ -128,6 +136,8 @@ class AngularVelocity(_Vector):
 
 class Acceleration(_Vector):
     """World acceleration of a point or of a surface's mean, (d,)."""
+
+    derivative = 2
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """x'', m/s^2, from the recorded accelerations."""
@@ -175,6 +185,7 @@ class Reaction(Sensor):
 
     joint: str = ""
     units: tuple[str, ...] = ()  # of the rows, once the joint is known
+    derivative = 2
 
     @property
     def reads(self) -> dict[str, str]:
@@ -213,6 +224,7 @@ class ReactionWrench(_Vector):
 
     joint: str = ""
     torque: bool = False
+    derivative = 2
 
     @property
     def reads(self) -> dict[str, str]:
@@ -256,10 +268,10 @@ class ReactionWrench(_Vector):
 
 @dataclass(frozen=True, eq=False)
 class JointReading(Sensor):
-    """A joint coordinate (level 0) or its rate (1), see :func:`fmbd_fenicsx.angle` and ``displacement``."""
+    """A joint coordinate (derivative 0) or its rate (1), see :func:`fmbd_fenicsx.angle` and ``displacement``."""
 
     coordinate: JointCoordinate = None  # type: ignore[assignment]
-    level: int = 0
+    derivative: int = 0
 
     @property
     def coordinates(self) -> tuple[JointCoordinate, ...]:
@@ -274,7 +286,7 @@ class JointReading(Sensor):
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Value and rate of the joint coordinate."""
         relative = self._relative(ev.system)
-        return relative.rates(ev.kin) if self.level else relative.values(ev.kin)
+        return relative.rates(ev.kin) if self.derivative else relative.values(ev.kin)
 
     def _relative(self, s: System) -> Relative:
         """The coordinate in a system."""
@@ -292,15 +304,15 @@ class JointReading(Sensor):
 
     def series(self, seen: Recorded, marker: int) -> Array:
         """Value or rate of the joint coordinate."""
-        return seen.reading(id(self))[:, :, 1 if self.level else 0]
+        return seen.reading(id(self))[:, :, 1 if self.derivative else 0]
 
 
 @dataclass(frozen=True, eq=False)
 class Coordinates(Sensor):
-    """Coordinates of a :class:`~fmbd_fenicsx.CoordinateBody` (level 0), their rates (1) or second rates (2)."""
+    """Coordinates of a :class:`~fmbd_fenicsx.CoordinateBody` (derivative 0), their rates (1) or second rates (2)."""
 
     body: str = ""
-    level: int = 0
+    derivative: int = 0
     names: Sequence[str] = ()
 
     @property
@@ -317,9 +329,9 @@ class Coordinates(Sensor):
         """The coordinates of the body, or their rates."""
         for k, part in enumerate(ev.system.parts):
             if part.name == self.body:
-                if self.level == 0:
+                if self.derivative == 0:
                     return ev.system.local_q(state.q, k).copy()
-                return ev.system.local_v(state.v if self.level == 1 else state.a, k).copy()
+                return ev.system.local_v(state.v if self.derivative == 1 else state.a, k).copy()
         own = near(self.body, (p.name for p in ev.system.parts))
         raise InputError(
             f'Body "{self.body}" has no coordinates beside its place and rotation: fmbd.coordinates reads those of reduced '
@@ -355,7 +367,7 @@ def coordinates(body: Any, *, level: int = 0, unit: str = "-", names: Sequence[s
 @typed
 def joint_rate(coordinate: JointCoordinate) -> Sensor:
     """Rate of a joint coordinate (rad/s or m/s), (1,); the coordinate itself is a sensor too."""
-    return JointReading(None, coordinate.unit + "/s", coordinate=coordinate, level=1)
+    return JointReading(None, coordinate.unit + "/s", coordinate=coordinate, derivative=1)
 
 
 def reaction_force(joint: Any) -> Sensor:

@@ -1,0 +1,80 @@
+"""Orders in the step: which one a scheme has in a sensor, which one was seen, and which one errors are extrapolated with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ...schemes.declared import Declared
+from ...system.scene.scene import Scene
+from ...system.system import System
+
+SEEN = 0.75  # share of the expected order above which runs with larger steps follow the same motion
+REGULAR = 0.9  # the same above which an order is what it seems
+LEAST_ORDER = 0.5
+BETWEEN, MOST_BETWEEN = 0.4, 0.5  # of the way from an order seen to the expected one; and the most that this may be
+TOO_HIGH = 1.0  # what an order is beyond that of the scheme that belongs to another motion
+LARGE = 0.02  # error of time over the range of a sensor below which such an order does not matter
+FALLING = 0.5  # order below which differences do not fall with the step: a tenth of such an error matters
+
+
+def expected_orders(scheme: Any, scene: Scene, system: System) -> dict[str, int]:
+    """The order that a scheme has in each sensor: multipliers, and motion that constraints take part in, may have a lower one
+    than positions (:attr:`.Declared.orders`).
+    """
+    orders = Declared.by(scheme).orders if system.blocks else None
+    known = (scheme.order,) * 3 if orders is None else orders
+    return {name: known[sensor.derivative] for name, sensor in scene.sensors.items()}
+
+
+def resolved(seen: Mapping[str, float], expected: Mapping[str, int], share: float = SEEN) -> bool:
+    """Whether all orders that were seen are a share of the expected ones at least."""
+    return all(p >= share * expected[name] for name, p in seen.items())
+
+
+def irregular(orders: tuple[int, int], seen: float, share: float) -> bool:
+    """Whether the order that was ``seen`` belongs to another motion than what converges with the ``orders`` of the scheme in the
+    sensor and in positions, and the error, as a ``share`` of the range, is large enough to matter.
+    """
+    expected, highest = orders
+    if np.isnan(seen) or SEEN * expected <= seen <= highest + TOO_HIGH:
+        return False
+    return share > (LARGE if seen >= FALLING else 0.1 * LARGE)
+
+
+def usable_order(p: float, order: int) -> float:
+    """The order that differences are extrapolated with, from the one that was seen, nan where none was.
+
+    Below that of the scheme p is a mixture: slow motion has the order of the scheme, fast motion is off by about its own size
+    with the larger steps, so that its differences do not grow with them. Errors by p and by the order of the scheme differ by a
+    factor of up to seven, with the truth between them; an order between them is not far from either. Above it motion may converge
+    faster than the scheme has to (that for impacts, between them), or differences cancel by chance: half of one more counts.
+    """
+    if np.isnan(p):
+        return order
+    low = max(p, LEAST_ORDER)
+    return low + min(BETWEEN * (order - low), MOST_BETWEEN) if low < order else order + 0.5 * min(low - order, 1.0)
+
+
+def scattered_order(p: float, order: int, before: float | None) -> float:
+    """An order with regard to a lower one, of motion that converges, seen before; a regular one stands alone."""
+    if before is None or p >= REGULAR * order or not LEAST_ORDER <= before < p:
+        return p
+    return 0.5 * (p + before)
+
+
+def order_seen(first: int, second: int, third: int, ratio: float) -> float:
+    """The order p for which errors like n^-p of runs with so many steps n, rising, give differences of this ratio:
+
+    (first^-p - second^-p) / (second^-p - third^-p) = ratio,     0 where it is too small for any p > 0           (1)
+    """
+    if second**2 == first * third:
+        return float(np.log(ratio) / np.log(second / first)) if ratio > 0 else 0.0
+    below, above = 0.0, 64.0
+    for _ in range(60):
+        p = 0.5 * (below + above)
+        near, far = (first / second) ** p, (first / third) ** p
+        below, above = (p, above) if 1 - near < ratio * (near - far) else (below, p)
+    return below
