@@ -48,3 +48,38 @@ def label(scheme: Any) -> str:
 def test_orders(scheme: Any, expected: tuple[int, int, int], steps: tuple[int, ...]) -> None:
     found = observed(scheme, steps, 1.5 if label(scheme).startswith("Radau IIA(3), Index1") else 1.0)
     assert (np.abs(found - np.array(expected)) < 0.15).all(), found
+
+
+@pytest.mark.parametrize(
+    ("scheme", "share"),
+    [
+        (fmbd.BDF(2, fmbd.StateSpace(), None), 1e-4),
+        (fmbd.Radau(3, fmbd.StateSpace(), None), 1e-4),
+        (fmbd.BDF(form=fmbd.StateSpace(), rtol=1e-7), 1e-6),
+        (fmbd.Radau(3, fmbd.Overdetermined(), 1e-7), 1e-6),
+    ],
+    ids=lambda x: x.name if hasattr(x, "name") else "",
+)
+def test_accelerations_of_what_joints_prescribe(scheme: Any, share: float) -> None:
+    """A slider that a crank drives: places and velocities follow from joints alone, so that they tell nothing of multipliers,
+    and Newton's iteration once left these as they were foretold, further off from step to step.
+    """
+    scene, r, l, T = fmbd.Scene("driven slider"), 0.2, 0.6, 1.2
+    crank, rod = fmbd.RigidBody("crank", 0.9, 3e-3, (0.1, 0.0)), fmbd.RigidBody("rod", 1.4, 0.04, (0.5, 0.0))
+    slider = fmbd.RigidBody("slider", 2.0, 0.1, (0.8, 0.0))
+    scene.add(crank, rod, slider, fmbd.revolute("A", fmbd.ground, crank, center=(0, 0)))
+    scene.add(fmbd.revolute("B", crank, rod, center=(r, 0)), fmbd.revolute("C", rod, slider, center=(r + l, 0)))
+    scene.add(fmbd.prismatic("D", fmbd.ground, slider, axis=(1, 0), center=(r + l, 0)))
+    turned = np.polynomial.Polynomial([0, 0, 0, 0, 3.0, -0.5])
+    motion = [turned, turned.deriv(), turned.deriv(2)]
+    scene.add(fmbd.drive_rotation("motor", fmbd.ground, crank, lambda t: tuple(float(f(t)) for f in motion)))
+    scene.sensor("a", fmbd.acceleration(slider))
+
+    run = fmbd.solve(scene, t_end=T, dt=None if scheme.rtol else T / 160, scheme=scheme)
+    phi, rate, second = (f(run.times) for f in motion)
+    s, c = r * np.sin(phi), r * np.cos(phi)
+    w = np.sqrt(l * l - s * s)
+    # x = c + w, its first and second derivatives by the angle, and in time
+    slope, bend = -s - s * c / w, -c - (c * c - s * s) / w - (s * c) ** 2 / w**3
+    exact = bend * rate**2 + slope * second
+    assert np.abs(run["a"][:, 0] - exact).max() < share * np.abs(exact).max()

@@ -142,15 +142,18 @@ class ImplicitStepper(TimeStepper):
 
     def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
         """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
-        push = self.eq.pushes(dmult) if self.scheme.form.index > 1 else None
+        push = self.eq.pushes(dmult)
         moved = max(self.system.max_abs(dxi), h * self.system.max_abs(dv))
         self._still = moved <= STILL * EPS * self.system.length
         if self.adaptive:
             # joints and ties apart, though they may cancel: what is left of either is noise of the next steps
             pulls = self.eq.pulls(dmult)
             size = self.norm(h, dxi, dv, push)
+            if push is not None and self.scheme.form.index == 1:  # no part of an error, but of what is recorded
+                size = max(size, self.norm.mean(push * (h / self.norm.wv)))
             return size if pulls is None else max(size, self.norm.mean(pulls * (h * h / self.norm.wq)))
         if push is not None:
+            # also where accelerations tell multipliers: those of several levels may change while places and velocities do not
             moved = max(moved, h * h * self.system.max_abs(push))
         return moved / self._enough(h)
 

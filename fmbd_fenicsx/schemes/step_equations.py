@@ -128,8 +128,11 @@ class StepEquations(Remembering):
         )
 
     def pushes(self, mult: Array) -> Array | None:
-        """Accelerations U lambda that the multipliers (k, n_mult) cause, (k, n_v); None without constraints."""
-        return mult[:, : self.system.n_lam] @ self.U.T if self.levels else None
+        """Accelerations U lambda, U tau that the multipliers (k, n_mult) cause, (1 or 2 k, n_v); None without constraints."""
+        if not self.levels:
+            return None
+        caused = self.corrections(mult, 0)
+        return caused if self.levels < 3 else np.concatenate((caused, self.corrections(mult, 2)))
 
     def pulls(self, mult: Array) -> Array | None:
         """Accelerations that the efforts of ties in the multipliers (k, n_mult) cause, (k, n_v); None without ties."""
