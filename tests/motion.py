@@ -109,8 +109,11 @@ def elastic_scene(
     mesh: Any, gravity: bool = True, **options: Any
 ) -> tuple[fmbd.Scene, fmbd.FloatingBody, fmbd.RigidBody]:
     """An elastic rod and a rigid body beside it."""
-    d = mesh.dim
-    rod = elastic_rod(mesh, **options)
+    return beside(elastic_rod(mesh, **options), gravity, mesh.dim)
+
+
+def beside(rod: Any, gravity: bool, d: int) -> tuple[fmbd.Scene, Any, fmbd.RigidBody]:
+    """A rod and a rigid body beside it."""
     block = fmbd.RigidBody("block", 0.9, 0.2 if d == 2 else (0.2, 0.3, 0.25), position=(1.2, 0.1, 0.3)[:d])
     scene = fmbd.Scene("elastic", gravity=(0.5, -9.81, 2.0)[:d] if gravity else None)
     scene.add(rod, block)

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from motion import Motion, elastic_scene, first, plane_scene, quasi_velocity, space_scene
+from motion import Motion, beside, elastic_rod, elastic_scene, first, plane_scene, quasi_velocity, space_scene
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError
 
-CASES = ["rigid-2", "rigid-3", "mean-2", "mean-3", "attached-2", "attached-3"]
+STIFFENED = ["stiffened-2", "stiffened-3", "modes-2", "modes-3"]
+CASES = ["rigid-2", "rigid-3", "mean-2", "mean-3", "attached-2", "attached-3", *STIFFENED]
 
 
 def make(case: str, mesh: Callable[..., Any], gravity: bool, spring: bool = True) -> Motion:
@@ -23,6 +24,10 @@ def make(case: str, mesh: Callable[..., Any], gravity: bool, spring: bool = True
     d = int(dim)
     if kind == "rigid":
         scene, one, two = (plane_scene if d == 2 else space_scene)(*(() if gravity else (None,)))
+    elif case in STIFFENED:
+        rod = elastic_rod(mesh(dim=d, h=0.5, height=0.4), degree=1, frame=fmbd.Attached("pin"), stiffening=True)
+        scene, rod, two = beside(rod.reduced(modes=3) if kind == "modes" else rod, gravity, d)
+        one = rod.surface("tip")
     else:
         frame = fmbd.MeanAxis() if kind == "mean" else fmbd.Attached("tip")
         scene, rod, two = elastic_scene(mesh(dim=d, h=0.5, height=0.4), gravity, degree=1, frame=frame)

@@ -142,6 +142,7 @@ class DistributedPart(Part, Protocol):
     inertia_columns: Array
     shared_columns: bool = False
     traces: Sequence[Any] = ()  # sparse rows (rows, n) of ties by field multipliers, the last of the ports
+    heavier: tuple[Array, Array] | None = None  # V (n, k) and C (k, k) of a mass V C V^T beside the field's own
     slack: np.ndarray | None = None  # one-sided springs that the tangent leaves out
     shown: Bent | None = None  # the second order of the ports that the columns hold
 

@@ -51,7 +51,7 @@ class FieldMatrix:
         else:
             ck += w.cd * forms.stiffness_damping
 
-        tangent = part.tangent_version if ck or field.keeps_volume else 0
+        tangent = part.tangent_version if ck or field.keeps_volume or part.heavier is not None else 0
         return cls(cm, w.cd if damped else 0.0, ck, tangent)
 
 
@@ -134,6 +134,11 @@ class FieldBlocks:
         matrix = FieldMatrix.of(part, w)
         earlier = [blocks[i] for blocks in self._sets.values() if blocks[i].matrix == matrix]
         factor = earlier[-1].factor if earlier else self._factor(part, matrix)
+        if not earlier and part.heavier is not None:
+            from .low_rank import HeavierFactor
+
+            V, C = part.heavier
+            factor = HeavierFactor(factor, V, matrix.cm * C, part.field.total)
         if not earlier and matrix.ck != 0:
             self.factorisations += factor.fresh
 

@@ -75,3 +75,27 @@ class SlackFactor(FieldFactor):
 
     def destroy(self) -> None:
         """Nothing: the factor belongs to the field, whose ``free_factors`` frees it."""
+
+
+class HeavierFactor(FieldFactor):
+    """E + V C V^T for a factor of E, with columns V (n, k) of this rank's entries and a small C (k, k): as (1), with E^-1 V."""
+
+    def __init__(self, base: FieldFactor, V: Array, C: Array, total: Any) -> None:
+        self.base, self.V, self.total = base, V, total
+        self.judge, self.fresh, self.hidden = base.judge, base.fresh, base.hidden
+        self.Y = base.solve_columns(V)
+        self.small = np.linalg.solve(np.eye(len(C)) + C @ total(V.T @ self.Y), C)
+
+    def solve(self, b: Array) -> Array:
+        """x = (1) b; the judge of E has seen its solve."""
+        z = self.base.solve(b)
+        return np.asarray(z - self.Y @ (self.small @ self.total(self.V.T @ z)))
+
+    def solve_columns(self, B: Array) -> Array:
+        """The same for columns (n, k)."""
+        Z = self.base.solve_columns(B)
+        return np.asarray(Z - self.Y @ (self.small @ self.total(self.V.T @ Z)))
+
+    def destroy(self) -> None:
+        """Free the factor of E."""
+        self.base.destroy()

@@ -6,8 +6,9 @@ A flexible body in a moving frame has x = r + R P, P = X + U. Its nodal accelera
 
     translation:  R sum_n F_n        rotation:  sum_n P_n x F_n      field:  F + K U + D U'                  (2)
 
-and nothing else: no inertia shape integrals, no gyroscopic terms by hand, because constants and linear functions lie
-in V_h and M commutes with node-wise rotations (Galerkin mass, unlumped).
+and, with stiffening, what the second-order displacements add (``reduction.second_order``). Nothing else: no inertia
+shape integrals, no gyroscopic terms by hand, because constants and linear functions lie in V_h and M commutes with
+node-wise rotations (Galerkin mass, unlumped).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from ...rotations import Array, axial, motions, spin_matrix
 from ..placements import Attached, Chord, FrameMotion, MeanAxis
 from ..reduction.foreshortening import Bent, Shortening
 from ..reduction.modes import first_eigenvalue_bound, first_frequency, rigid_fields
+from ..reduction.second_order import Acting, Moments, turning
 from ..reduction.stiffening import Stiffening
 from ..validity import TOO_LARGE, too_large, warn_of_spin
 from .field_part import FieldPart, TangentPoint
@@ -63,6 +65,8 @@ class FloatingField(FieldPart):
         self.inertia_columns = self.field.Q
         self.moment, self.inertia = np.zeros(self.field.dim), self.field.inertia
         self.shown: Bent | None = None
+        self.heavier = None
+        self.second_inertia = np.zeros((self.motions.n_twist,) * 2)  # (3) of second_order, body axes
 
     def frame_lengths(self, length: float) -> Array:
         """What turns the values of the frame conditions into lengths (m): their values where the body is displaced by 1 m, or its
@@ -102,8 +106,6 @@ class FloatingField(FieldPart):
         sums = self.field.total(np.concatenate((F.sum(0), axial(P.T @ F), [float(local[0] @ local[0])])))
         self._watch(float(np.linalg.norm(w)), sums[-1])
         sums = sums[:-1]
-        sums[:d] = R @ sums[:d]
-
         # (2), rows of the field
         rows = F.ravel() + self.internal(local[0], local[1])
         # loads that act inside, damping, stress of the inertia forces
@@ -112,18 +114,35 @@ class FloatingField(FieldPart):
         if self.field.D is not None:
             rows += self.field.damping(local[1])
         if self.stiffening is not None:
-            rows += self.stiffening.force(self._straining(self.stiffening, motion), local[0])
+            more, stress = self._stiffened(self.stiffening, motion, local)
+            sums += more
+            rows += stress
         if self.field.forms.mass_damping:
             rows += self.field.forms.mass_damping * self.field.mass(Ud).ravel()
+        sums[:d] = R @ sums[:d]
         return sums, rows
 
-    def _straining(self, stiffening: Stiffening, motion: FrameMotion) -> Array:
-        """Accelerations and loads whose stress stiffens the body, as :meth:`.Stiffening.coefficients`."""
-        assert motion.accel is not None
+    def _stiffened(
+        self, stiffening: Stiffening, motion: FrameMotion, local: tuple[Array, Array, Array]
+    ) -> tuple[Array, Array]:
+        """Rows of the frame (body axes) and of the field by (4) of ``reduction.second_order`` and the stress of loads."""
+        bent, x, load = self._straining(stiffening, motion, local)
         d = self.field.dim
-        a = motion.R.T @ (motion.accel[:d] - motion.gravity)
-        inertia = inertia_load(a, motion.twist[d:], motion.accel[d:])
-        return stiffening.coefficients(inertia, motion.t, motion.R)
+        x.frame[d:] -= stiffening.load_moment(load, bent, local[0])
+        return x.frame, bent @ load + stiffening.first @ np.concatenate((x.a, x.L.T.ravel()))
+
+    def _straining(
+        self, stiffening: Stiffening, motion: FrameMotion, local: tuple[Array, ...]
+    ) -> tuple[Array, Acting, Array]:
+        """:meth:`.Stiffening.bent`, the second-order inertia, and :meth:`.Stiffening.coefficients` of the mean accelerations
+        and of the loads, whose stress stiffens the body.
+        """
+        assert motion.accel is not None
+        d, R = self.field.dim, motion.R
+        bent = stiffening.bent(local[0])
+        twist, accel = (np.concatenate((R.T @ x[:d], x[d:])) for x in (motion.twist, motion.accel))
+        x = stiffening.second.acting(stiffening.moments(bent, local), twist, accel, R.T @ motion.gravity)
+        return bent, x, stiffening.coefficients(x.stress, motion.t, R)
 
     def _watch(self, spin: float, square: float) -> None:
         """Warn of a spin above the first frequency; refuse displacements of the size of the body. Linear bodies only."""
@@ -177,7 +196,7 @@ class FloatingField(FieldPart):
         The columns of the frame's inertia M (e x P), frozen at P = X before, follow the deformed body: an attached frame
         with large displacements needs them. They cost a few back-solves, no factor.
         """
-        load = np.zeros(0) if self.stiffening is None else self._straining(self.stiffening, motion)
+        load = np.zeros(0) if self.stiffening is None else self._straining(self.stiffening, motion, local)[2]
         self._take_tangent(TangentPoint(0.0, local[0].copy(), np.zeros(self.n), (load, motion.pull), None))
         return True
 
@@ -200,6 +219,16 @@ class FloatingField(FieldPart):
             J[:, k] = m.moment(P, Q[:, :, d + k]).sum(0)
         self.inertia = f.total(J)
         self.moment = f.total(f.mass(P).sum(0))
+        if self.stiffening is not None:
+            bent = self.stiffening.bent(at.U)
+            k = d + d * d
+            A_u, B_u = f.Q.T, turning(bent[:, :k], d)
+            self.second_inertia, more = self.stiffening.second.mass_blocks(
+                self.stiffening.moments(bent, (at.U,)), A_u, B_u
+            )
+            Q += more.reshape(Q.shape)
+            J = np.linalg.inv(self.stiffening.second.J)
+            self.heavier = np.concatenate((f.Q, B_u.T), axis=1), np.block([[np.zeros_like(J), J], [J, J]])
         self.inertia_columns = Q.reshape(self.n, m.n_twist)
 
         # what the frame conditions and the ports take from it
@@ -227,6 +256,10 @@ class FloatingField(FieldPart):
             for k in range(n - d):
                 M[:d, d + k] = motion.R @ self.motions.spin(turn[k : k + 1], c)[0]
             M[d:, :d] = M[:d, d:].T
+            if self.stiffening is not None:
+                turn = np.eye(n)
+                turn[:d, :d] = motion.R
+                M += turn @ self.second_inertia @ turn.T
         return M, np.zeros((0, n)), np.zeros((0, 0))
 
     def missing_momentum(self, u: Array) -> Array | None:
@@ -252,12 +285,22 @@ class FloatingField(FieldPart):
         sums = self.field.total(np.concatenate(([kinetic], self.field.mass(P).sum(0))))
 
         # mass times the place of the mass centre
+        if self.stiffening is not None:
+            moments = self.stiffening.moments(self.stiffening.bent(U), local)
+            sums[0] += self._second_momentum(self.stiffening, moments, motion)[1]
+            sums[1:] += moments.m[0]
         center = self.field.mass_total * pose[:d] + motion.R @ sums[1:]
         weight = -float(motion.gravity @ center)
         return float(sums[0]), self.field.energy(U), weight
 
+    def _second_momentum(self, stiffening: Stiffening, moments: Moments, motion: FrameMotion) -> tuple[Array, float]:
+        """Momentum (n_twist,) in body axes and energy of the second-order displacements."""
+        d = self.field.dim
+        twist = np.concatenate((motion.R.T @ motion.twist[:d], motion.twist[d:]))
+        return stiffening.second.momentum(moments, twist)
+
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
-        """Power (W) of loads, of material damping, and of the stress of inertia forces that stiffens; collective."""
+        """Power (W) of loads and of material damping; collective."""
         f, (U, Ud) = self.field, local
         found = {}
         if f.loads.loads:
@@ -267,10 +310,14 @@ class FloatingField(FieldPart):
         if self.damped:
             found["damping"] = -float(Ud @ self._damping(U, Ud))
 
-        if self.stiffening is not None:
-            stress = self.stiffening.force(self._straining(self.stiffening, motion), U)
-            found["stiffening"] = -float(stress @ Ud)
-        return self.summed(found)
+        out = self.summed(found)
+        if f.loads.loads and self.stiffening is not None:
+            # loads work on the second-order displacements, too
+            d = f.dim
+            load, bent = self.stiffening.coefficients(np.zeros(d + d * d), motion.t, motion.R), self.stiffening.bent(U)
+            out["loads"] += float(self.stiffening.load_moment(load, bent, U) @ motion.twist[d:])
+            out["loads"] -= float(f.total(np.array(Ud @ (bent @ load))))
+        return out
 
     def _damping(self, U: Array, Ud: Array) -> Array:
         """Nodal forces of Rayleigh and Kelvin-Voigt damping, (n d,); collective."""
@@ -285,14 +332,11 @@ class FloatingField(FieldPart):
         m, d = self.motions, self.field.dim
         P, _, MW = self._velocity(motion, local)
         sums = self.field.total(np.concatenate((MW.sum(0), m.moment(P, MW).sum(0))))
+        if self.stiffening is not None:
+            moments = self.stiffening.moments(self.stiffening.bent(local[0]), local)
+            sums += self._second_momentum(self.stiffening, moments, motion)[0]
         p = motion.R @ sums[:d]
         return p, m.moment(pose[:d], p) + m.turn(motion.R, sums[d:])
-
-
-def inertia_load(a: Array, w: Array, alpha: Array) -> Array:
-    """(a, L) with L = alpha~ + w~ w~ as a flat array (d + d^2,); body axes."""
-    turn, spin = spin_matrix(alpha), spin_matrix(w)
-    return np.concatenate((a, (turn + spin @ spin).ravel()))
 
 
 def moment_columns(field: Field, surface: str) -> Array:

@@ -12,7 +12,8 @@ body axes are a + L P + 2 w~ P' + P'', hence
     mode k       S_k . a + tr(T(e_k, p) L^T) + 2 tr(T(e_k, p') w~^T) + tr(T(e_k, p'')) + (K eta + D eta')_k
 
 No term is left out: with all modes of a field (2) is the field's inertia. Nothing here knows of a mesh. With no modes at all the
-body is rigid. Stiffening by the stress of the inertia forces adds (sum_c a_c G_c + sum_ij L_ij G_ij) eta to the modal rows.
+body is rigid. Stiffening by the stress of the inertia forces and the inertia of second-order displacements are in
+:mod:`.second_order`.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from ..bodies.body import Placed, Site
 from ..placements import FrameMotion, Part
 from ..validity import TOO_LARGE, too_large, warn_of_spin
 from .foreshortening import of_constants
+from .second_order import Acting, Moments, SecondOrder, load_moment, turning
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,10 @@ class ReducedPart(Part):
         # T with its second index last: T(e_a, p) of all a is one product
         k = self.n + 1
         self._T = np.ascontiguousarray(constants.T.transpose(0, 2, 3, 1)).reshape(k * d * d, k)
+        # first moments int rho p, int rho X p^T, and what the mean motion takes from them
+        self._first = np.concatenate((constants.S, constants.T[0].transpose(1, 2, 0).reshape(d * d, k)))
+        self._swapped = np.concatenate((constants.S, constants.T[:, 0].transpose(1, 2, 0).reshape(d * d, k)))[:, 1:].T
+        self.second = SecondOrder(constants.mass, constants.S[:, 0], constants.T[0, 0])
         self._modal_mass = np.trace(constants.T[1:, 1:], axis1=2, axis2=3).copy()
 
         self.rms = np.sqrt(np.diag(self._modal_mass) / constants.mass)
@@ -182,24 +188,58 @@ class ReducedPart(Part):
         rows: Array = a @ c.S[:, 1:] + np.trace(B[1:], axis1=1, axis2=2) + c.K @ eta + c.D @ rate
 
         if c.stiffening is not None:
-            rows = rows + self._stress_of(motion) @ eta
+            bent, R, x = self._bent(eta), motion.R, self._acting(motion, local)
+            frame[:d] += R @ x.frame[:d]
+            frame[d:] += x.frame[d:]
+            rows = rows + self._first[:, 1:].T @ np.concatenate((x.a, x.L.T.ravel())) + bent @ x.stress
         for load, b in c.loads:
             self._apply(load, b, motion, p[:, 0], (frame, rows))
         return frame, rows
 
+    def _bent(self, eta: Array) -> Array:
+        """Columns G_c eta, G_ij eta, (m, d + d^2)."""
+        G = self.constants.stiffening
+        assert G is not None
+        return np.asarray((G @ eta).T)
+
+    def _moments(self, bent: Array, local: Sequence[Array]) -> Moments:
+        """Of :mod:`.second_order` and their rates, from the columns :meth:`_bent` of the first of local."""
+        z = bent.T @ np.stack(local, axis=1)
+        z[:, 0] *= 0.5
+        if len(local) > 2:
+            z[:, 2] += self._bent(local[1]).T @ local[1]
+        return Moments.of(self._first @ self._with_shape(*local), z, self.dim)
+
+    def _acting(self, motion: FrameMotion, local: Sequence[Array]) -> Acting:
+        """(4) of :mod:`.second_order`; without u'' where local has one rate."""
+        assert motion.accel is not None
+        R = motion.R
+        twist, accel = self._in_body(R, motion.twist), self._in_body(R, motion.accel)
+        return self.second.acting(self._moments(self._bent(local[0]), local), twist, accel, R.T @ motion.gravity)
+
+    def _in_body(self, R: Array, twist: Array) -> Array:
+        """Twist or its rate with its translation in body axes."""
+        d = self.dim
+        return np.concatenate((R.T @ twist[:d], twist[d:]))
+
     def _apply(self, load: Any, B: Array, motion: FrameMotion, p: Array, out: tuple[Array, Array]) -> None:
         """Subtract a load from the rows of the frame and of the modes."""
-        d = self.dim
+        d, stress = self.dim, self.constants.load_stress.get(load)
         factor = load.factor(motion.t, self.name)
         if not load.follower:
             B = motion.R.T @ B  # nodal forces in body axes
         out[1][:] -= factor * np.trace(B[1:], axis1=1, axis2=2)
+        if stress is not None:
+            axes = factor * (np.eye(d) if load.follower else motion.R)
+            bent = stress @ p[1:]
+            out[1][:] += np.tensordot(axes, bent, 2)
+            out[0][d:] -= load_moment(axes, bent @ p[1:])
         if not load.internal:
             out[0][:d] -= factor * (motion.R @ self._load_sum(load, motion.R))
             out[0][d:] -= factor * axial(np.tensordot(p, B, 1).T)
 
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
-        """Power (W) of loads, of damping, and of the stress of inertia forces that stiffens."""
+        """Power (W) of loads and of damping."""
         c, d, (eta, rate) = self.constants, self.dim, local
         found = {}
         if c.loads:
@@ -211,17 +251,13 @@ class ReducedPart(Part):
 
         if c.D.any():
             found["damping"] = -float(rate @ c.D @ rate)
-
-        if c.stiffening is not None:
-            found["stiffening"] = -float(rate @ self._stress_of(motion) @ eta)
         return found
 
-    def _stress_of(self, motion: FrameMotion) -> Array:
-        """Geometric stiffness (m, m) of the stress by inertia forces and loads."""
+    def _stress_of(self, motion: FrameMotion, local: Sequence[Array]) -> Array:
+        """Geometric stiffness (m, m) of the stress by the inertia forces and by loads."""
         c = self.constants
         assert c.stiffening is not None
-        a, _, L = self._motion(motion)
-        stress: Array = np.tensordot(np.concatenate((a, L.ravel())), c.stiffening, 1)
+        stress: Array = np.tensordot(self._acting(motion, local).stress, c.stiffening, 1)
         for load in c.load_stress:
             axes = np.eye(self.dim) if load.follower else motion.R
             stress = stress + load.factor(motion.t, self.name) * np.tensordot(axes, c.load_stress[load], 2)
@@ -238,11 +274,11 @@ class ReducedPart(Part):
         n = m.n_twist
         Tp = (self._T @ p).reshape(-1, d, d)  # T(e_a, p)
         Tpp = np.tensordot(p, Tp, 1)
+        arm = c.S @ p
 
         # the frame: total mass, moment of inertia, static moment
         M = np.zeros((n, n))
         M[:d, :d] = c.mass * np.eye(d)
-        arm = c.S @ p
         if d == 3:
             M[3:, 3:] = np.trace(Tpp) * np.eye(3) - 0.5 * (Tpp + Tpp.T)
             M[3:, :3] = hat(arm) @ motion.R.T
@@ -258,13 +294,23 @@ class ReducedPart(Part):
         pairs = ((2, 1), (0, 2), (1, 0)) if d == 3 else ((1, 0),)
         for k, (i, j) in enumerate(pairs):
             low[:, d + k] = T[:, i, j] - T[:, j, i]
-        return M, low, self._modal_mass
+        if c.stiffening is None:
+            return M, low, self._modal_mass
+        # second order, with the translation in world axes
+        bent = self._bent(u)
+        A_u, B_u = turning(self._swapped, d), turning(bent, d)
+        frame, more = self.second.mass_blocks(self._moments(bent, (u,)), A_u, B_u)
+        turn = np.eye(n)
+        turn[:d, :d] = motion.R
+        cross = A_u.T @ self.second.mean(B_u)
+        own = cross + cross.T + B_u.T @ self.second.mean(B_u)
+        return M + turn @ frame @ turn.T, low + more @ turn.T, self._modal_mass + own
 
     def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
         """K and D of the modes; K with the stress of inertia forces, loads and forces on the surfaces."""
         K = self.constants.K
         if self.constants.stiffening is not None:
-            K = K + self._stress_of(motion)
+            K = K + self._stress_of(motion, local)
         if motion.pull is not None and self.shortening is not None and self.shortening.G is not None:
             K = K + np.tensordot(motion.pull, self.shortening.G, 1)
         return K, self.constants.D
@@ -282,12 +328,20 @@ class ReducedPart(Part):
         turning = np.trace(w @ pp @ w.T) + 2 * np.trace(w @ pq) + np.trace(qq)
         twice = c.mass * v @ v + 2 * v @ flow + turning
         spin = axial(np.outer(Sp[:, 0], v) + pp @ w.T + pq)
-        return c.mass * v + flow, spin, 0.5 * float(twice)
+        if c.stiffening is None:
+            return c.mass * v + flow, spin, 0.5 * float(twice)
+
+        moments = self._moments(self._bent(local[0]), local)
+        more, energy = self.second.momentum(moments, self._in_body(motion.R, motion.twist))
+        return c.mass * v + flow + more[:d], spin + more[d:], 0.5 * float(twice) + energy
 
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic, elastic and weight energy, J."""
         c, d, eta = self.constants, self.dim, local[0]
-        center = c.mass * pose[:d] + motion.R @ (c.S @ self._with_shape(eta)[:, 0])
+        arm = c.S @ self._with_shape(eta)[:, 0]
+        if c.stiffening is not None:
+            arm = arm + self._moments(self._bent(eta), (eta,)).m[0]
+        center = c.mass * pose[:d] + motion.R @ arm
         elastic = 0.5 * float(eta @ c.K @ eta)
         return self._momentum(motion, local)[2], elastic, -float(motion.gravity @ center)
 

@@ -13,8 +13,10 @@ Displacements u then work against this stress on the nonlinear part of the strai
 It is linear in (a, L, f): d + d^2 constant fields for inertia, d^2 for each load of ``fem.loads``, and one for each unit
 force and moment on every other surface, which joints, springs and forces act on
 (``mechanics.reduction.foreshortening``). Thermal stress is
-left out. (2) is made from the user's own elastic form a(u, v): in a(u_0, v) each grad(v) becomes grad(w)^T grad(v). Without (2)
-a beam that spins faster than its first bending frequency (in the plane of rotation) has no stable linear solution.
+left out. a and L are those of the mean motion of the body, and second-order displacements have inertia, too
+(``mechanics.reduction.second_order``). (2) is made from the user's own elastic form a(u, v): in a(u_0, v) each
+grad(v) becomes grad(w)^T grad(v). Without (2) a beam that spins faster
+than its first bending frequency (in the plane of rotation) has no stable linear solution.
 
 Source: Wallrapp and Schwertassek, doi:10.1002/nme.1620320818.
 """
@@ -22,6 +24,7 @@ Source: Wallrapp and Schwertassek, doi:10.1002/nme.1620320818.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -31,6 +34,7 @@ from ...fem.loads import Load
 from ...rotations import Array
 from ..frames import polar
 from .foreshortening import Shortening, rigid_ports
+from .second_order import Moments, SecondOrder, load_moment
 
 
 def geometric_form(form: Any, v: Any, w: Any) -> Any:
@@ -64,6 +68,20 @@ def resultant_columns(field: Field, surface: str) -> Array:
     for k in range(m.n_rot):
         out[moments.nodes, :, d + k] = moments.weights[:, 1:] @ m.spin(Z[k : k + 1], np.eye(d))
     return out.reshape(field.n * d, -1)
+
+
+def products(matrices: Sequence[Any], d: int, U: Array) -> Array:
+    """Columns A U (n d, count) of scalar PETSc matrices that act on each of d components alike; collective."""
+    out = np.empty((len(U) // d, d, len(matrices)))
+    x, y = matrices[0].createVecs()
+    for c in range(d):
+        x.array[:] = U[c::d]
+        for k, A in enumerate(matrices):
+            A.mult(x, y)
+            out[:, c, k] = y.array
+    x.destroy()
+    y.destroy()
+    return out.reshape(len(U), -1)
 
 
 class Stiffening:
@@ -107,12 +125,10 @@ class Stiffening:
 
         self._all = np.concatenate([self.columns, *self.load_columns], axis=1)
         self._u0 = fem.Function(field.space)
-        self._w = fem.Function(field.space)
 
         u = ufl.TrialFunction(field.space)
         v = ufl.TestFunction(field.space)
         stress, self._p0 = field.stress_form(self._u0, v)
-        self._force_form = compat.form(geometric_form(stress, v, self._w))
         self.matrix_form = compat.form(geometric_form(stress, v, u))
 
     @property
@@ -147,18 +163,55 @@ class Stiffening:
         if not G:
             return None
 
-        x, y = G[0].createVecs()
+        return Shortening(partial(products, G, d), np.concatenate(blocks, axis=1), f.total)
 
-        def products(U: Array) -> Array:
-            out = np.empty((f.n, d, len(G)))
-            for c in range(d):
-                x.array[:] = U[c::d]
-                for k, A in enumerate(G):
-                    A.mult(x, y)
-                    out[:, c, k] = y.array
-            return out.reshape(f.n * d, -1)
+    @cached_property
+    def _matrices(self) -> list[Any]:
+        """K_g for each of :meth:`coefficients` on one component; collective."""
+        return [self._scalar(u) for u in self._all.T]
 
-        return Shortening(products, np.concatenate(blocks, axis=1), f.total)
+    def bent(self, U: Array) -> Array:
+        """Columns K_g U (n d, :attr:`count`) for each of :meth:`coefficients`; collective."""
+        return products(self._matrices, self.field.dim, U)
+
+    @cached_property
+    def second(self) -> SecondOrder:
+        """Inertia of the second-order displacements; collective."""
+        f = self.field
+        MX = self.first[:, f.dim :].reshape(f.n, f.dim, f.dim, f.dim)[:, 0, :, 0]
+        return SecondOrder(f.mass_total, f.total(MX.T @ np.ones((f.n, 1)))[:, 0], f.total(MX.T @ f.X))
+
+    @cached_property
+    def first(self) -> Array:
+        """Columns (n d, d + d^2) of int rho p and of int rho X p^T, as functions of nodal p."""
+        f, d = self.field, self.field.dim
+        one, MX = f.mass(np.ones((f.n, d)))[:, :1], f.mass(f.X)
+        weights = np.concatenate((one, MX), axis=1)
+        return np.einsum("nk,ce->nekc", weights, np.eye(d)).reshape(f.n * d, -1)
+
+    def moments(self, bent: Array, local: Sequence[Array]) -> Moments:
+        """Of ``mechanics.reduction.second_order`` and their rates, from :meth:`bent` of the first of local; collective."""
+        d = self.field.dim
+        k = d + d * d
+        stacked = np.stack(local, axis=1)
+        z = bent[:, :k].T @ stacked
+        z[:, 0] *= 0.5
+        if len(local) > 2:
+            z[:, 2] += products(self._matrices[:k], d, local[1]).T @ local[1]
+        stacked[:, 0] += self.field.X.ravel()
+        both = self.field.total(np.stack((self.first.T @ stacked, z)))
+        return Moments.of(both[0], both[1], d)
+
+    def load_moment(self, coefficients: Array, bent: Array, U: Array) -> Array:
+        """Moment (n_rot,) in body axes of the loads on the second-order displacements; collective."""
+        d = self.field.dim
+        k = d + d * d
+        axes = coefficients[k:].reshape(-1, d, d)
+        twice = self.field.total(bent[:, k:].T @ U).reshape(-1, d, d)
+        out = np.zeros(self.field.motions.n_rot)
+        for A, z in zip(axes, twice, strict=True):
+            out += load_moment(A, z)
+        return out
 
     def _scalar(self, u: Array) -> Any:
         """K_g(u) on one component, a PETSc matrix like the scalar mass: (2) acts on each component alike."""
@@ -192,16 +245,6 @@ class Stiffening:
         if pull is not None:
             U = U + np.concatenate(list(self.section_columns.values()), axis=1) @ pull
         self._hold(U)
-
-    def force(self, coefficients: Array, U: Array) -> Array:
-        """K_g U, (n d,); collective."""
-        from dolfinx import fem, la
-
-        self.set_load(coefficients)
-        self._place(self._w, U)
-        b = fem.assemble_vector(self._force_form)
-        b.scatter_reverse(la.InsertMode.add)
-        return np.array(b.array[: len(U)])
 
     def modal(self, phi: Array, columns: Array) -> Array:
         """phi^T K_g phi for every column u_0, (columns, m, m); collective."""

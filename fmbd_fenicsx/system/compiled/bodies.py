@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...mechanics.reduction.second_order import SecondOrder
 from ...mechanics.validity import TOO_LARGE
 from ...rotations import Array
 from .places import rigid_places
@@ -73,7 +74,9 @@ def modal_arrays(constants: Any, m: int, d: int) -> dict[str, Array]:
     }
 
     if c.stiffening is not None:
-        arrays |= {"stress": c.stiffening.transpose(0, 2, 1), "now": np.zeros((m, m))}
+        arrays |= {"stress": c.stiffening.transpose(0, 2, 1), "now": np.zeros((m, m)), "bent": np.zeros((d + d * d, m))}
+        second = SecondOrder(c.mass, c.S[:, 0], c.T[0, 0])
+        arrays |= {"mean": np.linalg.inv(second.J), "heavy": np.zeros((4 * len(second.J), len(second.J) + m))}
     return arrays
 
 

@@ -51,7 +51,7 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
     "Body": [
         *_fields("modes at_v at_q at_u", _INT),
         *_fields("mass large spin", _REAL),
-        *_fields("inertia S T V modal K C stress U now block dest field", _POINTER),
+        *_fields("inertia S T V modal K C stress U now bent mean heavy block dest field", _POINTER),
     ],
     "Field": [
         *_fields("n nodes", _LONG),

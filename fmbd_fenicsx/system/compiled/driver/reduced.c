@@ -14,6 +14,220 @@ static void modal_moments(const Body *o, const double *eta)
     for (int c = 0; c < o->modes; c++) add(o->U, eta[c], o->T + size * (c + 1), size);
 }
 
+/* Of p = X + Phi eta and its rates, in body axes: int rho p and int rho X p^T; of the second-order displacements m2 and P2^T. */
+typedef struct {
+    double s[3][D], T[3][D * D], m[3][D], P[3][D * D];
+} Moments;
+
+/* (1) of mechanics/reduction/second_order.py for count of eta, eta', eta''; K_c eta and K_ij eta into bent. */
+static void moments_of(const Body *o, const double **local, int count, Moments *z)
+{
+    int m = o->modes, k = m + 1, DD = D * D, size = k * DD;
+    memset(z, 0, sizeof *z);
+    memcpy(z->T[0], o->T, DD * sizeof(double));
+    for (int i = 0; i < D; i++) z->s[0][i] = o->S[k * i];
+    for (int r = 0; r < count; r++) {
+        for (int i = 0; i < D; i++) z->s[r][i] += dot(o->S + k * i + 1, local[r], m);
+        for (int b = 0; b < m; b++) add(z->T[r], local[r][b], o->T + size * (b + 1), DD);
+    }
+    for (int c = 0; c < D + DD; c++) {
+        const double *K = o->stress + m * m * c;
+        double *bent = o->bent + m * c;
+        int at = (c - D) % D * D + (c - D) / D;
+        for (int i = 0; i < m; i++) bent[i] = dot(K + m * i, local[0], m);
+        for (int r = 0; r < count; r++) {
+            double value = (r ? 1.0 : 0.5) * dot(bent, local[r], m);
+            for (int i = 0; r == 2 && i < m; i++) value += local[1][i] * dot(K + m * i, local[1], m);
+            *(c < D ? &z->m[r][c] : &z->P[r][at]) = value;
+        }
+    }
+}
+
+/* int rho V and int rho X V^T of V = sum turns_r p^(r) added to total and matrix. */
+static void collect(const double (*s)[D], const double (*T)[D * D], const double **turns, int count, double *total, double *matrix)
+{
+    for (int r = 0; r < count; r++) {
+        double one[D], all[D * D];
+        times(turns[r], s[r], one);
+        add(total, 1.0, one, D);
+        product_transposed(T[r], turns[r], all);
+        add(matrix, 1.0, all, D * D);
+    }
+}
+
+/* A constant translation v adds to these. */
+static void carry(const Body *o, const double *v, double *total, double *matrix)
+{
+    for (int i = 0; i < D; i++) {
+        total[i] += o->mass * v[i];
+        for (int j = 0; j < D; j++) matrix[D * i + j] += o->S[(o->modes + 1) * i] * v[j];
+    }
+}
+
+/* J^-1 of a moment. */
+static void mean_of(const Body *o, const double *total, const double *matrix, double *c)
+{
+    double x[TWIST];
+    memcpy(x, total, D * sizeof(double));
+    axial(matrix, x + D);
+    for (int i = 0; i < TWIST; i++) c[i] = dot(o->mean + TWIST * i, x, TWIST);
+}
+
+/* N += x y^T and N += A^T B^T */
+static void outer(const double *x, const double *y, double *N)
+{
+    for (int i = 0; i < D; i++) add(N + D * i, x[i], y, D);
+}
+
+static void both_transposed(const double *A, const double *B, double *N)
+{
+    for (int i = 0; i < D; i++)
+        for (int j = 0; j < D; j++)
+            for (int c = 0; c < D; c++) N[D * i + j] += A[D * c + i] * B[D * j + c];
+}
+
+/* a(c) and L(c) of a mean motion c with the rate c'. */
+static void acceleration(const double *c, const double *rate, const double *W, double *a, double *L)
+{
+    double C[D * D], E[D * D], turned[D];
+    hat(c + D, C);
+    hat(rate + D, E);
+    product(W, C, L);
+    add(L, 1.0, E, D * D);
+    times(W, c, turned);
+    for (int i = 0; i < D; i++) a[i] = rate[i] + turned[i];
+}
+
+/* (4) of second_order.py, added to force and N (body axes) and to the rows of the modes; a frame that moves evenly sees the same. */
+static void second_order(const Body *o, const double **local, const double *W, const double *alpha, const double *acc,
+                         double *force, double *N, double *rows)
+{
+    int m = o->modes, k = m + 1, DD = D * D;
+    Moments z;
+    moments_of(o, local, 3, &z);
+    double one[D * D] = {0.0}, A[D * D];
+    for (int i = 0; i < D; i++) one[(D + 1) * i] = 1.0;
+    hat(alpha, A);
+    const double *speeds[] = {W, one}, *rates[] = {A, W, one};
+
+    double g[D] = {0.0}, G[D * D] = {0.0}, h[D] = {0.0}, H[D * D] = {0.0};
+    double gd[D] = {0.0}, Gd[D * D] = {0.0}, hd[D] = {0.0}, Hd[D * D] = {0.0};
+    collect(z.s, z.T, speeds, 2, g, G);
+    collect(z.m, z.P, speeds, 2, h, H);
+    collect(z.s, z.T, rates, 3, gd, Gd);
+    carry(o, acc, gd, Gd);
+    collect(z.m, z.P, rates, 3, hd, Hd);
+
+    double e[TWIST], ed[TWIST], b[TWIST], bd[TWIST], a[D], L[D * D], ab[D + D * D], *Lb = ab + D, C[D * D];
+    mean_of(o, h, H, e);
+    mean_of(o, hd, Hd, ed);
+    mean_of(o, g, G, b);
+    mean_of(o, gd, Gd, bd);
+    add(b, 1.0, e, TWIST);
+    add(bd, 1.0, ed, TWIST);
+    acceleration(e, ed, W, a, L);
+    acceleration(b, bd, W, ab, Lb);
+
+    for (int i = 0; i < D; i++) {
+        force[i] += o->mass * a[i];
+        for (int j = 0; j < D; j++) force[i] += L[D * i + j] * o->S[k * j];
+    }
+    outer(z.s[0], a, N);
+    both_transposed(z.T[0], L, N);
+    outer(z.m[0], ab, N);
+    both_transposed(z.P[0], Lb, N);
+    outer(g, e, N);
+    hat(e + D, C);
+    both_transposed(G, C, N);
+    outer(h, b, N);
+    hat(b + D, C);
+    both_transposed(H, C, N);
+
+    memset(o->now, 0, m * m * sizeof(double));
+    for (int i = 0; i < m; i++) {
+        rows[i] += dot(o->T + DD * (i + 1), L, DD);
+        for (int j = 0; j < D; j++) rows[i] += a[j] * o->S[k * j + i + 1];
+    }
+    for (int c = 0; c < D + DD; c++) {
+        add(rows, ab[c], o->bent + m * c, m);
+        add(o->now, ab[c], o->stress + m * m * c, m * m);
+    }
+}
+
+/* What (3) adds to the lower half of the block, world axes. */
+static void second_block(const Body *o, const double *R, const double *eta)
+{
+    int m = o->modes, k = m + 1, n = TWIST + m;
+    double *A = o->heavy, *B = A + TWIST * n, *JA = B + TWIST * n, *JB = JA + TWIST * n;
+    const double *local[] = {eta};
+    Moments z;
+    moments_of(o, local, 1, &z);
+    memset(A, 0, (size_t)4 * TWIST * n * sizeof(double));
+
+    for (int j = 0; j < TWIST; j++) {
+        /* a unit of translation or rotation along a world axis */
+        double unit[TWIST] = {0.0}, c[TWIST], W[D * D];
+        double g[D] = {0.0}, G[D * D] = {0.0}, h[D] = {0.0}, H[D * D] = {0.0}, x[ROT];
+        unit[j] = 1.0;
+        transposed(R, unit, c);
+        to_body(R, unit + D, c + D);
+        hat(c + D, W);
+        const double *turns[] = {W};
+        collect(z.s, z.T, turns, 1, g, G);
+        carry(o, c, g, G);
+        collect(z.m, z.P, turns, 1, h, H);
+        for (int i = 0; i < D; i++) A[n * i + j] = g[i], B[n * i + j] = h[i];
+        axial(G, x);
+        for (int i = 0; i < ROT; i++) A[n * (D + i) + j] = x[i];
+        axial(H, x);
+        for (int i = 0; i < ROT; i++) B[n * (D + i) + j] = x[i];
+    }
+#if DIM == 3
+    static const int pair[3] = {7, 2, 3}, other[3] = {5, 6, 1};
+#else
+    static const int pair[1] = {2}, other[1] = {1};
+#endif
+    for (int c = 0; c < m; c++) {
+        for (int i = 0; i < D; i++) A[n * i + TWIST + c] = o->S[k * i + c + 1], B[n * i + TWIST + c] = o->bent[m * i + c];
+        for (int i = 0; i < ROT; i++) {
+            A[n * (D + i) + TWIST + c] = o->V[ROT * (c + 1) + i];
+            B[n * (D + i) + TWIST + c] = o->bent[m * (D + pair[i]) + c] - o->bent[m * (D + other[i]) + c];
+        }
+    }
+
+    for (int i = 0; i < TWIST; i++)
+        for (int j = 0; j < TWIST; j++) {
+            add(JA + n * i, o->mean[TWIST * i + j], A + n * j, n);
+            add(JB + n * i, o->mean[TWIST * i + j], B + n * j, n);
+        }
+    for (int r = 0; r < TWIST; r++)
+        for (int i = 0; i < n; i++) {
+            add(o->block + n * i, A[n * r + i] + B[n * r + i], JB + n * r, i + 1);
+            add(o->block + n * i, B[n * r + i], JA + n * r, i + 1);
+        }
+}
+
+/* (3) itself, twist with its translation in body axes, added to the kinetic energy; m2 to the arm of the weight. */
+static double second_energy(const Body *o, const double *eta, const double *rate, const double *v, const double *W, double *arm)
+{
+    const double *local[] = {eta, rate};
+    Moments z;
+    moments_of(o, local, 2, &z);
+    double one[D * D] = {0.0}, g[D] = {0.0}, G[D * D] = {0.0}, h[D] = {0.0}, H[D * D] = {0.0}, e[TWIST], x[TWIST], y[TWIST];
+    for (int i = 0; i < D; i++) one[(D + 1) * i] = 1.0;
+    const double *speeds[] = {W, one};
+    collect(z.s, z.T, speeds, 2, g, G);
+    carry(o, v, g, G);
+    collect(z.m, z.P, speeds, 2, h, H);
+    mean_of(o, h, H, e);
+    memcpy(x, g, sizeof g);
+    axial(G, x + D);
+    memcpy(y, h, sizeof h);
+    axial(H, y + D);
+    add(arm, 1.0, z.m[0], D);
+    return dot(x, e, TWIST) + 0.5 * dot(y, e, TWIST);
+}
+
 /* Verdict LOOK outside of the range of the reduction. */
 int reduced_force(const Body *o, const double *R, const double *q, const double *v, const double *a, const double *w,
                          const double *gravity, const double *accel, double *f, double *rows)
@@ -51,7 +265,7 @@ int reduced_force(const Body *o, const double *R, const double *q, const double 
         add(T2, second[c], Uc, DD);
     }
 
-    double part[D * D], L1[D], W1[D], sum[D], local[ROT];
+    double part[D * D], L1[D], W1[D], sum[D], local[ROT], more[D] = {0.0};
     product_transposed(T0, L, N);
     for (int i = 0; i < D; i++)
         for (int j = 0; j < D; j++) {
@@ -59,11 +273,13 @@ int reduced_force(const Body *o, const double *R, const double *q, const double 
             for (int c = 0; c < D; c++) twice += T1[D * c + i] * W[D * j + c];
             part[D * i + j] = N[D * i + j] + 2.0 * twice + T2[D * j + i] + Sp[0][i] * acc[j];
         }
+    const double *rates[] = {eta, rate, second};
+    if (o->stress) second_order(o, rates, W, alpha, acc, more, part, Me + m);
     axial(part, local);
     to_world(R, local, f + D);
     times(L, Sp[0], L1);
     times(W, Sp[1], W1);
-    for (int i = 0; i < D; i++) sum[i] = o->mass * acc[i] + L1[i] + 2.0 * W1[i] + Sp[2][i];
+    for (int i = 0; i < D; i++) sum[i] = more[i] + o->mass * acc[i] + L1[i] + 2.0 * W1[i] + Sp[2][i];
     times(R, sum, f);
 
     double *elastic = Me + m;
@@ -72,11 +288,6 @@ int reduced_force(const Body *o, const double *R, const double *q, const double 
         add(elastic, second[c], o->modal + m * c, m);
         add(elastic, eta[c], o->K + m * c, m);
         add(elastic, rate[c], o->C + m * c, m);
-    }
-    if (o->stress) {
-        memset(o->now, 0, m * m * sizeof(double));
-        for (int c = 0; c < D + DD; c++) add(o->now, c < D ? acc[c] : L[c - D], o->stress + m * m * c, m * m);
-        for (int i = 0; i < m; i++) add(elastic, eta[i], o->now + m * i, m);
     }
     for (int i = 0; i < m; i++) {
         double force = dot(U + DD * (i + 1), L, DD) + 2.0 * dot(Vp + ROT * (i + 1), w, ROT) + elastic[i];
@@ -97,8 +308,8 @@ void reduced_block(System *s, const Body *o, const double *R, const double *eta,
     for (int c = 0; c < m; c++) add(T0, eta[c], U + DD * (c + 1), DD);
     for (int i = 0; i < D; i++) {
         arm[i] = o->S[k * i] + dot(o->S + k * i + 1, eta, m);
-        trace += T0[(D + 1) * i];
     }
+    for (int i = 0; i < D; i++) trace += T0[(D + 1) * i];
     memset(A, 0, (size_t)n * n * sizeof(double));
     for (int i = 0; i < D; i++) A[(n + 1) * i] = o->mass;
 #if DIM == 3
@@ -132,6 +343,8 @@ void reduced_block(System *s, const Body *o, const double *R, const double *eta,
         for (int j = 0; j <= i; j++) row[TWIST + j] = o->modal[m * i + j] + cd * o->C[m * i + j] + ck * o->K[m * i + j];
         for (int j = 0; o->now && j <= i; j++) row[TWIST + j] += ck * o->now[m * i + j];
     }
+
+    if (o->stress) second_block(o, R, eta);
 
     const int *dest = o->dest;
     for (int i = 0; i < n; i++) {
@@ -171,6 +384,7 @@ void reduced_energies(const Body *o, const double *R, const double *q, const dou
             kinetic += 0.5 * WT[D * i + j] * W[D * i + j];
             kinetic += W[D * i + j] * T1[D * i + j];
         }
+    if (o->stress) kinetic += second_energy(o, eta, rate, local, W, arm);
     for (int i = 0; i < m; i++) {
         kinetic += 0.5 * rate[i] * dot(o->modal + m * i, rate, m);
         elastic += 0.5 * eta[i] * dot(o->K + m * i, eta, m);

@@ -102,7 +102,8 @@ typedef struct {
     double mass, large, spin;          /* bounds: eta . modal mass . eta and |omega|^2 */
     double *inertia;                   /* rigid: ROT x ROT, body axes */
     double *S, *T, *V, *modal, *K, *C, *stress; /* reduced, see mechanics/reduction/reduced.py; stress NULL without stiffening */
-    double *U, *now, *block;           /* work: T(e_a, p), stiffness of the present stress, the block of the step's matrix */
+    double *U, *now, *bent;            /* work: T(e_a, p), stiffness of the present stress, K_c eta and K_ij eta */
+    double *mean, *heavy, *block;      /* J^-1 of second_order.py, TWIST x TWIST; work: 4 TWIST x (TWIST + modes), the step's block */
     int *dest;                         /* places of the lower half of the block */
     Field *field;                      /* of floating elastic bodies, whose modes are the numbers H^T U; else NULL */
 } Body;
