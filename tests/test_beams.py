@@ -14,7 +14,8 @@ from fmbd_fenicsx.mechanics.placements import FrameMotion
 from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 
 L, EI, RHO_A = 1.0, 1.0, 1.0
-SLENDER = fmbd.Section(EA=1e8, EI=EI, rhoA=RHO_A, EI_y=EI, GJ=1e3, rhoI=1e-9, rhoI_y=1e-9)
+# torsion far above bending, but not so far that the roundoff of its eigenvalues, eps GJ / rhoI (pi n / L)^2, is seen in theirs
+SLENDER = fmbd.Section(EA=1e8, EI=EI, rhoA=RHO_A, EI_y=EI, GJ=1.0, rhoI=1e-9, rhoI_y=1e-9)
 FREE_FREE = (22.3733, 61.6728, 120.9034)
 CLAMPED = (3.51602, 22.0345, 61.6972)
 # frequencies of a rotating cantilever without hub, times sqrt(rhoA L^4 / EI), for these rates of rotation; Wright, Smith,
@@ -89,11 +90,11 @@ def spinning(rate: float, stiffening: bool = True) -> Any:
 
 @pytest.mark.parametrize("k", range(len(ROTATION)))
 def test_rotating_cantilever(k: int) -> None:
-    """Flapping and lagging frequencies of a rotating cantilever to 1e-3."""
+    """Flapping and lagging frequencies of a rotating cantilever to 2e-4."""
     found = spinning(ROTATION[k])
     lag = FLAP_1[k] ** 2 - ROTATION[k] ** 2
     for expected in (FLAP_1[k] ** 2, FLAP_2[k] ** 2, lag):
-        assert np.abs(np.sqrt(np.abs(found) / expected) - 1).min() < 1e-3
+        assert np.abs(np.sqrt(np.abs(found) / expected) - 1).min() < 2e-4
 
 
 def test_no_stable_solution_without_stiffening() -> None:

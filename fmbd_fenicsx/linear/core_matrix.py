@@ -58,7 +58,7 @@ def _local(ev: Evaluation, k: int, motion: FrameMotion, mass: Array, w: Weights)
     """cm M + cd C + ck K of the coordinates of a replicated part, (n, n)."""
     if not (w.ck or w.cd):
         return w.cm * mass
-    K, C = ev.system.parts[k].stiffness_blocks(motion, ev.local(k))
+    K, C = ev.system.parts[k].stiffness_blocks(motion, ev.strained(k))
     return w.cm * mass + w.cd * C + w.ck * K
 
 

@@ -126,8 +126,8 @@ class Part(Protocol):
     def mass_blocks(self, motion: FrameMotion, u: Array) -> tuple[Array, Array, Array]:
         """Mass blocks (frame, frame), (local, frame), (local, local); the last two for replicated parts only."""
 
-    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Stiffness and damping of the local coordinates, (n, n) each; replicated parts only."""
+    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """Stiffness and damping of the local coordinates with two rates, (n, n) each; replicated parts only."""
 
 
 class DistributedPart(Part, Protocol):
@@ -179,8 +179,10 @@ class DistributedPart(Part, Protocol):
         """Whether :meth:`relinearise` changes anything."""
         return False
 
-    def relinearise(self, motion: FrameMotion, local: tuple[Array, Array], increment: Array | None = None) -> bool:
-        """Take the tangent at a motion of the frame and local coordinates with their rates; False when it is constant anyway.
+    def relinearise(
+        self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Array | None = None
+    ) -> bool:
+        """Take the tangent at a motion of the frame and local coordinates with two rates; False when it is constant anyway.
 
         ``increment``: Newton's of the local coordinates, that led there, where it is known. Collective.
         """

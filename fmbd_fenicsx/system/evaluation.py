@@ -222,6 +222,10 @@ class Evaluation:
         rates = np.zeros(s.parts[k].n) if self.v is None else s.local_v(self.v, k)
         return s.local_q(self.q, k), rates
 
+    def strained(self, k: int) -> tuple[Array, Array, Array]:
+        """:meth:`local` with the second rates of :attr:`forces`, for tangents."""
+        return (*self.local(k), self.system.local_v(self.forces[0], k))
+
     def tangent_motions(self, *, strained: bool = True) -> list[FrameMotion]:
         """What tangents of the parts need of their frames: accelerations of :attr:`forces`, and where ``strained`` their pull."""
         s = self.system
@@ -242,7 +246,7 @@ class Evaluation:
         """
         motions = self.tangent_motions()
         fields = self.system.fields if parts is None else [(k, f) for k, f in self.system.fields if k in parts]
-        changed = [f.relinearise(motions[k], self.local(k), increments.get(k)) for k, f in fields]
+        changed = [f.relinearise(motions[k], self.strained(k), increments.get(k)) for k, f in fields]
         return any(changed)
 
     # -- invariants -------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
-"""Wires with slack droppers: the factor with all droppers taut serves, corrected by a small system for the slack ones.
+"""Factors with a correction of low rank: slack droppers of wires, and the inertia of second-order displacements.
 
-With B_S the rows of the slack droppers and D = ck k their stiffness (Woodbury),
+Wires: the factor with all droppers taut serves, corrected by a small system for the slack ones. With B_S the rows of the slack
+droppers and D = ck k their stiffness (Woodbury),
 
     (E - B_S^T D B_S)^-1 = E^-1 + Y_S (D^-1 - B_S Y_S)^-1 B_S E^-1,       Y = E^-1 B^T                         (1)
 
@@ -78,23 +79,43 @@ class SlackFactor(FieldFactor):
 
 
 class HeavierFactor(FieldFactor):
-    """E + V C V^T for a factor of E, with columns V (n, k) of this rank's entries and a small C (k, k): as (1), with E^-1 V."""
+    """E + V C V^T by a factor of E, with columns V (n, k) of this rank's entries and a small C (k, k): as (1),
+
+        (E + V C V^T)^-1 = E^-1 - Y (1 + C V^T Y)^-1 C V^T E^-1,       Y = E^-1 V                           (2)
+
+    E^-1 and Y are judged by the factor of E; what is left of a residual is that of the small matrix.
+    """
 
     def __init__(self, base: FieldFactor, V: Array, C: Array, total: Any) -> None:
-        self.base, self.V, self.total = base, V, total
+        self.base, self.V, self.C, self.total = base, V, C, total
         self.judge, self.fresh, self.hidden = base.judge, base.fresh, base.hidden
         self.Y = base.solve_columns(V)
         self.small = np.linalg.solve(np.eye(len(C)) + C @ total(V.T @ self.Y), C)
 
+    @property
+    def iterations(self) -> int:  # type: ignore[override]
+        """Of the factor of E."""
+        return self.base.iterations
+
+    @property
+    def sparse(self) -> FieldFactor:
+        """The factor of E."""
+        return self.base
+
+    def product(self, u: Array) -> Array:
+        """E u + V C V^T u."""
+        return np.asarray(self.base.product(u) + self.V @ (self.C @ self.total(self.V.T @ u)))
+
     def solve(self, b: Array) -> Array:
-        """x = (1) b; the judge of E has seen its solve."""
-        z = self.base.solve(b)
-        return np.asarray(z - self.Y @ (self.small @ self.total(self.V.T @ z)))
+        """x = (2) b."""
+        return self._corrected(self.base.solve(b))
 
     def solve_columns(self, B: Array) -> Array:
         """The same for columns (n, k)."""
-        Z = self.base.solve_columns(B)
-        return np.asarray(Z - self.Y @ (self.small @ self.total(self.V.T @ Z)))
+        return self._corrected(self.base.solve_columns(B))
+
+    def _corrected(self, z: Array) -> Array:
+        return np.asarray(z - self.Y @ (self.small @ self.total(self.V.T @ z)))
 
     def destroy(self) -> None:
         """Free the factor of E."""

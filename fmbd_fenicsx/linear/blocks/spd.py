@@ -43,6 +43,15 @@ class FieldFactor:
         """Whether elastic forces are too inexact for stresses to be foretold (:mod:`fmbd_fenicsx.fem.foretold_stress`)."""
         return self.hidden > NOISY
 
+    @property
+    def sparse(self) -> FieldFactor:
+        """The factor of its sparse matrix: itself, unless the field's matrix has something of low rank beside it."""
+        return self
+
+    def product(self, u: Array) -> Array:
+        """The matrix times u on owned entries, of blocks that are solved as a whole."""
+        raise NotImplementedError
+
     def solve(self, b: Array) -> Array:
         """The solution (n,) for loads on this rank's entries."""
         raise NotImplementedError

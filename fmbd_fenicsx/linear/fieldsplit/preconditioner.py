@@ -35,7 +35,7 @@ class Preconditioner:
         layout.scale = np.array([*scale[:first], *np.ones(len(matrix.blocks)), *scale[first:]])
 
         own = [to_petsc(S * x**2, layout.system) for S, x in zip(small, scale, strict=True)]
-        diagonal = [*own[:first], *(b.factor.E for b in matrix.blocks), *own[first:]]
+        diagonal = [*own[:first], *(b.factor.sparse.E for b in matrix.blocks), *own[first:]]
         self.sets = _index_sets(layout)
         self.P = _nested(diagonal, self.sets, layout.comm)
         self._own = [self.P, *own, *self.sets]
@@ -91,7 +91,7 @@ def _units(matrix: StepMatrix, small: list[sp.csr_matrix]) -> list[float]:
     """Units of replicated blocks in which their diagonal is like those of E_k: FGMRES minimises over all blocks at once."""
     total, count = 0.0, 0
     for block in matrix.blocks:
-        diagonal = block.factor.E.getDiagonal()
+        diagonal = block.factor.sparse.E.getDiagonal()
         total += diagonal.sum()
         count += diagonal.getSize()
         diagonal.destroy()

@@ -126,7 +126,7 @@ class SplitSolver:
         factors = dict(enumerate((b.factor for b in self.matrix.blocks), self.layout.first))
         for k, sub in enumerate(self._splits(ksp, sets)):
             if k in factors:
-                made = factors[k].ksp
+                made = factors[k].sparse.ksp
                 sub.setType(made.getType())
                 sub.setTolerances(*made.getTolerances())
                 sub.setNormType(made.getNormType())

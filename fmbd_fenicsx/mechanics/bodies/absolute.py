@@ -76,11 +76,13 @@ class AbsoluteField(FieldPart):
         """Bodies with a stored energy: see :mod:`fmbd_fenicsx.fem.foretold_stress`."""
         return self.field.foretells
 
-    def relinearise(self, motion: FrameMotion, local: tuple[Array, Array], increment: Array | None = None) -> bool:
+    def relinearise(
+        self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Array | None = None
+    ) -> bool:
         """Take the tangent at displacements and rates; collective. ``increment`` (n d,): Newton's, that led there."""
         if not self.field.nonlinear:
             return False
-        U, Ud = (x.copy() for x in local)
+        U, Ud = (x.copy() for x in local[:2])
         pressure = self.field.pressure_values if self.field.carried else None  # type: ignore[attr-defined]
         foretold = increment if self.foretells else None
         self._take_tangent(TangentPoint(motion.t, U, Ud, None, pressure, foretold))

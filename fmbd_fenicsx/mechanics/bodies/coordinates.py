@@ -346,9 +346,9 @@ class CoordinatePart(Part):
         n = len(motion.twist)
         return np.zeros((n, n)), np.zeros((self.n, n)), self.mass(u)
 
-    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
+    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """-df/dq and -df/dv."""
-        q, v = local
+        q, v, _ = local
         if self._tangent is not None:
             K, C = self._tangent(q, v, motion.t)
             return -np.asarray(K, dtype=float), -np.asarray(C, dtype=float)

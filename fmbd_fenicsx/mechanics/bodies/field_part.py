@@ -172,6 +172,6 @@ class FieldPart(DistributedPart):
         n = self.motions.n_twist
         return np.zeros((n, n)), np.zeros((0, n)), np.zeros((0, 0))
 
-    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
+    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """None in the core."""
         return np.zeros((0, 0)), np.zeros((0, 0))

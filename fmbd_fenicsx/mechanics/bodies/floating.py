@@ -66,7 +66,7 @@ class FloatingField(FieldPart):
         self.moment, self.inertia = np.zeros(self.field.dim), self.field.inertia
         self.shown: Bent | None = None
         self.heavier = None
-        self.second_inertia = np.zeros((self.motions.n_twist,) * 2)  # (3) of second_order, body axes
+        self.second_inertia: Array = np.zeros((self.motions.n_twist,) * 2)  # (3) of second_order, body axes
 
     def frame_lengths(self, length: float) -> Array:
         """What turns the values of the frame conditions into lengths (m): their values where the body is displaced by 1 m, or its
@@ -190,7 +190,9 @@ class FloatingField(FieldPart):
         """Number of tangents taken so far."""
         return self.field.tangents
 
-    def relinearise(self, motion: FrameMotion, local: tuple[Array, Array], increment: Array | None = None) -> bool:
+    def relinearise(
+        self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Array | None = None
+    ) -> bool:
         """Take tangent and inertia at displacements; collective.
 
         The columns of the frame's inertia M (e x P), frozen at P = X before, follow the deformed body: an attached frame
@@ -223,12 +225,10 @@ class FloatingField(FieldPart):
             bent = self.stiffening.bent(at.U)
             k = d + d * d
             A_u, B_u = f.Q.T, turning(bent[:, :k], d)
-            self.second_inertia, more = self.stiffening.second.mass_blocks(
-                self.stiffening.moments(bent, (at.U,)), A_u, B_u
-            )
+            second, moments = self.stiffening.second, self.stiffening.moments(bent, (at.U,))
+            self.second_inertia, more = second.mass_blocks(moments, A_u, B_u)
             Q += more.reshape(Q.shape)
-            J = np.linalg.inv(self.stiffening.second.J)
-            self.heavier = np.concatenate((f.Q, B_u.T), axis=1), np.block([[np.zeros_like(J), J], [J, J]])
+            self.heavier = second.own_mass(A_u, B_u)
         self.inertia_columns = Q.reshape(self.n, m.n_twist)
 
         # what the frame conditions and the ports take from it

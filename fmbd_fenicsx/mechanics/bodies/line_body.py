@@ -272,7 +272,7 @@ class LinePart(Part):
         n = len(motion.twist)
         return np.zeros((n, n)), np.zeros((self.n, n)), self.M
 
-    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
+    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Second derivative of the energy, and the damping."""
         from dolfinx import fem
 

@@ -246,7 +246,9 @@ class WiresPart(FieldPart):
         """Number of slack sets taken so far."""
         return self._tangents
 
-    def relinearise(self, motion: FrameMotion, local: tuple[Array, Array], increment: Array | None = None) -> bool:
+    def relinearise(
+        self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Array | None = None
+    ) -> bool:
         """Take the slack droppers at displacements; False when they are the same."""
         self._chosen = self._see(local[0])
         return self._chosen

@@ -210,8 +210,8 @@ class ReducedPart(Part):
             z[:, 2] += self._bent(local[1]).T @ local[1]
         return Moments.of(self._first @ self._with_shape(*local), z, self.dim)
 
-    def _acting(self, motion: FrameMotion, local: Sequence[Array]) -> Acting:
-        """(4) of :mod:`.second_order`; without u'' where local has one rate."""
+    def _acting(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> Acting:
+        """(4) of :mod:`.second_order`, for local coordinates with two rates."""
         assert motion.accel is not None
         R = motion.R
         twist, accel = self._in_body(R, motion.twist), self._in_body(R, motion.accel)
@@ -253,7 +253,7 @@ class ReducedPart(Part):
             found["damping"] = -float(rate @ c.D @ rate)
         return found
 
-    def _stress_of(self, motion: FrameMotion, local: Sequence[Array]) -> Array:
+    def _stress_of(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> Array:
         """Geometric stiffness (m, m) of the stress by the inertia forces and by loads."""
         c = self.constants
         assert c.stiffening is not None
@@ -302,11 +302,10 @@ class ReducedPart(Part):
         frame, more = self.second.mass_blocks(self._moments(bent, (u,)), A_u, B_u)
         turn = np.eye(n)
         turn[:d, :d] = motion.R
-        cross = A_u.T @ self.second.mean(B_u)
-        own = cross + cross.T + B_u.T @ self.second.mean(B_u)
-        return M + turn @ frame @ turn.T, low + more @ turn.T, self._modal_mass + own
+        V, C = self.second.own_mass(A_u, B_u)
+        return M + turn @ frame @ turn.T, low + more @ turn.T, self._modal_mass + V @ C @ V.T
 
-    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array]:
+    def stiffness_blocks(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """K and D of the modes; K with the stress of inertia forces, loads and forces on the surfaces."""
         K = self.constants.K
         if self.constants.stiffening is not None:

@@ -90,12 +90,12 @@ class SecondOrder:
     mass: float
     S0: Array
     X0: Array
-    J: Array = field(init=False)
+    inverse: Array = field(init=False)  # J^-1
 
     def __post_init__(self) -> None:
         d = len(self.S0)
         rest = Moments(self.S0[None], self.X0[None], np.zeros((1, d)), np.zeros((1, d, d)))
-        object.__setattr__(self, "J", self.columns(rest)[0])
+        object.__setattr__(self, "inverse", np.linalg.inv(self.columns(rest)[0]))
 
     def _vector(self, found: tuple[Array, Array]) -> Array:
         return np.concatenate((found[0], axial(found[1])))
@@ -105,15 +105,12 @@ class SecondOrder:
         d = len(self.S0)
         n = motions(d).n_twist
         A, B = np.zeros((n, n)), np.zeros((n, n))
-        for k, c in enumerate(np.eye(n)):
-            w = spin_matrix(c[d:])
-            A[:, k] = self._vector(z.body(self.S0, self.mass, c[:d], (w,)))
+        units: Array = np.eye(n)
+        for k in range(n):
+            v, w = units[k, :d], spin_matrix(units[k, d:])
+            A[:, k] = self._vector(z.body(self.S0, self.mass, v, (w,)))
             B[:, k] = self._vector(z.second((w,)))
         return A, B
-
-    def mean(self, x: Array) -> Array:
-        """J^-1 x."""
-        return np.asarray(np.linalg.solve(self.J, x))
 
     def acting(self, z: Moments, twist: Array, accel: Array, gravity: Array) -> Acting:
         """(4); twist, accel (n_twist,) and gravity (d,) in body axes, moments with two rates."""
@@ -124,8 +121,8 @@ class SecondOrder:
 
         g, gd = (z.body(self.S0, self.mass, *x) for x in ((v, (w, one)), (vd, (wd, w, one))))
         h, hd = (z.second(x) for x in ((w, one), (wd, w, one)))
-        e, ed = self.mean(self._vector(h)), self.mean(self._vector(hd))
-        b, bd = self.mean(self._vector(g)) + e, self.mean(self._vector(gd)) + ed
+        e, ed = self.inverse @ self._vector(h), self.inverse @ self._vector(hd)
+        b, bd = self.inverse @ self._vector(g) + e, self.inverse @ self._vector(gd) + ed
 
         a, L = ed[:d] + w @ e[:d], spin_matrix(ed[d:]) + w @ spin_matrix(e[d:])
         ab, Lb = bd[:d] + w @ b[:d] - gravity, spin_matrix(bd[d:]) + w @ spin_matrix(b[d:])
@@ -142,14 +139,18 @@ class SecondOrder:
         turns = spin_matrix(twist[d:]), np.eye(d)
         g, h = self._vector(z.body(self.S0, self.mass, twist[:d], turns)), self._vector(z.second(turns))
         A, B = self.columns(z)
-        e = self.mean(h)
-        return A.T @ e + B.T @ (self.mean(g) + e), float(g @ e + 0.5 * h @ e)
+        e = self.inverse @ h
+        return A.T @ e + B.T @ (self.inverse @ g + e), float(g @ e + 0.5 * h @ e)
 
     def mass_blocks(self, z: Moments, A_u: Array, B_u: Array) -> tuple[Array, Array]:
         """What (3) adds to the mass: (frame, frame) and (field, frame), body axes; A_u, B_u (n_twist, n): g and h of u'."""
         A, B = self.columns(z)
-        JA, JB = self.mean(A), self.mean(B)
+        JA, JB = self.inverse @ A, self.inverse @ B
         return A.T @ JB + B.T @ JA + B.T @ JB, A_u.T @ JB + B_u.T @ (JA + JB)
+
+    def own_mass(self, A_u: Array, B_u: Array) -> tuple[Array, Array]:
+        """The same for (field, field), V C V^T: V (n, k) and C (k, k)."""
+        return np.concatenate((A_u, B_u)).T, np.kron([[0.0, 1.0], [1.0, 1.0]], self.inverse)
 
 
 def turning(columns: Array, d: int) -> Array:

@@ -76,7 +76,7 @@ def modal_arrays(constants: Any, m: int, d: int) -> dict[str, Array]:
     if c.stiffening is not None:
         arrays |= {"stress": c.stiffening.transpose(0, 2, 1), "now": np.zeros((m, m)), "bent": np.zeros((d + d * d, m))}
         second = SecondOrder(c.mass, c.S[:, 0], c.T[0, 0])
-        arrays |= {"mean": np.linalg.inv(second.J), "heavy": np.zeros((4 * len(second.J), len(second.J) + m))}
+        arrays |= {"mean": second.inverse, "heavy": np.zeros((4 * len(second.inverse), len(second.inverse) + m))}
     return arrays
 
 
