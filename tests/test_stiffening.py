@@ -100,8 +100,7 @@ def test_refused_without(rod_mesh: Callable[..., Any], caplog: Any, kind: str) -
 def test_the_end_of_a_bent_column_comes_closer_and_energy_is_kept() -> None:
     """A pinned column falls sideways and pulls its slider: by int v'^2 / 2, about 2.5 times the square of the deflection.
 
-    Joint forces do no work. The stress of the column's own inertia has no potential: it costs 4.4e-4 of the elastic energy,
-    at every step size, and less for a lighter column.
+    Neither joint forces nor the stress of the column's own inertia do any work: what is left is of second order in the step.
     """
     section = fmbd.Section(EA=1e4, EI=1.0, rhoA=1.0, rhoI=1e-4)
     beam = fmbd.Beam("column", (0, 0), (1, 0), section, elements=4, modes=6, stiffening=True, attached=False)
@@ -111,11 +110,9 @@ def test_the_end_of_a_bent_column_comes_closer_and_energy_is_kept() -> None:
     scene.add(fmbd.revolute("head", slider, beam.surface("end"), center=(1, 0)))
     scene.add(fmbd.prismatic("guide", fmbd.ground, slider, center=(1, 0), axis=(1, 0)))
     scene.sensor("head", fmbd.position(slider))
-    run = fmbd.solve(
-        scene, t_end=1.0, dt=2e-3, scheme=fmbd.GeneralizedAlpha(0.9), output=fmbd.Output(estimate_error=False)
-    )
+    run = fmbd.solve(scene, t_end=1.0, dt=2e-3, scheme=fmbd.GeneralizedAlpha(0.9), output=QUIET)
     total, elastic = run.total_energy, run.energy["elastic"].max()
-    assert np.abs(total - total[0]).max() < 6e-4 * elastic
+    assert np.abs(total - total[0]).max() < 1e-5 * elastic
     # a half sine of amplitude A holds the energy pi^4 EI A^2 / 4 and is shorter by pi^2 A^2 / 4
     np.testing.assert_allclose(np.ptp(run["head"][:, 0]), elastic / np.pi**2, rtol=0.03)
 

@@ -13,19 +13,24 @@ from motion import Motion, beside, elastic_rod, elastic_scene, first, plane_scen
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError
+from fmbd_fenicsx.mechanics.placements import FrameMotion
 
 STIFFENED = ["stiffened-2", "stiffened-3", "modes-2", "modes-3"]
 CASES = ["rigid-2", "rigid-3", "mean-2", "mean-3", "attached-2", "attached-3", *STIFFENED]
 
 
-def make(case: str, mesh: Callable[..., Any], gravity: bool, spring: bool = True) -> Motion:
-    """A random motion of a scene with two bodies (and a spring between them)."""
+def make(
+    case: str, mesh: Callable[..., Any], gravity: bool, spring: bool = True, loads: tuple[Any, ...] = ()
+) -> Motion:
+    """A random motion of a scene with two bodies (and a spring between them); ``loads`` of stiffened ones."""
     kind, dim = case.split("-")
     d = int(dim)
     if kind == "rigid":
         scene, one, two = (plane_scene if d == 2 else space_scene)(*(() if gravity else (None,)))
     elif case in STIFFENED:
-        rod = elastic_rod(mesh(dim=d, h=0.5, height=0.4), degree=1, frame=fmbd.Attached("pin"), stiffening=True)
+        rod = elastic_rod(
+            mesh(dim=d, h=0.5, height=0.4), degree=1, frame=fmbd.Attached("pin"), stiffening=True, loads=loads
+        )
         scene, rod, two = beside(rod.reduced(modes=3) if kind == "modes" else rod, gravity, d)
         one = rod.surface("tip")
     else:
@@ -86,6 +91,33 @@ def test_energy_changes_by_the_power_of_the_balance(case: str, rod_mesh: Callabl
     power = s.dot(motion.at(0.0).balance(motion.a), motion.v)
     rate = first(lambda x: sum(motion.at(x).energies().values()))
     assert abs(power - rate) < 1e-8 * (abs(power) + sum(abs(e) for e in motion.at(0.0).energies().values()))
+
+
+@pytest.mark.parametrize("case", STIFFENED)
+def test_weight_is_a_dead_load(case: str, rod_mesh: Callable[..., Any]) -> None:
+    """Both act on second-order displacements, by a potential and by the stress of the load: the rows are the same."""
+    load = fmbd.loads.body_force(tuple(1000.0 * x for x in (0.5, -9.81, 2.0)[: int(case[-1])]))
+    rows = []
+    for gravity, loads in ((True, ()), (False, (load,))):
+        motion = make(case, rod_mesh, gravity, spring=False, loads=loads)
+        s, part = motion.system, motion.system.parts[0]
+        balance = motion.at(0.0).balance(motion.a)
+        rows.append(np.concatenate((s.twists(balance)[part.frame], s.local_v(balance, 0))))
+    np.testing.assert_allclose(*rows, atol=1e-11 * np.abs(rows[0]).max())
+
+
+@pytest.mark.parametrize("case", STIFFENED)
+def test_loads_that_follow_have_the_power_that_is_listed(case: str, rod_mesh: Callable[..., Any]) -> None:
+    d = int(case[-1])
+    load = fmbd.loads.traction("tip", (-2e3, 5e2, 1e3)[:d], follower=True)
+    motion = make(case, rod_mesh, True, loads=(load, fmbd.loads.body_force((10.0, 20.0, -30.0)[:d])))
+    s, ev = motion.system, motion.at(0.0)
+    power = s.dot(ev.balance(motion.a), motion.v)
+    frame = FrameMotion(ev.t, ev.rotation[0], ev.twist[0], None, s.gravity(ev.t))
+    given = s.parts[0].given(frame, ev.local(0))
+    assert given is not None and set(given) == {"loads"}
+    rate = first(lambda x: sum(motion.at(x).energies().values()))
+    assert abs(power + given["loads"] - rate) < 1e-8 * (abs(power) + abs(given["loads"]))
 
 
 @pytest.mark.parametrize("case", ["rigid-2", "rigid-3", "mean-2", "mean-3"])

@@ -26,7 +26,8 @@ The stress is that of the mean accelerations of the body: those of a frame attac
 field alone would leave the mass matrix unsymmetric by K_c u and K_ij u: fast modes of a body that swings freely then grow
 without bound.
 
-Source: Lagrange's equations of (3); Wallrapp and Schwertassek, doi:10.1002/nme.1620320818 (second-order displacements).
+Source: Lagrange's equations of (3). That motions need the shortening of a bent body, not only the stress: Kane, Ryan and
+Banerjee, Dynamics of a cantilever beam attached to a moving base, J. Guidance 10 (1987) 139-151.
 """
 
 from __future__ import annotations
