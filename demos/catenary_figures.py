@@ -123,7 +123,7 @@ def _wires(ax: Any, run: fmbd.Run, kmh: int, grow: float = 20.0, apart: float = 
         return apart * wire + float((field.row(wire, at) @ (4 * rest + grow * (u - rest)))[0])
 
     for wire, name in enumerate(("contact wire", "messenger wire")):
-        ax.plot(x, [height(wire, xi) for xi in x], color=f"C{3 * wire}", lw=1.5, label=name)
+        ax.plot(x, [height(wire, xi) for xi in x], color=("C0", "C2")[wire], lw=1.5, label=name)
     tensions = field.tension(u)[0]
     for d, N in zip(field.body.droppers, tensions, strict=True):
         if x[0] < d.x < x[-1]:

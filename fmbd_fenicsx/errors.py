@@ -11,6 +11,27 @@ from typing import Any
 
 import numpy as np
 
+__all__ = [
+    "BalanceError",
+    "CallbackError",
+    "CheckpointError",
+    "ConstraintError",
+    "ConvergenceError",
+    "FmbdError",
+    "InputError",
+    "LawError",
+    "LinearSolveError",
+    "MeshError",
+    "PartsError",
+    "StabilityError",
+    "Stopped",
+]
+
+
+def __dir__() -> list[str]:
+    """What is public here."""
+    return __all__
+
 
 class FmbdError(Exception):
     """Any error that this package raises on purpose."""

@@ -21,6 +21,14 @@ from typing import Any, NoReturn
 from .errors import FmbdError, Stopped
 from .notices import OnStandardError, write_note
 
+__all__ = ["log", "note", "say", "world_rank", "world_size"]
+
+
+def __dir__() -> list[str]:
+    """What is public here."""
+    return __all__
+
+
 log = logging.getLogger("fmbd_fenicsx")
 
 

@@ -23,6 +23,12 @@ __all__ = [
     "sheet_saint_venant_kirchhoff",
 ]
 
+
+def __dir__() -> list[str]:
+    """What is public here."""
+    return __all__
+
+
 Form = Callable[[Any, Any, Any], Any]
 
 

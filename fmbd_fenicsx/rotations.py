@@ -133,11 +133,10 @@ def tangent(theta: Array) -> Array:
 
 
 def tangent_inverse(theta: Array) -> Array:
-    """Inverse of :func:`tangent`; regular for rotation angles below 2 pi."""
+    """Inverse of :func:`tangent`; regular for rotation angles below 2 pi; also of the complex theta of a complex step."""
     t2 = (theta * theta).sum(-1)[..., None, None]
-    t = np.sqrt(t2)
-    small = t < _SMALL
-    safe = np.where(small, 1.0, t)
+    small = t2.real < _SMALL**2
+    safe = np.sqrt(np.where(small, 1.0, t2))
     # (1 - t / 2 cot(t / 2)) / t^2, by its series near zero
     c = np.where(small, 1 / 12 + t2 / 720 + t2 * t2 / 30240, (1 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2)
 

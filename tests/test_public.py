@@ -56,3 +56,11 @@ def test_mypy_knows_every_name_and_which_can_be_called(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mypy", "--follow-imports", "silent", "--cache-dir", str(tmp_path / "cache")]
     done = subprocess.run([*command, str(script)], capture_output=True, text=True, cwd=ROOT)  # noqa: PLW1510
     assert done.returncode == 0, done.stdout[-2000:]
+
+
+@pytest.mark.parametrize("name", [*SPACES, "study", "plot", "demo", "errors", "log"])
+def test_a_public_module_shows_its_own_names_alone(name: str) -> None:
+    """``dir`` and completion: nothing that it has imported for itself."""
+    module = getattr(fmbd, name)
+    assert {n for n in dir(module) if not n.startswith("__")} == set(module.__all__)
+    assert all(hasattr(module, n) for n in module.__all__)

@@ -24,6 +24,11 @@ from ..run.recording.output import Output
 __all__ = ["Check", "arguments", "film", "finish", "say", "show", "snapshots"]
 
 
+def __dir__() -> list[str]:
+    """What is public here."""
+    return __all__
+
+
 @dataclass(frozen=True)
 class Check:
     """A figure of a demo: it passes when |value - reference| <= tolerance (all in the same unit).

@@ -21,6 +21,14 @@ from .drawing.render import ARROWS, strobe
 from .drawing.scene_graph import Deforming, Drawing, Role
 from .drawing.view import Paint, View
 
+__all__ = ["REFERENCE", "STYLE", "figure", "picture", "plot_history", "plot_series", "plot_work_precision", "shapes"]
+
+
+def __dir__() -> list[str]:
+    """What is public here."""
+    return __all__
+
+
 MARKS = "osD^vP*X"
 STYLE = {
     "axes.grid": True,
@@ -33,6 +41,9 @@ STYLE = {
 }
 REFERENCE: dict[str, Any] = {"color": "0.75", "linewidth": 4.5, "linestyle": "-", "zorder": 0}
 """How an exact or finer solution is drawn: wide and grey, behind the results (``axes.plot(t, x, **REFERENCE)``)."""
+
+CROSSES: dict[str, Any] = {"color": "k", "linestyle": "", "marker": "x", "markersize": 9, "zorder": 4, "clip_on": False}
+"""How single known values are drawn: above curves and dots, whole at the end of the time axis too."""
 
 Known = Callable[[float], Any] | tuple[Any, Any]
 """What is known of a sensor: its value as a function of time (s), or (times, values) that are drawn as crosses."""
@@ -108,7 +119,7 @@ def draw_history(axes: Any, run: Run, name: str, known: Known | None = None) -> 
         # known values behind the curves, or crosses on them
         points = isinstance(known, tuple)
         t, x = known if isinstance(known, tuple) else (run.times, [known(float(t)) for t in run.times])
-        look = {"color": "k", "linestyle": "", "marker": "x", "zorder": 3} if points else REFERENCE
+        look = CROSSES if points else REFERENCE
         lines = axes.plot(t, np.reshape(x, (np.size(t), -1)), **look)
         lines[0].set_label("reference")
 
@@ -139,14 +150,16 @@ def _legend(axes: Any) -> None:
 
     # as many columns as the labels leave room for; above the title where there is one
     room = axes.get_position().width * axes.figure.get_figwidth()  # inches
-    columns = int(room / (0.5 + 0.07 * max(len(label) for label in labels)))
+    most = int(room / (0.5 + 0.07 * max(len(label) for label in labels)))
+    columns = min(max(most, 1), len(labels))
+    labels = [label for k in range(columns) for label in labels[k::columns]]  # read in rows, filled in by columns
     above = 1.0 if not axes.get_title() else 1.0 + 0.3 / (axes.get_position().height * axes.figure.get_figheight())
     axes.legend(
-        named.values(),
+        [named[label] for label in labels],
         labels,
         loc="lower left",
         bbox_to_anchor=(0.0, above),
-        ncols=min(max(columns, 1), len(labels)),
+        ncols=columns,
         borderaxespad=0.0,
         columnspacing=1.2,
     )
@@ -395,7 +408,9 @@ def _dots(axes: Any, run: Run, sensor: str, at: tuple[Sequence[Any], Sequence[An
     states, colors = at
     rows = [int(np.argmin(np.abs(run.times - s.t))) for s in states]
     for x in series_of(run, sensor)[1].T:
-        axes.scatter(run.times[rows], x[rows], c=colors, s=30, zorder=3, edgecolors="#303030", linewidths=0.6)
+        axes.scatter(
+            run.times[rows], x[rows], c=colors, s=30, zorder=3, edgecolors="#303030", linewidths=0.6, clip_on=False
+        )
 
 
 def plot_work_precision(study: Comparison, file: str | Path, work: str, title: str = "") -> None:

@@ -31,6 +31,15 @@ from ..run.variants import Variant as Variant
 from ..run.variants import Variants as Variants
 from ..run.variants import run_variants as map  # noqa: F401
 
+__all__ = ["Configuration", "OrderTable", "WorkPrecision", "aligned", "compare", "map", "markdown", "orders"]
+__all__ += ["work_precision"]
+
+
+def __dir__() -> list[str]:
+    """What is public here."""
+    return __all__
+
+
 Exact = Mapping[str, Callable[[float], Any]]
 """Sensor name -> exact value as a function of time (s)."""
 

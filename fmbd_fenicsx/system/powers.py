@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..mechanics.forces.force_elements import Loads
 from ..mechanics.placements import FrameMotion
 from ..rotations import Array
 from .evaluation import Evaluation
@@ -27,16 +28,20 @@ def unlisted(ev: Evaluation, state: State) -> list[str]:
     return [p.name for k, p in enumerate(ev.system.parts) if p.given(*_moved(ev, state, k)) is None]
 
 
+def power_of(loads: Loads, ev: Evaluation) -> Array:
+    """Power (W) that each element of a batch gives to the bodies, (m,): wrench times twist, summed over both markers."""
+    assert ev.kin.twist is not None
+    on_a, on_b = ev.asked(loads, "wrenches")
+    at_a, at_b = ev.kin.twist[loads.a], ev.kin.twist[loads.b]
+    return np.asarray((on_a * at_a).sum(1) + (on_b * at_b).sum(1))
+
+
 def _elements(ev: Evaluation) -> dict[str, float]:
     """Wrenches times twists of both markers, by the name of the force."""
     found: dict[str, float] = {}
     for loads in ev.system.forces:
-        assert ev.kin.twist is not None
-        on_a, on_b = ev.asked(loads, "wrenches")
-        given = (on_a * ev.kin.twist[loads.a]).sum(1) + (on_b * ev.kin.twist[loads.b]).sum(1)
-
         # a controller acts at several places under one name
-        for force, value in zip(loads.forces, given, strict=True):
+        for force, value in zip(loads.forces, power_of(loads, ev), strict=True):
             found[force.name] = found.get(force.name, 0.0) + float(value)
     return found
 

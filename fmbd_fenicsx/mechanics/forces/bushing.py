@@ -19,7 +19,7 @@ import numpy as np
 
 from ...checks import array, typed
 from ...errors import InputError, require
-from ...rotations import Array, Motions, hat
+from ...rotations import Array, Motions, hat, tangent_inverse
 from ..frames import Kinematics
 from ..joints.joints import dimension
 from .force_elements import Loads, MarkerTangent
@@ -45,12 +45,7 @@ def rotation_vector(R: Array) -> Array:
 
 def rotation_rate(theta: Array) -> Array:
     """Matrix J with theta' = J w for the rotation vector theta and an angular velocity w in the same axes, (..., 3, 3)."""
-    t2 = (theta * theta).sum(-1)[..., None, None]
-    small = t2.real < _SMALL
-    t = np.sqrt(np.where(small, 1.0, t2))
-    c = np.where(small, 1 / 12 + t2 / 720 + t2 * t2 / 30240, (1 - 0.5 * t / np.tan(0.5 * t)) / (t * t))
-    H = hat(theta)
-    return np.asarray(np.eye(3) - 0.5 * H + c * (H @ H))
+    return tangent_inverse(-theta)
 
 
 @dataclass(frozen=True)

@@ -138,25 +138,17 @@ def own_joint(
     dim = dimension(a, b, name)
     c = center_point(center, dim, name)
     places: tuple[Any, Any] = (c, c)
-    if point_a is not None or point_b is not None:
+    apart = point_a is not None or point_b is not None
+    if apart:
         require(center is None, f'Joint "{name}": give center, where both markers sit, or point_a and point_b.')
         given = {"point_a": point_a, "point_b": point_b}
         points = [None if x is None else vector(f'Joint "{name}": {end}', x, size=dim) for end, x in given.items()]
         places = start_place(a, points[0], dim), start_place(b, points[1], dim)
+
     way = None if axis is None else direction(axis, dim, name)
     checked_function(f'Joint "{name}": function', function, range(5), named="x_a, R_a, x_b, R_b, t")
     rows = _formula_rows(name, function, dim, places)
-    return OwnJoint(
-        name,
-        a,
-        b,
-        rows,
-        *places,
-        kind="own",
-        axis=way,
-        function=function,
-        apart=point_a is not None or point_b is not None,
-    )
+    return OwnJoint(name, a, b, rows, *places, kind="own", axis=way, function=function, apart=apart)
 
 
 def _formula_rows(name: str, function: Callable[..., Any], dim: int, places: tuple[Any, Any]) -> tuple[Row, ...]:

@@ -41,9 +41,12 @@ class Forecast:
         recent = self.taken - self.counted
         if recent < EVERY:
             return
+
         advanced, self.since, self.counted = state.t - self.since, state.t, self.taken
         if self.said or advanced <= 0:
             return
+
+        # as fast as of late up to the end
         needed = self.taken + (self.t_end - state.t) / advanced * recent
         if needed < max(MANY, TIMES * self.planned):
             return

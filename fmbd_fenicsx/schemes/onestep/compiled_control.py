@@ -43,6 +43,8 @@ class CompiledControl:
         self.norm, self.control, self.store = norm, control, Store()
         self.twin = Twin(norm.system)
         s, dim = self.twin.system, norm.system.motions.dim
+
+        # bodies whose deformations count, with the places of their coordinates
         one = structure("Deflection", dim)
         self.deflections = array_of(one, len(norm.deforming))(
             *(
@@ -55,6 +57,8 @@ class CompiledControl:
                 for k, part in norm.deforming
             )
         )
+
+        # tolerances and arrays that C works in
         work = self.store.zeros({"e": s.n_v, "y": s.n_lam, "a": s.n_v, "missed": s.n_v})
         self.c = structure("Control", dim)(
             rtol=norm.rtol, atol=norm.atol or 0.0, length=s.length, least=norm.least, floor=LEAST_ERROR, turn=TURN,

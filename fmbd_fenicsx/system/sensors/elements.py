@@ -17,6 +17,7 @@ from ...mechanics.forces.forces import Force
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
+from ..powers import power_of
 from ..system import State, System
 from .named import or_name
 from .sensors import Sensor
@@ -95,15 +96,7 @@ class ElementPower(_ElementSensor):
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Sum of wrench times twist over both markers, (1,)."""
         loads, at = find(ev.system, self.element)
-        return np.array([power(loads, ev, at)])
-
-
-def power(loads: Loads, ev: Evaluation, at: list[int]) -> float:
-    """Power (W) that some elements of a batch give to the bodies."""
-    assert ev.kin.twist is not None
-    on_a, on_b = ev.asked(loads, "wrenches")
-    given = (on_a * ev.kin.twist[loads.a]).sum(1) + (on_b * ev.kin.twist[loads.b]).sum(1)
-    return float(given[at].sum())
+        return np.array([power_of(loads, ev)[at].sum()])
 
 
 def _element(what: str, element: Any, *, scalar: bool = False) -> Force:

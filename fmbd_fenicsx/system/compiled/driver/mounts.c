@@ -51,8 +51,7 @@ static void rotation_vector(const double *R, double *theta)
 /* The matrix from angular velocities in the axes of marker a to the rate of the rotation vector theta. */
 static void rotation_rate(const double *theta, double *rate)
 {
-    double H[9], HH[9], c, t2 = dot(theta, theta, 3);
-    c = t2 < 1e-4 ? 1.0 / 12 + t2 * (1.0 / 720 + t2 / 30240) : (1 - 0.5 * sqrt(t2) / tan(0.5 * sqrt(t2))) / t2;
+    double H[9], HH[9], c = half_cotangent(dot(theta, theta, 3));
     hat(theta, H);
     product(H, H, HH);
     for (int i = 0; i < 9; i++) rate[i] = (i % 4 == 0) - 0.5 * H[i] + c * HH[i];
@@ -137,7 +136,7 @@ double mount_energy(const System *s, const Batch *k)
 }
 
 #if DIM == 3
-/* c of the matrix in rotation_vector as a function of the square of the angle, and its derivative. */
+/* half_cotangent and its derivative by the square of the angle, which needs a longer series. */
 static double curl(double square, double *slope)
 {
     if (square < 1e-2) {

@@ -105,13 +105,19 @@ static void compose(const double *q0, const double *xi, double *q)
     for (int i = 3; i < 7; i++) q[i] /= norm;
 }
 
+/* (1 - t / 2 cot(t / 2)) / t^2 as a function of the square of the angle, by its series near zero. */
+static double half_cotangent(double t2)
+{
+    double half = 0.5 * sqrt(t2);
+    return t2 < 1e-4 ? 1.0 / 12 + t2 / 720 + t2 * t2 / 30240 : (1 - half / tan(half)) / t2;
+}
+
 /* increment of xi for the twist increment x of one frame: (x_r, T(xi)^-1 x_w) */
 static void rate_of(const double *xi, double *x)
 {
     const double *w = xi + 3;
-    double t2 = dot(w, w, 3), t = sqrt(t2), u[3], uu[3], c;
+    double u[3], uu[3], c = half_cotangent(dot(w, w, 3));
 
-    c = t < 1e-2 ? 1.0 / 12 + t2 / 720 + t2 * t2 / 30240 : (1 - 0.5 * t / tan(0.5 * t)) / t2;
     moment(w, x + 3, u);
     moment(w, u, uu);
     for (int i = 0; i < 3; i++) x[3 + i] += 0.5 * u[i] + c * uu[i];
