@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -127,3 +128,24 @@ def test_files_and_functions_are_short(path: Path) -> None:
 def test_every_module_says_what_it_is_for() -> None:
     bare = [str(p) for p in MODULES if not ast.get_docstring(ast.parse(p.read_text()))]
     assert not bare
+
+
+def test_modules_named_in_texts_exist() -> None:
+    """In docstrings as ``:mod:`.name```, in comments of C and on pages by their files; tables of old mutants keep old names."""
+    sources = [*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.[ch]")]
+    known = {str(path.relative_to(PACKAGE)) for path in sources}
+    missing = []
+
+    for path in sources:
+        for dots, name in re.findall(r":mod:`~?(\.+)([\w.]+)`", path.read_text()):
+            place = path.parents[len(dots) - 1] / name.replace(".", "/")
+            if not (place.is_dir() or place.with_suffix(".py").exists()):
+                missing.append(f"{path.name}: {dots}{name}")
+
+    pages = [page for page in (PACKAGE.parent / "docs").glob("*.md") if page.name != "mutations.md"]
+    for path in (*PACKAGE.rglob("*.[ch]"), *pages):
+        folders = "run|schemes|linear|system|mechanics|fem|post|analysis"
+        for name in re.findall(rf"(?<![\w/.])((?:{folders})/[\w/]+\.(?:py|c|h))\b", path.read_text()):
+            if name not in known:
+                missing.append(f"{path.name}: {name}")
+    assert not missing

@@ -16,7 +16,7 @@ from ..rotations import Array
 
 
 class Factor:
-    """cm M + ck K of a field, factored; collective to build, to solve and to destroy. Not judged: see :mod:`.linear.spd`."""
+    """cm M + ck K of a field, factored; collective to build, solve and destroy. Unjudged, see :mod:`..linear.blocks.spd`."""
 
     def __init__(self, field: Any, cm: float, ck: float, cd: float = 0.0) -> None:
         from petsc4py import PETSc

@@ -9,7 +9,7 @@ by GMRES (K need not be symmetric: follower forces), preconditioned by
 
     S~ = blockdiag(S~_i) + W W^T                                                                                     (2)
 
-with the fractional operators S~_i of :mod:`.precondition` on the surfaces of each tie, and W W^T what the rows see of the
+with the fractional operators S~_i of :mod:`.saddle.precondition` on the surfaces of each tie, and W W^T what the rows see of the
 motion of all bodies as rigid ones, held by the other constraints: it connects the ties, and keeps counts flat in chains.
 """
 
@@ -180,7 +180,7 @@ class IteratedMultipliers:
 
 
 class SceneTies:
-    """The ties of a system as :mod:`.precondition` wants to see them."""
+    """The ties of a system as :mod:`.saddle.precondition` wants to see them."""
 
     def __init__(self, system: System, weights: Any) -> None:
         self.comm = system.comm

@@ -1,10 +1,10 @@
 """Constant steps, made in parts where a whole one fails: one mechanism for all schemes.
 
 A step whose Newton iteration or linear solve fails is made in two halves, these again in halves, down to 1/64. So is one that
-gains energy from nothing (:mod:`.guard`), down to 1/1024; all later steps are then made in parts of that size. Recorded states
-stay on the grid of whole steps. A scheme remembers accelerations, past values or predictors of one step size, so before each
-change of size its worker is made anew from the consistent state nearest to the present one, as at the start of a run. Workers
-of schemes whose rule holds for steps of any size go on as they are: with contact (its forces are their memory), RATTLE,
+gains energy from nothing (:mod:`.judges.energy_check`), down to 1/1024; all later steps are then made in parts of that size.
+Recorded states stay on the grid of whole steps. A scheme remembers accelerations, past values or predictors of one step size, so
+before each change of size its worker is made anew from the consistent state nearest to the present one, as at the start of a run.
+Workers of schemes whose rule holds for steps of any size go on as they are: with contact (its forces are their memory), RATTLE,
 energy-momentum (which conserves).
 """
 

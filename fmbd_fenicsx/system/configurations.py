@@ -2,7 +2,8 @@
 
 A configuration q holds the poses of all frames, then the counted angles, then the coordinates of the parts. An increment xi is
 an array like v. q o exp(xi) turns each frame by the rotation vector in its own axes, carries the counted angles along (by any
-number of turns, :mod:`~.joints.counted`) and adds what belongs to the parts. Leading axes of the arrays are many configurations.
+number of turns, :mod:`..mechanics.joints.counted`) and adds what belongs to the parts. Leading axes of the
+arrays are many configurations.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
 A state is four flat arrays: configuration q, velocity v, acceleration a, multipliers lambda. v and a hold the *core*, equal on
 every rank (the twists of all frames, then the coordinates of small parts such as reduced bodies), then the local
 coordinates of each elastic field (this rank's nodes); q holds poses instead of twists, and after them the counted angles
-(:mod:`~.joints.counted`), which have no increments of their own. lambda holds the rows of the joints,
+(:mod:`..mechanics.joints.counted`), which have no increments of their own. lambda holds the rows of the joints,
 then the frame conditions of the elastic bodies; it is replicated. Velocities are quasi-velocities: angular velocities in
 body axes.
 """
@@ -118,7 +118,7 @@ class System:
 
     @cached_property
     def curved(self) -> tuple[tuple[int, Any], ...]:
-        """Parts whose ports are of second order in their coordinates, with their numbers (:mod:`~.reduction.foreshortening`)."""
+        """Parts whose ports are of second order, with their numbers (:mod:`..mechanics.reduction.foreshortening`)."""
         return tuple((k, p) for k, p in enumerate(self.parts) if p.shortening is not None)
 
     @cached_property

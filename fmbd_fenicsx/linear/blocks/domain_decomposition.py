@@ -10,7 +10,7 @@ cells. BDDC (Dohrmann, doi:10.1137/S1064827502412887) then needs a bounded numbe
 
 solved by conjugate gradients on the interfaces (the dual problem, in the manner of FETI: Farhat and Roux,
 doi:10.1002/nme.1620320604). With inertia no subdomain floats. Meshes need not match. The preconditioner is the fractional one
-of :mod:`.precondition` with its coarse term of rigid motions.
+of :mod:`..saddle.precondition` with its coarse term of rigid motions.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ so that with forces ds = V y + s_0 and tests Z (V without the cone's slope mu), 
 
 on normal forces of closed points, both tangential forces where they stick and one where they slip (3D). It is not symmetric
 (friction has no potential); GMRES solves it to 1e-3, which makes Newton's iteration linear with this factor, at the products
-that one accurate solve would need. With the sparse P ~ W^-1 of :mod:`.delassus_applied` its preconditioner is the solution of
+that one accurate solve would need. With the sparse P ~ W^-1 of :mod:`.delassus_matrix_free` its preconditioner is the solution of
 
     P w = V y,     Z^T w + D y = r                                                                          (3)
 

@@ -120,7 +120,7 @@ def strain_energy(system: System) -> float:
 
 
 class Guarded(TimeStepper):
-    """A stepper with error control under guard: told to start again from before. Constant steps: :mod:`.step_bisection`."""
+    """A stepper with error control under guard: told to start again from before. Constant steps: :mod:`..step_bisection`."""
 
     keeps: ClassVar = {"stepper": worker, "watch": worker, "largest": plain(), "local_error": plain()}
 

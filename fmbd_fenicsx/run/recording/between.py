@@ -1,8 +1,8 @@
 """States between the ends of a step: what a run records at given times.
 
 A scheme whose steps are polynomials gives their values (:meth:`.TimeStepper.between`). Otherwise positions follow the cubic
-through the ends with their velocities, and all else straight lines (:mod:`.dense_output`), all of at least second order in the
-step. Contact forces are those of the step: the mean over it.
+through the ends with their velocities, and all else straight lines (:mod:`...schemes.dense_output`), all of at least second
+order in the step. Contact forces are those of the step: the mean over it.
 """
 
 from __future__ import annotations

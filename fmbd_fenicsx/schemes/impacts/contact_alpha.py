@@ -3,7 +3,7 @@
     M a + h + G^T lambda - N^T Lambda = 0,   g = 0,   0 <= Lambda _|_ gap >= 0     at t_n+1                 (1)
     v_n+1 <- v_n+1 + A^-1 N^T P,   0 <= P _|_ N v_n+1 >= 0   for the contacts that are closed               (2)
 
-(1) is the step of :mod:`.generalized_alpha` with unilateral rows beside the joints; (2) removes the approach velocity
+(1) is the step of :mod:`..onestep.generalized_alpha` with unilateral rows beside the joints; (2) removes the approach velocity
 of closed contacts (lambda g' = 0, persistency), in the metric A of the step. Contact nodes carry no inertia, so
 Lambda is bounded and the recursion of accelerations stays smooth; rigid impacts belong to :mod:`.moreau`. Energy is
 damped at high frequencies and at impacts; see :mod:`.contact_midpoint` for the rule that conserves it.

@@ -3,7 +3,7 @@
     q_n+1 = q_n o cay(h w),   w = (v_n + v_n+1) / 2,     M (v_n+1 - v_n) / h + f_dg + G_dg^T lambda = 0,   g(q_n+1) = 0     (1)
 
 cay is the Cayley map, so that R_n+1 - R_n = h (R_n + R_n+1) / 2 w~; displacements u of absolute bodies move by h w. All
-markers are taken at the mean of their old and new positions and rotations with exact Jacobians, see :mod:`.mean`; then
+markers are taken at the mean of their old and new positions and rotations with exact Jacobians (:mod:`.discrete_gradient`); then
 
     spring      N_dg = mean of N(s) from s_n to s_n+1, along rows whose product with h w is s_n+1 - s_n                     (2)
     constraint  h G_dg w = g_n+1 - g_n: mean rows, plus a correction along M w where g is not of second order               (3)

@@ -65,7 +65,7 @@ class Sensor:
         return self.unit
 
     def remember(self, m: Any, name: str, x: Array) -> Array:
-        """A series of it, (n, size), in a checkpoint; see :mod:`.memory`."""
+        """A series of it, (n, size), in a checkpoint; see :mod:`..serialisation`."""
         return np.asarray(m(name, x))
 
     @property

@@ -41,7 +41,7 @@ static int lingers(const double *p, int done, double left)
     return done > 1 && left > 1.0 && -log(left) / log(p[THETA]) > p[NEW_TANGENT];
 }
 
-/* Whether a step gained energy from nothing, as run/energy_check.py; frames are placed. */
+/* Whether a step gained energy from nothing, as run/judges/energy_check.py; frames are placed. */
 static int gained(System *s, double *p, const Block *now)
 {
     double e[4], energy, motion;

@@ -51,7 +51,7 @@ static void reaction(const System *s, const Reaction *o, const double *lam, doub
     for (int i = 0; i < ROT; i++) wrench[D + i] -= turning[i];
 }
 
-/* Largest coordinate of a frame, its angle as a length, and of what is counted: see run/acceptance.py. */
+/* Largest coordinate of a frame, its angle as a length, and of what is counted: see run/judges/acceptance.py. */
 static double far_from_origin(const System *s, const double *q, double length)
 {
     double place = 0.0, angle = D == 2 ? 0.0 : 1.0, counted = 0.0;
