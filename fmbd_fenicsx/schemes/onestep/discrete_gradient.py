@@ -135,11 +135,6 @@ class Mean(Evaluation):
         if s.rigid is not None:
             core[s.rigid.frame] += s.rigid.force(self.twist, accel, g)
 
-        poses = (self.ends[0].pose, self.ends[1].pose)
-        for elements in s.elements:
-            for frames, values in elements.mean_forces(self.t, poses, self.twist, self.h):
-                np.add.at(core, frames, values)
-
         rows = []
         for k, p in s.core_parts:
             motion = FrameMotion(self.t, self.rotation[p.frame], self.twist[p.frame], accel[p.frame], g)
@@ -147,16 +142,29 @@ class Mean(Evaluation):
             core[p.frame] += sums
             rows.append(own)
 
-        out = np.concatenate((core[:-1].ravel(), *rows))
+        applied, port = self._applied
+        out = np.concatenate((core[:-1].ravel(), *rows)) + applied
+        if s.n_lam:
+            out += np.asarray(self.jacobian.core.T @ lam)
+            port = port + np.asarray(self.jacobian.port.T @ lam)
+        return out, port
+
+    @cached_property
+    def _applied(self) -> tuple[Array, Array]:
+        """What of :meth:`small` depends on neither accelerations nor multipliers: forces of rods, springs and loads."""
+        s = self.system
+        core, out = np.zeros((s.n_frames + 1, s.motions.n_twist)), np.zeros(s.n_core)
+        poses = (self.ends[0].pose, self.ends[1].pose)
+        for elements in s.elements:
+            for frames, values in elements.mean_forces(self.t, poses, self.twist, self.h):
+                np.add.at(core, frames, values)
+        out[: core[:-1].size] = core[:-1].ravel()
+
         port = np.zeros(s.n_port)
         if s.forces:
             push, pull = self.on_ports(self.wrenches())
             port -= pull
             out -= np.concatenate((push, *(p.port_force(pull[s.port_slice(k)], self.t) for k, p in s.core_parts)))
-
-        if s.n_lam:
-            out += np.asarray(self.jacobian.core.T @ lam)
-            port += np.asarray(self.jacobian.port.T @ lam)
         return out, port
 
     def moved(self) -> Array:

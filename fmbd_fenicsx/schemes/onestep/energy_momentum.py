@@ -53,12 +53,15 @@ from ..consistent import accelerations
 from ..newton import Newton
 from ..stepping import TimeStepper
 from .discrete_gradient import GradientEnd, Mean
+from .past_means import PastMeans
 
 SLOW = 0.1  # rate of Newton's iteration above which a new tangent is taken
 SINGULAR = 1e-14  # singular values of the scaled tangent below this share belong to rows that depend on each other
 DIFFERENCE = 1e-7
 NEAR = 12  # further iterations where the tangent is not exact
 ZERO = 1e-13  # an increment of this size is roundoff
+NOTHING = float(np.finfo(float).eps)  # of accelerations, or of positions: an increment of this size is none at all
+FASTEST = 1e-5  # rate that is counted on at most, where the next increment is told from those made
 ENOUGH = 1e-9  # last increment of accelerations, over their size
 ROUNDOFF = 1e-12  # an increment that moves positions by this share of the model's length is none that further ones could improve
 LARGE = 0.5  # rad that a body turns in a step: the Cayley map lags by 2 %
@@ -113,11 +116,12 @@ def _rate(history: list[float]) -> float:
     return history[-1] / max(history[-2], 1e-300) if len(history) > 1 else 0.0
 
 
-def _over(history: list[float]) -> bool:
-    """Whether increments are at roundoff, fall no more close to it, or have diverged."""
-    last = history[-1]
+def _over(history: list[float], nothing: float) -> bool:
+    """Whether increments are at roundoff, fall no more close to it, have diverged, or the next one would be ``nothing``."""
+    last, rate = history[-1], max(_rate(history), FASTEST)
     stalled = len(history) > 2 and last <= 1e-10 and last > 0.2 * history[-2]
-    return last <= ZERO or stalled or not np.isfinite(last)
+    reached = len(history) > 1 and last <= ENOUGH and rate <= SLOW and rate * last <= nothing
+    return last <= ZERO or reached or stalled or not np.isfinite(last)
 
 
 class EnergyMomentumStepper(TimeStepper):
@@ -125,7 +129,8 @@ class EnergyMomentumStepper(TimeStepper):
 
     keeps: ClassVar = {
         "state": Memory.state,
-        **dict.fromkeys(("_last", "_kept", "counters"), plain()),
+        **dict.fromkeys(("_kept", "counters"), plain()),
+        "past": worker,
         "fields": worker,
     }
     counters: dict[str, float] = {}
@@ -140,7 +145,7 @@ class EnergyMomentumStepper(TimeStepper):
         self.ports = np.zeros(0, int) if self.fields is None else self.fields.used
         self.n = system.n_core
         self.n_q = system.n_q - (system.n_v - system.n_core)
-        self._last = state.a[: self.n], state.lam  # means over the last step
+        self.past = PastMeans(state.t, state.a[: self.n], state.lam)
         self.counters = {}
         self._kept: tuple[float, Array] | None = None  # step and tangent, where Newton converges well with an old one
         self._warned = False  # of large turns
@@ -151,16 +156,20 @@ class EnergyMomentumStepper(TimeStepper):
         self._g_old = old.constraint()
         if self.fields is not None:
             self.fields.begin(self.state, h)
-        y = np.concatenate((self._last[0], self._port_values(), self._last[1]))
+        a, lam = self.past.predicted(self.state.t + 0.5 * h)
+        y = np.concatenate((a, self._port_values(), lam))
         size = self._size(h)
         weights = self.system.units[: self.n] / size
-        roundoff = ROUNDOFF * self.system.length / (size * h**2)  # much, of slow motion in small steps
+        far = self.system.length / (size * h**2)  # much, of slow motion in small steps
+        roundoff = ROUNDOFF * far
+        nothing = NOTHING * (4.0 if self.fields is not None else max(far, 4.0))  # increments of fields are ways already
 
         J = self._kept[1] if self._kept is not None and self._kept[0] == h else None
         exact = J is None and not self._prepare(h, y)  # whether differences have to give the tangent
         history: list[float] = []
         worst = 0.0  # rate of convergence
         age = 0 if J is None else 1  # increments by the tangent of a scene with fields
+        again = False  # whether the matrix of the middle was taken anew
 
         for _ in range(self.newton.max_iterations + NEAR if self.fields is None else WITH_FIELDS):
             r = self._residual(h, y, old)
@@ -183,10 +192,10 @@ class EnergyMomentumStepper(TimeStepper):
                 break
             # a tangent that does not serve any more is taken anew; a near one that serves at once is kept
             if rate > SLOW and (J is not None or above_roundoff):
-                J, exact = None, True
+                J, exact, again = None, again or not self._prepare(h, y), True
             elif len(history) == 1 and self._kept is None and self.fields is None:
                 J = None
-            if _over(history) and not old_tangent:
+            if _over(history, nothing) and not old_tangent:
                 break
 
         if not history[-1] <= max(ENOUGH, roundoff):
@@ -194,7 +203,7 @@ class EnergyMomentumStepper(TimeStepper):
         settled = min(rate, 0.9)  # what further increments would add
         self.newton.note(settled / (1 - settled) * history[-1] / self.newton.tolerance)
         self._kept = (h, J) if J is not None and worst < 0.5 * SLOW else None
-        return self._take(h, y)
+        return self._take(h, y, weights)
 
     def _failure(self, h: float, history: list[float]) -> ConvergenceError:
         """The error of a step whose iteration failed."""
@@ -282,8 +291,8 @@ class EnergyMomentumStepper(TimeStepper):
         self._change = float(np.abs(weights * da).max(initial=0.0))
         return np.concatenate((y[: self.n] + da, y[self.n :] + dlam))
 
-    def _take(self, h: float, y: Array) -> State:
-        """The state at the end of the step, its accelerations and multipliers solved for."""
+    def _take(self, h: float, y: Array, weights: Array) -> State:
+        """The state at the end of the step, its accelerations and multipliers solved for; ``weights``: of accelerations."""
         s, n = self.state, self.n
         means = y[n + len(self.ports) :]
         v_core, q_core, w, _ = self._motion(h, y[:n])
@@ -299,7 +308,7 @@ class EnergyMomentumStepper(TimeStepper):
         # of multipliers with the same forces the smallest
         if self.solver.core.redundant:
             means = least(self.solver, self.system.at(made.t, q), means)
-        self._last = y[:n], means
+        self.past.take((s.t + 0.5 * h, y[:n], means), weights)
         return self.state
 
     def _motion(self, h: float, a: Array) -> tuple[Array, Array, Array, Array]:
