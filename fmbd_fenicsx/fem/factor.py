@@ -1,7 +1,8 @@
 """Factors of the elastic matrices cm M + ck K: Cholesky for displacement forms, LDL^T for displacement and pressure.
 
-CHOLMOD on one rank, MUMPS on several, both through PETSc; symmetric indefinite matrices always by MUMPS. The factor is kept,
-the matrix is freed. A mixed field is factored with its pressure, which stays inside: right-hand sides and solutions are
+CHOLMOD on one rank, through PETSc; on several ranks each factors its own substructure by it (:mod:`.substructures`), or MUMPS
+factors all, where the interface is too large for that. Symmetric indefinite matrices always by MUMPS. The factor is kept, the
+matrix is freed. A mixed field is factored with its pressure, which stays inside: right-hand sides and solutions are
 displacements.
 """
 
@@ -13,6 +14,8 @@ import numpy as np
 
 from ..errors import LinearSolveError
 from ..rotations import Array
+from .partial_factor import IndefiniteError
+from .substructures import Substructures, worthwhile_interface
 
 
 class Factor:
@@ -25,39 +28,37 @@ class Factor:
         E = field.combination(cm, ck, cd)
         definite = not (field.mixed or field.indefinite)
         try:
-            ksp = factored(E, definite)
-        except PETSc.Error as error:
+            self.factor = direct(E, field.dim, definite)
+        except IndefiniteError as error:
             if not (definite and field.nonlinear):
                 raise LinearSolveError(
                     f'Body "{field.name}": the elastic block cm M + ck K (cm = {cm:.3g}, ck = {ck:.3g}) could not be factored '
-                    f"(PETSc error {error.ierr}). Check density and moduli for their signs and units."
+                    f"({error}). Check density and moduli for their signs and units."
                 ) from error
             field.indefinite = True  # LDL^T from now on: Cholesky factorisations that fail leave memory behind
-            ksp = factored(E, False)
-        pc = ksp.getPC()
-        self.factor = pc.getFactorMatrix()
-        self.factor.incRef()
-        self._x, self._b = E.createVecs()
-        self._rows = E.getSizes()[0]
+            self.factor = direct(E, field.dim, False)
+        self._rows = E.getSizes()[0][0]
         self.norm = float(E.norm(PETSc.NormType.NORM_INFINITY))
         self._n = field.n * field.dim
-        ksp.destroy()
-        self._E = E if field.mixed else None
-        if not field.mixed:
+        self._E, self._x, self._b = None, None, None
+        if field.mixed:
+            self._E = E
+            self._x, self._b = E.createVecs()
+        else:
             E.destroy()
 
     def _solve(self, b: Array) -> Array:
         """Solution with the pressure, where there is one."""
-        self._b.array[self._n :] = 0.0
-        self._b.array[: self._n] = b
-        self.factor.solve(self._b, self._x)
-        x = np.array(self._x.array)
+        x = self.factor.solve(self._with_pressure(b))
         if self._E is not None:  # one refinement: pivots of the pressure are small
-            r = self._residual(x, b)
-            self._b.array[:] = r
-            self.factor.solve(self._b, self._x)
-            x -= self._x.array
+            x -= self.factor.solve(self._residual(x, b))
         return x
+
+    def _with_pressure(self, b: Array) -> Array:
+        """Loads (n d,) or (n d, k) with zeros for the rows of the pressure."""
+        if len(b) == self._rows:
+            return b
+        return np.concatenate((b, np.zeros((self._rows - len(b), *b.shape[1:]))))
 
     def solve(self, b: Array) -> Array:
         """E^-1 b on owned displacements."""
@@ -86,28 +87,69 @@ class Factor:
 
     def solve_columns(self, B: Array) -> tuple[Array, list[Array]]:
         """E^-1 B for dense columns (n d, k), all at once, and the residual of each column."""
-        from petsc4py import PETSc
-
-        k = B.shape[1]
-        if k == 0:
+        if not B.shape[1]:
             return B.copy(), []
-        rhs = PETSc.Mat().createDense((self._rows, (None, k)), comm=self.field.comm)
-        rhs.setUp()
-        out = PETSc.Mat().createDense((self._rows, (None, k)), comm=self.field.comm)
-        out.setUp()
-        rhs.getDenseArray()[: self._n] = B
-        rhs.getDenseArray()[self._n :] = 0.0
-        rhs.assemble()
-        out.assemble()
-        self.factor.matSolve(rhs, out)
-        X = np.array(out.getDenseArray())
-        rhs.destroy()
-        out.destroy()
-        return X[: self._n], [self._residual(X[:, j], B[:, j]) for j in range(k)]
+        X = self.factor.solve(self._with_pressure(B))
+        return X[: self._n], [self._residual(x, b) for x, b in zip(X.T, B.T, strict=True)]
 
     def destroy(self) -> None:
         """Free the factor; collective."""
-        for obj in (self.factor, self._x, self._b, *([] if self._E is None else [self._E])):
+        for obj in (self.factor, *([] if self._E is None else [self._E, self._x, self._b])):
+            obj.destroy()
+
+
+def direct(E: Any, dim: int, definite: bool) -> Any:
+    """What solves with E by a factor: by substructures on several ranks where E is definite, else by PETSc; collective.
+
+    Raises:
+        IndefiniteError: there is none.
+    """
+    if definite and E.getComm().size > 1:
+        interface = worthwhile_interface(E, dim)
+        if interface is not None:
+            return Substructures(E, dim, interface)
+    return PetscFactor(E, definite)
+
+
+class PetscFactor:
+    """A factor of E by PETSc; collective to build, to solve and to destroy."""
+
+    def __init__(self, E: Any, definite: bool) -> None:
+        from petsc4py import PETSc
+
+        try:
+            ksp = factored(E, definite)
+        except PETSc.Error as error:
+            raise IndefiniteError(f"PETSc error {error.ierr}") from error
+        self.matrix = ksp.getPC().getFactorMatrix()
+        self.matrix.incRef()
+        self._x, self._b = E.createVecs()
+        ksp.destroy()
+
+    def solve(self, B: Array) -> Array:
+        """E^-1 B on this rank's rows, (n,) or (n, k)."""
+        if B.ndim == 2:
+            return self._solve_columns(B)
+        self._b.array[:] = B
+        self.matrix.solve(self._b, self._x)
+        return np.array(self._x.array)
+
+    def _solve_columns(self, B: Array) -> Array:
+        from petsc4py import PETSc
+
+        n, k = B.shape
+        rhs, out = (PETSc.Mat().createDense(((n, None), (None, k)), comm=self.matrix.getComm()) for _ in range(2))
+        rhs.setUp(), out.setUp()
+        rhs.getDenseArray()[:] = B
+        rhs.assemble(), out.assemble()
+        self.matrix.matSolve(rhs, out)
+        X = np.array(out.getDenseArray())
+        rhs.destroy(), out.destroy()
+        return X
+
+    def destroy(self) -> None:
+        """Free the factor; collective."""
+        for obj in (self.matrix, self._x, self._b):
             obj.destroy()
 
 

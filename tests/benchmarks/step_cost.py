@@ -91,7 +91,7 @@ def whole(unknowns: int, ramp: float = 0.5) -> dict[str, float]:
     stepper.advance(STEP)
     solves, iterations = solver.back_solves, newton.iterations
     steps, backs = [], []
-    factor = solver.blocks[0].factor.factor.factor
+    factor = solver.blocks[0].factor.factor.factor.matrix
     x, b = factor.createVecs()
     b.array[:] = np.random.default_rng(0).standard_normal(b.local_size)
     for _ in range(30):
