@@ -15,11 +15,14 @@ import numpy as np
 from ..errors import LinearSolveError
 from ..rotations import Array
 from .partial_factor import IndefiniteError
-from .substructures import Substructures, worthwhile_interface
+from .substructures import substructured
 
 
 class Factor:
-    """cm M + ck K of a field, factored; collective to build, solve and destroy. Unjudged, see :mod:`..linear.blocks.spd`."""
+    """cm M + ck K of a field, factored; collective to build, solve and destroy. Unjudged, see :mod:`..linear.blocks.spd`.
+
+    ``how``: by what, in words.
+    """
 
     def __init__(self, field: Any, cm: float, ck: float, cd: float = 0.0) -> None:
         from petsc4py import PETSc
@@ -37,6 +40,7 @@ class Factor:
                 ) from error
             field.indefinite = True  # LDL^T from now on: Cholesky factorisations that fail leave memory behind
             self.factor = direct(E, field.dim, False)
+        self.how: str = self.factor.how
         self._rows = E.getSizes()[0][0]
         self.norm = float(E.norm(PETSc.NormType.NORM_INFINITY))
         self._n = field.n * field.dim
@@ -101,22 +105,26 @@ class Factor:
 def direct(E: Any, dim: int, definite: bool) -> Any:
     """What solves with E by a factor: by substructures on several ranks where E is definite, else by PETSc; collective.
 
+    Its ``how`` says in words which it is.
+
     Raises:
         IndefiniteError: there is none.
     """
-    if definite and E.getComm().size > 1:
-        interface = worthwhile_interface(E, dim)
-        if interface is not None:
-            return Substructures(E, dim, interface)
-    return PetscFactor(E, definite)
+    if not definite:
+        return PetscFactor(E, definite, "MUMPS, LDL^T of an indefinite matrix")
+    if E.getComm().size == 1:
+        return PetscFactor(E, definite, "CHOLMOD")
+    made, why = substructured(E, dim)
+    return PetscFactor(E, definite, f"MUMPS, as {why}") if made is None else made
 
 
 class PetscFactor:
-    """A factor of E by PETSc; collective to build, to solve and to destroy."""
+    """A factor of E by PETSc; collective to build, to solve and to destroy. ``how``: in words."""
 
-    def __init__(self, E: Any, definite: bool) -> None:
+    def __init__(self, E: Any, definite: bool, how: str) -> None:
         from petsc4py import PETSc
 
+        self.how = how
         try:
             ksp = factored(E, definite)
         except PETSc.Error as error:

@@ -39,28 +39,35 @@ class Substructures:
     def __init__(self, A: Any, dim: int, interface: Array) -> None:
         self.comm = A.getComm().tompi4py()
         G = (dim * interface[:, None] + np.arange(dim)).ravel()
-        low, high = A.getOwnershipRange()
-        own = np.arange(low, high)
-        rows = _rows(A)
+        self.how = f"CHOLMOD on each of {self.comm.size} ranks, a dense matrix of {len(G)} unknowns on their interface"
 
         # unknowns of this rank: within, and on the interface; those of the interface by their place in it
+        low, high = A.getOwnershipRange()
+        own = np.arange(low, high)
         on = np.isin(own, G, assume_unique=True)
         self.within, self.held = np.flatnonzero(~on), np.flatnonzero(on)
         self.places = np.searchsorted(G, own[on])
-        AGG = _gathered(self.comm, rows[self.held][:, G], self.places)
+        csr = A.getValuesCSR()
+        AGG = self._interface_matrix(G, *_rows(csr, self.held))
 
-        # what the interior touches
-        of_interior = rows[self.within]
-        AIG = of_interior[:, G].tocsc()
-        touched = np.flatnonzero(np.diff(AIG.indptr).reshape(-1, dim).sum(axis=1).repeat(dim))
+        # columns of the lower triangle of (1): rows of the interior, and what of the interface it touches
         m = len(self.within)
-        local = sp.bmat(
-            [[of_interior[:, own[~on]], None], [AIG[:, touched].T, AGG[touched][:, touched]]], format="csc"
-        )
+        counts, columns, values = _rows(csr, self.within)
+        local = np.where(on, -1, np.cumsum(~on) - 1)[np.clip(columns - low, 0, len(own) - 1)] if m else columns
+        outside = (local < 0) | (columns < low) | (columns >= high)
+        there = np.searchsorted(G, columns[outside])
+        touched = (dim * np.unique(there // dim)[:, None] + np.arange(dim)).ravel()
+        local[outside] = m + np.searchsorted(touched, there)
+        corner = AGG[touched][:, touched]
+
+        first = np.concatenate(([0], np.cumsum(np.concatenate((counts, np.diff(corner.indptr))))))
+        rows = np.concatenate((local, m + corner.indices))
+        n = m + len(touched)
+        lower = sp.csc_matrix((np.concatenate((values, corner.data)), rows, first), (n, n))
 
         self._made, error = None, None
         try:
-            self._made = PartialFactor(local, m, dim) if m else None
+            self._made = PartialFactor(lower, m, dim) if m else None
         except IndefiniteError as found:
             error = found
         self._together(error)
@@ -70,13 +77,22 @@ class Substructures:
         if self._made is not None:
             self.last, self.LG = m + self._made.last, self._made.LG
             self.touched = touched[self._made.last]
-            S[np.ix_(self.touched, self.touched)] = _square(self.LG) - AGG[self.touched][:, self.touched].toarray()
+            corner = corner[self._made.last][:, self._made.last]
+            S[np.ix_(self.touched, self.touched)] = _square(self.LG) - corner.toarray()
         S = AGG.toarray() + self._sum(S)
         try:
             self.S = sl.cho_factor(S, lower=True, overwrite_a=True, check_finite=False)
         except np.linalg.LinAlgError:
             error = IndefiniteError("its interface is not positive definite")
         self._together(error)
+
+    def _interface_matrix(self, G: Array, counts: Array, columns: Array, values: Array) -> sp.csr_matrix:
+        """A_GG on all ranks, from the rows that each holds of it; collective."""
+        place = np.minimum(np.searchsorted(G, columns), max(len(G) - 1, 0))
+        of_it = G[place] == columns if len(G) else np.zeros(0, dtype=bool)
+        parts = self.comm.allgather((self.places.repeat(counts)[of_it], place[of_it], values[of_it]))
+        i, j, x = (np.concatenate(some) for some in zip(*parts, strict=True))
+        return sp.csr_matrix((x, (i, j)), (len(G), len(G)))
 
     def _sum(self, x: Array) -> Array:
         """Sum over the ranks, of large arrays."""
@@ -121,16 +137,22 @@ class Substructures:
         self._made = None
 
 
-def worthwhile_interface(A: Any, dim: int) -> Array | None:
-    """The nodes of the interface of a matrix where it is small enough, and where all ranks have CHOLMOD; collective.
+def substructured(A: Any, dim: int) -> tuple[Substructures | None, str]:
+    """The factor (1) where it pays, else None and the reason; collective.
 
-    Its dense factor costs |G|^3 / 3 operations on each rank, sparse ones of thick bodies in space some 20 n^2 on all ranks.
+    The dense matrix costs |G|^3 / 3 operations on each rank, the sparse ones of a thick body in space some 20 n^2 on all ranks.
+
+    Raises:
+        IndefiniteError: the matrix is not positive definite; on all ranks.
     """
     comm = A.getComm().tompi4py()
     if not all(comm.allgather(library() is not None)):
-        return None
+        return None, "CHOLMOD cannot be called"
     interface = separator(A, dim)
-    return interface if (dim * len(interface)) ** 3 <= DENSE * float(A.getSize()[0]) ** 2 else None
+    size = dim * len(interface)
+    if size**3 > DENSE * A.getSize()[0] ** 2:
+        return None, f"the interface of {comm.size} ranks has {size} of {A.getSize()[0]} unknowns"
+    return Substructures(A, dim, interface), ""
 
 
 def _square(L: Array) -> Array:
@@ -140,19 +162,12 @@ def _square(L: Array) -> Array:
     return half + np.tril(half, -1).T
 
 
-def _rows(A: Any) -> sp.csr_matrix:
-    """This rank's rows of a PETSc matrix, with the columns of all ranks."""
-    first, columns, values = A.getValuesCSR()
-    return sp.csr_matrix((values, columns, first), (len(first) - 1, A.getSize()[1]))
-
-
-def _gathered(comm: Any, part: sp.csr_matrix, places: Array) -> sp.csr_matrix:
-    """The square matrix whose rows ``places`` each rank has; collective."""
-    part = part.tocoo()
-    parts = comm.allgather((places[part.row], part.col, part.data))
-    i, j, values = (np.concatenate(x) for x in zip(*parts, strict=True))
-    n = part.shape[1]
-    return sp.csr_matrix((values, (i, j)), (n, n))
+def _rows(csr: tuple[Array, Array, Array], which: Array) -> tuple[Array, Array, Array]:
+    """Some rows: how many entries each has, their columns and values."""
+    first, columns, values = csr
+    counts = np.diff(first)[which]
+    at = _spans(first[which], counts)
+    return counts, columns[at].astype(np.int64), values[at]
 
 
 def separator(A: Any, dim: int) -> Array:
@@ -165,13 +180,10 @@ def separator(A: Any, dim: int) -> Array:
     starts = A.getOwnershipRanges() // dim
 
     # couplings of own nodes to those of later ranks; a node's first row has them all
-    first, columns, _ = A.getValuesCSR()
-    counts = np.diff(first)[::dim]
-    mine = np.repeat(np.arange(low, high), counts)
-    other = columns.reshape(-1)[_spans(first[:-1][::dim], counts)] // dim
-    cut = other >= high
-    pairs = np.unique(np.stack((mine[cut], other[cut]), axis=1), axis=0) if cut.any() else np.zeros((0, 2), dtype=np.int64)
-    pairs = np.concatenate(comm.allgather(pairs.astype(np.int64)))
+    counts, columns, _ = _rows(A.getValuesCSR(), np.arange(0, dim * (high - low), dim))
+    pairs = np.stack((np.repeat(np.arange(low, high), counts), columns // dim), axis=1)
+    pairs = np.unique(pairs[pairs[:, 1] >= high], axis=0)
+    pairs = np.concatenate(comm.allgather(pairs))
 
     ranks = np.searchsorted(starts, pairs, side="right") - 1
     found = np.zeros(0, dtype=np.int64)

@@ -226,6 +226,7 @@ def _plan(run: Run) -> list[str]:
     return [
         *_entry("plan: unknowns", listed),
         *(_entry("in the plane", plane) if plane else []),
+        *(_entry("elastic blocks", "; ".join(plan.solvers)) if plan.solvers else []),
         *_entry("constant", ", ".join(plan.constant) or "nothing"),
         *_entry("left out", ", ".join(plan.left_out) or "nothing"),
     ]

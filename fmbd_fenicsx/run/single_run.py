@@ -53,7 +53,8 @@ class Solved:
 
 @dataclass(frozen=True)
 class FinishedMarch:
-    """A march that is over: what it solved from which start, its counts, the joints whose reactions are not unique.
+    """A march that is over: what it solved from which start, its counts, the joints whose reactions are not unique, by what
+    elastic blocks were solved.
 
     ``times``: of the clock when the run began, when its start was found, and at its end, s. ``exit_code``: where it stops.
     """
@@ -63,6 +64,7 @@ class FinishedMarch:
     start: ConsistentStart
     counters: dict[str, float]
     undetermined: list[str]
+    methods: dict[str, str]
     times: tuple[float, float, float]
     exit_code: int | None
 
@@ -132,7 +134,8 @@ def _finished(
     warn_of_doubts(task.scene, solver, marched.recorder, counters)
     warn_of_turning_rows(solver, task.scheme, (start.state, marched.state), task.schedule.next(0.0))
     code = None if keeper is None else keeper.exit_code
-    return FinishedMarch(marched, problem, start, counters, undetermined, (*clocks, ended), code)
+    methods = solver.elastic.methods
+    return FinishedMarch(marched, problem, start, counters, undetermined, methods, (*clocks, ended), code)
 
 
 def _run(task: Task, built: Built, finished: FinishedMarch) -> Run:
@@ -143,7 +146,7 @@ def _run(task: Task, built: Built, finished: FinishedMarch) -> Run:
     return Run(
         scene=task.scene,
         scheme=task.scheme,
-        plan=make_plan(task.scene, system, marched.path),
+        plan=make_plan(task.scene, system, marched.path, finished.methods),
         system=system,
         state=marched.state,
         dt=marched.state.t / max(marched.done, 1),

@@ -79,6 +79,7 @@ class FieldBlocks:
         self.kept = 1
         self.factorisations = 0
         self.retired_solves: list[int] = []  # of factors that have been freed
+        self.methods: dict[str, str] = {}  # by what the block of a body was solved last, in words
         self._sets: dict[tuple[Any, ...], list[FactoredField]] = {}
 
     # -- counts -------------------------------------------------------------------------------------------------
@@ -141,6 +142,7 @@ class FieldBlocks:
             factor = HeavierFactor(factor, V, matrix.cm * C, part.field.total)
         if not earlier and matrix.ck != 0:
             self.factorisations += factor.fresh
+            self.methods[part.name] = factor.how
 
         used = self._used_ports(k, part, G, ties_apart)
         H = np.concatenate((part.inertia_columns, part.port_columns(used, G.t)), axis=1)

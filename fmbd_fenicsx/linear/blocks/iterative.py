@@ -46,6 +46,7 @@ class ConjugateGradients(FieldFactor):
         if ksp.getPC().getType() == "mg":
             E.convert("baij")  # products with blocks are twice as fast; the coarse level is made already
         ksp.setUp()
+        self.how = f"conjugate gradients with {ksp.getPC().getType()}"
         check_options(prefix, field.comm)
         self.E = E
         self.x, self.b = E.createVecs()

@@ -35,6 +35,7 @@ class SlackFactor(FieldFactor):
             made[cm, ck] = (base, base.solve_columns(field.B.T.toarray()))
 
         self.base, Y = made[cm, ck]
+        self.how = self.base.how
         self.judge = Judge(f'the wires of body "{field.name}"')
         self.field, self.weights = field, (cm, ck)
         self.B, self.Y = field.B[slack], Y[:, slack]

@@ -29,11 +29,12 @@ SMALL = 50_000  # unknowns of a field on one rank whose masses are factored
 class FieldFactor:
     """What solves with the matrix of one field; every solve is judged by its own true residual. Collective.
 
-    ``iterations``: of an inner Krylov method so far. ``fresh``: False where an earlier factorisation serves. ``hidden``: share
+    ``how``: by what, in words. ``iterations``: of an inner Krylov method so far. ``fresh``: False where an earlier factorisation serves. ``hidden``: share
     of the inertia forces of a rigid motion that the roundoff of elastic forces may have, of nonlinear bodies that turn.
     """
 
     judge: Judge
+    how = ""
     iterations = 0
     fresh = True
     hidden = 0.0
@@ -79,6 +80,7 @@ class CholeskyFactor(FieldFactor):
         self.field, self.cm, self.ck = field, cm, ck
         self.judge = Judge(f'the elastic block of body "{field.name}"')
         self.factor = Factor(field, cm, ck, cd)
+        self.how = self.factor.how
         if not (turns and field.nonlinear):
             return
         # a rigid motion of one metre has the inertia force m, and the roundoff eps |E| sqrt(n) of elastic forces that cancel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ...mechanics.bodies.line_body import LineBody
@@ -11,24 +12,33 @@ from .scene import Scene
 
 @dataclass(frozen=True)
 class Plan:
-    """Lists of what a run has (name, size), what stays constant during it, and what it does without; who makes the steps."""
+    """Lists of what a run has (name, size), what stays constant during it, and what it does without; who makes the steps.
+
+    ``solvers``: by what the elastic blocks are solved, with the names of the bodies where they differ; empty before a run.
+    """
 
     unknowns: tuple[tuple[str, int], ...]
     constant: tuple[str, ...]
     left_out: tuple[str, ...]
     path: str = "NumPy"
+    solvers: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         width = max((len(n) for n, _ in self.unknowns), default=0)
         lines = ["plan"]
         lines += [f"  {n:<{width}}  {k:>9}" for n, k in self.unknowns]
         lines += [f"  constant: {', '.join(self.constant)}", f"  left out: {', '.join(self.left_out)}"]
+        lines += [f"  elastic blocks by {how}" for how in self.solvers]
         lines += [f"  steps: {self.path}"]
         return "\n".join(lines)
 
 
-def make_plan(scene: Scene, system: System, path: str = "NumPy") -> Plan:
-    """Derive the plan from the scene, its system and the path its steps take; no computation."""
+def make_plan(
+    scene: Scene, system: System, path: str = "NumPy", methods: Mapping[str, str] | None = None
+) -> Plan:
+    """Derive the plan from the scene, its system, the path its steps take and what solves the blocks of bodies (by name); no
+    computation.
+    """
     reduced = [b for b in scene.bodies.values() if b.modal]
     modes = [(f"{b.name}: modes", b.constants.n_modes) for b in reduced]
     unknowns = [("frames", system.n_core - sum(n for _, n in modes)), *modes]
@@ -70,4 +80,12 @@ def make_plan(scene: Scene, system: System, path: str = "NumPy") -> Plan:
     if not scene.ties:
         left.append("field multipliers")
 
-    return Plan(tuple(unknowns), tuple(constant), tuple(left), path)
+    return Plan(tuple(unknowns), tuple(constant), tuple(left), path, _solvers(methods or {}))
+
+
+def _solvers(methods: Mapping[str, str]) -> tuple[str, ...]:
+    """The methods, each once, with the bodies it serves where there are several."""
+    different = sorted(set(methods.values()))
+    if len(different) <= 1:
+        return tuple(different)
+    return tuple(f"{how}: " + ", ".join(name for name, by in methods.items() if by == how) for how in different)
