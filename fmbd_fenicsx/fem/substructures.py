@@ -157,6 +157,8 @@ def substructured(A: Any, dim: int) -> tuple[Substructures | None, str]:
 
 def _square(L: Array) -> Array:
     """L L^T of a lower triangle, (n, n), by LAPACK's product for upper ones."""
+    if not len(L):
+        return L
     upper, _ = sl.lapack.dlauum(L[::-1, ::-1], lower=0)
     half = np.triu(upper)[::-1, ::-1]
     return half + np.tril(half, -1).T
