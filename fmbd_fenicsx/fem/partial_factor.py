@@ -77,7 +77,12 @@ def _header_folder() -> Path | None:
 
     config = petsc4py.get_config()
     petsc = Path(config["PETSC_DIR"])
-    folders = (petsc / config.get("PETSC_ARCH", "") / "include", petsc / "include", Path(sys.prefix) / "include", Path("/usr/include"))
+    folders = (
+        petsc / config.get("PETSC_ARCH", "") / "include",
+        petsc / "include",
+        Path(sys.prefix) / "include",
+        Path("/usr/include"),
+    )
     names = ("suitesparse/cholmod.h", "cholmod.h")
     return next((folder for folder in folders if any((folder / name).is_file() for name in names)), None)
 
@@ -99,7 +104,9 @@ class PartialFactor:
     def __init__(self, A: sp.csc_matrix, interior: int, dim: int) -> None:
         self.n, self._library = A.shape[0], library()
         first, rows, values = _columns(A)
-        order = np.ascontiguousarray((dim * best_order(_nodes(A, dim), interior // dim)[:, None] + np.arange(dim)).ravel())
+        order = np.ascontiguousarray(
+            (dim * best_order(_nodes(A, dim), interior // dim)[:, None] + np.arange(dim)).ravel()
+        )
 
         status = ctypes.c_int(0)
         pointers = [x.ctypes.data for x in (first, rows, values, order)]
@@ -150,7 +157,9 @@ def best_order(pattern: sp.csc_matrix, interior: int) -> Array:
 def _order_of(pattern: sp.csc_matrix, sets: Array | None, order: Array) -> bool:
     first, rows, _ = _columns(pattern)
     given = 0 if sets is None else sets.ctypes.data
-    return bool(library().fill_reducing_order(pattern.shape[0], first.ctypes.data, rows.ctypes.data, given, order.ctypes.data))
+    return bool(
+        library().fill_reducing_order(pattern.shape[0], first.ctypes.data, rows.ctypes.data, given, order.ctypes.data)
+    )
 
 
 def _fill(pattern: sp.csc_matrix, order: Array) -> float:

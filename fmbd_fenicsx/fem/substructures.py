@@ -23,7 +23,6 @@ import scipy.sparse.csgraph as graph
 from ..rotations import Array
 from .partial_factor import IndefiniteError, PartialFactor, library
 
-
 DENSE = 10.0  # |G|^3 / n^2: 2 for a cube of any size on two ranks, 18 on four
 
 

@@ -29,8 +29,9 @@ SMALL = 50_000  # unknowns of a field on one rank whose masses are factored
 class FieldFactor:
     """What solves with the matrix of one field; every solve is judged by its own true residual. Collective.
 
-    ``how``: by what, in words. ``iterations``: of an inner Krylov method so far. ``fresh``: False where an earlier factorisation serves. ``hidden``: share
-    of the inertia forces of a rigid motion that the roundoff of elastic forces may have, of nonlinear bodies that turn.
+    ``how``: by what, in words. ``iterations``: of an inner Krylov method so far. ``fresh``: False where an earlier factorisation
+    serves. ``hidden``: share of the inertia forces of a rigid motion that the roundoff of elastic forces may have, of nonlinear
+    bodies that turn.
     """
 
     judge: Judge

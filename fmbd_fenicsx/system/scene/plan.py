@@ -33,9 +33,7 @@ class Plan:
         return "\n".join(lines)
 
 
-def make_plan(
-    scene: Scene, system: System, path: str = "NumPy", methods: Mapping[str, str] | None = None
-) -> Plan:
+def make_plan(scene: Scene, system: System, path: str = "NumPy", methods: Mapping[str, str] | None = None) -> Plan:
     """Derive the plan from the scene, its system, the path its steps take and what solves the blocks of bodies (by name); no
     computation.
     """
