@@ -44,9 +44,8 @@ class Factor:
         self._rows = E.getSizes()[0][0]
         self.norm = float(E.norm(PETSc.NormType.NORM_INFINITY))
         self._n = field.n * field.dim
-        self._E, self._x, self._b = None, None, None
+        self._E: Any = E if field.mixed else None
         if field.mixed:
-            self._E = E
             self._x, self._b = E.createVecs()
         else:
             E.destroy()
@@ -94,7 +93,7 @@ class Factor:
         if not B.shape[1]:
             return B.copy(), []
         X = self.factor.solve(self._with_pressure(B))
-        return X[: self._n], [self._residual(x, b) for x, b in zip(X.T, B.T, strict=True)]
+        return X[: self._n], [self._residual(X[:, j], B[:, j]) for j in range(B.shape[1])]
 
     def destroy(self) -> None:
         """Free the factor; collective."""

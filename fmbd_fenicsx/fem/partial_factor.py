@@ -129,7 +129,7 @@ class PartialFactor:
         self._made = None
 
 
-def best_order(pattern: sp.csc_matrix, interior: int) -> Array:
+def best_order(pattern: sp.csc_matrix, interior: int) -> np.ndarray:
     """The order of least fill among some, those from ``interior`` on last, (n,).
 
     Nested dissection suits thick bodies, minimum degree flat ones; slender bodies are best taken from one end to the other, so
@@ -154,7 +154,7 @@ def best_order(pattern: sp.csc_matrix, interior: int) -> Array:
     return min(candidates, key=lambda order: _fill(pattern, order))
 
 
-def _order_of(pattern: sp.csc_matrix, sets: Array | None, order: Array) -> bool:
+def _order_of(pattern: sp.csc_matrix, sets: np.ndarray | None, order: np.ndarray) -> bool:
     first, rows, _ = _columns(pattern)
     given = 0 if sets is None else sets.ctypes.data
     return bool(
@@ -162,7 +162,7 @@ def _order_of(pattern: sp.csc_matrix, sets: Array | None, order: Array) -> bool:
     )
 
 
-def _fill(pattern: sp.csc_matrix, order: Array) -> float:
+def _fill(pattern: sp.csc_matrix, order: np.ndarray) -> float:
     """Entries of the factor in an order."""
     first, rows, _ = _columns(pattern)
     order = np.ascontiguousarray(order)
@@ -170,7 +170,7 @@ def _fill(pattern: sp.csc_matrix, order: Array) -> float:
     return float(found) if found >= 0 else np.inf
 
 
-def _columns(A: sp.csc_matrix) -> tuple[Array, Array, Array]:
+def _columns(A: sp.csc_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return A.indptr.astype(np.int64), A.indices.astype(np.int64), np.ascontiguousarray(A.data, dtype=float)
 
 

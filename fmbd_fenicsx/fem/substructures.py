@@ -35,7 +35,7 @@ class Substructures:
         IndefiniteError: the matrix is not positive definite; on all ranks.
     """
 
-    def __init__(self, A: Any, dim: int, interface: Array) -> None:
+    def __init__(self, A: Any, dim: int, interface: np.ndarray) -> None:
         self.comm = A.getComm().tompi4py()
         G = (dim * interface[:, None] + np.arange(dim)).ravel()
         self.how = f"CHOLMOD on each of {self.comm.size} ranks, a dense matrix of {len(G)} unknowns on their interface"
@@ -85,7 +85,7 @@ class Substructures:
             error = IndefiniteError("its interface is not positive definite")
         self._together(error)
 
-    def _interface_matrix(self, G: Array, counts: Array, columns: Array, values: Array) -> sp.csr_matrix:
+    def _interface_matrix(self, G: np.ndarray, counts: np.ndarray, columns: np.ndarray, values: Array) -> sp.csr_matrix:
         """A_GG on all ranks, from the rows that each holds of it; collective."""
         place = np.minimum(np.searchsorted(G, columns), max(len(G) - 1, 0))
         of_it = G[place] == columns if len(G) else np.zeros(0, dtype=bool)
@@ -163,7 +163,7 @@ def _square(L: Array) -> Array:
     return half + np.tril(half, -1).T
 
 
-def _rows(csr: tuple[Array, Array, Array], which: Array) -> tuple[Array, Array, Array]:
+def _rows(csr: tuple[np.ndarray, np.ndarray, Array], which: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array]:
     """Some rows: how many entries each has, their columns and values."""
     first, columns, values = csr
     counts = np.diff(first)[which]
@@ -171,7 +171,7 @@ def _rows(csr: tuple[Array, Array, Array], which: Array) -> tuple[Array, Array, 
     return counts, columns[at].astype(np.int64), values[at]
 
 
-def separator(A: Any, dim: int) -> Array:
+def separator(A: Any, dim: int) -> np.ndarray:
     """Sorted numbers of nodes without which no rank's nodes are coupled to another's, the same on all ranks; collective.
 
     Of each pair of ranks they are the fewest that touch all couplings: a minimum vertex cover, by Koenig's theorem.
@@ -187,7 +187,7 @@ def separator(A: Any, dim: int) -> Array:
     pairs = np.concatenate(comm.allgather(pairs))
 
     ranks = np.searchsorted(starts, pairs, side="right") - 1
-    found = np.zeros(0, dtype=np.int64)
+    found: np.ndarray = np.zeros(0, dtype=np.int64)
     for pair in np.unique(ranks, axis=0):
         between = pairs[(ranks == pair).all(axis=1)]
         open_ones = between[~np.isin(between, found).any(axis=1)]
@@ -195,13 +195,13 @@ def separator(A: Any, dim: int) -> Array:
     return found
 
 
-def _spans(first: Array, counts: Array) -> Array:
+def _spans(first: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """All numbers first[i], .., first[i] + counts[i] - 1."""
     ends = np.cumsum(counts)
     return np.arange(ends[-1] if len(ends) else 0) + np.repeat(first - (ends - counts), counts)
 
 
-def _cover(pairs: Array) -> Array:
+def _cover(pairs: np.ndarray) -> np.ndarray:
     """Fewest numbers of which each pair (left, right) has one."""
     if not len(pairs):
         return pairs.ravel()
