@@ -10,32 +10,102 @@ from typing import Any
 import numpy as np
 import pytest
 from dae_problems import pendulum
+from tolerance_more import MORE
 from tolerance_scenes import CASES, MESHES, TIMES, check
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, PartsError
 from fmbd_fenicsx.materials import neo_hookean
 from fmbd_fenicsx.run import single_run
-from fmbd_fenicsx.run.accuracy import estimates, next_attempt, shared_runs, tolerance
+from fmbd_fenicsx.run.accuracy import companion_runs, estimates, next_attempt, shared_runs, tolerance
+from fmbd_fenicsx.run.accuracy.certificate import moving
 from fmbd_fenicsx.run.schedule import StepSchedule
 
 QUICK = ("pendulum", "mass on spring", "clamped beam", "spin-up")
+EVERY = {**CASES, **MORE}
 CALLS = [
-    pytest.param(name, k, id=f"{name}, {tol:g}", marks=[] if name in QUICK else pytest.mark.slow)
-    for name, case in CASES.items()
-    for k, tol in enumerate(case.tolerances)
+    pytest.param(
+        name, k, id=f"{name}, {'coarse' if k == 0 else 'fine'}", marks=[] if name in QUICK else pytest.mark.slow
+    )
+    for name, case in EVERY.items()
+    for k in range(2)
 ]
 
 
 @pytest.mark.parametrize(("name", "k"), CALLS)
 def test_a_tolerance_is_kept(name: str, k: int) -> None:
     """Stated below, and truly below; what is stated is no more than a few times the truth would be if errors added up."""
-    case = CASES[name]
-    found = check(name, case.tolerances[k], case.reference(case, np.linspace(0.0, case.t_end, TIMES)))
+    case = EVERY[name]
+    found = check(name, case.tolerances[k], case.reference(case, np.linspace(0.0, case.t_end, TIMES)), EVERY)
     print(found)
     assert found.ok, found
     assert found.stated <= found.tol
     assert found.attempts <= 3
+
+
+def marches(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """What marches are asked for from now on: scheme, schedule, output."""
+    made, march = [], single_run.march
+
+    def noted(problem: Any, solver: Any, schedule: Any, output: Any, *rest: Any) -> Any:
+        made.append(SimpleNamespace(scheme=problem.scheme, steps=schedule.steps, output=output))
+        return march(problem, solver, schedule, output, *rest)
+
+    for module in (companion_runs, single_run):
+        monkeypatch.setattr(module, "march", noted)
+    return made
+
+
+def test_an_order_that_is_not_needed_is_not_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where half of the order of the scheme would do, one run with twice the step is enough, and states no nonsense."""
+    case, made = CASES["top"], marches(monkeypatch)
+    times = np.linspace(0.0, case.t_end, TIMES)
+    output = fmbd.Output(times=tuple(times), progress=False)
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={"centre": 1e-2}, output=output)
+    assert [x.steps for x in made] == [100, 50] and np.isnan(run.observed_order["centre"])
+    monkeypatch.undo()
+    true = float(np.abs(run["centre"] - case.reference(case, times)).max())
+    assert 0.5 < run.certificate["centre"].total / true < 3.0
+    fine = fmbd.solve(case.scene(), t_end=case.t_end, tol={"centre": 2e-3})
+    assert fine.observed_order["centre"] == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("tol", "tenth"), [(1e-3, False), (1e-4, True)])
+def test_a_looser_run_tells_errors_of_controlled_steps(
+    tol: float, tenth: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten times the tolerance, at a hundred instants at most; a tenth of it only where that leaves it open."""
+    case, made = CASES["pendulum, Radau"], marches(monkeypatch)
+    times = tuple(np.linspace(0.0, case.t_end, 501))
+    output = fmbd.Output(times=times, energy=False, progress=False)
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={"x": tol}, output=output, **case.settings)
+    rtols = [x.scheme.rtol for x in made]
+    np.testing.assert_allclose(rtols, [1e-4, 1e-3, 1e-5] if tenth else [1e-4, 1e-3])
+    assert len(run.times) == 501 and all(len(x.output.times) <= 100 for x in made[1:])
+    true = float(np.abs(run["x"] - case.reference(case, np.array(times))).max())
+    assert true <= tol and 0.5 < run.certificate["x"].total / true < 3.0
+
+
+def test_a_run_in_finer_spaces_that_does_not_end_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Smaller steps are tried once; then the search ends with the reason, and not with one about corners."""
+
+    def fails(*given: Any) -> Any:
+        raise ConvergenceError("the beam folds")
+
+    monkeypatch.setattr(shared_runs, "run_like", fails)
+    case = CASES["clamped beam"]
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={"tip": 1e-3}, output=fmbd.Output(progress=False))
+    first, last = run.history
+    assert first.then == "finer steps" and last.step < first.step
+    assert "the beam folds" in last.then and "the beam folds" in run.certificate.unstated["space"]
+
+
+def test_one_rule_tells_whether_a_sensor_moves() -> None:
+    """Roundoff of places is no motion of a gap; of a sensor with a unit of its own it is."""
+    x = np.array([[0.0], [1e-12]])
+    series = {"gap": x, "place": x + 1.0, "slide": 1e4 * x, "angle": x}
+    sensors = {n: SimpleNamespace(unit="rad" if n == "angle" else "m") for n in series}
+    assert set(moving(series, sensors)) == {"slide", "angle"}
 
 
 def test_meshes_are_looked_at_with_few_steps() -> None:
@@ -43,7 +113,7 @@ def test_meshes_are_looked_at_with_few_steps() -> None:
     case = CASES["near-incompressible block"]
     run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: case.tolerances[1]})
     first, look, last = run.history
-    assert look.step >= 3.9 * first.step and look.then == "finer meshes" and look.worst > 0.6
+    assert look.step >= 3.9 * last.step and look.then == "finer meshes" and look.worst > 0.6
     assert (first.meshes, look.meshes, last.meshes) == (0, 1, 2) and last.then == "done"
 
 
@@ -82,17 +152,10 @@ def test_far_larger_steps_tell_the_error_where_the_order_is_seen(monkeypatch: py
 @pytest.mark.parametrize("tol", [1e-4, 1e-5])
 def test_all_attempts_together_take_few_steps(monkeypatch: pytest.MonkeyPatch, tol: float) -> None:
     """An earlier attempt tells the error of the last one: all runs together take at most 1.7 times the steps of the last."""
-    taken = []
-    march = single_run.march
-
-    def counted(problem: Any, solver: Any, schedule: Any, *rest: Any, **more: Any) -> Any:
-        taken.append(schedule.steps)
-        return march(problem, solver, schedule, *rest, **more)
-
-    for module in (estimates, single_run):
-        monkeypatch.setattr(module, "march", counted)
+    made = marches(monkeypatch)
     run = fmbd.solve(pendulum(), t_end=2.0, tol={"x": tol}, output=fmbd.Output(every=7))
     steps = run.counters["steps"]
+    taken = [x.steps for x in made]
     assert sum(taken) <= 1.7 * steps, taken
     assert run.observed_order["x"] == pytest.approx(2.0, abs=0.1)
 
@@ -190,7 +253,7 @@ def test_runs_with_many_steps_in_parts_end_early(monkeypatch: pytest.MonkeyPatch
     solved = shared.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 48), output)
     assert not solved.run.counters["halved_steps"]
     with pytest.raises(PartsError, match="of 24"):
-        estimates.again(solved.problem, solved.compared.schedule, 24, None)
+        companion_runs.again(solved.problem, solved.compared.schedule, 24, None)
 
     # some parts cost less than smaller steps throughout; more are a matter of the scene, not of the tolerance
     coarse = fmbd.solve(scene, t_end=1.0, dt=1 / 20, output=output)
@@ -244,7 +307,7 @@ def test_no_run_is_made_twice(name: str, k: int, spaces: int, monkeypatch: pytes
         finer.append(finer_scene(scene))
         return finer[-1]
 
-    for module in (estimates, single_run):
+    for module in (companion_runs, single_run):
         monkeypatch.setattr(module, "march", noted)
     monkeypatch.setattr(shared_runs, "finer_scene", counted)
     run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: case.tolerances[k]})

@@ -14,7 +14,7 @@ from ..log import peak_memory
 from ..schemes.newton import Newton
 from ..system.scene.plan import make_plan
 from ..system.scene.scene import Scene
-from .accuracy.estimates import Compared
+from .accuracy.companion_runs import Compared
 from .built import Built, ConsistentStart
 from .doubts import warn_of_doubts
 from .judges.rank_advice import advise_on_ranks
@@ -93,7 +93,7 @@ def run_once(
     run = _run(task, built, finished)
     if run.status == "stopped":
         raise Stopped(run) if finished.exit_code is None else Stopped(run, finished.exit_code)
-    return Solved(run, problem, Compared(finished.march.recorder, task.schedule))
+    return Solved(run, problem, Compared(finished.march.recorder, task.schedule, task.scheme))
 
 
 def _problem(task: Task, built: Built, solver: StepSolver, start: ConsistentStart) -> Problem:

@@ -8,6 +8,7 @@ Wang, Juettler, Zheng and Liu, doi:10.1145/1330511.1330513); a twist angle (rad)
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from ...rotations import Array
 FINEST = 4096  # intervals up to which a curve is resolved
 SMOOTH = 1e-10  # of the length: what the last doubling may still change
 SHARPEST = np.radians(60.0)  # turn between neighbouring chords above which points make a kink
+CLOSE = 4 * float(np.finfo(float).eps)  # of a parameter: roundoff
+ALONG = 1024  # places at which axes are carried along
 GAUSS_U, GAUSS_W = np.polynomial.legendre.leggauss(6)
 
 
@@ -160,7 +163,9 @@ class Curve:
             inside = self._u[k][:, None] + half[:, None] * (1 + GAUSS_U)
             found = self._s[k] + half * (np.linalg.norm(self._slope(inside), axis=-1) @ GAUSS_W)
 
-            u = np.clip(u - (found - s) / np.linalg.norm(self._slope(u), axis=-1), 0.0, 1.0)
+            before, u = u, np.clip(u - (found - s) / np.linalg.norm(self._slope(u), axis=-1), 0.0, 1.0)
+            if np.abs(u - before).max(initial=0.0) <= CLOSE:
+                break
         return u
 
     def at(self, s: Array) -> tuple[Array, Array]:
@@ -188,8 +193,8 @@ class Curve:
     # -- axes -----------------------------------------------------------------------------------------------------
     def axes(self, s: Array, normal: Any = None, twist: Callable[[float], float] | None = None) -> Array:
         """Rotation matrices (n, 3, 3) of the sections at ascending arc lengths s, columns axis 1, 2, 3."""
-        _, t = self.at(s)
-        across = self._carried(s) if normal is None else self._directed(s, t, normal)
+        x, t = self.at(s)
+        across = self._carried(s, x, t) if normal is None else self._directed(s, t, normal)
 
         if twist is not None:
             angle = np.array([float(twist(float(x))) for x in s])
@@ -223,10 +228,20 @@ class Curve:
 
         return np.asarray(part / size[:, None])
 
-    def _carried(self, s: Array) -> Array:
-        """Axis 2 carried along without twist, from the world axis most across the curve's start (y before z before x)."""
-        fine = np.unique(np.concatenate((np.linspace(0.0, self.length, 1024), s)))
-        x, t = self.at(fine)
+    def _carried(self, s: Array, x: Array, t: Array) -> Array:
+        """Axis 2 at arc lengths s, points x and tangents t, carried along without twist."""
+        places, points, tangents, carried = self._transport
+        k = np.clip(np.searchsorted(places, s, side="right") - 1, 0, len(places) - 1)
+        found = np.einsum("nij,nj->ni", _reflections(points[k], tangents[k], x, t), carried[k])
+        return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
+
+    @cached_property
+    def _transport(self) -> tuple[Array, Array, Array, Array]:
+        """Places (n,), points and tangents all along the curve, and axis 2 there, each (n, 3): from the world axis most
+        across the curve's start (y before z before x).
+        """
+        places = np.linspace(0.0, self.length, ALONG)
+        x, t = self.at(places)
 
         # rounded, so that ties are broken by the order and not by roundoff
         order = np.array([1, 2, 0])
@@ -234,10 +249,7 @@ class Curve:
         first = np.eye(3)[order[int(np.argmin(along))]]
         across = first - (first @ t[0]) * t[0]
         across /= np.linalg.norm(across)
-
-        turns = _products(_reflections(x, t))
-        carried: Array = turns[np.searchsorted(fine, s)] @ across
-        return carried / np.linalg.norm(carried, axis=1, keepdims=True)
+        return places, x, t, _products(_reflections(x[:-1], t[:-1], x[1:], t[1:])) @ across
 
 
 def _products(steps: Array) -> Array:
@@ -250,9 +262,9 @@ def _products(steps: Array) -> Array:
     return found
 
 
-def _reflections(x: Array, t: Array) -> Array:
-    """Steps of the double reflection (n - 1, 3, 3): what carries a direction from each of the points x (n, 3) to the next, t
-    (n, 3) the tangents there.
+def _reflections(x: Array, t: Array, y: Array, u: Array) -> Array:
+    """Steps of the double reflection (n, 3, 3): what carries a direction from each of the points x (n, 3) to that of y (n, 3), t
+    and u (n, 3) the tangents there.
     """
 
     def across(normal: Array) -> Array:
@@ -261,9 +273,9 @@ def _reflections(x: Array, t: Array) -> Array:
         share = np.divide(2.0, square, out=np.zeros_like(square), where=square > 0)
         return np.eye(3) - share[:, None, None] * normal[:, :, None] * normal[:, None, :]
 
-    first = across(x[1:] - x[:-1])
-    second = across(t[1:] - np.einsum("nij,nj->ni", first, t[:-1]))
+    first = across(y - x)
+    second = across(u - np.einsum("nij,nj->ni", first, t))
 
     # roundoff along the tangent is taken away
-    square = np.eye(3) - t[1:, :, None] * t[1:, None, :]
+    square = np.eye(3) - u[:, :, None] * u[:, None, :]
     return np.asarray(square @ second @ first)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...errors import InputError, near
+from ...rotations import Array
 from ...schemes.declared import Declared
 from ...system.scene.refinement import meshed_bodies, modal_bodies
 from .deviation import together
@@ -122,16 +124,22 @@ def certificate_of(run: Run) -> Certificate:
         found = [kind[name] for kind in run.deviations.values() if name in kind]
         time = run.error_estimate.get(name)
         made.append(Statement(name, sensor.unit, space, time, modes, own, together(found) + own, span))
-    moving = [s for s in made if s.span > STILL * _largest(run, s.unit)]
-    reasons = {s.sensor: [*_uncertain_in_time(run, s), *_uncertain_in_space(s)] for s in moving}
+    spans = moving(run.series, run.scene.sensors)
+    reasons = {s.sensor: [*_uncertain_in_time(run, s), *_uncertain_in_space(s)] for s in made if s.sensor in spans}
     uncertain = {name: ". ".join(why) for name, why in reasons.items() if why}
     return Certificate(tuple(made), run.seconds["total"], unstated, uncertain)
 
 
-def _largest(run: Run, unit: str) -> float:
-    """The largest value of all sensors with a unit: a gap in contact moves by the roundoff of places."""
-    alike = [run.series[name] for name, sensor in run.scene.sensors.items() if sensor.unit == unit]
-    return max(float(np.abs(x).max(initial=0.0)) for x in alike)
+def moving(series: Mapping[str, Array], sensors: Mapping[str, Any]) -> dict[str, float]:
+    """Ranges of the sensors that move: more than roundoff of the largest value of all with their unit, as a gap in contact
+    moves by the roundoff of places.
+    """
+    largest: dict[str, float] = {}
+    for name, x in series.items():
+        unit = sensors[name].unit
+        largest[unit] = max(largest.get(unit, 0.0), float(np.abs(x).max(initial=0.0)))
+    spans = {name: float(np.ptp(x, axis=0).max(initial=0.0)) if len(x) else 0.0 for name, x in series.items()}
+    return {name: span for name, span in spans.items() if span > STILL * largest[sensors[name].unit]}
 
 
 def _uncertain_in_time(run: Run, stated: Statement) -> list[str]:

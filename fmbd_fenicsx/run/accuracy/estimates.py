@@ -9,50 +9,37 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...errors import ConvergenceError, InputError, LinearSolveError
-from ...linear.condensation import StepSolver
+from ...errors import InputError
 from ...log import log
+from ...notices import Gathered
 from ...schemes.control import FINEST
 from ...system.scene.refined_basis import finer_system
 from ...system.scene.refinement import finer_space
 from ...system.scene.scene import Scene
 from ..built import Built, build
-from ..problem import Problem, begin, make_solver
+from ..problem import Problem
 from ..recording.output import Output, Recorder
 from ..schedule import StepSchedule
-from ..time_loop import March, march
-from .certificate import STILL
+from ..time_loop import March
+from .certificate import moving
+from .companion_runs import UNFIT, Compared, StoppedError, again, as_recorded, companion
 from .deviation import Deviation
 from .orders import expected_orders, irregular, order_seen, resolved, scattered_order, usable_order
 
 if TYPE_CHECKING:
     from ..result import Run
 
-UNFIT = (
-    ConvergenceError,
-    LinearSolveError,
-    InputError,
-)  # of runs that only tell an error: with larger steps forces may have no value
 NEARBY = 0.1  # share of the run about the largest difference in which that with larger steps is looked at too
+FEWEST = 12  # steps of runs that tell errors by spaces and modes; fewer show an order
 EXPECTED = 4.0  # ratio of the errors in a space and in the next finer one
 AHEAD = EXPECTED / (EXPECTED - 1.0)  # the error of the finer space counts as at most a quarter of that of the given one
 ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
 FALLING = 3.0  # from one level to the next; below, the differences of levels do not tell the error
 UNENDED = "the run with finer spaces did not end"
+STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, as long as nothing was seen
+LOOKED_AT = 100  # instants at which runs with steps of their own choice are compared
 TENTH = 1.25  # the error of a run with a tenth of the tolerance counts as at most a fifth of that of the given one
 SATURATION = 1.5  # the error of the finer basis counts as at most a third of that of the given one
-
-
-class StoppedError(ConvergenceError):
-    """A run that only tells an error was stopped on request: no other one is made in its place."""
-
-
-@dataclass(frozen=True)
-class Compared:
-    """A run of the scene as it stands, and its steps: what runs in finer spaces or with more modes are compared with."""
-
-    recorder: Recorder
-    schedule: StepSchedule
 
 
 @dataclass(frozen=True)
@@ -71,11 +58,8 @@ def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule) -> Time
     with half the step tells the error. Motion that the scheme damps in all runs is not seen.
     Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.4.
     """
-    given, coarser, orders = (
-        Compared(fine, schedule),
-        [],
-        expected_orders(problem.scheme, problem.scene, problem.system),
-    )
+    given, coarser = Compared(fine, schedule, problem.scheme), []
+    orders = expected_orders(problem.scheme, problem.scene, problem.system)
     found: TimeError | None = None
     try:
         for parts in (2, 4):
@@ -94,12 +78,9 @@ def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule) -> Time
 
 def _irregular(highest: int, expected: Mapping[str, int], made: Recorder, found: TimeError) -> bool:
     """Whether the order of a sensor that moves is not that of the scheme in it, and its error matters."""
-    spans = {name: float(np.ptp(x, axis=0).max(initial=0.0)) for name, x in made.series.items()}
-    still = {name: STILL * float(np.abs(x).max(initial=0.0)) for name, x in made.series.items()}
+    spans = moving(made.series, made.scene.sensors)
     return any(
-        irregular((expected[name], highest), p, found.errors[name].size / spans[name])
-        for name, p in found.orders.items()
-        if spans[name] > still[name]
+        irregular((expected[n], highest), found.orders[n], found.errors[n].size / span) for n, span in spans.items()
     )
 
 
@@ -119,7 +100,7 @@ def _by_smaller_steps(
         return compare_steps(expected, given, coarser) if coarser else None
     orders = compare_steps(expected, finer, [given, *coarser]).orders
     factors = {name: 1.0 / (1.0 - 2.0 ** -min(p, 2)) for name, p in expected.items()}
-    errors = {name: _scaled(_deviation(finer.recorder, given.recorder, name), factors[name]) for name in orders}
+    errors = {name: scaled(_deviation(finer.recorder, given.recorder, name), factors[name]) for name in orders}
     return TimeError(errors, orders, given)
 
 
@@ -155,12 +136,22 @@ def compare_steps(
             ratios = far.size / between.size, far.mean / between.mean, here / between.size
             p = min(order_seen(*steps, x) for x in ratios)
             p = scattered_order(p, expected[name], None if before is None else before.get(name))
-        errors[name], orders[name] = _scaled(between, 1.0 / (ratio ** usable_order(p, expected[name]) - 1.0)), p
+        errors[name], orders[name] = scaled(between, 1.0 / (ratio ** usable_order(p, expected[name]) - 1.0)), p
 
-    moving = [n for n, x in fine.series.items() if errors[n].size > ROUNDOFF * np.abs(x).max(initial=0.0)]
-    seen = {n: orders[n] for n in moving}
+    moves = [n for n, x in fine.series.items() if errors[n].size > ROUNDOFF * np.abs(x).max(initial=0.0)]
+    seen = {n: orders[n] for n in moves}
     follows = bool(seen) and resolved(seen, expected) and (len(coarser) > 1 or known is not None)
-    return TimeError(errors, orders, coarser[-1] if follows else given)
+    others = [made for made in coarser if follows and made.schedule.steps >= FEWEST]
+    return TimeError(errors, orders, others[-1] if others else given)
+
+
+def of_order(
+    expected: Mapping[str, int], given: Compared, coarser: Compared, share: float, least: float = 0.0
+) -> dict[str, Deviation]:
+    """Errors of a run as one with larger steps tells them, by a ``share`` of the expected orders, one at least if need be."""
+    ratio = given.schedule.steps / coarser.schedule.steps
+    factors = {n: 1.0 / (ratio ** max(share * p, least) - 1.0) for n, p in expected.items()}
+    return {n: scaled(_deviation(given.recorder, coarser.recorder, n), x) for n, x in factors.items()}
 
 
 def tolerance_error(problem: Problem, coarse: Recorder, schedule: StepSchedule) -> dict[str, Deviation]:
@@ -172,19 +163,44 @@ def tolerance_error(problem: Problem, coarse: Recorder, schedule: StepSchedule) 
 
     Errors like r^(2/3), the least of all schemes, fall to 0.22 of their size.
     """
-    scheme = replace(problem.scheme, rtol=max(0.1 * problem.scheme.rtol, FINEST))
-    wanted = Output(energy=False, progress=False, times=tuple(coarse.times))
-    solver = make_solver(problem.scene, problem.system, problem.linear)
-    newton = problem.newton.afresh()
-    solver.pressures = problem.pressures
+    rtol = max(0.1 * problem.scheme.rtol, FINEST)
     try:
-        fine = _whole(replace(problem, scheme=scheme, newton=newton), solver, schedule, wanted).recorder
+        apart, _ = _from_tolerance(problem, Compared(coarse, schedule, problem.scheme), rtol)
     except UNFIT as error:
         log.warning("no error estimate: the run with a tenth of the tolerance did not end: %s", error)
         return {}
-    finally:
-        solver.destroy()
-    return {n: Deviation(coarse.times, TENTH * (fine.series[n] - x)) for n, x in coarse.series.items()}
+    return {n: scaled(x, TENTH) for n, x in apart.items()}
+
+
+def looser_error(problem: Problem, given: Compared, power: float) -> tuple[dict[str, Deviation], Compared]:
+    """The same from a run with ten times the tolerance, and that run, where errors go with a ``power`` of it; collective.
+
+        x - x_r ~ (x_r - x_10r) / (10^power - 1)                                                                     (1)
+
+    It costs half of what a tenth does, and knows less: powers seen between two runs scatter between 1/2 and 1.2.
+    """
+    apart, loose = _from_tolerance(problem, given, 10.0 * problem.scheme.rtol)
+    return {n: scaled(x, -1.0 / (10.0**power - 1.0)) for n, x in apart.items()}, loose
+
+
+def usual_power(order: int) -> float:
+    """The power of a scheme's tolerance that its errors go with, as long as none was seen: steps with its root of the order
+    plus one.
+    """
+    return min(order / (order + 1.0), STEEPEST)
+
+
+def _from_tolerance(problem: Problem, given: Compared, rtol: float) -> tuple[dict[str, Deviation], Compared]:
+    """What a run with another tolerance has beyond a given one, at some of its records, and that run; collective."""
+    recorder, schedule = given.recorder, given.schedule
+    # records between the ends of steps are made one by one
+    count = len(recorder.times)
+    rows = np.unique(np.linspace(0, count - 1, min(count, LOOKED_AT)).round().astype(int))
+    wanted = Output(energy=False, progress=False, times=tuple(recorder.times[rows]))
+    other = replace(problem, scheme=replace(problem.scheme, rtol=rtol))
+    made = Compared(companion(other, schedule, wanted).recorder, schedule, other.scheme)
+    apart = {n: Deviation(made.recorder.times, x - recorder.series[n][rows]) for n, x in made.recorder.series.items()}
+    return apart, made
 
 
 def space_error(problem: Problem, compared: Compared) -> tuple[dict[str, Deviation], str]:
@@ -201,31 +217,26 @@ def space_error(problem: Problem, compared: Compared) -> tuple[dict[str, Deviati
     scene, why, built = finer_scene(problem.scene)
     if built is None:
         return {}, why or "no body is on a mesh"
-    marched = run_like(problem, compared, scene, built)
-    if marched is None:
-        return {}, UNENDED
-    return space_deviations(compared.recorder, marched.recorder, why)
-
-
-def run_like(problem: Problem, compared: Compared, scene: Scene, built: Built) -> March | None:
-    """The march of another scene, with the same sensors, with the same steps; None, with a warning, where the run does not end.
-
-    Collective.
-    """
-    solver = make_solver(scene, built.system, problem.linear)
-    newton = problem.newton.afresh()
-    schedule = compared.schedule
-    wanted = _as_recorded(compared.recorder, schedule)
     try:
-        begun = built.start(scene, problem.scheme, solver=solver, h=schedule.next(0.0))
-        other = replace(problem, scene=scene, system=built.system, markers=built.markers, given=built.given)
-        other = replace(other, start=begun.state, newton=newton, pressures=solver.pressures)
-        return _whole(other, solver, schedule, wanted)
+        fine = run_like(problem, compared, scene, built).recorder
     except UNFIT as error:
-        log.warning("no error in space: the run with finer spaces did not end: %s", error)
-        return None
-    finally:
-        solver.destroy()
+        return {}, unended(error)
+    return space_deviations(compared.recorder, fine, why)
+
+
+def run_like(problem: Problem, compared: Compared, scene: Scene, built: Built) -> March:
+    """The march of another scene, with the same sensors, with the same steps; collective.
+
+    Raises one of :data:`UNFIT` where the run does not end.
+    """
+    wanted = as_recorded(compared.recorder, compared.schedule)
+    return companion(replace(problem, scene=scene, scheme=compared.scheme), compared.schedule, wanted, of=built)
+
+
+def unended(error: Exception) -> str:
+    """Why there is no error in space, where a user sees it."""
+    log.warning("no error in space: the run with finer spaces did not end: %s", error)
+    return f"{UNENDED}: {error}"
 
 
 def space_deviations(coarse: Recorder, fine: Recorder, why: str) -> tuple[dict[str, Deviation], str]:
@@ -254,9 +265,9 @@ def from_below(
         if x.shape != below.series[name].shape:
             return None
         apart[name] = Deviation(given.times, x - below.series[name])
-    if not enough({n: _scaled(x, 1.0 / (FALLING**levels - 1.0)) for n, x in apart.items()}):
+    if not enough({n: scaled(x, 1.0 / (FALLING**levels - 1.0)) for n, x in apart.items()}):
         return None
-    return {n: _scaled(x, 1.0 / (EXPECTED**levels - 1.0)) for n, x in apart.items()}
+    return {n: scaled(x, 1.0 / (EXPECTED**levels - 1.0)) for n, x in apart.items()}
 
 
 def levels_compared(highest: float, given: Recorder, below: Recorder, lowest: Recorder) -> dict[str, Deviation] | None:
@@ -301,31 +312,6 @@ def finer_scene(scene: Scene) -> tuple[Scene, str, Built | None]:
     return scene, why, None
 
 
-def again(problem: Problem, schedule: StepSchedule, steps: int, times: Sequence[float] | None) -> Compared:
-    """The march once more with another number of steps, sensors recorded in every step or at the ``times``; collective."""
-    solver = make_solver(problem.scene, problem.system, problem.linear)
-    newton = problem.newton.afresh()
-    solver.pressures = problem.pressures
-    problem.system.evaluator.begin_anew()
-    wanted, other = Output(energy=False, progress=False, times=times), StepSchedule(schedule.t_end, steps)
-    try:
-        made = _whole(replace(problem, newton=newton), solver, other, wanted, parts=False)
-        return Compared(made.recorder, other)
-    finally:
-        solver.destroy()
-
-
-def _whole(
-    problem: Problem, solver: StepSolver, schedule: StepSchedule, output: Output, *, parts: bool = True
-) -> March:
-    """A march that was not stopped on request; collective. ``parts``: whether steps may be made in parts."""
-    most = problem.most_parts if parts else 0.0
-    marched = march(replace(problem, warned=None, most_parts=most), solver, schedule, output)
-    if marched.status != "finished":
-        raise StoppedError(f"stopped at t = {marched.state.t:g} s")
-    return marched
-
-
 def _deviation(fine: Recorder, coarse: Recorder, name: str) -> Deviation:
     """A series less one recorded with larger steps, at the instants that both have."""
     x, y = fine.series[name], coarse.series[name]
@@ -335,14 +321,9 @@ def _deviation(fine: Recorder, coarse: Recorder, name: str) -> Deviation:
     return Deviation(t[common], x[common] - y[rows[common]])
 
 
-def _scaled(deviation: Deviation, factor: float) -> Deviation:
+def scaled(deviation: Deviation, factor: float) -> Deviation:
+    """A deviation times a factor."""
     return replace(deviation, values=factor * deviation.values)
-
-
-def _as_recorded(coarse: Recorder, schedule: StepSchedule) -> Output:
-    """Sensors at the instants of another run with the same steps, and nothing else."""
-    wanted = replace(coarse.output, snapshots=0, energy=False, ledger=False, progress=False, on_step=None, events=())
-    return wanted if schedule.steps else replace(wanted, times=tuple(coarse.times))
 
 
 def reduction_error(problem: Problem, compared: Compared) -> dict[str, Deviation]:
@@ -361,20 +342,15 @@ def reduction_error(problem: Problem, compared: Compared) -> dict[str, Deviation
         return {}
 
     system, given = made
-    solver = make_solver(problem.scene, system, problem.linear)
-    newton = problem.newton.afresh()
+    finer = Built(system, given, problem.markers, Gathered(), 0.0)
     coarse, schedule = compared.recorder, compared.schedule
-    wanted = _as_recorded(coarse, schedule)
-
     try:
-        start, _ = begin(problem.scene, problem.scheme, system, given, solver=solver, h=schedule.next(0.0))
-        finer = replace(problem, system=system, given=given, start=start, newton=newton, pressures=solver.pressures)
-        fine = _whole(finer, solver, schedule, wanted).recorder
+        fine = companion(
+            replace(problem, scheme=compared.scheme), schedule, as_recorded(coarse, schedule), of=finer
+        ).recorder
     except UNFIT as error:
         log.warning("no error of reduction: the run with more modes did not end: %s", error)
         return {}
-    finally:
-        solver.destroy()
 
     return {n: Deviation(coarse.times, SATURATION * (fine.series[n] - x)) for n, x in coarse.series.items()}
 

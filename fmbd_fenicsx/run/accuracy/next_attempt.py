@@ -21,8 +21,9 @@ from ..result import Run
 from ..schedule import StepSchedule
 from .certificate import KINDS
 from .deviation import Deviation
+from .estimates import FEWEST, UNENDED, usual_power
 from .orders import expected_orders, resolved
-from .shared_runs import Orders, SharedRuns
+from .shared_runs import Orders, SharedRuns, doubt
 from .shares import AIM, WHOLE, Tolerance, largest_share, share
 
 if TYPE_CHECKING:
@@ -31,13 +32,13 @@ if TYPE_CHECKING:
 LEAST = 0.65  # of smaller changes of the step the runs cost more than they save
 LEAST_UNSEEN = 0.5  # the same where the order of the scheme was not seen
 NEAR, FAR = 1 / 4, 1 / 128  # most that a step is made smaller at once, without and with the order of the scheme seen
-STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, as long as nothing was seen
 HALF, LATER = 0.45, 0.3  # shares for time beside an error in space that is not known yet: allowed, and brought below
 BOTH = 0.6  # part of it for each of space and modes, where there are both
 SMALL = 0.5  # part of what it is allowed up to which an error is not estimated again when the other kind is refined
 TIGHTER = 0.05  # share of the tolerance that Newton's iteration is brought to leave, where it left too much
 LEAST_NEWTON = 1e-12  # tolerance of Newton's iteration: roundoff is above smaller ones
 FALLS = 1.1  # ratio by which errors in space have to fall when meshes are refined
+WORTH = 4  # times the fewest steps of runs that tell errors: what is made after a first look
 MANY = 32  # grains above which numbers of steps are rounded to four
 
 
@@ -123,6 +124,10 @@ def next_plan(
     plan: AttemptPlan, run: Run, tol: Tolerance, *, shared: SharedRuns, history: Sequence[Attempt]
 ) -> tuple[AttemptPlan | None, str]:
     """The next plan and what it changes, or None and why there is none; collective where meshes are refined."""
+    if run.space_unstated.startswith(UNENDED):  # finer spaces may need smaller steps
+        tried = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes) and np.isinf(a.worst)]
+        return (None, run.space_unstated) if tried else (finer_steps(plan, NEAR), "finer steps")
+
     over = {kind: max(share(run.certificate, n, x, kind) for n, x in tol.items()) for kind in KINDS}
     made, done = plan, []
     if over["algebra"] > AIM:
@@ -160,10 +165,13 @@ def next_plan(
     allowed = wanted = limits["time"]
     if made.meshes != plan.meshes and not _foreseen(plan):
         allowed, wanted = max(HALF, wanted), max(LATER, wanted)
+    if made.steps:
+        made = _whole_run(made)
     if done and not (unseen or over["time"] > allowed):
         return made, " and ".join(done)
     factor = 0.25 if unseen else _factor(plan, run, tol, shares=(over["time"], wanted), history=history)
-    made = finer_steps(made, factor)
+    finer = finer_steps(plan, factor)
+    made = replace(made, scheme=finer.scheme, schedule=max(made.schedule, finer.schedule, key=lambda x: x.steps))
     if not made.steps and made.scheme.rtol <= FINEST:
         return None, "the scheme's tolerance is at roundoff"
     return made, " and ".join([*done, "finer steps"])
@@ -231,10 +239,10 @@ def _factor(
         most, least = (FAR, LEAST) if regular else (NEAR, LEAST_UNSEEN)
         return float(np.clip((wanted / now) ** (1.0 / order), most, least))
 
-    # errors of controlled runs follow the tolerance with a slope of their own: steps go with its root of the order plus one
+    # errors of controlled runs follow the tolerance with a slope of their own
     same = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]
-    order = run.scheme.order
-    slope = min(order / (order + 1.0), STEEPEST)
+    slope = usual_power(run.scheme.order)
+    wanted *= doubt(run.scheme.order)
     if same and same[-1].worst > now:
         slope = float(np.clip(np.log(same[-1].worst / now) / np.log(same[-1].step / plan.step), 0.5, 1.2))
     return float(np.clip(0.7 * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))
@@ -248,6 +256,12 @@ def _order(run: Run, tol: Tolerance) -> tuple[float, bool]:
     if not known:
         return float(min(orders[n] for n in tol)), True
     return float(np.clip(min(known.values()), 0.5, run.scheme.order)), resolved(known, orders)
+
+
+def _whole_run(plan: AttemptPlan) -> AttemptPlan:
+    """The plan with as many steps as a run has beside which those that tell its errors, of a quarter of them, cost little."""
+    least = -(-WORTH * FEWEST // plan.grain) * plan.grain
+    return plan if plan.steps >= least else replace(plan, schedule=StepSchedule(plan.schedule.t_end, least))
 
 
 def finer_steps(plan: AttemptPlan, factor: float) -> AttemptPlan:

@@ -24,25 +24,32 @@ from ..problem import Problem
 from ..recording.output import Output
 from ..schedule import StepSchedule
 from ..single_run import Solved, Task, run_once
+from .companion_runs import UNFIT, Compared, again
 from .deviation import Deviation
 from .estimates import (
+    FEWEST,
     UNENDED,
-    UNFIT,
-    Compared,
     TimeError,
-    again,
     compare_steps,
     finer_scene,
     from_below,
     levels_compared,
+    looser_error,
+    of_order,
     run_like,
+    scaled,
     space_deviations,
+    tolerance_error,
+    unended,
+    usual_power,
 )
 from .orders import REGULAR, expected_orders, resolved
 
 NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
 BEYOND = 20.0  # the same where they show the order of the scheme
 PARTED = 0.25  # halvings of steps, for each step, that a run may take: beyond, smaller steps cost less
+LEAST_POWER = 0.5  # of a scheme's tolerance, which errors go with at least
+LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 TWICE = 2.0  # least ratio where they do not
 
 Enough = Callable[[dict[str, Deviation]], bool] | None
@@ -54,6 +61,17 @@ class Orders:
 
     seen: Mapping[str, float] = field(default_factory=dict)
     follow: int = 0
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """The ``share`` of the tolerance that errors take, and the ``room`` that there is for those of time. ``rough``: nothing else
+    depends on the steps of a run whose error is too large.
+    """
+
+    share: Callable[[dict[str, Deviation]], float]
+    room: float
+    rough: bool
 
 
 class SharedRuns:
@@ -119,16 +137,16 @@ class SharedRuns:
             self._runs.setdefault(id(scene), {})[made.schedule.steps] = made
 
     # -- errors of time -----------------------------------------------------------------------------------------------
-    def time_error(self, solved: Solved, known: Orders, *, rough: bool) -> TimeError:
+    def time_error(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
         """The error by the steps from runs with fewer of them, made where there are none; collective.
 
-        With ``rough`` the order is taken for granted as long as it was not seen.
+        Nobody has to see the order where half of it would be enough.
         """
-        found = self._compared(solved, known, rough=rough)
+        found = self._compared(solved, known, allowed)
         self._seen.update(known_orders(found))
         return found
 
-    def _compared(self, solved: Solved, known: Orders, *, rough: bool) -> TimeError:
+    def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
         """See :meth:`time_error`."""
         given, scene = solved.compared, solved.problem.scene
         steps = given.schedule.steps
@@ -146,7 +164,10 @@ class SharedRuns:
             before = [n for n in have if n <= first / NEAREST]
             if before:
                 coarser.append(have[max(before)])
-            elif not known.seen and not rough:
+            elif not known.seen:
+                found = self._unseen(solved, coarser[0], allowed)
+                if found is not None:
+                    return found
                 coarser.append(self._with(solved, max(first // 2, 1)))
         except UNFIT as error:
             if not coarser:
@@ -159,6 +180,22 @@ class SharedRuns:
             half = self._with(solved, steps // 2)
             found = compare_steps(orders, given, [half, coarser[0]], before=seen)
         return found
+
+    def _unseen(self, solved: Solved, coarser: Compared, allowed: Allowed) -> TimeError | None:
+        """The error by the steps from one run with larger ones, where no order has to be seen: half of that of the scheme would
+        be enough, or the whole is not, and the run will not be the last; None else.
+
+        What is stated goes with three quarters of the order, at least one: neither half nor all of it is far from that.
+        """
+        given, orders = solved.compared, _expected(solved.problem)
+        whole = compare_steps(orders, given, [coarser])
+        if allowed.rough and allowed.share(whole.errors) > allowed.room:
+            return whole
+        if allowed.share(of_order(orders, given, coarser, 0.5)) > allowed.room:
+            return None
+        # where bodies touch, when they do depends on the steps
+        follows = coarser.schedule.steps >= FEWEST and not solved.problem.scene.contacts
+        return TimeError(of_order(orders, given, coarser, 0.75, 1.0), whole.orders, coarser if follows else given)
 
     def _from_afar(self, solved: Solved, earlier: Sequence[int]) -> TimeError | None:
         """The error by the steps from two earlier runs with far larger ones, if all three show the order of the scheme."""
@@ -174,7 +211,7 @@ class SharedRuns:
 
     def _wanted(self, steps: int, known: Orders, earlier: bool) -> int:
         """How many steps a run to compare with is made of: as few as tell the error, half as many where no order was seen."""
-        if known.seen and steps / FARTHEST <= known.follow <= steps / NEAREST:
+        if steps / FARTHEST <= known.follow <= steps / NEAREST:
             return known.follow
         if known.seen or earlier:
             return max(round(steps / 4 / self.grain), 1) * self.grain
@@ -198,6 +235,27 @@ class SharedRuns:
             have[steps] = again(solved.problem, schedule, steps, solved.compared.recorder.output.times)
         return have[steps]
 
+    def tolerance_error(self, solved: Solved, allowed: Allowed) -> TimeError:
+        """The error by the tolerance of a scheme with error control; collective.
+
+        A run with ten times the tolerance tells it, where it is too large anyway, and where it is not even if errors fell with
+        the least power of tolerances only; in between one with a tenth.
+        """
+        problem, given = solved.problem, solved.compared
+        power, order = LEAST_POWER, problem.scheme.order
+        if problem.scheme.rtol <= LOOSE:
+            try:
+                errors, loose = looser_error(problem, given, power)
+            except UNFIT:
+                pass
+            else:
+                likely = {n: scaled(x, doubt(order)) for n, x in errors.items()}
+                if allowed.share(errors) <= allowed.room:
+                    return TimeError(likely, {}, loose)
+                if allowed.share(likely) > allowed.room:
+                    return TimeError(likely, {}, given)
+        return TimeError(tolerance_error(problem, given.recorder, given.schedule), {}, given)
+
     # -- errors in space ----------------------------------------------------------------------------------------------
     def space_error(
         self, scene: Scene, runs: Sequence[Compared], below: Sequence[Scene], enough: Enough = None
@@ -212,7 +270,9 @@ class SharedRuns:
                 return found, ""
         for made in runs:
             errors, why = self._from_new(scene, made, below)
-            if why != UNENDED:
+            # steps that a scheme chooses differ from run to run: where they are few, by what that changes
+            few = not made.schedule.steps and made is not runs[-1]
+            if not why.startswith(UNENDED) and not (few and errors and enough is not None and not enough(errors)):
                 break
         return errors, why
 
@@ -231,11 +291,14 @@ class SharedRuns:
     def _from_new(self, scene: Scene, made: Compared, below: Sequence[Scene]) -> tuple[dict[str, Deviation], str]:
         """The error by the meshes from the two levels below, where these tell how it falls, else from a run in finer spaces."""
         if len(below) > 1 and one_kind(below[-2]):
-            lower, lowest = (self._like(made, x) for x in below[:-3:-1])
-            if lower is not None and lowest is not None:
-                found = levels_compared(expected_rate(scene), made.recorder, lower.recorder, lowest.recorder)
-                if found is not None:
-                    return found, ""
+            try:
+                lower, lowest = (self._like(made, x).recorder for x in below[:-3:-1])
+            except UNFIT:
+                found = None
+            else:
+                found = levels_compared(expected_rate(scene), made.recorder, lower, lowest)
+            if found is not None:
+                return found, ""
 
         if id(scene) not in self._finer:
             self._finer[id(scene)] = finer_scene(scene)
@@ -244,26 +307,25 @@ class SharedRuns:
             return {}, why or "no body is on a mesh"
         if id(finer) not in self._built:
             self._keep(finer, built)
-        fine = self._like(made, finer)
-        if fine is None:
-            return {}, UNENDED
+        try:
+            fine = self._like(made, finer)
+        except UNFIT as error:
+            return {}, unended(error)
         return space_deviations(made.recorder, fine.recorder, why)
 
     def kept(self, scene: Scene, steps: int) -> Compared | None:
         """The run of a scene with so many equal steps, where there is one."""
         return self._runs.get(id(scene), {}).get(steps)
 
-    def _like(self, made: Compared, scene: Scene) -> Compared | None:
-        """A run of the scene with other meshes and the steps of a run ``made``; None where it does not end."""
+    def _like(self, made: Compared, scene: Scene) -> Compared:
+        """A run of the scene with other meshes and the steps of a run ``made``; raises one of UNFIT where it does not end."""
         kept = self.kept(scene, made.schedule.steps)
         if kept is not None:
             return kept
         assert self._newest is not None
         problem = replace(self._newest, most_parts=PARTED * made.schedule.steps)
         marched = run_like(problem, made, scene, self.built(scene))
-        if marched is None:
-            return None
-        found = Compared(marched.recorder, made.schedule)
+        found = Compared(marched.recorder, made.schedule, made.scheme)
         if not marched.counters.get("halved_steps"):
             self._note(scene, found)
         return found
@@ -281,6 +343,11 @@ class SharedRuns:
 def _expected(problem: Problem) -> dict[str, int]:
     """The order of the scheme in each sensor."""
     return expected_orders(problem.scheme, problem.scene, problem.system)
+
+
+def doubt(order: int) -> float:
+    """By how much less errors of a tolerance are likely to be than a run with a looser one excludes."""
+    return (10.0**LEAST_POWER - 1.0) / (10.0 ** usual_power(order) - 1.0)
 
 
 def known_orders(found: TimeError) -> dict[str, float]:

@@ -20,7 +20,7 @@ from ...errors import ConvergenceError, LinearSolveError
 from ...log import log
 from ...schemes.declared import Declared, checked_scheme
 from ...schemes.onestep.generalized_alpha import GeneralizedAlpha
-from ...system.scene.refinement import meshed_bodies, modal_bodies
+from ...system.scene.refinement import meshed_bodies, modal_bodies, slender
 from ...system.scene.scene import Scene
 from ..recording.ledger import Books
 from ..recording.output import Output
@@ -28,16 +28,19 @@ from ..result import Run
 from ..schedule import StepSchedule, step_schedule
 from ..settings import check_tangent
 from ..single_run import Solved
-from .estimates import UNFIT, Compared, TimeError, reduction_error, tolerance_error, warn_of_uncertain
+from .companion_runs import UNFIT, Compared
+from .estimates import TimeError, reduction_error, tolerance_error, warn_of_uncertain
 from .next_attempt import AttemptPlan, Looked, finer_steps, next_plan, space_first, space_limit
-from .shared_runs import Orders, SharedRuns
-from .shares import Relative, Tolerance, check_tolerances, largest_share, relative, safe, worst
+from .shared_runs import Allowed, Orders, SharedRuns, doubt, known_orders
+from .shares import AIM, SAFE, WHOLE, Relative, Tolerance, check_tolerances, largest_share, relative, safe, share, worst
 
 __all__ = ["Attempt", "Relative", "relative", "solve_within"]
 
 ATTEMPTS = 12
 START = 100  # steps of the first attempt where no dt is given
-SCOUT = 48  # the same where spaces or modes have to be found first, whose errors are seen with few steps, and nothing touches
+# the same where spaces or modes have to be found first, whose errors are seen with few steps, and nothing touches: of bodies on
+# meshes, whose steps cost, and of slender ones
+SCOUT, SCOUT_SLENDER = 24, 48
 LOOSEST = 1e-4  # rtol of the first attempt of schemes with error control
 STALLED, STALLED_IN_CONTACT = 256.0, 60.0  # ratios of steps over which errors have to fall
 FAILURES = 1  # runs that may fail, each followed by one with a quarter of the step, beside one that came to its end
@@ -213,9 +216,11 @@ def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> Attempt
         return AttemptPlan(scene, scheme, step_schedule(scene, scheme, t_end, dt), 1)
     number("End time t_end =", t_end, above=0.0, unit="s")
     spaces = bool(meshed_bodies(scene) or modal_bodies(scene)) and not scene.contacts
-    dt = t_end / (SCOUT if spaces else START) if dt is None else dt
+    scout = SCOUT_SLENDER if slender(scene) else SCOUT
+    dt = t_end / (scout if spaces else START) if dt is None else dt
     schedule = step_schedule(scene, scheme, t_end, dt, multiple=4)
-    return AttemptPlan(scene, scheme, schedule, schedule.steps // 4)
+    # few steps share half of their ends with those of the next attempts, so that there are enough to be compared
+    return AttemptPlan(scene, scheme, schedule, schedule.steps // (2 if schedule.steps <= SCOUT else 4))
 
 
 def _default(scene: Scene, t_end: float) -> Any:
@@ -239,28 +244,29 @@ def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: Outp
     run.seconds["error estimate"] = clock.perf_counter() - ended
 
     _other_errors(plan, tol, shared, solved, found.with_others)
+    if not plan.steps and found.with_others is not solved.compared and _doubtful(run, tol):
+        run.state_error("time", tolerance_error(solved.problem, solved.compared.recorder, plan.schedule))
     if every != wanted.every:
         _thin_out(run, solved.compared.recorder.indices, wanted.every)
     fewest = found.with_others.schedule.steps
-    return run, Orders(found.orders, fewest) if fewest < plan.steps else Orders()
+    return run, Orders(known_orders(found), fewest) if fewest < plan.steps else Orders()
+
+
+def _doubtful(run: Run, tol: Tolerance) -> bool:
+    """Whether a run keeps its tolerance if errors go with the usual power of that of its scheme, but not with the least one."""
+    time = max(share(run.certificate, n, x, "time") for n, x in tol.items())
+    likely = worst(run.certificate, tol)
+    return likely <= SAFE < likely + time * (1.0 / doubt(run.scheme.order) - 1.0)
 
 
 def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, solved: Solved) -> TimeError:
     """The error by the steps, or by the scheme's tolerance; collective."""
-    run, made = solved.run, solved.compared
-    if not plan.steps:
-        errors = tolerance_error(solved.problem, made.recorder, made.schedule)
-        run.state_error("time", errors)
-        return TimeError(errors, {}, made)
-
-    # the order matters as soon as the run could be the last one, or where other errors are told by runs with few steps
-    rough = not meshed_bodies(plan.scene) and not modal_bodies(plan.scene)
-    for less in (True, False) if rough else (False,):
-        found = shared.time_error(solved, plan.orders, rough=less)
-        run.state_error("time", found.errors)
-        run.observed_order = found.orders
-        if less and not safe(run.certificate, tol):
-            break
+    run, alone = solved.run, not meshed_bodies(plan.scene) and not modal_bodies(plan.scene)
+    room = SAFE if alone else WHOLE - AIM if plan.steps else WHOLE
+    allowed = Allowed(lambda errors: largest_share(errors, run.series, tol), room, rough=alone)
+    found = shared.time_error(solved, plan.orders, allowed) if plan.steps else shared.tolerance_error(solved, allowed)
+    run.state_error("time", found.errors)
+    run.observed_order = found.orders
     return found
 
 

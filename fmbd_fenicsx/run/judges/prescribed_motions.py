@@ -20,6 +20,7 @@ beside them depend on the step.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -138,15 +139,17 @@ class Follower:
         """The part of an interval, 2^-20 of it or some thousand roundings of time, in which the motion bends most; and the
         steepest slope on the way there.
         """
-        steepest = 0.0
+        place, steepest = self.motion.place, 0.0
+        known: list[float] = []  # the last part's places at its ends and in its middle
         for _ in range(HALVINGS):
             quarter = 0.25 * (b - a)
             if quarter < 1e3 * EPS * max(abs(a), abs(b)):
                 break
-            v = [self.motion.place(a + k * quarter) for k in range(5)]
-            steepest = max(steepest, float(np.abs(np.diff(v)).max()) / quarter)
-            k = int(np.argmax([abs(v[k] - 2 * v[k + 1] + v[k + 2]) for k in range(3)]))
-            a, b = a + k * quarter, a + (k + 2) * quarter
+            begin, middle, end = known or [place(a), place(a + 2 * quarter), place(b)]
+            v = [begin, place(a + quarter), middle, place(a + 3 * quarter), end]
+            steepest = max(steepest, *(abs(x - y) / quarter for x, y in pairwise(v)))
+            k = max(range(3), key=lambda k: abs(v[k] - 2 * v[k + 1] + v[k + 2]))
+            a, b, known = a + k * quarter, a + (k + 2) * quarter, v[k : k + 3]
         return a, b, steepest
 
     def _jump(self, t: float, size: float) -> None:

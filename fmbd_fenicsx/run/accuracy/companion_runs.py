@@ -1,0 +1,71 @@
+"""Runs that only tell an error of another one: with other steps, another tolerance, in finer spaces, with more modes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ...errors import ConvergenceError, InputError, LinearSolveError
+from ..built import Built
+from ..problem import Problem, make_solver
+from ..recording.output import Output, Recorder
+from ..schedule import StepSchedule
+from ..time_loop import March, march
+
+UNFIT = (
+    ConvergenceError,
+    LinearSolveError,
+    InputError,
+)  # of runs that only tell an error: with larger steps forces may have no value
+
+
+class StoppedError(ConvergenceError):
+    """A run that only tells an error was stopped on request: no other one is made in its place."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A run of the scene as it stands, its steps and its scheme: what runs in finer spaces or by more modes are compared with."""
+
+    recorder: Recorder
+    schedule: StepSchedule
+    scheme: Any
+
+
+def again(problem: Problem, schedule: StepSchedule, steps: int, times: Sequence[float] | None) -> Compared:
+    """The march once more with another number of steps, sensors recorded in every step or at the ``times``; collective."""
+    wanted, other = Output(energy=False, progress=False, times=times), StepSchedule(schedule.t_end, steps)
+    return Compared(companion(replace(problem, most_parts=0.0), other, wanted).recorder, other, problem.scheme)
+
+
+def companion(problem: Problem, schedule: StepSchedule, output: Output, of: Built | None = None) -> March:
+    """A march that only tells an error, with an iteration and a solver of its own, warning of nothing: from the start of the
+    problem, or from that ``of`` another system; collective.
+
+    Raises StoppedError where it was stopped on request.
+    """
+    system = problem.system if of is None else of.system
+    solver = make_solver(problem.scene, system, problem.linear)
+    try:
+        if of is None:
+            solver.pressures, start = problem.pressures, problem.start
+            system.evaluator.begin_anew()
+        else:
+            start = of.start(problem.scene, problem.scheme, solver=solver, h=schedule.next(0.0)).state
+            problem = replace(problem, system=system, markers=of.markers, given=of.given)
+
+        newton, pressures = problem.newton.afresh(), solver.pressures
+        made = replace(problem, start=start, newton=newton, pressures=pressures, warned=None)
+        marched = march(made, solver, schedule, output)
+    finally:
+        solver.destroy()
+    if marched.status != "finished":
+        raise StoppedError(f"stopped at t = {marched.state.t:g} s")
+    return marched
+
+
+def as_recorded(coarse: Recorder, schedule: StepSchedule) -> Output:
+    """Sensors at the instants of another run with the same steps, and nothing else."""
+    wanted = replace(coarse.output, snapshots=0, energy=False, ledger=False, progress=False, on_step=None, events=())
+    return wanted if schedule.steps else replace(wanted, times=tuple(coarse.times))
