@@ -158,6 +158,41 @@ def test_controller_of_the_users_own_runs() -> None:
     assert coarse.counters["newton_iterations"] < 4 * coarse.counters["steps"]
 
 
+def test_a_law_of_the_users_own_is_asked_by_compiled_steps() -> None:
+    """Coordinates, rates, places and velocities, two efforts, a memory: the same motion, and steps that are taken back."""
+    runs = [
+        fmbd.solve(crossed(), t_end=0.2, dt=2e-3, scheme=fmbd.GeneralizedAlpha(compiled=how)) for how in (True, False)
+    ]
+    assert runs[0].counters["compiled_steps"] == 100
+    np.testing.assert_allclose(runs[0]["elbow"], runs[1]["elbow"], atol=1e-6 * np.abs(runs[1]["elbow"]).max())
+    with fmbd.stepper(crossed(), dt=2e-3) as s:
+        for _ in range(20):
+            s.step()
+        kept, found = s.save(), []
+        for _ in range(2):
+            s.restore(kept)
+            for _ in range(30):
+                s.step()
+            found.append(s["elbow"][0])
+    assert found[0] == found[1]
+    assert abs(found[0] - runs[0]["elbow"][50, 0]) < 1e-7
+
+
+def test_a_stiff_memory_is_solved_for() -> None:
+    """z' = 3e3 (y - z) in steps of 2 ms, which inserting z in its own rule does not find."""
+    scene = arm()
+    for name in ("shoulder motor", "elbow motor"):
+        del scene.forces[name]
+        scene.sensors.pop(f"{name.split()[0]} torque")
+    phi = fmbd.angle(scene.joints["elbow"])
+    law = lambda t, y, z: (-z[0], (3e3 * (5 * y["phi"][0] - z[0]),))  # noqa: E731
+    scene.add(fmbd.controller("late", reads={"phi": phi}, acts=phi, law=law, memory=(0.0,)))
+    run = fmbd.solve(scene, t_end=0.2, dt=2e-3)
+    exact = fmbd.solve(scene, t_end=0.2, scheme=fmbd.Radau(rtol=1e-7), output=fmbd.Output(times=(0.1, 0.2)))
+    assert np.abs(run["elbow"][[50, 100]] - exact["elbow"][-2:]).max() < 1e-3 * np.abs(exact["elbow"]).max()
+    assert run.counters["compiled_steps"] == 100
+
+
 def test_a_limit_binds_and_the_integral_does_not_wind_up() -> None:
     wheel = fmbd.RigidBody("wheel", 1.0, 0.5)
     hinge = fmbd.revolute("hinge", fmbd.ground, wheel, center=(0, 0))

@@ -30,9 +30,11 @@ from ..mechanics.frames import Kinematics
 from ..mechanics.joints.drives import JointCoordinate
 from ..mechanics.joints.relative import Relative
 from ..rotations import Array, Motions
+from .control_laws import PidLaw, numbers_of
 from .sensors.sensors import AngularVelocity, JointReading, Position, Rotation, Sensor, Velocity
 
 _KINEMATIC = (Position, Velocity, AngularVelocity, Rotation)
+SLOW = 1e-2  # share of an error that may be left by inserting a memory in its own rule
 _AT = 1e-9  # share of the sampling period by which a step may end before its sample
 
 
@@ -100,6 +102,11 @@ class ControlLoads(Loads):
         z = np.asarray(controller.memory, dtype=float)
         self.kept: Kept = Kept(0.0, z, np.zeros_like(z), np.zeros(len(acts)), 0)
 
+    @property
+    def called(self) -> bool:
+        """Whether the law is called at every evaluation: a continuous one that has no formula."""
+        return self.controller.every is None and not self.formulas()
+
     @staticmethod
     def law_of(f: Any) -> Any:
         """None: the law of a controller is called with its readings."""
@@ -119,8 +126,8 @@ class ControlLoads(Loads):
             raise CallbackError(f'Controller "{c.name}" keeps {len(z)} numbers: its law must return {wanted}.')
 
         size = len(self.acts)
-        efforts = _numbers(c.name, "efforts", u, (size, t))
-        return efforts, z if more is None else _numbers(c.name, "numbers of the memory", more, (len(z), t))
+        efforts = numbers_of(c.name, "efforts", u, (size, t))
+        return efforts, z if more is None else numbers_of(c.name, "numbers of the memory", more, (len(z), t))
 
     def with_memory(self, t: float, y: Mapping[str, Array]) -> tuple[Array, Array, Array]:
         """u of a continuous law at time t, with z and g of (3)."""
@@ -131,12 +138,16 @@ class ControlLoads(Loads):
         if not len(z) or half == 0.0:
             return u, z, rate
 
+        slopes, before = None, np.inf
         for _ in range(20):
-            # the trapezoid rule (3), solved for z by Newton's method
+            # the trapezoid rule (3), solved for z by inserting, enough for memories that are slow; else by Newton's method
             miss = z - kept.z - half * (kept.rate + rate)
-            if np.abs(miss).max() <= 1e-14 * (np.abs(z).max() + np.abs(half * rate).max()):
+            size = float(np.abs(miss).max())
+            if size <= 1e-14 * (np.abs(z).max() + np.abs(half * rate).max()):
                 return u, z, rate
-            z = z - np.linalg.solve(np.eye(len(z)) - half * self._memory_slopes(t, y, z, rate), miss)
+            if size > SLOW * before:
+                slopes = np.eye(len(z)) - half * self._memory_slopes(t, y, z, rate)
+            z, before = z - (miss if slopes is None else np.linalg.solve(slopes, miss)), size
             u, rate = self.ask_law(t, y, z)
         raise CallbackError(
             f'Controller "{self.controller.name}": its memory has no value at t = {t:g} s. Is the law smooth in it?'
@@ -188,7 +199,7 @@ class ControlLoads(Loads):
             rows = reading.rows(kin, len(y[reading.name]))
             if not rows:
                 continue
-            slopes = self._slopes(t, y, reading.name)
+            slopes = self.slopes(t, y, reading.name)
             for j in range(len(self.acts)):
                 for marker, row, fast in rows:
                     push = slopes[j] @ row  # du/d(displacement or velocity of the marker), (n,)
@@ -204,7 +215,7 @@ class ControlLoads(Loads):
             (D if fast else K)[i, :n, n:] = block
         return MarkerTangent(np.array([e[0] for e in entries]), np.array([e[1] for e in entries]), K, D)
 
-    def _slopes(self, t: float, y: dict[str, Array], name: str) -> Array:
+    def slopes(self, t: float, y: dict[str, Array], name: str) -> Array:
         """du/dy of one reading, (acts, size), the memory going along."""
         out = np.zeros((len(self.acts), len(y[name])))
         for k in range(len(y[name])):
@@ -269,31 +280,21 @@ class ControlLoads(Loads):
         z = self.memory_values()
         return self.ask_law(t, self.read(ev.kin), z)[1] if len(z) else z
 
+    def after(self, t: float, y: Mapping[str, Array]) -> Kept:
+        """What a continuous law keeps of a step that ended at t with these readings, by (3)."""
+        u, z, rate = self.with_memory(t, y)
+        return Kept(t, z, rate, u, 0)
+
     def accepted(self, ev: Any, state: Any) -> Kept:
         """Memory after a step: of (3), or of the sample that is due."""
         every, kept = self.controller.every, self.kept
         if every is None:
-            u, z, rate = self.with_memory(state.t, self.read(ev.kin))
-            return Kept(state.t, z, rate, u, 0)
+            return self.after(state.t, self.read(ev.kin))
         if state.t < self.due:
             return kept
         y = {r.name: r.at(ev.kin) if r.relative else r.sensor.read(ev, state, r.marker) for r in self.readings}
         u, z = self.ask_law(state.t, y, kept.z)
         return Kept(state.t, z, kept.rate, u, int(np.floor(state.t / every + _AT)) + 1)
-
-
-def _numbers(name: str, what: str, value: Any, wanted: tuple[int, float]) -> Array:
-    """Numbers that a law returned, or an error that says what was found."""
-    size, t = wanted
-    try:
-        found = np.atleast_1d(np.asarray(value, dtype=float))
-    except (TypeError, ValueError, OverflowError):
-        raise CallbackError(f'Controller "{name}" returned {value!r} at t = {t:g} s, expected {size} {what}.') from None
-    if found.shape != (size,) or not np.isfinite(found).all():
-        raise CallbackError(
-            f'Controller "{name}" returned {found} of shape {found.shape} at t = {t:g} s, expected {size} finite {what}.'
-        )
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -390,26 +391,6 @@ def controller(
     z = tuple(float(x) for x in memory)
     joint = acts[0].joint
     return Controller(name, joint.a, joint.b, None, None, acts, sensors, law, z, every)
-
-
-@dataclass(frozen=True)
-class PidLaw:
-    """See :func:`pid`; ``target`` gives (s, s', s'')."""
-
-    gains: tuple[float, float, float]
-    target: Callable[[float], tuple[float, float, float]]
-    limit: float
-    every: float | None
-
-    def __call__(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[float, float]:
-        """The effort, and how the integral grows or its next value."""
-        kp, ki, kd = self.gains
-        wanted, speed, _ = self.target(t)
-        error = wanted - y["s"][0]
-        free = kp * error + ki * z[0] + kd * (speed - y["rate"][0])
-        u = float(np.clip(free, -self.limit, self.limit))
-        growth = error if u == free else error + (u - free) / kp
-        return u, growth if self.every is None else z[0] + self.every * growth
 
 
 @typed

@@ -67,6 +67,7 @@ class Calls:
             "SAMPLE": lambda number, t: self.sample(t),
             "EFFORT": lambda number, t: self._effort(tables.sources[number], t),
             "SLOPES": lambda number, t: self._slopes(tables.sources[number], t),
+            "KEEP": lambda number, t: self._keep(t),
             "WRENCHES": lambda number, t: tables.whole[number].wrenches(t),
             "WHOLE_SLOPES": lambda number, t: tables.whole[number].slopes(t),
             "SECTIONS": lambda number, t: tables.rods[number].sections(),
@@ -121,6 +122,11 @@ class Calls:
         x = items.arrays
         assert items.law is not None
         x["effort"][:] = items.law(x["s"] - x["free"], x["rate"], t)
+
+    def _keep(self, t: float) -> None:
+        """Controllers take up an accepted step."""
+        for one in self.tables.listeners:
+            one.keep(t)
 
     def _slopes(self, items: Items, t: float) -> None:
         """Derivatives of laws by the coordinate and by its rate."""

@@ -72,7 +72,7 @@ class DriverStates:
     @property
     def remembers(self) -> bool:
         """Whether forces depend on more than a state: elements have a memory."""
-        return bool(self.tables.remembering or self.tables.sampled)
+        return bool(self.tables.c.remembers or self.tables.sampled)
 
     def give(self) -> tuple[Tables, Calls]:
         """The tables, for steps; they begin with new slopes of forces in Python."""

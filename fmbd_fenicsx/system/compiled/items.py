@@ -4,7 +4,7 @@ role ROW      a term c s of a constraint  sum c s - motion(t) = 0
 role LINEAR   an effort N = stiffness (s - free) + damping s'
 role GIVEN    an effort that is the same for the whole step: loads and drives that depend on time
 role LAW      an effort from a law in Python, N(s - free, s', t)
-role READ     nothing acts: a coordinate that a sensor reads
+role READ     nothing acts: a coordinate that a sensor reads, in records; where ``told`` a controller, at every evaluation
 role FORMULA  an effort by a formula that the driver knows, maybe with a memory
 """
 
@@ -23,6 +23,7 @@ from ...mechanics.joints.couplings import CouplingBatch, OwnBatch
 from ...mechanics.joints.relative import Relative
 from ...mechanics.kinds.derivation import Kind, kinds
 from ...rotations import Array
+from ..controllers import ControlLoads
 from ..system import System
 from .recording import Looks
 
@@ -57,6 +58,7 @@ class Items:
     slot: np.ndarray | None = None  # numbers among the readings of a record, -1 for none
     table: Array = field(default_factory=lambda: np.zeros((0, 0)))  # of constants, as C reads them
     sampled: Callable[[], float] | None = None  # an effort that stays the same between samples
+    told: bool = False
     frames: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))  # of both sides
     arrays: dict[str, Array] = field(default_factory=dict)  # coordinates, rates, efforts .. as C reads and writes them
 
@@ -79,7 +81,7 @@ class Items:
             some(self.row), some(self.factor), some(self.stiffness), some(self.damping), some(self.free), some(self.effort),
             *self._laws(which),
         )  # fmt: skip
-        made.slot = some(self.slot)
+        made.slot, made.told = some(self.slot), self.told
         made.frames = self.frames[which] if len(self.frames) else self.frames
         made.formula = None if self.formula is None else self.formula.part(which)
         return made
@@ -113,14 +115,14 @@ class Items:
         return law and efforts, slopes and tangents, drive, load and loads, given and values
 
 
-def _of(source: Any, role: int) -> Items:
+def of_source(source: Any, role: int) -> Items:
     """Items of a joint coordinate or of a batch of constraints."""
     return Items(source.items.kind, role, source.items.pair, dict(source.items.constants))
 
 
 def _constraint(batch: ct.Batch, rows: np.ndarray) -> Items:
     """Items of a batch of elementary constraints."""
-    out = _of(batch, ROW)
+    out = of_source(batch, ROW)
     out.row, out.factor = rows, np.ones(len(rows))
     if isinstance(batch, ct.InTime):
         out.drive = [motion for _, motion in batch.driven]
@@ -153,7 +155,7 @@ def _formulas(loads: Loads, looks: Looks) -> list[Items]:
     """Items of efforts by formulas, on the coordinates of a batch."""
     out = []
     for formula in loads.formulas():
-        whole = _of(formula.on, FORMULA)
+        whole = of_source(formula.on, FORMULA)
         whole.free = loads.free if isinstance(loads, ScalarLoads) else np.zeros(len(loads.forces))
         whole.slot = looks.slots_of(loads)
         made = whole.part(formula.which)
@@ -165,7 +167,7 @@ def _formulas(loads: Loads, looks: Looks) -> list[Items]:
 def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     """Items of springs, dampers, drives and laws on coordinates."""
     n = len(loads.forces)
-    whole = _of(loads.relative, LINEAR)
+    whole = of_source(loads.relative, LINEAR)
     whole.stiffness, whole.damping, whole.free = loads.k, loads.c, loads.free
     whole.slot = looks.slots_of(loads)
     stated = {int(i) for formula in loads.formulas() for i in formula.which}
@@ -189,14 +191,18 @@ def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     return out
 
 
-def items_of(system: System, looks: Looks, coordinates: Sequence[Relative]) -> list[Items]:
-    """All items of a system; constraints in the order of its batches, then efforts, what sensors read, and ``coordinates``."""
+def items_of(
+    system: System, looks: Looks, control: Sequence[Items] = (), coordinates: Sequence[Relative] = ()
+) -> list[Items]:
+    """All items of a system; constraints in the order of its batches, then efforts, those of ``control``, what sensors read, and
+    ``coordinates``.
+    """
     dim = system.motions.dim
     out: list[Items] = []
     for batch, rows in system.batches:
         if isinstance(batch, CouplingBatch):
             for relative, number, factor in batch.terms:
-                term = _of(relative, ROW)
+                term = of_source(relative, ROW)
                 term.row, term.factor = rows[number], factor
                 out.append(term)
         else:
@@ -209,18 +215,19 @@ def items_of(system: System, looks: Looks, coordinates: Sequence[Relative]) -> l
             out += _efforts(loads, looks)
         out += _formulas(loads, looks) + _sampled(loads)
 
+    out += control
     for key, relative in looks.relatives:
-        made = _of(relative, READ)
+        made = of_source(relative, READ)
         made.slot = looks.take_slots(key, len(made))
         out.append(made)
-    return out + [_of(relative, READ) for relative in coordinates]
+    return out + [of_source(relative, READ) for relative in coordinates]
 
 
 def _sampled(loads: Loads) -> list[Items]:
     """Items of efforts that stay the same between samples."""
     out = []
     for one in loads.sampled():
-        made = _of(one.on, GIVEN)
+        made = of_source(one.on, GIVEN)
         made.effort, made.sampled = np.zeros(len(made)), one.effort
         out.append(made)
     return out
@@ -229,13 +236,17 @@ def _sampled(loads: Loads) -> list[Items]:
 def other_loads(system: System) -> list[Loads]:
     """Forces that Python evaluates as a whole."""
     known = TimeLoads, ScalarLoads
-    return [
-        f for f in system.forces if type(f) not in known and not f.formulas() and not f.sampled() and f.mounts() is None
-    ]
+    rest = [f for f in system.forces if type(f) not in known and not _keeps(f)]
+    return [f for f in rest if f.mounts() is None]
+
+
+def _keeps(loads: Loads) -> bool:
+    """Whether the driver has the efforts of a load that may have a memory."""
+    return bool(loads.formulas() or loads.sampled()) or (isinstance(loads, ControlLoads) and loads.called)
 
 
 def covers(system: System) -> bool:
-    """Whether all constraints and forces are items, or loads that Python can evaluate; memories: of formulas, samples."""
-    if any(not isinstance(x, Loads) or not (x.formulas() or x.sampled()) for x in system.keepers):
+    """Whether all constraints and forces are items, or loads that Python can evaluate; memories: of formulas, controllers."""
+    if any(not isinstance(x, Loads) or not _keeps(x) for x in system.keepers):
         return False
     return not any(isinstance(batch, OwnBatch) for batch, _ in system.batches)

@@ -70,7 +70,9 @@ def batch_of(tables: Tables, items: Items) -> Any:
     rows = b"" if items.row is None else items.row.tobytes()
     key = items.kind, items.role, items.frames.tobytes(), rows
     shared = tables.structure.once(key, lambda: _batch(tables, items, items.frames))
-    return type(shared).from_buffer_copy(shared)
+    made = type(shared).from_buffer_copy(shared)
+    made.told = int(items.told)
+    return made
 
 
 def _batch(tables: Tables, items: Items, frames: np.ndarray) -> Any:

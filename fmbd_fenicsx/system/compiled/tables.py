@@ -21,6 +21,7 @@ from .angles import angles, free_markers, theta_places
 from .bodies import reduced_body, rigid_bodies, surface
 from .fields import Block, FieldTable, known_field
 from .items import LAW, READ, ROW, Items, items_of, other_loads
+from .listening import listeners
 from .mounts import mount_batch
 from .order import Fronts, RowGroup
 from .places import MatrixShape, Structure, batch_of, fronts_of, pivots_of, structure_of
@@ -84,7 +85,8 @@ class Tables:
         self.fields: list[FieldTable] = [FieldTable(self, number, k, block) for number, ((k, _), block) in numbered]
         self.floating = {field.part.frame: field for field in self.fields}
         self.looks = Looks(system)
-        self.items = items_of(system, self.looks, coordinates)
+        self.listeners = listeners(self)
+        self.items = items_of(system, self.looks, [x for one in self.listeners for x in one.items], coordinates)
         self.loads = other_loads(system)
         self.mounts = [f for f in system.forces if f.mounts() is not None]
         self.maps: list[Array] = []  # of surfaces: twist from the rates of the body
@@ -121,6 +123,7 @@ class Tables:
         used += [x for f in (*self.loads, *self.mounts) for x in (f.a, f.b)]
         used.append(np.array(self.looks.markers, dtype=int))
         used += free_markers(self.system)
+        used += [np.array(one.markers, dtype=int) for one in self.listeners]
         self.surfaces = (
             np.intersect1d(np.concatenate(used), mk.surface).astype(int) if mk.surface.size else np.zeros(0, int)
         )
@@ -313,7 +316,7 @@ class Tables:
             **counts, **lists, **self._numbers(once), fronts=len(self.fronts.fronts), front=ctypes.addressof(fronts_of(self)),
             rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), fields=len(self.fields), core=s.n_core,
             again=once, stiff=int(bool(self.rods) or any(f.stiff for f in s.forces)),
-            remembers=int(any(items.remembers for items in self.items)), storage=self.fronts.storage,
+            remembers=max([0, *(x.remembers for x in (*self.items, *self.listeners))]), storage=self.fronts.storage,
             seen=len(looks.markers), readings=looks.count, seen_frame=self.store.integers(self.frame[looks.markers]),
             row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
             foretells=int(any(part.foretells for part in parts)), indefinite=self._indefinite,
@@ -418,11 +421,15 @@ class Tables:
             items.arrays["effort"][:] = items.sampled()
         for items in self.remembering:
             items.arrays["kept"][:] = items.formula.kept()
+        for one in self.listeners:
+            one.recall()
 
     def remember(self) -> None:
         """Give back the memory of elements after accepted steps."""
         for items in self.remembering:
             items.formula.keep(items.arrays["kept"])
+        for one in self.listeners:
+            one.remember()
 
     def look(self) -> None:
         """Take the angular velocities above which a body is to be warned of; those warned of have none."""

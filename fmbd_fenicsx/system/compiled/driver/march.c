@@ -48,7 +48,7 @@ EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict,
             break;
         }
         if (recorded && (*verdict = placed ? record(s, tape, &out) : LOOK)) break;
-        if (s->remembers) keep(s, *out.t);
+        if (s->remembers && (*verdict = keep(s, *out.t))) break;
         if (tape) tape->left = recorded ? tape->every : tape->left - 1;
         double *newest = ring[3];
         for (int i = 3; i > 0; i--) ring[i] = ring[i - 1];

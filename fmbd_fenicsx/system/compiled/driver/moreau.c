@@ -379,7 +379,7 @@ static int accepted(System *s, const Contacts *c, Block now, Tape *tape)
         record_contacts(c, tape->contact + size * tape->count);
         if ((verdict = record(s, tape, &now))) return verdict;
     }
-    if (s->remembers) keep(s, *now.t);
+    if (s->remembers && (verdict = keep(s, *now.t))) return verdict;
     if (tape) tape->left = recorded ? tape->every : tape->left - 1;
     return DONE;
 }

@@ -56,7 +56,7 @@ void solution(System *s, double *x, double *y);
 void slips(System *s, int rates);
 void configuration(const System *s, const double *q0, const double *xi, double *q);
 void energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out);
-void keep(System *s, double t);
+int keep(System *s, double t);
 double largest_of(const double *units, const double *x, int n);
 int judge(double *p, const double *sizes, int done, double *error);
 

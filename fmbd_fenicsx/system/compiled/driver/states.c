@@ -89,17 +89,18 @@ void energies(System *s, double t, const double *q, const double *v, const doubl
     for (Rod *k = s->rod; k < s->rod + s->rods; k++) out[1] += rod_energy(s, k);
 }
 
-/* Formulas with a memory take up an accepted step, whose frames are placed. */
-void keep(System *s, double t)
+/* Formulas and controllers with a memory take up an accepted step, whose frames are placed. */
+int keep(System *s, double t)
 {
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
-        if (k->role != FORMULA || (k->formula != DRY && k->formula != PID)) continue;
+        if (!k->told && (k->role != FORMULA || (k->formula != DRY && k->formula != PID))) continue;
         k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
         efforts(s, k, t);
-        for (long i = 0; i < k->n; i++) {
+        for (long i = 0; !k->told && i < k->n; i++) {
             double *kept = k->kept + MEMORY * i;
             if (k->formula == DRY) kept[0] = dragged(k, i);
             else pid_keep(k->constants + FORMULA_WIDTH * i, kept, k->s[i] - k->free[i], k->rate[i], t);
         }
     }
+    return s->remembers > 1 && s->python(KEEP, 0, t) ? FAILED : DONE;
 }

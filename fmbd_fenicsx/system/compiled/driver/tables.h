@@ -30,6 +30,7 @@ typedef struct {
     int role, outputs, live, products, curved, number; /* outputs: of the value kernel; number: for calls into Python */
     int flow;                          /* whether the kind is a speed; a ROW then holds velocities and has no s */
     int driven;                        /* whether a motion of time is among its constants; s' has a part of its own then */
+    int told;                          /* READ: whether its s and s' are told at every evaluation, to controllers */
     long n, width;                     /* width: constants of an item */
     int *pair;                         /* n x 2 frames */
     double *P, *out;                   /* constants; s and the entries of the row */
@@ -168,7 +169,7 @@ typedef struct {
     const double *q;                   /* the configuration evaluated last */
     double *work, *big;
     long evaluations, factors, calls;
-    int remembers;                     /* whether some formula has a memory */
+    int remembers;                     /* whether some formula has a memory; 2: a controller in Python has one */
     int seen, readings, reactions;     /* of records: frames, items that are read, joints whose reaction is */
     int *seen_frame;
     Reaction *reaction;
@@ -217,6 +218,6 @@ typedef struct {
 
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
-       FIELD_TANGENTS };
+       FIELD_TANGENTS, KEEP };
 enum { OUTSIDE = 2 };
 

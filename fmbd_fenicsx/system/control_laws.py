@@ -1,0 +1,46 @@
+"""Laws of controllers: the PID law, and the numbers that a law of the user's own returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import CallbackError
+from ..rotations import Array
+
+
+def numbers_of(name: str, what: str, value: Any, wanted: tuple[int, float]) -> Array:
+    """Numbers that a law returned, or an error that says what was found."""
+    size, t = wanted
+    try:
+        found = np.atleast_1d(np.asarray(value, dtype=float))
+    except (TypeError, ValueError, OverflowError):
+        raise CallbackError(f'Controller "{name}" returned {value!r} at t = {t:g} s, expected {size} {what}.') from None
+    if found.shape != (size,) or not np.isfinite(found).all():
+        raise CallbackError(
+            f'Controller "{name}" returned {found} of shape {found.shape} at t = {t:g} s, expected {size} finite {what}.'
+        )
+    return found
+
+
+@dataclass(frozen=True)
+class PidLaw:
+    """See :func:`pid`; ``target`` gives (s, s', s'')."""
+
+    gains: tuple[float, float, float]
+    target: Callable[[float], tuple[float, float, float]]
+    limit: float
+    every: float | None
+
+    def __call__(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[float, float]:
+        """The effort, and how the integral grows or its next value."""
+        kp, ki, kd = self.gains
+        wanted, speed, _ = self.target(t)
+        error = wanted - y["s"][0]
+        free = kp * error + ki * z[0] + kd * (speed - y["rate"][0])
+        u = float(np.clip(free, -self.limit, self.limit))
+        growth = error if u == free else error + (u - free) / kp
+        return u, growth if self.every is None else z[0] + self.every * growth
