@@ -316,9 +316,9 @@ class Tables:
             **counts, **lists, **self._numbers(once), fronts=len(self.fronts.fronts), front=ctypes.addressof(fronts_of(self)),
             rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), fields=len(self.fields), core=s.n_core,
             again=once, stiff=int(bool(self.rods) or any(f.stiff for f in s.forces)),
-            remembers=max([0, *(x.remembers for x in self.items), *(x.remembers for x in self.listeners)]), storage=self.fronts.storage,
-            seen=len(looks.markers), readings=looks.count, seen_frame=self.store.integers(self.frame[looks.markers]),
-            row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
+            remembers=max([0, *(x.remembers for x in self.items), *(x.remembers for x in self.listeners)]),
+            storage=self.fronts.storage, seen=len(looks.markers), seen_frame=self.store.integers(self.frame[looks.markers]),
+            readings=looks.count, row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
             foretells=int(any(part.foretells for part in parts)), indefinite=self._indefinite,
         )  # fmt: skip
         self.look()
