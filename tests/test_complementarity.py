@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmbd_fenicsx.linear.complementarity.coulomb import solve_friction
+from fmbd_fenicsx.linear.complementarity.coulomb import _lemke, solve_friction
 from fmbd_fenicsx.linear.complementarity.normal import ContactCounts, solve_normal
 
 
@@ -107,3 +107,10 @@ def test_slips_much_slower_than_the_impact(seed: int) -> None:
     counts = ContactCounts()
     x = solve_friction(W, q, np.full(m, mu), np.zeros((m, 3)), counts)
     check_coulomb((W, q, mu), x, counts)
+
+
+def test_pivots_that_overflow_end_the_pivoting() -> None:
+    """Without a finite number no start is found, and nobody else's floating point settings are met."""
+    with np.errstate(over="raise", invalid="raise"):
+        z = _lemke(np.array([[1e-309]]), np.array([-1.0]))
+    np.testing.assert_array_equal(z, np.zeros(1))

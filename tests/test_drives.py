@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from motion import Motion, elastic_scene, plane_scene, space_scene
+from scipy.interpolate import CubicSpline
 from test_joints import AXIS, CENTER, check_derivatives
 
 import fmbd_fenicsx as fmbd
@@ -184,6 +185,28 @@ def test_reaction_of_a_cantilever() -> None:
     run = fmbd.solve(scene, t_end=0.1, dt=0.02)
     assert np.abs(run["F"] - [0, 0, -20.0]).max() < 1e-10
     assert np.abs(run["T"] - np.cross([0.7, 0, 0], [0, 0, -20.0])).max() < 1e-10
+
+
+def test_an_interpolation_is_asked_for_its_own_derivatives() -> None:
+    """Three evaluations of the tables a step, none of them for differences, up to their very end."""
+    asked = []
+
+    class Table(CubicSpline):
+        def __call__(self, *args: Any, **options: Any) -> Any:
+            asked.append(args)
+            return super().__call__(*args, **options)
+
+    t = np.linspace(0.0, 0.1, 21)
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
+    found = []
+    for motion in (Table(t, np.sin(9 * t), extrapolate=False), lambda t: np.sin(9 * t)):
+        scene = fmbd.Scene("table", gravity=(0, -9.81))
+        scene.add(arm, pin, fmbd.drive("motor", fmbd.angle(pin), motion))
+        scene.sensor("torque", fmbd.reaction_torque("motor"))
+        found.append(fmbd.solve(scene, t_end=0.1, dt=1e-3, output=fmbd.Output(every=100))["torque"][-1])
+    assert len(asked) < 20 * 100  # of the table and of both derivatives; 85 a step by differences
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-2)
 
 
 def test_computed_derivatives_of_a_motion() -> None:

@@ -237,3 +237,14 @@ def test_slow_motions_do_not_hide_fast_ones(rod_mesh: Any) -> None:
         scene.add(body, fmbd.revolute("pin", fmbd.ground, body.surface("pin"), center=(0.0, 0.0)))
         found.append(fmbd.modes(scene, 3, at=fmbd.equilibrium(scene)).omega)
     assert found[0] == pytest.approx(found[1], rel=1e-2)
+
+
+@pytest.mark.parametrize(("inputs", "outputs", "what"), [([], ["phi"], "inputs"), (["turn"], [], "outputs")])
+def test_a_linear_model_of_nothing_is_refused(inputs: list[str], outputs: list[str], what: str) -> None:
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, (0.0, -0.5))
+    pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
+    scene = fmbd.Scene("arm", gravity=(0, -9.81))
+    scene.add(arm, pin, fmbd.effort("turn", fmbd.angle(pin), lambda t: 0.0))
+    scene.sensor("phi", fmbd.angle(pin))
+    with pytest.raises(InputError, match=f"{what} = .. names nothing"):
+        fmbd.linearise(scene, inputs, outputs)

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from ..checks import typed
-from ..errors import InputError, near
+from ..errors import InputError, near, require
 from ..mechanics.forces.force_elements import ScalarLoads, TimeLoads
 from ..rotations import Array
 from ..system.scene.scene import Scene
@@ -87,8 +87,10 @@ def linearise(
         modes: keep the first so many modes only; scenes with elastic fields take 20 and static answers where None.
 
     Raises:
-        InputError: an unknown input or output, or a state that is not in equilibrium.
+        InputError: no inputs or outputs, an unknown one, or a state that is not in equilibrium.
     """
+    for what, names in (("inputs", inputs), ("outputs", outputs)):
+        require(len(names) > 0, f"linearise: {what} = {names!r} names nothing. Give the names of some.")
     with prepared(scene, at, None) as made:
         forces = _inputs(made, inputs)
         small = projected(made.about, made.solver, modes or 20, shift=made.shift, inputs=[f for _, f in forces])

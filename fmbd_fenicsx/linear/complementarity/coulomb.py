@@ -101,7 +101,8 @@ def _pivoted(problem: Coulomb, facets: int) -> Array:
 
 
 def _lemke(M: Array, q: Array) -> Array:
-    """z >= 0 with w = M z + q >= 0 and w . z = 0, by complementary pivoting with the lexicographic rule; zeros on a ray.
+    """z >= 0 with w = M z + q >= 0 and w . z = 0, by complementary pivoting with the lexicographic rule; zeros on a ray, and
+    where pivots are so small that the numbers overflow (forces asked for at an iterate far off).
 
     Lemke (1965), doi:10.1287/mnsc.11.7.681.
     """
@@ -115,9 +116,12 @@ def _lemke(M: Array, q: Array) -> Array:
     row = int(np.argmin(q))
     for _ in range(50 * n):
         # pivot: what enters takes the place of what leaves
-        A[row] /= A[row, enter]
-        others = np.arange(n) != row
-        A[others] -= np.outer(A[others, enter], A[row])
+        with np.errstate(over="ignore", invalid="ignore"):
+            A[row] /= A[row, enter]
+            others = np.arange(n) != row
+            A[others] -= np.outer(A[others, enter], A[row])
+        if not np.isfinite(A).all():
+            break
 
         leave, basis[row] = basis[row], enter
         if leave == 2 * n:

@@ -92,6 +92,18 @@ class SmoothMotion:
             )
 
 
+def _with_its_derivatives(function: Callable[[float], Any]) -> Callable[[float], Any]:
+    """An interpolation that knows its derivatives, by ``derivative(order)`` as SciPy's do, as t -> (s, s', s'') by these;
+    any other function as it is.
+    """
+    try:
+        first, second = (function.derivative(order) for order in (1, 2))  # type: ignore[attr-defined]
+        known = all(np.size(one(0.0)) == 1 for one in (function, first, second))
+    except Exception:
+        return function  # what it has by this name is no derivative
+    return (lambda t: np.array([function(t), first(t), second(t)], dtype=float)) if known else function
+
+
 def smooth_motion(name: str, function: Callable[[float], Any], *, of: str = "drive") -> SmoothMotion:
     """A prescribed motion from a function that returns (s, s', s'') or s alone; it must be smooth.
 
@@ -99,6 +111,7 @@ def smooth_motion(name: str, function: Callable[[float], Any], *, of: str = "dri
     (:mod:`fmbd_fenicsx.run.judges.prescribed_motions`). ``of``: what is moved, in messages.
     """
     checked_function(f'{of.capitalize()} "{name}": motion', function, "t", named="t")
+    function = _with_its_derivatives(function)
     asked = named(f"The motion of {of}", name, function, to_end=True)
     differenced = named(f"The motion of {of}", name, function)
     first = SmoothMotion(name, asked, of, False, differenced)._checked(asked(0.0), 0.0)
