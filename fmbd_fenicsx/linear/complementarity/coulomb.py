@@ -100,6 +100,7 @@ def _pivoted(problem: Coulomb, facets: int) -> Array:
     return (T @ _lemke(M, rhs)[:n]).reshape(m, d)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _lemke(M: Array, q: Array) -> Array:
     """z >= 0 with w = M z + q >= 0 and w . z = 0, by complementary pivoting with the lexicographic rule; zeros on a ray, and
     where pivots are so small that the numbers overflow (forces asked for at an iterate far off).
@@ -116,10 +117,9 @@ def _lemke(M: Array, q: Array) -> Array:
     row = int(np.argmin(q))
     for _ in range(50 * n):
         # pivot: what enters takes the place of what leaves
-        with np.errstate(over="ignore", invalid="ignore"):
-            A[row] /= A[row, enter]
-            others = np.arange(n) != row
-            A[others] -= np.outer(A[others, enter], A[row])
+        A[row] /= A[row, enter]
+        others = np.arange(n) != row
+        A[others] -= np.outer(A[others, enter], A[row])
         if not np.isfinite(A).all():
             break
 
