@@ -1,7 +1,8 @@
 """The observatory: error against CPU time of all schemes on problems with exact or independent references.
 
 Run:  ./with-dolfinx env PYTHONPATH=.:demos:tests:tests/benchmarks python3 tests/benchmarks/observatory.py --write
-      (--fast: two values each; --write: docs/observatory.md and its figure; --only NAME ...: these problems;
+      (--fast: two values each; --write: docs/observatory.md and its figure;
+      --only NAME ...: these problems, all other rows as docs/observatory.md has them;
       --json FILE: keep the runs there after each problem, and do not make again those that it holds;
       --schemes NAME ...: these schemes, all other rows as docs/observatory.md has them)
 
@@ -182,12 +183,15 @@ def observed(
     return [Point(**p) for x in found for p in x["points"]], sum(x["seconds"] for x in found)
 
 
-def beside(points: list[Point], schemes: list[str]) -> list[Point]:
-    """Runs of some schemes among those of the others that the page holds, to its digits, in the order of problems and schemes."""
+def beside(points: list[Point], problems: list[str], schemes: list[str] | None) -> list[Point]:
+    """Runs of some problems, with all schemes or with some, among those of the others that the page holds, to its digits, in the
+    order of problems and schemes.
+    """
     order = {(n, scheme): values for n in PROBLEMS for scheme, values, _ in _runs(n)}
     kept = []
     for problem, scheme, cells, failure in rows_of((ROOT / "docs/observatory.md").read_text()):
-        if scheme in schemes or (problem, scheme) not in order:
+        made_again = problem in problems and (schemes is None or scheme in schemes)
+        if made_again or (problem, scheme) not in order:
             continue
         for value, cell in zip(order[problem, scheme], cells, strict=False):
             told = failure.get(f"{value:g}", "")
@@ -210,9 +214,9 @@ def main() -> None:
     fast = bool(args.fast)
     points, spent = observed(args.only or list(PROBLEMS), fast=fast, file=args.json, schemes=args.schemes)
     setting = f"with{' `--fast`: two' if fast else ' three'} values for each scheme"
-    if args.schemes:
-        points = beside(points, args.schemes)
-        listed = ", ".join(f"**{scheme}**" for scheme in args.schemes)
+    if args.schemes or args.only:
+        points = beside(points, args.only or list(PROBLEMS), args.schemes)
+        listed = ", ".join(f"**{name}**" for name in [*(args.schemes or []), *(args.only or [])])
         setting += f".\nRows of {listed} were made last, beside those of the page before: those come from earlier code"
     text = page(points, setting, (FAST_BUDGET if fast else BUDGET, LONGEST, spent))
     print(text)
