@@ -131,8 +131,9 @@ class CompiledMoreauStepper(MoreauStepper):
         counts.cycles += tally.cycles
         counts.solves += tally.solves
         self.located += tally.impacts
+        self.accumulations += self.driver.accumulations
         counts.residual = max(counts.residual, float(tally.residual))
-        self.driver.c.tally = Tally()
+        self.driver.c.tally, self.driver.accumulations = Tally(), 0
 
     def _forces(self, normal: Array) -> ContactForces:
         """What sensors read of the contacts in the last step."""

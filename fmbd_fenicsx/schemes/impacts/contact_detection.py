@@ -64,6 +64,12 @@ def refuse_penetration(system: System, contacts: ContactSet, state: State) -> No
         raise InputError(pair.overlap(system, depth, rows.x[worst], rows.normal[worst]))
 
 
+def tell_rest(contacts: ContactSet, point: int, t: float) -> None:
+    """Log that a point's impacts accumulate in the step, at a time t (s)."""
+    name = contacts.names[contacts.pair[point]]
+    log.info('contact "%s" at t = %.6g s: its impacts accumulate (Zeno); it comes to rest', name, t)
+
+
 def _refuse_tunnelling(system: System, contacts: ContactSet, state: State, step: tuple[float, Touch, Touch]) -> None:
     """Raise ConvergenceError when a point would pass more than half of an obstacle's thickness in one step;
     collective.

@@ -28,6 +28,7 @@ from ...system.compiled.tables import Tables, covers_bodies
 from ...system.speed_rows import speed_rows
 from ...system.system import State, System
 from ..onestep import alpha_driver as slots
+from .contact_detection import tell_rest
 from .contact_newton import frictional_forces, normal_forces
 from .contact_tape import ContactTape
 
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from ...system.compiled.recording import Openness, Tape
     from ..newton import Newton
 
-POSE_OF, COMPLEMENTARITY, DISTANCES = range(3)
+POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED = range(4)
 LIMIT, OWN = 4, 5  # behind the shapes that the driver knows; OWN: Python tells the distances
 BOUNDED = slots.AM
 MOST = 64  # closed at once: a step with more is NumPy's, whose problem is not dense then
@@ -73,7 +74,7 @@ class Contacts(ctypes.Structure):
         *_fields("carrying closed bouncing hits held force normal impulse works", POINTER),
         *_fields("energy springs time last", REAL),
         ("loaded", INT),
-        *_fields("rows drift rate W q f mu Y work ahead xi kept saved was path own", POINTER),
+        *_fields("rows drift rate W q f mu Y work ahead xi kept saved was rested path own", POINTER),
         *_fields("size most done total parts", INT),
         ("system", POINTER),
         ("tally", Tally),
@@ -129,7 +130,7 @@ class ContactDriver:
     """The driver for one system with contact: tables, calls into Python, and three states in turn."""
 
     def __init__(self, system: System, plain: System, library: Any, impacts: int, *, redundant: bool) -> None:
-        self.impacts = impacts
+        self.impacts, self.accumulations = impacts, 0
         self.system, self.library, self.contacts = system, library, system.contacts
         self.stops = [pair for pair in self.contacts.pairs if isinstance(pair, LimitPair)]
         self.tables = Tables(plain, redundant=redundant, coordinates=[pair.relative for pair in self.stops])
@@ -168,7 +169,7 @@ class ContactDriver:
             "rows": 2 * rows * wide, "W": rows**2, "q": rows, "f": rows, "mu": room,
             "Y": rows * (self.n + self.m), "work": 6 * rows + rows**2, "ahead": self.nq, "xi": self.n, "still": self.n,
             "kept": self.m + 1, "own": m * (1 + 2 * d),
-            "saved": m * k + len(contacts.pairs) * d + 7, "path": (2 * self.impacts + 1) * block_size(s),
+            "saved": m * k + len(contacts.pairs) * d + 7, "rested": m, "path": (2 * self.impacts + 2) * block_size(s),
         }  # fmt: skip
         counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m}
         places = {name: self._array(name, np.zeros(size)) for name, size in sizes.items()}
@@ -271,6 +272,9 @@ class ContactDriver:
                 self.pairs[number].pose[:] = list(self.contacts.pairs[number].carrier.motion(t))
             elif what == DISTANCES:
                 self._distances(number)
+            elif what == RESTED:
+                self.accumulations += 1
+                tell_rest(self.contacts, number, t)
             else:
                 self._forces(number)
         except Exception:

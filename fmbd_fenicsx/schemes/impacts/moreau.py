@@ -28,7 +28,6 @@ import numpy as np
 from ...checks import whole
 from ...errors import FmbdError
 from ...linear.condensation import StepSolver, Weights
-from ...log import log
 from ...rotations import Array
 from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
@@ -38,7 +37,7 @@ from ...system.system import State, System
 from ..consistent import Correction, consistent
 from ..dense_output import place_within, state_within
 from ..newton import Newton, not_converged
-from .contact_detection import candidates, refuse_penetration
+from .contact_detection import candidates, refuse_penetration, tell_rest
 from .contact_ledger import StepForces
 from .contact_newton import UnilateralForces, openings
 from .contact_stepper import ContactStepper
@@ -89,7 +88,7 @@ class Moreau:
         """A run's worker, from a consistent state: compiled where the driver knows bodies, forces and contacts."""
         from .contact_driver import contact_driver
 
-        driver = contact_driver(system, redundant=solver.core.redundant, impacts=self.impacts) if self.impacts else None
+        driver = contact_driver(system, redundant=solver.core.redundant, impacts=self.impacts)
         if driver is None:
             return MoreauStepper(system, solver, newton, state, self.impacts)
         from .compiled_moreau import CompiledMoreauStepper
@@ -227,8 +226,7 @@ class MoreauStepper(ContactStepper):
         self.located += int(hit.sum())
         for i in np.flatnonzero(hit & (hits == REPEATS + 1)):
             self.accumulations += 1
-            name = contacts.names[contacts.pair[i]]
-            log.info('contact "%s" at t = %.6g s: its impacts accumulate (Zeno); it comes to rest', name, s.t)
+            tell_rest(contacts, i, s.t)
         return _Step(self, IMPACT * h, touching, bounce=hit & (hits <= REPEATS), span=h)
 
     def _located(self, step: _Step, share: float, which: int) -> _Step:

@@ -5,7 +5,7 @@
    carried by a body. A stop is a pair of its own, whose one or two candidates are the lower and the upper one. */
 
 enum { HALF_SPACE, SPHERE, CYLINDER, BOX, LIMIT, OWN }; /* OWN: Python tells the distances */
-enum { POSE_OF, COMPLEMENTARITY, DISTANCES };           /* what Python is asked for by contact */
+enum { POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED };   /* what Python is asked for, or told, by contact */
 
 typedef struct {
     int shape, first, count, carrier, moving; /* points; carrier: body, -1 for none */
@@ -49,9 +49,10 @@ typedef struct {
     double *ahead, *xi, *kept;                /* like q, like v, like lambda */
     double *saved;                            /* held, impulse and works at the start of a step */
     int *was;                                 /* carrying then */
-    double *path;                             /* most + 1 states: the start of a step and the ends of its parts */
+    double *rested;                           /* points: when one whose impacts accumulate in a step came to rest */
+    double *path;                             /* most + 2 states: the start of a step and the ends of its parts */
     double *own;                              /* for Python: places of the points in a shape's axes, distances, gradients */
-    int size, most, done, total;              /* of v; parts of a step; iterations of a part and of the parts of a step */
+    int size, most, done, total;              /* of v; impacts' parts of a step; iterations of a part and of the parts of a step */
     int parts;                                /* of the last step */
     System *system;
     Tally tally;

@@ -1,6 +1,5 @@
-/* Steps of the Moreau-Jean scheme: the algorithm of schemes/impacts/moreau.py for free flight, closed contacts, and impacts at
-   their own times, many steps in one call. Steps in which impacts accumulate, or points could pass through an obstacle, are given
-   back with the verdict LOOK. */
+/* Steps of the Moreau-Jean scheme: the algorithm of schemes/impacts/moreau.py, many steps in one call. Steps in which points could
+   pass through an obstacle, or more contacts close at once than there is room for, are given back with the verdict LOOK. */
 
 #include "tables.h"
 #include "rotations.c"
@@ -254,13 +253,14 @@ static int taken(System *s, Contacts *c, double *p, Block now, Block out, int m,
     return DONE;
 }
 
-/* A part of almost no length through the impacts of those that bounce; m contacts take part. */
+/* A part of almost no length through the impacts of those that bounce; m contacts take part. One that hits too often comes to rest. */
 static int impact(System *s, Contacts *c, double *p, Block now, Block out, int m, double h)
 {
     for (int i = 0; i < c->points; i++) {
         if (!c->bouncing[i]) continue;
         c->tally.impacts++;
-        if (++c->hits[i] > REPEATS) return LOOK;
+        if (++c->hits[i] == REPEATS + 1) c->rested[i] = *now.t;
+        c->bouncing[i] = c->hits[i] <= REPEATS;
     }
     int verdict = solved(s, c, p, now, out, m, INSTANT * h, h);
     return verdict ? verdict : taken(s, c, p, now, out, m, INSTANT * h, h);
@@ -286,14 +286,41 @@ static int holding(System *s, Contacts *c, double *p, Block now, int m, double h
     return m;
 }
 
-/* The part of a step h to the next impact, through it, or to the end, for which ``left`` is left. */
-static int part(System *s, Contacts *c, double *p, Block now, Block out, double left, double h)
+/* The rest of a step by classical time stepping: contacts closed in the middle, and after many impacts those that would else end in
+   their obstacles, all with restitution. */
+static int classical(System *s, Contacts *c, double *p, Block now, Block out, double left, double h)
+{
+    int m = 0, verdict, *closed = c->hits + c->points;
+    for (int i = 0; i < s->nv; i++) c->xi[i] = 0.5 * left * now.v[i];
+    configuration(s, now.q, c->xi, c->ahead);
+    if (touch(c, c->ahead, *now.t + 0.5 * left, &c->aside)) return LOOK;
+    for (int i = 0; i < c->points; i++) {
+        c->bouncing[i] = 1;
+        closed[i] = c->aside.gap[i] <= 0.0;
+    }
+
+    for (int through = 1; through;) {
+        m = through = 0;
+        for (int i = 0; i < c->points; i++)
+            if (closed[i]) c->closed[m++] = i;
+        if ((verdict = solved(s, c, p, now, out, m, left, left))) return verdict;
+        if (!c->most) break;
+        if (along_parabola(s, c, now, out, left, 1.0)) return LOOK;
+        for (int i = 0; i < c->points; i++)
+            if (!closed[i] && c->aside.gap[i] < -DRIFTING * p[LENGTH]) through = closed[i] = 1;
+    }
+    return taken(s, c, p, now, out, m, left, h);
+}
+
+/* The part of a step h to the next impact, through it, or to the end, for which ``left`` is left; ``many``: whether it had too many already. */
+static int part(System *s, Contacts *c, double *p, Block now, Block out, double left, double h, int many)
 {
     int hit, which, verdict, held;
     double length = left, share;
     if (!c->known && touch(c, now.q, *now.t, &c->now)) return LOOK;
     c->known = 1;
     if (p[BOUNDED] != 0.0 && passes(c, now, left)) return LOOK;
+    if (many) return classical(s, c, p, now, out, left, h);
     int m = taking_part(c, p, now, h, &hit);
     if (m < 0) return LOOK;
     if (hit) return impact(s, c, p, now, out, m, h);
@@ -342,15 +369,18 @@ static int whole_step(System *s, Contacts *c, double *p, double **ring, int *new
     memset(c->normal, 0, c->points * sizeof(double));
     note_part(s, c, 0, ring[0]);
     for (int done = 0; end - *block_at(s, ring[from]).t > 2 * INSTANT * h; done++) {
-        if (done >= c->most) return LOOK;
         Block now = block_at(s, ring[from]);
-        if ((verdict = part(s, c, p, now, block_at(s, ring[to]), end - *now.t, h))) return verdict;
+        if ((verdict = part(s, c, p, now, block_at(s, ring[to]), end - *now.t, h, done >= c->most)))
+            return verdict;
         from = to;
         to = 3 - to;
         note_part(s, c, done + 1, ring[from]);
     }
     *block_at(s, ring[from]).t = end;
-    for (int i = 0; i < c->points; i++) acts |= c->normal[i] != 0.0;
+    for (int i = 0; i < c->points; i++) {
+        acts |= c->normal[i] != 0.0;
+        if (c->hits[i] > REPEATS) c->python(RESTED, i, c->rested[i]);
+    }
     if (acts) c->tally.steps++, c->tally.newton += c->total;
     p[LOCAL] = fmax(p[LOCAL], c->last);
     *newest = from;
