@@ -241,7 +241,9 @@ def column(impacts: int) -> Any:
 
 
 @pytest.mark.parametrize("impacts", [0, 1, 20])
-def test_impacts_that_accumulate_and_classical_steps_are_compiled(impacts: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_impacts_that_accumulate_and_classical_steps_are_compiled(
+    impacts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One contact comes to rest after three impacts; the rest of a step with too many is classical, with those closed that would
     pass through.
     """
