@@ -222,7 +222,7 @@ def test_compiled_steps_are_those_of_numpy(name: str, monkeypatch: pytest.Monkey
 
 
 def column(impacts: int) -> Any:
-    """Three balls on each other over a floor, none above the other's centre, in a groove: impacts go up and down, and accumulate."""
+    """Three balls on each other over a floor, not quite above each other, in a groove: impacts go up and down, and accumulate."""
     scene = fmbd.Scene("column", gravity=(0, -9.81))
     balls = [fmbd.RigidBody(f"{i}", 1.0, 0.004, (0.01 * (i % 2), 0.13 + 0.23 * i)) for i in range(3)]
     scene.add(*balls)
