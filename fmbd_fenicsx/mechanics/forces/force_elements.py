@@ -24,7 +24,8 @@ from ..joints.relative import Relative, Separation
 from ..joints.time_derivatives import rates
 from .effort_laws import EffortLaw
 from .formulas import Formula, SampledEffort, formulas_of
-from .user_laws import Repeatable, checked, checked_number, checked_numbers
+from .laws_together import LawsTogether
+from .user_laws import Repeatable, checked, checked_numbers
 
 
 @dataclass(frozen=True)
@@ -164,7 +165,8 @@ class ScalarLoads(Loads):
         self.k = np.array([f.stiffness for f in forces], dtype=float)
         self.c = np.array([f.damping for f in forces], dtype=float)
         self.free = np.array([f.length for f in forces], dtype=float)
-        self.own = [(i, f.name, self.laws[i]) for i, f in enumerate(forces) if f.law is not None]
+        self.own = np.flatnonzero([f.law is not None for f in forces])
+        self._together: dict[bytes, LawsTogether] = {}  # by their numbers
 
     def _state(self, kin: Kinematics) -> tuple[Array, Array, Array, Array]:
         assert kin.twist is not None
@@ -182,34 +184,29 @@ class ScalarLoads(Loads):
         rate: Array = (ra * twists[self.a] + rb * twists[self.b]).sum(1)
         return rate
 
-    def law(self, which: np.ndarray, s: np.ndarray, rate: np.ndarray, t: float) -> Array:
-        """N of the laws of the user's own of some forces, at their elongations s and rates: arrays like ``which``."""
-        forces, laws = self.forces, self.laws
-        numbers: tuple[Any, ...] = (which.tolist(), s.tolist(), rate.tolist())
-        return np.array([checked_number(forces[i].name, laws[i](x, v, t), t) for i, x, v in zip(*numbers, strict=True)])
+    def law(self, which: np.ndarray, s: Array, rate: Array, t: float) -> Array:
+        """N of the laws of the user's own of some forces, at their elongations s and rates: arrays (.., m), ``which`` (m,)."""
+        key = which.tobytes()
+        if key not in self._together:
+            self._together[key] = LawsTogether([self.laws[i] for i in which])
+        return self._together[key](s, rate, t)
 
     def slopes(self, which: np.ndarray, s: Array, rate: Array, t: float) -> tuple[Array, Array]:
         """dN/ds and dN/ds' of the same: by the law's own formula where it is one of the package's, else by differences."""
         k, c = np.empty(len(which)), np.empty(len(which))
-        for n, i in enumerate(which):
-            formula = self.forces[i].law
-            if isinstance(formula, EffortLaw):
-                k[n], c[n] = formula.slopes(s[n], rate[n], t)
-                continue
-            # central differences, in steps of the size of s and s'
-            x = float(s[n])
-            v = float(rate[n])
-            name = self.forces[i].name
-            law = self.laws[i]
-            hs, hv = 1e-6 * max(abs(x), 1e-3), 1e-6 * max(abs(v), 1e-3)
+        stated = np.array([isinstance(self.forces[i].law, EffortLaw) for i in which], dtype=bool)
+        for n in np.flatnonzero(stated):
+            k[n], c[n] = self.forces[which[n]].law.slopes(s[n], rate[n], t)
+        if stated.all():
+            return k, c
 
-            # checked one by one: a law may fail beside the state where it was asked before
-            longer = checked_number(name, law(x + hs, v, t), t)
-            shorter = checked_number(name, law(x - hs, v, t), t)
-            faster = checked_number(name, law(x, v + hv, t), t)
-            slower = checked_number(name, law(x, v - hv, t), t)
-            k[n] = (longer - shorter) / (2 * hs)
-            c[n] = (faster - slower) / (2 * hv)
+        # central differences, in steps of the size of s and s'
+        rest = ~stated
+        x, v = s[rest], rate[rest]
+        hs, hv = 1e-6 * np.maximum(np.abs(x), 1e-3), 1e-6 * np.maximum(np.abs(v), 1e-3)
+        asked = np.array((x + hs, x - hs, x, x)), np.array((v, v, v + hv, v - hv))
+        longer, shorter, faster, slower = self.law(which[rest], *asked, t)
+        k[rest], c[rest] = (longer - shorter) / (2 * hs), (faster - slower) / (2 * hv)
         return k, c
 
     def given(self, which: np.ndarray, t: float) -> Array:
@@ -223,8 +220,8 @@ class ScalarLoads(Loads):
     def effort(self, s: Array, rate: Array, t: float) -> Array:
         """N of elongations s and rates, (m,)."""
         N = self.k * s + self.c * rate
-        for i, name, law in self.own:
-            N[i] = checked(name, law(s[i], rate[i], t), 1, t)[0]
+        if len(self.own):
+            N[self.own] = self.law(self.own, s[self.own], rate[self.own], t)
         return N
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
@@ -250,9 +247,8 @@ class ScalarLoads(Loads):
         """Material stiffness k and damping c, and the geometric stiffness of N."""
         s, rate, _, _ = self._state(kin)
         k, c = self.k.copy(), self.c.copy()
-        if self.own:
-            which = np.array([i for i, _, _ in self.own])
-            k[which], c[which] = self.slopes(which, s[which], rate[which], t)
+        if len(self.own):
+            k[self.own], c[self.own] = self.slopes(self.own, s[self.own], rate[self.own], t)
         return self._tangent_of(kin, self.effort(s, rate, t), (k, c))
 
     def _tangent_of(self, kin: Kinematics, N: Array, slopes: tuple[Array, Array]) -> MarkerTangent:

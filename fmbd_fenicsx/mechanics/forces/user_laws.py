@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import CallbackError, named
+from ...errors import AGREEMENTS, CallbackError, named
 from ...rotations import Array
 
 
@@ -27,9 +27,15 @@ def checked(name: str, value: Any, size: int, t: float) -> Array:
 
 def checked_number(name: str, value: Any, t: float) -> float:
     """The same for a single number."""
-    if isinstance(value, float) and isfinite(value):
-        return value
-    return float(checked(name, value, 1, t)[0])
+    found = _plain(value)
+    return float(checked(name, value, 1, t)[0]) if found is None else found
+
+
+def _plain(value: Any) -> float | None:
+    """A finite number as it is, or alone in an array; None for anything else."""
+    if isinstance(value, np.ndarray) and value.size == 1 and value.ndim < 2 and value.dtype.kind == "f":
+        value = value.item()
+    return value if isinstance(value, float) and isfinite(value) else None
 
 
 def checked_numbers(name: str, value: Any, size: int, t: float) -> Sequence[float] | Array:
@@ -54,6 +60,7 @@ class Repeatable:
 
     def __init__(self, what: str, name: str, law: Callable[..., Any], *, time: int = -1) -> None:
         self.name, self.time, self.law = name, time, named(what, name, law, time=time, to_end=True)
+        self.function = law
         self._asked = False
 
     def __call__(self, *args: Any) -> Any:
@@ -63,6 +70,17 @@ class Repeatable:
             self._asked = True
             self._compare(value, self.law(*args), float(np.real(args[self.time])))
         return value
+
+    def number(self, *args: Any) -> float:
+        """What it returns as a number, checked. What is no plain number, or fails, is asked again with all that belongs to it."""
+        if self._asked and not AGREEMENTS:
+            try:
+                found = _plain(self.function(*args))
+            except Exception:
+                found = None  # with a name below
+            if found is not None:
+                return found
+        return checked_number(self.name, self(*args), float(np.real(args[self.time])))
 
     def _compare(self, first: Any, second: Any, t: float) -> None:
         """Refuse two answers that differ; values that are no numbers are for others to refuse."""

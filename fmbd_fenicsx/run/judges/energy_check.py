@@ -51,7 +51,7 @@ def closed(scene: Scene, system: System) -> bool:
 
 def _gives(loads: ScalarLoads) -> bool:
     """Whether a law of some elements may put energy into a scene: all but those of a potential."""
-    laws = (loads.forces[i].law for i, _, _ in loads.own)
+    laws = (loads.forces[i].law for i in loads.own)
     return not all(isinstance(law, EffortLaw) and law.conserves for law in laws)
 
 

@@ -171,7 +171,7 @@ def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     whole.stiffness, whole.damping, whole.free = loads.k, loads.c, loads.free
     whole.slot = looks.slots_of(loads)
     stated = {int(i) for formula in loads.formulas() for i in formula.which}
-    own = np.array([i for i, _, _ in loads.own if i not in stated], dtype=int)
+    own = np.array([i for i in loads.own if i not in stated], dtype=int)
     timed = np.array([i for i in own if loads.forces[i].of_time], dtype=int)
     called = np.setdiff1d(own, timed)
     linear = np.setdiff1d(np.arange(n), [*own, *stated])

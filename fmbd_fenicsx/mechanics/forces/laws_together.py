@@ -1,0 +1,153 @@
+"""Laws of the user's own on scalar coordinates, N(s, s', t), of many elements: asked with arrays where they take them.
+
+Laws are of one kind where they are one function, or functions of one text that differ in numbers: values of defaults or of
+variables around them. Such a kind is asked once, for arrays of all its elements, with arrays of these numbers in their places:
+
+    for spring, k in ...:   law=lambda s, rate, t, k=k: k * s        ->    one call with s (.., n) and k (n,)
+
+Whether arrays give what numbers give is seen at the first call, where all elements are asked alone too, and at every later
+call by one of them in turn. A kind that does not take arrays is asked element by element.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from math import isfinite
+from operator import attrgetter, is_
+from types import CellType, FunctionType, MethodType
+from typing import Any
+
+import numpy as np
+
+from ...errors import AGREEMENTS
+from ...rotations import Array
+from .user_laws import Repeatable
+
+FEW = 8  # numbers: below it Python is faster with each of them
+SAME = 1e-9  # relative, of arrays against numbers: their functions may round in other ways
+_content = attrgetter("cell_contents")
+
+
+class LawsTogether:
+    """The laws of n elements."""
+
+    def __init__(self, laws: Sequence[Repeatable]) -> None:
+        self.laws = laws
+        kinds: dict[Hashable, list[int]] = {}
+        for i, law in enumerate(laws):
+            kinds.setdefault(_kind(law.function), []).append(i)
+        self.kinds = [OneKind([laws[i] for i in which], np.array(which)) for which in kinds.values()]
+
+    def __call__(self, s: Array, rate: Array, t: float) -> Array:
+        """N at elongations and rates: all (.., n)."""
+        if len(self.kinds) == 1:
+            return self.kinds[0](s, rate, t)
+        out = np.empty(s.shape)
+        for kind in self.kinds:
+            out[..., kind.which] = kind(s[..., kind.which], rate[..., kind.which], t)
+        return out
+
+
+class OneKind:
+    """Laws of one kind, of some elements ``which``. ``numbers``: variables around them whose values are in ``function``."""
+
+    def __init__(self, laws: Sequence[Repeatable], which: np.ndarray) -> None:
+        self.laws, self.which = laws, which
+        self.takes_arrays: bool | None = None  # None: not tried yet
+        self.turn = 0  # who is asked alone next
+        self._make()
+
+    def _make(self) -> None:
+        functions = [law.function for law in self.laws]
+        cells = zip(*(getattr(f, "__closure__", None) or () for f in functions), strict=True)
+        self.cells = [x for same in cells if any(y is not same[0] for y in same) for x in same]
+        self.contents = [x.cell_contents for x in self.cells]
+        self.function = _of_arrays(functions)
+
+    def __call__(self, s: Array, rate: Array, t: float) -> Array:
+        """N at elongations and rates: all (.., n)."""
+        if self.takes_arrays is False or s.size < FEW or AGREEMENTS:
+            return self.alone(s, rate, t)
+        if self.cells and not all(map(is_, map(_content, self.cells), self.contents)):
+            return self.alone(s, rate, t)  # somebody changed a variable: it may be no number any more
+        single = self.alone(s, rate, t) if self.takes_arrays is None else None
+        found = self._together(s, rate, t)
+        if found is None or (single is not None and not _same(found, single)):
+            self.takes_arrays = False
+            return self.alone(s, rate, t) if single is None else single
+
+        # one of them alone: what differs shows itself within a few calls
+        self.turn = (self.turn + 1) % len(self.laws)
+        at = (0,) * (s.ndim - 1) + (self.turn,)
+        one = self.laws[self.turn].number(float(s[at]), float(rate[at]), t)
+        self.takes_arrays = bool(abs(one - found[at]) <= SAME * max(abs(one), 1e-3 * float(np.abs(found).max())))
+        return found if self.takes_arrays else self.alone(s, rate, t)
+
+    def alone(self, s: Array, rate: Array, t: float) -> Array:
+        """The same, each number by itself."""
+        n = len(self.laws)
+        numbers = zip(s.ravel().tolist(), rate.ravel().tolist(), strict=True)
+        found = [self.laws[k % n].number(x, v, t) for k, (x, v) in enumerate(numbers)]
+        return np.array(found).reshape(s.shape)
+
+    def _together(self, s: Array, rate: Array, t: float) -> Array | None:
+        """The same by arrays; None where there is no such answer."""
+        s, rate = s.copy(), rate.copy()
+        s.flags.writeable = rate.flags.writeable = False  # numbers cannot be changed by a law either
+        try:
+            found = self.function(s, rate, t)
+            good = isinstance(found, np.ndarray) and found.shape == s.shape and isfinite(found.sum())
+        except Exception:
+            return None  # alone it says who failed
+        return found.astype(float) if good else None
+
+
+def _same(one: Array, other: Array) -> bool:
+    return bool(np.allclose(one, other, rtol=SAME, atol=1e-3 * SAME * float(np.abs(other).max())))
+
+
+def _is_number(x: Any) -> bool:
+    return isinstance(x, int | float) and not isinstance(x, bool)
+
+
+def _kind(f: Any) -> Hashable:
+    """Equal for functions that differ in numbers only."""
+    if isinstance(f, MethodType):
+        return id(f.__self__), id(f.__func__)
+    if not isinstance(f, FunctionType):
+        return id(f)
+
+    def key(x: Any) -> Hashable:
+        return type(x) if _is_number(x) else id(x)
+
+    try:
+        around = tuple(key(cell.cell_contents) for cell in f.__closure__ or ())
+    except ValueError:  # a variable without a value as yet
+        return id(f)
+    named = tuple((name, key(x)) for name, x in (f.__kwdefaults__ or {}).items())
+    return f.__code__, id(f.__globals__), tuple(map(key, f.__defaults__ or ())), named, around
+
+
+def _of_arrays(functions: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
+    """One function of the same kind, with arrays (n,) where their numbers differ."""
+    first = functions[0]
+    if all(f is first for f in functions) or not isinstance(first, FunctionType):
+        return first
+
+    def merged(values: Sequence[Any]) -> Any:
+        return values[0] if not _is_number(values[0]) or len(set(values)) == 1 else np.array(values)
+
+    def cell(cells: Sequence[CellType]) -> CellType:
+        same = all(x is cells[0] for x in cells)
+        return cells[0] if same else CellType(merged([x.cell_contents for x in cells]))
+
+    def columns(name: str) -> list[tuple[Any, ...]]:
+        return list(zip(*(getattr(f, name) or () for f in functions), strict=True))
+
+    made = FunctionType(
+        first.__code__, first.__globals__, first.__name__, tuple(map(merged, columns("__defaults__"))),
+        tuple(map(cell, columns("__closure__"))),
+    )  # fmt: skip
+    named = first.__kwdefaults__ or {}
+    made.__kwdefaults__ = {x: merged([f.__kwdefaults__[x] for f in functions]) for x in named}  # type: ignore[attr-defined]
+    return made

@@ -1,0 +1,181 @@
+"""Laws of the user's own on coordinates: asked with arrays where they take them, with the values that numbers give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import CallbackError
+from fmbd_fenicsx.mechanics.forces.laws_together import LawsTogether
+from fmbd_fenicsx.mechanics.forces.user_laws import Repeatable
+
+N = 9
+RNG = np.random.default_rng(3)
+S, RATE, NUMBERS = RNG.standard_normal((3, N))
+Law = Callable[..., Any]
+
+
+def by_default() -> list[Law]:
+    return [lambda s, rate, t, k=k: np.where(s > 0, k * s + 2.0 * rate, t) for k in NUMBERS.tolist()]
+
+
+def by_closure() -> list[Law]:
+    def make(k: float) -> Law:
+        return lambda s, rate, t: k * np.maximum(s, 0.0) ** 2 + rate * t
+
+    return [make(k) for k in NUMBERS.tolist()]
+
+
+def by_name() -> list[Law]:
+    return [lambda s, rate, t, *, k=k: np.tanh(k * s) + rate for k in NUMBERS.tolist()]
+
+
+class Material:
+    """A law that is a method."""
+
+    k = 3.0
+
+    def law(self, s: Any, rate: Any, t: float) -> Any:
+        return self.k * s + rate
+
+
+def one_for_all() -> list[Law]:
+    table = np.linspace(-4, 4, 9), np.linspace(-4, 4, 9) ** 3
+    law: Law = lambda s, rate, t: np.interp(s, *table) + 0.1 * rate  # noqa: E731
+    return [law] * N
+
+
+def method() -> list[Law]:
+    one = Material()
+    return [one.law for _ in range(N)]
+
+
+def branches() -> list[Law]:
+    return [lambda s, rate, t, k=k: k * s if s > 0 else 0.0 for k in NUMBERS.tolist()]
+
+
+def of_math() -> list[Law]:
+    return [lambda s, rate, t, k=k: math.sin(k * s) for k in NUMBERS.tolist()]
+
+
+def mixes() -> list[Law]:
+    """Takes arrays, with another meaning."""
+    return [lambda s, rate, t: s - np.mean(s) + rate for _ in range(N)]
+
+
+def mixes_later() -> list[Law]:
+    return [lambda s, rate, t: s + (np.mean(s) if t > 1.0 else s) for _ in range(N)]
+
+
+def writes() -> list[Law]:
+    def law(s: Any, rate: Any, t: float) -> Any:
+        s *= 2.0
+        return s + rate
+
+    return [law] * N
+
+
+def constant() -> list[Law]:
+    return [lambda s, rate, t: 5.0 for _ in range(N)]
+
+
+TAKEN = [by_default, by_closure, by_name, one_for_all, method]
+REFUSED = [branches, of_math, mixes, mixes_later, writes, constant]
+
+
+def alone(laws: list[Law], s: Any, rate: Any, t: float) -> Any:
+    shape = s.shape
+    s, rate = s.reshape(-1, N).tolist(), rate.reshape(-1, N).tolist()
+    found = [[float(law(x, v, t)) for law, x, v in zip(laws, *row, strict=True)] for row in zip(s, rate, strict=True)]
+    return np.array(found).reshape(shape)
+
+
+@pytest.mark.parametrize("make", TAKEN + REFUSED)
+def test_arrays_give_what_numbers_give(make: Callable[[], list[Law]]) -> None:
+    laws = make()
+    together = LawsTogether([Repeatable("The law of spring", f"{i}", law) for i, law in enumerate(laws)])
+    for t in (0.5, 0.7, 2.0, 2.5):
+        for s, rate in ((S + t, RATE), (np.array([S, S + 1, S - t]), np.array([RATE, RATE, -RATE]))):
+            before = s.copy()
+            assert np.allclose(together(s, rate, t), alone(laws, s, rate, t), rtol=1e-14, atol=1e-15)
+            assert (s == before).all()
+    assert len(together.kinds) == 1
+    assert together.kinds[0].takes_arrays == (make in TAKEN)
+
+
+def test_variable_that_changes_later_is_seen() -> None:
+    def make(k: float) -> tuple[Callable[[], None], Law]:
+        def change() -> None:
+            nonlocal k
+            k = 7.0
+
+        return change, lambda s, rate, t: k * s
+
+    changes, laws = zip(*map(make, NUMBERS.tolist()), strict=True)
+    together = LawsTogether([Repeatable("The law of spring", f"{i}", law) for i, law in enumerate(laws)])
+    for _ in range(2):
+        assert np.allclose(together(S, RATE, 0.0), NUMBERS * S, rtol=1e-14)
+    changes[4]()
+    assert together(S, RATE, 0.0)[4] == 7.0 * S[4]
+
+
+def test_fault_in_an_array_names_its_element() -> None:
+    def make(i: int) -> Law:
+        return lambda s, rate, t: np.where((i == 6) & np.asarray(t > 1.0), np.nan, s + i)
+
+    together = LawsTogether([Repeatable("The law of spring", f"spring {i}", make(i)) for i in range(N)])
+    together(S, RATE, 0.0)
+    assert together.kinds[0].takes_arrays
+    with pytest.raises(CallbackError, match=r'"spring 6".*returned .*nan.* at t = 2 s'):
+        together(S, RATE, 2.0)
+
+
+def cable(law: Callable[[list[int]], Law]) -> tuple[fmbd.Scene, list[int]]:
+    """Ten masses on slack ropes with laws of their own lengths."""
+    scene, asked = fmbd.Scene("cable", gravity=(0.0, -9.81)), [0]
+    before: Any = fmbd.ground
+    for i in range(10):
+        mass = fmbd.RigidBody(f"{i}", 0.05, 1e-4, (0.05 * (i + 1), 0.0))
+        rope = fmbd.Spring(f"rope {i}", before, mass, (0.05 * i, 0.0), (0.05 * (i + 1), 0.0), law=law(asked))
+        scene.add(mass, rope)
+        before = mass
+    scene.sensor("end", fmbd.position(before))
+    return scene, asked
+
+
+@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "NumPy"])
+def test_a_law_is_asked_a_few_times_a_step_for_all_elements(compiled: bool) -> None:
+    def arrays(asked: list[int]) -> Law:
+        def law(s: Any, rate: Any, t: float) -> Any:
+            asked[0] += 1
+            return 2e3 * np.maximum(s - 0.05, 0.0) * (1 + 5 * (s - 0.05)) + 0.5 * rate
+
+        return law
+
+    def numbers(asked: list[int]) -> Law:
+        def law(s: Any, rate: Any, t: float) -> Any:
+            asked[0] += 1
+            return 2e3 * max(s - 0.05, 0.0) * (1 + 5 * (s - 0.05)) + 0.5 * rate
+
+        return law
+
+    ends, counts = [], []
+    for law in (arrays, numbers):
+        of_run = []
+        for steps in (10, 30):
+            scene, asked = cable(law)
+            result = fmbd.solve(
+                scene, t_end=1e-3 * steps, dt=1e-3, scheme=fmbd.GeneralizedAlpha(0.8, compiled=compiled)
+            )
+            of_run.append(asked[0])
+        ends.append(result["end"][-1])
+        counts.append((of_run[1] - of_run[0]) / 20)
+    assert np.abs(ends[0] - ends[1]).max() < 1e-12
+    # at each evaluation and each tangent twice: for all, and one alone
+    assert counts[0] <= 24
+    assert counts[1] >= 60
