@@ -429,7 +429,7 @@ def _several(what: str, value: Any, inner: tuple[Any, ...]) -> None:
         vector(what, value) if np.size(np.asarray(value, dtype=object)) else None
     elif members == {str}:
         words(what, value)
-    elif isinstance(value, str) or not isinstance(value, Sequence | np.ndarray) or np.ndim(value) == 0:
+    elif isinstance(value, str) or not isinstance(value, Sequence | np.ndarray) or getattr(value, "ndim", 1) == 0:
         refuse(what, "a list or tuple", value)
     elif len(members) == 1:
         for k, member in enumerate(value):

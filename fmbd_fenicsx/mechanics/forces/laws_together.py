@@ -118,7 +118,7 @@ def _kind(f: Any) -> Hashable:
         return id(f)
 
     def key(x: Any) -> Hashable:
-        return type(x) if _is_number(x) else id(x)
+        return type(x).__name__ if _is_number(x) else id(x)
 
     try:
         around = tuple(key(cell.cell_contents) for cell in f.__closure__ or ())
