@@ -68,6 +68,10 @@ def mixes() -> list[Law]:
     return [lambda s, rate, t: s - np.mean(s) + rate for _ in range(N)]
 
 
+def mixes_in_one() -> list[Law]:
+    return [lambda s, rate, t: s + (np.size(s) > 1) * (s == np.max(s)) for _ in range(N)]
+
+
 def mixes_later() -> list[Law]:
     return [lambda s, rate, t: s + (np.mean(s) if t > 1.0 else s) for _ in range(N)]
 
@@ -85,7 +89,7 @@ def constant() -> list[Law]:
 
 
 TAKEN = [by_default, by_closure, by_name, one_for_all, method]
-REFUSED = [branches, of_math, mixes, mixes_later, writes, constant]
+REFUSED = [branches, of_math, mixes, mixes_in_one, mixes_later, writes, constant]
 
 
 def alone(laws: list[Law], s: Any, rate: Any, t: float) -> Any:
