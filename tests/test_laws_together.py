@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_compiled import stepper_of
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError
@@ -183,3 +184,36 @@ def test_a_law_is_asked_a_few_times_a_step_for_all_elements(compiled: bool) -> N
     # at each evaluation and each tangent twice: for all, and one alone
     assert counts[0] <= 24
     assert counts[1] >= 60
+
+
+def steady(of_time: bool, dim: int) -> fmbd.Scene:
+    """A pendulum under loads and an effort that stay the same, as constants or as functions of time."""
+    scene = fmbd.Scene("steady", gravity=(0.0, -9.81, 0.0)[:dim])
+    body = fmbd.RigidBody("body", 1.0, 0.1 if dim == 2 else (0.1, 0.2, 0.3), (0.5, 0.0, 0.0)[:dim])
+    hinge = fmbd.revolute("hinge", fmbd.ground, body, center=(0, 0, 0)[:dim], axis=(0, 0, 1))
+    scene.add(body, hinge)
+
+    def given(value: Any) -> Any:
+        return (lambda t: value) if of_time else value
+
+    push, moment = (1.0, 2.0, 3.0)[:dim], 0.3 if dim == 2 else (0.3, 0.1, 0.2)
+    tip = (1.0, 0.0, 0.0)[:dim]
+    scene.add(
+        fmbd.force("push", body, given(push), point=tip),
+        fmbd.force("follower", body, given(push), point=tip, follower=True),
+        fmbd.torque("torque", body, given(moment)),
+        fmbd.torque("couple", body, given(moment), follower=True),
+        fmbd.effort("effort", fmbd.angle(hinge), given(0.7)),
+    )
+    scene.sensor("tip", fmbd.position(body, point=tip))
+    return scene
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_what_stays_the_same_is_not_asked_for(dim: int) -> None:
+    """The same motion to the last bit, and no call of Python in compiled steps."""
+    runs = [fmbd.solve(steady(of_time, dim), t_end=0.05, dt=1e-3) for of_time in (True, False)]
+    assert (runs[0]["tip"] == runs[1]["tip"]).all()
+    if runs[1].counters.get("compiled_steps"):
+        calls = [stepper_of(steady(of_time, dim)).driver.tables.c.samples for of_time in (True, False)]
+        assert calls == [1, 0]

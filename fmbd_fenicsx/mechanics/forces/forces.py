@@ -100,6 +100,17 @@ class Constant:
 
 
 @dataclass(frozen=True, eq=False)
+class OfTime:
+    """A drive's effort that is ``given`` over time, as a law of a coordinate, which it pushes up."""
+
+    given: TimeLaw | Constant
+
+    def __call__(self, s: float, rate: float, t: float) -> Array:
+        """The restoring effort."""
+        return -np.asarray(self.given(t))
+
+
+@dataclass(frozen=True, eq=False)
 class InTime(Force):
     """A law of time alone, one number for each component of its place; ``follower``: turning with the body."""
 
@@ -291,9 +302,7 @@ def effort(name: str, on: JointCoordinate, law: Any) -> CoordinateForce:
     given = in_time(f'Effort "{name}"', law)
     if isinstance(given, Constant):
         vector(f'Effort "{name}": law', np.atleast_1d(given.value), size=1)
-    return CoordinateForce(
-        name, on.joint.a, on.joint.b, None, None, on, law=lambda s, rate, t: -np.asarray(given(t)), of_time=True
-    )
+    return CoordinateForce(name, on.joint.a, on.joint.b, None, None, on, law=OfTime(given), of_time=True)
 
 
 @typed

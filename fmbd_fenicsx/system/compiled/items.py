@@ -2,7 +2,7 @@
 
 role ROW      a term c s of a constraint  sum c s - motion(t) = 0
 role LINEAR   an effort N = stiffness (s - free) + damping s'
-role GIVEN    an effort that is the same for the whole step: loads and drives that depend on time
+role GIVEN    an effort that is the same for the whole step: loads and drives, of which Python tells those that depend on time
 role LAW      an effort from a law in Python, N(s - free, s', t)
 role READ     nothing acts: a coordinate that a sensor reads, in records; where ``told`` a controller, at every evaluation
 role FORMULA  an effort by a formula that the driver knows, maybe with a memory
@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
+from ...mechanics.forces.forces import Constant
 from ...mechanics.forces.formulas import Formula
 from ...mechanics.joints import constraints as ct
 from ...mechanics.joints.couplings import CouplingBatch, OwnBatch
@@ -130,24 +132,26 @@ def _constraint(batch: ct.Batch, rows: np.ndarray) -> Items:
 
 
 def _loads(loads: TimeLoads, dim: int) -> list[Items]:
-    """Items of forces and torques that depend on time: an effort -1 along the flow of each load."""
+    """Items of forces and torques: an effort -1 along the flow of each load. Those that stay the same are told once."""
     out = []
-    for turns in (False, True):
-        for follower in (False, True):
-            fits = [f.turns == turns and bool(f.follower) == follower for f in loads.forces]
-            which = np.flatnonzero(np.array(fits))
-            if not len(which):
-                continue
-            kind = (("dead", "follower"), ("couple", "follower_couple"))[turns][follower]
-            size = dim if not turns else 2 * dim - 3
+    for turns, follower, steady in product((False, True), repeat=3):
+        fits = [
+            (f.turns, bool(f.follower), isinstance(f.law, Constant)) == (turns, follower, steady) for f in loads.forces
+        ]
+        which = np.flatnonzero(np.array(fits))
+        if not len(which):
+            continue
+        kind = (("dead", "follower"), ("couple", "follower_couple"))[turns][follower]
+        size = dim if not turns else 2 * dim - 3
 
-            def load(t: float, which: np.ndarray = which, size: int = size) -> dict[str, Array]:
-                return {"load": np.array([loads.numbers(i, t) for i in which], dtype=float).reshape(-1, size)}
+        def load(t: float, which: np.ndarray = which, size: int = size) -> dict[str, Array]:
+            return {"load": np.array([loads.numbers(i, t) for i in which], dtype=float).reshape(-1, size)}
 
-            markers = np.stack((loads.a, loads.a), axis=1)[which]
-            made = Items(kinds(dim)[kind], GIVEN, markers, {"load": np.zeros((len(which), size))}, load=load)
-            made.effort = -np.ones(len(which))
-            out.append(made)
+        markers = np.stack((loads.a, loads.a), axis=1)[which]
+        constants = load(0.0) if steady else {"load": np.zeros((len(which), size))}
+        made = Items(kinds(dim)[kind], GIVEN, markers, constants, load=None if steady else load)
+        made.effort = -np.ones(len(which))
+        out.append(made)
     return out
 
 
@@ -172,11 +176,16 @@ def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     whole.slot = looks.slots_of(loads)
     stated = {int(i) for formula in loads.formulas() for i in formula.which}
     own = np.array([i for i in loads.own if i not in stated], dtype=int)
-    timed = np.array([i for i in own if loads.forces[i].of_time], dtype=int)
-    called = np.setdiff1d(own, timed)
+    of_time = np.array([i for i in own if loads.forces[i].of_time], dtype=int)
+    steady = np.array([i for i in of_time if isinstance(loads.forces[i].law.given, Constant)], dtype=int)
+    timed, called = np.setdiff1d(of_time, steady), np.setdiff1d(own, of_time)
     linear = np.setdiff1d(np.arange(n), [*own, *stated])
     out = [whole.part(linear)] if len(linear) else []
 
+    if len(steady):
+        part = whole.part(steady)
+        part.role, part.effort = GIVEN, loads.given(steady, 0.0)
+        out.append(part)
     if len(timed):
         part = whole.part(timed)
         part.role = GIVEN
