@@ -16,7 +16,7 @@ import sys
 import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from functools import cache, wraps
 from numbers import Integral, Real
 from typing import Any, ParamSpec, TypeVar
@@ -57,7 +57,8 @@ def shown(value: Any) -> str:
     """A value as a message shows it: short, and a class as a class."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
-    name = vars(value).get("name") if hasattr(value, "__dict__") else None
+    data = is_dataclass(value)  # names of these may be properties
+    name = getattr(value, "name", None) if data else vars(value).get("name") if hasattr(value, "__dict__") else None
     if isinstance(name, str):
         return f'{type(value).__name__} "{name}"'
     text = " ".join(repr(value).split())

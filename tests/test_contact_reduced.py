@@ -93,3 +93,9 @@ def test_schemes_without_an_impact_law_refuse_inertia_on_contact_points(rod_mesh
     scene.add(body, pair)
     with pytest.raises(InputError, match="Moreau"):
         fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.schemes.ContactMidpoint())
+
+
+def test_corners_of_a_reduced_body_are_refused_by_its_name(rod_mesh: Callable[..., Any]) -> None:
+    """Where a RigidBody is wanted, a body whose name is not a field of its own is shown by its name as all are."""
+    with pytest.raises(InputError, match=r'body ReducedBody "rod" must be a RigidBody'):
+        fmbd.contacts.corners(rod(rod_mesh(h=0.25, height=HEIGHT), 0), [(-0.5, -0.1)])

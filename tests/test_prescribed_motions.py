@@ -44,9 +44,15 @@ SMOOTH = {
     "only real": lambda t: math.sin(5 * t),
     "with rates": lambda t: (math.sin(3 * t), 3 * math.cos(3 * t), -9 * math.sin(3 * t)),
     "parts of constant acceleration": lambda t: np.where(np.real(t) < 0.5, t**2, 0.25 + (t - 0.5)),
+    "run-up with roundoff": lambda t: 30 * (t**2 / 2 + (np.cos(2 * np.pi * t) - 1) / (2 * np.pi) ** 2),
     "at rest": lambda t: 0.0 * t,
 }
-GRIDS = {"h = 0.01": np.linspace(0, 1, 101), "h = 3e-5": 1 + 3e-5 * np.arange(300), "growing": 1 - 0.8 ** np.arange(60)}
+GRIDS = {
+    "h = 0.01": np.linspace(0, 1, 101),
+    "h = 3e-5": 1 + 3e-5 * np.arange(300),
+    "growing": 1 - 0.8 ** np.arange(60),
+    "h = 1e-4": 1e-4 * np.arange(60),
+}
 
 
 @pytest.mark.parametrize("grid", GRIDS)

@@ -97,6 +97,14 @@ def test_refused_without(rod_mesh: Callable[..., Any], caplog: Any, kind: str) -
     assert "first bending frequency" in caplog.text
 
 
+def test_a_stiffened_body_bent_too_far_is_not_told_to_stiffen(rod_mesh: Callable[..., Any]) -> None:
+    for stiffening, advice in ((True, "smaller dt"), (False, "stiffening=True")):
+        c = blade(rod_mesh(dim=2, h=0.1, height=0.1), stiffening).reduced(modes=4).constants
+        part, far = ReducedPart("blade", c, 0, []), 1e3 * np.ones(c.n_modes)
+        with pytest.raises(ConvergenceError, match=advice):
+            part.force(steady(1.0), (far, 0 * far, 0 * far))
+
+
 def test_the_end_of_a_bent_column_comes_closer_and_energy_is_kept() -> None:
     """A pinned column falls sideways and pulls its slider: by int v'^2 / 2, about 2.5 times the square of the deflection.
 

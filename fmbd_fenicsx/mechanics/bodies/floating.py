@@ -152,7 +152,7 @@ class FloatingField(FieldPart):
         # root mean square of the displacements
         mean = np.sqrt(square * f.dim / f.n_global)
         if not mean <= TOO_LARGE * f.size:
-            raise ConvergenceError(too_large(self.name, mean, f.size))
+            raise ConvergenceError(too_large(self.name, mean, f.size, self.stiffening is not None))
 
         if self.stiffening is None and not self.warned and spin > self.spin_to_check:
             self.warned = True

@@ -160,7 +160,7 @@ class ReducedPart(Part):
         # root mean square of the displacements over the mass
         mean = float(np.sqrt(max(eta @ self._modal_mass @ eta, 0.0) / c.mass))
         if not mean <= TOO_LARGE * c.size:
-            raise ConvergenceError(too_large(self.name, mean, c.size))
+            raise ConvergenceError(too_large(self.name, mean, c.size, c.stiffening is not None))
 
         if c.stiffening is None and not self.warned:
             spin = float(np.linalg.norm(motion.twist[self.dim :]))

@@ -5,8 +5,8 @@ Of a smooth motion the parabola through three places foretells the fourth,
     B = |s_3 - P(t_3)|  =  O(h^3 s''')                                                                            (1)
 
 Where B is large beside the motion in these steps, they are looked at closely: the interval is narrowed twenty times to the half
-in which the motion bends most. What is left there of a change of s is a jump, of a change of its slope a kink. And rates that are
-given have to agree with the motion,
+in which the motion bends most. What is left there of a change of s is a jump, of a change of its slope a kink: seen again over
+wider places, for over the narrowest the roundoff of a law bends as sharply. And rates that are given have to agree with the motion,
 
     D = |s_b - s_a - h/2 (s'_a + s'_b) + h^2/12 (s''_b - s''_a)| + h |s'_b - s'_a - h/2 (s''_a + s''_b)|  =  O(h^3)   (2)
 
@@ -35,6 +35,7 @@ from ...system.system import System
 
 DOUBTFUL = 2e-3  # (1), (2) over the motion in the steps, from which on they are looked at closely
 SHARP = 0.01  # change of slope over the slopes that is a kink
+WIDER = (16, 64)  # times the width at which a kink is seen again
 JUMP = 1e-3  # of the model's length, or rad: a jump that is refused
 SEEN = 1e-12  # of the same: what moves less in three steps is looked at later; it may be a motion that begins slowly
 WRONG = 1e-3  # relative difference of a rate from the slope
@@ -120,6 +121,7 @@ class Follower:
             a, b, steepest = self._sharpest(a, b)
             d, s = b - a, self.motion.place
             values = [s(a - d), s(a), s(b), s(b + d)]
+            wide = [s(b + w * d) - s(b) - (s(a) - s(a - w * d)) for w in WIDER]
         except LawError:  # beyond the times at which it can be called
             return False
         before, step, after = (values[k + 1] - values[k] for k in range(3))
@@ -127,10 +129,13 @@ class Follower:
         bend = abs(after - before)
         around = max(abs(before), abs(after))
 
-        if abs(step - 0.5 * (before + after)) > 10 * bend + around + noise:
+        if abs(step - 0.5 * (before + after)) > max(10 * bend + around + noise, SEEN * self.length):
             self._jump(0.5 * (a + b), step)
             return True
-        if bend > SHARP * max(around, 0.1 * d * max(self.fastest, steepest)) + noise:
+        # over wider places a kink bends in proportion, roundoff does not
+        turn = after - before
+        grows = all(abs(x - w * turn) <= 0.5 * w * bend for w, x in zip(WIDER, wide, strict=True))
+        if grows and bend > SHARP * max(around, 0.1 * d * max(self.fastest, steepest)) + noise:
             self._kink(0.5 * (a + b), before / d, after / d)
             return True
         return False
