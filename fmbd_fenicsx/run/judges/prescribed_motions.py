@@ -6,7 +6,8 @@ Of a smooth motion the parabola through three places foretells the fourth,
 
 Where B is large beside the motion in these steps, they are looked at closely: the interval is narrowed twenty times to the half
 in which the motion bends most. What is left there of a change of s is a jump, of a change of its slope a kink: seen again over
-wider places, for over the narrowest the roundoff of a law bends as sharply. And rates that are given have to agree with the motion,
+wider places, for over the narrowest the roundoff of a law bends as sharply. And rates that are given have to agree with the
+motion,
 
     D = |s_b - s_a - h/2 (s'_a + s'_b) + h^2/12 (s''_b - s''_a)| + h |s'_b - s'_a - h/2 (s''_a + s''_b)|  =  O(h^3)   (2)
 
