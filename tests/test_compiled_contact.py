@@ -258,6 +258,33 @@ def test_impacts_that_accumulate_and_classical_steps_are_compiled(
         assert compiled[sensor] == pytest.approx(values, abs=1e-9), sensor
 
 
+def test_forces_of_dependent_contacts_are_found_in_compiled_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plate drops on its four corners and slides with friction; Python is asked for no forces."""
+    asked = []
+    found = contact_driver.ContactDriver._forces
+
+    def counted(self: Any, m: int) -> None:
+        asked.append(m)
+        found(self, m)
+
+    monkeypatch.setattr(contact_driver.ContactDriver, "_forces", counted)
+
+    def plate() -> Any:
+        body = fmbd.RigidBody("plate", 1.0, (0.08, 0.08, 0.16), (0, 0, 0.06), velocity=(0.5, 0.2, 0))
+        points = [(x, y, -0.05) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
+        up = fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0, 0), (0, 0, 1)))
+        scene = fmbd.Scene("plate", gravity=(0, 0, -9.81))
+        scene.add(body, fmbd.contact("floor", fmbd.corners(body, points), up, friction=0.4))
+        scene.sensor("place", fmbd.position(body))
+        return fmbd.solve(scene, t_end=0.2, dt=4e-3, scheme=fmbd.Moreau(), output=fmbd.Output(progress=False))
+
+    compiled = plate()
+    assert compiled.counters["compiled_steps"] == compiled.counters["steps"]
+    assert not asked
+    monkeypatch.setattr(contact_driver, "contact_driver", lambda *_, **__: None)
+    assert compiled["place"] == pytest.approx(plate()["place"], abs=1e-9)
+
+
 def test_a_motion_that_raises_is_named() -> None:
     """The compiled step gives it back, and NumPy's says which obstacle it is."""
 

@@ -50,8 +50,10 @@ def solved(problem: Coulomb, start: Array, counts: ContactCounts) -> Array:
     best: tuple[float, Array] = (np.inf, start)
     counts.solves += 1
 
-    # the cheapest start first; the best answer of all counts
+    # the cheapest start first; the best answer of all counts, and pivoting, which may be long, is for those without an answer
     for slips, facets, rho in problem.attempts:
+        if facets and best[0] <= ACCEPTED:
+            break
         x0 = _pivoted(problem, facets) if facets else start
         size, x = _proximal_points(problem, x0, (rho, slips), counts)
         best = min(best, (size, x), key=lambda found: found[0])

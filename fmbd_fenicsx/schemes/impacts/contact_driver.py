@@ -1,7 +1,7 @@
 """Contact of points with obstacles, and stops, in the compiled driver: tables, and the march through flights, contacts, impacts.
 
 Frames, joints and forces are those of the driver's tables; Python is entered for the poses of obstacles that move as prescribed,
-for distances to shapes of the user's own, and for contacts whose forces are hard to find (dependent ones with friction).
+for distances to shapes of the user's own, and for contacts whose forces are hard to find (by pivoting).
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Contacts(ctypes.Structure):
         *_fields("carrying closed bouncing hits held force normal impulse works", POINTER),
         *_fields("energy springs time last", REAL),
         ("loaded", INT),
-        *_fields("rows drift rate W q f mu Y work ahead xi kept saved was rested path own", POINTER),
+        *_fields("rows drift rate W q f mu Y work least ahead xi kept saved was rested path own", POINTER),
         *_fields("size most done total parts", INT),
         ("system", POINTER),
         ("tally", Tally),
@@ -167,7 +167,8 @@ class ContactDriver:
         sizes = {
             "held": m * k, "force": m * d, "normal": m, "impulse": len(contacts.pairs) * d, "works": 5, "drift": rows, "rate": m,
             "rows": 2 * rows * wide, "W": rows**2, "q": rows, "f": rows, "mu": room,
-            "Y": rows * (self.n + self.m), "work": 6 * rows + rows**2, "ahead": self.nq, "xi": self.n, "still": self.n,
+            "Y": rows * (self.n + self.m), "work": 6 * rows + rows**2,
+            "least": 20 * rows + 2 * rows**2, "ahead": self.nq, "xi": self.n, "still": self.n,
             "kept": self.m + 1, "own": m * (1 + 2 * d),
             "saved": m * k + len(contacts.pairs) * d + 7, "rested": m, "path": (2 * self.impacts + 2) * block_size(s),
         }  # fmt: skip

@@ -1,10 +1,11 @@
 /* The small problem of contacts without or with Coulomb friction: Newton's iteration on Alart and Curnier's function
-   (doi:10.1016/0045-7825(91)90022-X). Problems that it does not solve at once are Python's, see linear/complementarity. */
+   (doi:10.1016/0045-7825(91)90022-X). Problems that it does not solve at once, and dependent contacts, are those
+   of friction.c, or Python's, see linear/complementarity. */
 
 enum { ROUNDS = 12 };
 
-/* LU with row exchanges in place, and x in b; 1 where a pivot is small: dependent contacts are left to Python. */
-static int solve_small(double *A, double *b, int n)
+/* LU with row exchanges in place, and x in b; 1 where a pivot is not above this share of the largest entry. */
+static int solve_small(double *A, double *b, int n, double share)
 {
     double largest = 0.0;
     for (int i = 0; i < n * n; i++) largest = fmax(largest, fabs(A[i]));
@@ -12,7 +13,7 @@ static int solve_small(double *A, double *b, int n)
         int p = k;
         for (int i = k + 1; i < n; i++)
             if (fabs(A[i * n + k]) > fabs(A[p * n + k])) p = i;
-        if (!(fabs(A[p * n + k]) > 1e-10 * largest)) return 1;
+        if (!(fabs(A[p * n + k]) > share * largest)) return 1;
         for (int j = 0; j < n && p != k; j++) {
             double swap = A[k * n + j];
             A[k * n + j] = A[p * n + j];
@@ -110,7 +111,7 @@ static int contact_forces(Contacts *c, int m)
             c->tally.solves++;
             return 0;
         }
-        if (!isfinite(residual) || solve_small(A, F, n)) return 1;
+        if (!isfinite(residual) || solve_small(A, F, n, 1e-10)) return 1;
         for (int i = 0; i < n; i++) x[i] -= F[i];
         c->tally.iterations++;
     }

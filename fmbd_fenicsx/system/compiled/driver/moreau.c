@@ -6,6 +6,7 @@
 #include "parts.h"
 #include "contact.c"
 #include "complementarity.c"
+#include "friction.c"
 #include "impulses.c"
 
 enum { BOUNDED = AM }; /* of the parameters: whether obstacles are thin, so that points could pass through */

@@ -1,0 +1,256 @@
+/* Coulomb friction where contacts depend on each other, or Newton's plain iteration does not converge: Newton with a line search, and
+   proximal points, the first two attempts of linear/complementarity/coulomb.py, equations (1) to (3). What these do not solve is
+   Python's: pivoting. */
+
+static const double FOUND = 1e-12, ACCEPTED = 1e-10, ENOUGH = 1e-13, SHORTEST = 1e-2; /* as in coulomb.py */
+enum { PLAIN = 40, POINTS = 40 };                                                     /* iterations, proximal points at most */
+
+/* A problem (3) and the iterate that was evaluated last. */
+typedef struct {
+    int m, n;
+    double *q, *shift, *x, *u, *F, *dx, *du; /* n; dx, du: blocks d x d by point */
+    int state[MOST];
+} Friction;
+
+static double largest(const double *x, int n)
+{
+    double most = 0.0;
+    for (int i = 0; i < n; i++) most = x[i] == x[i] ? fmax(most, fabs(x[i])) : INFINITY;
+    return most;
+}
+
+/* What makes gaps, and slips, of point i comparable with forces. */
+static void scales(const Contacts *c, int i, int n, double *cn, double *ct)
+{
+    const int d = c->components;
+    *cn = 1.0 / fmax(c->W[i * d * (n + 1)], 1e-300);
+    *ct = INFINITY;
+    for (int k = 1; k < d; k++) *ct = fmin(*ct, 1.0 / fmax(c->W[(i * d + k) * (n + 1)], 1e-300));
+}
+
+/* Gaps and slips under forces x. */
+static void gaps_under(const Contacts *c, const Friction *o, const double *x, double *u)
+{
+    for (int i = 0; i < o->n; i++) u[i] = o->q[i] + dot(c->W + i * o->n, x, o->n) + o->shift[i] * x[i];
+}
+
+/* The function at x, u, and the status of its points. */
+static void evaluated(const Contacts *c, Friction *o)
+{
+    const int d = c->components;
+    for (int i = 0; i < o->m; i++) {
+        double cn, ct;
+        scales(c, i, o->n, &cn, &ct);
+        double *dx = o->dx + i * d * d, *du = o->du + i * d * d;
+        o->state[i] = coulomb(o->x + i * d, o->u + i * d, cn, ct, c->mu[i], d, o->F + i * d, dx, du);
+    }
+}
+
+/* Largest residual over the largest force; large forces that cancel each other do not count. */
+static double residual_of(const Contacts *c, const Friction *o)
+{
+    double free = 0.0, cn, ct;
+    for (int i = 0; i < o->n; i++) {
+        scales(c, i / c->components, o->n, &cn, &ct);
+        free = fmax(free, fabs(cn * o->q[i]));
+    }
+    return largest(o->F, o->n) / fmax(free + fmin(largest(o->x, o->n), 1e3 * free), 1e-300);
+}
+
+/* The least solution of A s = b in s, by a complete orthogonal decomposition: A P = Q R of the rank found, and R = L Z. A is lost.
+   Golub and Van Loan, Matrix Computations, 5.5.2. */
+static void least_solution(double *A, double *b, double *s, double *work, int n)
+{
+    int order[3 * MOST], rank = 0;
+    double first = 0.0;
+    for (int j = 0; j < n; j++) order[j] = j;
+
+    /* rows of R, by reflections from the left, the longest column first */
+    for (; rank < n; rank++) {
+        int far = rank;
+        double most = -1.0;
+        for (int j = rank; j < n; j++) {
+            double size = 0.0;
+            for (int i = rank; i < n; i++) size += A[i * n + j] * A[i * n + j];
+            if (size > most) most = size, far = j;
+        }
+        most = sqrt(most);
+        if (!rank) first = most;
+        if (!(most > 1e-12 * first)) break;
+        int other = order[far];
+        order[far] = order[rank];
+        order[rank] = other;
+        for (int i = 0; i < n; i++) {
+            double swap = A[i * n + far];
+            A[i * n + far] = A[i * n + rank];
+            A[i * n + rank] = swap;
+        }
+        double head = A[rank * n + rank], sign = head < 0 ? -1.0 : 1.0, square = most * (most + fabs(head));
+        for (int i = rank; i < n; i++) work[i] = A[i * n + rank];
+        work[rank] += sign * most;
+        for (int j = rank; j <= n; j++) {
+            double sum = 0.0;
+            for (int i = rank; i < n; i++) sum += work[i] * (j < n ? A[i * n + j] : b[i]);
+            sum /= square;
+            for (int i = rank; i < n; i++) *(j < n ? A + i * n + j : b + i) -= sum * work[i];
+        }
+    }
+
+    /* the part beyond the rank by reflections from the right, the last row first; they are kept in its place */
+    double *head = work;
+    for (int k = rank - 1; k >= 0 && rank < n; k--) {
+        double *row = A + k * n, size = row[k] * row[k];
+        for (int j = rank; j < n; j++) size += row[j] * row[j];
+        size = sqrt(size);
+        double sign = row[k] < 0 ? -1.0 : 1.0, square = size * (size + fabs(row[k]));
+        head[k] = row[k] + sign * size;
+        for (int i = 0; i < k; i++) {
+            double *above = A + i * n, sum = head[k] * above[k];
+            for (int j = rank; j < n; j++) sum += row[j] * above[j];
+            sum /= square;
+            above[k] -= sum * head[k];
+            for (int j = rank; j < n; j++) above[j] -= sum * row[j];
+        }
+        row[k] = -sign * size;
+    }
+
+    /* back: the triangle, then the reflections in turn */
+    for (int k = rank - 1; k >= 0; k--) {
+        for (int j = k + 1; j < rank; j++) b[k] -= A[k * n + j] * b[j];
+        b[k] /= A[k * n + k];
+    }
+    for (int k = rank; k < n; k++) b[k] = 0.0;
+    for (int k = 0; k < rank && rank < n; k++) {
+        double *row = A + k * n, square = head[k] * head[k], sum = head[k] * b[k];
+        for (int j = rank; j < n; j++) square += row[j] * row[j], sum += row[j] * b[j];
+        sum *= 2.0 / square;
+        b[k] -= sum * head[k];
+        for (int j = rank; j < n; j++) b[j] -= sum * row[j];
+    }
+    for (int k = 0; k < n; k++) s[order[k]] = b[k];
+}
+
+/* Newton's step s of the forces: least where contacts depend on each other. ``A``: two matrices. */
+static void force_step(const Contacts *c, const Friction *o, double *A, double *s, double *work)
+{
+    const int d = c->components, n = o->n;
+    double *copy = A + n * n, *b = work + n, off = 0.0, size = 0.0;
+    memset(A, 0, n * n * sizeof(double));
+    for (int r = 0; r < n; r++) {
+        const int i = r / d, a = r % d;
+        for (int k = 0; k < d; k++) {
+            double slope = o->du[(i * d + a) * d + k];
+            A[r * n + i * d + k] += o->dx[(i * d + a) * d + k] + slope * o->shift[i * d + k];
+            if (slope != 0.0) add(A + r * n, slope, c->W + (i * d + k) * n, n);
+        }
+        s[r] = -o->F[r];
+    }
+    memcpy(copy, A, n * n * sizeof(double));
+    if (!solve_small(copy, s, n, 0.0)) {
+        for (int r = 0; r < n; r++) {
+            double left = dot(A + r * n, s, n) + o->F[r];
+            off = left == left ? fmax(off, fabs(left)) : INFINITY;
+            size = fmax(size, fabs(o->F[r]));
+        }
+        if (off <= 1e-8 * fmax(size, 1e-300)) return;
+    }
+    for (int r = 0; r < n; r++) b[r] = -o->F[r];
+    least_solution(A, b, s, work, n);
+}
+
+/* Newton's iteration with a line search until the residual is small, 1, or does not fall, 0. ``work``: room for six vectors and two
+   matrices. */
+static int searched(Contacts *c, Friction *o, double *work)
+{
+    const int n = o->n;
+    double *s = work, *x = s + n, *u = x + n, *full = u + n, *rest = full + n, *A = rest + 2 * n, best = INFINITY, size;
+    gaps_under(c, o, o->x, o->u);
+    evaluated(c, o);
+    for (int k = 0; k < PLAIN; k++) {
+        size = residual_of(c, o);
+        if (size <= ENOUGH || !isfinite(size) || (k > 8 && size > 0.5 * best)) break;
+        best = fmin(best, size);
+
+        double norm = dot(o->F, o->F, n), share = 1.0;
+        int before[MOST], changes = 0;
+        memcpy(before, o->state, o->m * sizeof(int));
+        memcpy(x, o->x, n * sizeof(double));
+        memcpy(u, o->u, n * sizeof(double));
+        force_step(c, o, A, s, rest);
+        for (int i = 0; i < n; i++) o->x[i] = x[i] + s[i];
+        gaps_under(c, o, o->x, full);
+        for (;; share *= 0.5) {
+            for (int i = 0; i < n; i++) {
+                o->x[i] = x[i] + share * s[i];
+                o->u[i] = u[i] + share * (full[i] - u[i]);
+            }
+            evaluated(c, o);
+            if (sqrt(dot(o->F, o->F, n)) <= (1.0 - 1e-4 * share) * sqrt(norm) || share < SHORTEST) break;
+        }
+        for (int i = 0; i < o->m; i++) changes += o->state[i] != before[i];
+        c->tally.iterations++;
+        c->tally.changes += changes;
+    }
+    return residual_of(c, o) <= FOUND;
+}
+
+/* Proximal points from the forces in c->f: the smallest residual, with its forces in ``best`` where it is smaller than ``least``.
+   ``rho``: the first, 0 for none. */
+static double attempt(Contacts *c, int m, double rho, double *best, double least)
+{
+    const int d = c->components, n = m * d;
+    const double restart = rho;
+    double *none = best + n, *work = none + n;
+    Friction o = {.m = m, .n = n}, whole;
+    double **places[] = {&o.q, &o.shift, &o.x, &o.u, &o.F};
+    for (int k = 0; k < 5; k++, work += n) *places[k] = work;
+    o.dx = work;
+    o.du = o.dx + n * d;
+    work = o.du + n * d;
+    memcpy(o.x, c->f, n * sizeof(double));
+    memset(none, 0, n * sizeof(double));
+    whole = o;
+    whole.q = c->q;
+    whole.shift = none;
+
+    for (int k = 0; k < (rho > 0.0 ? POINTS : 1); k++) {
+        for (int i = 0; i < n; i++) {
+            double cn, ct;
+            scales(c, i / d, n, &cn, &ct);
+            o.shift[i] = rho / (i % d ? ct : cn);
+            o.q[i] = c->q[i] - o.shift[i] * o.x[i];
+        }
+        int found = searched(c, &o, work);
+        gaps_under(c, &whole, o.x, o.u);
+        evaluated(c, &whole);
+        double size = residual_of(c, &whole);
+        if (size < least) {
+            least = size;
+            memcpy(best, o.x, n * sizeof(double));
+        }
+        if (size <= FOUND || !isfinite(size)) break;
+        rho = found ? 0.1 * rho : 10.0 * rho;
+        rho = rho > 1.0 ? restart : rho;
+    }
+    return least;
+}
+
+/* Forces of m contacts with friction; 1 where two attempts do not find them, with nothing counted. */
+static int frictional_forces(Contacts *c, int m)
+{
+    Tally before = c->tally;
+    double *best = c->least, size = attempt(c, m, 0.0, best, INFINITY);
+    if (size > FOUND) {
+        c->tally.cycles++;
+        size = attempt(c, m, 1e-4, best, size);
+        c->tally.cycles += size > FOUND;
+    }
+    if (size > ACCEPTED) {
+        c->tally = before;
+        return 1;
+    }
+    memcpy(c->f, best, m * c->components * sizeof(double));
+    c->tally.residual = fmax(c->tally.residual, size);
+    c->tally.solves++;
+    return 0;
+}
