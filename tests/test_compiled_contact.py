@@ -258,8 +258,12 @@ def test_impacts_that_accumulate_and_classical_steps_are_compiled(
         assert compiled[sensor] == pytest.approx(values, abs=1e-9), sensor
 
 
-def test_forces_of_dependent_contacts_are_found_in_compiled_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plate drops on its four corners and slides with friction; Python is asked for no forces."""
+@pytest.mark.parametrize("spin", [0.0, 1.0])
+def test_forces_of_dependent_contacts_are_found_in_compiled_code(spin: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plate drops on its four corners and slides with friction; Python is asked for no forces.
+
+    With a spin the distribution of the forces, which is not unique, changes the motion: only without it both paths move alike.
+    """
     asked = []
     found = contact_driver.ContactDriver._forces
 
@@ -270,7 +274,14 @@ def test_forces_of_dependent_contacts_are_found_in_compiled_code(monkeypatch: py
     monkeypatch.setattr(contact_driver.ContactDriver, "_forces", counted)
 
     def plate() -> Any:
-        body = fmbd.RigidBody("plate", 1.0, (0.08, 0.08, 0.16), (0, 0, 0.06), velocity=(0.5, 0.2, 0))
+        body = fmbd.RigidBody(
+            "plate",
+            1.0,
+            (0.08, 0.08, 0.16),
+            (0, 0, 0.06),
+            velocity=(0.5, 0.2, 0),
+            angular_velocity=(0, 0.2 * spin, spin),
+        )
         points = [(x, y, -0.05) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
         up = fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0, 0), (0, 0, 1)))
         scene = fmbd.Scene("plate", gravity=(0, 0, -9.81))
@@ -281,8 +292,12 @@ def test_forces_of_dependent_contacts_are_found_in_compiled_code(monkeypatch: py
     compiled = plate()
     assert compiled.counters["compiled_steps"] == compiled.counters["steps"]
     assert not asked
+    assert 0.0 < compiled.counters["complementarity_residual"] <= 1e-12
     monkeypatch.setattr(contact_driver, "contact_driver", lambda *_, **__: None)
-    assert compiled["place"] == pytest.approx(plate()["place"], abs=1e-9)
+    numpy = plate()
+    assert compiled.counters["cycles_broken"] <= numpy.counters["cycles_broken"]
+    if not spin:
+        assert compiled["place"] == pytest.approx(numpy["place"], abs=1e-9)
 
 
 def test_a_motion_that_raises_is_named() -> None:

@@ -3,11 +3,15 @@ matrices."""
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.linear.complementarity import coulomb
 from fmbd_fenicsx.linear.complementarity.coulomb import _lemke, solve_friction
 from fmbd_fenicsx.linear.complementarity.normal import ContactCounts, solve_normal
 
@@ -114,3 +118,15 @@ def test_pivots_that_overflow_end_the_pivoting() -> None:
     with np.errstate(over="raise", invalid="raise"):
         z = _lemke(np.array([[1e-309]]), np.array([-1.0]))
     np.testing.assert_array_equal(z, np.zeros(1))
+
+
+def test_fine_pyramids_are_for_problems_without_an_acceptable_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Roundoff may allow an acceptable residual and no better: long pivoting is not asked then."""
+    pivoted = []
+    monkeypatch.setattr(coulomb, "_pivoted", lambda problem, facets: pivoted.append(facets) or problem.q)
+    for size, asked in ((5e-11, [16, 16]), (5e-10, [16, 64, 16, 64])):
+        pivoted.clear()
+        monkeypatch.setattr(coulomb, "_proximal_points", lambda problem, x, *_, size=size: (size, x))
+        with contextlib.nullcontext() if size < 1e-10 else pytest.raises(ConvergenceError):
+            solve_friction(np.eye(3), -np.ones((1, 3)), np.ones(1), np.zeros((1, 3)), ContactCounts())
+        assert pivoted == asked

@@ -25,6 +25,7 @@ ATTEMPTS = ((1.0, 0, 0.0), (1.0, 0, 1e-4), (1e3, 16, 1e-4), (3e3, 64, 1e-4), (1e
 """Tried in turn: factor of c on slips; facets of the pyramid whose pivoting gives the start (0: the forces given); rho_0."""
 FOUND = 1e-12  # residual of a solution, of the largest force
 ACCEPTED = 1e-10  # the same where roundoff in W (an elastic step of many wave transits) allows no better
+COARSE = 16  # facets up to which pivoting is cheap
 SHORTEST = 1e-2  # share of a Newton step below which the line search takes it
 
 
@@ -50,10 +51,10 @@ def solved(problem: Coulomb, start: Array, counts: ContactCounts) -> Array:
     best: tuple[float, Array] = (np.inf, start)
     counts.solves += 1
 
-    # the cheapest start first; the best answer of all counts, and pivoting, which may be long, is for those without an answer
+    # the cheapest start first, and the best answer of all counts; pivoting on fine pyramids, which may be long, is the last resort
     for slips, facets, rho in problem.attempts:
-        if facets and best[0] <= ACCEPTED:
-            break
+        if facets > COARSE and best[0] <= ACCEPTED:
+            continue
         x0 = _pivoted(problem, facets) if facets else start
         size, x = _proximal_points(problem, x0, (rho, slips), counts)
         best = min(best, (size, x), key=lambda found: found[0])

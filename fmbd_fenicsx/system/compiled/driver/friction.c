@@ -2,7 +2,7 @@
    proximal points, the first two attempts of linear/complementarity/coulomb.py, equations (1) to (3). What these do not solve is
    Python's: pivoting. */
 
-static const double FOUND = 1e-12, ACCEPTED = 1e-10, ENOUGH = 1e-13, SHORTEST = 1e-2; /* as in coulomb.py */
+static const double FOUND = 1e-12, ENOUGH = 1e-13, SHORTEST = 1e-2; /* as in coulomb.py */
 enum { PLAIN = 40, POINTS = 40 };                                                     /* iterations, proximal points at most */
 
 /* A problem (3) and the iterate that was evaluated last. */
@@ -240,12 +240,11 @@ static int frictional_forces(Contacts *c, int m)
 {
     Tally before = c->tally;
     double *best = c->least, size = attempt(c, m, 0.0, best, INFINITY);
-    if (size > FOUND) {
+    if (!(size <= FOUND)) {
         c->tally.cycles++;
         size = attempt(c, m, 1e-4, best, size);
-        c->tally.cycles += size > FOUND;
     }
-    if (size > ACCEPTED) {
+    if (!(size <= FOUND)) {
         c->tally = before;
         return 1;
     }
