@@ -51,7 +51,7 @@ def solved(problem: Coulomb, start: Array, counts: ContactCounts) -> Array:
     best: tuple[float, Array] = (np.inf, start)
     counts.solves += 1
 
-    # the cheapest start first, and the best answer of all counts; pivoting on fine pyramids, which may be long, is the last resort
+    # the cheapest start first, and the best answer of all counts; pivoting on fine pyramids, which may be long, comes last
     for slips, facets, rho in problem.attempts:
         if facets > COARSE and best[0] <= ACCEPTED:
             continue
