@@ -137,3 +137,30 @@ def test_floating_fields_are_recorded_in_the_loop(monkeypatch: pytest.MonkeyPatc
         np.testing.assert_allclose(fast[name], slow[name], rtol=0, atol=1e-8 * np.abs(slow[name]).max())
     np.testing.assert_allclose(fast.total_energy, slow.total_energy, rtol=0, atol=1e-8 * slow.energy["kinetic"].max())
     assert fast.drift[0] < 1e-10
+
+
+def test_steps_that_somebody_looks_at_are_compiled_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same states to the last bit as without; their forces are looked at every 64 steps and at the end."""
+    from fmbd_fenicsx.run import time_loop
+
+    looks, parts = [0], [0]
+    look, attempt = time_loop._look, time_loop.attempt
+    monkeypatch.setattr(time_loop, "_look", lambda *args: (looks.append(1), look(*args))[1])
+    monkeypatch.setattr(time_loop, "attempt", lambda *args: (parts.append(1), attempt(*args))[1])
+
+    seen: list[float] = []
+    crossings: list[float] = []
+    event = fmbd.Event("tip y", -0.005, then=lambda now: crossings.append(now.t))
+    runs = []
+    for watch in ({}, {"on_step": lambda now: seen.append(now.t)}, {"events": [event]}):
+        scene = chain(2, ELEMENTS["spring"])
+        scene.sensor("tip", fmbd.position(list(scene.bodies.values())[-1]))
+        looks.clear()
+        parts.clear()
+        output = fmbd.Output(every=2, progress=False, **watch)
+        runs.append(fmbd.solve(scene, t_end=0.15, dt=1e-3, output=output))
+        assert not watch or (len(parts) <= 2 and len(looks) == 3)
+    assert len(seen) == 150
+    assert crossings
+    for other in runs[1:]:
+        assert (other.state.q == runs[0].state.q).all() and (other.state.lam == runs[0].state.lam).all()

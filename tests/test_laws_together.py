@@ -14,6 +14,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError
 from fmbd_fenicsx.mechanics.forces.laws_together import LawsTogether
 from fmbd_fenicsx.mechanics.forces.user_laws import Repeatable
+from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
 
 N = 9
 RNG = np.random.default_rng(3)
@@ -215,5 +216,5 @@ def test_what_stays_the_same_is_not_asked_for(dim: int) -> None:
     runs = [fmbd.solve(steady(of_time, dim), t_end=0.05, dt=1e-3) for of_time in (True, False)]
     assert (runs[0]["tip"] == runs[1]["tip"]).all()
     if runs[1].counters.get("compiled_steps"):
-        calls = [stepper_of(steady(of_time, dim)).driver.tables.c.samples for of_time in (True, False)]
-        assert calls == [1, 0]
+        steppers = [stepper_of(steady(of_time, dim)) for of_time in (True, False)]
+        assert [s.driver.tables.c.samples for s in steppers if isinstance(s, CompiledAlphaStepper)] == [1, 0]

@@ -56,6 +56,7 @@ def _look(balanced: Balanced | None, stepper: TimeStepper, h: float) -> None:
 
 
 MOST = 10_000_000  # steps in one call
+LOOK = 64  # steps made one by one, after which forces are looked at, as at the end of a call of many
 CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to stop
 
 
@@ -73,15 +74,18 @@ def quietly(
     ``refused``: looks at the newest of steps with error control, which is taken back where it says so.
     """
     t, equal = stepper.state.t, bool(schedule.steps)
-    if recorder.output.on_step is not None or recorder.output.events:
-        return 0
+    watched = recorder.output.on_step is not None or bool(recorder.output.events)
+    if watched:  # every step, and records are what is seen then
+        if not equal:
+            return 0
+        most = 1
     h = stepper.stride(schedule.next(t))
     if not h:
         return 0
-    tape = stepper.tape(recorder.openness) if recorder.on_tape else None
+    tape = stepper.tape(recorder.openness) if recorder.on_tape and not watched else None
     quiet = recorder.quiet(done, t, h, through=not equal) if tape is None else recorder.free(t, h)
     steps = min(quiet, schedule.steps - done if equal else quiet, most)
-    if steps == 1 and tape is None and equal:
+    if steps == 1 and tape is None and equal and not watched:
         return 0
 
     begin, made, chunk = clock.perf_counter(), 0, 64
@@ -207,9 +211,11 @@ class Loop:
 
         most = self.schedule.steps if self.keeper is None else 1  # a checkpoint may be due after every step
         made = quietly(self.stepper, self.schedule, self.recorder, self.progress.done, most=most)
-        if made:
+        done = self.progress.done + made
+        due = made > 1 or self.keeper is not None or done % LOOK == 0 or done == self.schedule.steps
+        if made and due:
             _look(self.judges.balanced, self.stepper, h)
-        else:  # its balance is looked at where it may be made in parts
+        elif not made:  # its balance is looked at where it may be made in parts
             attempt(self.problem.system, self.stepper, h)
 
         made = max(made, 1)
