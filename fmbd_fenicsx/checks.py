@@ -431,7 +431,7 @@ def _several(what: str, value: Any, inner: tuple[Any, ...]) -> None:
     elif members == {str}:
         words(what, value)
     elif isinstance(value, str) or not isinstance(value, Sequence | np.ndarray) or getattr(value, "ndim", 1) == 0:
-        refuse(what, "a list or tuple", value)
+        refuse(what, "a pair" if len(inner) == 2 and Ellipsis not in inner else "a list or tuple", value)
     elif len(members) == 1:
         for k, member in enumerate(value):
             _check(f"{what}[{k}]", member, next(iter(members)), default=MISSING)

@@ -136,7 +136,7 @@ def test_a_checkpoint_keeps_the_memory(tmp_path):
     [
         ([(0.5, 0.0)], "time of the relaxation"),
         ([(-0.5, 1.0)], "share of the stiffness"),
-        ([0.5], "pairs"),
+        ([0.5], "must be a pair"),
         ([((1, 1, 1, 1, 1, -1), 1.0)], "negative eigenvalue"),
         ([(np.triu(np.ones((6, 6))), 1.0)], "not symmetric"),
     ],

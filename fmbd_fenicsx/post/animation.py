@@ -62,7 +62,7 @@ def animate(
     run: Run,
     file: str | Path,
     *,
-    sensors: Sequence[str] = (),
+    sensors: str | Sequence[str] = (),
     view: View | None = None,
     paint: Paint | None = None,
     seconds: float | None = None,

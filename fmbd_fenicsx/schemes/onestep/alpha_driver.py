@@ -21,7 +21,7 @@ from ...system.compiled.fields import Block
 from ...system.compiled.items import covers, other_loads
 from ...system.compiled.library import driver_library, units_of
 from ...system.compiled.recording import Openness, Tape
-from ...system.compiled.resting import Twin
+from ...system.compiled.resting import twin_of
 from ...system.compiled.structures import address_of, enumeration
 from ...system.compiled.tables import Tables, covers_bodies
 from ...system.system import State, System
@@ -143,7 +143,7 @@ def drivable(system: System) -> Any:
     It takes the symmetric half of the tangents of forces that Python gives as a whole: cheap iterations may make up for that,
     those with the factor of a field do not.
     """
-    twin = Twin(system).system
+    twin = twin_of(system).system
     plain = system.contacts is None and not (twin.fields and other_loads(twin))
     known = plain and covers_bodies(twin) and covers(twin)
     return driver_library(twin.motions.dim, units_of(twin)) if known else None

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...rotations import Array
-from ...system.compiled.resting import Twin
+from ...system.compiled.resting import twin_of
 from ...system.compiled.structures import Store, array_of, structure
 from ..control import LEAST_ERROR, TURN, NormOfWays, StepControl
 
@@ -41,7 +41,7 @@ class CompiledControl:
 
     def __init__(self, norm: NormOfWays, control: StepControl) -> None:
         self.norm, self.control, self.store = norm, control, Store()
-        self.twin = Twin(norm.system)
+        self.twin = twin_of(norm.system)
         s, dim = self.twin.system, norm.system.motions.dim
 
         # bodies whose deformations count, with the places of their coordinates

@@ -10,7 +10,7 @@ from .evaluation import DriverStates
 from .field_states import FieldStates
 from .items import covers, other_loads
 from .library import driver_library, units_of
-from .resting import RestingField, Twin
+from .resting import RestingField, twin_of
 from .tables import covers_bodies
 
 STORAGE_LIMIT = 20_000_000  # numbers in the factor
@@ -28,7 +28,7 @@ def use_driver(system: System) -> None:
 
 def driver_states(system: System) -> DriverStates | None:
     """The driver for states of a system, None where NumPy has to evaluate it."""
-    known = Twin(system).system
+    known = twin_of(system).system
     if not covers_bodies(known) or not covers(known) or (known.fields and not _covers_fields(known)):
         return None
     library = driver_library(system.motions.dim, units_of(known))

@@ -120,18 +120,15 @@ class DriverStates:
     def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
         """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""
         room, places = self._loaded_room(at, a, lam)
-        return self._sums(room) if self._ask(self.library.driver_balances, room, places) else None
+        told = self._ask(self.library.driver_balances, room, places)
+        return self.twin.forces(room.sums[: room.count]).copy() if told else None
 
     def together(self, at: Configurations, a: Array, lam: Array | None) -> tuple[Array, Array] | None:
         """:meth:`balances` and :meth:`constraints` in one call; None as above."""
         room, places = self._loaded_room(at, a, lam)
         if not self._ask(self.library.driver_batch, room, [*places, *room.constraints_at]):
             return None
-        return self._sums(room), self._with_motions(at[0], room.constraints[:, : room.count]).copy()
-
-    def _sums(self, room: Room) -> Array:
-        """Balances that C has written, (k, n_v)."""
-        return self.twin.forces(room.sums[: room.count]).copy()
+        return self.twin.forces(room.sums[: room.count]).copy(), self._with_motions(at[0], room.constraints[:, : room.count]).copy()
 
     def _loaded_room(self, at: Configurations, a: Array, lam: Array | None) -> tuple[Room, list[int | None]]:
         """Room with configurations, accelerations and multipliers in it, and where the last two and the balance are."""

@@ -69,74 +69,93 @@ class RestingField(FieldPart):
 
 
 class Twin:
-    """A system, and its twin with a frame for each absolute body: ``system``, the same one where there are none."""
+    """A system without absolute bodies as its own twin: arrays are what they are."""
 
     def __init__(self, system: System) -> None:
-        still = [(k, p) for k, p in system.fields if isinstance(p, AbsoluteField)]
-        m, n = system.motions, system.n_frames
-        self.poses: Array = np.zeros((0, m.n_pose))
-        self._in_q, self._in_v = n * m.n_pose, n * m.n_twist
         self.system = system
-        if not still:
-            return
+
+    configurations = velocities = forces = places = staticmethod(np.asarray)
+
+    def widened(self, block: Block) -> Block:
+        """The parts of a block of the system as those of the twin."""
+        return block
+
+    def narrowed(self, block: Block) -> Block:
+        """And back."""
+        return block
+
+    def state(self, state: State) -> State:
+        """A state of the twin as one of the system."""
+        return state
+
+
+class RestingTwin(Twin):
+    """The twin with a frame for each absolute body, of the parts ``still``."""
+
+    def __init__(self, system: System, still: list[tuple[int, AbsoluteField]]) -> None:
+        m, n = system.motions, system.n_frames
+        self._in_q, self._in_v = n * m.n_pose, n * m.n_twist
 
         parts: list[Any] = list(system.parts)
         for i, (k, part) in enumerate(still):
             parts[k] = RestingField(part, n + i)
-        self.poses = np.stack([m.pose(part.field.center) for _, part in still])
+        self._poses: Array = np.concatenate([m.pose(part.field.center) for _, part in still])
+        self._twists: Array = np.zeros(len(still) * m.n_twist)
         names = (*system.frame_names, *(part.name for _, part in still))
         markers = replace(system.markers, frame=_frames(system, [k for k, _ in still]))
-        self.system = replace(system, frame_names=names, parts=tuple(parts), markers=markers, cache={})
+        super().__init__(replace(system, frame_names=names, parts=tuple(parts), markers=markers, cache={}))
 
     def configurations(self, q: Array) -> Array:
         """Arrays like q, (.., n_q), with the frames at rest."""
-        return self._wider(q, self._in_q, self.poses.ravel())
+        return _wider(q, self._in_q, self._poses)
 
     def velocities(self, v: Array) -> Array:
         """The same of arrays like v, (.., n_v): they do not move."""
-        return self._wider(v, self._in_v, np.zeros(len(self.poses) * self.system.motions.n_twist))
+        return _wider(v, self._in_v, self._twists)
 
     def forces(self, x: Array) -> Array:
         """Arrays like v, (.., n_v), without the frames at rest."""
-        return self._narrower(x, self._in_v, len(self.poses) * self.system.motions.n_twist)
+        return _narrower(x, self._in_v, len(self._twists))
 
     def places(self, q: Array) -> Array:
         """Arrays like q, (.., n_q), without the frames at rest."""
-        return self._narrower(q, self._in_q, self.poses.size)
+        return _narrower(q, self._in_q, len(self._poses))
 
     def widened(self, block: Block) -> Block:
         """The parts of a block of the system as those of the twin."""
-        if not len(self.poses):
-            return block
         t, q, *rates, lam = block
         v, a, A = self.velocities(np.stack(rates))
         return t, self.configurations(q), v, a, A, lam
 
     def narrowed(self, block: Block) -> Block:
         """And back."""
-        if not len(self.poses):
-            return block
         t, q, *rates, lam = block
         v, a, A = self.forces(np.stack(rates))
         return t, self.places(q), v, a, A, lam
 
     def state(self, state: State) -> State:
         """A state of the twin as one of the system."""
-        if not len(self.poses):
-            return state
         v, a = self.forces(np.stack((state.v, state.a)))
         return replace(state, q=self.places(state.q), v=v, a=a)
 
-    def _wider(self, x: Array, at: int, more: Array) -> Array:
-        if not len(self.poses):
-            return x
-        made = np.empty((*x.shape[:-1], x.shape[-1] + len(more)))
-        end = at + len(more)
-        made[..., :at], made[..., at:end], made[..., end:] = x[..., :at], more, x[..., at:]
-        return made
 
-    def _narrower(self, x: Array, at: int, less: int) -> Array:
-        return np.concatenate((x[..., :at], x[..., at + less :]), axis=-1) if less else x
+def twin_of(system: System) -> Twin:
+    """The twin of a system that the driver knows."""
+    still = [(k, part) for k, part in system.fields if isinstance(part, AbsoluteField)]
+    return RestingTwin(system, still) if still else Twin(system)
+
+
+def _wider(x: Array, at: int, more: Array) -> Array:
+    """Arrays (.., n) with ``more`` put in at ``at``."""
+    made = np.empty((*x.shape[:-1], x.shape[-1] + len(more)))
+    end = at + len(more)
+    made[..., :at], made[..., at:end], made[..., end:] = x[..., :at], more, x[..., at:]
+    return made
+
+
+def _narrower(x: Array, at: int, less: int) -> Array:
+    """Arrays (.., n) without ``less`` of their entries from ``at`` on."""
+    return np.concatenate((x[..., :at], x[..., at + less :]), axis=-1)
 
 
 def _frames(system: System, still: list[int]) -> np.ndarray:

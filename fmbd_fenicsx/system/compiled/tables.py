@@ -26,7 +26,7 @@ from .mounts import mount_batch
 from .order import Fronts, RowGroup
 from .places import MatrixShape, Structure, batch_of, fronts_of, pivots_of, structure_of
 from .recording import Looks
-from .resting import Twin
+from .resting import twin_of
 from .rods import RodTable, rod_pairs
 from .structures import Store, array_of, structure
 from .whole import WholeLoads
@@ -73,7 +73,7 @@ class Tables:
         """``blocks``: factors and columns of the floating fields for the size of a step; ``coordinates``: one item each that
         nothing acts on, for :meth:`coordinate`.
         """
-        self.twin = Twin(system)
+        self.twin = twin_of(system)
         self.system = system = self.twin.system  # with a frame for each absolute body
         self.store = Store()
         self.dim = system.motions.dim
