@@ -128,7 +128,8 @@ class DriverStates:
         room, places = self._loaded_room(at, a, lam)
         if not self._ask(self.library.driver_batch, room, [*places, *room.constraints_at]):
             return None
-        return self.twin.forces(room.sums[: room.count]).copy(), self._with_motions(at[0], room.constraints[:, : room.count]).copy()
+        sums, rows = room.sums[: room.count], room.constraints[:, : room.count]
+        return self.twin.forces(sums).copy(), self._with_motions(at[0], rows).copy()
 
     def _loaded_room(self, at: Configurations, a: Array, lam: Array | None) -> tuple[Room, list[int | None]]:
         """Room with configurations, accelerations and multipliers in it, and where the last two and the balance are."""
