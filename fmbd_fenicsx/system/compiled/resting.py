@@ -7,6 +7,7 @@ and twists (zero) of these stand behind those of the moving frames.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -71,10 +72,14 @@ class RestingField(FieldPart):
 class Twin:
     """A system without absolute bodies as its own twin: arrays are what they are."""
 
+    # arrays like q and like v, (.., n), with the frames at rest, and without them
+    configurations: Callable[[Array], Array] = staticmethod(np.asarray)
+    velocities: Callable[[Array], Array] = staticmethod(np.asarray)
+    places: Callable[[Array], Array] = staticmethod(np.asarray)
+    forces: Callable[[Array], Array] = staticmethod(np.asarray)
+
     def __init__(self, system: System) -> None:
         self.system = system
-
-    configurations = velocities = forces = places = staticmethod(np.asarray)
 
     def widened(self, block: Block) -> Block:
         """The parts of a block of the system as those of the twin."""
