@@ -31,7 +31,17 @@ from ..run.variants import Variant as Variant
 from ..run.variants import Variants as Variants
 from ..run.variants import run_variants as map  # noqa: F401
 
-__all__ = ["Configuration", "OrderTable", "WorkPrecision", "aligned", "compare", "map", "markdown", "orders", "work_precision"]
+__all__ = [
+    "Configuration",
+    "OrderTable",
+    "WorkPrecision",
+    "aligned",
+    "compare",
+    "map",
+    "markdown",
+    "orders",
+    "work_precision",
+]
 
 
 def __dir__() -> list[str]:
