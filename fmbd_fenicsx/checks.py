@@ -57,8 +57,10 @@ def shown(value: Any) -> str:
     """A value as a message shows it: short, and a class as a class."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
-    data = is_dataclass(value)  # names of these may be properties
-    name = getattr(value, "name", None) if data else vars(value).get("name") if hasattr(value, "__dict__") else None
+    if is_dataclass(value):  # their names may be properties
+        name = getattr(value, "name", None)
+    else:
+        name = getattr(value, "__dict__", {}).get("name")
     if isinstance(name, str):
         return f'{type(value).__name__} "{name}"'
     text = " ".join(repr(value).split())

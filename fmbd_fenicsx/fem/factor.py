@@ -146,12 +146,15 @@ class PetscFactor:
 
         n, k = B.shape
         rhs, out = (PETSc.Mat().createDense(((n, None), (None, k)), comm=self.matrix.getComm()) for _ in range(2))
-        rhs.setUp(), out.setUp()
+        for matrix in (rhs, out):
+            matrix.setUp()
         rhs.getDenseArray()[:] = B
-        rhs.assemble(), out.assemble()
+        for matrix in (rhs, out):
+            matrix.assemble()
         self.matrix.matSolve(rhs, out)
         X = np.array(out.getDenseArray())
-        rhs.destroy(), out.destroy()
+        for matrix in (rhs, out):
+            matrix.destroy()
         return X
 
     def destroy(self) -> None:

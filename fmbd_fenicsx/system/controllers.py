@@ -66,6 +66,11 @@ class Reading:
     relative: Relative | None
     level: int
 
+    @property
+    def coordinate(self) -> JointCoordinate | None:
+        """The joint coordinate that it is, or is the rate of; None at a marker."""
+        return self.sensor.coordinate if isinstance(self.sensor, JointReading) else None
+
     def at(self, kin: Kinematics) -> Array:
         """The value in a configuration, (size,)."""
         if self.relative is not None:

@@ -49,16 +49,16 @@ class LawsTogether:
 
 
 class OneKind:
-    """Laws of one kind, of some elements ``which``. ``numbers``: variables around them whose values are in ``function``."""
+    """Laws of one kind, of some elements ``which``. ``function``: one of them for arrays of all; ``cells``: variables around the
+    laws that differ, whose ``contents`` it has.
+    """
 
     def __init__(self, laws: Sequence[Repeatable], which: np.ndarray) -> None:
         self.laws, self.which = laws, which
         self.takes_arrays: bool | None = None  # None: not tried yet
         self.turn = 0  # who is asked alone next
-        self._make()
 
-    def _make(self) -> None:
-        functions = [law.function for law in self.laws]
+        functions = [law.function for law in laws]
         cells = zip(*(getattr(f, "__closure__", None) or () for f in functions), strict=True)
         self.cells = [x for same in cells if any(y is not same[0] for y in same) for x in same]
         self.contents = [x.cell_contents for x in self.cells]

@@ -13,11 +13,8 @@ from ..recording.output import Output, Recorder
 from ..schedule import StepSchedule
 from ..time_loop import March, march
 
-UNFIT = (
-    ConvergenceError,
-    LinearSolveError,
-    InputError,
-)  # of runs that only tell an error: with larger steps forces may have no value
+# of runs that only tell an error: with larger steps forces may have no value
+UNFIT = (ConvergenceError, LinearSolveError, InputError)
 
 
 class StoppedError(ConvergenceError):

@@ -28,11 +28,13 @@ class Listener:
         self.told: list[Items | None] = []  # of each reading; None of a marker's motion
         known: dict[Any, Items] = {}
         for reading in loads.readings:
-            coordinate = getattr(reading.sensor, "coordinate", None)
-            if reading.relative is not None and coordinate not in known:
-                known[coordinate] = of_source(reading.relative, READ)
-                known[coordinate].told = True
-            self.told.append(known[coordinate] if reading.relative is not None else None)
+            if reading.relative is None:
+                self.told.append(None)
+                continue
+            if reading.coordinate not in known:
+                known[reading.coordinate] = of_source(reading.relative, READ)
+                known[reading.coordinate].told = True
+            self.told.append(known[reading.coordinate])
 
         acting = [of_source(relative, LAW) for relative in loads.acts]
         for i, one in enumerate(acting):
@@ -72,7 +74,7 @@ class Listener:
         y, out = self._read(), np.zeros((2, 1))
         on = self.loads.controller.acts[i]
         for reading in self.loads.readings:
-            if reading.relative is not None and getattr(reading.sensor, "coordinate", None) == on:
+            if reading.coordinate == on:
                 out[reading.level] -= self.loads.slopes(t, y, reading.name)[i, 0]
         return out[0], out[1]
 
