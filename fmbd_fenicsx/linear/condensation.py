@@ -183,7 +183,7 @@ class StepSolver:
         return not fields[0][1].field.total(np.array(float(not same))) if fields else same
 
     def _configuration(self, ev: Evaluation, weights: Weights) -> MatrixConfiguration:
-        versions = [(f.tangent_version, f.column_version(ev.t)) for _, f in self.system.fields]
+        versions = self.elastic.versions(ev.t)
         moving = None if ev.v is None or not (weights.cd or weights.ck) else ev.v.copy()
         return MatrixConfiguration(ev.t, ev.q.copy(), moving, weights, versions)
 

@@ -112,6 +112,11 @@ class FieldDriverSolver(DriverSolver):
         super().__init__(states, core)
         self.told, self.elastic = states, elastic
         self._sets: list[tuple[list[FactoredField], FactoredFieldStates, ExplicitStates]] = []
+        self._versions: list[tuple[Any, Any]] = []  # of tangents and columns in the matrix prepared last
+
+    def holds(self, ev: Evaluation, weights: Weights) -> bool:
+        """Whether the matrix prepared last is this one, by the same tangents."""
+        return super().holds(ev, weights) and self._versions == self.elastic.versions(ev.t)
 
     def _evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
         return self.told.evaluated(ev)
@@ -119,6 +124,7 @@ class FieldDriverSolver(DriverSolver):
     def _choose(self, ev: DriverEvaluation, weights: Weights) -> None:
         """Take the tables with the factors of a size of step; new ones where these are."""
         blocks, before = self.elastic.of(ev.jacobian, weights, ties_apart=False, splits=False), self.blocks
+        self._versions = self.elastic.versions(ev.t)
         if blocks is before:
             return
         self._sets = [x for x in self._sets if self.elastic.keeps(x[0])]

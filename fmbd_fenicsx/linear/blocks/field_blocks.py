@@ -107,6 +107,10 @@ class FieldBlocks:
         """Whether these are still there, not freed."""
         return any(blocks is x for x in self._sets.values())
 
+    def versions(self, t: float) -> list[tuple[Any, Any]]:
+        """Tangents and columns of all fields at a time (s): new ones where a matrix made of them is no longer that of a state."""
+        return [(f.tangent_version, f.column_version(t)) for _, f in self.system.fields]
+
     # -- set-up -------------------------------------------------------------------------------------------------
     def of(self, G: Any, w: Weights, *, ties_apart: bool, splits: bool) -> list[FactoredField]:
         """Blocks for the weights of a step, earlier ones where nothing of theirs has changed.

@@ -10,7 +10,7 @@ from .evaluation import DriverStates
 from .field_states import FieldStates
 from .items import covers, other_loads
 from .library import driver_library, units_of
-from .resting import RestingField, twin_of
+from .resting import twin_of
 from .tables import covers_bodies
 
 STORAGE_LIMIT = 20_000_000  # numbers in the factor
@@ -41,9 +41,8 @@ def driver_states(system: System) -> DriverStates | None:
 
 
 def _covers_fields(system: System) -> bool:
-    """Whether floating fields have constant matrices, and nothing acts on fields that Python gives as a whole."""
-    constant = not any(part.field.nonlinear for _, part in system.fields if not isinstance(part, RestingField))
-    return constant and not system.curved and not other_loads(system)
+    """Whether nothing acts on fields that Python gives as a whole, and their surfaces move linearly."""
+    return not system.curved and not other_loads(system)
 
 
 def solves(evaluator: Evaluator) -> TypeGuard[DriverStates]:
