@@ -21,6 +21,7 @@ FILES = (
     "compiled_recording",
     "field_states",
     "checkpoint",
+    "substructures",
 )
 
 

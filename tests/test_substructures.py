@@ -61,6 +61,21 @@ def test_halves_of_a_factor(blocks: int, dim: int) -> None:
     factor.destroy()
 
 
+@needs_cholmod
+def test_rows_of_the_interface_stay_in_their_memory() -> None:
+    """Supernodes join columns that are not coupled, with zeros between them: a column that stays last then has rows of the interior."""
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        A = sp.random(40, 40, 0.03, rng=rng)
+        factor = PartialFactor((A @ A.T + sp.identity(40)).tocsc(), 30, 1)
+        k = len(factor.last)
+        room = np.full((2 * k, k), np.nan)
+        partial_factor.library().trailing(factor._made, 30, room[k:].ctypes.data, factor.last.ctypes.data)
+        np.testing.assert_array_equal(room[k:], factor.LG)
+        assert np.isnan(room[:k]).all()
+        factor.destroy()
+
+
 def test_separator_of_pairs_is_smallest() -> None:
     """It touches every pair, and has as many numbers as the largest matching (Koenig)."""
     rng = np.random.default_rng(8)

@@ -195,7 +195,8 @@ EXPORT int solve_half(Partial *p, int transposed, double *x, int64_t columns) {
     return solved;
 }
 
-/* L_G, rows (k, k) with k = n - interior, and the unknowns of its rows, counted from 0 for the first that is not interior. */
+/* L_G, rows (k, k) with k = n - interior, and the unknowns of its rows, counted from 0 for the first that is not interior. Where
+   CHOLMOD joins columns to supernodes, those that stay last have rows of the interior too, all of them zero. */
 EXPORT void trailing(Partial *p, int64_t interior, double *LG, int64_t *unknowns) {
     cholmod_factor *L = p->L;
     int64_t n = L->n, k = n - interior, *order = L->Perm, *super = L->super, *pi = L->pi, *px = L->px, *s = L->s;
@@ -214,7 +215,10 @@ EXPORT void trailing(Partial *p, int64_t interior, double *LG, int64_t *unknowns
         for (int64_t c = super[j]; c < super[j + 1]; c++) {
             if (place[c] < 0) continue;
             const double *column = x + px[j] + (c - super[j]) * height;
-            for (int64_t r = c - super[j]; r < height; r++) LG[place[s[pi[j] + r]] * k + place[c]] = column[r];
+            for (int64_t r = c - super[j]; r < height; r++) {
+                int64_t row = place[s[pi[j] + r]];
+                if (row >= 0) LG[row * k + place[c]] = column[r];
+            }
         }
     }
     free(place);
