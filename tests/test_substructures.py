@@ -63,7 +63,7 @@ def test_halves_of_a_factor(blocks: int, dim: int) -> None:
 
 @needs_cholmod
 def test_rows_of_the_interface_stay_in_their_memory() -> None:
-    """Supernodes join columns that are not coupled, with zeros between them: a column that stays last then has rows of the interior."""
+    """Supernodes join columns that are not coupled: one that stays last then has rows of the interior, with zeros."""
     rng = np.random.default_rng(5)
     for _ in range(20):
         A = sp.random(40, 40, 0.03, rng=rng)
